@@ -4,6 +4,7 @@
 //! `--json` stdout carries exactly one JSON document.
 
 mod animate;
+mod audit;
 mod check;
 mod cutaway;
 mod deform;
@@ -60,6 +61,8 @@ enum PliantCommand {
     Token(token::TokenArgs),
     /// Check, list, export and prune sessions that a server kept
     Store(store::StoreArgs),
+    /// Tell who opened, changed and took away what on a server
+    Audit(audit::AuditArgs),
 }
 
 /// Runs the command line of this process.
@@ -87,6 +90,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Sample(args) => sample::run_sample(&args),
         PliantCommand::Token(args) => token::run_token(&args),
         PliantCommand::Store(args) => store::run_store(&args),
+        PliantCommand::Audit(args) => audit::run_audit(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -4,6 +4,7 @@ use crate::session::{
     CarriedAlong, CommittedEdit, HistoryFacts, QuotaReport, QuotaUse, SessionConfig, SessionFacts, SessionList,
 };
 use crate::wire::{edit_result, handle_poses_message, page_token, pb, session_message};
+use std::time::Duration;
 
 /// Writes a session as its owner sees it.
 pub(super) fn described_session(session: &SessionFacts, config: &SessionConfig) -> pb::Session {
@@ -87,8 +88,8 @@ pub(super) fn limits_message(config: &SessionConfig) -> pb::Limits {
     }
 }
 
-/// Writes the limits with what a tenant may use of them, and what is left.
-pub(super) fn limits_left(config: &SessionConfig, report: &QuotaReport) -> pb::Limits {
+/// Writes the limits with what a tenant may use of them, and what is left; `max_ttl` is the longest time that its sessions may name.
+pub(super) fn limits_left(config: &SessionConfig, report: &QuotaReport, max_ttl: Duration) -> pb::Limits {
     let told = |quota: Option<QuotaUse>| quota.map(|QuotaUse { allowed, left }| pb::QuotaState { allowed, left });
     let quotas = (*report != QuotaReport::default()).then(|| pb::Quotas {
         sessions: told(report.sessions),
@@ -100,6 +101,7 @@ pub(super) fn limits_left(config: &SessionConfig, report: &QuotaReport) -> pb::L
     });
     pb::Limits {
         quotas,
+        ttl_seconds: max_ttl.as_secs_f64(),
         ..limits_message(config)
     }
 }

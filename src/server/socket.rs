@@ -49,7 +49,7 @@ pub(super) async fn upgrade(
     let upgrade = WebSocketUpgrade::from_request_parts(&mut parts, &state)
         .await
         .map_err(no_upgrade)?;
-    let stream = state.manager.stream(&caller.tenant, &id).await?;
+    let stream = caller.manager(&state).stream(&caller.tenant, &id).await?;
     let largest = state.message_bytes;
     // The connection's slot is held by whoever holds its socket.
     let slot = parts

@@ -1,11 +1,11 @@
 //! What a server lets its sessions use.
 
 use crate::session::animation::prepared_animation::AnimationLimits;
+use crate::session::capacity::session_lease::MIN_TTL;
 use crate::session::error::Error;
 use crate::session::quota::tenant_quota::{TenantQuota, TenantQuotas};
 use crate::wire::StreamLimits;
 use crate::{asset, engine};
-use std::ops::RangeInclusive;
 use std::time::Duration;
 
 /// The limits that sessions keep to. [`SessionConfig::validate`] says which values make sense; 0 never means "no limit".
@@ -122,9 +122,6 @@ impl Default for SessionConfig {
     }
 }
 
-/// The shortest time to live that a session may ask for.
-pub const MIN_TTL: Duration = Duration::from_secs(1);
-
 impl SessionConfig {
     /// Checks that every value makes sense.
     ///
@@ -217,11 +214,6 @@ impl SessionConfig {
             frames: self.animation_frames,
             vertices: self.animation_vertices,
         }
-    }
-
-    /// The times to live that a session may ask for.
-    pub fn ttl_range(&self) -> RangeInclusive<Duration> {
-        MIN_TTL..=self.max_ttl
     }
 
     /// How large the requests of a deform stream may be.

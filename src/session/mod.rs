@@ -17,6 +17,7 @@
 //! | `history` | the ordered commits and their shapes; the engine and what it holds |
 //! | `stream` | a stream's ends, its state, poses that wait, frames on their way out |
 //! | `animation` | an animation's task, its frames on their way out, its ends |
+//! | `audit` | who opened, changed and took away what |
 //! | `quota` | what each tenant may use, and what it uses |
 //! | `capacity` | compute slots, bytes, leases, who is still inside, giving work up |
 //! | `registry`, `shared` | the sessions that are open, and what they share |
@@ -27,6 +28,7 @@
 
 mod animation;
 mod answers;
+mod audit;
 mod calls;
 mod capacity;
 mod config;
@@ -48,13 +50,16 @@ pub use answers::{
     AnimatedModel, AnimationAnswer, CallKey, CarriedAlong, CommitFacts, CommittedEdit, CommittedPose, ExportedModel,
     HistoryFacts, KeyedAnswer, PositionBuffer, SessionFacts, SessionList, StreamAnswer, Tenant,
 };
+pub use audit::audit_entry::{AuditEntry, AuditedAction, StoredAuditEntry};
 pub use calls::manager::Manager;
 pub use capacity::memory_ledger::{MemoryLedger, MemoryReservation};
 pub use capacity::memory_use::MemoryUse;
-pub use config::{MIN_TTL, SessionConfig};
+pub use capacity::session_lease::MIN_TTL;
+pub use config::SessionConfig;
 pub use engine::{Engine, EngineOpener, OpenDeformer};
 pub use error::{Error, ErrorCode};
 pub use metrics::Metrics;
 pub use quota::tenant_account::{QuotaReport, QuotaUse, TenantAccount};
+pub use quota::tenant_accounts::MOST_TENANTS;
 pub use quota::tenant_quota::{TenantQuota, TenantQuotas};
 pub use stream::ends::{DeformStream, StreamInput, StreamOutput};

@@ -167,6 +167,10 @@ fn limits_without_a_key_are_those_of_the_program() {
             pliant::motion::bvh::ClipLimits::default().numbers.to_string(),
         ),
         ("shortest time to live that a session may name", time(MIN_TTL)),
+        (
+            "tenants whose use is counted at a time",
+            session::MOST_TENANTS.to_string(),
+        ),
         ("tokens of one file", pliant::server::config::MOST_TOKENS.to_string()),
         ("one token", size(pliant::server::auth::LONGEST_TOKEN as u64)),
         (

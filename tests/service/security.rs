@@ -1,5 +1,7 @@
 //! Who may do what, from outside: tokens, certificates, and what a server refuses to be started as.
 
+mod access_log;
+mod audit;
 mod certificates;
 mod isolation;
 mod jwt;
@@ -10,7 +12,21 @@ mod tokens;
 use crate::support::server::*;
 use pliant::server::auth::{AuthConfig, TokenEntry, token_digest};
 use pliant::session::Tenant;
+use std::path::Path;
 use std::time::{Duration, SystemTime};
+
+/// A file with some tables of the configuration; its path.
+fn config_file(folder: &Path, tables: &str) -> String {
+    let path = folder.join("pliant.toml");
+    std::fs::write(&path, tables).expect("writable");
+    path.to_string_lossy().into_owned()
+}
+
+/// A token as such a file has it.
+fn token_table(tenant: &str, token: &str, name: &str) -> String {
+    let sha256: String = token_digest(token).iter().map(|byte| format!("{byte:02x}")).collect();
+    format!("[[auth.tokens]]\ntenant = \"{tenant}\"\nname = \"{name}\"\nsha256 = \"{sha256}\"\n")
+}
 
 /// A token of a tenant that does not expire.
 fn entry(tenant: &str, token: &str) -> TokenEntry {

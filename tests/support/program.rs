@@ -20,6 +20,11 @@ impl ServedProgram {
         Self::try_start(folder, arguments).expect("the server starts")
     }
 
+    /// Starts the server with sessions in memory alone.
+    pub fn start_in_memory(log: PathBuf, arguments: &[&str]) -> Self {
+        Self::start_anywhere(log, arguments, &[]).expect("the server starts")
+    }
+
     /// As `start`; the log when it does not come up.
     pub fn try_start(folder: &Path, arguments: &[&str]) -> Result<Self, String> {
         let log = folder.with_extension("log");

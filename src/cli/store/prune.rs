@@ -3,6 +3,7 @@
 use super::super::failure::CliFailure;
 use super::kept_place::{StorePlaceArgs, all_sessions, store_failure};
 use crate::session::store::{SessionStore as _, StoredFacts, now_ms};
+use crate::session::{AuditEntry, AuditedAction};
 use clap::Args;
 use std::time::Duration;
 
@@ -52,7 +53,13 @@ pub(super) async fn run_store_prune(args: &StorePruneArgs) -> Result<(), CliFail
     sessions.retain(|s| args.goes(s, now));
     for session in &sessions {
         if !args.dry_run {
-            store.delete(session.id.clone()).await.map_err(store_failure)?;
+            let audit = AuditEntry {
+                tenant: session.tenant.clone(),
+                who: "pliant store prune".into(),
+                what: AuditedAction::Expire,
+                session: session.id.clone(),
+            };
+            store.delete(audit).await.map_err(store_failure)?;
         }
         println!("session  {}  {}", session.id, session.tenant.0);
     }

@@ -1,6 +1,6 @@
 //! The tables `quotas` and `tenants` of the configuration's file, as they stand there.
 
-use super::units::ByteSize;
+use super::units::{ByteSize, TimeSpan};
 use crate::session::TenantQuota;
 use serde::Deserialize;
 
@@ -14,11 +14,15 @@ pub struct QuotaTable {
     upload_bytes_per_minute: Option<ByteSize>,
     solve_seconds_per_minute: Option<f64>,
     streams: Option<u64>,
+    ttl: Option<TimeSpan>,
+    max_ttl: Option<TimeSpan>,
+    audit_age: Option<TimeSpan>,
 }
 
 impl From<QuotaTable> for TenantQuota {
     fn from(table: QuotaTable) -> Self {
         let bytes = |size: Option<ByteSize>| size.map(|size| size.0);
+        let span = |span: Option<TimeSpan>| span.map(|span| span.0);
         Self {
             sessions: table.sessions,
             memory_bytes: bytes(table.memory_bytes),
@@ -26,6 +30,9 @@ impl From<QuotaTable> for TenantQuota {
             upload_bytes_per_minute: bytes(table.upload_bytes_per_minute),
             solve_seconds_per_minute: table.solve_seconds_per_minute,
             streams: table.streams,
+            ttl: span(table.ttl),
+            max_ttl: span(table.max_ttl),
+            audit_age: span(table.audit_age),
         }
     }
 }

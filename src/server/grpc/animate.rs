@@ -6,7 +6,7 @@
 use super::status::status;
 use crate::server::animation_frames::AnimationFrames;
 use crate::server::state::State;
-use crate::session::{AnimationControl, Error, ErrorCode, Tenant};
+use crate::session::{AnimationControl, Error, ErrorCode, Manager, Tenant};
 use crate::wire::pb::{self, animate_request::Message};
 use crate::wire::{AnimateOrder, OrderedClip, animate_order};
 use bytes::Bytes;
@@ -18,16 +18,16 @@ use tonic::{Status, Streaming};
 /// The frames that `inbound` asks for.
 pub(super) fn animation_frames(
     state: State,
-    tenant: Tenant,
+    caller: (Manager, Tenant),
     inbound: Streaming<pb::AnimateRequest>,
 ) -> impl Stream<Item = Result<pb::Frame, Status>> + Send {
     futures::stream::unfold(
-        AnimationPhase::Waiting(Box::new((state, tenant, inbound))),
+        AnimationPhase::Waiting(Box::new((state, caller, inbound))),
         |phase| async move {
             let mut open = match phase {
                 AnimationPhase::Waiting(parts) => {
-                    let (state, tenant, inbound) = *parts;
-                    match OpenAnimation::start(state, &tenant, inbound).await {
+                    let (state, caller, inbound) = *parts;
+                    match OpenAnimation::start(state, &caller, inbound).await {
                         Ok(open) => Box::new(open),
                         Err(status) => return Some((Err(status), AnimationPhase::Over)),
                     }
@@ -44,7 +44,7 @@ pub(super) fn animation_frames(
 }
 
 enum AnimationPhase {
-    Waiting(Box<(State, Tenant, Streaming<pb::AnimateRequest>)>),
+    Waiting(Box<(State, (Manager, Tenant), Streaming<pb::AnimateRequest>)>),
     Open(Box<OpenAnimation>),
     Over,
 }
@@ -60,7 +60,11 @@ struct OpenAnimation {
 }
 
 impl OpenAnimation {
-    async fn start(state: State, tenant: &Tenant, mut inbound: Streaming<pb::AnimateRequest>) -> Result<Self, Status> {
+    async fn start(
+        state: State,
+        (manager, tenant): &(Manager, Tenant),
+        mut inbound: Streaming<pb::AnimateRequest>,
+    ) -> Result<Self, Status> {
         let first = next_message(&state, &mut inbound, state.config.header_timeout).await?;
         let Some(Message::Options(mut options)) = first else {
             let problem = "are missing; the first message of an animation says what to do, and names the session";
@@ -71,7 +75,7 @@ impl OpenAnimation {
         let config = state.manager.config();
         let order = animate_order(&options, config.window, config.clip_bytes).map_err(|e| status(e.into()))?;
         let order = with_announced_clip((&state, tenant), order, &mut inbound).await?;
-        let (input, output) = state.manager.animate(tenant, &id, order).await.map_err(status)?;
+        let (input, output) = manager.animate(tenant, &id, order).await.map_err(status)?;
         let (tell, ended) = oneshot::channel();
         let pump = tokio::spawn(async move {
             let _ = tell.send(pump_acknowledgements(inbound, &input).await);

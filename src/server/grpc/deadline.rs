@@ -71,7 +71,7 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
             .and_then(|v| v.to_str().ok())
             .map_or_else(telemetry::request_id, Arc::from);
         let echoed = HeaderValue::from_str(&request_id);
-        let mut recorder = Recorder::start(&self.telemetry, "grpc", route, request_id);
+        let mut recorder = Recorder::start(&self.telemetry, ("grpc", route), request_id, &request);
         let deadline = timeout(request.headers()).map(|timeout| Instant::now() + timeout);
         let refused: Option<Refused> = request.extensions_mut().remove();
         let routed = match refused {

@@ -9,7 +9,7 @@ use crate::server::auth;
 use crate::server::format_name::parse_format_name;
 use crate::server::messages;
 use crate::server::state::State;
-use crate::session::{CallKey, Error, SessionFacts, Tenant};
+use crate::session::{CallKey, Error, Manager, SessionFacts, Tenant};
 use crate::wire::{self, frames::encode, pb};
 use bytes::Bytes;
 use futures::Stream;
@@ -58,6 +58,12 @@ fn call_key(key: Option<String>, request: &impl prost::Message) -> Option<CallKe
     key.map(request)
 }
 
+/// The sessions, with what is done noted as the caller's.
+fn acting<T>(state: &State, request: &Request<T>) -> Result<Manager, Status> {
+    let principal = auth::principal(request.extensions()).map_err(status)?;
+    Ok(state.manager.on_behalf_of(&principal.name))
+}
+
 fn tenant<T>(request: &Request<T>) -> Result<Tenant, Status> {
     let principal = auth::principal(request.extensions()).map_err(status)?;
     Ok(principal.tenant.clone())
@@ -95,11 +101,11 @@ fn sent<T: Send + 'static>(items: impl IntoIterator<Item = T, IntoIter: Send + '
 #[tonic::async_trait]
 impl Deformer for Calls {
     async fn create_session(&self, request: Request<Streaming<pb::CreateSessionRequest>>) -> GrpcAnswer<pb::Session> {
+        let manager = acting(&self.state, &request)?;
         let (tenant, key, inbound) = work(&self.state, request)?;
         let upload::Upload { files, options, held } = upload::receive(&self.state, &tenant, inbound).await?;
         let key = call_key(key, &options);
-        let manager = &self.state.manager;
-        let options = wire::session_options(&options, manager.config().ttl_range()).map_err(refused)?;
+        let options = wire::session_options(&options, manager.ttl_range(&tenant).map_err(status)?).map_err(refused)?;
         // From here on the session's own reservation has room for them.
         drop(held);
         let created = manager.create(&tenant, files, options, key).await;
@@ -121,28 +127,29 @@ impl Deformer for Calls {
     }
 
     async fn delete_session(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::DeleteSessionResponse> {
+        let manager = acting(&self.state, &request)?;
         let tenant = tenant(&request)?;
         let id = request.into_inner().session_id;
-        self.state.manager.delete(&tenant, &id).await.map_err(status)?;
+        manager.delete(&tenant, &id).await.map_err(status)?;
         Ok(Response::new(pb::DeleteSessionResponse {}))
     }
 
     async fn set_handles(&self, request: Request<pb::SetHandlesRequest>) -> GrpcAnswer<pb::Session> {
+        let manager = acting(&self.state, &request)?;
         let (tenant, key, message) = work(&self.state, request)?;
         self.check_session(&tenant, &message.session_id).await?;
         let (key, handles) = (call_key(key, &message), wire::handle_set(&message).map_err(refused)?);
-        let manager = &self.state.manager;
         self.session(manager.set_handles(&tenant, &message.session_id, handles, key).await)
     }
 
     type DeformStream = Sent<pb::DeformResponse>;
 
     async fn deform(&self, request: Request<Streaming<pb::DeformRequest>>) -> GrpcAnswer<Self::DeformStream> {
-        let tenant = tenant(&request)?;
+        let (manager, tenant) = (acting(&self.state, &request)?, tenant(&request)?);
         // The head of the answer goes out at once: clients wait for it before they send their first message.
         Ok(Response::new(Box::pin(stream::responses(
             self.state.clone(),
-            tenant,
+            (manager, tenant),
             request.into_inner(),
         ))))
     }
@@ -150,9 +157,9 @@ impl Deformer for Calls {
     type SolveStream = Sent<pb::Frame>;
 
     async fn solve(&self, request: Request<pb::SolveRequest>) -> GrpcAnswer<Self::SolveStream> {
+        let manager = acting(&self.state, &request)?;
         let (tenant, key, message) = work(&self.state, request)?;
         self.check_session(&tenant, &message.session_id).await?;
-        let manager = &self.state.manager;
         let pose = wire::pose_commit(&message, manager.config().window).map_err(refused)?;
         let key = call_key(key, &message);
         let solved = manager.solve(&tenant, &message.session_id, pose, key).await;
@@ -160,23 +167,24 @@ impl Deformer for Calls {
     }
 
     async fn edit(&self, request: Request<pb::EditRequest>) -> GrpcAnswer<pb::EditResult> {
+        let manager = acting(&self.state, &request)?;
         let (tenant, key, message) = work(&self.state, request)?;
         self.check_session(&tenant, &message.session_id).await?;
         let edit = wire::session_edit(&message).map_err(refused)?;
         let key = call_key(key, &message);
-        let done = self.state.manager.edit(&tenant, &message.session_id, edit, key).await;
+        let done = manager.edit(&tenant, &message.session_id, edit, key).await;
         Ok(Response::new(messages::committed_edit(done.map_err(status)?)))
     }
 
     async fn undo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
+        let manager = acting(&self.state, &request)?;
         let (tenant, key, message) = work(&self.state, request)?;
-        let manager = &self.state.manager;
         self.session(manager.undo(&tenant, &message.session_id, key.as_deref()).await)
     }
 
     async fn redo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
+        let manager = acting(&self.state, &request)?;
         let (tenant, key, message) = work(&self.state, request)?;
-        let manager = &self.state.manager;
         self.session(manager.redo(&tenant, &message.session_id, key.as_deref()).await)
     }
 
@@ -190,15 +198,14 @@ impl Deformer for Calls {
     type ExportStream = Sent<pb::Chunk>;
 
     async fn export(&self, request: Request<pb::ExportRequest>) -> GrpcAnswer<Self::ExportStream> {
+        let manager = acting(&self.state, &request)?;
         let tenant = tenant(&request)?;
         let message = request.into_inner();
         let format = match message.format.as_str() {
             "" => None,
             name => Some(parse_format_name("format", name).map_err(status)?),
         };
-        let exported = self
-            .state
-            .manager
+        let exported = manager
             .export(&tenant, &message.session_id, format)
             .await
             .map_err(status)?;
@@ -213,22 +220,23 @@ impl Deformer for Calls {
     }
 
     async fn carry(&self, request: Request<pb::CarryRequest>) -> GrpcAnswer<pb::CarryResponse> {
+        let manager = acting(&self.state, &request)?;
         let tenant = tenant(&request)?;
         let message = request.into_inner();
         self.check_session(&tenant, &message.session_id).await?;
         let order = wire::carry_order(&message).map_err(refused)?;
-        let carried = self.state.manager.carry(&tenant, &message.session_id, order).await;
+        let carried = manager.carry(&tenant, &message.session_id, order).await;
         Ok(Response::new(messages::carried_message(carried.map_err(status)?)))
     }
 
     type AnimateStream = Sent<pb::Frame>;
 
     async fn animate(&self, request: Request<Streaming<pb::AnimateRequest>>) -> GrpcAnswer<Self::AnimateStream> {
-        let tenant = tenant(&request)?;
+        let (manager, tenant) = (acting(&self.state, &request)?, tenant(&request)?);
         // The head of the answer goes out at once: clients wait for it before they send their first message.
         Ok(Response::new(Box::pin(animate::animation_frames(
             self.state.clone(),
-            tenant,
+            (manager, tenant),
             request.into_inner(),
         ))))
     }
@@ -237,7 +245,8 @@ impl Deformer for Calls {
         let tenant = tenant(&request)?;
         let manager = &self.state.manager;
         let left = manager.quotas_left(&tenant).await.map_err(status)?;
-        Ok(Response::new(messages::limits_left(manager.config(), &left)))
+        let longest = *manager.ttl_range(&tenant).map_err(status)?.end();
+        Ok(Response::new(messages::limits_left(manager.config(), &left, longest)))
     }
 }
 

@@ -7,7 +7,7 @@
 use super::status::status;
 use crate::server::state::State;
 use crate::server::stream_ends::{RequestEnd, ResponseEnd, message_ends};
-use crate::session::{Error, ErrorCode, Tenant};
+use crate::session::{Error, ErrorCode, Manager, Tenant};
 use crate::wire::pb::{self, deform_response};
 use futures::Stream;
 use tokio::sync::oneshot;
@@ -17,14 +17,14 @@ use tonic::{Status, Streaming};
 /// The responses to `inbound`. The session is opened when its first message has come.
 pub(super) fn responses(
     state: State,
-    tenant: Tenant,
+    caller: (Manager, Tenant),
     inbound: Streaming<pb::DeformRequest>,
 ) -> impl Stream<Item = Result<pb::DeformResponse, Status>> + Send {
-    futures::stream::unfold(Phase::Waiting(Box::new((state, tenant, inbound))), |phase| async move {
+    futures::stream::unfold(Phase::Waiting(Box::new((state, caller, inbound))), |phase| async move {
         let mut open = match phase {
             Phase::Waiting(parts) => {
-                let (state, tenant, inbound) = *parts;
-                match Open::start(state, &tenant, inbound).await {
+                let (state, caller, inbound) = *parts;
+                match Open::start(state, &caller, inbound).await {
                     Ok(open) => Box::new(open),
                     Err(status) => return Some((Err(status), Phase::Over)),
                 }
@@ -41,7 +41,7 @@ pub(super) fn responses(
 }
 
 enum Phase {
-    Waiting(Box<(State, Tenant, Streaming<pb::DeformRequest>)>),
+    Waiting(Box<(State, (Manager, Tenant), Streaming<pb::DeformRequest>)>),
     Open(Box<Open>),
     Over,
 }
@@ -59,7 +59,11 @@ struct Open {
 }
 
 impl Open {
-    async fn start(state: State, tenant: &Tenant, mut inbound: Streaming<pb::DeformRequest>) -> Result<Self, Status> {
+    async fn start(
+        state: State,
+        (manager, tenant): &(Manager, Tenant),
+        mut inbound: Streaming<pb::DeformRequest>,
+    ) -> Result<Self, Status> {
         let patience = state.config.header_timeout;
         let first = tokio::select! {
             first = tokio::time::timeout(patience, inbound.message()) => first,
@@ -79,7 +83,7 @@ impl Open {
             )));
         };
         let id = std::mem::take(&mut first.session_id);
-        let stream = state.manager.stream(tenant, &id).await.map_err(status)?;
+        let stream = manager.stream(tenant, &id).await.map_err(status)?;
         let (input, output) = message_ends(stream, state.manager.config().stream_limits());
         if first.message.is_some() {
             input.push(&first).map_err(status)?;

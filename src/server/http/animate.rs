@@ -46,10 +46,13 @@ pub(super) async fn animate(
     };
     let order = received_order(&state, request, &id).await?;
     if offer == GLB {
-        let played = state.manager.animate_to_model(&caller.tenant, &id, order).await?;
+        let played = caller
+            .manager(&state)
+            .animate_to_model(&caller.tenant, &id, order)
+            .await?;
         return Ok(model_answer(played));
     }
-    let (input, output) = state.manager.animate(&caller.tenant, &id, order).await?;
+    let (input, output) = caller.manager(&state).animate(&caller.tenant, &id, order).await?;
     input.finish_input();
     let mut frames = AnimationFrames::of_output(output);
     // What is wrong with clip or rig is known before the first frame, and has a status of its own.

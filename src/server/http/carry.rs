@@ -21,6 +21,6 @@ pub(super) async fn carry(
     body::same_session(&message.session_id, &id)?;
     let order = wire::carry_order(&message)?;
     json(&messages::carried_message(
-        state.manager.carry(&caller.tenant, &id, order).await?,
+        caller.manager(&state).carry(&caller.tenant, &id, order).await?,
     ))
 }

@@ -64,10 +64,13 @@ pub(super) async fn create(From(state): From<State>, caller: Caller, request: Re
     };
     let options = options.finish()?;
     let key = caller.call_key(|| options.encode_to_vec())?;
-    let options = wire::session_options(&options, state.manager.config().ttl_range())?;
+    let options = wire::session_options(&options, state.manager.ttl_range(&caller.tenant)?)?;
     // From here on the session's own reservation has room for them.
     drop(held);
-    let created = state.manager.create(&caller.tenant, files, options, key).await?;
+    let created = caller
+        .manager(&state)
+        .create(&caller.tenant, files, options, key)
+        .await?;
     let mut response = session_json(&state, &created.value)?;
     if !created.repeated {
         *response.status_mut() = StatusCode::CREATED;

@@ -23,8 +23,8 @@ pub(super) async fn edit(
     message.session_id = id;
     let key = caller.call_key(|| message.encode_to_vec())?;
     let edit = wire::session_edit(&message)?;
-    let done = state
-        .manager
+    let done = caller
+        .manager(&state)
         .edit(&caller.tenant, &message.session_id, edit, key)
         .await?;
     json(&messages::committed_edit(done))

@@ -23,8 +23,8 @@ pub(super) async fn put(
     handles.session_id = id;
     let key = caller.call_key(|| handles.encode_to_vec())?;
     let set = wire::handle_set(&handles)?;
-    let session = state
-        .manager
+    let session = caller
+        .manager(&state)
         .set_handles(&caller.tenant, &handles.session_id, set, key)
         .await?;
     session_json(&state, &session)
@@ -55,7 +55,10 @@ pub(super) async fn patch(
     let fields = present(&text);
     let key = caller.call_key(|| [fields.join(",").as_bytes(), &handle.encode_to_vec()].concat())?;
     let patch = wire::handle_patch(&handle, &fields, &state.manager.handles(&caller.tenant, &id).await?)?;
-    let session = state.manager.put_handle(&caller.tenant, &id, patch, key).await?;
+    let session = caller
+        .manager(&state)
+        .put_handle(&caller.tenant, &id, patch, key)
+        .await?;
     session_json(&state, &session)
 }
 
@@ -65,7 +68,10 @@ pub(super) async fn delete(
     Names((id, handle_id)): Names<(String, String)>,
 ) -> Result<Response, Problem> {
     let (tenant, key) = (&caller.tenant, caller.key()?);
-    let session = state.manager.remove_handle(tenant, &id, &handle_id, key).await?;
+    let session = caller
+        .manager(&state)
+        .remove_handle(tenant, &id, &handle_id, key)
+        .await?;
     session_json(&state, &session)
 }
 

@@ -91,7 +91,7 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         .get::<MatchedPath>()
         .map_or("unknown", |m| m.as_str())
         .to_owned();
-    let mut recorder = Recorder::start(&state.telemetry, "http", route, Arc::clone(&request_id));
+    let mut recorder = Recorder::start(&state.telemetry, ("http", route), Arc::clone(&request_id), &request);
 
     if request.version() < http::Version::HTTP_2 {
         let body = std::mem::replace(request.body_mut(), Body::empty());

@@ -38,7 +38,7 @@ pub(super) async fn model(
             return Ok(response);
         }
     }
-    let exported = state.manager.export(&caller.tenant, &id, format).await?;
+    let exported = caller.manager(&state).export(&caller.tenant, &id, format).await?;
     match wanted {
         None => main_file(&id, exported, &headers),
         Some(uri) => companion(exported, &uri, &headers),
@@ -127,7 +127,7 @@ pub(super) async fn positions(
 ) -> Result<Response, Problem> {
     state.manager.get(&caller.tenant, &id).await?;
     query::parameters(&uri, &[])?;
-    let positions = state.manager.positions(&caller.tenant, &id).await?;
+    let positions = caller.manager(&state).positions(&caller.tenant, &id).await?;
     let file_name = format!("{id}.f32");
     let download = Download {
         bytes: positions.bytes,

@@ -3,16 +3,19 @@
 use super::problem::Problem;
 use crate::server::auth;
 use crate::server::state::State;
-use crate::session::{CallKey, Error, Tenant};
+use crate::session::{CallKey, Error, Manager, Tenant};
 use axum::extract::{FromRequestParts, Path};
 use http::StatusCode;
 use http::request::Parts;
 use serde::de::DeserializeOwned;
+use std::sync::Arc;
 
 /// Who asks, checked before anything else.
 pub(in crate::server) struct Caller {
     /// The tenant.
     pub tenant: Tenant,
+    /// What it is called, for the audit trail.
+    name: Arc<str>,
     /// Whether it may read the counts of the whole server.
     pub reads_metrics: bool,
     /// The idempotency key, where one was sent.
@@ -20,6 +23,11 @@ pub(in crate::server) struct Caller {
 }
 
 impl Caller {
+    /// The sessions, with what is done noted as the caller's.
+    pub fn manager(&self, state: &State) -> Manager {
+        state.manager.on_behalf_of(&self.name)
+    }
+
     /// The idempotency key. A broken one is refused here and not earlier, so that a missing session is told first.
     pub fn key(&self) -> Result<Option<&str>, Error> {
         match &self.key {
@@ -44,7 +52,8 @@ impl FromRequestParts<State> for Caller {
 
     async fn from_request_parts(parts: &mut Parts, _: &State) -> Result<Self, Problem> {
         let principal = auth::principal(&parts.extensions)?;
-        let (tenant, reads_metrics) = (principal.tenant.clone(), principal.reads_metrics);
+        let (tenant, name) = (principal.tenant.clone(), Arc::clone(&principal.name));
+        let reads_metrics = principal.reads_metrics;
         let key = parts.headers.get("idempotency-key").map(|value| {
             let text = value
                 .to_str()
@@ -53,6 +62,7 @@ impl FromRequestParts<State> for Caller {
         });
         Ok(Self {
             tenant,
+            name,
             reads_metrics,
             key,
         })

@@ -58,7 +58,7 @@ pub(super) async fn delete(
     caller: Caller,
     Names(id): Names<String>,
 ) -> Result<Response, Problem> {
-    state.manager.delete(&caller.tenant, &id).await?;
+    caller.manager(&state).delete(&caller.tenant, &id).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
@@ -67,7 +67,7 @@ pub(super) async fn undo(
     caller: Caller,
     Names(id): Names<String>,
 ) -> Result<Response, Problem> {
-    let session = state.manager.undo(&caller.tenant, &id, caller.key()?).await?;
+    let session = caller.manager(&state).undo(&caller.tenant, &id, caller.key()?).await?;
     session_json(&state, &session)
 }
 
@@ -76,7 +76,7 @@ pub(super) async fn redo(
     caller: Caller,
     Names(id): Names<String>,
 ) -> Result<Response, Problem> {
-    let session = state.manager.redo(&caller.tenant, &id, caller.key()?).await?;
+    let session = caller.manager(&state).redo(&caller.tenant, &id, caller.key()?).await?;
     session_json(&state, &session)
 }
 
@@ -92,5 +92,6 @@ pub(super) async fn history(
 
 pub(super) async fn limits(From(state): From<State>, caller: Caller) -> Result<Response, Problem> {
     let left = state.manager.quotas_left(&caller.tenant).await?;
-    json(&messages::limits_left(state.manager.config(), &left))
+    let longest = *state.manager.ttl_range(&caller.tenant)?.end();
+    json(&messages::limits_left(state.manager.config(), &left, longest))
 }

@@ -50,14 +50,14 @@ pub(super) async fn solve(
     message.session_id = id.clone();
     let key = caller.call_key(|| message.encode_to_vec())?;
     let pose = wire::pose_commit(&message, state.manager.config().window)?;
-    let solved = state.manager.solve(&caller.tenant, &id, pose, key).await?;
+    let solved = caller.manager(&state).solve(&caller.tenant, &id, pose, key).await?;
     let facts = facts(&solved);
     let mut response = match offer {
         JSON => as_json(solved).await?,
         BUFFER => as_buffer(frame_parts(solved.frame).await?),
         model => {
-            let exported = state
-                .manager
+            let exported = caller
+                .manager(&state)
                 .export(&caller.tenant, &id, Format::from_media_type(model))
                 .await?;
             models::main_file(&id, exported, &HeaderMap::new())?

@@ -1,7 +1,7 @@
 //! What operators see: log lines and counts. Nothing here decides anything.
 //!
-//! Log lines read as sentences and carry dotted fields (`session.id`, `duration_ms`). Calls are logged at debug, failures
-//! of the server at error, nothing per frame.
+//! Log lines read as sentences and carry dotted fields (`session.id`, `duration_ms`). Each call has one line at info (target
+//! `pliant::access`), failures of the server are errors, and nothing is logged per frame.
 
 mod log;
 mod observe;

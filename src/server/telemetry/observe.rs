@@ -1,14 +1,43 @@
 //! Measures a call to the end of its answer, whichever way it ends.
 
 use super::{Call, RouteLabels, Telemetry};
+use crate::server::auth::Principal;
 use axum::body::Body;
 use bytes::Bytes;
-use http::HeaderMap;
+use http::{HeaderMap, Method, Request};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+/// Where lines of the access log go: one for each call, without its query and its headers, which may hold secrets.
+const ACCESS: &str = "pliant::access";
+
+/// Longest path that is logged, in characters.
+const LONGEST_PATH: usize = 256;
+
+/// What a line of the access log tells of a request.
+struct AccessFacts {
+    caller: Option<Principal>,
+    method: Method,
+    path: String,
+    /// Asked every second by those who watch; logged at debug.
+    is_probe: bool,
+}
+
+impl AccessFacts {
+    fn of<B>(request: &Request<B>) -> Self {
+        let path = request.uri().path();
+        Self {
+            caller: request.extensions().get::<Principal>().cloned(),
+            method: request.method().clone(),
+            path: path.chars().take(LONGEST_PATH).collect(),
+            is_probe: ["/healthz", "/readyz", "/metrics"].contains(&path)
+                || path.starts_with("/grpc.health.v1.Health/"),
+        }
+    }
+}
 
 /// A call under way. Counts it when finished or dropped, once.
 pub(in crate::server) struct Recorder {
@@ -16,17 +45,20 @@ pub(in crate::server) struct Recorder {
     transport: &'static str,
     route: Arc<str>,
     request_id: Arc<str>,
+    access: AccessFacts,
     started: Instant,
     code: Option<Arc<str>>,
+    /// Bytes of the answer's body that were sent.
+    sent: u64,
 }
 
 impl Recorder {
     /// Starts to measure a call.
-    pub fn start(
+    pub fn start<B>(
         telemetry: &Telemetry,
-        transport: &'static str,
-        route: impl Into<Arc<str>>,
+        (transport, route): (&'static str, impl Into<Arc<str>>),
         request_id: Arc<str>,
+        request: &Request<B>,
     ) -> Self {
         telemetry.in_flight.inc();
         Self {
@@ -34,14 +66,42 @@ impl Recorder {
             transport,
             route: route.into(),
             request_id,
+            access: AccessFacts::of(request),
             started: Instant::now(),
             code: None,
+            sent: 0,
         }
     }
 
     /// The status with which the call will count.
     pub fn set_code(&mut self, code: impl Into<Arc<str>>) {
         self.code = Some(code.into());
+    }
+
+    /// Writes the call's line of the access log.
+    fn log(&self, code: &str, elapsed: Duration) {
+        let AccessFacts {
+            caller,
+            method,
+            path,
+            is_probe,
+        } = &self.access;
+        macro_rules! line {
+            ($level:ident) => {
+                tracing::$level!(
+                    target: ACCESS,
+                    tenant = caller.as_ref().map(|c| &*c.tenant.0),
+                    caller = caller.as_ref().map(|c| &*c.name),
+                    request.id = %self.request_id,
+                    request.transport = self.transport,
+                    status = %code,
+                    duration_ms = (elapsed.as_secs_f64() * 1e6).round() / 1e3,
+                    size_bytes = self.sent,
+                    "{method} {path}"
+                )
+            };
+        }
+        if *is_probe { line!(debug) } else { line!(info) }
     }
 
     /// Keeps measuring until `body` has been sent. A gRPC status in its trailers is the call's code.
@@ -58,14 +118,7 @@ impl Drop for Recorder {
         let code: Arc<str> = self.code.take().unwrap_or_else(|| "CANCELLED".into());
         let elapsed = self.started.elapsed();
         self.telemetry.in_flight.dec();
-        tracing::debug!(
-            request.id = %self.request_id,
-            request.transport = self.transport,
-            request.code = %code,
-            duration_ms = elapsed.as_secs_f64() * 1e3,
-            "answered {} with {code}",
-            self.route
-        );
+        self.log(&code, elapsed);
         let route = RouteLabels {
             transport: self.transport,
             route: Arc::clone(&self.route),
@@ -95,6 +148,11 @@ impl HttpBody for Observed {
 
     fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
         let frame = ready!(Pin::new(&mut self.inner).poll_frame(cx));
+        if let Some(Ok(frame)) = &frame
+            && let Some(data) = frame.data_ref()
+        {
+            self.recorder.sent += data.len() as u64;
+        }
         if let Some(Ok(frame)) = &frame
             && let Some(code) = frame.trailers_ref().and_then(grpc_code)
         {

@@ -6,6 +6,7 @@ use crate::session::animation::frame_outbox::FrameOutbox;
 use crate::session::animation::gathered_clip::gather_clip;
 use crate::session::animation::running_animation::RunningAnimation;
 use crate::session::answers::{AnimatedModel, Tenant};
+use crate::session::audit::audit_entry::AuditedAction;
 use crate::session::calls::manager::Manager;
 use crate::session::error::Error;
 use crate::wire::AnimateOrder;
@@ -40,6 +41,7 @@ impl Manager {
         let place = account.take_stream().inspect_err(|_| {
             shared.metrics.refused.inc();
         })?;
+        self.note(tenant, AuditedAction::Animate, id).await;
         let running = RunningAnimation::on_session(&session, (permit, place), &shared.metrics);
         let outbox = Arc::new(FrameOutbox::with_window(order.window));
         let ends = animation_ends(&outbox, shared.config.part_bytes, &shared.metrics, shared.gate.enter());

@@ -32,6 +32,22 @@ pub(in crate::session) enum SessionCommand {
     Animate(Box<AnimateOrder>, Arc<FrameOutbox>, PendingCall<ReadyAnimation>),
 }
 
+impl SessionCommand {
+    /// Who asks.
+    pub fn who(&self) -> &Arc<str> {
+        match self {
+            Self::SetHandles(_, PendingCall { who, .. })
+            | Self::Solve(_, PendingCall { who, .. })
+            | Self::Step(_, PendingCall { who, .. })
+            | Self::Edit(_, PendingCall { who, .. })
+            | Self::Recall(_, _, PendingCall { who, .. })
+            | Self::Export(_, PendingCall { who, .. })
+            | Self::Carry(_, PendingCall { who, .. })
+            | Self::Animate(_, _, PendingCall { who, .. }) => who,
+        }
+    }
+}
+
 /// Along the commits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::session) enum HistoryDirection {
@@ -42,6 +58,8 @@ pub(in crate::session) enum HistoryDirection {
 /// Somebody who waits for an answer.
 #[derive(Debug)]
 pub(in crate::session) struct PendingCall<T> {
+    /// Who asks, for the audit trail.
+    pub who: Arc<str>,
     pub reply: oneshot::Sender<Result<T, Error>>,
     /// Raised when nobody waits any more.
     pub cancel: Arc<CancelFlag>,

@@ -4,6 +4,7 @@ use crate::asset::FileSet;
 use crate::engine::OpenOptions;
 use crate::session::animation::open_animations::OpenAnimations;
 use crate::session::answers::{CallKey, SessionFacts, Tenant};
+use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::StoredAnswer;
 use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim, RequestFingerprint};
 use crate::session::calls::model_opening::{OpenedModel, open_model};
@@ -31,7 +32,7 @@ use tokio_util::sync::CancellationToken;
 /// Dropping the future stops the build; nothing exists then.
 pub(in crate::session) async fn create_session(
     shared: &Arc<SharedResources>,
-    tenant: &Tenant,
+    (tenant, who): (&Tenant, &Arc<str>),
     files: FileSet,
     options: SessionOptions,
     key: Option<CallKey>,
@@ -65,11 +66,18 @@ pub(in crate::session) async fn create_session(
         number: shared.numbers.fetch_add(1, SeqCst),
         tenant: tenant.clone(),
         label,
-        ttl: ttl.unwrap_or(shared.config.default_ttl),
+        ttl: ttl.unwrap_or_else(|| default_ttl(shared, &places)),
+    };
+    let audit = AuditEntry {
+        tenant: tenant.clone(),
+        who: Arc::clone(who),
+        what: AuditedAction::Create,
+        session: owner.id.clone(),
     };
     let kept = match (&shared.store, kept_files) {
         (Some(store), Some((files, open))) => {
-            let new = new_session(&owner, (files, open), &opened, claim.as_ref().map(KeyClaim::logged));
+            let key = claim.as_ref().map(KeyClaim::logged);
+            let new = new_session(&owner, (files, open), &opened, (key, audit));
             let kept = KeptSession::new(Arc::clone(store));
             store.create(kept.first_of(new)).await.inspect_err(|error| {
                 shared.metrics.store_failures.inc();
@@ -78,7 +86,10 @@ pub(in crate::session) async fn create_session(
             places.of_tenant.outlive();
             Some(kept)
         }
-        _ => None,
+        _ => {
+            audit.log();
+            None
+        }
     };
     let session = start_session(shared, owner, opened, places, kept);
     shared.metrics.sessions_created.inc();
@@ -96,6 +107,13 @@ pub(in crate::session) async fn create_session(
     tracing::info!(session.id = %session.id, size_bytes = upload, "session opened");
     drop(inside);
     Ok(CreatedSession::Now(Box::new(value)))
+}
+
+/// How long a session of its tenant lives that names no time.
+fn default_ttl(shared: &SharedResources, places: &SessionPlaces) -> Duration {
+    let quota = places.of_tenant.account().quota();
+    let ttl = quota.ttl.unwrap_or(shared.config.default_ttl);
+    quota.max_ttl.map_or(ttl, |longest| ttl.min(longest))
 }
 
 /// A session that was created, now or by an earlier call with the same key, whose answer is kept.
@@ -134,7 +152,7 @@ fn new_session(
     owner: &SessionOwner,
     (files, options): (FileSet, OpenOptions),
     opened: &OpenedModel,
-    key: Option<(Tenant, String, u128)>,
+    (key, audit): (Option<(Tenant, String, u128)>, AuditEntry),
 ) -> NewSession {
     let state = opened.history.current();
     NewSession {
@@ -162,6 +180,7 @@ fn new_session(
             },
             files: None,
             key,
+            audit,
         },
     }
 }
@@ -227,6 +246,7 @@ pub(in crate::session) fn start_session(
         next_stream: 0,
         kept,
         residence: Residence::Whole,
+        acting: "pliant".into(),
     };
     task.publish_view();
     tokio::spawn(task.run());

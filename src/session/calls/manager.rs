@@ -9,6 +9,7 @@
 use crate::asset::FileSet;
 use crate::engine::HandleSet;
 use crate::session::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionFacts, SessionList, Tenant};
+use crate::session::audit::audit_entry::AuditedAction;
 use crate::session::calls::command::{PendingCall, SessionCommand, StoredAnswer};
 use crate::session::calls::create::{CreatedSession, create_session};
 use crate::session::calls::idempotency::{
@@ -26,7 +27,6 @@ use crate::session::keeping::session_locks::SessionLocks;
 use crate::session::keeping::stored_list::listed_facts;
 use crate::session::keeping::sweep::sweep_for_ever;
 use crate::session::metrics::Metrics;
-use crate::session::quota::tenant_account::{QuotaReport, TenantAccount};
 use crate::session::quota::tenant_accounts::TenantAccounts;
 use crate::session::registry::{OpenSession, SessionRegistry};
 use crate::session::shared::SharedResources;
@@ -43,6 +43,8 @@ use tokio_util::sync::CancellationToken;
 #[derive(Clone)]
 pub struct Manager {
     pub(in crate::session) shared: Arc<SharedResources>,
+    /// Who is noted to have asked.
+    pub(in crate::session) who: Arc<str>,
 }
 
 impl Manager {
@@ -126,6 +128,7 @@ impl Manager {
         };
         Ok(Self {
             shared: Arc::new(shared),
+            who: "anyone".into(),
         })
     }
 
@@ -137,27 +140,6 @@ impl Manager {
     /// What is held and may be held, by sessions and by whatever is on its way in or out.
     pub fn ledger(&self) -> &Arc<MemoryLedger> {
         &self.shared.ledger
-    }
-
-    /// What a tenant may use, and what it uses.
-    ///
-    /// # Errors
-    /// `RESOURCE_EXHAUSTED` where too many other tenants use something.
-    pub fn account(&self, tenant: &Tenant) -> Result<Arc<TenantAccount>, Error> {
-        self.shared.accounts.of(tenant)
-    }
-
-    /// What a tenant may use and what it has left.
-    ///
-    /// # Errors
-    /// As [`Manager::account`]; `UNAVAILABLE` when the store does not answer.
-    pub async fn quotas_left(&self, tenant: &Tenant) -> Result<QuotaReport, Error> {
-        let account = self.account(tenant)?;
-        let stored = match (&self.shared.store, account.stored_quota()) {
-            (Some(store), Some(_)) => store.stored_bytes(tenant.clone()).await?,
-            _ => 0,
-        };
-        Ok(account.report(stored))
     }
 
     /// What happened so far.
@@ -180,7 +162,7 @@ impl Manager {
         options: SessionOptions,
         key: Option<CallKey>,
     ) -> Result<KeyedAnswer<SessionFacts>, Error> {
-        match create_session(&self.shared, tenant, files, options, key).await? {
+        match create_session(&self.shared, (tenant, &self.who), files, options, key).await? {
             CreatedSession::Now(value) => Ok(KeyedAnswer {
                 value: *value,
                 repeated: false,
@@ -266,12 +248,13 @@ impl Manager {
         let session = self.shared.registry.find(tenant, id);
         match (&self.shared.store, &session) {
             (None, Err(error)) => return Err(error.clone()),
-            (None, Ok(_)) => {}
+            (None, Ok(_)) => self.audit_entry(tenant, AuditedAction::Delete, id).log(),
             (Some(store), _) => {
                 if session.is_err() && !store.holds(tenant.clone(), id.to_owned()).await? {
                     return Err(Error::no_session(id));
                 }
-                store.delete(id.to_owned()).await?;
+                let audit = self.audit_entry(tenant, AuditedAction::Delete, id);
+                store.delete(audit).await?;
                 self.account(tenant)?.uncount_session();
             }
         }
@@ -358,6 +341,7 @@ impl Manager {
         let (reply, answer) = oneshot::channel();
         let mut command = command(PendingCall {
             reply,
+            who: Arc::clone(&self.who),
             cancel: Arc::clone(&guard.0),
             arrived: Instant::now(),
             claim,

@@ -1,6 +1,7 @@
 //! The calls of all transports: a session's handles, poses, commits and edits, asked for by tenant and id.
 
 mod animate;
+mod callers;
 pub(super) mod command;
 mod commits;
 pub(super) mod create;

@@ -2,6 +2,7 @@
 
 use crate::asset::Format;
 use crate::session::answers::{CarriedAlong, ExportedModel, PositionBuffer, Tenant};
+use crate::session::audit::audit_entry::AuditedAction;
 use crate::session::calls::command::SessionCommand;
 use crate::session::calls::manager::Manager;
 use crate::session::error::Error;
@@ -23,8 +24,11 @@ impl Manager {
     /// `INVALID_ARGUMENT` when the model cannot be written in that format.
     pub async fn export(&self, tenant: &Tenant, id: &str, format: Option<Format>) -> Result<ExportedModel, Error> {
         let session = self.find(tenant, id).await?;
-        self.call(&session, None, |call| SessionCommand::Export(format, call))
-            .await
+        let exported = self
+            .call(&session, None, |call| SessionCommand::Export(format, call))
+            .await?;
+        self.note(tenant, AuditedAction::Export, id).await;
+        Ok(exported)
     }
 
     /// The entity tag that [`Manager::export`] would answer with, for nothing.
@@ -48,8 +52,11 @@ impl Manager {
     /// `NOT_FOUND`; what is wrong with the model that is to be carried.
     pub async fn carry(&self, tenant: &Tenant, id: &str, order: CarryOrder) -> Result<CarriedAlong, Error> {
         let session = self.find(tenant, id).await?;
-        self.call(&session, None, |call| SessionCommand::Carry(Box::new(order), call))
-            .await
+        let carried = self
+            .call(&session, None, |call| SessionCommand::Carry(Box::new(order), call))
+            .await?;
+        self.note(tenant, AuditedAction::Carry, id).await;
+        Ok(carried)
     }
 
     /// The current committed positions as one buffer.
@@ -60,6 +67,7 @@ impl Manager {
         let view = self.find(tenant, id).await?.view();
         let etag = OpenSession::etag(&view, "f32");
         let bytes = self.shared.compute.offload(move || f32_bytes(&view.positions)).await?;
+        self.note(tenant, AuditedAction::Export, id).await;
         Ok(PositionBuffer { bytes, etag })
     }
 
@@ -77,7 +85,12 @@ impl Manager {
             metrics.refused.inc();
         })?;
         let mailbox = loop {
-            let mailbox = Mailbox::new(&session.id, config, Arc::clone(&metrics), Arc::clone(&session.wake));
+            let mailbox = Mailbox::new(
+                (&session.id, &self.who),
+                config,
+                Arc::clone(&metrics),
+                Arc::clone(&session.wake),
+            );
             let mailbox = Arc::new(mailbox);
             match session.streams.add(Arc::clone(&mailbox)) {
                 Ok(()) => break mailbox,
@@ -93,6 +106,7 @@ impl Manager {
             }
         };
         let inside = self.shared.gate.enter();
+        self.note(tenant, AuditedAction::Stream, id).await;
         let stream = DeformStream::new(mailbox, session, config.part_bytes, metrics, (inside, place));
         // A drain that began meanwhile may have missed this stream.
         if self.shared.draining.load(SeqCst) {

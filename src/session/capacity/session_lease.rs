@@ -4,6 +4,9 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::{Duration, SystemTime};
 use tokio::time::Instant;
 
+/// The shortest time to live that a session may ask for.
+pub const MIN_TTL: Duration = Duration::from_secs(1);
+
 /// The time of a session's last use, renewed by every call.
 #[derive(Debug)]
 pub(in crate::session) struct SessionLease {

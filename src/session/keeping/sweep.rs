@@ -1,5 +1,6 @@
 //! What is done for stored sessions from time to time: uses are noted, those whose time is over go, old keys are forgotten.
 
+use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::shared::SharedResources;
 use crate::session::store::session_store::now_ms;
 use crate::session::store::{SessionStore, StoreError, UsedSession};
@@ -11,7 +12,9 @@ use std::time::Duration;
 const PERIOD: Duration = Duration::from_secs(1);
 /// Uses are noted so often at most: a crash may cost a session that much of its time.
 const NOTED_EVERY: u32 = 5;
-/// Sweeps between two looks at the keys.
+/// How long entries of the audit trail are kept unless a tenant's quota says otherwise.
+const AUDIT_AGE: Duration = Duration::from_secs(400 * 24 * 3600);
+/// Sweeps between two looks at the keys and the trail.
 const KEYS_EVERY: u32 = 60;
 
 /// Sweeps as long as there are sessions.
@@ -50,7 +53,8 @@ async fn sweep(
         if shared.registry.holds(&id) {
             continue;
         }
-        store.delete(id.clone()).await?;
+        let expired = AuditEntry::by_itself(&tenant, AuditedAction::Expire, &id);
+        store.delete(expired).await?;
         if let Ok(account) = shared.accounts.of(&tenant) {
             account.uncount_session();
         }
@@ -60,6 +64,17 @@ async fn sweep(
     if round.is_multiple_of(KEYS_EVERY) {
         let age = u64::try_from(shared.config.idempotency_age.as_millis()).unwrap_or(u64::MAX);
         store.forget_keys(now_ms().saturating_sub(age)).await?;
+        forget_audit(shared, store).await?;
+    }
+    Ok(())
+}
+
+/// Forgets what was noted of tenants longer ago than is kept of them.
+async fn forget_audit(shared: &SharedResources, store: &Arc<dyn SessionStore>) -> Result<(), StoreError> {
+    for tenant in store.audited_tenants().await? {
+        let kept = shared.config.quotas.of(&tenant).audit_age.unwrap_or(AUDIT_AGE);
+        let kept_ms = u64::try_from(kept.as_millis()).unwrap_or(u64::MAX);
+        store.forget_audit_of(tenant, now_ms().saturating_sub(kept_ms)).await?;
     }
     Ok(())
 }

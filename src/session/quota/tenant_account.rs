@@ -65,6 +65,11 @@ impl TenantAccount {
         &self.tenant
     }
 
+    /// What it may use.
+    pub(in crate::session) fn quota(&self) -> &TenantQuota {
+        &self.quota
+    }
+
     /// What the tenant is told, whose sessions hold `stored` bytes in the store.
     pub fn report(&self, stored: u64) -> QuotaReport {
         let now = Instant::now();

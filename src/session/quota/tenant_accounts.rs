@@ -7,8 +7,8 @@ use crate::session::quota::tenant_quota::TenantQuotas;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Most tenants that are remembered: those that use nothing are forgotten first.
-const MOST_TENANTS: usize = 100_000;
+/// Most tenants whose use is counted at a time: those that use nothing are forgotten first.
+pub const MOST_TENANTS: usize = 100_000;
 
 /// The accounts of the tenants that use something, and of some more.
 #[derive(Debug)]

@@ -1,8 +1,14 @@
 //! What a tenant may use.
 
 use crate::session::answers::Tenant;
+use crate::session::capacity::session_lease::MIN_TTL;
 use crate::session::error::Error;
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+/// Times that make sense.
+const SPANS: RangeInclusive<Duration> = MIN_TTL..=Duration::from_secs(100 * 365 * 24 * 3600);
 
 /// This says what one tenant may use. What is absent is bounded by the server's own limits alone.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -19,6 +25,12 @@ pub struct TenantQuota {
     pub solve_seconds_per_minute: Option<f64>,
     /// Streams open at a time, on all its sessions.
     pub streams: Option<u64>,
+    /// How long an unused session of its lives that names no time of its own.
+    pub ttl: Option<Duration>,
+    /// The longest time that its sessions may name.
+    pub max_ttl: Option<Duration>,
+    /// How long it is kept who did what.
+    pub audit_age: Option<Duration>,
 }
 
 impl TenantQuota {
@@ -32,6 +44,9 @@ impl TenantQuota {
             upload_bytes_per_minute: self.upload_bytes_per_minute.or(default.upload_bytes_per_minute),
             solve_seconds_per_minute: self.solve_seconds_per_minute.or(default.solve_seconds_per_minute),
             streams: self.streams.or(default.streams),
+            ttl: self.ttl.or(default.ttl),
+            max_ttl: self.max_ttl.or(default.max_ttl),
+            audit_age: self.audit_age.or(default.audit_age),
         }
     }
 
@@ -50,6 +65,16 @@ impl TenantQuota {
         for (key, value) in counts {
             if value == Some(0) {
                 return Err(Error::invalid(key, "is 0, at least 1 is allowed"));
+            }
+        }
+        for (key, value) in [
+            ("ttl", self.ttl),
+            ("max_ttl", self.max_ttl),
+            ("audit_age", self.audit_age),
+        ] {
+            if let Some(span) = value.filter(|span| !SPANS.contains(span)) {
+                let [least, most, span] = [*SPANS.start(), *SPANS.end(), span].map(humantime::format_duration);
+                return Err(Error::invalid(key, format!("is {span}, {least} to {most} are allowed")));
             }
         }
         match self.solve_seconds_per_minute {

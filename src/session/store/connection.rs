@@ -53,12 +53,24 @@ impl std::fmt::Debug for DatabaseAddress {
 impl DatabaseAddress {
     /// A file of SQLite, made if it is missing.
     pub fn file(file: &Path) -> Result<Self, StoreError> {
+        Self::file_opened(file, "rwc")
+    }
+
+    /// A file of SQLite that is there, to be read beside the process that writes it.
+    pub fn file_to_read(file: &Path) -> Result<Self, StoreError> {
+        if !file.exists() {
+            return Err(StoreError::Refused(format!("{} does not exist", file.display())));
+        }
+        Self::file_opened(file, "ro")
+    }
+
+    fn file_opened(file: &Path, mode: &str) -> Result<Self, StoreError> {
         let shown = file.display().to_string();
         let text = file
             .to_str()
             .ok_or_else(|| StoreError::Refused(format!("{shown} is no UTF-8 path")))?;
         Ok(Self {
-            url: format!("sqlite://{}?mode=rwc", utf8_percent_encode(text, PATH)),
+            url: format!("sqlite://{}?mode={mode}", utf8_percent_encode(text, PATH)),
             dialect: Dialect::Sqlite,
             shown,
         })
@@ -102,6 +114,13 @@ impl DatabaseAddress {
             .connect(&self.url)
             .await
             .map_err(|e| self.unavailable(e))
+    }
+
+    /// One connection that reads, beside another process.
+    pub async fn reader(&self) -> Result<AnyPool, StoreError> {
+        install_default_drivers();
+        let options = AnyPoolOptions::new().max_connections(1).acquire_timeout(PATIENCE);
+        options.connect(&self.url).await.map_err(|e| self.unavailable(e))
     }
 
     async fn connect(&self) -> Result<AnyConnection, StoreError> {

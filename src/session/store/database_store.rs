@@ -1,5 +1,6 @@
 //! The store on a database and a folder of objects.
 
+use super::audit_reading;
 use super::build_identity::build_identity;
 use super::connection::{DatabaseAddress, WritingConnection};
 use super::object_folder::sync_folder;
@@ -7,59 +8,21 @@ use super::objects::Objects;
 use super::reading;
 use super::schema::{Dialect, identity};
 use super::session_store::{
-    AuditEntry, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit,
-    StoredSession, UsedSession,
+    ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit, StoredSession,
+    UsedSession,
 };
+use super::store_location::StoreLocation;
 use super::write_order::{StoredObject, WriteOrder};
 use super::writer::Writer;
 use crate::asset::FileSet;
 use crate::session::answers::Tenant;
+use crate::session::audit::audit_entry::AuditEntry;
 use crate::wire::record::{FileReferences, LoggedCommit};
 use bytes::Bytes;
 use rustix::fs::{FlockOperation, flock};
 use sqlx::AnyPool;
 use std::fs::{self, File};
-use std::path::{Path, PathBuf};
-
-/// Where a store is.
-#[derive(Clone, Default, PartialEq, Eq)]
-pub struct StoreLocation {
-    /// The folder of what has no place of its own; made if it is missing.
-    pub data_dir: Option<PathBuf>,
-    /// The URL of the database, `postgres://USER:PASSWORD@HOST/DATABASE`; `None`: SQLite in the folder.
-    pub database: Option<String>,
-    /// The URL of the objects, `s3://BUCKET/PREFIX`; `None`: in the folder.
-    pub objects: Option<String>,
-    /// Which build and processor makes results; `None`: this one.
-    pub build: Option<String>,
-}
-
-impl StoreLocation {
-    /// Everything in a folder.
-    pub fn in_folder(folder: impl Into<PathBuf>) -> Self {
-        Self {
-            data_dir: Some(folder.into()),
-            ..Self::default()
-        }
-    }
-}
-
-impl std::fmt::Display for StoreLocation {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let folder = self.data_dir.as_ref().map(|d| d.display().to_string());
-        // A URL may hold a password.
-        let database = self.database.as_ref().map(|_| "PostgreSQL".to_owned());
-        let places = [&database, &self.objects, &folder];
-        let shown: Vec<&str> = places.into_iter().flatten().map(String::as_str).collect();
-        f.write_str(&shown.join(", "))
-    }
-}
-
-impl std::fmt::Debug for StoreLocation {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        std::fmt::Display::fmt(self, f)
-    }
-}
+use std::path::Path;
 
 /// Sessions in a database, what is large as objects.
 #[derive(Debug)]
@@ -316,8 +279,8 @@ impl SessionStore for DatabaseStore {
         Box::pin(self.objects.get(name))
     }
 
-    fn delete(&self, id: String) -> Stored<'_, ()> {
-        Box::pin(self.write(WriteOrder::Delete { session: id }))
+    fn delete(&self, audit: AuditEntry) -> Stored<'_, ()> {
+        Box::pin(self.write(WriteOrder::Delete { audit }))
     }
 
     fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()> {
@@ -350,5 +313,14 @@ impl SessionStore for DatabaseStore {
 
     fn audit(&self, entry: AuditEntry) -> Stored<'_, ()> {
         Box::pin(self.write(WriteOrder::Audit { entry }))
+    }
+
+    fn audited_tenants(&self) -> Stored<'_, Vec<Tenant>> {
+        Box::pin(audit_reading::audited_tenants(&self.pool))
+    }
+
+    fn forget_audit_of(&self, tenant: Tenant, before_ms: u64) -> Stored<'_, ()> {
+        let tenant = Some(tenant);
+        Box::pin(self.write(WriteOrder::ForgetAudit { tenant, before_ms }))
     }
 }

@@ -7,16 +7,18 @@
 //! | file | what |
 //! |---|---|
 //! | `session_store` | the trait that sessions use, and its values |
-//! | `database_store` | the trait on a database and a folder of objects |
+//! | `database_store`, `store_location` | the trait on a database and objects, and where they are |
 //! | `connection`, `schema` | the database, SQLite or PostgreSQL, and its tables |
 //! | `writer`, `write_order` | one task writes, what comes together in one transaction |
 //! | `rows`, `reading` | rows with their checksums, read again |
+//! | `audit_reading` | who did what, read beside the process that writes it |
 //! | `objects` | what is large, by content |
 //! | `object_folder`, `bucket`, `bucket_client` | where it lies: a local folder, S3 |
 //! | `shape_object` | a shape as an object |
 //! | `upkeep`, `read_only_store` | what operators do with a store: look into it, compare it, clean it up |
 //! | `build_identity` | which build and processor made results |
 
+mod audit_reading;
 mod bucket;
 mod bucket_client;
 mod build_identity;
@@ -30,14 +32,17 @@ mod rows;
 mod schema;
 pub(super) mod session_store;
 pub(super) mod shape_object;
+mod store_location;
 mod upkeep;
 mod write_order;
 mod writer;
 
-pub use database_store::{DatabaseStore, StoreLocation};
+pub use audit_reading::{AuditFilter, read_audit};
+pub use database_store::DatabaseStore;
 pub use read_only_store::ReadOnlyStore;
 pub use session_store::{
-    AuditEntry, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit,
-    StoredFacts, StoredSession, StoredSnapshot, UsedSession, now_ms,
+    ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit, StoredFacts,
+    StoredSession, StoredSnapshot, UsedSession, now_ms,
 };
+pub use store_location::StoreLocation;
 pub use upkeep::CheckedSession;

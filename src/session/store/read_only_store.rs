@@ -1,10 +1,11 @@
 //! A store that is looked at: what a session wants to note on its way is not noted, and nothing can be changed.
 
 use super::session_store::{
-    AuditEntry, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit,
-    StoredSession, UsedSession,
+    ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit, StoredSession,
+    UsedSession,
 };
 use crate::session::answers::Tenant;
+use crate::session::audit::audit_entry::AuditEntry;
 use bytes::Bytes;
 use std::sync::Arc;
 
@@ -61,7 +62,7 @@ impl SessionStore for ReadOnlyStore {
         self.0.object(name)
     }
 
-    fn delete(&self, _: String) -> Stored<'_, ()> {
+    fn delete(&self, _: AuditEntry) -> Stored<'_, ()> {
         refused()
     }
 
@@ -95,6 +96,14 @@ impl SessionStore for ReadOnlyStore {
     }
 
     fn audit(&self, _: AuditEntry) -> Stored<'_, ()> {
+        not_noted()
+    }
+
+    fn audited_tenants(&self) -> Stored<'_, Vec<Tenant>> {
+        self.0.audited_tenants()
+    }
+
+    fn forget_audit_of(&self, _: Tenant, _: u64) -> Stored<'_, ()> {
         not_noted()
     }
 }

@@ -56,7 +56,7 @@ impl SessionRow {
     }
 }
 
-fn unreadable(error: sqlx::Error) -> StoreError {
+pub(super) fn unreadable(error: sqlx::Error) -> StoreError {
     match error {
         sqlx::Error::ColumnDecode { .. } | sqlx::Error::Decode(_) => {
             StoreError::Damaged(format!("a row cannot be read: {error}"))
@@ -224,7 +224,7 @@ pub(super) async fn stored_bytes(pool: &AnyPool, tenant: &str) -> Result<u64, St
     Ok(sum)
 }
 
-fn tenant_of(row: &AnyRow, index: usize) -> Result<Tenant, StoreError> {
+pub(super) fn tenant_of(row: &AnyRow, index: usize) -> Result<Tenant, StoreError> {
     let tenant: String = column(row, index)?;
     Ok(Tenant(Arc::from(tenant)))
 }

@@ -13,7 +13,7 @@ pub(super) enum Dialect {
 
 /// Steps from each version of the tables to the next. What was released is never changed, only followed by a further step.
 /// `{bytes}` and `{serial}` are what the database calls bytes and numbers that count by themselves.
-const STEPS: [&[&str]; 3] = [FIRST, MEASURED, IDENTIFIED];
+const STEPS: [&[&str]; 4] = [FIRST, MEASURED, IDENTIFIED, AUDITED];
 
 const FIRST: &[&str] = &[
     "CREATE TABLE tenants (tenant TEXT PRIMARY KEY, created_ms BIGINT NOT NULL)",
@@ -82,6 +82,13 @@ const MEASURED: &[&str] = &[
 
 /// What tells this database from others.
 const IDENTIFIED: &[&str] = &["CREATE TABLE store_identity (id TEXT PRIMARY KEY)"];
+
+/// The trail tells which commit an entry is of, or -1, so that a commit which was refused takes its entry along.
+const AUDITED: &[&str] = &[
+    "ALTER TABLE audit ADD COLUMN sequence BIGINT NOT NULL DEFAULT -1",
+    "CREATE INDEX audit_of_tenant ON audit (tenant, at_ms)",
+    "CREATE INDEX audit_of_session ON audit (session)",
+];
 
 /// Brings the tables to the version of this program.
 pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) -> Result<(), StoreError> {

@@ -2,6 +2,7 @@
 
 use crate::asset::FileSet;
 use crate::session::answers::Tenant;
+use crate::session::audit::audit_entry::AuditEntry;
 use crate::session::error::{Error, ErrorCode};
 use crate::wire::record::{LoggedCommit, RecordedModel};
 use bytes::Bytes;
@@ -102,6 +103,8 @@ pub struct NewCommit {
     pub files: Option<FileSet>,
     /// The key of the call, whose answer it is.
     pub key: Option<(Tenant, String, u128)>,
+    /// Who made it.
+    pub audit: AuditEntry,
 }
 
 /// A commit that was kept.
@@ -198,19 +201,6 @@ pub struct UsedSession {
     pub used_ms: u64,
 }
 
-/// Who did what.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct AuditEntry {
-    /// The tenant concerned.
-    pub tenant: Tenant,
-    /// Who asked, as authentication names them.
-    pub who: String,
-    /// What was done, such as "create" or "export".
-    pub what: String,
-    /// The session concerned, if any.
-    pub session: Option<String>,
-}
-
 /// The answer of a store, to come.
 pub type Stored<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
@@ -236,8 +226,8 @@ pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
     fn list(&self, tenant: Tenant, after: u64, most: usize) -> Stored<'_, Vec<(u64, Option<ListedSession>)>>;
     /// Reads an object.
     fn object(&self, name: String) -> Stored<'_, Bytes>;
-    /// Deletes a session and what only it used.
-    fn delete(&self, id: String) -> Stored<'_, ()>;
+    /// Deletes a session and what only it used, and notes who did.
+    fn delete(&self, audit: AuditEntry) -> Stored<'_, ()>;
     /// Notes when sessions were used.
     fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()>;
     /// The sessions whose time is over at `now_ms`, and whose they are.
@@ -254,6 +244,10 @@ pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
     fn highest_number(&self) -> Stored<'_, u64>;
     /// Notes who did what.
     fn audit(&self, entry: AuditEntry) -> Stored<'_, ()>;
+    /// The tenants of whom anything is noted.
+    fn audited_tenants(&self) -> Stored<'_, Vec<Tenant>>;
+    /// Forgets what was noted of a tenant before `before_ms`.
+    fn forget_audit_of(&self, tenant: Tenant, before_ms: u64) -> Stored<'_, ()>;
 }
 
 /// Milliseconds since 1970.

@@ -96,6 +96,10 @@ impl DatabaseStore {
     /// # Errors
     /// When the database does not answer.
     pub async fn forget_audit(&self, before_ms: u64) -> Result<(), StoreError> {
-        self.write(WriteOrder::ForgetAudit { before_ms }).await
+        self.write(WriteOrder::ForgetAudit {
+            tenant: None,
+            before_ms,
+        })
+        .await
     }
 }

@@ -1,7 +1,9 @@
 //! What is written, statement by statement. The writer decides what goes into one transaction.
 
 use super::rows::{CommitRow, RECORD_FORMAT, checksum, column, signed};
-use super::session_store::{AuditEntry, NewCommit, NewSession, StoreError, UsedSession, now_ms};
+use super::session_store::{NewCommit, NewSession, StoreError, UsedSession, now_ms};
+use crate::session::answers::Tenant;
+use crate::session::audit::audit_entry::AuditEntry;
 use sqlx::AnyConnection;
 use sqlx::query::Query;
 
@@ -35,15 +37,15 @@ pub(super) enum WriteOrder {
     /// Digests of another build.
     Adopt { commits: Vec<CommitRow> },
     /// A session goes.
-    Delete { session: String },
+    Delete { audit: AuditEntry },
     /// Sessions were used.
     NoteUse { sessions: Vec<UsedSession> },
     /// Keys from before this time go.
     ForgetKeys { before_ms: u64 },
-    /// What the audit trail says of before this time goes.
-    ForgetAudit { before_ms: u64 },
     /// Who did what.
     Audit { entry: AuditEntry },
+    /// What the audit trail says of before this time goes, of one tenant where it is named.
+    ForgetAudit { tenant: Option<Tenant>, before_ms: u64 },
     /// The sizes of objects that an older version wrote.
     Measure { objects: Vec<StoredObject> },
     /// Nothing but what was left undone.
@@ -106,7 +108,11 @@ impl WriteOrder {
                     execute(update.bind(&row.digest).bind(&row.build).bind(row.checksum()), on).await?;
                 }
             }
-            Self::Delete { session } => return delete_session(session, on).await,
+            Self::Delete { audit } => {
+                let unnamed = delete_session(&audit.session, on).await?;
+                note_audit(audit, None, on).await?;
+                return Ok(unnamed);
+            }
             Self::NoteUse { sessions } => {
                 for used in sessions {
                     let update = sqlx::query("UPDATE sessions SET used_ms = $2 WHERE id = $1 AND used_ms < $2");
@@ -117,15 +123,11 @@ impl WriteOrder {
                 let delete = sqlx::query("DELETE FROM call_keys WHERE at_ms < $1");
                 execute(delete.bind(signed(*before_ms)), on).await?;
             }
-            Self::ForgetAudit { before_ms } => {
-                let delete = sqlx::query("DELETE FROM audit WHERE at_ms < $1");
-                execute(delete.bind(signed(*before_ms)), on).await?;
-            }
-            Self::Audit { entry } => {
-                let insert = "INSERT INTO audit (tenant, at_ms, who, what, session) VALUES ($1, $2, $3, $4, $5)";
-                let insert = sqlx::query(insert).bind(&*entry.tenant.0).bind(signed(now_ms()));
-                let insert = insert.bind(&entry.who).bind(&entry.what);
-                execute(insert.bind(entry.session.as_deref().unwrap_or_default()), on).await?;
+            Self::Audit { entry } => note_audit(entry, None, on).await?,
+            Self::ForgetAudit { tenant, before_ms } => {
+                let delete = sqlx::query("DELETE FROM audit WHERE at_ms < $1 AND ($2 = '' OR tenant = $2)");
+                let tenant = tenant.as_ref().map_or("", |tenant| &*tenant.0);
+                execute(delete.bind(signed(*before_ms)).bind(tenant), on).await?;
             }
             Self::Settle => {}
         }
@@ -135,10 +137,12 @@ impl WriteOrder {
 
 /// Removes what was refused and may have been written all the same: commits from `sequence` on, with 0 the session.
 pub(super) async fn undo_doubtful(session: &str, sequence: u64, on: &mut AnyConnection) -> Result<(), StoreError> {
+    let number = signed(sequence);
+    let noted = sqlx::query("DELETE FROM audit WHERE session = $1 AND sequence >= $2");
+    execute(noted.bind(session).bind(number), on).await?;
     if sequence == 0 {
         return delete_session(session, on).await.map(drop);
     }
-    let number = signed(sequence);
     let keys = sqlx::query("DELETE FROM call_keys WHERE session = $1 AND sequence >= $2");
     execute(keys.bind(session).bind(number), on).await?;
     let bytes = "UPDATE sessions SET record_bytes = record_bytes
@@ -214,6 +218,7 @@ async fn append_commit(commit: &NewCommit, objects: &[StoredObject], on: &mut An
     for object in objects {
         use_object(&row.session, object, on).await?;
     }
+    note_audit(&commit.audit, Some(row.sequence), on).await?;
     if let Some((tenant, key, fingerprint)) = &commit.key {
         let insert = "INSERT INTO call_keys (tenant, call_key, fingerprint, session, sequence, at_ms)
             VALUES ($1, $2, $3, $4, $5, $6) ON CONFLICT (tenant, call_key) DO UPDATE SET
@@ -224,6 +229,14 @@ async fn append_commit(commit: &NewCommit, objects: &[StoredObject], on: &mut An
         execute(insert.bind(row.sequence).bind(now), on).await?;
     }
     Ok(())
+}
+
+/// Notes who did what; `sequence` is that of the commit that it was.
+async fn note_audit(entry: &AuditEntry, sequence: Option<i64>, on: &mut AnyConnection) -> Result<(), StoreError> {
+    let insert = "INSERT INTO audit (tenant, at_ms, who, what, session, sequence) VALUES ($1, $2, $3, $4, $5, $6)";
+    let insert = sqlx::query(insert).bind(&*entry.tenant.0).bind(signed(now_ms()));
+    let insert = insert.bind(&*entry.who).bind(entry.what.name()).bind(&entry.session);
+    execute(insert.bind(sequence.unwrap_or(-1)), on).await.map(drop)
 }
 
 async fn use_object(session: &str, object: &StoredObject, on: &mut AnyConnection) -> Result<(), StoreError> {

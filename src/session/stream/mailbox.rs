@@ -45,6 +45,8 @@ pub(in crate::session) struct StreamWorkResult {
 #[derive(Debug)]
 pub(in crate::session) struct Mailbox {
     session: String,
+    /// Who opened it, for the audit trail.
+    pub who: Arc<str>,
     state: Mutex<StreamState>,
     /// Wakes the reader.
     reader: Notify,
@@ -58,10 +60,17 @@ pub(in crate::session) struct Mailbox {
 }
 
 impl Mailbox {
-    pub fn new(session: &str, config: &SessionConfig, metrics: Arc<Metrics>, task: Arc<Notify>) -> Self {
+    /// On a session, opened by `who`.
+    pub fn new(
+        (session, who): (&str, &Arc<str>),
+        config: &SessionConfig,
+        metrics: Arc<Metrics>,
+        task: Arc<Notify>,
+    ) -> Self {
         let settings = DeformOptions::with_defaults(config.window);
         Self {
             session: session.to_owned(),
+            who: Arc::clone(who),
             state: Mutex::new(StreamState::new(Arc::new(settings))),
             reader: Notify::new(),
             task,

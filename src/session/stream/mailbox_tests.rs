@@ -9,7 +9,7 @@ use glam::DVec3;
 use proptest::prelude::*;
 
 fn mailbox(config: &SessionConfig) -> Mailbox {
-    Mailbox::new("here", config, Arc::default(), Arc::default())
+    Mailbox::new(("here", &"anyone".into()), config, Arc::default(), Arc::default())
 }
 
 fn posed(seq: u64, entries: Vec<PoseEntry>, commit: bool) -> StreamRequest {

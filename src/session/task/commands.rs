@@ -26,6 +26,7 @@ const FEW_HANDLES: usize = 16;
 
 impl SessionTask {
     pub async fn serve_command(&mut self, command: SessionCommand) {
+        self.acting = Arc::clone(command.who());
         match command {
             SessionCommand::SetHandles(change, call) => {
                 let result = self.set_handles(change, &call).await;

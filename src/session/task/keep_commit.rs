@@ -3,6 +3,7 @@
 
 use crate::asset::FileSet;
 use crate::engine::{Edit, EditReport, ModelShape, SolveSettings};
+use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::{HistoryDirection, StoredAnswer};
 use crate::session::calls::idempotency::KeyClaim;
 use crate::session::calls::session_places::check_stored;
@@ -30,6 +31,7 @@ impl SessionTask {
         claim: Option<&Claim>,
     ) -> Result<(), Error> {
         if self.kept.is_none() {
+            self.log_change(AuditedAction::Handles);
             return Ok(());
         }
         let digest = self.history.current().digest.clone();
@@ -45,6 +47,7 @@ impl SessionTask {
         claim: Option<&Claim>,
     ) -> Result<(), Error> {
         if self.kept.is_none() {
+            self.log_change(AuditedAction::Pose);
             return Ok(());
         }
         let commit = LoggedCommit::Pose {
@@ -66,6 +69,7 @@ impl SessionTask {
         claim: Option<&Claim>,
     ) -> Result<(), Error> {
         let (Some(asked), Some(_)) = (asked, &self.kept) else {
+            self.log_change(AuditedAction::Edit);
             return Ok(());
         };
         let SessionEdit { mut edit, on, .. } = asked;
@@ -92,13 +96,35 @@ impl SessionTask {
         index: usize,
         claim: Option<&Claim>,
     ) -> Result<(), Error> {
+        let forward = direction == HistoryDirection::Redo;
+        if self.kept.is_none() {
+            self.log_change(if forward {
+                AuditedAction::Redo
+            } else {
+                AuditedAction::Undo
+            });
+            return Ok(());
+        }
         let (Some(target), Some(state)) = (self.history.revision_of(index), self.history.state(index)) else {
             return Ok(());
         };
         let digest = state.digest.clone();
-        let forward = direction == HistoryDirection::Redo;
         self.keep(LoggedCommit::Step { target, forward }, digest, None, claim)
             .await
+    }
+
+    fn change(&self, what: AuditedAction) -> AuditEntry {
+        AuditEntry {
+            tenant: self.session.tenant.clone(),
+            who: Arc::clone(&self.acting),
+            what,
+            session: self.session.id.clone(),
+        }
+    }
+
+    /// A change that no store notes.
+    fn log_change(&self, what: AuditedAction) {
+        self.change(what).log();
     }
 
     async fn keep(
@@ -110,6 +136,7 @@ impl SessionTask {
     ) -> Result<(), Error> {
         let merged = files.as_ref().map_or(0, FileSet::total_bytes);
         check_stored(&self.shared, self.place.account(), merged).await?;
+        let audit = self.change(AuditedAction::of_commit(&commit));
         let Some(kept) = &mut self.kept else { return Ok(()) };
         let (sequence, revision) = (kept.sequence + 1, self.history.revision() + 1);
         let place = kept.place_after(&commit, self.history.current_revision(), sequence);
@@ -126,6 +153,7 @@ impl SessionTask {
             commit,
             files,
             key: claim.map(KeyClaim::logged),
+            audit,
         };
         kept.store.append(new).await.inspect_err(|error| {
             self.shared.metrics.store_failures.inc();

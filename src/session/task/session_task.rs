@@ -7,6 +7,7 @@
 use crate::engine::{self, DeformerFacts, SolveSettings};
 use crate::pool::Pool;
 use crate::progress::Progress as _;
+use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::{SessionCommand, WorkOrder};
 use crate::session::capacity::compute_slots::WorkPanicked;
 use crate::session::capacity::memory_ledger::MemoryReservation;
@@ -45,6 +46,8 @@ pub(in crate::session) struct SessionTask {
     /// What is known of the log in the store, if the session is kept.
     pub kept: Option<KeptSession>,
     pub residence: Residence,
+    /// Who asked for what is being done, for the audit trail.
+    pub acting: Arc<str>,
 }
 
 impl SessionTask {
@@ -107,14 +110,21 @@ impl SessionTask {
         self.session.close(Error::no_session(&id));
         shared.registry.remove(&id);
         if let Some(store) = &shared.store {
-            match store.delete(id.clone()).await {
+            match store.delete(self.expiry()).await {
                 Ok(()) => self.place.account().uncount_session(),
                 Err(error) => tracing::warn!(session.id = %id, "an expired session is still in the store: {error}"),
             }
         }
+        if shared.store.is_none() {
+            self.expiry().log();
+        }
         drop(lock);
         shared.metrics.sessions_expired.inc();
         tracing::info!(session.id = %id, "session expired");
+    }
+
+    fn expiry(&self) -> AuditEntry {
+        AuditEntry::by_itself(&self.session.tenant, AuditedAction::Expire, &self.session.id)
     }
 
     fn end(self) {

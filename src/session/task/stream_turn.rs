@@ -49,6 +49,7 @@ impl SessionTask {
         let state = self.history.current().clone();
         let StreamWork { poses, dragged } = work;
         let before = dragged.clone();
+        self.acting = Arc::clone(&mailbox.who);
         if state.handles.set.handles.is_empty() {
             return refuse_all(&mailbox, &poses, before, &no_handles());
         }

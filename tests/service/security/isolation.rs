@@ -1,6 +1,7 @@
 //! Another tenant's session is as one that never was: every path, method and rpc answers alike, byte for byte.
 
-use super::guarded;
+use super::{config_file, guarded, token_table};
+use crate::support::program::ServedProgram;
 use crate::support::server::*;
 use base64::Engine as _;
 use base64::engine::GeneralPurpose;
@@ -254,4 +255,39 @@ async fn nor_do_sockets_lists_merges_and_limits_tell_of_it() {
         told_all.contains(&text(&own["id"])) && !told_all.contains("ID"),
         "{told_all}"
     );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sessions_of_the_store_are_their_tenants_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let tokens = ["a", "b"].map(|t| token_table(t, t, t));
+    let config = config_file(folder.path(), &tokens.concat());
+    let server = ServedProgram::start(&data, &["--config", &config]);
+    let opened = http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(8));
+    let opened = within("a session", opened.bearer_auth("a").send()).await;
+    let opened: Value = opened.expect("an answer").json().await.expect("JSON");
+    let id = text(&opened["id"]);
+    server.kill();
+    let server = ServedProgram::start(&data, &["--config", &config]);
+    let ask = async |method: Method, rest: &str, id: &str| {
+        let url = format!("{}/v1/sessions/{id}{rest}", server.url);
+        told(http().request(method, url), id).await
+    };
+    for (method, rest) in [
+        (Method::GET, ""),
+        (Method::GET, "/history"),
+        (Method::GET, "/positions"),
+        (Method::POST, "/undo"),
+        (Method::DELETE, ""),
+    ] {
+        let other = ask(method.clone(), rest, &id).await;
+        assert_eq!(other.status, 404, "{other:?}");
+        assert_eq!(other, ask(method, rest, NOBODYS).await);
+    }
+    let list = told(http().get(format!("{}/v1/sessions", server.url)), &id).await;
+    let list: Value = serde_json::from_slice(&list.body).expect("JSON");
+    assert_eq!(list["sessions"], json!([]));
+    let own = http().get(format!("{}/v1/sessions/{id}", server.url)).bearer_auth("a");
+    assert_eq!(own.send().await.expect("an answer").status(), 200);
 }

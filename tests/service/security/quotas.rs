@@ -1,13 +1,11 @@
 //! What each tenant may use, and what it is told of it.
 
-use super::entry;
+use super::{config_file, entry};
 use crate::support::program::ServedProgram;
 use crate::support::server::*;
-use pliant::server::auth::token_digest;
 use pliant::session::TenantQuota;
 use pliant::wire::pb;
 use serde_json::{Value, json};
-use std::path::Path;
 use std::time::Duration;
 use tokio_tungstenite::tungstenite::{self, client::IntoClientRequest as _};
 
@@ -18,18 +16,6 @@ async fn limited(quota: TenantQuota) -> Server {
         config.auth.tokens = vec![entry("a", "a"), entry("b", "b")];
     })
     .await
-}
-
-/// A file with some tables of the configuration; its path.
-fn config_file(folder: &Path, tables: &str) -> String {
-    let path = folder.join("pliant.toml");
-    std::fs::write(&path, tables).expect("writable");
-    path.to_string_lossy().into_owned()
-}
-
-/// The SHA-256 of a token as a file has it.
-fn token_hex(token: &str) -> String {
-    token_digest(token).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Status, seconds of `Retry-After`, and the document.
@@ -353,37 +339,37 @@ async fn a_tenants_own_idle_sessions_make_room_in_its_quota_of_memory() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn sessions_of_the_store_are_their_tenants_alone() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
-    let tokens = ["a", "b"].map(|t| format!("[[auth.tokens]]\ntenant = \"{t}\"\nsha256 = \"{}\"\n", token_hex(t)));
-    let config = config_file(folder.path(), &tokens.concat());
-    let server = ServedProgram::start(&data, &["--config", &config]);
-    let opened = http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(8));
-    let id = text(&answer(opened, "a").await.2["id"]);
-    server.kill();
-    let server = ServedProgram::start(&data, &["--config", &config]);
-    let ask = async |method: reqwest::Method, rest: &str, id: &str, token: &str| {
-        let request = http().request(method, format!("{}/v1/sessions/{id}{rest}", server.url));
-        let (status, _, mut told) = answer(request, token).await;
-        // Which call it was differs.
-        if let Some(told) = told.as_object_mut() {
-            told.remove("requestId");
-        }
-        (status, told.to_string().replace(id, "ID"))
+async fn times_to_live_are_the_tenants_own() {
+    let quota = TenantQuota {
+        ttl: Some(Duration::from_secs(1)),
+        max_ttl: Some(Duration::from_secs(5)),
+        ..TenantQuota::default()
     };
-    for (method, rest) in [
-        (reqwest::Method::GET, ""),
-        (reqwest::Method::GET, "/history"),
-        (reqwest::Method::GET, "/positions"),
-        (reqwest::Method::POST, "/undo"),
-        (reqwest::Method::DELETE, ""),
-    ] {
-        let other = ask(method.clone(), rest, &id, "b").await;
-        assert_eq!(other.0, 404, "{other:?}");
-        assert_eq!(other, ask(method, rest, &"0".repeat(32), "b").await);
-    }
-    let list = http().get(format!("{}/v1/sessions", server.url));
-    assert_eq!(answer(list, "b").await.2["sessions"].as_array().map_or(0, Vec::len), 0);
-    assert_eq!(ask(reqwest::Method::GET, "", &id, "a").await.0, 200);
+    let server = limited(quota).await;
+    let limits = async |token| answer(http().get(server.url("/v1/limits")), token).await.2;
+    assert_eq!(limits("a").await["ttlSeconds"], 5.0);
+    assert_eq!(limits("a").await["quotas"], Value::Null);
+    assert!(limits("b").await["ttlSeconds"].as_f64() > Some(5.0));
+    let open = async |token, query| {
+        answer(
+            http()
+                .post(server.url(&format!("/v1/sessions{query}")))
+                .body(bar_obj(4)),
+            token,
+        )
+        .await
+    };
+    let (status, _, told) = open("a", "?ttl=6s").await;
+    assert_eq!(status, 422, "{told}");
+    assert_eq!(open("b", "?ttl=6s").await.0, 201);
+    assert_eq!(open("a", "?ttl=5s").await.0, 201);
+    let short = text(&open("a", "").await.2["id"]);
+    let gone = server.url(&format!("/v1/sessions/{short}"));
+    // Asking renews it.
+    tokio::time::sleep(Duration::from_millis(1200)).await;
+    eventually("its end", async || {
+        tokio::time::sleep(Duration::from_millis(1100)).await;
+        answer(http().get(&gone), "a").await.0 == 404
+    })
+    .await;
 }

@@ -1,11 +1,11 @@
 //! A store between sessions and the real one that fails, or holds calls, when a test says so.
 
 use bytes::Bytes;
-use pliant::session::Tenant;
 use pliant::session::store::{
-    AuditEntry, DatabaseStore, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored,
-    StoredCommit, StoredSession, UsedSession,
+    DatabaseStore, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit,
+    StoredSession, UsedSession,
 };
+use pliant::session::{AuditEntry, Tenant};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
 use tokio::sync::watch;
@@ -101,8 +101,8 @@ impl SessionStore for FaultyStore {
         self.faulty(self.inner.object(name))
     }
 
-    fn delete(&self, id: String) -> Stored<'_, ()> {
-        self.faulty(self.inner.delete(id))
+    fn delete(&self, audit: AuditEntry) -> Stored<'_, ()> {
+        self.faulty(self.inner.delete(audit))
     }
 
     fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()> {
@@ -135,5 +135,13 @@ impl SessionStore for FaultyStore {
 
     fn audit(&self, entry: AuditEntry) -> Stored<'_, ()> {
         self.inner.audit(entry)
+    }
+
+    fn audited_tenants(&self) -> Stored<'_, Vec<Tenant>> {
+        self.inner.audited_tenants()
+    }
+
+    fn forget_audit_of(&self, tenant: Tenant, before_ms: u64) -> Stored<'_, ()> {
+        self.inner.forget_audit_of(tenant, before_ms)
     }
 }

@@ -73,7 +73,8 @@ pub fn provoke() -> Vec<Said> {
     let lock = fs::File::create(taken_store.join("lock")).expect("a lock");
     rustix::fs::flock(&lock, rustix::fs::FlockOperation::LockExclusive).expect("locked");
 
-    let cases: [(&'static str, &[&str]); 27] = [
+    let cases: [(&'static str, &[&str]); 28] = [
+        ("no folder of sessions", &["audit", "--data-dir", "nothing"]),
         ("a port that is taken", &["serve", "--listen", &here]),
         ("an unknown key", &["serve", "--config", "slip.toml"]),
         ("a time without a unit", &["serve", "--config", "time.toml"]),

@@ -1,0 +1,85 @@
+//! `pliant audit`: who opened, changed and took away what, as the store of a server tells it.
+
+use super::failure::CliFailure;
+use crate::session::StoredAuditEntry;
+use crate::session::store::{AuditFilter, StoreError, StoreLocation, read_audit};
+use clap::Args;
+use std::io::{BufWriter, Write as _};
+use std::path::PathBuf;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// Prints the audit trail of a server's store, oldest first, as a line of JSON each. The server may be running.
+#[derive(Debug, Args)]
+pub struct AuditArgs {
+    /// The folder that the server was given as data_dir
+    #[arg(long, value_name = "FOLDER", env = "PLIANT_DATA_DIR")]
+    data_dir: Option<PathBuf>,
+    /// The database that the server was given instead, postgres://USER:PASSWORD@HOST/DATABASE
+    #[arg(long, value_name = "URL", env = "PLIANT_DATABASE", hide_env_values = true)]
+    database: Option<String>,
+    /// What concerns this tenant alone
+    #[arg(long)]
+    tenant: Option<String>,
+    /// What concerns this session alone
+    #[arg(long, value_name = "ID")]
+    session: Option<String>,
+    /// From then on, such as 2026-11-23T08:00:00Z, or so long ago, such as 12h
+    #[arg(long, value_name = "TIME", value_parser = parse_since)]
+    since: Option<SystemTime>,
+}
+
+/// One line.
+#[derive(serde::Serialize)]
+struct AuditLine {
+    time: String,
+    #[serde(flatten)]
+    entry: StoredAuditEntry,
+}
+
+fn parse_since(text: &str) -> Result<SystemTime, String> {
+    if let Ok(ago) = humantime::parse_duration(text) {
+        return Ok(SystemTime::now().checked_sub(ago).unwrap_or(UNIX_EPOCH));
+    }
+    humantime::parse_rfc3339_weak(text)
+        .map_err(|_| "neither a time such as 2026-11-23T08:00:00Z nor a span such as 12h".into())
+}
+
+/// Runs the command.
+pub(super) fn run_audit(args: &AuditArgs) -> Result<(), CliFailure> {
+    let since = args.since.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    let filter = AuditFilter {
+        tenant: args.tenant.clone(),
+        session: args.session.clone(),
+        since_ms: since.map_or(0, |since| u64::try_from(since.as_millis()).unwrap_or(u64::MAX)),
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let runtime = runtime.map_err(|e| CliFailure::Internal(format!("cannot start threads: {e}")))?;
+    let mut out = BufWriter::new(std::io::stdout().lock());
+    let mut failed = None;
+    let location = StoreLocation {
+        data_dir: args.data_dir.clone(),
+        database: args.database.clone(),
+        ..StoreLocation::default()
+    };
+    let read = read_audit(&location, &filter, |entry| {
+        let time = UNIX_EPOCH
+            .checked_add(Duration::from_millis(entry.at_ms))
+            .unwrap_or(UNIX_EPOCH);
+        let time = humantime::format_rfc3339_millis(time).to_string();
+        let line = serde_json::to_string(&AuditLine { time, entry }).map_err(|e| e.to_string());
+        let written = line.and_then(|line| writeln!(out, "{line}").map_err(|e| e.to_string()));
+        failed = written.err();
+        failed.is_none()
+    });
+    runtime.block_on(read).map_err(|error| match error {
+        StoreError::Unavailable(problem) | StoreError::Damaged(problem) | StoreError::Refused(problem) => {
+            CliFailure::Input(format!("the store of sessions: {problem}"))
+        }
+    })?;
+    if failed.is_none() {
+        failed = out.flush().err().map(|e| e.to_string());
+    }
+    failed.map_or(Ok(()), |e| {
+        Err(CliFailure::Internal(format!("cannot write to stdout: {e}")))
+    })
+}

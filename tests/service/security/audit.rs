@@ -1,0 +1,225 @@
+//! Who did what is told: in the store with the change itself, without one in the log.
+
+use super::{config_file, token_table};
+use crate::support::program::ServedProgram;
+use crate::support::server::*;
+use pliant::session::store::{AuditFilter, DatabaseStore, SessionStore as _, StoreLocation, read_audit};
+use pliant::session::{AuditEntry, AuditedAction, Tenant};
+use pliant::wire::pb::deform_request;
+use reqwest::Method;
+use serde_json::{Value, json};
+use std::path::Path;
+use std::process::Command;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
+
+async fn ask(server: &ServedProgram, token: &str, method: Method, path: &str, body: Option<Value>) -> u16 {
+    let mut request = http()
+        .request(method, format!("{}{path}", server.url))
+        .bearer_auth(token);
+    if let Some(body) = body {
+        request = request.json(&body);
+    }
+    let answer = within(path, request.send()).await.expect("an answer");
+    let status = answer.status().as_u16();
+    within(path, answer.bytes()).await.expect("a body");
+    status
+}
+
+async fn opened(server: &ServedProgram, token: &str) -> String {
+    let open = http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(8));
+    let session = within("a session", open.bearer_auth(token).send())
+        .await
+        .expect("an answer");
+    text(&session.json::<Value>().await.expect("JSON")["id"])
+}
+
+/// Does all that is noted, with one token and another; the session.
+async fn one_of_each(server: &ServedProgram) -> String {
+    let id = opened(server, "anna's").await;
+    let path = |rest: &str| format!("/v1/sessions/{id}{rest}");
+    let handles = json!({"handles": ends()});
+    let cut = json!({"on": "REST", "cut": {"plane": {"normal": [0, 0, 1], "offset": 1.5}}});
+    for (method, rest, body) in [
+        (Method::PUT, "/handles", Some(handles)),
+        (Method::POST, "/solve", Some(turn_json(0.3))),
+        // What is refused is not noted.
+        (
+            Method::POST,
+            "/solve",
+            Some(json!({"pose": {"handles": [{"id": "none"}]}})),
+        ),
+        (Method::POST, "/undo", None),
+        (Method::POST, "/redo", None),
+        (Method::GET, "/model", None),
+        (Method::GET, "/positions", None),
+        (Method::POST, "/carry", Some(json!({"points": [0, 0, 1]}))),
+        (Method::POST, "/edits", Some(cut)),
+    ] {
+        let status = ask(server, "anna's", method, &path(rest), body).await;
+        assert!(status == 200 || rest == "/solve", "{rest}: {status}");
+    }
+    // A commit on a stream is that of who opened the stream.
+    let url = format!("{}{}", server.url.replace("http", "ws"), path("/stream"));
+    let mut request = url.into_client_request().expect("a request");
+    let bearer = "Bearer bert's".parse().expect("ASCII");
+    request.headers_mut().insert("authorization", bearer);
+    let socket = within("a socket", tokio_tungstenite::connect_async(request)).await;
+    let mut socket = Socket {
+        stream: socket.expect("a stream").0,
+    };
+    let pose = deform_request::Message::Pose(turned(1, 0.2, true));
+    socket.send(pose).await;
+    eventually("a commit", async || {
+        let get = http()
+            .get(format!("{}{}", server.url, path("/history")))
+            .bearer_auth("anna's");
+        let history: Value = get.send().await.expect("an answer").json().await.expect("JSON");
+        history["commits"]
+            .as_array()
+            .is_some_and(|c| c.last().is_some_and(|c| c["kind"] == "pose"))
+    })
+    .await;
+    drop(socket);
+    assert_eq!(ask(server, "bert's", Method::DELETE, &path(""), None).await, 204);
+    id
+}
+
+const EXPECTED: [(&str, &str); 13] = [
+    ("anna", "create"),
+    ("anna", "handles"),
+    ("anna", "pose"),
+    ("anna", "undo"),
+    ("anna", "redo"),
+    ("anna", "export"),
+    ("anna", "export"),
+    ("anna", "carry"),
+    ("anna", "edit"),
+    ("bert", "stream"),
+    ("bert", "pose"),
+    ("bert", "delete"),
+    ("cleo", "create"),
+];
+
+fn tables() -> String {
+    [("a", "anna"), ("a", "bert"), ("b", "cleo")]
+        .map(|(tenant, name)| token_table(tenant, &format!("{name}'s"), name))
+        .concat()
+}
+
+/// What `pliant audit` prints.
+fn audit(folder: &Path, arguments: &[&str]) -> Vec<Value> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pliant"));
+    let command = command.args(["audit", "--data-dir"]).arg(folder).args(arguments);
+    let done = command.output().expect("it runs");
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    let lines = String::from_utf8(done.stdout).expect("UTF-8");
+    lines
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("JSON"))
+        .collect()
+}
+
+fn who_what(lines: &[Value]) -> Vec<(String, String)> {
+    lines.iter().map(|l| (text(&l["caller"]), text(&l["action"]))).collect()
+}
+
+fn expected() -> Vec<(String, String)> {
+    EXPECTED.map(|(who, what)| (who.to_owned(), what.to_owned())).to_vec()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_store_tells_who_did_what_while_the_server_runs_and_after() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let config = config_file(folder.path(), &tables());
+    let server = ServedProgram::start(&data, &["--config", &config]);
+    let id = one_of_each(&server).await;
+    let others = opened(&server, "cleo's").await;
+    let running = audit(&data, &[]);
+    assert_eq!(who_what(&running), expected());
+    server.kill();
+    assert_eq!(audit(&data, &[]), running, "all of it was on disk");
+    for (k, line) in running.iter().enumerate() {
+        let (tenant, session) = if k < 12 { ("a", &id) } else { ("b", &others) };
+        assert_eq!(
+            (line["tenant"].as_str(), text(&line["session"])),
+            (Some(tenant), session.clone())
+        );
+        assert!(humantime::parse_rfc3339(&text(&line["time"])).is_ok(), "{line}");
+    }
+    assert_eq!(audit(&data, &["--tenant", "b"]), running[12..]);
+    assert_eq!(audit(&data, &["--session", &id]), running[..12]);
+    assert_eq!(audit(&data, &["--since", "1h"]).len(), 13);
+    assert_eq!(audit(&data, &["--since", "2100-01-01T00:00:00Z"]).len(), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn without_a_store_the_log_tells_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let config = config_file(folder.path(), &tables());
+    let arguments = ["--config", &config, "--log-format", "json"];
+    let server = ServedProgram::start_in_memory(folder.path().join("log"), &arguments);
+    let id = one_of_each(&server).await;
+    opened(&server, "cleo's").await;
+    let lines: Vec<Value> = (server.log().lines())
+        .map(|line| serde_json::from_str::<Value>(line).expect("JSON"))
+        .filter(|line| line["target"] == "pliant::audit")
+        .collect();
+    assert_eq!(who_what(&lines), expected());
+    assert!(
+        lines[..12]
+            .iter()
+            .all(|l| l["tenant"] == "a" && l["session.id"] == id.as_str())
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sessions_that_end_by_themselves_are_told_too() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let server = ServedProgram::start(&data, &[]);
+    server.open(bar_obj(4), "?ttl=1s").await;
+    eventually("the end", async || {
+        who_what(&audit(&data, &[]))
+            .last()
+            .is_some_and(|(_, what)| what == "expire")
+    })
+    .await;
+    let told = [("anyone", "create"), ("pliant", "expire")].map(|(who, what)| (who.to_owned(), what.to_owned()));
+    assert_eq!(who_what(&audit(&data, &[])), told);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_old_is_forgotten_of_one_tenant_and_kept_of_another() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let location = StoreLocation::in_folder(folder.path());
+    let store = DatabaseStore::open(&location).await.expect("a store");
+    for tenant in ["a", "b"] {
+        let entry = AuditEntry {
+            tenant: Tenant(tenant.into()),
+            who: "somebody".into(),
+            what: AuditedAction::Export,
+            session: "s".into(),
+        };
+        store.audit(entry).await.expect("noted");
+    }
+    let tenants = async || store.audited_tenants().await.expect("tenants");
+    assert_eq!(tenants().await, ["a", "b"].map(|t| Tenant(t.into())));
+    store
+        .forget_audit_of(Tenant("a".into()), 0)
+        .await
+        .expect("nothing is that old");
+    assert_eq!(tenants().await.len(), 2);
+    store
+        .forget_audit_of(Tenant("a".into()), u64::MAX)
+        .await
+        .expect("forgotten");
+    let mut left = Vec::new();
+    read_audit(&location, &AuditFilter::default(), |entry| {
+        left.push(entry.tenant);
+        true
+    })
+    .await
+    .expect("a trail");
+    assert_eq!(left, ["b"]);
+}
