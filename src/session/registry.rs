@@ -8,6 +8,7 @@ use crate::progress::CancelFlag;
 use crate::session::animation::open_animations::OpenAnimations;
 use crate::session::answers::{SessionFacts, Tenant};
 use crate::session::calls::command::SessionCommand;
+use crate::session::capacity::fair_line::WorkOwner;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
@@ -68,6 +69,14 @@ pub(super) struct OpenSession {
 }
 
 impl OpenSession {
+    /// Whose work on it is.
+    pub fn work_owner(&self) -> WorkOwner {
+        WorkOwner {
+            tenant: self.tenant.clone(),
+            session: self.id.clone(),
+        }
+    }
+
     /// The state after the newest change.
     pub fn view(&self) -> Arc<SessionView> {
         Arc::clone(&self.view.read().unwrap_or_else(PoisonError::into_inner))

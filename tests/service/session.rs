@@ -4,6 +4,7 @@
 use crate::support::bench;
 mod commits;
 mod edits;
+mod fairness;
 mod fake;
 mod faulty_store;
 mod following;

@@ -120,6 +120,7 @@ impl AnimationTask {
         let shared = &self.manager.shared;
         let prepared = &solver.prepared;
         let mut cursor = prepared.animation.cursor(prepared.range.clone());
+        let owner = self.session.work_owner();
         let begun = Instant::now();
         while cursor.next_index().is_some() {
             if let Some(fraction) = cursor.lead_progress() {
@@ -129,7 +130,7 @@ impl AnimationTask {
                 return Ok(None);
             }
             let slot = tokio::select! {
-                slot = shared.compute.slot_for_frame() => slot?,
+                slot = shared.compute.slot_for_frame(&owner) => slot?,
                 () = self.outbox.wait_for_end() => return Ok(None),
             };
             let flags = vec![Arc::clone(&self.outbox.cancel), Arc::clone(&self.session.cancel)];

@@ -6,6 +6,7 @@ use crate::motion::rig::RigidMotion;
 use crate::session::animation::ends::AnimationReader;
 use crate::session::animation::prepared_animation::PreparedAnimation;
 use crate::session::answers::{AnimatedModel, AnimationAnswer};
+use crate::session::capacity::fair_line::WorkOwner;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
@@ -52,7 +53,7 @@ impl FramesInMemory {
 
 /// Takes the frames of an animation, and writes a model that plays them.
 pub(in crate::session) async fn gather_clip(
-    shared: &SharedResources,
+    (shared, owner): (&SharedResources, &WorkOwner),
     mut output: AnimationReader,
     (form, root): (PlayedForm, OrderedRoot),
 ) -> Result<AnimatedModel, Error> {
@@ -79,7 +80,7 @@ pub(in crate::session) async fn gather_clip(
     let watch = Arc::new(WorkWatch::new(flags, shared.config.build));
     let inside = Arc::clone(&watch);
     let has_root = root == OrderedRoot::Apart;
-    let slot = shared.compute.slot_for_frame().await?;
+    let slot = shared.compute.slot_for_frame(owner).await?;
     let written = slot.run(move |pool| {
         let exec = Exec::new(pool, &*inside);
         let (model, rest) = prepared.animation.model();

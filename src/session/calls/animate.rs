@@ -8,6 +8,7 @@ use crate::session::animation::running_animation::RunningAnimation;
 use crate::session::answers::{AnimatedModel, Tenant};
 use crate::session::audit::audit_entry::AuditedAction;
 use crate::session::calls::manager::Manager;
+use crate::session::capacity::fair_line::WorkOwner;
 use crate::session::error::Error;
 use crate::wire::AnimateOrder;
 use crate::wire::frames::FrameOutput;
@@ -72,6 +73,10 @@ impl Manager {
         let form = (order.played, order.root);
         let (input, output) = self.animate(tenant, id, order).await?;
         input.finish_input();
-        gather_clip(&self.shared, output, form).await
+        let owner = WorkOwner {
+            tenant: tenant.clone(),
+            session: id.to_owned(),
+        };
+        gather_clip((&self.shared, &owner), output, form).await
     }
 }

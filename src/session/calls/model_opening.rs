@@ -66,10 +66,11 @@ async fn build_model(
 ) -> Result<OpenedModel, Error> {
     let account = of_tenant.account();
     account.check_work()?;
+    let owner = of_tenant.work_owner();
     let slot = tokio::select! {
         biased;
         () = shared.aborted.cancelled() => return Err(Error::draining()),
-        slot = shared.compute.slot(WorkLane::Builds, arrived) => slot?,
+        slot = shared.compute.slot(WorkLane::Builds, &owner, (arrived, shared.config.build)) => slot?,
     };
     let config = &shared.config;
     // What is refused for the tenant's sake is told so; the smaller room counts.

@@ -3,16 +3,18 @@
 //! A slot is asked for before anything is moved to a pool, so that a refused caller loses nothing. There are two lanes, each with
 //! slots and threads of its own, so that what somebody waits for never stands behind a long build: poses, commits and what reads
 //! a shape run in the interactive lane; what builds, edits and animates in the lane of builds, whose threads the operating
-//! system serves last. Within a lane slots are given in the order in which they were asked for.
+//! system serves last. Within a lane tenants take turns, in a tenant its sessions, and work that would wait longer than it may is
+//! refused before it waits.
 
 use crate::pool::Pool;
+use crate::session::capacity::fair_line::{FairLine, LinePermit, LinePlace, LineRefusal, WorkOwner};
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::{GaugeUnit, Metrics};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+use tokio::sync::{Semaphore, oneshot};
 
 /// Threads that pack answers and drop what is large.
 const PACKING_THREADS: usize = 2;
@@ -33,9 +35,7 @@ pub(in crate::session) enum WorkLane {
 #[derive(Debug, Clone)]
 struct ComputeLane {
     pool: Pool,
-    slots: Arc<Semaphore>,
-    /// Bounds those who wait for a slot.
-    seats: Arc<Semaphore>,
+    line: Arc<FairLine>,
 }
 
 /// The thread pools and who may use them now.
@@ -53,7 +53,7 @@ pub(in crate::session) struct ComputeSlots {
 /// The right to run one piece of work.
 #[derive(Debug)]
 pub(in crate::session) struct ComputeSlot {
-    permit: OwnedSemaphorePermit,
+    permit: LinePermit,
     pool: Pool,
     metrics: Arc<Metrics>,
     /// How long its owner waited for it.
@@ -79,8 +79,7 @@ impl ComputeLane {
         };
         Self {
             pool,
-            slots: Arc::new(Semaphore::new(slots.min(Semaphore::MAX_PERMITS))),
-            seats: Arc::new(Semaphore::new(config.compute_queue.min(Semaphore::MAX_PERMITS))),
+            line: FairLine::new(slots, config.compute_queue),
         }
     }
 }
@@ -107,67 +106,93 @@ impl ComputeSlots {
         }
     }
 
-    /// Waits for a slot for a call that arrived then, first come, first served.
+    /// Waits for a slot for a call that arrived then and may take as long as `limit` from then on.
     ///
     /// # Cancel safety
-    /// Dropping the future gives up the place in the queue.
+    /// Dropping the future gives up the place in the line.
     ///
     /// # Errors
-    /// `RESOURCE_EXHAUSTED` when too many wait already, or after the longest wait since the call arrived.
-    pub async fn slot(&self, lane: WorkLane, arrived: Instant) -> Result<ComputeSlot, Error> {
-        let refuse = |text: String| {
-            self.metrics.refused.inc();
-            Error::exhausted(text, 1)
-        };
+    /// `RESOURCE_EXHAUSTED` at once when too many wait already or the work is not expected to begin in time, and after the longest wait
+    /// since the call arrived.
+    pub async fn slot(
+        &self,
+        lane: WorkLane,
+        owner: &WorkOwner,
+        (arrived, limit): (Instant, Duration),
+    ) -> Result<ComputeSlot, Error> {
         let lane = self.lane(lane);
-        let slots = Arc::clone(&lane.slots);
-        let permit = match Arc::clone(&slots).try_acquire_owned() {
-            Ok(permit) => permit,
-            Err(_) => {
-                let seat = lane.seats.try_acquire();
-                let _seat = seat.map_err(|_| refuse("too much work waits to be computed; try again later".into()))?;
+        let longest = self.wait.min(limit);
+        let left = longest.saturating_sub(arrived.elapsed());
+        let place = lane
+            .line
+            .enter(owner, Some(left))
+            .map_err(|why| self.refuse(why, left))?;
+        let permit = match place {
+            LinePlace::Free(permit) => permit,
+            LinePlace::Waiting(mut place) => {
                 let _waiting = GaugeUnit::add_to(&self.metrics.pool_waiting);
-                let left = self.wait.saturating_sub(arrived.elapsed());
-                let waited = tokio::time::timeout(left, slots.acquire_owned()).await;
-                let permit = waited.map_err(|_| {
-                    refuse(format!(
+                let turn = tokio::time::timeout(left, place.turn()).await.map_err(|_| {
+                    self.metrics.refused.inc();
+                    let text = format!(
                         "no compute slot came free within {} ms; try again later",
-                        self.wait.as_millis()
-                    ))
+                        longest.as_millis()
+                    );
+                    Error::exhausted(text, 1)
                 })?;
-                permit.map_err(|_| Error::draining())?
+                turn.map_err(|why| self.refuse(why, left))?
             }
         };
         let queued = arrived.elapsed();
         self.metrics.queue.observe(queued.as_secs_f64());
-        Ok(ComputeSlot {
+        Ok(self.slot_on(lane, permit, queued))
+    }
+
+    /// Tells a call that it cannot be served in time.
+    fn refuse(&self, why: LineRefusal, left: Duration) -> Error {
+        self.metrics.refused.inc();
+        match why {
+            LineRefusal::Full => Error::exhausted("too much work waits to be computed; try again later", 1),
+            LineRefusal::TooLong(expected) => {
+                let later = expected.saturating_sub(left).as_secs_f64().ceil().max(1.0);
+                let text = format!(
+                    "the work that waits is expected to take {:.1} s, and you may wait {:.1} s; try again later",
+                    expected.as_secs_f64(),
+                    left.as_secs_f64()
+                );
+                // Saturates.
+                Error::exhausted(text, later as u32)
+            }
+        }
+    }
+
+    fn slot_on(&self, lane: &ComputeLane, permit: LinePermit, queued: Duration) -> ComputeSlot {
+        ComputeSlot {
             permit,
             pool: lane.pool.clone(),
             metrics: Arc::clone(&self.metrics),
             queued,
-        })
+        }
     }
 
-    /// Waits for a slot for one frame of an animation, behind whoever waits already. However long that takes it is not refused:
-    /// animations have a limit of their own, and half of one is of no use.
+    /// Waits for a slot for one frame of an animation, when its turn comes. However long that takes it is not refused: animations have a
+    /// limit of their own, and half of one is of no use.
     ///
     /// # Cancel safety
-    /// Dropping the future gives up the place in the queue.
+    /// Dropping the future gives up the place in the line.
     ///
     /// # Errors
     /// `UNAVAILABLE` when the slots are gone.
-    pub async fn slot_for_frame(&self) -> Result<ComputeSlot, Error> {
+    pub async fn slot_for_frame(&self, owner: &WorkOwner) -> Result<ComputeSlot, Error> {
         let asked = Instant::now();
         let lane = &self.builds;
-        let waiting = GaugeUnit::add_to(&self.metrics.pool_waiting);
-        let permit = Arc::clone(&lane.slots).acquire_owned().await;
-        drop(waiting);
-        Ok(ComputeSlot {
-            permit: permit.map_err(|_| Error::draining())?,
-            pool: lane.pool.clone(),
-            metrics: Arc::clone(&self.metrics),
-            queued: asked.elapsed(),
-        })
+        let permit = match lane.line.enter(owner, None).map_err(|_| Error::draining())? {
+            LinePlace::Free(permit) => permit,
+            LinePlace::Waiting(mut place) => {
+                let _waiting = GaugeUnit::add_to(&self.metrics.pool_waiting);
+                place.turn().await.map_err(|_| Error::draining())?
+            }
+        };
+        Ok(self.slot_on(lane, permit, asked.elapsed()))
     }
 
     /// Runs small work that needs no slot, such as packing an answer, where it waits for no solve.
@@ -224,11 +249,15 @@ impl ComputeSlot {
         work: impl FnOnce(&Pool) -> R + Send + 'static,
     ) -> Result<R, WorkPanicked> {
         let Self {
-            permit, pool, metrics, ..
+            mut permit,
+            pool,
+            metrics,
+            ..
         } = self;
         let (give, result) = oneshot::channel();
         let inside = pool.clone();
         pool.spawn(move || {
+            permit.begin();
             let busy = GaugeUnit::add_to(&metrics.pool_busy);
             let result = caught(|| work(&inside));
             drop(busy);
@@ -255,9 +284,40 @@ fn caught<R>(work: impl FnOnce() -> R) -> Result<R, WorkPanicked> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::session::answers::Tenant;
 
     fn compute(config: SessionConfig) -> ComputeSlots {
         ComputeSlots::new(&config, Arc::default()).expect("threads start")
+    }
+
+    /// A slot for somebody who may wait for long.
+    async fn asked(slots: &ComputeSlots) -> Result<ComputeSlot, Error> {
+        let owner = WorkOwner {
+            tenant: Tenant::default(),
+            session: String::new(),
+        };
+        let times = (Instant::now(), Duration::MAX);
+        slots.slot(WorkLane::Interactive, &owner, times).await
+    }
+
+    #[tokio::test]
+    async fn work_that_cannot_begin_in_time_is_refused_before_it_waits() {
+        let one = compute(SessionConfig {
+            compute_threads: 1,
+            compute_slots: 1,
+            ..SessionConfig::default()
+        });
+        asked(&one).await.expect("a slot").run(|_| ()).await.expect("runs");
+        let held = asked(&one).await.expect("a slot");
+        one.interactive.line.note_service(Duration::from_secs(3600));
+        let refused = asked(&one).await.expect_err("too long");
+        assert_eq!(refused.http_status(), 429);
+        // An eighth of an hour is what is expected by now, and half a minute what may be waited.
+        assert_eq!(refused.retry_after_s, Some(421));
+        assert!(refused.message.contains("450.0 s"), "{refused}");
+        assert_eq!((one.metrics.refused.get(), one.metrics.pool_waiting.get()), (1, 0));
+        drop(held);
+        asked(&one).await.expect("a free slot is given, whatever is expected");
     }
 
     #[tokio::test]
@@ -267,13 +327,10 @@ mod tests {
             compute_slots: 1,
             ..SessionConfig::default()
         });
-        let slot = one.slot(WorkLane::Interactive, Instant::now()).await.expect("a slot");
+        let slot = asked(&one).await.expect("a slot");
         let ended = slot.run(|_| -> u32 { std::panic::panic_any("on purpose") }).await;
         assert_eq!(ended.expect_err("panicked").0, "on purpose");
-        let slot = one
-            .slot(WorkLane::Interactive, Instant::now())
-            .await
-            .expect("the slot is free again");
+        let slot = asked(&one).await.expect("the slot is free again");
         assert_eq!(slot.run(|pool| pool.threads()).await.expect("runs"), 1);
     }
 
@@ -285,14 +342,11 @@ mod tests {
             compute_queue: 1,
             ..SessionConfig::default()
         });
-        let held = one.slot(WorkLane::Interactive, Instant::now()).await.expect("a slot");
-        let waiter = one.slot(WorkLane::Interactive, Instant::now());
+        let held = asked(&one).await.expect("a slot");
+        let waiter = asked(&one);
         tokio::pin!(waiter);
         assert!(futures::poll!(waiter.as_mut()).is_pending());
-        let refused = one
-            .slot(WorkLane::Interactive, Instant::now())
-            .await
-            .expect_err("no place to wait");
+        let refused = asked(&one).await.expect_err("no place to wait");
         assert_eq!((refused.http_status(), refused.retry_after_s), (429, Some(1)));
         drop(held);
         waiter.await.expect("its turn");
@@ -308,17 +362,9 @@ mod tests {
             compute_wait: wait,
             ..SessionConfig::default()
         });
-        let held = one.slot(WorkLane::Interactive, Instant::now()).await.expect("a slot");
-        assert_eq!(
-            one.slot(WorkLane::Interactive, Instant::now())
-                .await
-                .expect_err("waited too long")
-                .http_status(),
-            429
-        );
+        let held = asked(&one).await.expect("a slot");
+        assert_eq!(asked(&one).await.expect_err("waited too long").http_status(), 429);
         drop(held);
-        one.slot(WorkLane::Interactive, Instant::now())
-            .await
-            .expect("free again");
+        asked(&one).await.expect("free again");
     }
 }

@@ -2,6 +2,7 @@
 
 pub(super) mod call_gate;
 pub(super) mod compute_slots;
+pub(super) mod fair_line;
 pub(super) mod memory_ledger;
 pub(super) mod memory_use;
 pub(super) mod session_lease;

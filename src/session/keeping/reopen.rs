@@ -153,10 +153,11 @@ async fn replay_log(
     guard: &CancelOnDrop,
 ) -> Result<Replayed, Error> {
     let arrived = Instant::now();
+    let owner = of_tenant.work_owner();
     let slot = tokio::select! {
         biased;
         () = shared.aborted.cancelled() => return Err(Error::draining()),
-        slot = shared.compute.slot(WorkLane::Builds, arrived) => slot?,
+        slot = shared.compute.slot(WorkLane::Builds, &owner, (arrived, shared.config.build)) => slot?,
     };
     let (limit, room) = (shared.config.history, memory.room());
     let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];

@@ -1,6 +1,7 @@
 //! What one tenant uses, against what it may use.
 
 use crate::session::answers::Tenant;
+use crate::session::capacity::fair_line::WorkOwner;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::quota::tenant_quota::TenantQuota;
 use crate::session::quota::token_bucket::TokenBucket;
@@ -255,6 +256,14 @@ impl TenantSession {
     /// Whose it is.
     pub fn tenant(&self) -> &Tenant {
         &self.account.tenant
+    }
+
+    /// Whose work the opening of a session is.
+    pub fn work_owner(&self) -> WorkOwner {
+        WorkOwner {
+            tenant: self.account.tenant.clone(),
+            session: String::new(),
+        }
     }
 
     /// What all sessions of that tenant share.

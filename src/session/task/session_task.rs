@@ -175,10 +175,11 @@ impl SessionTask {
         work: impl FnOnce(&mut LoadedDeformer, &Pool, &WorkWatch, Duration) -> R + Send + 'static,
     ) -> Result<(R, Arc<WorkWatch>), Error> {
         self.place.account().check_work()?;
+        let owner = self.session.work_owner();
         let slot = tokio::select! {
             biased;
             () = self.session.closing.cancelled() => return Err(self.session.why()),
-            slot = self.shared.compute.slot(order.lane, order.arrived) => slot?,
+            slot = self.shared.compute.slot(order.lane, &owner, (order.arrived, order.limit)) => slot?,
         };
         let lost = || Error::new(ErrorCode::Internal, "the session's engine is gone");
         let mut deformer = self.deformer.take().ok_or_else(lost)?;

@@ -1,0 +1,85 @@
+//! Who computes next when there is less than everybody wants.
+
+use super::fake::*;
+use pliant::session::{SessionConfig, Tenant};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
+use std::time::Duration;
+
+/// Cycles of one solve of the fake.
+const CYCLES: u64 = 4;
+
+#[tokio::test]
+async fn a_tenant_with_much_work_holds_up_another_by_one_piece_of_it() {
+    let (manager, control) = manager(SessionConfig {
+        compute_slots: 1,
+        ..small()
+    });
+    let (many, few) = (Tenant("many".into()), Tenant("few".into()));
+    let mut sessions = Vec::new();
+    for k in 0..13 {
+        let owner = if k < 12 { &many } else { &few };
+        let created = manager.create(owner, model("points 4"), options(), None).await;
+        let id = created.expect("created").value.id;
+        let set = manager.set_handles(owner, &id, handles(&["a"]), None).await;
+        set.expect("set");
+        sessions.push((owner.clone(), id));
+    }
+    control.hold();
+    let (done, few_done) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
+    for (k, (owner, id)) in sessions.into_iter().enumerate() {
+        let (manager, done, few_done) = (manager.clone(), Arc::clone(&done), Arc::clone(&few_done));
+        let own_manager = manager.clone();
+        tokio::spawn(async move {
+            own_manager
+                .solve(&owner, &id, solve(&[("a", 1.0)]), None)
+                .await
+                .expect("solved");
+            few_done.fetch_or(&*owner.0 == "few", SeqCst);
+            done.fetch_add(1, SeqCst);
+        });
+        // One computes, and the others wait in the order in which they came.
+        until(|| manager.metrics().pool_waiting.get() == k as i64).await;
+    }
+    for round in 1..=13 {
+        control.held_up().await;
+        control.step(CYCLES);
+        until(|| done.load(SeqCst) == round).await;
+        // After the one that computed, and one of the other tenant's eleven that came before.
+        assert_eq!(few_done.load(SeqCst), round >= 3, "after {round}");
+    }
+}
+
+#[tokio::test]
+async fn what_cannot_begin_in_time_is_refused_and_nothing_is_held_for_it() {
+    let (manager, control) = manager(SessionConfig {
+        compute_slots: 1,
+        compute_wait: Duration::from_millis(10),
+        ..small()
+    });
+    let (first, second) = (open(&manager).await, open(&manager).await);
+    control.hold();
+    let begin = |id: &str| {
+        let (manager, id) = (manager.clone(), id.to_owned());
+        tokio::spawn(async move { manager.solve(tenant(), &id, solve(&[("a", 1.0)]), None).await })
+    };
+    // One piece of work takes long, so the next is expected to.
+    let long = begin(&first);
+    control.held_up().await;
+    tokio::time::sleep(Duration::from_millis(400)).await;
+    control.step(CYCLES);
+    long.await.expect("no panic").expect("solved");
+    let held = begin(&first);
+    control.held_up().await;
+    let refused = manager.solve(tenant(), &second, solve(&[("a", 1.0)]), None).await;
+    let refused = refused.expect_err("too long");
+    assert_eq!((refused.http_status(), refused.retry_after_s), (429, Some(1)));
+    assert!(refused.message.contains("is expected to take"), "{refused}");
+    assert_eq!(manager.metrics().pool_waiting.get(), 0);
+    control.step(CYCLES);
+    held.await.expect("no panic").expect("solved");
+    control.release();
+    // A slot that is free is given whatever was expected.
+    let solved = manager.solve(tenant(), &second, solve(&[("a", 1.0)]), None).await;
+    solved.expect("solved");
+}
