@@ -47,6 +47,9 @@ pub enum ServeError {
     /// Signals cannot be awaited.
     #[error("cannot wait for signals: {0}")]
     Signals(String),
+    /// Spans cannot be sent.
+    #[error("otlp_endpoint: {0}")]
+    Traces(String),
     /// The sessions cannot be held.
     #[error("{0}")]
     Session(#[from] session::Error),
@@ -63,7 +66,7 @@ impl ServeError {
     pub fn is_usage(&self) -> bool {
         matches!(
             self,
-            Self::Config(_) | Self::Listen { .. } | Self::Session(_) | Self::Store(_)
+            Self::Config(_) | Self::Listen { .. } | Self::Session(_) | Self::Store(_) | Self::Traces(_)
         )
     }
 }
@@ -95,7 +98,8 @@ pub(super) fn run_serve(args: ServeArgs) -> Result<(), CliFailure> {
 /// When the configuration, the port or the services cannot be had. A drain that met its deadline is no error.
 pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     let settings = ServeSettings::load(args.config.as_deref(), &args.keys)?;
-    server::start_log(&settings.log, settings.log_format);
+    let endpoint = settings.otlp_endpoint.as_deref();
+    let traces = server::start_log(&settings.log, settings.log_format, endpoint).map_err(ServeError::Traces)?;
     for remark in &settings.remarks {
         tracing::warn!("{remark}");
     }
@@ -148,8 +152,9 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
             hurried.abort();
         });
     };
-    server::run(listener, manager, settings.server, shutdown).await?;
-    Ok(())
+    let served = server::run(listener, manager, settings.server, shutdown).await;
+    traces.finish().await;
+    Ok(served?)
 }
 
 /// The wishes to stop: SIGTERM and SIGINT.

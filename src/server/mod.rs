@@ -38,7 +38,7 @@ pub use config::ServerConfig;
 pub use error::Error;
 pub use hosts::Hosts;
 pub use origin::Origins;
-pub use telemetry::start_log;
+pub use telemetry::{TraceExport, start_log};
 pub use tls::{CertificateField, LARGEST_TLS_FILE, TlsConfig};
 
 use crate::session::Manager;

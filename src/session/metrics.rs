@@ -1,15 +1,37 @@
 //! Counts that operators watch. The server publishes them; here they are only counted.
 
 use crate::session::capacity::memory_use::MemoryUse;
+use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::{Registry, Unit};
+use std::collections::BTreeMap;
+use std::time::Duration;
 
 /// Upper bounds of the buckets of durations, in seconds; one more bucket holds what is above the last.
 const DURATION_BOUNDS: [f64; 15] = [
     0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.125, 0.25, 0.5, 1.0, 4.0, 15.0, 60.0,
 ];
+
+/// What a piece of work is counted under; the names are those of the code, so their number is bounded.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct WorkLabels {
+    work: &'static str,
+}
+
+/// What a stage of a build is counted under.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct StageLabels {
+    stage: String,
+}
+
+type Durations<L> = Family<L, Histogram, fn() -> Histogram>;
+
+fn durations() -> Histogram {
+    Histogram::new(DURATION_BOUNDS)
+}
 
 /// What happened since the start, and how things are now.
 #[derive(Debug)]
@@ -54,6 +76,10 @@ pub struct Metrics {
     pub queue: Histogram,
     /// Seconds that builds of sessions took.
     pub build: Histogram,
+    /// Seconds of pieces of work, by kind.
+    work: Durations<WorkLabels>,
+    /// Seconds of the stages of builds and edits.
+    stages: Durations<StageLabels>,
     /// Pieces of work being computed.
     pub pool_busy: Gauge,
     /// Pieces of work waiting for a compute slot.
@@ -66,7 +92,6 @@ pub struct Metrics {
 
 impl Default for Metrics {
     fn default() -> Self {
-        let durations = || Histogram::new(DURATION_BOUNDS);
         Self {
             sessions: Gauge::default(),
             sessions_created: Counter::default(),
@@ -88,6 +113,8 @@ impl Default for Metrics {
             solve: durations(),
             queue: durations(),
             build: durations(),
+            work: Family::new_with_constructor(durations),
+            stages: Family::new_with_constructor(durations),
             pool_busy: Gauge::default(),
             pool_waiting: Gauge::default(),
             refused: Counter::default(),
@@ -100,6 +127,20 @@ impl Metrics {
     /// Bytes held and reserved for one use.
     pub fn held_bytes(&self, what: MemoryUse) -> &Gauge {
         &self.bytes[what as usize]
+    }
+
+    /// Counts a piece of work of a kind.
+    pub(in crate::session) fn observe_work(&self, work: &'static str, took: Duration) {
+        let histogram = self.work.get_or_create(&WorkLabels { work });
+        histogram.observe(took.as_secs_f64());
+    }
+
+    /// Counts the stages of a build, by name, in milliseconds.
+    pub(in crate::session) fn observe_stages(&self, stages: &BTreeMap<String, f64>) {
+        for (stage, ms) in stages {
+            let stage = stage.clone();
+            self.stages.get_or_create(&StageLabels { stage }).observe(ms / 1e3);
+        }
     }
 
     /// Adds every count to a registry, under the names that operators know. `memory_bytes` is what all sessions together
@@ -184,6 +225,18 @@ impl Metrics {
         for (name, help, durations) in durations {
             registry.register_with_unit(name, help, Unit::Seconds, durations.clone());
         }
+        registry.register_with_unit(
+            "work",
+            "Time that pieces of work took, by kind",
+            Unit::Seconds,
+            self.work.clone(),
+        );
+        registry.register_with_unit(
+            "stage",
+            "Time that stages of builds and edits took",
+            Unit::Seconds,
+            self.stages.clone(),
+        );
     }
 }
 

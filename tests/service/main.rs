@@ -12,4 +12,5 @@ mod session;
 mod stream;
 #[path = "../support/mod.rs"]
 mod support;
+mod traces;
 mod troubleshooting;

@@ -137,6 +137,9 @@ pub struct ConfigKeys {
     /// How log lines look: text or json.
     #[arg(long, value_name = "FORMAT")]
     pub log_format: Option<KeyValue<String>>,
+    /// Collector that spans are sent to by OTLP over gRPC, such as http://127.0.0.1:4317.
+    #[arg(long, value_name = "URL")]
+    pub otlp_endpoint: Option<KeyValue<String>>,
     /// Open a session with the built-in creature and print calls to try.
     #[arg(long, value_name = "BOOL", num_args = 0..=1, default_missing_value = "true", require_equals = true)]
     pub sample: Option<KeyValue<bool>>,

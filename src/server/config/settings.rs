@@ -34,6 +34,8 @@ pub struct ServeSettings {
     pub log: String,
     /// How they look.
     pub log_format: LogFormat,
+    /// The collector that spans are sent to, if any.
+    pub otlp_endpoint: Option<String>,
     /// Where sessions are kept; `None`: in memory alone.
     pub store: Option<StoreLocation>,
     /// Whether a session with the built-in creature is opened at the start.
@@ -96,6 +98,7 @@ impl ServeSettings {
             session,
             log,
             log_format,
+            otlp_endpoint: otlp_endpoint(&merged)?,
             store: store_location(&merged)?,
             sample: KeyValue::read(&keys.sample).unwrap_or(false),
             remarks,
@@ -109,6 +112,21 @@ impl ServeSettings {
 /// As [`ServeSettings::load`].
 pub fn stored_in(file: Option<&Path>, flags: &ConfigKeys) -> Result<Option<StoreLocation>, Error> {
     store_location(&MergedKeys::collect(file, flags)?)
+}
+
+/// The collector of spans, if there is one.
+fn otlp_endpoint(merged: &MergedKeys) -> Result<Option<String>, Error> {
+    let Some(url) = KeyValue::read(&merged.keys.otlp_endpoint).filter(|url| !url.is_empty()) else {
+        return Ok(None);
+    };
+    let parsed = url.parse::<http::Uri>().ok();
+    if parsed.is_some_and(|uri| uri.scheme_str() == Some("http") && uri.host().is_some_and(|host| !host.is_empty())) {
+        return Ok(Some(url));
+    }
+    let problem = format!(
+        "\"{url}\" is no address of a collector; allowed is http:// with a host and a port, such as http://127.0.0.1:4317"
+    );
+    Err(merged.refuse("otlp_endpoint", problem))
 }
 
 /// Where sessions are kept, if they are.
@@ -171,7 +189,7 @@ mod tests {
     #[test]
     fn every_error_names_key_source_and_what_is_allowed() {
         type Case<'a> = (&'a str, &'a [(&'static str, &'a str)], &'a [&'a str]);
-        let cases: [Case<'_>; 14] = [
+        let cases: [Case<'_>; 15] = [
             (
                 "upload_bytes = \"many\"",
                 &[],
@@ -184,6 +202,16 @@ mod tests {
                 "",
                 &[("listen", "localhost")],
                 &["listen", "\"localhost\"", "127.0.0.1:7411", "--listen"],
+            ),
+            (
+                "",
+                &[("otlp_endpoint", "collector:4317")],
+                &[
+                    "otlp_endpoint",
+                    "\"collector:4317\"",
+                    "http://127.0.0.1:4317",
+                    "--otlp-endpoint",
+                ],
             ),
             (
                 "",

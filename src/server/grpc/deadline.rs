@@ -23,6 +23,7 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::time::{Instant, Sleep};
 use tonic::service::Routes;
+use tracing::Instrument as _;
 
 /// The routes, each call measured and ended at its deadline.
 #[derive(Clone)]
@@ -79,7 +80,7 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
             None => Either::Right(tower::Service::call(&mut self.routes, request)),
         };
         Box::pin(async move {
-            let answer = AssertUnwindSafe(routed).catch_unwind();
+            let answer = AssertUnwindSafe(routed).catch_unwind().instrument(recorder.span());
             let answered = match deadline {
                 None => Ok(answer.await),
                 Some(at) => tokio::time::timeout_at(at, answer).await,

@@ -45,6 +45,7 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::Predicate;
+use tracing::Instrument as _;
 
 /// The number of a request; returned as it came.
 pub(super) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -108,7 +109,11 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         Problem::from(Error::draining()).into_response()
     } else {
         // A defect costs its call an answer of 500, not the connection.
-        match AssertUnwindSafe(next.run(request)).catch_unwind().await {
+        match AssertUnwindSafe(next.run(request))
+            .catch_unwind()
+            .instrument(recorder.span())
+            .await
+        {
             Ok(response) => response,
             Err(_panic) => Problem::internal("a call panicked").into_response(),
         }

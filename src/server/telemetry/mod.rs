@@ -5,9 +5,11 @@
 
 mod log;
 mod observe;
+mod traces;
 
 pub use log::start as start_log;
 pub(super) use observe::{Recorder, grpc_code};
+pub use traces::TraceExport;
 
 use crate::session::Manager;
 use prometheus_client::encoding::EncodeLabelSet;

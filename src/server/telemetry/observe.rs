@@ -1,5 +1,6 @@
 //! Measures a call to the end of its answer, whichever way it ends.
 
+use super::traces::call_span;
 use super::{Call, RouteLabels, Telemetry};
 use crate::server::auth::Principal;
 use axum::body::Body;
@@ -10,6 +11,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 use std::time::{Duration, Instant};
+use tracing::Span;
 
 /// Where lines of the access log go: one for each call, without its query and its headers, which may hold secrets.
 const ACCESS: &str = "pliant::access";
@@ -50,6 +52,7 @@ pub(in crate::server) struct Recorder {
     code: Option<Arc<str>>,
     /// Bytes of the answer's body that were sent.
     sent: u64,
+    span: Span,
 }
 
 impl Recorder {
@@ -61,16 +64,23 @@ impl Recorder {
         request: &Request<B>,
     ) -> Self {
         telemetry.in_flight.inc();
+        let route: Arc<str> = route.into();
         Self {
             telemetry: telemetry.clone(),
             transport,
-            route: route.into(),
+            span: call_span(transport, &route, &request_id, request.headers()),
+            route,
             request_id,
             access: AccessFacts::of(request),
             started: Instant::now(),
             code: None,
             sent: 0,
         }
+    }
+
+    /// The span of the call.
+    pub fn span(&self) -> Span {
+        self.span.clone()
     }
 
     /// The status with which the call will count.
@@ -119,6 +129,10 @@ impl Drop for Recorder {
         let elapsed = self.started.elapsed();
         self.telemetry.in_flight.dec();
         self.log(&code, elapsed);
+        self.span.record("request.code", &*code);
+        if ["500", "INTERNAL", "DATA_LOSS", "UNKNOWN"].contains(&&*code) {
+            self.span.record("otel.status_code", "ERROR");
+        }
         let route = RouteLabels {
             transport: self.transport,
             route: Arc::clone(&self.route),

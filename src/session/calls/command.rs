@@ -15,6 +15,7 @@ use crate::wire::{AnimateOrder, CarryOrder, PoseCommit, SessionEdit};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
+use tracing::Span;
 
 /// A request and where its answer goes.
 #[derive(Debug)]
@@ -66,12 +67,16 @@ pub(in crate::session) struct PendingCall<T> {
     /// When it was asked for: waiting counts against the time it may take.
     pub arrived: Instant,
     pub claim: Option<KeyClaim<StoredAnswer>>,
+    /// Of the call.
+    pub span: Span,
 }
 
 impl<T> PendingCall<T> {
-    /// Its work, which may take as long as `limit` from its arrival on.
-    pub fn order(&self, lane: WorkLane, limit: Duration) -> WorkOrder {
+    /// Its work, called `what`, which may take as long as `limit` from its arrival on.
+    pub fn order(&self, what: &'static str, lane: WorkLane, limit: Duration) -> WorkOrder {
         WorkOrder {
+            what,
+            call: self.span.clone(),
             lane,
             flag: Arc::clone(&self.cancel),
             arrived: self.arrived,
@@ -83,6 +88,10 @@ impl<T> PendingCall<T> {
 /// A piece of work for a session's engine.
 #[derive(Debug)]
 pub(in crate::session) struct WorkOrder {
+    /// What operators call it.
+    pub what: &'static str,
+    /// The span of whoever asked for it.
+    pub call: Span,
     pub lane: WorkLane,
     /// Stops it.
     pub flag: Arc<CancelFlag>,

@@ -38,6 +38,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
+use tracing::Span;
 
 /// Every session of this process. Cloning shares them.
 #[derive(Clone)]
@@ -345,6 +346,7 @@ impl Manager {
             cancel: Arc::clone(&guard.0),
             arrived: Instant::now(),
             claim,
+            span: Span::current(),
         });
         let mut session = Arc::clone(session);
         while let Err(error) = session.commands.try_send(command) {

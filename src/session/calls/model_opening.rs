@@ -5,6 +5,7 @@ use crate::engine::{self, HandleSet, OpenOptions, digest};
 use crate::exec::Exec;
 use crate::session::calls::session_places::{SessionPlaces, refuse, refuse_until};
 use crate::session::capacity::compute_slots::WorkLane;
+use crate::session::capacity::work_span::{tell_vertices, work_span};
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::engine::Engine;
 use crate::session::error::{Error, ErrorCode};
@@ -15,6 +16,7 @@ use crate::session::keeping::made_room::make_room;
 use crate::session::shared::SharedResources;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tracing::Span;
 
 /// A model, opened, with its history.
 pub(in crate::session) struct OpenedModel {
@@ -81,13 +83,18 @@ async fn build_model(
     let watch = Arc::new(WorkWatch::since(arrived, flags, config.build).within(Arc::clone(memory)));
     let (inner_watch, inside) = (Arc::clone(&watch), Arc::clone(shared));
     let begun = Instant::now();
+    let span = work_span("build", "", &Span::current());
+    span.record("queue_ms", slot.queued.as_secs_f64() * 1e3);
     let built = slot.run(move |pool| -> Result<OpenedModel, engine::Error> {
+        let _inside = span.entered();
         crate::progress::check(&*inner_watch)?;
         let engine: Box<dyn Engine> = inside
             .opener
             .open(files, &options, &limits, &Exec::new(pool, &*inner_watch))?;
         let build_ms = inner_watch.take_stage_ms();
+        inside.metrics.observe_stages(&build_ms);
         let rest = engine.rest_shape();
+        tell_vertices(rest.positions.len());
         let state = EditedState {
             topology: engine.topology_state(),
             diagonal: engine.diagonal(),

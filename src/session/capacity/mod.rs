@@ -6,4 +6,5 @@ pub(super) mod fair_line;
 pub(super) mod memory_ledger;
 pub(super) mod memory_use;
 pub(super) mod session_lease;
+pub(super) mod work_span;
 pub(super) mod work_watch;

@@ -8,6 +8,7 @@ use crate::engine::{
 };
 use crate::exec::Exec;
 use crate::pool::Pool;
+use crate::session::capacity::work_span::tell_solve;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::engine::Engine;
 use crate::session::history::session_state::{CommittedHandles, EditedState, HandleSetId, SessionState, ShapeRecipe};
@@ -209,7 +210,9 @@ impl LoadedDeformer {
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<SolvedShape, Error> {
         exec.check()?;
-        self.engine.solve(poses, settings, mode, exec, watch)
+        let solved = self.engine.solve(poses, settings, mode, exec, watch)?;
+        tell_solve(solved.cycles, solved.residual, solved.positions.len());
+        Ok(solved)
     }
 
     /// Makes a shape again.

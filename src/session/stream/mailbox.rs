@@ -15,6 +15,7 @@ use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose, merge_wai
 use crate::wire::{DeformOptions, StreamPose, StreamRequest};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
+use tracing::Span;
 
 /// Errors and notices that wait unread; more end the stream.
 const WAITING_NOTES: usize = 64;
@@ -54,6 +55,8 @@ pub(in crate::session) struct Mailbox {
     task: Arc<Notify>,
     /// Stops the solve of this stream.
     pub cancel: Arc<CancelFlag>,
+    /// Of the call that the stream is.
+    pub span: Span,
     metrics: Arc<Metrics>,
     max_commits: usize,
     max_entries: usize,
@@ -75,6 +78,7 @@ impl Mailbox {
             reader: Notify::new(),
             task,
             cancel: Arc::default(),
+            span: Span::current(),
             metrics,
             max_commits: config.stream_commits,
             max_entries: config.handles,

@@ -24,7 +24,7 @@ impl SessionTask {
         let limits = self.shared.config.animation_limits();
         let (prepared, watch) = self
             .compute(
-                call.order(WorkLane::Builds, self.shared.config.build),
+                call.order("animate", WorkLane::Builds, self.shared.config.build),
                 move |deformer, pool, watch, _| {
                     let teller = StageTeller { outbox: &outbox, watch };
                     let exec = &Exec::new(pool, &teller);

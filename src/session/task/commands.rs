@@ -54,7 +54,7 @@ impl SessionTask {
             }
             SessionCommand::Recall(revision, frame, call) => {
                 let limit = self.shared.config.build;
-                let order = || call.order(WorkLane::Interactive, limit);
+                let order = || call.order("recall", WorkLane::Interactive, limit);
                 let result = self.recall(revision, *frame, order).await;
                 send_answer(call, result, |_| None);
             }
@@ -89,7 +89,7 @@ impl SessionTask {
         };
         let room = self.memory.room();
         let (replaced, watch) = self
-            .compute(call.order(lane, limit), move |deformer, pool, watch, _| {
+            .compute(call.order("handles", lane, limit), move |deformer, pool, watch, _| {
                 deformer.engine.limit_memory(room);
                 let replaced = deformer.replace_handles(topology.as_ref(), &set, &Exec::new(pool, watch));
                 (replaced, set, watch.take_stage_ms())
@@ -104,6 +104,7 @@ impl SessionTask {
             facts: facts.clone(),
         };
         self.keep_handles(commit, call.claim.as_ref()).await?;
+        self.shared.metrics.observe_stages(&stages);
         self.build_ms.extend(stages);
         self.history.commit_handles(set, poses, facts);
         if let Some(deformer) = &mut self.deformer {
@@ -126,7 +127,7 @@ impl SessionTask {
         let settings = options.solve.clone();
         let (solved, watch) = self
             .compute(
-                call.order(WorkLane::Interactive, limit),
+                call.order("solve", WorkLane::Interactive, limit),
                 move |deformer, pool, watch, queued| {
                     let solution = deformer.solve_for_commit(&state, &changes, &options, watch, pool)?;
                     let context = FrameContext {
@@ -168,7 +169,7 @@ impl SessionTask {
         let index = target.ok_or_else(nothing)?;
         let limit = self.shared.config.build;
         let shape = self
-            .shape_of_commit(index, call.order(WorkLane::Interactive, limit))
+            .shape_of_commit(index, call.order("history", WorkLane::Interactive, limit))
             .await?
             .ok_or_else(nothing)?;
         self.keep_step(direction, index, call.claim.as_ref()).await?;
@@ -211,7 +212,7 @@ impl SessionTask {
         let topology = self.history.current().topology.clone();
         let (carried, watch) = self
             .compute(
-                call.order(WorkLane::Interactive, limit),
+                call.order("export", WorkLane::Interactive, limit),
                 move |deformer, pool, watch, _| {
                     let exec = Exec::new(pool, watch);
                     deformer.go_to_topology(topology.as_ref(), &exec)?;
@@ -240,7 +241,7 @@ impl SessionTask {
         let topology = self.history.current().topology.clone();
         let (written, watch) = self
             .compute(
-                call.order(WorkLane::Interactive, limit),
+                call.order("carry", WorkLane::Interactive, limit),
                 move |deformer, pool, watch, _| {
                     let exec = Exec::new(pool, watch);
                     deformer.go_to_topology(topology.as_ref(), &exec)?;

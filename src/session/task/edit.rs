@@ -34,18 +34,22 @@ impl SessionTask {
         let room = self.memory.room();
         let kept_edit = self.kept.is_some().then(|| edit.clone());
         let (done, watch) = self
-            .compute(call.order(WorkLane::Builds, limit), move |deformer, pool, watch, _| {
-                let start = EditStart {
-                    state: &state,
-                    shape,
-                    recipe: &recipe,
-                };
-                deformer.edit_state(start, &edit, room, &Exec::new(pool, watch))
-            })
+            .compute(
+                call.order("edit", WorkLane::Builds, limit),
+                move |deformer, pool, watch, _| {
+                    let start = EditStart {
+                        state: &state,
+                        shape,
+                        recipe: &recipe,
+                    };
+                    deformer.edit_state(start, &edit, room, &Exec::new(pool, watch))
+                },
+            )
             .await?;
         let (edited, shape, report) = done.map_err(|e| self.memory_failure(e, room, &watch))?;
         self.refuse_beyond_memory()?;
         let ms = watch.take_stage_ms();
+        self.shared.metrics.observe_stages(&ms);
         self.keep_edit(kept_edit, &edited, (&shape, &report), call.claim.as_ref())
             .await?;
         self.history.commit_edit(edited, shape);

@@ -68,6 +68,8 @@ impl SessionTask {
         let limit = if commit { longest } else { longest.saturating_mul(2) };
         let (revision, desk) = (self.history.revision(), Arc::clone(&mailbox));
         let order = WorkOrder {
+            what: if commit { "solve" } else { "drag" },
+            call: mailbox.span.clone(),
             lane: WorkLane::Interactive,
             flag: Arc::clone(&mailbox.cancel),
             arrived: Instant::now(),
@@ -181,6 +183,8 @@ impl SessionTask {
         let Some(commit) = poses.last() else { return };
         let limit = self.shared.config.build;
         let order = || WorkOrder {
+            what: "recall",
+            call: mailbox.span.clone(),
             lane: WorkLane::Interactive,
             flag: Arc::clone(&mailbox.cancel),
             arrived: Instant::now(),

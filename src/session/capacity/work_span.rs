@@ -1,0 +1,36 @@
+//! Spans of pieces of work, for those who follow a call through the server.
+
+use tracing::Span;
+use tracing::field::Empty;
+
+/// The target of every span: off in logs unless asked for, and what is exported.
+pub const SPANS: &str = "pliant_spans";
+
+/// The span of a piece of work that is called `what`, from its asking for a slot to its result. It is part of `call`, the span of
+/// whoever asked for it.
+pub(in crate::session) fn work_span(what: &'static str, session: &str, call: &Span) -> Span {
+    tracing::info_span!(
+        target: SPANS,
+        parent: call,
+        "work",
+        otel.name = what,
+        session.id = session,
+        queue_ms = Empty,
+        cycles = Empty,
+        residual = Empty,
+        vertices = Empty,
+    )
+}
+
+/// Tells the span of the work under way what a solve came to.
+pub(in crate::session) fn tell_solve(cycles: u32, residual: f64, vertices: usize) {
+    let span = Span::current();
+    span.record("cycles", cycles);
+    span.record("residual", residual);
+    tell_vertices(vertices);
+}
+
+/// Tells the span of the work under way how large the model is.
+pub(in crate::session) fn tell_vertices(vertices: usize) {
+    Span::current().record("vertices", vertices);
+}

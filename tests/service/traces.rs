@@ -1,0 +1,128 @@
+//! Spans of calls and of their work, as a collector gets them.
+
+use crate::support::program::ServedProgram;
+use crate::support::server::{bar_obj, ends, eventually, http, turn_json};
+use opentelemetry_proto::tonic::collector::trace::v1::trace_service_server::{TraceService, TraceServiceServer};
+use opentelemetry_proto::tonic::collector::trace::v1::{ExportTraceServiceRequest, ExportTraceServiceResponse};
+use opentelemetry_proto::tonic::common::v1::any_value::Value as AnyValue;
+use opentelemetry_proto::tonic::trace::v1::Span;
+use serde_json::json;
+use std::sync::{Arc, Mutex};
+use tokio_stream::wrappers::TcpListenerStream;
+use tonic::{Request, Response, Status};
+
+/// A collector that keeps what it is sent.
+#[derive(Clone, Default)]
+struct Collector(Arc<Mutex<Vec<Span>>>);
+
+#[tonic::async_trait]
+impl TraceService for Collector {
+    async fn export(
+        &self,
+        request: Request<ExportTraceServiceRequest>,
+    ) -> Result<Response<ExportTraceServiceResponse>, Status> {
+        let resources = request.into_inner().resource_spans.into_iter();
+        let scopes = resources.flat_map(|resource| resource.scope_spans);
+        self.0
+            .lock()
+            .expect("no panic")
+            .extend(scopes.flat_map(|scope| scope.spans));
+        Ok(Response::default())
+    }
+}
+
+impl Collector {
+    /// Starts it; its address.
+    async fn start(&self) -> String {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a port");
+        let address = listener.local_addr().expect("its address");
+        let service = TraceServiceServer::new(self.clone());
+        let served = tonic::transport::Server::builder()
+            .add_service(service)
+            .serve_with_incoming(TcpListenerStream::new(listener));
+        tokio::spawn(served);
+        format!("http://{address}")
+    }
+
+    fn named(&self, name: &str) -> Option<Span> {
+        self.0
+            .lock()
+            .expect("no panic")
+            .iter()
+            .find(|span| span.name == name)
+            .cloned()
+    }
+}
+
+fn attribute(span: &Span, key: &str) -> Option<AnyValue> {
+    let found = span.attributes.iter().find(|attribute| attribute.key == key)?;
+    found.value.clone()?.value
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_collector_gets_the_calls_and_their_work_as_part_of_the_callers_trace() {
+    let collector = Collector::default();
+    let address = collector.start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let server = ServedProgram::start(&folder.path().join("data"), &["--otlp-endpoint", &address]);
+    let id = server.open(bar_obj(8), "").await;
+    server
+        .done(
+            "PUT",
+            &format!("/v1/sessions/{id}/handles"),
+            Some(&json!({"handles": ends()})),
+        )
+        .await;
+    let trace = "4bf92f3577b34da6a3ce929d0e0e4736";
+    let answer = http()
+        .post(format!("{}/v1/sessions/{id}/solve", server.url))
+        .header("traceparent", format!("00-{trace}-00f067aa0ba902b7-01"))
+        .json(&turn_json(0.4))
+        .send()
+        .await
+        .expect("an answer");
+    assert_eq!(answer.status().as_u16(), 200, "{}", server.log());
+    answer.bytes().await.expect("a body");
+    eventually("the spans of the solve", async || {
+        collector.named("solve").is_some() && collector.named("/v1/sessions/{id}/solve").is_some()
+    })
+    .await;
+    let (call, solve) = (collector.named("/v1/sessions/{id}/solve"), collector.named("solve"));
+    let (call, solve) = (call.expect("the call"), solve.expect("its work"));
+    let hex = |bytes: &[u8]| bytes.iter().map(|b| format!("{b:02x}")).collect::<String>();
+    assert_eq!(
+        (hex(&call.trace_id).as_str(), hex(&call.parent_span_id).as_str()),
+        (trace, "00f067aa0ba902b7")
+    );
+    assert_eq!(
+        (solve.trace_id, &solve.parent_span_id),
+        (call.trace_id.clone(), &call.span_id)
+    );
+    let text = |span: &Span, key: &str| match attribute(span, key) {
+        Some(AnyValue::StringValue(text)) => text,
+        other => panic!("{key}: {other:?}"),
+    };
+    assert_eq!(
+        (text(&call, "request.code"), text(&solve, "session.id")),
+        ("200".to_owned(), id)
+    );
+    assert!(
+        matches!(attribute(&solve, "cycles"), Some(AnyValue::IntValue(1..))),
+        "{:?}",
+        solve.attributes
+    );
+    assert!(matches!(attribute(&solve, "queue_ms"), Some(AnyValue::DoubleValue(ms)) if ms >= 0.0));
+    assert!(
+        collector
+            .named("build")
+            .is_some_and(|build| attribute(&build, "vertices").is_some())
+    );
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_collector_that_is_not_there_hinders_nobody() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let server = ServedProgram::start(&folder.path().join("data"), &["--otlp-endpoint", "http://127.0.0.1:9"]);
+    let id = server.open(bar_obj(8), "").await;
+    server.done("GET", &format!("/v1/sessions/{id}"), None).await;
+}
