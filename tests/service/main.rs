@@ -5,6 +5,7 @@ mod drain;
 mod durable;
 mod grpc;
 mod hostile;
+mod hostile_calls;
 mod http;
 mod limits;
 mod security;
