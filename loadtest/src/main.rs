@@ -35,6 +35,10 @@ enum LoadtestCommand {
     Stream(load::StreamArgs),
     /// Commit and drag on servers that keep sessions in memory, in SQLite and in PostgreSQL, side by side
     Commits(commits::CommitsArgs),
+    /// Open, drag, edit and close sessions over and over, and look whether the server grows
+    Soak(load::soak::SoakArgs),
+    #[command(name = load::process::SERVER_COMMAND, hide = true)]
+    OwnServer,
     /// Write the second-pass system of a pose as files that any solver can read
     ExportSystem(solver::export::ExportArgs),
     /// Solve an exported system and say what it took
@@ -55,6 +59,8 @@ fn main() -> ExitCode {
     let outcome = match &LoadtestArgs::parse().command {
         LoadtestCommand::Stream(args) => load::command::run_stream(args),
         LoadtestCommand::Commits(args) => commits::command::run_commits(args),
+        LoadtestCommand::Soak(args) => load::soak::run_soak(args),
+        LoadtestCommand::OwnServer => load::process::run_own_server(),
         LoadtestCommand::ExportSystem(args) => solver::export::run_export(args),
         LoadtestCommand::Solver(args) => solver::command::run_solver(args),
         LoadtestCommand::Pipeline(args) => pipeline::first_frame::run_pipeline(args),

@@ -2,7 +2,6 @@
 
 use super::args::CommitsArgs;
 use super::measured_place::{PlaceRow, TimedCommit};
-use crate::load::ledger::percentile;
 use crate::shared::drag_scene::DragScene;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
@@ -14,6 +13,12 @@ struct PlaceFigures {
     commit: [f64; 2],
     above: [f64; 2],
     drag: [f64; 2],
+}
+
+/// The smallest of `sorted` that at least the share `q` (above 0, at most 1) of them does not exceed.
+fn percentile(sorted: &[f64], q: f64) -> Option<f64> {
+    let rank = (q * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.clamp(1, sorted.len().max(1)) - 1).copied()
 }
 
 fn shares_of(values: impl Iterator<Item = f64>) -> [f64; 2] {

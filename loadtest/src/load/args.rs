@@ -21,6 +21,11 @@ pub(crate) struct StreamArgs {
     /// Clients, each with a session of its own
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub clients: u32,
+    /// Rows of a table instead of one report: so many sessions at once in each, such as 1,4,16,64,256. The server is then a process
+    /// of its own, whose memory is told
+    #[arg(long, value_name = "N,N", value_delimiter = ',', num_args = 1..=8, conflicts_with_all = ["clients", "server"],
+        value_parser = clap::value_parser!(u32).range(1..=256))]
+    pub sessions: Vec<u32>,
     /// Stop sending after this many seconds, even when poses are left
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=600))]
     pub seconds: u32,
@@ -39,6 +44,23 @@ pub(crate) struct StreamArgs {
 }
 
 impl StreamArgs {
+    /// A few poses in quick succession.
+    pub fn short() -> Self {
+        Self {
+            server: None,
+            model: None,
+            poses: 4,
+            hz: 500,
+            clients: 1,
+            sessions: Vec::new(),
+            seconds: 60,
+            window: 2,
+            tolerance: 1e-3,
+            progressive: false,
+            json: false,
+        }
+    }
+
     /// The time from the start at which the pose after `sent` others is due.
     pub fn pose_due_at(&self, sent: u64) -> Duration {
         Duration::from_secs_f64(sent as f64 / f64::from(self.hz))

@@ -3,7 +3,7 @@
 use super::args::StreamArgs;
 use super::ledger::PoseLedger;
 use crate::failure::LoadtestFailure;
-use crate::shared::drag_scene::DragScene;
+use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
 use pliant::server::grpc::client::DeformerClient;
 use pliant::wire::pb::{self, create_session_request, deform_request, deform_response};
 use std::sync::Arc;
@@ -29,7 +29,10 @@ pub(crate) async fn drag_with_all_clients(
     let mut clients = JoinSet::new();
     for number in 0..args.clients {
         let (channel, scene, args) = (channel.clone(), scene.clone(), args.clone());
-        clients.spawn(async move { run_client(channel, &scene, &args, number).await });
+        clients.spawn(async move {
+            let client = LoadClient::open(channel, &scene, number).await?;
+            client.drag_and_close(&scene, &args).await
+        });
     }
     let mut total = PoseLedger::default();
     while let Some(done) = clients.join_next().await {
@@ -38,29 +41,82 @@ pub(crate) async fn drag_with_all_clients(
     Ok(total)
 }
 
-/// One client, from its first call to its last.
-async fn run_client(
-    channel: Channel,
-    scene: &DragScene,
-    args: &StreamArgs,
-    number: u32,
-) -> Result<PoseLedger, LoadtestFailure> {
-    let mut client = DeformerClient::new(channel);
-    let id = open_session(&mut client, scene, number).await?;
-    let outcome = drag_session(&mut client, &id, scene, args).await;
-    // Also after a failure: a session of a client that has gone would only wait for its expiry.
-    let closed = client.delete_session(pb::SessionRequest { session_id: id }).await;
-    let ledger = outcome?;
-    closed?;
-    Ok(ledger)
+/// A client with a session of its own, ready to drag.
+pub(crate) struct LoadClient {
+    client: DeformerClient<Channel>,
+    id: String,
+}
+
+impl LoadClient {
+    /// Opens a session and sets its handles.
+    ///
+    /// # Errors
+    /// What the server answers.
+    pub async fn open(channel: Channel, scene: &DragScene, number: u32) -> Result<Self, tonic::Status> {
+        let mut client = DeformerClient::new(channel);
+        let id = open_session(&mut client, scene, number).await?;
+        Ok(Self { client, id })
+    }
+
+    /// Drags until the poses or the time have ended, and closes the session.
+    pub async fn drag_and_close(mut self, scene: &DragScene, args: &StreamArgs) -> Result<PoseLedger, LoadtestFailure> {
+        let outcome = drag_session(&mut self.client, &self.id, scene, args).await;
+        // Also after a failure: a session of a client that has gone would only wait for its expiry.
+        let closed = self.close().await;
+        let ledger = outcome?;
+        closed?;
+        Ok(ledger)
+    }
+
+    /// Drags a little, commits, edits, goes back, and closes the session.
+    pub async fn work_and_close(mut self, scene: &DragScene) -> Result<(), LoadtestFailure> {
+        let args = StreamArgs::short();
+        let ledger = drag_session(&mut self.client, &self.id, scene, &args).await?;
+        if let Some(problem) = ledger.problems().first() {
+            return Err(LoadtestFailure::Server(problem.clone()));
+        }
+        let solve = pb::SolveRequest {
+            session_id: self.id.clone(),
+            pose: Some(scene.pose_number(FARTHEST_POSE)),
+            ..Default::default()
+        };
+        let mut frames = self.client.solve(solve).await?.into_inner();
+        while frames.message().await?.is_some() {}
+        let decimate = pb::edit_request::Decimate {
+            ratio: 0.8,
+            ..Default::default()
+        };
+        let edit = pb::EditRequest {
+            session_id: self.id.clone(),
+            operation: Some(pb::edit_request::Operation::Decimate(decimate)),
+            ..Default::default()
+        };
+        self.client.edit(edit).await?;
+        self.client
+            .undo(pb::SessionRequest {
+                session_id: self.id.clone(),
+            })
+            .await?;
+        Ok(self.close().await?)
+    }
+
+    /// Closes the session.
+    pub async fn close(mut self) -> Result<(), tonic::Status> {
+        let session_id = self.id;
+        self.client.delete_session(pb::SessionRequest { session_id }).await?;
+        Ok(())
+    }
 }
 
 /// Opens a session on the scene's model and sets its handles; its id.
+///
+/// # Errors
+/// What the server answers.
 pub(crate) async fn open_session(
     client: &mut DeformerClient<Channel>,
     scene: &DragScene,
     number: u32,
-) -> Result<String, LoadtestFailure> {
+) -> Result<String, tonic::Status> {
     let opened = client.create_session(tokio_stream::iter(upload_messages(scene, number)));
     let session_id = opened.await?.into_inner().id;
     let handles = pb::SetHandlesRequest {
@@ -71,7 +127,7 @@ pub(crate) async fn open_session(
     if let Err(status) = client.set_handles(handles).await {
         // A session of a client that has gone would only wait for its expiry.
         let _ = client.delete_session(pb::SessionRequest { session_id }).await;
-        return Err(status.into());
+        return Err(status);
     }
     Ok(session_id)
 }
@@ -152,7 +208,7 @@ async fn drag_session(
                 return Err(LoadtestFailure::Server(format!("the stream failed: {}", error.message)));
             }
             Some(deform_response::Message::Error(error)) => {
-                ledger.refused += 1;
+                ledger.enter_error(error.code);
                 Some(error.seq)
             }
             Some(deform_response::Message::Notice(_) | deform_response::Message::Pong(_)) => None,

@@ -4,6 +4,7 @@ use super::args::StreamArgs;
 use super::client::drag_with_all_clients;
 use super::report::{json_report, text_report};
 use super::server::LoadedServer;
+use super::sessions::load_with_many_sessions;
 use crate::failure::LoadtestFailure;
 use crate::shared::drag_scene::DragScene;
 
@@ -11,7 +12,11 @@ use crate::shared::drag_scene::DragScene;
 pub(crate) fn run_stream(args: &StreamArgs) -> Result<(), LoadtestFailure> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
     let runtime = runtime.map_err(|e| LoadtestFailure::Server(format!("cannot start threads: {e}")))?;
-    runtime.block_on(stream_poses(args))
+    if args.sessions.is_empty() {
+        runtime.block_on(stream_poses(args))
+    } else {
+        runtime.block_on(load_with_many_sessions(args))
+    }
 }
 
 async fn stream_poses(args: &StreamArgs) -> Result<(), LoadtestFailure> {
@@ -66,7 +71,7 @@ mod tests {
         assert_eq!((ledger.clients, ledger.sent, ledger.refused), (3, 120, 0));
         assert!(ledger.finals >= 3, "every client's last pose has a final frame");
         assert_eq!(ledger.finals + ledger.superseded, 120);
-        assert_eq!(ledger.latency_ms.len() as u64, ledger.finals);
+        assert_eq!(ledger.latency.count(), ledger.finals);
         let report: serde_json::Value = serde_json::from_str(&json_report(&ledger, &scene, &args("--json"))).unwrap();
         assert_eq!(report["poses"]["sent"], 120);
         assert_eq!(report["poses"]["balanced"], true);
@@ -89,6 +94,9 @@ mod tests {
             "--clients 65",
             "--seconds 601",
             "--window 0",
+            "--sessions 257",
+            "--sessions 1,0",
+            "--sessions 4 --clients 2",
         ] {
             let words = std::iter::once("stream").chain(line.split_whitespace());
             assert!(StreamCommand::try_parse_from(words).is_err(), "{line}");

@@ -1,5 +1,6 @@
 //! What was sent and what came back.
 
+use super::times::Times;
 use pliant::wire::pb;
 use std::time::Duration;
 
@@ -14,6 +15,8 @@ pub(crate) struct PoseLedger {
     pub finals: u64,
     /// Poses answered by an error.
     pub refused: u64,
+    /// Those of them whose error was not that the server has no room.
+    pub failed: u64,
     /// Poses that frames say were skipped for newer ones.
     pub superseded: u64,
     /// Frames before the final one of their pose.
@@ -23,11 +26,11 @@ pub(crate) struct PoseLedger {
     /// Bytes of vertex data.
     pub bytes: u64,
     /// Of every final frame: from when its pose was due until its last part was here.
-    pub latency_ms: Vec<f64>,
+    pub latency: Times,
     /// Of every final frame: solving, as the server says.
-    pub solve_ms: Vec<f64>,
+    pub solve: Times,
     /// Of every final frame: waiting for a compute slot, as the server says.
-    pub queue_ms: Vec<f64>,
+    pub queue: Times,
     /// From the first pose to the last frame, of the slowest client.
     pub elapsed: Duration,
     /// What is wrong beyond the sums.
@@ -80,10 +83,26 @@ impl PoseLedger {
             return false;
         }
         self.finals += 1;
-        self.latency_ms.push(latency(frame.seq).as_secs_f64() * 1e3);
-        self.solve_ms.push(frame.solve_ms);
-        self.queue_ms.push(frame.queue_ms);
+        self.latency.enter(latency(frame.seq));
+        self.solve.enter_ms(frame.solve_ms);
+        self.queue.enter_ms(frame.queue_ms);
         true
+    }
+
+    /// Enters a pose that was answered by an error with that gRPC status.
+    pub fn enter_error(&mut self, status: u32) {
+        self.refused += 1;
+        self.failed += u64::from(status != tonic::Code::ResourceExhausted as u32);
+    }
+
+    /// Final frames a second.
+    pub fn frames_per_second(&self) -> f64 {
+        let seconds = self.elapsed.as_secs_f64();
+        if seconds > 0.0 {
+            self.finals as f64 / seconds
+        } else {
+            0.0
+        }
     }
 
     /// Notes something that is wrong.
@@ -97,13 +116,14 @@ impl PoseLedger {
         self.sent += other.sent;
         self.finals += other.finals;
         self.refused += other.refused;
+        self.failed += other.failed;
         self.superseded += other.superseded;
         self.intermediate += other.intermediate;
         self.parts += other.parts;
         self.bytes += other.bytes;
-        self.latency_ms.extend(other.latency_ms);
-        self.solve_ms.extend(other.solve_ms);
-        self.queue_ms.extend(other.queue_ms);
+        self.latency.add(&other.latency);
+        self.solve.add(&other.solve);
+        self.queue.add(&other.queue);
         self.elapsed = self.elapsed.max(other.elapsed);
         self.broken.extend(other.broken);
     }
@@ -128,12 +148,6 @@ impl PoseLedger {
     }
 }
 
-/// The smallest of `sorted` that at least the share `q` (above 0, at most 1) of them does not exceed.
-pub(crate) fn percentile(sorted: &[f64], q: f64) -> Option<f64> {
-    let rank = (q * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.clamp(1, sorted.len().max(1)) - 1).copied()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -148,17 +162,6 @@ mod tests {
             data: vec![0; 12].into(),
             ..Default::default()
         }
-    }
-
-    #[test]
-    fn percentiles_are_values_that_were_seen() {
-        let hundred: Vec<f64> = (1..=100).map(f64::from).collect();
-        let of = |q| percentile(&hundred, q);
-        assert_eq!(
-            (of(0.5), of(0.99), of(1.0), of(1e-9)),
-            (Some(50.0), Some(99.0), Some(100.0), Some(1.0))
-        );
-        assert_eq!((percentile(&[7.0], 0.99), percentile(&[], 0.5)), (Some(7.0), None));
     }
 
     #[test]

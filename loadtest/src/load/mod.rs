@@ -4,7 +4,11 @@ mod args;
 pub(crate) mod client;
 pub(crate) mod command;
 pub(crate) mod ledger;
+pub(crate) mod process;
 mod report;
 pub(crate) mod server;
+mod sessions;
+pub(crate) mod soak;
+mod times;
 
 pub(crate) use args::StreamArgs;

@@ -1,7 +1,8 @@
 //! The ledger as a person or a program reads it.
 
 use super::args::StreamArgs;
-use super::ledger::{PoseLedger, percentile};
+use super::ledger::PoseLedger;
+use super::times::Times;
 use crate::shared::drag_scene::DragScene;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
@@ -9,17 +10,11 @@ use std::fmt::Write as _;
 /// The shares that are told.
 const SHARES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("max", 1.0)];
 
-fn sort_values(values: &[f64]) -> Vec<f64> {
-    let mut values = values.to_vec();
-    values.sort_by(f64::total_cmp);
-    values
-}
-
-fn sorted_times(ledger: &PoseLedger) -> [(&'static str, Vec<f64>); 3] {
+fn times(ledger: &PoseLedger) -> [(&'static str, &Times); 3] {
     [
-        ("latency", sort_values(&ledger.latency_ms)),
-        ("solve", sort_values(&ledger.solve_ms)),
-        ("queue", sort_values(&ledger.queue_ms)),
+        ("latency", &ledger.latency),
+        ("solve", &ledger.solve),
+        ("queue", &ledger.queue),
     ]
 }
 
@@ -49,7 +44,7 @@ pub(crate) fn text_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamA
         ledger.intermediate,
         ledger.parts,
         ledger.bytes as f64 / f64::from(1 << 20),
-        frames_per_second(ledger)
+        ledger.frames_per_second()
     );
     let _ = writeln!(
         text,
@@ -57,9 +52,12 @@ pub(crate) fn text_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamA
         "ms",
         SHARES.map(|(name, _)| format!("{name:>10}")).concat()
     );
-    for (name, values) in sorted_times(ledger) {
-        let cells = SHARES
-            .map(|(_, q)| percentile(&values, q).map_or_else(|| format!("{:>10}", "-"), |ms| format!("{ms:>10.2}")));
+    for (name, values) in times(ledger) {
+        let cells = SHARES.map(|(_, q)| {
+            values
+                .share_ms(q)
+                .map_or_else(|| format!("{:>10}", "-"), |ms| format!("{ms:>10.2}"))
+        });
         let _ = writeln!(text, "{name:9}{}", cells.concat());
     }
     text
@@ -67,12 +65,12 @@ pub(crate) fn text_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamA
 
 /// One JSON document.
 pub(crate) fn json_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamArgs) -> String {
-    let ms: serde_json::Map<String, Value> = sorted_times(ledger)
+    let ms: serde_json::Map<String, Value> = times(ledger)
         .into_iter()
         .map(|(name, values)| {
             let shares: serde_json::Map<String, Value> = SHARES
                 .into_iter()
-                .map(|(share, q)| (share.to_owned(), json!(percentile(&values, q))))
+                .map(|(share, q)| (share.to_owned(), json!(values.share_ms(q))))
                 .collect();
             (name.to_owned(), Value::Object(shares))
         })
@@ -95,19 +93,10 @@ pub(crate) fn json_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamA
             "intermediate": ledger.intermediate,
             "parts": ledger.parts,
             "bytes": ledger.bytes,
-            "finalPerSecond": frames_per_second(ledger),
+            "finalPerSecond": ledger.frames_per_second(),
         },
         "ms": ms,
         "problems": problems,
     });
     report.to_string()
-}
-
-fn frames_per_second(ledger: &PoseLedger) -> f64 {
-    let seconds = ledger.elapsed.as_secs_f64();
-    if seconds > 0.0 {
-        ledger.finals as f64 / seconds
-    } else {
-        0.0
-    }
 }

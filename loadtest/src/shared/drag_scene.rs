@@ -1,7 +1,8 @@
 //! What every client deforms: a model, one end of it held, the other end moving.
 
 use crate::failure::LoadtestFailure;
-use pliant::asset::{FileSet, Limits, Model, sample};
+use glam::DVec3;
+use pliant::asset::{FileSet, Limits, Model, sample, shapes};
 use pliant::wire::pb;
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -39,6 +40,23 @@ impl DragScene {
                 (path.display().to_string(), std::fs::read(path).map_err(refuse)?)
             }
         };
+        Self::of_file(name, bytes)
+    }
+
+    /// A small closed bar: what a session of it takes is mostly what any session takes.
+    pub fn small_bar() -> Result<Self, LoadtestFailure> {
+        let (points, triangles) = shapes::box_with_cells(DVec3::new(0.5, 0.5, 4.0), [4, 4, 32]);
+        let mut text = String::new();
+        for p in points {
+            text += &format!("v {} {} {}\n", p.x, p.y, p.z);
+        }
+        for [a, b, c] in triangles {
+            text += &format!("f {} {} {}\n", a + 1, b + 1, c + 1);
+        }
+        Self::of_file("bar.obj".into(), text.into_bytes())
+    }
+
+    fn of_file(name: String, bytes: Vec<u8>) -> Result<Self, LoadtestFailure> {
         let model = Model::read(FileSet::single(name.clone(), bytes.clone()), None, &Limits::default())
             .map_err(|e| LoadtestFailure::Usage(format!("{name}: {e}")))?;
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);

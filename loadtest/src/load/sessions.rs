@@ -1,0 +1,198 @@
+//! Many sessions at once: a row for each number of them, up to and past what the server can do.
+
+use super::args::StreamArgs;
+use super::client::LoadClient;
+use super::ledger::PoseLedger;
+use super::process::{ProcessUse, ServerProcess};
+use crate::failure::LoadtestFailure;
+use crate::shared::drag_scene::DragScene;
+use serde_json::json;
+use tokio::task::JoinSet;
+use tonic::Code;
+use tonic::transport::Channel;
+
+/// Sessions that are opened at the same time.
+const OPENED_AT_ONCE: usize = 4;
+/// Sessions that share a connection.
+const PER_CONNECTION: u32 = 16;
+
+/// What one number of sessions led to.
+struct LoadRow {
+    sessions: u32,
+    /// Sessions that the server had no room for.
+    turned_away: u32,
+    ledger: PoseLedger,
+    server: ProcessUse,
+}
+
+/// Runs every row on a server of its own, and prints the table.
+pub(crate) async fn load_with_many_sessions(args: &StreamArgs) -> Result<(), LoadtestFailure> {
+    let scene = DragScene::load(args.model.as_deref())?;
+    let mut rows = Vec::new();
+    for &sessions in &args.sessions {
+        let server = ServerProcess::start().await?;
+        let row = load_row(&server, &scene, args, sessions).await?;
+        server.stop().await?;
+        if !args.json {
+            eprintln!("{sessions} sessions: {:.1} frames/s", row.ledger.frames_per_second());
+        }
+        rows.push(row);
+    }
+    if args.json {
+        println!("{}", json_table(&rows, &scene, args));
+    } else {
+        print!("{}", text_table(&rows, &scene, args));
+    }
+    let problems: Vec<String> = rows.iter().flat_map(problems_of).collect();
+    match problems.is_empty() {
+        true => Ok(()),
+        false => Err(LoadtestFailure::Server(problems.join("; "))),
+    }
+}
+
+fn problems_of(row: &LoadRow) -> Vec<String> {
+    let mut problems = row.ledger.problems();
+    if row.ledger.failed > 0 {
+        problems.push(format!(
+            "{} poses failed for other reasons than room",
+            row.ledger.failed
+        ));
+    }
+    problems
+        .iter()
+        .map(|problem| format!("{} sessions: {problem}", row.sessions))
+        .collect()
+}
+
+async fn load_row(
+    server: &ServerProcess,
+    scene: &DragScene,
+    args: &StreamArgs,
+    sessions: u32,
+) -> Result<LoadRow, LoadtestFailure> {
+    let mut channels = Vec::new();
+    for _ in 0..sessions.div_ceil(PER_CONNECTION) {
+        channels.push(server.open_channel().await?);
+    }
+    let (clients, turned_away) = open_all(&channels, scene, sessions).await?;
+    // All begin together, when the last is open.
+    let mut dragging = JoinSet::new();
+    for client in clients {
+        let (scene, args) = (scene.clone(), args.clone());
+        dragging.spawn(async move { client.drag_and_close(&scene, &args).await });
+    }
+    let mut ledger = PoseLedger::default();
+    while let Some(done) = dragging.join_next().await {
+        ledger.add_ledger(done.map_err(|e| LoadtestFailure::Server(format!("a client failed: {e}")))??);
+    }
+    Ok(LoadRow {
+        sessions,
+        turned_away,
+        ledger,
+        server: server.now_used(),
+    })
+}
+
+/// Opens the sessions, a few at a time; how many the server had no room for.
+async fn open_all(
+    channels: &[Channel],
+    scene: &DragScene,
+    sessions: u32,
+) -> Result<(Vec<LoadClient>, u32), LoadtestFailure> {
+    let (mut clients, mut turned_away, mut opening) = (Vec::new(), 0, JoinSet::new());
+    let mut numbers = 0..sessions;
+    loop {
+        while opening.len() < OPENED_AT_ONCE {
+            let Some(number) = numbers.next() else { break };
+            let channel = channels[(number / PER_CONNECTION) as usize].clone();
+            let scene = scene.clone();
+            opening.spawn(async move { LoadClient::open(channel, &scene, number).await });
+        }
+        let Some(done) = opening.join_next().await else { break };
+        match done.map_err(|e| LoadtestFailure::Server(format!("a client failed: {e}")))? {
+            Ok(client) => clients.push(client),
+            Err(status) if status.code() == Code::ResourceExhausted => turned_away += 1,
+            Err(status) => return Err(status.into()),
+        }
+    }
+    Ok((clients, turned_away))
+}
+
+fn peak_of(rows: &[LoadRow]) -> f64 {
+    rows.iter()
+        .map(|row| row.ledger.frames_per_second())
+        .fold(0.0, f64::max)
+}
+
+fn mebibytes(bytes: u64) -> f64 {
+    bytes as f64 / f64::from(1 << 20)
+}
+
+fn text_table(rows: &[LoadRow], scene: &DragScene, args: &StreamArgs) -> String {
+    let mut text = format!(
+        "{} vertices, {} poses/s a session, {} s, latency in ms from when a pose was due\n\
+         sessions  turned away  frames/s  of peak  superseded  refused  failed   MiB/s      p50      p90      p99      max  peak MiB\n",
+        scene.vertices, args.hz, args.seconds
+    );
+    for row in rows {
+        let LoadRow {
+            sessions,
+            turned_away,
+            ledger,
+            server,
+        } = row;
+        let share = |q: f64| {
+            ledger
+                .latency
+                .share_ms(q)
+                .map_or_else(|| "-".to_owned(), |ms| format!("{ms:.1}"))
+        };
+        let seconds = ledger.elapsed.as_secs_f64().max(1e-9);
+        text += &format!(
+            "{sessions:8}  {turned_away:11}  {:8.1}  {:6.0}%  {:10}  {:7}  {:6}  {:6.1}  {:>7}  {:>7}  {:>7}  {:>7}  {:8.0}\n",
+            ledger.frames_per_second(),
+            100.0 * ledger.frames_per_second() / peak_of(rows).max(1e-9),
+            ledger.superseded,
+            ledger.refused,
+            ledger.failed,
+            mebibytes(ledger.bytes) / seconds,
+            share(0.5),
+            share(0.9),
+            share(0.99),
+            share(1.0),
+            mebibytes(server.peak),
+        );
+    }
+    text
+}
+
+fn json_table(rows: &[LoadRow], scene: &DragScene, args: &StreamArgs) -> String {
+    let rows: Vec<_> = rows
+        .iter()
+        .map(|row| {
+            let ledger = &row.ledger;
+            let seconds = ledger.elapsed.as_secs_f64();
+            json!({
+                "sessions": row.sessions,
+                "turnedAway": row.turned_away,
+                "sent": ledger.sent,
+                "frames": ledger.finals,
+                "framesPerSecond": ledger.frames_per_second(),
+                "superseded": ledger.superseded,
+                "refused": ledger.refused,
+                "failed": ledger.failed,
+                "bytes": ledger.bytes,
+                "seconds": seconds,
+                "latencyMs": {
+                    "p50": ledger.latency.share_ms(0.5),
+                    "p90": ledger.latency.share_ms(0.9),
+                    "p99": ledger.latency.share_ms(0.99),
+                    "max": ledger.latency.share_ms(1.0),
+                },
+                "peakResidentBytes": row.server.peak,
+                "problems": problems_of(row),
+            })
+        })
+        .collect();
+    json!({"vertices": scene.vertices, "hz": args.hz, "rows": rows}).to_string()
+}
