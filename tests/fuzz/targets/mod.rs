@@ -1,0 +1,36 @@
+//! What is given arbitrary bytes, and what must hold whatever they are: nothing panics, nothing hangs, nothing is taken beyond its
+//! limit, and what was accepted can be written and read again.
+//!
+//! The tests of this folder run every target on stored and mutated inputs; `coverage` runs the same functions under libFuzzer.
+#![allow(dead_code)]
+
+pub mod byte_draw;
+pub mod edits;
+pub mod jobs;
+pub mod messages;
+pub mod models;
+pub mod motion;
+pub mod records;
+
+/// A function that is given arbitrary bytes.
+pub type FuzzTarget = fn(&[u8]);
+
+/// Every target by its name, which is that of its folders of inputs.
+pub const TARGETS: [(&str, FuzzTarget); 16] = [
+    ("obj", models::obj),
+    ("ply", models::ply),
+    ("off", models::off),
+    ("stl", models::stl),
+    ("glb", models::glb),
+    ("gltf", models::gltf),
+    ("fbx", models::fbx),
+    ("any_model", models::any_model),
+    ("bvh", motion::bvh),
+    ("rig", motion::rig),
+    ("messages", messages::messages),
+    ("json", messages::json),
+    ("jobs", jobs::jobs),
+    ("edits", edits::edits),
+    ("commit_records", records::commits),
+    ("model_records", records::models),
+];
