@@ -27,7 +27,7 @@ impl TraceService for Collector {
             .lock()
             .expect("no panic")
             .extend(scopes.flat_map(|scope| scope.spans));
-        Ok(Response::default())
+        Ok(Response::new(ExportTraceServiceResponse::default()))
     }
 }
 
@@ -95,7 +95,7 @@ async fn a_collector_gets_the_calls_and_their_work_as_part_of_the_callers_trace(
         (trace, "00f067aa0ba902b7")
     );
     assert_eq!(
-        (solve.trace_id, &solve.parent_span_id),
+        (solve.trace_id.clone(), &solve.parent_span_id),
         (call.trace_id.clone(), &call.span_id)
     );
     let text = |span: &Span, key: &str| match attribute(span, key) {
