@@ -80,8 +80,8 @@ impl FileNotes for StlNotes {}
 
 fn recognise(bytes: &[u8]) -> Recognition {
     // A binary file says nothing but its triangle count, which must fit the length exactly.
-    let exact = declared_facets(bytes).is_some_and(|count| binary_length(count) == bytes.len() as u64);
-    Recognition::mark(exact).max(Recognition::words(bytes.trim_ascii_start().starts_with(b"solid")))
+    Recognition::mark(is_as_long_as_binary(bytes))
+        .max(Recognition::words(bytes.trim_ascii_start().starts_with(b"solid")))
 }
 
 /// How long a binary file of so many facets is.
@@ -107,8 +107,7 @@ fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, StlNotes), Err
         .is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
     let declared = declared_facets(bytes);
     // Some programs begin binary files with the word `solid` too; the length tells them.
-    let exact = declared.is_some_and(|count| binary_length(count) == bytes.len() as u64);
-    let binary = exact || !text;
+    let binary = is_as_long_as_binary(bytes) || !text;
     let mut positions = Vec::new();
     let mut extra = 0;
     if binary {
@@ -309,7 +308,17 @@ fn patch(model: &Model, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
             patch.replace_changed(words, old[i], new[i], NumberPrecision::Double);
         }
     }
-    Ok(patch.finish())
+    let mut out = patch.finish();
+    if is_as_long_as_binary(&out) {
+        out.push(b'\n');
+    }
+    Ok(out)
+}
+
+/// Whether the length is that of a binary file with the count that stands there, which a text may come to by chance; it would
+/// then be read as one.
+fn is_as_long_as_binary(bytes: &[u8]) -> bool {
+    declared_facets(bytes).is_some_and(|count| binary_length(count) == bytes.len() as u64)
 }
 
 /// A binary file of an edited model; a binary source keeps its header, and facets the attribute of those they lie on.
