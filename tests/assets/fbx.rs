@@ -1,6 +1,6 @@
 //! FBX files, which become GLBs. Their figures stand in the files that the tests make themselves.
 
-use crate::fbx_text::{CUBE, CUBE_FACES, FbxText, bar, cube, shaped_cube};
+use crate::support::fbx_text::{CUBE, CUBE_FACES, FbxText, bar, cube, shaped_cube};
 use crate::support::gltf_parsed::{Parsed, parse};
 use crate::support::skinning::{ClipTime, clip_length, draw};
 use glam::DVec3;

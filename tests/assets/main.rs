@@ -5,7 +5,6 @@ mod bound;
 mod clips;
 mod draco;
 mod fbx;
-mod fbx_text;
 mod figure;
 mod hostile_gltf;
 mod hostile_motion;

@@ -150,7 +150,7 @@ fn cameras_of_real_models_ride_along() {
 
 #[test]
 fn nodes_of_an_fbx_ride_along_where_the_result_has_nodes() {
-    let files = || FileSet::single("cube.fbx", crate::fbx_text::cube().text().into_bytes());
+    let files = || FileSet::single("cube.fbx", crate::support::fbx_text::cube().text().into_bytes());
     let found = pliant::batch::inspect(
         files(),
         &pb::CreateOptions::default(),

@@ -1,10 +1,8 @@
 //! What the runs begin with: small inputs of every kind, generated ones and, where the data folder is there, files of it.
 
-#[path = "../assets/fbx_text.rs"]
-mod fbx_text;
-
 use crate::found::found_inputs;
 use crate::support::data::{data_root, files_below};
+use crate::support::fbx_text::FbxText;
 use crate::targets::TARGETS;
 use crate::targets::jobs::{LIMITS, box_file};
 use glam::DVec3;
@@ -143,7 +141,7 @@ fn small_files(extensions: &[&str]) -> Vec<Vec<u8>> {
 }
 
 fn fbx() -> Vec<u8> {
-    let mut file = fbx_text::FbxText::new();
+    let mut file = FbxText::new();
     file.node(1, "Mesh", "a", [0.0, 1.0, 0.0], 0);
     let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]];
     file.mesh(2, 1, &points, &[&[0, 1, 2, 3]], "");

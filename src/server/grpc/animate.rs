@@ -3,7 +3,7 @@
 //! The response body pulls frames, one part at a time, as fast as HTTP/2 lets it. Dropping it (the client left, or its deadline
 //! passed) stops the animation.
 
-use super::status::status;
+use super::status::{inbound_message, status};
 use crate::server::animation_frames::AnimationFrames;
 use crate::server::state::State;
 use crate::session::{AnimationControl, Error, ErrorCode, Manager, Tenant};
@@ -111,7 +111,7 @@ async fn next_message(
     patience: std::time::Duration,
 ) -> Result<Option<Message>, Status> {
     let next = tokio::select! {
-        next = tokio::time::timeout(patience, inbound.message()) => next,
+        next = tokio::time::timeout(patience, inbound_message(inbound)) => next,
         () = state.draining.cancelled() => return Err(status(Error::draining())),
     };
     let next = next.map_err(|_| {
@@ -158,7 +158,7 @@ async fn pump_acknowledgements(
     mut inbound: Streaming<pb::AnimateRequest>,
     input: &AnimationControl,
 ) -> Result<(), Status> {
-    while let Some(request) = inbound.message().await? {
+    while let Some(request) = inbound_message(&mut inbound).await? {
         match request.message {
             Some(Message::Ack(ack)) => input.acknowledge(ack.seq),
             Some(Message::Cancel(_)) => input.cancel_animation(),

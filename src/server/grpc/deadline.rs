@@ -94,6 +94,7 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
                 }
                 Err(_elapsed) => late().into_http(),
             };
+            blame_the_frame(response.headers_mut());
             if let Ok(id) = echoed {
                 response.headers_mut().insert("x-request-id", id);
             }
@@ -119,6 +120,20 @@ const COMMON: [&str; 3] = [
     "grpc.reflection.v1.ServerReflection",
     "grpc.reflection.v1alpha.ServerReflection",
 ];
+
+/// Turns the refusal of bytes that are no frames of gRPC into what it is, a fault of the caller: the library calls it INTERNAL.
+fn blame_the_frame(headers: &mut HeaderMap) {
+    const FAULTS: [&str; 3] = [
+        "Missing%20request%20message",
+        "Unexpected%20EOF%20decoding%20stream",
+        "protocol%20error:%20received%20message",
+    ];
+    let is_internal = headers.get("grpc-status").is_some_and(|status| status == "13");
+    let message = headers.get("grpc-message").and_then(|message| message.to_str().ok());
+    if is_internal && message.is_some_and(|message| FAULTS.iter().any(|fault| message.starts_with(fault))) {
+        headers.insert("grpc-status", HeaderValue::from_static("3"));
+    }
+}
 
 fn late() -> tonic::Status {
     super::status::status(Error::new(

@@ -3,8 +3,8 @@
 use crate::session::{Error, ErrorCode};
 use std::collections::HashMap;
 use std::time::Duration;
-use tonic::Status;
 use tonic::metadata::MetadataMap;
+use tonic::{Code, Status, Streaming};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
 /// Status messages travel as headers, whose size clients bound.
@@ -34,6 +34,20 @@ pub(super) fn status(error: Error) -> Status {
     }
     let code = tonic::Code::from_i32(error.grpc_code());
     Status::with_error_details_and_metadata(code, message, details, metadata)
+}
+
+/// The next message of a client. What is no frame of gRPC is its sender's fault; the library calls it INTERNAL.
+///
+/// # Cancel safety
+/// As [`Streaming::message`].
+pub(super) async fn inbound_message<T>(inbound: &mut Streaming<T>) -> Result<Option<T>, Status> {
+    inbound.message().await.map_err(|broken| match broken.code() {
+        Code::Internal => status(Error::malformed(format!(
+            "the frame cannot be read: {}",
+            broken.message()
+        ))),
+        _ => broken,
+    })
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 //! poses replace older ones even while the client does not read; the response body pulls frames out, one at a time, as
 //! fast as HTTP/2 lets it. Dropping the body (the client left, or its deadline passed) drops both.
 
-use super::status::status;
+use super::status::{inbound_message, status};
 use crate::server::state::State;
 use crate::server::stream_ends::{RequestEnd, ResponseEnd, message_ends};
 use crate::session::{Error, ErrorCode, Manager, Tenant};
@@ -66,7 +66,7 @@ impl Open {
     ) -> Result<Self, Status> {
         let patience = state.config.header_timeout;
         let first = tokio::select! {
-            first = tokio::time::timeout(patience, inbound.message()) => first,
+            first = tokio::time::timeout(patience, inbound_message(&mut inbound)) => first,
             () = state.draining.cancelled() => return Err(status(Error::draining())),
         };
         let first = first.map_err(|_| {
@@ -144,7 +144,7 @@ fn failure(response: &pb::DeformResponse) -> Option<Status> {
 }
 
 async fn pump(mut inbound: Streaming<pb::DeformRequest>, input: &RequestEnd, id: &str) -> Result<(), Status> {
-    while let Some(request) = inbound.message().await? {
+    while let Some(request) = inbound_message(&mut inbound).await? {
         if !request.session_id.is_empty() && request.session_id != id {
             return Err(status(Error::invalid(
                 "sessionId",

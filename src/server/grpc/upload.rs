@@ -1,6 +1,6 @@
 //! The CreateSession stream: options, then the model's bytes, then companions.
 
-use super::status::status;
+use super::status::{inbound_message, status};
 use crate::asset::FileSet;
 use crate::server::state::State;
 use crate::server::upload_pace::UploadPace;
@@ -42,7 +42,7 @@ pub(super) async fn receive(
     let mut pace = UploadPace::new(&state.config);
     loop {
         let message = tokio::select! {
-            message = tokio::time::timeout_at(pace.due(), inbound.message()) => message,
+            message = tokio::time::timeout_at(pace.due(), inbound_message(&mut inbound)) => message,
             () = state.draining.cancelled() => return Err(status(Error::draining())),
         };
         match message {

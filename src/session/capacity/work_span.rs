@@ -25,12 +25,13 @@ pub(in crate::session) fn work_span(what: &'static str, session: &str, call: &Sp
 /// Tells the span of the work under way what a solve came to.
 pub(in crate::session) fn tell_solve(cycles: u32, residual: f64, vertices: usize) {
     let span = Span::current();
-    span.record("cycles", cycles);
+    // Collectors know no unsigned numbers.
+    span.record("cycles", i64::from(cycles));
     span.record("residual", residual);
     tell_vertices(vertices);
 }
 
 /// Tells the span of the work under way how large the model is.
 pub(in crate::session) fn tell_vertices(vertices: usize) {
-    Span::current().record("vertices", vertices);
+    Span::current().record("vertices", i64::try_from(vertices).unwrap_or(i64::MAX));
 }

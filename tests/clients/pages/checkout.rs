@@ -93,7 +93,7 @@ impl Checkout {
             return Played::Well;
         }
         match block.language.as_str() {
-            "sh" | "bash" => self.shell(&text),
+            "sh" | "bash" => self.shell(&block.text),
             "python" => {
                 fs::write(self.path("target/block.py"), &text).expect("written");
                 self.shell("target/venv/bin/python target/block.py")

@@ -88,7 +88,7 @@ fn read_and_write(bytes: &[u8], format: Option<Format>) {
     let anew = [Format::GLB, Format::OBJ, Format::PLY];
     let formats = [model.format]
         .into_iter()
-        .chain(anew.into_iter().filter(|_| bytes.len() % 16 == 0));
+        .chain(anew.into_iter().filter(|_| bytes.len().is_multiple_of(16)));
     for written_as in formats {
         let Ok(written) = model.write(&moved, written_as) else {
             continue;
