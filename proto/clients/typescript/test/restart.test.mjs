@@ -62,7 +62,9 @@ for (const [signal, code] of [
       assert.deepEqual(poses, frames.map(({ revision }) => revision), "every commit is recorded once, in order");
       assert.deepEqual(refusals, []);
       assert.ok(stream.totals.reconnects >= 1);
-      assert.deepEqual(states.slice(0, 3), ["open", "lost", "open"]);
+      // It is told anew with every attempt that fails, and how many do depends on the server's start.
+      const changes = states.filter((state, k) => state !== states[k - 1]);
+      assert.deepEqual(changes.slice(0, 3), ["open", "lost", "open"]);
       const final = await stream.commit(nod(-0.5));
       assert.equal(final.revision, poses.at(-1) + 1);
       assert.deepEqual(positions, await session.positions());
