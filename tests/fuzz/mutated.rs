@@ -1,25 +1,9 @@
 //! A bounded number of mutated inputs, the same in every run: what coverage-guided runs find in hours, these would find in part.
 
 use crate::corpora::inputs_of;
+use crate::support::draw::Draw;
 use crate::targets::TARGETS;
 use std::panic::catch_unwind;
-
-/// SplitMix64 (Steele, Lea and Flood 2014).
-struct Draw(u64);
-
-impl Draw {
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut x = self.0;
-        x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        x ^ (x >> 31)
-    }
-
-    fn below(&mut self, count: usize) -> usize {
-        (self.bits() % count.max(1) as u64) as usize
-    }
-}
 
 /// Words that parsers care for.
 const WORDS: [&[u8]; 24] = [

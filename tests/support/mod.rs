@@ -6,6 +6,7 @@ pub mod book;
 pub mod bucket;
 pub mod certificates;
 pub mod data;
+pub mod draw;
 pub mod fbx_text;
 pub mod gltf_parsed;
 pub mod gltf_sets;

@@ -87,3 +87,19 @@ pub(super) fn json_report(rows: &[PlaceRow], scene: &DragScene, args: &CommitsAr
         "places": rows.iter().map(place).collect::<Vec<_>>(),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_values_that_were_seen() {
+        let hundred: Vec<f64> = (1..=100).map(f64::from).collect();
+        let of = |q| percentile(&hundred, q);
+        assert_eq!(
+            (of(0.5), of(0.99), of(1.0), of(1e-9)),
+            (Some(50.0), Some(99.0), Some(100.0), Some(1.0))
+        );
+        assert_eq!((percentile(&[7.0], 0.99), percentile(&[], 0.5)), (Some(7.0), None));
+    }
+}

@@ -13,6 +13,7 @@ use crate::session::calls::command::SessionCommand;
 use crate::session::calls::manager::Manager;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;
+use crate::session::capacity::work_span::WorkSpan;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::registry::OpenSession;
@@ -21,6 +22,7 @@ use crate::wire::frames::{AnimatedHeader, FrameHeader, FrameOutput};
 use crate::wire::{AnimateOrder, AnimationSummary, OrderedRoot};
 use std::sync::Arc;
 use std::time::Instant;
+use tracing::Span;
 
 /// An animation on its way to its reader.
 pub(in crate::session) struct AnimationTask {
@@ -137,8 +139,9 @@ impl AnimationTask {
             let watch = Arc::new(WorkWatch::new(flags, shared.config.solve));
             let (inside, frames, sums) = (Arc::clone(&watch), Arc::clone(&solver), summary.sums);
             let queued = slot.queued.as_secs_f64() * 1e3;
+            let span = WorkSpan::new("frame", &self.session.id, &Span::current());
             let solved = slot
-                .run(move |pool| frames.solve_next(cursor, sums, &inside, pool))
+                .run(span, move |pool| frames.solve_next(cursor, sums, &inside, pool))
                 .await
                 .map_err(|panicked| {
                     tracing::error!(session.id = %self.session.id, panic = panicked.0, "an animation panicked");

@@ -9,6 +9,7 @@ use crate::session::answers::{AnimatedModel, AnimationAnswer};
 use crate::session::capacity::fair_line::WorkOwner;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;
+use crate::session::capacity::work_span::WorkSpan;
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::shared::SharedResources;
@@ -16,6 +17,7 @@ use crate::wire::frames::FrameRequest;
 use crate::wire::{self, OrderedRoot, PlayedForm};
 use glam::Vec3;
 use std::sync::Arc;
+use tracing::Span;
 
 /// What a vertex of a frame costs: its place, and what the written model has of it.
 const VERTEX_BYTES: u64 = 48;
@@ -81,7 +83,8 @@ pub(in crate::session) async fn gather_clip(
     let inside = Arc::clone(&watch);
     let has_root = root == OrderedRoot::Apart;
     let slot = shared.compute.slot_for_frame(owner).await?;
-    let written = slot.run(move |pool| {
+    let span = WorkSpan::new("clip", "", &Span::current());
+    let written = slot.run(span, move |pool| {
         let exec = Exec::new(pool, &*inside);
         let (model, rest) = prepared.animation.model();
         let (times, last) = (prepared.animation.times(), prepared.range.end - 1);

@@ -8,6 +8,7 @@
 
 use crate::pool::Pool;
 use crate::session::capacity::fair_line::{FairLine, LinePermit, LinePlace, LineRefusal, WorkOwner};
+use crate::session::capacity::work_span::WorkSpan;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::{GaugeUnit, Metrics};
@@ -237,7 +238,8 @@ fn give_way() {
 }
 
 impl ComputeSlot {
-    /// Runs `work` on the pool. The slot is free again when the work has ended, whether or not anybody waits for it.
+    /// Runs `work` on the pool, inside its span, and counts its time under its kind. The slot is free again when the work has ended,
+    /// whether or not anybody waits for it.
     ///
     /// # Cancel safety
     /// Dropping the future discards the result; to stop the work, raise its flag.
@@ -246,21 +248,25 @@ impl ComputeSlot {
     /// [`WorkPanicked`]; the panic goes no further.
     pub async fn run<R: Send + 'static>(
         self,
+        WorkSpan { what, span }: WorkSpan,
         work: impl FnOnce(&Pool) -> R + Send + 'static,
     ) -> Result<R, WorkPanicked> {
         let Self {
             mut permit,
             pool,
             metrics,
-            ..
+            queued,
         } = self;
+        span.record("queue_ms", queued.as_secs_f64() * 1e3);
         let (give, result) = oneshot::channel();
         let inside = pool.clone();
         pool.spawn(move || {
             permit.begin();
             let busy = GaugeUnit::add_to(&metrics.pool_busy);
-            let result = caught(|| work(&inside));
-            drop(busy);
+            let begun = Instant::now();
+            let result = caught(|| span.in_scope(|| work(&inside)));
+            metrics.observe_work(what, begun.elapsed());
+            drop((busy, span));
             // Free before the result is told, so that whoever gets the result finds the slot free.
             drop(permit);
             let _ = give.send(result);
@@ -284,6 +290,10 @@ fn caught<R>(work: impl FnOnce() -> R) -> Result<R, WorkPanicked> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn tried() -> WorkSpan {
+        WorkSpan::new("tried", "", &tracing::Span::none())
+    }
     use crate::session::answers::Tenant;
 
     fn compute(config: SessionConfig) -> ComputeSlots {
@@ -307,7 +317,12 @@ mod tests {
             compute_slots: 1,
             ..SessionConfig::default()
         });
-        asked(&one).await.expect("a slot").run(|_| ()).await.expect("runs");
+        asked(&one)
+            .await
+            .expect("a slot")
+            .run(tried(), |_| ())
+            .await
+            .expect("runs");
         let held = asked(&one).await.expect("a slot");
         one.interactive.line.note_service(Duration::from_secs(3600));
         let refused = asked(&one).await.expect_err("too long");
@@ -328,10 +343,12 @@ mod tests {
             ..SessionConfig::default()
         });
         let slot = asked(&one).await.expect("a slot");
-        let ended = slot.run(|_| -> u32 { std::panic::panic_any("on purpose") }).await;
+        let ended = slot
+            .run(tried(), |_| -> u32 { std::panic::panic_any("on purpose") })
+            .await;
         assert_eq!(ended.expect_err("panicked").0, "on purpose");
         let slot = asked(&one).await.expect("the slot is free again");
-        assert_eq!(slot.run(|pool| pool.threads()).await.expect("runs"), 1);
+        assert_eq!(slot.run(tried(), |pool| pool.threads()).await.expect("runs"), 1);
     }
 
     #[tokio::test]

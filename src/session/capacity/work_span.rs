@@ -6,20 +6,31 @@ use tracing::field::Empty;
 /// The target of every span: off in logs unless asked for, and what is exported.
 pub const SPANS: &str = "pliant_spans";
 
-/// The span of a piece of work that is called `what`, from its asking for a slot to its result. It is part of `call`, the span of
-/// whoever asked for it.
-pub(in crate::session) fn work_span(what: &'static str, session: &str, call: &Span) -> Span {
-    tracing::info_span!(
-        target: SPANS,
-        parent: call,
-        "work",
-        otel.name = what,
-        session.id = session,
-        queue_ms = Empty,
-        cycles = Empty,
-        residual = Empty,
-        vertices = Empty,
-    )
+/// A piece of work as operators see it: its kind, and its span.
+#[derive(Debug)]
+pub(in crate::session) struct WorkSpan {
+    /// What it is called and counted under.
+    pub what: &'static str,
+    /// From its asking for a slot to its result.
+    pub span: Span,
+}
+
+impl WorkSpan {
+    /// Of work that is called `what`, for a session, if it has an id yet; part of `call`, the span of whoever asked for it.
+    pub fn new(what: &'static str, session: &str, call: &Span) -> Self {
+        let span = tracing::info_span!(
+            target: SPANS,
+            parent: call,
+            "work",
+            otel.name = what,
+            session.id = session,
+            queue_ms = Empty,
+            cycles = Empty,
+            residual = Empty,
+            vertices = Empty,
+        );
+        Self { what, span }
+    }
 }
 
 /// Tells the span of the work under way what a solve came to.

@@ -8,7 +8,7 @@ use crate::session::calls::create::{SessionOwner, start_session};
 use crate::session::calls::model_opening::{OpenedModel, open_model};
 use crate::session::calls::session_places::SessionPlaces;
 use crate::session::capacity::compute_slots::WorkLane;
-use crate::session::capacity::work_span::work_span;
+use crate::session::capacity::work_span::WorkSpan;
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::kept_session::KeptSession;
@@ -168,10 +168,8 @@ async fn replay_log(
     let mut kept = KeptSession::new(Arc::clone(store));
     kept.shape_at = log.snapshot.as_ref().map_or(0, |(sequence, _)| *sequence);
     let begun = Instant::now();
-    let span = work_span("replay", "", &Span::current());
-    span.record("queue_ms", slot.queued.as_secs_f64() * 1e3);
-    let done = slot.run(move |pool| -> Result<Replayed, ReplayError> {
-        let _inside = span.entered();
+    let span = WorkSpan::new("replay", "", &Span::current());
+    let done = slot.run(span, move |pool| -> Result<Replayed, ReplayError> {
         let OpenedModel {
             mut deformer,
             mut history,
@@ -202,7 +200,6 @@ async fn replay_log(
         Error::from(panicked)
     })?;
     of_tenant.account().charge_work(begun.elapsed());
-    shared.metrics.observe_work("replay", begun.elapsed());
     done.map_err(|error| match error {
         ReplayError::Store(error) => error.into(),
         ReplayError::Engine(engine::Error::Cancelled) if shared.aborted.is_cancelled() => Error::draining(),

@@ -11,7 +11,7 @@ use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::{SessionCommand, WorkOrder};
 use crate::session::capacity::compute_slots::WorkPanicked;
 use crate::session::capacity::memory_ledger::MemoryReservation;
-use crate::session::capacity::work_span::work_span;
+use crate::session::capacity::work_span::WorkSpan;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::CommitHistory;
@@ -177,13 +177,12 @@ impl SessionTask {
     ) -> Result<(R, Arc<WorkWatch>), Error> {
         self.place.account().check_work()?;
         let owner = self.session.work_owner();
-        let span = work_span(order.what, &self.session.id, &order.call);
+        let span = WorkSpan::new(order.what, &self.session.id, &order.call);
         let slot = tokio::select! {
             biased;
             () = self.session.closing.cancelled() => return Err(self.session.why()),
             slot = self.shared.compute.slot(order.lane, &owner, (order.arrived, order.limit)) => slot?,
         };
-        span.record("queue_ms", slot.queued.as_secs_f64() * 1e3);
         let lost = || Error::new(ErrorCode::Internal, "the session's engine is gone");
         let mut deformer = self.deformer.take().ok_or_else(lost)?;
         let flags = vec![order.flag, Arc::clone(&self.session.cancel)];
@@ -191,12 +190,11 @@ impl SessionTask {
         let watch = Arc::new(watch);
         let (inside, queued) = (Arc::clone(&watch), slot.queued);
         let begun = Instant::now();
-        let ran = slot.run(move |pool| {
-            let value = span.in_scope(|| work(&mut deformer, pool, &inside, queued));
+        let ran = slot.run(span, move |pool| {
+            let value = work(&mut deformer, pool, &inside, queued);
             (deformer, value)
         });
         let ran = ran.await;
-        self.shared.metrics.observe_work(order.what, begun.elapsed());
         self.place.account().charge_work(begun.elapsed());
         match ran {
             Ok((deformer, value)) => {
