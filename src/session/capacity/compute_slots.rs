@@ -8,6 +8,7 @@
 
 use crate::pool::Pool;
 use crate::session::capacity::fair_line::{FairLine, LinePermit, LinePlace, LineRefusal, WorkOwner};
+use crate::session::capacity::lone_threads::{LoneThread, LoneThreads};
 use crate::session::capacity::work_span::WorkSpan;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
@@ -36,6 +37,8 @@ pub(in crate::session) enum WorkLane {
 #[derive(Debug, Clone)]
 struct ComputeLane {
     pool: Pool,
+    /// What carries the work while too much is under way for a share of two threads each.
+    alone: LoneThreads,
     line: Arc<FairLine>,
 }
 
@@ -51,11 +54,18 @@ pub(in crate::session) struct ComputeSlots {
     metrics: Arc<Metrics>,
 }
 
+/// What a piece of work runs on.
+#[derive(Debug)]
+enum SlotThreads {
+    Shared(Pool),
+    Alone(LoneThread),
+}
+
 /// The right to run one piece of work.
 #[derive(Debug)]
 pub(in crate::session) struct ComputeSlot {
     permit: LinePermit,
-    pool: Pool,
+    threads: SlotThreads,
     metrics: Arc<Metrics>,
     /// How long its owner waited for it.
     pub queued: Duration,
@@ -72,15 +82,37 @@ impl From<WorkPanicked> for Error {
 }
 
 impl ComputeLane {
-    fn new(config: &SessionConfig, pool: Pool) -> Self {
-        let slots = if config.compute_slots == 0 {
-            pool.threads()
-        } else {
-            config.compute_slots
-        };
+    /// Without threads of their own every piece of work shares the pool.
+    fn new(config: &SessionConfig, pool: Pool, alone: LoneThreads) -> Self {
         Self {
+            line: FairLine::new(slots_of(config, &pool), config.compute_queue),
             pool,
-            line: FairLine::new(slots, config.compute_queue),
+            alone,
+        }
+    }
+
+    /// The threads for a piece of work that has its slot already.
+    fn threads(&self) -> SlotThreads {
+        let share = self.pool.threads() / self.line.busy().max(1);
+        let alone = if share < 2 { self.alone.take() } else { None };
+        alone.map_or_else(|| SlotThreads::Shared(self.pool.clone()), SlotThreads::Alone)
+    }
+}
+
+/// How many pieces of work a lane runs at once.
+fn slots_of(config: &SessionConfig, pool: &Pool) -> usize {
+    if config.compute_slots == 0 {
+        pool.threads()
+    } else {
+        config.compute_slots
+    }
+}
+
+impl SlotThreads {
+    fn pool(&self) -> &Pool {
+        match self {
+            Self::Shared(pool) => pool,
+            Self::Alone(thread) => thread.pool(),
         }
     }
 }
@@ -90,9 +122,19 @@ impl ComputeSlots {
         let unstarted = |e: crate::pool::PoolError| Error::new(ErrorCode::Internal, e.to_string());
         let threads = config.compute_threads;
         let builds = Pool::started_with(threads, "build", give_way).map_err(unstarted)?;
+        let interactive = Pool::new(threads).map_err(unstarted)?;
+        let slots = slots_of(config, &interactive);
+        // With a share of two threads for every slot none would ever run.
+        let alone = if interactive.threads() / slots < 2 && interactive.threads() > 1 {
+            slots
+        } else {
+            0
+        };
+        let alone = LoneThreads::start(alone).map_err(unstarted)?;
         Ok(Self {
-            interactive: ComputeLane::new(config, Pool::new(threads).map_err(unstarted)?),
-            builds: ComputeLane::new(config, builds),
+            interactive: ComputeLane::new(config, interactive, alone),
+            // Builds last long: what runs alone would stay alone when the others have ended.
+            builds: ComputeLane::new(config, builds, LoneThreads::default()),
             packing: Pool::started_with(PACKING_THREADS, "pack", || {}).map_err(unstarted)?,
             packing_seats: Arc::new(Semaphore::new(PACKING_QUEUE)),
             wait: config.compute_wait,
@@ -169,7 +211,7 @@ impl ComputeSlots {
     fn slot_on(&self, lane: &ComputeLane, permit: LinePermit, queued: Duration) -> ComputeSlot {
         ComputeSlot {
             permit,
-            pool: lane.pool.clone(),
+            threads: lane.threads(),
             metrics: Arc::clone(&self.metrics),
             queued,
         }
@@ -253,12 +295,13 @@ impl ComputeSlot {
     ) -> Result<R, WorkPanicked> {
         let Self {
             mut permit,
-            pool,
+            threads,
             metrics,
             queued,
         } = self;
         span.record("queue_ms", queued.as_secs_f64() * 1e3);
         let (give, result) = oneshot::channel();
+        let pool = threads.pool().clone();
         let inside = pool.clone();
         pool.spawn(move || {
             permit.begin();
@@ -268,7 +311,7 @@ impl ComputeSlot {
             metrics.observe_work(what, begun.elapsed());
             drop((busy, span));
             // Free before the result is told, so that whoever gets the result finds the slot free.
-            drop(permit);
+            drop((threads, permit));
             let _ = give.send(result);
         });
         result
@@ -349,6 +392,25 @@ mod tests {
         assert_eq!(ended.expect_err("panicked").0, "on purpose");
         let slot = asked(&one).await.expect("the slot is free again");
         assert_eq!(slot.run(tried(), |pool| pool.threads()).await.expect("runs"), 1);
+    }
+
+    #[tokio::test]
+    async fn a_solve_shares_the_threads_until_all_slots_are_taken() {
+        let four = compute(SessionConfig {
+            compute_threads: 4,
+            ..SessionConfig::default()
+        });
+        let mut held = Vec::new();
+        for expected in [4, 4, 1, 1] {
+            let slot = asked(&four).await.expect("a slot");
+            assert_eq!(slot.threads.pool().threads(), expected, "after {} others", held.len());
+            held.push(slot);
+        }
+        for slot in held {
+            slot.run(tried(), |_| ()).await.expect("runs");
+        }
+        let slot = asked(&four).await.expect("a slot");
+        assert_eq!(slot.run(tried(), |pool| pool.threads()).await.expect("runs"), 4);
     }
 
     #[tokio::test]

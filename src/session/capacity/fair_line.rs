@@ -146,6 +146,11 @@ impl FairLine {
         }))
     }
 
+    /// How many compute now.
+    pub fn busy(&self) -> usize {
+        self.slots - self.lock().free
+    }
+
     /// Somebody is done: whoever is next may compute.
     fn release(self: &Arc<Self>, took: Option<Duration>) {
         let mut state = self.lock();

@@ -3,6 +3,7 @@
 pub(super) mod call_gate;
 pub(super) mod compute_slots;
 pub(super) mod fair_line;
+pub(super) mod lone_threads;
 pub(super) mod memory_ledger;
 pub(super) mod memory_use;
 pub(super) mod session_lease;

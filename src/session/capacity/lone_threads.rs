@@ -1,0 +1,59 @@
+//! Threads that each carry one piece of work alone.
+//!
+//! A solve that is spread over the threads of a pool meets after every colour and every pass. That makes one solve faster and many
+//! slower: when every slot is taken, the threads would only steal pieces of each other's solves, and lose on each the time of a
+//! meeting and what their caches held. Results are the same bits for any number of threads, so that nobody sees which it was.
+
+use crate::pool::{Pool, PoolError};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Pools of one thread, and which of them are free.
+#[derive(Debug, Clone, Default)]
+pub(super) struct LoneThreads {
+    free: Arc<Mutex<Vec<Pool>>>,
+}
+
+/// A thread that is lent to one piece of work. Free again when dropped.
+#[derive(Debug)]
+pub(super) struct LoneThread {
+    pool: Pool,
+    home: LoneThreads,
+}
+
+impl LoneThreads {
+    /// Starts so many.
+    ///
+    /// # Errors
+    /// [`PoolError`] when the system gives no more threads.
+    pub fn start(threads: usize) -> Result<Self, PoolError> {
+        let started: Result<Vec<Pool>, PoolError> = (0..threads)
+            .map(|_| Pool::started_with(1, "compute-alone", || {}))
+            .collect();
+        Ok(Self {
+            free: Arc::new(Mutex::new(started?)),
+        })
+    }
+
+    /// A free one, if there is any. The one that was free last comes first: its stack is still in a cache.
+    pub fn take(&self) -> Option<LoneThread> {
+        let pool = self.free.lock().unwrap_or_else(PoisonError::into_inner).pop()?;
+        Some(LoneThread {
+            pool,
+            home: self.clone(),
+        })
+    }
+}
+
+impl LoneThread {
+    /// The thread.
+    pub fn pool(&self) -> &Pool {
+        &self.pool
+    }
+}
+
+impl Drop for LoneThread {
+    fn drop(&mut self) {
+        let mut free = self.home.free.lock().unwrap_or_else(PoisonError::into_inner);
+        free.push(self.pool.clone());
+    }
+}
