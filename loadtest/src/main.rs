@@ -38,7 +38,7 @@ enum LoadtestCommand {
     /// Open, drag, edit and close sessions over and over, and look whether the server grows
     Soak(load::soak::SoakArgs),
     #[command(name = load::process::SERVER_COMMAND, hide = true)]
-    OwnServer,
+    OwnServer(load::process::OwnServerArgs),
     /// Write the second-pass system of a pose as files that any solver can read
     ExportSystem(solver::export::ExportArgs),
     /// Solve an exported system and say what it took
@@ -60,7 +60,7 @@ fn main() -> ExitCode {
         LoadtestCommand::Stream(args) => load::command::run_stream(args),
         LoadtestCommand::Commits(args) => commits::command::run_commits(args),
         LoadtestCommand::Soak(args) => load::soak::run_soak(args),
-        LoadtestCommand::OwnServer => load::process::run_own_server(),
+        LoadtestCommand::OwnServer(args) => load::process::run_own_server(args),
         LoadtestCommand::ExportSystem(args) => solver::export::run_export(args),
         LoadtestCommand::Solver(args) => solver::command::run_solver(args),
         LoadtestCommand::Pipeline(args) => pipeline::first_frame::run_pipeline(args),

@@ -65,7 +65,7 @@ pub struct SessionConfig {
     pub session_queue: usize,
     /// Compute threads; 0 = one for each core.
     pub compute_threads: usize,
-    /// Pieces of work computed at a time; 0 = as many as there are compute threads.
+    /// Pieces of work computed at a time; 0 = as many as there are compute threads. For every four, one more may be a drag.
     pub compute_slots: usize,
     /// Pieces of work that may wait for a compute slot.
     pub compute_queue: usize,

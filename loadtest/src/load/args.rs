@@ -26,6 +26,13 @@ pub(crate) struct StreamArgs {
     #[arg(long, value_name = "N,N", value_delimiter = ',', num_args = 1..=8, conflicts_with_all = ["clients", "server"],
         value_parser = clap::value_parser!(u32).range(1..=256))]
     pub sessions: Vec<u32>,
+    /// Drag twice, alone and beside so many more clients that solve without pause. The server is then a process of its own
+    #[arg(long, value_name = "N", conflicts_with_all = ["sessions", "server"],
+        value_parser = clap::value_parser!(u32).range(1..=192))]
+    pub beside: Option<u32>,
+    /// Pieces of work that may wait to be computed on the server of `--beside`; its own choice without it
+    #[arg(long, value_name = "N", requires = "beside", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub queue: Option<u32>,
     /// Stop sending after this many seconds, even when poses are left
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=600))]
     pub seconds: u32,
@@ -53,6 +60,8 @@ impl StreamArgs {
             hz: 500,
             clients: 1,
             sessions: Vec::new(),
+            beside: None,
+            queue: None,
             seconds: 60,
             window: 2,
             tolerance: 1e-3,

@@ -58,9 +58,26 @@ impl LoadClient {
         Ok(Self { client, id })
     }
 
+    /// Drags until the poses or the time have ended.
+    pub async fn drag(&mut self, scene: &DragScene, args: &StreamArgs) -> Result<PoseLedger, LoadtestFailure> {
+        drag_session(&mut self.client, &self.id, scene, args).await
+    }
+
+    /// Solves and commits the pose of that number, and takes the answer.
+    pub async fn solve(&mut self, scene: &DragScene, number: u64) -> Result<(), tonic::Status> {
+        let solve = pb::SolveRequest {
+            session_id: self.id.clone(),
+            pose: Some(scene.pose_number(number)),
+            ..Default::default()
+        };
+        let mut frames = self.client.solve(solve).await?.into_inner();
+        while frames.message().await?.is_some() {}
+        Ok(())
+    }
+
     /// Drags until the poses or the time have ended, and closes the session.
     pub async fn drag_and_close(mut self, scene: &DragScene, args: &StreamArgs) -> Result<PoseLedger, LoadtestFailure> {
-        let outcome = drag_session(&mut self.client, &self.id, scene, args).await;
+        let outcome = self.drag(scene, args).await;
         // Also after a failure: a session of a client that has gone would only wait for its expiry.
         let closed = self.close().await;
         let ledger = outcome?;
@@ -71,17 +88,11 @@ impl LoadClient {
     /// Drags a little, commits, edits, goes back, and closes the session.
     pub async fn work_and_close(mut self, scene: &DragScene) -> Result<(), LoadtestFailure> {
         let args = StreamArgs::short();
-        let ledger = drag_session(&mut self.client, &self.id, scene, &args).await?;
+        let ledger = self.drag(scene, &args).await?;
         if let Some(problem) = ledger.problems().first() {
             return Err(LoadtestFailure::Server(problem.clone()));
         }
-        let solve = pb::SolveRequest {
-            session_id: self.id.clone(),
-            pose: Some(scene.pose_number(FARTHEST_POSE)),
-            ..Default::default()
-        };
-        let mut frames = self.client.solve(solve).await?.into_inner();
-        while frames.message().await?.is_some() {}
+        self.solve(scene, FARTHEST_POSE).await?;
         let decimate = pb::edit_request::Decimate {
             ratio: 0.8,
             ..Default::default()

@@ -1,6 +1,7 @@
 //! `loadtest stream`: drags a handle of a model at a steady rate, from one client or several, and accounts for every pose.
 
 use super::args::StreamArgs;
+use super::beside::load_beside_solves;
 use super::client::drag_with_all_clients;
 use super::report::{json_report, text_report};
 use super::server::LoadedServer;
@@ -12,7 +13,9 @@ use crate::shared::drag_scene::DragScene;
 pub(crate) fn run_stream(args: &StreamArgs) -> Result<(), LoadtestFailure> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
     let runtime = runtime.map_err(|e| LoadtestFailure::Server(format!("cannot start threads: {e}")))?;
-    if args.sessions.is_empty() {
+    if let Some(solving) = args.beside {
+        runtime.block_on(load_beside_solves(args, solving))
+    } else if args.sessions.is_empty() {
         runtime.block_on(stream_poses(args))
     } else {
         runtime.block_on(load_with_many_sessions(args))
@@ -97,6 +100,11 @@ mod tests {
             "--sessions 257",
             "--sessions 1,0",
             "--sessions 4 --clients 2",
+            "--beside 0",
+            "--beside 193",
+            "--queue 4",
+            "--beside 4 --sessions 2",
+            "--beside 4 --server http://127.0.0.1:7411",
         ] {
             let words = std::iter::once("stream").chain(line.split_whitespace());
             assert!(StreamCommand::try_parse_from(words).is_err(), "{line}");

@@ -1,6 +1,8 @@
 //! A server under load: clients that drag, and a ledger in which every pose must be accounted for.
 
 mod args;
+mod beside;
+mod beside_report;
 pub(crate) mod client;
 pub(crate) mod command;
 pub(crate) mod ledger;

@@ -17,16 +17,26 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// The hidden command of this program that is the server.
 pub(crate) const SERVER_COMMAND: &str = "own-server";
 
+/// Arguments of the server.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct OwnServerArgs {
+    /// Pieces of work that may wait to be computed; the server's own choice without it
+    #[arg(long)]
+    queue: Option<usize>,
+}
+
 /// Runs the server until the standard input ends.
-pub(crate) fn run_own_server() -> Result<(), LoadtestFailure> {
+pub(crate) fn run_own_server(args: &OwnServerArgs) -> Result<(), LoadtestFailure> {
     let failed = |e: &dyn std::fmt::Display| LoadtestFailure::Server(e.to_string());
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
     runtime.map_err(|e| failed(&e))?.block_on(async {
         let listener = TcpListener::bind(("127.0.0.1", 0)).await.map_err(|e| failed(&e))?;
         let address = listener.local_addr().map_err(|e| failed(&e))?;
+        let defaults = SessionConfig::default();
         let config = SessionConfig {
             sessions: 256,
-            ..SessionConfig::default()
+            compute_queue: args.queue.unwrap_or(defaults.compute_queue),
+            ..defaults
         };
         let manager = Manager::new(config).map_err(|e| failed(&e))?;
         println!("http://{address}");
@@ -59,8 +69,13 @@ pub(crate) struct ServerProcess {
 }
 
 impl ServerProcess {
-    /// Starts it.
+    /// Starts it as it is by default.
     pub async fn start() -> Result<Self, LoadtestFailure> {
+        Self::start_with_queue(None).await
+    }
+
+    /// Starts it; so many pieces of work may wait to be computed.
+    pub async fn start_with_queue(queue: Option<u32>) -> Result<Self, LoadtestFailure> {
         let failed = |e: std::io::Error| LoadtestFailure::Server(format!("cannot start a server: {e}"));
         let program: PathBuf = std::env::current_exe().map_err(failed)?;
         let mut command = Command::new(program);
@@ -69,6 +84,9 @@ impl ServerProcess {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .kill_on_drop(true);
+        if let Some(queue) = queue {
+            command.arg("--queue").arg(queue.to_string());
+        }
         let mut child = command.spawn().map_err(failed)?;
         let mut line = String::new();
         if let Some(stdout) = child.stdout.take() {

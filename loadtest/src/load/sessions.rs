@@ -70,10 +70,7 @@ async fn load_row(
     args: &StreamArgs,
     sessions: u32,
 ) -> Result<LoadRow, LoadtestFailure> {
-    let mut channels = Vec::new();
-    for _ in 0..sessions.div_ceil(PER_CONNECTION) {
-        channels.push(server.open_channel().await?);
-    }
+    let channels = open_channels(server, sessions).await?;
     let (clients, turned_away) = open_all(&channels, scene, sessions).await?;
     // All begin together, when the last is open.
     let mut dragging = JoinSet::new();
@@ -93,8 +90,17 @@ async fn load_row(
     })
 }
 
+/// As many connections as so many sessions share.
+pub(crate) async fn open_channels(server: &ServerProcess, sessions: u32) -> Result<Vec<Channel>, LoadtestFailure> {
+    let mut channels = Vec::new();
+    for _ in 0..sessions.div_ceil(PER_CONNECTION) {
+        channels.push(server.open_channel().await?);
+    }
+    Ok(channels)
+}
+
 /// Opens the sessions, a few at a time; how many the server had no room for.
-async fn open_all(
+pub(crate) async fn open_all(
     channels: &[Channel],
     scene: &DragScene,
     sessions: u32,

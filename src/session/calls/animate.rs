@@ -8,7 +8,7 @@ use crate::session::animation::running_animation::RunningAnimation;
 use crate::session::answers::{AnimatedModel, Tenant};
 use crate::session::audit::audit_entry::AuditedAction;
 use crate::session::calls::manager::Manager;
-use crate::session::capacity::fair_line::WorkOwner;
+use crate::session::capacity::work_owner::WorkOwner;
 use crate::session::error::Error;
 use crate::wire::AnimateOrder;
 use crate::wire::frames::FrameOutput;

@@ -1,14 +1,15 @@
 //! Process-wide compute slots: async callers on one side, the thread pools on the other.
 //!
-//! A slot is asked for before anything is moved to a pool, so that a refused caller loses nothing. There are two lanes, each with
-//! slots and threads of its own, so that what somebody waits for never stands behind a long build: poses, commits and what reads
-//! a shape run in the interactive lane; what builds, edits and animates in the lane of builds, whose threads the operating
-//! system serves last. Within a lane tenants take turns, in a tenant its sessions, and work that would wait longer than it may is
-//! refused before it waits.
+//! A slot is asked for before anything is moved to a pool, so that a refused caller loses nothing. Slots and threads of their own
+//! have what somebody waits for, so that it never stands behind a long build (poses, commits and what reads a shape), and what
+//! builds, edits and animates, whose threads the operating system serves last. Of the former, drags come first and have slots that
+//! nothing else gets. In a lane tenants take turns, in a tenant its sessions, and work that would wait longer than it may is refused
+//! before it waits.
 
 use crate::pool::Pool;
-use crate::session::capacity::fair_line::{FairLine, LinePermit, LinePlace, LineRefusal, WorkOwner};
+use crate::session::capacity::fair_line::{FairLine, LinePermit, LinePlace, LineRefusal, TurnClass};
 use crate::session::capacity::lone_threads::{LoneThread, LoneThreads};
+use crate::session::capacity::work_owner::WorkOwner;
 use crate::session::capacity::work_span::WorkSpan;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
@@ -17,6 +18,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, oneshot};
+
+/// So many slots come with one more that only drags get.
+const SLOTS_A_DRAG: usize = 4;
 
 /// Threads that pack answers and drop what is large.
 const PACKING_THREADS: usize = 2;
@@ -27,7 +31,9 @@ const PACKING_QUEUE: usize = 256;
 /// Which line work waits in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::session) enum WorkLane {
-    /// Somebody drags, or waits for one pose.
+    /// A pose that somebody drags: before all that is interactive.
+    Drags,
+    /// Somebody waits for a commit or a shape.
     Interactive,
     /// Builds, edits and frames of animations.
     Builds,
@@ -82,10 +88,10 @@ impl From<WorkPanicked> for Error {
 }
 
 impl ComputeLane {
-    /// Without threads of their own every piece of work shares the pool.
-    fn new(config: &SessionConfig, pool: Pool, alone: LoneThreads) -> Self {
+    /// So many slots, and `for_drags` more that only drags get. Without threads of their own every piece of work shares the pool.
+    fn new((slots, for_drags): (usize, usize), config: &SessionConfig, pool: Pool, alone: LoneThreads) -> Self {
         Self {
-            line: FairLine::new(slots_of(config, &pool), config.compute_queue),
+            line: FairLine::new(slots, for_drags, config.compute_queue),
             pool,
             alone,
         }
@@ -124,17 +130,15 @@ impl ComputeSlots {
         let builds = Pool::started_with(threads, "build", give_way).map_err(unstarted)?;
         let interactive = Pool::new(threads).map_err(unstarted)?;
         let slots = slots_of(config, &interactive);
+        let for_drags = slots.div_ceil(SLOTS_A_DRAG);
+        let most = slots + for_drags;
         // With a share of two threads for every slot none would ever run.
-        let alone = if interactive.threads() / slots < 2 && interactive.threads() > 1 {
-            slots
-        } else {
-            0
-        };
+        let alone = if interactive.threads() / most < 2 { most } else { 0 };
         let alone = LoneThreads::start(alone).map_err(unstarted)?;
         Ok(Self {
-            interactive: ComputeLane::new(config, interactive, alone),
+            interactive: ComputeLane::new((slots, for_drags), config, interactive, alone),
             // Builds last long: what runs alone would stay alone when the others have ended.
-            builds: ComputeLane::new(config, builds, LoneThreads::default()),
+            builds: ComputeLane::new((slots, 0), config, builds, LoneThreads::default()),
             packing: Pool::started_with(PACKING_THREADS, "pack", || {}).map_err(unstarted)?,
             packing_seats: Arc::new(Semaphore::new(PACKING_QUEUE)),
             wait: config.compute_wait,
@@ -142,10 +146,11 @@ impl ComputeSlots {
         })
     }
 
-    fn lane(&self, lane: WorkLane) -> &ComputeLane {
+    fn lane(&self, lane: WorkLane) -> (&ComputeLane, TurnClass) {
         match lane {
-            WorkLane::Interactive => &self.interactive,
-            WorkLane::Builds => &self.builds,
+            WorkLane::Drags => (&self.interactive, TurnClass::Drag),
+            WorkLane::Interactive => (&self.interactive, TurnClass::Other),
+            WorkLane::Builds => (&self.builds, TurnClass::Other),
         }
     }
 
@@ -163,12 +168,12 @@ impl ComputeSlots {
         owner: &WorkOwner,
         (arrived, limit): (Instant, Duration),
     ) -> Result<ComputeSlot, Error> {
-        let lane = self.lane(lane);
+        let (lane, class) = self.lane(lane);
         let longest = self.wait.min(limit);
         let left = longest.saturating_sub(arrived.elapsed());
         let place = lane
             .line
-            .enter(owner, Some(left))
+            .enter(class, owner, Some(left))
             .map_err(|why| self.refuse(why, left))?;
         let permit = match place {
             LinePlace::Free(permit) => permit,
@@ -228,7 +233,8 @@ impl ComputeSlots {
     pub async fn slot_for_frame(&self, owner: &WorkOwner) -> Result<ComputeSlot, Error> {
         let asked = Instant::now();
         let lane = &self.builds;
-        let permit = match lane.line.enter(owner, None).map_err(|_| Error::draining())? {
+        let place = lane.line.enter(TurnClass::Other, owner, None);
+        let permit = match place.map_err(|_| Error::draining())? {
             LinePlace::Free(permit) => permit,
             LinePlace::Waiting(mut place) => {
                 let _waiting = GaugeUnit::add_to(&self.metrics.pool_waiting);
@@ -367,7 +373,9 @@ mod tests {
             .await
             .expect("runs");
         let held = asked(&one).await.expect("a slot");
-        one.interactive.line.note_service(Duration::from_secs(3600));
+        one.interactive
+            .line
+            .note_service(TurnClass::Other, Duration::from_secs(3600));
         let refused = asked(&one).await.expect_err("too long");
         assert_eq!(refused.http_status(), 429);
         // An eighth of an hour is what is expected by now, and half a minute what may be waited.

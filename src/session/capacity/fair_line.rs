@@ -1,23 +1,33 @@
-//! Who computes next: a line in which tenants take turns, in a tenant its sessions, and in a session whoever came first.
+//! Who computes next: a line in which drags come before what else is asked for, and in both tenants take turns, in a tenant its
+//! sessions, and in a session whoever came first.
 //!
 //! A tenant that asks for much waits behind itself and not before others: whoever comes new waits for one piece of work of each
-//! tenant at most. Nothing here depends on time but what is expected of it.
+//! tenant at most. Somebody looks at a drag and waits for its next frame, and it is asked for anew as soon as that is there. So drags
+//! have slots that nothing else gets, and of the others as many turns as come to [`DRAGS_TIME`] times the time of one turn of the
+//! rest: however much there is to solve, drags go on, and however many drag, what is solved goes on. Nothing here depends on time
+//! but what is expected of it.
 
-use crate::session::answers::Tenant;
-use std::collections::VecDeque;
+use crate::session::capacity::turn_queue::{QueuedTurn, TurnQueue};
+use crate::session::capacity::work_owner::WorkOwner;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
-/// How much the newest piece of work counts in the mean.
+/// How much the newest piece of work counts in a mean.
 const NEWEST: f64 = 0.125;
 
-/// Whose work it is.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(in crate::session) struct WorkOwner {
-    pub tenant: Tenant,
-    /// Empty for sessions that are being opened: those of one tenant share a line.
-    pub session: String,
+/// While both wait, drags get this many times as much time as the rest.
+const DRAGS_TIME: f64 = 3.0;
+/// The fewest and the most turns of drags between two turns of the rest while both wait.
+const DRAGS_BETWEEN: (u32, u32) = (3, 32);
+
+/// What kind of work waits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum TurnClass {
+    /// A pose that somebody drags.
+    Drag,
+    /// Everything else.
+    Other,
 }
 
 /// Why there is no place in the line.
@@ -40,6 +50,7 @@ pub(super) enum LinePlace {
 #[derive(Debug)]
 pub(super) struct LinePermit {
     line: Option<Arc<FairLine>>,
+    class: TurnClass,
     begun: Option<Instant>,
 }
 
@@ -47,62 +58,54 @@ pub(super) struct LinePermit {
 #[derive(Debug)]
 pub(super) struct WaitingPlace {
     line: Arc<FairLine>,
+    class: TurnClass,
     ticket: u64,
-    turn: oneshot::Receiver<Result<LinePermit, LineRefusal>>,
+    turn: TurnReceiver,
 }
+
+type TurnSender = oneshot::Sender<Result<LinePermit, LineRefusal>>;
+type TurnReceiver = oneshot::Receiver<Result<LinePermit, LineRefusal>>;
 
 /// The line.
 #[derive(Debug)]
 pub(super) struct FairLine {
+    /// How many compute at once.
     slots: usize,
-    /// How many may wait.
+    /// How many more do when there are drags among them.
+    for_drags: usize,
+    /// How many of a class may wait.
     most: usize,
     state: Mutex<LineState>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct LineState {
-    free: usize,
-    /// In the order of their turns.
-    tenants: VecDeque<TenantLine>,
+    drags: ClassState,
+    others: ClassState,
     next_ticket: u64,
+    /// Turns of drags since the last turn of the rest, as far as these waited meanwhile.
+    drags_since: u32,
+    /// The mean of what that comes to.
+    drags_between: f64,
+}
+
+#[derive(Debug, Default)]
+struct ClassState {
+    waiting: TurnQueue<TurnSender>,
+    /// How many compute.
+    busy: usize,
     /// How long a piece of work takes, in seconds.
     mean: f64,
 }
 
-#[derive(Debug)]
-struct TenantLine {
-    tenant: Tenant,
-    /// In the order of their turns; none is empty.
-    sessions: VecDeque<SessionLine>,
-}
-
-#[derive(Debug)]
-struct SessionLine {
-    session: String,
-    waiting: VecDeque<Waiter>,
-}
-
-#[derive(Debug)]
-struct Waiter {
-    ticket: u64,
-    /// Whether it counts among those that may wait, and may be told that there are too many.
-    refusable: bool,
-    turn: oneshot::Sender<Result<LinePermit, LineRefusal>>,
-}
-
 impl FairLine {
-    /// Nobody waits; `most` may.
-    pub fn new(slots: usize, most: usize) -> Arc<Self> {
+    /// Nobody waits; `most` of each class may. So many compute at once, and `for_drags` more when they are drags.
+    pub fn new(slots: usize, for_drags: usize, most: usize) -> Arc<Self> {
         Arc::new(Self {
             slots,
+            for_drags,
             most,
-            state: Mutex::new(LineState {
-                free: slots,
-                tenants: VecDeque::new(),
-                next_ticket: 0,
-                mean: 0.0,
-            }),
+            state: Mutex::default(),
         })
     }
 
@@ -112,35 +115,41 @@ impl FairLine {
 
     /// Takes a place for work that may wait as long as `patience`, for ever without one. When as many wait as may, whoever of them
     /// came last of the tenant that has most makes way for one that has fewer.
-    pub fn enter(self: &Arc<Self>, owner: &WorkOwner, patience: Option<Duration>) -> Result<LinePlace, LineRefusal> {
+    pub fn enter(
+        self: &Arc<Self>,
+        class: TurnClass,
+        owner: &WorkOwner,
+        patience: Option<Duration>,
+    ) -> Result<LinePlace, LineRefusal> {
         let mut state = self.lock();
-        if state.free > 0 {
-            state.free -= 1;
-            return Ok(LinePlace::Free(LinePermit::of(self)));
+        if self.has_room(&state, class) {
+            state.note_turn(class, self.slots);
+            return Ok(LinePlace::Free(LinePermit::of(self, class)));
         }
         if let Some(patience) = patience {
-            let turns = (state.rank(owner) + 1) as f64 / self.slots.max(1) as f64;
-            let expected = Duration::try_from_secs_f64(turns * state.mean).unwrap_or(Duration::MAX);
+            let seconds = self.expected_wait(&state, class, owner);
+            let expected = Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX);
             if expected > patience {
                 return Err(LineRefusal::TooLong(expected));
             }
-            if state.refusable() >= self.most && !state.displace_for(&owner.tenant) {
-                return Err(LineRefusal::Full);
+            let waiting = &mut state.class(class).waiting;
+            if waiting.refusable() >= self.most {
+                let displaced = waiting.displace_for(&owner.tenant).ok_or(LineRefusal::Full)?;
+                let _ = displaced.send(Err(LineRefusal::Full));
             }
         }
         let (give, turn) = oneshot::channel();
         let ticket = state.next_ticket;
         state.next_ticket += 1;
-        state.push(
-            owner,
-            Waiter {
-                ticket,
-                refusable: patience.is_some(),
-                turn: give,
-            },
-        );
+        let queued = QueuedTurn {
+            ticket,
+            refusable: patience.is_some(),
+            waiter: give,
+        };
+        state.class(class).waiting.push(owner, queued);
         Ok(LinePlace::Waiting(WaitingPlace {
             line: Arc::clone(self),
+            class,
             ticket,
             turn,
         }))
@@ -148,29 +157,111 @@ impl FairLine {
 
     /// How many compute now.
     pub fn busy(&self) -> usize {
-        self.slots - self.lock().free
+        self.lock().busy()
+    }
+
+    /// Whether one more of a class may compute.
+    fn has_room(&self, state: &LineState, class: TurnClass) -> bool {
+        let is_below = state.busy() < self.slots + self.for_drags;
+        is_below && (class == TurnClass::Drag || state.others.busy < self.slots)
+    }
+
+    /// The seconds that one that comes now is expected to wait: its own class's turns up to its own, and those of the other class
+    /// between them.
+    fn expected_wait(&self, state: &LineState, class: TurnClass, owner: &WorkOwner) -> f64 {
+        let LineState { drags, others, .. } = state;
+        let (turns, slots) = match class {
+            TurnClass::Drag => {
+                let own = drags.waiting.rank(owner) + 1;
+                let between = own.div_ceil(state.most_drags_between() as usize);
+                let of_others = between.min(others.waiting.waiting_count());
+                let turns = own as f64 * drags.mean + of_others as f64 * others.mean;
+                (turns, self.slots + self.for_drags)
+            }
+            TurnClass::Other => {
+                let own = others.waiting.rank(owner) + 1;
+                // Drags ask for the next turn when they have had one, so that those which wait now tell nothing.
+                let turn = others.mean + state.drags_between * drags.mean;
+                (own as f64 * turn, self.slots)
+            }
+        };
+        turns / slots.max(1) as f64
     }
 
     /// Somebody is done: whoever is next may compute.
-    fn release(self: &Arc<Self>, took: Option<Duration>) {
+    fn release(self: &Arc<Self>, class: TurnClass, took: Option<Duration>) {
         let mut state = self.lock();
+        state.class(class).busy -= 1;
         if let Some(took) = took {
-            state.note_service(took);
+            state.class(class).note_service(took);
         }
-        while let Some(next) = state.pop() {
-            let Err(unheard) = next.turn.send(Ok(LinePermit::of(self))) else {
+        while let Some(next) = self.next_class(&state) {
+            let Some(turn) = state.class(next).waiting.pop() else {
                 return;
             };
-            // It has gone meanwhile. The permit must not come back here while the state is locked.
-            if let Ok(permit) = unheard {
-                permit.forget();
+            match turn.waiter.send(Ok(LinePermit::of(self, next))) {
+                Ok(()) => state.note_turn(next, self.slots),
+                // It has gone meanwhile. The permit must not come back here while the state is locked.
+                Err(Ok(permit)) => permit.forget(),
+                Err(Err(_)) => {}
             }
         }
-        state.free += 1;
+    }
+
+    /// Which class gets the next turn; `None` when nobody who waits may compute.
+    fn next_class(&self, state: &LineState) -> Option<TurnClass> {
+        let may = |class: TurnClass, of: &ClassState| !of.waiting.is_empty() && self.has_room(state, class);
+        let may_drag = may(TurnClass::Drag, &state.drags);
+        let may_other = may(TurnClass::Other, &state.others);
+        match (may_drag, may_other) {
+            (true, true) if state.drags_since >= state.most_drags_between() => Some(TurnClass::Other),
+            (true, _) => Some(TurnClass::Drag),
+            (false, true) => Some(TurnClass::Other),
+            (false, false) => None,
+        }
     }
 }
 
 impl LineState {
+    fn class(&mut self, class: TurnClass) -> &mut ClassState {
+        match class {
+            TurnClass::Drag => &mut self.drags,
+            TurnClass::Other => &mut self.others,
+        }
+    }
+
+    fn busy(&self) -> usize {
+        self.drags.busy + self.others.busy
+    }
+
+    /// How many turns drags get before one of the rest while both wait.
+    fn most_drags_between(&self) -> u32 {
+        let (least, most) = DRAGS_BETWEEN;
+        if self.drags.mean <= 0.0 {
+            return least;
+        }
+        // Saturates.
+        ((DRAGS_TIME * self.others.mean / self.drags.mean) as u32).clamp(least, most)
+    }
+
+    /// Somebody of a class computes from now on.
+    fn note_turn(&mut self, class: TurnClass, slots: usize) {
+        match class {
+            // On a slot that others may not have it holds none of them up.
+            TurnClass::Drag if !self.others.waiting.is_empty() && self.others.busy < slots => {
+                self.drags_since = self.drags_since.saturating_add(1);
+            }
+            TurnClass::Drag => {}
+            TurnClass::Other => {
+                self.drags_between += (f64::from(self.drags_since) - self.drags_between) * NEWEST;
+                self.drags_since = 0;
+            }
+        }
+        self.class(class).busy += 1;
+    }
+}
+
+impl ClassState {
     fn note_service(&mut self, took: Duration) {
         let took = took.as_secs_f64();
         self.mean += if self.mean == 0.0 {
@@ -179,118 +270,13 @@ impl LineState {
             (took - self.mean) * NEWEST
         };
     }
-
-    /// How many get their turn before one that comes now, if nobody else comes.
-    fn rank(&self, owner: &WorkOwner) -> usize {
-        let at = self.tenants.iter().position(|t| t.tenant == owner.tenant);
-        let own = at.map_or(0, |at| {
-            let sessions = &self.tenants[at].sessions;
-            let within = sessions.iter().position(|s| s.session == owner.session);
-            let first = within.map_or(0, |k| sessions[k].waiting.len());
-            let lengths: Vec<usize> = sessions.iter().map(|s| s.waiting.len()).collect();
-            turns_before(&lengths, within, first)
-        });
-        let lengths: Vec<usize> = self.tenants.iter().map(TenantLine::len).collect();
-        turns_before(&lengths, at, own)
-    }
-
-    fn refusable(&self) -> usize {
-        self.tenants.iter().map(TenantLine::refusable).sum()
-    }
-
-    fn push(&mut self, owner: &WorkOwner, waiter: Waiter) {
-        let at = self.tenants.iter().position(|t| t.tenant == owner.tenant);
-        let at = at.unwrap_or_else(|| {
-            self.tenants.push_back(TenantLine {
-                tenant: owner.tenant.clone(),
-                sessions: VecDeque::new(),
-            });
-            self.tenants.len() - 1
-        });
-        let sessions = &mut self.tenants[at].sessions;
-        match sessions.iter_mut().find(|s| s.session == owner.session) {
-            Some(line) => line.waiting.push_back(waiter),
-            None => sessions.push_back(SessionLine {
-                session: owner.session.clone(),
-                waiting: VecDeque::from([waiter]),
-            }),
-        }
-    }
-
-    /// Takes whoever is next out of the line. Its tenant, and in it its session, goes behind the others.
-    fn pop(&mut self) -> Option<Waiter> {
-        let mut tenant = self.tenants.pop_front()?;
-        let mut session = tenant.sessions.pop_front()?;
-        let next = session.waiting.pop_front();
-        if !session.waiting.is_empty() {
-            tenant.sessions.push_back(session);
-        }
-        if !tenant.sessions.is_empty() {
-            self.tenants.push_back(tenant);
-        }
-        next
-    }
-
-    /// Removes a place that is given up.
-    fn remove(&mut self, ticket: u64) -> Option<Waiter> {
-        let mut removed = None;
-        for tenant in &mut self.tenants {
-            for session in &mut tenant.sessions {
-                let at = session.waiting.iter().position(|w| w.ticket == ticket);
-                removed = removed.or_else(|| session.waiting.remove(at?));
-            }
-            tenant.sessions.retain(|session| !session.waiting.is_empty());
-        }
-        self.tenants.retain(|tenant| !tenant.sessions.is_empty());
-        removed
-    }
-
-    /// Makes room for one of a tenant that has fewer waiting than another.
-    fn displace_for(&mut self, tenant: &Tenant) -> bool {
-        let own = self.tenants.iter().find(|t| t.tenant == *tenant);
-        let own = own.map_or(0, TenantLine::refusable);
-        let largest = self.tenants.iter().max_by_key(|t| t.refusable());
-        let Some(largest) = largest.filter(|t| t.refusable() > own + 1) else {
-            return false;
-        };
-        let of_session = |s: &&SessionLine| s.waiting.iter().filter(|w| w.refusable).count();
-        let longest = largest.sessions.iter().max_by_key(of_session);
-        let last = longest.and_then(|s| s.waiting.iter().rev().find(|w| w.refusable));
-        let Some(ticket) = last.map(|waiter| waiter.ticket) else {
-            return false;
-        };
-        if let Some(waiter) = self.remove(ticket) {
-            let _ = waiter.turn.send(Err(LineRefusal::Full));
-        }
-        true
-    }
-}
-
-/// How many turns there are before turn number `own`, from 0, of the one at `at` among some that take turns in their order and have so
-/// many each; without `at` it is behind them all. Its own turns before that one count as well.
-fn turns_before(lengths: &[usize], at: Option<usize>, own: usize) -> usize {
-    let at = at.unwrap_or(lengths.len());
-    let others = lengths.iter().enumerate().filter(|(k, _)| *k != at);
-    own + others
-        .map(|(k, len)| *len.min(&(own + usize::from(k < at))))
-        .sum::<usize>()
-}
-
-impl TenantLine {
-    fn len(&self) -> usize {
-        self.sessions.iter().map(|s| s.waiting.len()).sum()
-    }
-
-    fn refusable(&self) -> usize {
-        let waiting = self.sessions.iter().flat_map(|s| &s.waiting);
-        waiting.filter(|w| w.refusable).count()
-    }
 }
 
 impl LinePermit {
-    fn of(line: &Arc<FairLine>) -> Self {
+    fn of(line: &Arc<FairLine>, class: TurnClass) -> Self {
         Self {
             line: Some(Arc::clone(line)),
+            class,
             begun: None,
         }
     }
@@ -309,7 +295,7 @@ impl LinePermit {
 impl Drop for LinePermit {
     fn drop(&mut self) {
         if let Some(line) = self.line.take() {
-            line.release(self.begun.map(|begun| begun.elapsed()));
+            line.release(self.class, self.begun.map(|begun| begun.elapsed()));
         }
     }
 }
@@ -327,15 +313,15 @@ impl WaitingPlace {
 impl Drop for WaitingPlace {
     fn drop(&mut self) {
         // What was given meanwhile goes back with the receiver, after this.
-        self.line.lock().remove(self.ticket);
+        self.line.lock().class(self.class).waiting.remove(self.ticket);
     }
 }
 
 #[cfg(test)]
 impl FairLine {
-    /// As if a piece of work had taken so long.
-    pub(super) fn note_service(&self, took: Duration) {
-        self.lock().note_service(took);
+    /// As if a piece of work of a class had taken so long.
+    pub(super) fn note_service(&self, class: TurnClass, took: Duration) {
+        self.lock().class(class).note_service(took);
     }
 }
 

@@ -7,5 +7,7 @@ pub(super) mod lone_threads;
 pub(super) mod memory_ledger;
 pub(super) mod memory_use;
 pub(super) mod session_lease;
+pub(super) mod turn_queue;
+pub(super) mod work_owner;
 pub(super) mod work_span;
 pub(super) mod work_watch;

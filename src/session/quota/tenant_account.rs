@@ -1,7 +1,7 @@
 //! What one tenant uses, against what it may use.
 
 use crate::session::answers::Tenant;
-use crate::session::capacity::fair_line::WorkOwner;
+use crate::session::capacity::work_owner::WorkOwner;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::quota::tenant_quota::TenantQuota;
 use crate::session::quota::token_bucket::TokenBucket;

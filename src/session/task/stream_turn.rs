@@ -67,10 +67,14 @@ impl SessionTask {
         // A drag takes its best result in time; only one that has none after twice the time is given up.
         let limit = if commit { longest } else { longest.saturating_mul(2) };
         let (revision, desk) = (self.history.revision(), Arc::clone(&mailbox));
+        let (what, lane) = match commit {
+            true => ("solve", WorkLane::Interactive),
+            false => ("drag", WorkLane::Drags),
+        };
         let order = WorkOrder {
-            what: if commit { "solve" } else { "drag" },
+            what,
             call: mailbox.span.clone(),
-            lane: WorkLane::Interactive,
+            lane,
             flag: Arc::clone(&mailbox.cancel),
             arrived: Instant::now(),
             limit,

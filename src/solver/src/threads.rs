@@ -13,8 +13,8 @@ pub(crate) struct Parallelism {
     is_parallel: bool,
 }
 
-/// Rows below which starting other threads costs more than it saves.
-const WORTHWHILE: usize = 8192;
+/// Rows below which starting other threads costs more than it saves. Miri has to see threads at work on graphs that it can finish.
+const WORTHWHILE: usize = if cfg!(miri) { 64 } else { 8192 };
 
 impl Parallelism {
     pub(crate) fn from_pool(pool: &Pool) -> Self {

@@ -1,25 +1,49 @@
 //! Sequences of edits and poses: after each the model is sound, and the way back leads to the bits before it.
 
 use super::byte_draw::ByteDraw;
-use super::jobs::{LIMITS, box_file};
+use super::jobs::box_of_cells;
 use glam::DVec3;
-use pliant::asset::FileSet;
+use pliant::asset::{FileSet, Limits};
+use pliant::deform::VolumeMode;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
-    CutLine, Deformer, Edit, Handle, HandlePose, MergeJoin, ModelMerge, OpenOptions, Plane, Region, SolveSettings,
-    digest,
+    CutLine, Deformer, DeformerLimits, Edit, Handle, HandlePose, MergeJoin, ModelMerge, OpenOptions, Plane, Region,
+    SolveSettings, digest,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 
+/// Small enough that an input takes milliseconds: most of what goes wrong in an edit goes wrong among a few triangles.
+const LIMITS: DeformerLimits = DeformerLimits {
+    model: Limits {
+        vertices: 400,
+        triangles: 800,
+        decoded_bytes: 1 << 20,
+        document_bytes: 1 << 20,
+    },
+    memory_bytes: 64 << 20,
+    handles: 16,
+};
+
+/// A box of few triangles, most of the time without nodes inside.
+fn small_box(draw: &mut ByteDraw<'_>) -> (FileSet, OpenOptions) {
+    let mut options = OpenOptions::default();
+    let choice = draw.below(16);
+    if choice != 0 {
+        options.body.volume = VolumeMode::Off;
+    }
+    (box_of_cells(if choice < 2 { [2, 4, 2] } else { [1, 2, 1] }), options)
+}
+
 pub fn edits(bytes: &[u8]) {
     let mut draw = ByteDraw(bytes);
     let pool = Pool::new(1).expect("one thread");
     let exec = Exec::new(&pool, &Silent);
-    let opened = Deformer::open(box_file(), &OpenOptions::default(), &LIMITS, &exec);
+    let (file, options) = small_box(&mut draw);
+    let opened = Deformer::open(file, &options, &LIMITS, &exec);
     let mut deformer = opened.expect("the box opens");
-    for _ in 0..6 {
+    for _ in 0..4 {
         if draw.is_done() {
             return;
         }
@@ -174,7 +198,7 @@ fn merge(draw: &mut ByteDraw<'_>) -> ModelMerge {
     );
     ModelMerge {
         files: if draw.flag() {
-            box_file()
+            box_of_cells([1, 2, 1])
         } else {
             FileSet::single("odd.off", draw.0.to_vec())
         },

@@ -12,7 +12,12 @@ use std::fmt::Write as _;
 
 /// A box as text.
 pub fn box_file() -> FileSet {
-    let (points, faces) = shapes::box_with_cells(DVec3::new(1.0, 2.0, 1.0), [2, 4, 2]);
+    box_of_cells([2, 4, 2])
+}
+
+/// A box as text, cut into so many cells along each side.
+pub fn box_of_cells(cells: [usize; 3]) -> FileSet {
+    let (points, faces) = shapes::box_with_cells(DVec3::new(1.0, 2.0, 1.0), cells);
     let mut text = String::new();
     for p in &points {
         let _ = writeln!(text, "v {} {} {}", p.x, p.y, p.z);

@@ -1,6 +1,7 @@
 //! Who did what is told: in the store with the change itself, without one in the log.
 
 use super::{config_file, token_table};
+use crate::support::postgres::PostgresServer;
 use crate::support::program::ServedProgram;
 use crate::support::server::*;
 use pliant::session::store::{AuditFilter, DatabaseStore, SessionStore as _, StoreLocation, read_audit};
@@ -106,10 +107,16 @@ fn tables() -> String {
         .concat()
 }
 
-/// What `pliant audit` prints.
+/// What `pliant audit` prints of a folder.
 fn audit(folder: &Path, arguments: &[&str]) -> Vec<Value> {
+    let place = ["--data-dir", folder.to_str().expect("UTF-8")];
+    audit_at(&[&place, arguments].concat())
+}
+
+/// What `pliant audit` prints.
+fn audit_at(arguments: &[&str]) -> Vec<Value> {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pliant"));
-    let command = command.args(["audit", "--data-dir"]).arg(folder).args(arguments);
+    let command = command.arg("audit").args(arguments).env_remove("PLIANT_DATA_DIR");
     let done = command.output().expect("it runs");
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     let lines = String::from_utf8(done.stdout).expect("UTF-8");
@@ -131,14 +138,33 @@ fn expected() -> Vec<(String, String)> {
 async fn the_store_tells_who_did_what_while_the_server_runs_and_after() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
-    let config = config_file(folder.path(), &tables());
-    let server = ServedProgram::start(&data, &["--config", &config]);
+    let place = ["--data-dir", data.to_str().expect("UTF-8")];
+    tells_who_did_what(folder.path(), &place, &place).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn postgres_tells_who_did_what_while_the_server_runs_and_after() {
+    let Some(server) = PostgresServer::shared() else { return };
+    let database = server.database().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let place = ["--database", &database.url];
+    let objects = ["--data-dir", data.to_str().expect("UTF-8")];
+    tells_who_did_what(folder.path(), &[place, objects].concat(), &place).await;
+}
+
+/// A server whose store is told by `served`, and what `pliant audit` tells by `audited`.
+async fn tells_who_did_what(folder: &Path, served: &[&str], audited: &[&str]) {
+    let audit = |arguments: &[&str]| audit_at(&[audited, arguments].concat());
+    let config = config_file(folder, &tables());
+    let arguments = [served, &["--config", &config]].concat();
+    let server = ServedProgram::start_anywhere(folder.join("log"), &arguments, &[]).expect("the server starts");
     let id = one_of_each(&server).await;
     let others = opened(&server, "cleo's").await;
-    let running = audit(&data, &[]);
+    let running = audit(&[]);
     assert_eq!(who_what(&running), expected());
     server.kill();
-    assert_eq!(audit(&data, &[]), running, "all of it was on disk");
+    assert_eq!(audit(&[]), running, "all of it was on disk");
     for (k, line) in running.iter().enumerate() {
         let (tenant, session) = if k < 12 { ("a", &id) } else { ("b", &others) };
         assert_eq!(
@@ -147,10 +173,10 @@ async fn the_store_tells_who_did_what_while_the_server_runs_and_after() {
         );
         assert!(humantime::parse_rfc3339(&text(&line["time"])).is_ok(), "{line}");
     }
-    assert_eq!(audit(&data, &["--tenant", "b"]), running[12..]);
-    assert_eq!(audit(&data, &["--session", &id]), running[..12]);
-    assert_eq!(audit(&data, &["--since", "1h"]).len(), 13);
-    assert_eq!(audit(&data, &["--since", "2100-01-01T00:00:00Z"]).len(), 0);
+    assert_eq!(audit(&["--tenant", "b"]), running[12..]);
+    assert_eq!(audit(&["--session", &id]), running[..12]);
+    assert_eq!(audit(&["--since", "1h"]).len(), 13);
+    assert_eq!(audit(&["--since", "2100-01-01T00:00:00Z"]).len(), 0);
 }
 
 #[tokio::test(flavor = "multi_thread")]
