@@ -1,70 +1,23 @@
 //! Drags beside clients that solve without pause: the same drags alone and beside them, the same solves alone and beside the drags,
 //! one after the other on one server.
 
+use super::answer_tally::AnswerTally;
 use super::args::StreamArgs;
 use super::beside_report::{BesideReport, json_report, text_report};
 use super::client::LoadClient;
 use super::ledger::PoseLedger;
 use super::process::ServerProcess;
 use super::sessions::{open_all, open_channels};
-use super::times::Times;
 use crate::failure::LoadtestFailure;
 use crate::shared::drag_scene::DragScene;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tokio::task::JoinSet;
-use tonic::{Code, Status};
+use tonic::Status;
 
 /// How long solves go on before the drags begin, so that the server is as full as it gets.
 const LEAD: Duration = Duration::from_secs(2);
-
-/// What became of unary solves.
-#[derive(Debug, Default, Clone)]
-pub(crate) struct SolveTally {
-    /// Solves that were answered.
-    pub solved: u64,
-    /// From request to the last part of the answer.
-    pub latency: Times,
-    /// From request to being told that there is no room.
-    pub refusal: Times,
-    /// Other errors.
-    pub failed: u64,
-    /// One of them.
-    pub failure: Option<String>,
-    /// How long solves were asked for.
-    pub elapsed: Duration,
-}
-
-impl SolveTally {
-    /// Solves answered a second.
-    pub fn solves_per_second(&self) -> f64 {
-        self.solved as f64 / self.elapsed.as_secs_f64().max(1e-9)
-    }
-
-    fn enter_answer(&mut self, outcome: &Result<(), Status>, took: Duration) {
-        match outcome {
-            Ok(()) => {
-                self.solved += 1;
-                self.latency.enter(took);
-            }
-            Err(status) if status.code() == Code::ResourceExhausted => self.refusal.enter(took),
-            Err(status) => {
-                self.failed += 1;
-                self.failure = Some(status.to_string());
-            }
-        }
-    }
-
-    fn add_tally(&mut self, other: Self) {
-        self.solved += other.solved;
-        self.latency.add(&other.latency);
-        self.refusal.add(&other.refusal);
-        self.failed += other.failed;
-        self.failure = self.failure.take().or(other.failure);
-        self.elapsed = self.elapsed.max(other.elapsed);
-    }
-}
 
 /// Runs `loadtest stream --beside N`.
 pub(crate) async fn load_beside_solves(args: &StreamArgs, solving: u32) -> Result<(), LoadtestFailure> {
@@ -144,7 +97,7 @@ async fn drag_all(
 /// Clients that solve until they are told to stop.
 struct SolvingClients {
     stop: Arc<AtomicBool>,
-    tasks: JoinSet<(LoadClient, SolveTally)>,
+    tasks: JoinSet<(LoadClient, AnswerTally)>,
 }
 
 impl SolvingClients {
@@ -157,9 +110,9 @@ impl SolvingClients {
     }
 
     /// Waits for those under way; what is answered from now on counts no more.
-    async fn stop(mut self) -> Result<(Vec<LoadClient>, SolveTally), LoadtestFailure> {
+    async fn stop(mut self) -> Result<(Vec<LoadClient>, AnswerTally), LoadtestFailure> {
         self.stop.store(true, Ordering::Release);
-        let (mut clients, mut total) = (Vec::new(), SolveTally::default());
+        let (mut clients, mut total) = (Vec::new(), AnswerTally::default());
         while let Some(done) = self.tasks.join_next().await {
             let (client, tally) = done.map_err(|e| LoadtestFailure::Server(format!("a client failed: {e}")))?;
             clients.push(client);
@@ -174,8 +127,8 @@ async fn solve_without_pause(
     mut client: LoadClient,
     scene: DragScene,
     stop: Arc<AtomicBool>,
-) -> (LoadClient, SolveTally) {
-    let (mut tally, begun) = (SolveTally::default(), Instant::now());
+) -> (LoadClient, AnswerTally) {
+    let (mut tally, begun) = (AnswerTally::default(), Instant::now());
     for number in 1.. {
         let asked = Instant::now();
         let outcome = client.solve(&scene, number).await;
@@ -200,20 +153,6 @@ fn told_delay(status: &Status) -> Duration {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_tally_tells_answers_refusals_and_failures_apart() {
-        let (ms, mut tally) = (Duration::from_millis, SolveTally::default());
-        tally.enter_answer(&Ok(()), ms(100));
-        tally.enter_answer(&Err(Status::resource_exhausted("full")), ms(2));
-        tally.enter_answer(&Err(Status::internal("broken")), ms(3));
-        tally.elapsed = ms(500);
-        let mut both = tally.clone();
-        both.add_tally(tally);
-        assert_eq!((both.solved, both.refusal.count(), both.failed), (2, 2, 2));
-        assert_eq!(both.solves_per_second(), 4.0);
-        assert!(both.failure.is_some_and(|text| text.contains("broken")));
-    }
 
     #[test]
     fn who_is_refused_waits_as_long_as_is_said() {

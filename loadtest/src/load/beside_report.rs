@@ -1,7 +1,7 @@
 //! Drags beside solves, as a person or a program reads it.
 
+use super::answer_tally::AnswerTally;
 use super::args::StreamArgs;
-use super::beside::SolveTally;
 use super::ledger::PoseLedger;
 use super::times::Times;
 use crate::shared::drag_scene::DragScene;
@@ -13,8 +13,8 @@ pub(crate) struct BesideReport {
     pub solving: u32,
     pub drags_alone: PoseLedger,
     pub drags_beside: PoseLedger,
-    pub solves_alone: SolveTally,
-    pub solves_beside: SolveTally,
+    pub solves_alone: AnswerTally,
+    pub solves_beside: AnswerTally,
     /// The most memory that the server had.
     pub peak_bytes: u64,
 }
@@ -76,7 +76,7 @@ pub(crate) fn text_report(report: &BesideReport, scene: &DragScene, args: &Strea
     )
 }
 
-fn tallies(report: &BesideReport) -> [(&'static str, &SolveTally); 2] {
+fn tallies(report: &BesideReport) -> [(&'static str, &AnswerTally); 2] {
     [("alone", &report.solves_alone), ("beside drags", &report.solves_beside)]
 }
 
@@ -102,7 +102,7 @@ pub(crate) fn json_report(report: &BesideReport, scene: &DragScene, args: &Strea
             "latencyMs": json_shares(&ledger.latency),
         })
     };
-    let solves = |tally: &SolveTally| {
+    let solves = |tally: &AnswerTally| {
         json!({
             "solvesPerSecond": tally.solves_per_second(),
             "solved": tally.solved,

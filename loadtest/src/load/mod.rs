@@ -1,5 +1,6 @@
 //! A server under load: clients that drag, and a ledger in which every pose must be accounted for.
 
+mod answer_tally;
 mod args;
 mod beside;
 mod beside_report;

@@ -67,18 +67,7 @@ impl SessionTask {
         // A drag takes its best result in time; only one that has none after twice the time is given up.
         let limit = if commit { longest } else { longest.saturating_mul(2) };
         let (revision, desk) = (self.history.revision(), Arc::clone(&mailbox));
-        let (what, lane) = match commit {
-            true => ("solve", WorkLane::Interactive),
-            false => ("drag", WorkLane::Drags),
-        };
-        let order = WorkOrder {
-            what,
-            call: mailbox.span.clone(),
-            lane,
-            flag: Arc::clone(&mailbox.cancel),
-            arrived: Instant::now(),
-            limit,
-        };
+        let order = turn_order(&mailbox, commit, limit);
         let ran = self
             .compute(order, move |deformer, pool, watch, queued| {
                 let frames = FrameContext {
@@ -205,6 +194,22 @@ impl SessionTask {
             }
             Err(error) => refuse_all(mailbox, poses, before, &error),
         }
+    }
+}
+
+/// The work of a turn. A drag comes before what does not go on at once.
+fn turn_order(mailbox: &Mailbox, commit: bool, limit: Duration) -> WorkOrder {
+    let (what, lane) = match commit {
+        true => ("solve", WorkLane::Interactive),
+        false => ("drag", WorkLane::Drags),
+    };
+    WorkOrder {
+        what,
+        call: mailbox.span.clone(),
+        lane,
+        flag: Arc::clone(&mailbox.cancel),
+        arrived: Instant::now(),
+        limit,
     }
 }
 

@@ -236,7 +236,7 @@ mod tests {
     #[test]
     fn coarse_weights_are_symmetric_and_bounded_by_their_sums() {
         let hierarchy = BoxLattice::new(12, 11, 10).weighted().hierarchy(1);
-        assert!(hierarchy.levels.len() > 2);
+        assert!(cfg!(miri) || hierarchy.levels.len() > 2);
         for pair in hierarchy.levels.windows(2) {
             let (fine, coarse) = (&pair[0], &pair[1]);
             for row in 0..coarse.rows() {

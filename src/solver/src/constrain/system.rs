@@ -296,7 +296,8 @@ mod tests {
     fn masks_follow_their_members() {
         let block = BoxLattice::new(12, 11, 10).weighted();
         let hierarchy = block.hierarchy(30);
-        let fixed: Vec<bool> = block.positions.iter().map(|p| p[0] < 4.0).collect();
+        let end = if cfg!(miri) { 2.0 } else { 4.0 };
+        let fixed: Vec<bool> = block.positions.iter().map(|p| p[0] < end).collect();
         let stiffness: Vec<f64> = block
             .positions
             .iter()
@@ -348,6 +349,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(miri, ignore = "counts work on a graph that is too large for it")]
     fn cycles_stay_within_their_budget() {
         let hierarchy = BoxLattice::new(40, 40, 24).hierarchy(20);
         let steps = steps(&hierarchy);
