@@ -42,10 +42,11 @@ const BLOCK: usize = 1 << 12;
 struct GraphRows<'a> {
     adjacency: &'a Adjacency,
     inner: &'a InteriorNodes,
-    positions: &'a [DVec3],
     surface: usize,
     /// Shell nodes' vertices come first in `nearest_surface`.
     first_lattice: usize,
+    /// For each neighbour of each vertex on the mesh, whether the vertex is joined to the copy of that neighbour.
+    diagonals: Vec<bool>,
     /// Ties by lattice node and by what they are tied to.
     from_lattice: Lists,
     to_lattice: Lists,
@@ -56,16 +57,36 @@ impl GraphRows<'_> {
         self.inner.shell.get(vertex as usize).copied().filter(|&s| s != NONE)
     }
 
-    /// Whether `v` is joined to the copy of its neighbour `w`: the shorter diagonal of each prism side is, the only one
-    /// there is when one end has no copy.
-    fn diagonal(&self, v: u32, w: u32) -> bool {
-        let length = |a: u32, b: u32| self.positions[a as usize].distance_squared(self.positions[b as usize]);
-        match (self.shell_of(v), self.shell_of(w)) {
-            (_, None) => false,
-            (None, Some(_)) => true,
-            (Some(sv), Some(sw)) if v < w => length(v, sw) <= length(w, sv),
-            (Some(sv), Some(sw)) => length(w, sv) > length(v, sw),
+    /// The neighbours of a vertex on the mesh, and for each whether the vertex is joined to its copy. The copy of the vertex
+    /// is joined to the others: of the diagonals of each prism side there is one.
+    fn around(&self, v: u32) -> impl Iterator<Item = (u32, bool)> {
+        let neighbours = &self.adjacency.neighbours;
+        let row = neighbours.offsets()[v as usize] as usize..neighbours.offsets()[v as usize + 1] as usize;
+        let joined = self.diagonals.get(row.clone()).unwrap_or_default();
+        let all = neighbours.items()[row].iter().copied();
+        all.zip(joined.iter().copied())
+    }
+
+    /// Number of neighbours of `node`.
+    fn row_length(&self, node: usize) -> u32 {
+        if node >= self.first_lattice {
+            let n = node - self.first_lattice;
+            let within = self.inner.lattice[n].iter().filter(|&&n| n != NONE).count();
+            return (self.from_lattice.of(n as u32).len() + within) as u32;
         }
+        let ties = self.to_lattice.of(node as u32).len();
+        let row = if node < self.surface {
+            let v = node as u32;
+            let joined = self.around(v).filter(|w| w.1).count();
+            self.adjacency.neighbours.of(v).len() + joined + usize::from(self.shell_of(v).is_some())
+        } else {
+            let v = self.inner.nearest_surface[node - self.surface];
+            let joined = self
+                .around(v)
+                .map(|(w, is_joined)| usize::from(!is_joined) + usize::from(self.shell_of(w).is_some()));
+            1 + joined.sum::<usize>()
+        };
+        (row + ties) as u32
     }
 
     /// Calls `put` for the neighbours of `node`, rising.
@@ -74,30 +95,28 @@ impl GraphRows<'_> {
         let first = self.first_lattice as u32;
         if node < self.surface {
             let v = node as u32;
-            let around = self.adjacency.neighbours.of(v);
-            around.iter().for_each(|&w| put(w));
-            if !self.inner.shell.is_empty() {
-                let lower = around.partition_point(|&w| w < v);
-                let copies = |part: &[u32], put: &mut dyn FnMut(u32)| {
-                    let joined = part.iter().filter(|&&w| self.diagonal(v, w));
-                    joined.filter_map(|&w| self.shell_of(w)).for_each(put)
-                };
-                copies(&around[..lower], put);
-                self.shell_of(v).into_iter().for_each(&mut *put);
-                copies(&around[lower..], put);
+            self.adjacency.neighbours.of(v).iter().for_each(|&w| put(w));
+            let mut own = self.shell_of(v);
+            for (w, _) in self.around(v).filter(|w| w.1) {
+                if w > v {
+                    own.take().into_iter().for_each(&mut *put);
+                }
+                self.shell_of(w).into_iter().for_each(&mut *put);
             }
+            own.into_iter().for_each(&mut *put);
             self.to_lattice.of(v).iter().for_each(|&n| put(first + n));
         } else if node < self.first_lattice {
             let v = self.inner.nearest_surface[node - self.surface];
-            let around = self.adjacency.neighbours.of(v);
-            let lower = around.partition_point(|&w| w < v);
-            let vertices = |part: &[u32], put: &mut dyn FnMut(u32)| {
-                part.iter().copied().filter(|&w| self.diagonal(w, v)).for_each(put)
-            };
-            vertices(&around[..lower], put);
-            put(v);
-            vertices(&around[lower..], put);
-            around.iter().filter_map(|&w| self.shell_of(w)).for_each(&mut *put);
+            let mut own = Some(v);
+            for (w, _) in self.around(v).filter(|w| !w.1) {
+                if w > v {
+                    own.take().into_iter().for_each(&mut *put);
+                }
+                put(w);
+            }
+            own.into_iter().for_each(&mut *put);
+            let around = self.adjacency.neighbours.of(v).iter();
+            around.filter_map(|&w| self.shell_of(w)).for_each(&mut *put);
             self.to_lattice.of(node as u32).iter().for_each(|&n| put(first + n));
         } else {
             let n = node - self.first_lattice;
@@ -125,12 +144,15 @@ pub(super) fn assemble(
     positions.extend_from_slice(&mesh.positions);
     positions.extend_from_slice(&inner.positions);
     let first_lattice = surface + inner.copies;
+    let diagonals = pool.map_or_else(Vec::new, |pool| {
+        pool.install(|| find_diagonals(adjacency, &inner.shell, &positions))
+    });
     let rows = GraphRows {
         adjacency,
         inner: &inner,
-        positions: &positions,
         surface,
         first_lattice,
+        diagonals,
         from_lattice: Lists::gather(inner.lattice.len(), || inner.ties.iter().map(|&[n, to]| (n, to))),
         to_lattice: Lists::gather(first_lattice, || inner.ties.iter().map(|&[n, to]| (to, n))),
     };
@@ -169,11 +191,35 @@ pub(super) fn assemble(
     }
 }
 
+/// For each neighbour of each vertex, whether the vertex is joined to its copy: the shorter diagonal of each prism side is,
+/// the only one there is when one end has no copy.
+fn find_diagonals(adjacency: &Adjacency, shell: &[u32], positions: &[DVec3]) -> Vec<bool> {
+    let length = |a: u32, b: u32| positions[a as usize].distance_squared(positions[b as usize]);
+    let is_joined = |v: u32, w: u32| match [shell[v as usize], shell[w as usize]] {
+        [_, NONE] => false,
+        [NONE, _] => true,
+        [sv, sw] if v < w => length(v, sw) <= length(w, sv),
+        [sv, sw] => length(w, sv) > length(v, sw),
+    };
+    let offsets = adjacency.neighbours.offsets();
+    let blocks: Vec<usize> = (0..shell.len()).step_by(BLOCK).collect();
+    let found = blocks.into_par_iter().map(|from| {
+        let to = (from + BLOCK).min(shell.len());
+        let mut joined = Vec::with_capacity((offsets[to] - offsets[from]) as usize);
+        for v in from as u32..to as u32 {
+            let around = adjacency.neighbours.of(v).iter();
+            joined.extend(around.map(|&w| is_joined(v, w)));
+        }
+        joined
+    });
+    found.collect::<Vec<_>>().concat()
+}
+
 /// Offsets and neighbours of all rows.
 fn fill_rows(nodes: usize, rows: &GraphRows) -> (Vec<u32>, Vec<u32>) {
     let mut offsets = vec![0u32; nodes + 1];
     let counted = offsets[1..].par_iter_mut().enumerate().with_min_len(BLOCK);
-    counted.for_each(|(node, count)| rows.each(node, |_| *count += 1));
+    counted.for_each(|(node, count)| *count = rows.row_length(node));
     for i in 0..nodes {
         offsets[i + 1] += offsets[i];
     }

@@ -44,7 +44,8 @@ impl Adjacency {
     /// ```
     ///
     /// # Panics
-    /// When a triangle names a vertex that is not below `vertices`. Triangles of a [`super::Mesh`] never do.
+    /// When a triangle names a vertex that is not below `vertices`, or there are more than 2³¹ of these. Triangles of a
+    /// [`super::Mesh`] never do, and it never has.
     pub fn build(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let faces = Lists::gather(vertices, || {
             triangles.iter().zip(0u32..).flat_map(|(t, i)| t.map(|v| (v, i)))
@@ -77,30 +78,29 @@ impl Adjacency {
 
 /// All edges of `triangles`, sorted: half edges are gathered at their smaller end and each short row is sorted.
 fn edges(vertices: usize, triangles: &[[u32; 3]]) -> Vec<MeshEdge> {
-    let half_edge = |h: u32| {
-        let t = triangles[h as usize / 3];
-        (t[h as usize % 3], t[(h as usize + 1) % 3])
+    assert!(
+        vertices <= 1 << 31,
+        "{vertices} vertices cannot be numbered with 31 bits"
+    );
+    // The larger end, and in the lowest bit whether the half edge begins there.
+    let half_edges = |&[a, b, c]: &[u32; 3]| {
+        let packed = |from: u32, to: u32| (from.min(to), from.max(to) << 1 | u32::from(from > to));
+        let all = [(a, b), (b, c), (c, a)].into_iter();
+        all.filter(|(from, to)| from != to)
+            .map(move |(from, to)| packed(from, to))
     };
-    let rows = Lists::gather(vertices, || {
-        (0..3 * triangles.len() as u32).filter_map(move |h| {
-            let (from, to) = half_edge(h);
-            (from != to).then_some((from.min(to), h))
-        })
-    });
+    let rows = Lists::gather(vertices, || triangles.iter().flat_map(half_edges));
     let mut edges: Vec<MeshEdge> = Vec::with_capacity(rows.items().len() / 2 + 1);
-    let mut row: Vec<(u32, bool)> = Vec::new();
+    let mut row: Vec<u32> = Vec::new();
     for v in 0..vertices as u32 {
         row.clear();
-        row.extend(rows.of(v).iter().map(|&h| {
-            let (from, to) = half_edge(h);
-            (from.max(to), from > to)
-        }));
+        row.extend_from_slice(rows.of(v));
         row.sort_unstable();
-        for same in row.chunk_by(|a, b| a.0 == b.0) {
-            let backward = same.iter().filter(|s| s.1).count();
+        for same in row.chunk_by(|a, b| a >> 1 == b >> 1) {
+            let backward = same.iter().filter(|&&s| s & 1 == 1).count();
             let count = |n: usize| u16::try_from(n).unwrap_or(u16::MAX);
             edges.push(MeshEdge {
-                vertices: [v, same[0].0],
+                vertices: [v, same[0] >> 1],
                 forward: count(same.len() - backward),
                 backward: count(backward),
             });

@@ -5,20 +5,19 @@ use crate::exec::Exec;
 use crate::graph::assemble::{InteriorNodes, assemble};
 use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphStats, MeshGraph};
-use crate::graph::recipe::InteriorRecipe;
-use crate::graph::volume::caps::missing;
-use crate::graph::volume::columns::FaceColumns;
+use crate::graph::volume::caps::{ClosedHull, HullFaces};
+use crate::graph::volume::inward::inward_directions;
 use crate::graph::volume::lattice;
 use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeNodes};
-use crate::graph::volume::nearest::nearest_vertices;
-use crate::graph::volume::neighbours::{NONE, in_b, rising};
-use crate::graph::volume::shell::{ShellNodes, VolumeSite, shell};
+use crate::graph::volume::near_surface::NearSurface;
+use crate::graph::volume::placed::{PlacedNodes, interior_nodes};
+use crate::graph::volume::shell::{InsideHull, VolumeSite, shell};
 use crate::graph::volume::solid::{ClassifiedParts, PartKind};
 use crate::graph::volume::{octree, scan};
 use crate::graph::weights::EdgeWeights;
 use crate::graph::winding::tree::WindingTree;
 use crate::mesh::{Adjacency, Mesh, mean_edge_length, signed_volume};
-use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// How a volume graph is built.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -108,50 +107,58 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
     exec.check()?;
 
     exec.progress.report("graph", 0.0);
-    let adjacency = Adjacency::build(surface, &mesh.triangles);
+    let (adjacency, mut near) = exec.pool.install(|| {
+        let adjacency = || Adjacency::build(surface, &mesh.triangles);
+        rayon::join(adjacency, || NearSurface::sort(mesh, exec.pool))
+    });
     let mean_edge = mean_edge_length(&mesh.positions, &adjacency.edges);
     let diagonal = mesh.bounds().diagonal();
     if !(mean_edge > diagonal * 1e-12 && mean_edge.is_finite()) {
         return Ok(None);
     }
-    let tree = WindingTree::build(&mesh.positions, &mesh.triangles, exec.pool);
+    let offset = options.shell_offset.unwrap_or(mean_edge);
+    near.prepare_for(offset.max(options.interval.unwrap_or(0.0)));
+    let near = near;
     exec.progress.report("graph", 0.1);
     let step = mean_edge * BESIDE;
-    let mut parts = ClassifiedParts::sort(mesh, &adjacency, &tree, step, exec)?;
+    let mut parts = ClassifiedParts::sort(mesh, &adjacency, &near, step, exec)?;
     let mut closed = parts.hull(mesh, &adjacency);
     if let Some(hull) = &closed
-        && parts.doubt(&tree, hull, exec)?
+        && parts.doubt(near.tree(), hull, exec)?
     {
         closed = parts.hull(mesh, &adjacency);
     }
     let soup = parts.soup(mesh);
     let build = |positions, faces| WindingTree::build(positions, faces, exec.pool);
-    let hull_tree = closed.as_ref().map(|hull| build(&hull.positions, &hull.faces));
     let soup_tree = soup.as_ref().map(|faces| build(&mesh.positions, faces));
-    let hull = hull_tree
-        .as_ref()
-        .or_else(|| parts.all(PartKind::Closed).then_some(&tree));
+    let hull = (closed.as_ref().map(ClosedHull::as_faces))
+        .or_else(|| parts.all(PartKind::Closed).then(|| HullFaces::of_mesh(mesh)));
+    let hull_tree = OnceLock::new();
+    let tree_of_hull = || match &closed {
+        Some(closed) => hull_tree.get_or_init(|| build(&closed.positions, &closed.faces)),
+        None => near.tree(),
+    };
     let site = VolumeSite {
         mesh,
         adjacency: &adjacency,
-        surface: tree.bvh(),
+        surface: &near,
         hull,
-        columns: hull.map(|hull| FaceColumns::sort(hull, exec.pool)),
+        inside_hull: InsideHull::of_faces(hull, tree_of_hull, exec.pool),
         soup: soup_tree
             .as_ref()
-            .or_else(|| parts.all(PartKind::Soup).then_some(&tree)),
+            .or_else(|| parts.all(PartKind::Soup).then(|| near.tree())),
         parts: &parts,
         exec,
     };
     if site.hull.is_none() && site.soup.is_none() {
         return Ok(None);
     }
-    let (inward, turns) = parts.inward(tree.bvh(), &adjacency, |p| site.contains(p), step, exec)?;
+    let order = site.vertices_in_space_order();
+    let (inward, turns) = inward_directions(&site, &order, step)?;
 
     exec.progress.report("graph", 0.2);
-    let offset = options.shell_offset.unwrap_or(mean_edge);
     let offsets = shell_offsets(&site, options.shell_offset, mean_edge);
-    let shell = shell(&site, &inward, &offsets)?;
+    let shell = shell(&site, order, &inward, &offsets)?;
     let shell_nodes = shell.iter().flatten().count();
     let room = room_beyond(surface + shell_nodes)?;
 
@@ -167,28 +174,40 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
         return Ok(None);
     }
 
-    exec.progress.report("graph", 0.7);
-    let (mut inner, keeps) = interior_nodes(&site, shell, &offsets, &grid, &nodes, options.valence)?;
-    if inner.positions.is_empty() {
-        return Ok(None);
-    }
-    let reach = part_reaches(&site, &offsets, &turns, &keeps);
-    inner.recipe.inside = Some(record_interior(&site, &reach, &grid, options.valence, DEPTH * offset));
-    inner.stats = GraphStats {
-        shell_nodes: inner.copies,
+    let stats = GraphStats {
         lattice_nodes: nodes.keys.len(),
         interval: grid.interval,
         wanted_interval: wanted,
         shell_offset: offset,
         enclosed_volume: volume,
-        component_has_volume: Vec::new(),
+        ..GraphStats::default()
     };
-    check_edge_count(&adjacency, &inner)?;
+    let placed = PlacedNodes {
+        shell,
+        offsets,
+        turns,
+        grid,
+        nodes,
+        depth: DEPTH * offset,
+        stats,
+    };
+    join_nodes(&site, placed, options)
+}
+
+/// Joins the nodes that have been placed to a graph; `None` when none are left.
+fn join_nodes(site: &VolumeSite, placed: PlacedNodes, options: &VolumeOptions) -> Result<Option<MeshGraph>, Error> {
+    let exec = site.exec;
+    exec.progress.report("graph", 0.7);
+    let Some(inner) = interior_nodes(site, placed, options.valence)? else {
+        return Ok(None);
+    };
+    check_edge_count(site.adjacency, &inner)?;
     exec.progress.report("graph", 0.9);
+    let parts = &site.parts.components;
     let graph = assemble(
-        mesh,
-        &adjacency,
-        &parts.components,
+        site.mesh,
+        site.adjacency,
+        parts,
         inner,
         options.weights,
         Some(exec.pool),
@@ -247,11 +266,11 @@ fn enclosed_volume(site: &VolumeSite) -> Result<f64, Error> {
     let mesh = site.mesh;
     let mut volume = 0.0;
     if let Some(hull) = site.hull {
-        let measured = signed_volume(hull.bvh().positions(), hull.bvh().triangles()).abs();
+        let measured = signed_volume(hull.positions, hull.faces).abs();
         if site.parts.components.count == 1 {
             volume = measured;
         } else if let Some(grid) = LatticeGrid::around(&mesh.bounds(), longest_side(mesh) / ROWS_ALONG) {
-            let sampled = scan::volume(site, hull.bvh(), &grid)?.unwrap_or(0.0);
+            let sampled = scan::volume(site, hull, &grid)?.unwrap_or(0.0);
             let measured_fits = sampled == 0.0 || (measured - sampled).abs() <= 0.1 * measured;
             volume = if measured_fits { measured } else { sampled };
         }
@@ -303,117 +322,4 @@ fn fitting_lattice(
         seen: interval,
     })?;
     Ok((grid, LatticeNodes::default()))
-}
-
-/// Takes the copies away from parts without lattice in which most vertices have no room for a copy at a quarter of the
-/// offset or more: copies so near to the surface keep nothing from collapsing, and the part is no more than a sheet.
-///
-/// Answers which parts keep theirs.
-fn leave_out_thin(site: &VolumeSite, shell: &mut ShellNodes, offsets: &[f64], ties: &[[u32; 2]]) -> Vec<bool> {
-    let components = &site.parts.components;
-    let part = |v: u32| components.of_vertex[v as usize] as usize;
-    // By part: vertices, and those with room.
-    let mut count = vec![(0usize, 0usize); components.count];
-    for (v, copy) in (0u32..).zip(shell.iter()) {
-        let roomy = copy.is_some_and(|p| p.distance(site.mesh.positions[v as usize]) > offsets[part(v)] * 0.24);
-        count[part(v)].0 += 1;
-        count[part(v)].1 += usize::from(roomy);
-    }
-    let mut keeps: Vec<bool> = count.into_iter().map(|(all, roomy)| roomy * 2 >= all).collect();
-    ties.iter().for_each(|t| keeps[part(t[1])] = true);
-    for (v, copy) in (0u32..).zip(shell.iter_mut()) {
-        if !keeps[part(v)] {
-            *copy = None;
-        }
-    }
-    keeps
-}
-
-/// How far copies of each part were moved inwards: negative where the part is wound inside out, 0 where it has none.
-fn part_reaches(site: &VolumeSite, offsets: &[f64], turns: &[f64], keeps: &[bool]) -> Vec<f32> {
-    let kinds = site.parts.kinds.iter().enumerate();
-    kinds
-        .map(|(part, &kind)| {
-            let encloses = kind != PartKind::Sheet && keeps[part];
-            if encloses {
-                (offsets[part] * turns[part]) as f32
-            } else {
-                0.0
-            }
-        })
-        .collect()
-}
-
-/// Records what edits need to know of how interior nodes were placed; `reach` is by part.
-fn record_interior(site: &VolumeSite, reach: &[f32], grid: &LatticeGrid, valence: u32, depth: f64) -> InteriorRecipe {
-    let parts = site.parts;
-    let enclosing = |v: u32| reach[parts.components.of_vertex[v as usize] as usize] != 0.0;
-    let edges = site.adjacency.edges.iter();
-    let mut open: Vec<[u32; 2]> = edges.filter(|e| enclosing(e.vertices[0])).flat_map(missing).collect();
-    open.sort_unstable();
-    InteriorRecipe {
-        origin: grid.origin,
-        interval: grid.interval,
-        valence,
-        depth,
-        soups: parts.kinds.contains(&PartKind::Soup),
-        reach: parts
-            .components
-            .of_vertex
-            .iter()
-            .map(|&part| reach[part as usize])
-            .collect(),
-        open,
-    }
-}
-
-/// Numbers shell and lattice nodes after the surface and collects their edges. With it, which parts keep their copies.
-fn interior_nodes(
-    site: &VolumeSite,
-    mut shell: ShellNodes,
-    offsets: &[f64],
-    grid: &LatticeGrid,
-    nodes: &LatticeNodes,
-    valence: u32,
-) -> Result<(InteriorNodes, Vec<bool>), Error> {
-    let surface = site.mesh.positions.len() as u32;
-    let edges = lattice::edges(site, grid, nodes, valence)?;
-    let keeps = leave_out_thin(site, &mut shell, offsets, &edges.ties);
-    let mut inner = InteriorNodes {
-        shell: vec![NONE; shell.len()],
-        ..InteriorNodes::default()
-    };
-    for (v, copy) in (0u32..).zip(&shell) {
-        if let Some(p) = copy {
-            inner.shell[v as usize] = surface + inner.positions.len() as u32;
-            inner.positions.push(*p);
-            inner.nearest_surface.push(v);
-        }
-    }
-    inner.copies = inner.positions.len();
-    inner.positions.extend(nodes.keys.iter().map(|&k| grid.position(k)));
-    inner
-        .nearest_surface
-        .extend(nearest_vertices(site, grid, nodes, &edges)?);
-    inner.ties = edges.ties;
-    for [_, to] in &mut inner.ties {
-        let copy = inner.shell[*to as usize];
-        *to = if copy == NONE { *to } else { copy };
-    }
-    site.exec.pool.install(|| inner.ties.par_sort_unstable());
-    inner.lattice = edges.rows;
-    let order = rising();
-    site.exec.pool.install(|| {
-        let rows = inner.lattice.par_iter_mut().zip(&nodes.keys).with_min_len(1024);
-        rows.for_each(|(row, &key)| {
-            let mut sorted = [NONE; 14];
-            let there = order[usize::from(in_b(key))]
-                .iter()
-                .map(|&d| row[d])
-                .filter(|&n| n != NONE);
-            sorted.iter_mut().zip(there).for_each(|(slot, n)| *slot = n);
-            *row = sorted;
-        });
-    });
-    Ok((inner, keeps))
 }

@@ -4,7 +4,7 @@
 //! vertex as begins there. A fan from the middle of each loop closes it, and then the winding number is whole
 //! everywhere off the surface, which rows can be followed through.
 
-use crate::mesh::{Adjacency, MeshEdge};
+use crate::mesh::{Adjacency, Mesh, MeshEdge};
 use glam::DVec3;
 
 /// Positions and faces of a closed surface.
@@ -17,7 +17,32 @@ pub(in crate::graph) struct ClosedHull {
     pub(in crate::graph) loops: Vec<(u32, usize, DVec3)>,
 }
 
+/// Positions and faces of a closed surface.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::graph) struct HullFaces<'a> {
+    pub(in crate::graph) positions: &'a [DVec3],
+    pub(in crate::graph) faces: &'a [[u32; 3]],
+}
+
+impl<'a> HullFaces<'a> {
+    /// Those of a mesh that is closed.
+    pub(in crate::graph) fn of_mesh(mesh: &'a Mesh) -> Self {
+        Self {
+            positions: &mesh.positions,
+            faces: &mesh.triangles,
+        }
+    }
+}
+
 impl ClosedHull {
+    /// Its positions and faces.
+    pub(in crate::graph) fn as_faces(&self) -> HullFaces<'_> {
+        HullFaces {
+            positions: &self.positions,
+            faces: &self.faces,
+        }
+    }
+
     /// The faces of `triangles` whose vertices `wanted` says, closed by fans.
     pub(in crate::graph) fn close(
         positions: &[DVec3],

@@ -4,42 +4,36 @@
 //! place tell the winding number there, a whole number. Faces are sorted into the columns of a grid across that axis,
 //! and a place looks at the faces of its own column only.
 
-use crate::graph::winding::tree::WindingTree;
-use crate::mesh::{BoundingBox, Lists};
+use crate::mesh::BoundingBox;
+use crate::mesh::query::box_grid::{BoxGrid, GridLimits};
 use crate::pool::Pool;
 use glam::DVec3;
-use rayon::prelude::*;
 
 /// Columns for each face.
 const COLUMNS: f64 = 2.0;
-/// Entries of faces in columns for each face, at most; wider columns have fewer.
-const ENTRIES: f64 = 12.0;
-/// Faces that a place looks at on average, at most; where it would be more, the tree is asked.
+/// Columns and entries of faces in columns for each face, at most; wider columns have fewer.
+const LIMITS: GridLimits = GridLimits {
+    cells: 4.0,
+    entries: 12.0,
+};
+/// Faces that a place looks at on average, at most; where it would be more, a tree is to be asked.
 const DEEP: u64 = 512;
 
 /// The faces of a hull by columns.
 pub(in crate::graph) struct FaceColumns<'a> {
     positions: &'a [DVec3],
     triangles: &'a [[u32; 3]],
-    /// Asked where columns are of no help.
-    tree: Option<&'a WindingTree<'a>>,
     /// The axis along the columns, then those across.
     axes: [usize; 3],
-    low: DVec3,
-    /// Side of a column.
-    side: f64,
-    /// Columns along either axis across.
-    count: [u32; 2],
-    /// Faces by column; `None` where too many lie behind each other and there is a tree to ask.
-    faces: Option<Lists>,
+    /// Faces by column; `None` where the box around them is flat.
+    grid: Option<BoxGrid>,
 }
 
 impl<'a> FaceColumns<'a> {
-    /// Sorts the faces of `hull`, along the axis on which the fewest lie behind each other.
-    pub(in crate::graph) fn sort(hull: &'a WindingTree<'a>, pool: &Pool) -> Self {
-        let (positions, triangles) = (hull.bvh().positions(), hull.bvh().triangles());
-        let bounds = BoundingBox::of(positions);
-        let size = bounds.size();
+    /// Sorts the faces of a hull, along the axis on which the fewest lie behind each other. `None` where too many do on any
+    /// axis, and a tree is the better choice.
+    pub(in crate::graph) fn sort(positions: &'a [DVec3], triangles: &'a [[u32; 3]], pool: &Pool) -> Option<Self> {
+        let size = BoundingBox::of(positions).size();
         let mut shadow = DVec3::ZERO;
         for t in triangles {
             let [a, b, c] = t.map(|v| positions[v as usize]);
@@ -47,7 +41,9 @@ impl<'a> FaceColumns<'a> {
         }
         let depth = |axis: usize| shadow[axis] * size[axis];
         let along = (1..3).fold(0, |best, axis| if depth(axis) < depth(best) { axis } else { best });
-        Self::build(positions, triangles, along, Some(hull), pool)
+        let columns = Self::along(along, positions, triangles, pool);
+        let is_shallow = columns.grid.as_ref().is_some_and(|grid| grid.crowd() <= DEEP);
+        is_shallow.then_some(columns)
     }
 
     /// Sorts `triangles` along a given axis. They may be those faces of a closed hull that any line along the axis through
@@ -58,84 +54,47 @@ impl<'a> FaceColumns<'a> {
         triangles: &'a [[u32; 3]],
         pool: &Pool,
     ) -> Self {
-        Self::build(positions, triangles, along, None, pool)
-    }
-
-    fn build(
-        positions: &'a [DVec3],
-        triangles: &'a [[u32; 3]],
-        along: usize,
-        tree: Option<&'a WindingTree<'a>>,
-        pool: &Pool,
-    ) -> Self {
-        let bounds = BoundingBox::of(positions);
-        let size = bounds.size();
+        let size = BoundingBox::of(positions).size();
         let axes = [along, (along + 1) % 3, (along + 2) % 3];
         let across = [size[axes[1]], size[axes[2]]];
         let widest = across[0].max(across[1]);
-        let mut columns = Self {
+        let side = (across[0] * across[1] / (COLUMNS * triangles.len() as f64)).sqrt();
+        // Thin boxes have few columns across, long ones not more than faces.
+        let side = side.max(widest / (triangles.len() as f64 + 1.0)).max(widest * 1e-6);
+        let mut sides = DVec3::splat(side);
+        sides[along] = f64::INFINITY;
+        let is_length = side > 0.0 && side.is_finite();
+        let sorted = || BoxGrid::of_triangles(positions, triangles, sides, LIMITS, pool);
+        Self {
             positions,
             triangles,
-            tree,
             axes,
-            low: bounds.min,
-            side: (across[0] * across[1] / (COLUMNS * triangles.len() as f64)).sqrt(),
-            count: [1, 1],
-            faces: None,
-        };
-        // Thin boxes have few columns across, long ones not more than faces.
-        columns.side = columns
-            .side
-            .max(widest / (triangles.len() as f64 + 1.0))
-            .max(widest * 1e-6);
-        if !(columns.side > 0.0 && columns.side.is_finite()) {
-            return columns;
+            grid: is_length.then(sorted).flatten(),
         }
-        let spans = loop {
-            columns.count = across.map(|length| (length / columns.side) as u32 + 1);
-            let span = |t| columns.span(t);
-            let spans: Vec<[[u32; 2]; 2]> =
-                pool.install(|| triangles.par_iter().with_min_len(1024).map(span).collect());
-            let entries: f64 = spans.iter().map(entries).sum();
-            if entries <= ENTRIES * triangles.len() as f64 + 1024.0 || columns.count == [1, 1] {
-                break spans;
-            }
-            columns.side *= 1.5;
-        };
-        let wide = columns.count[0];
-        let lists = Lists::gather((wide * columns.count[1]) as usize, || {
-            spans.iter().zip(0u32..).flat_map(|(&[first, last], number)| {
-                (first[1]..=last[1]).flat_map(move |j| (first[0]..=last[0]).map(move |i| (j * wide + i, number)))
-            })
-        });
-        let squares: u64 = lists.offsets().windows(2).map(|w| u64::from(w[1] - w[0]).pow(2)).sum();
-        if tree.is_none() || squares <= DEEP * lists.items().len() as u64 {
-            columns.faces = Some(lists);
-        }
-        columns
     }
 
-    /// The column of a place along an axis across; places beyond the box belong to the columns at its rim.
-    fn column(&self, p: DVec3, across: usize) -> u32 {
-        let axis = self.axes[1 + across];
-        let at = (p[axis] - self.low[axis]) / self.side;
-        (at.max(0.0) as u32).min(self.count[across] - 1)
-    }
-
-    /// The first and last column of a face.
-    fn span(&self, t: &[u32; 3]) -> [[u32; 2]; 2] {
-        let [a, b, c] = t.map(|v| self.positions[v as usize]);
-        [a.min(b).min(c), a.max(b).max(c)].map(|p| [0, 1].map(|across| self.column(p, across)))
+    /// Lists the corners of the faces, each once, so that those next to each other in the list are close in space.
+    pub(in crate::graph) fn vertices_in_space_order(&self) -> Vec<u32> {
+        let mut seen = vec![false; self.positions.len()];
+        let faces = self.grid.iter().flat_map(BoxGrid::numbers_in_order);
+        let corners = faces.flat_map(|t| self.triangles[t as usize]);
+        corners
+            .filter(|&v| !std::mem::replace(&mut seen[v as usize], true))
+            .collect()
     }
 
     /// Whether the winding number at a place is not 0.
     pub(in crate::graph) fn contains(&self, p: DVec3) -> bool {
-        let Some(faces) = &self.faces else {
-            return self.tree.is_some_and(|tree| tree.contains(p));
+        let Some(grid) = &self.grid else {
+            return false;
         };
-        let column = self.column(p, 1) * self.count[0] + self.column(p, 0);
-        let near = faces.of(column).iter();
-        near.map(|&t| self.turn(self.triangles[t as usize], p)).sum::<i32>() != 0
+        let place = grid.place_of(p);
+        // Only faces that reach beyond the place along the axis, and to both sides of it across, can count.
+        let mut beyond = place;
+        beyond[self.axes[0]] = f32::INFINITY;
+        let near = grid.numbers_around(place);
+        let near = near.filter(|(_, [min, max])| (min.cmple(beyond) & place.cmple(*max)).all());
+        near.map(|(t, _)| self.turn(self.triangles[t as usize], p)).sum::<i32>() != 0
     }
 
     /// How a face that lies beyond a place changes the winding number; 0 for others. Each edge is cut in one way whichever
@@ -170,13 +129,10 @@ impl<'a> FaceColumns<'a> {
     }
 }
 
-fn entries([first, last]: &[[u32; 2]; 2]) -> f64 {
-    f64::from(last[0] - first[0] + 1) * f64::from(last[1] - first[1] + 1)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::graph::winding::tree::WindingTree;
 
     #[test]
     fn columns_agree_with_the_winding_number_of_a_box_in_a_box() {
@@ -197,8 +153,7 @@ mod tests {
         faces.extend(quads.iter().flat_map(|q| side(q, 8)).map(|[a, b, c]| [a, c, b]));
         let pool = Pool::new(1).expect("a pool");
         let tree = WindingTree::build(&positions, &faces, &pool);
-        let columns = FaceColumns::sort(&tree, &pool);
-        assert!(columns.faces.is_some());
+        let columns = FaceColumns::sort(&positions, &faces, &pool).expect("two boxes are not deep");
         let mut seen = [0; 2];
         for k in 0..1000u32 {
             let step = |n: u32| f64::from(k / n % 10) * 0.123 - 0.11;

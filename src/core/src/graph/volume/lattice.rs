@@ -3,12 +3,17 @@
 use crate::graph::error::Error;
 use crate::graph::parallel::{map, map_along};
 use crate::graph::volume::lattice_grid::{CERTAIN, LatticeGrid, LatticeNodes, TooFine};
+use crate::graph::volume::near_surface::RoomQueries;
 use crate::graph::volume::neighbours;
 use crate::graph::volume::neighbours::{LatticeKey, LatticeRow, NONE, directions, toward};
 use crate::graph::volume::shell::VolumeSite;
 use crate::graph::volume::{octree, scan};
-use crate::mesh::query::SurfacePoint;
+use crate::mesh::query::closest_point::closest_point_on_triangle;
+use crate::mesh::query::{SurfacePoint, corner_near};
 use rayon::prelude::*;
+
+/// Nodes whose ties are found in one go.
+const NODES: usize = 32;
 
 /// All nodes of `grid` that lie inside, deeper than `depth`: inside the hull, or inside soups. At most `limit`
 /// of them, else `Err(TooFine)` inside.
@@ -20,7 +25,7 @@ pub(in crate::graph) fn nodes(
 ) -> Result<Result<LatticeNodes, TooFine>, Error> {
     let mut nodes = match site.hull {
         None => LatticeNodes::default(),
-        Some(hull) => match scan::nodes(site, hull.bvh(), grid, depth, limit)? {
+        Some(hull) => match scan::nodes(site, hull, grid, depth, limit)? {
             Ok(nodes) => nodes,
             Err(too_fine) => return Ok(Err(too_fine)),
         },
@@ -46,6 +51,7 @@ fn merged(a: LatticeNodes, b: LatticeNodes) -> LatticeNodes {
     let mut both = LatticeNodes {
         keys: Vec::with_capacity(a.keys.len() + b.keys.len()),
         clearance: Vec::with_capacity(a.keys.len() + b.keys.len()),
+        shallow: a.shallow,
     };
     let mut left = a.keys.into_iter().zip(a.clearance).peekable();
     let mut right = b.keys.into_iter().zip(b.clearance).peekable();
@@ -97,61 +103,96 @@ pub(in crate::graph) fn edges(
         edges.filter(|&[i, j]| j != NONE && i < j && doubtful(i, j)).collect()
     });
     let blocked = map(&asked, site.exec, |&[i, j]| {
-        site.surface.first_hit(at(i), at(j), None).is_some()
+        site.surface.is_way_crossed(at(i), at(j), None)
     })?;
-    let mut leaving: Vec<(u32, LatticeKey)> = site.exec.pool.install(|| {
-        let from = (0..rows.len() as u32).into_par_iter().with_min_len(1024);
-        let missing = from.flat_map_iter(|i| {
-            let row = rows[i as usize];
-            let out = directions(valence).filter(move |&d| row[d] == NONE);
-            out.map(move |d| (i, toward(nodes.keys[i as usize], d)))
-        });
-        missing.collect()
-    });
     for (&[i, j], _) in asked.iter().zip(&blocked).filter(|e| *e.1) {
         for (from, to) in [(i, j), (j, i)] {
-            leaving.push((from, nodes.keys[to as usize]));
-            rows[from as usize]
-                .iter_mut()
-                .filter(|n| **n == to)
-                .for_each(|n| *n = NONE);
+            let there = rows[from as usize].iter_mut().filter(|n| **n == to);
+            there.for_each(|n| *n = NONE);
         }
     }
-    // No triangle reaches into the clear ball around a node, so the way to look at begins where it ends.
-    let crossed = map(&leaving, site.exec, |&(i, end)| {
-        let (p, q) = (at(i), grid.position(end));
-        let start = p + (q - p) * (nodes.clearance[i as usize] * CERTAIN / p.distance(q)).min(1.0);
-        let hit = site.surface.first_hit(start, q, None)?;
-        Some(site.walk(hit.vertex, hit.point))
+    let starts: Vec<u32> = (0..rows.len() as u32).step_by(NODES).collect();
+    let found = map(&starts, site.exec, |&first| {
+        let last = (first + NODES as u32).min(rows.len() as u32);
+        let mut found = LatticeTies::default();
+        let mut hints = [0; 14];
+        for i in first..last {
+            let from = found.ties.len();
+            for d in directions(valence).filter(|&d| rows[i as usize][d] == NONE) {
+                let end = toward(nodes.keys[i as usize], d);
+                let near = nodes.shallow.find_key(end, &mut hints[d]);
+                match left_at(site, grid, nodes, (i, end), near) {
+                    Some(vertex) => found.ties.push([i, vertex]),
+                    None => found.unmet.push((i, end)),
+                }
+            }
+            found.ties[from..].sort_unstable();
+        }
+        found.ties.dedup();
+        found
     })?;
-    // Several edges lead to the same place too near to the surface; its nearest point is looked up once.
-    let unmet = leaving.iter().zip(&crossed).filter(|e| e.1.is_none());
-    let mut ends: Vec<LatticeKey> = unmet.map(|e| e.0.1).collect();
+    let mut ties = Vec::with_capacity(found.iter().map(|f| f.ties.len()).sum());
+    found.iter().for_each(|f| ties.extend_from_slice(&f.ties));
+    let unmet: Vec<(u32, LatticeKey)> = found.into_iter().flat_map(|f| f.unmet).collect();
+    if !unmet.is_empty() {
+        ties.extend(tied_to_nearest(site, grid, &unmet)?);
+        site.exec.pool.install(|| ties.par_sort_unstable());
+        ties.dedup();
+    }
+    Ok(LatticeEdges { rows, ties })
+}
+
+/// Ties of some nodes, sorted, and edges for which no place was found where they leave.
+#[derive(Default)]
+struct LatticeTies {
+    ties: Vec<[u32; 2]>,
+    unmet: Vec<(u32, LatticeKey)>,
+}
+
+/// The vertex nearest to the place where the edge from a node to the grid's node `end`, which stands at `near` among those
+/// near to the surface, leaves the lattice or goes through the surface.
+fn left_at(
+    site: &VolumeSite,
+    grid: &LatticeGrid,
+    nodes: &LatticeNodes,
+    (node, end): (u32, LatticeKey),
+    near: Option<usize>,
+) -> Option<u32> {
+    let (p, q) = (grid.position(nodes.keys[node as usize]), grid.position(end));
+    let (length, clear) = (p.distance(q), nodes.clearance[node as usize] * CERTAIN);
+    // No triangle reaches into the clear balls around both ends. Where they overlap none is crossed; else the way to look at
+    // begins where the first one ends.
+    let joined = near.is_some_and(|k| clear + nodes.shallow.squares[k].sqrt() * CERTAIN > length);
+    if !joined {
+        let start = p + (q - p) * (clear / length).min(1.0);
+        if let Some(hit) = site.surface.first_hit(start, q) {
+            return Some(site.walk(hit.vertex, hit.point));
+        }
+    }
+    let face = site.mesh.triangles[nodes.shallow.triangles[near?] as usize];
+    let corners = face.map(|v| site.mesh.positions[v as usize]);
+    let vertex = corner_near(&site.mesh.positions, face, q);
+    Some(site.walk(vertex, closest_point_on_triangle(q, corners)))
+}
+
+/// Ties of edges that leave the lattice for a place of which nothing is known: to the vertex nearest to it.
+fn tied_to_nearest(site: &VolumeSite, grid: &LatticeGrid, unmet: &[(u32, LatticeKey)]) -> Result<Vec<[u32; 2]>, Error> {
+    // Several edges lead to the same place; its nearest point is looked up once.
+    let mut ends: Vec<LatticeKey> = unmet.iter().map(|e| e.1).collect();
     site.exec.pool.install(|| ends.par_sort_unstable());
     ends.dedup();
+    let surface = site.surface.tree().bvh();
     let nearest = map_along(&ends, site.exec, |&end, before: Option<&Option<SurfacePoint>>| {
         let p = grid.position(end);
         let within = before
             .copied()
             .flatten()
             .map_or(f64::INFINITY, |b| b.point.distance(p) * (1.0 + 1e-9));
-        site.surface.closest_point_within(p, within)
+        surface.closest_point_within(p, within)
     })?;
-    let ends = &ends;
-    let vertices = leaving.iter().zip(crossed).map(|(&(_, end), crossed)| {
-        crossed.or_else(|| {
-            ends.binary_search(&end)
-                .ok()
-                .and_then(|at| nearest[at])
-                .map(|near| site.walk(near.vertex, near.point))
-        })
-    });
-    let mut ties: Vec<[u32; 2]> = leaving
-        .iter()
-        .zip(vertices)
-        .filter_map(|(&(i, _), v)| Some([i, v?]))
-        .collect();
-    site.exec.pool.install(|| ties.par_sort_unstable());
-    ties.dedup();
-    Ok(LatticeEdges { rows, ties })
+    let vertex = |end: LatticeKey| {
+        let near = ends.binary_search(&end).ok().and_then(|at| nearest[at])?;
+        Some(site.walk(near.vertex, near.point))
+    };
+    Ok(unmet.iter().filter_map(|&(i, end)| Some([i, vertex(end)?])).collect())
 }

@@ -47,6 +47,47 @@ pub(in crate::graph) struct LatticeNodes {
     pub(in crate::graph) keys: Vec<LatticeKey>,
     /// For each node a length: no triangle is nearer.
     pub(in crate::graph) clearance: Vec<f64>,
+    /// Nodes of the grid that were left out because they are too near to the surface, as far as they are known.
+    pub(in crate::graph) shallow: ShallowNodes,
+}
+
+/// Nodes inside but near to the surface, in rising order of their keys.
+#[derive(Debug, Default)]
+pub(in crate::graph) struct ShallowNodes {
+    pub(in crate::graph) keys: Vec<LatticeKey>,
+    /// The squared distance of the nearest triangle.
+    pub(in crate::graph) squares: Vec<f64>,
+    /// That triangle; of equally near ones the smallest.
+    pub(in crate::graph) triangles: Vec<u32>,
+}
+
+impl ShallowNodes {
+    /// Takes over the nodes of another, whose keys are all larger.
+    pub(in crate::graph) fn append_all(&mut self, mut other: Self) {
+        self.keys.append(&mut other.keys);
+        self.squares.append(&mut other.squares);
+        self.triangles.append(&mut other.triangles);
+    }
+
+    /// Finds the node with a key. `hint` is where the search begins, and is left where it ends: searching for keys that
+    /// rise takes few steps each.
+    pub(in crate::graph) fn find_key(&self, wanted: LatticeKey, hint: &mut usize) -> Option<usize> {
+        let keys = &self.keys;
+        let mut low = if keys.get(*hint).is_some_and(|&k| k <= wanted) {
+            *hint
+        } else {
+            0
+        };
+        let mut step = 1;
+        while keys.get(low + step).is_some_and(|&k| k <= wanted) {
+            low += step;
+            step *= 2;
+        }
+        let end = (low + step).min(keys.len());
+        let at = low + keys[low.min(end)..end].partition_point(|&k| k < wanted);
+        *hint = at;
+        (keys.get(at) == Some(&wanted)).then_some(at)
+    }
 }
 
 /// More blocks or nodes than allowed; the interval must grow.

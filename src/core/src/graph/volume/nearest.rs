@@ -34,13 +34,22 @@ pub(in crate::graph) fn nearest_vertices(
             *best = vertex;
         }
     }
+    // Where the vertices are, next to where they are asked for.
+    let spot = |v: u32| {
+        if v == UNKNOWN {
+            DVec3::INFINITY
+        } else {
+            site.mesh.positions[v as usize]
+        }
+    };
+    let mut spots: Vec<DVec3> = nearest.iter().map(|&v| spot(v)).collect();
     let count = nodes.keys.len() as u32;
     let mut unknown = usize::MAX;
     for round in 0.. {
-        (0..count).for_each(|node| take_best(site, &edges.rows, &mut nearest, node, at(node)));
+        (0..count).for_each(|node| take_best(&edges.rows, (&mut nearest, &mut spots), node, at(node)));
         (0..count)
             .rev()
-            .for_each(|node| take_best(site, &edges.rows, &mut nearest, node, at(node)));
+            .for_each(|node| take_best(&edges.rows, (&mut nearest, &mut spots), node, at(node)));
         // Winding passages need more rounds to be reached at all.
         let left = nearest.iter().filter(|&&v| v == UNKNOWN).count();
         if round + 1 >= ROUNDS && (left == 0 || left == unknown) {
@@ -49,11 +58,14 @@ pub(in crate::graph) fn nearest_vertices(
         unknown = left;
     }
 
+    if nearest.contains(&UNKNOWN) {
+        site.surface.tree();
+    }
     let starts: Vec<(u32, u32)> = (0..count).zip(nearest).collect();
     let walked = map(&starts, site.exec, |&(node, start)| {
         let p = at(node);
         let start = match start {
-            UNKNOWN => site.surface.closest_vertex(p, None).unwrap_or(0),
+            UNKNOWN => site.surface.tree().bvh().closest_vertex(p, None).unwrap_or(0),
             start => start,
         };
         site.walk(start, p)
@@ -62,16 +74,21 @@ pub(in crate::graph) fn nearest_vertices(
 }
 
 /// Takes over the answer of a neighbour that is better than the node's own.
-fn take_best(site: &VolumeSite, rows: &[LatticeRow], nearest: &mut [u32], node: u32, p: DVec3) {
-    let distance = |v: u32| site.mesh.positions[v as usize].distance_squared(p);
+fn take_best(rows: &[LatticeRow], (nearest, spots): (&mut [u32], &mut [DVec3]), node: u32, p: DVec3) {
     let mut own = nearest[node as usize];
-    let mut best = if own == UNKNOWN { f64::INFINITY } else { distance(own) };
+    let mut spot = spots[node as usize];
+    // What is not known is infinitely far away.
+    let mut best = spot.distance_squared(p);
     for other in rows[node as usize].into_iter().filter(|&n| n != NONE) {
         let candidate = nearest[other as usize];
-        if candidate != UNKNOWN && candidate != own && distance(candidate) < best {
-            best = distance(candidate);
-            own = candidate;
+        if candidate != own {
+            let there = spots[other as usize];
+            let square = there.distance_squared(p);
+            if square < best {
+                (own, spot, best) = (candidate, there, square);
+            }
         }
     }
     nearest[node as usize] = own;
+    spots[node as usize] = spot;
 }

@@ -10,6 +10,7 @@ use crate::graph::volume::neighbours::{LatticeKey, key};
 use crate::graph::volume::shell::VolumeSite;
 use crate::graph::winding::tree::WindingTree;
 use crate::mesh::BoundingBox;
+use crate::mesh::query::TriangleBvh;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -36,7 +37,7 @@ enum BlockVerdict {
 
 /// What is searched for.
 struct OctreeSearch<'a> {
-    site: &'a VolumeSite<'a>,
+    surface: &'a TriangleBvh<'a>,
     soup: &'a WindingTree<'a>,
     /// The box around the soups; they enclose nothing beyond it.
     bounds: BoundingBox,
@@ -56,7 +57,7 @@ pub(in crate::graph) fn nodes(
     let corners = soup.bvh().triangles().iter().flatten();
     let points: Vec<DVec3> = corners.map(|&v| site.mesh.positions[v as usize]).collect();
     let search = OctreeSearch {
-        site,
+        surface: site.surface.tree().bvh(),
         soup,
         bounds: BoundingBox::of(&points),
         grid,
@@ -111,12 +112,16 @@ pub(in crate::graph) fn nodes(
     }
     site.exec.pool.install(|| found.par_sort_unstable_by_key(|c| c.0));
     let (keys, clearance) = found.into_iter().unzip();
-    Ok(Ok(LatticeNodes { keys, clearance }))
+    Ok(Ok(LatticeNodes {
+        keys,
+        clearance,
+        ..LatticeNodes::default()
+    }))
 }
 
 impl OctreeSearch<'_> {
     fn judge(&self, block: &OctreeBlock) -> BlockVerdict {
-        let Self { site, grid, depth, .. } = self;
+        let Self { grid, depth, .. } = self;
         let low = grid.position(key(block.at, false));
         // The nodes of n cells span n − ½ intervals.
         let span = (f64::from(1u32 << block.level) - 0.5) * grid.interval;
@@ -125,9 +130,8 @@ impl OctreeSearch<'_> {
             return BlockVerdict::Drop;
         }
         let clear = |p: DVec3, reach: f64| {
-            site.surface
-                .closest_point_within(p, reach)
-                .map_or(reach, |near| near.distance)
+            let near = self.surface.closest_point_within(p, reach);
+            near.map_or(reach, |near| near.distance)
         };
         if block.level == 0 {
             let reach = grid.interval.max(depth * 1.001);

@@ -7,12 +7,12 @@
 
 use crate::graph::error::Error;
 use crate::graph::parallel::map_few;
+use crate::graph::volume::caps::HullFaces;
 use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeNodes, TooFine};
-use crate::graph::volume::neighbours::{LAST, key};
+use crate::graph::volume::neighbours::{LAST, NONE, key};
 use crate::graph::volume::shell::VolumeSite;
 use crate::mesh::Lists;
-use crate::mesh::query::TriangleBvh;
-use crate::mesh::query::closest_point::closest_point_on_triangle;
+use crate::mesh::query::closest_point::PreparedTriangle;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -44,16 +44,17 @@ struct InsideRun {
 /// `limit` nodes.
 pub(in crate::graph) fn nodes(
     site: &VolumeSite,
-    hull: &TriangleBvh,
+    hull: HullFaces,
     grid: &LatticeGrid,
     depth: f64,
     limit: usize,
 ) -> Result<Result<LatticeNodes, TooFine>, Error> {
     // Clear by half an interval, no edge of a node needs to be tested against triangles.
     let reach = depth.max(0.501 * grid.interval) * 1.001;
-    let lists = faces_by_sheet(site, site.surface, grid, reach).and_then(|faces| {
+    let all = HullFaces::of_mesh(site.mesh);
+    let lists = faces_by_sheet(site, all, grid, reach).and_then(|faces| {
         // Where all parts are closed, the faces near a sheet are also those that cross it.
-        let same = std::ptr::eq(site.surface, hull);
+        let same = std::ptr::eq(all.faces, hull.faces);
         let crossing = if same {
             None
         } else {
@@ -84,6 +85,7 @@ pub(in crate::graph) fn nodes(
                 Ok(sheet) if count <= limit => {
                     nodes.keys.extend(sheet.keys);
                     nodes.clearance.extend(sheet.clearance);
+                    nodes.shallow.append_all(sheet.shallow);
                 }
                 // The sheets to come hold as much again, more or less.
                 _ => return Ok(Err(TooFine::by(libm::cbrt(1.2 * count as f64 / limit.max(1) as f64)))),
@@ -94,11 +96,7 @@ pub(in crate::graph) fn nodes(
 }
 
 /// Volume inside `hull`, by the lengths of the rows of `grid`; `None` when there is too much to look at.
-pub(in crate::graph) fn volume(
-    site: &VolumeSite,
-    hull: &TriangleBvh,
-    grid: &LatticeGrid,
-) -> Result<Option<f64>, Error> {
+pub(in crate::graph) fn volume(site: &VolumeSite, hull: HullFaces, grid: &LatticeGrid) -> Result<Option<f64>, Error> {
     let Ok(faces) = faces_by_sheet(site, hull, grid, 0.0) else {
         return Ok(None);
     };
@@ -112,9 +110,9 @@ pub(in crate::graph) fn volume(
     Ok(Some(0.5 * lengths.iter().sum::<f64>() * cell))
 }
 
-/// For each sheet the faces of `tree` no further from it than `reach`, rising.
-fn faces_by_sheet(site: &VolumeSite, tree: &TriangleBvh, grid: &LatticeGrid, reach: f64) -> Result<Lists, TooFine> {
-    let (positions, faces) = (tree.positions(), tree.triangles());
+/// For each sheet the faces no further from it than `reach`, rising.
+fn faces_by_sheet(site: &VolumeSite, of: HullFaces, grid: &LatticeGrid, reach: f64) -> Result<Lists, TooFine> {
+    let HullFaces { positions, faces } = of;
     let count = 2 * (grid.cells[2] as usize + 2);
     let budget = (512 * faces.len() + (1 << 23)).min(u32::MAX as usize - 1) as f64;
     // First and last sheet of each face (none when the last is the smaller), and rows looked at for it.
@@ -150,12 +148,12 @@ fn height(grid: &LatticeGrid, sheet: u32) -> (f64, f64) {
 
 /// Where the rows of a sheet cross faces of `hull`. Each edge is cut by the sheet in one way whichever face asks, so the
 /// turns of a row add up to zero, to the bit and without special cases.
-fn crossings(hull: &TriangleBvh, grid: &LatticeGrid, near: &[u32], sheet: u32) -> Vec<RowCrossing> {
+fn crossings(hull: HullFaces, grid: &LatticeGrid, near: &[u32], sheet: u32) -> Vec<RowCrossing> {
     let (z, shift) = height(grid, sheet);
     let mut found = Vec::new();
     for &t in near {
-        let face = hull.triangles()[t as usize];
-        let heights = face.map(|v| hull.positions()[v as usize].z > z);
+        let face = hull.faces[t as usize];
+        let heights = face.map(|v| hull.positions[v as usize].z > z);
         if heights == [heights[0]; 3] {
             continue;
         }
@@ -164,7 +162,7 @@ fn crossings(hull: &TriangleBvh, grid: &LatticeGrid, near: &[u32], sheet: u32) -
         for k in 0..3 {
             let (from, to) = (face[k], face[(k + 1) % 3]);
             if heights[k] != heights[(k + 1) % 3] {
-                let [a, b] = [from.min(to), from.max(to)].map(|v| hull.positions()[v as usize]);
+                let [a, b] = [from.min(to), from.max(to)].map(|v| hull.positions[v as usize]);
                 let cut = a + (b - a) * ((z - a.z) / (b.z - a.z));
                 cuts[usize::from(heights[k])] = ((cut.y - grid.origin.y) / grid.interval - shift, cut.x);
             }
@@ -216,7 +214,7 @@ fn runs(grid: &LatticeGrid, mut crossings: Vec<RowCrossing>) -> Vec<InsideRun> {
     runs
 }
 
-/// The nodes of a sheet's runs that no face is nearer to than `depth`.
+/// The nodes of a sheet's runs that no face is nearer to than `depth`, and the others apart.
 fn deep_nodes(
     site: &VolumeSite,
     grid: &LatticeGrid,
@@ -242,11 +240,15 @@ fn deep_nodes(
     }
     (0..rows).for_each(|r| row_starts[r + 1] += row_starts[r]);
     let mut nearest = vec![reach * reach; total];
+    let mut faces = vec![NONE; total];
 
     let cell = |world: f64, axis: usize| (world - grid.origin[axis]) / grid.interval - shift;
     let world = |cell: f64, axis: usize| grid.origin[axis] + (cell + shift) * grid.interval;
+    // Distances below this may be nothing but rounding.
+    let noise = (1e-12 * reach) * (1e-12 * reach);
     for &t in near {
         let corners = site.mesh.triangles[t as usize].map(|v| site.mesh.positions[v as usize]);
+        let face = PreparedTriangle::new(corners);
         let [a, b, c] = corners;
         let (least, most) = (a.min(b).min(c), a.max(b).max(c));
         let normal = (b - a).cross(c - a).normalize_or_zero();
@@ -275,12 +277,19 @@ fn deep_nodes(
                 let mut i = begin;
                 while i <= end {
                     let p = DVec3::new(world(i, 0), y, z);
-                    let slot = &mut nearest[node_starts[k] + (i as u32 - run.first) as usize];
-                    let square = closest_point_on_triangle(p, corners).distance_squared(p);
-                    if square < *slot {
-                        *slot = square;
-                    }
+                    let node = node_starts[k] + (i as u32 - run.first) as usize;
                     i += 1.0;
+                    // The box and the plane of the face are no further away than the face.
+                    let known = nearest[node] * (1.0 + 1e-6) + noise;
+                    let (out, up) = ((least - p).max(p - most).max(DVec3::ZERO), normal.dot(p - a));
+                    if (out.length_squared() > known) | (up * up > known) {
+                        continue;
+                    }
+                    let square = face.closest_point(p).distance_squared(p);
+                    if square < nearest[node] {
+                        nearest[node] = square;
+                        faces[node] = t;
+                    }
                 }
             }
             row += 1.0;
@@ -288,12 +297,16 @@ fn deep_nodes(
     }
     for (run, start) in runs.iter().zip(node_starts) {
         for i in 0..run.count {
-            let clearance = nearest[start + i as usize].sqrt();
+            let node = start + i as usize;
+            let key = key([run.first + i, run.row, sheet / 2], sheet % 2 == 1);
+            let clearance = nearest[node].sqrt();
             if clearance > depth {
-                nodes
-                    .keys
-                    .push(key([run.first + i, run.row, sheet / 2], sheet % 2 == 1));
+                nodes.keys.push(key);
                 nodes.clearance.push(clearance);
+            } else if faces[node] != NONE {
+                nodes.shallow.keys.push(key);
+                nodes.shallow.squares.push(nearest[node]);
+                nodes.shallow.triangles.push(faces[node]);
             }
         }
     }

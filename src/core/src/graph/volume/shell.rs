@@ -7,11 +7,13 @@
 use crate::exec::Exec;
 use crate::graph::error::Error;
 use crate::graph::parallel::map;
+use crate::graph::volume::caps::HullFaces;
 use crate::graph::volume::columns::FaceColumns;
+use crate::graph::volume::near_surface::{NearSurface, RoomQueries};
 use crate::graph::volume::solid::ClassifiedParts;
 use crate::graph::winding::tree::WindingTree;
-use crate::mesh::query::TriangleBvh;
 use crate::mesh::{Adjacency, Mesh};
+use crate::pool::Pool;
 use glam::DVec3;
 
 /// How often the offset may be halved.
@@ -25,15 +27,37 @@ pub(in crate::graph) struct VolumeSite<'a> {
     pub(in crate::graph) mesh: &'a Mesh,
     pub(in crate::graph) adjacency: &'a Adjacency,
     /// The whole surface, for distances and crossings.
-    pub(in crate::graph) surface: &'a TriangleBvh<'a>,
+    pub(in crate::graph) surface: &'a NearSurface<'a>,
     pub(in crate::graph) parts: &'a ClassifiedParts,
     /// Closed parts and those whose holes have been closed, if there are any.
-    pub(in crate::graph) hull: Option<&'a WindingTree<'a>>,
+    pub(in crate::graph) hull: Option<HullFaces<'a>>,
     /// The same, to be asked what lies inside.
-    pub(in crate::graph) columns: Option<FaceColumns<'a>>,
+    pub(in crate::graph) inside_hull: InsideHull<'a>,
     /// Soups that enclose space, if there are any.
     pub(in crate::graph) soup: Option<&'a WindingTree<'a>>,
     pub(in crate::graph) exec: &'a Exec<'a>,
+}
+
+/// Who tells what lies inside a hull.
+pub(in crate::graph) enum InsideHull<'a> {
+    /// There is no hull.
+    Nothing,
+    Columns(FaceColumns<'a>),
+    Tree(&'a WindingTree<'a>),
+}
+
+impl<'a> InsideHull<'a> {
+    /// Sorts the faces of a hull into columns; where these are of no help, the `tree` over the same faces is asked.
+    pub(in crate::graph) fn of_faces(
+        hull: Option<HullFaces<'a>>,
+        tree: impl FnOnce() -> &'a WindingTree<'a>,
+        pool: &Pool,
+    ) -> Self {
+        let Some(hull) = hull else {
+            return Self::Nothing;
+        };
+        FaceColumns::sort(hull.positions, hull.faces, pool).map_or_else(|| Self::Tree(tree()), Self::Columns)
+    }
 }
 
 impl VolumeSite<'_> {
@@ -44,24 +68,52 @@ impl VolumeSite<'_> {
 
     /// Soups that are worth a lattice; beside a hull of many more faces they have a shell only.
     pub(in crate::graph) fn large_soup(&self) -> Option<&WindingTree<'_>> {
-        let faces = |tree: &WindingTree| tree.bvh().triangles().len();
-        self.soup
-            .filter(|soup| self.hull.is_none_or(|hull| faces(soup) >= faces(hull) / 4))
+        let is_large = |soup: &&WindingTree| {
+            let faces = soup.bvh().triangles().len();
+            self.hull.is_none_or(|hull| faces >= hull.faces.len() / 4)
+        };
+        self.soup.filter(is_large)
+    }
+
+    /// Lists all vertices, so that those next to each other in the list are close in space, and their columns are the same.
+    pub(in crate::graph) fn vertices_in_space_order(&self) -> Vec<u32> {
+        let InsideHull::Columns(columns) = &self.inside_hull else {
+            return self.surface.vertices_in_space_order();
+        };
+        // A hull may have more vertices than the mesh, or lack some.
+        let mut order = columns.vertices_in_space_order();
+        let count = self.mesh.positions.len();
+        order.retain(|&v| (v as usize) < count);
+        if order.len() < count {
+            let mut seen = vec![false; count];
+            order.iter().for_each(|&v| seen[v as usize] = true);
+            order.extend((0..count as u32).filter(|&v| !seen[v as usize]));
+        }
+        order
     }
 
     /// Whether a place lies inside the hull, or inside soups.
     pub(in crate::graph) fn contains(&self, p: DVec3) -> bool {
-        self.columns.as_ref().is_some_and(|columns| columns.contains(p))
-            || self.soup.is_some_and(|soup| soup.contains(p))
+        let in_hull = match &self.inside_hull {
+            InsideHull::Nothing => false,
+            InsideHull::Columns(columns) => columns.contains(p),
+            InsideHull::Tree(tree) => tree.contains(p),
+        };
+        in_hull || self.soup.is_some_and(|soup| soup.contains(p))
     }
 }
 
 /// Moves each vertex along its `inward` direction by the offset of its part, or by less where there is less room;
-/// vertices whose direction is zero have no copy.
-pub(in crate::graph) fn shell(site: &VolumeSite, inward: &[DVec3], offsets: &[f64]) -> Result<ShellNodes, Error> {
+/// vertices whose direction is zero have no copy. `order` has all vertices in the order in which they are best looked at.
+pub(in crate::graph) fn shell(
+    site: &VolumeSite,
+    order: Vec<u32>,
+    inward: &[DVec3],
+    offsets: &[f64],
+) -> Result<ShellNodes, Error> {
     let mut placed: ShellNodes = vec![None; site.mesh.positions.len()];
-    // In the order of the tree, so that one query finds in the cache what the last one read.
-    let mut waiting = site.surface.vertices_in_space_order();
+    // In the order of space, so that one query finds in the cache what the last one read.
+    let mut waiting = order;
     waiting.retain(|&v| inward[v as usize] != DVec3::ZERO);
     let found = map(&waiting, site.exec, |&v| {
         let offset = offsets[site.parts.components.of_vertex[v as usize] as usize];
@@ -76,7 +128,7 @@ pub(in crate::graph) fn shell(site: &VolumeSite, inward: &[DVec3], offsets: &[f6
 
 /// Where the copy of vertex `v`, at `p`, is put: `offset` along `inward`, or less where there is less room.
 pub(in crate::graph) fn copy(
-    surface: &TriangleBvh,
+    surface: &impl RoomQueries,
     v: u32,
     p: DVec3,
     inward: DVec3,
@@ -102,14 +154,14 @@ pub(in crate::graph) fn copy(
 /// Whether no face is nearer to `end` than `half`, and none but those around vertex `v` crosses the way from `start` to
 /// `middle`; only this half of the way, outside the clear ball, can meet the surface.
 pub(in crate::graph) fn has_room(
-    surface: &TriangleBvh,
+    surface: &impl RoomQueries,
     v: u32,
     start: DVec3,
     middle: DVec3,
     end: DVec3,
     half: f64,
 ) -> bool {
-    !surface.has_triangle_within(end, half) && surface.first_hit(start, middle, Some(v)).is_none()
+    !surface.has_face_within(end, half) && !surface.is_way_crossed(start, middle, Some(v))
 }
 
 /// The vertex where a walk along the mesh from `start` comes no nearer to `p`.

@@ -8,9 +8,10 @@
 use crate::exec::Exec;
 use crate::graph::error::Error;
 use crate::graph::parallel::{map, map_in_space};
+use crate::graph::volume::angle::upper_angle;
 use crate::graph::volume::caps::ClosedHull;
+use crate::graph::volume::near_surface::NearSurface;
 use crate::graph::winding::tree::WindingTree;
-use crate::mesh::query::TriangleBvh;
 use crate::mesh::{Adjacency, Components, Mesh};
 use glam::DVec3;
 
@@ -54,7 +55,7 @@ impl ClassifiedParts {
     pub(in crate::graph) fn sort(
         mesh: &Mesh,
         adjacency: &Adjacency,
-        tree: &WindingTree,
+        surface: &NearSurface,
         step: f64,
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
@@ -76,6 +77,7 @@ impl ClassifiedParts {
                 .filter(|&t| kinds[part(t)] == PartKind::Sheet)
                 .collect();
             let looked_at = sample(faces, components.count, part);
+            let tree = surface.tree();
             let space = || tree.bvh().triangle_order().to_vec();
             let open = map_in_space(&looked_at, space, exec, |&t| {
                 let [a, b, c] = mesh.triangles[t as usize].map(|v| mesh.positions[v as usize]);
@@ -162,53 +164,6 @@ impl ClassifiedParts {
         }
         Ok(found)
     }
-
-    /// The unit vector that leads inwards from each vertex; zero where the vertex has no normal, and on parts that
-    /// enclose nothing. Normals of a part that is wound inside out are turned round. With it for each part 1, −1 when its
-    /// normals were turned, or 0 when it has no inside.
-    pub(in crate::graph) fn inward(
-        &self,
-        surface: &TriangleBvh,
-        adjacency: &Adjacency,
-        contains: impl Fn(DVec3) -> bool + Sync,
-        step: f64,
-        exec: &Exec<'_>,
-    ) -> Result<(InwardDirections, Vec<f64>), Error> {
-        let (positions, triangles) = (surface.positions(), surface.triangles());
-        let vertices: Vec<u32> = (0..positions.len() as u32).collect();
-        let mut inward = map(&vertices, exec, |&v| {
-            if self.kind(v) != PartKind::Sheet {
-                -normal(positions, triangles, adjacency, v)
-            } else {
-                DVec3::ZERO
-            }
-        })?;
-        let part = |v: u32| self.components.of_vertex[v as usize] as usize;
-        let candidates = vertices
-            .into_iter()
-            .filter(|&v| inward[v as usize] != DVec3::ZERO)
-            .collect();
-        let asked = sample(candidates, self.kinds.len(), part);
-        let space = || surface.vertices_in_space_order();
-        let sides = map_in_space(&asked, space, exec, |&v| {
-            let (p, d) = (positions[v as usize], inward[v as usize] * step);
-            (contains(p + d), contains(p - d))
-        })?;
-        let mut votes = vec![(0usize, 0usize); self.kinds.len()];
-        for (&v, (ahead, behind)) in asked.iter().zip(sides) {
-            let vote = &mut votes[part(v)];
-            vote.0 += usize::from(ahead);
-            vote.1 += usize::from(behind);
-        }
-        let turns: Vec<f64> = votes.into_iter().map(turn).collect();
-        for (d, v) in inward.iter_mut().zip(0u32..) {
-            let turn = turns[part(v)];
-            if turn <= 0.0 {
-                *d = if turn < 0.0 { -*d } else { DVec3::ZERO };
-            }
-        }
-        Ok((inward, turns))
-    }
 }
 
 /// From how many places ahead of and behind a part's vertices lie inside to how its normals are to be taken: 1, −1 turned
@@ -241,15 +196,13 @@ pub(in crate::graph) fn normal(positions: &[DVec3], triangles: &[[u32; 3]], adja
     let mut sum = DVec3::ZERO;
     for &f in adjacency.faces.of(v) {
         let t = triangles[f as usize];
-        let first = t.iter().position(|&c| c == v).unwrap_or(0);
-        let (a, b) = (
-            positions[t[(first + 1) % 3] as usize] - p,
-            positions[t[(first + 2) % 3] as usize] - p,
-        );
+        // Which corner it is comes at random, so this is no branch.
+        let first = 2 * usize::from(t[2] == v) + usize::from(t[1] == v);
+        let [a, b] = [1, 2].map(|k| positions[t[(first + k) % 3] as usize] - p);
         let cross = a.cross(b);
         let twice_area = cross.length();
         if twice_area > 0.0 {
-            sum += cross / twice_area * libm::atan2(twice_area, a.dot(b));
+            sum += cross / twice_area * upper_angle(twice_area, a.dot(b));
         }
     }
     if sum.length() > 1e-9 {

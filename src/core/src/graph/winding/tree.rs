@@ -2,6 +2,7 @@
 
 use crate::graph::winding::moments::{FarField, Moments};
 use crate::mesh::query::TriangleBvh;
+use crate::mesh::query::bvh::FAN;
 use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -92,12 +93,15 @@ impl<'a> WindingTree<'a> {
     fn measure_leaf(&self, leaf: usize) -> NodeMoments {
         let node = self.bvh.nodes()[leaf];
         let places = node.first as usize..(node.first + node.count) as usize;
-        let moments: Vec<Moments> = places
-            .clone()
-            .map(|place| Moments::from_triangle(self.bvh.corners(place)))
-            .collect();
-        let moments = Moments::from_parts(&moments);
-        let points = places.flat_map(|place| self.bvh.corners(place));
+        let mut corners = [[DVec3::ZERO; 3]; FAN];
+        let count = places.len();
+        corners
+            .iter_mut()
+            .zip(places)
+            .for_each(|(own, place)| *own = self.bvh.corners(place));
+        let parts = corners.map(Moments::from_triangle);
+        let moments = Moments::from_parts(&parts[..count]);
+        let points = corners[..count].iter().flatten();
         NodeMoments {
             radius: points.map(|p| p.distance(moments.center)).fold(0.0, f64::max),
             moments,
@@ -109,8 +113,8 @@ impl<'a> WindingTree<'a> {
         let children = self.bvh.nodes()[node];
         let begin = children.first as usize - first;
         let children = &below[begin..begin + children.count as usize];
-        let parts: Vec<Moments> = children.iter().map(|c| c.moments).collect();
-        let moments = Moments::from_parts(&parts);
+        let parts: [Moments; FAN] = std::array::from_fn(|k| children[k.min(children.len() - 1)].moments);
+        let moments = Moments::from_parts(&parts[..children.len()]);
         let mut radius = 0.0f64;
         for c in children {
             radius = radius.max(c.radius + c.moments.center.distance(moments.center));

@@ -6,7 +6,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 /// Triangles per leaf and nodes per inner node.
-pub(super) const FAN: usize = 4;
+pub(crate) const FAN: usize = 4;
 
 /// A bounding-volume hierarchy over triangles that answers closest-point, crossing and overlap queries.
 ///
@@ -201,8 +201,15 @@ impl<'a> TriangleBvh<'a> {
 impl TriangleBvh<'_> {
     fn leaf_bounds(&self, leaf: usize) -> BoundingBox {
         let places = leaf * FAN..((leaf + 1) * FAN).min(self.order.len());
-        let points: Vec<DVec3> = places.flat_map(|place| self.corners(place)).collect();
-        BoundingBox::of(&points)
+        let first = self.corners(places.start)[0];
+        let point = BoundingBox { min: first, max: first };
+        places.fold(point, |all, place| {
+            let [a, b, c] = self.corners(place);
+            BoundingBox {
+                min: all.min.min(a).min(b).min(c),
+                max: all.max.max(a).max(b).max(c),
+            }
+        })
     }
 }
 

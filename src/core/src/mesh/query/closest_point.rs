@@ -37,40 +37,79 @@ pub fn closest_point_on_segment(p: DVec3, a: DVec3, b: DVec3) -> DVec3 {
 /// let above = DVec3::new(0.25, 0.25, 3.0);
 /// assert_eq!(closest_point_on_triangle(above, triangle), DVec3::new(0.25, 0.25, 0.0));
 /// ```
-pub fn closest_point_on_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
-    let (ab, ac) = (b - a, c - a);
-    let (d11, d12, d22) = (ab.length_squared(), ab.dot(ac), ac.length_squared());
-    // Thin faces lose their regions to rounding; the nearest point of their edges is as good.
-    if d11 * d22 - d12 * d12 <= d11 * d22 * 1e-12 {
-        return closest_point_on_sides(p, [a, b, c]);
+pub fn closest_point_on_triangle(p: DVec3, corners: [DVec3; 3]) -> DVec3 {
+    PreparedTriangle::new(corners).closest_point(p)
+}
+
+/// A triangle that many places are asked about.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PreparedTriangle {
+    corners: [DVec3; 3],
+    ab: DVec3,
+    ac: DVec3,
+    d11: f64,
+    d12: f64,
+    d22: f64,
+}
+
+impl PreparedTriangle {
+    /// Computes what does not depend on the place.
+    #[inline]
+    pub(crate) fn new([a, b, c]: [DVec3; 3]) -> Self {
+        let (ab, ac) = (b - a, c - a);
+        Self {
+            corners: [a, b, c],
+            ab,
+            ac,
+            d11: ab.length_squared(),
+            d12: ab.dot(ac),
+            d22: ac.length_squared(),
+        }
     }
-    let ap = p - a;
-    let (a1, a2) = (ab.dot(ap), ac.dot(ap));
-    if a1 <= 0.0 && a2 <= 0.0 {
-        return a;
+
+    /// As [`closest_point_on_triangle`].
+    #[inline]
+    pub(crate) fn closest_point(&self, p: DVec3) -> DVec3 {
+        let Self {
+            corners: [a, b, c],
+            ab,
+            ac,
+            d11,
+            d12,
+            d22,
+        } = *self;
+        // Thin faces lose their regions to rounding; the nearest point of their edges is as good.
+        if d11 * d22 - d12 * d12 <= d11 * d22 * 1e-12 {
+            return closest_point_on_sides(p, [a, b, c]);
+        }
+        let ap = p - a;
+        let (a1, a2) = (ab.dot(ap), ac.dot(ap));
+        if a1 <= 0.0 && a2 <= 0.0 {
+            return a;
+        }
+        let (b1, b2) = (a1 - d11, a2 - d12);
+        if b1 >= 0.0 && b2 <= b1 {
+            return b;
+        }
+        let over_c = a1 * b2 - b1 * a2;
+        if over_c <= 0.0 && a1 >= 0.0 && b1 <= 0.0 {
+            return a + ab * (a1 / d11);
+        }
+        let (c1, c2) = (a1 - d12, a2 - d22);
+        if c2 >= 0.0 && c1 <= c2 {
+            return c;
+        }
+        let over_b = c1 * a2 - a1 * c2;
+        if over_b <= 0.0 && a2 >= 0.0 && c2 <= 0.0 {
+            return a + ac * (a2 / d22);
+        }
+        let over_a = b1 * c2 - c1 * b2;
+        if over_a <= 0.0 && b2 >= b1 && c1 >= c2 {
+            return b + (c - b) * ((b2 - b1) / ((b2 - b1) + (c1 - c2)));
+        }
+        let scale = 1.0 / (over_a + over_b + over_c);
+        a + ab * (over_b * scale) + ac * (over_c * scale)
     }
-    let (b1, b2) = (a1 - d11, a2 - d12);
-    if b1 >= 0.0 && b2 <= b1 {
-        return b;
-    }
-    let over_c = a1 * b2 - b1 * a2;
-    if over_c <= 0.0 && a1 >= 0.0 && b1 <= 0.0 {
-        return a + ab * (a1 / d11);
-    }
-    let (c1, c2) = (a1 - d12, a2 - d22);
-    if c2 >= 0.0 && c1 <= c2 {
-        return c;
-    }
-    let over_b = c1 * a2 - a1 * c2;
-    if over_b <= 0.0 && a2 >= 0.0 && c2 <= 0.0 {
-        return a + ac * (a2 / d22);
-    }
-    let over_a = b1 * c2 - c1 * b2;
-    if over_a <= 0.0 && b2 >= b1 && c1 >= c2 {
-        return b + (c - b) * ((b2 - b1) / ((b2 - b1) + (c1 - c2)));
-    }
-    let scale = 1.0 / (over_a + over_b + over_c);
-    a + ab * (over_b * scale) + ac * (over_c * scale)
 }
 
 /// Finds the point of a triangle's three sides that is closest to `p`; of equally close ones that on the first side.

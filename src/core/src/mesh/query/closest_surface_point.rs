@@ -62,7 +62,7 @@ impl TriangleBvh<'_> {
             distance: square.sqrt(),
             point: at,
             triangle,
-            vertex: self.corner_near(triangle, point),
+            vertex: corner_near(self.positions, self.triangles[triangle as usize], point),
         })
     }
 
@@ -102,14 +102,6 @@ impl TriangleBvh<'_> {
             },
         );
         best.map(|b| b.1)
-    }
-
-    /// The corner of a triangle that is closest to `point`; of equally close ones the smallest.
-    pub(super) fn corner_near(&self, triangle: u32, point: DVec3) -> u32 {
-        let distance = |v: u32| self.positions[v as usize].distance_squared(point);
-        let [a, b, c] = self.triangles[triangle as usize];
-        let nearer = |x: u32, y: u32| if (distance(y), y) < (distance(x), x) { y } else { x };
-        nearer(nearer(a, b), c)
     }
 
     /// Shows a visitor the triangles (as places in the order of the leaves) of all leaves whose box is not further than
@@ -156,6 +148,13 @@ impl TriangleBvh<'_> {
             }
         }
     }
+}
+
+/// The corner of a triangle that is closest to `point`; of equally close ones the smallest.
+pub(crate) fn corner_near(positions: &[DVec3], [a, b, c]: [u32; 3], point: DVec3) -> u32 {
+    let distance = |v: u32| positions[v as usize].distance_squared(point);
+    let nearer = |x: u32, y: u32| if (distance(y), y) < (distance(x), x) { y } else { x };
+    nearer(nearer(a, b), c)
 }
 
 #[cfg(test)]

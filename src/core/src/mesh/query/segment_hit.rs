@@ -1,6 +1,7 @@
 //! Where a segment first meets many triangles.
 
 use crate::mesh::query::bvh::{ChildBoxes, FAN, NodeStack, TriangleBvh};
+use crate::mesh::query::closest_surface_point::corner_near;
 use glam::DVec3;
 
 /// The place where a segment first meets a triangle.
@@ -50,7 +51,7 @@ impl TriangleBvh<'_> {
                 along,
                 point,
                 triangle,
-                vertex: self.corner_near(triangle, point),
+                vertex: corner_near(self.positions, self.triangles[triangle as usize], point),
             }
         })
     }
