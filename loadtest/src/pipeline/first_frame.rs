@@ -1,6 +1,7 @@
 //! `loadtest pipeline`: every stage from a model's file to the first frame's bytes.
 
 use crate::failure::LoadtestFailure;
+use crate::pipeline::graph_stages::{GRAPH_STAGES, GraphStageClock};
 use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
 use crate::shared::input_files::{read_job_file, read_model_file};
 use crate::shared::measurements::Measurements;
@@ -60,6 +61,8 @@ pub(crate) struct PipelineArgs {
 /// A first-frame run is one run: seconds by stage, and facts.
 struct FirstFrameRun {
     seconds: BTreeMap<String, f64>,
+    /// Of each part of building the graph.
+    graph_seconds: [f64; GRAPH_STAGES.len()],
     assembly: f64,
     vertices: usize,
     nodes: usize,
@@ -140,7 +143,8 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
     let settings = DeformOptions::check(&job.options.unwrap_or_default(), "options", u32::MAX)?.solve;
     let start = Instant::now();
     let millis = || start.elapsed().as_secs_f64() * 1e3;
-    let stages = StageClock::new(millis, &Silent);
+    let graph_stages = GraphStageClock::new(millis);
+    let stages = StageClock::new(millis, &graph_stages);
     let create = job.create.clone().unwrap_or_default();
     let mut bench = Deformer::open(
         files,
@@ -189,6 +193,7 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
     let (_, assembly) = time_once(assemble);
     Ok(FirstFrameRun {
         seconds,
+        graph_seconds: graph_stages.stage_ms().map(|ms| ms / 1e3),
         assembly,
         vertices: bench.rest().len(),
         nodes: bench.body().nodes(),
@@ -212,6 +217,9 @@ fn run_measurements(run: &FirstFrameRun, model: &Path, pool: &Pool) -> Measureme
     for (stage, _) in STAGES {
         measurements.set_number(&format!("{stage}_s"), run.seconds.get(stage).copied().unwrap_or(0.0));
     }
+    for ((_, part, _), seconds) in GRAPH_STAGES.iter().zip(run.graph_seconds) {
+        measurements.set_number(&format!("graph_{part}_s"), seconds);
+    }
     measurements.set_number("assembly_s", run.assembly);
     measurements.set_number("total_s", run.total_seconds());
     measurements.set_value("cycles", run.cycles);
@@ -233,6 +241,11 @@ fn run_table(run: &FirstFrameRun, model: &Path, pool: &Pool) -> String {
     for (stage, what) in STAGES {
         let seconds = run.seconds.get(stage).copied().unwrap_or(0.0);
         text += &format!("{stage:<10} {:>9.1} ms  {what}\n", seconds * 1e3);
+        if stage == "graph" {
+            for ((_, part, what), seconds) in GRAPH_STAGES.iter().zip(run.graph_seconds) {
+                text += &format!("{:<10} {:>9.1} ms  {what}\n", format!("  {part}"), seconds * 1e3);
+            }
+        }
         if stage == "solve" {
             let what = "of which frames and right-hand sides, measured apart";
             text += &format!("{:<10} {:>9.1} ms  {what}\n", "  assembly", run.assembly * 1e3);
@@ -284,6 +297,8 @@ mod tests {
             "no stage is left out of the total: {:?}",
             run.seconds
         );
+        let parts: f64 = run.graph_seconds.iter().sum();
+        assert!(run.graph_seconds.iter().all(|&s| s > 0.0) && parts <= run.seconds["graph"]);
         assert_eq!(run.frame_bytes, run.vertices * 12);
         assert!(run.cycles > 0 && run.residual <= 1e-4);
     }

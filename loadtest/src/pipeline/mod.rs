@@ -2,3 +2,4 @@
 
 pub(crate) mod edits;
 pub(crate) mod first_frame;
+mod graph_stages;
