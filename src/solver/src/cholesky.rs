@@ -139,7 +139,12 @@ mod tests {
 
     #[test]
     fn the_solution_satisfies_the_equations_on_any_number_of_threads() {
-        for n in [1usize, 3, 47, 48, 49, 131] {
+        let sizes: &[usize] = if cfg!(miri) {
+            &[1, 3, 49]
+        } else {
+            &[1, 3, 47, 48, 49, 131]
+        };
+        for &n in sizes {
             let entry = |i: usize, j: usize| {
                 let near = 1.0 / (1.0 + (i.abs_diff(j)) as f64);
                 if i == j { 2.0 + near } else { near }

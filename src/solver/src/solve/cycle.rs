@@ -308,7 +308,7 @@ mod tests {
 
     #[test]
     fn the_cycle_is_symmetric_and_positive() {
-        let block = BoxLattice::new(14, 12, 12).weighted();
+        let block = BoxLattice::new(21, 18, 18).weighted();
         let hierarchy = block.hierarchy(20);
         let mut system = block.system(&hierarchy);
         let (u, v) = vectors(hierarchy.levels[0].rows());
@@ -327,7 +327,7 @@ mod tests {
 
     #[test]
     fn masked_rows_stay_zero() {
-        let block = BoxLattice::new(14, 12, 12);
+        let block = BoxLattice::new(21, 18, 18);
         let hierarchy = block.hierarchy(20);
         let system = block.system(&hierarchy);
         let z = apply(&hierarchy, &system, &vec![1.0; hierarchy.levels[0].rows()]);
