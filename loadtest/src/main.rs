@@ -45,6 +45,8 @@ enum LoadtestCommand {
     Solver(solver::command::SolverArgs),
     /// Time every stage from a model's file to the first frame
     Pipeline(pipeline::first_frame::PipelineArgs),
+    /// Follow one frame of a drag through, pass by pass
+    Frame(pipeline::frame::FrameArgs),
     /// Edit a region of a model and time everything up to the next frame, repaired and built anew
     Edits(pipeline::edits::EditsArgs),
     /// Measure clips on models, row by row, beside what they must reach
@@ -64,6 +66,7 @@ fn main() -> ExitCode {
         LoadtestCommand::ExportSystem(args) => solver::export::run_export(args),
         LoadtestCommand::Solver(args) => solver::command::run_solver(args),
         LoadtestCommand::Pipeline(args) => pipeline::first_frame::run_pipeline(args),
+        LoadtestCommand::Frame(args) => pipeline::frame::run_frame(args),
         LoadtestCommand::Edits(args) => pipeline::edits::run_edits(args),
         LoadtestCommand::Motion(args) => motion::command::run_motion(args),
         LoadtestCommand::Sheet(args) => sheets::contact_sheet::run_sheet(args),

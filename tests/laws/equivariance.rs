@@ -126,6 +126,7 @@ fn deformed(shape: &Shape, handles: &[Handle], place: &Place, volume: VolumeMode
             steps: refine,
             ..Refinement::default()
         },
+        extent: Default::default(),
     };
     let solution = rig
         .solve(

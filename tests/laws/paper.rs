@@ -69,6 +69,7 @@ fn solutions_satisfy_equation_8_to_the_residual_asked_for() {
                 start: SolveStart::Fresh,
                 first_pass: Default::default(),
                 refinement: Default::default(),
+                extent: Default::default(),
             };
             let solution = rig
                 .solve(

@@ -2,4 +2,5 @@
 
 pub(crate) mod edits;
 pub(crate) mod first_frame;
+pub(crate) mod frame;
 mod graph_stages;

@@ -258,6 +258,7 @@ pub(super) mod tests {
                 start: SolveStart::Fresh,
                 first_pass: Default::default(),
                 refinement: Default::default(),
+                extent: Default::default(),
             };
             let mut state = SolveState::default();
             let solution = rig

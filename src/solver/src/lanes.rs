@@ -9,13 +9,14 @@ pub(crate) const WIDTH: usize = 4;
 /// One row of up to four columns in single precision.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 #[repr(C, align(16))]
-pub(crate) struct Lanes(pub [f32; WIDTH]);
+pub struct Lanes(pub [f32; 4]);
 
 /// One row of up to four columns in double precision.
 pub(crate) type WideLanes = [f64; WIDTH];
 
 impl Lanes {
-    pub(crate) const ZERO: Lanes = Lanes([0.0; WIDTH]);
+    /// All 0.
+    pub const ZERO: Lanes = Lanes([0.0; WIDTH]);
 
     #[inline(always)]
     pub(crate) fn splat(v: f32) -> Lanes {

@@ -20,6 +20,12 @@ pub trait Progress: Sync {
     fn report(&self, stage: &'static str, fraction: f32) {
         let _ = (stage, fraction);
     }
+
+    /// Tells that a pass over the rows of one frame begins, by its name. For those who measure frames; called some ten times a
+    /// frame, from one thread at a time.
+    fn begin_pass(&self, pass: &'static str) {
+        let _ = pass;
+    }
 }
 
 /// Work that nobody watches or cancels.

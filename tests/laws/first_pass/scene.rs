@@ -199,6 +199,7 @@ impl Scene {
                     start,
                     first_pass,
                     refinement: Default::default(),
+                    extent: Default::default(),
                 };
                 self.rig.solve(
                     &self.body,

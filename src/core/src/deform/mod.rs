@@ -41,6 +41,7 @@
 //!     start: SolveStart::Fresh,
 //!     first_pass: FirstPass::Harmonic,
 //!     refinement: Refinement::default(),
+//!     extent: SolutionExtent::Graph,
 //! };
 //! let solved = handles.solve(&body, &request, &mut SolveState::default(), &exec, &mut |_| true)?;
 //! for (p, now) in mesh.positions.iter().zip(&solved.positions) {
@@ -86,7 +87,8 @@ pub use handles::{
 };
 pub use rotation::{blend_rotations, exp_rotation, fit_rigid_motion, log_rotation};
 pub use second_pass::{
-    CycleReport, PoseMethod, PoseRequest, PoseSolution, Refinement, SecondPassEquations, SolveStart, SolveState,
+    CycleReport, PoseMethod, PoseRequest, PoseSolution, Refinement, SecondPassEquations, SolutionExtent, SolveStart,
+    SolveState,
 };
 pub use thin_faces::NeedlesAndCaps;
 pub use transform::Transform;

@@ -22,7 +22,7 @@ use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
 use crate::mesh::carry::CarrySurface;
-use crate::mesh::{Adjacency, Components, Mesh, MeshReport, inspect};
+use crate::mesh::{Adjacency, Components, Mesh, MeshReport, Weld, inspect};
 use crate::pool::Pool;
 use glam::DVec3;
 use std::sync::{Arc, OnceLock};
@@ -43,6 +43,8 @@ pub(super) struct DerivedStructures {
     /// How the nodes of the graph came about when the body has followed an edit.
     pub followed: FollowedNodes,
     volume: VolumeMode,
+    /// Whether render vertices are exactly where their solver vertices are.
+    welded_exactly: bool,
     report: OnceLock<MeshReport>,
     /// The surface at rest, once something was carried along with it.
     carry: OnceLock<Arc<CarrySurface>>,
@@ -224,12 +226,18 @@ impl DerivedStructures {
             body,
             followed,
             volume: options.body.volume,
+            welded_exactly: options.weld == Weld::Exact,
             report: OnceLock::new(),
             carry: OnceLock::new(),
             riders: OnceLock::new(),
             ties: OnceLock::new(),
             surroundings: OnceLock::new(),
         }
+    }
+
+    /// Whether a shape is made of the nodes' positions alone.
+    pub fn shows_without_frames(&self) -> bool {
+        self.welded_exactly && self.thin.is_empty()
     }
 
     /// The surface at rest, ready to carry points; built when first asked for.

@@ -8,7 +8,8 @@ use super::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
 use super::shape::{ModelShape, ShapeId};
 use super::shape_transfer::ShapeTransfer;
 use crate::deform::{
-    CycleReport, HandleSystem, PoseRequest, PoseSolution, Refinement, SolveStart, Transform, unfold_faces,
+    CycleReport, HandleSystem, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart, Transform,
+    unfold_faces,
 };
 use crate::exec::Exec;
 use glam::DVec3;
@@ -142,6 +143,11 @@ impl Deformer {
                 smoothing: settings.rotation_smoothing,
                 carried: false,
             },
+            extent: match mode {
+                SolveMode::Drag if derived.shows_without_frames() => SolutionExtent::Positions,
+                SolveMode::Drag => SolutionExtent::Surface,
+                SolveMode::Commit => SolutionExtent::Graph,
+            },
         };
         let shape = ShapeTransfer {
             body,
@@ -165,6 +171,7 @@ impl Deformer {
             true => rig.solve_by_spatial_rbf(body, &transforms, state, exec)?,
             false => rig.solve(body, &request, state, exec, &mut on_cycle)?,
         };
+        exec.progress.begin_pass("settle");
         derived
             .thin
             .settle(body, rig, &solution.frames, &mut solution.positions, exec.pool);
@@ -173,6 +180,7 @@ impl Deformer {
             unfold_faces(&derived.mesh, &surroundings, rig, &mut solution.positions, exec.pool);
         }
         let solver = method_name(&solution);
+        exec.progress.begin_pass("render");
         let positions = Arc::new(shape.render(&solution.positions, &solution.frames, &transforms));
         *solutions += 1;
         let id = ShapeId::solution(derived.lineage.id, *solutions);

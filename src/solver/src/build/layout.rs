@@ -83,6 +83,8 @@ pub(crate) fn append_rows(
         level.blocks.push((level.bundles.len() * SLICE_ROWS) as u32);
     }
     drop(plans);
+    let number = |b: usize| first_block as u32 + places[b] - 1;
+    level.along_curve.extend((0..by_colour.len()).map(number));
     let colours = blocks.colours[1..].iter().map(|&c| first_block as u32 + c);
     level.colours.extend(colours);
     if first == 0 {

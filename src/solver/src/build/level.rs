@@ -42,6 +42,9 @@ pub(crate) struct HierarchyLevel {
     pub(crate) blocks: Vec<u32>,
     /// First block of each colour, and the number of blocks.
     pub(crate) colours: Vec<u32>,
+    /// The blocks that hold rows, neighbours near each other: passes that may take them in any order take this one, so that rows
+    /// are still in a cache when neighbours read them. Appended ones come last.
+    pub(crate) along_curve: Vec<u32>,
     /// Positions in the unit box, or empty.
     pub(crate) positions: Vec<Lanes>,
     /// Row of the next level that each row belongs to, or [`NO_ROW`]. Empty on the coarsest level.
@@ -80,6 +83,7 @@ impl HierarchyLevel {
             aggregates: all(&self.aggregates),
             ranges: all(&self.ranges),
             members: all(&self.members),
+            along_curve: self.along_curve.clone(),
             blocks: self.blocks.clone(),
             colours: self.colours.clone(),
             ..*self
@@ -159,7 +163,7 @@ impl HierarchyLevel {
 
     pub(crate) fn byte_size(&self) -> usize {
         let words = 3 * self.bundles.len() + self.neighbours.len() + self.diagonal.len();
-        let words = words + self.blocks.len() + self.colours.len() + self.aggregates.len();
+        let words = words + self.blocks.len() + self.along_curve.len() + self.colours.len() + self.aggregates.len();
         let words = words + 2 * self.ranges.len() + self.members.len();
         4 * (words + self.weights.as_ref().map_or(0, Vec::len)) + 16 * self.positions.len()
     }

@@ -20,6 +20,8 @@ pub(crate) struct LevelMask {
     pub(crate) alphas: Vec<f32>,
     /// Blocks that hold a row to solve for, in sweep order.
     pub(crate) active: Vec<u32>,
+    /// Where the active blocks stand in `active`, in the order of the level's curve.
+    pub(crate) along_curve: Vec<u32>,
     /// First of `active` for each colour, and their number.
     pub(crate) colours: Vec<u32>,
     /// Free rows that have a masked neighbour, one bit each.
@@ -53,6 +55,9 @@ impl LevelMask {
             },
         );
         self.active = lists.concat();
+        let place = |b: &u32| self.active.binary_search(b).ok().map(|k| k as u32);
+        self.along_curve = level.along_curve.iter().filter_map(place).collect();
+        debug_assert!(self.along_curve.len() == self.active.len());
         let before = |&end: &u32| self.active.partition_point(|b| *b < end) as u32;
         self.colours = level.colours.iter().map(before).collect();
     }
@@ -88,7 +93,7 @@ impl LevelMask {
     }
 
     pub(crate) fn byte_size(&self) -> usize {
-        let words = self.inverses.len() + self.alphas.len() + self.active.len() + self.colours.len();
+        let words = self.inverses.len() + self.alphas.len() + 2 * self.active.len() + self.colours.len();
         4 * words + 8 * self.border.len()
     }
 }

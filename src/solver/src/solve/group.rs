@@ -1,9 +1,11 @@
 //! One group of columns and everything that iterating it needs.
 
+use crate::lanes::WideLanes;
 use crate::pool::Pool;
 use crate::solve::criteria::StoppingCriteria;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::problem::ColumnGroup;
+use crate::solve::recalled::RecalledSteps;
 use crate::solve::workspace::Workspace;
 
 /// One group of columns under iteration.
@@ -17,4 +19,19 @@ pub(crate) struct GroupSolve<'a, 'w> {
     pub(crate) caller: &'w [f64],
     /// True if x is 0 on free rows at first, which makes the first residual cheap.
     pub(crate) from_zero: bool,
+    /// What earlier poses of the same system came to, and this one is to add to.
+    pub(crate) recalled: Option<&'w mut RecalledSteps>,
+    /// What cycles have come to; `None` until they have reached a solution, or where none was needed.
+    pub(crate) reached: Option<ReachedByCycles>,
+}
+
+/// A solution that cycles have reached.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ReachedByCycles {
+    /// By what its residual is multiplied in the workspace.
+    pub(crate) scale: WideLanes,
+    /// What a vertex was moved by at most.
+    pub(crate) moved: f64,
+    /// The relative residual before.
+    pub(crate) from_relative: f64,
 }

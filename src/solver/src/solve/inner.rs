@@ -89,6 +89,7 @@ impl GroupSolve<'_, '_> {
         let (threads, pool, grid) = (problem.threads, self.pool, self.cycle.grid(0));
         let scale = state.scale;
         let mut inner = self.begin_stretch(state);
+        self.cycle.progress.begin_pass("cycles");
         let verdict = loop {
             let norms = self.advance(state, &inner)?;
             state.outcome.iterations += 1;
@@ -114,6 +115,9 @@ impl GroupSolve<'_, '_> {
             self.rest_columns(state, &mut inner, &progress);
             if inner.deep && inner.fresh {
                 let Workspace { x, fine, .. } = &mut *self.workspace;
+                if let Some(recalled) = self.recalled.as_deref_mut() {
+                    threads.run_on(pool, || recalled.add(&problem, &fine.e, scale));
+                }
                 threads.run_on(pool, || fold_correction(&grid, fine, scale, x));
             }
             inner.fresh = false;
@@ -121,7 +125,11 @@ impl GroupSolve<'_, '_> {
                 break end;
             }
         };
+        self.cycle.progress.begin_pass("correct");
         let Workspace { x, fine, .. } = &mut *self.workspace;
+        if let Some(recalled) = self.recalled.as_deref_mut() {
+            threads.run_on(pool, || recalled.add(&problem, &fine.e, scale));
+        }
         threads.run_on(pool, || add_correction(&problem, &grid, fine, scale, x));
         Ok(verdict)
     }
@@ -196,6 +204,7 @@ impl GroupSolve<'_, '_> {
         let share = lanes().map(|c| ratio(noise[c], now[c])).fold(0.0, f64::max);
         state.sound = share <= SPOILT;
         let step = norms.longest * inner.largest_unit;
+        state.moved += step;
         let shrinkage = state.last_step.replace(step).map(|last| ratio(step, last));
         let moving = estimate_error(history, step, shrinkage, share);
         state.outcome.relative = now;

@@ -23,7 +23,7 @@ pub struct IterationReport<'a> {
 
 impl IterationReport<'_> {
     /// Writes the present solution, all vertices and columns, row-major as `x` of the solve. Fixed rows are copied
-    /// bit for bit; columns whose turn has not come hold what `x` held.
+    /// bit for bit, and left alone where a pose is solved; columns whose turn has not come hold what `x` held.
     ///
     /// # Panics
     /// If `out` is not as long as the solve's `x`.
@@ -52,7 +52,10 @@ pub(crate) struct SolutionSnapshot<'a> {
 
 impl SolutionSnapshot<'_> {
     pub(crate) fn copy_to(&self, out: &mut [f64]) {
-        out.copy_from_slice(self.caller);
+        // The given values of a pose are its owner's.
+        if !self.caller.is_empty() {
+            out.copy_from_slice(self.caller);
+        }
         self.problem.store(self.x, self.e, out);
     }
 }

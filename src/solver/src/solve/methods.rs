@@ -76,6 +76,7 @@ impl LinearEquations<'_> {
         self.check(x.len())?;
         check_options(self.hierarchy, columns, options)?;
         exec.check()?;
+        exec.progress.begin_pass("load");
         let mut stats = SolveStats {
             iterations: 0,
             residual: 0.0,
@@ -121,9 +122,12 @@ impl LinearEquations<'_> {
                     workspace,
                     caller: x,
                     from_zero: matches!(options.start, InitialGuess::Zero),
+                    recalled: None,
+                    reached: None,
                 };
                 solve_by_cycles(group, options.start, watch)?
             };
+            exec.progress.begin_pass("store");
             problem.store(&workspace.x, None, x);
             merge_outcome(&mut stats, &outcome, problem.width());
             if outcome.stopped {
@@ -285,6 +289,7 @@ fn solve_by_cycles(
         return crate::paper::solve(&mut group, paper, kept, start, watch);
     }
     if let InitialGuess::FullMultigrid { frames, rest } = start {
+        group.cycle.progress.begin_pass("start");
         let GroupSolve {
             cycle, pool, workspace, ..
         } = &mut group;

@@ -10,10 +10,12 @@ use crate::solve::advance::{first_residual, residual, resume_direction, rhs_refe
 use crate::solve::criteria::GroupOutcome;
 use crate::solve::cycle::{clear_inactive, prepare};
 use crate::solve::fallback::conjugate_gradients;
+use crate::solve::frame_rows::FrameRows;
 use crate::solve::group::GroupSolve;
 use crate::solve::inner::InnerEnd;
 use crate::solve::iteration::IterationWatcher;
 use crate::solve::outer_state::OuterState;
+use crate::solve::posed_residual::posed_residual;
 use crate::solve::problem::ColumnGroup;
 use crate::solve::workspace::Workspace;
 
@@ -32,7 +34,11 @@ impl GroupSolve<'_, '_> {
         loop {
             norms = self.ensure_finite(norms, &state)?;
             state.judge_residual(norms, &self.criteria, problem.width());
+            if let Some(recalled) = &self.recalled {
+                state.judge_recalled(recalled, &self.criteria, problem.width());
+            }
             if state.outcome.converged || state.outcome.iterations >= self.criteria.max_iterations {
+                self.reached = state.reached();
                 return Ok(state.outcome);
             }
             state.count_poor_stretch();
@@ -44,7 +50,10 @@ impl GroupSolve<'_, '_> {
                 return conjugate_gradients(self, state.reference, state.outcome, watch);
             }
             match self.inner_iterations(&mut state, watch)? {
-                InnerEnd::Accepted => return Ok(state.accepted()),
+                InnerEnd::Accepted => {
+                    self.reached = state.reached();
+                    return Ok(state.accepted());
+                }
                 InnerEnd::Ended => {}
                 InnerEnd::Troubled => {
                     state.poor += 1;
@@ -80,6 +89,10 @@ impl GroupSolve<'_, '_> {
     /// squared norms.
     fn load_first_residual(&mut self, state: &mut OuterState) -> WideLanes {
         let (problem, from_zero) = (self.problem, self.from_zero);
+        if let Some(frames) = problem.frames() {
+            return self.load_posed_residual(frames, state);
+        }
+        self.cycle.progress.begin_pass("residual");
         let Workspace { x, fine, .. } = &mut *self.workspace;
         problem.threads.run_on(self.pool, || {
             if from_zero {
@@ -93,12 +106,30 @@ impl GroupSolve<'_, '_> {
         })
     }
 
+    /// The same for a pose: right-hand side, residual and both norms in one pass; then what earlier poses came to is taken out
+    /// of it.
+    fn load_posed_residual(&mut self, frames: FrameRows<'_>, state: &mut OuterState) -> WideLanes {
+        let problem = self.problem;
+        self.cycle.progress.begin_pass("residual");
+        let Workspace { x, fine, .. } = &mut *self.workspace;
+        let recalled = self.recalled.as_deref_mut();
+        let progress = self.cycle.progress;
+        problem.threads.run_on(self.pool, || {
+            let [norms, reference] = posed_residual(&problem, &frames, x, &mut fine.r);
+            state.reference = reference.map(f64::sqrt);
+            let Some(recalled) = recalled else { return norms };
+            progress.begin_pass("recall");
+            recalled.take_out(&problem, x, &mut fine.r).unwrap_or(norms)
+        })
+    }
+
     /// Makes the residual that the next stretch begins with, in a scale of its own and in the direction of the last step.
     /// Returns its squared norms.
     fn load_next_residual(&mut self, state: &mut OuterState) -> WideLanes {
         let problem = self.problem;
         let factor = state.rescale(problem.hierarchy.levels[0].rows());
         let grid = self.cycle.grid(0);
+        self.cycle.progress.begin_pass("residual");
         let Workspace { x, fine, .. } = &mut *self.workspace;
         problem.threads.run_on(self.pool, || {
             let norms = residual(&problem, x, fine, state.scale);
@@ -112,7 +143,7 @@ impl GroupSolve<'_, '_> {
         let problem = self.problem;
         let iterations = state.outcome.iterations;
         let is_finite = |norms: &WideLanes| norms.iter().all(|r| r.is_finite());
-        if !is_finite(&norms) && iterations == 0 {
+        if !is_finite(&norms) && iterations == 0 && problem.frames().is_none() {
             // Frames of absurd size can overflow the full-multigrid start.
             let Workspace { x, fine, .. } = &mut *self.workspace;
             problem.load(self.caller, false, x);

@@ -4,6 +4,8 @@ use crate::build::hierarchy::power_of_two_below;
 use crate::lanes::{WIDTH, WideLanes, per_lane};
 use crate::options::SolveMethod;
 use crate::solve::criteria::{GroupOutcome, StoppingCriteria};
+use crate::solve::group::ReachedByCycles;
+use crate::solve::recalled::RecalledSteps;
 
 /// Below this relative residual nothing can be gained in double precision.
 pub(super) const FLOOR: f64 = 1e-14;
@@ -19,6 +21,8 @@ pub(super) struct OuterState {
     pub(super) direction: Option<WideLanes>,
     /// Largest row of the last step.
     pub(super) last_step: Option<f64>,
+    /// Sum of the steps' largest rows.
+    pub(super) moved: f64,
     /// 1 for columns that have stopped.
     pub(super) resting: WideLanes,
     /// Error estimate of those.
@@ -41,6 +45,7 @@ impl OuterState {
             scale: [1.0; WIDTH],
             direction: None,
             last_step: None,
+            moved: 0.0,
             resting: [0.0; WIDTH],
             resting_error: 0.0,
             sound: true,
@@ -65,6 +70,29 @@ impl OuterState {
         let sound = self.sound || criteria.max_error.is_none();
         let holds = sound && criteria.hold(&relative[..width], outcome.max_error);
         outcome.converged = exact || (holds && outcome.iterations > 0);
+    }
+
+    /// Before the first iteration: whether none is needed, since earlier poses explain the residual, and their errors are known.
+    pub(super) fn judge_recalled(&mut self, recalled: &RecalledSteps, criteria: &StoppingCriteria, width: usize) {
+        let outcome = &mut self.outcome;
+        let worst = outcome.relative[..width].iter().fold(0.0f64, |a, &b| a.max(b));
+        let expected = recalled
+            .expected_error(worst)
+            .filter(|_| outcome.iterations == 0 && !outcome.converged);
+        if let Some(error) = expected.filter(|e| criteria.hold(&outcome.relative[..width], *e)) {
+            outcome.max_error = error;
+            outcome.converged = true;
+        }
+    }
+
+    /// What cycles have come to so far, if there were any.
+    pub(super) fn reached(&self) -> Option<ReachedByCycles> {
+        let from = self.beginning.unwrap_or_default();
+        (self.outcome.iterations > 0).then(|| ReachedByCycles {
+            scale: self.scale,
+            moved: self.moved,
+            from_relative: from.iter().fold(0.0, |a, &b| a.max(b)),
+        })
     }
 
     /// Counts the stretches in a row that brought little; called with the true residual known.

@@ -6,6 +6,7 @@ use crate::build::hierarchy::{Hierarchy, power_of_two_below};
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
+use crate::solve::frame_rows::FrameRows;
 use crate::storage::{NO_ROW, SLICE_ROWS};
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
@@ -14,6 +15,15 @@ const FETCH: usize = 16;
 
 /// Rows that one piece of work handles where there are no blocks.
 const PIECE: usize = 4096;
+
+/// Where right-hand sides come from.
+#[derive(Clone, Copy)]
+enum RightHandSide<'a> {
+    /// In the caller's order and units.
+    Given(&'a [f64]),
+    /// Made from the frames of a pose when they are asked for.
+    Posed(FrameRows<'a>),
+}
 
 /// A group of columns of `A x = b`.
 ///
@@ -24,7 +34,7 @@ pub(crate) struct ColumnGroup<'a> {
     pub(crate) hierarchy: &'a Hierarchy,
     pub(crate) system: &'a LinearSystem,
     pub(crate) threads: Parallelism,
-    rhs: &'a [f64],
+    rhs: RightHandSide<'a>,
     columns: usize,
     first: usize,
     width: usize,
@@ -88,13 +98,41 @@ impl<'a> ColumnGroup<'a> {
             hierarchy,
             system,
             threads,
-            rhs,
+            rhs: RightHandSide::Given(rhs),
             columns,
             first,
             width,
             unit,
             rhs_factor,
         })
+    }
+
+    /// The three coordinates of a pose, in the units of its rest positions.
+    pub(crate) fn of_pose(
+        hierarchy: &'a Hierarchy,
+        system: &'a LinearSystem,
+        threads: Parallelism,
+        frames: FrameRows<'a>,
+    ) -> Self {
+        Self {
+            hierarchy,
+            system,
+            threads: threads.for_rows(hierarchy.vertices()),
+            rhs: RightHandSide::Posed(frames),
+            columns: 3,
+            first: 0,
+            width: 3,
+            unit: [1.0; WIDTH],
+            rhs_factor: [hierarchy.weight_scale; WIDTH],
+        }
+    }
+
+    /// The frames that right-hand sides are made from.
+    pub(crate) fn frames(&self) -> Option<FrameRows<'a>> {
+        match self.rhs {
+            RightHandSide::Given(_) => None,
+            RightHandSide::Posed(frames) => Some(frames),
+        }
     }
 
     pub(crate) fn width(&self) -> usize {
@@ -113,9 +151,13 @@ impl<'a> ColumnGroup<'a> {
     /// Right-hand side of a row.
     #[inline(always)]
     pub(crate) fn rhs(&self, row: usize) -> WideLanes {
+        let given = match self.rhs {
+            RightHandSide::Given(given) => given,
+            RightHandSide::Posed(frames) => return frames.right_hand_side(&self.hierarchy.levels[0], row),
+        };
         let at = self.hierarchy.order[row] as usize * self.columns + self.first;
         let f = &self.rhs_factor;
-        match &self.rhs[at..at + self.width] {
+        match &given[at..at + self.width] {
             [a, b, c] => [a * f[0], b * f[1], c * f[2], 0.0],
             some => {
                 let mut v = [0.0; WIDTH];
@@ -296,21 +338,27 @@ impl<'a> ColumnGroup<'a> {
     /// b of row `i`, 0 if that is masked.
     #[inline(always)]
     fn moved_rhs(&self, x: &[WideLanes], i: usize) -> WideLanes {
-        let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
+        let mask = &self.system.masks[0];
         if !mask.free(i) {
             return [0.0; WIDTH];
         }
         let mut b = self.rhs(i);
         if mask.on_border(i) {
-            for (j, w) in level.row(i) {
-                if !mask.free(j) {
-                    for c in 0..WIDTH {
-                        b[c] += f64::from(w) * x[j][c];
-                    }
+            self.move_given(x, i, &mut b);
+        }
+        b
+    }
+
+    /// Adds what given neighbours pull row `i` with.
+    pub(crate) fn move_given(&self, x: &[WideLanes], i: usize, b: &mut WideLanes) {
+        let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
+        for (j, w) in level.row(i) {
+            if !mask.free(j) {
+                for c in 0..WIDTH {
+                    b[c] += f64::from(w) * x[j][c];
                 }
             }
         }
-        b
     }
 
     /// b − A x in double precision, floating components without their means; returns the squared norms.
@@ -334,14 +382,28 @@ impl<'a> ColumnGroup<'a> {
 
     /// Adds up what `body` returns for each active block, always in the same order.
     pub(crate) fn norms(&self, body: impl Fn(Range<usize>) -> WideLanes + Sync + Send) -> WideLanes {
+        let [sum] = self.sums(|rows| [body(rows)]);
+        sum
+    }
+
+    /// The same with several sums at once.
+    pub(crate) fn sums<const N: usize>(
+        &self,
+        body: impl Fn(Range<usize>) -> [WideLanes; N] + Sync + Send,
+    ) -> [WideLanes; N] {
         let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
-        let active = &mask.active;
-        let of_block = |k: usize| body(level.block(active[k] as usize));
-        let add = |mut sum: WideLanes, part: WideLanes| {
-            add_wide(&mut sum, part);
-            sum
+        let (active, along_curve) = (&mask.active, &mask.along_curve);
+        // A pose is near its floor of memory traffic: its rows are taken while they are still in a cache.
+        let is_posed = self.frames().is_some();
+        let of_block = |p: usize| {
+            let k = if is_posed { along_curve[p] as usize } else { p };
+            body(level.block(active[k] as usize))
         };
-        in_order(self.threads, active.len(), [0.0; WIDTH], of_block, add)
+        let add = |mut sums: [WideLanes; N], parts: [WideLanes; N]| {
+            sums.iter_mut().zip(parts).for_each(|(sum, part)| add_wide(sum, part));
+            sums
+        };
+        in_order(self.threads, active.len(), [[0.0; WIDTH]; N], of_block, add)
     }
 }
 

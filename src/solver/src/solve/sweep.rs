@@ -57,8 +57,10 @@ impl<'a> MaskedLevel<'a> {
     /// Calls `body` with the number and the rows of every active block, in any order.
     #[inline]
     pub(crate) fn each_block(&self, body: impl Fn(usize, std::ops::Range<usize>) + Sync + Send) {
-        self.threads.for_each(0..self.mask.active.len(), |k| {
-            body(k, self.level.block(self.mask.active[k] as usize))
+        let (active, along_curve) = (&self.mask.active, &self.mask.along_curve);
+        self.threads.for_each(0..along_curve.len(), |p| {
+            let k = along_curve[p] as usize;
+            body(k, self.level.block(active[k] as usize));
         });
     }
 

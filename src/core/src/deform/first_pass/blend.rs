@@ -40,6 +40,35 @@ impl<'a> PoseBlend<'a> {
         }
     }
 
+    /// Whether all rotations are about one axis and no handle is scaled: what the blend is made of then.
+    pub fn one_axis(&self) -> Option<OneAxisBlend<'a>> {
+        let rotations = &self.rotations;
+        let axis = rotations
+            .blending
+            .axis()
+            .filter(|_| self.is_unscaled() && self.instead.is_none())?;
+        Some(OneAxisBlend {
+            base: rotations.base,
+            axis,
+            terms: (rotations.terms.iter())
+                .map(|t| (t.field, t.vector.dot(axis)))
+                .collect(),
+            covered: rotations.covered,
+            component: self.component,
+        })
+    }
+
+    /// R S at a node, with no memory of its own but `scratch`. `None` for the identity.
+    pub fn map(&self, node: usize, scratch: &mut Vec<(usize, f64)>) -> Option<DMat3> {
+        let component = self.component[node] as usize;
+        let rotation = self.rotations.at_with(node, component, scratch);
+        match (rotation, self.scale(node)) {
+            (None, scale) => scale,
+            (Some(rotation), None) => Some(DMat3::from_quat(rotation)),
+            (Some(rotation), Some(scale)) => Some(DMat3::from_quat(rotation) * scale),
+        }
+    }
+
     /// The scale at a node, a symmetric matrix; `None` for the identity.
     pub fn scale(&self, node: usize) -> Option<DMat3> {
         self.scales.at(node)
@@ -78,6 +107,18 @@ impl<'a> PoseBlend<'a> {
             .map(|t| t.vector.length())
             .fold(0.0, f64::max)
     }
+}
+
+/// Rotations about one axis: the turn of `base`, and before it one about `axis` by the sum of the terms' shares of their angles.
+pub(in crate::deform) struct OneAxisBlend<'a> {
+    pub base: DQuat,
+    /// A unit vector.
+    pub axis: DVec3,
+    /// Fields, and angles in radians.
+    pub terms: Vec<(&'a [f32], f64)>,
+    /// By component: whether any handle that constrains rotations has a say there.
+    pub covered: &'a [bool],
+    pub component: &'a [u32],
 }
 
 /// The rotation of one hold relative to the base.
@@ -133,24 +174,29 @@ impl<'a> HandleRotations<'a> {
     }
 
     /// The terms with a say at a node: (index, weight).
-    fn weights(&self, node: usize) -> Vec<(usize, f64)> {
+    fn weights(&self, node: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
         let weights = self.terms.iter().enumerate();
         weights
-            .map(|(k, term)| (k, f64::from(term.field[node])))
+            .map(move |(k, term)| (k, f64::from(term.field[node])))
             .filter(|(_, u)| *u > 0.0)
-            .collect()
     }
 
     /// The rotation at a node; `None` for the identity.
     fn at(&self, node: usize, component: usize) -> Option<DQuat> {
+        self.at_with(node, component, &mut Vec::new())
+    }
+
+    /// As [`HandleRotations::at`]; `scratch` is memory for the terms.
+    fn at_with(&self, node: usize, component: usize, scratch: &mut Vec<(usize, f64)>) -> Option<DQuat> {
         if !self.covered[component] || self.are_still() {
             return None;
         }
-        let weights = self.weights(node);
-        if weights.is_empty() && !self.turned_base {
+        scratch.clear();
+        scratch.extend(self.weights(node));
+        if scratch.is_empty() && !self.turned_base {
             return None;
         }
-        let blend = match weights.as_slice() {
+        let blend = match scratch.as_slice() {
             [] => DQuat::IDENTITY,
             some => self.blending.at(some),
         };
@@ -168,7 +214,7 @@ impl<'a> HandleRotations<'a> {
         if !self.covered[component] || self.are_still() {
             return None;
         }
-        let weights = self.weights(node);
+        let weights: Vec<(usize, f64)> = self.weights(node).collect();
         if weights.is_empty() && !self.turned_base {
             return None;
         }

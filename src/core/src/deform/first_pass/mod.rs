@@ -2,6 +2,7 @@
 
 pub(super) mod blend;
 pub(super) mod frame;
+pub(super) mod quick_frames;
 pub(super) mod spread;
 mod weighted_sum;
 

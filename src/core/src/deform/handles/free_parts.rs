@@ -88,6 +88,11 @@ impl FreeParts {
         Ok(Self { followers })
     }
 
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.followers.is_empty()
+    }
+
     /// Places the followers: `positions` (model space, by node) hold the solution elsewhere.
     pub fn place(&self, body: &DeformableBody, positions: &mut [DVec3]) {
         let rest = &body.graph.positions;

@@ -34,10 +34,7 @@ pub fn carry(x: &mut [f64], motions: &[HandleMotion<'_>], pool: &Pool) {
             .for_each(|(i, x)| {
                 let here = DVec3::from_array(*x);
                 let mut there = here;
-                for motion in motions {
-                    let share = motion.field.get(i).map_or(0.0, |u| f64::from(*u));
-                    there += (motion.map.transform_point3(here) - here) * share;
-                }
+                motions.iter().for_each(|motion| there += motion.share_of(i, here));
                 *x = there.to_array();
             });
     });
@@ -87,9 +84,19 @@ impl HandleSystem {
         x: &mut [f64],
         pool: &Pool,
     ) {
+        carry(x, &self.motions(body, from, to), pool);
+    }
+
+    /// How handles that hold positions moved from one pose to the next, in solving coordinates; those whose scale was close to
+    /// nothing are left out.
+    pub(in crate::deform) fn motions(
+        &self,
+        body: &DeformableBody,
+        from: &[Transform],
+        to: &[Transform],
+    ) -> Vec<HandleMotion<'_>> {
         let into = solving_to_model(body);
-        let motions: Vec<HandleMotion<'_>> = from
-            .iter()
+        from.iter()
             .zip(to)
             .enumerate()
             .filter(|(k, (from, to))| from != to && self.setup.handles[*k].position)
@@ -98,8 +105,15 @@ impl HandleSystem {
                 map: way_between(from, to, into),
             })
             .filter(|motion| motion.map.is_finite() && !motion.field.is_empty())
-            .collect();
-        carry(x, &motions, pool);
+            .collect()
+    }
+}
+
+impl HandleMotion<'_> {
+    /// What a node at `here` moves by.
+    pub(in crate::deform) fn share_of(&self, node: usize, here: DVec3) -> DVec3 {
+        let share = self.field.get(node).map_or(0.0, |u| f64::from(*u));
+        (self.map.transform_point3(here) - here) * share
     }
 }
 

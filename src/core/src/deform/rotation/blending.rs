@@ -29,6 +29,8 @@ struct SwingTwist {
 #[derive(Debug, Clone, Default)]
 pub(in crate::deform) struct RotationBlending {
     parts: Vec<SwingTwist>,
+    /// Whether all of them turn about one axis.
+    coaxial: bool,
     /// How much of each step towards the Karcher mean is taken, 0 to 1.
     karcher: f64,
 }
@@ -43,6 +45,7 @@ impl RotationBlending {
             });
             return Self {
                 parts: parts.collect(),
+                coaxial: true,
                 karcher: 0.0,
             };
         }
@@ -58,6 +61,7 @@ impl RotationBlending {
             .collect();
         let swings: Vec<DVec3> = parts.iter().map(|p| p.swing).collect();
         Self {
+            coaxial: false,
             karcher: 1.0 - fade(widest(&swings), APART),
             parts,
         }
@@ -78,6 +82,14 @@ impl RotationBlending {
             mean = self.towards_karcher(mean, weights);
         }
         mean * twist
+    }
+
+    /// The axis that all rotations are about, of unit length; `None` if there are several.
+    pub fn axis(&self) -> Option<DVec3> {
+        let longest = self.parts.iter().map(|p| p.twist).fold(DVec3::ZERO, |a, b| {
+            if b.length_squared() > a.length_squared() { b } else { a }
+        });
+        self.coaxial.then(|| longest.normalize_or(DVec3::Z))
     }
 
     fn towards_karcher(&self, mut mean: DQuat, weights: &[(usize, f64)]) -> DQuat {

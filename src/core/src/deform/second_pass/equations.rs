@@ -100,25 +100,46 @@ impl HandleSystem {
                     .for_each(|(i, rhs)| rhs.copy_from_slice(&right_hand_side(body, &posed.frames, i).to_array()));
             }),
         }
-        add_tie_offsets(body, &posed.frames, given, rhs);
+        let mut add = |node: usize, by: DVec3| {
+            let entries = rhs[3 * node..3 * node + 3].iter_mut().zip(by.to_array());
+            entries.for_each(|(r, b)| *r += b);
+        };
+        let frame = |node: usize| linear(&posed.frames[node]);
+        self.add_scattered(body, (transforms, posed.center), frame, &mut add);
+    }
+
+    /// What is added to right-hand sides at some nodes that are not given: offsets of ties, and pulls of soft handles around
+    /// the centre. `frame` tells a node's.
+    pub(in crate::deform) fn add_scattered(
+        &self,
+        body: &DeformableBody,
+        (transforms, center): (&[Transform], DVec3),
+        frame: impl Fn(usize) -> DMat3,
+        add: &mut dyn FnMut(usize, DVec3),
+    ) {
+        let given = self.given();
+        let mut add = |node: usize, by: DVec3| {
+            if !given[node] {
+                add(node, by);
+            }
+        };
+        add_tie_offsets(body, frame, &mut add);
         if self.position.soft.is_empty() {
             return;
         }
         let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
         for &(node, k, stiffness) in &self.position.soft {
             let node = node as usize;
-            if given[node] {
-                continue;
-            }
             let target = maps
                 .get(k as usize)
                 .map_or(body.graph.positions[node], |map| map(body.graph.positions[node]));
-            let pull = (body.solving_from_model(target) - posed.center) * stiffness;
-            rhs[node * 3..node * 3 + 3]
-                .iter_mut()
-                .zip(pull.to_array())
-                .for_each(|(r, p)| *r += p);
+            add(node, (body.solving_from_model(target) - center) * stiffness);
         }
+    }
+
+    /// Whether [`HandleSystem::add_scattered`] adds anything.
+    pub(in crate::deform) fn has_scattered(&self, body: &DeformableBody) -> bool {
+        !self.position.soft.is_empty() || body.graph.ties.iter().any(|ties| !ties.anchors().is_empty())
     }
 
     /// Solving coordinates of all given nodes; rest elsewhere.
@@ -150,22 +171,17 @@ fn right_hand_side(body: &DeformableBody, frames: &[LocalFrame], i: usize) -> DV
 /// The edges of a tie to the corners of a large triangle would each follow the bend between their ends, and take the vertex
 /// off the triangle, which stays flat: by as much as an arc stands off its chord. So all edges of a tie are shifted alike,
 /// until together they ask for the turned offset. For triangles that are small against the bend this is next to nothing.
-fn add_tie_offsets(body: &DeformableBody, frames: &[LocalFrame], given: &[bool], rhs: &mut [f64]) {
+fn add_tie_offsets(body: &DeformableBody, frame: impl Fn(usize) -> DMat3, add: &mut dyn FnMut(usize, DVec3)) {
     let Some(ties) = &body.graph.ties else { return };
     let rest = |v: u32| DVec3::from_array(body.rest[v as usize]);
-    let mut add = |v: u32, by: DVec3| {
-        let v = v as usize;
-        if !given[v] {
-            let entries = rhs[3 * v..3 * v + 3].iter_mut().zip(by.to_array());
-            entries.for_each(|(r, b)| *r += b);
-        }
-    };
+    let mut add = |v: u32, by: DVec3| add(v as usize, by);
+    let frame_of = frame;
     for anchor in ties.anchors() {
-        let own = linear(&frames[anchor.vertex as usize]);
+        let own = frame_of(anchor.vertex as usize);
         let (mut offset, mut follows, mut turn, mut sum) = (DVec3::ZERO, DVec3::ZERO, DMat3::ZERO, 0.0);
         for (corner, weight) in anchor.weighted_corners() {
             let weight = f64::from(weight);
-            let frame = linear(&frames[corner as usize]);
+            let frame = frame_of(corner as usize);
             let edge = rest(anchor.vertex) - rest(corner);
             offset += edge * weight;
             follows += (own + frame) * edge * (0.5 * weight);

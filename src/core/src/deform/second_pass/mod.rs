@@ -1,5 +1,7 @@
 //! The second pass: positions that agree best with the local frames (paper section 2.2, equations 8 and 11).
 
+mod drag;
+mod drag_rows;
 mod equations;
 pub(super) mod pose;
 pub(super) mod refine;
@@ -9,6 +11,6 @@ mod solve;
 pub(super) mod state;
 
 pub use equations::SecondPassEquations;
-pub use pose::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolveStart};
+pub use pose::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolutionExtent, SolveStart};
 pub use refine::Refinement;
 pub use state::SolveState;

@@ -31,6 +31,20 @@ pub struct PoseRequest<'a> {
     pub first_pass: FirstPass,
     /// Fitting rotations after the second pass.
     pub refinement: Refinement,
+    /// Which nodes the solution tells.
+    pub extent: SolutionExtent,
+}
+
+/// Which nodes a solution tells the positions and frames of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SolutionExtent {
+    /// All.
+    #[default]
+    Graph,
+    /// Positions of the surface at least, and frames where they cost nothing: for frames that are shown.
+    Positions,
+    /// Positions and frames of the surface at least.
+    Surface,
 }
 
 /// A solve under way, after one iteration.
@@ -50,10 +64,11 @@ pub struct CycleReport<'a> {
 /// A solved pose.
 #[derive(Debug, Clone)]
 pub struct PoseSolution {
-    /// Positions of all graph nodes, model space; the first `graph.surface` are the mesh's vertices. Parts in which no
-    /// handle has moved keep their rest positions to the bit.
+    /// Positions of all graph nodes, or with an [`SolutionExtent`] that is less of the first ones at least, model space; the first
+    /// `graph.surface` are the mesh's vertices. Parts in which no handle has moved keep their rest positions to the bit.
     pub positions: Vec<DVec3>,
-    /// Frames by node, of the first pass or as refined; empty when nothing moved.
+    /// Frames of the same nodes, of the first pass or as refined; empty when nothing moved, and where [`SolutionExtent::Positions`] does
+    /// without them.
     pub frames: Vec<LocalFrame>,
     /// How often rotations were fitted; less than was asked for when the solve was cut short.
     pub refined: u32,

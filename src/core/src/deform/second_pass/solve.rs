@@ -5,6 +5,7 @@ use crate::deform::error::Error;
 use crate::deform::first_pass::frame::LocalRotation;
 use crate::deform::first_pass::spread::{self, FirstPass};
 use crate::deform::handles::system::{ConstrainedSystem, HandleSystem};
+use crate::deform::second_pass::drag::DragPose;
 use crate::deform::second_pass::equations::{PosedHandles, Precision};
 use crate::deform::second_pass::pose::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolveStart};
 use crate::deform::second_pass::refine::Refinement;
@@ -41,6 +42,29 @@ impl HandleSystem {
         if !moved_parts.contains(&true) {
             return Ok(PoseSolution::at_rest(body));
         }
+        if self.can_drag(request) {
+            let pose = DragPose {
+                rig: self,
+                body,
+                request,
+                moved_parts: &moved_parts,
+                exec,
+            };
+            match pose.solve(state, watch) {
+                // Poses beyond the range of single precision.
+                Err(Error::Solver(_)) => state.forget(),
+                Err(other) => {
+                    state.forget();
+                    return Err(other);
+                }
+                done => return done,
+            }
+        }
+        match request.start {
+            SolveStart::Warm => state.rows.hand_over(body, &mut state.x),
+            SolveStart::Fresh => state.rows.let_go(),
+        }
+        exec.progress.begin_pass("blend");
         let instead = spread::replacing_rotations(body, self, request.transforms, request.first_pass, exec)?;
         let instead = instead.as_deref();
         let quick = instead.filter(|_| request.first_pass == FirstPass::WeightedSum && !has_scales(request.transforms));
@@ -52,6 +76,7 @@ impl HandleSystem {
             FirstPass::WeightedSum => Precision::Single,
             _ => Precision::Double,
         };
+        exec.progress.begin_pass("carry");
         let mut posed = self.pose_handles(body, request.transforms, frames, precision);
         let pose = PoseSolve {
             rig: self,
@@ -176,6 +201,7 @@ impl PoseSolve<'_> {
             stats = self.run(rigid, start, 0.0, state, &mut tally)?;
         }
 
+        self.exec.progress.begin_pass("place");
         let positions = rig.place(body, self.moved_parts, request.transforms, posed.center, &state.x);
         if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
             return Err(Error::Solver(format!("node {node} left the range of numbers")));
@@ -199,6 +225,7 @@ impl PoseSolve<'_> {
 
     /// Fills the right-hand side for `posed`.
     fn assemble(&self, posed: &PosedHandles, state: &mut SolveState) {
+        self.exec.progress.begin_pass("equations");
         let transforms = self.request.transforms;
         (self.rig).assemble(self.body, posed, transforms, &mut state.rhs, self.exec.pool);
     }

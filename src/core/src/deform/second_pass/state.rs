@@ -3,6 +3,7 @@
 use crate::deform::body::DeformableBody;
 use crate::deform::comparison::spatial_rbf::RbfSpace;
 use crate::deform::first_pass::frame::LocalRotation;
+use crate::deform::second_pass::drag_rows::DragRows;
 use crate::deform::transform::Transform;
 use crate::solver::Workspace;
 
@@ -17,6 +18,8 @@ pub struct SolveState {
     pub(in crate::deform) extra: Vec<LocalRotation>,
     pub(in crate::deform) rhs: Vec<f64>,
     pub(in crate::deform) workspace: Workspace,
+    /// The last solution in the order of the solver's rows, where a drag keeps it.
+    pub(in crate::deform) rows: DragRows,
     /// What [`HandleSystem::solve_by_spatial_rbf`] made of the handles.
     pub(in crate::deform) space: Option<Box<RbfSpace>>,
 }
@@ -27,11 +30,13 @@ impl SolveState {
         (self.x.capacity() + self.rhs.capacity()) * 8
             + self.extra.capacity() * 16
             + self.workspace.byte_size()
+            + self.rows.byte_size()
             + self.space.as_ref().map_or(0, |space| space.byte_size())
     }
 
     /// Where there is no last solution the rest shape is one, with all handles at rest.
     pub(in crate::deform) fn begin(&mut self, body: &DeformableBody, holds: usize) {
+        self.rows.hand_over(body, &mut self.x);
         if self.x.len() != body.nodes() * 3 {
             self.x.clear();
             self.x.extend_from_slice(body.rest.as_flattened());
@@ -47,6 +52,7 @@ impl SolveState {
 
     /// Lets go of the last solution.
     pub(in crate::deform) fn forget(&mut self) {
+        self.rows.let_go();
         self.x.clear();
         self.extra.clear();
     }

@@ -3,7 +3,7 @@
 use super::prepare::Animation;
 use super::settings::{AnimationRefinement, BLOCK_FRAMES};
 use crate::deform::{
-    FirstPass, PoseRequest, PoseSolution, Refinement, SolveStart, SolveState, Transform, unfold_faces,
+    FirstPass, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart, SolveState, Transform, unfold_faces,
 };
 use crate::engine::error::Error;
 use crate::engine::quality::FrameQuality;
@@ -239,6 +239,7 @@ impl Animation {
                 smoothing: 0.0,
                 carried: self.settings.refinement == AnimationRefinement::Carried,
             },
+            extent: SolutionExtent::Graph,
         };
         let body = &self.derived.body;
         let solution = self.system.solve(body, &request, state, exec, &mut |_| true)?;

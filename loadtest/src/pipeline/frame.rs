@@ -1,0 +1,314 @@
+//! `loadtest frame`: one frame of a drag followed through, pass by pass, beside what the machine could do at best.
+
+use crate::failure::LoadtestFailure;
+use crate::shared::drag_scene::DragScene;
+use crate::shared::input_files::read_model_file;
+use crate::shared::measurements::Measurements;
+use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
+use crate::shared::timing::time_once;
+use pliant::batch::pose_steps;
+use pliant::engine::{Deformer, DeformerLimits, SolveMode};
+use pliant::exec::Exec;
+use pliant::pool::Pool;
+use pliant::progress::{Progress, Silent};
+use pliant::wire::frames::{FrameHeader, FrameOutput, FrameRequest, encode};
+use pliant::wire::{self, DeformOptions, pb};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+/// Bytes of a frame's part, as servers send them.
+const PART: usize = 256 << 10;
+
+/// Frames before those that are counted.
+const WARM_UP: u64 = 8;
+
+/// The passes in the order in which they run, and what they do.
+const PASSES: [(&str, &str); 9] = [
+    (
+        "blend",
+        "every node's frame, and its place taken along with the handles",
+    ),
+    ("load", "ties and soft pulls, the vectors of the cycles"),
+    ("residual", "right-hand side and residual"),
+    ("recall", "what earlier poses came to, taken out and kept"),
+    ("cycles", "multigrid"),
+    ("correct", "the correction added"),
+    ("place", "surface nodes to their positions"),
+    ("settle", "thin faces"),
+    ("render", "render vertices"),
+];
+
+/// Arguments of `loadtest frame`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct FrameArgs {
+    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    model: PathBuf,
+    /// Cut every triangle into four this many times first
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
+    subdivide: u8,
+    /// Threads; 0 means one for each core
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
+    threads: u16,
+    /// Frames that are measured; a swing there and back is 120
+    #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    frames: u64,
+    /// Relative residual to reach
+    #[arg(long, value_name = "TOLERANCE")]
+    tolerance: Option<f64>,
+    /// Largest missing displacement to reach, fraction of the diagonal
+    #[arg(long, value_name = "ERROR")]
+    max_error: Option<f64>,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// Clocks passes.
+struct PassClock {
+    start: Instant,
+    passes: Mutex<ClockedPasses>,
+}
+
+/// Passes with seconds.
+#[derive(Default)]
+struct ClockedPasses {
+    /// The one under way, and when it began.
+    current: Option<(&'static str, f64)>,
+    /// Those before it, and how long they took.
+    done: Vec<(&'static str, f64)>,
+}
+
+impl PassClock {
+    fn new() -> Self {
+        Self {
+            start: Instant::now(),
+            passes: Mutex::default(),
+        }
+    }
+
+    fn switch_to(&self, next: Option<&'static str>) {
+        let now = self.start.elapsed().as_secs_f64();
+        let mut passes = self.passes.lock().unwrap_or_else(PoisonError::into_inner);
+        let ClockedPasses { current, done } = &mut *passes;
+        if let Some((pass, begun)) = current.take() {
+            done.push((pass, now - begun));
+        }
+        *current = next.map(|pass| (pass, now));
+    }
+
+    /// Seconds of every pass of [`PASSES`], of those since the last time.
+    fn take(&self) -> [f64; PASSES.len()] {
+        self.switch_to(None);
+        let mut passes = self.passes.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut seconds = [0.0; PASSES.len()];
+        for (pass, took) in passes.done.drain(..) {
+            if let Some(k) = PASSES.iter().position(|(name, _)| *name == pass) {
+                seconds[k] += took;
+            }
+        }
+        seconds
+    }
+}
+
+impl Progress for PassClock {
+    fn begin_pass(&self, pass: &'static str) {
+        self.switch_to(Some(pass));
+    }
+}
+
+/// What was measured.
+struct FrameRun {
+    vertices: usize,
+    nodes: usize,
+    held_bytes: u64,
+    cycles: f64,
+    /// Seconds of each pass, of encoding, and of whole frames; sorted.
+    passes: [Vec<f64>; PASSES.len()],
+    encode: Vec<f64>,
+    frames: Vec<f64>,
+    /// Bytes a second that the machine reads at best.
+    bandwidth: f64,
+}
+
+/// Runs the command.
+pub(crate) fn run_frame(args: &FrameArgs) -> Result<(), LoadtestFailure> {
+    let pool = Pool::new(usize::from(args.threads)).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let files = match args.subdivide {
+        0 => read_model_file(&args.model)?,
+        times => subdivide_model(read_model_file(&args.model)?, times)?,
+    };
+    let deformer = Deformer::open(
+        files,
+        &wire::open_options(&pb::CreateOptions::default()).map_err(usage)?,
+        &DeformerLimits::default(),
+        &Exec::new(&pool, &Silent),
+    )
+    .map_err(usage)?;
+    let scene = DragScene::load(Some(&args.model))?;
+    let run = drag_frames(deformer, &scene, args, &pool).map_err(usage)?;
+    if args.json {
+        println!("{}", run.measurements(&args.model, &pool).to_json());
+    } else {
+        print!("{}", run.table(&args.model, &pool));
+    }
+    Ok(())
+}
+
+fn usage(error: impl std::fmt::Display) -> LoadtestFailure {
+    LoadtestFailure::Usage(error.to_string())
+}
+
+/// Swings one end of the model and measures every frame.
+fn drag_frames(
+    mut deformer: Deformer,
+    scene: &DragScene,
+    args: &FrameArgs,
+    pool: &Pool,
+) -> Result<FrameRun, wire::Error> {
+    let options = pb::Options {
+        tolerance: args.tolerance.unwrap_or(0.0),
+        max_error: args.max_error.unwrap_or(0.0),
+        ..Default::default()
+    };
+    let settings = DeformOptions::check(&options, "options", u32::MAX)?.solve;
+    let request = pb::SetHandlesRequest {
+        handles: scene.handles(),
+        ..Default::default()
+    };
+    deformer.set_handles(wire::handle_set(&request)?, &Exec::new(pool, &Silent))?;
+    let clock = PassClock::new();
+    let mut poses = deformer.initial_poses();
+    let mut run = FrameRun {
+        vertices: deformer.rest().len(),
+        nodes: deformer.body().nodes(),
+        held_bytes: 0,
+        cycles: 0.0,
+        passes: Default::default(),
+        encode: Vec::new(),
+        frames: Vec::new(),
+        bandwidth: measure_bandwidth(pool),
+    };
+    for seq in 1..=WARM_UP + args.frames {
+        let job = pb::Job {
+            steps: vec![pb::Step {
+                step: Some(pb::step::Step::Pose(scene.pose_number(seq))),
+            }],
+            ..Default::default()
+        };
+        for pose in pose_steps(&job)? {
+            poses = wire::change_poses(&deformer, &poses, &pose)?;
+        }
+        let exec = Exec::new(pool, &clock);
+        let (solved, solve) = time_once(|| deformer.solve(&poses, &settings, SolveMode::Drag, &exec, &mut |_| true));
+        let (solved, passes) = (solved?, clock.take());
+        let (parts, encode) = time_once(|| {
+            let parts = encode(FrameRequest {
+                header: FrameHeader::default(),
+                positions: solved.positions,
+                shading: None,
+                output: FrameOutput::default(),
+                selected: None,
+                part_bytes: PART,
+            });
+            parts.map(|part| part.data.len()).sum::<usize>()
+        });
+        debug_assert!(parts > 0);
+        if seq > WARM_UP {
+            run.cycles += f64::from(solved.cycles) / args.frames as f64;
+            run.passes.iter_mut().zip(passes).for_each(|(all, s)| all.push(s));
+            run.encode.push(encode);
+            run.frames.push(solve + encode);
+        }
+    }
+    run.held_bytes = deformer.byte_size();
+    run.sort();
+    Ok(run)
+}
+
+/// Bytes a second of reading memory in order with as many threads, of the best of a few passes over what no cache holds.
+fn measure_bandwidth(pool: &Pool) -> f64 {
+    const WORDS: usize = 32 << 20;
+    let words = vec![1u64; WORDS];
+    let share = WORDS.div_ceil(pool.threads());
+    let pass = || {
+        std::thread::scope(|scope| {
+            for part in words.chunks(share) {
+                scope.spawn(|| std::hint::black_box(part.iter().fold(0, |a, b| a ^ b)));
+            }
+        });
+    };
+    (0..5)
+        .map(|_| (WORDS * 8) as f64 / time_once(pass).1)
+        .fold(0.0, f64::max)
+}
+
+fn median(sorted: &[f64]) -> f64 {
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
+
+impl FrameRun {
+    fn sort(&mut self) {
+        let all = self.passes.iter_mut().chain([&mut self.encode, &mut self.frames]);
+        all.for_each(|seconds| seconds.sort_by(f64::total_cmp));
+    }
+
+    fn measurements(&self, model: &Path, pool: &Pool) -> Measurements {
+        let mut m = Measurements::default();
+        m.set_value(
+            "model",
+            model.file_name().unwrap_or_default().to_string_lossy().as_ref(),
+        );
+        m.set_value("threads", pool.threads());
+        m.set_value("vertices", self.vertices);
+        m.set_value("nodes", self.nodes);
+        m.set_number("cycles", self.cycles);
+        for ((pass, _), seconds) in PASSES.iter().zip(&self.passes) {
+            m.set_number(&format!("{pass}_s"), median(seconds));
+        }
+        m.set_number("encode_s", median(&self.encode));
+        m.set_number("frame_s", median(&self.frames));
+        m.set_number("frame_p99_s", self.p99());
+        m.set_number("bytes_a_node", self.held_bytes as f64 / self.nodes as f64);
+        m.set_number("bandwidth_GB_s", self.bandwidth / 1e9);
+        m
+    }
+
+    fn p99(&self) -> f64 {
+        let last = self.frames.len().saturating_sub(1);
+        self.frames.get((last as f64 * 0.99) as usize).copied().unwrap_or(0.0)
+    }
+
+    fn table(&self, model: &Path, pool: &Pool) -> String {
+        let whole = median(&self.frames);
+        let row = |name: &str, seconds: &[f64], what: &str| {
+            let s = median(seconds);
+            format!(
+                "{name:<10} {:>8.2} ms {:>4.0} %  {:>7.1} bytes a node  {what}\n",
+                s * 1e3,
+                100.0 * s / whole,
+                s * self.bandwidth / self.nodes as f64
+            )
+        };
+        let mut text = format!(
+            "{}: {} vertices, {} graph nodes, {} threads; medians of {} frames of a drag\n",
+            model.display(),
+            self.vertices,
+            self.nodes,
+            pool.threads(),
+            self.frames.len()
+        );
+        for ((pass, what), seconds) in PASSES.iter().zip(&self.passes) {
+            text += &row(pass, seconds, what);
+        }
+        text += &row("encode", &self.encode, "the frame's bytes, 32-bit positions");
+        text += &row("frame", &self.frames, "all of it");
+        text + &format!(
+            "{:.2} cycles a frame, 99th percentile {:.2} ms, {:.0} bytes held a node\nmemory read in order: {:.1} GB/s; \"bytes a node\" is what it could have read in a pass's time\n",
+            self.cycles,
+            self.p99() * 1e3,
+            self.held_bytes as f64 / self.nodes as f64,
+            self.bandwidth / 1e9
+        )
+    }
+}

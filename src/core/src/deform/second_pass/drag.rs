@@ -1,0 +1,291 @@
+//! Poses of a drag: both passes on the solver's rows, in the order in which memory holds them.
+//!
+//! One pass over the rows blends each node's frame and carries its place along with the handles; the solver makes right-hand
+//! sides and residuals from the frames as it goes and iterates; then places and frames of the surface are taken out, and nothing
+//! is done for nodes inside. Single precision is enough for poses that are shown and then forgotten: what is asked for more
+//! exactly than that takes the way of `solve.rs`.
+
+use crate::deform::body::DeformableBody;
+use crate::deform::error::Error;
+use crate::deform::first_pass::blend::PoseBlend;
+use crate::deform::first_pass::frame::LocalFrame;
+use crate::deform::first_pass::quick_frames::QuickFrames;
+use crate::deform::first_pass::spread::FirstPass;
+use crate::deform::handles::motion::HandleMotion;
+use crate::deform::handles::ownership::NOBODY;
+use crate::deform::handles::system::HandleSystem;
+use crate::deform::second_pass::drag_rows::{DragRows, NO_NODE};
+use crate::deform::second_pass::pose::{
+    CycleReport, PoseMethod, PoseRequest, PoseSolution, SolutionExtent, SolveStart,
+};
+use crate::deform::second_pass::state::SolveState;
+use crate::deform::transform::Transform;
+use crate::exec::Exec;
+use crate::pool::Pool;
+use crate::solver::{Lanes, PoseCriteria, PoseRows, SolveControl, SolveStats};
+use glam::{DVec3, Mat3};
+use rayon::prelude::*;
+
+/// Tolerances below this one need right-hand sides in double precision.
+const SINGLE_TOLERANCE: f64 = 1e-5;
+/// The same for missing displacements, as a fraction of the diagonal.
+const SINGLE_ERROR: f64 = 1e-5;
+/// Rows that one piece of work handles.
+const PIECE: usize = 4096;
+/// Iterations at most.
+const MOST_ITERATIONS: usize = 200;
+
+impl HandleSystem {
+    /// Whether a pose may take this way.
+    pub(super) fn can_drag(&self, request: &PoseRequest<'_>) -> bool {
+        request.start == SolveStart::Warm
+            && request.refinement.steps == 0
+            && request.first_pass == FirstPass::Harmonic
+            && self.rigid.is_none()
+            && self.positions.system.can_solve_poses()
+            && request.tolerance.is_none_or(|t| t >= SINGLE_TOLERANCE)
+            && request.max_error.is_none_or(|e| e >= SINGLE_ERROR)
+    }
+}
+
+/// A pose of a drag.
+pub(super) struct DragPose<'a> {
+    pub rig: &'a HandleSystem,
+    pub body: &'a DeformableBody,
+    pub request: &'a PoseRequest<'a>,
+    /// By component: whether any handle that moved has a say in it.
+    pub moved_parts: &'a [bool],
+    pub exec: &'a Exec<'a>,
+}
+
+impl DragPose<'_> {
+    /// Solves a pose from the last solution.
+    ///
+    /// # Errors
+    /// [`Error::Solver`] where numbers left the range of single precision, [`Error::Cancelled`]. The state has then to forget.
+    pub(super) fn solve(
+        &self,
+        state: &mut SolveState,
+        watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
+    ) -> Result<PoseSolution, Error> {
+        let Self {
+            rig,
+            body,
+            request,
+            moved_parts,
+            exec,
+        } = *self;
+        exec.progress.begin_pass("blend");
+        if !state.rows.is_newest() {
+            state.begin(body, request.transforms.len());
+            state.rows.take_over(body, rig, &mut state.x);
+            (state.rhs, state.extra) = (Vec::new(), Vec::new());
+        }
+        let center = state.rows.mean_of_held(body, request.transforms);
+        let pass = RowPass {
+            frames: QuickFrames::new(PoseBlend::new(body, rig, request.transforms, None)),
+            motions: rig.motions(body, &state.transforms, request.transforms),
+            maps: request.transforms.iter().map(Transform::map).collect(),
+            centers: [state.rows.center, center],
+            rig,
+            body,
+        };
+        pass.run(&mut state.rows, exec.pool);
+        state.rows.center = center;
+        state.transforms.clear();
+        state.transforms.extend_from_slice(request.transforms);
+        fill_scattered(rig, body, request.transforms, &mut state.rows);
+
+        exec.progress.begin_pass("load");
+        let stats = self.solve_rows(state, watch)?;
+
+        exec.progress.begin_pass("place");
+        let nodes = match request.extent {
+            // Loose parts follow nodes inside as well.
+            SolutionExtent::Positions | SolutionExtent::Surface if rig.parts.is_empty() => body.graph.surface,
+            _ => body.nodes(),
+        };
+        let place = ShownNodes {
+            rig,
+            body,
+            moved_parts,
+            maps: pass.maps,
+            center,
+        };
+        let rows = &state.rows;
+        let at = |node: usize| rows.pose.x[rows.row_of[node] as usize];
+        let mut positions: Vec<DVec3> = exec.pool.install(|| {
+            let all = (0..nodes).into_par_iter().with_min_len(PIECE);
+            all.map(|node| place.of(node, at(node))).collect()
+        });
+        if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
+            return Err(Error::Solver(format!("node {node} left the range of numbers")));
+        }
+        rig.parts.place(body, &mut positions);
+        Ok(PoseSolution {
+            frames: match request.extent {
+                SolutionExtent::Positions => Vec::new(),
+                _ => rows.frames(nodes, exec.pool),
+            },
+            positions,
+            refined: 0,
+            iterations: stats.iterations,
+            residual: stats.residual,
+            max_error: stats.max_error * body.unit / body.diagonal,
+            method: PoseMethod::Graph(stats.method),
+        })
+    }
+
+    fn solve_rows(
+        &self,
+        state: &mut SolveState,
+        watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
+    ) -> Result<SolveStats, Error> {
+        let Self {
+            rig,
+            body,
+            request,
+            moved_parts,
+            exec,
+        } = *self;
+        let unit_per_diagonal = body.unit / body.diagonal;
+        let criteria = PoseCriteria {
+            tolerance: request.tolerance,
+            max_error: request.max_error.map(|e| e / unit_per_diagonal),
+            max_iterations: MOST_ITERATIONS,
+        };
+        let SolveState { rows, workspace, .. } = state;
+        let center = rows.center;
+        let system = &rig.positions.system;
+        let stats = system.solve_pose(
+            &body.hierarchy,
+            &mut rows.pose,
+            criteria,
+            (workspace, exec),
+            &mut |done| {
+                let positions = || {
+                    let mut now = vec![0.0; body.nodes() * 3];
+                    done.copy_to(&mut now);
+                    rig.place(body, moved_parts, request.transforms, center, &now)
+                };
+                let cycle = CycleReport {
+                    index: done.index,
+                    refined: 0,
+                    residual: done.residual,
+                    max_error: done.max_error * unit_per_diagonal,
+                    positions: &positions,
+                };
+                match watch(&cycle) {
+                    true => SolveControl::Continue,
+                    false => SolveControl::Stop,
+                }
+            },
+        )?;
+        Ok(stats)
+    }
+}
+
+/// Ties and soft pulls, which reach few nodes.
+fn fill_scattered(rig: &HandleSystem, body: &DeformableBody, transforms: &[Transform], rows: &mut DragRows) {
+    if !rig.has_scattered(body) {
+        return;
+    }
+    let center = rows.center;
+    let DragRows { pose, row_of, .. } = rows;
+    let rows = &pose.rows;
+    pose.more.clear();
+    pose.more.resize(rows.len(), Lanes::ZERO);
+    let frame = |node: usize| Mat3::from_cols_array(&rows[row_of[node] as usize].map()).as_dmat3();
+    let more = &mut pose.more;
+    rig.add_scattered(body, (transforms, center), frame, &mut |node, by| {
+        let row = &mut more[row_of[node] as usize].0;
+        let by = by.as_vec3();
+        (0..3).for_each(|c| row[c] += by[c]);
+    });
+}
+
+/// The pass before the solve: frames, and places carried along with the handles.
+struct RowPass<'a, M> {
+    frames: QuickFrames<'a>,
+    motions: Vec<HandleMotion<'a>>,
+    /// By hold: from rest to where the pose has it, model space.
+    maps: Vec<M>,
+    /// What places are relative to, before and after.
+    centers: [DVec3; 2],
+    rig: &'a HandleSystem,
+    body: &'a DeformableBody,
+}
+
+impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
+    fn run(&self, rows: &mut DragRows, pool: &Pool) {
+        let vertices = self.body.hierarchy.row_vertices();
+        let pose = &mut rows.pose;
+        pool.install(|| {
+            let pieces = pose.rows.par_chunks_mut(PIECE).zip(pose.x.par_chunks_mut(PIECE));
+            pieces
+                .zip(vertices.par_chunks(PIECE))
+                .for_each(|((rows, x), vertices)| {
+                    let mut scratch = Vec::new();
+                    for ((row, x), &node) in rows.iter_mut().zip(x.iter_mut()).zip(vertices) {
+                        if node == NO_NODE {
+                            continue;
+                        }
+                        let node = node as usize;
+                        row.set_map(&self.frames.at(node, &mut scratch));
+                        let place = self.place_of(node, DVec3::new(x[0], x[1], x[2]));
+                        (x[0], x[1], x[2]) = place.into();
+                    }
+                    PoseRows::show_positions(rows, x);
+                });
+        });
+    }
+
+    /// Where a node is when the solve begins.
+    fn place_of(&self, node: usize, before: DVec3) -> DVec3 {
+        let [from, to] = self.centers;
+        if self.rig.positions.fixed[node] {
+            let k = self.rig.position.hard[node];
+            return match self.maps.get(k as usize).filter(|_| k != NOBODY) {
+                Some(map) => self.body.solving_from_model(map(self.body.graph.positions[node])) - to,
+                None => DVec3::from_array(self.body.rest[node]) - to,
+            };
+        }
+        let here = before + from;
+        let moved: DVec3 = self.motions.iter().map(|motion| motion.share_of(node, here)).sum();
+        here + moved - to
+    }
+}
+
+/// Where nodes are after a solve.
+struct ShownNodes<'a, M> {
+    rig: &'a HandleSystem,
+    body: &'a DeformableBody,
+    moved_parts: &'a [bool],
+    maps: Vec<M>,
+    center: DVec3,
+}
+
+impl<M: Fn(DVec3) -> DVec3> ShownNodes<'_, M> {
+    fn of(&self, node: usize, x: [f64; 4]) -> DVec3 {
+        let body = self.body;
+        let rest = body.graph.positions[node];
+        if !self.moved_parts[body.graph.component[node] as usize] {
+            return rest;
+        }
+        match self.rig.position.hard[node] {
+            NOBODY if self.rig.positions.fixed[node] => rest,
+            NOBODY => body.model_from_solving(DVec3::new(x[0], x[1], x[2]) + self.center),
+            k => self.maps.get(k as usize).map_or(rest, |map| map(rest)),
+        }
+    }
+}
+
+impl DragRows {
+    /// The frames of the first `nodes` nodes.
+    fn frames(&self, nodes: usize, pool: &Pool) -> Vec<LocalFrame> {
+        pool.install(|| {
+            let rows = self.row_of[..nodes].par_iter().with_min_len(PIECE);
+            rows.map(|&row| self.pose.rows[row as usize].map()).collect()
+        })
+    }
+}

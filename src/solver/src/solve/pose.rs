@@ -1,0 +1,337 @@
+//! Poses of a drag: the second pass solved on the rows of the hierarchy, from one frame to the next, in single precision.
+
+use crate::build::hierarchy::Hierarchy;
+use crate::constrain::system::LinearSystem;
+use crate::error::Error;
+use crate::exec::Exec;
+use crate::lanes::{Lanes, WIDTH};
+use crate::options::SolveStats;
+use crate::solve::criteria::StoppingCriteria;
+use crate::solve::cycle::MultigridCycle;
+use crate::solve::frame_rows::{FrameRows, PoseRow};
+use crate::solve::group::GroupSolve;
+use crate::solve::iteration::{IterationReport, SolveControl};
+use crate::solve::problem::ColumnGroup;
+use crate::solve::recalled::RecalledSteps;
+use crate::solve::workspace::Workspace;
+use crate::storage::NO_ROW;
+use crate::threads::Parallelism;
+
+/// One pose on the rows of a hierarchy, and what a drag carries from one to the next.
+///
+/// Rows stand in the solver's own order ([`Hierarchy::row_vertices`]): whoever fills them reads and writes memory in the order in
+/// which the solver does, and nothing is brought from one order into another.
+#[derive(Debug, Default)]
+pub struct PoseRows {
+    /// The linear map of each row, beside what the solver puts there.
+    pub rows: Vec<PoseRow>,
+    /// Positions, in the units of the rest positions: given ones of fixed rows, the start of the others, and after a solve the
+    /// solution. The last number of each is 0.
+    pub x: Vec<[f64; 4]>,
+    /// What is added to right-hand sides, in units of edge weights times positions; empty where nothing is.
+    pub more: Vec<Lanes>,
+    recalled: RecalledSteps,
+}
+
+/// When the solve of a pose stops. All that are given must hold.
+#[derive(Debug, Clone, Copy)]
+pub struct PoseCriteria {
+    /// Largest relative residual of any coordinate, as [`SolveOptions::tolerance`](crate::SolveOptions::tolerance).
+    pub tolerance: Option<f64>,
+    /// Largest estimated distance from the exact solution, as [`SolveOptions::max_error`](crate::SolveOptions::max_error).
+    pub max_error: Option<f64>,
+    /// Most iterations.
+    pub max_iterations: usize,
+}
+
+impl Hierarchy {
+    /// The vertex of each row of the finest level; `u32::MAX` where a row holds none.
+    pub fn row_vertices(&self) -> &[u32] {
+        &self.order
+    }
+}
+
+impl PoseRows {
+    /// Takes over rest positions and sizes everything else; nothing of earlier poses is left.
+    pub fn begin(&mut self, hierarchy: &Hierarchy, rest: &[[f64; 3]]) {
+        let n = hierarchy.order.len();
+        self.recalled.forget();
+        self.rows.clear();
+        self.rows.extend(hierarchy.order.iter().map(|&v| match v {
+            NO_ROW => PoseRow::EMPTY,
+            v => PoseRow::at_rest(rest[v as usize]),
+        }));
+        self.x.clear();
+        self.x.resize(n, [0.0; WIDTH]);
+        self.more.clear();
+    }
+
+    /// Puts positions where neighbours read them, of some rows: `x` as in [`PoseRows::x`].
+    pub fn show_positions(rows: &mut [PoseRow], x: &[[f64; 4]]) {
+        rows.iter_mut().zip(x).for_each(|(row, x)| row.set_position(x));
+    }
+
+    /// Bytes held on the heap.
+    pub fn byte_size(&self) -> usize {
+        64 * self.rows.capacity() + 32 * self.x.capacity() + 16 * self.more.capacity() + self.recalled.byte_size()
+    }
+}
+
+impl LinearSystem {
+    /// Whether [`LinearSystem::solve_pose`] can be asked: something is solved for by cycles, and every component is held.
+    pub fn can_solve_poses(&self) -> bool {
+        self.free_count() > 0 && !self.is_direct() && self.paper.is_none() && self.floating.is_empty()
+    }
+
+    /// Solves equation (8) for the frames in `pose` from the positions in it, in three columns.
+    ///
+    /// `watch` is called after every iteration. What the corrections of the last few poses explain is taken out of the residual
+    /// first; where that is enough there is no iteration, and the error is estimated from what iterations moved before. On most
+    /// frames of a smooth drag it is.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] where [`LinearSystem::can_solve_poses`] is false, for another hierarchy's system, or rows that do not fit;
+    /// [`Error::Cancelled`]; [`Error::Diverged`] if nothing finite came out. Positions are then of no use.
+    pub fn solve_pose(
+        &self,
+        hierarchy: &Hierarchy,
+        pose: &mut PoseRows,
+        criteria: PoseCriteria,
+        (workspace, exec): (&mut Workspace, &Exec<'_>),
+        watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl,
+    ) -> Result<SolveStats, Error> {
+        self.check_hierarchy(hierarchy)?;
+        let n = hierarchy.order.len();
+        let fits = [pose.rows.len(), pose.x.len()] == [n; 2] && (pose.more.is_empty() || pose.more.len() == n);
+        if !self.can_solve_poses() || !fits {
+            return Err(Error::Invalid("these rows are no pose of this system".into()));
+        }
+        exec.check()?;
+        let PoseRows {
+            rows,
+            x,
+            more,
+            recalled,
+        } = pose;
+        let threads = Parallelism::from_pool(exec.pool);
+        let frames = FrameRows {
+            rows,
+            more,
+            scale: hierarchy.weight_scale as f32,
+        };
+        let problem = ColumnGroup::of_pose(hierarchy, self, threads, frames);
+        std::mem::swap(&mut workspace.x, x);
+        let cycle = MultigridCycle {
+            hierarchy,
+            system: self,
+            threads,
+            progress: exec.progress,
+        };
+        let mut group = GroupSolve {
+            problem,
+            cycle,
+            pool: exec.pool,
+            criteria: StoppingCriteria {
+                tolerance: criteria.tolerance,
+                max_error: criteria.max_error,
+                max_iterations: criteria.max_iterations,
+            },
+            workspace,
+            caller: &[],
+            from_zero: false,
+            recalled: Some(recalled),
+            reached: None,
+        };
+        let solved = group.solve(watch);
+        let GroupSolve {
+            workspace,
+            recalled,
+            reached,
+            ..
+        } = group;
+        exec.progress.begin_pass("recall");
+        if let Some(recalled) = recalled {
+            let is_left_alone = solved.as_ref().is_ok_and(|outcome| outcome.iterations == 0);
+            match reached.filter(|_| solved.is_ok()) {
+                Some(reached) => threads.run_on(exec.pool, || {
+                    let left = (workspace.fine.r.as_slice(), reached.scale);
+                    recalled.keep(&problem, left, (reached.moved, reached.from_relative));
+                }),
+                None if is_left_alone => {}
+                None => recalled.forget(),
+            }
+        }
+        std::mem::swap(&mut workspace.x, x);
+        let outcome = solved?;
+        let residuals: Vec<f64> = outcome.relative[..3].to_vec();
+        Ok(SolveStats {
+            iterations: outcome.iterations,
+            residual: residuals.iter().fold(0.0, |a, &b| a.max(b)),
+            residuals,
+            max_error: outcome.max_error,
+            factor: outcome.factor,
+            method: outcome.method,
+            stopped: outcome.stopped,
+            converged: outcome.converged,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::options::{Constraints, InitialGuess, SolveOptions};
+    use crate::progress::Silent;
+    use crate::testing::{BoxLattice, pool};
+
+    /// The map of a vertex: a turn about z that grows along x.
+    fn map_of([x, ..]: [f64; 3], turn: f64) -> [f32; 9] {
+        let (sine, cosine) = libm::sincosf((turn * x) as f32);
+        [cosine, sine, 0.0, -sine, cosine, 0.0, 0.0, 0.0, 1.0]
+    }
+
+    fn times(m: &[f32; 9], e: [f64; 3]) -> [f64; 3] {
+        std::array::from_fn(|r| (0..3).map(|c| f64::from(m[3 * c + r]) * e[c]).sum())
+    }
+
+    /// Equation (8)'s right-hand side, and `more` on top.
+    fn right_hand_side(block: &BoxLattice, rest: &[[f64; 3]], maps: &[[f32; 9]], more: f64) -> Vec<f64> {
+        let mut rhs = Vec::new();
+        for i in 0..rest.len() {
+            let mut sum = [more; 3];
+            for e in block.offsets[i] as usize..block.offsets[i + 1] as usize {
+                let j = block.neighbours[e] as usize;
+                let w = block.weights.as_ref().map_or(1.0, |w| f64::from(w[e]));
+                let edge: [f64; 3] = std::array::from_fn(|c| rest[i][c] - rest[j][c]);
+                let (a, b) = (times(&maps[i], edge), times(&maps[j], edge));
+                (0..3).for_each(|c| sum[c] += 0.5 * w * (a[c] + b[c]));
+            }
+            rhs.extend(sum);
+        }
+        rhs
+    }
+
+    #[test]
+    fn poses_come_out_as_equations_do_with_fewer_and_fewer_iterations() {
+        for weighted in [false, true] {
+            let block = BoxLattice::new(24, 12, 12);
+            let block = if weighted { block.weighted() } else { block };
+            let rest: Vec<[f64; 3]> = block.positions.iter().map(|p| p.map(|v| v / 24.0)).collect();
+            let hierarchy = block.hierarchy(60);
+            let fixed: Vec<bool> = block.positions.iter().map(|p| p[0] == 0.0).collect();
+            let stiffness: Vec<f64> = block
+                .positions
+                .iter()
+                .map(|p| 0.5 * f64::from(u8::from(p[0] > 22.0)))
+                .collect();
+            let constraints = Constraints {
+                fixed: &fixed,
+                stiffness: Some(&stiffness),
+            };
+            let pool = pool();
+            let system = hierarchy.constrain(&constraints, &pool).unwrap();
+            assert!(system.can_solve_poses());
+            let (mut workspace, mut other) = (Workspace::default(), Workspace::default());
+            let exec = Exec::new(&pool, &Silent);
+            let mut pose = PoseRows::default();
+            pose.begin(&hierarchy, &rest);
+            for (x, &v) in pose
+                .x
+                .iter_mut()
+                .zip(hierarchy.row_vertices())
+                .filter(|(_, v)| **v != NO_ROW)
+            {
+                let [a, b, c] = rest[v as usize];
+                *x = [a, b, c, 0.0];
+            }
+            let mut iterations = Vec::new();
+            // The last pose twice.
+            for frame in 1..=13 {
+                let turn = 0.05 * f64::from(frame.min(12));
+                let maps: Vec<[f32; 9]> = rest.iter().map(|p| map_of(*p, turn)).collect();
+                let n = hierarchy.row_vertices().len();
+                pose.more.clear();
+                pose.more.resize(n, Lanes::ZERO);
+                for (row, &v) in hierarchy
+                    .row_vertices()
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, v)| **v != NO_ROW)
+                {
+                    pose.rows[row].set_map(&maps[v as usize]);
+                    pose.more[row] = Lanes([1e-3, 1e-3, 1e-3, 0.0]);
+                }
+                PoseRows::show_positions(&mut pose.rows, &pose.x);
+                let criteria = PoseCriteria {
+                    tolerance: Some(1e-4),
+                    max_error: None,
+                    max_iterations: 50,
+                };
+                let watch = &mut |_: &IterationReport<'_>| SolveControl::Continue;
+                let stats = system
+                    .solve_pose(&hierarchy, &mut pose, criteria, (&mut workspace, &exec), watch)
+                    .unwrap();
+                assert!(stats.converged && stats.residual <= 1e-4, "{stats:?}");
+                iterations.push(stats.iterations);
+
+                let rhs = right_hand_side(&block, &rest, &maps, 1e-3);
+                let mut exact: Vec<f64> = rest.concat();
+                let options = SolveOptions {
+                    start: InitialGuess::Given,
+                    tolerance: Some(1e-10),
+                    ..SolveOptions::default()
+                };
+                let equations = system.equations(&hierarchy, 3, &rhs);
+                equations.solve(&mut exact, &options, &mut other, &exec, watch).unwrap();
+                let mut farthest = 0.0f64;
+                for (x, &v) in pose
+                    .x
+                    .iter()
+                    .zip(hierarchy.row_vertices())
+                    .filter(|(_, v)| **v != NO_ROW)
+                {
+                    let at = 3 * v as usize;
+                    let far = (0..3).map(|c| (x[c] - exact[at + c]).powi(2)).sum::<f64>().sqrt();
+                    farthest = farthest.max(far);
+                }
+                assert!(
+                    farthest < 4.0 * stats.max_error + 1e-6 && farthest < 3e-4,
+                    "{farthest:.1e}: {stats:?}"
+                );
+            }
+            assert!(iterations[0] > 2, "{iterations:?}");
+            assert!(
+                iterations[6..12].iter().all(|&i| i <= 1) && iterations[12] == 0,
+                "{iterations:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_no_pose_is_refused() {
+        let block = BoxLattice::new(12, 10, 10);
+        let hierarchy = block.hierarchy(60);
+        let system = block.system(&hierarchy);
+        let pool = pool();
+        let exec = Exec::new(&pool, &Silent);
+        let criteria = PoseCriteria {
+            tolerance: Some(1e-4),
+            max_error: None,
+            max_iterations: 50,
+        };
+        let mut workspace = Workspace::default();
+        let mut solve = |pose: &mut PoseRows| {
+            let watch = &mut |_: &IterationReport<'_>| SolveControl::Continue;
+            system
+                .solve_pose(&hierarchy, pose, criteria, (&mut workspace, &exec), watch)
+                .map(|stats| stats.iterations)
+        };
+        let mut pose = PoseRows::default();
+        assert!(matches!(solve(&mut pose), Err(Error::Invalid(_))));
+        pose.begin(&hierarchy, &block.positions);
+        pose.x[0] = [f64::INFINITY; 4];
+        pose.x.iter_mut().for_each(|x| x[0] = 1e300);
+        PoseRows::show_positions(&mut pose.rows, &pose.x);
+        assert!(matches!(solve(&mut pose), Err(Error::Diverged { .. })));
+    }
+}

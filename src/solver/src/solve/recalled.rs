@@ -1,0 +1,230 @@
+//! What the solves of earlier poses came to, used for the next one (Fischer 1998).
+//!
+//! The corrections that consecutive poses of a drag need span a small space. Each is kept with its product with the matrix; the
+//! next residual is first freed of what they can explain, the best combination in the energy norm, column by column. It takes
+//! two passes over the rows and leaves one iteration or none, where without it there would be two or more.
+
+use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane};
+use crate::solve::problem::ColumnGroup;
+
+/// Corrections that are kept, and the one that the present pose makes.
+const PLACES: usize = 4;
+/// By what the error of a pose that needs no iteration may be larger than those of poses that needed one.
+const CAUTION: f64 = 1.5;
+
+/// Corrections d of earlier poses with A d.
+#[derive(Debug, Default)]
+pub(crate) struct RecalledSteps {
+    steps: [RecalledStep; PLACES],
+    /// Those that are known.
+    known: [bool; PLACES],
+    /// The one that the present pose makes; not known.
+    present: usize,
+    /// (d_i, A d_j), columns apart.
+    products: [[WideLanes; PLACES]; PLACES],
+    /// The largest distance that a vertex was moved by iterations, for a relative residual of 1 before them.
+    error_of_residual: Option<f64>,
+}
+
+#[derive(Debug, Default)]
+struct RecalledStep {
+    d: Vec<Lanes>,
+    product: Vec<Lanes>,
+}
+
+impl RecalledSteps {
+    /// Forgets all of them, as another matrix needs.
+    pub(crate) fn forget(&mut self) {
+        self.known = [false; PLACES];
+        self.error_of_residual = None;
+    }
+
+    pub(crate) fn byte_size(&self) -> usize {
+        self.steps
+            .iter()
+            .map(|s| 16 * (s.d.capacity() + s.product.capacity()))
+            .sum()
+    }
+
+    /// Takes out of the residual r what the steps explain, adds it to x, and begins a step of the present pose. Returns the squared
+    /// norms of the residual that is left; `None` where nothing is known.
+    pub(crate) fn take_out(
+        &mut self,
+        problem: &ColumnGroup<'_>,
+        x: &mut [WideLanes],
+        r: &mut [Lanes],
+    ) -> Option<WideLanes> {
+        let n = r.len();
+        for step in &mut self.steps {
+            step.d.resize(n, Lanes::ZERO);
+            step.product.resize(n, Lanes::ZERO);
+        }
+        let (known, present) = (self.known, self.present);
+        let is_any_known = known.contains(&true);
+        let factors = match is_any_known {
+            true => self.best_combination(problem, r).map(Lanes::from_wide),
+            false => [Lanes::ZERO; PLACES],
+        };
+        let shared = self
+            .steps
+            .each_mut()
+            .map(|s| (SharedRows::new(&mut s.d), SharedRows::new(&mut s.product)));
+        let (x, r) = (SharedRows::new(x), SharedRows::new(r));
+        let norms = problem.norms(|rows| {
+            let mut norms = Lanes::ZERO;
+            for i in rows {
+                // SAFETY: blocks are disjoint, each is visited once, and every row is used by its own block alone.
+                unsafe {
+                    let before = r.get(i);
+                    let (mut d, mut product) = (Lanes::ZERO, Lanes::ZERO);
+                    for k in (0..PLACES).filter(|&k| known[k]) {
+                        d += shared[k].0.get(i) * factors[k];
+                        product += shared[k].1.get(i) * factors[k];
+                    }
+                    let left = before - product;
+                    norms += left * left;
+                    r.set(i, left);
+                    let mut place = x.get(i);
+                    let wide = d.to_wide();
+                    (0..WIDTH).for_each(|c| place[c] += wide[c]);
+                    x.set(i, place);
+                    shared[present].0.set(i, d);
+                    // What is left of the residual in the end is taken off it, which makes it A d.
+                    shared[present].1.set(i, before);
+                }
+            }
+            norms.to_wide()
+        });
+        is_any_known.then_some(norms)
+    }
+
+    /// The factors with which the steps explain most of r.
+    fn best_combination(&self, problem: &ColumnGroup<'_>, r: &[Lanes]) -> [WideLanes; PLACES] {
+        let known = self.known;
+        let steps = &self.steps;
+        let right: [WideLanes; PLACES] = problem.sums(|rows| {
+            let mut sums = [Lanes::ZERO; PLACES];
+            for i in rows {
+                for k in (0..PLACES).filter(|&k| known[k]) {
+                    sums[k] += steps[k].d[i] * r[i];
+                }
+            }
+            sums.map(Lanes::to_wide)
+        });
+        let mut factors = [[0.0; WIDTH]; PLACES];
+        for c in 0..WIDTH {
+            let matrix = |i: usize, j: usize| self.products[i][j][c];
+            let found = solve_small(known, &matrix, &right.map(|r| r[c]));
+            (0..PLACES).for_each(|k| factors[k][c] = found[k]);
+        }
+        factors
+    }
+
+    /// Adds a correction e / scale that the present pose got to its step.
+    pub(crate) fn add(&mut self, problem: &ColumnGroup<'_>, e: &[Lanes], scale: WideLanes) {
+        let inverse = Lanes::from_wide(per_lane(|c| 1.0 / scale[c]));
+        let d = SharedRows::new(&mut self.steps[self.present].d);
+        problem.norms(|rows| {
+            for i in rows {
+                // SAFETY: as above.
+                unsafe { d.set(i, d.get(i) + e[i] * inverse) };
+            }
+            [0.0; WIDTH]
+        });
+    }
+
+    /// The error that a pose is expected to have whose relative residual is this before any iteration.
+    pub(crate) fn expected_error(&self, relative: f64) -> Option<f64> {
+        self.error_of_residual.map(|error| error * relative * CAUTION)
+    }
+
+    /// Ends the present pose, whose residual is now r / scale: its step is known from here on, and the oldest one is not.
+    /// Iterations moved a vertex by `moved` at most, from a relative residual of `relative`.
+    pub(crate) fn keep(
+        &mut self,
+        problem: &ColumnGroup<'_>,
+        (r, scale): (&[Lanes], WideLanes),
+        (moved, relative): (f64, f64),
+    ) {
+        let inverse = Lanes::from_wide(per_lane(|c| 1.0 / scale[c]));
+        let present = self.present;
+        self.known[present] = true;
+        let known = self.known;
+        let mut product = std::mem::take(&mut self.steps[present].product);
+        let shared = SharedRows::new(&mut product);
+        let steps = &self.steps;
+        let sums: [WideLanes; PLACES] = problem.sums(|rows| {
+            let mut sums = [Lanes::ZERO; PLACES];
+            for i in rows {
+                // SAFETY: as above.
+                let product = unsafe { shared.get(i) } - r[i] * inverse;
+                // SAFETY: as above.
+                unsafe { shared.set(i, product) };
+                for k in (0..PLACES).filter(|&k| known[k]) {
+                    sums[k] += steps[k].d[i] * product;
+                }
+            }
+            sums.map(Lanes::to_wide)
+        });
+        self.steps[present].product = product;
+        for (k, sum) in sums.into_iter().enumerate() {
+            self.products[k][present] = sum;
+            self.products[present][k] = sum;
+        }
+        self.present = (present + 1) % PLACES;
+        self.known[self.present] = false;
+        self.error_of_residual = (relative > 0.0).then(|| moved / relative);
+    }
+}
+
+/// Solves a small symmetric system in the unknowns that `known` tells; directions that others hold already get 0.
+fn solve_small(known: [bool; PLACES], matrix: &dyn Fn(usize, usize) -> f64, right: &[f64; PLACES]) -> [f64; PLACES] {
+    /// A pivot below this part of its diagonal is rounding.
+    const DEPENDENT: f64 = 1e-4;
+    let mut a: [[f64; PLACES]; PLACES] = std::array::from_fn(|i| std::array::from_fn(|j| matrix(i, j)));
+    let mut b = *right;
+    let mut used = [false; PLACES];
+    for p in (0..PLACES).filter(|&p| known[p]) {
+        let diagonal = matrix(p, p);
+        used[p] = a[p][p].is_finite() && b[p].is_finite() && diagonal > 0.0 && a[p][p] > DEPENDENT * diagonal;
+        if !used[p] {
+            continue;
+        }
+        for i in (0..PLACES).filter(|&i| i != p && known[i]) {
+            let factor = a[i][p] / a[p][p];
+            for j in 0..PLACES {
+                a[i][j] -= factor * a[p][j];
+            }
+            b[i] -= factor * b[p];
+        }
+    }
+    std::array::from_fn(|p| match used[p] {
+        true => Some(b[p] / a[p][p]).filter(|v| v.is_finite()).unwrap_or(0.0),
+        false => 0.0,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn small_systems_are_solved_and_dependent_directions_left_out() {
+        let m = [
+            [4.0, 1.0, 8.0, 9.0],
+            [1.0, 3.0, 2.0, 9.0],
+            [8.0, 2.0, 16.0, 9.0],
+            [9.0; 4],
+        ];
+        let known = [true, true, true, false];
+        let found = solve_small(known, &|i, j| m[i][j], &[6.0, 7.0, 12.0, 1.0]);
+        // The third is twice the first.
+        assert_eq!(found[2..], [0.0, 0.0]);
+        assert!(
+            (found[0] - 1.0).abs() < 1e-12 && (found[1] - 2.0).abs() < 1e-12,
+            "{found:?}"
+        );
+        assert_eq!(solve_small([false; 4], &|_, _| f64::NAN, &[1.0; 4]), [0.0; 4]);
+        assert_eq!(solve_small([true; 4], &|_, _| f64::NAN, &[1.0; 4]), [0.0; 4]);
+    }
+}

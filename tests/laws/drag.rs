@@ -1,0 +1,282 @@
+//! Laws of dragging: frames are what a solve in double precision gives, to what was asked for, whatever came before them.
+
+use glam::DVec3;
+use pliant::asset::{FileSet, shapes};
+use pliant::engine::{
+    Deformer, DeformerLimits, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandleRotation, HandleScale,
+    OpenOptions, Plane, Region, SolveMode, SolveSettings, SolvedShape,
+};
+use pliant::exec::Exec;
+use pliant::pool::Pool;
+use pliant::progress::Silent;
+
+/// A box of many cells, and with `beside` a small one that touches it.
+fn boxes(beside: bool) -> FileSet {
+    let mut text = String::new();
+    let mut first = 1;
+    let mut add = |size: DVec3, cells: [usize; 3], shift: DVec3| {
+        let (points, triangles) = shapes::box_with_cells(size, cells);
+        points
+            .iter()
+            .map(|p| *p + shift)
+            .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
+        for t in &triangles {
+            let [a, b, c] = t.map(|v| v + first);
+            text += &format!("f {a} {b} {c}\n");
+        }
+        first += points.len() as u32;
+    };
+    add(DVec3::new(1.0, 1.0, 6.0), [8, 8, 48], DVec3::ZERO);
+    if beside {
+        add(DVec3::new(0.5, 0.3, 0.5), [4, 3, 4], DVec3::new(0.25, 1.002, 2.5));
+    }
+    FileSet::single("boxes.obj", text.into_bytes())
+}
+
+fn beyond(id: &str, normal: DVec3, offset: f64) -> Handle {
+    Handle {
+        id: id.into(),
+        region: Region::HalfSpace(Plane { normal, offset }),
+        constrains: HandleConstrains {
+            position: true,
+            rotation: true,
+            scale: true,
+        },
+        stiffness: None,
+        rigid: false,
+        pose: None,
+        falloff: None,
+    }
+}
+
+/// What the handles of a scene are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Scene {
+    /// One end held, one that moves.
+    Ends,
+    /// The same with a part that is tied to the bar.
+    Tied,
+    /// A soft one in the middle besides.
+    Soft,
+}
+
+fn deformer(scene: Scene, pool: &Pool) -> Deformer {
+    let exec = Exec::new(pool, &Silent);
+    let files = boxes(scene == Scene::Tied);
+    let mut deformer = Deformer::open(files, &OpenOptions::default(), &DeformerLimits::default(), &exec).unwrap();
+    let mut handles = vec![beyond("low", -DVec3::Z, -0.3), beyond("high", DVec3::Z, 5.7)];
+    if scene == Scene::Soft {
+        handles.push(Handle {
+            region: Region::Sphere {
+                center: DVec3::new(0.5, 1.0, 3.0),
+                radius: 0.4,
+            },
+            stiffness: Some(0.5),
+            falloff: Some(Falloff {
+                radius: 0.6,
+                curve: FalloffCurve::Smooth,
+            }),
+            ..beyond("soft", DVec3::Z, 0.0)
+        });
+    }
+    deformer.set_handles(handles, &exec).unwrap();
+    deformer
+}
+
+/// The pose at a time of a movement: one end turns about two axes, moves, and with `scaled` grows; a soft handle comes along.
+fn pose(scene: Scene, t: f64, scaled: bool) -> Vec<(&'static str, HandlePose)> {
+    let mut poses = vec![(
+        "high",
+        HandlePose {
+            translation: Some(DVec3::new(0.6, -0.4, 0.3) * t),
+            rotation: Some(HandleRotation::Vector(DVec3::new(
+                0.9 * t,
+                0.4 * t,
+                if scaled { 0.0 } else { 2.5 * t },
+            ))),
+            scale: scaled.then_some(HandleScale::PerAxis(DVec3::new(1.0 + 0.3 * t, 1.0, 1.0 - 0.2 * t))),
+            pivot: None,
+        },
+    )];
+    if scene == Scene::Soft {
+        let up = HandlePose {
+            translation: Some(DVec3::Y * (0.5 * t)),
+            ..HandlePose::default()
+        };
+        poses.push(("soft", up));
+    }
+    poses
+}
+
+fn frame(
+    deformer: &mut Deformer,
+    poses: Vec<(&str, HandlePose)>,
+    settings: &SolveSettings,
+    pool: &Pool,
+) -> SolvedShape {
+    let poses = deformer.change_poses(&deformer.initial_poses(), poses).unwrap();
+    let exec = Exec::new(pool, &Silent);
+    deformer
+        .solve(&poses, settings, SolveMode::Drag, &exec, &mut |_| true)
+        .unwrap()
+}
+
+/// The largest distance of a vertex, as a fraction of the diagonal.
+fn distance(deformer: &Deformer, a: &[DVec3], b: &[DVec3]) -> f64 {
+    let far = a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+    far / deformer.diagonal()
+}
+
+#[test]
+fn frames_are_as_near_to_the_exact_shape_as_asked_for() {
+    let pool = Pool::new(2).unwrap();
+    let exact = SolveSettings {
+        tolerance: Some(1e-10),
+        ..SolveSettings::default()
+    };
+    let mut none = 0;
+    for scene in [Scene::Ends, Scene::Tied, Scene::Soft] {
+        for scaled in [false, true] {
+            let (mut dragged, mut beside) = (deformer(scene, &pool), deformer(scene, &pool));
+            for k in 1..=24 {
+                // There, a jump, and back.
+                let t = [f64::from(k) / 24.0, 1.0 - f64::from(k) / 40.0][usize::from(k > 15)];
+                let shown = frame(&mut dragged, pose(scene, t, scaled), &SolveSettings::default(), &pool);
+                none += u32::from(shown.cycles == 0);
+                assert!(shown.residual <= 1e-4, "{scene:?} {k}: {}", shown.residual);
+                if k % 4 == 0 {
+                    let wanted = frame(&mut beside, pose(scene, t, scaled), &exact, &pool);
+                    let far = distance(&dragged, &shown.positions, &wanted.positions);
+                    assert!(far < 2e-4, "{scene:?} scaled {scaled} frame {k}: {far:.1e}");
+                    assert!(
+                        far < 4.0 * shown.max_error + 2e-6,
+                        "{far:.1e} where {:.1e} was told",
+                        shown.max_error
+                    );
+                }
+            }
+        }
+    }
+    assert!(
+        none > 20,
+        "a smooth drag goes on from what is known: {none} frames of 144 without an iteration"
+    );
+}
+
+#[test]
+fn an_error_that_is_asked_for_is_kept() {
+    let pool = Pool::new(2).unwrap();
+    let asked = SolveSettings {
+        tolerance: None,
+        max_error: Some(5e-5),
+        ..SolveSettings::default()
+    };
+    let exact = SolveSettings {
+        tolerance: Some(1e-10),
+        ..SolveSettings::default()
+    };
+    let (mut dragged, mut beside) = (deformer(Scene::Ends, &pool), deformer(Scene::Ends, &pool));
+    for k in 1..=20 {
+        let t = f64::from(k) / 20.0;
+        let shown = frame(&mut dragged, pose(Scene::Ends, t, false), &asked, &pool);
+        let wanted = frame(&mut beside, pose(Scene::Ends, t, false), &exact, &pool);
+        let far = distance(&dragged, &shown.positions, &wanted.positions);
+        assert!(
+            far < 1e-4 && shown.max_error <= 5e-5,
+            "frame {k}: {far:.1e}, told {:.1e}",
+            shown.max_error
+        );
+    }
+}
+
+#[test]
+fn frames_have_the_same_bits_on_any_number_of_threads() {
+    let run = |threads: usize| -> Vec<u64> {
+        let pool = Pool::new(threads).unwrap();
+        let mut dragged = deformer(Scene::Tied, &pool);
+        let mut bits = Vec::new();
+        for k in 1..=6 {
+            let shown = frame(
+                &mut dragged,
+                pose(Scene::Tied, f64::from(k) / 6.0, false),
+                &SolveSettings::default(),
+                &pool,
+            );
+            bits.extend(shown.positions.iter().flat_map(|p| p.to_array().map(f64::to_bits)));
+        }
+        bits
+    };
+    let one = run(1);
+    assert!([2, 3, 8].into_iter().all(|threads| run(threads) == one));
+}
+
+#[test]
+fn a_drag_goes_on_from_a_commit_and_a_commit_knows_nothing_of_it() {
+    let pool = Pool::new(2).unwrap();
+    let exec = Exec::new(&pool, &Silent);
+    let settings = SolveSettings::default();
+    let (mut dragged, mut fresh) = (deformer(Scene::Soft, &pool), deformer(Scene::Soft, &pool));
+    for k in 1..=5 {
+        frame(
+            &mut dragged,
+            pose(Scene::Soft, f64::from(k) / 10.0, false),
+            &settings,
+            &pool,
+        );
+    }
+    let last = pose(Scene::Soft, 0.5, false);
+    let [one, other] = [&mut dragged, &mut fresh].map(|d| d.commit(last.clone(), &settings, &exec).unwrap());
+    assert_eq!(one.positions, other.positions, "a commit depends on nothing before it");
+    // A frame of the same pose starts at the committed shape.
+    let quick = SolveSettings {
+        refine: Some(0),
+        ..settings
+    };
+    let shown = frame(&mut dragged, last.clone(), &quick, &pool);
+    let wanted = frame(
+        &mut fresh,
+        last,
+        &SolveSettings {
+            tolerance: Some(1e-10),
+            ..quick.clone()
+        },
+        &pool,
+    );
+    assert!(distance(&dragged, &shown.positions, &wanted.positions) < 2e-4);
+}
+
+#[test]
+fn poses_beyond_the_range_of_numbers_leave_the_drag_usable() {
+    let pool = Pool::new(2).unwrap();
+    let mut dragged = deformer(Scene::Ends, &pool);
+    let settings = SolveSettings::default();
+    let far = |distance: f64| {
+        let translation = Some(DVec3::X * distance);
+        vec![(
+            "high",
+            HandlePose {
+                translation,
+                ..HandlePose::default()
+            },
+        )]
+    };
+    for distance in [1e5, 1e20, 1e37, 1e150, 1e300] {
+        let poses = dragged.change_poses(&dragged.initial_poses(), far(distance)).unwrap();
+        let exec = Exec::new(&pool, &Silent);
+        if let Ok(shape) = dragged.solve(&poses, &settings, SolveMode::Drag, &exec, &mut |_| true) {
+            assert!(shape.positions.iter().all(|p| p.is_finite()), "{distance:e}");
+        }
+    }
+    let shown = frame(&mut dragged, far(0.5), &settings, &pool);
+    let mut beside = deformer(Scene::Ends, &pool);
+    let wanted = frame(
+        &mut beside,
+        far(0.5),
+        &SolveSettings {
+            tolerance: Some(1e-10),
+            ..settings
+        },
+        &pool,
+    );
+    assert!(distance(&dragged, &shown.positions, &wanted.positions) < 2e-4);
+}
