@@ -73,6 +73,7 @@ impl ServeError {
 
 /// Runs the server of this process.
 pub(super) fn run_serve(args: ServeArgs) -> Result<(), CliFailure> {
+    server::use_one_heap();
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .thread_name("pliant-serve")

@@ -14,6 +14,7 @@ mod dispatch;
 mod error;
 mod format_name;
 pub mod grpc;
+mod heap;
 mod hosts;
 mod http;
 pub mod https_client;
@@ -36,6 +37,7 @@ mod visitors;
 
 pub use config::ServerConfig;
 pub use error::Error;
+pub use heap::use_one_heap;
 pub use hosts::Hosts;
 pub use origin::Origins;
 pub use telemetry::{TraceExport, start_log};

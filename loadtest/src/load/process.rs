@@ -28,6 +28,7 @@ pub(crate) struct OwnServerArgs {
 /// Runs the server until the standard input ends.
 pub(crate) fn run_own_server(args: &OwnServerArgs) -> Result<(), LoadtestFailure> {
     let failed = |e: &dyn std::fmt::Display| LoadtestFailure::Server(e.to_string());
+    server::use_one_heap();
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
     runtime.map_err(|e| failed(&e))?.block_on(async {
         let listener = TcpListener::bind(("127.0.0.1", 0)).await.map_err(|e| failed(&e))?;
