@@ -40,6 +40,8 @@ impl TestBucket {
                 tokio::spawn(async move {
                     let served = Builder::new(TokioExecutor::new());
                     tokio::select! {
+                        // A bucket that is down answers nothing, however fast it could.
+                        biased;
                         _ = down.wait_for(|is_down| *is_down) => {}
                         _ = served.serve_connection(TokioIo::new(socket), service) => {}
                     }
