@@ -6,7 +6,6 @@ use crate::shared::input_files::read_model_file;
 use crate::shared::measurements::Measurements;
 use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
 use crate::shared::timing::time_once;
-use pliant::batch::pose_steps;
 use pliant::engine::{Deformer, DeformerLimits, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -24,16 +23,19 @@ const PART: usize = 256 << 10;
 const WARM_UP: u64 = 8;
 
 /// The passes in the order in which they run, and what they do.
-const PASSES: [(&str, &str); 9] = [
+const PASSES: [(&str, &str); 12] = [
     (
         "blend",
         "every node's frame, and its place taken along with the handles",
     ),
+    ("carry", "double precision alone: the last shape taken along"),
+    ("equations", "double precision alone: the right-hand side"),
     ("load", "ties and soft pulls, the vectors of the cycles"),
     ("residual", "right-hand side and residual"),
     ("recall", "what earlier poses came to, taken out and kept"),
     ("cycles", "multigrid"),
     ("correct", "the correction added"),
+    ("store", "double precision alone: out of the solver's order"),
     ("place", "surface nodes to their positions"),
     ("settle", "thin faces"),
     ("render", "render vertices"),
@@ -190,15 +192,7 @@ fn drag_frames(
         bandwidth: measure_bandwidth(pool),
     };
     for seq in 1..=WARM_UP + args.frames {
-        let job = pb::Job {
-            steps: vec![pb::Step {
-                step: Some(pb::step::Step::Pose(scene.pose_number(seq))),
-            }],
-            ..Default::default()
-        };
-        for pose in pose_steps(&job)? {
-            poses = wire::change_poses(&deformer, &poses, &pose)?;
-        }
+        poses = wire::change_poses(&deformer, &poses, &scene.pose_number(seq))?;
         let exec = Exec::new(pool, &clock);
         let (solved, solve) = time_once(|| deformer.solve(&poses, &settings, SolveMode::Drag, &exec, &mut |_| true));
         let (solved, passes) = (solved?, clock.take());

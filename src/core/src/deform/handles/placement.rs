@@ -8,6 +8,32 @@ use crate::deform::rotation::fit::fit_rigid_motion;
 use crate::deform::transform::Transform;
 use glam::DVec3;
 
+/// Brings nodes from solving coordinates around `center` to model space.
+pub(in crate::deform) struct NodePlacement<'a, M> {
+    rig: &'a HandleSystem,
+    body: &'a DeformableBody,
+    moved_parts: &'a [bool],
+    /// By hold: from rest to where the pose has it, model space.
+    maps: Vec<M>,
+    center: DVec3,
+}
+
+impl<M: Fn(DVec3) -> DVec3> NodePlacement<'_, M> {
+    /// The position of a node that was solved to `x`.
+    pub fn of(&self, node: usize, x: &[f64]) -> DVec3 {
+        let Self { rig, body, .. } = *self;
+        let rest = body.graph.positions[node];
+        if !self.moved_parts[body.graph.component[node] as usize] {
+            return rest;
+        }
+        match rig.position.hard[node] {
+            NOBODY if rig.positions.fixed[node] => rest,
+            NOBODY => body.model_from_solving(DVec3::from_slice(x) + self.center),
+            k => self.maps.get(k as usize).map_or(rest, |map| map(rest)),
+        }
+    }
+}
+
 impl HandleSystem {
     /// By component: whether any hold that has moved has a say in it.
     pub(in crate::deform) fn moved_parts(&self, body: &DeformableBody, transforms: &[Transform]) -> Vec<bool> {
@@ -35,22 +61,29 @@ impl HandleSystem {
         center: DVec3,
         x: &[f64],
     ) -> Vec<DVec3> {
-        let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
+        let placement = self.placement(body, moved_parts, transforms, center);
         let mut positions: Vec<DVec3> = (0..body.nodes())
-            .map(|i| {
-                let rest = body.graph.positions[i];
-                if !moved_parts[body.graph.component[i] as usize] {
-                    return rest;
-                }
-                match self.position.hard[i] {
-                    NOBODY if self.positions.fixed[i] => rest,
-                    NOBODY => body.model_from_solving(DVec3::from_slice(&x[i * 3..i * 3 + 3]) + center),
-                    k => maps.get(k as usize).map_or(rest, |map| map(rest)),
-                }
-            })
+            .map(|i| placement.of(i, &x[i * 3..i * 3 + 3]))
             .collect();
         self.parts.place(body, &mut positions);
         positions
+    }
+
+    /// Where single nodes are, loose parts aside.
+    pub(in crate::deform) fn placement<'a>(
+        &'a self,
+        body: &'a DeformableBody,
+        moved_parts: &'a [bool],
+        transforms: &[Transform],
+        center: DVec3,
+    ) -> NodePlacement<'a, impl Fn(DVec3) -> DVec3 + Send + Sync + use<>> {
+        NodePlacement {
+            rig: self,
+            body,
+            moved_parts,
+            maps: transforms.iter().map(Transform::map).collect(),
+            center,
+        }
     }
 
     /// Replaces the solution on rigid regions by the rigid motion that fits it best.

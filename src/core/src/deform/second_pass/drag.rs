@@ -105,18 +105,12 @@ impl DragPose<'_> {
             SolutionExtent::Positions | SolutionExtent::Surface if rig.parts.is_empty() => body.graph.surface,
             _ => body.nodes(),
         };
-        let place = ShownNodes {
-            rig,
-            body,
-            moved_parts,
-            maps: pass.maps,
-            center,
-        };
+        let placement = rig.placement(body, moved_parts, request.transforms, center);
         let rows = &state.rows;
         let at = |node: usize| rows.pose.x[rows.row_of[node] as usize];
         let mut positions: Vec<DVec3> = exec.pool.install(|| {
             let all = (0..nodes).into_par_iter().with_min_len(PIECE);
-            all.map(|node| place.of(node, at(node))).collect()
+            all.map(|node| placement.of(node, &at(node)[..3])).collect()
         });
         if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
             return Err(Error::Solver(format!("node {node} left the range of numbers")));
@@ -253,30 +247,6 @@ impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
         let here = before + from;
         let moved: DVec3 = self.motions.iter().map(|motion| motion.share_of(node, here)).sum();
         here + moved - to
-    }
-}
-
-/// Where nodes are after a solve.
-struct ShownNodes<'a, M> {
-    rig: &'a HandleSystem,
-    body: &'a DeformableBody,
-    moved_parts: &'a [bool],
-    maps: Vec<M>,
-    center: DVec3,
-}
-
-impl<M: Fn(DVec3) -> DVec3> ShownNodes<'_, M> {
-    fn of(&self, node: usize, x: [f64; 4]) -> DVec3 {
-        let body = self.body;
-        let rest = body.graph.positions[node];
-        if !self.moved_parts[body.graph.component[node] as usize] {
-            return rest;
-        }
-        match self.rig.position.hard[node] {
-            NOBODY if self.rig.positions.fixed[node] => rest,
-            NOBODY => body.model_from_solving(DVec3::new(x[0], x[1], x[2]) + self.center),
-            k => self.maps.get(k as usize).map_or(rest, |map| map(rest)),
-        }
     }
 }
 
