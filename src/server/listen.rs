@@ -10,6 +10,7 @@ use super::connection_facts::ConnectionFacts;
 use super::connection_slot::ConnectionSlot;
 use super::dispatch::Dispatch;
 use super::error::Error;
+use super::lingering::{Linger, LingeringSocket};
 use super::peers::Peers;
 use super::state::State;
 use super::tls::TlsDoor;
@@ -264,8 +265,9 @@ where
         polite,
     } = seat;
     let activity = Arc::new(Activity::default());
+    let linger = Linger::default();
     let socket = Watched {
-        socket,
+        socket: LingeringSocket::new(socket, linger.clone()),
         activity: Arc::clone(&activity),
         heard: 0,
     };
@@ -276,6 +278,7 @@ where
     let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(slot.clone());
         request.extensions_mut().insert(facts.clone());
+        request.extensions_mut().insert(linger.clone());
         let busy = Busy::new(&heard, !is_watch(&request));
         let (dispatch, ledger) = (dispatch.clone(), Arc::clone(&ledger));
         // On HTTP/1 nothing else can follow an answer that is not read; of HTTP/2 it is one of many.

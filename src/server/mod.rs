@@ -18,6 +18,7 @@ mod heap;
 mod hosts;
 mod http;
 pub mod https_client;
+mod lingering;
 mod listen;
 mod messages;
 mod openapi;

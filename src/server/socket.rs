@@ -8,6 +8,7 @@
 
 use super::http::Caller;
 use super::http::problem::Problem;
+use super::lingering::Linger;
 use super::state::State;
 use super::stream_ends::{RequestEnd, ResponseEnd, failure_message, message_ends};
 use crate::session::{DeformStream, Error, ErrorCode};
@@ -56,6 +57,7 @@ pub(super) async fn upgrade(
         .extensions
         .get::<super::connection_slot::ConnectionSlot>()
         .cloned();
+    let linger: Option<Linger> = parts.extensions.get().cloned();
     let token = state.sockets.token();
     Ok(upgrade
         .protocols([PROTOCOL])
@@ -65,7 +67,7 @@ pub(super) async fn upgrade(
         .max_frame_size(largest)
         .on_upgrade(move |socket| async move {
             state.telemetry.sockets.inc();
-            serve(&state, &id, socket, stream).await;
+            serve(&state, &id, (socket, linger), stream).await;
             state.telemetry.sockets.dec();
             drop((slot, token));
         }))
@@ -112,7 +114,7 @@ impl Ending {
     }
 }
 
-async fn serve(state: &State, id: &str, socket: WebSocket, stream: DeformStream) {
+async fn serve(state: &State, id: &str, (socket, linger): (WebSocket, Option<Linger>), stream: DeformStream) {
     let (input, mut output) = message_ends(stream, state.manager.config().stream_limits());
     let (mut sink, source) = socket.split();
     let seen = Arc::new(Notify::new());
@@ -121,7 +123,11 @@ async fn serve(state: &State, id: &str, socket: WebSocket, stream: DeformStream)
         let write = write(state, &mut sink, &mut output);
         tokio::pin!(read, write);
         tokio::select! {
-            ending = &mut read => ending,
+            ending = &mut read => {
+                // It may be sending still, the rest of a message that is too large above all.
+                linger.iter().filter(|_| ending.is_some()).for_each(Linger::ask);
+                ending
+            }
             ending = &mut write => ending,
             () = silence(state, &seen) => Some(Ending::new(1001, "no sign of life")),
             () = state.closing.cancelled() => Some(Ending::going_away()),

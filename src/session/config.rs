@@ -8,6 +8,9 @@ use crate::wire::StreamLimits;
 use crate::{asset, engine};
 use std::time::Duration;
 
+/// The longest time to live that may be allowed.
+const LONGEST_TTL: Duration = Duration::from_secs(366 * 24 * 3600);
+
 /// The limits that sessions keep to. [`SessionConfig::validate`] says which values make sense; 0 never means "no limit".
 #[derive(Debug, Clone, PartialEq)]
 pub struct SessionConfig {
@@ -142,6 +145,16 @@ impl SessionConfig {
                 Ok(())
             }
         };
+        let spans = |field: &str, seen: Duration, [least, most]: [Duration; 2]| {
+            if seen < least || seen > most {
+                let [seen, least, most] = [seen, least, most].map(humantime::format_duration);
+                return Err(Error::invalid(
+                    field,
+                    format!("is {seen}, {least} to {most} is allowed"),
+                ));
+            }
+            Ok(())
+        };
         at_least("upload_bytes", self.upload_bytes.into(), 1)?;
         at_least("vertices", self.vertices.into(), 3)?;
         at_most("vertices", self.vertices.into(), u128::from(u32::MAX))?;
@@ -173,14 +186,8 @@ impl SessionConfig {
         at_least("compute_queue", self.compute_queue as u128, 1)?;
         at_least("idempotency_keys", self.idempotency_keys as u128, 1)?;
         at_least("idle", self.idle.as_millis(), 100)?;
-        at_least("max_ttl", self.max_ttl.as_millis(), MIN_TTL.as_millis())?;
-        at_most(
-            "max_ttl",
-            self.max_ttl.as_millis(),
-            Duration::from_secs(366 * 24 * 3600).as_millis(),
-        )?;
-        at_least("ttl", self.default_ttl.as_millis(), MIN_TTL.as_millis())?;
-        at_most("ttl", self.default_ttl.as_millis(), self.max_ttl.as_millis())?;
+        spans("max_ttl", self.max_ttl, [MIN_TTL, LONGEST_TTL])?;
+        spans("ttl", self.default_ttl, [MIN_TTL, self.max_ttl])?;
         self.quotas.default.validate()?;
         self.quotas.named.values().try_for_each(TenantQuota::validate)?;
         if !(self.high_water > 0.0 && self.high_water <= 1.0) {
@@ -202,6 +209,7 @@ impl SessionConfig {
                 document_bytes: self.decoded_bytes.min(memory_bytes),
             },
             memory_bytes,
+            graph_bytes: None,
             handles: self.handles,
         }
     }

@@ -39,6 +39,9 @@ pub(super) struct SharedResources {
     pub opener: Box<dyn EngineOpener>,
     pub gate: CallGate,
     pub numbers: AtomicU64,
+    /// When this server began, in milliseconds since 1970: of the time that an idle session lives none passes while no server runs,
+    /// so that neither a stop nor a backup's age ends it.
+    pub started_ms: u64,
     pub draining: AtomicBool,
     /// Raised by `abort`.
     pub aborted: CancellationToken,

@@ -359,7 +359,7 @@ mod tests {
                     scale: 1e20,
                     ..options()
                 },
-                "scale: is 100000000000000000000, allowed are 1e-12 to 1e12, or 0",
+                "scale: is 1e20, allowed are 1e-12 to 1e12, or 0",
             ),
             (
                 pb::AnimateOptions {

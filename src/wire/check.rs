@@ -39,7 +39,7 @@ pub(super) fn positive(value: f64, field: &str) -> Result<f64, Error> {
     if value > 0.0 {
         Ok(value)
     } else {
-        Err(Error::invalid(field, format!("is {value}, it must be above 0")))
+        Err(Error::invalid(field, format!("is {value:?}, it must be above 0")))
     }
 }
 
@@ -53,8 +53,19 @@ pub(super) fn optional_within(value: f64, low: f64, high: f64, field: &str) -> R
     } else {
         Err(Error::invalid(
             field,
-            format!("is {value}, allowed are {low:e} to {high:e}, or 0 for the default"),
+            format!("is {value:?}, allowed are {low:e} to {high:e}, or 0 for the default"),
         ))
+    }
+}
+
+/// A text for people: no control characters, which logs and terminals would obey.
+pub(super) fn plain_text(text: &str, field: &str) -> Result<(), Error> {
+    match text.chars().find(|c| c.is_control()) {
+        Some(c) => {
+            let problem = format!("holds the control character U+{:04X}, none is allowed", u32::from(c));
+            Err(Error::invalid(field, problem))
+        }
+        None => Ok(()),
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! A session's options are those of its deformer, a label for people, and how long it outlives its last use.
 
-use super::check::{enumerated, number};
+use super::check::{enumerated, number, plain_text};
 use super::following::following;
 use super::passengers::{passengers, require_own_passengers};
 use super::{Error, pb};
@@ -39,6 +39,7 @@ pub fn session_options(create: &pb::CreateOptions, ttl: RangeInclusive<Duration>
         let problem = format!("is {} bytes, at most {LONGEST_LABEL} are allowed", create.label.len());
         return Err(Error::invalid("label", problem));
     }
+    plain_text(&create.label, "label")?;
     let open = open_options(create)?;
     require_own_passengers(&open.passengers)?;
     Ok(SessionOptions {

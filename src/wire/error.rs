@@ -1,7 +1,7 @@
 //! What can be wrong with a request.
 
 use super::edit_kind::edit_kind_name;
-use crate::edit::{EditSubject, Error as Refused, ErrorPlace};
+use crate::edit::{EditSubject, Error as Refused, ErrorPlace, shown_count};
 use crate::engine::{self, InputPlace, RegionPlace};
 use crate::{asset, motion};
 
@@ -37,7 +37,7 @@ pub enum Error {
     #[error("{0} is not implemented by this version")]
     Unimplemented(String),
     /// More than the limits allow.
-    #[error("{what} is {seen}, at most {limit} is allowed")]
+    #[error("{what} is {}, at most {limit} is allowed", shown_count(*seen))]
     TooLarge {
         /// What is too large.
         what: &'static str,

@@ -3,7 +3,10 @@
 use super::{Error, pb};
 use prost::Message;
 use prost_reflect::{DescriptorPool, DeserializeOptions, DynamicMessage, Kind, MessageDescriptor, SerializeOptions};
+use serde::de::{self, DeserializeSeed, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde_path_to_error::{Path, Segment};
+use std::collections::BTreeSet;
+use std::fmt;
 use std::sync::LazyLock;
 
 static POOL: LazyLock<Result<DescriptorPool, String>> =
@@ -50,21 +53,97 @@ pub fn from_json<M: Message + Default + prost::Name>(text: &[u8]) -> Result<M, E
         place: "body".into(),
         problem: e.to_string(),
     })?;
+    keys_stand_once(text)?;
     M::decode(dynamic.encode_to_vec().as_slice()).map_err(|e| Error::Internal(format!("transcoding: {e}")))
 }
 
 /// The path of the field that a problem is about. Tracking ends at the object that holds an unknown field, so the
 /// field's own name is taken from the text.
 fn place_of(path: &str, problem: &str) -> String {
-    let path = if path == "." { "" } else { path };
-    let unknown = problem
-        .strip_prefix("unrecognized field name '")
-        .and_then(|rest| rest.split_once('\''));
+    // Where the text itself breaks off there is no name; the problem tells line and column.
+    let path = path.trim_end_matches('?').trim_end_matches('.');
+    let named = |start| problem.strip_prefix(start).and_then(|rest: &str| rest.split_once('\''));
+    let unknown = named("unrecognized field name '").or_else(|| named(TWICE));
     match (path, unknown) {
         ("", None) => "body".into(),
         ("", Some((name, _))) => name.into(),
         (path, None) => path.into(),
         (path, Some((name, _))) => format!("{path}.{name}"),
+    }
+}
+
+/// How the refusal of a field that stands twice begins; its name follows.
+const TWICE: &str = "there are two fields named '";
+
+/// Refuses a text in which an object has a field twice: which of them is meant?
+fn keys_stand_once(text: &[u8]) -> Result<(), Error> {
+    let mut json = serde_json::Deserializer::from_slice(text);
+    let mut track = serde_path_to_error::Track::new();
+    let tracked = serde_path_to_error::Deserializer::new(&mut json, &mut track);
+    UniqueKeys.deserialize(tracked).map_err(|e| {
+        let problem = e.to_string();
+        let place = place_of(&track.path().to_string(), &problem);
+        Error::Json { place, problem }
+    })
+}
+
+/// Reads any JSON, and keeps nothing of it but the names of the objects that it is in.
+struct UniqueKeys;
+
+impl<'de> DeserializeSeed<'de> for UniqueKeys {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for UniqueKeys {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("JSON")
+    }
+
+    fn visit_unit<E>(self) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_bool<E>(self, _: bool) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_i64<E>(self, _: i64) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_u64<E>(self, _: u64) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_f64<E>(self, _: f64) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_str<E>(self, _: &str) -> Result<(), E> {
+        Ok(())
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<(), A::Error> {
+        while items.next_element_seed(UniqueKeys)?.is_some() {}
+        Ok(())
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut fields: A) -> Result<(), A::Error> {
+        let mut names = BTreeSet::new();
+        while let Some(name) = fields.next_key::<String>()? {
+            if names.contains(&name) {
+                return Err(de::Error::custom(format!("{TWICE}{name}', each may stand once")));
+            }
+            names.insert(name);
+            fields.next_value_seed(UniqueKeys)?;
+        }
+        Ok(())
     }
 }
 
@@ -137,6 +216,14 @@ mod tests {
             "handles[0].region.sphere.radius",
         );
         refused("[1]", "body");
+        refused("{bad", "body");
+        refused(r#"{"handles": [{"id": "a", }]}"#, "handles[0]");
+        // A field that stands twice, wherever it stands.
+        refused(r#"{"handles": [], "handles": []}"#, "handles");
+        refused(
+            r#"{"handles": [{"id": "a"}, {"id": "b", "region": {"sphere": {"radius": 1, "radius": 2}}}]}"#,
+            "handles[1].region.sphere.radius",
+        );
         refused(r#"{"options": {}} x"#, "body");
     }
 

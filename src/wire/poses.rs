@@ -4,6 +4,7 @@ use super::check::vector;
 use super::{Error, pb};
 use crate::engine::{Deformer, HandlePose, HandlePoses, HandleRotation, HandleScale};
 use glam::{DQuat, DVec3};
+use std::collections::BTreeMap;
 
 /// Returns `poses` with those that a message names replaced.
 ///
@@ -41,16 +42,23 @@ impl PoseEntry {
     }
 }
 
-/// Reads the entries of a pose, each with what is wrong with it.
+/// Reads the entries of a pose, each with what is wrong with it. One that names a handle again is wrong: which of them is meant?
 pub(super) fn pose_entries(pose: &pb::Pose) -> Vec<PoseEntry> {
-    let decode = |(k, entry): (usize, &pb::pose::Entry)| PoseEntry {
-        id: entry.id.clone(),
-        pose: match &entry.pose {
-            Some(pose) => handle_pose(pose, &format!("pose.handles[{k}].pose")),
-            None => Ok(HandlePose::default()),
-        },
-    };
-    pose.handles.iter().enumerate().map(decode).collect()
+    let mut named: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut entries = Vec::with_capacity(pose.handles.len());
+    for (k, entry) in pose.handles.iter().enumerate() {
+        let pose = match (named.insert(&entry.id, k), &entry.pose) {
+            (Some(before), _) => {
+                let problem = format!("names the handle of handles[{before}] again; each handle has one pose");
+                Err(Error::invalid(format!("pose.handles[{k}].id"), problem))
+            }
+            (None, Some(pose)) => handle_pose(pose, &format!("pose.handles[{k}].pose")),
+            (None, None) => Ok(HandlePose::default()),
+        };
+        let id = entry.id.clone();
+        entries.push(PoseEntry { id, pose });
+    }
+    entries
 }
 
 /// Refuses a pose of more than `max_entries` entries, and entries that are too large to be right.

@@ -273,6 +273,7 @@ fn model_record() -> Vec<u8> {
         options: OpenOptions::default(),
         label: "a box".into(),
         format: Format::OBJ,
+        graph_bytes: Some(1 << 30),
     };
     record.write().expect("a record")
 }

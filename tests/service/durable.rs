@@ -13,8 +13,11 @@ mod faults;
 mod first_version;
 mod idle;
 mod leaving;
+mod looking;
+mod moved;
 mod place;
 mod restart;
+mod tight_memory;
 mod upkeep;
 
 /// A session on a bar, with its ends as handles.

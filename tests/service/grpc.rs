@@ -275,8 +275,13 @@ async fn a_message_above_the_limit_is_refused() {
         .create_session(upload(vec![Upload::Chunk(Bytes::from(vec![0; 65 << 10]))]))
         .await
         .unwrap_err();
+    assert!(matches!(refused.code(), Code::ResourceExhausted), "{refused}");
+    let request = pb::SessionRequest {
+        session_id: "x".repeat(65 << 10),
+    };
+    let refused = client.get_session(request).await.unwrap_err();
     assert!(
-        matches!(refused.code(), Code::OutOfRange | Code::ResourceExhausted),
+        refused.code() == Code::ResourceExhausted && refused.message().contains("too large"),
         "{refused}"
     );
     assert!(client.get_limits(pb::GetLimitsRequest {}).await.is_ok());

@@ -244,7 +244,8 @@ pub fn large_bar() -> String {
     bar([40, 40, 320])
 }
 
-fn bar(cells: [usize; 3]) -> String {
+/// Such a bar of so many cells along each axis.
+pub fn bar(cells: [usize; 3]) -> String {
     let (points, triangles) = shapes::box_with_cells(glam::DVec3::new(0.5, 0.5, 4.0), cells);
     let mut text = String::new();
     for p in points {

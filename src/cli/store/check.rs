@@ -2,11 +2,18 @@
 
 use super::super::failure::CliFailure;
 use super::super::json_output::print_value;
-use super::kept_place::{StorePlaceArgs, all_sessions, lookers, store_failure};
-use crate::session::store::{CheckedSession, StoredFacts, now_ms};
+use super::kept_place::{StorePlaceArgs, lookers, store_failure};
+use crate::session::Manager;
+use crate::session::store::{CheckedSession, ReadOnlyStore, StoredFacts};
 use clap::Args;
 use serde_json::{Value, json};
 use std::sync::Arc;
+use std::time::Duration;
+
+/// How often a session is looked at that a server may be writing.
+const TRIES: u32 = 5;
+/// Between two of these looks.
+const BETWEEN_TRIES: Duration = Duration::from_millis(100);
 
 /// Compares everything that is kept with its checksums: rows, objects, and with --replay the shapes that come of them.
 ///
@@ -25,7 +32,7 @@ pub(super) struct StoreCheckArgs {
 
 /// Runs the command.
 pub(super) async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
-    let store = Arc::new(args.place.open().await?);
+    let store = Arc::new(args.place.look().await?);
     let in_database = store.check_database().await;
     let manager = match args.replay {
         true => Some(lookers(&store).await?),
@@ -36,19 +43,11 @@ pub(super) async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFail
     if let (Err(error), false) = (&in_database, args.json) {
         println!("damaged  the database: {error}");
     }
-    let sessions = all_sessions(&store).await?;
+    let sessions = store.all_sessions().await.map_err(store_failure)?;
     for session in &sessions {
-        let mut checked = store
-            .check_session(&session.tenant, &session.id)
-            .await
-            .map_err(|e| e.to_string());
-        // One whose time is over opens nowhere any more.
-        let is_alive = session.used_ms.saturating_add(session.ttl_ms) > now_ms();
-        if let (Some(manager), Ok(_), true) = (&manager, &checked, is_alive)
-            && let Err(error) = manager.history(&session.tenant, &session.id).await
-        {
-            checked = Err(error.to_string());
-        }
+        let Some(checked) = check_one(&store, manager.as_ref(), session).await else {
+            continue;
+        };
         damaged += u64::from(checked.is_err());
         if let Ok(found) = &checked {
             total.commits += found.commits;
@@ -81,6 +80,33 @@ pub(super) async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFail
         _ => Err(CliFailure::Check(format!(
             "{damaged} damaged; restore them from a backup, or delete them"
         ))),
+    }
+}
+
+/// Compares a session; `None` where it went meanwhile.
+async fn check_one(
+    store: &ReadOnlyStore,
+    manager: Option<&Manager>,
+    session: &StoredFacts,
+) -> Option<Result<CheckedSession, String>> {
+    let mut tries = 0;
+    loop {
+        tries += 1;
+        let checked = match store.check_session(&session.tenant, &session.id).await {
+            Ok(None) => return None,
+            Ok(Some(found)) => match manager {
+                Some(manager) => (manager.history(&session.tenant, &session.id).await)
+                    .map(|_| found)
+                    .map_err(|e| e.to_string()),
+                None => Ok(found),
+            },
+            Err(error) => Err(error.to_string()),
+        };
+        // What a server just writes is looked at again.
+        if checked.is_ok() || !store.is_written() || tries == TRIES {
+            return Some(checked);
+        }
+        tokio::time::sleep(BETWEEN_TRIES).await;
     }
 }
 

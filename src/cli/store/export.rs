@@ -3,7 +3,7 @@
 use super::super::failure::CliFailure;
 use super::super::model_files::output_format;
 use super::super::output_files::OutputPermission;
-use super::kept_place::{StorePlaceArgs, all_sessions, lookers, session_failure};
+use super::kept_place::{StorePlaceArgs, lookers, session_failure, store_failure};
 use crate::asset::FileSet;
 use clap::Args;
 use std::path::PathBuf;
@@ -26,8 +26,8 @@ pub(super) struct StoreExportArgs {
 pub(super) async fn run_store_export(args: &StoreExportArgs) -> Result<(), CliFailure> {
     let format = output_format(&args.output)?;
     args.permission.check_target(&args.output)?;
-    let store = Arc::new(args.place.open().await?);
-    let sessions = all_sessions(&store).await?;
+    let store = Arc::new(args.place.look().await?);
+    let sessions = store.all_sessions().await.map_err(store_failure)?;
     let found = sessions.iter().find(|s| s.id == args.session).ok_or_else(|| {
         CliFailure::Input(format!(
             "no session \"{}\" is kept; pliant store list names them",

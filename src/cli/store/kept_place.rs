@@ -2,14 +2,11 @@
 
 use super::super::failure::CliFailure;
 use crate::server::config::{ConfigKeys, KeyValue, stored_in};
-use crate::session::store::{DatabaseStore, ReadOnlyStore, StoreError, StoredFacts};
+use crate::session::store::{DatabaseStore, ReadOnlyStore, StoreError, StoreLocation};
 use crate::session::{self, ErrorCode, Manager, OpenDeformer, SessionConfig};
 use clap::Args;
 use std::path::PathBuf;
 use std::sync::Arc;
-
-/// Sessions read at a time.
-const PAGE: usize = 500;
 
 /// Where the sessions are kept.
 #[derive(Debug, Args)]
@@ -29,8 +26,19 @@ pub(super) struct StorePlaceArgs {
 }
 
 impl StorePlaceArgs {
-    /// Opens the store. One that is not there is not made.
-    pub async fn open(&self) -> Result<DatabaseStore, CliFailure> {
+    /// Opens the store to look at it. Nothing is made or changed, and a server may hold it meanwhile.
+    pub async fn look(&self) -> Result<ReadOnlyStore, CliFailure> {
+        ReadOnlyStore::open(&self.location()?).await.map_err(store_failure)
+    }
+
+    /// Opens the store to change it, which needs it for itself. One that is not there is not made.
+    pub async fn take(&self) -> Result<DatabaseStore, CliFailure> {
+        DatabaseStore::open_existing(&self.location()?)
+            .await
+            .map_err(store_failure)
+    }
+
+    fn location(&self) -> Result<StoreLocation, CliFailure> {
         let keys = ConfigKeys {
             data_dir: self.data_dir.clone(),
             database: self.database.clone(),
@@ -38,15 +46,9 @@ impl StorePlaceArgs {
             ..ConfigKeys::default()
         };
         let location = stored_in(self.config.as_deref(), &keys).map_err(|e| CliFailure::Input(e.to_string()))?;
-        let location = location.ok_or_else(|| {
+        location.ok_or_else(|| {
             CliFailure::Input("say where sessions are kept: --data-dir, or --database and --objects".into())
-        })?;
-        if let Some(folder) = &location.data_dir
-            && !folder.is_dir()
-        {
-            return Err(CliFailure::Input(format!("{} is no folder", folder.display())));
-        }
-        DatabaseStore::open(&location).await.map_err(store_failure)
+        })
     }
 }
 
@@ -68,23 +70,17 @@ pub(super) fn session_failure(error: &session::Error) -> CliFailure {
     }
 }
 
-/// All sessions, in the order of their creation.
-pub(super) async fn all_sessions(store: &DatabaseStore) -> Result<Vec<StoredFacts>, CliFailure> {
-    let mut all: Vec<StoredFacts> = Vec::new();
-    loop {
-        let after = all.last().map_or(0, |s| s.number);
-        let page = store.sessions(after, PAGE).await.map_err(store_failure)?;
-        if page.is_empty() {
-            return Ok(all);
-        }
-        all.extend(page);
-    }
-}
-
 /// Sessions of a store that is only looked at.
-pub(super) async fn lookers(store: &Arc<DatabaseStore>) -> Result<Manager, CliFailure> {
-    let config = SessionConfig::default();
-    let looked_at = ReadOnlyStore(Arc::clone(store) as Arc<_>);
-    let manager = Manager::with_store(config, OpenDeformer, Arc::new(looked_at)).await;
+pub(super) async fn lookers(store: &Arc<ReadOnlyStore>) -> Result<Manager, CliFailure> {
+    // What a server let in is looked at, whatever its limits were.
+    let config = SessionConfig {
+        vertices: u32::MAX.into(),
+        triangles: u32::MAX.into(),
+        decoded_bytes: 1 << 40,
+        handles: u32::MAX as usize,
+        ..SessionConfig::default()
+    };
+    let store = Arc::clone(store) as Arc<_>;
+    let manager = Manager::with_store(config, OpenDeformer, store).await;
     manager.map_err(|e| session_failure(&e))
 }

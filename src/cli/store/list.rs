@@ -2,13 +2,13 @@
 
 use super::super::failure::CliFailure;
 use super::super::json_output::print_value;
-use super::kept_place::{StorePlaceArgs, all_sessions};
+use super::kept_place::{StorePlaceArgs, store_failure};
 use crate::session::store::StoredFacts;
 use clap::Args;
 use serde_json::{Value, json};
 use std::time::{Duration, UNIX_EPOCH};
 
-/// Lists the sessions of all tenants: id, commits, last use, end, tenant, with tabs between them.
+/// Lists the sessions of all tenants: id, commits, last use, time to live, tenant, with tabs between them.
 #[derive(Debug, Args)]
 pub(super) struct StoreListArgs {
     #[command(flatten)]
@@ -23,8 +23,8 @@ pub(super) struct StoreListArgs {
 
 /// Runs the command.
 pub(super) async fn run_store_list(args: &StoreListArgs) -> Result<(), CliFailure> {
-    let store = args.place.open().await?;
-    let mut sessions = all_sessions(&store).await?;
+    let store = args.place.look().await?;
+    let mut sessions = store.all_sessions().await.map_err(store_failure)?;
     let is_asked = |s: &StoredFacts| args.tenant.as_ref().is_none_or(|name| **name == *s.tenant.0);
     sessions.retain(is_asked);
     if args.json {
@@ -33,7 +33,11 @@ pub(super) async fn run_store_list(args: &StoreListArgs) -> Result<(), CliFailur
     }
     for session in &sessions {
         let (id, tenant, commits) = (&session.id, &session.tenant.0, session.commits);
-        println!("{id}\t{commits}\t{}\t{}\t{tenant}", last_use(session), end_of(session));
+        println!(
+            "{id}\t{commits}\t{}\t{}\t{tenant}",
+            last_use(session),
+            time_to_live(session)
+        );
     }
     Ok(())
 }
@@ -47,11 +51,12 @@ fn last_use(session: &StoredFacts) -> String {
     shown_time(session.used_ms)
 }
 
-fn end_of(session: &StoredFacts) -> String {
-    shown_time(session.used_ms.saturating_add(session.ttl_ms))
+/// How long it lives without a use while a server runs.
+fn time_to_live(session: &StoredFacts) -> String {
+    humantime::format_duration(Duration::from_millis(session.ttl_ms)).to_string()
 }
 
 fn as_json(session: &StoredFacts) -> Value {
     json!({"id": session.id, "tenant": &*session.tenant.0, "commits": session.commits, "usedAt": last_use(session),
-        "expiresAt": end_of(session)})
+        "ttlSeconds": session.ttl_ms as f64 / 1000.0})
 }

@@ -1,21 +1,21 @@
 //! `pliant store prune`: what nobody needs any more goes.
 
 use super::super::failure::CliFailure;
-use super::kept_place::{StorePlaceArgs, all_sessions, store_failure};
+use super::kept_place::{StorePlaceArgs, store_failure};
 use crate::session::store::{SessionStore as _, StoredFacts, now_ms};
 use crate::session::{AuditEntry, AuditedAction};
 use clap::Args;
 use std::time::Duration;
 
-/// Removes sessions whose time is over, and objects that no session names.
+/// Removes objects that no session names, and when asked sessions that nobody used for long.
 ///
-/// One line for each, and one for the whole. A server does the first by itself; the second are left where a process ended in the
-/// middle of a call.
+/// One line for each, and one for the whole. Objects that no session names are left where a process ended in the middle of a call.
+/// Sessions whose time to live is over are ended by a server alone: that time passes only while one runs.
 #[derive(Debug, Args)]
 pub(super) struct StorePruneArgs {
     #[command(flatten)]
     place: StorePlaceArgs,
-    /// Also sessions that nobody used for this time, such as 30d
+    /// Sessions that nobody used for this time, such as 30d
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     unused_for: Option<Duration>,
     /// Sessions of this tenant alone
@@ -39,7 +39,7 @@ fn milliseconds(time: Duration) -> u64 {
 
 impl StorePruneArgs {
     fn goes(&self, session: &StoredFacts, now: u64) -> bool {
-        let kept = self.unused_for.map_or(u64::MAX, milliseconds).min(session.ttl_ms);
+        let kept = self.unused_for.map_or(u64::MAX, milliseconds);
         let is_asked = self.tenant.as_ref().is_none_or(|name| **name == *session.tenant.0);
         is_asked && session.used_ms.saturating_add(kept) < now
     }
@@ -47,9 +47,9 @@ impl StorePruneArgs {
 
 /// Runs the command.
 pub(super) async fn run_store_prune(args: &StorePruneArgs) -> Result<(), CliFailure> {
-    let store = args.place.open().await?;
+    let store = args.place.take().await?;
     let now = now_ms();
-    let mut sessions = all_sessions(&store).await?;
+    let mut sessions = store.all_sessions().await.map_err(store_failure)?;
     sessions.retain(|s| args.goes(s, now));
     for session in &sessions {
         if !args.dry_run {

@@ -121,17 +121,22 @@ const COMMON: [&str; 3] = [
     "grpc.reflection.v1alpha.ServerReflection",
 ];
 
-/// Turns the refusal of bytes that are no frames of gRPC into what it is, a fault of the caller: the library calls it INTERNAL.
+/// Turns the refusal of bytes that are no frames of gRPC into what it is, a fault of the caller, and of a message that is too large
+/// into the exhaustion of a limit: the library calls them INTERNAL and OUT_OF_RANGE.
 fn blame_the_frame(headers: &mut HeaderMap) {
     const FAULTS: [&str; 3] = [
         "Missing%20request%20message",
         "Unexpected%20EOF%20decoding%20stream",
         "protocol%20error:%20received%20message",
     ];
+    const TOO_LARGE: &str = "Error,%20decoded%20message%20length%20too%20large";
+    let is_out_of_range = headers.get("grpc-status").is_some_and(|status| status == "11");
     let is_internal = headers.get("grpc-status").is_some_and(|status| status == "13");
     let message = headers.get("grpc-message").and_then(|message| message.to_str().ok());
     if is_internal && message.is_some_and(|message| FAULTS.iter().any(|fault| message.starts_with(fault))) {
         headers.insert("grpc-status", HeaderValue::from_static("3"));
+    } else if is_out_of_range && message.is_some_and(|message| message.starts_with(TOO_LARGE)) {
+        headers.insert("grpc-status", HeaderValue::from_static("8"));
     }
 }
 

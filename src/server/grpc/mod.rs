@@ -28,9 +28,12 @@ use axum::body::Body;
 use http::{Request, Response};
 use services::deformer_server::DeformerServer;
 use std::convert::Infallible;
+use std::time::Duration;
 use tonic_health::ServingStatus;
 use tower::{Layer as _, ServiceExt as _};
 
+/// Between two looks at whether the server is ready.
+const HEALTH_PERIOD: Duration = Duration::from_millis(500);
 /// The name under which health is reported, beside the empty name of the whole server.
 const SERVICE: &str = "pliant.v1.Deformer";
 
@@ -52,6 +55,7 @@ impl Grpc {
             .max_encoding_message_size(usize::MAX);
         let (health, health_service) = tonic_health::server::health_reporter();
         health.set_service_status(SERVICE, ServingStatus::Serving).await;
+        tokio::spawn(report_health(health.clone(), state.clone()));
         let mut routes = tonic::service::Routes::new(deformer).add_service(health_service);
         if state.config.reflection {
             let configure = || {
@@ -100,6 +104,27 @@ impl Grpc {
     pub async fn stop_serving(&self) {
         self.health.set_service_status(SERVICE, ServingStatus::NotServing).await;
         self.health.set_service_status("", ServingStatus::NotServing).await;
+    }
+}
+
+/// Tells those who watch this server's health what `/readyz` tells, until the server stops.
+async fn report_health(health: tonic_health::server::HealthReporter, state: State) {
+    let mut was_ready = true;
+    while !state.draining.is_cancelled() {
+        let is_ready = state.manager.admits() && state.manager.takes_writes();
+        if is_ready != was_ready {
+            was_ready = is_ready;
+            let status = match is_ready {
+                true => ServingStatus::Serving,
+                false => ServingStatus::NotServing,
+            };
+            health.set_service_status(SERVICE, status).await;
+            health.set_service_status("", status).await;
+        }
+        tokio::select! {
+            () = state.draining.cancelled() => return,
+            () = tokio::time::sleep(HEALTH_PERIOD) => {}
+        }
     }
 }
 

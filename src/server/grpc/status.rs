@@ -36,7 +36,8 @@ pub(super) fn status(error: Error) -> Status {
     Status::with_error_details_and_metadata(code, message, details, metadata)
 }
 
-/// The next message of a client. What is no frame of gRPC is its sender's fault; the library calls it INTERNAL.
+/// The next message of a client. What is no frame of gRPC is its sender's fault, and one that is too
+/// large exhausts a limit; the library calls them INTERNAL and OUT_OF_RANGE.
 ///
 /// # Cancel safety
 /// As [`Streaming::message`].
@@ -46,6 +47,7 @@ pub(super) async fn inbound_message<T>(inbound: &mut Streaming<T>) -> Result<Opt
             "the frame cannot be read: {}",
             broken.message()
         ))),
+        Code::OutOfRange => status(Error::new(ErrorCode::TooLarge, broken.message())),
         _ => broken,
     })
 }

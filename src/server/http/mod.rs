@@ -139,7 +139,12 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         response.headers_mut().insert(REQUEST_ID, id);
     }
     let status = response.status();
-    if status == StatusCode::INTERNAL_SERVER_ERROR {
+    // What is damaged in the store has been told as that.
+    let is_damage = response
+        .extensions()
+        .get::<Problem>()
+        .is_some_and(Problem::is_data_loss);
+    if status == StatusCode::INTERNAL_SERVER_ERROR && !is_damage {
         tracing::error!(request.id = %request_id, http.path = %path, "a call failed by a defect of the server");
     }
     recorder.set_code(status.as_str());

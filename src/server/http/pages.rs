@@ -23,13 +23,17 @@ pub(super) async fn ready(From(state): From<State>) -> Result<&'static str, Prob
     if state.draining.is_cancelled() {
         return Err(Error::draining().into());
     }
+    let not_ready = |text: &str| Error {
+        retry_after_s: Some(5),
+        ..Error::new(ErrorCode::Unavailable, text)
+    };
     if !state.manager.admits() {
-        let text = "the sessions hold nearly all the memory that they may";
-        let busy = Error {
-            retry_after_s: Some(5),
-            ..Error::new(crate::session::ErrorCode::Unavailable, text)
-        };
-        return Err(busy.into());
+        return Err(not_ready("the sessions hold nearly all the memory that they may").into());
+    }
+    if !state.manager.takes_writes() {
+        let text = "the store of sessions cannot be written at present: a full disk, a lost permission, or a database or folder that is \
+                    gone; the log says which";
+        return Err(not_ready(text).into());
     }
     Ok("ready\n")
 }

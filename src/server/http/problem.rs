@@ -60,6 +60,11 @@ impl Problem {
         self
     }
 
+    /// Whether it tells of what is damaged in the store, and not of the server.
+    pub fn is_data_loss(&self) -> bool {
+        self.code == session::ErrorCode::DataLoss.name()
+    }
+
     fn document(&self, instance: Option<&str>) -> serde_json::Value {
         let words = self.code.to_ascii_lowercase();
         let mut document = json!({

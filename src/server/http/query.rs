@@ -4,6 +4,7 @@ use super::problem::{Problem, clip};
 use crate::session::Error;
 use axum::extract::Query;
 use http::Uri;
+use percent_encoding::percent_decode_str;
 use std::collections::BTreeMap;
 
 /// The parameters of a request, by name.
@@ -12,6 +13,11 @@ use std::collections::BTreeMap;
 /// One that is not in `allowed`, or twice, or not readable, with what is allowed. `allowed` names ending in `.` allow
 /// everything that begins with them.
 pub(super) fn parameters(uri: &Uri, allowed: &[&str]) -> Result<BTreeMap<String, String>, Problem> {
+    // What is no UTF-8 would become other text in silence.
+    let is_text = |query| percent_decode_str(query).decode_utf8().is_ok();
+    if !uri.query().is_none_or(is_text) {
+        return Err(Error::malformed("the query is no UTF-8").into());
+    }
     let Ok(Query(pairs)) = Query::<Vec<(String, String)>>::try_from_uri(uri) else {
         return Err(Error::malformed("the query is not readable").into());
     };
@@ -56,6 +62,7 @@ mod tests {
         assert_eq!(found["label"], "a b");
         assert!(parameters(&uri, &["format"]).is_err());
         assert!(parameters(&"/x?format=glb&format=obj".parse().unwrap(), &["format"]).is_err());
+        assert!(parameters(&"/x?format=%ff%fe".parse().unwrap(), &["format"]).is_err());
         assert!(parameters(&"/x".parse().unwrap(), &[]).unwrap().is_empty());
     }
 }

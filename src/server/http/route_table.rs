@@ -33,6 +33,8 @@ const PLAIN: Route = Route {
 };
 
 const FORMAT: (&str, &str) = ("format", "glb, gltf, obj, ply, off or stl");
+/// The same of a model that is opened.
+const OPENED_FORMAT: (&str, &str) = ("format", "glb, gltf, obj, ply, off, stl or fbx");
 
 /// Every route but the pages for people.
 pub(in crate::server) const ROUTES: [Route; 23] = [
@@ -44,7 +46,7 @@ pub(in crate::server) const ROUTES: [Route; 23] = [
         gives: Some("Session"),
         status: 201,
         query: &[
-            FORMAT,
+            OPENED_FORMAT,
             ("options", "CreateOptions as JSON"),
             ("label", "CreateOptions.label"),
             ("ttl", "CreateOptions.ttl"),

@@ -29,14 +29,10 @@ pub(super) async fn list(From(state): From<State>, caller: Caller, uri: Uri) -> 
     let mut take = |camel: &str, snake: &str| found.remove(camel).or_else(|| found.remove(snake));
     let page_size = match take("pageSize", "page_size") {
         None => 0,
-        Some(text) => text.parse().map_err(|_| {
-            Error::invalid(
-                "pageSize",
-                format!(
-                    "\"{}\" is not a whole number from 1 to 1000",
-                    super::problem::clip(&text)
-                ),
-            )
+        // Only a message has no other way to say nothing than 0.
+        Some(text) => text.parse().ok().filter(|size| *size > 0).ok_or_else(|| {
+            let seen = super::problem::clip(&text);
+            Error::invalid("pageSize", format!("\"{seen}\" is not a whole number from 1 to 1000"))
         })?,
     };
     let page_token = take("pageToken", "page_token").unwrap_or_default();

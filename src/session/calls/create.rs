@@ -7,7 +7,7 @@ use crate::session::answers::{CallKey, SessionFacts, Tenant};
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::StoredAnswer;
 use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim, RequestFingerprint};
-use crate::session::calls::model_opening::{OpenedModel, open_model};
+use crate::session::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
 use crate::session::calls::session_places::{SessionPlaces, place_of_tenant};
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::capacity::work_watch::CancelOnDrop;
@@ -60,7 +60,12 @@ pub(in crate::session) async fn create_session(
     let guard = CancelOnDrop::default();
     let SessionOptions { open, label, ttl } = options;
     let kept_files = shared.store.is_some().then(|| (files.clone(), open.clone()));
-    let opened = open_model(shared, &places, (files, open), arrived, &guard).await?;
+    let model = ModelToOpen {
+        files,
+        options: open,
+        graph_bytes: None,
+    };
+    let opened = open_model(shared, &places, model, arrived, &guard).await?;
     let owner = SessionOwner {
         id: new_id()?,
         number: shared.numbers.fetch_add(1, SeqCst),
@@ -165,6 +170,7 @@ fn new_session(
             options,
             label: owner.label.clone(),
             format: opened.deformer.engine.format(),
+            graph_bytes: Some(opened.graph_bytes),
         },
         files,
         first: NewCommit {

@@ -16,6 +16,11 @@ impl Manager {
         !self.shared.draining.load(SeqCst) && ledger.used() as f64 <= mark
     }
 
+    /// Whether what clients change can be kept: false from a write to the store that failed until one works again.
+    pub fn takes_writes(&self) -> bool {
+        self.shared.store.as_ref().is_none_or(|store| store.takes_writes())
+    }
+
     /// Takes no new sessions and streams from now on, tells the open streams, and has what they committed stored.
     pub fn start_drain(&self) {
         if self.shared.draining.swap(true, SeqCst) {

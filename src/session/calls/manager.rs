@@ -121,6 +121,7 @@ impl Manager {
             opener: Box::new(opener),
             gate: CallGate::new(),
             numbers: AtomicU64::new(first_number),
+            started_ms: now_ms(),
             draining: AtomicBool::new(false),
             aborted: CancellationToken::new(),
             abort_flag: Arc::default(),
@@ -228,7 +229,7 @@ impl Manager {
             let Some(listed) = listed else { continue };
             sessions.push(match self.shared.registry.peek(&listed.id) {
                 Some(open) => open.describe(),
-                None => listed_facts(&listed)?,
+                None => listed_facts(&listed, self.shared.started_ms)?,
             });
         }
         Ok(SessionList { sessions, next_after })

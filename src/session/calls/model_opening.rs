@@ -3,7 +3,7 @@
 use crate::asset::{self, FileSet};
 use crate::engine::{self, HandleSet, OpenOptions, digest};
 use crate::exec::Exec;
-use crate::session::calls::session_places::{SessionPlaces, refuse, refuse_until};
+use crate::session::calls::session_places::{OpeningRefusal, SessionPlaces, refuse, refuse_until};
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::{WorkSpan, tell_vertices};
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
@@ -18,42 +18,58 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tracing::Span;
 
+/// What a session is opened on.
+#[derive(Clone)]
+pub(in crate::session) struct ModelToOpen {
+    pub files: FileSet,
+    pub options: OpenOptions,
+    /// What the volume graph was fitted into when the session was created, where that is noted: its shapes depend on it.
+    pub graph_bytes: Option<u64>,
+}
+
 /// A model, opened, with its history.
 pub(in crate::session) struct OpenedModel {
+    /// What its volume graph was fitted into.
+    pub graph_bytes: u64,
     pub deformer: LoadedDeformer,
     pub history: CommitHistory,
     pub build_ms: std::collections::BTreeMap<String, f64>,
     pub held: u64,
 }
 
-/// Builds the engine of a session and counts what it holds. Idle sessions of its tenant that are kept make room for it where the
-/// tenant's quota is too small for all of them at a time.
+/// Builds the engine of a session and counts what it holds. Idle sessions that are kept make room for it: where its tenant's quota
+/// is too small for all of them at a time those of the tenant, where the server's memory is those of all.
+///
+/// How fine the volume graph is follows from what the server and the tenant may hold in all, never from what happens to be
+/// free: the same model gets the same shapes whatever else is open.
 ///
 /// # Cancel safety
 /// The work stops when `guard` is dropped.
 pub(in crate::session) async fn open_model(
     shared: &Arc<SharedResources>,
     places: &SessionPlaces,
-    (files, options): (FileSet, OpenOptions),
+    model: ModelToOpen,
     arrived: Instant,
     guard: &CancelOnDrop,
 ) -> Result<OpenedModel, Error> {
-    let account = places.of_tenant.account();
     loop {
-        let room = account.memory_room();
-        let built = build_model(shared, places, (files.clone(), options.clone()), arrived, guard).await;
+        let built = build_model(shared, places, model.clone(), arrived, guard).await;
         let refused = match built {
             Ok(opened) => match places.admit(shared, opened.held) {
                 Ok(()) => return Ok(opened),
-                Err(error) => {
+                Err(refused) => {
                     shared.compute.discard(opened.deformer);
-                    error
+                    refused
                 }
             },
-            Err(error) => error,
+            Err(refused) => refused,
         };
-        let is_full = refused.code == ErrorCode::ResourceExhausted && account.memory_quota().is_some_and(|q| room < q);
-        if !is_full || !make_room(shared, Some(places.of_tenant.tenant())).await {
+        let (refused, whose) = match refused {
+            OpeningRefusal::TenantMemory(error) => (error, Some(places.of_tenant.tenant())),
+            OpeningRefusal::ServerMemory(error) => (error, None),
+            OpeningRefusal::Other(error) => return Err(error),
+        };
+        if !make_room(shared, whose).await {
             return Err(refused);
         }
     }
@@ -62,23 +78,32 @@ pub(in crate::session) async fn open_model(
 async fn build_model(
     shared: &Arc<SharedResources>,
     SessionPlaces { memory, of_tenant, .. }: &SessionPlaces,
-    (files, options): (FileSet, OpenOptions),
+    ModelToOpen {
+        files,
+        options,
+        graph_bytes,
+    }: ModelToOpen,
     arrived: Instant,
     guard: &CancelOnDrop,
-) -> Result<OpenedModel, Error> {
+) -> Result<OpenedModel, OpeningRefusal> {
     let account = of_tenant.account();
     account.check_work()?;
     let owner = of_tenant.work_owner();
     let slot = tokio::select! {
         biased;
-        () = shared.aborted.cancelled() => return Err(Error::draining()),
+        () = shared.aborted.cancelled() => return Err(Error::draining().into()),
         slot = shared.compute.slot(WorkLane::Builds, &owner, (arrived, shared.config.build)) => slot?,
     };
     let config = &shared.config;
     // What is refused for the tenant's sake is told so; the smaller room counts.
     let own_room = account.memory_room();
     let room = memory.room().min(own_room);
-    let limits = config.deformer_limits(room);
+    let may_hold = account.memory_quota().unwrap_or(u64::MAX).min(shared.ledger.total());
+    let graph_bytes = graph_bytes.unwrap_or(may_hold);
+    let limits = engine::DeformerLimits {
+        graph_bytes: Some(graph_bytes),
+        ..config.deformer_limits(room)
+    };
     let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
     let watch = Arc::new(WorkWatch::since(arrived, flags, config.build).within(Arc::clone(memory)));
     let (inner_watch, inside) = (Arc::clone(&watch), Arc::clone(shared));
@@ -107,6 +132,7 @@ async fn build_model(
         let deformer = LoadedDeformer::new(engine, history.current().handles.id);
         let held = deformer.byte_size().saturating_add(history.byte_size());
         Ok(OpenedModel {
+            graph_bytes,
             deformer,
             history,
             build_ms,
@@ -120,17 +146,17 @@ async fn build_model(
     shared.metrics.build.observe(watch.elapsed().as_secs_f64());
     account.charge_work(begun.elapsed());
     built.map_err(|error| match error {
-        engine::Error::Cancelled if shared.aborted.is_cancelled() => Error::draining(),
-        engine::Error::Cancelled if watch.abandoned() => Error::new(ErrorCode::Cancelled, "the caller gave up"),
-        engine::Error::Cancelled => build_took_too_long(watch.limit()),
+        engine::Error::Cancelled if shared.aborted.is_cancelled() => Error::draining().into(),
+        engine::Error::Cancelled if watch.abandoned() => Error::new(ErrorCode::Cancelled, "the caller gave up").into(),
+        engine::Error::Cancelled => build_took_too_long(watch.limit()).into(),
         engine::Error::TooLarge { seen, limit, .. } if limit == own_room => match account.memory_quota() {
             Some(quota) if seen > quota => {
                 let text = format!("the session would need {seen} bytes of memory, your quota allows {quota}");
-                Error::new(ErrorCode::TooLarge, text)
+                Error::new(ErrorCode::TooLarge, text).into()
             }
             _ => {
                 let text = format!("the session would need {seen} bytes of memory, your quota has {room} left");
-                refuse_until(shared, text, of_tenant.tenant())
+                OpeningRefusal::TenantMemory(refuse_until(shared, text, of_tenant.tenant()))
             }
         },
         // Too large for what is free now, not for the server: later it may fit.
@@ -139,9 +165,9 @@ async fn build_model(
             if limit == room && seen <= shared.ledger.total() =>
         {
             let text = format!("the session would need {seen} bytes of memory, {room} are free");
-            refuse(shared, text)
+            OpeningRefusal::ServerMemory(refuse(shared, text))
         }
-        error => error.into(),
+        error => Error::from(error).into(),
     })
 }
 

@@ -5,7 +5,7 @@ use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::made_room::make_room;
-use crate::session::quota::tenant_account::{TenantAccount, TenantSession};
+use crate::session::quota::tenant_account::{BytesToStore, TenantAccount, TenantSession};
 use crate::session::shared::SharedResources;
 use std::sync::Arc;
 use tokio::sync::OwnedSemaphorePermit;
@@ -14,6 +14,21 @@ use tokio::sync::OwnedSemaphorePermit;
 const BYTES_PER_UPLOADED_BYTE: u64 = 32;
 /// Bytes below which no build is tried.
 const LEAST_BYTES: u64 = 1 << 20;
+
+/// Why a model is not open.
+pub(in crate::session) enum OpeningRefusal {
+    /// The tenant's sessions hold what it would take.
+    TenantMemory(Error),
+    /// All sessions hold what it would take.
+    ServerMemory(Error),
+    Other(Error),
+}
+
+impl From<Error> for OpeningRefusal {
+    fn from(error: Error) -> Self {
+        Self::Other(error)
+    }
+}
 
 /// What a session has taken. Given back when dropped.
 pub(in crate::session) struct SessionPlaces {
@@ -49,15 +64,16 @@ impl SessionPlaces {
     ///
     /// # Errors
     /// `RESOURCE_EXHAUSTED` where that is more than the server or the tenant may hold.
-    pub fn admit(&self, shared: &SharedResources, held: u64) -> Result<(), Error> {
+    pub fn admit(&self, shared: &SharedResources, held: u64) -> Result<(), OpeningRefusal> {
         if !self.memory.resize(held) {
             let used = shared.ledger.used().saturating_sub(held);
             let text = format!("the session needs {held} bytes and {used} are in use");
-            return Err(refuse(shared, text));
+            return Err(OpeningRefusal::ServerMemory(refuse(shared, text)));
         }
         if !self.of_tenant.resize(held) {
             let text = format!("the session needs {held} bytes, your quota of memory has fewer left");
-            return Err(refuse_until(shared, text, self.of_tenant.tenant()));
+            let refused = refuse_until(shared, text, self.of_tenant.tenant());
+            return Err(OpeningRefusal::TenantMemory(refused));
         }
         Ok(())
     }
@@ -92,35 +108,37 @@ pub(in crate::session) async fn place_of_tenant(
     let counted = |_: &Error| {
         shared.metrics.refused.inc();
     };
-    check_stored(shared, &account, upload).await.inspect_err(counted)?;
+    let storing = announce_stored(shared, &account, upload).await.inspect_err(counted)?;
     let place = account.take_session(|| shared.registry.soonest_end(tenant));
-    place.inspect_err(counted)
+    Ok(place.inspect_err(counted)?.with_stored(storing))
 }
 
-/// Asks whether a tenant may store `more` bytes.
+/// Takes `more` bytes of what a tenant may store, until what this returns is dropped: after they were written. `None` where it may
+/// store as much as it likes.
 ///
 /// # Errors
 /// `RESOURCE_EXHAUSTED`; too large where it never may; `UNAVAILABLE` when the store does not answer.
-pub(in crate::session) async fn check_stored(
+pub(in crate::session) async fn announce_stored(
     shared: &SharedResources,
-    account: &TenantAccount,
+    account: &Arc<TenantAccount>,
     more: u64,
-) -> Result<(), Error> {
+) -> Result<Option<BytesToStore>, Error> {
     let (Some(store), Some(most)) = (&shared.store, account.stored_quota()) else {
-        return Ok(());
+        return Ok(None);
     };
     if more > most {
         let text = format!("{more} bytes are to be stored, your quota allows {most}");
         return Err(Error::new(ErrorCode::TooLarge, text));
     }
+    let settled = account.settled_bytes();
     let used = store.stored_bytes(account.tenant().clone()).await?;
-    if used.saturating_add(more) > most {
+    let announced = account.announce_stored(more, used, settled);
+    announced.map(Some).ok_or_else(|| {
         let text = format!(
             "your sessions hold {used} bytes in the store, {more} more are to be stored and your quota allows {most}; delete a session"
         );
-        return Err(Error::exhausted(text, 60));
-    }
-    Ok(())
+        Error::exhausted(text, 60)
+    })
 }
 
 fn take_place(shared: &SharedResources, upload: u64) -> Result<(OwnedSemaphorePermit, Arc<MemoryReservation>), Error> {

@@ -5,13 +5,14 @@ use crate::engine;
 use crate::exec::Exec;
 use crate::session::answers::Tenant;
 use crate::session::calls::create::{SessionOwner, start_session};
-use crate::session::calls::model_opening::{OpenedModel, open_model};
-use crate::session::calls::session_places::SessionPlaces;
+use crate::session::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
+use crate::session::calls::session_places::{OpeningRefusal, SessionPlaces, refuse};
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkSpan;
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::kept_session::KeptSession;
+use crate::session::keeping::made_room::make_room;
 use crate::session::keeping::replay::{Replay, ReplayError, ReplayedLog};
 use crate::session::registry::OpenSession;
 use crate::session::shared::SharedResources;
@@ -52,7 +53,7 @@ pub(in crate::session) async fn reopen_session(
     })?;
     let stored = stored.ok_or_else(|| Error::no_session(id))?;
     let ttl_ms = u64::try_from(stored.ttl.as_millis()).unwrap_or(u64::MAX);
-    if stored.used_ms.saturating_add(ttl_ms) < now_ms() {
+    if stored.used_ms.max(shared.started_ms).saturating_add(ttl_ms) < now_ms() {
         return Err(Error::no_session(id));
     }
     let opened = open_stored(shared, store, stored).await.inspect_err(|error| {
@@ -79,13 +80,28 @@ async fn open_stored(
     let of_tenant = shared.accounts.of(&stored.tenant)?.place_again();
     let places = SessionPlaces::reserve(shared, of_tenant, files.total_bytes()).await?;
     let guard = CancelOnDrop::default();
-    let opened = open_model(shared, &places, (files, stored.model.options.clone()), arrived, &guard).await?;
-    let log = ReplayedLog {
+    let model = ModelToOpen {
+        files,
+        options: stored.model.options.clone(),
+        graph_bytes: stored.model.graph_bytes,
+    };
+    let log = Arc::new(ReplayedLog {
         files: read_merged(store, &stored).await?,
         snapshot: read_snapshot(store, &stored).await,
         commits: stored.commits,
+    });
+    let (opened, kept, anew) = loop {
+        let opened = open_model(shared, &places, model.clone(), arrived, &guard).await?;
+        match replay_log(shared, store, (opened, Arc::clone(&log)), &places, &guard).await {
+            Ok(replayed) => break replayed,
+            Err(OpeningRefusal::Other(error)) => return Err(error),
+            Err(OpeningRefusal::TenantMemory(error) | OpeningRefusal::ServerMemory(error)) => {
+                if !make_room(shared, None).await {
+                    return Err(error);
+                }
+            }
+        }
     };
-    let (opened, kept, anew) = replay_log(shared, store, (opened, log), &places, &guard).await?;
     // Counted even where it breaks the budget: the session was admitted before.
     places.memory.resize(opened.held);
     places.of_tenant.resize(opened.held);
@@ -150,15 +166,15 @@ type Replayed = (OpenedModel, KeptSession, Vec<(u64, String)>);
 async fn replay_log(
     shared: &Arc<SharedResources>,
     store: &Arc<dyn SessionStore>,
-    (opened, log): (OpenedModel, ReplayedLog),
+    (opened, log): (OpenedModel, Arc<ReplayedLog>),
     SessionPlaces { memory, of_tenant, .. }: &SessionPlaces,
     guard: &CancelOnDrop,
-) -> Result<Replayed, Error> {
+) -> Result<Replayed, OpeningRefusal> {
     let arrived = Instant::now();
     let owner = of_tenant.work_owner();
     let slot = tokio::select! {
         biased;
-        () = shared.aborted.cancelled() => return Err(Error::draining()),
+        () = shared.aborted.cancelled() => return Err(Error::draining().into()),
         slot = shared.compute.slot(WorkLane::Builds, &owner, (arrived, shared.config.build)) => slot?,
     };
     let (limit, room) = (shared.config.history, memory.room());
@@ -171,6 +187,7 @@ async fn replay_log(
     let span = WorkSpan::new("replay", "", &Span::current());
     let done = slot.run(span, move |pool| -> Result<Replayed, ReplayError> {
         let OpenedModel {
+            graph_bytes,
             mut deformer,
             mut history,
             build_ms,
@@ -188,6 +205,7 @@ async fn replay_log(
         let anew = std::mem::take(&mut replay.anew);
         let held = deformer.byte_size().saturating_add(history.byte_size());
         let opened = OpenedModel {
+            graph_bytes,
             deformer,
             history,
             build_ms,
@@ -200,7 +218,16 @@ async fn replay_log(
         Error::from(panicked)
     })?;
     of_tenant.account().charge_work(begun.elapsed());
-    done.map_err(|error| match error {
+    let error = match done {
+        Ok(replayed) => return Ok(replayed),
+        Err(error) => error,
+    };
+    let refused = match error {
+        // Nothing is wrong with it: the limits are lower than they were, or others hold the memory.
+        ReplayError::Engine(error @ engine::Error::TooLarge { .. }) => {
+            let text = format!("the stored session does not fit the limits of this server at present: {error}");
+            return Err(OpeningRefusal::ServerMemory(refuse(shared, text)));
+        }
         ReplayError::Store(error) => error.into(),
         ReplayError::Engine(engine::Error::Cancelled) if shared.aborted.is_cancelled() => Error::draining(),
         ReplayError::Engine(engine::Error::Cancelled) if watch.abandoned() => {
@@ -214,5 +241,6 @@ async fn replay_log(
             let text = format!("what is stored of the session cannot be followed and is not served: {error}");
             Error::new(ErrorCode::DataLoss, text)
         }
-    })
+    };
+    Err(refused.into())
 }

@@ -8,11 +8,11 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// A session that is not in memory, as its owner sees it.
-pub(in crate::session) fn listed_facts(session: &ListedSession) -> Result<SessionFacts, StoreError> {
+/// A session that is not in memory, as its owner sees it on a server that began at `started_ms`.
+pub(in crate::session) fn listed_facts(session: &ListedSession, started_ms: u64) -> Result<SessionFacts, StoreError> {
     let (deformer, poses) = state_facts(&session.facts, &session.poses)?;
     let ttl = u64::try_from(session.ttl.as_millis()).unwrap_or(u64::MAX);
-    let end = Duration::from_millis(session.used_ms.saturating_add(ttl));
+    let end = Duration::from_millis(session.used_ms.max(started_ms).saturating_add(ttl));
     let end = UNIX_EPOCH.checked_add(end).unwrap_or(SystemTime::UNIX_EPOCH);
     Ok(SessionFacts {
         id: session.id.clone(),

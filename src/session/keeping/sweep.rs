@@ -47,7 +47,7 @@ async fn sweep(
     if round.is_multiple_of(NOTED_EVERY) {
         note_uses(shared, store, noted).await?;
     }
-    for (tenant, id) in store.expired(now_ms()).await? {
+    for (tenant, id) in store.expired(shared.started_ms, now_ms()).await? {
         let _lock = shared.locks.lock(&id).await;
         // One in memory knows its last use better.
         if shared.registry.holds(&id) {

@@ -6,7 +6,7 @@ use crate::session::error::{Error, ErrorCode};
 use crate::session::quota::tenant_quota::TenantQuota;
 use crate::session::quota::token_bucket::TokenBucket;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed, Ordering::SeqCst};
 use std::time::{Duration, Instant};
 
 /// What one tenant uses. All its sessions, streams and uploads share it.
@@ -17,6 +17,9 @@ pub struct TenantAccount {
     sessions: AtomicU64,
     streams: AtomicU64,
     resident: AtomicU64,
+    /// Bytes on their way into the store and those that have arrived or never did, both since the start.
+    announced: AtomicU64,
+    settled: AtomicU64,
     uploads: Option<TokenBucket>,
     work: Option<TokenBucket>,
 }
@@ -55,6 +58,8 @@ impl TenantAccount {
             sessions: AtomicU64::new(0),
             streams: AtomicU64::new(0),
             resident: AtomicU64::new(0),
+            announced: AtomicU64::new(0),
+            settled: AtomicU64::new(0),
             uploads: quota.upload_bytes_per_minute.map(|n| TokenBucket::new(n as f64, now)),
             work: quota.solve_seconds_per_minute.map(|n| TokenBucket::new(n, now)),
             quota,
@@ -123,6 +128,7 @@ impl TenantAccount {
             account: Arc::clone(self),
             bytes: AtomicU64::new(0),
             outlived: false,
+            storing: None,
         })
     }
 
@@ -132,6 +138,7 @@ impl TenantAccount {
             account: Arc::clone(self),
             bytes: AtomicU64::new(0),
             outlived: true,
+            storing: None,
         }
     }
 
@@ -157,6 +164,32 @@ impl TenantAccount {
     /// The most bytes that its sessions may hold in the store.
     pub(in crate::session) fn stored_quota(&self) -> Option<u64> {
         self.quota.stored_bytes
+    }
+
+    /// Bytes whose way into the store has ended by now; to be asked before the store is asked what it holds.
+    pub(in crate::session) fn settled_bytes(&self) -> u64 {
+        self.settled.load(SeqCst)
+    }
+
+    /// Announces `more` bytes for the store, which held `used` after `settled` was asked for. Those that others announced meanwhile
+    /// count as well; `None` where they are too many together.
+    pub(in crate::session) fn announce_stored(
+        self: &Arc<Self>,
+        more: u64,
+        used: u64,
+        settled: u64,
+    ) -> Option<BytesToStore> {
+        let most = self.quota.stored_bytes.unwrap_or(u64::MAX);
+        let fits = |announced: u64| {
+            let under_way = announced.wrapping_sub(settled);
+            let sum = used.saturating_add(under_way).saturating_add(more);
+            (sum <= most).then(|| announced.wrapping_add(more))
+        };
+        let announced = self.announced.fetch_update(SeqCst, SeqCst, fits);
+        announced.ok().map(|_| BytesToStore {
+            account: Arc::clone(self),
+            bytes: more,
+        })
     }
 
     /// The most bytes that its sessions may hold together.
@@ -243,6 +276,19 @@ fn later(text: String, wait: Duration) -> Error {
     Error::exhausted(text, u32::try_from(seconds).unwrap_or(u32::MAX).max(1))
 }
 
+/// Bytes on their way into the store. They count until this is dropped, when they have arrived or never will.
+#[derive(Debug)]
+pub(in crate::session) struct BytesToStore {
+    account: Arc<TenantAccount>,
+    bytes: u64,
+}
+
+impl Drop for BytesToStore {
+    fn drop(&mut self) {
+        self.account.settled.fetch_add(self.bytes, SeqCst);
+    }
+}
+
 /// The place of one session of a tenant, and the bytes that it holds. Given back when dropped.
 #[derive(Debug)]
 pub(in crate::session) struct TenantSession {
@@ -250,6 +296,8 @@ pub(in crate::session) struct TenantSession {
     bytes: AtomicU64,
     /// The session is in the store too: it stays counted until it is deleted there.
     outlived: bool,
+    /// What is to be stored of it.
+    storing: Option<BytesToStore>,
 }
 
 impl TenantSession {
@@ -271,9 +319,21 @@ impl TenantSession {
         &self.account
     }
 
+    /// The same place, with what is to be stored of the session.
+    pub fn with_stored(mut self, storing: Option<BytesToStore>) -> Self {
+        self.storing = storing;
+        self
+    }
+
     /// The session is in the store and counted until [`TenantAccount::uncount_session`].
     pub fn outlive(&mut self) {
         self.outlived = true;
+        self.storing = None;
+    }
+
+    /// Bytes that the session could hold within its tenant's quota.
+    pub fn room(&self) -> u64 {
+        self.account.memory_room().saturating_add(self.bytes.load(Relaxed))
     }
 
     /// Says how many bytes the session holds; false where that is more than the tenant may hold. They are counted either way.

@@ -1,6 +1,6 @@
 //! Reads who did what.
 
-use super::connection::DatabaseAddress;
+use super::database_to_read::DatabaseToRead;
 use super::reading::{tenant_of, unreadable};
 use super::rows::{column, signed, unsigned};
 use super::session_store::StoreError;
@@ -31,21 +31,14 @@ pub async fn read_audit(
     filter: &AuditFilter,
     mut take: impl FnMut(StoredAuditEntry) -> bool,
 ) -> Result<(), StoreError> {
-    let address = match (&location.database, &location.data_dir) {
-        (Some(url), _) => DatabaseAddress::server(url)?,
-        (None, Some(folder)) => DatabaseAddress::file_to_read(&folder.join("sessions.sqlite"))?,
-        (None, None) => {
-            return Err(StoreError::Refused(
-                "neither a data folder nor a database is named".into(),
-            ));
-        }
-    };
-    let pool = address.reader().await?;
+    let database = DatabaseToRead::open(location).await?;
     let query = "SELECT at_ms, tenant, who, what, session FROM audit
         WHERE at_ms >= $1 AND ($2 = '' OR tenant = $2) AND ($3 = '' OR session = $3) ORDER BY id";
     let query = sqlx::query(query).bind(signed(filter.since_ms));
     let query = query.bind(filter.tenant.as_deref().unwrap_or_default());
-    let mut rows = query.bind(filter.session.as_deref().unwrap_or_default()).fetch(&pool);
+    let mut rows = query
+        .bind(filter.session.as_deref().unwrap_or_default())
+        .fetch(&database.pool);
     while let Some(row) = rows.try_next().await.map_err(unreadable)? {
         let entry = StoredAuditEntry {
             at_ms: unsigned(column(&row, 0)?)?,

@@ -1,6 +1,6 @@
 //! The connections to the database: where it is, and how they are made safe.
 
-use super::schema::{Dialect, migrate};
+use super::schema::Dialect;
 use super::session_store::StoreError;
 use percent_encoding::{AsciiSet, CONTROLS, utf8_percent_encode};
 use sqlx::any::{AnyPoolOptions, install_default_drivers};
@@ -51,17 +51,19 @@ impl std::fmt::Debug for DatabaseAddress {
 }
 
 impl DatabaseAddress {
-    /// A file of SQLite, made if it is missing.
+    /// A file of SQLite that is there, to be read and written. One that has gone since is not made anew.
     pub fn file(file: &Path) -> Result<Self, StoreError> {
-        Self::file_opened(file, "rwc")
+        Self::file_opened(file, "rw")
     }
 
     /// A file of SQLite that is there, to be read beside the process that writes it.
     pub fn file_to_read(file: &Path) -> Result<Self, StoreError> {
-        if !file.exists() {
-            return Err(StoreError::Refused(format!("{} does not exist", file.display())));
-        }
         Self::file_opened(file, "ro")
+    }
+
+    /// A file of SQLite that nobody writes while it is read: nothing is made beside it, and a log beside it is not looked at.
+    pub fn file_at_rest(file: &Path) -> Result<Self, StoreError> {
+        Self::file_opened(file, "ro&immutable=true")
     }
 
     fn file_opened(file: &Path, mode: &str) -> Result<Self, StoreError> {
@@ -98,6 +100,14 @@ impl DatabaseAddress {
 
     fn unavailable(&self, error: impl std::fmt::Display) -> StoreError {
         StoreError::Unavailable(format!("{}: {error}", self.shown))
+    }
+
+    /// That it is no store.
+    pub fn no_tables(&self) -> StoreError {
+        StoreError::Refused(format!(
+            "there is no store of sessions in {}: it has no tables of one",
+            self.shown
+        ))
     }
 
     /// The connections that read. They stay open whatever happens to the one that writes, so that reading goes on.
@@ -183,7 +193,7 @@ pub(super) struct WritingConnection {
 }
 
 impl WritingConnection {
-    /// Connects, and makes the tables or brings them up to date.
+    /// Connects.
     pub async fn open(address: &DatabaseAddress) -> Result<Self, StoreError> {
         let mut made = Self {
             address: address.clone(),
@@ -192,12 +202,11 @@ impl WritingConnection {
             is_away: false,
             used: Instant::now(),
         };
-        let connection = made.get().await.map_err(|error| match error {
-            LockedOut::Elsewhere => StoreError::Refused(format!("{address:?} is in use by another process")),
-            LockedOut::Error(error) => error,
-        })?;
-        migrate(connection, address.dialect).await?;
-        Ok(made)
+        match made.get().await {
+            Ok(_) => Ok(made),
+            Err(LockedOut::Elsewhere) => Err(StoreError::Refused(format!("{address:?} is in use by another process"))),
+            Err(LockedOut::Error(error)) => Err(error),
+        }
     }
 
     /// The connection, made again if it was lost.

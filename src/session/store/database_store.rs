@@ -3,15 +3,18 @@
 use super::audit_reading;
 use super::build_identity::build_identity;
 use super::connection::{DatabaseAddress, WritingConnection};
-use super::object_folder::sync_folder;
+use super::data_folder::{DATABASE_FILE, FolderHold, existing_database, refuse_objects_alone};
 use super::objects::Objects;
+use super::private_files::make_private_file;
 use super::reading;
-use super::schema::{Dialect, identity};
+use super::schema::{identity, migrate, version};
 use super::session_store::{
     ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit, StoredSession,
     UsedSession,
 };
+use super::store_health::StoreHealth;
 use super::store_location::StoreLocation;
+use super::store_watch::watch_store;
 use super::write_order::{StoredObject, WriteOrder};
 use super::writer::Writer;
 use crate::asset::FileSet;
@@ -19,52 +22,89 @@ use crate::session::answers::Tenant;
 use crate::session::audit::audit_entry::AuditEntry;
 use crate::wire::record::{FileReferences, LoggedCommit};
 use bytes::Bytes;
-use rustix::fs::{FlockOperation, flock};
 use sqlx::AnyPool;
-use std::fs::{self, File};
-use std::path::Path;
+use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Sessions in a database, what is large as objects.
 #[derive(Debug)]
 pub struct DatabaseStore {
     build: String,
-    pub(super) dialect: Dialect,
     pub(super) pool: AnyPool,
-    writer: Writer,
-    pub(super) objects: Objects,
+    writer: Arc<Writer>,
+    pub(super) objects: Arc<Objects>,
+    health: Arc<StoreHealth>,
     /// Held as long as the store: one process writes a folder.
-    _lock: Option<File>,
+    _hold: Option<FolderHold>,
 }
 
 impl DatabaseStore {
     /// Opens a store, makes or brings up to date what is missing.
     ///
     /// # Errors
-    /// [`StoreError::Refused`] when another process has it or a later version wrote it, [`StoreError::Unavailable`] when folder or
-    /// database cannot be had.
+    /// [`StoreError::Refused`] when another process has it, a later version wrote it or objects are there without their database,
+    /// [`StoreError::Unavailable`] when folder or database cannot be had.
     pub async fn open(location: &StoreLocation) -> Result<Self, StoreError> {
+        let hold = location.data_dir.as_deref().map(FolderHold::alone).transpose()?;
+        if let (Some(folder), None) = (&location.data_dir, &location.database) {
+            refuse_objects_alone(folder)?;
+            let file = folder.join(DATABASE_FILE);
+            make_private_file(&file).map_err(|e| StoreError::Unavailable(format!("{}: {e}", file.display())))?;
+        }
+        Self::open_held(location, hold, true).await
+    }
+
+    /// Opens a store that is there, to change it. Nothing is made where none is.
+    ///
+    /// # Errors
+    /// As [`DatabaseStore::open`]; [`StoreError::Refused`] where there is no store.
+    pub async fn open_existing(location: &StoreLocation) -> Result<Self, StoreError> {
+        if let (Some(folder), None) = (&location.data_dir, &location.database) {
+            existing_database(folder)?;
+        }
+        let hold = location.data_dir.as_deref().filter(|folder| folder.is_dir());
+        let hold = hold.map(FolderHold::alone).transpose()?;
+        Self::open_held(location, hold, false).await
+    }
+
+    async fn open_held(location: &StoreLocation, hold: Option<FolderHold>, makes: bool) -> Result<Self, StoreError> {
         let nowhere =
             || StoreError::Refused("sessions need a data folder, or both a database and a place of objects".into());
         let folder = || location.data_dir.as_deref().ok_or_else(nowhere);
-        let lock = location.data_dir.as_deref().map(lock_folder).transpose()?;
-        let objects = match &location.objects {
-            Some(url) => Objects::in_bucket(url)?,
-            None => Objects::in_folder(folder()?)?,
-        };
         let address = match &location.database {
             Some(url) => DatabaseAddress::server(url)?,
-            None => DatabaseAddress::file(&folder()?.join("sessions.sqlite"))?,
+            None => DatabaseAddress::file(&folder()?.join(DATABASE_FILE))?,
+        };
+        let objects = match &location.objects {
+            Some(url) => Objects::in_bucket(url)?,
+            None if makes => Objects::in_folder(folder()?)?,
+            None => Objects::in_folder_to_read(folder()?).and_then(|_| Objects::in_folder(folder()?))?,
         };
         let mut writing = WritingConnection::open(&address).await?;
-        objects.belong_to(&identity(writing.get().await?).await?).await?;
+        let connection = writing.get().await?;
+        if version(connection, address.dialect()).await?.is_none() {
+            if !makes {
+                return Err(address.no_tables());
+            }
+            if objects.are_in_use().await? {
+                return Err(StoreError::Refused(format!(
+                    "{address:?} has no sessions, and the objects there belong to another database; restore that one, or name another place"
+                )));
+            }
+        }
+        migrate(connection, address.dialect()).await?;
+        objects.belong_to(&identity(connection).await?).await?;
+        let health = Arc::new(StoreHealth::of_places(places(location))?);
         let store = Self {
             build: location.build.clone().unwrap_or_else(build_identity),
-            dialect: address.dialect(),
             pool: address.readers().await?,
-            writer: Writer::start(writing),
-            objects,
-            _lock: lock,
+            writer: Arc::new(Writer::start(writing, Arc::clone(&health))),
+            objects: Arc::new(objects),
+            health,
+            _hold: hold,
         };
+        let (writer, objects) = (Arc::downgrade(&store.writer), Arc::downgrade(&store.objects));
+        tokio::spawn(watch_store(Arc::clone(&store.health), writer, objects));
         store.measure_objects().await?;
         Ok(store)
     }
@@ -82,12 +122,25 @@ impl DatabaseStore {
         Ok(())
     }
 
+    async fn put_object(&self, bytes: Bytes) -> Result<String, StoreError> {
+        self.health.note(self.health.check_places())?;
+        self.health.note(self.objects.put(bytes).await)
+    }
+
+    async fn get_object(&self, name: String) -> Result<Bytes, StoreError> {
+        self.objects.get(name).await.map_err(|error| match error {
+            // Where everything is gone, it is not the one object that is damaged.
+            StoreError::Damaged(_) => self.health.note(self.health.check_places()).err().unwrap_or(error),
+            error => error,
+        })
+    }
+
     /// Writes files; their names, and what is to be counted of them.
     async fn put_files(&self, files: &FileSet) -> Result<(FileReferences, Vec<StoredObject>), StoreError> {
         let mut objects = Vec::new();
         let mut names = FileReferences {
             name: files.name.clone(),
-            main: self.objects.put(files.main.clone()).await?,
+            main: self.put_object(files.main.clone()).await?,
             companions: Default::default(),
         };
         let counted = |name: &String, bytes: &Bytes| StoredObject {
@@ -96,7 +149,7 @@ impl DatabaseStore {
         };
         objects.push(counted(&names.main, &files.main));
         for (uri, bytes) in &files.companions {
-            let object = self.objects.put(bytes.clone()).await?;
+            let object = self.put_object(bytes.clone()).await?;
             objects.push(counted(&object, bytes));
             names.companions.insert(uri.clone(), object);
         }
@@ -160,7 +213,7 @@ impl DatabaseStore {
     async fn keep_newest_shape(&self, session: String, sequence: u64, shape: Bytes) -> Result<(), StoreError> {
         let naming = self.objects.naming.read().await;
         let bytes = shape.len() as u64;
-        let name = self.objects.put(shape).await?;
+        let name = self.put_object(shape).await?;
         let order = WriteOrder::KeepShape {
             session,
             sequence,
@@ -197,35 +250,26 @@ impl DatabaseStore {
     }
 }
 
-/// Takes a folder for this process alone.
-fn lock_folder(folder: &Path) -> Result<File, StoreError> {
-    let shown = folder.display();
-    let unavailable = |e: std::io::Error| StoreError::Unavailable(format!("{shown}: {e}"));
-    if !folder.exists() {
-        fs::create_dir_all(folder).map_err(unavailable)?;
-        // The folder's own name has to be on disk too.
-        if let Some(parent) = folder.parent().filter(|p| !p.as_os_str().is_empty()) {
-            sync_folder(parent).map_err(unavailable)?;
-        }
-    }
-    let lock = File::options()
-        .create(true)
-        .truncate(false)
-        .write(true)
-        .open(folder.join("lock"))
-        .map_err(unavailable)?;
-    match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
-        Ok(()) => Ok(lock),
-        Err(error) if error == rustix::io::Errno::WOULDBLOCK => {
-            Err(StoreError::Refused(format!("{shown} is in use by another process")))
-        }
-        Err(error) => Err(unavailable(error.into())),
-    }
+/// The files and folders of a store, all of which have to stay where they are.
+fn places(location: &StoreLocation) -> Vec<PathBuf> {
+    let Some(folder) = &location.data_dir else {
+        return Vec::new();
+    };
+    let database = location.database.is_none().then(|| folder.join(DATABASE_FILE));
+    let objects = location.objects.is_none().then(|| folder.join("objects"));
+    [Some(folder.clone()), database, objects]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 impl SessionStore for DatabaseStore {
     fn build(&self) -> String {
         self.build.clone()
+    }
+
+    fn takes_writes(&self) -> bool {
+        self.health.takes_writes()
     }
 
     fn create(&self, session: NewSession) -> Stored<'_, ()> {
@@ -276,7 +320,7 @@ impl SessionStore for DatabaseStore {
     }
 
     fn object(&self, name: String) -> Stored<'_, Bytes> {
-        Box::pin(self.objects.get(name))
+        Box::pin(self.get_object(name))
     }
 
     fn delete(&self, audit: AuditEntry) -> Stored<'_, ()> {
@@ -287,8 +331,8 @@ impl SessionStore for DatabaseStore {
         Box::pin(self.write(WriteOrder::NoteUse { sessions }))
     }
 
-    fn expired(&self, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>> {
-        Box::pin(reading::expired(&self.pool, now_ms))
+    fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>> {
+        Box::pin(reading::expired(&self.pool, since_ms, now_ms))
     }
 
     fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>> {

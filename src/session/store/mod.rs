@@ -8,6 +8,8 @@
 //! |---|---|
 //! | `session_store` | the trait that sessions use, and its values |
 //! | `database_store`, `store_location` | the trait on a database and objects, and where they are |
+//! | `data_folder`, `private_files` | the folder: made, had to oneself, looked at |
+//! | `store_health`, `store_watch` | whether what is written is taken |
 //! | `connection`, `schema` | the database, SQLite or PostgreSQL, and its tables |
 //! | `writer`, `write_order` | one task writes, what comes together in one transaction |
 //! | `rows`, `reading` | rows with their checksums, read again |
@@ -15,7 +17,7 @@
 //! | `objects` | what is large, by content |
 //! | `object_folder`, `bucket`, `bucket_client` | where it lies: a local folder, S3 |
 //! | `shape_object` | a shape as an object |
-//! | `upkeep`, `read_only_store` | what operators do with a store: look into it, compare it, clean it up |
+//! | `upkeep`, `read_only_store`, `database_to_read` | what operators do with a store: look into it, compare it, clean it up |
 //! | `build_identity` | which build and processor made results |
 
 mod audit_reading;
@@ -23,16 +25,21 @@ mod bucket;
 mod bucket_client;
 mod build_identity;
 mod connection;
+mod data_folder;
 mod database_store;
+mod database_to_read;
 mod object_folder;
 mod objects;
+mod private_files;
 mod read_only_store;
 mod reading;
 mod rows;
 mod schema;
 pub(super) mod session_store;
 pub(super) mod shape_object;
+mod store_health;
 mod store_location;
+mod store_watch;
 mod upkeep;
 mod write_order;
 mod writer;

@@ -1,10 +1,14 @@
 //! A local folder of objects. `object_store` writes without syncing; here a file is written beside, synced, renamed, and its folder
 //! synced, so that it is whole on disk before anything names it.
 
+use super::private_files::{make_private_folder, sync_folder};
 use super::session_store::StoreError;
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
+
+/// Bytes that are written to see whether there is room again: as much as a small model takes.
+const TRIED: usize = 1 << 20;
 
 /// A local folder of objects.
 #[derive(Debug)]
@@ -27,14 +31,30 @@ impl ObjectFolder {
             fs::remove_dir_all(&unfinished).map_err(|e| failed(&unfinished, e))?;
         }
         for made in [&objects, &unfinished] {
-            fs::create_dir_all(made).map_err(|e| failed(made, e))?;
+            make_private_folder(made).map_err(|e| failed(made, e))?;
         }
         sync_folder(folder).map_err(|e| failed(folder, e))?;
-        Ok(Self {
-            objects,
-            unfinished,
+        Ok(Self::at(folder))
+    }
+
+    /// The objects below a folder, to be read alone: nothing is made or removed.
+    pub fn to_read(folder: &Path) -> Result<Self, StoreError> {
+        let found = Self::at(folder);
+        match found.objects.is_dir() {
+            true => Ok(found),
+            false => Err(StoreError::Refused(format!(
+                "{} is missing, where the models of the sessions lie; restore it from the backup of the database",
+                found.objects.display()
+            ))),
+        }
+    }
+
+    fn at(folder: &Path) -> Self {
+        Self {
+            objects: folder.join("objects"),
+            unfinished: folder.join("unfinished"),
             identity: folder.join("store"),
-        })
+        }
     }
 
     /// Writes an object; it is on disk when this returns.
@@ -46,24 +66,33 @@ impl ObjectFolder {
             return sync_folder(&shelf);
         }
         if !shelf.exists() {
-            fs::create_dir_all(&shelf)?;
+            make_private_folder(&shelf)?;
             sync_folder(&self.objects)?;
         }
         self.write_beside(bytes, &path)?;
         sync_folder(&shelf)
     }
 
-    /// The identity that stands beside the objects; `identity` is written when there is none.
-    pub fn identity(&self, identity: &[u8]) -> io::Result<Vec<u8>> {
+    /// The identity that stands beside the objects, where there is one.
+    pub fn read_identity(&self) -> io::Result<Option<Vec<u8>>> {
         match fs::read(&self.identity) {
-            Ok(there) => Ok(there),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                self.write_beside(identity, &self.identity)?;
-                self.identity.parent().map_or(Ok(()), sync_folder)?;
-                Ok(identity.to_vec())
-            }
+            Ok(there) => Ok(Some(there)),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(error) => Err(error),
         }
+    }
+
+    /// Puts an identity beside the objects.
+    pub fn write_identity(&self, identity: &[u8]) -> io::Result<()> {
+        self.write_beside(identity, &self.identity)?;
+        self.identity.parent().map_or(Ok(()), sync_folder)
+    }
+
+    /// Writes a file of the size of a small model, and removes it.
+    pub fn try_writing(&self) -> io::Result<()> {
+        let mut file = tempfile::NamedTempFile::new_in(&self.unfinished)?;
+        file.write_all(&vec![0; TRIED])?;
+        file.as_file().sync_all()
     }
 
     fn write_beside(&self, bytes: &[u8], path: &Path) -> io::Result<()> {
@@ -73,9 +102,4 @@ impl ObjectFolder {
         let (_, beside) = file.keep().map_err(|e| e.error)?;
         fs::rename(beside, path)
     }
-}
-
-/// A name is on disk only when the folder that holds it is.
-pub(super) fn sync_folder(folder: &Path) -> io::Result<()> {
-    File::open(folder)?.sync_all()
 }

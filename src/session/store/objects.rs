@@ -19,6 +19,8 @@ use tokio::sync::{RwLock, Semaphore};
 const BLOCKING: usize = 4;
 /// The object of a bucket that says whose objects the others are.
 const IDENTITY: &str = "store";
+/// The object of a bucket that is written to see whether it takes any.
+const TRIED: &str = "tried";
 
 /// The objects of a store.
 #[derive(Debug)]
@@ -35,7 +37,15 @@ pub(super) struct Objects {
 impl Objects {
     /// The objects below a folder.
     pub fn in_folder(folder: &Path) -> Result<Self, StoreError> {
-        let folder = ObjectFolder::open(folder)?;
+        Self::of_folder(ObjectFolder::open(folder)?)
+    }
+
+    /// The objects below a folder, to be read alone: nothing is made or removed.
+    pub fn in_folder_to_read(folder: &Path) -> Result<Self, StoreError> {
+        Self::of_folder(ObjectFolder::to_read(folder)?)
+    }
+
+    fn of_folder(folder: ObjectFolder) -> Result<Self, StoreError> {
         let store = LocalFileSystem::new_with_prefix(&folder.objects)
             .map_err(|e| StoreError::Unavailable(format!("{}: {e}", folder.objects.display())))?;
         Ok(Self::of(Arc::new(store), Some(folder)))
@@ -55,41 +65,67 @@ impl Objects {
         }
     }
 
-    /// Refuses objects of another database: each removes what it does not name.
+    /// Refuses objects of another database: each removes what it does not name. Objects that know no database are marked.
     pub async fn belong_to(&self, identity: &str) -> Result<(), StoreError> {
-        let identity = format!("pliant objects of the store {identity}\n").into_bytes();
-        let there = match &self.folder {
-            Some(folder) => {
-                let (folder, identity) = (Arc::clone(folder), identity.clone());
-                let told = move || {
-                    folder
-                        .identity(&identity)
-                        .map_err(|e| StoreError::Unavailable(format!("whose objects these are cannot be told: {e}")))
-                };
-                self.apart(told).await?
-            }
-            None => self.identity_in_bucket(&identity).await?,
-        };
-        match there == identity {
-            true => Ok(()),
-            false => Err(StoreError::Refused(
+        if !self.agree_with(identity).await? {
+            self.write_mark(mark_of(identity)).await?;
+        }
+        Ok(())
+    }
+
+    /// Refuses objects of another database; whether they know this one.
+    pub async fn agree_with(&self, identity: &str) -> Result<bool, StoreError> {
+        match self.read_mark().await? {
+            None => Ok(false),
+            Some(there) if there == mark_of(identity) => Ok(true),
+            Some(_) => Err(StoreError::Refused(
                 "the objects belong to another database; a database needs a folder or prefix of its own".into(),
             )),
         }
     }
 
-    async fn identity_in_bucket(&self, identity: &[u8]) -> Result<Vec<u8>, StoreError> {
-        let path = ObjectPath::from(IDENTITY);
-        let failed = |e: object_store::Error| StoreError::Unavailable(format!("the objects cannot be reached: {e}"));
-        match self.store.get(&path).await {
-            Ok(found) => return Ok(found.bytes().await.map_err(failed)?.to_vec()),
-            Err(object_store::Error::NotFound { .. }) => {}
-            Err(error) => return Err(failed(error)),
+    /// Whether any database has objects here.
+    pub async fn are_in_use(&self) -> Result<bool, StoreError> {
+        Ok(self.read_mark().await?.is_some() || !self.names().await?.is_empty())
+    }
+
+    async fn read_mark(&self) -> Result<Option<Vec<u8>>, StoreError> {
+        if let Some(folder) = self.folder.clone() {
+            let told = move || {
+                let read = folder.read_identity();
+                read.map_err(|e| StoreError::Unavailable(format!("whose objects these are cannot be told: {e}")))
+            };
+            return self.apart(told).await;
+        }
+        match self.store.get(&ObjectPath::from(IDENTITY)).await {
+            Ok(found) => Ok(Some(found.bytes().await.map_err(unreachable_bucket)?.to_vec())),
+            Err(object_store::Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(unreachable_bucket(error)),
+        }
+    }
+
+    async fn write_mark(&self, mark: Vec<u8>) -> Result<(), StoreError> {
+        if let Some(folder) = self.folder.clone() {
+            let written = move || {
+                let written = folder.write_identity(&mark);
+                written.map_err(|e| StoreError::Unavailable(format!("the objects cannot be marked: {e}")))
+            };
+            return self.apart(written).await;
         }
         let create = PutOptions::from(PutMode::Create);
-        let put = self.store.put_opts(&path, identity.to_vec().into(), create).await;
-        put.map_err(failed)?;
-        Ok(identity.to_vec())
+        let path = ObjectPath::from(IDENTITY);
+        let put = self.store.put_opts(&path, mark.into(), create).await;
+        put.map(drop).map_err(unreachable_bucket)
+    }
+
+    /// Writes something small, to see whether objects can be written.
+    pub async fn try_writing(&self) -> Result<(), StoreError> {
+        let refused = |e: &dyn std::fmt::Display| StoreError::Unavailable(format!("objects cannot be written: {e}"));
+        if let Some(folder) = self.folder.clone() {
+            return self.apart(move || folder.try_writing().map_err(|e| refused(&e))).await;
+        }
+        let put = self.store.put(&ObjectPath::from(TRIED), Vec::new().into()).await;
+        put.map(drop).map_err(|e| refused(&e))
     }
 
     /// Writes an object and returns its name.
@@ -173,6 +209,14 @@ impl Objects {
         let _place = self.blocking.acquire().await.map_err(|_| ended(()))?;
         tokio::task::spawn_blocking(work).await.map_err(|_| ended(()))?
     }
+}
+
+fn mark_of(identity: &str) -> Vec<u8> {
+    format!("pliant objects of the store {identity}\n").into_bytes()
+}
+
+fn unreachable_bucket(error: object_store::Error) -> StoreError {
+    StoreError::Unavailable(format!("the objects cannot be reached: {error}"))
 }
 
 /// SHA-256, lower-case hexadecimal.

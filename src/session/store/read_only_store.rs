@@ -1,17 +1,56 @@
-//! A store that is looked at: what a session wants to note on its way is not noted, and nothing can be changed.
+//! A store that is looked at: nothing is made, noted or changed, whether a server holds it or nobody does.
 
+use super::build_identity::build_identity;
+use super::database_to_read::DatabaseToRead;
+use super::objects::Objects;
+use super::reading;
+use super::schema::known_identity;
 use super::session_store::{
     ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit, StoredSession,
     UsedSession,
 };
+use super::store_location::StoreLocation;
 use crate::session::answers::Tenant;
 use crate::session::audit::audit_entry::AuditEntry;
 use bytes::Bytes;
-use std::sync::Arc;
 
 /// A store that is looked at.
-#[derive(Debug, Clone)]
-pub struct ReadOnlyStore(pub Arc<dyn SessionStore>);
+#[derive(Debug)]
+pub struct ReadOnlyStore {
+    pub(super) database: DatabaseToRead,
+    pub(super) objects: Objects,
+    build: String,
+}
+
+impl ReadOnlyStore {
+    /// Opens a store that is there.
+    ///
+    /// # Errors
+    /// [`StoreError::Refused`] where there is no store, with what is missing; [`StoreError::Unavailable`] where it cannot be read.
+    pub async fn open(location: &StoreLocation) -> Result<Self, StoreError> {
+        let database = DatabaseToRead::open(location).await?;
+        let objects = match (&location.objects, &location.data_dir) {
+            (Some(url), _) => Objects::in_bucket(url)?,
+            (None, Some(folder)) => Objects::in_folder_to_read(folder)?,
+            (None, None) => return Err(StoreError::Refused("the place of the objects is not named".into())),
+        };
+        let failed = |e: sqlx::Error| StoreError::Unavailable(format!("{:?}: {e}", database.address));
+        let identity = known_identity(&mut *database.pool.acquire().await.map_err(failed)?).await?;
+        if let Some(identity) = identity {
+            objects.agree_with(&identity).await?;
+        }
+        Ok(Self {
+            database,
+            objects,
+            build: location.build.clone().unwrap_or_else(build_identity),
+        })
+    }
+
+    /// Whether another process may be writing it meanwhile.
+    pub fn is_written(&self) -> bool {
+        self.database.is_written
+    }
+}
 
 fn refused<'a, T: Send + 'a>() -> Stored<'a, T> {
     Box::pin(async { Err(StoreError::Refused("the store is only looked at".into())) })
@@ -21,9 +60,21 @@ fn not_noted<'a>() -> Stored<'a, ()> {
     Box::pin(async { Ok(()) })
 }
 
+/// Whoever looks is told why it cannot be read: it is no client of a server.
+fn told<T>(error: Result<T, StoreError>) -> Result<T, StoreError> {
+    error.map_err(|error| match error {
+        StoreError::Unavailable(problem) => StoreError::Refused(problem),
+        error => error,
+    })
+}
+
 impl SessionStore for ReadOnlyStore {
     fn build(&self) -> String {
-        self.0.build()
+        self.build.clone()
+    }
+
+    fn takes_writes(&self) -> bool {
+        false
     }
 
     fn create(&self, _: NewSession) -> Stored<'_, ()> {
@@ -43,23 +94,26 @@ impl SessionStore for ReadOnlyStore {
     }
 
     fn load(&self, tenant: Tenant, id: String) -> Stored<'_, Option<StoredSession>> {
-        self.0.load(tenant, id)
+        Box::pin(async move { told(reading::whole_session(&self.database.pool, &tenant, &id).await) })
     }
 
     fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<StoredCommit>> {
-        self.0.commit(session, sequence)
+        Box::pin(async move {
+            let row = told(reading::commit_row(&self.database.pool, &session, sequence).await)?;
+            row.map(|row| row.into_commit()).transpose()
+        })
     }
 
     fn holds(&self, tenant: Tenant, id: String) -> Stored<'_, bool> {
-        self.0.holds(tenant, id)
+        Box::pin(async move { reading::has_session(&self.database.pool, &tenant.0, &id).await })
     }
 
     fn list(&self, tenant: Tenant, after: u64, most: usize) -> Stored<'_, Vec<(u64, Option<ListedSession>)>> {
-        self.0.list(tenant, after, most)
+        Box::pin(async move { reading::listed(&self.database.pool, &tenant.0, after, most).await })
     }
 
     fn object(&self, name: String) -> Stored<'_, Bytes> {
-        self.0.object(name)
+        Box::pin(async move { told(self.objects.get(name).await) })
     }
 
     fn delete(&self, _: AuditEntry) -> Stored<'_, ()> {
@@ -70,17 +124,17 @@ impl SessionStore for ReadOnlyStore {
         not_noted()
     }
 
-    fn expired(&self, _: u64) -> Stored<'_, Vec<(Tenant, String)>> {
+    fn expired(&self, _: u64, _: u64) -> Stored<'_, Vec<(Tenant, String)>> {
         // What is looked at does not go.
         Box::pin(async { Ok(Vec::new()) })
     }
 
     fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>> {
-        self.0.sessions_by_tenant()
+        Box::pin(reading::sessions_by_tenant(&self.database.pool))
     }
 
     fn stored_bytes(&self, tenant: Tenant) -> Stored<'_, u64> {
-        self.0.stored_bytes(tenant)
+        Box::pin(async move { reading::stored_bytes(&self.database.pool, &tenant.0).await })
     }
 
     fn keys(&self) -> Stored<'_, Vec<LoggedKey>> {
@@ -92,7 +146,7 @@ impl SessionStore for ReadOnlyStore {
     }
 
     fn highest_number(&self) -> Stored<'_, u64> {
-        self.0.highest_number()
+        Box::pin(async { told(reading::highest_number(&self.database.pool).await) })
     }
 
     fn audit(&self, _: AuditEntry) -> Stored<'_, ()> {
@@ -100,7 +154,7 @@ impl SessionStore for ReadOnlyStore {
     }
 
     fn audited_tenants(&self) -> Stored<'_, Vec<Tenant>> {
-        self.0.audited_tenants()
+        Box::pin(async { Ok(Vec::new()) })
     }
 
     fn forget_audit_of(&self, _: Tenant, _: u64) -> Stored<'_, ()> {

@@ -189,10 +189,12 @@ async fn listed_session(pool: &AnyPool, row: &AnyRow) -> Result<ListedSession, S
     })
 }
 
-/// The sessions whose time is over, and whose they are.
-pub(super) async fn expired(pool: &AnyPool, now_ms: u64) -> Result<Vec<(Tenant, String)>, StoreError> {
-    let query = sqlx::query("SELECT tenant, id FROM sessions WHERE used_ms < $1 - ttl_ms ORDER BY number LIMIT 1000");
-    let rows = query.bind(signed(now_ms)).fetch_all(pool).await.map_err(unreadable)?;
+/// The sessions whose time is over, and whose they are; of it none has passed before `since_ms`.
+pub(super) async fn expired(pool: &AnyPool, since_ms: u64, now_ms: u64) -> Result<Vec<(Tenant, String)>, StoreError> {
+    let query =
+        "SELECT tenant, id FROM sessions WHERE used_ms < $1 - ttl_ms AND ttl_ms < $1 - $2 ORDER BY number LIMIT 1000";
+    let query = sqlx::query(query).bind(signed(now_ms)).bind(signed(since_ms));
+    let rows = query.fetch_all(pool).await.map_err(unreadable)?;
     rows.iter()
         .map(|row| Ok((tenant_of(row, 0)?, column(row, 1)?)))
         .collect()

@@ -90,6 +90,38 @@ const AUDITED: &[&str] = &[
     "CREATE INDEX audit_of_session ON audit (session)",
 ];
 
+/// The version of the tables that this program writes.
+pub(super) const TABLES: usize = STEPS.len();
+
+/// The version of the tables of a database; `None` where there are none. Nothing is made.
+pub(super) async fn version(connection: &mut AnyConnection, dialect: Dialect) -> Result<Option<i64>, StoreError> {
+    let failed = |e: sqlx::Error| StoreError::Unavailable(format!("the tables cannot be read: {e}"));
+    let find = match dialect {
+        Dialect::Sqlite => "SELECT COUNT(*) FROM sqlite_master WHERE name = 'pliant_schema'",
+        Dialect::Postgres => {
+            "SELECT COUNT(*) FROM pg_tables WHERE tablename = 'pliant_schema' AND schemaname = current_schema()"
+        }
+    };
+    let found = sqlx::query(find).fetch_one(&mut *connection).await.map_err(failed)?;
+    if found.try_get::<i64, _>(0).map_err(failed)? == 0 {
+        return Ok(None);
+    }
+    let row = sqlx::query("SELECT version FROM pliant_schema")
+        .fetch_optional(connection)
+        .await;
+    let version = row.map_err(failed)?.map(|row| row.try_get(0));
+    version.transpose().map_err(failed)
+}
+
+/// Refuses tables of a later version.
+pub(super) fn known_version(version: i64) -> Result<usize, StoreError> {
+    usize::try_from(version).ok().filter(|n| *n <= TABLES).ok_or_else(|| {
+        StoreError::Refused(format!(
+            "the database has tables of version {version}, this program knows versions up to {TABLES}; use the program that wrote it"
+        ))
+    })
+}
+
 /// Brings the tables to the version of this program.
 pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) -> Result<(), StoreError> {
     let failed = |e: sqlx::Error| StoreError::Unavailable(format!("the tables cannot be made: {e}"));
@@ -103,15 +135,7 @@ pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) ->
         Some(row) => row.try_get::<i64, _>(0).map_err(failed)?,
         None => 0,
     };
-    let done = usize::try_from(version)
-        .ok()
-        .filter(|n| *n <= STEPS.len())
-        .ok_or_else(|| {
-            let known = STEPS.len();
-            StoreError::Refused(format!(
-                "the database has tables of version {version}, this program knows versions up to {known}; use the program that wrote it"
-            ))
-        })?;
+    let done = known_version(version)?;
     if done == STEPS.len() {
         return Ok(());
     }
@@ -133,14 +157,23 @@ pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) ->
     steps.commit().await.map_err(failed)
 }
 
+/// What tells this database from others, where it was ever asked for.
+pub(super) async fn known_identity(connection: &mut AnyConnection) -> Result<Option<String>, StoreError> {
+    let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
+    let row = sqlx::query("SELECT id FROM store_identity")
+        .fetch_optional(connection)
+        .await;
+    row.map_err(failed)?
+        .map(|row| row.try_get(0))
+        .transpose()
+        .map_err(failed)
+}
+
 /// What tells this database from others: made when it is asked for the first time.
 pub(super) async fn identity(connection: &mut AnyConnection) -> Result<String, StoreError> {
     let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
-    let row = sqlx::query("SELECT id FROM store_identity")
-        .fetch_optional(&mut *connection)
-        .await;
-    if let Some(row) = row.map_err(failed)? {
-        return row.try_get(0).map_err(failed);
+    if let Some(known) = known_identity(connection).await? {
+        return Ok(known);
     }
     let mut random = [0u8; 16];
     getrandom::fill(&mut random).map_err(|e| StoreError::Unavailable(format!("no random numbers: {e}")))?;

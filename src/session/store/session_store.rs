@@ -26,19 +26,21 @@ pub enum StoreError {
 impl From<StoreError> for Error {
     fn from(error: StoreError) -> Self {
         match error {
-            StoreError::Unavailable(problem) => Self {
-                retry_after_s: Some(1),
-                ..Self::new(
-                    ErrorCode::Unavailable,
-                    format!(
-                        "the store of sessions does not answer as it should ({problem}); nothing has changed, try again later"
-                    ),
-                )
-            },
-            StoreError::Damaged(problem) => Self::new(
-                ErrorCode::DataLoss,
-                format!("what is stored of the session is damaged and is not served: {problem}"),
-            ),
+            // Paths and what a database says are the operator's alone.
+            StoreError::Unavailable(problem) => {
+                tracing::warn!("the store of sessions: {problem}");
+                let text =
+                    "the store of sessions cannot be read or written at present; nothing has changed, try again later";
+                Self {
+                    retry_after_s: Some(1),
+                    ..Self::new(ErrorCode::Unavailable, text)
+                }
+            }
+            StoreError::Damaged(problem) => {
+                tracing::error!("what is stored of a session is damaged: {problem}");
+                let text = format!("what is stored of the session is damaged and is not served: {problem}");
+                Self::new(ErrorCode::DataLoss, text)
+            }
             StoreError::Refused(problem) => Self::new(ErrorCode::FailedPrecondition, problem),
         }
     }
@@ -208,6 +210,8 @@ pub type Stored<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
     /// Which build and processor makes results now.
     fn build(&self) -> String;
+    /// Whether what is written is taken: false from a write that failed until one works again.
+    fn takes_writes(&self) -> bool;
     /// Keeps a new session.
     fn create(&self, session: NewSession) -> Stored<'_, ()>;
     /// Keeps a commit.
@@ -231,7 +235,7 @@ pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
     /// Notes when sessions were used.
     fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()>;
     /// The sessions whose time is over at `now_ms`, and whose they are.
-    fn expired(&self, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>>;
+    fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>>;
     /// How many sessions each tenant has.
     fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>>;
     /// Bytes that a tenant's sessions hold: their records and the objects that they name, one that several name for each of them.

@@ -1,12 +1,18 @@
-//! What operators do with a store that no server holds: look into it, compare it with its checksums, remove what is left over.
+//! What operators do with a store: look into it, compare it with its checksums, remove what is left over.
 
 use super::database_store::DatabaseStore;
+use super::objects::Objects;
+use super::read_only_store::ReadOnlyStore;
 use super::reading;
 use super::session_store::{SessionStore as _, StoreError, StoredFacts};
 use super::write_order::WriteOrder;
 use crate::session::answers::Tenant;
 use crate::wire::record::LoggedCommit;
+use sqlx::AnyPool;
 use std::collections::BTreeSet;
+
+/// Sessions read at a time.
+const PAGE: usize = 500;
 
 /// What the comparison of a session with its checksums found in order.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -19,22 +25,43 @@ pub struct CheckedSession {
     pub object_bytes: u64,
 }
 
-impl DatabaseStore {
-    /// A page of the sessions of all tenants by rising number, above `after`, at most `most`.
+async fn facts_of_all(pool: &AnyPool) -> Result<Vec<StoredFacts>, StoreError> {
+    let mut all: Vec<StoredFacts> = Vec::new();
+    loop {
+        let after = all.last().map_or(0, |s| s.number);
+        let page = reading::stored_facts(pool, after, PAGE).await?;
+        if page.is_empty() {
+            return Ok(all);
+        }
+        all.extend(page);
+    }
+}
+
+async fn objects_without_session(pool: &AnyPool, objects: &Objects) -> Result<Vec<String>, StoreError> {
+    let mut unused = objects.names().await?;
+    let used: BTreeSet<String> = reading::used_objects(pool).await?.into_iter().collect();
+    unused.retain(|name| !used.contains(name));
+    unused.sort();
+    Ok(unused)
+}
+
+impl ReadOnlyStore {
+    /// The sessions of all tenants, in the order of their creation.
     ///
     /// # Errors
     /// When the database does not answer.
-    pub async fn sessions(&self, after: u64, most: usize) -> Result<Vec<StoredFacts>, StoreError> {
-        reading::stored_facts(&self.pool, after, most).await
+    pub async fn all_sessions(&self) -> Result<Vec<StoredFacts>, StoreError> {
+        facts_of_all(&self.database.pool).await
     }
 
-    /// Compares rows and objects of a session with their checksums.
+    /// Compares rows and objects of a session with their checksums; `None` where the session has gone meanwhile.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] with the first thing that does not fit.
-    pub async fn check_session(&self, tenant: &Tenant, id: &str) -> Result<CheckedSession, StoreError> {
-        let gone = || StoreError::Damaged("the session is not there".into());
-        let session = self.load(tenant.clone(), id.to_owned()).await?.ok_or_else(gone)?;
+    /// [`StoreError::Damaged`] with the first thing that does not fit. What is written meanwhile may not fit once.
+    pub async fn check_session(&self, tenant: &Tenant, id: &str) -> Result<Option<CheckedSession>, StoreError> {
+        let Some(session) = self.load(tenant.clone(), id.to_owned()).await? else {
+            return Ok(None);
+        };
         let mut names: BTreeSet<String> = session.model.files.objects().cloned().collect();
         for commit in &session.commits {
             if let LoggedCommit::Edit { files: Some(files), .. } = &commit.commit {
@@ -48,13 +75,13 @@ impl DatabaseStore {
             object_bytes: 0,
         };
         for name in names {
-            if !reading::uses(&self.pool, id, &name).await? {
+            if !reading::uses(&self.database.pool, id, &name).await? {
                 let text = format!("object {name} is the session's, and is not noted as used");
                 return Err(StoreError::Damaged(text));
             }
             checked.object_bytes += self.object(name).await?.len() as u64;
         }
-        Ok(checked)
+        Ok(Some(checked))
     }
 
     /// Compares the database with itself, where it can.
@@ -62,7 +89,25 @@ impl DatabaseStore {
     /// # Errors
     /// [`StoreError::Damaged`] with what it finds.
     pub async fn check_database(&self) -> Result<(), StoreError> {
-        reading::integrity(&self.pool, self.dialect).await
+        reading::integrity(&self.database.pool, self.database.dialect).await
+    }
+
+    /// The objects that no session names; where a server holds the store, those among them that it is just writing.
+    ///
+    /// # Errors
+    /// When database or objects do not answer.
+    pub async fn unused_objects(&self) -> Result<Vec<String>, StoreError> {
+        objects_without_session(&self.database.pool, &self.objects).await
+    }
+}
+
+impl DatabaseStore {
+    /// The sessions of all tenants, in the order of their creation.
+    ///
+    /// # Errors
+    /// When the database does not answer.
+    pub async fn all_sessions(&self) -> Result<Vec<StoredFacts>, StoreError> {
+        facts_of_all(&self.pool).await
     }
 
     /// The objects that no session names.
@@ -70,11 +115,7 @@ impl DatabaseStore {
     /// # Errors
     /// When database or objects do not answer.
     pub async fn unused_objects(&self) -> Result<Vec<String>, StoreError> {
-        let mut unused = self.objects.names().await?;
-        let used: BTreeSet<String> = reading::used_objects(&self.pool).await?.into_iter().collect();
-        unused.retain(|name| !used.contains(name));
-        unused.sort();
-        Ok(unused)
+        objects_without_session(&self.pool, &self.objects).await
     }
 
     /// Removes objects that no session names.

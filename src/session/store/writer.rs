@@ -6,6 +6,7 @@
 
 use super::connection::WritingConnection;
 use super::session_store::StoreError;
+use super::store_health::StoreHealth;
 use super::write_order::{WriteOrder, undo_doubtful};
 use sqlx::{AnyConnection, Connection as _};
 use std::collections::BTreeMap;
@@ -36,12 +37,13 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    /// Starts the task.
-    pub fn start(connection: WritingConnection) -> Self {
+    /// Starts the task. It writes while the places of the store are there, and notes what fails.
+    pub fn start(connection: WritingConnection, health: Arc<StoreHealth>) -> Self {
         let (orders, waiting) = mpsc::channel(QUEUE);
         let doubtful = Arc::default();
         let task = WritingTask {
             connection,
+            health,
             waiting,
             doubtful: Arc::clone(&doubtful),
         };
@@ -78,6 +80,7 @@ impl Writer {
 
 struct WritingTask {
     connection: WritingConnection,
+    health: Arc<StoreHealth>,
     waiting: mpsc::Receiver<WaitingOrder>,
     /// Commits that were refused and may be on disk: sessions, and the first number each.
     doubtful: Arc<Mutex<BTreeMap<String, u64>>>,
@@ -152,8 +155,11 @@ impl WritingTask {
 
     async fn carry_out(&mut self, orders: &[&WriteOrder]) -> Result<Vec<Vec<String>>, Failure> {
         let doubtful = doubts(&self.doubtful).clone();
-        let connection = self.connection.get().await;
-        let connection = connection.map_err(|e| Failure::NoConnection(e.into()))?;
+        self.health
+            .note(self.health.check_places())
+            .map_err(Failure::NoConnection)?;
+        let connection = self.connection.get().await.map_err(StoreError::from);
+        let connection = self.health.note(connection).map_err(Failure::NoConnection)?;
         let transaction = write_together(connection, &doubtful, orders);
         let written = match tokio::time::timeout(PATIENCE, transaction).await {
             Ok(written) => written,
@@ -167,7 +173,7 @@ impl WritingTask {
             }
             Err(error) => {
                 self.connection.give_up().await;
-                Err(Failure::Transaction(error))
+                self.health.note(Err(error)).map_err(Failure::Transaction)
             }
         }
     }

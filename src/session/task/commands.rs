@@ -87,7 +87,7 @@ impl SessionTask {
             true => WorkLane::Interactive,
             false => WorkLane::Builds,
         };
-        let room = self.memory.room();
+        let room = self.memory.room().min(self.place.room());
         let (replaced, watch) = self
             .compute(call.order("handles", lane, limit), move |deformer, pool, watch, _| {
                 deformer.engine.limit_memory(room);

@@ -31,7 +31,7 @@ impl SessionTask {
         let (shape, recipe) = (self.history.shape(state.shape), self.history.recipe(state.shape));
         let limit = self.shared.config.build;
         // What the other sessions leave, now: the engine was opened when there was more or less.
-        let room = self.memory.room();
+        let room = self.memory.room().min(self.place.room());
         let kept_edit = self.kept.is_some().then(|| edit.clone());
         let (done, watch) = self
             .compute(

@@ -6,7 +6,7 @@ use crate::engine::{Edit, EditReport, ModelShape, SolveSettings};
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::{HistoryDirection, StoredAnswer};
 use crate::session::calls::idempotency::KeyClaim;
-use crate::session::calls::session_places::check_stored;
+use crate::session::calls::session_places::announce_stored;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::loaded_deformer::CommitSolution;
 use crate::session::history::session_state::EditedState;
@@ -135,7 +135,7 @@ impl SessionTask {
         claim: Option<&Claim>,
     ) -> Result<(), Error> {
         let merged = files.as_ref().map_or(0, FileSet::total_bytes);
-        check_stored(&self.shared, self.place.account(), merged).await?;
+        let storing = announce_stored(&self.shared, self.place.account(), merged).await?;
         let audit = self.change(AuditedAction::of_commit(&commit));
         let Some(kept) = &mut self.kept else { return Ok(()) };
         let (sequence, revision) = (kept.sequence + 1, self.history.revision() + 1);
@@ -159,6 +159,7 @@ impl SessionTask {
             self.shared.metrics.store_failures.inc();
             tracing::error!(session.id = %self.session.id, "a commit could not be stored: {error}");
         })?;
+        drop(storing);
         kept.sequence = sequence;
         kept.solved_since += u32::from(is_solved);
         if !is_step {

@@ -14,6 +14,8 @@ pub(super) struct ModelMessage {
     pub label: String,
     #[prost(string, tag = "4")]
     pub format: String,
+    #[prost(uint64, optional, tag = "5")]
+    pub graph_bytes: Option<u64>,
 }
 
 /// A set of files by the names of their objects.

@@ -21,6 +21,8 @@ pub struct RecordedModel {
     pub label: String,
     /// The format of its files.
     pub format: Format,
+    /// Bytes that its volume graph was fitted into; `None` in records of the time before that was noted.
+    pub graph_bytes: Option<u64>,
 }
 
 impl RecordedModel {
@@ -34,6 +36,7 @@ impl RecordedModel {
             options: Some(create_message(&self.options)?),
             label: self.label.clone(),
             format: self.format.name().into(),
+            graph_bytes: self.graph_bytes,
         };
         Ok(message.encode_to_vec())
     }
@@ -52,6 +55,7 @@ impl RecordedModel {
             options: open_options(&message.options.unwrap_or_default())?,
             label: message.label,
             format: Format::from_name(&message.format).ok_or_else(|| Error::invalid("model.format", "is no format"))?,
+            graph_bytes: message.graph_bytes,
         })
     }
 }
@@ -167,6 +171,7 @@ mod tests {
             options: options.clone(),
             label: "a label".into(),
             format: Format::OBJ,
+            graph_bytes: Some(1 << 40),
         };
         let again = RecordedModel::read(&record.write().expect("no model rides along")).expect("it was written");
         assert_eq!(format!("{again:?}"), format!("{record:?}"));

@@ -23,6 +23,7 @@ const LIMITS: DeformerLimits = DeformerLimits {
         document_bytes: 1 << 20,
     },
     memory_bytes: 64 << 20,
+    graph_bytes: None,
     handles: 16,
 };
 

@@ -37,6 +37,7 @@ pub const LIMITS: DeformerLimits = DeformerLimits {
         document_bytes: 32 << 20,
     },
     memory_bytes: 256 << 20,
+    graph_bytes: None,
     handles: 16,
 };
 

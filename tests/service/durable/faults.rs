@@ -2,7 +2,7 @@
 
 use super::{bar_session, path, seen, turn};
 use crate::support::program::ServedProgram;
-use crate::support::server::{Came, Socket, bar_obj, http, turn_json, turned, within};
+use crate::support::server::{Came, Socket, bar_obj, eventually, http, turn_json, turned, within};
 use pliant::wire::pb::{deform_request, deform_response};
 use std::process::Command;
 
@@ -51,7 +51,19 @@ async fn a_full_disk_refuses_changes_and_nothing_else() {
             detail.contains("store") && detail.contains("nothing has changed"),
             "{detail}"
         );
+        for secret in [&*folder.display().to_string(), "sqlite", "disk", "error", "object"] {
+            assert!(!detail.contains(secret), "{detail}");
+        }
     }
+    // Whoever watches is told.
+    let (status, told) = server.call("GET", "/readyz", None).await;
+    assert!(
+        status == 503
+            && told["detail"]
+                .to_string()
+                .contains("store of sessions cannot be written"),
+        "{told}"
+    );
     let created = http()
         .post(format!("{}/v1/sessions", server.url))
         .body(bar_obj(7))
@@ -85,6 +97,10 @@ async fn a_full_disk_refuses_changes_and_nothing_else() {
 
     // There is room again.
     assert!(limit_files(&server, "unlimited"));
+    eventually("ready again", async || {
+        server.call("GET", "/readyz", None).await.0 == 200
+    })
+    .await;
     turn(&server, &id, 0.9).await;
     let after = seen(&server, &id).await;
     server.kill();

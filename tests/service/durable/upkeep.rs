@@ -8,7 +8,7 @@ use std::fs;
 
 in_every_store!(
     what_is_kept_is_checked_listed_exported_and_pruned,
-    what_a_server_holds_is_left_alone,
+    what_a_server_holds_is_looked_at_and_left_alone,
 );
 
 async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
@@ -53,12 +53,22 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
     );
     assert_eq!(place.store(&["export", "nobody", output, "--force"]).code, 2);
 
-    // What the process left when it ended in the middle of a call, and a session whose time is over.
+    // What the process left when it ended in the middle of a call, and a session that nobody used for long. That its time to live
+    // would be over is no reason: only a server ends it.
     let shelves = place.objects()[0].ancestors().nth(2).expect("shelves").to_owned();
     fs::create_dir_all(shelves.join("00")).expect("a shelf");
     fs::write(shelves.join("00").join("0".repeat(64)), "left").expect("writable");
-    std::thread::sleep(std::time::Duration::from_millis(1100));
-    let planned = place.store(&["prune", "--dry-run"]);
+    place
+        .tamper(&format!("UPDATE sessions SET used_ms = 0 WHERE id = '{other}'"))
+        .await;
+    let kept = place.store(&["prune", "--dry-run"]);
+    assert!(
+        kept.out.contains("0 sessions and 1 objects would go"),
+        "{} {}",
+        kept.out,
+        kept.err
+    );
+    let planned = place.store(&["prune", "--unused-for", "1d", "--dry-run"]);
     assert!(
         planned.out.contains("1 sessions and 1 objects would go"),
         "{} {}",
@@ -66,7 +76,7 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
         planned.err
     );
     assert_eq!(place.store(&["list"]).out.lines().count(), 2);
-    let pruned = place.store(&["prune"]);
+    let pruned = place.store(&["prune", "--unused-for", "1d"]);
     assert!(
         pruned.out.contains("1 sessions and 1 objects are gone"),
         "{} {}",
@@ -90,15 +100,21 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
     assert_eq!(place.store(&["list"]).out, "");
 }
 
-async fn what_a_server_holds_is_left_alone(place: StorePlace) {
+async fn what_a_server_holds_is_looked_at_and_left_alone(place: StorePlace) {
     let server = place.start(&[]);
-    bar_session(&server).await;
-    for command in ["check", "list", "prune"] {
+    let id = bar_session(&server).await;
+    for command in ["check", "list"] {
         let told = place.store(&[command]);
-        assert_eq!(told.code, 2, "{command}");
-        let last = told.err.lines().last().unwrap_or_default();
-        assert!(last.contains("in use by another process"), "{}", told.err);
+        assert!(told.code == 0 && told.out.contains(&id), "{} {}", told.out, told.err);
     }
+    let told = place.store(&["prune"]);
+    let last = told.err.lines().last().unwrap_or_default();
+    assert!(
+        told.code == 2 && last.contains("in use by another process"),
+        "{}",
+        told.err
+    );
+    turn(&server, &id, 0.4).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

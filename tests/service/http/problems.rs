@@ -20,6 +20,11 @@ POST /v1/sessions/{id}/model   | -                | -      | 405 UNIMPLEMENTED  
 POST /v1/sessions/{id}/solve   | text/plain       | {}     | 415 INVALID_ARGUMENT    | -         | text/plain; application/json
 POST /v1/sessions              | image/png        | x      | 415 INVALID_ARGUMENT    | -         | image/png; model/obj
 POST /v1/sessions/{id}/solve   | application/json | {"pose" | 400 INVALID_ARGUMENT   | ?         | -
+POST /v1/sessions/{id}/solve   | application/json | {bad   | 400 INVALID_ARGUMENT    | body      | line 1 column 2
+POST /v1/sessions/{id}/solve   | application/json | {"pose": {"handles": [{"id": "top"}, {"id": "top"}]}} | 422 INVALID_ARGUMENT | pose.handles[1].id | handles[0]; again
+POST /v1/sessions/{id}/solve   | application/json | {"options": {"output": {}, "output": {}}} | 400 INVALID_ARGUMENT | options.output | two fields; once
+POST /v1/sessions/{id}/solve   | application/json | {"options": {"tolerance": 1e-300}} | 422 INVALID_ARGUMENT | options.tolerance | is 1e-300
+POST /v1/sessions/{id}/edits   | application/json | {"remesh": {"edgeLength": 1e-9}} | 413 RESOURCE_EXHAUSTED | - | more than 1000000000000
 POST /v1/sessions/{id}/solve   | application/json | {deep} | 400 INVALID_ARGUMENT    | ?         | -
 POST /v1/sessions/{id}/solve   | application/json | {"pse": {}} | 400 INVALID_ARGUMENT | ?       | pse
 PUT /v1/sessions/{id}/handles  | application/json | {"handles": [{"id": "a"}, {"id": "b", "region": {"sphere": {"center": "x"}}}]} | 400 INVALID_ARGUMENT | handles[1].region.sphere.center | -
@@ -37,6 +42,8 @@ POST /v1/sessions/{id}/animations | -             | -      | 422 INVALID_ARGUMEN
 POST /v1/sessions/{id}/solve   | application/json | {"options": {"method": 7}} | 422 INVALID_ARGUMENT | options.method | 7
 POST /v1/sessions?colour=red   | -                | x      | 400 INVALID_ARGUMENT    | colour    | volumeGraph
 POST /v1/sessions?format=doc   | -                | x      | 422 INVALID_ARGUMENT    | format    | doc; glb
+POST /v1/sessions?label=%00%0a | -                | v 0 0 0 | 422 INVALID_ARGUMENT   | label     | control; U+0000
+POST /v1/sessions?label=%ff%fe | -                | v 0 0 0 | 400 INVALID_ARGUMENT   | -         | UTF-8
 POST /v1/sessions?ttl=soon     | -                | v 0 0 0 | 422 INVALID_ARGUMENT   | ttl       | soon
 POST /v1/sessions?sample=dragon | -               | -      | 422 INVALID_ARGUMENT    | sample    | dragon; creature or figure
 GET /v1/sample.glb?name=dragon  | -               | -      | 422 INVALID_ARGUMENT    | name      | dragon; creature or figure
@@ -44,6 +51,7 @@ POST /v1/sessions              | -                | -      | 400 INVALID_ARGUMEN
 POST /v1/sessions              | -                | what is this | 400 INVALID_ARGUMENT | -      | glb, gltf, obj
 POST /v1/sessions?format=obj   | -                | v 0 0 zero | 400 INVALID_ARGUMENT | -        | line 1; zero
 GET /v1/sessions?pageSize=many | -                | -      | 422 INVALID_ARGUMENT    | pageSize  | many
+GET /v1/sessions?pageSize=0    | -                | -      | 422 INVALID_ARGUMENT    | pageSize  | 0; 1 to 1000
 GET /v1/sessions?pageSize=1001 | -                | -      | 422 INVALID_ARGUMENT    | pageSize  | 1001; 1000
 GET /v1/sessions/{id}/model?format=doc | -        | -      | 422 INVALID_ARGUMENT    | format    | doc; glb
 GET /v1/sessions/{id}/model?uri=a.bin | -         | -      | 422 INVALID_ARGUMENT    | uri       | a.bin

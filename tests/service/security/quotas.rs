@@ -235,6 +235,28 @@ async fn what_is_stored_is_counted_and_given_back() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn sessions_that_are_opened_at_once_pass_no_quota_of_the_store() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let bytes = bar_obj(8).len() as u64;
+    let most = bytes * 7 / 2;
+    let config = config_file(folder.path(), &format!("[quotas]\nstored_bytes = {most}\n"));
+    let server = ServedProgram::start(&data, &["--config", &config]);
+    let mut opened = 0;
+    for _ in 0..3 {
+        let calls = (0..12).map(|_| {
+            let call = http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(8));
+            async move { answer(call, "").await.0 }
+        });
+        let told = futures::future::join_all(calls).await;
+        assert!(told.iter().all(|status| [201, 429].contains(status)), "{told:?}");
+        opened += told.iter().filter(|status| **status == 201).count();
+    }
+    // Each is its model and some words; what was refused takes no room for good.
+    assert_eq!(opened, 3);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn commits_are_refused_where_no_more_may_be_stored_and_reading_goes_on() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");

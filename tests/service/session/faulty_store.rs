@@ -65,6 +65,10 @@ impl SessionStore for FaultyStore {
         self.inner.build()
     }
 
+    fn takes_writes(&self) -> bool {
+        self.inner.takes_writes()
+    }
+
     fn create(&self, session: NewSession) -> Stored<'_, ()> {
         self.held(self.inner.create(session))
     }
@@ -109,8 +113,8 @@ impl SessionStore for FaultyStore {
         self.inner.note_use(sessions)
     }
 
-    fn expired(&self, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>> {
-        self.inner.expired(now_ms)
+    fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>> {
+        self.inner.expired(since_ms, now_ms)
     }
 
     fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>> {

@@ -64,6 +64,20 @@ async fn streams_of_a_session_are_bounded_and_given_back() {
     eventually("a free place", async || server.socket(&path).await.is_ok()).await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn who_sends_far_too_much_hears_why_it_ends() {
+    let server = Server::start().await;
+    let id = server.bar_session().await;
+    let path = format!("/v1/sessions/{id}/stream");
+    for megabytes in [5, 24] {
+        let mut socket = server.socket(&path).await.unwrap();
+        let large = tungstenite::Message::Binary(Bytes::from(vec![0; megabytes << 20]));
+        let (code, why) = closed_after(&mut socket, large).await;
+        assert_eq!(code, 1009, "{why}");
+        assert!(why.contains("messageBytes"), "{why}");
+    }
+}
+
 /// The close code and text after a message that breaks the rules.
 async fn closed_after(socket: &mut Socket, broken: tungstenite::Message) -> (u16, String) {
     let _ = socket.stream.send(broken).await;

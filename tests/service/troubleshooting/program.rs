@@ -72,8 +72,13 @@ pub fn provoke() -> Vec<Said> {
     fs::create_dir(&taken_store).expect("a folder");
     let lock = fs::File::create(taken_store.join("lock")).expect("a lock");
     rustix::fs::flock(&lock, rustix::fs::FlockOperation::LockExclusive).expect("locked");
+    fs::write(taken_store.join("sessions.sqlite"), "").expect("written");
+    fs::create_dir(folder.path().join("nothing")).expect("a folder");
+    fs::create_dir_all(folder.path().join("half/objects/00")).expect("a folder");
+    fs::write(folder.path().join("half/objects/00/object"), "").expect("written");
 
-    let cases: [(&'static str, &[&str]); 28] = [
+    let cases: [(&'static str, &[&str]); 29] = [
+        ("objects without a database", &["store", "prune", "--data-dir", "half"]),
         ("no folder of sessions", &["audit", "--data-dir", "nothing"]),
         ("a port that is taken", &["serve", "--listen", &here]),
         ("an unknown key", &["serve", "--config", "slip.toml"]),
@@ -87,7 +92,7 @@ pub fn provoke() -> Vec<Said> {
             "a database that is none",
             &["serve", "--data-dir", "kept", "--database", "mysql://db.example/pliant"],
         ),
-        ("a store that is taken", &["store", "list", "--data-dir", "taken"]),
+        ("a store that is taken", &["store", "prune", "--data-dir", "taken"]),
         ("a store that is not named", &["store", "list"]),
         (
             "a store that is not there",

@@ -22,11 +22,11 @@ pub enum Error {
         place: ErrorPlace,
     },
     /// The result would exceed a limit.
-    #[error("the result would have {seen} {what}, the limit is {limit}")]
+    #[error("the result would have {} {what}, the limit is {limit}", shown_count(*seen))]
     TooLarge {
         /// Of what.
         what: &'static str,
-        /// How many.
+        /// How many; `u64::MAX`: more than can be counted.
         seen: u64,
         /// How many are allowed.
         limit: u64,
@@ -34,6 +34,17 @@ pub enum Error {
     /// The caller gave up.
     #[error("cancelled")]
     Cancelled,
+}
+
+/// Counts above this are told as more than this.
+const COUNTED: u64 = 1_000_000_000_000;
+
+/// A count as people are told: no digits that nobody can use.
+pub fn shown_count(seen: u64) -> String {
+    match seen {
+        COUNTED.. => format!("more than {COUNTED}"),
+        seen => seen.to_string(),
+    }
 }
 
 impl Error {

@@ -37,7 +37,7 @@ mod weld;
 
 pub use cut::{CutOptions, CutPlane, KeptSide, MOST_POINTS, SurfaceCurve, cut_along_curve, cut_by_plane, insert_curve};
 pub use decimate::decimate_region;
-pub use error::{EditSubject, Error, ErrorPlace};
+pub use error::{EditSubject, Error, ErrorPlace, shown_count};
 pub use fill::{delete_faces, fill_holes};
 pub use patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch, apply_patch};
 pub use remesh::{ASPECT, MENDED, MOST_TRIANGLES, RemeshTarget, STRETCH, expected_triangles, remesh_region};

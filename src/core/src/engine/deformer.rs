@@ -36,7 +36,8 @@ pub struct Deformer {
     pub(super) derived: Arc<DerivedStructures>,
     pub(super) options: OpenOptions,
     pub(super) limits: DeformerLimits,
-    /// Bytes that it may hold after an edit. How a graph is built depends on `limits` alone, which never change.
+    /// Bytes that it may hold after what comes next. How a graph is built depends on `limits.graph_bytes` alone, which
+    /// never changes.
     pub(super) room: u64,
     /// The name of the next new state.
     pub(super) next_topology: TopologyId,
@@ -101,7 +102,10 @@ impl Deformer {
         Ok(Self {
             derived: Arc::new(derived),
             options: options.clone(),
-            limits: *limits,
+            limits: DeformerLimits {
+                graph_bytes: limits.graph_bytes.or(Some(limits.memory_bytes)),
+                ..*limits
+            },
             room: limits.memory_bytes,
             next_topology: TopologyId(1),
             handles: ResolvedHandles::default(),
@@ -145,13 +149,13 @@ impl Deformer {
         }
     }
 
-    /// Says how many bytes the deformer may hold after its next edit, at most those of its limits.
+    /// Says how many bytes the deformer may hold from now on.
     pub fn limit_memory(&mut self, bytes: u64) {
-        self.room = bytes.min(self.limits.memory_bytes);
+        self.room = bytes;
     }
 
     /// The limits, with as much memory as there is room for.
-    fn room_limits(&self) -> DeformerLimits {
+    pub(super) fn room_limits(&self) -> DeformerLimits {
         DeformerLimits {
             memory_bytes: self.room,
             ..self.limits

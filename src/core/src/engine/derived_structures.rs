@@ -4,7 +4,7 @@ use super::error::Error;
 use super::facts::{DeformerWarning, TieFacts, WarningPlace};
 use super::followed_nodes::FollowedNodes;
 use super::held_inside::HeldInside;
-use super::interior::{BYTES_PER_NODE, fit_lattice, interior_warnings};
+use super::interior::{BYTES_PER_NODE, interior_warnings, most_nodes};
 use super::limits::DeformerLimits;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
@@ -85,11 +85,14 @@ impl DerivedStructures {
         let mesh = topology.mesh(options.weld)?;
         exec.check()?;
 
-        // Without a wish for interior nodes they are what may be left out to stay within the limits.
-        let nodes = if options.body.volume == VolumeMode::Required {
-            estimate_nodes(&mesh)
-        } else {
-            mesh.positions.len()
+        let surface = mesh.positions.len();
+        let nodes = match options.body.volume {
+            VolumeMode::Off => surface,
+            VolumeMode::Required => estimate_nodes(&mesh),
+            // Without a wish for interior nodes they are what is left out where they do not fit.
+            VolumeMode::Auto => estimate_nodes(&mesh)
+                .min(most_nodes(beside_graph(&topology), limits))
+                .max(surface),
         };
         admit_bytes(estimate(vertices, nodes as u64) + files, limits, exec)?;
         let parts = MeshParts::find_parts(&topology, &mesh, options)?;
@@ -362,13 +365,18 @@ fn body_options(
     options: &OpenOptions,
     limits: &DeformerLimits,
 ) -> BodyOptions {
-    let beside = topology.rest.len() as u64 * BYTES_PER_VERTEX + topology.model.files.total_bytes();
     let ties = tie_options(families, options);
     let mut options = options.body.clone();
     options.apart = topology.is_apart();
     options.ties = ties;
-    fit_lattice(&mut options, beside, limits);
+    let most = &mut options.graph.max_nodes;
+    *most = (*most).min(most_nodes(beside_graph(topology), limits));
     options
+}
+
+/// Bytes that a model costs beside its graph.
+fn beside_graph(topology: &ModelTopology) -> u64 {
+    topology.rest.len() as u64 * BYTES_PER_VERTEX + topology.model.files.total_bytes()
 }
 
 fn estimate(vertices: u64, nodes: u64) -> u64 {

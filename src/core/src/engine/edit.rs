@@ -87,7 +87,7 @@ impl Deformer {
             carried: self.keep_fields(&carried),
         };
         let id = self.next_topology;
-        let derived = (self.derived).edited(change, id, &self.options, &self.limits, exec)?;
+        let derived = (self.derived).edited(change, id, &self.options, &self.room_limits(), exec)?;
         report.repaired = derived.is_followed();
         let mut next = self.with_derived(Arc::new(derived));
         next.set_handles(&carried.set, exec)?;
@@ -181,7 +181,12 @@ impl Deformer {
         }
         let derived = match self.kept_structures(state.id()) {
             Some(derived) => derived,
-            None => Arc::new(DerivedStructures::retrace(state, &self.options, &self.limits, exec)?),
+            None => Arc::new(DerivedStructures::retrace(
+                state,
+                &self.options,
+                &self.room_limits(),
+                exec,
+            )?),
         };
         *self = self.with_derived(derived);
         Ok(())

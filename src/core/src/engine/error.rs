@@ -28,7 +28,7 @@ pub enum Error {
     #[error("{0} is not implemented by this version")]
     Unimplemented(String),
     /// Something is larger than the limits allow.
-    #[error("{what} is {seen}, at most {limit} is allowed")]
+    #[error("{what} is {}, at most {limit} is allowed", edit::shown_count(*seen))]
     TooLarge {
         /// What is too large.
         what: &'static str,

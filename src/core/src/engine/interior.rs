@@ -2,7 +2,7 @@
 
 use super::facts::{DeformerWarning, WarningPlace};
 use super::limits::DeformerLimits;
-use crate::deform::{BodyOptions, DeformableBody, VolumeMode};
+use crate::deform::{DeformableBody, VolumeMode};
 use crate::mesh::{brief_number, brief_point};
 use glam::DVec3;
 
@@ -13,12 +13,12 @@ pub(super) const BYTES_PER_NODE: u64 = 1400;
 /// How many places one warning spells out.
 const PLACES: usize = 16;
 
-/// Lowers the most nodes of the graph to what fits into `limits` beside `other` bytes, with a fifth left for the fields
-/// of handles.
-pub(super) fn fit_lattice(options: &mut BodyOptions, other: u64, limits: &DeformerLimits) {
-    let nodes = limits.memory_bytes.saturating_sub(other) / (BYTES_PER_NODE / 4 * 5);
-    let most = &mut options.graph.max_nodes;
-    *most = (*most).min(usize::try_from(nodes).unwrap_or(usize::MAX));
+/// The most nodes that a graph may have to fit into `limits` beside `other` bytes, with a fifth left for the fields of
+/// handles.
+pub(super) fn most_nodes(other: u64, limits: &DeformerLimits) -> usize {
+    let bytes = limits.graph_bytes.unwrap_or(limits.memory_bytes);
+    let nodes = bytes.saturating_sub(other) / (BYTES_PER_NODE / 4 * 5);
+    usize::try_from(nodes).unwrap_or(usize::MAX)
 }
 
 /// What is unusual about the interior of a body that was built in `mode`.

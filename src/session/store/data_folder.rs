@@ -1,0 +1,143 @@
+//! The data folder of a store: making it, having it to oneself, and looking at it without a trace.
+
+use super::private_files::{make_private_file, make_private_folder, sync_folder};
+use super::session_store::StoreError;
+use rustix::fs::{FlockOperation, flock};
+use rustix::io::Errno;
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// The file of the database in a data folder.
+pub(super) const DATABASE_FILE: &str = "sessions.sqlite";
+/// The file that is locked beside the folder itself: all that earlier versions look at.
+const LOCK_FILE: &str = "lock";
+
+/// A hold on a data folder, for as long as it lives.
+///
+/// The lock is on the folder itself, which cannot be taken away from under a process as a file in it can; file systems that lock no
+/// folders (NFS among them) still lock the file.
+#[derive(Debug)]
+pub(super) struct FolderHold {
+    _folder: File,
+    _file: Option<File>,
+}
+
+fn failed(path: &Path) -> impl Fn(io::Error) -> StoreError {
+    move |e| StoreError::Unavailable(format!("{}: {e}", path.display()))
+}
+
+impl FolderHold {
+    /// Takes a folder for this process alone; makes it where it is missing.
+    ///
+    /// # Errors
+    /// [`StoreError::Refused`] where another process has it, [`StoreError::Unavailable`] where it cannot be had.
+    pub fn alone(folder: &Path) -> Result<Self, StoreError> {
+        let unavailable = failed(folder);
+        if !folder.exists() {
+            make_private_folder(folder).map_err(&unavailable)?;
+            // The folder's own name has to be on disk too.
+            if let Some(parent) = folder.parent().filter(|p| !p.as_os_str().is_empty()) {
+                sync_folder(parent).map_err(&unavailable)?;
+            }
+        }
+        let taken = || {
+            StoreError::Refused(format!(
+                "{} is in use by another process: a server that keeps its sessions there, or pliant store",
+                folder.display()
+            ))
+        };
+        let itself = File::open(folder).map_err(&unavailable)?;
+        if !lock(&itself, FlockOperation::NonBlockingLockExclusive).unwrap_or(true) {
+            return Err(taken());
+        }
+        let file = make_private_file(&folder.join(LOCK_FILE)).map_err(&unavailable)?;
+        match lock(&file, FlockOperation::NonBlockingLockExclusive) {
+            Ok(true) => Ok(Self {
+                _folder: itself,
+                _file: Some(file),
+            }),
+            Ok(false) => Err(taken()),
+            Err(error) => Err(unavailable(error)),
+        }
+    }
+
+    /// Keeps writers away from a folder while it is looked at, with any number of others who look; `None` where a process writes it.
+    /// Nothing is made.
+    ///
+    /// # Errors
+    /// [`StoreError::Unavailable`] where the folder cannot be opened.
+    pub fn with_others(folder: &Path) -> Result<Option<Self>, StoreError> {
+        let itself = File::open(folder).map_err(failed(folder))?;
+        if !lock(&itself, FlockOperation::NonBlockingLockShared).unwrap_or(true) {
+            return Ok(None);
+        }
+        // Backups have no such file.
+        let file = File::open(folder.join(LOCK_FILE)).ok();
+        if let Some(file) = &file
+            && !lock(file, FlockOperation::NonBlockingLockShared).unwrap_or(true)
+        {
+            return Ok(None);
+        }
+        Ok(Some(Self {
+            _folder: itself,
+            _file: file,
+        }))
+    }
+}
+
+/// Whether the lock is ours; an error where the file system has no such locks.
+fn lock(file: &File, how: FlockOperation) -> io::Result<bool> {
+    match flock(file, how) {
+        Ok(()) => Ok(true),
+        Err(Errno::WOULDBLOCK) => Ok(false),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// The database file of a folder.
+///
+/// # Errors
+/// [`StoreError::Refused`] where there is none, with what is missing.
+pub(super) fn existing_database(folder: &Path) -> Result<PathBuf, StoreError> {
+    let shown = folder.display();
+    if !folder.is_dir() {
+        return Err(StoreError::Refused(format!(
+            "there is no store of sessions in {shown}: there is no such folder"
+        )));
+    }
+    let file = folder.join(DATABASE_FILE);
+    match file.exists() {
+        true => Ok(file),
+        false if holds_objects(folder) => Err(objects_alone(folder)),
+        false => Err(StoreError::Refused(format!(
+            "there is no store of sessions in {shown}: there is no {DATABASE_FILE}"
+        ))),
+    }
+}
+
+/// Refuses a folder of objects whose database is missing: a new one would name none of them.
+pub(super) fn refuse_objects_alone(folder: &Path) -> Result<(), StoreError> {
+    match !folder.join(DATABASE_FILE).exists() && holds_objects(folder) {
+        true => Err(objects_alone(folder)),
+        false => Ok(()),
+    }
+}
+
+fn objects_alone(folder: &Path) -> StoreError {
+    StoreError::Refused(format!(
+        "{} holds objects of sessions, but {DATABASE_FILE} is missing, which says whose they are; restore it from the backup that \
+         they belong to, or name another folder",
+        folder.display()
+    ))
+}
+
+/// Whether anything lies on the shelves of a folder, or the mark of a store beside them.
+fn holds_objects(folder: &Path) -> bool {
+    let shelves = std::fs::read_dir(folder.join("objects"))
+        .into_iter()
+        .flatten()
+        .flatten();
+    let mut files = shelves.flat_map(|shelf| std::fs::read_dir(shelf.path()).into_iter().flatten());
+    folder.join("store").exists() || files.next().is_some()
+}

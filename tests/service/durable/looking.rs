@@ -1,0 +1,223 @@
+//! `pliant store check`, `list` and `export` only look: nothing is made or changed where sessions are kept, whether a server holds them,
+//! a crash left them, or the place cannot be written at all. Where there is no store they say so.
+
+use super::{bar_session, path, seen, turn};
+use crate::durable::place::StorePlace;
+use crate::support::server::turn_json;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
+
+/// All files below a folder with their bytes, folders with none.
+fn contents(folder: &Path) -> BTreeMap<String, Option<Vec<u8>>> {
+    let mut found = BTreeMap::new();
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        let name = path.display().to_string();
+        if path.is_dir() {
+            found.insert(name, None);
+            found.extend(contents(&path));
+        } else {
+            found.insert(name, fs::read(&path).ok());
+        }
+    }
+    found
+}
+
+/// Checks, lists and exports; nothing may change.
+fn look(place: &StorePlace, id: &str) {
+    let before = contents(&place.data());
+    let checked = place.store(&["check", "--replay", "--json"]);
+    let told: Value = serde_json::from_str(&checked.out).unwrap_or_default();
+    assert_eq!(
+        (checked.code, &told["damaged"], &told["sessions"][0]["commits"]),
+        (0, &0.into(), &4.into()),
+        "{told} {}",
+        checked.err
+    );
+    let listed = place.store(&["list"]);
+    assert!(listed.code == 0 && listed.out.starts_with(id), "{}", listed.err);
+    let output = place.top().join("out.obj");
+    let exported = place.store(&["export", id, output.to_str().expect("UTF-8"), "--force"]);
+    assert_eq!(exported.code, 0, "{}", exported.err);
+    let data = place.data();
+    let audit = std::process::Command::new(env!("CARGO_BIN_EXE_pliant"))
+        .args(["audit", "--data-dir", data.to_str().expect("UTF-8")])
+        .output()
+        .expect("the program runs");
+    assert!(audit.status.success() && audit.stdout.len() > 100);
+    let (mut before, mut after) = (before, contents(&data));
+    // Readers beside a server note in its index how far they read.
+    for files in [&mut before, &mut after] {
+        files.retain(|name, _| !name.ends_with("-shm"));
+    }
+    assert!(before == after, "{:?} {:?}", before.keys(), after.keys());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn looking_changes_nothing_beside_a_server_after_a_crash_and_in_a_backup() {
+    let place = StorePlace::folder().await.expect("a folder");
+    let server = place.start(&[]);
+    let id = bar_session(&server).await;
+    turn(&server, &id, 0.2).await;
+    turn(&server, &id, 0.4).await;
+    look(&place, &id);
+    server.kill();
+    // The log that the crash left holds commits.
+    assert!(
+        place
+            .data()
+            .join("sessions.sqlite-wal")
+            .metadata()
+            .is_ok_and(|f| f.len() > 0)
+    );
+    look(&place, &id);
+    let server = place.start(&[]);
+    let before = seen(&server, &id).await;
+    server.stop().await;
+    look(&place, &id);
+    // Who opens the database and closes it puts the log into it.
+    place.count("sessions").await;
+    assert!(!place.data().join("sessions.sqlite-wal").exists());
+    look(&place, &id);
+    // A backup has no lock file, and may be where nobody can write.
+    fs::remove_file(place.data().join("lock")).expect("a lock file");
+    let readable = |mode| fs::set_permissions(place.data(), fs::Permissions::from_mode(mode)).expect("permissions");
+    readable(0o500);
+    look(&place, &id);
+    readable(0o700);
+    assert!(!place.data().join("lock").exists());
+    assert_eq!(seen(&place.start(&[]), &id).await, before);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_server_writes_meanwhile_is_no_damage() {
+    let place = StorePlace::folder().await.expect("a folder");
+    let server = place.start(&[]);
+    let id = bar_session(&server).await;
+    let writing = async {
+        for k in 0..60 {
+            server
+                .done("POST", &path(&id, "/solve"), Some(&turn_json(f64::from(k) * 0.01)))
+                .await;
+        }
+    };
+    let looking = tokio::task::block_in_place(|| {
+        std::thread::scope(|scope| {
+            let looks = scope.spawn(|| (0..5).map(|_| place.store(&["check"])).collect::<Vec<_>>());
+            tokio::runtime::Handle::current().block_on(writing);
+            looks.join().expect("no panic")
+        })
+    });
+    for checked in looking {
+        assert_eq!(checked.code, 0, "{} {}", checked.out, checked.err);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn where_there_is_no_store_none_is_made() {
+    let place = StorePlace::folder().await.expect("a folder");
+    for makes_folder in [false, true] {
+        if makes_folder {
+            fs::create_dir(place.data()).expect("a folder");
+        }
+        for command in ["check", "list", "prune"] {
+            let told = place.store(&[command]);
+            let last = told.err.lines().last().unwrap_or_default();
+            assert!(
+                last.contains("there is no store of sessions in"),
+                "{command}: {}",
+                told.err
+            );
+            assert_eq!((told.code, &*told.out), (2, ""), "{command}");
+        }
+        assert_eq!(place.data().exists(), makes_folder);
+        assert!(contents(&place.data()).is_empty());
+    }
+    // A database of something else is no store either.
+    let Some(place) = StorePlace::postgres().await else {
+        return;
+    };
+    fs::create_dir(place.data()).expect("a folder");
+    fs::create_dir(place.data().join("objects")).expect("a folder");
+    for command in ["check", "list", "prune"] {
+        let told = place.store(&[command]);
+        assert!(told.err.contains("there is no store of sessions in"), "{}", told.err);
+        assert_eq!(told.code, 2);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn objects_without_their_database_are_left_alone() {
+    let place = StorePlace::folder().await.expect("a folder");
+    let server = place.start(&[]);
+    let id = bar_session(&server).await;
+    server.stop().await;
+    let database = place.data().join("sessions.sqlite");
+    let kept = fs::read(&database).expect("a database");
+    for gone in ["sessions.sqlite", "store"] {
+        fs::remove_file(place.data().join(gone)).expect("there");
+        let before = contents(&place.data());
+        let orders: [&[&str]; 4] = [&["check"], &["list"], &["prune", "--dry-run"], &["prune"]];
+        for order in orders {
+            let told = place.store(order);
+            let last = told.err.lines().last().unwrap_or_default();
+            assert!(
+                last.contains("sessions.sqlite is missing") && last.contains("restore"),
+                "{order:?}: {}",
+                told.err
+            );
+            assert_eq!(told.code, 2, "{order:?}");
+        }
+        let refused = place.try_start(&[]).err().expect("refused");
+        assert!(refused.contains("sessions.sqlite is missing"), "{refused}");
+        assert_eq!(place.objects().len(), 1);
+        let mut after = contents(&place.data());
+        after.retain(|name, _| !name.ends_with("/lock"));
+        assert!(after.keys().all(|name| before.contains_key(name)), "{:?}", after.keys());
+    }
+    fs::write(&database, kept).expect("restored");
+    assert_eq!(place.store(&["check"]).code, 0);
+    place.start(&[]).done("GET", &path(&id, ""), None).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_names_the_version_of_the_tables() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/docs/durability.md");
+    let page = fs::read_to_string(page).expect("the page");
+    let told = page.split_once("tables a version (`").expect("the version").1;
+    let told: u64 = told.split('`').next().and_then(|n| n.parse().ok()).expect("a number");
+    let place = StorePlace::folder().await.expect("a folder");
+    place.start(&[]).stop().await;
+    // Fails where no row has this version.
+    place
+        .tamper(&format!(
+            "UPDATE pliant_schema SET version = {told} WHERE version = {told}"
+        ))
+        .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_an_older_version_wrote_is_read_without_being_changed() {
+    let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/service/durable/first_version");
+    let told: Value = serde_json::from_slice(&fs::read(sample.join("session.json")).expect("readable")).expect("JSON");
+    let place = StorePlace::folder().await.expect("a folder");
+    let copied = std::process::Command::new("cp")
+        .arg("-r")
+        .arg(sample.join("data"))
+        .arg(place.data())
+        .status();
+    assert!(copied.expect("cp runs").success());
+    let before = contents(&place.data());
+    let checked = place.store(&["check"]);
+    assert_eq!(checked.code, 0, "{} {}", checked.out, checked.err);
+    assert!(
+        place
+            .store(&["list"])
+            .out
+            .starts_with(told["session"]["id"].as_str().expect("an id"))
+    );
+    assert!(contents(&place.data()) == before);
+}

@@ -1,0 +1,119 @@
+//! Sessions that do not all fit into memory at a time: their shapes depend on the limits that they were opened under, never on what
+//! was free, so they come back in any order, and under other limits, as they were.
+
+use super::{bar_session, metric, path, turn};
+use crate::durable::place::{StorePlace, in_every_store};
+use crate::support::program::ServedProgram;
+use crate::support::server::{bar, ends, eventually};
+use serde_json::{Value, json};
+
+in_every_store!(
+    sessions_that_do_not_fit_together_come_back_in_any_order_and_under_other_limits,
+    no_time_passes_for_a_session_while_no_server_runs,
+);
+
+/// All that a client can see of a session, but for times and for the limits of the server that is asked.
+async fn seen(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
+    let mut told = super::seen(server, id).await;
+    told.0.as_object_mut().expect("an object").remove("limits");
+    told
+}
+
+/// A bar of 3,170 vertices, whose volume graph does not fit whole.
+async fn dense_session(server: &ServedProgram) -> Result<String, Value> {
+    let opened = crate::support::server::http()
+        .post(format!("{}/v1/sessions", server.url))
+        .body(bar([12, 12, 60]))
+        .send()
+        .await
+        .expect("an answer");
+    let told: Value = opened.json().await.expect("JSON");
+    let Some(id) = told["id"].as_str() else {
+        return Err(told);
+    };
+    let handles = json!({"handles": ends()});
+    server.done("PUT", &path(id, "/handles"), Some(&handles)).await;
+    turn(server, id, 0.4).await;
+    Ok(id.to_owned())
+}
+
+async fn sessions_that_do_not_fit_together_come_back_in_any_order_and_under_other_limits(place: StorePlace) {
+    let tight = ["--memory-bytes", "14MiB", "--idle", "300ms"];
+    let server = place.start(&tight);
+    let mut known = Vec::new();
+    for _ in 0..3 {
+        let id = dense_session(&server).await.expect("idle ones make room");
+        let now = seen(&server, &id).await;
+        let warnings = now.0["warnings"].to_string();
+        assert!(warnings.contains("volume-graph-coarse"), "{warnings}");
+        known.push((id, now));
+    }
+    let digest = |now: &(Value, Value, Vec<u8>)| now.1["commits"][2]["digest"].clone();
+    assert!(digest(&known[0].1).is_string(), "{}", known[0].1.1);
+    for (_, now) in &known[1..] {
+        assert_eq!(
+            digest(now),
+            digest(&known[0].1),
+            "the same model, whatever else is open"
+        );
+        assert_eq!(now.2, known[0].1.2);
+    }
+    eventually("an empty memory", async || {
+        metric(&server, "pliant_sessions ").await == 0.0
+    })
+    .await;
+    for (id, was) in known.iter().rev() {
+        assert_eq!(&seen(&server, id).await, was);
+        turn(&server, id, 0.4).await;
+        let again = server.done("GET", &path(id, "/history"), None).await;
+        assert_eq!(again["commits"][3]["digest"], again["commits"][2]["digest"], "{again}");
+        server.done("POST", &path(id, "/undo"), None).await;
+    }
+    let mut after = Vec::new();
+    for (id, _) in &known {
+        after.push(seen(&server, id).await);
+    }
+    server.kill();
+    for limits in [&tight[..], &["--memory-bytes", "1GiB"], &["--memory-bytes", "16MiB"]] {
+        let server = place.start(limits);
+        for ((id, _), was) in known.iter().zip(&after).rev() {
+            assert_eq!(&seen(&server, id).await, was, "{limits:?}");
+        }
+        // What is opened now fits.
+        if limits[1] == "1GiB" {
+            let id = dense_session(&server).await.expect("there is room");
+            let warnings = seen(&server, &id).await.0["warnings"].to_string();
+            assert!(!warnings.contains("volume-graph-coarse"), "{warnings}");
+            server.done("DELETE", &path(&id, ""), None).await;
+        }
+        server.kill();
+    }
+    let checked = place.store(&["check", "--replay"]);
+    assert_eq!(checked.code, 0, "{} {}", checked.out, checked.err);
+    // Less memory than the sessions need is told as that, not as damage.
+    let server = place.start(&["--memory-bytes", "2MiB"]);
+    let (status, told) = server.call("GET", &path(&known[0].0, ""), None).await;
+    assert!(matches!(status, 413 | 429), "{status} {told}");
+    server.kill();
+    let server = place.start(&tight);
+    assert_eq!(&seen(&server, &known[0].0).await, &after[0]);
+}
+
+async fn no_time_passes_for_a_session_while_no_server_runs(place: StorePlace) {
+    let server = place.start(&[]);
+    let id = bar_session(&server).await;
+    let before = seen(&server, &id).await;
+    server.kill();
+    // As a backup of the year 2001 would be.
+    place.tamper("UPDATE sessions SET used_ms = 1000000000000").await;
+    assert!(place.store(&["prune"]).out.contains("0 sessions"));
+    let output = place.top().join("old.obj");
+    let exported = place.store(&["export", &id, output.to_str().expect("UTF-8")]);
+    assert_eq!(exported.code, 0, "{}", exported.err);
+    let server = place.start(&[]);
+    // The server looks once a second for sessions whose time is over.
+    tokio::time::sleep(std::time::Duration::from_millis(2500)).await;
+    assert_eq!(seen(&server, &id).await, before);
+    let listed = server.done("GET", "/v1/sessions", None).await;
+    assert_eq!(listed["sessions"][0]["id"], id.as_str());
+}
