@@ -14,6 +14,7 @@ pub(super) fn described_session(session: &SessionFacts, config: &SessionConfig) 
         id: session.id.clone(),
         revision: session.revision,
         build_ms: session.build_ms.clone(),
+        created_at: session.created_at.clone(),
         expires_at: session.expires_at.clone(),
         label: session.label.clone(),
         limits: Some(limits_message(config)),

@@ -51,6 +51,8 @@ pub struct SessionFacts {
     pub poses: HandlePoses,
     /// Milliseconds by stage of the last build.
     pub build_ms: BTreeMap<String, f64>,
+    /// When the session was opened (RFC 3339, UTC).
+    pub created_at: String,
     /// When the session ends if nothing uses it (RFC 3339, UTC).
     pub expires_at: String,
     /// Free text for people.

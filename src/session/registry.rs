@@ -14,6 +14,7 @@ use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::ShownCommits;
 use crate::session::history::session_state::CommittedHandles;
+use crate::session::store::calendar_text;
 use crate::session::stream::mailbox::Mailbox;
 use dashmap::DashMap;
 use glam::DVec3;
@@ -45,6 +46,8 @@ pub(super) struct OpenSession {
     /// Sessions are numbered in the order of their creation.
     pub number: u64,
     pub label: String,
+    /// When it was opened, in milliseconds since 1970.
+    pub created_ms: u64,
     pub format: Format,
     pub lease: SessionLease,
     pub commands: mpsc::Sender<SessionCommand>,
@@ -96,6 +99,7 @@ impl OpenSession {
             deformer: Arc::clone(&view.facts),
             poses: view.poses.clone(),
             build_ms: view.build_ms.clone(),
+            created_at: calendar_text(self.created_ms),
             expires_at: self.lease.end_text(),
             label: self.label.clone(),
         }

@@ -16,7 +16,7 @@ use crate::session::keeping::kept_session::KeptSession;
 use crate::session::keeping::residence::Residence;
 use crate::session::registry::{OpenSession, OpenStreams, SessionView};
 use crate::session::shared::SharedResources;
-use crate::session::store::{NewCommit, NewSession};
+use crate::session::store::{NewCommit, NewSession, now_ms};
 use crate::session::task::session_task::SessionTask;
 use crate::wire::SessionOptions;
 use crate::wire::record::{FileReferences, LoggedCommit, RecordedModel};
@@ -71,6 +71,7 @@ pub(in crate::session) async fn create_session(
         number: shared.numbers.fetch_add(1, SeqCst),
         tenant: tenant.clone(),
         label,
+        created_ms: now_ms(),
         ttl: ttl.unwrap_or_else(|| default_ttl(shared, &places)),
     };
     let audit = AuditEntry {
@@ -149,6 +150,8 @@ pub(in crate::session) struct SessionOwner {
     pub number: u64,
     pub tenant: Tenant,
     pub label: String,
+    /// When it was opened, in milliseconds since 1970.
+    pub created_ms: u64,
     pub ttl: Duration,
 }
 
@@ -164,6 +167,7 @@ fn new_session(
         id: owner.id.clone(),
         tenant: owner.tenant.clone(),
         number: owner.number,
+        created_ms: owner.created_ms,
         ttl: owner.ttl,
         model: RecordedModel {
             files: FileReferences::default(),
@@ -222,6 +226,7 @@ pub(in crate::session) fn start_session(
         tenant: owner.tenant,
         number: owner.number,
         label: owner.label,
+        created_ms: owner.created_ms,
         format: deformer.engine.format(),
         lease: SessionLease::new(owner.ttl),
         commands: send,

@@ -74,6 +74,7 @@ async fn open_stored(
         number: stored.number,
         tenant: stored.tenant.clone(),
         label: stored.model.label.clone(),
+        created_ms: stored.created_ms,
         ttl: stored.ttl,
     };
     let arrived = Instant::now();

@@ -2,7 +2,7 @@
 
 use crate::engine::{DeformerFacts, HandlePoses};
 use crate::session::answers::SessionFacts;
-use crate::session::store::{ListedSession, StoreError};
+use crate::session::store::{ListedSession, StoreError, calendar_text};
 use crate::wire::record::LoggedCommit;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,6 +20,7 @@ pub(in crate::session) fn listed_facts(session: &ListedSession, started_ms: u64)
         deformer: Arc::new(deformer),
         poses,
         build_ms: BTreeMap::new(),
+        created_at: calendar_text(session.created_ms),
         expires_at: humantime::format_rfc3339_millis(end).to_string(),
         label: session.label.clone(),
     })

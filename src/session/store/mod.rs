@@ -49,7 +49,7 @@ pub use database_store::DatabaseStore;
 pub use read_only_store::ReadOnlyStore;
 pub use session_store::{
     ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit, StoredFacts,
-    StoredSession, StoredSnapshot, UsedSession, now_ms,
+    StoredSession, StoredSnapshot, UsedSession, calendar_text, now_ms,
 };
 pub use store_location::StoreLocation;
 pub use upkeep::CheckedSession;

@@ -116,12 +116,22 @@ pub(super) async fn whole_session(
         id: row.id.clone(),
         tenant: tenant.clone(),
         number: unsigned(row.number)?,
+        created_ms: created_ms(pool, id).await?,
         ttl: Duration::from_millis(unsigned(row.ttl_ms)?),
         used_ms: unsigned(row.used_ms)?,
         model: row.model()?,
         commits,
         snapshot: snapshot.transpose()?,
     }))
+}
+
+/// When a session was opened: its first commit was made then, and is kept for as long as the session.
+async fn created_ms(pool: &AnyPool, session: &str) -> Result<u64, StoreError> {
+    let query = sqlx::query("SELECT at_ms FROM commits WHERE session = $1 AND sequence = 0").bind(session);
+    match query.fetch_optional(pool).await.map_err(unreadable)? {
+        Some(row) => unsigned(column(&row, 0)?),
+        None => Err(StoreError::Damaged("commit 0 is missing".into())),
+    }
 }
 
 /// The row of a commit.
@@ -179,6 +189,7 @@ async fn listed_session(pool: &AnyPool, row: &AnyRow) -> Result<ListedSession, S
     let facts = one_commit(pool, &row.id, newest.facts_at).await?.commit;
     let poses = one_commit(pool, &row.id, newest.poses_at).await?.commit;
     Ok(ListedSession {
+        created_ms: created_ms(pool, &row.id).await?,
         ttl: Duration::from_millis(unsigned(row.ttl_ms)?),
         used_ms: unsigned(row.used_ms)?,
         label: row.model()?.label,

@@ -72,6 +72,8 @@ pub struct NewSession {
     pub tenant: Tenant,
     /// Sessions are numbered in the order of their creation.
     pub number: u64,
+    /// When it was opened, in milliseconds since 1970.
+    pub created_ms: u64,
     /// How long it outlives its last use.
     pub ttl: Duration,
     /// How its model was opened; the store fills in the names of the files.
@@ -147,6 +149,8 @@ pub struct StoredSession {
     /// As in [`NewSession`].
     pub number: u64,
     /// As in [`NewSession`].
+    pub created_ms: u64,
+    /// As in [`NewSession`].
     pub ttl: Duration,
     /// Its last use, in milliseconds since 1970.
     pub used_ms: u64,
@@ -163,6 +167,8 @@ pub struct StoredSession {
 pub struct ListedSession {
     /// As in [`NewSession`].
     pub id: String,
+    /// As in [`NewSession`].
+    pub created_ms: u64,
     /// As in [`NewSession`].
     pub ttl: Duration,
     /// As in [`StoredSession`].
@@ -258,4 +264,10 @@ pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
 pub fn now_ms() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+}
+
+/// Milliseconds since 1970 on the calendar (RFC 3339, UTC).
+pub fn calendar_text(ms: u64) -> String {
+    let at = UNIX_EPOCH.checked_add(Duration::from_millis(ms)).unwrap_or(UNIX_EPOCH);
+    humantime::format_rfc3339_millis(at).to_string()
 }

@@ -88,9 +88,9 @@ impl WriteOrder {
                 objects,
             } => {
                 create_session(session, model, on).await?;
-                append_commit(&session.first, objects, on).await?;
+                append_commit(&session.first, objects, session.created_ms, on).await?;
             }
-            Self::Append { commit, objects } => append_commit(commit, objects, on).await?,
+            Self::Append { commit, objects } => append_commit(commit, objects, now_ms(), on).await?,
             Self::KeepShape {
                 session,
                 sequence,
@@ -191,8 +191,14 @@ fn millis(span: std::time::Duration) -> i64 {
     i64::try_from(span.as_millis()).unwrap_or(i64::MAX)
 }
 
-async fn append_commit(commit: &NewCommit, objects: &[StoredObject], on: &mut AnyConnection) -> Result<(), StoreError> {
-    let (row, now) = (CommitRow::of(commit), signed(now_ms()));
+/// Writes a commit that was made at `at_ms`; of the first one that is when the session was opened.
+async fn append_commit(
+    commit: &NewCommit,
+    objects: &[StoredObject],
+    at_ms: u64,
+    on: &mut AnyConnection,
+) -> Result<(), StoreError> {
+    let (row, now) = (CommitRow::of(commit), signed(at_ms));
     let insert = "INSERT INTO commits
         (session, sequence, revision, kind, digest, build, facts_at, poses_at, at_ms, format, payload, checksum)
         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12)";

@@ -25,6 +25,8 @@ async fn an_unused_session_expires_and_frees_its_memory() {
         .expect("made")
         .value;
     assert_eq!((idle.label.as_str(), idle.expires_at.ends_with('Z')), ("short", true));
+    // Times of this form are ordered as texts.
+    assert!(idle.created_at.ends_with('Z') && idle.created_at < idle.expires_at);
     let stream = manager.stream(tenant(), &streaming.id).await.expect("a stream");
     until(|| manager.metrics().sessions_expired.get() == 1).await;
     assert_eq!(

@@ -7,6 +7,7 @@ import { repaint } from "./painting.ts";
 import { keepDocument } from "./opening.ts";
 import { refreshHistory, remember } from "./past.ts";
 import * as s from "./signals.ts";
+import { allAnswered, committing } from "./steps.ts";
 import { view } from "./view.ts";
 
 /** Above this many vertices frames come as 16-bit numbers unless the user wants otherwise. */
@@ -22,6 +23,8 @@ const RENEW_MS = 60_000;
 let stream: Stream | undefined;
 let alive: ReturnType<typeof setInterval> | undefined;
 let pending: PoseEntry[] | undefined;
+/** Whether the last drag was given up: its frames are of no use, the shape is that of the last commit. */
+let givenUp = false;
 /** Shapes painted so far, and what decoding and shading them took. */
 const sums = { painted: 0, takenMs: 0 };
 /** What bringing the stretch colours up to date took, and frames since. */
@@ -77,6 +80,7 @@ export function stopStream(): void {
   const old = stream;
   stream = undefined;
   pending = undefined;
+  givenUp = false;
   clearInterval(alive);
   old?.close();
 }
@@ -95,15 +99,46 @@ export function applyOptions(): void {
 export function dragTo(id: string, pose: HandlePose): void {
   setPose(id, pose);
   pending = [entryOf({ id, pose })];
+  givenUp = false;
   view().stage.request();
 }
 
+/** Gives a drag up: the handle goes back to where it was, nothing is recorded, and the shape is that of the last commit to the bit. */
+export async function giveUpDrag(id: string, pose: HandlePose): Promise<void> {
+  const current = stream;
+  const open = s.doc.peek();
+  setPose(id, pose);
+  pending = undefined;
+  if (current === undefined || open === undefined) return;
+  givenUp = true;
+  // The stream's next commit records what was dragged on it: this is.
+  current.pose([entryOf({ id, pose })]);
+  try {
+    await allAnswered();
+    const positions = await open.session.positions();
+    const { surface } = view().stage;
+    if (!givenUp || stream !== current || surface === undefined || onScreen.peek() !== undefined) return;
+    surface.positions.set(positions);
+    surface.moved(false);
+    if (s.settings.peek().colouring === "stretch") repaint();
+    view().stage.request();
+  } catch {
+    // Where the server is away the frame that answers the pose shows it, when it is back.
+    givenUp = false;
+  }
+}
+
 /** Records the poses of these handles, as they are now. */
-export async function commitPoses(ids: readonly string[]): Promise<void> {
+export function commitPoses(ids: readonly string[]): Promise<void> {
+  return committing(() => recordPoses(ids));
+}
+
+async function recordPoses(ids: readonly string[]): Promise<void> {
   const current = stream;
   if (current === undefined) return;
   bringBack();
   pending = undefined;
+  givenUp = false;
   // What the commit makes of the handles is what they are now, whatever is dragged before its answer comes.
   const recordedHandles = s.handles.peek();
   const poses = recordedHandles.filter(({ id }) => ids.includes(id));
@@ -119,7 +154,8 @@ export async function commitPoses(ids: readonly string[]): Promise<void> {
     const frame = await recorded;
     if (stream !== current) return;
     if (frame.quality !== undefined) s.quality.value = frame.quality;
-    remember(BigInt(frame.revision), recordedHandles);
+    const [moved] = poses;
+    remember(BigInt(frame.revision), recordedHandles, poses.length === 1 && moved !== undefined ? `${moved.name} posed` : "Handles posed");
     await refreshHistory();
   } catch (error) {
     // Of a session that is gone the dialog tells, and offers to open the model with this pose.
@@ -148,6 +184,7 @@ export function turn(now: number): void {
     stream.pose(pending);
     pending = undefined;
   }
+  if (givenUp) stream.drop();
   const begun = performance.now();
   const frame = stream.take(surface.positions);
   if (frame === undefined) {

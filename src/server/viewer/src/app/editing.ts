@@ -9,6 +9,7 @@ import { holdBeforeEdits, holdRest, keepDocument, reload } from "./opening.ts";
 import { refreshHistory, remember } from "./past.ts";
 import { repaint } from "./painting.ts";
 import * as s from "./signals.ts";
+import { beginHere, committing } from "./steps.ts";
 
 export interface CutChoice {
   readonly keep: "BOTH" | "ABOVE" | "BELOW";
@@ -56,6 +57,10 @@ async function edit(what: string, operation: Edit): Promise<void> {
   if (open === undefined) return;
   bringBack();
   s.busy.value = { title: what };
+  await committing(() => carryOut(open, what, operation));
+}
+
+async function carryOut(open: s.Document, what: string, operation: Edit): Promise<void> {
   try {
     const result = await open.session.edit(operation);
     holdBeforeEdits();
@@ -73,7 +78,8 @@ async function edit(what: string, operation: Edit): Promise<void> {
       vertices: handle.vertices === undefined ? undefined : heldAfter(handle.vertices, result.kept, indices, count),
     }));
     adoptHandles(facts, known);
-    remember(result.revision, s.handles.peek());
+    remember(result.revision, s.handles.peek(), what);
+    beginHere();
     repaint();
     void keepDocument();
     const { before, after } = result;

@@ -7,6 +7,7 @@ import { commitPoses } from "./dragging.ts";
 import { bringBack } from "./intermission.ts";
 import { refreshHistory, remember } from "./past.ts";
 import * as s from "./signals.ts";
+import { committing, didCommit } from "./steps.ts";
 
 type Facts = schema.Session;
 type HandleFacts = schema.HandleFacts;
@@ -43,7 +44,7 @@ export async function makeHandle(hold: Hold): Promise<void> {
     rigid: false,
     pose: AT_REST,
   };
-  await changing("The handle was not made", async () => {
+  await changing(`${handle.name} made`, "The handle was not made", async () => {
     const told = await open.session.putHandle(messageOf(handle));
     batch(() => {
       merge(told, [...s.handles.peek(), handle]);
@@ -66,7 +67,7 @@ export async function changeHandle(id: string, change: Partial<HandleState>): Pr
     remember(s.currentRevision.peek(), s.handles.peek());
     return;
   }
-  const done = await changing("The handle was not changed", async () => {
+  const done = await changing(`${handle.name} changed`, "The handle was not changed", async () => {
     // The region stays as it is; of the rest, what the message leaves out is at its default.
     const { region: _, ...message } = messageOf(handle);
     const clear = CLEARABLE.filter((field) => message[field] === undefined || message[field] === false);
@@ -79,7 +80,8 @@ export async function changeHandle(id: string, change: Partial<HandleState>): Pr
 export async function removeHandle(id: string): Promise<void> {
   const open = s.doc.peek();
   if (open === undefined) return;
-  await changing("The handle was not removed", async () => {
+  const name = s.handles.peek().find((handle) => handle.id === id)?.name ?? id;
+  await changing(`${name} removed`, "The handle was not removed", async () => {
     const told = await open.session.removeHandle(id);
     batch(() => {
       if (s.activeId.peek() === id) s.activeId.value = undefined;
@@ -93,7 +95,7 @@ export async function setAllHandles(wanted: readonly HandleState[]): Promise<voi
   const open = s.doc.peek();
   if (open === undefined) return;
   const known = wanted.filter((handle) => handle.vertices !== undefined);
-  const done = await changing("The handles were not set", async () => {
+  const done = await changing("Handles set", "The handles were not set", async () => {
     merge(await open.session.setHandles({ handles: known.map(messageOf) }), known);
   });
   s.activeId.value = known.findLast(({ hold }) => hold !== "pin")?.id;
@@ -146,17 +148,20 @@ function selectedVertices(): Uint32Array {
   return Uint32Array.from(found);
 }
 
-/** Runs a change of handles and notes where it led. */
-async function changing(what: string, change: () => Promise<void>): Promise<boolean> {
+/** Runs a change of handles and notes where it led, and what it was. */
+async function changing(what: string, failure: string, change: () => Promise<void>): Promise<boolean> {
   bringBack();
   try {
-    await change();
-    const revision = s.facts.peek()?.revision ?? 0n;
-    remember(revision, s.handles.peek());
-    await refreshHistory();
+    await committing(async () => {
+      await change();
+      didCommit();
+      const revision = s.facts.peek()?.revision ?? 0n;
+      remember(revision, s.handles.peek(), what);
+      await refreshHistory();
+    });
     return true;
   } catch (error) {
-    s.fail(what, error);
+    s.fail(failure, error);
     return false;
   }
 }

@@ -21,12 +21,18 @@ export interface Kept {
   /** Handles as they are now, and by revision. */
   readonly handles: readonly HandleState[];
   readonly past: ReadonlyMap<string, readonly HandleState[]>;
+  /** What made each revision, in words; absent in records of former versions of the page. */
+  readonly names?: ReadonlyMap<string, string>;
+  /** Whose it is: `markOf` the token with which it was opened; absent in records of former versions of the page. */
+  readonly owner?: string;
   /** Handles before the first edit: what can be set again on the model as it was uploaded. */
   readonly beforeEdits: readonly HandleState[] | undefined;
 }
 
 const DATABASE = "pliant-viewer";
 const STORE = "models";
+/** The owner of models that were opened without a token. */
+const NOBODY = "";
 /** Orders records by when they were written. */
 const BY_TIME = "keptAt";
 /** What the first version of the database had: one record for all tabs. */
@@ -39,6 +45,16 @@ const LARGEST = 256 << 20;
 /** Whether something can be opened anew from what was kept. */
 export function canReopen(kept: Kept): boolean {
   return kept.sample || kept.model !== undefined;
+}
+
+/** What stands for whoever has this token: of the token itself it tells nothing. */
+export async function markOf(token: string | undefined): Promise<string> {
+  if (token === undefined) return NOBODY;
+  const { subtle } = globalThis.crypto as Partial<Crypto>;
+  // A page from afar without TLS has no digests: what is kept there is shown to nobody.
+  if (subtle === undefined) return `unknown ${Math.random()}`;
+  const digest = await subtle.digest("SHA-256", new TextEncoder().encode(`pliant.viewer ${token}`));
+  return Array.from(new Uint8Array(digest), (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
 /** Remembers a model. Failing to is no failure of the page. */
@@ -54,10 +70,16 @@ export async function keep(kept: Kept): Promise<void> {
   await trim(MOST);
 }
 
-/** The model of this session, or of the one that was written last. */
-export async function kept(session?: string): Promise<Kept | undefined> {
-  const wanted = session ?? (await sessions()).at(-1);
-  return wanted === undefined ? undefined : withStore<Kept>("readonly", (store) => store.get(wanted));
+/** The model of this session. */
+export function kept(session: string): Promise<Kept | undefined> {
+  return withStore<Kept>("readonly", (store) => store.get(session));
+}
+
+/** All models of this owner with when they were written (milliseconds since 1970), the newest first. */
+export async function allKept(owner: string): Promise<readonly (Kept & { readonly keptAt: number })[]> {
+  const all = await withStore<(Kept & { readonly keptAt: number })[]>("readonly", (store) => store.index(BY_TIME).getAll());
+  // Whoever has another token, or none, is not told of models that were opened with one.
+  return (all ?? []).filter((record) => (record.owner ?? NOBODY) === owner).reverse();
 }
 
 export async function forget(session: string): Promise<void> {

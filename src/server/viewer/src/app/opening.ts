@@ -18,10 +18,11 @@ import { startStream, stopStream } from "./dragging.ts";
 import { dress } from "./dressing.ts";
 import { adoptHandles, sampleHandles, setAllHandles } from "./handling.ts";
 import { bringBack } from "./intermission.ts";
-import { type Kept, forget, keep, kept } from "./keeping.ts";
-import { forgetPast, pastSnapshots, refreshHistory, remember } from "./past.ts";
+import { type Kept, forget, keep, kept, markOf } from "./keeping.ts";
+import { forgetPast, pastNames, pastSnapshots, refreshHistory, remember } from "./past.ts";
 import { setCompanions } from "./playing.ts";
 import * as s from "./signals.ts";
+import { beginHere } from "./steps.ts";
 import { recall, store } from "./storage.ts";
 import { askToken, keptToken } from "./token.ts";
 import { view } from "./view.ts";
@@ -132,10 +133,11 @@ export async function resume(id: string): Promise<boolean> {
     create = known?.create ?? {};
     beforeEdits = known?.beforeEdits;
     rests.clear();
-    forgetPast(known?.past);
+    forgetPast(known?.past, known?.names);
     show(session, source.name, drawn, known?.rest);
     adoptHandles(session.facts, known?.handles);
     await refreshHistory();
+    beginHere();
     s.tool.value = s.handles.peek().length > 0 ? "move" : "brush";
   });
   return found;
@@ -153,7 +155,7 @@ export async function closeModel(): Promise<void> {
 /** Writes down what a reload or a restart of the server needs. */
 export async function keepDocument(): Promise<void> {
   const now = documentNow();
-  if (now !== undefined) await keep(now);
+  if (now !== undefined) await keep({ ...now, owner: await markOf(keptToken()) });
 }
 
 /** The open model as it is now, with what it takes to open it anew. */
@@ -161,9 +163,9 @@ export function documentNow(): Kept | undefined {
   const open = s.doc.peek();
   if (open === undefined || source === undefined) return undefined;
   const { name, model, companions, sample } = source;
-  const past = pastSnapshots();
+  const [past, names] = [pastSnapshots(), pastNames()];
   const handles = s.handles.peek();
-  return { session: open.session.id, name, model, companions, sample, create, rest: open.rest, handles, past, beforeEdits };
+  return { session: open.session.id, name, model, companions, sample, create, rest: open.rest, handles, past, names, beforeEdits };
 }
 
 /** An edit is about to change the topology: handles as they are now are the last that fit the uploaded file. */
@@ -217,6 +219,7 @@ async function open(from: Source, restored?: readonly HandleState[]): Promise<vo
     const wanted = restored ?? (from.sample ? sampleHandles(s.doc.peek()) : []);
     if (wanted.length > 0) await setAllHandles(wanted);
     await refreshHistory();
+    beginHere();
     s.tool.value = wanted.length > 0 ? "move" : "brush";
   });
 }

@@ -1,6 +1,7 @@
 /** Undo, redo and history. The server keeps shapes; the page keeps which handles and poses led to them. */
 
-import { batch } from "@preact/signals";
+import { batch, computed } from "@preact/signals";
+import type { schema } from "pliant-client";
 import type { HandleState } from "../model/handles.ts";
 import { dropFrames } from "./dragging.ts";
 import { adoptHandles } from "./handling.ts";
@@ -8,20 +9,40 @@ import { bringBack } from "./intermission.ts";
 import { holdRest, keepDocument, reload } from "./opening.ts";
 import { repaint } from "./painting.ts";
 import * as s from "./signals.ts";
+import { allAnswered, arrivedBy, nextSteps, stepBack, stepForth } from "./steps.ts";
 import { view } from "./view.ts";
 
 const snapshots = new Map<string, readonly HandleState[]>();
+/** What made each revision, in words; of what others made the server tells the kind. */
+const deeds = new Map<string, string>();
 
-/** Notes which handles and poses a revision has. */
-export function remember(revision: bigint, handles: readonly HandleState[]): void {
+const KINDS: Record<string, string> = { create: "Opened", handles: "Handles", pose: "Pose", edit: "Edit" };
+
+/** What a commit did, for people. */
+export function nameOf({ revision, kind }: Pick<schema.Commit, "revision" | "kind">): string {
+  return deeds.get(String(revision)) ?? KINDS[kind] ?? kind;
+}
+
+/** Notes which handles and poses a revision has, and what made it. */
+export function remember(revision: bigint, handles: readonly HandleState[], what?: string): void {
   snapshots.set(String(revision), handles);
+  if (what !== undefined) deeds.set(String(revision), what);
   void keepDocument();
 }
 
 /** Begins another past. */
-export function forgetPast(known?: ReadonlyMap<string, readonly HandleState[]>): void {
+export function forgetPast(
+  known?: ReadonlyMap<string, readonly HandleState[]>,
+  names?: ReadonlyMap<string, string>,
+): void {
   snapshots.clear();
+  deeds.clear();
   for (const [revision, handles] of known ?? []) snapshots.set(revision, handles);
+  for (const [revision, what] of names ?? []) deeds.set(revision, what);
+}
+
+export function pastNames(): ReadonlyMap<string, string> {
+  return deeds;
 }
 
 export function pastSnapshots(): ReadonlyMap<string, readonly HandleState[]> {
@@ -36,7 +57,7 @@ export async function refreshHistory(): Promise<void> {
     const { commits, current } = await open.session.history();
     if (s.doc.peek()?.session !== open.session) return;
     const known = new Set(commits.map(({ revision }) => String(revision)));
-    for (const revision of snapshots.keys()) if (!known.has(revision)) snapshots.delete(revision);
+    for (const past of [snapshots, deeds]) for (const revision of past.keys()) if (!known.has(revision)) past.delete(revision);
     batch(() => {
       s.commits.value = commits;
       s.currentRevision.value = current;
@@ -46,8 +67,38 @@ export async function refreshHistory(): Promise<void> {
   }
 }
 
-export const undo = (): Promise<void> => step(-1);
-export const redo = (): Promise<void> => step(1);
+/** What undo would take back, and redo do again; nothing where there is nothing. */
+export const undoes = computed(() => nextSteps.value.back ?? commitTo(-1));
+export const redoes = computed(() => nextSteps.value.forth ?? commitTo(1));
+
+/** The commit that undo (-1) leaves or redo (1) leads to, in words. */
+function commitTo(way: -1 | 1): string | undefined {
+  const list = s.commits.value;
+  const at = list.findIndex(({ revision }) => revision === s.currentRevision.value);
+  const commit = way < 0 ? list[at > 0 ? at : list.length] : list[at + 1];
+  return commit && nameOf(commit);
+}
+
+export const undo = (): Promise<void> => travel(-1);
+export const redo = (): Promise<void> => travel(1);
+
+let travelling = false;
+
+/** Takes back what the hand did last, or does again what it took back last, and says what that was. */
+async function travel(way: -1 | 1): Promise<void> {
+  if (s.doc.peek() === undefined || travelling || s.dragging.peek() || s.drawing.peek()) return;
+  travelling = true;
+  try {
+    await allAnswered();
+    bringBack();
+    const local = way < 0 ? stepBack() : stepForth();
+    const what = local ?? commitTo(way);
+    if (what === undefined || (local === undefined && !(await step(way)))) return;
+    s.noteTravel(way < 0 ? "Undone" : "Done again", what);
+  } finally {
+    travelling = false;
+  }
+}
 
 /** Goes to the commit with this revision. */
 export async function goTo(revision: bigint): Promise<void> {
@@ -59,11 +110,11 @@ export async function goTo(revision: bigint): Promise<void> {
 
 let stepping = false;
 
-/** Undoes (below 0) or redoes (above 0) so many commits, then shows where that led. */
-async function step(count: number): Promise<void> {
+/** Undoes (below 0) or redoes (above 0) so many commits, then shows where that led; whether it did. */
+async function step(count: number): Promise<boolean> {
   const open = s.doc.peek();
-  if (open === undefined || stepping || s.dragging.peek()) return;
-  if (count < 0 ? !s.canUndo.peek() : !s.canRedo.peek()) return;
+  if (open === undefined || stepping || s.dragging.peek()) return false;
+  if (count < 0 ? !s.canUndo.peek() : !s.canRedo.peek()) return false;
   bringBack();
   stepping = true;
   try {
@@ -72,9 +123,12 @@ async function step(count: number): Promise<void> {
       else await open.session.redo();
     }
     await arrive();
+    arrivedBy(count);
+    return true;
   } catch (error) {
     s.fail(count < 0 ? "Undo failed" : "Redo failed", error);
     await refreshHistory();
+    return false;
   } finally {
     stepping = false;
   }

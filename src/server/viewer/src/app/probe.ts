@@ -17,6 +17,8 @@ export interface Probe {
   handles(): { id: string; name: string; vertices: number[]; pose: unknown; at: { x: number; y: number } | undefined }[];
   /** A vertex on the page, in CSS pixels. */
   place(vertex: number): { x: number; y: number } | undefined;
+  /** Where the eye is, and what it looks at, in model space. */
+  camera(): { eye: number[]; target: number[] };
   state(): {
     link: string;
     busy: boolean;
@@ -70,6 +72,7 @@ export function installProbe(): void {
         at: place(new Vector3(...centroid).add(new Vector3(...pose.translation))),
       })),
     place: (vertex) => place(new Vector3().fromArray(shown(), vertex * 3)),
+    camera: () => ({ eye: view().stage.camera.position.toArray(), target: view().stage.orbit.target.toArray() }),
     state: () => ({
       link: s.link.peek().state,
       busy: s.busy.peek() !== undefined,

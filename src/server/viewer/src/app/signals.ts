@@ -38,6 +38,9 @@ export type Tool = "orbit" | "brush" | "box" | "lasso" | "part" | "move" | "rota
 export type Theme = "auto" | "dark" | "light";
 export type Colouring = "handles" | "stretch" | "plain";
 
+/** Which button looks around, whatever the tool. The other of the two pans. */
+export type LooksWith = "middle" | "right";
+
 /** What the last frames said. */
 export interface Meters {
   readonly solveMs: number;
@@ -62,6 +65,7 @@ export interface Settings {
   /** Edge length that remeshing aims for, in model units; 0 = evens out only where stretch asks for it. */
   readonly remeshLength: number;
   readonly localAxes: boolean;
+  readonly looksWith: LooksWith;
   readonly refineDragging: number;
   readonly refineCommit: number;
   readonly tolerance: number;
@@ -85,6 +89,7 @@ export const DEFAULTS: Settings = {
   throughSelect: false,
   remeshLength: 0,
   localAxes: false,
+  looksWith: "middle",
   refineDragging: 0,
   refineCommit: 4,
   tolerance: 1e-4,
@@ -140,6 +145,8 @@ export const helpOpen = signal(false);
 export const recording = signal(0);
 /** Whether a handle is being dragged. */
 export const dragging = signal(false);
+/** Whether a selection is being drawn. */
+export const drawing = signal(false);
 /** The plane of the cut that is being prepared: model-space normal and offset. */
 export const cutPlane = signal<{ normal: [number, number, number]; offset: number } | undefined>(undefined);
 /** Whether this server edits; unknown until it was asked. */
@@ -164,6 +171,16 @@ export function note(kind: Note["kind"], title: string, detail?: string): void {
   const id = ++notesMade;
   const told: Note = { id, kind, title, ...(detail === undefined ? {} : { detail }) };
   notes.value = [...notes.peek().filter((n) => n.title !== title || n.detail !== detail), told].slice(-4);
+}
+
+/** The note that says what was undone or done again: there is one, of the last. */
+let travelled = 0;
+
+/** Tells what undo took back or redo did again. */
+export function noteTravel(way: "Undone" | "Done again", what: string): void {
+  dismiss(travelled);
+  note("info", `${way}: ${what}`);
+  travelled = notesMade;
 }
 
 export function dismiss(id: number): void {

@@ -5,26 +5,51 @@ import { pick } from "../scene/picking.ts";
 import { ScreenView } from "../scene/screen.ts";
 import { remesh } from "./editing.ts";
 import * as s from "./signals.ts";
+import { did } from "./steps.ts";
 import { view } from "./view.ts";
 
 /** Tools whose stroke selects; what the remesh brush selects is remeshed when it is lifted. */
 const SELECTING: readonly s.Tool[] = ["brush", "box", "lasso", "part", "remesh"];
 /** Tools that paint with a round brush. */
 const PAINTING: readonly s.Tool[] = ["brush", "remesh"];
-/** A press that moves less than this is a click. */
+/** A press whose way is shorter than this is a click. */
 const CLICK_PIXELS = 4;
 
 interface Stroke {
   readonly tool: s.Tool;
   readonly seen: ScreenView | undefined;
   readonly erase: boolean;
-  readonly from: { x: number; y: number };
+  readonly from: Place;
   readonly path: number[];
   readonly marks: Uint8Array<ArrayBuffer>;
+  /** What was selected before. */
+  readonly before: Uint8Array;
 }
 
+interface Place {
+  readonly x: number;
+  readonly y: number;
+}
+
+/** How far the pointer has gone since it was pressed, and where it is: a way that comes back to its start is no click. */
+interface Way {
+  length: number;
+  at: Place;
+}
+
+/** What a stroke is called when it is undone. */
+const STROKES: Partial<Record<s.Tool, string>> = {
+  brush: "Brush stroke",
+  box: "Selection by box",
+  lasso: "Selection by lasso",
+  part: "Part selected",
+  remesh: "Remesh brush",
+};
+
 let stroke: Stroke | undefined;
-let pressed: { x: number; y: number } | undefined;
+/** The way of the press that is under way, and whether it may choose a handle. */
+let way: Way | undefined;
+let choosing = false;
 
 /** Listens on the canvas. */
 export function installTools(): void {
@@ -36,13 +61,19 @@ export function installTools(): void {
   canvas.addEventListener("pointercancel", cancelStroke);
   canvas.addEventListener("pointerleave", () => overlay.hideBrush());
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  // Browsers scroll by themselves while the middle button is held, or paste.
+  canvas.addEventListener("mousedown", (event) => event.button === 1 && event.preventDefault());
 }
 
-/** Gives the mouse buttons their meaning: with a selecting tool the left one selects and the right one looks around. */
-export function armTool(tool: s.Tool): void {
+/**
+ * Gives the mouse buttons their meaning. The left one is the tool's, and looks around where the tool has no use for it; the others mean
+ * the same with every tool: one looks around, or pans with Shift, the other one pans.
+ */
+export function armTool(tool: s.Tool, looksWith: s.LooksWith): void {
   const { stage, overlay } = view();
   const selects = SELECTING.includes(tool);
-  stage.orbit.mouseButtons = { LEFT: selects ? null : MOUSE.ROTATE, MIDDLE: MOUSE.PAN, RIGHT: selects ? MOUSE.ROTATE : MOUSE.PAN };
+  const [MIDDLE, RIGHT] = looksWith === "middle" ? [MOUSE.ROTATE, MOUSE.PAN] : [MOUSE.PAN, MOUSE.ROTATE];
+  stage.orbit.mouseButtons = { LEFT: selects ? null : MOUSE.ROTATE, MIDDLE, RIGHT };
   stage.orbit.touches = { ONE: selects ? null : TOUCH.ROTATE, TWO: TOUCH.DOLLY_PAN };
   stage.canvas.dataset["tool"] = tool;
   overlay.clear();
@@ -50,14 +81,34 @@ export function armTool(tool: s.Tool): void {
 
 export function clearSelection(): void {
   s.selection.value = new Uint8Array(s.selection.peek().length);
+  did("Selection cleared");
 }
 
 /** Selects what was not selected. */
 export function invertSelection(): void {
   s.selection.value = s.selection.peek().map((x) => 1 - x);
+  did("Selection inverted");
 }
 
-function place(event: PointerEvent): { x: number; y: number } {
+/** Makes a handle the active one. */
+export function activate(id: string | undefined): void {
+  s.activeId.value = id;
+  const name = s.activeHandle.peek()?.name;
+  did(name === undefined ? "No handle chosen" : `${name} chosen`);
+}
+
+/** Gives up what the pointer is doing, a stroke or a drag; whether it did anything. */
+export function giveUpGesture(): boolean {
+  if (s.dragging.peek()) {
+    view().gizmo.giveUp();
+    return true;
+  }
+  if (stroke === undefined) return false;
+  cancelStroke();
+  return true;
+}
+
+function place(event: PointerEvent): Place {
   const box = view().stage.canvas.getBoundingClientRect();
   return { x: event.clientX - box.left, y: event.clientY - box.top };
 }
@@ -68,22 +119,23 @@ function press(event: PointerEvent): void {
   if (event.button !== 0 || surface === undefined) return;
   const at = place(event);
   const tool = s.tool.peek();
-  if (!SELECTING.includes(tool)) {
-    pressed = gizmo.isHot ? undefined : at;
-    return;
-  }
+  way = { length: 0, at };
+  choosing = !SELECTING.includes(tool) && !gizmo.isHot;
+  if (!SELECTING.includes(tool)) return;
   stage.canvas.setPointerCapture(event.pointerId);
   const erase = event.altKey && tool !== "remesh";
   const keeps = tool !== "remesh" && (event.shiftKey || erase || tool === "brush");
   const marks = keeps ? new Uint8Array(s.selection.peek()) : new Uint8Array(s.selection.peek().length);
   const seen = tool === "part" ? undefined : new ScreenView(stage, surface);
-  stroke = { tool, seen, erase, from: at, path: [at.x, at.y], marks };
+  stroke = { tool, seen, erase, from: at, path: [at.x, at.y], marks, before: s.selection.peek() };
+  s.drawing.value = true;
   if (PAINTING.includes(tool)) dab(at.x, at.y);
 }
 
 function move(event: PointerEvent): void {
   const { overlay } = view();
   const at = place(event);
+  follow(at);
   if (PAINTING.includes(s.tool.peek()) && s.doc.peek() !== undefined) {
     overlay.brush(at.x, at.y, s.settings.peek().brushPixels, event.altKey);
   }
@@ -101,15 +153,15 @@ function move(event: PointerEvent): void {
 
 function release(event: PointerEvent): void {
   const at = place(event);
-  if (pressed !== undefined) {
-    const still = Math.hypot(at.x - pressed.x, at.y - pressed.y) < CLICK_PIXELS;
-    pressed = undefined;
-    if (still) chooseHandle(at.x, at.y);
-  }
+  follow(at);
+  const still = way !== undefined && way.length < CLICK_PIXELS;
+  way = undefined;
+  if (choosing && still) chooseHandle(at.x, at.y);
+  choosing = false;
   const done = stroke;
   if (done === undefined) return;
   stroke = undefined;
-  const still = Math.hypot(at.x - done.from.x, at.y - done.from.y) < CLICK_PIXELS;
+  s.drawing.value = false;
   if (done.tool === "part") {
     markPart(at.x, at.y, done);
   } else if (done.tool === "box" || done.tool === "lasso") {
@@ -118,13 +170,27 @@ function release(event: PointerEvent): void {
     view().overlay.outline([], false);
   }
   s.selection.value = new Uint8Array(done.marks);
-  if (done.tool === "remesh" && s.selectedCount.peek() > 0) void remesh();
+  const what = STROKES[done.tool] ?? "Selection";
+  // What is remeshed is one step with its stroke; a stroke that could not be is a selection.
+  if (done.tool === "remesh" && s.selectedCount.peek() > 0) void remesh().then(() => did(what));
+  else did(what);
 }
 
+/** The browser takes the pointer away, or the user gives the stroke up: what was selected before is. */
 function cancelStroke(): void {
+  if (stroke !== undefined && stroke.before.length === s.selection.peek().length) s.selection.value = stroke.before;
   stroke = undefined;
-  pressed = undefined;
+  s.drawing.value = false;
+  way = undefined;
+  choosing = false;
   view().overlay.clear();
+}
+
+/** Notes that the pointer has gone on. */
+function follow(at: Place): void {
+  if (way === undefined) return;
+  way.length += Math.hypot(at.x - way.at.x, at.y - way.at.y);
+  way.at = at;
 }
 
 /** Dabs along the way from the last place, so that a quick stroke leaves no gaps. */
@@ -180,14 +246,14 @@ function chooseHandle(x: number, y: number): void {
   if (surface === undefined) return;
   const marked = markers.at(x, y);
   if (marked !== undefined) {
-    s.activeId.value = marked.id;
+    activate(marked.id);
     return;
   }
   const hit = pick(stage.rayThrough(x, y), surface.positions, surface.topology.indices);
   if (hit === undefined) return;
   // Later handles win where regions overlap, as they do on the server.
   const found = s.handles.peek().findLast(({ vertices }) => vertices !== undefined && holds(vertices, hit.vertex));
-  if (found !== undefined) s.activeId.value = found.id;
+  if (found !== undefined) activate(found.id);
 }
 
 /** Whether an ascending list holds a number. */
@@ -201,7 +267,7 @@ function holds(list: Uint32Array, wanted: number): boolean {
   return list[low] === wanted;
 }
 
-function boxBetween(a: { x: number; y: number }, b: { x: number; y: number }): number[] {
+function boxBetween(a: Place, b: Place): number[] {
   return [a.x, a.y, b.x, a.y, b.x, b.y, a.x, b.y];
 }
 

@@ -7,7 +7,7 @@ import { Markers, placeOf } from "../scene/markers.ts";
 import { Overlay } from "../scene/overlay.ts";
 import { Pointer } from "../scene/pointer.ts";
 import { Stage } from "../scene/stage.ts";
-import { applyOptions, commitPoses, dragTo, turn } from "./dragging.ts";
+import { applyOptions, commitPoses, dragTo, giveUpDrag, turn } from "./dragging.ts";
 import { resume, sessionOfThisTab } from "./opening.ts";
 import { showLooks } from "./dressing.ts";
 import { installAnimating } from "./animating.ts";
@@ -15,6 +15,7 @@ import { installIntermission, onScreen } from "./intermission.ts";
 import { repaint } from "./painting.ts";
 import { installPlaying } from "./playing.ts";
 import * as s from "./signals.ts";
+import { installSteps } from "./steps.ts";
 import { armTool, installTools } from "./tools.ts";
 import { setView, view } from "./view.ts";
 
@@ -39,10 +40,16 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
         void commitPoses([id]);
       }
     },
+    giveUp: (pose) => {
+      const id = s.activeId.peek();
+      s.dragging.value = false;
+      if (id !== undefined) void giveUpDrag(id, pose);
+    },
   });
   const plane = new CuttingPlane(stage);
   setView({ stage, gizmo, markers: new Markers(stage), overlay: new Overlay(host), pointer: new Pointer(stage) });
   installTools();
+  installSteps();
   stage.beforePaint(turn);
   installPlaying();
   installAnimating();
@@ -58,7 +65,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
   };
   effect(applyTheme);
   dark.addEventListener("change", applyTheme);
-  effect(() => armTool(s.tool.value));
+  effect(() => armTool(s.tool.value, s.settings.value.looksWith));
   effect(() => {
     const { tolerance, maxError, progressive, encoding, window, firstPass, method, refineDragging, refineCommit } = s.settings.value;
     void [tolerance, maxError, progressive, encoding, window, firstPass, method, refineDragging, refineCommit];

@@ -19,6 +19,8 @@ export interface GizmoEvents {
   change: (pose: HandlePose) => void;
   /** The user let go. */
   end: (pose: HandlePose) => void;
+  /** The user gave it up; the pose is that of the beginning. */
+  giveUp: (pose: HandlePose) => void;
 }
 
 export type GizmoMode = "translate" | "rotate" | "scale";
@@ -29,10 +31,12 @@ export class Gizmo {
   private pivot: Vector = [0, 0, 0];
   private rotation: Vector = [0, 0, 0];
   private attached = false;
+  /** The pose at which the drag began that is under way. */
+  private began: HandlePose | undefined;
 
   constructor(
     private readonly stage: Stage,
-    events: GizmoEvents,
+    private readonly events: GizmoEvents,
   ) {
     this.controls = new TransformControls(stage.camera, stage.canvas);
     this.controls.setSize(0.85);
@@ -40,14 +44,34 @@ export class Gizmo {
     stage.scene.add(this.grip, this.controls.getHelper());
     this.controls.addEventListener("change", () => stage.request());
     this.controls.addEventListener("objectChange", () => {
+      if (this.began === undefined) return;
       this.follow();
       events.change(this.pose());
     });
     this.controls.addEventListener("dragging-changed", (event) => {
-      stage.orbit.enabled = event.value !== true;
-      if (event.value === true) events.begin();
-      else events.end(this.pose());
+      if (event.value === true) {
+        stage.orbit.enabled = false;
+        this.began = this.pose();
+        events.begin();
+      } else if (this.began !== undefined) {
+        stage.orbit.enabled = true;
+        this.began = undefined;
+        events.end(this.pose());
+      }
     });
+  }
+
+  /** Gives the drag up that is under way: its handle is where it was. */
+  giveUp(): void {
+    const { controls, stage, began } = this;
+    if (!controls.dragging || began === undefined) return;
+    this.began = undefined;
+    controls.reset();
+    this.rotation = began.rotation;
+    controls.dragging = false;
+    // The button is still down: what it does until it is let go is nobody's.
+    stage.canvas.addEventListener("pointerup", () => (stage.orbit.enabled = true), { once: true });
+    this.events.giveUp(began);
   }
 
   /** Whether the pointer is over one of its parts, or holds one. */

@@ -4,6 +4,7 @@ import type { Vector } from "pliant-client";
 import type { JSX } from "preact";
 import { changeHandle, poseHandle, removeHandle } from "../app/handling.ts";
 import * as s from "../app/signals.ts";
+import { activate } from "../app/tools.ts";
 import { AT_REST, type HandleState, colourOf, isAtRest } from "../model/handles.ts";
 import { TurnCount } from "./GizmoLabel.tsx";
 import { Icon } from "./icons.tsx";
@@ -31,7 +32,7 @@ function HandleRow({ handle, active }: { handle: HandleState; active: boolean })
   const [r, g, b] = colourOf(handle);
   return (
     <li class={active ? "active" : ""}>
-      <button type="button" aria-pressed={active} onClick={() => (s.activeId.value = id)}>
+      <button type="button" aria-pressed={active} onClick={() => activate(id)}>
         <span class="swatch" ref={(element) => element?.style.setProperty("background", `rgb(${r} ${g} ${b})`)} />
         <span class="name">{name}</span>
         {hold === "pin" && <Icon name="pin" />}

@@ -4,6 +4,7 @@ import type { JSX } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import * as s from "../app/signals.ts";
 import { SHORTCUTS } from "./keys.ts";
+import { buttonsMean } from "./mouse.ts";
 import { Button } from "./parts.tsx";
 
 const CAPS: Record<string, string> = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc", Delete: "Del" };
@@ -26,14 +27,15 @@ export function Help(): JSX.Element {
           <b>Open</b> a model, or the sample creature.
         </li>
         <li>
-          <b>Select</b> places with the brush, box, lasso or a click on a part. Shift adds, Alt takes away; the right button looks
-          around, the wheel zooms.
+          <b>Select</b> places with the brush, box, lasso or a click on a part. Shift adds, Alt takes away.{" "}
+          {buttonsMean(s.settings.value.looksWith)}
         </li>
         <li>
           <b>Pin</b> what stays, <b>grip</b> what moves. A <b>soft</b> handle pulls instead of holding.
         </li>
         <li>
-          <b>Drag</b> the gizmo. The newest pose always wins; letting go records it, and undo goes back to the bit.
+          <b>Drag</b> the gizmo. The newest pose always wins; letting go records it, Escape gives it up. Undo goes back to the bit, and over
+          selections, in the order in which you did things.
         </li>
         <li>
           <b>Edit</b> the triangles: cut by a plane, subdivide, or remesh what the remesh brush paints. Undo crosses that, too.

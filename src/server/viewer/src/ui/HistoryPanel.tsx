@@ -1,11 +1,9 @@
 /** The commits, newest first; a click goes there. */
 
 import type { JSX } from "preact";
-import { goTo } from "../app/past.ts";
+import { goTo, nameOf } from "../app/past.ts";
 import * as s from "../app/signals.ts";
 import { Section } from "./parts.tsx";
-
-const KINDS: Record<string, string> = { create: "Opened", handles: "Handles", pose: "Pose", edit: "Edit" };
 
 export function HistoryPanel(): JSX.Element {
   const list = s.commits.value;
@@ -20,7 +18,7 @@ export function HistoryPanel(): JSX.Element {
           .map(({ commit: { revision, kind, digest }, k }) => (
             <li key={String(revision)} class={k === at ? "current" : k > at ? "undone" : ""}>
               <button type="button" aria-current={k === at ? "step" : undefined} title={digest} onClick={() => void goTo(revision)}>
-                <span>{KINDS[kind] ?? kind}</span>
+                <span>{nameOf({ revision, kind })}</span>
                 <span class="count">{String(revision)}</span>
               </button>
             </li>

@@ -4,6 +4,7 @@ import type { JSX } from "preact";
 import { makeHandle } from "../app/handling.ts";
 import * as s from "../app/signals.ts";
 import { clearSelection, invertSelection } from "../app/tools.ts";
+import { buttonsMean } from "./mouse.ts";
 import { Button, Check, Field, Section, count } from "./parts.tsx";
 
 export function SelectionPanel(): JSX.Element {
@@ -12,7 +13,11 @@ export function SelectionPanel(): JSX.Element {
   const none = selected === 0;
   return (
     <Section title="Selection" note={none ? "nothing" : count(selected)}>
-      {none && <p class="hint">Paint, box or lasso the places to hold. Right-drag looks around; Alt takes away.</p>}
+      {none && (
+        <p class="hint">
+          Paint, box or lasso the places to hold. Shift adds, Alt takes away. {buttonsMean(s.settings.value.looksWith)}
+        </p>
+      )}
       <div class="row">
         <Button kind="main" label="Grip" keys="Enter" disabled={none} onClick={() => void makeHandle("grip")} />
         <Button label="Pin" keys="P" disabled={none} onClick={() => void makeHandle("pin")} />

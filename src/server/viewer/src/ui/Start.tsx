@@ -1,32 +1,40 @@
-/** The empty state: how to open something, and what was open before. */
+/** The empty state: how to open something, what is open on the server, and what this browser had open before. */
 
 import type { schema } from "pliant-client";
 import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import { type Kept, canReopen, kept } from "../app/keeping.ts";
+import { type Kept, allKept, canReopen, markOf } from "../app/keeping.ts";
 import { EXTENSIONS, client, openSample, reopen, resume } from "../app/opening.ts";
+import { keptToken } from "../app/token.ts";
+import { ageOf } from "./age.ts";
 import { pickFiles } from "./files.ts";
 import { Button, count, things } from "./parts.tsx";
 
-/** Sessions listed at most. */
-const MOST = 5;
+type KeptModel = Kept & { readonly keptAt: number };
+
+/** What there is to go on with. */
+interface Lists {
+  /** Sessions of whoever asks, the newest first; unknown while the server does not tell. */
+  readonly sessions?: readonly schema.Session[];
+  readonly failure?: string;
+  /** Models that this browser keeps of whoever asks, the newest first. */
+  readonly records: readonly KeptModel[];
+}
+
+async function look(): Promise<Lists> {
+  const asked = await client.sessions().then(
+    (sessions) => ({ sessions: sessions.reverse() }),
+    (error: unknown) => ({ failure: error instanceof Error ? error.message : String(error) }),
+  );
+  // Asking may have brought a token.
+  return { ...asked, records: await allKept(await markOf(keptToken())) };
+}
 
 export function Start(): JSX.Element {
-  const [last, setLast] = useState<Kept>();
-  const [sessions, setSessions] = useState<readonly schema.Session[]>();
-  const [failure, setFailure] = useState<string>();
-  useEffect(() => {
-    void kept().then(setLast);
-    client.sessions().then(
-      (found) => {
-        setSessions(found.reverse());
-        setFailure(undefined);
-      },
-      (error: unknown) => setFailure(error instanceof Error ? error.message : String(error)),
-    );
-  }, []);
-  const lastIsOpen = sessions?.some(({ id }) => id === last?.session) ?? false;
-  const others = sessions?.filter(({ id }) => id !== last?.session) ?? [];
+  const [{ sessions, failure, records }, setLists] = useState<Lists>({ records: [] });
+  useEffect(() => void look().then(setLists), []);
+  const open = new Set(sessions?.map(({ id }) => id));
+  const before = records.filter(({ session }) => !open.has(session));
   return (
     <div class="card start">
       <h1>Bend a model</h1>
@@ -44,46 +52,74 @@ export function Start(): JSX.Element {
           <small>Start the server with “pliant serve”, then reload this page.</small>
         </p>
       )}
-      {last !== undefined && (
-        <section>
+      {sessions !== undefined && sessions.length > 0 && (
+        <section aria-label="Open on this server">
+          <h2>Open on this server</h2>
+          {sessions.map((session) => (
+            <OpenSession key={session.id} session={session} known={records.find(({ session: id }) => id === session.id)} />
+          ))}
+        </section>
+      )}
+      {before.length > 0 && (
+        <section aria-label="Last time">
           <h2>Last time</h2>
-          <div class="session">
-            <span>
-              <strong>{last.name}</strong>
-              <small>
-                {count(last.rest.length / 3)} vertices, {things(last.handles.length, "handle")}
-                {sessions !== undefined && !lastIsOpen && "; the server no longer holds it"}
-              </small>
-            </span>
-            {lastIsOpen ? (
-              <Button label="Go on" onClick={() => void resume(last.session)} />
-            ) : (
+          {before.map((record) => (
+            <Entry
+              key={record.session}
+              name={record.name}
+              at={record.keptAt}
+              happened="used"
+              vertices={record.rest.length / 3}
+              handles={record.handles.length}
+              more={sessions !== undefined ? "the server no longer holds it" : undefined}
+            >
               <Button
                 label="Open again with its handles"
-                disabled={sessions === undefined || !canReopen(last)}
-                onClick={() => void reopen(last)}
+                disabled={sessions === undefined || !canReopen(record)}
+                onClick={() => void reopen(record)}
               />
-            )}
-          </div>
-        </section>
-      )}
-      {others.length > 0 && (
-        <section>
-          <h2>Open on this server</h2>
-          {others.slice(0, MOST).map(({ id, label, model, handles }) => (
-            <div class="session">
-              <span>
-                <strong>{label || id.slice(0, 8)}</strong>
-                <small>
-                  {count(model?.vertices)} vertices, {things(handles.length, "handle")}
-                </small>
-              </span>
-              <Button label="Go on" onClick={() => void resume(id)} />
-            </div>
+            </Entry>
           ))}
-          {others.length > MOST && <p class="hint">and {others.length - MOST} more</p>}
         </section>
       )}
+    </div>
+  );
+}
+
+function OpenSession({ session, known }: { session: schema.Session; known: KeptModel | undefined }): JSX.Element {
+  const { id, label, model, handles, createdAt } = session;
+  const name = label || known?.name || `${(model?.format || "model").toUpperCase()} ${id.slice(0, 8)}`;
+  return (
+    <Entry name={name} at={Date.parse(createdAt)} happened="opened" vertices={model?.vertices ?? 0} handles={handles.length}>
+      <Button label="Go on" onClick={() => void resume(id)} />
+    </Entry>
+  );
+}
+
+interface EntryProps {
+  name: string;
+  at: number;
+  happened: string;
+  vertices: number;
+  handles: number;
+  more?: string | undefined;
+  children: JSX.Element;
+}
+
+/** One line: a model's name, how old it is, how large, and what can be done with it. */
+function Entry({ name, at, happened, vertices, handles, more, children }: EntryProps): JSX.Element {
+  const age = ageOf(at);
+  return (
+    <div class="session">
+      <span>
+        <strong title={name}>{name}</strong>
+        <small title={age && new Date(at).toLocaleString()}>
+          {age && `${happened} ${age}, `}
+          {count(vertices)} vertices, {things(handles, "handle")}
+          {more && `; ${more}`}
+        </small>
+      </span>
+      {children}
     </div>
   );
 }

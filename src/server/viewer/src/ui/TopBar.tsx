@@ -3,7 +3,7 @@
 import type { JSX } from "preact";
 import type { Format } from "pliant-client";
 import { closeModel } from "../app/opening.ts";
-import { redo, undo } from "../app/past.ts";
+import { redo, redoes, undo, undoes } from "../app/past.ts";
 import * as s from "../app/signals.ts";
 import { exportModel, pickFiles } from "./files.ts";
 import { Button } from "./parts.tsx";
@@ -13,6 +13,11 @@ const THEME_ICON = { auto: "auto", dark: "moon", light: "sun" } as const;
 
 export function nextTheme(): void {
   s.choose({ theme: NEXT_THEME[s.settings.peek().theme] });
+}
+
+/** What a button would do now. */
+function told(way: string, what: string | undefined): string {
+  return what === undefined ? way : `${way}: ${what}`;
 }
 
 export function TopBar(): JSX.Element {
@@ -39,8 +44,8 @@ export function TopBar(): JSX.Element {
       <span class="gap" />
       {open && (
         <>
-          <Button bare icon="undo" label="Undo" keys="Ctrl+Z" disabled={!s.canUndo.value} onClick={() => void undo()} />
-          <Button bare icon="redo" label="Redo" keys="Ctrl+Y" disabled={!s.canRedo.value} onClick={() => void redo()} />
+          <Button bare icon="undo" label={told("Undo", undoes.value)} keys="Ctrl+Z" disabled={undoes.value === undefined} onClick={() => void undo()} />
+          <Button bare icon="redo" label={told("Redo", redoes.value)} keys="Ctrl+Y" disabled={redoes.value === undefined} onClick={() => void redo()} />
           <span class="rule" />
           <Button icon="open" label="Open…" keys="Ctrl+O" onClick={pickFiles} />
           <ExportButton />

@@ -5,10 +5,11 @@ import * as s from "../app/signals.ts";
 import { wardrobe } from "../app/dressing.ts";
 import { view } from "../app/view.ts";
 import { FULL_STRETCH } from "../model/stretch.ts";
+import { buttonsMean } from "./mouse.ts";
 import { Button, Check, Choice, Facts, Field, Section } from "./parts.tsx";
 
 export function ViewPanel(): JSX.Element {
-  const { colouring, wire, localAxes, materials } = s.settings.value;
+  const { colouring, wire, localAxes, looksWith, materials } = s.settings.value;
   const quality = s.quality.value;
   return (
     <Section title="View">
@@ -34,6 +35,17 @@ export function ViewPanel(): JSX.Element {
           </div>
         </div>
       )}
+      <Field label="Look with" hint={buttonsMean(looksWith)}>
+        <Choice
+          label="The button that looks around"
+          value={looksWith}
+          options={[
+            ["middle", "middle button"],
+            ["right", "right button"],
+          ]}
+          onValue={(value) => s.choose({ looksWith: value })}
+        />
+      </Field>
       <div class="row">
         <Check
           label="Materials (U)"

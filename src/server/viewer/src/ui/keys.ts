@@ -5,7 +5,7 @@ import { makeHandle, removeHandle } from "../app/handling.ts";
 import { bringBack, onScreen } from "../app/intermission.ts";
 import { redo, undo } from "../app/past.ts";
 import * as s from "../app/signals.ts";
-import { clearSelection, invertSelection } from "../app/tools.ts";
+import { activate, clearSelection, giveUpGesture, invertSelection } from "../app/tools.ts";
 import { view } from "../app/view.ts";
 import { exportModel, pickFiles } from "./files.ts";
 import { nextTheme } from "./TopBar.tsx";
@@ -37,6 +37,7 @@ const wider = (factor: number) => (): void => {
 
 const escape = (): void => {
   if (s.helpOpen.peek()) s.helpOpen.value = false;
+  else if (giveUpGesture()) return;
   else if (onScreen.peek() !== undefined) bringBack();
   else if (s.cutPlane.peek() !== undefined) s.cutPlane.value = undefined;
   else clearSelection();
@@ -46,7 +47,7 @@ const escape = (): void => {
 const step = (by: number) => (): void => {
   const list = s.handles.peek().filter(({ hold }) => hold !== "pin");
   const at = list.findIndex(({ id }) => id === s.activeId.peek());
-  s.activeId.value = list.at((at + by) % Math.max(1, list.length))?.id;
+  if (list.length > 0) activate(list.at((at + by) % list.length)?.id);
 };
 
 /** Steps through the frames of an animation; looks around the model while there is none. */
@@ -79,7 +80,7 @@ export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] 
       { keys: "T", what: "Select through the model", act: () => s.choose({ throughSelect: !s.settings.peek().throughSelect }) },
       { keys: "N", what: "Next handle", act: step(1) },
       { keys: "Delete", what: "Remove the active handle", act: removeActive },
-      { keys: "Escape", what: "Clear the selection, close the sheet", act: escape, always: true },
+      { keys: "Escape", what: "Give up the drag or the stroke, clear the selection, close the sheet", act: escape, always: true },
     ],
   },
   {
@@ -87,7 +88,7 @@ export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] 
     list: [
       { keys: "Ctrl+O", what: "Open a model", act: pickFiles, always: true },
       { keys: "Ctrl+S", what: "Export GLB", act: () => void exportModel("glb") },
-      { keys: "Ctrl+Z", what: "Undo", act: () => void undo() },
+      { keys: "Ctrl+Z", what: "Undo the last commit, selection or choice of a handle", act: () => void undo() },
       { keys: "Ctrl+Y", what: "Redo (also Ctrl+Shift+Z)", act: () => void redo() },
     ],
   },
