@@ -161,9 +161,6 @@ pub fn judge_result(
         Some(Err(text)) => return failed("broken-golden", text),
         Some(Ok(golden)) => golden,
     };
-    if let Some(text) = golden.stale_reason(inputs) {
-        return failed("stale-golden", text);
-    }
     let comparison = compare_with_golden(found, &golden, pool);
     let same_digest = found.digest == golden.digest;
     let mut reasons = topology_reasons(found, &golden);
@@ -194,6 +191,11 @@ pub fn judge_result(
         code: "expectation",
         text,
     }));
+    // What differs from a stale golden is told too, so that nobody has to bless blind.
+    if let Some(text) = golden.stale_reason(inputs) {
+        let code = "stale-golden";
+        reasons.insert(0, VerdictReason { code, text });
+    }
     let verdict = CaseVerdict {
         status: if reasons.is_empty() {
             CaseStatus::Passed

@@ -14,6 +14,9 @@ use clap::Args;
 use std::io::Write as _;
 use std::path::PathBuf;
 
+/// Primitives that are told for people.
+const NAMED_PRIMITIVES: usize = 32;
+
 /// Arguments of `pliant inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
@@ -43,6 +46,20 @@ pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
     }
     let text = describe_inspection(&found);
     write!(std::io::stdout(), "{text}").map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
+}
+
+/// What handles name a primitive by, and its size.
+fn describe_primitive(primitive: &pb::Primitive) -> String {
+    let name = match primitive.name.as_str() {
+        "" => "without a name".into(),
+        name => format!("\"{name}\""),
+    };
+    format!(
+        "{name}: {} vertices from {}, {} triangles",
+        grouped_count(primitive.vertex_count.into()),
+        grouped_count(primitive.first_vertex.into()),
+        grouped_count((primitive.index_count / 3).into())
+    )
 }
 
 /// How many parts nothing joins to others, and the largest of them.
@@ -90,6 +107,12 @@ fn describe_inspection(found: &pb::Inspection) -> String {
         ),
     );
     line("triangles", count(model.triangles));
+    let named = found.primitives.iter().take(NAMED_PRIMITIVES).enumerate();
+    named.for_each(|(k, primitive)| line(&format!("primitive {k}"), describe_primitive(primitive)));
+    if found.primitives.len() > NAMED_PRIMITIVES {
+        let more = grouped_count((found.primitives.len() - NAMED_PRIMITIVES) as u64);
+        line("", format!("and {more} primitives more, which --json tells"));
+    }
     line("solver vertices", count(solver.solver_vertices));
     line("seam vertices", count(found.seam_vertices));
     line(

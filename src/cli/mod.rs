@@ -8,6 +8,7 @@ mod audit;
 mod check;
 mod cutaway;
 mod deform;
+mod examples;
 mod failure;
 mod input_files;
 mod inspect;
@@ -25,13 +26,14 @@ mod store;
 mod threads;
 mod token;
 
+use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use failure::CliFailure;
 use std::process::ExitCode;
 
 /// Bends large meshes: a headless deformation service, and the same engine in process.
 #[derive(Debug, Parser)]
-#[command(name = "pliant", version, about, propagate_version = true)]
+#[command(name = "pliant", version, about, propagate_version = true, after_help = examples::PLIANT)]
 struct PliantArgs {
     #[command(subcommand)]
     command: PliantCommand,
@@ -40,28 +42,40 @@ struct PliantArgs {
 #[derive(Debug, Subcommand)]
 enum PliantCommand {
     /// Run the server
+    #[command(after_help = examples::SERVE)]
     Serve(serve::ServeArgs),
     /// Deform a model with a job file, in process
+    #[command(after_help = examples::DEFORM)]
     Deform(deform::DeformArgs),
     /// Tell what the solver sees in a model
+    #[command(after_help = examples::INSPECT)]
     Inspect(inspect::InspectArgs),
     /// Run a suite of jobs and compare each result with the one that was stored
+    #[command(after_help = examples::CHECK)]
     Check(check::CheckArgs),
     /// Play a clip on a model, every frame solved
+    #[command(after_help = examples::ANIMATE)]
     Animate(Box<animate::AnimateArgs>),
     /// Find where the bones of a model lie, and which joints of a clip turn them
+    #[command(after_help = examples::RIG)]
     Rig(rig::RigArgs),
     /// Bind a model to the bones of a rig
+    #[command(after_help = examples::SKIN)]
     Skin(skin::SkinArgs),
     /// Draw a model, maybe beside what it was, as a png
+    #[command(after_help = examples::RENDER)]
     Render(render::RenderArgs),
     /// Write a built-in model to a file
+    #[command(after_help = examples::SAMPLE)]
     Sample(sample::SampleArgs),
     /// Make a token by which a server knows who asks
+    #[command(after_help = examples::TOKEN)]
     Token(token::TokenArgs),
     /// Check, list, export and prune sessions that a server kept
+    #[command(after_help = examples::STORE)]
     Store(store::StoreArgs),
     /// Tell who opened, changed and took away what on a server
+    #[command(after_help = examples::AUDIT)]
     Audit(audit::AuditArgs),
 }
 
@@ -69,14 +83,7 @@ enum PliantCommand {
 pub fn main() -> ExitCode {
     let args = match PliantArgs::try_parse() {
         Ok(args) => args,
-        Err(e) => {
-            let _ = e.print();
-            if !e.use_stderr() {
-                // Help and version are answers, not failures.
-                return ExitCode::SUCCESS;
-            }
-            return CliFailure::Input(usage_reason(&e.to_string())).report_and_exit();
-        }
+        Err(e) => return answer_usage(&e),
     };
     let result = match args.command {
         PliantCommand::Serve(args) => serve::run_serve(args),
@@ -98,12 +105,28 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// What is wrong with the arguments, in one line: the first paragraph of the parser's message.
-fn usage_reason(message: &str) -> String {
-    let paragraph: Vec<&str> = message
-        .lines()
-        .take_while(|line| !line.trim().is_empty())
-        .map(str::trim)
-        .collect();
-    paragraph.join(" ").trim_start_matches("error: ").to_owned()
+/// Answers arguments that begin no command: prints what was asked for, or what would be allowed and, in the last line, what is wrong.
+fn answer_usage(problem: &clap::Error) -> ExitCode {
+    if !problem.use_stderr() {
+        // Help and version are answers, not failures.
+        let _ = problem.print();
+        return ExitCode::SUCCESS;
+    }
+    if problem.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        let _ = problem.print();
+        return CliFailure::Input("no command is named; see above".into()).report_and_exit();
+    }
+    let (reason, hints) = usage_reason(&problem.to_string());
+    if !hints.is_empty() {
+        eprintln!("{hints}\n");
+    }
+    CliFailure::Input(reason).report_and_exit()
+}
+
+/// What is wrong with the arguments, in one line, which is the first paragraph of the parser's message, and its other paragraphs.
+fn usage_reason(message: &str) -> (String, String) {
+    let (first, hints) = message.split_once("\n\n").unwrap_or((message, ""));
+    let paragraph: Vec<&str> = first.lines().map(str::trim).collect();
+    let reason = paragraph.join(" ").trim_start_matches("error: ").trim().to_owned();
+    (reason, hints.trim_end().to_owned())
 }

@@ -2,6 +2,10 @@
 
 use crate::progress::Progress;
 use indicatif::{ProgressBar, ProgressStyle};
+use std::time::Duration;
+
+/// Between two pictures of the spinner, which turns whether the work has anything to tell or not.
+const TICK: Duration = Duration::from_millis(100);
 
 /// Shows the stage under way on stderr when that is a terminal; silent otherwise.
 pub(super) struct StageSpinner(ProgressBar);
@@ -15,8 +19,11 @@ impl StageSpinner {
         } else {
             ProgressBar::new_spinner()
         };
-        if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} {elapsed}") {
+        if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} ({elapsed})") {
             bar.set_style(style);
+        }
+        if !bar.is_hidden() {
+            bar.enable_steady_tick(TICK);
         }
         Self(bar)
     }
@@ -34,8 +41,29 @@ impl Drop for StageSpinner {
 }
 
 impl Progress for StageSpinner {
-    fn report(&self, stage: &'static str, _fraction: f32) {
-        self.0.set_message(stage);
-        self.0.tick();
+    fn report(&self, stage: &'static str, fraction: f32) {
+        self.0.set_message(stage_text(stage, fraction));
+    }
+}
+
+/// A stage as people are told, with how much of it is done as soon as some is.
+fn stage_text(stage: &str, fraction: f32) -> String {
+    let percent = (f64::from(fraction).clamp(0.0, 1.0) * 100.0) as u32;
+    match percent {
+        0 => stage.to_owned(),
+        percent => format!("{stage} {percent} %"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stages_tell_how_far_they_are() {
+        assert_eq!(stage_text("graph", 0.0), "graph");
+        assert_eq!(stage_text("graph", 0.5), "graph 50 %");
+        assert_eq!(stage_text("graph", 7.0), "graph 100 %");
+        assert_eq!(stage_text("graph", f32::NAN), "graph");
     }
 }

@@ -397,3 +397,57 @@ fn help_and_version_are_answers() {
         (Some(0), &Value::Bool(true), &Value::from(1))
     );
 }
+
+#[test]
+fn wrong_usage_is_told_once_and_last() {
+    let folder = workplace();
+    for (arguments, told) in [
+        (&["deform", "creature.glb", "--jobb", "job.json"][..], "'--jobb'"),
+        (&["render", "creature.glb"], "--output"),
+        (&["bend"], "'bend'"),
+        (&[], "no command is named"),
+        (&["store"], "no command is named"),
+    ] {
+        let done = Command::new(env!("CARGO_BIN_EXE_pliant")).args(arguments).output();
+        let done = done.expect("it runs");
+        assert_eq!((done.status.code(), done.stdout.len()), (Some(2), 0), "{arguments:?}");
+        let err = String::from_utf8_lossy(&done.stderr).into_owned();
+        let last = err.trim_end().lines().last().unwrap_or_default();
+        assert!(last.starts_with("pliant: ") && last.contains(told), "{err}");
+        assert_eq!(err.matches(told).count(), 1, "{err}");
+        assert!(err.contains("Usage: pliant"), "{err}");
+    }
+}
+
+/// Runs the program on a terminal, which python makes; what it drew there.
+#[cfg(unix)]
+fn on_a_terminal(folder: &Path, arguments: &[&str]) -> Option<String> {
+    let script = "import pty, sys; sys.exit(pty.spawn(sys.argv[1:]) >> 8)";
+    let mut command = Command::new("python3");
+    command
+        .args(["-c", script, env!("CARGO_BIN_EXE_pliant")])
+        .args(arguments);
+    command.current_dir(folder).env("TERM", "xterm");
+    let Ok(done) = command.output() else {
+        println!("SKIPPED: python3 is not here to make a terminal");
+        return None;
+    };
+    let drawn = String::from_utf8_lossy(&done.stdout).into_owned();
+    assert_eq!(done.status.code(), Some(0), "{drawn}");
+    Some(drawn)
+}
+
+#[test]
+fn a_terminal_sees_which_stage_is_under_way_and_how_far() {
+    let folder = workplace();
+    let Some(drawn) = on_a_terminal(folder.path(), &["inspect", "creature.glb"]) else {
+        return;
+    };
+    assert!(drawn.contains("graph") && drawn.contains(" %"), "{drawn}");
+    let piped = pliant(folder.path(), &["inspect", "creature.glb"]);
+    assert!(
+        !piped.1.contains(" %") && piped.2.is_empty(),
+        "only people are shown stages: {}",
+        piped.2
+    );
+}

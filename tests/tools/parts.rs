@@ -80,6 +80,10 @@ fn inspection_tells_parts_ties_and_what_is_loose() {
         found[22..].trim().to_owned()
     };
     assert_eq!(line("parts "), "3");
+    assert_eq!(
+        line("primitive 0"),
+        "without a name: 294 vertices from 0, 576 triangles"
+    );
     assert!(line("ties ").parse::<u32>().expect("a number") >= 25, "{text}");
     assert_eq!(line("loose parts "), "1: part 2 (98 vertices)");
     let (_, json, _) = pliant(folder.path(), &["inspect", "parts.obj", "--json"]);

@@ -123,7 +123,7 @@ fn run_case(loaded: &LoadedCase, plan: &CheckPlan<'_>, client: Option<&HttpClien
     let (verdict, comparison) = judge_result(&found, loaded.golden.clone(), &inputs, &case.tolerances, expect, pool);
     done.report.verdict = verdict;
     if plan.bless {
-        bless_case(&mut done, loaded, &found, inputs, pool);
+        bless_case(&mut done, loaded, &found, inputs);
     }
     if plan.pictures {
         let eye = Viewpoint {
@@ -170,7 +170,7 @@ fn run_model(
 }
 
 /// Makes the golden of a result and says what it changes. Nothing is asserted; only what no golden can hold is a failure.
-fn bless_case(done: &mut CheckedCase, loaded: &LoadedCase, found: &CaseResult, inputs: InputHashes, pool: &Pool) {
+fn bless_case(done: &mut CheckedCase, loaded: &LoadedCase, found: &CaseResult, inputs: InputHashes) {
     let verdict = &mut done.report.verdict;
     if let Some(text) = found.describe_not_finite() {
         let text = format!("{text}; no golden can hold that, and none was written");
@@ -184,18 +184,6 @@ fn bless_case(done: &mut CheckedCase, loaded: &LoadedCase, found: &CaseResult, i
     };
     if let Some(Err(broken)) = &loaded.golden {
         done.changes.push(format!("the old golden could not be read: {broken}"));
-    }
-    // A stale golden was not compared with; what its shape says of the change is told all the same.
-    if let Some(old) = old.filter(|_| verdict.measures.is_empty()) {
-        let (compared, _) = judge_result(
-            found,
-            Some(Ok(old.clone())),
-            &old.inputs,
-            &loaded.case.tolerances,
-            None,
-            pool,
-        );
-        verdict.measures = compared.measures;
     }
     done.changes.extend(describe_changes(old, &golden, &verdict.measures));
     done.report.notes.extend(

@@ -2,6 +2,7 @@
 
 use super::Error;
 use super::keys::{ConfigKeys, KeyValue};
+use super::plain_words::no_address;
 use super::server_config::ServerConfig;
 use super::session_config::session_config_from_keys;
 use super::sources::{MergedKeys, unknown_variables};
@@ -54,9 +55,7 @@ impl ServeSettings {
         let keys = &merged.keys;
         let refuse = |key: &str, problem: String| merged.refuse(key, problem);
         let listen = KeyValue::read(&keys.listen).unwrap_or_else(|| "127.0.0.1:7411".to_owned());
-        let listen: SocketAddr = listen.parse().map_err(|_| {
-            refuse("listen", format!("\"{listen}\" is not an address; allowed are an IP address and a port, such as 127.0.0.1:7411 or [::]:7411"))
-        })?;
+        let listen: SocketAddr = (listen.parse()).map_err(|_| refuse("listen", no_address(&listen)))?;
         let session = session_config_from_keys(&merged)?;
         let server = ServerConfig::from_keys(&merged, listen.ip(), file)?;
         server
@@ -187,9 +186,58 @@ mod tests {
     }
 
     #[test]
+    fn texts_stay_as_they_were_written() {
+        let folder = |flag: &str| {
+            load("", &[("data_dir", flag)])
+                .unwrap()
+                .store
+                .unwrap()
+                .data_dir
+                .unwrap()
+        };
+        for name in ["007", "3", "true", "[x]", "1e5"] {
+            assert_eq!(folder(name), Path::new(name));
+        }
+        let hosts = load("", &[("hosts", "a.example.org, 10.0.0.1")]).unwrap().server.hosts;
+        assert_eq!(
+            hosts,
+            load("", &[("hosts", "[a.example.org, 10.0.0.1]")])
+                .unwrap()
+                .server
+                .hosts
+        );
+    }
+
+    #[test]
     fn every_error_names_key_source_and_what_is_allowed() {
         type Case<'a> = (&'a str, &'a [(&'static str, &'a str)], &'a [&'a str]);
-        let cases: [Case<'_>; 15] = [
+        let cases: [Case<'_>; 21] = [
+            (
+                "",
+                &[("listen", "7412")],
+                &["listen: 7412 is no address; write", "127.0.0.1:7412", "--listen"],
+            ),
+            (
+                "listen = 7412",
+                &[],
+                &["listen: 7412 is no address; write", "127.0.0.1:7412", "file "],
+            ),
+            (
+                "",
+                &[("sessions", "five")],
+                &["sessions: is \"five\", a whole number from 0 is allowed", "--sessions"],
+            ),
+            (
+                "sample = \"maybe\"",
+                &[],
+                &["sample: is \"maybe\", true or false is allowed"],
+            ),
+            (
+                "[quotas]\nsessions = [2]",
+                &[],
+                &["quotas.sessions: is a list, a whole number from 0 is allowed"],
+            ),
+            ("sessions = 3\nwindow = ", &[], &["line 2, column 10: ", "file "]),
             (
                 "upload_bytes = \"many\"",
                 &[],
@@ -201,7 +249,7 @@ mod tests {
             (
                 "",
                 &[("listen", "localhost")],
-                &["listen", "\"localhost\"", "127.0.0.1:7411", "--listen"],
+                &["listen", "localhost is no address", "127.0.0.1:7411", "--listen"],
             ),
             (
                 "",

@@ -2,8 +2,9 @@
 
 use super::Error;
 use super::keys::ConfigKeys;
+use super::plain_words::unreadable;
 use figment::error::Kind;
-use figment::providers::{Env, Format as _, Toml};
+use figment::providers::{Format as _, Toml};
 use figment::value::{Dict, Map, Value};
 use figment::{Figment, Metadata, Profile, Provider};
 use std::path::Path;
@@ -18,14 +19,44 @@ impl Provider for FlagProvider<'_> {
 
     fn data(&self) -> figment::Result<Map<Profile, Dict>> {
         let flags = Value::serialize(self.0)?.into_dict().unwrap_or_default();
-        let read = |text: &str| text.parse::<Value>().unwrap_or_else(|never| match never {});
         let given = flags
             .into_iter()
-            .filter_map(|(key, text)| Some((key, read(text.as_str()?))))
+            .filter_map(|(key, text)| Some((key.clone(), read_text(&key, text.as_str()?))))
             .collect();
         Ok(Map::from([(Profile::Default, given)]))
     }
 }
+
+/// The keys that the environment names, as texts.
+struct VariableProvider<'a>(&'a [String]);
+
+impl Provider for VariableProvider<'_> {
+    fn metadata(&self) -> Metadata {
+        Metadata::named(ENVIRONMENT)
+    }
+
+    fn data(&self) -> figment::Result<Map<Profile, Dict>> {
+        let given = self.0.iter().filter_map(|key| {
+            let text = std::env::var_os(format!("PLIANT_{}", key.to_uppercase()))?;
+            Some((key.clone(), read_text(key, &text.to_string_lossy())))
+        });
+        Ok(Map::from([(Profile::Default, given.collect())]))
+    }
+}
+
+/// What a text says for a key: a number, a list and so on, or the text itself where the key takes no such thing, so that a
+/// folder may be called 007.
+fn read_text(key: &str, text: &str) -> Value {
+    let parsed = text.parse::<Value>().unwrap_or_else(|never| match never {});
+    let takes = |value: &Value| Figment::from((key, value)).extract::<ConfigKeys>().is_ok();
+    let itself = Value::from(text);
+    match !takes(&parsed) && takes(&itself) {
+        true => itself,
+        false => parsed,
+    }
+}
+
+const ENVIRONMENT: &str = "the environment";
 
 const COMMAND_LINE: &str = "the command line";
 
@@ -51,10 +82,7 @@ impl MergedKeys {
             });
         }
         let names = ConfigKeys::names();
-        let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let sources = sources
-            .merge(Env::prefixed("PLIANT_").only(&names))
-            .merge(FlagProvider(flags));
+        let sources = sources.merge(VariableProvider(&names)).merge(FlagProvider(flags));
         let keys = sources.extract().map_err(|error| refuse_unreadable(&sources, &error))?;
         Ok(Self { keys, sources })
     }
@@ -100,15 +128,15 @@ fn refuse_unreadable(sources: &Figment, error: &figment::Error) -> Error {
             }
         }
         kind => Error::Value {
+            problem: unreadable(&key, kind),
             key: if key.is_empty() { "(file)".into() } else { key },
             place,
-            problem: kind.to_string(),
         },
     }
 }
 
 fn describe_source(metadata: &Metadata, key: &str) -> String {
-    if metadata.name.contains("environment") {
+    if metadata.name == ENVIRONMENT {
         return format!("environment variable PLIANT_{}", key.to_uppercase());
     }
     if metadata.name == COMMAND_LINE {

@@ -166,6 +166,10 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
         ran.err
     );
 
+    for name in ["stale-model", "stale-job"] {
+        assert_shown_beside(&report, &xml, &page, name);
+    }
+
     // What blesses is looked at by people; it asserts nothing, and what no golden can be made of still fails.
     let blessed = folder.check(&["--bless"]);
     assert_eq!(blessed.code, Some(1), "{}", blessed.err);
@@ -179,6 +183,36 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
     let ran = folder.check(&["--no-skip"]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
     assert!(ran.err.contains("10 passed"), "{}", ran.err);
+}
+
+/// A stale golden is shown beside the result, with all differences, so that nobody has to bless blind.
+fn assert_shown_beside(report: &Value, xml: &str, page: &str, name: &str) {
+    let cases = report["cases"].as_array().expect("cases");
+    let case = cases.iter().find(|c| c["name"] == name).expect(name);
+    assert_eq!(codes(case)[0], "stale-golden", "{name}");
+    let metrics = case["metrics"].as_array().expect("metrics");
+    let apart = metrics
+        .iter()
+        .find(|m| m["name"] == "maxDisplacement")
+        .expect("a number")["difference"]
+        .as_f64();
+    // A comment changes the model's bytes and nothing else.
+    let moves = name == "stale-job";
+    assert_eq!(apart.map(|by| by > 0.0), Some(moves), "{name}: {apart:?}");
+    assert!(junit(xml, name).contains("name=\"maxDisplacement\""), "{name}");
+    let section = page
+        .split(&format!("<section id=\"{name}\""))
+        .nth(1)
+        .expect("a section");
+    let section = section.split("</section>").next().expect("an end");
+    for caption in ["expected", "difference"] {
+        assert_eq!(
+            section.contains(&format!("<b>{caption}</b>")),
+            moves,
+            "{name}: {caption}"
+        );
+    }
+    assert!(section.contains("<b>after</b>") && section.contains("maxDisplacement"));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,0 +1,128 @@
+//! Command lines to begin with, at the end of each command's `--help`.
+
+/// `pliant --help`.
+pub(super) const PLIANT: &str = "\
+Examples:
+  pliant sample -o creature.glb                       a model to try things with
+  pliant inspect creature.glb                         what the solver sees in it
+  pliant serve                                        a server; its viewer is at http://127.0.0.1:7411
+  pliant deform model.glb --job job.json -o bent.glb   a model deformed without a server";
+
+/// `pliant serve --help`.
+pub(super) const SERVE: &str = "\
+Examples:
+  pliant serve                                        for this machine alone, sessions in memory
+  pliant serve --listen 0.0.0.0:7411 --config pliant.toml
+  pliant serve --data-dir sessions                    sessions outlive the server
+  PLIANT_MEMORY_BYTES=2GiB pliant serve               any key by the environment";
+
+/// `pliant deform --help`.
+pub(super) const DEFORM: &str = "\
+Examples:
+  pliant deform model.glb --job job.json -o bent.glb
+  pliant deform scan.ply --job job.json -o bent.obj --json
+  pliant deform model.glb --job job.json -o bent.glb --steps steps --force";
+
+/// `pliant inspect --help`.
+pub(super) const INSPECT: &str = "\
+Examples:
+  pliant inspect model.glb
+  pliant inspect model.glb --json";
+
+/// `pliant check --help`.
+pub(super) const CHECK: &str = "\
+Examples:
+  pliant check suite                                  compare every case with its golden
+  pliant check suite --html report.html --junit report.xml
+  pliant check suite --bless                          store what comes out now as goldens
+  pliant check suite --server https://pliant.example.com --token SECRET";
+
+/// `pliant animate --help`.
+pub(super) const ANIMATE: &str = "\
+Examples:
+  pliant animate figure.glb --clip 0 -o walk.glb      a clip of the model's own
+  pliant animate model.obj --bvh walk.bvh --rig rig.json -o walk.glb
+  pliant animate model.obj --bvh walk.bvh --rig rig.json -o frames --frames 0:120 --fps 30";
+
+/// `pliant rig --help`.
+pub(super) const RIG: &str = "\
+Examples:
+  pliant rig model.obj --bvh walk.bvh -o rig.json --picture rig.png
+  pliant rig model.obj --preset mixamo -o rig.json --at lElbow=0.4,1.2,0";
+
+/// `pliant skin --help`.
+pub(super) const SKIN: &str = "\
+Examples:
+  pliant skin model.obj --rig rig.json -o skinned.glb
+  pliant skin model.obj --rig rig.json -o skinned.glb --influences 8";
+
+/// `pliant render --help`.
+pub(super) const RENDER: &str = "\
+Examples:
+  pliant render bent.glb -o bent.png
+  pliant render bent.glb --before model.glb -o both.png --marks 3
+  pliant render bent.glb -o around.png --turntable 8 --size 400x400";
+
+/// `pliant sample --help`.
+pub(super) const SAMPLE: &str = "\
+Examples:
+  pliant sample -o creature.glb
+  pliant sample figure -o figure.glb
+  pliant sample boxing -o boxing.bvh";
+
+/// `pliant token --help`.
+pub(super) const TOKEN: &str = "\
+Examples:
+  pliant token studio
+  pliant token studio --name build-machine --expires 2030-01-31";
+
+/// `pliant store --help`.
+pub(super) const STORE: &str = "\
+Examples:
+  pliant store list --data-dir sessions
+  pliant store check --data-dir sessions --replay
+  pliant store export ID shape.glb --data-dir sessions
+  pliant store prune --data-dir sessions --unused-for 90d --dry-run";
+
+/// `pliant audit --help`.
+pub(super) const AUDIT: &str = "\
+Examples:
+  pliant audit --data-dir sessions --since 12h
+  pliant audit --data-dir sessions --tenant studio";
+
+#[cfg(test)]
+mod tests {
+    use crate::cli::PliantArgs;
+    use clap::{CommandFactory as _, Parser as _};
+
+    /// The command of an example: without assignments before it and what is told beside it.
+    fn words(line: &str) -> Vec<&str> {
+        let line = line.trim();
+        let command = line.split_once("   ").map_or(line, |(command, _)| command);
+        command
+            .split_whitespace()
+            .skip_while(|word| word.contains('='))
+            .collect()
+    }
+
+    #[test]
+    fn every_command_shows_examples_that_it_takes() {
+        let mut shown = 0;
+        let main = PliantArgs::command();
+        for command in [&main].into_iter().chain(main.get_subcommands()) {
+            let name = command.get_name();
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            let examples: Vec<&str> = help.lines().skip(1).collect();
+            assert!(help.starts_with("Examples:\n") && !examples.is_empty(), "{name}");
+            for example in examples {
+                let words = words(example);
+                assert!(name == "pliant" || words[1] == name, "{example}");
+                if let Err(problem) = PliantArgs::try_parse_from(words) {
+                    panic!("{example}: {problem}");
+                }
+                shown += 1;
+            }
+        }
+        assert!(shown > 30, "{shown}");
+    }
+}
