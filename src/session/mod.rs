@@ -32,6 +32,7 @@ mod audit;
 mod calls;
 mod capacity;
 mod config;
+mod departing_sessions;
 mod engine;
 mod error;
 mod history;

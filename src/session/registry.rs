@@ -11,6 +11,7 @@ use crate::session::calls::command::SessionCommand;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::capacity::work_owner::WorkOwner;
 use crate::session::config::SessionConfig;
+use crate::session::departing_sessions::DepartingSessions;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::ShownCommits;
 use crate::session::history::session_state::CommittedHandles;
@@ -197,30 +198,41 @@ impl OpenStreams {
 
 /// Every session of the process by id.
 #[derive(Debug, Default)]
-pub(super) struct SessionRegistry(DashMap<String, Arc<OpenSession>>);
+pub(super) struct SessionRegistry {
+    sessions: DashMap<String, Arc<OpenSession>>,
+    /// Those that were removed and have not ended.
+    pub departing: DepartingSessions,
+}
 
 impl SessionRegistry {
     pub fn insert(&self, session: Arc<OpenSession>) {
-        self.0.insert(session.id.clone(), session);
+        self.sessions.insert(session.id.clone(), session);
     }
 
     pub fn remove(&self, id: &str) {
-        self.0.remove(id);
+        self.note_departure(self.sessions.remove(id));
     }
 
     /// Removes this session, and not one that came back under its id.
     pub fn remove_this(&self, session: &Arc<OpenSession>) {
-        self.0.remove_if(&session.id, |_, there| Arc::ptr_eq(there, session));
+        let removed = (self.sessions).remove_if(&session.id, |_, there| Arc::ptr_eq(there, session));
+        self.note_departure(removed);
+    }
+
+    fn note_departure(&self, removed: Option<(String, Arc<OpenSession>)>) {
+        if let Some((_, session)) = removed {
+            self.departing.add(session.tenant.clone(), session.ended.clone());
+        }
     }
 
     /// Whether a session is in memory.
     pub fn holds(&self, id: &str) -> bool {
-        self.0.contains_key(id)
+        self.sessions.contains_key(id)
     }
 
     /// A session in memory, its lease left as it is.
     pub fn peek(&self, id: &str) -> Option<Arc<OpenSession>> {
-        self.0.get(id).map(|entry| Arc::clone(entry.value()))
+        self.sessions.get(id).map(|entry| Arc::clone(entry.value()))
     }
 
     /// How long it takes until one of the tenant's sessions in memory ends by itself, if nobody uses it.
@@ -237,7 +249,7 @@ impl SessionRegistry {
     /// # Errors
     /// `NOT_FOUND`, also for another tenant's session.
     pub fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<OpenSession>, Error> {
-        let found = self.0.get(id).map(|entry| Arc::clone(entry.value()));
+        let found = self.sessions.get(id).map(|entry| Arc::clone(entry.value()));
         let session = found
             .filter(|s| s.tenant == *tenant)
             .ok_or_else(|| Error::no_session(id))?;
@@ -250,6 +262,6 @@ impl SessionRegistry {
 
     /// Every session.
     pub fn all(&self) -> Vec<Arc<OpenSession>> {
-        self.0.iter().map(|entry| Arc::clone(entry.value())).collect()
+        self.sessions.iter().map(|entry| Arc::clone(entry.value())).collect()
     }
 }

@@ -403,7 +403,7 @@ fn wrong_usage_is_told_once_and_last() {
     let folder = workplace();
     for (arguments, told) in [
         (&["deform", "creature.glb", "--jobb", "job.json"][..], "'--jobb'"),
-        (&["render", "creature.glb"], "--output"),
+        (&["render", "creature.glb"], "required arguments"),
         (&["bend"], "'bend'"),
         (&[], "no command is named"),
         (&["store"], "no command is named"),

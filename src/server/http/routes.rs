@@ -37,6 +37,7 @@ pub(super) fn all() -> Router<State> {
         .route("/openapi.json", get(pages::openapi))
         .route("/docs", get(docs::page))
         .route("/docs/", get(docs::page))
+        .route("/docs.js", get(docs::script))
         .route("/", get(viewer::page))
         .route("/icon.svg", get(viewer::icon))
         .route("/assets/{name}", get(viewer::asset))

@@ -1,5 +1,6 @@
 //! `/openapi.json`: OpenAPI 3.1, made from the schema's descriptors and comments and from the route table.
 
+mod examples;
 mod schemas;
 mod statuses;
 
@@ -8,6 +9,7 @@ use crate::asset::Format;
 
 use crate::session::Error;
 use crate::wire;
+use examples::{body_example, parameter_example};
 use schemas::Schemas;
 use serde_json::{Map, Value, json};
 use std::sync::LazyLock;
@@ -106,6 +108,12 @@ fn operation(route: &Route, schemas: &Schemas) -> Value {
             json!({"name": "Idempotency-Key", "in": "header", "description": text, "schema": {"type": "string"}}),
         );
     }
+    for parameter in &mut parameters {
+        let name = parameter["name"].as_str().unwrap_or_default();
+        if let Some(example) = parameter_example(route, name) {
+            parameter["example"] = example.into();
+        }
+    }
     if !parameters.is_empty() {
         operation.insert("parameters".into(), parameters.into());
     }
@@ -174,15 +182,19 @@ fn request_body(route: &Route) -> Option<Value> {
     }
     let message = route.takes?;
     let schema = json!({"$ref": format!("#/components/schemas/{message}")});
+    let mut plain = json!({"schema": schema});
+    if let Some(example) = body_example(route) {
+        plain["example"] = example;
+    }
     if route.rpc == Some("Animate") {
         let form = json!({"schema": {"type": "object", "properties": {
             "options": schema,
             "clip": {"type": "string", "format": "binary", "description": "A BVH file; without it a clip of the model itself."},
         }}});
-        let content = json!({"application/json": {"schema": schema}, "multipart/form-data": form});
+        let content = json!({"application/json": plain, "multipart/form-data": form});
         return Some(json!({"content": content}));
     }
-    Some(json!({"content": {"application/json": {"schema": schema}}}))
+    Some(json!({"content": {"application/json": plain}}))
 }
 
 fn success(route: &Route) -> Value {

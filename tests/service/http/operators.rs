@@ -64,7 +64,7 @@ async fn operators_find_health_counts_and_description() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_reference_is_a_page_that_loads_nothing() {
+async fn the_reference_is_a_page_that_loads_nothing_from_elsewhere() {
     let server = Server::start().await;
     assert_eq!(get(&server, "/docs/").await.status(), 200);
     let answer = get(&server, "/docs").await;
@@ -72,13 +72,73 @@ async fn the_reference_is_a_page_that_loads_nothing() {
     assert_eq!(answer.headers()[header::CONTENT_TYPE], "text/html; charset=utf-8");
     let policy = answer.headers()["content-security-policy"].to_str().unwrap().to_owned();
     assert!(
-        policy.starts_with("default-src 'none'") && !policy.contains("script-src"),
+        policy.starts_with("default-src 'none'") && policy.contains("script-src 'self'; connect-src 'self';"),
         "{policy}"
     );
+    let script = get(&server, "/docs.js").await;
+    assert_eq!(script.headers()[header::CONTENT_TYPE], "text/javascript; charset=utf-8");
     let page = answer.text().await.unwrap();
     for part in ["/v1/sessions/{id}/solve", "message-SetHandlesRequest", "Absent = hard"] {
         assert!(page.contains(part), "{part} is not in the page");
     }
+}
+
+/// The examples of the API description, called one after the other as they stand there.
+#[tokio::test(flavor = "multi_thread")]
+async fn every_example_of_the_reference_works() {
+    let server = Server::start().await;
+    let document: Value = get(&server, "/openapi.json").await.json().await.unwrap();
+    let open = async |sample: &str| {
+        let path = format!("/v1/sessions?sample={sample}");
+        let opened = http().post(server.url(&path)).send().await.unwrap();
+        opened.json::<Value>().await.unwrap()["id"]
+            .as_str()
+            .expect("an id")
+            .to_owned()
+    };
+    let (creature, figure) = (open("creature").await, open("figure").await);
+    let mut made = 0;
+    // Handles before what needs them.
+    for wanted in [
+        "setHandles",
+        "patchSessionsIdHandlesHandleId",
+        "solve",
+        "edit",
+        "carry",
+        "animate",
+    ] {
+        let calls = document["paths"]
+            .as_object()
+            .unwrap()
+            .iter()
+            .flat_map(|(path, methods)| {
+                let methods = methods.as_object().unwrap().iter();
+                methods.map(move |(method, call)| (path, method, call))
+            });
+        let (path, method, call) = calls
+            .clone()
+            .find(|(.., call)| call["operationId"] == wanted)
+            .expect(wanted);
+        let example = &call["requestBody"]["content"]["application/json"]["example"];
+        assert!(example.is_object(), "{wanted}");
+        let id = if wanted == "animate" { &figure } else { &creature };
+        let path = path.replace("{id}", id).replace("{handleId}", "head");
+        let method = method.to_uppercase().parse::<reqwest::Method>().unwrap();
+        let answer = http()
+            .request(method, server.url(&path))
+            .json(example)
+            .send()
+            .await
+            .unwrap();
+        let (status, told) = (answer.status(), answer.bytes().await.unwrap());
+        assert_eq!(status, 200, "{wanted}: {}", String::from_utf8_lossy(&told));
+        made += 1;
+    }
+    let examples = document
+        .to_string()
+        .matches("\"application/json\":{\"example\"")
+        .count();
+    assert_eq!(made, examples, "an example that nobody tries");
 }
 
 #[tokio::test(flavor = "multi_thread")]

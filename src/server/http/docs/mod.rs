@@ -1,4 +1,5 @@
-//! `/docs`: the API description as a page for people, made from `/openapi.json` alone. No script, nothing from elsewhere.
+//! `/docs`: the API description as a page for people, made from `/openapi.json` alone, nothing from elsewhere. Its script searches
+//! and makes calls of this server; without it the page reads as well.
 
 use super::problem::Problem;
 use super::viewer::guarded;
@@ -10,33 +11,12 @@ use serde_json::Value;
 use std::fmt::Write as _;
 use std::sync::LazyLock;
 
-/// The page may do nothing but show itself; its style stands inside.
-const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; \
-                      frame-ancestors 'none'";
+/// The page may run its own script and call this server; its style stands inside.
+const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; script-src 'self'; connect-src 'self'; base-uri 'none'; \
+                      form-action 'none'; frame-ancestors 'none'";
 
-const STYLE: &str = "
-:root { color-scheme: light dark; --line: #8884; --quiet: #8881 }
-body { font: 16px/1.5 system-ui, sans-serif; margin: 0; display: grid; grid-template-columns: 16rem minmax(0, 1fr) }
-nav { position: sticky; top: 0; height: 100vh; overflow-y: auto; padding: 1.5rem 1rem; box-sizing: border-box; font-size: .875rem; border-right: 1px solid var(--line) }
-nav ul { list-style: none; margin: 0 0 1rem; padding: 0 }
-nav a { text-decoration: none; overflow-wrap: anywhere }
-main { padding: 1.5rem 2rem; max-width: 60rem; min-width: 0; box-sizing: border-box; overflow-wrap: break-word }
-h2 { margin-top: 2.5rem; border-bottom: 1px solid var(--line) }
-h3 { margin: 2rem 0 .25rem; font-size: 1.05rem; overflow-wrap: anywhere }
-code { font-size: .9em; background: var(--quiet); padding: .1em .3em; border-radius: .25em; overflow-wrap: anywhere }
-table { border-collapse: collapse; width: 100%; font-size: .9rem }
-th, td { text-align: left; vertical-align: top; padding: .3rem .75rem .3rem 0; border-bottom: 1px solid var(--line) }
-td:first-child { width: 26%; overflow-wrap: anywhere }
-.method { display: inline-block; min-width: 4.5rem; font-weight: 700 }
-@media (max-width: 50rem) {
-  body { display: block }
-  nav { position: static; height: auto; max-height: 9rem; padding: .5rem 1rem; border-right: 0; border-bottom: 1px solid var(--line) }
-  main { padding: 1rem }
-  table, tbody, tr, td, td:first-child { display: block; width: auto }
-  td { padding: 0; border: 0; overflow-wrap: anywhere }
-  tr { padding: .4rem 0; border-bottom: 1px solid var(--line) }
-}
-";
+const STYLE: &str = include_str!("page.css");
+const SCRIPT: &str = include_str!("page.js");
 
 static PAGE: LazyLock<Result<String, Error>> = LazyLock::new(|| {
     let document: Value = serde_json::from_str(&openapi::document()?)
@@ -45,10 +25,19 @@ static PAGE: LazyLock<Result<String, Error>> = LazyLock::new(|| {
 });
 
 /// The page.
-pub(super) async fn page() -> Result<Response, Problem> {
+pub(in crate::server::http) async fn page() -> Result<Response, Problem> {
     let text = PAGE.as_deref().map_err(Clone::clone)?;
     let response = Response::new(Body::from(text));
     Ok(guarded(response, "text/html; charset=utf-8", POLICY))
+}
+
+/// The page's script.
+pub(in crate::server::http) async fn script() -> Response {
+    guarded(
+        Response::new(Body::from(SCRIPT)),
+        "text/javascript; charset=utf-8",
+        POLICY,
+    )
 }
 
 /// The whole page of an OpenAPI document.
@@ -56,7 +45,10 @@ fn render(document: &Value) -> String {
     let info = &document["info"];
     let mut calls = String::new();
     let mut messages = String::new();
-    let mut contents = String::from("<p>Calls</p><ul>");
+    let mut contents = String::from(
+        "<div hidden><input id=\"search\" type=\"search\" placeholder=\"Search ( / )\" aria-label=\"Search calls and messages\"></div>\
+         <h2>Calls</h2><ul>",
+    );
     for (path, methods) in entries(&document["paths"]) {
         for (method, operation) in entries(methods) {
             let id = word(&operation["operationId"]);
@@ -71,7 +63,7 @@ fn render(document: &Value) -> String {
             call(&mut calls, &method, path, operation);
         }
     }
-    contents.push_str("</ul><p>Messages</p><ul>");
+    contents.push_str("</ul><h2>Messages</h2><ul>");
     for (name, schema) in entries(&document["components"]["schemas"]) {
         let _ = write!(contents, "<li>{}</li>", link(name));
         message(&mut messages, name, schema);
@@ -80,12 +72,17 @@ fn render(document: &Value) -> String {
     format!(
         "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{title}: the API</title>\n<style>{STYLE}</style>\n<nav>{contents}</nav>\n<main>\n\
+         <title>{title}: the API</title>\n<style>{STYLE}</style>\n<nav aria-label=\"Calls and messages\">{contents}</nav>\n<main>\n\
          <h1>{title} {version}: the API</h1>\n<p>{about}</p>\n\
          <p>The same calls answer over gRPC and gRPC-Web on this port, as <code>pliant.v1.Deformer</code>. \
          <a href=\"/openapi.json\">/openapi.json</a> is this page for programs, \
          <a href=\"/v1/limits\">/v1/limits</a> what this server allows.</p>\n\
-         <h2>Calls</h2>\n{calls}<h2>Messages</h2>\n{messages}</main>\n</html>\n",
+         <p>Examples fit a session with a built-in model: open one first (<code>sample=creature</code>), whose <code>id</code> the next calls \
+         take.</p>\n\
+         <noscript><p>Without scripts this page neither searches nor calls.</p></noscript>\n\
+         <label>Token, where the server asks for one <input id=\"token\" type=\"password\" autocomplete=\"off\"></label>\n\
+         <p id=\"nothing\" hidden>Nothing fits.</p>\n\
+         <h2>Calls</h2>\n{calls}<h2>Messages</h2>\n{messages}</main>\n<script src=\"/docs.js\"></script>\n</html>\n",
         title = escape(word(&info["title"])),
         version = escape(word(&info["version"])),
         about = escape(word(&info["description"])),
@@ -118,7 +115,53 @@ fn call(page: &mut String, method: &str, path: &str, operation: &Value) {
         }
     }
     table(page, &rows);
+    example(page, method, path, operation);
     page.push_str("</section>\n");
+}
+
+/// A command line that makes the call, and what the script makes it from.
+fn example(page: &mut String, method: &str, path: &str, operation: &Value) {
+    if operation["responses"]["101"].is_object() {
+        // Nothing that a command line or a form can do.
+        return;
+    }
+    let content = &operation["requestBody"]["content"];
+    let json = &content["application/json"]["example"];
+    let parameters = || operation["parameters"].as_array().into_iter().flatten();
+    let mut address = path.to_owned();
+    let mut query = Vec::new();
+    for parameter in parameters() {
+        let (name, value) = (word(&parameter["name"]), word(&parameter["example"]));
+        match word(&parameter["in"]) {
+            "path" if !value.is_empty() => address = address.replace(&format!("{{{name}}}"), value),
+            "path" => address = address.replace(&format!("{{{name}}}"), &format!("${}", name.to_uppercase())),
+            "query" if !value.is_empty() => query.push(format!("{name}={value}")),
+            _ => {}
+        }
+    }
+    if !query.is_empty() {
+        address = format!("{address}?{}", query.join("&"));
+    }
+    let mut line = match method {
+        "GET" => format!("curl \"$SERVER{address}\""),
+        method => format!("curl -X {method} \"$SERVER{address}\""),
+    };
+    if json.is_object() {
+        let _ = write!(line, " \\\n  -H 'content-type: application/json' \\\n  -d '{json}'");
+    }
+    let call = serde_json::json!({
+        "method": method,
+        "path": path,
+        "parameters": operation["parameters"],
+        "json": json.is_object().then_some(json),
+        "file": content.is_object() && !json.is_object(),
+    });
+    let _ = writeln!(
+        page,
+        "<pre><code>{}</code></pre>\n<div data-call=\"{}\"></div>",
+        escape(&line),
+        escape(&call.to_string())
+    );
 }
 
 /// A row for what a body may be.
@@ -264,13 +307,17 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_loaded_and_nothing_runs() {
+    fn nothing_is_loaded_from_elsewhere() {
         let page = PAGE.as_ref().unwrap();
-        for part in [
-            "<script", "<link", "<img", "@import", "url(", "src=", " onclick", " onload",
-        ] {
+        for part in ["<link", "<img", "@import", "url(", " onclick", " onload"] {
             assert!(!page.contains(part), "{part} is in the page");
         }
+        let scripts: Vec<&str> = attribute(page, "src").collect();
+        assert_eq!(
+            (scripts.as_slice(), page.matches("<script").count()),
+            (&["/docs.js"][..], 1)
+        );
+        assert!(!SCRIPT.contains("://") && !SCRIPT.contains("innerHTML"));
         let place = page.find("://");
         assert_eq!(
             place,
