@@ -400,7 +400,6 @@ fn help_and_version_are_answers() {
 
 #[test]
 fn wrong_usage_is_told_once_and_last() {
-    let folder = workplace();
     for (arguments, told) in [
         (&["deform", "creature.glb", "--jobb", "job.json"][..], "'--jobb'"),
         (&["render", "creature.glb"], "required arguments"),
