@@ -111,16 +111,16 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     };
     let listener = TcpListener::bind(settings.listen).await.map_err(refuse)?;
     let address = listener.local_addr().map_err(refuse)?;
-    let manager = match &settings.store {
+    let (manager, store) = match &settings.store {
         Some(location) => {
-            let store = DatabaseStore::open(location).await?;
-            let manager = Manager::with_store(settings.session, OpenDeformer, Arc::new(store)).await?;
+            let store = Arc::new(DatabaseStore::open(location).await?);
+            let manager = Manager::with_store(settings.session, OpenDeformer, Arc::clone(&store) as Arc<_>).await?;
             tracing::info!("sessions are kept in {location}");
-            manager
+            (manager, Some(store))
         }
         None => {
             tracing::info!("sessions are in memory alone and end with this process; --data-dir keeps them");
-            Manager::new(settings.session)?
+            (Manager::new(settings.session)?, None)
         }
     };
     let limits = manager.config();
@@ -154,6 +154,9 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
         });
     };
     let served = server::run(listener, manager, settings.server, shutdown).await;
+    if let Some(store) = store {
+        store.close().await;
+    }
     traces.finish().await;
     Ok(served?)
 }

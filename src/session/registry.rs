@@ -8,6 +8,7 @@ use crate::progress::CancelFlag;
 use crate::session::animation::open_animations::OpenAnimations;
 use crate::session::answers::{SessionFacts, Tenant};
 use crate::session::calls::command::SessionCommand;
+use crate::session::capacity::call_line::CallLine;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::capacity::work_owner::WorkOwner;
 use crate::session::config::SessionConfig;
@@ -52,6 +53,8 @@ pub(super) struct OpenSession {
     pub format: Format,
     pub lease: SessionLease,
     pub commands: mpsc::Sender<SessionCommand>,
+    /// Who waits for an answer to them.
+    pub line: CallLine,
     pub streams: OpenStreams,
     pub animations: OpenAnimations,
     /// Wakes the session's task when a stream has work for it.

@@ -17,6 +17,7 @@ mod looking;
 mod moved;
 mod place;
 mod restart;
+mod restored;
 mod tight_memory;
 mod upkeep;
 

@@ -34,17 +34,17 @@ pub(in crate::session) enum SessionCommand {
 }
 
 impl SessionCommand {
-    /// Who asks.
-    pub fn who(&self) -> &Arc<str> {
+    /// Who asks, for the audit trail, and what is raised when nobody waits any more.
+    pub fn caller(&self) -> (&Arc<str>, &CancelFlag) {
         match self {
-            Self::SetHandles(_, PendingCall { who, .. })
-            | Self::Solve(_, PendingCall { who, .. })
-            | Self::Step(_, PendingCall { who, .. })
-            | Self::Edit(_, PendingCall { who, .. })
-            | Self::Recall(_, _, PendingCall { who, .. })
-            | Self::Export(_, PendingCall { who, .. })
-            | Self::Carry(_, PendingCall { who, .. })
-            | Self::Animate(_, _, PendingCall { who, .. }) => who,
+            Self::SetHandles(_, PendingCall { who, cancel, .. })
+            | Self::Solve(_, PendingCall { who, cancel, .. })
+            | Self::Step(_, PendingCall { who, cancel, .. })
+            | Self::Edit(_, PendingCall { who, cancel, .. })
+            | Self::Recall(_, _, PendingCall { who, cancel, .. })
+            | Self::Export(_, PendingCall { who, cancel, .. })
+            | Self::Carry(_, PendingCall { who, cancel, .. })
+            | Self::Animate(_, _, PendingCall { who, cancel, .. }) => (who, cancel),
         }
     }
 }

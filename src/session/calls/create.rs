@@ -9,6 +9,7 @@ use crate::session::calls::command::StoredAnswer;
 use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim, RequestFingerprint};
 use crate::session::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
 use crate::session::calls::session_places::{SessionPlaces, place_of_tenant};
+use crate::session::capacity::call_line::CallLine;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::capacity::work_watch::CancelOnDrop;
 use crate::session::error::{Error, ErrorCode};
@@ -236,6 +237,7 @@ pub(in crate::session) fn start_session(
         cancel: Arc::default(),
         closing: CancellationToken::new(),
         ended: CancellationToken::new(),
+        line: CallLine::default(),
         view: RwLock::new(Arc::new(view)),
         why: OnceLock::new(),
         leave: AtomicBool::new(false),

@@ -40,6 +40,9 @@ use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 use tracing::Span;
 
+/// How long a call waits until it looks again whether it will be served in time.
+const BETWEEN_LOOKS: Duration = Duration::from_secs(1);
+
 /// Every session of this process. Cloning shares them.
 #[derive(Clone)]
 pub struct Manager {
@@ -340,12 +343,15 @@ impl Manager {
     ) -> Result<T, Error> {
         let _inside = self.shared.gate.enter();
         let guard = CancelOnDrop::default();
-        let (reply, answer) = oneshot::channel();
+        let (reply, mut answer) = oneshot::channel();
+        let arrived = Instant::now();
+        let ahead = session.line.waiting();
+        (self.shared.compute).refuse_long_line(ahead, session.line.expected(ahead), arrived)?;
         let mut command = command(PendingCall {
             reply,
             who: Arc::clone(&self.who),
             cancel: Arc::clone(&guard.0),
-            arrived: Instant::now(),
+            arrived,
             claim,
             span: Span::current(),
         });
@@ -368,7 +374,17 @@ impl Manager {
                 mpsc::error::TrySendError::Closed(_) => return Err(session.why()),
             }
         }
-        answer.await.unwrap_or_else(|_| Err(session.why()))
+        let place = session.line.join();
+        loop {
+            // How long the calls before it take shows while it waits.
+            match tokio::time::timeout(BETWEEN_LOOKS, &mut answer).await {
+                Ok(answer) => return answer.unwrap_or_else(|_| Err(session.why())),
+                Err(_) => {
+                    let ahead = session.line.ahead_of(place);
+                    (self.shared.compute).refuse_long_line(ahead, session.line.expected(ahead), arrived)?;
+                }
+            }
+        }
     }
 }
 

@@ -195,6 +195,26 @@ impl ComputeSlots {
         Ok(self.slot_on(lane, permit, queued))
     }
 
+    /// Refuses a call that arrived then when so many calls before it on its session are expected to take longer than it may wait:
+    /// `expected` in all. One alone may be a long edit, which it may wait for.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED`.
+    pub fn refuse_long_line(&self, ahead: u64, expected: Duration, arrived: Instant) -> Result<(), Error> {
+        if ahead <= 1 || arrived.elapsed().saturating_add(expected) <= self.wait {
+            return Ok(());
+        }
+        self.metrics.refused.inc();
+        let (seconds, wait) = (expected.as_secs().saturating_add(1), self.wait.as_millis());
+        let text = format!(
+            "{ahead} calls wait on this session already, which take about {seconds} s; {wait} ms may be waited"
+        );
+        Err(Error::exhausted(
+            text,
+            u32::try_from(seconds).unwrap_or(u32::MAX).min(60),
+        ))
+    }
+
     /// Tells a call that it cannot be served in time.
     fn refuse(&self, why: LineRefusal, left: Duration) -> Error {
         self.metrics.refused.inc();

@@ -1,6 +1,7 @@
 //! What a server has to give: memory, compute slots and time.
 
 pub(super) mod call_gate;
+pub(super) mod call_line;
 pub(super) mod compute_slots;
 pub(super) mod fair_line;
 pub(super) mod lone_threads;

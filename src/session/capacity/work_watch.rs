@@ -22,6 +22,7 @@ impl Drop for CancelOnDrop {
 pub(in crate::session) struct WorkWatch {
     flags: Vec<Arc<CancelFlag>>,
     started: Instant,
+    waited: Duration,
     limit: Duration,
     deadline: Instant,
     /// What the work may hold beside what it was given.
@@ -41,6 +42,7 @@ impl WorkWatch {
         Self {
             flags,
             started,
+            waited: started.saturating_duration_since(arrived),
             limit,
             deadline: arrived.checked_add(limit).unwrap_or(started + limit),
             memory: None,
@@ -64,6 +66,11 @@ impl WorkWatch {
     /// The time that the work may take.
     pub fn limit(&self) -> Duration {
         self.limit
+    }
+
+    /// Time from the arrival of the call to the start.
+    pub fn waited(&self) -> Duration {
+        self.waited
     }
 
     /// Time since the start.

@@ -130,6 +130,8 @@ impl DatabaseAddress {
     pub async fn reader(&self) -> Result<AnyPool, StoreError> {
         install_default_drivers();
         let options = AnyPoolOptions::new().max_connections(1).acquire_timeout(PATIENCE);
+        // A copy that is read has no name any more.
+        let options = options.min_connections(1).idle_timeout(None).max_lifetime(None);
         options.connect(&self.url).await.map_err(|e| self.unavailable(e))
     }
 
@@ -243,6 +245,20 @@ impl WritingConnection {
                 self.coming = Some(coming);
                 Err(self.address.unavailable("it does not answer").into())
             }
+        }
+    }
+
+    /// Puts what a file's log holds into the file and closes the connection. The last one to be closed removes the log.
+    pub async fn finish(&mut self) {
+        let Some(mut open) = self.open.take() else { return };
+        let ended = async {
+            if self.address.dialect == Dialect::Sqlite {
+                open.execute("PRAGMA wal_checkpoint(TRUNCATE)").await?;
+            }
+            open.close().await
+        };
+        if let Ok(Err(error)) = tokio::time::timeout(PATIENCE, ended).await {
+            tracing::warn!("the store of sessions was not closed as it should be: {error}");
         }
     }
 

@@ -49,6 +49,10 @@ impl DatabaseStore {
         if let (Some(folder), None) = (&location.data_dir, &location.database) {
             refuse_objects_alone(folder)?;
             let file = folder.join(DATABASE_FILE);
+            // The folder of objects is made before anything is written into the file: without it the models would be missing.
+            if location.objects.is_none() && file.metadata().is_ok_and(|facts| facts.len() > 0) {
+                Objects::in_folder_to_read(folder)?;
+            }
             make_private_file(&file).map_err(|e| StoreError::Unavailable(format!("{}: {e}", file.display())))?;
         }
         Self::open_held(location, hold, true).await
@@ -107,6 +111,13 @@ impl DatabaseStore {
         tokio::spawn(watch_store(Arc::clone(&store.health), writer, objects));
         store.measure_objects().await?;
         Ok(store)
+    }
+
+    /// Writes what waits and closes the database, so that its file is whole without the log beside it. Nothing can be read or written
+    /// afterwards.
+    pub async fn close(&self) {
+        self.pool.close().await;
+        self.writer.finish().await;
     }
 
     /// Notes the sizes of objects that a version wrote which did not. One that is missing has none; whoever reads it is told.

@@ -2,14 +2,15 @@
 
 use super::connection::{DatabaseAddress, WritingConnection};
 use super::data_folder::{FolderHold, existing_database};
+use super::private_files::make_private_file;
 use super::schema::{Dialect, TABLES, known_version, migrate, version};
 use super::session_store::StoreError;
 use super::store_location::StoreLocation;
 use sqlx::AnyPool;
-use std::fs::File;
+use std::fs::{File, Permissions};
 use std::io;
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
-use tempfile::TempDir;
 
 /// What a crash leaves beside a database of SQLite, which belongs to it.
 const LOGS: [&str; 2] = ["-wal", "-journal"];
@@ -24,7 +25,6 @@ pub(super) struct DatabaseToRead {
     /// Where it is, as people are told.
     pub address: DatabaseAddress,
     _hold: Option<FolderHold>,
-    _copy: Option<TempDir>,
 }
 
 impl DatabaseToRead {
@@ -80,7 +80,6 @@ impl DatabaseToRead {
             is_written: false,
             address,
             _hold: hold,
-            _copy: None,
         })
     }
 
@@ -91,9 +90,14 @@ impl DatabaseToRead {
         known_version(found.ok_or_else(|| self.address.no_tables())?)
     }
 
-    /// The same, read from a copy in the folder for temporary files, which goes with it.
+    /// The same, read from a copy in the folder for temporary files, which only its owner can read and whose name is taken away as
+    /// soon as it is open.
     async fn copied(self, file: PathBuf) -> Result<Self, StoreError> {
-        let place = tempfile::Builder::new().prefix("pliant-store-").tempdir();
+        let owner_alone = Permissions::from_mode(0o700);
+        let place = tempfile::Builder::new()
+            .prefix("pliant-store-")
+            .permissions(owner_alone)
+            .tempdir();
         let failed = |e: io::Error| {
             StoreError::Unavailable(format!(
                 "{:?} cannot be copied to {} to be read there: {e}",
@@ -115,12 +119,10 @@ impl DatabaseToRead {
             return Err(self.address.no_tables());
         }
         migrate(connection, Dialect::Sqlite).await?;
-        writing.give_up().await;
-        Ok(Self {
-            pool: address.reader().await?,
-            _copy: Some(place),
-            ..self
-        })
+        writing.finish().await;
+        let pool = DatabaseAddress::file_at_rest(&copy)?.reader().await?;
+        place.close().map_err(failed)?;
+        Ok(Self { pool, ..self })
     }
 }
 
@@ -137,7 +139,7 @@ fn copy_database(from: &Path, to: &Path) -> io::Result<()> {
             Err(error) if error.kind() == io::ErrorKind::NotFound && !log.is_empty() => continue,
             Err(error) => return Err(error),
         };
-        io::copy(&mut source, &mut File::create_new(log_of(to, log))?)?;
+        io::copy(&mut source, &mut make_private_file(&log_of(to, log))?)?;
     }
     Ok(())
 }

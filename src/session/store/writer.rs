@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
+use tokio_util::sync::{CancellationToken, DropGuard};
 
 /// Orders that may wait; one more waits outside.
 const QUEUE: usize = 256;
@@ -34,6 +35,10 @@ struct WaitingOrder {
 pub(super) struct Writer {
     orders: mpsc::Sender<WaitingOrder>,
     doubtful: Arc<Mutex<BTreeMap<String, u64>>>,
+    /// Raised when nothing is to be written any more.
+    closing: CancellationToken,
+    /// Raised when everything is written and the connection closed.
+    closed: CancellationToken,
 }
 
 impl Writer {
@@ -47,8 +52,20 @@ impl Writer {
             waiting,
             doubtful: Arc::clone(&doubtful),
         };
-        tokio::spawn(task.run());
-        Self { orders, doubtful }
+        let (closing, closed) = (CancellationToken::new(), CancellationToken::new());
+        tokio::spawn(task.run(closing.clone(), closed.clone().drop_guard()));
+        Self {
+            orders,
+            doubtful,
+            closing,
+            closed,
+        }
+    }
+
+    /// Writes what waits, and closes the connection. Nothing can be written afterwards.
+    pub async fn finish(&self) {
+        self.closing.cancel();
+        self.closed.cancelled().await;
     }
 
     /// Writes an order; it is on disk when this returns. Returns objects that may have no name any more.
@@ -91,8 +108,14 @@ fn doubts(doubtful: &Mutex<BTreeMap<String, u64>>) -> MutexGuard<'_, BTreeMap<St
 }
 
 impl WritingTask {
-    async fn run(mut self) {
-        while let Some(first) = self.waiting.recv().await {
+    async fn run(mut self, closing: CancellationToken, _closed: DropGuard) {
+        loop {
+            let first = tokio::select! {
+                biased;
+                first = self.waiting.recv() => first,
+                () = closing.cancelled() => None,
+            };
+            let Some(first) = first else { break };
             let mut group = vec![first];
             while group.len() < GROUP
                 && let Ok(next) = self.waiting.try_recv()
@@ -101,7 +124,7 @@ impl WritingTask {
             }
             self.carry_out_group(group).await;
         }
-        self.connection.give_up().await;
+        self.connection.finish().await;
     }
 
     async fn carry_out_group(&mut self, group: Vec<WaitingOrder>) {

@@ -5,6 +5,7 @@ use crate::engine::{self, ModelShape};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
 use crate::pool::Pool;
+use crate::progress::Progress as _;
 use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel, SessionFacts};
 use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, StoredAnswer, WorkOrder};
 use crate::session::calls::handle_change::HandleChange;
@@ -20,13 +21,25 @@ use crate::wire::record::{AnsweredFrame, LoggedCommit};
 use crate::wire::{CarryOrder, PoseCommit};
 use glam::DVec3;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Handles up to which setting them is no build.
 const FEW_HANDLES: usize = 16;
 
 impl SessionTask {
+    /// Serves a call, unless nobody waits for its answer any more.
     pub async fn serve_command(&mut self, command: SessionCommand) {
-        self.acting = Arc::clone(command.who());
+        self.session.line.begin();
+        let (who, cancel) = command.caller();
+        if !cancel.cancelled() {
+            self.acting = Arc::clone(who);
+            let begun = Instant::now();
+            self.answer_command(command).await;
+            self.session.line.note_service(begun.elapsed());
+        }
+    }
+
+    async fn answer_command(&mut self, command: SessionCommand) {
         match command {
             SessionCommand::SetHandles(change, call) => {
                 let result = self.set_handles(change, &call).await;
@@ -87,16 +100,21 @@ impl SessionTask {
             true => WorkLane::Interactive,
             false => WorkLane::Builds,
         };
-        let room = self.memory.room().min(self.place.room());
-        let (replaced, watch) = self
-            .compute(call.order("handles", lane, limit), move |deformer, pool, watch, _| {
-                deformer.engine.limit_memory(room);
-                let replaced = deformer.replace_handles(topology.as_ref(), &set, &Exec::new(pool, watch));
-                (replaced, set, watch.take_stage_ms())
-            })
-            .await?;
-        let (replaced, set, stages) = replaced;
-        let (poses, facts) = replaced.map_err(|e| self.memory_failure(e, room, &watch))?;
+        let (poses, facts, stages) = loop {
+            let room = self.memory.room().min(self.place.room());
+            let (set, topology) = (set.clone(), topology.clone());
+            let (replaced, watch) = self
+                .compute(call.order("handles", lane, limit), move |deformer, pool, watch, _| {
+                    deformer.engine.limit_memory(room);
+                    deformer.replace_handles(topology.as_ref(), &set, &Exec::new(pool, watch))
+                })
+                .await?;
+            match replaced {
+                Ok((poses, facts)) => break (poses, facts, watch.take_stage_ms()),
+                Err(e) if self.found_room(&e, room).await => {}
+                Err(e) => return Err(self.memory_failure(e, room, &watch)),
+            }
+        };
         self.refuse_beyond_memory()?;
         let commit = || LoggedCommit::Handles {
             set: set.clone(),

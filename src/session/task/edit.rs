@@ -8,8 +8,10 @@ use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
 use crate::session::history::loaded_deformer::EditStart;
+use crate::session::keeping::made_room::make_room;
 use crate::session::task::session_task::SessionTask;
 use crate::wire::SessionEdit;
+use std::sync::Arc;
 
 impl SessionTask {
     /// Of a change that takes more memory than is free now, but not more than the server has, that it may fit later.
@@ -26,30 +28,47 @@ impl SessionTask {
         }
     }
 
+    /// Whether a change that found too little memory free may try again, because idle sessions have left it meanwhile.
+    pub async fn found_room(&mut self, error: &engine::Error, room: u64) -> bool {
+        let engine::Error::TooLarge { seen, limit, .. } = error else {
+            return false;
+        };
+        let of_tenant = (self.place.room() < self.memory.room()).then_some(&self.session.tenant);
+        *limit == room && *seen <= self.shared.ledger.total() && make_room(&self.shared, of_tenant).await
+    }
+
     pub async fn edit(&mut self, edit: SessionEdit, call: &PendingCall<CommittedEdit>) -> Result<CommittedEdit, Error> {
-        let state = self.history.current().clone();
-        let (shape, recipe) = (self.history.shape(state.shape), self.history.recipe(state.shape));
         let limit = self.shared.config.build;
-        // What the other sessions leave, now: the engine was opened when there was more or less.
-        let room = self.memory.room().min(self.place.room());
-        let kept_edit = self.kept.is_some().then(|| edit.clone());
-        let (done, watch) = self
-            .compute(
-                call.order("edit", WorkLane::Builds, limit),
-                move |deformer, pool, watch, _| {
-                    let start = EditStart {
-                        state: &state,
-                        shape,
-                        recipe: &recipe,
-                    };
-                    deformer.edit_state(start, &edit, room, &Exec::new(pool, watch))
-                },
-            )
-            .await?;
-        let (edited, shape, report) = done.map_err(|e| self.memory_failure(e, room, &watch))?;
+        let edit = Arc::new(edit);
+        let (edited, shape, report, watch) = loop {
+            let state = self.history.current().clone();
+            let (shape, recipe) = (self.history.shape(state.shape), self.history.recipe(state.shape));
+            // What the other sessions leave, now: the engine was opened when there was more or less.
+            let room = self.memory.room().min(self.place.room());
+            let edit = Arc::clone(&edit);
+            let (done, watch) = self
+                .compute(
+                    call.order("edit", WorkLane::Builds, limit),
+                    move |deformer, pool, watch, _| {
+                        let start = EditStart {
+                            state: &state,
+                            shape,
+                            recipe: &recipe,
+                        };
+                        deformer.edit_state(start, &edit, room, &Exec::new(pool, watch))
+                    },
+                )
+                .await?;
+            match done {
+                Ok((edited, shape, report)) => break (edited, shape, report, watch),
+                Err(e) if self.found_room(&e, room).await => {}
+                Err(e) => return Err(self.memory_failure(e, room, &watch)),
+            }
+        };
         self.refuse_beyond_memory()?;
         let ms = watch.take_stage_ms();
         self.shared.metrics.observe_stages(&ms);
+        let kept_edit = self.kept.is_some().then(|| Arc::unwrap_or_clone(edit));
         self.keep_edit(kept_edit, &edited, (&shape, &report), call.claim.as_ref())
             .await?;
         self.history.commit_edit(edited, shape);

@@ -58,6 +58,7 @@ impl SessionTask {
         while !session.closing.is_cancelled() {
             let mut worked = false;
             if let Ok(command) = self.commands.try_recv() {
+                session.busy.store(true, SeqCst);
                 self.serve_command(command).await;
                 worked = true;
             }
@@ -246,8 +247,9 @@ impl SessionTask {
             Error::new(ErrorCode::Cancelled, "the caller gave up")
         } else {
             let text = format!(
-                "took longer than the {} ms that are allowed; nothing has changed",
-                watch.limit().as_millis()
+                "took longer than the {} ms that are allowed, {} of them in line; nothing has changed",
+                watch.limit().as_millis(),
+                watch.waited().as_millis()
             );
             Error::new(ErrorCode::DeadlineExceeded, text)
         }

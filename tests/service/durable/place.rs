@@ -116,14 +116,19 @@ impl StorePlace {
     /// Runs `pliant store` on it: a command and its arguments.
     pub fn store(&self, arguments: &[&str]) -> StoreCommandRun {
         let variables = self.bucket.as_ref().map(TestBucket::variables).unwrap_or_default();
+        let temporary = self.top().join("temporary");
+        fs::create_dir_all(&temporary).expect("a folder");
         let run = Command::new(env!("CARGO_BIN_EXE_pliant"))
             .arg("store")
             .args(arguments)
             .args(self.location(self.database.as_ref().map(|d| d.url.as_str())))
             .envs(variables)
             .env_remove("PLIANT_CONFIG")
+            .env("TMPDIR", &temporary)
             .output()
             .expect("the program runs");
+        let left: Vec<_> = fs::read_dir(&temporary).expect("a folder").flatten().collect();
+        assert!(left.is_empty(), "{arguments:?} left {left:?}");
         StoreCommandRun {
             code: run.status.code().expect("it ends by itself"),
             out: String::from_utf8(run.stdout).expect("UTF-8"),
@@ -185,7 +190,8 @@ async fn tamper_at(url: &str, statement: &str) {
         .execute(&mut connection)
         .await
         .expect("a statement");
-    assert!(done.rows_affected() > 0, "{statement}");
+    let changes_rows = !statement.starts_with("VACUUM");
+    assert!(done.rows_affected() > 0 || !changes_rows, "{statement}");
     connection.close().await.expect("closed");
 }
 

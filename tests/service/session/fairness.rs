@@ -51,6 +51,48 @@ async fn a_tenant_with_much_work_holds_up_another_by_one_piece_of_it() {
 }
 
 #[tokio::test]
+async fn a_line_on_one_session_that_is_too_long_is_told_before_it_was_waited_for() {
+    let (manager, control) = manager(SessionConfig {
+        compute_wait: Duration::from_millis(500),
+        ..small()
+    });
+    let id = open(&manager).await;
+    control.hold();
+    let begin = || {
+        let (manager, id) = (manager.clone(), id.clone());
+        tokio::spawn(async move { manager.solve(tenant(), &id, solve(&[("a", 1.0)]), None).await })
+    };
+    let long = begin();
+    control.held_up().await;
+    tokio::time::sleep(Duration::from_millis(400)).await;
+    control.step(CYCLES);
+    long.await.expect("no panic").expect("solved");
+    let held = begin();
+    control.held_up().await;
+    // The one that is served takes 400 ms again, and two such are more than may be waited for; one may be waited for.
+    let waits = begin();
+    let refused = loop {
+        let tried = manager.solve(tenant(), &id, solve(&[("a", 1.0)]), None);
+        match tokio::time::timeout(Duration::from_millis(20), tried).await {
+            Ok(answer) => break answer.expect_err("too long"),
+            // The others had not joined the line yet.
+            Err(_) => continue,
+        }
+    };
+    assert_eq!(refused.http_status(), 429);
+    assert!(
+        refused
+            .message
+            .contains("calls wait on this session already, which take about 1 s"),
+        "{refused}"
+    );
+    control.release();
+    held.await.expect("no panic").expect("solved");
+    // It may have waited too long meanwhile; whatever it hears, it hears.
+    let _ = waits.await.expect("no panic");
+}
+
+#[tokio::test]
 async fn what_cannot_begin_in_time_is_refused_and_nothing_is_held_for_it() {
     let (manager, control) = manager(SessionConfig {
         compute_slots: 1,
