@@ -280,7 +280,8 @@ impl SessionStore for DatabaseStore {
     }
 
     fn takes_writes(&self) -> bool {
-        self.health.takes_writes()
+        // Who asks wants to know it as it is now, and not as of the last look.
+        self.health.note(self.health.check_places()).is_ok() && self.health.takes_writes()
     }
 
     fn create(&self, session: NewSession) -> Stored<'_, ()> {
