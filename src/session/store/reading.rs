@@ -58,10 +58,15 @@ impl SessionRow {
 
 pub(super) fn unreadable(error: sqlx::Error) -> StoreError {
     match error {
+        // What the database says of it is the operator's alone.
         sqlx::Error::ColumnDecode { .. } | sqlx::Error::Decode(_) => {
-            StoreError::Damaged(format!("a row cannot be read: {error}"))
+            tracing::error!("the store of sessions: {error}");
+            StoreError::Damaged("a row cannot be read".into())
         }
-        error if error.to_string().contains("malformed") => StoreError::Damaged(error.to_string()),
+        error if error.to_string().contains("malformed") => {
+            tracing::error!("the store of sessions: {error}");
+            StoreError::Damaged("the database file is damaged".into())
+        }
         error => StoreError::Unavailable(error.to_string()),
     }
 }
