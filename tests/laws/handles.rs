@@ -315,6 +315,7 @@ fn a_handle_may_hold_nodes_inside_alone() {
     let refused = bench.set_handles_message(&request, &Exec::new(&pool(1), &Silent));
     let told = refused.expect_err("it holds nothing").to_string();
     assert!(told.starts_with("handles[0].region: holds no vertex"), "{told}");
+    assert!(told.contains("the model's box is from ["), "{told}");
     assert_eq!(bench.facts().handles.len(), 2, "the handles in force stay");
 }
 

@@ -11,6 +11,8 @@
 The same with ``async`` is in :mod:`pliant.aio`. Failures are exceptions of :mod:`pliant.errors`.
 """
 
+from importlib.metadata import PackageNotFoundError, version
+
 from .animation import AnimatedFrame
 from .books import Commit
 from .carried import Carried
@@ -36,12 +38,18 @@ from .errors import (
     Unavailable,
     Unimplemented,
 )
-from .frames import Frame
+from .frames import Frame, SolvedFrame
 from .player import Animation
 from .poses import Pose
 from .server import LocalServer
 from .session import Session
 from .stream import Stream
+from .v1.pliant_pb2 import Quality
+
+try:
+    __version__ = version("pliant")
+except PackageNotFoundError:  # used from a folder that was not installed
+    __version__ = "0"
 
 __all__ = [
     "Aborted",
@@ -64,15 +72,18 @@ __all__ = [
     "PermissionDenied",
     "PliantError",
     "Pose",
+    "Quality",
     "ResourceExhausted",
     "Session",
     "SessionLost",
     "Settings",
+    "SolvedFrame",
     "Stream",
     "TooLarge",
     "Unauthenticated",
     "Unavailable",
     "Unimplemented",
+    "__version__",
     "connect",
     "open",
 ]

@@ -152,6 +152,11 @@ class Playing:
             digest=told.digest,
         )
 
+    @property
+    def under_way(self) -> str:
+        """What is under way: a stage before the first frame, then frames."""
+        return "frames" if self._next is not None else self.stage[0] or "frames"
+
     def complete(self) -> bool:
         """Whether all frames have come, and only the report may be missing."""
         return self.report is not None

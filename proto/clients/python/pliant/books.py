@@ -5,6 +5,7 @@ Nothing here talks to a server, so that the synchronous and the asyncio session 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -50,6 +51,8 @@ class Books:
     def __init__(self, info: pb.Session) -> None:
         self.info = info
         self._now = _State()
+        # What the server has.
+        self._there = self._now
         self._unsent = False
         # Handles that somebody else set, or that an edit carried over: their regions are known to the server alone.
         self._foreign = len(info.handles) > 0
@@ -121,7 +124,32 @@ class Books:
         """The server has the handles."""
         self._unsent = False
         self.info = info
+        self._there = self._now
         self._states[info.revision] = self._now
+
+    def refused(self, error: errors.InvalidArgument) -> errors.InvalidArgument:
+        """The server did not take the handles. Takes back what was to blame, so that calls that follow do not meet it again, and
+        answers the error with the handle's name: where a handle was to blame, that one is as it was before; else everything is.
+        """
+        found = re.match(r"handles\[(\d+)\]", error.field or "")
+        ids = list(self._now.handles)
+        if found is None or int(found[1]) >= len(ids):
+            self._now = self._there
+            self._unsent = False
+            return error
+        blamed = ids[int(found[1])]
+        handles, poses = dict(self._now.handles), dict(self._now.poses)
+        poses.pop(blamed, None)
+        if blamed in self._there.handles:
+            handles[blamed] = self._there.handles[blamed]
+            if blamed in self._there.poses:
+                poses[blamed] = self._there.poses[blamed]
+        else:
+            handles.pop(blamed)
+        self._now = _State(**{**self._now.__dict__, "handles": handles, "poses": poses})
+        self._unsent = self._now != self._there
+        text = f"handle {blamed!r}: {error.message}"
+        return errors.InvalidArgument(text, code=error.code, field=error.field, retry_after=error.retry_after)
 
     def solve_request(self, poses: Poses | Mapping[str, pb.HandlePose] | None, options: pb.Options) -> pb.SolveRequest:
         """One pose to solve and commit."""
@@ -130,7 +158,7 @@ class Books:
     def committed(self, frame: Frame, request: pb.SolveRequest) -> None:
         """A pose is recorded."""
         moved = {entry.id: entry.pose for entry in request.pose.handles}
-        self._now = _State(**{**self._now.__dict__, "poses": {**self._now.poses, **moved}})
+        self._now = self._there = _State(**{**self._now.__dict__, "poses": {**self._now.poses, **moved}})
         self._states[frame.revision] = self._now
         self.info.revision = frame.revision
 
@@ -140,13 +168,13 @@ class Books:
         self._unsent = False
         known = self._states.get(current)
         self._foreign = known is None and len(info.handles) > 0
-        self._now = known or _State()
+        self._now = self._there = known or _State()
 
     def edited(self, info: pb.Session) -> None:
         """The topology changed: handles are held by vertices that only the server knows."""
         self.info = info
         self._foreign = len(info.handles) > 0
-        self._now = _State()
+        self._now = self._there = _State()
 
 
 def as_entries(poses: Poses | Mapping[str, pb.HandlePose] | None) -> dict[str, pb.HandlePose]:

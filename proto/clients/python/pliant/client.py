@@ -15,7 +15,7 @@ from .calls import Calls
 from .channel import Settings
 from .model import Model, read
 from .options import CreateFields, create_options
-from .progress import Meter, ProgressLike
+from .progress import Meter, ProgressLike, uploading
 from .session import Session
 from .values import text
 from .v1 import pliant_pb2 as pb
@@ -69,11 +69,12 @@ class Client:
         *,
         self_closing: bool,
     ) -> Session:
-        upload = read(model, companions)
         options = create_options(create)
-        options.format = options.format or upload.format
-        with Meter(progress, "upload", bytes=True) as tell:
-            info = self._calls.create(upload, options, tell)
+        with Meter(progress, "read", bytes=True) as tell:
+            upload = read(model, companions)
+            options.format = options.format or upload.format
+            options.label = options.label or upload.label
+            info = self._calls.create(upload, options, uploading(tell))
         return Session(self._calls, info, keep=keep, at_close=self.close if self_closing else None)
 
     def attach(self, session_id: str, *, keep: bool = True) -> Session:
@@ -139,7 +140,9 @@ def open(
     """Opens a model: a path, the bytes of a file, an open file, ``(vertices, faces)``, or a mesh with these attributes.
 
     `companions` are files that the model refers to, by URI; those of a .gltf, buffers and images, are found beside it. The session is
-    deleted when it is closed, unless `keep` is given. `create` says how the session is built: ``volume_graph``,
+    deleted when it is closed, unless `keep` is given. Its label is the file's name, unless `label` says another. `progress` is True for
+    a bar, or a callable that is told bytes; both are told the stages ``read``, ``upload`` and ``build``, a callable by its method
+    ``stage`` if it has one. `create` says how the session is built: ``volume_graph``,
     ``components``, ``parts``, ``tie_distance``, ``keep_apart``, ``weights``, ``weld``, ``operators``,
     ``morph_targets``, ``rig``, ``bone_lengths``, ``rigid_chains``, ``passengers``, ``ttl``, ``label``, ``format``. `server` and
     `way` are as in :func:`connect`.

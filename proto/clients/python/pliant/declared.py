@@ -10,7 +10,7 @@ from typing import Any, Literal, Union
 
 from typing_extensions import Unpack
 
-from . import errors, regions
+from . import errors, preview, regions
 from .books import Books
 from .poses import Pose, Vector, to_message
 from .regions import RegionFields
@@ -54,6 +54,17 @@ class Declared:
     def handles(self) -> list[str]:
         """Ids of the handles that this client has set or is going to set."""
         return self._books.handle_ids
+
+    def __repr__(self) -> str:
+        info = self._books.info
+        name = f" {info.label!r}" if info.label else ""
+        end = ", closed" if self._closed else ""
+        kind = f"{type(self).__module__.rpartition('.')[0]}.{type(self).__name__}"
+        held = f"handles {self.handles}" if self.handles else "no handles"
+        return f"<{kind}{name}: {self.vertices} vertices, {held}, revision {info.revision}, id {info.id}{end}>"
+
+    def _repr_html_(self) -> str:
+        return preview.card(self._books.info, self.handles, None)
 
     def handle(
         self,

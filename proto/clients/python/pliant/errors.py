@@ -162,8 +162,9 @@ def make(
     seq: int | None = None,
 ) -> PliantError:
     """The exception for a code's name."""
-    # OUT_OF_RANGE is what the server's transport says of a message above its limit.
-    large = reason == "TOO_LARGE" or code == "OUT_OF_RANGE"
+    # What the server's transport says of a message above its limit has a code, and no reason.
+    above = code in ("OUT_OF_RANGE", "RESOURCE_EXHAUSTED") and "message length too large" in message
+    large = reason == "TOO_LARGE" or code == "OUT_OF_RANGE" or above
     kind = TooLarge if large else _KINDS.get(code, PliantError)
     return kind(message, code=code, field=field, retry_after=retry_after, seq=seq)
 

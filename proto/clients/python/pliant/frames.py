@@ -44,8 +44,23 @@ class Frame:
     queue_ms: float
     #: Poses skipped since the previous frame because a newer one came.
     superseded: int
-    #: Of a committed pose: the shape against the rest shape.
+    #: Of a committed pose: the shape against the rest shape. Where it is never missing, frames are :class:`SolvedFrame`.
     quality: pb.Quality | None
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedFrame(Frame):
+    """The frame of a recorded pose."""
+
+    #: The shape against the rest shape.
+    quality: pb.Quality
+
+
+def solved(frame: Frame) -> SolvedFrame:
+    """A frame of a pose that was recorded."""
+    if frame.quality is None:
+        raise Internal(f"frame {frame.seq} of a recorded pose says nothing of its quality")
+    return SolvedFrame(**frame.__dict__)
 
 
 class Assembler:

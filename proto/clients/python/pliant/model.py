@@ -22,6 +22,10 @@ from .v1 import pliant_pb2 as pb
 _PIECE = 1 << 20
 #: Bytes that a message needs beside its piece.
 _FRAMING = 64
+#: Bytes of the longest label that a server takes.
+_LABEL_BYTES = 256
+#: Characters of the longest name that a file may have anywhere.
+_LONGEST_NAME = 4096
 
 
 @runtime_checkable
@@ -48,6 +52,8 @@ class Upload:
     companions: dict[str, bytes] = field(default_factory=dict)
     #: The format, where the bytes alone do not tell it.
     format: str = ""
+    #: What people call it: the name of its file.
+    label: str = ""
 
     def requests(
         self, options: pb.CreateOptions, message_bytes: int, progress: Progress
@@ -75,7 +81,7 @@ def read(model: Model, companions: Mapping[str, bytes] | None = None) -> Upload:
     """
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
-        upload = Upload(path.read_bytes(), format=path.suffix.lstrip(".").lower())
+        upload = Upload(path.read_bytes(), format=path.suffix.lstrip(".").lower(), label=_label(path.name))
         if upload.format not in ("glb", "gltf", "obj", "ply", "off", "stl", "fbx"):
             upload.format = ""
         if companions is None:
@@ -100,6 +106,11 @@ def read(model: Model, companions: Mapping[str, bytes] | None = None) -> Upload:
     return upload
 
 
+def _label(name: str) -> str:
+    """A file's name as a label; nothing where it makes none."""
+    return name if name.isprintable() and len(name.encode(errors="replace")) <= _LABEL_BYTES else ""
+
+
 def _content(data: Any) -> bytes:
     if not isinstance(data, bytes):
         raise TypeError(f"model: the open file gives {type(data).__name__}, bytes are allowed: open it with 'rb'")
@@ -112,6 +123,8 @@ def _beside(path: Path, main: bytes) -> dict[str, bytes]:
     found: dict[str, bytes] = {}
     names = list(_named(main) if path.suffix.lower() != ".obj" else _libraries(main))
     for name in names:
+        if len(name) > _LONGEST_NAME or "\0" in name:
+            continue  # no file has that name, and asking for one fails or takes long
         named = (folder / name).resolve()
         # A model from elsewhere must not make us send files from outside its folder.
         if name not in found and named.is_relative_to(folder) and named.is_file():
@@ -194,12 +207,14 @@ def joined(chunks: Iterable[pb.Chunk]) -> dict[str, bytes]:
 def write(path: Path, files: Mapping[str, bytes], force: bool = False) -> list[Path]:
     """Writes an export: the main file under `path`, companions beside it. Answers the paths.
 
-    Before anything is written, a companion that would replace a file with other bytes is refused, unless `force` is set.
+    They are of one kind: relative, or absolute, as `path` is. Before anything is written, a companion that would replace a
+    file with other bytes is refused, unless `force` is set.
     """
     folder = path.parent.resolve()
     targets: list[tuple[Path, bytes]] = []
     for uri, data in files.items():
-        target = path if uri == "" else folder / uri
+        # As the caller names the main file: relative where that is relative.
+        target = path if uri == "" else path.parent / uri
         if uri and not target.resolve().is_relative_to(folder):
             raise ValueError(f"the model's companion {uri!r} would be written outside {folder}")
         if uri and not force and target.exists() and target.read_bytes() != data:

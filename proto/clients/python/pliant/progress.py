@@ -8,7 +8,8 @@ from types import TracebackType
 from typing import Any, TypeAlias, Union
 
 
-#: Called with what is done and what there is to do in all; the latter is 0 where it is not known.
+#: Called with what is done and what there is to do in all; the latter is 0 where it is not known. One that has a method
+#: ``stage`` is told with it what is under way, such as "upload", and "build" while the server builds the solver.
 Progress: TypeAlias = Callable[[int, int], None]
 ProgressLike: TypeAlias = Union[bool, Progress]
 
@@ -19,6 +20,7 @@ class Meter(AbstractContextManager["Meter"]):
     def __init__(self, wish: ProgressLike, what: str, *, bytes: bool = False) -> None:
         self._tell: Progress | None = wish if callable(wish) else None
         self._bar: Any = None
+        self._stage = ""
         if wish is True:
             try:
                 from tqdm.auto import tqdm
@@ -28,6 +30,16 @@ class Meter(AbstractContextManager["Meter"]):
                 ) from None
             kind = {"unit": "B", "unit_scale": True, "unit_divisor": 1024} if bytes else {"unit": "pose"}
             self._bar = tqdm(desc=what, leave=False, **kind)
+        self.stage(what)
+
+    def stage(self, what: str) -> None:
+        """Tells what is under way."""
+        tell = getattr(self._tell, "stage", None)
+        if what != self._stage and callable(tell):
+            tell(what)
+        if what != self._stage and self._bar is not None:
+            self._bar.set_description(what)
+        self._stage = what
 
     def __call__(self, done: int, total: int) -> None:
         if self._tell is not None:
@@ -42,3 +54,15 @@ class Meter(AbstractContextManager["Meter"]):
     ) -> None:
         if self._bar is not None:
             self._bar.close()
+
+
+def uploading(meter: Meter) -> Progress:
+    """Tells of an upload, and then that the server builds: nothing is told of how far it is, only that it does."""
+
+    def tell(done: int, total: int) -> None:
+        meter.stage("upload")
+        meter(done, total)
+        if done >= total:
+            meter.stage("build")
+
+    return tell

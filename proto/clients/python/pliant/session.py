@@ -12,13 +12,13 @@ from typing import Any, Literal
 import numpy as np
 from typing_extensions import Unpack
 
-from . import edits, frames, model
+from . import edits, errors, frames, model, preview
 from .animation import AnimateFields, Playing, Rig, order, recording
 from .books import Commit, Traffic, commits
 from .calls import Calls
 from .carried import Carried, carried, model_request, points_request
 from .declared import CLOSE_SECONDS, GONE, CommitWish, Declared, recorded, to_drag
-from .frames import Floats, Frame
+from .frames import Floats, Frame, SolvedFrame
 from .options import SolveFields, options
 from .player import Animation
 from .poses import Poses
@@ -45,10 +45,17 @@ class Session(Declared):
         return self._connection
 
     def apply(self) -> pb.Session:
-        """Sends the handles now, if they are not on the server yet; answers the session with the handles in force."""
+        """Sends the handles now, if they are not on the server yet; answers the session with the handles in force.
+
+        A handle that the server refuses, such as one that holds nothing, is named by the error and taken back: the session is as
+        it was before the handle was added.
+        """
         request = self._books.to_send()
         if request is not None:
-            self._books.sent(self._calls.one("SetHandles", request, keyed=True))
+            try:
+                self._books.sent(self._calls.one("SetHandles", request, keyed=True))
+            except errors.InvalidArgument as refusal:
+                raise self._books.refused(refusal) from None
         return self._books.info
 
     def solve(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> Floats:
@@ -58,15 +65,15 @@ class Session(Declared):
         """
         return self.solve_frame(poses, **how).positions
 
-    def solve_frame(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> Frame:
+    def solve_frame(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> SolvedFrame:
         """As :meth:`solve`, with normals, errors, times and quality."""
         self.apply()
         return self._solve(poses, options(how))
 
-    def _solve(self, poses: Any, how: pb.Options) -> Frame:
+    def _solve(self, poses: Any, how: pb.Options) -> SolvedFrame:
         request = self._books.solve_request(poses, how)
         parts = self._calls.many("Solve", request, keyed=True)
-        frame = frames.whole(parts, self.vertices, changed_only=how.output.HasField("changed_only"))
+        frame = frames.solved(frames.whole(parts, self.vertices, changed_only=how.output.HasField("changed_only")))
         self._books.committed(frame, request)
         return frame
 
@@ -140,8 +147,22 @@ class Session(Declared):
         values = np.frombuffer(self._calls.get(f"/v1/sessions/{self.id}/positions"), "<f4")
         return values.reshape(-1, 3).astype(np.float32)
 
+    def preview(self, width: int = preview.SIZE[0], height: int = preview.SIZE[1]) -> bytes:
+        """A small picture of the current shape, a PNG; notebooks show it for a session."""
+        return preview.picture(*preview.triangles_of(self.export_bytes("ply")[""]), (width, height))
+
+    def _repr_png_(self) -> bytes | None:
+        # A notebook shows what it can: a session that is closed or whose server is away has no picture.
+        with suppress(errors.PliantError):
+            return self.preview()
+        return None
+
+    def _repr_html_(self) -> str:
+        return preview.card(self._books.info, self.handles, self._repr_png_())
+
     def export(self, path: str | Path, format: str = "", *, force: bool = False) -> list[Path]:
-        """Writes the model in its current shape; the extension says the format. Answers the paths of the files.
+        """Writes the model in its current shape; the extension says the format. Answers the paths of the files, all
+        of them relative or absolute as `path` is.
 
         A .gltf comes with its buffers and images, which lie beside it. One of them that would replace a file with other
         bytes raises `FileExistsError` before anything is written, unless `force` is set.

@@ -15,7 +15,7 @@ import grpc
 from . import channel, errors
 from .books import Traffic
 from .calls import Calls
-from .frames import Frame
+from .frames import Frame, SolvedFrame
 from .poses import Poses
 from .v1 import pliant_pb2 as pb
 
@@ -29,7 +29,7 @@ class Stream:
     gets fewer frames, not older ones. One thread may send while another receives.
     """
 
-    def __init__(self, calls: Calls, traffic: Traffic, commit: Callable[[dict[str, pb.HandlePose]], Frame]) -> None:
+    def __init__(self, calls: Calls, traffic: Traffic, commit: Callable[[dict[str, pb.HandlePose]], SolvedFrame]) -> None:
         self._calls = calls
         self._traffic = traffic
         self._commit = commit
@@ -91,7 +91,7 @@ class Stream:
             if frame.final and frame.seq == self._traffic.seq:
                 return frame
 
-    def commit(self, poses: Poses | None = None) -> Frame:
+    def commit(self, poses: Poses | None = None) -> SolvedFrame:
         """Records where this stream's handles are, with `poses` on top, exactly once. Solved to the tolerance."""
         with self._news:
             self._check()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,14 +15,15 @@ import pliant
 from conftest import PACKAGE
 
 EXAMPLES = sorted((PACKAGE / "examples").glob("*.py"))
-NEEDS = {"batch": "tqdm", "with_trimesh": "trimesh", "with_pygltflib": "pygltflib"}
+#: What examples import beside the package; trimesh looks for scipy when it is asked for normals, and does not require it.
+NEEDS = {"batch": ("tqdm",), "with_trimesh": ("trimesh", "scipy"), "with_pygltflib": ("pygltflib",)}
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_it_runs(example: Path, server: pliant.LocalServer, tmp_path: Path) -> None:
-    needed = NEEDS.get(example.stem)
-    if needed and importlib.util.find_spec(needed) is None:
-        pytest.skip(f"{needed} is not installed")
+    for needed in NEEDS.get(example.stem, ()):
+        if importlib.util.find_spec(needed) is None:
+            pytest.skip(f"{needed} is not installed")
     environment = {**os.environ, "PLIANT_SERVER": server.url}
     done = subprocess.run([sys.executable, example], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -32,6 +34,13 @@ def test_it_runs(example: Path, server: pliant.LocalServer, tmp_path: Path) -> N
         assert files[0].read_bytes() == pliant.connect(server).sample(), "the first pose is at rest"
         # The head nods back through the angles it came by, so that about half of the shapes come twice.
         assert len({path.read_bytes() for path in files}) > 50
+
+
+def test_the_extra_for_examples_has_what_they_need() -> None:
+    extra = re.search(r"^examples = \[(.*)\]$", (PACKAGE / "pyproject.toml").read_text(), re.MULTILINE)
+    assert extra is not None
+    for needed in (name for names in NEEDS.values() for name in names):
+        assert f'"{needed}>=' in extra[1], f"{needed} is missing: pip install 'pliant[examples]' is what readers are told"
 
 
 def test_there_are_examples() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -210,7 +211,7 @@ def test_what_the_server_refuses_comes_as_it_said_it(held: pliant.Session, serve
     held.handle("nowhere", sphere=((100, 0, 0), 0.1))
     with pytest.raises(pliant.InvalidArgument, match="handles"):
         held.solve()
-    held.remove_handle("nowhere")
+    assert held.handles == ["feet", "head"]
     held.solve(TURN)
     with pytest.raises(pliant.InvalidArgument):
         pliant.open(b"not a model", server=server)
@@ -316,3 +317,100 @@ def test_progress_is_told(server: pliant.LocalServer, creature: Path) -> None:
         frames = list(session.drag(poses, progress=lambda done, total: told.append((done, total))))
         assert len(frames) == 2 and told == [(1, 2), (2, 2)]
         assert len(list(session.drag(poses, progress=True))) == 2
+
+
+def test_stages_of_opening_are_told(
+    server: pliant.LocalServer, creature: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    class Told:
+        def __init__(self) -> None:
+            self.stages: list[str] = []
+            self.counts: list[tuple[int, int]] = []
+
+        def stage(self, what: str) -> None:
+            self.stages.append(what)
+
+        def __call__(self, done: int, total: int) -> None:
+            self.counts.append((done, total))
+
+    told = Told()
+    pliant.open(creature, server=server, progress=told).close()
+    assert told.stages == ["read", "upload", "build"]
+    assert told.counts[-1] == (creature.stat().st_size,) * 2
+    capfd.readouterr()
+    pliant.open(creature, server=server, progress=True).close()
+    bar = capfd.readouterr().err
+    assert "upload" in bar and "build" in bar[bar.index("upload") :], "the bar says that the server builds"
+
+
+def test_a_handle_that_holds_nothing_is_named_and_blocks_nothing(held: pliant.Session) -> None:
+    rest = held.positions()
+    bent = held.solve(TURN)
+    held.handle("hat", sphere=((50, 0, 0), 0.1))
+    # The model's box, as far as it is told: to a thousandth of its size.
+    low, high = (", ".join(f"{x:.3f}" for x in corner) for corner in (rest.min(axis=0) + 0.0, rest.max(axis=0) + 0.0))
+    with pytest.raises(pliant.InvalidArgument, match=r"handle 'hat': handles\[2\].region: holds no vertex") as refused:
+        held.solve(TURN)
+    assert f"from [{low}] to [{high}]" in refused.value.message and refused.value.field == "handles[2].region"
+    assert held.handles == ["feet", "head"], "the session is as it was"
+    assert np.array_equal(held.solve(TURN), bent), "and solves as it did"
+    # What else was noted down is not lost with it, and a handle that was there before is again as it was.
+    held.handle("tail", sphere=((-1.0, 1.06, 0), 0.16))
+    held.handle("head", sphere=((50, 0, 0), 0.1))
+    with pytest.raises(pliant.InvalidArgument, match="handle 'head'"):
+        held.apply()
+    assert held.handles == ["feet", "head", "tail"]
+    facts = {h.id: h for h in held.apply().handles}
+    assert list(facts) == ["feet", "head", "tail"] and facts["head"].centroid[0] < 1
+    assert facts["head"].HasField("pose"), "and where it was"
+    # A plane that is none is nobody's handle: all that was not sent is taken back.
+    held.symmetry_plane((0, 0, 0))
+    with pytest.raises(pliant.InvalidArgument):
+        held.apply()
+    assert held.handles == ["feet", "head", "tail"] and held.solve(TURN).shape == bent.shape
+
+
+def test_the_first_handles_of_a_session_may_be_wrong(server: pliant.LocalServer, creature: Path) -> None:
+    with pliant.open(creature, server=server) as session:
+        session.handle("feet", **FEET)
+        session.handle("head", sphere=((50, 0, 0), 0.1))
+        with pytest.raises(pliant.InvalidArgument, match="handle 'head'"):
+            session.solve(TURN)
+        session.handle("head", **HEAD)
+        assert session.solve(TURN).shape == (session.vertices, 3)
+
+
+def test_a_session_shows_itself(server: pliant.LocalServer, creature: Path, tmp_path: Path) -> None:
+    assert pliant.__version__ == "0.1.0"
+    with pliant.open(creature, server=server) as session:
+        assert session.info.label == "creature.glb", "people know it by its file"
+        session.handle("<feet>", **FEET)
+        session.handle("head", **HEAD)
+        shown = repr(session)
+        for told in ("pliant.Session", "'creature.glb'", f"{session.vertices} vertices", "'head'", session.id):
+            assert told in shown
+        before = session.preview()
+        assert size_of(before) == (320, 240) and session._repr_png_() == before
+        dark = coverage(before)
+        assert 0.15 < dark < 0.8, f"the creature fills {dark} of its picture"
+        session.solve({"head": {"rotation_vector": (0, 0, 0.9)}})
+        assert session.preview() != before, "it is the shape as it is now"
+        page = session._repr_html_()
+        assert "creature.glb" in page and "&lt;feet&gt;" in page and "data:image/png;base64," in page
+        [path] = session.export(tmp_path / "bent.glb")
+    assert "closed" in repr(session) and session._repr_png_() is None and "creature.glb" in session._repr_html_()
+    with pliant.open(path, server=server, label="another") as session:
+        assert session.info.label == "another"
+
+
+def size_of(png: bytes) -> tuple[int, int]:
+    assert png[:8] == b"\x89PNG\r\n\x1a\n" and png[12:16] == b"IHDR"
+    return int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")
+
+
+def coverage(png: bytes) -> float:
+    """The share of pixels of a picture that are not white."""
+    length = int.from_bytes(png[33:37], "big")
+    width, height = size_of(png)
+    rows = np.frombuffer(zlib.decompress(png[41 : 41 + length]), np.uint8).reshape(height, 1 + 3 * width)
+    return float((rows[:, 1:].reshape(-1, 3).min(axis=1) < 255).mean())

@@ -261,6 +261,23 @@ def test_a_gltf_brings_its_buffers_but_nothing_from_outside_its_folder(tmp_path:
     assert model.read(io.BytesIO(b"OFF")).main == b"OFF"
 
 
+def test_what_a_gltf_holds_itself_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Files of these names exist, so that asking for them would be seen.
+    for name in ("data:,x", "DATA:,y"):
+        (tmp_path / name).write_bytes(b"a file")
+    path = tmp_path / "m.gltf"
+    embedded = "data:application/octet-stream;base64," + "AAAA" * 1_000_000
+    uris = ["data:,x", "DATA:,y", embedded, "long" * 2000, "nul\\u0000.bin"]
+    path.write_text('{"buffers": [' + ", ".join(f'{{"uri": "{uri}"}}' for uri in uris) + "]}")
+    asked: list[str] = []
+    resolve = Path.resolve
+    monkeypatch.setattr(Path, "resolve", lambda self, *rest: (asked.append(str(self)), resolve(self, *rest))[1])
+    upload = model.read(path)
+    assert upload.companions == {} and upload.label == "m.gltf"
+    # Looking for a file whose name is a whole buffer took seconds.
+    assert asked == [str(tmp_path)]
+
+
 def test_an_obj_brings_its_material_libraries_and_their_pictures(tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "red paint.png").write_bytes(b"red")
@@ -277,6 +294,14 @@ def test_a_companion_is_never_written_outside_the_folder(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="outside"):
         model.write(tmp_path / "m.gltf", {"": b"{}", "../evil.bin": b""})
     assert [p.name for p in model.write(tmp_path / "m.gltf", {"": b"{}", "x/m.bin": b"1"})] == ["m.gltf", "m.bin"]
+
+
+def test_paths_of_an_export_are_of_the_kind_that_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    files = {"": b"{}", "x/m.bin": b"1"}
+    assert model.write(Path("out/m.gltf"), files) == [Path("out/m.gltf"), Path("out/x/m.bin")]
+    assert model.write(tmp_path / "m.gltf", files) == [tmp_path / "m.gltf", tmp_path / "x/m.bin"]
 
 
 def test_a_companion_replaces_no_other_bytes_unasked(tmp_path: Path) -> None:

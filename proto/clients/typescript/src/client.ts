@@ -36,7 +36,9 @@ export class Client {
 
   /** Uploads a model (glb, gltf, obj, ply, off, stl or fbx) and opens a session with it. */
   async open(model: Blob, options: OpenOptions = {}): Promise<Session> {
-    const { create = {}, companions, ...call } = options;
+    const { create: given = {}, companions, ...call } = options;
+    // A session is known by its file, unless it is given another name.
+    const create = given.label === undefined && model instanceof File ? { ...given, label: labelOf(model) } : given;
     if (companions !== undefined && companions.size > 0) {
       const form = new FormData();
       form.set("options", new Blob([JSON.stringify(jsonOf(CreateOptionsSchema, create))], { type: "application/json" }));
@@ -87,4 +89,13 @@ export class Client {
 
 function query(create: CreateOptions): string {
   return encodeURIComponent(JSON.stringify(jsonOf(CreateOptionsSchema, create)));
+}
+
+/** Bytes of the longest label that a server takes. */
+const LONGEST_LABEL = 256;
+
+/** A file's name as a label; none where it makes none. */
+function labelOf({ name }: File): string {
+  const plain = !/\p{C}/u.test(name) && new TextEncoder().encode(name).length <= LONGEST_LABEL;
+  return plain ? name : "";
 }

@@ -1,11 +1,82 @@
-/** Sets of render vertices as the schema writes them: runs where there are runs, single indices elsewhere. */
+/** Regions: which vertices a handle or an edit takes. */
 
+import { create, isMessage } from "@bufbuild/protobuf";
+import type { MessageInitShape } from "@bufbuild/protobuf";
+import { PliantError } from "./errors.js";
 import type { Region } from "./gen/pliant/v1/pliant_pb.js";
 import { RegionSchema } from "./gen/pliant/v1/pliant_pb.js";
-import { create } from "@bufbuild/protobuf";
+
+/** x, y, z in model units. */
+export type Point = readonly [x: number, y: number, z: number];
+
+/** Ways to name vertices, in the rest pose and in model space. */
+export interface RegionKinds {
+  /** Render vertices by number, in any order. */
+  vertices: ArrayLike<number>;
+  /** Points x with normal · x ≥ offset. */
+  halfSpace: { normal: Point; offset: number };
+  /** Points within a ball. */
+  sphere: { center: Point; radius: number };
+  /** Points within a box along the axes. */
+  box: { min: Point; max: Point };
+  /** Points no further than the radius from the line between two points. */
+  capsule: { from: Point; to: Point; radius: number };
+  /** Points no further than the radius from a polyline. */
+  tube: { points: readonly Point[]; radius: number };
+  /** A connected part, by number. */
+  component: number;
+  /** An entry of `session.facts.primitives`, by number. */
+  primitive: number;
+  /** A number from 0 to 1 for every render vertex; those above 0 are in the region. */
+  weights: ArrayLike<number>;
+}
+
+/** One entry of `T`, and none of the others. */
+type OneOf<T> = { [K in keyof T]: { readonly [P in K]: T[P] } & { readonly [P in Exclude<keyof T, K>]?: never } }[keyof T];
+
+/** A region as a plain object with one key, such as `{ sphere: { center: [0, 1, 0], radius: 0.3 } }`. */
+export type PlainRegion = OneOf<RegionKinds>;
+
+/** A region as the schema's message has it. */
+type RegionMessage = { [K in keyof RegionKinds]?: never } & { region: MessageInitShape<typeof RegionSchema>["region"] };
+
+/** A region: a plain object, or the schema's message. */
+export type RegionLike = PlainRegion | Region | RegionMessage;
 
 /** Runs shorter than this are cheaper as single indices. */
 const SHORTEST_RUN = 4;
+
+/** How each kind of region is written in the schema. */
+const WRITTEN: { readonly [K in keyof RegionKinds]: (value: RegionKinds[K]) => Region } = {
+  vertices: (value) => regionOf(rising(value)),
+  halfSpace: ({ normal, offset }) => written({ case: "halfSpace", value: { normal: [...normal], offset } }),
+  sphere: ({ center, radius }) => written({ case: "sphere", value: { center: [...center], radius } }),
+  box: ({ min, max }) => written({ case: "box", value: { min: [...min], max: [...max] } }),
+  capsule: ({ from, to, radius }) => written({ case: "capsule", value: { from: [...from], to: [...to], radius } }),
+  tube: ({ points, radius }) => written({ case: "tube", value: { points: points.flat(), radius } }),
+  component: (index) => written({ case: "component", value: { index } }),
+  primitive: (index) => written({ case: "primitive", value: { index } }),
+  weights: (values) => written({ case: "weights", value: { values: Array.from(values) } }),
+};
+
+/** The schema's message of a region. Fails when it is none: not exactly one of the kinds. */
+export function regionFrom(region: RegionLike): Region {
+  if (isMessage(region, RegionSchema)) return region;
+  const keys = Object.keys(region).filter((key) => region[key as keyof typeof region] !== undefined);
+  const [kind] = keys;
+  if (keys.length === 1 && kind === "region") return create(RegionSchema, region as MessageInitShape<typeof RegionSchema>);
+  if (keys.length !== 1 || kind === undefined || !Object.hasOwn(WRITTEN, kind)) {
+    const seen = keys.join(" and ") || "nothing";
+    const allowed = Object.keys(WRITTEN).join(", ");
+    throw new PliantError("INVALID_ARGUMENT", `region: ${seen} is given, exactly one of ${allowed} is allowed`);
+  }
+  try {
+    return (WRITTEN[kind as keyof RegionKinds] as (value: unknown) => Region)(region[kind as keyof typeof region]);
+  } catch (error) {
+    const why = error instanceof Error ? error.message : String(error);
+    throw new PliantError("INVALID_ARGUMENT", `region: ${kind}: ${why}`);
+  }
+}
 
 /** The region that holds exactly these render vertices. `indices` must be ascending and without repeats. */
 export function regionOf(indices: ArrayLike<number>): Region {
@@ -26,5 +97,14 @@ export function regionOf(indices: ArrayLike<number>): Region {
     }
     k += count;
   }
-  return create(RegionSchema, { region: { case: "vertices", value: { indices: single, ranges } } });
+  return written({ case: "vertices", value: { indices: single, ranges } });
+}
+
+function written(region: MessageInitShape<typeof RegionSchema>["region"]): Region {
+  return create(RegionSchema, { region } as MessageInitShape<typeof RegionSchema>);
+}
+
+/** Numbers in ascending order, each once. */
+function rising(numbers: ArrayLike<number>): number[] {
+  return [...new Set(Array.from(numbers))].sort((a, b) => a - b);
 }

@@ -17,15 +17,22 @@ import {
 } from "./gen/pliant/v1/pliant_pb.js";
 import type { AnimateOptions } from "./animation.js";
 import { Animation, formOf } from "./animation.js";
+import { type RegionLike, regionFrom } from "./regions.js";
 import type { StreamEvents } from "./stream.js";
 import { Stream } from "./stream.js";
 import type { CallOptions, Transport } from "./transport.js";
 import { jsonOf } from "./transport.js";
 
-export type Handle = MessageInitShape<typeof HandleSchema>;
+/** A handle: a region, and what is done with it. */
+export type Handle = Omit<MessageInitShape<typeof HandleSchema>, "region" | "$typeName"> & { region?: RegionLike };
 export type SolveOptions = MessageInitShape<typeof OptionsSchema>;
 export type PoseEntry = MessageInitShape<typeof Pose_EntrySchema>;
-export type SetHandles = Omit<MessageInitShape<typeof SetHandlesRequestSchema>, "sessionId" | "$typeName">;
+/** All handles of a session. */
+export type SetHandles = Omit<MessageInitShape<typeof SetHandlesRequestSchema>, "sessionId" | "$typeName" | "handles" | "regionOfInterest"> & {
+  handles?: readonly Handle[];
+  /** Everything outside of it stays fixed to the bit. */
+  regionOfInterest?: RegionLike;
+};
 export type Edit = Omit<MessageInitShape<typeof EditRequestSchema>, "sessionId" | "$typeName">;
 
 /** Fields of a handle that can be cleared. */
@@ -80,8 +87,10 @@ export class Session {
   }
 
   /** Replaces all handles. One commit. */
-  setHandles(handles: SetHandles, call: CallOptions = {}): Promise<Facts> {
-    const json = jsonOf(SetHandlesRequestSchema, handles);
+  async setHandles(handles: SetHandles, call: CallOptions = {}): Promise<Facts> {
+    const { handles: several = [], regionOfInterest, ...rest } = handles;
+    const interest = regionOfInterest && { regionOfInterest: regionFrom(regionOfInterest) };
+    const json = jsonOf(SetHandlesRequestSchema, { ...rest, ...interest, handles: several.map(handleFrom) });
     return this.told(this.transport.message(SessionSchema, "PUT", this.path("/handles"), { ...call, json }));
   }
 
@@ -89,9 +98,9 @@ export class Session {
    * Adds a handle, or replaces the given fields of the one with this id; those in `clear` go back to their default, so
    * `clear: ["stiffness"]` makes a soft handle hard. One commit.
    */
-  putHandle(handle: Handle & { id: string }, call: CallOptions & { clear?: readonly HandleField[] } = {}): Promise<Facts> {
+  async putHandle(handle: Handle & { id: string }, call: CallOptions & { clear?: readonly HandleField[] } = {}): Promise<Facts> {
     const cleared = Object.fromEntries((call.clear ?? []).map((field) => [field, null]));
-    const json = { ...(jsonOf(HandleSchema, handle) as object), ...cleared };
+    const json = { ...(jsonOf(HandleSchema, handleFrom(handle)) as object), ...cleared };
     const path = this.path(`/handles/${encodeURIComponent(handle.id)}`);
     return this.told(this.transport.message(SessionSchema, "PATCH", path, { ...call, json }));
   }
@@ -235,6 +244,11 @@ export class Session {
     this.known = Math.max(this.known, Number(this.facts.revision));
     return this.facts;
   }
+}
+
+/** A handle as the schema has it. */
+function handleFrom({ region, ...rest }: Handle): MessageInitShape<typeof HandleSchema> {
+  return { ...rest, ...(region && { region: regionFrom(region) }) };
 }
 
 const blobOf = (response: Response): Promise<Blob> => response.blob();

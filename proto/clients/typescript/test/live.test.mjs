@@ -16,8 +16,8 @@ before(async () => {
 
 after(() => server?.stop());
 
-const FEET = { id: "feet", region: { region: { case: "halfSpace", value: { normal: [0, -1, 0], offset: -0.14 } } } };
-const HEAD = { id: "head", region: { region: { case: "sphere", value: { center: [0.76, 1.22, 0], radius: 0.36 } } } };
+const FEET = { id: "feet", region: { halfSpace: { normal: [0, -1, 0], offset: -0.14 } } };
+const HEAD = { id: "head", region: { sphere: { center: [0.76, 1.22, 0], radius: 0.36 } } };
 const NOD = [{ id: "head", pose: { rotationVector: [0, 0, -0.4] } }];
 
 test("a drag ends where a solve of the same pose ends, to the bit", { skip }, async () => {
@@ -151,4 +151,58 @@ test("a stream on a session that is closed ends as gone", { skip }, async () => 
   });
   await gone;
   assert.equal(states[0], "open");
+});
+
+test("every way to name vertices reaches the server, and says what is wrong with it", { skip }, async () => {
+  const session = await client.sample();
+  const rest = await session.positions();
+  const vertices = rest.length / 3;
+  const at = (k) => [rest[3 * k], rest[3 * k + 1], rest[3 * k + 2]];
+  const within = (test) => Array.from({ length: vertices }, (_, k) => k).filter((k) => test(...at(k)));
+  const holds = async (region) => {
+    const { handles } = await session.setHandles({ handles: [{ id: "it", region }] });
+    return handles[0].vertices;
+  };
+  const ball = within((x, y, z) => Math.hypot(x - 0.76, y - 1.22, z) <= 0.36);
+  assert.equal(await holds({ sphere: { center: [0.76, 1.22, 0], radius: 0.36 } }), ball.length);
+  assert.equal(await holds({ vertices: [...ball].reverse() }), ball.length, "in any order");
+  assert.equal(await holds({ vertices: Uint32Array.from(ball) }), ball.length);
+  assert.equal(await holds({ halfSpace: { normal: [0, 1, 0], offset: 1 } }), within((_, y) => y >= 1).length);
+  assert.equal(await holds({ box: { min: [0, 1, -9], max: [9, 9, 9] } }), within((x, y) => x >= 0 && y >= 1).length);
+  const onAxis = within((x, y, z) => Math.hypot(x - 0.76, z) <= 0.35 && y >= 1 && y <= 1.3).length;
+  assert.ok((await holds({ capsule: { from: [0.76, 1, 0], to: [0.76, 1.3, 0], radius: 0.35 } })) >= onAxis && onAxis > 0);
+  assert.ok((await holds({ tube: { points: [[0.76, 1, 0], [0.76, 1.3, 0], [0.9, 1.3, 0]], radius: 0.35 } })) >= onAxis);
+  assert.equal(await holds({ component: 0 }), vertices);
+  assert.equal(await holds({ primitive: 0 }), vertices);
+  const weights = new Float32Array(vertices);
+  for (const k of ball) weights[k] = 0.5;
+  assert.equal(await holds({ weights }), ball.length);
+  // The schema's message, and one that was made.
+  assert.equal(await holds({ region: { case: "component", value: { index: 0 } } }), vertices);
+  assert.equal(await holds(regionOf(ball)), ball.length);
+
+  await session.setHandles({ handles: [HEAD], regionOfInterest: { halfSpace: { normal: [0, 1, 0], offset: 0.9 } } });
+  const moved = await session.solve([{ id: "head", pose: { translation: [0, 0.2, 0] } }]);
+  const low = within((_, y) => y < 0.9);
+  assert.ok(low.every((k) => moved.positions[3 * k + 1] === rest[3 * k + 1]), "what is outside of the region of interest stays");
+
+  const refused = (region, words) => {
+    const failure = (error) => error instanceof PliantError && error.code === "INVALID_ARGUMENT" && words.test(error.message);
+    return assert.rejects(session.putHandle({ id: "it", region }), failure);
+  };
+  await refused({ ball: { center: [0, 0, 0], radius: 1 } }, /ball is given, exactly one of vertices, halfSpace, sphere/);
+  await refused({ component: 0, primitive: 0 }, /component and primitive is given/);
+  await refused({}, /nothing is given/);
+  await refused({ sphere: undefined, box: 5 }, /box/);
+  await session.close();
+});
+
+test("a file that is opened gives its session a name", { skip }, async () => {
+  const glb = await (await fetch(`${server.url}/v1/sample.glb`)).blob();
+  const session = await client.open(new File([glb], "dog.glb"));
+  assert.equal(session.facts.label, "dog.glb");
+  assert.ok(Math.abs(Date.parse(session.facts.createdAt) - Date.now()) < 3_600_000);
+  const other = await client.open(new File([glb], "dog.glb"), { create: { label: "cat" } });
+  assert.equal(other.facts.label, "cat");
+  await Promise.all([session.close(), other.close()]);
 });

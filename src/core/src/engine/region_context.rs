@@ -90,13 +90,31 @@ pub(super) fn vertices_of_handle(context: &RegionContext<'_>, region: &Region) -
     }
 }
 
-/// What is said of a region that holds nothing.
+/// What is said of a region that holds nothing: mostly it lies beside the model, or is in other units.
 pub(super) fn holds_nothing(context: &RegionContext<'_>) -> RegionError {
+    let (low, high) = (context.positions.iter()).fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| {
+        (low.min(*p), high.max(*p))
+    });
     let problem = format!(
-        "holds no vertex; regions are taken in {} and in model space",
-        context.pose
+        "holds no vertex; regions are taken in {} and in model space, where the model's box is from {} to {}",
+        context.pose,
+        rounded_point(low, low.distance(high)),
+        rounded_point(high, low.distance(high))
     );
     RegionError::new(RegionPlace::Whole, problem)
+}
+
+/// A point as people read it: as many digits as tell places of a box with this diagonal apart.
+fn rounded_point(point: DVec3, diagonal: f64) -> String {
+    let magnitude = if diagonal > 0.0 {
+        libm::floor(libm::log10(diagonal))
+    } else {
+        0.0
+    };
+    let digits = (3.0 - magnitude).clamp(0.0, 17.0) as usize;
+    // Adding zero makes of minus zero plain zero.
+    let [x, y, z] = point.to_array().map(|x| x + 0.0);
+    format!("[{x:.digits$}, {y:.digits$}, {z:.digits$}]")
 }
 
 fn find_vertices(

@@ -12,7 +12,7 @@ from typing_extensions import Unpack
 from ..client import found, settings
 from ..model import Model, read
 from ..options import CreateFields, create_options
-from ..progress import Meter, ProgressLike
+from ..progress import Meter, ProgressLike, uploading
 from ..server import LocalServer
 from ..values import text
 from ..v1 import pliant_pb2 as pb
@@ -54,11 +54,12 @@ class Client:
         *,
         self_closing: bool,
     ) -> Session:
-        upload = await asyncio.to_thread(read, model, companions)
         options = create_options(create)
-        options.format = options.format or upload.format
-        with Meter(progress, "upload", bytes=True) as tell:
-            info = await self._calls.create(upload, options, tell)
+        with Meter(progress, "read", bytes=True) as tell:
+            upload = await asyncio.to_thread(read, model, companions)
+            options.format = options.format or upload.format
+            options.label = options.label or upload.label
+            info = await self._calls.create(upload, options, uploading(tell))
         return Session(self._calls, info, keep=keep, at_close=self.close if self_closing else None)
 
     async def attach(self, session_id: str, *, keep: bool = True) -> Session:

@@ -83,6 +83,7 @@ class Animation:
                 async for part in self._call:
                     attempts = channel.Attempts(self._calls.settings.patience, resuming=True)
                     frame = self._playing.take(part)
+                    self._meter.stage(self._playing.under_way)
                     if frame is not None:
                         yield frame
                         # Who asks for the next one has this one.

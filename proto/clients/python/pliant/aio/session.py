@@ -12,12 +12,12 @@ from typing import Any, Literal, Union
 import numpy as np
 from typing_extensions import Unpack
 
-from .. import edits, frames, model
+from .. import edits, errors, frames, model
 from ..animation import AnimateFields, Playing, Rig, order, recording
 from ..books import Commit, Traffic, commits
 from ..carried import Carried, carried, model_request, points_request
 from ..declared import CLOSE_SECONDS, GONE, CommitWish, Declared, recorded, to_drag
-from ..frames import Floats, Frame
+from ..frames import Floats, Frame, SolvedFrame
 from ..options import SolveFields, options
 from ..poses import Poses
 from ..progress import Meter, ProgressLike
@@ -44,25 +44,28 @@ class Session(Declared):
         return self._connection
 
     async def apply(self) -> pb.Session:
-        """Sends the handles now, if they are not on the server yet; answers the session with the handles in force."""
+        """Sends the handles now, if they are not on the server yet; see :meth:`pliant.Session.apply`."""
         request = self._books.to_send()
         if request is not None:
-            self._books.sent(await self._calls.one("SetHandles", request, keyed=True))
+            try:
+                self._books.sent(await self._calls.one("SetHandles", request, keyed=True))
+            except errors.InvalidArgument as refusal:
+                raise self._books.refused(refusal) from None
         return self._books.info
 
     async def solve(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> Floats:
         """Solves one pose to the tolerance, records it, and answers the positions, (render vertices, 3)."""
         return (await self.solve_frame(poses, **how)).positions
 
-    async def solve_frame(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> Frame:
+    async def solve_frame(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> SolvedFrame:
         """As :meth:`solve`, with normals, errors, times and quality."""
         await self.apply()
         return await self._solve(poses, options(how))
 
-    async def _solve(self, poses: Any, how: pb.Options) -> Frame:
+    async def _solve(self, poses: Any, how: pb.Options) -> SolvedFrame:
         request = self._books.solve_request(poses, how)
         parts = await self._calls.many("Solve", request, keyed=True)
-        frame = frames.whole(parts, self.vertices, changed_only=how.output.HasField("changed_only"))
+        frame = frames.solved(frames.whole(parts, self.vertices, changed_only=how.output.HasField("changed_only")))
         self._books.committed(frame, request)
         return frame
 

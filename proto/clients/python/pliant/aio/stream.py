@@ -12,7 +12,7 @@ import grpc
 
 from .. import channel, errors
 from ..books import Traffic
-from ..frames import Frame
+from ..frames import Frame, SolvedFrame
 from ..poses import Poses
 from ..v1 import pliant_pb2 as pb
 from .calls import Calls
@@ -24,7 +24,7 @@ class Stream:
     """Poses out, frames in. Made by :meth:`Session.stream`; see :class:`pliant.Stream`."""
 
     def __init__(
-        self, calls: Calls, traffic: Traffic, commit: Callable[[dict[str, pb.HandlePose]], Awaitable[Frame]]
+        self, calls: Calls, traffic: Traffic, commit: Callable[[dict[str, pb.HandlePose]], Awaitable[SolvedFrame]]
     ) -> None:
         self._calls = calls
         self._traffic = traffic
@@ -77,7 +77,7 @@ class Stream:
             if frame.final and frame.seq == self._traffic.seq:
                 return frame
 
-    async def commit(self, poses: Poses | None = None) -> Frame:
+    async def commit(self, poses: Poses | None = None) -> SolvedFrame:
         """Records where this stream's handles are, with `poses` on top, exactly once. Solved to the tolerance."""
         self._check()
         return await self._commit(self._traffic.absorb(poses))

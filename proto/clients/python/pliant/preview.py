@@ -1,0 +1,131 @@
+"""Previews: a session's shape as a small picture, for notebooks.
+
+Nothing but numpy: triangles become points that lie as densely as pixels, the nearest one of each pixel is shaded by the light from
+the eye.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .v1 import pliant_pb2 as pb
+
+#: Width and height of a picture, in pixels.
+SIZE = (320, 240)
+#: Points of all triangles together, and triangles, above which they are thinned out: a preview is to come at once.
+_MOST_POINTS = 2_000_000
+_MOST_TRIANGLES = 500_000
+#: Red, green and blue of what is lit in full, and of what is not there.
+_CLAY = np.array([190.0, 198.0, 208.0])
+_EMPTY = 255
+
+_Doubles = npt.NDArray[np.float64]
+
+
+def triangles_of(ply: bytes) -> tuple[_Doubles, npt.NDArray[np.int64]]:
+    """Vertices and triangles of a binary PLY as the server writes it: numbers of 4 or 8 bytes, then lists of corners."""
+    head, _, body = ply.partition(b"end_header\n")
+    widths = {"float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1", "uint": "<u4"}
+    columns: list[tuple[str, str]] = []
+    counts: dict[str, int] = {}
+    for words in (line.split() for line in head.decode("ascii").splitlines()):
+        if words[:1] == ["element"]:
+            counts[words[1]] = int(words[2])
+        elif words[:1] == ["property"] and words[1] != "list" and "face" not in counts:
+            columns.append((words[2], widths[words[1]]))
+    rows = np.frombuffer(body, np.dtype(columns), counts["vertex"])
+    faces = np.frombuffer(body, np.dtype([("count", "u1"), ("corners", "<u4", (3,))]), counts["face"], rows.nbytes)
+    return np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1), faces["corners"].astype(np.int64)
+
+
+def picture(points: _Doubles, triangles: npt.NDArray[np.int64], size: tuple[int, int] = SIZE) -> bytes:
+    """A PNG of a surface seen from the front, a little from the right and from above; on white."""
+    width, height = size
+    pixels = np.full((height, width, 3), _EMPTY, np.uint8)
+    if not len(triangles) or not np.all(np.isfinite(points)):
+        return png(pixels)
+    triangles = triangles[:: -(-len(triangles) // _MOST_TRIANGLES)]
+    seen = points @ _view().T
+    low, high = seen[triangles].reshape(-1, 3).min(axis=0), seen[triangles].reshape(-1, 3).max(axis=0)
+    extent = np.maximum(high - low, 1e-300)
+    scale = 0.92 * min(width / extent[0], height / extent[1])
+    corners = ((seen - (low + high) / 2) * scale)[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    # Lit from the eye, and from both sides: open surfaces have no inside.
+    light = np.abs(normals[:, 2]) / np.maximum(lengths, 1e-300)
+    places, which = _filled(corners)
+    across = np.clip(np.round(places[:, 0] + (width - 1) / 2).astype(np.int64), 0, width - 1)
+    down = np.clip(np.round((height - 1) / 2 - places[:, 1]).astype(np.int64), 0, height - 1)
+    pixel = down * width + across
+    order = np.lexsort((which, places[:, 2], pixel))
+    last = np.append(np.diff(pixel[order]) != 0, True)
+    front = order[last]
+    shade = 0.25 + 0.75 * light[which[front]]
+    pixels.reshape(-1, 3)[pixel[front]] = np.round(shade[:, None] * _CLAY).astype(np.uint8)
+    return png(pixels)
+
+
+def _view() -> _Doubles:
+    """Rows: what lies to the right, up, and towards the eye."""
+    eye = np.array([0.45, 0.28, 1.0])
+    eye /= np.linalg.norm(eye)
+    right = np.cross([0.0, 1.0, 0.0], eye)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(eye, right), eye])
+
+
+def _filled(corners: _Doubles) -> tuple[_Doubles, npt.NDArray[np.int64]]:
+    """Points that cover triangles, about one a pixel, and the triangle of each."""
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    steps = np.clip(np.ceil(edges * 1.5), 1, max(SIZE)).astype(np.int64)
+    total = int(((steps + 1) * (steps + 2) // 2).sum())
+    if total > _MOST_POINTS:
+        steps = np.maximum(1, (steps * np.sqrt(_MOST_POINTS / total)).astype(np.int64))
+    places, which = [], []
+    for step in np.unique(steps):
+        chosen = np.flatnonzero(steps == step)
+        a, b = np.array([(i, j) for i in range(step + 1) for j in range(step + 1 - i)], np.float64).T / step
+        weights = np.stack([a, b, 1 - a - b], axis=1)
+        places.append(np.einsum("pc,tcd->tpd", weights, corners[chosen]).reshape(-1, 3))
+        which.append(np.repeat(chosen, len(weights)))
+    return np.concatenate(places), np.concatenate(which)
+
+
+def png(pixels: npt.NDArray[np.uint8]) -> bytes:
+    """Rows of red, green and blue as a PNG."""
+    height, width, _ = pixels.shape
+    rows = np.zeros((height, 1 + width * 3), np.uint8)  # every row begins with its filter: none
+    rows[:, 1:] = pixels.reshape(height, -1)
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(rows.tobytes(), 6))
+        + chunk(b"IEND", b"")
+    )
+
+
+def card(info: pb.Session, handles: list[str], image: bytes | None) -> str:
+    """What a notebook shows of a session: its facts, beside its picture where there is one."""
+    facts: list[tuple[str, Any]] = [
+        ("model", f"{info.model.vertices:,} vertices, {info.model.triangles:,} triangles"),
+        ("handles", ", ".join(handles) or "none"),
+        ("revision", info.revision),
+        ("session", info.id),
+    ]
+    rows = "".join(f"<tr><th>{name}</th><td>{html.escape(str(value))}</td></tr>" for name, value in facts)
+    shown = "" if image is None else f'<img alt="the shape" src="data:image/png;base64,{base64.b64encode(image).decode()}">'
+    title = html.escape(info.label or "pliant session")
+    return f"<div><strong>{title}</strong><div>{shown}<table>{rows}</table></div></div>"
