@@ -45,6 +45,8 @@ enum LoadtestCommand {
     Solver(solver::command::SolverArgs),
     /// Time every stage from a model's file to the first frame
     Pipeline(pipeline::first_frame::PipelineArgs),
+    /// Tell what re-fits of rotations bring, and what they take
+    Energy(pipeline::fit_energies::EnergyArgs),
     /// Follow one frame of a drag through, pass by pass
     Frame(pipeline::frame::FrameArgs),
     /// Edit a region of a model and time everything up to the next frame, repaired and built anew
@@ -66,6 +68,7 @@ fn main() -> ExitCode {
         LoadtestCommand::ExportSystem(args) => solver::export::run_export(args),
         LoadtestCommand::Solver(args) => solver::command::run_solver(args),
         LoadtestCommand::Pipeline(args) => pipeline::first_frame::run_pipeline(args),
+        LoadtestCommand::Energy(args) => pipeline::fit_energies::run_energy(args),
         LoadtestCommand::Frame(args) => pipeline::frame::run_frame(args),
         LoadtestCommand::Edits(args) => pipeline::edits::run_edits(args),
         LoadtestCommand::Motion(args) => motion::command::run_motion(args),

@@ -3,7 +3,7 @@
 use super::check::{enumerated, number, optional_within};
 use super::frames::{FrameEncoding, FrameOutput};
 use super::{Error, pb};
-use crate::deform::FirstPass;
+use crate::deform::{FirstPass, FitOrder};
 use crate::engine::SolveSettings;
 
 /// Most fits of rotations in one solve.
@@ -79,6 +79,7 @@ impl DeformOptions {
             },
             max_error,
             refine: options.refine,
+            fit_order: FitOrder::CoarseFirst,
             rotation_smoothing: options.rotation_smoothing,
             first_pass: match first_pass {
                 pb::options::FirstPass::Harmonic => FirstPass::Harmonic,

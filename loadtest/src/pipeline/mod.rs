@@ -2,5 +2,6 @@
 
 pub(crate) mod edits;
 pub(crate) mod first_frame;
+pub(crate) mod fit_energies;
 pub(crate) mod frame;
 mod graph_stages;

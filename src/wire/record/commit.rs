@@ -7,7 +7,7 @@ use super::messages::{
     PoseMessage, ProbeMessage, SettingsMessage, StepMessage,
 };
 use crate::asset::FileSet;
-use crate::deform::FirstPass;
+use crate::deform::{FirstPass, FitOrder};
 use crate::engine::{
     DeformerFacts, DeformerWarning, Edit, EditReport, EditedShape, HandlePose, HandlePoses, HandleSet, SolveSettings,
 };
@@ -284,6 +284,7 @@ fn settings_message(settings: &SolveSettings) -> SettingsMessage {
         }
         .into(),
         spatial_rbf: settings.spatial_rbf,
+        coarse_first: settings.fit_order == FitOrder::CoarseFirst,
     }
 }
 
@@ -303,6 +304,10 @@ fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> 
     Ok(SolveSettings {
         tolerance: message.tolerance,
         max_error: message.max_error,
+        fit_order: match message.coarse_first {
+            true => FitOrder::CoarseFirst,
+            false => FitOrder::GraphAlone,
+        },
         ..checked.solve
     })
 }

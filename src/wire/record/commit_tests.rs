@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::asset::Format;
+use crate::deform::FitOrder;
 use crate::engine::{Handle, HandleScale, MeshCounts, ModelFacts, Region, SolverFacts};
 use proptest::prelude::*;
 
@@ -43,6 +44,7 @@ fn commits() -> Vec<LoggedCommit> {
                 tolerance: None,
                 max_error: Some(third),
                 refine: Some(0),
+                fit_order: FitOrder::GraphAlone,
                 rotation_smoothing: third,
                 first_pass: FirstPass::Diffusion,
                 spatial_rbf: true,

@@ -98,6 +98,9 @@ pub(super) struct SettingsMessage {
     pub first_pass: i32,
     #[prost(bool, tag = "6")]
     pub spatial_rbf: bool,
+    /// Absent in records of the time when all fits were on the graph alone.
+    #[prost(bool, tag = "7")]
+    pub coarse_first: bool,
 }
 
 /// The frame that answered a pose, but for its vertices.

@@ -14,7 +14,7 @@ use super::large_faces::{HandleBend, largest_turn};
 use super::model_topology::EditSurface;
 use super::pose::HandlePoses;
 use super::region_context::{RegionContext, vertices_in_region, vertices_of_handle};
-use super::settings::{SolveMode, SolveSettings};
+use super::settings::{EDITED_AT_REST, SolveMode, SolveSettings};
 use super::shape::ModelShape;
 use super::topology_state::{KeptHandleFields, TopologyState};
 use super::{Deformer, digest};
@@ -91,7 +91,7 @@ impl Deformer {
         report.repaired = derived.is_followed();
         let mut next = self.with_derived(Arc::new(derived));
         next.set_handles(&carried.set, exec)?;
-        let settings = order.settings.cloned().unwrap_or_default();
+        let settings = order.settings.cloned().unwrap_or(EDITED_AT_REST);
         let outcome = next.shape_after_edit(carried, report, at_rest.then_some(settings), exec)?;
         *self = next;
         Ok(outcome)

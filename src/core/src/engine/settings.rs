@@ -2,7 +2,9 @@
 
 use super::passenger::Passenger;
 use crate::asset::{Following, Format};
-use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FirstPass, FreePartPolicy, TieOptions, VolumeMode};
+use crate::deform::{
+    BodyOptions, CoarseOperators, EdgeWeights, FirstPass, FitOrder, FreePartPolicy, TieOptions, VolumeMode,
+};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 
@@ -78,6 +80,8 @@ pub struct SolveSettings {
     pub max_error: Option<f64>,
     /// How often rotations are fitted after the second pass; `None`: [`COMMIT_REFINE`] times on commit, not at all in a drag.
     pub refine: Option<u32>,
+    /// Where fits of a commit begin.
+    pub fit_order: FitOrder,
     /// What the neighbours weigh in such a fit.
     pub rotation_smoothing: f64,
     /// How rotations are spread from the handles.
@@ -86,12 +90,24 @@ pub struct SolveSettings {
     pub spatial_rbf: bool,
 }
 
+/// How poses are solved for after an edit where none was solved before it. Records of edits do not tell it: it stays as it is.
+pub(super) const EDITED_AT_REST: SolveSettings = SolveSettings {
+    tolerance: Some(1e-4),
+    max_error: None,
+    refine: None,
+    fit_order: FitOrder::GraphAlone,
+    rotation_smoothing: 0.0,
+    first_pass: FirstPass::Harmonic,
+    spatial_rbf: false,
+};
+
 impl Default for SolveSettings {
     fn default() -> Self {
         Self {
             tolerance: Some(1e-4),
             max_error: None,
             refine: None,
+            fit_order: FitOrder::CoarseFirst,
             rotation_smoothing: 0.0,
             first_pass: FirstPass::Harmonic,
             spatial_rbf: false,

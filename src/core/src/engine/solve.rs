@@ -142,6 +142,7 @@ impl Deformer {
                 }),
                 smoothing: settings.rotation_smoothing,
                 carried: false,
+                order: settings.fit_order,
             },
             extent: match mode {
                 SolveMode::Drag if derived.shows_without_frames() => SolutionExtent::Positions,

@@ -8,6 +8,7 @@
 
 use crate::build::level::HierarchyLevel;
 use crate::lanes::{Lanes, WideLanes};
+use crate::solve::patches::PatchMap;
 use crate::storage::SLICE_ROWS;
 
 /// What the neighbours of a row read of it, one line of a cache: the columns of M, the position at rest, the present position.
@@ -38,6 +39,21 @@ impl PoseRow {
         [m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]]
     }
 
+    /// The columns of M, each with 0 in its fourth lane.
+    #[inline(always)]
+    pub(super) fn columns(&self) -> PatchMap {
+        let m = &self.0;
+        [0, 3, 6].map(|k| Lanes([m[k], m[k + 1], m[k + 2], 0.0]))
+    }
+
+    /// Replaces the columns of M.
+    #[inline(always)]
+    pub(super) fn set_columns(&mut self, columns: &PatchMap) {
+        for (out, column) in self.0.chunks_exact_mut(3).zip(columns) {
+            out.copy_from_slice(&column.0[..3]);
+        }
+    }
+
     /// Replaces the present position.
     #[inline(always)]
     pub(super) fn set_position(&mut self, x: &WideLanes) {
@@ -53,19 +69,19 @@ impl PoseRow {
 
     /// The position at rest; the fourth lane is of no use.
     #[inline(always)]
-    fn rest(&self) -> Lanes {
+    pub(super) fn rest(&self) -> Lanes {
         self.three(9)
     }
 
     /// The present position; the fourth lane is 0.
     #[inline(always)]
-    fn position(&self) -> Lanes {
+    pub(super) fn position(&self) -> Lanes {
         self.three(12)
     }
 
     /// M e; the fourth lane is of no use.
     #[inline(always)]
-    fn turned(&self, e: Lanes) -> Lanes {
+    pub(super) fn turned(&self, e: Lanes) -> Lanes {
         self.three(0) * e.0[0] + self.three(3) * e.0[1] + self.three(6) * e.0[2]
     }
 }
@@ -81,6 +97,13 @@ pub(crate) struct FrameRows<'a> {
 }
 
 impl FrameRows<'_> {
+    /// What comes on top of equation (8)'s right-hand side in a row, in inner units.
+    pub(super) fn more_of(&self, row: usize) -> WideLanes {
+        self.more
+            .get(row)
+            .map_or([0.0; 4], |more| (*more * self.scale).to_wide())
+    }
+
     /// The right-hand side of one row.
     pub(crate) fn right_hand_side(&self, level: &HierarchyLevel, row: usize) -> WideLanes {
         let here = self.rows[row].rest();

@@ -13,7 +13,7 @@ use crate::solve::cycle::MultigridCycle;
 use crate::solve::group::GroupSolve;
 use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
 use crate::solve::problem::ColumnGroup;
-use crate::solve::start::full_multigrid;
+use crate::solve::start::{StartMaps, full_multigrid};
 use crate::solve::workspace::Workspace;
 use crate::storage::NO_ROW;
 use crate::threads::Parallelism;
@@ -293,9 +293,9 @@ fn solve_by_cycles(
         let GroupSolve {
             cycle, pool, workspace, ..
         } = &mut group;
-        problem
-            .threads
-            .run_on(pool, || full_multigrid(&problem, cycle, frames, rest, workspace))?;
+        problem.threads.run_on(pool, || {
+            full_multigrid(&problem, cycle, StartMaps::ByVertex(frames, rest), workspace, None)
+        })?;
     }
     group.solve(watch)
 }

@@ -49,6 +49,6 @@ impl AffinePatches {
 }
 
 #[inline(always)]
-fn times(map: &PatchMap, v: Lanes) -> Lanes {
+pub(crate) fn times(map: &PatchMap, v: Lanes) -> Lanes {
     map[0] * v.0[0] + map[1] * v.0[1] + map[2] * v.0[2]
 }

@@ -30,6 +30,8 @@ pub struct PoseRows {
     pub x: Vec<[f64; 4]>,
     /// What is added to right-hand sides, in units of edge weights times positions; empty where nothing is.
     pub more: Vec<Lanes>,
+    /// Rows whose rotation is fitted, for [`LinearSystem::start_fitted_pose`] and [`LinearSystem::fit_pose`].
+    pub open: Vec<bool>,
     recalled: RecalledSteps,
 }
 
@@ -42,6 +44,8 @@ pub struct PoseCriteria {
     pub max_error: Option<f64>,
     /// Most iterations.
     pub max_iterations: usize,
+    /// Whether the pose is one of a drag, whose corrections are remembered for the next ones.
+    pub remember: bool,
 }
 
 impl Hierarchy {
@@ -64,6 +68,7 @@ impl PoseRows {
         self.x.clear();
         self.x.resize(n, [0.0; WIDTH]);
         self.more.clear();
+        self.open.clear();
     }
 
     /// Puts positions where neighbours read them, of some rows: `x` as in [`PoseRows::x`].
@@ -73,7 +78,8 @@ impl PoseRows {
 
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
-        64 * self.rows.capacity() + 32 * self.x.capacity() + 16 * self.more.capacity() + self.recalled.byte_size()
+        let rows = 64 * self.rows.capacity() + self.open.capacity();
+        rows + 32 * self.x.capacity() + 16 * self.more.capacity() + self.recalled.byte_size()
     }
 }
 
@@ -100,18 +106,14 @@ impl LinearSystem {
         (workspace, exec): (&mut Workspace, &Exec<'_>),
         watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl,
     ) -> Result<SolveStats, Error> {
-        self.check_hierarchy(hierarchy)?;
-        let n = hierarchy.order.len();
-        let fits = [pose.rows.len(), pose.x.len()] == [n; 2] && (pose.more.is_empty() || pose.more.len() == n);
-        if !self.can_solve_poses() || !fits {
-            return Err(Error::Invalid("these rows are no pose of this system".into()));
-        }
+        self.check_pose(hierarchy, pose)?;
         exec.check()?;
         let PoseRows {
             rows,
             x,
             more,
             recalled,
+            ..
         } = pose;
         let threads = Parallelism::from_pool(exec.pool);
         let frames = FrameRows {
@@ -139,7 +141,7 @@ impl LinearSystem {
             workspace,
             caller: &[],
             from_zero: false,
-            recalled: Some(recalled),
+            recalled: Some(recalled).filter(|_| criteria.remember),
             reached: None,
         };
         let solved = group.solve(watch);
@@ -174,6 +176,18 @@ impl LinearSystem {
             stopped: outcome.stopped,
             converged: outcome.converged,
         })
+    }
+}
+
+impl LinearSystem {
+    pub(super) fn check_pose(&self, hierarchy: &Hierarchy, pose: &PoseRows) -> Result<(), Error> {
+        self.check_hierarchy(hierarchy)?;
+        let n = hierarchy.order.len();
+        let fits = [pose.rows.len(), pose.x.len()] == [n; 2] && (pose.more.is_empty() || pose.more.len() == n);
+        match self.can_solve_poses() && fits && (pose.open.is_empty() || pose.open.len() == n) {
+            true => Ok(()),
+            false => Err(Error::Invalid("these rows are no pose of this system".into())),
+        }
     }
 }
 
@@ -266,6 +280,7 @@ mod tests {
                     tolerance: Some(1e-4),
                     max_error: None,
                     max_iterations: 50,
+                    remember: true,
                 };
                 let watch = &mut |_: &IterationReport<'_>| SolveControl::Continue;
                 let stats = system
@@ -318,6 +333,7 @@ mod tests {
             tolerance: Some(1e-4),
             max_error: None,
             max_iterations: 50,
+            remember: true,
         };
         let mut workspace = Workspace::default();
         let mut solve = |pose: &mut PoseRows| {

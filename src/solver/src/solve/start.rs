@@ -9,7 +9,9 @@ use crate::build::order::UnitBoxMap;
 use crate::constrain::mask::tie_share;
 use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
 use crate::progress::{Cancelled, check};
+use crate::solve::coarse_fits::CoarseFits;
 use crate::solve::cycle::MultigridCycle;
+use crate::solve::frame_rows::FrameRows;
 use crate::solve::patches::{AffinePatches, PatchMap};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::sweep::MaskedLevel;
@@ -20,13 +22,23 @@ use crate::threads::{piece_count, piece_rows};
 /// Rows that one piece of work handles.
 const PIECE: usize = 1024;
 
-/// Fills the free rows of `workspace.x`, whose masked rows hold their values, with the full-multigrid start.
+/// The maps that carry rows along.
+#[derive(Clone, Copy)]
+pub(crate) enum StartMaps<'a> {
+    /// By vertex, in the caller's order, with the rest positions that they belong to; without maps rows are rigid points.
+    ByVertex(Option<&'a [[f32; 9]]>, Option<&'a [[f64; 3]]>),
+    /// Those of the problem's own pose.
+    Posed(FrameRows<'a>),
+}
+
+/// Fills the free rows of `workspace.x`, whose masked rows hold their values, with the full-multigrid start. With `fits`,
+/// rotations are fitted on every coarse level.
 pub(crate) fn full_multigrid(
     problem: &ColumnGroup<'_>,
     cycle: &MultigridCycle<'_>,
-    frames: Option<&[[f32; 9]]>,
-    rest: Option<&[[f64; 3]]>,
+    maps: StartMaps<'_>,
     workspace: &mut Workspace,
+    mut fits: Option<&mut CoarseFits>,
 ) -> Result<(), Cancelled> {
     let system = problem.system;
     let Workspace { x, patches, coarse, .. } = workspace;
@@ -37,9 +49,12 @@ pub(crate) fn full_multigrid(
     let middle = mean_of_masked(problem, x);
     let grid = cycle.grid(0);
     let finest = &mut patches[0];
-    finest.resize(grid.level.rows(), frames.is_some());
-    if let Some(frames) = frames {
-        load_maps(problem, frames, rest, finest);
+    let mapped = !matches!(maps, StartMaps::ByVertex(None, _));
+    finest.resize(grid.level.rows(), mapped);
+    match maps {
+        StartMaps::ByVertex(Some(frames), rest) => load_maps(problem, frames, rest, finest),
+        StartMaps::ByVertex(None, _) => {}
+        StartMaps::Posed(frames) => load_posed_maps(&grid, frames, finest),
     }
     load_equations(&grid, problem, x, middle, finest);
     for l in 0..last {
@@ -57,6 +72,12 @@ pub(crate) fn full_multigrid(
         let here = &mut patches[l];
         for (x, z) in here.x.iter_mut().zip(&vectors[0].z) {
             *x += *z;
+        }
+        if let Some(fits) = fits.as_deref_mut() {
+            fits.fit_level(cycle, l, here, vectors, defect)?;
+            if l > 1 {
+                fits.hand_down(&cycle.grid(l - 1), l - 1, &mut patches[l - 1]);
+            }
         }
         if l > 1 {
             let (fine, below) = patches[l - 1..].split_at_mut(1);
@@ -118,6 +139,25 @@ fn load_maps(problem: &ColumnGroup<'_>, frames: &[[f32; 9]], rest: Option<&[[f64
     }
 }
 
+/// The same from the rows of a pose, whose units are the problem's.
+fn load_posed_maps(grid: &MaskedLevel<'_>, frames: FrameRows<'_>, finest: &mut AffinePatches) {
+    let n = grid.level.rows();
+    let (maps, positions) = (
+        SharedRows::new(&mut finest.maps),
+        SharedRows::new(&mut finest.positions),
+    );
+    grid.threads.for_each(0..piece_count(n, PIECE), |k| {
+        for i in piece_rows(k, n, PIECE) {
+            let row = &frames.rows[i];
+            // SAFETY: pieces are disjoint and each is visited once.
+            unsafe {
+                maps.set(i, row.columns());
+                positions.set(i, row.rest());
+            }
+        }
+    });
+}
+
 /// β and given values of the finest level: what the right-hand side holds beyond Σ w d.
 fn load_equations(
     grid: &MaskedLevel<'_>,
@@ -146,14 +186,18 @@ fn load_equations(
             if !grid.mask.free(i) {
                 continue;
             }
-            let mut b = problem.rhs(i);
+            // All but what comes on top of a pose is Σ w d.
+            let mut b = match problem.frames() {
+                Some(frames) => frames.more_of(i),
+                None => problem.rhs(i),
+            };
             if let Some(s) = problem.system.stiffness.get(i) {
                 for c in 0..WIDTH {
                     b[c] -= s * middle[c];
                 }
             }
             let mut sum = Lanes::ZERO;
-            if !patches.maps.is_empty() {
+            if !patches.maps.is_empty() && problem.frames().is_none() {
                 for (j, w) in grid.level.row(i) {
                     sum += patches.edge(i, j) * w;
                 }

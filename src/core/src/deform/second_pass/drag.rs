@@ -27,9 +27,9 @@ use glam::{DVec3, Mat3};
 use rayon::prelude::*;
 
 /// Tolerances below this one need right-hand sides in double precision.
-const SINGLE_TOLERANCE: f64 = 1e-5;
+pub(super) const SINGLE_TOLERANCE: f64 = 1e-5;
 /// The same for missing displacements, as a fraction of the diagonal.
-const SINGLE_ERROR: f64 = 1e-5;
+pub(super) const SINGLE_ERROR: f64 = 1e-5;
 /// Rows that one piece of work handles.
 const PIECE: usize = 4096;
 /// Iterations at most.
@@ -147,6 +147,7 @@ impl DragPose<'_> {
             tolerance: request.tolerance,
             max_error: request.max_error.map(|e| e / unit_per_diagonal),
             max_iterations: MOST_ITERATIONS,
+            remember: true,
         };
         let SolveState { rows, workspace, .. } = state;
         let center = rows.center;
@@ -180,7 +181,7 @@ impl DragPose<'_> {
 }
 
 /// Ties and soft pulls, which reach few nodes.
-fn fill_scattered(rig: &HandleSystem, body: &DeformableBody, transforms: &[Transform], rows: &mut DragRows) {
+pub(super) fn fill_scattered(rig: &HandleSystem, body: &DeformableBody, transforms: &[Transform], rows: &mut DragRows) {
     if !rig.has_scattered(body) {
         return;
     }
@@ -252,7 +253,7 @@ impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
 
 impl DragRows {
     /// The frames of the first `nodes` nodes.
-    fn frames(&self, nodes: usize, pool: &Pool) -> Vec<LocalFrame> {
+    pub(super) fn frames(&self, nodes: usize, pool: &Pool) -> Vec<LocalFrame> {
         pool.install(|| {
             let rows = self.row_of[..nodes].par_iter().with_min_len(PIECE);
             rows.map(|&row| self.pose.rows[row as usize].map()).collect()

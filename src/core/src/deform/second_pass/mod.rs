@@ -1,7 +1,9 @@
 //! The second pass: positions that agree best with the local frames (paper section 2.2, equations 8 and 11).
 
+mod coarse_first;
 mod drag;
 mod drag_rows;
+mod energy;
 mod equations;
 pub(super) mod pose;
 pub(super) mod refine;
@@ -12,5 +14,5 @@ pub(super) mod state;
 
 pub use equations::SecondPassEquations;
 pub use pose::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolutionExtent, SolveStart};
-pub use refine::Refinement;
+pub use refine::{FitOrder, Refinement};
 pub use state::SolveState;

@@ -31,6 +31,19 @@ pub struct Refinement {
     /// For animations: every fit goes further than it would by [`FARTHER`], and a warm solve that goes on from an earlier one's
     /// fits begins with a fit to where that one's solution was carried to. One fit a frame so comes as near to the minimum as two.
     pub carried: bool,
+    /// Where fits begin.
+    pub order: FitOrder,
+}
+
+/// Where fits of a pose that is solved from nothing begin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum FitOrder {
+    /// On the coarse levels of the solver, until the energy hardly falls, and then on the graph, `steps` times at most. Poses with
+    /// smoothing, scales or soft rotations are fitted on the graph alone.
+    #[default]
+    CoarseFirst,
+    /// On the graph alone, `steps` times.
+    GraphAlone,
 }
 
 /// How far a carried fit goes, where 1 is to the rotation that fits best: successive over-relaxation of the alternation, which
@@ -49,6 +62,8 @@ pub(in crate::deform) struct RotationFit<'a> {
     refinement: Refinement,
     /// The pull of soft handles on rotations: where each node's begin in the list.
     soft: Vec<u32>,
+    /// Whether there are neither scales nor soft rotations nor smoothing.
+    is_plain: bool,
     /// In single precision, where the first pass is one for animations.
     quick: Option<QuickFit<'a>>,
 }
@@ -79,6 +94,7 @@ impl<'a> RotationFit<'a> {
             reach: reach as f32,
         });
         Self {
+            is_plain,
             quick,
             body,
             rig,
@@ -90,8 +106,13 @@ impl<'a> RotationFit<'a> {
         }
     }
 
+    /// Whether fits depend on positions alone: there are neither scales nor soft rotations nor smoothing.
+    pub fn is_plain(&self) -> bool {
+        self.is_plain && !self.refinement.carried
+    }
+
     /// Whether a node's rotation is open: it is in a part that moves, and no handle says how it is turned.
-    fn is_open(&self, node: usize) -> bool {
+    pub fn is_open(&self, node: usize) -> bool {
         self.moved_parts[self.body.graph.component[node] as usize] && self.rig.rotation.hard[node] == NOBODY
     }
 

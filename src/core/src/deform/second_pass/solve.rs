@@ -100,25 +100,25 @@ impl HandleSystem {
 }
 
 /// One pose under way.
-struct PoseSolve<'a> {
-    rig: &'a HandleSystem,
-    body: &'a DeformableBody,
-    request: &'a PoseRequest<'a>,
+pub(super) struct PoseSolve<'a> {
+    pub rig: &'a HandleSystem,
+    pub body: &'a DeformableBody,
+    pub request: &'a PoseRequest<'a>,
     /// Rotations in place of the blend by harmonic fields.
-    instead: Option<&'a [LocalRotation]>,
-    moved_parts: &'a [bool],
+    pub instead: Option<&'a [LocalRotation]>,
+    pub moved_parts: &'a [bool],
     /// What is solved around, in solving coordinates.
-    center: DVec3,
-    exec: &'a Exec<'a>,
+    pub center: DVec3,
+    pub exec: &'a Exec<'a>,
 }
 
 /// What the solves of one pose came to so far, and who watches them.
-struct SolveTally<'a> {
-    iterations: usize,
-    refined: u32,
-    watch: &'a mut dyn FnMut(&CycleReport<'_>) -> bool,
+pub(super) struct SolveTally<'a> {
+    pub iterations: usize,
+    pub refined: u32,
+    pub watch: &'a mut dyn FnMut(&CycleReport<'_>) -> bool,
     /// `watch` has had enough.
-    stopped: bool,
+    pub stopped: bool,
 }
 
 impl PoseSolve<'_> {
@@ -130,7 +130,7 @@ impl PoseSolve<'_> {
         watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
     ) -> Result<PoseSolution, Error> {
         let (rig, body, request, pool) = (self.rig, self.body, self.request, self.exec.pool);
-        let Refinement { steps, carried, .. } = request.refinement;
+        let steps = request.refinement.steps;
         let warm = request.start == SolveStart::Warm;
         if warm {
             state.begin(body, request.transforms.len());
@@ -153,48 +153,24 @@ impl PoseSolve<'_> {
                 request.refinement,
             )
         });
-        let mut turns = match &fit {
-            Some(fit) if warm && state.extra.len() == body.nodes() => {
-                let turns = resumed(fit, carried, state, pool);
-                posed.frames = fit.frames(&turns, pool);
-                turns
-            }
-            Some(fit) => fit.start(pool),
-            None => Vec::new(),
-        };
-        self.assemble(posed, state);
-
         let mut tally = SolveTally {
             iterations: 0,
             refined: 0,
             watch,
             stopped: false,
         };
-        let first = match warm {
-            true => solver::InitialGuess::Given,
-            false => solver::InitialGuess::FullMultigrid {
-                frames: Some(&posed.frames),
-                rest: Some(&body.rest),
-            },
-        };
-        let between = request.tolerance.map_or(BETWEEN_FITS, |t| t.min(BETWEEN_FITS));
-        let rough = if steps > 0 { between } else { 0.0 };
-        let mut stats = self.run(&rig.positions, first, rough, state, &mut tally)?;
-        if let Some(fit) = &fit {
-            while tally.refined < steps && !tally.stopped {
-                check(self.exec.progress)?;
-                turns = fit.step(&turns, &state.x, pool);
-                posed.frames = fit.frames(&turns, pool);
-                self.assemble(posed, state);
-                tally.refined += 1;
-                let rough = if tally.refined < steps { between } else { 0.0 };
-                let start = solver::InitialGuess::Given;
-                stats = self.run(&rig.positions, start, rough, state, &mut tally)?;
+        let coarse = fit.as_ref().filter(|fit| self.may_begin_coarse(fit));
+        let coarse = coarse.map(|fit| self.fit_coarse_first(fit, posed, state, &mut tally));
+        let mut stats = match coarse {
+            Some(Err(Error::Solver(_))) => {
+                // Poses beyond the range of single precision.
+                state.forget();
+                prepare(body, rig, posed, warm, state, pool);
+                self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?
             }
-            state.extra = fit.extra(&turns, pool);
-        } else {
-            state.extra.clear();
-        }
+            Some(solved) => solved?,
+            None => self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?,
+        };
         if let Some(rigid) = &rig.rigid {
             rig.make_regions_rigid(body, &mut state.x);
             let start = solver::InitialGuess::Given;
@@ -221,6 +197,55 @@ impl PoseSolve<'_> {
             max_error: stats.max_error * body.unit / body.diagonal,
             method: PoseMethod::Graph(stats.method),
         })
+    }
+
+    /// Solves, and fits rotations and solves again as often as asked for, all on the graph itself.
+    fn fit_in_turn(
+        &self,
+        fit: Option<&RotationFit<'_>>,
+        posed: &mut PosedHandles,
+        state: &mut SolveState,
+        tally: &mut SolveTally<'_>,
+    ) -> Result<solver::SolveStats, Error> {
+        let (rig, body, request, pool) = (self.rig, self.body, self.request, self.exec.pool);
+        let Refinement { steps, carried, .. } = request.refinement;
+        let warm = request.start == SolveStart::Warm;
+        let mut turns = match fit {
+            Some(fit) if warm && state.extra.len() == body.nodes() => {
+                let turns = resumed(fit, carried, state, pool);
+                posed.frames = fit.frames(&turns, pool);
+                turns
+            }
+            Some(fit) => fit.start(pool),
+            None => Vec::new(),
+        };
+        self.assemble(posed, state);
+        let first = match warm {
+            true => solver::InitialGuess::Given,
+            false => solver::InitialGuess::FullMultigrid {
+                frames: Some(&posed.frames),
+                rest: Some(&body.rest),
+            },
+        };
+        let between = request.tolerance.map_or(BETWEEN_FITS, |t| t.min(BETWEEN_FITS));
+        let rough = if steps > 0 { between } else { 0.0 };
+        let mut stats = self.run(&rig.positions, first, rough, state, tally)?;
+        let Some(fit) = fit else {
+            state.extra.clear();
+            return Ok(stats);
+        };
+        while tally.refined < steps && !tally.stopped {
+            check(self.exec.progress)?;
+            turns = fit.step(&turns, &state.x, pool);
+            posed.frames = fit.frames(&turns, pool);
+            self.assemble(posed, state);
+            tally.refined += 1;
+            let rough = if tally.refined < steps { between } else { 0.0 };
+            let start = solver::InitialGuess::Given;
+            stats = self.run(&rig.positions, start, rough, state, tally)?;
+        }
+        state.extra = fit.extra(&turns, pool);
+        Ok(stats)
     }
 
     /// Fills the right-hand side for `posed`.

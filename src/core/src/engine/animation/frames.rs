@@ -3,7 +3,8 @@
 use super::prepare::Animation;
 use super::settings::{AnimationRefinement, BLOCK_FRAMES};
 use crate::deform::{
-    FirstPass, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart, SolveState, Transform, unfold_faces,
+    FirstPass, FitOrder, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart, SolveState, Transform,
+    unfold_faces,
 };
 use crate::engine::error::Error;
 use crate::engine::quality::FrameQuality;
@@ -238,6 +239,7 @@ impl Animation {
                 steps,
                 smoothing: 0.0,
                 carried: self.settings.refinement == AnimationRefinement::Carried,
+                order: FitOrder::GraphAlone,
             },
             extent: SolutionExtent::Graph,
         };

@@ -1,0 +1,113 @@
+//! `loadtest energy`: what re-fits of rotations bring, and what they take.
+
+use crate::failure::LoadtestFailure;
+use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
+use crate::shared::input_files::{read_job_file, read_model_file};
+use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
+use pliant::batch::pose_steps;
+use pliant::deform::{Error, FirstPass, PoseRequest, Refinement, SolutionExtent, SolveStart, SolveState};
+use pliant::engine::{Deformer, DeformerLimits};
+use pliant::exec::Exec;
+use pliant::pool::Pool;
+use pliant::progress::Silent;
+use pliant::wire::{self, pb};
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Arguments of `loadtest energy`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct EnergyArgs {
+    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    model: PathBuf,
+    /// The job; without it the ends of the model's longest side are held and one of them turned
+    #[arg(long, value_name = "FILE")]
+    job: Option<PathBuf>,
+    /// Cut every triangle into four this many times first
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
+    subdivide: u8,
+    /// Threads; 0 means one for each core
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
+    threads: u16,
+    /// Re-fits of each row
+    #[arg(long, value_delimiter = ',', default_value = "0,1,2,3,4,5,8,16,32")]
+    refine: Vec<u32>,
+    /// Re-fits that the energies are compared with
+    #[arg(long, default_value_t = 300)]
+    least: u32,
+}
+
+/// Runs the command.
+pub(crate) fn run_energy(args: &EnergyArgs) -> Result<(), LoadtestFailure> {
+    let usage = |e: &dyn std::fmt::Display| LoadtestFailure::Usage(format!("{}: {e}", args.model.display()));
+    let pool = Pool::new(usize::from(args.threads)).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let exec = Exec::new(&pool, &Silent);
+    let job = match &args.job {
+        Some(path) => read_job_file(path)?,
+        None => {
+            let scene = DragScene::load(Some(&args.model))?;
+            let step = pb::step::Step::Pose(scene.pose_number(FARTHEST_POSE));
+            pb::Job {
+                handles: scene.handles(),
+                steps: vec![pb::Step { step: Some(step) }],
+                ..Default::default()
+            }
+        }
+    };
+    let files = match args.subdivide {
+        0 => read_model_file(&args.model)?,
+        times => subdivide_model(read_model_file(&args.model)?, times)?,
+    };
+    let options = wire::open_options(&job.create.clone().unwrap_or_default()).map_err(|e| usage(&e))?;
+    let mut bench = Deformer::open(files, &options, &DeformerLimits::default(), &exec).map_err(|e| usage(&e))?;
+    let request = pb::SetHandlesRequest {
+        handles: job.handles.clone(),
+        symmetry_plane: job.symmetry_plane.clone(),
+        region_of_interest: job.region_of_interest.clone(),
+        ..Default::default()
+    };
+    let handles = wire::handle_set(&request).map_err(|e| usage(&e))?;
+    bench.set_handles(handles, &exec).map_err(|e| usage(&e))?;
+    let mut poses = bench.initial_poses();
+    for pose in pose_steps(&job).map_err(|e| usage(&e))? {
+        poses = wire::change_poses(&bench, &poses, &pose).map_err(|e| usage(&e))?;
+    }
+    let transforms = bench.transforms(&poses).map_err(|e| usage(&e))?;
+    let Some(rig) = bench.rig() else {
+        return Err(usage(&"no handles"));
+    };
+    let body = bench.body();
+    let mut state = SolveState::default();
+    let mut solve = |steps: u32| -> Result<(f64, f64, usize), Error> {
+        let request = PoseRequest {
+            transforms: &transforms,
+            tolerance: Some(1e-4),
+            max_error: None,
+            start: SolveStart::Fresh,
+            first_pass: FirstPass::Harmonic,
+            refinement: Refinement {
+                steps,
+                ..Refinement::default()
+            },
+            extent: SolutionExtent::Graph,
+        };
+        let start = Instant::now();
+        let solution = rig.solve(body, &request, &mut state, &exec, &mut |_| true)?;
+        let ms = start.elapsed().as_secs_f64() * 1e3;
+        let energy = rig.energy(body, &transforms, &solution.positions, &pool);
+        Ok((energy, ms, solution.iterations))
+    };
+    let (least, ms, cycles) = solve(args.least).map_err(|e| usage(&e))?;
+    println!(
+        "{} nodes; after {} re-fits {least:.4e}, {ms:.0} ms, {cycles} cycles",
+        body.nodes(),
+        args.least
+    );
+    for &steps in &args.refine {
+        let (energy, ms, cycles) = solve(steps).map_err(|e| usage(&e))?;
+        println!(
+            "{steps:>4} re-fits  {:>8.4}  {ms:>8.1} ms  {cycles:>3} cycles",
+            energy / least
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,165 @@
+//! Rotations fitted on coarse levels before any is fitted on the graph itself.
+//!
+//! Fitting and solving in turn creeps where parts are slender. The solver's coarse levels show the same slow bends and cost next
+//! to nothing, so the start by full multigrid fits there first, until the energy hardly falls. On the graph itself two or three
+//! fits are left to do, a cycle after each, in the order of the solver's rows; they end once the energy hardly falls either.
+
+use crate::deform::error::Error;
+use crate::deform::first_pass::frame::{LocalFrame, LocalRotation};
+use crate::deform::first_pass::spread::FirstPass;
+use crate::deform::second_pass::drag::{SINGLE_ERROR, SINGLE_TOLERANCE, fill_scattered};
+use crate::deform::second_pass::drag_rows::NO_NODE;
+use crate::deform::second_pass::equations::PosedHandles;
+use crate::deform::second_pass::pose::{CycleReport, SolveStart};
+use crate::deform::second_pass::refine::{FitOrder, RotationFit};
+use crate::deform::second_pass::solve::{PoseSolve, SolveTally};
+use crate::deform::second_pass::state::SolveState;
+use crate::pool::Pool;
+use crate::progress::check;
+use crate::solver::{PoseCriteria, PoseRows, SolveControl, SolveStats};
+use glam::{Mat3, Quat};
+use rayon::prelude::*;
+
+/// Fits on the graph end where one has made the energy fall by less than this part of it.
+const ENOUGH: f64 = 0.01;
+/// The same on graphs of up to [`SMALL`] nodes, where a fit is nothing.
+const ENOUGH_OF_SMALL: f64 = 0.002;
+const SMALL: usize = 1 << 15;
+/// Iterations at most after the last fit.
+const MOST_ITERATIONS: usize = 200;
+
+impl PoseSolve<'_> {
+    /// Whether fits may begin on coarse levels: not where more is asked for than single precision gives, for how nodes are grouped
+    /// shows in the result by what the energy is still short of its least.
+    pub(super) fn may_begin_coarse(&self, fit: &RotationFit<'_>) -> bool {
+        let request = self.request;
+        request.start == SolveStart::Fresh
+            && request.refinement.order == FitOrder::CoarseFirst
+            && request.first_pass != FirstPass::WeightedSum
+            && fit.is_plain()
+            && request.tolerance.is_none_or(|t| t >= SINGLE_TOLERANCE)
+            && request.max_error.is_none_or(|e| e >= SINGLE_ERROR)
+            && self.rig.positions.system.can_solve_poses()
+    }
+
+    /// Solves and fits. Leaves positions in `state.x`, around the centre, and `posed.frames` as last solved with.
+    ///
+    /// # Errors
+    /// [`Error::Solver`] where numbers left the range of single precision, [`Error::Cancelled`]. Positions are then of no use.
+    pub(super) fn fit_coarse_first(
+        &self,
+        fit: &RotationFit<'_>,
+        posed: &mut PosedHandles,
+        state: &mut SolveState,
+        tally: &mut SolveTally<'_>,
+    ) -> Result<SolveStats, Error> {
+        let (rig, body, exec) = (self.rig, self.body, self.exec);
+        let system = &rig.positions.system;
+        self.load_rows(fit, posed, state);
+        self.pull_scattered(state);
+        let SolveState { rows, workspace, .. } = state;
+        system.start_fitted_pose(&body.hierarchy, &mut rows.pose, (workspace, exec))?;
+        self.pull_scattered(state);
+        let mut stats = self.run_rows(false, state, tally)?;
+        let enough = if body.nodes() <= SMALL { ENOUGH_OF_SMALL } else { ENOUGH };
+        let mut last = f64::INFINITY;
+        while tally.refined < self.request.refinement.steps && !tally.stopped {
+            check(exec.progress)?;
+            let energy = system.fit_pose(&body.hierarchy, &mut state.rows.pose, exec)?;
+            if !energy.is_finite() {
+                return Err(Error::Solver("the energy left the range of numbers".into()));
+            }
+            tally.refined += 1;
+            self.pull_scattered(state);
+            let is_done = tally.refined == self.request.refinement.steps || last - energy < enough * energy;
+            last = energy;
+            stats = self.run_rows(is_done, state, tally)?;
+            if is_done {
+                break;
+            }
+        }
+        posed.frames = state.rows.frames(body.nodes(), exec.pool);
+        state.extra = fit.extra(&rotations_of(&posed.frames, exec.pool), exec.pool);
+        state.rows.hand_over(body, &mut state.x);
+        let center = posed.center.to_array();
+        for x in state.x.chunks_exact_mut(3) {
+            x.iter_mut().zip(center).for_each(|(v, c)| *v -= c);
+        }
+        Ok(stats)
+    }
+
+    /// Takes the pose over into the order of the solver's rows.
+    fn load_rows(&self, fit: &RotationFit<'_>, posed: &PosedHandles, state: &mut SolveState) {
+        let SolveState { rows, x, .. } = state;
+        rows.take_over(self.body, self.rig, x);
+        rows.center = posed.center;
+        let vertices = self.body.hierarchy.row_vertices();
+        let PoseRows { rows, open, .. } = &mut rows.pose;
+        open.resize(rows.len(), false);
+        self.exec.pool.install(|| {
+            let rows = rows.par_iter_mut().zip(open).zip(vertices).with_min_len(4096);
+            rows.filter(|(_, node)| **node != NO_NODE)
+                .for_each(|((row, open), &node)| {
+                    row.set_map(&posed.frames[node as usize]);
+                    *open = fit.is_open(node as usize);
+                });
+        });
+    }
+
+    /// Ties and soft pulls, which depend on frames.
+    fn pull_scattered(&self, state: &mut SolveState) {
+        fill_scattered(self.rig, self.body, self.request.transforms, &mut state.rows);
+    }
+
+    /// Solves in the order of the solver's rows: one iteration, or with `is_last` to what the request asks for.
+    fn run_rows(&self, is_last: bool, state: &mut SolveState, tally: &mut SolveTally<'_>) -> Result<SolveStats, Error> {
+        let Self { rig, body, request, .. } = *self;
+        let unit_per_diagonal = body.unit / body.diagonal;
+        let criteria = PoseCriteria {
+            tolerance: request.tolerance,
+            max_error: request.max_error.map(|e| e / unit_per_diagonal),
+            max_iterations: MOST_ITERATIONS,
+            remember: false,
+        };
+        let before = tally.iterations;
+        let SolveState { rows, workspace, .. } = state;
+        PoseRows::show_positions(&mut rows.pose.rows, &rows.pose.x);
+        let stats = rig.positions.system.solve_pose(
+            &body.hierarchy,
+            &mut rows.pose,
+            criteria,
+            (workspace, self.exec),
+            &mut |done| {
+                let positions = || {
+                    let mut now = vec![0.0; body.nodes() * 3];
+                    done.copy_to(&mut now);
+                    rig.place(body, self.moved_parts, request.transforms, self.center, &now)
+                };
+                let cycle = CycleReport {
+                    index: before + done.index,
+                    refined: tally.refined,
+                    residual: done.residual,
+                    max_error: done.max_error * unit_per_diagonal,
+                    positions: &positions,
+                };
+                tally.stopped = !(tally.watch)(&cycle);
+                match tally.stopped || !is_last {
+                    true => SolveControl::Stop,
+                    false => SolveControl::Continue,
+                }
+            },
+        )?;
+        tally.iterations += stats.iterations;
+        Ok(stats)
+    }
+}
+
+/// The rotations of frames without scales.
+fn rotations_of(frames: &[LocalFrame], pool: &Pool) -> Vec<LocalRotation> {
+    pool.install(|| {
+        let frames = frames.par_iter().with_min_len(4096);
+        frames
+            .map(|frame| Quat::from_mat3(&Mat3::from_cols_array(frame)).to_array())
+            .collect()
+    })
+}

@@ -1,0 +1,175 @@
+//! Rotations fitted on coarse levels, where a fit and a solve cost little and move whole limbs.
+//!
+//! Fitting and solving in turn creeps where a part is slender: each round passes on how one end is bent by about its thickness.
+//! A coarse level has the same slow modes and next to nothing to compute. So the start by full multigrid solves the *non-linear*
+//! equations on the way down: on each level rotations are fitted to the solution and the solution corrected by a cycle, with
+//! quasi-Newton steps, until the energy hardly falls; what rotations have changed by is handed to the level below.
+
+use crate::build::level::HierarchyLevel;
+use crate::lanes::{Lanes, SharedRows};
+use crate::progress::{Cancelled, check};
+use crate::solve::cycle::{CoarseVectors, MultigridCycle};
+use crate::solve::nearest_turn::{STILL, Turn, after, nearest_turns, turned};
+use crate::solve::patches::{AffinePatches, PatchMap, times};
+use crate::solve::quasi_newton::StepMemory;
+use crate::solve::sweep::MaskedLevel;
+use crate::storage::{NO_ROW, SLICE_ROWS};
+use crate::threads::{piece_count, piece_rows};
+
+/// Bundles that one piece of work handles.
+const PIECE: usize = 256;
+/// Fits on one level at most.
+const MOST_FITS: usize = 48;
+/// Fits over which the energy must fall.
+const PATIENCE: usize = 3;
+/// An energy that rises by more than this part of it shows that steps were too long.
+const RISE: f64 = 0.002;
+
+/// By which part of it the energy must fall. Large levels leave more to the levels below: their fits cost nearly as much as those
+/// of the finest.
+fn enough_of(rows: usize) -> f64 {
+    match rows {
+        0..2048 => 0.001,
+        2048..8192 => 0.003,
+        _ => 0.006,
+    }
+}
+
+/// Rotations that are fitted while full multigrid comes down.
+pub(crate) struct CoarseFits {
+    /// By level, finest first: whether the rotation of a row is fitted.
+    open: Vec<Vec<bool>>,
+    /// What the rows of the level under way are turned by, over the maps that came with the pose.
+    turns: Vec<Turn>,
+}
+
+impl CoarseFits {
+    /// `open`: whether the rotation of each row of the finest level is.
+    pub(crate) fn new(cycle: &MultigridCycle<'_>, open: &[bool]) -> Self {
+        let levels = &cycle.hierarchy.levels;
+        let mut all = vec![open.to_vec()];
+        for l in 1..cycle.system.masks.len() {
+            let (fine, rows) = (&all[l - 1], levels[l].rows());
+            let is_open = |row| levels[l - 1].members_of(row).iter().any(|&i| fine[i as usize]);
+            all.push((0..rows).map(is_open).collect());
+        }
+        Self {
+            open: all,
+            turns: Vec::new(),
+        }
+    }
+
+    /// What the rows of the first coarse level have been turned by.
+    pub(crate) fn turns(&self) -> &[Turn] {
+        &self.turns
+    }
+
+    /// Fits and corrects on level `l`, whose solution `patches` hold.
+    pub(crate) fn fit_level(
+        &mut self,
+        cycle: &MultigridCycle<'_>,
+        l: usize,
+        patches: &mut AffinePatches,
+        vectors: &mut [CoarseVectors],
+        defect: impl Fn(&MaskedLevel<'_>, &AffinePatches, &mut [Lanes]),
+    ) -> Result<(), Cancelled> {
+        let grid = cycle.grid(l);
+        let n = grid.level.rows();
+        if self.turns.len() != n {
+            self.turns = vec![STILL; n];
+        }
+        let enough = enough_of(n);
+        let mut memory = StepMemory::default();
+        let mut residual = vec![Lanes::ZERO; n];
+        let mut energies: Vec<f64> = Vec::with_capacity(MOST_FITS);
+        while energies.len() < MOST_FITS {
+            check(cycle.progress)?;
+            let energy = self.fit(&grid, l, patches);
+            if let Some(&last) = energies.last()
+                && energy > last * (1.0 + RISE)
+            {
+                memory.forget();
+            }
+            energies.push(energy);
+            defect(&grid, patches, &mut residual);
+            memory.before_cycle(&patches.x, &residual, &mut vectors[0].b);
+            cycle.solve(l, vectors)?;
+            let step = &mut vectors[0].z;
+            memory.after_cycle(step);
+            patches.x.iter_mut().zip(&*step).for_each(|(x, step)| *x += *step);
+            let before = energies.len().checked_sub(PATIENCE + 1).map(|k| energies[k]);
+            if !energy.is_finite() || before.is_some_and(|before| before - energy < enough * energy) {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Turns each row's map to fit the positions best; returns Σ w |x_i − x_j − F_i (p_i − p_j)|² over rows that are open.
+    fn fit(&mut self, grid: &MaskedLevel<'_>, l: usize, patches: &mut AffinePatches) -> f64 {
+        let (level, open) = (grid.level, &self.open[l]);
+        let n = level.rows();
+        let mut maps = std::mem::take(&mut patches.maps);
+        let (shared, turns) = (SharedRows::new(&mut maps), SharedRows::new(&mut self.turns));
+        let patches_now = &*patches;
+        let energies = grid.threads.map(
+            0..piece_count(n / SLICE_ROWS, PIECE),
+            || (),
+            |(), k| {
+                let mut energy = 0.0;
+                for bundle in piece_rows(k, n / SLICE_ROWS, PIECE) {
+                    let first = bundle * SLICE_ROWS;
+                    if !(0..SLICE_ROWS).any(|d| open[first + d]) {
+                        continue;
+                    }
+                    // SAFETY: pieces are disjoint, and a row's map and turn are used by its own piece alone.
+                    let maps: [PatchMap; SLICE_ROWS] = std::array::from_fn(|d| unsafe { shared.get(first + d) });
+                    let sums: [_; SLICE_ROWS] =
+                        std::array::from_fn(|d| row_sums(level, patches_now, first + d, &maps[d]));
+                    let fitted = nearest_turns(sums.each_ref().map(|(columns, _)| columns));
+                    for (d, (turn, trace)) in fitted.into_iter().enumerate().filter(|(d, _)| open[first + d]) {
+                        let [x, y, z, _] = sums[d].1.to_wide();
+                        energy += x + y + z - 2.0 * trace;
+                        // SAFETY: as above.
+                        unsafe {
+                            shared.set(first + d, turned(turn, &maps[d]));
+                            turns.set(first + d, after(turn, turns.get(first + d)));
+                        }
+                    }
+                }
+                energy
+            },
+        );
+        patches.maps = maps;
+        energies.iter().sum()
+    }
+
+    /// Hands the turns of level `l` to the rows of the level below it, whose maps are turned.
+    pub(crate) fn hand_down(&mut self, grid: &MaskedLevel<'_>, below: usize, fine: &mut AffinePatches) {
+        let (level, open) = (grid.level, &self.open[below]);
+        let coarse = std::mem::take(&mut self.turns);
+        self.turns = vec![STILL; level.rows()];
+        for (i, turn) in self.turns.iter_mut().enumerate() {
+            let aggregate = level.aggregates[i];
+            if open[i] && aggregate != NO_ROW {
+                *turn = coarse[aggregate as usize];
+                fine.maps[i] = turned(*turn, &fine.maps[i]);
+            }
+        }
+    }
+}
+
+/// Σ w (x_i − x_j) (F_i (p_i − p_j))ᵀ by columns, and Σ w (|F_i (p_i − p_j)|² + |x_i − x_j|²) by lanes, of one row.
+#[inline(always)]
+fn row_sums(level: &HierarchyLevel, patches: &AffinePatches, i: usize, map: &PatchMap) -> (PatchMap, Lanes) {
+    let (mut sums, mut squares) = ([Lanes::ZERO; 3], Lanes::ZERO);
+    let (here, place) = (patches.positions[i], patches.x[i]);
+    for (j, w) in level.row(i) {
+        let edge = times(map, here - patches.positions[j]);
+        let flow = place - patches.x[j];
+        let weighted = flow * w;
+        (0..3).for_each(|c| sums[c] += weighted * edge.0[c]);
+        squares += edge * edge * w + flow * weighted;
+    }
+    (sums, squares)
+}

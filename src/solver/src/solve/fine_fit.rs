@@ -1,0 +1,107 @@
+//! Rotations of a pose fitted to its positions, row by row, where right-hand sides are made from them.
+
+use crate::build::level::HierarchyLevel;
+use crate::lanes::{Lanes, SharedRows};
+use crate::solve::frame_rows::PoseRow;
+use crate::solve::nearest_turn::{Turn, nearest_turns, turned};
+use crate::storage::{NO_ROW, SLICE_ROWS};
+use crate::threads::{Parallelism, piece_count, piece_rows};
+
+/// Bundles that one piece of work handles.
+const PIECE: usize = 256;
+
+/// Turns the maps of open rows to fit the positions that rows show. Returns Σ w |x_i − x_j − M_i (p_i − p_j)|² over them.
+pub(crate) fn fit_rows(level: &HierarchyLevel, rows: &mut [PoseRow], open: &[bool], threads: Parallelism) -> f64 {
+    let bundles = rows.len() / SLICE_ROWS;
+    let read = &*rows;
+    // Neighbours read positions alone, but a row is one line of a cache: all maps are made before any is replaced.
+    let fitted = threads.map(
+        0..piece_count(bundles, PIECE),
+        || (),
+        |(), k| {
+            let mut energy = 0.0;
+            let mut maps = Vec::with_capacity(PIECE * SLICE_ROWS);
+            for bundle in piece_rows(k, bundles, PIECE) {
+                let first = bundle * SLICE_ROWS;
+                if !(0..SLICE_ROWS).any(|d| open[first + d]) {
+                    maps.extend((0..SLICE_ROWS).map(|d| read[first + d].columns()));
+                    continue;
+                }
+                let sums = bundle_sums(level, read, bundle);
+                let turns = nearest_turns(sums.each_ref().map(|(columns, _)| columns));
+                for (d, (turn, trace)) in turns.into_iter().enumerate() {
+                    let map = read[first + d].columns();
+                    if !open[first + d] {
+                        maps.push(map);
+                        continue;
+                    }
+                    let [x, y, z, _] = sums[d].1.to_wide();
+                    energy += x + y + z - 2.0 * trace;
+                    maps.push(turned(turn, &map));
+                }
+            }
+            (energy, maps)
+        },
+    );
+    let shared = SharedRows::new(rows);
+    threads.for_each(0..fitted.len(), |k| {
+        for (i, map) in (k * PIECE * SLICE_ROWS..).zip(&fitted[k].1).filter(|(i, _)| open[*i]) {
+            // SAFETY: pieces are disjoint and each is visited once.
+            unsafe {
+                let mut row = shared.get(i);
+                row.set_columns(map);
+                shared.set(i, row);
+            }
+        }
+    });
+    fitted.iter().map(|(energy, _)| energy).sum()
+}
+
+/// Σ w (x_i − x_j) (M_i (p_i − p_j))ᵀ by columns, and what squares come to, for the four rows of a bundle.
+#[inline(always)]
+fn bundle_sums(level: &HierarchyLevel, rows: &[PoseRow], bundle: usize) -> [([Lanes; 3], Lanes); SLICE_ROWS] {
+    let (begin, _, end) = level.slice_extent(bundle);
+    let first = bundle * SLICE_ROWS;
+    let filling = level.filling();
+    let mut sums: [([Lanes; 3], Lanes); SLICE_ROWS] = Default::default();
+    let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
+    for (n, j) in neighbours.iter().enumerate() {
+        for d in 0..SLICE_ROWS {
+            // Filling has weight 0: to itself, a row has no difference.
+            let j = if j[d] == filling { first + d } else { j[d] as usize };
+            let (here, other) = (&rows[first + d], &rows[j]);
+            let edge = here.turned(here.rest() - other.rest());
+            let flow = here.position() - other.position();
+            let w = level.weight(begin + n * SLICE_ROWS + d);
+            let weighted = flow * w;
+            let (columns, squares) = &mut sums[d];
+            for c in 0..3 {
+                columns[c] += weighted * edge.0[c];
+            }
+            *squares += (edge * edge) * w + flow * weighted;
+        }
+    }
+    sums
+}
+
+/// Turns the maps of open rows as their aggregates have been.
+pub(crate) fn turn_rows(
+    level: &HierarchyLevel,
+    rows: &mut [PoseRow],
+    open: &[bool],
+    turns: &[Turn],
+    threads: Parallelism,
+) {
+    let n = rows.len();
+    let shared = SharedRows::new(rows);
+    threads.for_each(0..piece_count(n, PIECE), |k| {
+        for i in piece_rows(k, n, PIECE).filter(|&i| open[i] && level.aggregates[i] != NO_ROW) {
+            // SAFETY: pieces are disjoint and each is visited once.
+            unsafe {
+                let mut row = shared.get(i);
+                row.set_columns(&turned(turns[level.aggregates[i] as usize], &row.columns()));
+                shared.set(i, row);
+            }
+        }
+    });
+}
