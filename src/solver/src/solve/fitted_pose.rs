@@ -15,12 +15,12 @@ use crate::solve::workspace::Workspace;
 use crate::threads::Parallelism;
 
 impl LinearSystem {
-    /// Begins a pose from nothing: full multigrid, with the rotations of `pose.open` fitted on every coarse level until the energy
-    /// hardly falls. Free rows of `pose.x` receive the start, and maps are turned as their aggregates have been.
+    /// Begins a pose from nothing: full multigrid, with the rotations of `pose.open`, if there are any, fitted on every coarse level
+    /// until the energy hardly falls. Free rows of `pose.x` receive the start, and maps are turned as their aggregates have been.
     ///
     /// # Errors
     /// As [`LinearSystem::solve_pose`].
-    pub fn start_fitted_pose(
+    pub fn start_pose(
         &self,
         hierarchy: &Hierarchy,
         pose: &mut PoseRows,
@@ -40,7 +40,7 @@ impl LinearSystem {
             progress: exec.progress,
         };
         open.resize(rows.len(), false);
-        let mut fits = CoarseFits::new(&cycle, open);
+        let mut fits = open.contains(&true).then(|| CoarseFits::new(&cycle, open));
         let frames = FrameRows {
             rows,
             more,
@@ -49,13 +49,15 @@ impl LinearSystem {
         let problem = ColumnGroup::of_pose(hierarchy, self, threads, frames);
         std::mem::swap(&mut workspace.x, x);
         let begun = problem.threads.run_on(exec.pool, || {
-            full_multigrid(&problem, &cycle, StartMaps::Posed(frames), workspace, Some(&mut fits))
+            full_multigrid(&problem, &cycle, StartMaps::Posed(frames), workspace, fits.as_mut())
         });
         let threads = problem.threads;
         std::mem::swap(&mut workspace.x, x);
         begun?;
         threads.run_on(exec.pool, || {
-            turn_rows(&hierarchy.levels[0], rows, open, fits.turns(), threads);
+            if let Some(fits) = &fits {
+                turn_rows(&hierarchy.levels[0], rows, open, fits.turns(), threads);
+            }
             PoseRows::show_positions(rows, x);
         });
         Ok(())
@@ -176,7 +178,7 @@ mod tests {
             let mut pose = self.pose();
             let exec = Exec::new(&self.pool, &Silent);
             self.system
-                .start_fitted_pose(&self.hierarchy, &mut pose, (&mut self.workspace, &exec))
+                .start_pose(&self.hierarchy, &mut pose, (&mut self.workspace, &exec))
                 .unwrap();
             for tolerance in [None, None, Some(1e-4)] {
                 self.solve(&mut pose, tolerance);

@@ -30,7 +30,7 @@ pub struct PoseRows {
     pub x: Vec<[f64; 4]>,
     /// What is added to right-hand sides, in units of edge weights times positions; empty where nothing is.
     pub more: Vec<Lanes>,
-    /// Rows whose rotation is fitted, for [`LinearSystem::start_fitted_pose`] and [`LinearSystem::fit_pose`].
+    /// Rows whose rotation is fitted, for [`LinearSystem::start_pose`] and [`LinearSystem::fit_pose`].
     pub open: Vec<bool>,
     recalled: RecalledSteps,
 }
