@@ -5,7 +5,7 @@ use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
 use crate::shared::input_files::{read_job_file, read_model_file};
 use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
 use pliant::batch::pose_steps;
-use pliant::deform::{Error, FirstPass, PoseRequest, Refinement, SolutionExtent, SolveStart, SolveState};
+use pliant::deform::{Error, FirstPass, FitOrder, PoseRequest, Refinement, SolutionExtent, SolveStart, SolveState};
 use pliant::engine::{Deformer, DeformerLimits};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
