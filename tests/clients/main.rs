@@ -2,6 +2,7 @@
 
 mod described;
 mod node;
+mod packages;
 mod pages;
 mod python;
 #[path = "../support/mod.rs"]

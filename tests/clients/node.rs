@@ -17,18 +17,18 @@ fn folder(name: &str) -> std::path::PathBuf {
 }
 
 /// Says something that is seen also when the test passes.
-fn tell(text: &str) {
+pub(super) fn tell(text: &str) {
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
-fn said(output: &Output) -> String {
+pub(super) fn said(output: &Output) -> String {
     [&output.stdout[..], &output.stderr[..]]
         .map(|text| String::from_utf8_lossy(text).into_owned())
         .concat()
 }
 
 /// Why nothing of node can run here, if so.
-fn lacks_node() -> Option<String> {
+pub(super) fn lacks_node() -> Option<String> {
     let asked = Command::new("node").arg("--version").output();
     let Ok(version) = asked.map(|output| said(&output).trim().to_owned()) else {
         return Some("node is not installed".to_owned());
@@ -46,7 +46,7 @@ fn lacks_node() -> Option<String> {
 }
 
 /// Whether npm failed because it reached no registry.
-fn is_offline(said: &str) -> bool {
+pub(super) fn is_offline(said: &str) -> bool {
     [
         "ENOTFOUND",
         "EAI_AGAIN",

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sysconfig
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -27,7 +28,7 @@ _STOP_SECONDS = 10
 
 
 def find_binary() -> str:
-    """The `pliant` program: PLIANT_BIN, then PATH, then a checkout's ``target/release``.
+    """The `pliant` program: PLIANT_BIN, then the one that was installed with this package, then PATH, then a checkout's ``target/release``.
 
     A checkout is a folder above this file or above the working directory that holds the schema.
     """
@@ -36,13 +37,24 @@ def find_binary() -> str:
         if not os.access(named, os.X_OK):
             raise LocalServerError(f"PLIANT_BIN is {named!r}, which is no program that can be run")
         return named
-    found = shutil.which("pliant") or next(_built(), None)
+    found = _installed() or shutil.which("pliant") or next(_built(), None)
     if found is None:
         raise LocalServerError(
-            "no pliant program is in PATH or in a checkout's target/release: build it with `cargo build --release`, "
+            "no pliant program came with this package (wheels for Linux bring one), is in PATH or in a checkout's target/release: build it "
+            "with `cargo build --release`, "
             "name it in PLIANT_BIN, or give the address of a running server as server= or in PLIANT_SERVER"
         )
     return found
+
+
+def _installed() -> str | None:
+    """The program that a wheel brought; environments need not be activated for it."""
+    for scheme in (None, sysconfig.get_preferred_scheme("user")):
+        folder = sysconfig.get_path("scripts", scheme) if scheme else sysconfig.get_path("scripts")
+        program = os.path.join(folder, "pliant")
+        if os.access(program, os.X_OK):
+            return program
+    return None
 
 
 def _built() -> Iterator[str]:
