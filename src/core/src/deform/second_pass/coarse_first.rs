@@ -10,7 +10,7 @@ use crate::deform::first_pass::spread::FirstPass;
 use crate::deform::second_pass::drag::{SINGLE_ERROR, SINGLE_TOLERANCE, fill_scattered};
 use crate::deform::second_pass::drag_rows::NO_NODE;
 use crate::deform::second_pass::equations::PosedHandles;
-use crate::deform::second_pass::pose::{CycleReport, SolveStart};
+use crate::deform::second_pass::pose::SolveStart;
 use crate::deform::second_pass::refine::{FitOrder, RotationFit};
 use crate::deform::second_pass::solve::{PoseSolve, SolveTally};
 use crate::deform::second_pass::state::SolveState;
@@ -130,19 +130,7 @@ impl PoseSolve<'_> {
             criteria,
             (workspace, self.exec),
             &mut |done| {
-                let positions = || {
-                    let mut now = vec![0.0; body.nodes() * 3];
-                    done.copy_to(&mut now);
-                    rig.place(body, self.moved_parts, request.transforms, self.center, &now)
-                };
-                let cycle = CycleReport {
-                    index: before + done.index,
-                    refined: tally.refined,
-                    residual: done.residual,
-                    max_error: done.max_error * unit_per_diagonal,
-                    positions: &positions,
-                };
-                tally.stopped = !(tally.watch)(&cycle);
+                self.tell_cycle(done, before, tally);
                 match tally.stopped || !is_last {
                     true => SolveControl::Stop,
                     false => SolveControl::Continue,

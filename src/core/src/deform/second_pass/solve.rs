@@ -264,7 +264,7 @@ impl PoseSolve<'_> {
         state: &mut SolveState,
         tally: &mut SolveTally<'_>,
     ) -> Result<solver::SolveStats, Error> {
-        let Self { rig, body, request, .. } = *self;
+        let Self { body, request, .. } = *self;
         let unit_per_diagonal = body.unit / body.diagonal;
         let options = SolveOptions {
             start,
@@ -280,20 +280,8 @@ impl PoseSolve<'_> {
             workspace,
             self.exec,
             &mut |iteration| {
-                let positions = || {
-                    let mut now = vec![0.0; body.nodes() * 3];
-                    iteration.copy_to(&mut now);
-                    rig.place(body, self.moved_parts, request.transforms, self.center, &now)
-                };
-                let cycle = CycleReport {
-                    index: before + iteration.index,
-                    refined: tally.refined,
-                    residual: iteration.residual,
-                    max_error: iteration.max_error * unit_per_diagonal,
-                    positions: &positions,
-                };
-                tally.stopped = !(tally.watch)(&cycle);
-                match tally.stopped || (iteration.index > 1 && cycle.max_error <= rough) {
+                self.tell_cycle(iteration, before, tally);
+                match tally.stopped || (iteration.index > 1 && iteration.max_error * unit_per_diagonal <= rough) {
                     true => SolveControl::Stop,
                     false => SolveControl::Continue,
                 }
@@ -301,6 +289,24 @@ impl PoseSolve<'_> {
         )?;
         tally.iterations += stats.iterations;
         Ok(stats)
+    }
+
+    /// Tells who watches of an iteration after `before` others, and notes whether that is enough.
+    pub(super) fn tell_cycle(&self, done: &solver::IterationReport<'_>, before: usize, tally: &mut SolveTally<'_>) {
+        let Self { rig, body, request, .. } = *self;
+        let positions = || {
+            let mut now = vec![0.0; body.nodes() * 3];
+            done.copy_to(&mut now);
+            rig.place(body, self.moved_parts, request.transforms, self.center, &now)
+        };
+        let cycle = CycleReport {
+            index: before + done.index,
+            refined: tally.refined,
+            residual: done.residual,
+            max_error: done.max_error * (body.unit / body.diagonal),
+            positions: &positions,
+        };
+        tally.stopped = !(tally.watch)(&cycle);
     }
 }
 
