@@ -187,13 +187,15 @@ fn cookbook_for_the_web() {
             return tell("SKIPPED: the cookbook's page in a browser: playwright-core cannot be fetched");
         }
     }
-    let driver = root().join("tests/clients/viewer/page.mjs");
-    let done = Command::new("node").arg(driver).arg(&page).output().expect("node runs");
-    let said = [done.stdout, done.stderr]
-        .map(|b| String::from_utf8_lossy(&b).into_owned())
-        .concat();
-    assert!(done.status.success(), "{said}");
-    tell(said.trim());
+    for (driver, page) in [("page.mjs", page), ("grip.mjs", checkout.path("target/dragger/dist"))] {
+        let driver = root().join("tests/clients/viewer").join(driver);
+        let done = Command::new("node").arg(driver).arg(&page).output().expect("node runs");
+        let said = [done.stdout, done.stderr]
+            .map(|b| String::from_utf8_lossy(&b).into_owned())
+            .concat();
+        assert!(done.status.success(), "{said}");
+        tell(said.trim());
+    }
 }
 
 #[test]
