@@ -71,11 +71,8 @@ pub(super) fn run_audit(args: &AuditArgs) -> Result<(), CliFailure> {
         failed = written.err();
         failed.is_none()
     });
-    runtime.block_on(read).map_err(|error| match error {
-        StoreError::Unavailable(problem) | StoreError::Damaged(problem) | StoreError::Refused(problem) => {
-            CliFailure::Input(format!("the store of sessions: {problem}"))
-        }
-    })?;
+    let told = |error: StoreError| CliFailure::Input(format!("the store of sessions: {error}"));
+    runtime.block_on(read).map_err(told)?;
     if failed.is_none() {
         failed = out.flush().err().map(|e| e.to_string());
     }

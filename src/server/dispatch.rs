@@ -146,6 +146,8 @@ fn cors(config: &ServerConfig) -> CorsLayer {
         "grpc-message",
         "grpc-status-details-bin",
         "x-request-id",
+        "x-pliant-owner",
+        "x-pliant-node",
         "x-pliant-revision",
         "x-pliant-digest",
         "x-pliant-vertices",

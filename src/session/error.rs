@@ -1,5 +1,6 @@
 //! What a caller is told when a call fails, and the one table from failures to status codes of every transport.
 
+use crate::session::owner_address::OwnerAddress;
 use crate::{asset, engine, motion, wire};
 use std::fmt;
 
@@ -91,6 +92,8 @@ pub struct Error {
     pub field: Option<String>,
     /// Seconds after which trying again makes sense.
     pub retry_after_s: Option<u32>,
+    /// The node to ask instead, where there is one.
+    pub owner: Option<Box<OwnerAddress>>,
 }
 
 impl Error {
@@ -101,6 +104,7 @@ impl Error {
             message: message.into(),
             field: None,
             retry_after_s: None,
+            owner: None,
         }
     }
 
@@ -140,6 +144,25 @@ impl Error {
     /// The server is going away.
     pub fn draining() -> Self {
         let text = "the server is shutting down; try again, another instance will answer";
+        Self {
+            retry_after_s: Some(1),
+            ..Self::new(ErrorCode::Unavailable, text)
+        }
+    }
+
+    /// The session is at another node.
+    pub fn elsewhere(owner: OwnerAddress) -> Self {
+        let text = format!("the session is at another node; ask {}", owner.address);
+        Self {
+            retry_after_s: Some(1),
+            owner: Some(Box::new(owner)),
+            ..Self::new(ErrorCode::Unavailable, text)
+        }
+    }
+
+    /// Another node has taken the session.
+    pub fn moved() -> Self {
+        let text = "another node has taken the session; nothing has changed, ask again and you are told where it is";
         Self {
             retry_after_s: Some(1),
             ..Self::new(ErrorCode::Unavailable, text)

@@ -44,6 +44,10 @@ pub struct Metrics {
     pub sessions_expired: Counter,
     /// Stored sessions that came back into memory.
     pub sessions_reopened: Counter,
+    /// Calls that were sent to the node that has their session.
+    pub sent_elsewhere: Counter,
+    /// Sessions that other nodes have taken from this one.
+    pub sessions_lost: Counter,
     /// Commits that could not be stored.
     pub store_failures: Counter,
     /// Sessions lost to a defect.
@@ -97,6 +101,8 @@ impl Default for Metrics {
             sessions_created: Counter::default(),
             sessions_expired: Counter::default(),
             sessions_reopened: Counter::default(),
+            sent_elsewhere: Counter::default(),
+            sessions_lost: Counter::default(),
             store_failures: Counter::default(),
             sessions_failed: Counter::default(),
             bytes: Default::default(),
@@ -143,6 +149,57 @@ impl Metrics {
         }
     }
 
+    /// What is counted, under the names that operators know.
+    fn counters(&self) -> [(&'static str, &'static str, &Counter); 17] {
+        [
+            ("sessions_created", "Sessions created", &self.sessions_created),
+            (
+                "sessions_expired",
+                "Sessions that expired unused",
+                &self.sessions_expired,
+            ),
+            ("sessions_failed", "Sessions lost to a defect", &self.sessions_failed),
+            (
+                "sessions_reopened",
+                "Stored sessions that came back into memory",
+                &self.sessions_reopened,
+            ),
+            (
+                "sessions_lost",
+                "Sessions that other nodes have taken from this one",
+                &self.sessions_lost,
+            ),
+            (
+                "sent_elsewhere",
+                "Calls that were sent to the node that has their session",
+                &self.sent_elsewhere,
+            ),
+            (
+                "store_failures",
+                "Commits and sessions that could not be stored",
+                &self.store_failures,
+            ),
+            ("poses_received", "Poses that arrived", &self.poses_received),
+            ("poses_solved", "Poses solved", &self.poses_solved),
+            (
+                "poses_superseded",
+                "Poses skipped because a newer one came",
+                &self.poses_superseded,
+            ),
+            ("poses_refused", "Poses refused", &self.poses_refused),
+            ("commits", "Commits stored", &self.commits),
+            ("frames_sent", "Frames handed to a transport", &self.frames_sent),
+            ("frame_bytes", "Bytes of the data of frames", &self.frame_bytes),
+            ("solver_cycles", "Solver cycles", &self.cycles),
+            ("refused", "Calls refused for want of capacity", &self.refused),
+            (
+                "cancelled",
+                "Work given up because its caller had gone or its time was over",
+                &self.cancelled,
+            ),
+        ]
+    }
+
     /// Adds every count to a registry, under the names that operators know. `memory_bytes` is what all sessions together
     /// may hold.
     pub fn register(&self, memory_bytes: u64, registry: &mut Registry) {
@@ -177,44 +234,7 @@ impl Metrics {
             let labelled = registry.sub_registry_with_label(label);
             labelled.register("memory_bytes", "Bytes held, by use", self.held_bytes(what).clone());
         }
-        let counters: [(&str, &str, &Counter); 15] = [
-            ("sessions_created", "Sessions created", &self.sessions_created),
-            (
-                "sessions_expired",
-                "Sessions that expired unused",
-                &self.sessions_expired,
-            ),
-            ("sessions_failed", "Sessions lost to a defect", &self.sessions_failed),
-            (
-                "sessions_reopened",
-                "Stored sessions that came back into memory",
-                &self.sessions_reopened,
-            ),
-            (
-                "store_failures",
-                "Commits and sessions that could not be stored",
-                &self.store_failures,
-            ),
-            ("poses_received", "Poses that arrived", &self.poses_received),
-            ("poses_solved", "Poses solved", &self.poses_solved),
-            (
-                "poses_superseded",
-                "Poses skipped because a newer one came",
-                &self.poses_superseded,
-            ),
-            ("poses_refused", "Poses refused", &self.poses_refused),
-            ("commits", "Commits stored", &self.commits),
-            ("frames_sent", "Frames handed to a transport", &self.frames_sent),
-            ("frame_bytes", "Bytes of the data of frames", &self.frame_bytes),
-            ("solver_cycles", "Solver cycles", &self.cycles),
-            ("refused", "Calls refused for want of capacity", &self.refused),
-            (
-                "cancelled",
-                "Work given up because its caller had gone or its time was over",
-                &self.cancelled,
-            ),
-        ];
-        for (name, help, counter) in counters {
+        for (name, help, counter) in self.counters() {
             registry.register(name, help, counter.clone());
         }
         let durations: [(&str, &str, &Histogram); 3] = [

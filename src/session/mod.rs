@@ -24,6 +24,7 @@
 //! | `engine` | what a session needs of the thing that deforms its model |
 //! | `keeping` | sessions with a store: commits kept, idle sessions out of memory and back |
 //! | `store` | sessions kept on disk: a database, and objects by content |
+//! | `owner_address` | where a session is when it is not here |
 //! | `config`, `error`, `metrics`, `answers` | limits, the status table, counts, answer types |
 
 mod animation;
@@ -38,6 +39,7 @@ mod error;
 mod history;
 mod keeping;
 mod metrics;
+mod owner_address;
 mod quota;
 mod registry;
 mod shared;
@@ -61,6 +63,7 @@ pub use config::SessionConfig;
 pub use engine::{Engine, EngineOpener, OpenDeformer};
 pub use error::{Error, ErrorCode};
 pub use metrics::Metrics;
+pub use owner_address::OwnerAddress;
 pub use quota::tenant_account::{QuotaReport, QuotaUse, TenantAccount};
 pub use quota::tenant_accounts::MOST_TENANTS;
 pub use quota::tenant_quota::{TenantQuota, TenantQuotas};

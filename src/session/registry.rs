@@ -16,7 +16,7 @@ use crate::session::departing_sessions::DepartingSessions;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::ShownCommits;
 use crate::session::history::session_state::CommittedHandles;
-use crate::session::store::calendar_text;
+use crate::session::store::{HeldSession, calendar_text};
 use crate::session::stream::mailbox::Mailbox;
 use dashmap::DashMap;
 use glam::DVec3;
@@ -44,6 +44,8 @@ pub(super) struct SessionView {
 #[derive(Debug)]
 pub(super) struct OpenSession {
     pub id: String,
+    /// The session as what it is kept in knows it.
+    pub held: HeldSession,
     pub tenant: Tenant,
     /// Sessions are numbered in the order of their creation.
     pub number: u64,

@@ -8,10 +8,12 @@ use crate::session::capacity::compute_slots::ComputeSlots;
 use crate::session::capacity::memory_ledger::MemoryLedger;
 use crate::session::config::SessionConfig;
 use crate::session::engine::EngineOpener;
+use crate::session::error::Error;
+use crate::session::keeping::lease_watch::LeaseWatch;
 use crate::session::keeping::session_locks::SessionLocks;
 use crate::session::metrics::Metrics;
 use crate::session::quota::tenant_accounts::TenantAccounts;
-use crate::session::registry::SessionRegistry;
+use crate::session::registry::{OpenSession, SessionRegistry};
 use crate::session::store::SessionStore;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -33,6 +35,8 @@ pub(super) struct SharedResources {
     pub registry: SessionRegistry,
     /// Where sessions are kept; without it they end with the process.
     pub store: Option<Arc<dyn SessionStore>>,
+    /// When this node, of several, had a word with the store.
+    pub lease_watch: LeaseWatch,
     /// Held by who brings a session into memory or out of it.
     pub locks: SessionLocks,
     pub idempotency: IdempotencyKeys<StoredAnswer>,
@@ -46,4 +50,14 @@ pub(super) struct SharedResources {
     /// Raised by `abort`.
     pub aborted: CancellationToken,
     pub abort_flag: Arc<CancelFlag>,
+}
+
+impl SharedResources {
+    /// Another node has a session: nobody finds it here any more.
+    pub fn lose(&self, session: &Arc<OpenSession>) {
+        tracing::warn!(session.id = %session.id, "another node has taken the session");
+        session.close(Error::moved());
+        self.registry.remove_this(session);
+        self.metrics.sessions_lost.inc();
+    }
 }

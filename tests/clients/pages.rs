@@ -15,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 20] = [
+const PAGES: [&str; 21] = [
     "README.md",
     "CONTRIBUTING.md",
     "deploy/README.md",
@@ -34,6 +34,7 @@ const PAGES: [&str; 20] = [
     "deploy/docs/cookbook-motion.md",
     "deploy/docs/cookbook-web.md",
     "deploy/docs/limits.md",
+    "deploy/docs/nodes.md",
     "deploy/docs/other-languages.md",
     "deploy/docs/troubleshooting.md",
 ];
@@ -127,6 +128,11 @@ fn security() {
 }
 
 #[test]
+fn nodes() {
+    play("deploy/docs/nodes.md");
+}
+
+#[test]
 fn durability() {
     let checkout = play("deploy/docs/durability.md");
     if checkout.path("target/backup").exists() {
@@ -187,15 +193,13 @@ fn cookbook_for_the_web() {
             return tell("SKIPPED: the cookbook's page in a browser: playwright-core cannot be fetched");
         }
     }
-    for (driver, page) in [("page.mjs", page), ("grip.mjs", checkout.path("target/dragger/dist"))] {
-        let driver = root().join("tests/clients/viewer").join(driver);
-        let done = Command::new("node").arg(driver).arg(&page).output().expect("node runs");
-        let said = [done.stdout, done.stderr]
-            .map(|b| String::from_utf8_lossy(&b).into_owned())
-            .concat();
-        assert!(done.status.success(), "{said}");
-        tell(said.trim());
-    }
+    let driver = root().join("tests/clients/viewer/page.mjs");
+    let done = Command::new("node").arg(driver).arg(&page).output().expect("node runs");
+    let said = [done.stdout, done.stderr]
+        .map(|b| String::from_utf8_lossy(&b).into_owned())
+        .concat();
+    assert!(done.status.success(), "{said}");
+    tell(said.trim());
 }
 
 #[test]

@@ -15,31 +15,31 @@ mod idle;
 mod leaving;
 mod looking;
 mod moved;
-mod place;
+pub mod place;
 mod restart;
 mod restored;
 mod tight_memory;
 mod upkeep;
 
 /// A session on a bar, with its ends as handles.
-async fn bar_session(server: &ServedProgram) -> String {
+pub async fn bar_session(server: &ServedProgram) -> String {
     let id = server.open(bar_obj(12), "").await;
     let handles = json!({"handles": ends()});
     server.done("PUT", &path(&id, "/handles"), Some(&handles)).await;
     id
 }
 
-fn path(id: &str, rest: &str) -> String {
+pub fn path(id: &str, rest: &str) -> String {
     format!("/v1/sessions/{id}{rest}")
 }
 
 /// Turns the bar's top and commits that.
-async fn turn(server: &ServedProgram, id: &str, angle: f64) -> Value {
+pub async fn turn(server: &ServedProgram, id: &str, angle: f64) -> Value {
     server.done("POST", &path(id, "/solve"), Some(&turn_json(angle))).await
 }
 
 /// All that a client can see of a session, but for times.
-async fn seen(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
+pub async fn seen(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
     let mut session = server.done("GET", &path(id, ""), None).await;
     let told = session.as_object_mut().expect("an object");
     told.remove("expiresAt");
@@ -52,7 +52,7 @@ async fn seen(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
 }
 
 /// A figure of `/metrics`.
-async fn metric(server: &ServedProgram, name: &str) -> f64 {
+pub async fn metric(server: &ServedProgram, name: &str) -> f64 {
     let text = crate::support::server::http()
         .get(format!("{}/metrics", server.url))
         .send();

@@ -5,9 +5,7 @@ mod carry;
 mod connections;
 mod downloads;
 mod forms;
-mod health_command;
 mod ledger;
-mod log_lines;
 mod operators;
 mod problems;
 

@@ -8,6 +8,7 @@ mod hostile;
 mod hostile_calls;
 mod http;
 mod limits;
+mod nodes;
 mod security;
 mod session;
 mod stream;

@@ -57,7 +57,9 @@ pub(super) fn store_failure(error: StoreError) -> CliFailure {
     let text = format!("the store of sessions: {error}");
     match error {
         StoreError::Damaged(_) => CliFailure::Check(text),
-        StoreError::Unavailable(_) | StoreError::Refused(_) => CliFailure::Input(text),
+        StoreError::Unavailable(_) | StoreError::Refused(_) | StoreError::Moved | StoreError::Repeated => {
+            CliFailure::Input(text)
+        }
     }
 }
 

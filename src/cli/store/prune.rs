@@ -2,7 +2,7 @@
 
 use super::super::failure::CliFailure;
 use super::kept_place::{StorePlaceArgs, store_failure};
-use crate::session::store::{SessionStore as _, StoredFacts, now_ms};
+use crate::session::store::{Generation, SessionStore as _, StoredFacts, now_ms};
 use crate::session::{AuditEntry, AuditedAction};
 use clap::Args;
 use std::time::Duration;
@@ -59,7 +59,10 @@ pub(super) async fn run_store_prune(args: &StorePruneArgs) -> Result<(), CliFail
                 what: AuditedAction::Expire,
                 session: session.id.clone(),
             };
-            store.delete(audit).await.map_err(store_failure)?;
+            store
+                .delete(audit, Generation::default())
+                .await
+                .map_err(store_failure)?;
         }
         println!("session  {}  {}", session.id, session.tenant.0);
     }

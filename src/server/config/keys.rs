@@ -23,6 +23,18 @@ pub struct ConfigKeys {
     /// Place of models and shapes, s3://BUCKET/PREFIX [default: the data folder].
     #[arg(long, value_name = "URL")]
     pub objects: Option<KeyValue<String>>,
+    /// Address under which clients reach this node of several that share database and objects [default: none, one server has them].
+    #[arg(long, value_name = "URL")]
+    pub advertise: Option<KeyValue<String>>,
+    /// Name of this node, by which a proxy tells nodes apart [default: host and port of advertise].
+    #[arg(long, value_name = "NAME")]
+    pub node: Option<KeyValue<String>>,
+    /// How long a node keeps its sessions without a word to the database.
+    #[arg(long, value_name = "TIME")]
+    pub lease: Option<KeyValue<TimeSpan>>,
+    /// How often it says one.
+    #[arg(long, value_name = "TIME")]
+    pub heartbeat: Option<KeyValue<TimeSpan>>,
     /// Compute threads [default: one per core].
     #[arg(long, value_name = "N")]
     pub threads: Option<KeyValue<u32>>,

@@ -7,6 +7,7 @@ mod auth_settings;
 mod auth_table;
 mod error;
 mod keys;
+mod node_keys;
 mod plain_words;
 mod quota_table;
 mod server_config;

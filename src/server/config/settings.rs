@@ -2,6 +2,7 @@
 
 use super::Error;
 use super::keys::{ConfigKeys, KeyValue};
+use super::node_keys::node_identity;
 use super::plain_words::no_address;
 use super::server_config::ServerConfig;
 use super::session_config::session_config_from_keys;
@@ -137,11 +138,16 @@ fn store_location(merged: &MergedKeys) -> Result<Option<StoreLocation>, Error> {
         database: said(&keys.database),
         objects: said(&keys.objects),
         build: None,
+        node: node_identity(merged)?,
     };
     let lacks = |key: &str, other: &str| {
         let problem = format!("{key} alone keeps no sessions; set data_dir or {other} as well");
         Err(merged.refuse(key, problem))
     };
+    if location.node.is_some() && (location.database.is_none() || location.objects.is_none()) {
+        let problem = "nodes share a database and a place of objects; set both database and objects";
+        return Err(merged.refuse("advertise", problem.into()));
+    }
     match (&location.data_dir, &location.database, &location.objects) {
         (None, None, None) => Ok(None),
         (None, Some(_), None) => lacks("database", "objects"),

@@ -1,5 +1,6 @@
 //! Failures over gRPC: a status with the details of `google.rpc`.
 
+use crate::server::redirect::{NODE, OWNER};
 use crate::session::{Error, ErrorCode};
 use std::collections::HashMap;
 use std::time::Duration;
@@ -31,6 +32,13 @@ pub(super) fn status(error: Error) -> Status {
         let seconds = seconds.max(1);
         details.set_retry_info(Some(Duration::from_secs(seconds.into())));
         metadata.insert("retry-after", seconds.into());
+    }
+    if let Some(owner) = &error.owner {
+        for (name, value) in [(OWNER, &owner.address), (NODE, &owner.node)] {
+            if let Ok(value) = value.parse() {
+                metadata.insert(name, value);
+            }
+        }
     }
     let code = tonic::Code::from_i32(error.grpc_code());
     Status::with_error_details_and_metadata(code, message, details, metadata)

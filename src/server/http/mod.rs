@@ -29,6 +29,7 @@ pub(super) use animate::OFFERS as ANIMATION_TYPES;
 pub(super) use request::Caller;
 pub(super) use route_table::{ROUTES, Route};
 
+use super::redirect;
 use super::state::State;
 use super::telemetry::{self, Recorder};
 use super::visitors::Refused;
@@ -94,6 +95,10 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         .to_owned();
     let mut recorder = Recorder::start(&state.telemetry, ("http", route), Arc::clone(&request_id), &request);
 
+    let asked = (request.uri().clone(), request.headers().clone());
+    if let Some(without) = redirect::without_node(&asked.0) {
+        *request.uri_mut() = without;
+    }
     if request.version() < http::Version::HTTP_2 {
         let body = std::mem::replace(request.body_mut(), Body::empty());
         *request.body_mut() = body::linger(body);
@@ -121,7 +126,8 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
 
     let mut response = match response.extensions().get::<Problem>().cloned() {
         // Allow and other headers that the route added stay.
-        Some(problem) => {
+        Some(mut problem) => {
+            problem.send_to_owner(&asked.0, &asked.1);
             let mut told = problem.respond(Some(&path));
             for (name, value) in response.headers() {
                 if !told.headers().contains_key(name)

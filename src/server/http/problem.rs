@@ -1,9 +1,10 @@
 //! Failures over HTTP: problem documents (RFC 9457) with the same codes as gRPC.
 
-use crate::session;
+use crate::server::redirect;
+use crate::session::{self, OwnerAddress};
 use axum::body::Body;
 use axum::response::{IntoResponse, Response};
-use http::{HeaderName, HeaderValue, StatusCode, header};
+use http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use serde_json::json;
 
 /// The media type of a problem document.
@@ -17,6 +18,8 @@ pub(crate) struct Problem {
     detail: String,
     field: Option<String>,
     headers: Vec<(HeaderName, String)>,
+    /// The node to ask instead.
+    owner: Option<Box<OwnerAddress>>,
 }
 
 impl Problem {
@@ -28,6 +31,7 @@ impl Problem {
             detail: detail.into(),
             field: None,
             headers: Vec::new(),
+            owner: None,
         }
     }
 
@@ -58,6 +62,15 @@ impl Problem {
     pub fn with_header(mut self, name: HeaderName, value: String) -> Self {
         self.headers.push((name, value));
         self
+    }
+
+    /// Sends whoever asked for `uri` to the node that has the session, unless they go there by themselves.
+    pub fn send_to_owner(&mut self, uri: &Uri, headers: &HeaderMap) {
+        let Some(owner) = &self.owner else { return };
+        if !redirect::follows_by_itself(headers) {
+            self.status = StatusCode::TEMPORARY_REDIRECT;
+            self.headers.push((header::LOCATION, redirect::location(owner, uri)));
+        }
     }
 
     /// Whether it tells of what is damaged in the store, and not of the server.
@@ -120,6 +133,13 @@ impl From<session::Error> for Problem {
         let status = StatusCode::from_u16(error.http_status()).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         let mut problem = Self::new(status, error.code_name(), error.message);
         problem.field = error.field;
+        if let Some(owner) = error.owner {
+            let told = [(redirect::OWNER, &owner.address), (redirect::NODE, &owner.node)];
+            problem
+                .headers
+                .extend(told.map(|(name, value)| (HeaderName::from_static(name), value.clone())));
+            problem.owner = Some(owner);
+        }
         if status == StatusCode::UNAUTHORIZED {
             problem
                 .headers

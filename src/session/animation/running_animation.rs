@@ -42,5 +42,6 @@ impl Drop for RunningAnimation {
     fn drop(&mut self) {
         self.session.animations.count_one_less();
         self.session.lease.renew();
+        self.session.wake.notify_one();
     }
 }

@@ -27,7 +27,7 @@ impl Manager {
         key: Option<CallKey>,
     ) -> Result<SessionFacts, Error> {
         let session = self.find(tenant, id).await?;
-        let claim = self.claim_request(tenant, id, key.as_ref(), "set_handles")?;
+        let claim = self.claim_request(tenant, id, key.as_ref(), "set_handles").await?;
         self.change_handles(&session, HandleChange::Replace(handles), claim)
             .await
     }
@@ -47,7 +47,7 @@ impl Manager {
         key: Option<CallKey>,
     ) -> Result<SessionFacts, Error> {
         let session = self.find(tenant, id).await?;
-        let claim = self.claim_request(tenant, id, key.as_ref(), "put_handle")?;
+        let claim = self.claim_request(tenant, id, key.as_ref(), "put_handle").await?;
         self.change_handles(&session, HandleChange::Put(Box::new(patch)), claim)
             .await
     }
@@ -67,7 +67,9 @@ impl Manager {
         key: Option<&str>,
     ) -> Result<SessionFacts, Error> {
         let session = self.find(tenant, id).await?;
-        let claim = self.claim(tenant, key, "remove_handle", &[id.as_bytes(), handle_id.as_bytes()])?;
+        let claim = self
+            .claim(tenant, key, "remove_handle", &[id.as_bytes(), handle_id.as_bytes()])
+            .await?;
         self.change_handles(&session, HandleChange::Remove(handle_id.to_owned()), claim)
             .await
     }
@@ -88,7 +90,7 @@ impl Manager {
         key: Option<CallKey>,
     ) -> Result<CommittedPose, Error> {
         let session = self.find(tenant, id).await?;
-        let claim = match self.claim_request(tenant, id, key.as_ref(), "solve")? {
+        let claim = match self.claim_request(tenant, id, key.as_ref(), "solve").await? {
             Some(ClaimOutcome::Done(answer)) => match self.kept_answer(tenant, answer).await? {
                 StoredAnswer::Solved(solved) => return Ok(*solved),
                 _ => return Err(answer_of_another_call()),
@@ -124,7 +126,7 @@ impl Manager {
     }
 
     /// Claims the key of a call that changes session `id`, or gives the answer that is kept for it.
-    pub(in crate::session) fn claim_request(
+    pub(in crate::session) async fn claim_request(
         &self,
         tenant: &Tenant,
         id: &str,
@@ -133,7 +135,7 @@ impl Manager {
     ) -> Result<Option<ClaimOutcome<StoredAnswer>>, Error> {
         let request = key.map_or(&[][..], |k| &k.request);
         let key = key.map(|k| k.key.as_str());
-        self.claim(tenant, key, operation, &[id.as_bytes(), request])
+        self.claim(tenant, key, operation, &[id.as_bytes(), request]).await
     }
 
     async fn change_handles(
@@ -159,7 +161,7 @@ impl Manager {
         } else {
             "redo"
         };
-        let claim = self.claim(tenant, key, operation, &[id.as_bytes()])?;
+        let claim = self.claim(tenant, key, operation, &[id.as_bytes()]).await?;
         self.call_for_session(&session, claim, |call| SessionCommand::Step(direction, call))
             .await
     }

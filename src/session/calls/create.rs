@@ -9,6 +9,7 @@ use crate::session::calls::command::StoredAnswer;
 use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim, RequestFingerprint};
 use crate::session::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
 use crate::session::calls::session_places::{SessionPlaces, place_of_tenant};
+use crate::session::calls::shared_keys::claim_everywhere;
 use crate::session::capacity::call_line::CallLine;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::capacity::work_watch::CancelOnDrop;
@@ -17,7 +18,7 @@ use crate::session::keeping::kept_session::KeptSession;
 use crate::session::keeping::residence::Residence;
 use crate::session::registry::{OpenSession, OpenStreams, SessionView};
 use crate::session::shared::SharedResources;
-use crate::session::store::{NewCommit, NewSession, now_ms};
+use crate::session::store::{Generation, HeldSession, NewCommit, NewSession, now_ms};
 use crate::session::task::session_task::SessionTask;
 use crate::wire::SessionOptions;
 use crate::wire::record::{FileReferences, LoggedCommit, RecordedModel};
@@ -69,12 +70,13 @@ pub(in crate::session) async fn create_session(
     let opened = open_model(shared, &places, model, arrived, &guard).await?;
     let owner = SessionOwner {
         id: new_id()?,
-        number: shared.numbers.fetch_add(1, SeqCst),
+        number: next_number(shared).await?,
         tenant: tenant.clone(),
         label,
         created_ms: now_ms(),
         ttl: ttl.unwrap_or_else(|| default_ttl(shared, &places)),
     };
+    let mut generation = Generation::default();
     let audit = AuditEntry {
         tenant: tenant.clone(),
         who: Arc::clone(who),
@@ -86,7 +88,7 @@ pub(in crate::session) async fn create_session(
             let key = claim.as_ref().map(KeyClaim::logged);
             let new = new_session(&owner, (files, open), &opened, (key, audit));
             let kept = KeptSession::new(Arc::clone(store));
-            store.create(kept.first_of(new)).await.inspect_err(|error| {
+            generation = store.create(kept.first_of(new)).await.inspect_err(|error| {
                 shared.metrics.store_failures.inc();
                 tracing::error!("a session could not be stored: {error}");
             })?;
@@ -98,7 +100,7 @@ pub(in crate::session) async fn create_session(
             None
         }
     };
-    let session = start_session(shared, owner, opened, places, kept);
+    let session = start_session(shared, (owner, generation), opened, places, kept);
     shared.metrics.sessions_created.inc();
     // An abort that began meanwhile may have missed this session.
     if shared.aborted.is_cancelled() {
@@ -114,6 +116,14 @@ pub(in crate::session) async fn create_session(
     tracing::info!(session.id = %session.id, size_bytes = upload, "session opened");
     drop(inside);
     Ok(CreatedSession::Now(Box::new(value)))
+}
+
+/// The number of a new session: the next one of all nodes, where there are several.
+async fn next_number(shared: &SharedResources) -> Result<u64, Error> {
+    match shared.store.as_ref().and_then(|store| store.ownership()) {
+        Some(ownership) => Ok(ownership.next_number().await?),
+        None => Ok(shared.numbers.fetch_add(1, SeqCst)),
+    }
 }
 
 /// How long a session of its tenant lives that names no time.
@@ -141,7 +151,7 @@ async fn claim_key(
     };
     let files = files.clone();
     let fingerprint = shared.compute.offload(move || fingerprint(&files, &request)).await?;
-    shared.idempotency.claim(tenant, &key, fingerprint).map(Some)
+    claim_everywhere(shared, tenant, &key, fingerprint).await.map(Some)
 }
 
 /// Which session it is, whose, and for how long.
@@ -183,6 +193,7 @@ fn new_session(
             sequence: 0,
             revision: opened.history.revision(),
             digest: state.digest.clone(),
+            generation: Generation::default(),
             build: String::new(),
             facts_at: 0,
             poses_at: 0,
@@ -199,7 +210,7 @@ fn new_session(
 /// Registers a session on an opened model and starts its task.
 pub(in crate::session) fn start_session(
     shared: &Arc<SharedResources>,
-    owner: SessionOwner,
+    (owner, generation): (SessionOwner, Generation),
     opened: OpenedModel,
     places: SessionPlaces,
     kept: Option<KeptSession>,
@@ -223,6 +234,10 @@ pub(in crate::session) fn start_session(
     };
     let (send, commands) = mpsc::channel(shared.config.session_queue);
     let session = Arc::new(OpenSession {
+        held: HeldSession {
+            id: owner.id.clone(),
+            generation,
+        },
         id: owner.id,
         tenant: owner.tenant,
         number: owner.number,

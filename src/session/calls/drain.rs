@@ -2,7 +2,13 @@
 
 use crate::session::calls::manager::Manager;
 use crate::session::error::Error;
+use crate::session::keeping::heartbeat::beat;
+use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
+use std::time::Duration;
+
+/// Between two looks whether all sessions are given back.
+const BETWEEN_LOOKS: Duration = Duration::from_millis(10);
 
 /// What a stream is told when its server stops.
 const GOING_AWAY: &str = "the server is shutting down; commits are still stored. Close this stream and open it again, with the resume token as \
@@ -30,7 +36,11 @@ impl Manager {
             for mailbox in session.streams.all() {
                 mailbox.leave(GOING_AWAY);
             }
+            // Where other nodes wait for it, it goes as soon as nobody uses it.
+            session.wake.notify_one();
         }
+        let shared = Arc::clone(&self.shared);
+        tokio::spawn(async move { beat(&shared).await });
     }
 
     /// Waits until no call and no stream is under way.
@@ -39,6 +49,13 @@ impl Manager {
     /// Dropping the future has no effect.
     pub async fn drained(&self) {
         self.shared.gate.empty().await;
+        let store = self.shared.store.as_ref();
+        if store.is_some_and(|store| store.ownership().is_some()) {
+            // Sessions that are given back with their newest shape come back sooner at another node.
+            while !self.shared.registry.all().is_empty() {
+                tokio::time::sleep(BETWEEN_LOOKS).await;
+            }
+        }
     }
 
     /// Stops everything at once: work, calls and streams end with `UNAVAILABLE`, sessions are gone.

@@ -28,7 +28,7 @@ impl Manager {
         key: Option<CallKey>,
     ) -> Result<CommittedEdit, Error> {
         let session = self.find(tenant, id).await?;
-        let claim = match self.claim_request(tenant, id, key.as_ref(), "edit")? {
+        let claim = match self.claim_request(tenant, id, key.as_ref(), "edit").await? {
             Some(ClaimOutcome::Done(answer)) => match self.kept_answer(tenant, answer).await? {
                 StoredAnswer::Edited(edited) => return Ok(*edited),
                 _ => return Err(answer_of_another_call()),
@@ -50,6 +50,14 @@ impl Manager {
             ErrorCode::NotFound => Error {
                 field: Some("merge.session".into()),
                 ..e
+            },
+            // Who asks must not go there with this call: it is about a session that is here.
+            ErrorCode::Unavailable if e.owner.is_some() => Error {
+                field: Some("merge.session".into()),
+                ..Error::new(
+                    ErrorCode::FailedPrecondition,
+                    format!("merge.session: \"{id}\" is at another node; export its model and merge that"),
+                )
             },
             _ => e,
         };

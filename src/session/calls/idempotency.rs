@@ -34,6 +34,11 @@ impl RequestFingerprint {
         }
         Self(hasher.digest128())
     }
+
+    /// Whether it is this one, as it was kept.
+    pub fn is(self, kept: u128) -> bool {
+        self.0 == kept
+    }
 }
 
 /// The answers `A` of finished calls, by tenant and key.
@@ -105,6 +110,12 @@ pub(in crate::session) fn answer_of_another_call() -> Error {
     Error::new(ErrorCode::Internal, "the kept answer is of another call")
 }
 
+/// The key stands for another request.
+pub(in crate::session) fn key_of_another_request() -> Error {
+    let text = "was used for a different request; choose a new key";
+    Error::invalid("idempotency-key", text)
+}
+
 impl<A: Clone> IdempotencyKeys<A> {
     pub fn new(config: &SessionConfig, ledger: &Arc<MemoryLedger>) -> Self {
         Self {
@@ -168,10 +179,7 @@ impl<A: Clone> IdempotencyKeys<A> {
         keys.forget(self.age, self.keys, self.bytes);
         if let Some(entry) = keys.entries.get(key) {
             return match &entry.answer {
-                _ if entry.fingerprint != fingerprint => Err(Error::invalid(
-                    "idempotency-key",
-                    "was used for a different request; choose a new key",
-                )),
+                _ if entry.fingerprint != fingerprint => Err(key_of_another_request()),
                 Some(kept) => Ok(ClaimOutcome::Done(kept.answer.clone())),
                 None => Err(Error {
                     retry_after_s: Some(1),

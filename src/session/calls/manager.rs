@@ -15,6 +15,7 @@ use crate::session::calls::create::{CreatedSession, create_session};
 use crate::session::calls::idempotency::{
     ClaimOutcome, IdempotencyKeys, KeyClaim, RequestFingerprint, answer_of_another_call,
 };
+use crate::session::calls::shared_keys::claim_everywhere;
 use crate::session::capacity::call_gate::CallGate;
 use crate::session::capacity::compute_slots::ComputeSlots;
 use crate::session::capacity::memory_ledger::MemoryLedger;
@@ -22,7 +23,9 @@ use crate::session::capacity::work_watch::CancelOnDrop;
 use crate::session::config::SessionConfig;
 use crate::session::engine::{EngineOpener, OpenDeformer};
 use crate::session::error::{Error, ErrorCode};
-use crate::session::keeping::reopen::reopen_session;
+use crate::session::keeping::heartbeat::{be_sure_of_lease, beat, beat_for_ever};
+use crate::session::keeping::lease_watch::LeaseWatch;
+use crate::session::keeping::reopen::{claim_session, reopen_session};
 use crate::session::keeping::session_locks::SessionLocks;
 use crate::session::keeping::stored_list::listed_facts;
 use crate::session::keeping::sweep::sweep_for_ever;
@@ -30,8 +33,8 @@ use crate::session::metrics::Metrics;
 use crate::session::quota::tenant_accounts::TenantAccounts;
 use crate::session::registry::{OpenSession, SessionRegistry};
 use crate::session::shared::SharedResources;
-use crate::session::store::SessionStore;
 use crate::session::store::session_store::now_ms;
+use crate::session::store::{SessionStore, StoreError};
 use crate::wire::{SessionOptions, SessionPage};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -98,6 +101,8 @@ impl Manager {
                     .restore(&key.tenant, &key.key, key.fingerprint, age, restored);
             }
         }
+        beat(shared).await?;
+        tokio::spawn(beat_for_ever(Arc::downgrade(shared)));
         tokio::spawn(sweep_for_ever(Arc::downgrade(shared)));
         Ok(manager)
     }
@@ -118,6 +123,7 @@ impl Manager {
             animations: Arc::new(Semaphore::new(config.animations)),
             registry: SessionRegistry::default(),
             store,
+            lease_watch: LeaseWatch::default(),
             locks: SessionLocks::default(),
             idempotency: IdempotencyKeys::new(&config, &ledger),
             ledger,
@@ -249,17 +255,23 @@ impl Manager {
     pub async fn delete(&self, tenant: &Tenant, id: &str) -> Result<(), Error> {
         let _inside = self.shared.gate.enter();
         // Nobody brings it into memory meanwhile.
+        be_sure_of_lease(&self.shared).await;
         let lock = self.shared.locks.lock(id).await;
         let session = self.shared.registry.find(tenant, id);
         match (&self.shared.store, &session) {
             (None, Err(error)) => return Err(error.clone()),
             (None, Ok(_)) => self.audit_entry(tenant, AuditedAction::Delete, id).log(),
             (Some(store), _) => {
-                if session.is_err() && !store.holds(tenant.clone(), id.to_owned()).await? {
-                    return Err(Error::no_session(id));
-                }
+                let generation = match &session {
+                    Ok(session) => session.held.generation,
+                    Err(_) => claim_session(&self.shared, store, tenant, id).await?,
+                };
                 let audit = self.audit_entry(tenant, AuditedAction::Delete, id);
-                store.delete(audit).await?;
+                let deleted = store.delete(audit, generation).await;
+                if let (Err(StoreError::Moved), Ok(session)) = (&deleted, &session) {
+                    self.shared.lose(session);
+                }
+                deleted?;
                 self.account(tenant)?.uncount_session();
             }
         }
@@ -289,6 +301,7 @@ impl Manager {
 
     /// The tenant's session of that id, its lease renewed; one that has left memory comes back.
     pub(in crate::session) async fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<OpenSession>, Error> {
+        be_sure_of_lease(&self.shared).await;
         match (self.shared.registry.find(tenant, id), &self.shared.store) {
             (Err(error), Some(store)) if error.code == ErrorCode::NotFound => {
                 reopen_session(&self.shared, store, tenant, id).await
@@ -298,19 +311,16 @@ impl Manager {
     }
 
     /// Claims the idempotency key of a call, or gives the answer that is kept for it.
-    pub(in crate::session) fn claim(
+    pub(in crate::session) async fn claim(
         &self,
         tenant: &Tenant,
         key: Option<&str>,
         operation: &str,
         parts: &[&[u8]],
     ) -> Result<Option<ClaimOutcome<StoredAnswer>>, Error> {
-        let claim = |key| {
-            self.shared
-                .idempotency
-                .claim(tenant, key, RequestFingerprint::of(operation, parts))
-        };
-        key.map(claim).transpose()
+        let Some(key) = key else { return Ok(None) };
+        let fingerprint = RequestFingerprint::of(operation, parts);
+        claim_everywhere(&self.shared, tenant, key, fingerprint).await.map(Some)
     }
 
     /// Makes a call that answers with the session, or gives the answer kept for its key.

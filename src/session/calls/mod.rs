@@ -14,3 +14,4 @@ pub(super) mod model_opening;
 mod recorded_answer;
 pub(super) mod session_places;
 mod shape;
+pub(super) mod shared_keys;

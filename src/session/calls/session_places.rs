@@ -109,6 +109,12 @@ pub(in crate::session) async fn place_of_tenant(
         shared.metrics.refused.inc();
     };
     let storing = announce_stored(shared, &account, upload).await.inspect_err(counted)?;
+    if let (Some(store), Some(_)) = (&shared.store, account.quota().sessions)
+        && store.ownership().is_some()
+    {
+        // Other nodes open and delete them too.
+        account.recount(store.count_sessions(tenant.clone()).await?);
+    }
     let place = account.take_session(|| shared.registry.soonest_end(tenant));
     Ok(place.inspect_err(counted)?.with_stored(storing))
 }

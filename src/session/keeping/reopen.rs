@@ -18,13 +18,18 @@ use crate::session::registry::OpenSession;
 use crate::session::shared::SharedResources;
 use crate::session::store::session_store::now_ms;
 use crate::session::store::shape_object::read_shape;
-use crate::session::store::{SessionStore, StoreError, StoredSession};
+use crate::session::store::{Generation, HeldSession, SessionClaim, SessionStore, StoreError, StoredSession};
 use crate::wire::record::{FileReferences, LoggedCommit};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tracing::Span;
+
+/// How long a node that is about to stop may take to give a session back.
+const GIVEN_BACK_WITHIN: Duration = Duration::from_secs(3);
+/// Between two looks whether it has.
+const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
 
 /// Opens a stored session, or finds it when somebody else has opened it meanwhile.
 ///
@@ -40,7 +45,7 @@ pub(in crate::session) async fn reopen_session(
     if shared.draining.load(SeqCst) {
         return Err(Error::draining());
     }
-    if !store.holds(tenant.clone(), id.to_owned()).await? {
+    if store.ownership().is_none() && !store.holds(tenant.clone(), id.to_owned()).await? {
         return Err(Error::no_session(id));
     }
     let lock = shared.locks.lock(id).await;
@@ -48,6 +53,68 @@ pub(in crate::session) async fn reopen_session(
         return Ok(session);
     }
     let inside = shared.gate.enter();
+    let generation = claim_session(shared, store, tenant, id).await?;
+    let opened = open_claimed(shared, store, (tenant, id), generation).await;
+    if opened.is_err() {
+        // Another node may have room for it.
+        give_back(store, id, generation).await;
+    }
+    drop((lock, inside));
+    opened
+}
+
+/// Makes a session this node's, where several share the store.
+///
+/// # Errors
+/// `NOT_FOUND`; `UNAVAILABLE` with the node that has it, or when the store does not answer.
+pub(in crate::session) async fn claim_session(
+    shared: &SharedResources,
+    store: &Arc<dyn SessionStore>,
+    tenant: &Tenant,
+    id: &str,
+) -> Result<Generation, Error> {
+    let Some(ownership) = store.ownership() else {
+        return match store.holds(tenant.clone(), id.to_owned()).await? {
+            true => Ok(Generation::default()),
+            false => Err(Error::no_session(id)),
+        };
+    };
+    let until = Instant::now() + GIVEN_BACK_WITHIN;
+    loop {
+        match ownership.claim(tenant.clone(), id.to_owned()).await? {
+            SessionClaim::Here(generation) => return Ok(generation),
+            SessionClaim::Missing => return Err(Error::no_session(id)),
+            SessionClaim::Elsewhere { is_leaving: true, .. } if Instant::now() < until => {
+                tokio::time::sleep(BETWEEN_LOOKS).await;
+            }
+            SessionClaim::Elsewhere { owner, .. } => {
+                shared.metrics.sent_elsewhere.inc();
+                return Err(Error::elsewhere(owner));
+            }
+        }
+    }
+}
+
+/// Gives back a session that this node does not need.
+pub(in crate::session) async fn give_back(store: &Arc<dyn SessionStore>, id: &str, generation: Generation) {
+    let session = HeldSession {
+        id: id.to_owned(),
+        generation,
+    };
+    if let Some(ownership) = store.ownership()
+        && let Err(error) = ownership.release(session, 0).await
+    {
+        tracing::warn!(session.id = %id, "a session stays this node's: {error}");
+    }
+}
+
+/// Opens a stored session that is this node's.
+async fn open_claimed(
+    shared: &Arc<SharedResources>,
+    store: &Arc<dyn SessionStore>,
+    (tenant, id): (&Tenant, &str),
+    generation: Generation,
+) -> Result<Arc<OpenSession>, Error> {
     let stored = store.load(tenant.clone(), id.to_owned()).await.inspect_err(|error| {
         tracing::error!(session.id = %id, "a stored session cannot be read: {error}");
     })?;
@@ -56,17 +123,18 @@ pub(in crate::session) async fn reopen_session(
     if stored.used_ms.max(shared.started_ms).saturating_add(ttl_ms) < now_ms() {
         return Err(Error::no_session(id));
     }
-    let opened = open_stored(shared, store, stored).await.inspect_err(|error| {
-        tracing::error!(session.id = %id, "a stored session cannot be opened: {error}");
-    });
-    drop((lock, inside));
-    opened
+    open_stored(shared, store, stored, generation)
+        .await
+        .inspect_err(|error| {
+            tracing::error!(session.id = %id, "a stored session cannot be opened: {error}");
+        })
 }
 
 async fn open_stored(
     shared: &Arc<SharedResources>,
     store: &Arc<dyn SessionStore>,
     stored: StoredSession,
+    generation: Generation,
 ) -> Result<Arc<OpenSession>, Error> {
     let files = read_files(store, &stored.model.files).await?;
     let owner = SessionOwner {
@@ -112,9 +180,13 @@ async fn open_stored(
             "{} commits of another build or processor were made again and recorded with this one's digests",
             anew.len()
         );
-        store.adopt(owner.id.clone(), kept.build.clone(), anew).await?;
+        let session = HeldSession {
+            id: owner.id.clone(),
+            generation,
+        };
+        store.adopt(session, kept.build.clone(), anew).await?;
     }
-    let session = start_session(shared, owner, opened, places, Some(kept));
+    let session = start_session(shared, (owner, generation), opened, places, Some(kept));
     shared.metrics.sessions_reopened.inc();
     tracing::info!(session.id = %session.id, "session came back from the store");
     Ok(session)

@@ -3,7 +3,7 @@
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::shared::SharedResources;
 use crate::session::store::session_store::now_ms;
-use crate::session::store::{SessionStore, StoreError, UsedSession};
+use crate::session::store::{Generation, HeldSession, SessionStore, StoreError, UsedSession};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -14,6 +14,8 @@ const PERIOD: Duration = Duration::from_secs(1);
 const NOTED_EVERY: u32 = 5;
 /// How long entries of the audit trail are kept unless a tenant's quota says otherwise.
 const AUDIT_AGE: Duration = Duration::from_secs(400 * 24 * 3600);
+/// Sweeps between two looks for sessions whose time is over, where several nodes look.
+const SHARED_EVERY: u32 = 10;
 /// Sweeps between two looks at the keys and the trail.
 const KEYS_EVERY: u32 = 60;
 
@@ -47,14 +49,29 @@ async fn sweep(
     if round.is_multiple_of(NOTED_EVERY) {
         note_uses(shared, store, noted).await?;
     }
-    for (tenant, id) in store.expired(shared.started_ms, now_ms()).await? {
+    let times = (shared.started_ms, now_ms());
+    let others = store.ownership();
+    let is_turn = others.is_none() || round.is_multiple_of(SHARED_EVERY);
+    let expired = if is_turn {
+        store.expired(times.0, times.1).await?
+    } else {
+        Vec::new()
+    };
+    for (tenant, id) in expired {
         let _lock = shared.locks.lock(&id).await;
         // One in memory knows its last use better.
         if shared.registry.holds(&id) {
             continue;
         }
+        let generation = match others {
+            None => Generation::default(),
+            Some(others) => match others.claim_expired(tenant.clone(), id.clone(), times).await? {
+                Some(generation) => generation,
+                None => continue,
+            },
+        };
         let expired = AuditEntry::by_itself(&tenant, AuditedAction::Expire, &id);
-        store.delete(expired).await?;
+        store.delete(expired, generation).await?;
         if let Ok(account) = shared.accounts.of(&tenant) {
             account.uncount_session();
         }
@@ -65,6 +82,9 @@ async fn sweep(
         let age = u64::try_from(shared.config.idempotency_age.as_millis()).unwrap_or(u64::MAX);
         store.forget_keys(now_ms().saturating_sub(age)).await?;
         forget_audit(shared, store).await?;
+    }
+    if let Some(others) = others.filter(|_| is_turn) {
+        others.remove_loose_objects().await?;
     }
     Ok(())
 }
@@ -88,16 +108,14 @@ pub(in crate::session) async fn note_uses(
     let now = now_ms();
     let uses = shared.registry.all().into_iter().map(|session| {
         let ago = u64::try_from(session.lease.last_use().elapsed().as_millis()).unwrap_or(u64::MAX);
-        (session.id.clone(), now.saturating_sub(ago))
+        (session.held.clone(), now.saturating_sub(ago))
     });
-    let uses: BTreeMap<String, u64> = uses.collect();
-    let changed = |(id, at): &(&String, &u64)| noted.get(*id).is_none_or(|before| **at > before + 500);
-    let sessions: Vec<UsedSession> = (uses.iter())
+    let held: Vec<(HeldSession, u64)> = uses.collect();
+    let uses: BTreeMap<String, u64> = held.iter().map(|(held, at)| (held.id.clone(), *at)).collect();
+    let changed = |(held, at): &(HeldSession, u64)| noted.get(&held.id).is_none_or(|before| *at > before + 500);
+    let sessions: Vec<UsedSession> = (held.into_iter())
         .filter(changed)
-        .map(|(id, at)| UsedSession {
-            id: id.clone(),
-            used_ms: *at,
-        })
+        .map(|(session, used_ms)| UsedSession { session, used_ms })
         .collect();
     if !sessions.is_empty() {
         store.note_use(sessions).await?;

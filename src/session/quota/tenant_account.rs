@@ -147,6 +147,11 @@ impl TenantAccount {
         self.sessions.fetch_add(sessions, Relaxed);
     }
 
+    /// So many sessions are in the store, by now.
+    pub(in crate::session) fn recount(&self, sessions: u64) {
+        self.sessions.store(sessions, Relaxed);
+    }
+
     /// A session is gone, from the store too.
     pub(in crate::session) fn uncount_session(&self) {
         let less = |n: u64| Some(n.saturating_sub(1));

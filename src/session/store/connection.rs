@@ -42,6 +42,17 @@ pub(super) struct DatabaseAddress {
     dialect: Dialect,
     /// As people are told: without a password.
     shown: String,
+    /// Which of several nodes connects; `None` where one process has the database for itself.
+    shared_by: Option<SharingNode>,
+}
+
+/// A node as its connections know it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SharingNode {
+    /// A number that no other process has.
+    pub key: i64,
+    /// How long it may leave a transaction open without a word.
+    pub patience: Duration,
 }
 
 impl std::fmt::Debug for DatabaseAddress {
@@ -75,6 +86,7 @@ impl DatabaseAddress {
             url: format!("sqlite://{}?mode={mode}", utf8_percent_encode(text, PATH)),
             dialect: Dialect::Sqlite,
             shown,
+            shared_by: None,
         })
     }
 
@@ -90,7 +102,14 @@ impl DatabaseAddress {
             url: url.to_owned(),
             dialect: Dialect::Postgres,
             shown,
+            shared_by: None,
         })
+    }
+
+    /// The same, for one of several nodes.
+    pub fn shared_by(mut self, node: SharingNode) -> Self {
+        self.shared_by = Some(node);
+        self
     }
 
     /// Which database it is.
@@ -110,17 +129,35 @@ impl DatabaseAddress {
         ))
     }
 
+    /// That the objects are there without it.
+    pub fn objects_of_another(&self) -> StoreError {
+        StoreError::Refused(format!(
+            "{} has no sessions, and the objects there belong to another database; restore that one, or name another place",
+            self.shown
+        ))
+    }
+
     /// The connections that read. They stay open whatever happens to the one that writes, so that reading goes on.
     pub async fn readers(&self) -> Result<AnyPool, StoreError> {
         install_default_drivers();
-        let dialect = self.dialect;
+        self.pool_of(READERS).await
+    }
+
+    /// One connection of a node that says that it is there.
+    pub async fn heart(&self) -> Result<AnyPool, StoreError> {
+        install_default_drivers();
+        self.pool_of(1).await
+    }
+
+    async fn pool_of(&self, connections: u32) -> Result<AnyPool, StoreError> {
+        let (dialect, shared_by) = (self.dialect, self.shared_by);
         AnyPoolOptions::new()
-            .max_connections(READERS)
+            .max_connections(connections)
             .min_connections(1)
             .idle_timeout(None)
             .max_lifetime(None)
             .acquire_timeout(PATIENCE)
-            .after_connect(move |connection, _| Box::pin(prepare(connection, dialect)))
+            .after_connect(move |connection, _| Box::pin(prepare(connection, dialect, shared_by)))
             .connect(&self.url)
             .await
             .map_err(|e| self.unavailable(e))
@@ -135,11 +172,19 @@ impl DatabaseAddress {
         options.connect(&self.url).await.map_err(|e| self.unavailable(e))
     }
 
+    /// Waits until no other node is about to open the store, and is the one that is until what this returns is closed.
+    pub async fn door(&self) -> Result<AnyConnection, StoreError> {
+        let mut connection = self.connect().await?;
+        let wait = sqlx::query("SELECT pg_advisory_lock(1886153058, hashtext(current_schema()))");
+        wait.execute(&mut connection).await.map_err(|e| self.unavailable(e))?;
+        Ok(connection)
+    }
+
     async fn connect(&self) -> Result<AnyConnection, StoreError> {
         install_default_drivers();
         let connected = async {
             let mut connection = AnyConnection::connect(&self.url).await?;
-            prepare(&mut connection, self.dialect).await?;
+            prepare(&mut connection, self.dialect, self.shared_by).await?;
             Ok::<_, sqlx::Error>(connection)
         };
         match tokio::time::timeout(PATIENCE, connected).await {
@@ -158,7 +203,11 @@ fn without_password(url: &str) -> String {
 }
 
 /// Makes a connection safe: what is committed through it is on disk when the commit returns.
-async fn prepare(connection: &mut AnyConnection, dialect: Dialect) -> Result<(), sqlx::Error> {
+async fn prepare(
+    connection: &mut AnyConnection,
+    dialect: Dialect,
+    shared_by: Option<SharingNode>,
+) -> Result<(), sqlx::Error> {
     let statements: &[&str] = match dialect {
         // The log is synced with every transaction.
         Dialect::Sqlite => &[
@@ -175,6 +224,14 @@ async fn prepare(connection: &mut AnyConnection, dialect: Dialect) -> Result<(),
     };
     for statement in statements {
         connection.execute(*statement).await?;
+    }
+    if let Some(node) = shared_by {
+        // A node that is stopped in the middle of a transaction holds up who takes its sessions over for no longer.
+        let patience = format!(
+            "SET idle_in_transaction_session_timeout = {}",
+            node.patience.as_millis().max(1)
+        );
+        connection.execute(&*patience).await?;
     }
     Ok(())
 }
@@ -209,6 +266,11 @@ impl WritingConnection {
             Err(LockedOut::Elsewhere) => Err(StoreError::Refused(format!("{address:?} is in use by another process"))),
             Err(LockedOut::Error(error)) => Err(error),
         }
+    }
+
+    /// Whether other nodes write the database too.
+    pub fn is_shared(&self) -> bool {
+        self.address.shared_by.is_some()
     }
 
     /// The connection, made again if it was lost.
@@ -283,9 +345,16 @@ async fn connect_to_write(address: DatabaseAddress) -> Result<AnyConnection, Loc
 async fn lock(address: &DatabaseAddress, connection: &mut AnyConnection) -> Result<(), LockedOut> {
     let until = Instant::now() + LOCKED;
     loop {
-        // One lock for each schema of a database.
-        let ask = "SELECT pg_try_advisory_lock(1886153057, hashtext(current_schema()))";
-        let row = sqlx::query(ask).fetch_one(&mut *connection).await;
+        // One lock for each schema of a database. Nodes share it, so that nobody has the database for himself beside them, and each
+        // has one more for itself.
+        let ask = match address.shared_by {
+            None => sqlx::query("SELECT pg_try_advisory_lock(1886153057, hashtext(current_schema()))"),
+            Some(node) => sqlx::query(
+                "SELECT pg_try_advisory_lock_shared(1886153057, hashtext(current_schema())) AND pg_try_advisory_lock($1)",
+            )
+            .bind(node.key),
+        };
+        let row = ask.fetch_one(&mut *connection).await;
         let is_ours = row.and_then(|row| row.try_get::<bool, _>(0));
         if is_ours.map_err(|e| address.unavailable(e))? {
             return Ok(());
@@ -295,6 +364,21 @@ async fn lock(address: &DatabaseAddress, connection: &mut AnyConnection) -> Resu
         }
         tokio::time::sleep(BETWEEN_TRIES).await;
     }
+}
+
+/// Whether no other node has the database open; none can open it then until [`let_others_in`].
+pub(super) async fn is_alone(connection: &mut AnyConnection) -> Result<bool, StoreError> {
+    let ask = "SELECT pg_try_advisory_lock(1886153057, hashtext(current_schema()))";
+    let row = sqlx::query(ask).fetch_one(connection).await;
+    let is_alone = row.and_then(|row| row.try_get(0));
+    is_alone.map_err(|e| StoreError::Unavailable(e.to_string()))
+}
+
+/// Ends what [`is_alone`] began.
+pub(super) async fn let_others_in(connection: &mut AnyConnection) -> Result<(), StoreError> {
+    let unlock = "SELECT pg_advisory_unlock(1886153057, hashtext(current_schema()))";
+    let done = sqlx::query(unlock).execute(connection).await;
+    done.map(drop).map_err(|e| StoreError::Unavailable(e.to_string()))
 }
 
 /// Why there is no connection that writes.

@@ -1,21 +1,18 @@
 //! The store on a database and a folder of objects.
 
 use super::audit_reading;
-use super::build_identity::build_identity;
-use super::connection::{DatabaseAddress, WritingConnection};
-use super::data_folder::{DATABASE_FILE, FolderHold, existing_database, refuse_objects_alone};
+use super::data_folder::FolderHold;
+use super::loose_objects::{NAMED_WITHIN, announce};
 use super::objects::Objects;
-use super::private_files::make_private_file;
+use super::ownership::{Generation, HeldSession, SessionOwnership};
 use super::reading;
-use super::schema::{identity, migrate, version};
 use super::session_store::{
     ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit, StoredSession,
     UsedSession,
 };
+use super::shared_store::SharedStore;
 use super::store_health::StoreHealth;
-use super::store_location::StoreLocation;
-use super::store_watch::watch_store;
-use super::write_order::{StoredObject, WriteOrder};
+use super::write_order::{StoredObject, WriteOrder, first_generation};
 use super::writer::Writer;
 use crate::asset::FileSet;
 use crate::session::answers::Tenant;
@@ -23,105 +20,36 @@ use crate::session::audit::audit_entry::AuditEntry;
 use crate::wire::record::{FileReferences, LoggedCommit};
 use bytes::Bytes;
 use sqlx::AnyPool;
-use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Sessions in a database, what is large as objects.
 #[derive(Debug)]
 pub struct DatabaseStore {
-    build: String,
+    pub(super) build: String,
     pub(super) pool: AnyPool,
-    writer: Arc<Writer>,
+    pub(super) writer: Arc<Writer>,
     pub(super) objects: Arc<Objects>,
-    health: Arc<StoreHealth>,
+    pub(super) health: Arc<StoreHealth>,
+    /// What this node knows of it, where several share the store.
+    pub(super) shared: Option<SharedStore>,
     /// Held as long as the store: one process writes a folder.
-    _hold: Option<FolderHold>,
+    pub(super) _hold: Option<FolderHold>,
 }
 
 impl DatabaseStore {
-    /// Opens a store, makes or brings up to date what is missing.
-    ///
-    /// # Errors
-    /// [`StoreError::Refused`] when another process has it, a later version wrote it or objects are there without their database,
-    /// [`StoreError::Unavailable`] when folder or database cannot be had.
-    pub async fn open(location: &StoreLocation) -> Result<Self, StoreError> {
-        let hold = location.data_dir.as_deref().map(FolderHold::alone).transpose()?;
-        if let (Some(folder), None) = (&location.data_dir, &location.database) {
-            refuse_objects_alone(folder)?;
-            let file = folder.join(DATABASE_FILE);
-            // The folder of objects is made before anything is written into the file: without it the models would be missing.
-            if location.objects.is_none() && file.metadata().is_ok_and(|facts| facts.len() > 0) {
-                Objects::in_folder_to_read(folder)?;
-            }
-            make_private_file(&file).map_err(|e| StoreError::Unavailable(format!("{}: {e}", file.display())))?;
-        }
-        Self::open_held(location, hold, true).await
-    }
-
-    /// Opens a store that is there, to change it. Nothing is made where none is.
-    ///
-    /// # Errors
-    /// As [`DatabaseStore::open`]; [`StoreError::Refused`] where there is no store.
-    pub async fn open_existing(location: &StoreLocation) -> Result<Self, StoreError> {
-        if let (Some(folder), None) = (&location.data_dir, &location.database) {
-            existing_database(folder)?;
-        }
-        let hold = location.data_dir.as_deref().filter(|folder| folder.is_dir());
-        let hold = hold.map(FolderHold::alone).transpose()?;
-        Self::open_held(location, hold, false).await
-    }
-
-    async fn open_held(location: &StoreLocation, hold: Option<FolderHold>, makes: bool) -> Result<Self, StoreError> {
-        let nowhere =
-            || StoreError::Refused("sessions need a data folder, or both a database and a place of objects".into());
-        let folder = || location.data_dir.as_deref().ok_or_else(nowhere);
-        let address = match &location.database {
-            Some(url) => DatabaseAddress::server(url)?,
-            None => DatabaseAddress::file(&folder()?.join(DATABASE_FILE))?,
-        };
-        let objects = match &location.objects {
-            Some(url) => Objects::in_bucket(url)?,
-            None if makes => Objects::in_folder(folder()?)?,
-            None => Objects::in_folder_to_read(folder()?).and_then(|_| Objects::in_folder(folder()?))?,
-        };
-        let mut writing = WritingConnection::open(&address).await?;
-        let connection = writing.get().await?;
-        if version(connection, address.dialect()).await?.is_none() {
-            if !makes {
-                return Err(address.no_tables());
-            }
-            if objects.are_in_use().await? {
-                return Err(StoreError::Refused(format!(
-                    "{address:?} has no sessions, and the objects there belong to another database; restore that one, or name another place"
-                )));
-            }
-        }
-        migrate(connection, address.dialect()).await?;
-        objects.belong_to(&identity(connection).await?).await?;
-        let health = Arc::new(StoreHealth::of_places(places(location))?);
-        let store = Self {
-            build: location.build.clone().unwrap_or_else(build_identity),
-            pool: address.readers().await?,
-            writer: Arc::new(Writer::start(writing, Arc::clone(&health))),
-            objects: Arc::new(objects),
-            health,
-            _hold: hold,
-        };
-        let (writer, objects) = (Arc::downgrade(&store.writer), Arc::downgrade(&store.objects));
-        tokio::spawn(watch_store(Arc::clone(&store.health), writer, objects));
-        store.measure_objects().await?;
-        Ok(store)
-    }
-
     /// Writes what waits and closes the database, so that its file is whole without the log beside it. Nothing can be read or written
     /// afterwards.
     pub async fn close(&self) {
         self.pool.close().await;
         self.writer.finish().await;
+        if let Some(shared) = &self.shared {
+            shared.close().await;
+        }
     }
 
     /// Notes the sizes of objects that a version wrote which did not. One that is missing has none; whoever reads it is told.
-    async fn measure_objects(&self) -> Result<(), StoreError> {
+    pub(super) async fn measure_objects(&self) -> Result<(), StoreError> {
         let mut objects = Vec::new();
         for name in reading::unmeasured_objects(&self.pool).await? {
             let bytes = self.objects.size(&name).await.unwrap_or_default();
@@ -135,7 +63,29 @@ impl DatabaseStore {
 
     async fn put_object(&self, bytes: Bytes) -> Result<String, StoreError> {
         self.health.note(self.health.check_places())?;
+        if self.shared.is_some() {
+            let name = self.objects.name(bytes.clone()).await?;
+            self.health.note(announce(&self.pool, &name).await)?;
+        }
         self.health.note(self.objects.put(bytes).await)
+    }
+
+    /// The node that has what is created here; empty where there is one alone.
+    fn owner(&self) -> String {
+        self.shared
+            .as_ref()
+            .map(|shared| shared.lease.id.clone())
+            .unwrap_or_default()
+    }
+
+    /// Refuses to name objects that were announced too long ago: they may be gone again.
+    fn refuse_late_names(&self, begun: Instant) -> Result<(), StoreError> {
+        if self.shared.is_some() && begun.elapsed() > NAMED_WITHIN {
+            return Err(StoreError::Unavailable(format!(
+                "writing the objects took longer than {NAMED_WITHIN:?}"
+            )));
+        }
+        Ok(())
     }
 
     async fn get_object(&self, name: String) -> Result<Bytes, StoreError> {
@@ -188,7 +138,10 @@ impl DatabaseStore {
         Ok(())
     }
 
-    async fn create_session(&self, mut session: NewSession) -> Result<(), StoreError> {
+    async fn create_session(&self, mut session: NewSession) -> Result<Generation, StoreError> {
+        let (begun, owner) = (Instant::now(), self.owner());
+        let generation = first_generation(&owner);
+        session.first.generation = generation;
         let naming = self.objects.naming.read().await;
         let (names, objects) = self.put_files(&session.files).await?;
         session.model.files = names;
@@ -201,13 +154,16 @@ impl DatabaseStore {
             session,
             model,
             objects,
+            owner,
         };
+        self.refuse_late_names(begun)?;
         let written = self.writer.write(order).await;
         drop(naming);
-        written.map(drop)
+        written.map(|_| generation)
     }
 
     async fn append_commit(&self, mut commit: NewCommit) -> Result<(), StoreError> {
+        let begun = Instant::now();
         let naming = self.objects.naming.read().await;
         let mut objects = Vec::new();
         if let (Some(given), LoggedCommit::Edit { files, .. }) = (commit.files.take(), &mut commit.commit) {
@@ -215,13 +171,15 @@ impl DatabaseStore {
             objects = merged;
             *files = Some(names);
         }
+        self.refuse_late_names(begun)?;
         let commit = Box::new(commit);
         let written = self.writer.write(WriteOrder::Append { commit, objects }).await;
         drop(naming);
         written.map(drop)
     }
 
-    async fn keep_newest_shape(&self, session: String, sequence: u64, shape: Bytes) -> Result<(), StoreError> {
+    async fn keep_newest_shape(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Result<(), StoreError> {
+        let begun = Instant::now();
         let naming = self.objects.naming.read().await;
         let bytes = shape.len() as u64;
         let name = self.put_object(shape).await?;
@@ -230,6 +188,7 @@ impl DatabaseStore {
             sequence,
             shape: StoredObject { name, bytes },
         };
+        self.refuse_late_names(begun)?;
         let unnamed = self.writer.write(order).await?;
         drop(naming);
         let _alone = self.objects.naming.write().await;
@@ -243,35 +202,22 @@ impl DatabaseStore {
 
     async fn adopt_digests(
         &self,
-        session: String,
+        session: HeldSession,
         build: String,
         digests: Vec<(u64, String)>,
     ) -> Result<(), StoreError> {
         let gone = || StoreError::Damaged("a commit is gone".into());
         let mut commits = Vec::with_capacity(digests.len());
         for (sequence, digest) in digests {
-            let mut row = reading::commit_row(&self.pool, &session, sequence)
+            let mut row = reading::commit_row(&self.pool, &session.id, sequence)
                 .await?
                 .ok_or_else(gone)?;
             row.digest = digest;
             row.build.clone_from(&build);
             commits.push(row);
         }
-        self.write(WriteOrder::Adopt { commits }).await
+        self.write(WriteOrder::Adopt { session, commits }).await
     }
-}
-
-/// The files and folders of a store, all of which have to stay where they are.
-fn places(location: &StoreLocation) -> Vec<PathBuf> {
-    let Some(folder) = &location.data_dir else {
-        return Vec::new();
-    };
-    let database = location.database.is_none().then(|| folder.join(DATABASE_FILE));
-    let objects = location.objects.is_none().then(|| folder.join("objects"));
-    [Some(folder.clone()), database, objects]
-        .into_iter()
-        .flatten()
-        .collect()
 }
 
 impl SessionStore for DatabaseStore {
@@ -279,12 +225,16 @@ impl SessionStore for DatabaseStore {
         self.build.clone()
     }
 
+    fn ownership(&self) -> Option<&dyn SessionOwnership> {
+        self.shared.as_ref().map(|shared| shared as _)
+    }
+
     fn takes_writes(&self) -> bool {
         // Who asks wants to know it as it is now, and not as of the last look.
         self.health.note(self.health.check_places()).is_ok() && self.health.takes_writes()
     }
 
-    fn create(&self, session: NewSession) -> Stored<'_, ()> {
+    fn create(&self, session: NewSession) -> Stored<'_, Generation> {
         Box::pin(self.create_session(session))
     }
 
@@ -292,11 +242,11 @@ impl SessionStore for DatabaseStore {
         Box::pin(self.append_commit(commit))
     }
 
-    fn keep_shape(&self, session: String, sequence: u64, shape: Bytes) -> Stored<'_, ()> {
+    fn keep_shape(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()> {
         Box::pin(self.keep_newest_shape(session, sequence, shape))
     }
 
-    fn adopt(&self, session: String, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()> {
+    fn adopt(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()> {
         Box::pin(self.adopt_digests(session, build, digests))
     }
 
@@ -335,8 +285,8 @@ impl SessionStore for DatabaseStore {
         Box::pin(self.get_object(name))
     }
 
-    fn delete(&self, audit: AuditEntry) -> Stored<'_, ()> {
-        Box::pin(self.write(WriteOrder::Delete { audit }))
+    fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()> {
+        Box::pin(self.write(WriteOrder::Delete { audit, generation }))
     }
 
     fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()> {
@@ -353,6 +303,14 @@ impl SessionStore for DatabaseStore {
 
     fn stored_bytes(&self, tenant: Tenant) -> Stored<'_, u64> {
         Box::pin(async move { reading::stored_bytes(&self.pool, &tenant.0).await })
+    }
+
+    fn count_sessions(&self, tenant: Tenant) -> Stored<'_, u64> {
+        Box::pin(async move { reading::count_sessions(&self.pool, &tenant.0).await })
+    }
+
+    fn key(&self, tenant: Tenant, key: String) -> Stored<'_, Option<LoggedKey>> {
+        Box::pin(async move { reading::one_key(&self.pool, &tenant.0, &key).await })
     }
 
     fn keys(&self) -> Stored<'_, Vec<LoggedKey>> {

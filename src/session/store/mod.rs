@@ -6,8 +6,10 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `session_store` | the trait that sessions use, and its values |
-//! | `database_store`, `store_location` | the trait on a database and objects, and where they are |
+//! | `session_store`, `store_error` | the trait that sessions use, its values, and why it did not do what was asked |
+//! | `ownership` | which of several nodes has a session |
+//! | `shared_store`, `node_lease`, `session_owners`, `loose_objects` | that, in the database |
+//! | `database_store`, `opening`, `store_location` | the trait on a database and objects, how they are opened, and where they are |
 //! | `data_folder`, `private_files` | the folder: made, had to oneself, looked at |
 //! | `store_health`, `store_watch` | whether what is written is taken |
 //! | `connection`, `schema` | the database, SQLite or PostgreSQL, and its tables |
@@ -28,15 +30,22 @@ mod connection;
 mod data_folder;
 mod database_store;
 mod database_to_read;
+mod loose_objects;
+mod node_lease;
 mod object_folder;
 mod objects;
+mod opening;
+mod ownership;
 mod private_files;
 mod read_only_store;
 mod reading;
 mod rows;
 mod schema;
+mod session_owners;
 pub(super) mod session_store;
 pub(super) mod shape_object;
+mod shared_store;
+mod store_error;
 mod store_health;
 mod store_location;
 mod store_watch;
@@ -46,6 +55,7 @@ mod writer;
 
 pub use audit_reading::{AuditFilter, read_audit};
 pub use database_store::DatabaseStore;
+pub use ownership::{Generation, HeldSession, NodeIdentity, NodeLoad, SessionClaim, SessionOwnership};
 pub use read_only_store::ReadOnlyStore;
 pub use session_store::{
     ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit, StoredFacts,

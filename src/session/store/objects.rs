@@ -128,6 +128,11 @@ impl Objects {
         put.map(drop).map_err(|e| refused(&e))
     }
 
+    /// The name that an object has, or will have.
+    pub async fn name(&self, bytes: Bytes) -> Result<String, StoreError> {
+        self.apart(move || Ok(name_of(&bytes))).await
+    }
+
     /// Writes an object and returns its name.
     pub async fn put(&self, bytes: Bytes) -> Result<String, StoreError> {
         let (folder, given) = (self.folder.clone(), bytes.clone());

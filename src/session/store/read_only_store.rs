@@ -3,6 +3,7 @@
 use super::build_identity::build_identity;
 use super::database_to_read::DatabaseToRead;
 use super::objects::Objects;
+use super::ownership::{Generation, HeldSession};
 use super::reading;
 use super::schema::known_identity;
 use super::session_store::{
@@ -77,7 +78,7 @@ impl SessionStore for ReadOnlyStore {
         false
     }
 
-    fn create(&self, _: NewSession) -> Stored<'_, ()> {
+    fn create(&self, _: NewSession) -> Stored<'_, Generation> {
         refused()
     }
 
@@ -85,11 +86,11 @@ impl SessionStore for ReadOnlyStore {
         refused()
     }
 
-    fn keep_shape(&self, _: String, _: u64, _: Bytes) -> Stored<'_, ()> {
+    fn keep_shape(&self, _: HeldSession, _: u64, _: Bytes) -> Stored<'_, ()> {
         not_noted()
     }
 
-    fn adopt(&self, _: String, _: String, _: Vec<(u64, String)>) -> Stored<'_, ()> {
+    fn adopt(&self, _: HeldSession, _: String, _: Vec<(u64, String)>) -> Stored<'_, ()> {
         not_noted()
     }
 
@@ -116,7 +117,7 @@ impl SessionStore for ReadOnlyStore {
         Box::pin(async move { told(self.objects.get(name).await) })
     }
 
-    fn delete(&self, _: AuditEntry) -> Stored<'_, ()> {
+    fn delete(&self, _: AuditEntry, _: Generation) -> Stored<'_, ()> {
         refused()
     }
 
@@ -135,6 +136,14 @@ impl SessionStore for ReadOnlyStore {
 
     fn stored_bytes(&self, tenant: Tenant) -> Stored<'_, u64> {
         Box::pin(async move { reading::stored_bytes(&self.database.pool, &tenant.0).await })
+    }
+
+    fn count_sessions(&self, tenant: Tenant) -> Stored<'_, u64> {
+        Box::pin(async move { reading::count_sessions(&self.database.pool, &tenant.0).await })
+    }
+
+    fn key(&self, _: Tenant, _: String) -> Stored<'_, Option<LoggedKey>> {
+        Box::pin(async { Ok(None) })
     }
 
     fn keys(&self) -> Stored<'_, Vec<LoggedKey>> {

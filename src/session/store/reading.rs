@@ -8,8 +8,8 @@ use super::session_store::{
 use super::write_order::session_checksum;
 use crate::session::answers::Tenant;
 use crate::wire::record::RecordedModel;
-use sqlx::AnyPool;
 use sqlx::any::AnyRow;
+use sqlx::{AnyConnection, AnyPool};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -216,6 +216,20 @@ pub(super) async fn expired(pool: &AnyPool, since_ms: u64, now_ms: u64) -> Resul
         .collect()
 }
 
+/// Whether the time of a session is over, as [`expired`] says.
+pub(super) async fn is_expired(pool: &AnyPool, id: &str, (since_ms, now_ms): (u64, u64)) -> Result<bool, StoreError> {
+    let query = "SELECT id FROM sessions WHERE id = $3 AND used_ms < $1 - ttl_ms AND ttl_ms < $1 - $2";
+    let query = sqlx::query(query).bind(signed(now_ms)).bind(signed(since_ms));
+    let found = query.bind(id).fetch_optional(pool).await.map_err(unreadable)?;
+    Ok(found.is_some())
+}
+
+/// How many sessions a tenant has.
+pub(super) async fn count_sessions(pool: &AnyPool, tenant: &str) -> Result<u64, StoreError> {
+    let query = sqlx::query("SELECT COUNT(*) FROM sessions WHERE tenant = $1").bind(tenant);
+    unsigned(column(&query.fetch_one(pool).await.map_err(unreadable)?, 0)?)
+}
+
 /// How many sessions each tenant has.
 pub(super) async fn sessions_by_tenant(pool: &AnyPool) -> Result<Vec<(Tenant, u64)>, StoreError> {
     let query = sqlx::query("SELECT tenant, COUNT(*) FROM sessions GROUP BY tenant ORDER BY tenant");
@@ -254,24 +268,34 @@ pub(super) async fn unmeasured_objects(pool: &AnyPool) -> Result<Vec<String>, St
     rows.iter().map(|row| column(row, 0)).collect()
 }
 
+const KEY_COLUMNS: &str = "tenant, call_key, fingerprint, session, sequence, at_ms";
+
+fn key_from_row(row: &AnyRow) -> Result<LoggedKey, StoreError> {
+    let fingerprint: Vec<u8> = column(row, 2)?;
+    let fingerprint = <[u8; 16]>::try_from(fingerprint.as_slice())
+        .map_err(|_| StoreError::Damaged("an idempotency key has no fingerprint".into()))?;
+    Ok(LoggedKey {
+        tenant: tenant_of(row, 0)?,
+        key: column(row, 1)?,
+        fingerprint: u128::from_le_bytes(fingerprint),
+        session: column(row, 3)?,
+        sequence: unsigned(column(row, 4)?)?,
+        at_ms: unsigned(column(row, 5)?)?,
+    })
+}
+
 /// The keys that are kept.
 pub(super) async fn keys(pool: &AnyPool) -> Result<Vec<LoggedKey>, StoreError> {
-    let query = "SELECT tenant, call_key, fingerprint, session, sequence, at_ms FROM call_keys ORDER BY at_ms";
-    let rows = sqlx::query(query).fetch_all(pool).await.map_err(unreadable)?;
-    let key = |row: &AnyRow| {
-        let fingerprint: Vec<u8> = column(row, 2)?;
-        let fingerprint = <[u8; 16]>::try_from(fingerprint.as_slice())
-            .map_err(|_| StoreError::Damaged("an idempotency key has no fingerprint".into()))?;
-        Ok(LoggedKey {
-            tenant: tenant_of(row, 0)?,
-            key: column(row, 1)?,
-            fingerprint: u128::from_le_bytes(fingerprint),
-            session: column(row, 3)?,
-            sequence: unsigned(column(row, 4)?)?,
-            at_ms: unsigned(column(row, 5)?)?,
-        })
-    };
-    rows.iter().map(key).collect()
+    let query = format!("SELECT {KEY_COLUMNS} FROM call_keys ORDER BY at_ms");
+    let rows = sqlx::query(&query).fetch_all(pool).await.map_err(unreadable)?;
+    rows.iter().map(key_from_row).collect()
+}
+
+/// A key that is kept.
+pub(super) async fn one_key(pool: &AnyPool, tenant: &str, key: &str) -> Result<Option<LoggedKey>, StoreError> {
+    let query = format!("SELECT {KEY_COLUMNS} FROM call_keys WHERE tenant = $1 AND call_key = $2");
+    let row = sqlx::query(&query).bind(tenant).bind(key).fetch_optional(pool).await;
+    row.map_err(unreadable)?.as_ref().map(key_from_row).transpose()
 }
 
 /// The highest number of any session; 0 without sessions.
@@ -283,9 +307,15 @@ pub(super) async fn highest_number(pool: &AnyPool) -> Result<u64, StoreError> {
 
 /// Whether any session uses an object.
 pub(super) async fn is_used(pool: &AnyPool, object: &str) -> Result<bool, StoreError> {
+    let mut connection = pool.acquire().await.map_err(unreadable)?;
+    is_used_on(&mut connection, object).await
+}
+
+/// As [`is_used`], within a transaction.
+pub(super) async fn is_used_on(connection: &mut AnyConnection, object: &str) -> Result<bool, StoreError> {
     let query = sqlx::query("SELECT session FROM object_uses WHERE object = $1 LIMIT 1");
-    let found = query.bind(object).fetch_optional(pool).await.map_err(unreadable)?;
-    Ok(found.is_some())
+    let found = query.bind(object).fetch_optional(connection).await;
+    Ok(found.map_err(unreadable)?.is_some())
 }
 
 /// A page of the sessions of all tenants.

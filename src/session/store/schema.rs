@@ -13,7 +13,7 @@ pub(super) enum Dialect {
 
 /// Steps from each version of the tables to the next. What was released is never changed, only followed by a further step.
 /// `{bytes}` and `{serial}` are what the database calls bytes and numbers that count by themselves.
-const STEPS: [&[&str]; 4] = [FIRST, MEASURED, IDENTIFIED, AUDITED];
+const STEPS: [&[&str]; 5] = [FIRST, MEASURED, IDENTIFIED, AUDITED, SHARED];
 
 const FIRST: &[&str] = &[
     "CREATE TABLE tenants (tenant TEXT PRIMARY KEY, created_ms BIGINT NOT NULL)",
@@ -88,6 +88,29 @@ const AUDITED: &[&str] = &[
     "ALTER TABLE audit ADD COLUMN sequence BIGINT NOT NULL DEFAULT -1",
     "CREATE INDEX audit_of_tenant ON audit (tenant, at_ms)",
     "CREATE INDEX audit_of_session ON audit (session)",
+];
+
+/// Several nodes may share the store: who has a session, the nodes and their leases, numbers for new sessions, and objects without a name.
+const SHARED: &[&str] = &[
+    "ALTER TABLE sessions ADD COLUMN owner TEXT NOT NULL DEFAULT ''",
+    "ALTER TABLE sessions ADD COLUMN generation BIGINT NOT NULL DEFAULT 0",
+    "CREATE INDEX sessions_of_owner ON sessions (owner) WHERE owner <> ''",
+    "CREATE TABLE nodes (
+        node TEXT PRIMARY KEY,
+        name TEXT NOT NULL,
+        address TEXT NOT NULL,
+        leaving BIGINT NOT NULL,
+        lapses BIGINT NOT NULL,
+        lease_until_ms BIGINT NOT NULL,
+        sessions BIGINT NOT NULL,
+        most_sessions BIGINT NOT NULL,
+        memory_used BIGINT NOT NULL,
+        memory_total BIGINT NOT NULL,
+        work BIGINT NOT NULL
+    )",
+    "CREATE TABLE session_numbers (newest BIGINT NOT NULL)",
+    "INSERT INTO session_numbers (newest) VALUES (0)",
+    "CREATE TABLE loose_objects (object TEXT PRIMARY KEY, since_ms BIGINT NOT NULL)",
 ];
 
 /// The version of the tables that this program writes.

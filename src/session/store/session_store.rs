@@ -1,50 +1,13 @@
 //! What sessions need of a store.
 
+use super::ownership::{Generation, HeldSession, SessionOwnership};
+pub use super::store_error::{StoreError, Stored};
 use crate::asset::FileSet;
 use crate::session::answers::Tenant;
 use crate::session::audit::audit_entry::AuditEntry;
-use crate::session::error::{Error, ErrorCode};
 use crate::wire::record::{LoggedCommit, RecordedModel};
 use bytes::Bytes;
-use futures::future::BoxFuture;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
-
-/// Why a store did not do what was asked.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum StoreError {
-    /// It cannot be reached or written: a full disk, a lost permission, a database that is down. Later it may work.
-    #[error("{0}")]
-    Unavailable(String),
-    /// What it holds is not what was written.
-    #[error("{0}")]
-    Damaged(String),
-    /// It cannot be used as it is: written by a later version, or used by another process.
-    #[error("{0}")]
-    Refused(String),
-}
-
-impl From<StoreError> for Error {
-    fn from(error: StoreError) -> Self {
-        match error {
-            // Paths and what a database says are the operator's alone.
-            StoreError::Unavailable(problem) => {
-                tracing::warn!("the store of sessions: {problem}");
-                let text =
-                    "the store of sessions cannot be read or written at present; nothing has changed, try again later";
-                Self {
-                    retry_after_s: Some(1),
-                    ..Self::new(ErrorCode::Unavailable, text)
-                }
-            }
-            StoreError::Damaged(problem) => {
-                tracing::error!("what is stored of a session is damaged: {problem}");
-                let text = format!("what is stored of the session is damaged and is not served: {problem}");
-                Self::new(ErrorCode::DataLoss, text)
-            }
-            StoreError::Refused(problem) => Self::new(ErrorCode::FailedPrecondition, problem),
-        }
-    }
-}
 
 /// An idempotency key whose answer is a commit's.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -89,6 +52,8 @@ pub struct NewSession {
 pub struct NewCommit {
     /// Its session.
     pub session: String,
+    /// Whose hands it is in.
+    pub generation: Generation,
     /// Commits of a session are numbered from 0, undo and redo among them.
     pub sequence: u64,
     /// The session's revision after it.
@@ -204,28 +169,29 @@ pub struct StoredFacts {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UsedSession {
     /// The session.
-    pub id: String,
+    pub session: HeldSession,
     /// In milliseconds since 1970.
     pub used_ms: u64,
 }
-
-/// The answer of a store, to come.
-pub type Stored<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
 
 /// Where sessions are kept. What returns `Ok` is on disk; what returns an error has changed nothing that is ever read again.
 pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
     /// Which build and processor makes results now.
     fn build(&self) -> String;
+    /// What nodes that share it do to have sessions; `None` where one process has it for itself.
+    fn ownership(&self) -> Option<&dyn SessionOwnership> {
+        None
+    }
     /// Whether what is written is taken: false from a write that failed until one works again.
     fn takes_writes(&self) -> bool;
-    /// Keeps a new session.
-    fn create(&self, session: NewSession) -> Stored<'_, ()>;
+    /// Keeps a new session, which is this process's then.
+    fn create(&self, session: NewSession) -> Stored<'_, Generation>;
     /// Keeps a commit.
     fn append(&self, commit: NewCommit) -> Stored<'_, ()>;
     /// Keeps a shape as the newest of a session.
-    fn keep_shape(&self, session: String, sequence: u64, shape: Bytes) -> Stored<'_, ()>;
+    fn keep_shape(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()>;
     /// Records digests anew, of commits by their numbers, as `build` makes them.
-    fn adopt(&self, session: String, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()>;
+    fn adopt(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()>;
     /// Reads a session with all its commits; `None` when the tenant has none of that id.
     fn load(&self, tenant: Tenant, id: String) -> Stored<'_, Option<StoredSession>>;
     /// Reads one commit.
@@ -237,7 +203,7 @@ pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
     /// Reads an object.
     fn object(&self, name: String) -> Stored<'_, Bytes>;
     /// Deletes a session and what only it used, and notes who did.
-    fn delete(&self, audit: AuditEntry) -> Stored<'_, ()>;
+    fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()>;
     /// Notes when sessions were used.
     fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()>;
     /// The sessions whose time is over at `now_ms`, and whose they are.
@@ -246,6 +212,10 @@ pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
     fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>>;
     /// Bytes that a tenant's sessions hold: their records and the objects that they name, one that several name for each of them.
     fn stored_bytes(&self, tenant: Tenant) -> Stored<'_, u64>;
+    /// How many sessions a tenant has.
+    fn count_sessions(&self, tenant: Tenant) -> Stored<'_, u64>;
+    /// A key that is kept.
+    fn key(&self, tenant: Tenant, key: String) -> Stored<'_, Option<LoggedKey>>;
     /// The keys that are kept, oldest first.
     fn keys(&self) -> Stored<'_, Vec<LoggedKey>>;
     /// Forgets keys from before `before_ms`.

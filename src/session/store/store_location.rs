@@ -1,5 +1,6 @@
 //! Where a store is.
 
+use super::ownership::NodeIdentity;
 use std::path::PathBuf;
 
 /// Where a store is.
@@ -13,6 +14,8 @@ pub struct StoreLocation {
     pub objects: Option<String>,
     /// Which build and processor makes results; `None`: this one.
     pub build: Option<String>,
+    /// Which of several nodes opens it; `None`: one process has it for itself.
+    pub node: Option<NodeIdentity>,
 }
 
 impl StoreLocation {
@@ -22,6 +25,19 @@ impl StoreLocation {
             data_dir: Some(folder.into()),
             ..Self::default()
         }
+    }
+
+    /// The same, for a node that listens on `port` and was told to take a free one.
+    pub fn on_port(&self, port: u16) -> Self {
+        let mut there = self.clone();
+        if let Some(node) = &mut there.node {
+            for told in [&mut node.address, &mut node.name] {
+                if let Some(host) = told.strip_suffix(":0") {
+                    *told = format!("{host}:{port}");
+                }
+            }
+        }
+        there
     }
 }
 

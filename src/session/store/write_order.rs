@@ -1,5 +1,6 @@
 //! What is written, statement by statement. The writer decides what goes into one transaction.
 
+use super::ownership::{Generation, HeldSession};
 use super::rows::{CommitRow, RECORD_FORMAT, checksum, column, signed};
 use super::session_store::{NewCommit, NewSession, StoreError, UsedSession, now_ms};
 use crate::session::answers::Tenant;
@@ -22,6 +23,8 @@ pub(super) enum WriteOrder {
         session: Box<NewSession>,
         model: Vec<u8>,
         objects: Vec<StoredObject>,
+        /// The node that has it, of several; empty where there is one alone.
+        owner: String,
     },
     /// A commit.
     Append {
@@ -30,14 +33,17 @@ pub(super) enum WriteOrder {
     },
     /// The newest shape of a session.
     KeepShape {
-        session: String,
+        session: HeldSession,
         sequence: u64,
         shape: StoredObject,
     },
     /// Digests of another build.
-    Adopt { commits: Vec<CommitRow> },
+    Adopt {
+        session: HeldSession,
+        commits: Vec<CommitRow>,
+    },
     /// A session goes.
-    Delete { audit: AuditEntry },
+    Delete { audit: AuditEntry, generation: Generation },
     /// Sessions were used.
     NoteUse { sessions: Vec<UsedSession> },
     /// Keys from before this time go.
@@ -70,13 +76,18 @@ async fn objects_of(statement: Statement<'_>, on: &mut AnyConnection) -> Result<
 }
 
 impl WriteOrder {
-    /// The commit that may be on disk though it was refused: its session, and its number. With 0 it is the session.
-    pub fn doubtful(&self) -> Option<(String, u64)> {
-        match self {
-            Self::Create { session, .. } => Some((session.id.clone(), 0)),
-            Self::Append { commit, .. } => Some((commit.session.clone(), commit.sequence)),
-            _ => None,
-        }
+    /// The commit that may be on disk though it was refused. With 0 it is the session.
+    pub fn doubtful(&self) -> Option<DoubtfulCommit> {
+        let (session, generation, sequence) = match self {
+            Self::Create { session, owner, .. } => (&session.id, first_generation(owner), 0),
+            Self::Append { commit, .. } => (&commit.session, commit.generation, commit.sequence),
+            _ => return None,
+        };
+        let session = HeldSession {
+            id: session.clone(),
+            generation,
+        };
+        Some(DoubtfulCommit { session, sequence })
     }
 
     /// Writes it. Returns objects that may have no name any more.
@@ -86,8 +97,10 @@ impl WriteOrder {
                 session,
                 model,
                 objects,
+                owner,
             } => {
-                create_session(session, model, on).await?;
+                refuse_repeated(&session.first, owner, on).await?;
+                create_session(session, model, owner, on).await?;
                 append_commit(&session.first, objects, session.created_ms, on).await?;
             }
             Self::Append { commit, objects } => append_commit(commit, objects, now_ms(), on).await?,
@@ -102,7 +115,10 @@ impl WriteOrder {
                     execute(update.bind(&object.name).bind(signed(object.bytes)), on).await?;
                 }
             }
-            Self::Adopt { commits } => {
+            Self::Adopt { session, commits } => {
+                if !still_has(session, on).await? {
+                    return Err(StoreError::Moved);
+                }
                 for row in commits {
                     let update = "UPDATE commits SET digest = $3, build = $4, checksum = $5
                         WHERE session = $1 AND sequence = $2";
@@ -110,15 +126,23 @@ impl WriteOrder {
                     execute(update.bind(&row.digest).bind(&row.build).bind(row.checksum()), on).await?;
                 }
             }
-            Self::Delete { audit } => {
+            Self::Delete { audit, generation } => {
+                let session = HeldSession {
+                    id: audit.session.clone(),
+                    generation: *generation,
+                };
+                if *generation != Generation::default() && !still_has(&session, on).await? {
+                    return Err(StoreError::Moved);
+                }
                 let unnamed = delete_session(&audit.session, on).await?;
                 note_audit(audit, None, on).await?;
                 return Ok(unnamed);
             }
             Self::NoteUse { sessions } => {
                 for used in sessions {
-                    let update = sqlx::query("UPDATE sessions SET used_ms = $2 WHERE id = $1 AND used_ms < $2");
-                    execute(update.bind(&used.id).bind(signed(used.used_ms)), on).await?;
+                    let update = "UPDATE sessions SET used_ms = $2 WHERE id = $1 AND used_ms < $2 AND ($3 = 0 OR generation = $3)";
+                    let update = sqlx::query(update).bind(&used.session.id).bind(signed(used.used_ms));
+                    execute(update.bind(signed(used.session.generation.0)), on).await?;
                 }
             }
             Self::ForgetKeys { before_ms } => {
@@ -138,8 +162,32 @@ impl WriteOrder {
     }
 }
 
-/// Removes what was refused and may have been written all the same: commits from `sequence` on, with 0 the session.
-pub(super) async fn undo_doubtful(session: &str, sequence: u64, on: &mut AnyConnection) -> Result<(), StoreError> {
+/// A commit that was refused and may have been written all the same.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct DoubtfulCommit {
+    pub session: HeldSession,
+    pub sequence: u64,
+}
+
+/// The ownership that a new session begins with.
+pub(super) fn first_generation(owner: &str) -> Generation {
+    Generation(u64::from(!owner.is_empty()))
+}
+
+/// Whether a session is there and still in the same hands, which it is then until the transaction ends.
+async fn still_has(session: &HeldSession, on: &mut AnyConnection) -> Result<bool, StoreError> {
+    let touch = "UPDATE sessions SET newest = newest WHERE id = $1 AND ($2 = 0 OR generation = $2)";
+    let touch = sqlx::query(touch).bind(&session.id).bind(signed(session.generation.0));
+    Ok(execute(touch, on).await? == 1)
+}
+
+/// Removes what was refused and may have been written all the same: commits from the doubtful one on, with 0 the session. What another
+/// node has by now stays as that node has found it.
+pub(super) async fn undo_doubtful(doubt: &DoubtfulCommit, on: &mut AnyConnection) -> Result<(), StoreError> {
+    let (session, sequence) = (&doubt.session.id, doubt.sequence);
+    if doubt.session.generation != Generation::default() && !still_has(&doubt.session, on).await? {
+        return Ok(());
+    }
     let number = signed(sequence);
     let noted = sqlx::query("DELETE FROM audit WHERE session = $1 AND sequence >= $2");
     execute(noted.bind(session).bind(number), on).await?;
@@ -167,15 +215,35 @@ pub(super) fn session_checksum(id: &str, tenant: &str, model: &[u8], numbers: [i
     )
 }
 
-async fn create_session(session: &NewSession, model: &[u8], on: &mut AnyConnection) -> Result<(), StoreError> {
+/// Refuses the creation of a session whose call was carried out at another node in the same moment. One node alone knows that by itself.
+async fn refuse_repeated(first: &NewCommit, owner: &str, on: &mut AnyConnection) -> Result<(), StoreError> {
+    let Some((tenant, key, _)) = first.key.as_ref().filter(|_| !owner.is_empty()) else {
+        return Ok(());
+    };
+    // Whoever comes second waits here for the first, and adds nothing then.
+    let insert = "INSERT INTO call_keys (tenant, call_key, fingerprint, session, sequence, at_ms)
+        VALUES ($1, $2, '', $3, 0, 0) ON CONFLICT (tenant, call_key) DO NOTHING";
+    let insert = sqlx::query(insert).bind(&*tenant.0).bind(key).bind(&first.session);
+    match execute(insert, on).await? {
+        1 => Ok(()),
+        _ => Err(StoreError::Repeated),
+    }
+}
+
+async fn create_session(
+    session: &NewSession,
+    model: &[u8],
+    owner: &str,
+    on: &mut AnyConnection,
+) -> Result<(), StoreError> {
     let tenant = &*session.tenant.0;
     let insert = "INSERT INTO tenants (tenant, created_ms) VALUES ($1, $2) ON CONFLICT (tenant) DO NOTHING";
     execute(sqlx::query(insert).bind(tenant).bind(signed(now_ms())), on).await?;
     let (number, ttl) = (signed(session.number), millis(session.ttl));
     let sum = session_checksum(&session.id, tenant, model, [number, ttl]);
     let insert =
-        "INSERT INTO sessions (id, tenant, number, ttl_ms, used_ms, newest, format, model, checksum, record_bytes)
-        VALUES ($1, $2, $3, $4, $5, 0, $6, $7, $8, $9)";
+        "INSERT INTO sessions (id, tenant, number, ttl_ms, used_ms, newest, format, model, checksum, record_bytes, owner, generation)
+        VALUES ($1, $2, $3, $4, $5, 0, $6, $7, $8, $9, $10, $11)";
     let insert = sqlx::query(insert)
         .bind(&session.id)
         .bind(tenant)
@@ -183,7 +251,10 @@ async fn create_session(session: &NewSession, model: &[u8], on: &mut AnyConnecti
         .bind(ttl);
     let insert = insert.bind(signed(now_ms())).bind(RECORD_FORMAT);
     let insert = insert.bind(model).bind(sum);
-    execute(insert.bind(signed(model.len() as u64)), on).await.map(drop)
+    let insert = insert.bind(signed(model.len() as u64)).bind(owner);
+    execute(insert.bind(signed(first_generation(owner).0)), on)
+        .await
+        .map(drop)
 }
 
 /// Milliseconds of a time to live.
@@ -199,6 +270,17 @@ async fn append_commit(
     on: &mut AnyConnection,
 ) -> Result<(), StoreError> {
     let (row, now) = (CommitRow::of(commit), signed(at_ms));
+    // First of all: the row is this writer's until the transaction ends, or nothing is written.
+    let newest = "UPDATE sessions SET newest = $2, used_ms = $3, record_bytes = record_bytes + $4
+        WHERE id = $1 AND ($5 = 0 OR generation = $5)";
+    let newest = sqlx::query(newest).bind(&row.session).bind(row.sequence).bind(now);
+    let newest = newest.bind(signed(row.payload.len() as u64));
+    if execute(newest.bind(signed(commit.generation.0)), on).await? != 1 {
+        return Err(match commit.generation {
+            Generation(0) => StoreError::Damaged("the session's row is gone".into()),
+            _ => StoreError::Moved,
+        });
+    }
     let insert = "INSERT INTO commits
         (session, sequence, revision, kind, digest, build, facts_at, poses_at, at_ms, format, payload, checksum)
         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12)";
@@ -218,12 +300,6 @@ async fn append_commit(
         .bind(&row.payload[..])
         .bind(row.checksum());
     execute(insert, on).await?;
-    let newest = "UPDATE sessions SET newest = $2, used_ms = $3, record_bytes = record_bytes + $4 WHERE id = $1";
-    let newest = sqlx::query(newest).bind(&row.session).bind(row.sequence).bind(now);
-    let newest = newest.bind(signed(row.payload.len() as u64));
-    if execute(newest, on).await? != 1 {
-        return Err(StoreError::Damaged("the session's row is gone".into()));
-    }
     for object in objects {
         use_object(&row.session, object, on).await?;
     }
@@ -252,18 +328,20 @@ async fn use_object(session: &str, object: &StoredObject, on: &mut AnyConnection
     let insert = "INSERT INTO object_uses (session, object, bytes) VALUES ($1, $2, $3)
         ON CONFLICT (session, object) DO NOTHING";
     let insert = sqlx::query(insert).bind(session).bind(&object.name);
-    execute(insert.bind(signed(object.bytes)), on).await.map(drop)
+    execute(insert.bind(signed(object.bytes)), on).await?;
+    let named = sqlx::query("DELETE FROM loose_objects WHERE object = $1").bind(&object.name);
+    execute(named, on).await.map(drop)
 }
 
 async fn keep_shape(
-    session: &str,
+    held: &HeldSession,
     sequence: u64,
     shape: &StoredObject,
     on: &mut AnyConnection,
 ) -> Result<Vec<String>, StoreError> {
-    let there = sqlx::query("SELECT id FROM sessions WHERE id = $1").bind(session);
-    if objects_of(there, on).await?.is_empty() {
-        // It was deleted meanwhile.
+    let session = &held.id;
+    if !still_has(held, on).await? {
+        // It was deleted meanwhile, or another node has it.
         return Ok(vec![shape.name.clone()]);
     }
     let older = sqlx::query("SELECT object FROM snapshots WHERE session = $1").bind(session);

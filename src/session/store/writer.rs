@@ -5,9 +5,10 @@
 //! changed, so what it may have left is removed with the next transaction, before anything of its session is read.
 
 use super::connection::WritingConnection;
+use super::loose_objects::note_loose;
 use super::session_store::StoreError;
 use super::store_health::StoreHealth;
-use super::write_order::{WriteOrder, undo_doubtful};
+use super::write_order::{DoubtfulCommit, WriteOrder, undo_doubtful};
 use sqlx::{AnyConnection, Connection as _};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -23,6 +24,8 @@ const GROUP: usize = 64;
 const PATIENCE: Duration = Duration::from_secs(10);
 
 type Written = Result<Vec<String>, StoreError>;
+/// Commits that were refused and may be on disk, the first one of each session.
+type Doubts = BTreeMap<String, DoubtfulCommit>;
 
 #[derive(Debug)]
 struct WaitingOrder {
@@ -34,7 +37,7 @@ struct WaitingOrder {
 #[derive(Debug)]
 pub(super) struct Writer {
     orders: mpsc::Sender<WaitingOrder>,
-    doubtful: Arc<Mutex<BTreeMap<String, u64>>>,
+    doubtful: Arc<Mutex<Doubts>>,
     /// Raised when nothing is to be written any more.
     closing: CancellationToken,
     /// Raised when everything is written and the connection closed.
@@ -44,6 +47,7 @@ pub(super) struct Writer {
 impl Writer {
     /// Starts the task. It writes while the places of the store are there, and notes what fails.
     pub fn start(connection: WritingConnection, health: Arc<StoreHealth>) -> Self {
+        let is_shared = connection.is_shared();
         let (orders, waiting) = mpsc::channel(QUEUE);
         let doubtful = Arc::default();
         let task = WritingTask {
@@ -51,6 +55,7 @@ impl Writer {
             health,
             waiting,
             doubtful: Arc::clone(&doubtful),
+            is_shared,
         };
         let (closing, closed) = (CancellationToken::new(), CancellationToken::new());
         tokio::spawn(task.run(closing.clone(), closed.clone().drop_guard()));
@@ -91,7 +96,7 @@ impl Writer {
 
     /// Whether the creation of a session was refused and may have been written.
     pub fn refused_creation(&self, session: &str) -> bool {
-        doubts(&self.doubtful).get(session) == Some(&0)
+        doubts(&self.doubtful).get(session).is_some_and(|d| d.sequence == 0)
     }
 }
 
@@ -99,11 +104,12 @@ struct WritingTask {
     connection: WritingConnection,
     health: Arc<StoreHealth>,
     waiting: mpsc::Receiver<WaitingOrder>,
-    /// Commits that were refused and may be on disk: sessions, and the first number each.
-    doubtful: Arc<Mutex<BTreeMap<String, u64>>>,
+    doubtful: Arc<Mutex<Doubts>>,
+    /// Whether other nodes write too.
+    is_shared: bool,
 }
 
-fn doubts(doubtful: &Mutex<BTreeMap<String, u64>>) -> MutexGuard<'_, BTreeMap<String, u64>> {
+fn doubts(doubtful: &Mutex<Doubts>) -> MutexGuard<'_, Doubts> {
     doubtful.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -132,7 +138,7 @@ impl WritingTask {
         match self.carry_out(&orders).await {
             Ok(answers) => {
                 for (waiting, answer) in group.into_iter().zip(answers) {
-                    let _ = waiting.done.send(Ok(answer));
+                    let _ = waiting.done.send(answer);
                 }
             }
             // One of them may be at fault: each for itself.
@@ -153,8 +159,8 @@ impl WritingTask {
         let mut waiting = group.into_iter();
         while let Some(next) = waiting.next() {
             match self.carry_out(&[&next.order]).await {
-                Ok(mut lists) => {
-                    let _ = next.done.send(Ok(lists.pop().unwrap_or_default()));
+                Ok(mut answers) => {
+                    let _ = next.done.send(answers.pop().unwrap_or_else(|| Ok(Vec::new())));
                 }
                 Err(failure @ Failure::Transaction(_)) => {
                     self.note_doubts(std::slice::from_ref(&next));
@@ -170,20 +176,25 @@ impl WritingTask {
 
     fn note_doubts(&mut self, orders: &[WaitingOrder]) {
         let mut doubtful = doubts(&self.doubtful);
-        for (session, sequence) in orders.iter().filter_map(|w| w.order.doubtful()) {
-            let first = doubtful.entry(session).or_insert(sequence);
-            *first = sequence.min(*first);
+        for doubt in orders.iter().filter_map(|w| w.order.doubtful()) {
+            let first = doubtful
+                .entry(doubt.session.id.clone())
+                .or_insert_with(|| doubt.clone());
+            // What was begun under an earlier ownership is another's by now.
+            if doubt.session.generation > first.session.generation || doubt.sequence < first.sequence {
+                *first = doubt;
+            }
         }
     }
 
-    async fn carry_out(&mut self, orders: &[&WriteOrder]) -> Result<Vec<Vec<String>>, Failure> {
+    async fn carry_out(&mut self, orders: &[&WriteOrder]) -> Result<Vec<Written>, Failure> {
         let doubtful = doubts(&self.doubtful).clone();
         self.health
             .note(self.health.check_places())
             .map_err(Failure::NoConnection)?;
         let connection = self.connection.get().await.map_err(StoreError::from);
         let connection = self.health.note(connection).map_err(Failure::NoConnection)?;
-        let transaction = write_together(connection, &doubtful, orders);
+        let transaction = write_together(connection, &doubtful, orders, self.is_shared);
         let written = match tokio::time::timeout(PATIENCE, transaction).await {
             Ok(written) => written,
             Err(_) => Err(StoreError::Unavailable(format!("it took longer than {PATIENCE:?}"))),
@@ -221,17 +232,31 @@ fn refuse_all(orders: impl IntoIterator<Item = WaitingOrder>, failure: &Failure)
 /// Writes orders in one transaction, after what is to be removed.
 async fn write_together(
     connection: &mut AnyConnection,
-    doubtful: &BTreeMap<String, u64>,
+    doubtful: &Doubts,
     orders: &[&WriteOrder],
-) -> Result<Vec<Vec<String>>, StoreError> {
+    is_shared: bool,
+) -> Result<Vec<Written>, StoreError> {
     let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
     let mut transaction = connection.begin().await.map_err(failed)?;
-    for (session, sequence) in doubtful {
-        undo_doubtful(session, *sequence, &mut transaction).await?;
+    for doubt in doubtful.values() {
+        undo_doubtful(doubt, &mut transaction).await?;
     }
     let mut answers = Vec::with_capacity(orders.len());
     for order in orders {
-        answers.push(order.carry_out(&mut transaction).await?);
+        answers.push(match order.carry_out(&mut transaction).await {
+            Ok(mut unnamed) => {
+                // Another node may be about to name them again: they go when nobody has for long.
+                if is_shared {
+                    for object in std::mem::take(&mut unnamed) {
+                        note_loose(&object, &mut transaction).await?;
+                    }
+                }
+                Ok(unnamed)
+            }
+            // Those have written nothing, and are no reason to take back what others have.
+            Err(error @ (StoreError::Moved | StoreError::Repeated)) => Err(error),
+            Err(error) => return Err(error),
+        });
     }
     transaction.commit().await.map_err(failed)?;
     Ok(answers)

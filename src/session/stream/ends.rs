@@ -124,6 +124,8 @@ impl Drop for StreamOutput {
         self.mailbox.abandon();
         self.session.streams.remove(&self.mailbox);
         self.session.lease.renew();
+        // It may be free to leave now.
+        self.session.wake.notify_one();
         self.metrics.streams.dec();
     }
 }

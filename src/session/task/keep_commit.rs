@@ -11,8 +11,8 @@ use crate::session::error::{Error, ErrorCode};
 use crate::session::history::loaded_deformer::CommitSolution;
 use crate::session::history::session_state::EditedState;
 use crate::session::keeping::replay::{OTHER_BUILD, check_digest};
-use crate::session::store::NewCommit;
 use crate::session::store::shape_object::write_shape;
+use crate::session::store::{NewCommit, StoreError};
 use crate::session::task::session_task::SessionTask;
 use crate::wire::SessionEdit;
 use crate::wire::record::{AnsweredFrame, LoggedCommit, ShapeProbe};
@@ -144,6 +144,7 @@ impl SessionTask {
         let is_solved = matches!(commit, LoggedCommit::Pose { .. });
         let new = NewCommit {
             session: self.session.id.clone(),
+            generation: self.session.held.generation,
             sequence,
             revision,
             digest,
@@ -155,10 +156,14 @@ impl SessionTask {
             key: claim.map(KeyClaim::logged),
             audit,
         };
-        kept.store.append(new).await.inspect_err(|error| {
+        if let Err(error) = kept.store.append(new).await {
             self.shared.metrics.store_failures.inc();
             tracing::error!(session.id = %self.session.id, "a commit could not be stored: {error}");
-        })?;
+            if error == StoreError::Moved {
+                self.shared.lose(&self.session);
+            }
+            return Err(error.into());
+        }
         drop(storing);
         kept.sequence = sequence;
         kept.solved_since += u32::from(is_solved);
@@ -172,7 +177,7 @@ impl SessionTask {
 
     /// Keeps the newest shape, beside the session's work, when enough was solved since the last one that was kept.
     pub fn keep_shape_in_time(&mut self) {
-        let id = self.session.id.clone();
+        let held = self.session.held.clone();
         let Some(kept) = self.kept.as_mut().filter(|k| k.solved_since >= SOLVED_PER_SHAPE) else {
             return;
         };
@@ -185,7 +190,7 @@ impl SessionTask {
             let Ok(shape) = shared.compute.offload(move || write_shape(&positions)).await else {
                 return;
             };
-            if let Err(error) = store.keep_shape(id, at, shape).await {
+            if let Err(error) = store.keep_shape(held, at, shape).await {
                 tracing::warn!("a shape could not be stored, its commits can: {error}");
             }
         });
@@ -201,7 +206,7 @@ impl SessionTask {
         let positions = Arc::clone(&self.session.view().positions);
         let shape = self.shared.compute.offload(move || write_shape(&positions)).await?;
         let store = Arc::clone(&kept.store);
-        store.keep_shape(self.session.id.clone(), at, shape).await?;
+        store.keep_shape(self.session.held.clone(), at, shape).await?;
         kept.shape_at = at;
         kept.solved_since = 0;
         Ok(())
@@ -224,7 +229,7 @@ impl SessionTask {
         let kept = self.kept.as_ref().ok_or_else(damaged)?;
         let at = kept.place(revision).shape_at;
         let (store, id, build) = (Arc::clone(&kept.store), self.session.id.clone(), kept.build.clone());
-        let stored = store.commit(id.clone(), at).await?.ok_or_else(damaged)?;
+        let stored = store.commit(id, at).await?.ok_or_else(damaged)?;
         let is_close = || match &stored.commit {
             LoggedCommit::Pose { probe, .. } | LoggedCommit::Edit { probe, .. } => {
                 probe.is_close_to(&shape.positions, OTHER_BUILD * diagonal)
@@ -232,7 +237,9 @@ impl SessionTask {
             _ => true,
         };
         check_digest(&stored, now, stored.build == build, is_close)?;
-        store.adopt(id, build, vec![(at, now.to_owned())]).await?;
+        store
+            .adopt(self.session.held.clone(), build, vec![(at, now.to_owned())])
+            .await?;
         self.history.record_digest(index, now);
         Ok(())
     }

@@ -6,6 +6,7 @@ use crate::exec::Exec;
 use crate::session::answers::CommittedPose;
 use crate::session::calls::command::{StoredAnswer, WorkOrder};
 use crate::session::calls::idempotency::{ClaimOutcome, RequestFingerprint, answer_of_another_call};
+use crate::session::calls::shared_keys::claim_everywhere;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::stream::outbound_frame::OutboundFrame;
 use crate::session::task::session_task::SessionTask;
@@ -19,11 +20,10 @@ impl SessionTask {
     ///
     /// # Errors
     /// `INVALID_ARGUMENT` for a key that was used with other handles.
-    pub fn claim_stream_commit(&self, key: &PoseKey) -> Result<ClaimOutcome<StoredAnswer>, Error> {
+    pub async fn claim_stream_commit(&mut self, key: &PoseKey) -> Result<ClaimOutcome<StoredAnswer>, Error> {
         let parts = [self.session.id.as_bytes(), key.request.as_slice()];
         let fingerprint = RequestFingerprint::of("stream_commit", &parts);
-        let keys = &self.shared.idempotency;
-        keys.claim(&self.session.tenant, &key.key, fingerprint)
+        claim_everywhere(&self.shared, &self.session.tenant, &key.key, fingerprint).await
     }
 
     /// The frame that a commit was answered with, as the answer to the pose of number `seq`.

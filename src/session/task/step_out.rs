@@ -2,6 +2,7 @@
 
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::residence::Residence;
+use crate::session::store::now_ms;
 use crate::session::task::session_task::SessionTask;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
@@ -29,7 +30,7 @@ impl SessionTask {
     /// Takes the next step out of memory if it is due, or all of them when somebody else needs the place. Returns whether the session
     /// is to end here.
     pub async fn step_out(&mut self) -> bool {
-        let is_asked = self.session.leave.load(SeqCst);
+        let is_asked = self.session.leave.load(SeqCst) || self.is_to_be_given_back();
         if self.kept.is_none() || self.is_pinned() {
             self.session.leave.store(false, SeqCst);
             return false;
@@ -43,6 +44,12 @@ impl SessionTask {
             return false;
         }
         self.leave_memory().await
+    }
+
+    /// Whether other nodes wait for the session, since this one is about to stop.
+    fn is_to_be_given_back(&self) -> bool {
+        let is_shared = || self.kept.as_ref().is_some_and(|kept| kept.store.ownership().is_some());
+        self.shared.draining.load(SeqCst) && is_shared()
     }
 
     fn make_lean(&mut self) {
@@ -78,8 +85,21 @@ impl SessionTask {
             self.serve_command(command).await;
         }
         session.close(Error::new(ErrorCode::Unavailable, text));
+        self.give_back().await;
         tracing::info!(session.id = %session.id, "idle session left memory");
         drop(lock);
         true
+    }
+
+    /// Where several nodes share the store, another one may have it now.
+    async fn give_back(&mut self) {
+        let Some(ownership) = self.kept.as_ref().and_then(|kept| kept.store.ownership()) else {
+            return;
+        };
+        let ago = u64::try_from(self.session.lease.last_use().elapsed().as_millis()).unwrap_or(u64::MAX);
+        let used_ms = now_ms().saturating_sub(ago);
+        if let Err(error) = ownership.release(self.session.held.clone(), used_ms).await {
+            tracing::warn!(session.id = %self.session.id, "the session stays this node's: {error}");
+        }
     }
 }

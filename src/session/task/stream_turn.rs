@@ -56,7 +56,7 @@ impl SessionTask {
         let unsolved = without_entries(&poses);
         let claim = match poses.last().and_then(|p| p.key.as_ref()) {
             None => None,
-            Some(key) => match self.claim_stream_commit(key) {
+            Some(key) => match self.claim_stream_commit(key).await {
                 Ok(ClaimOutcome::New(claim)) => Some(claim),
                 Ok(ClaimOutcome::Done(answer)) => return self.answer_again(&mailbox, &poses, before, answer).await,
                 Err(error) => return refuse_all(&mailbox, &poses, before, &error),

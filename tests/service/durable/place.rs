@@ -48,6 +48,15 @@ impl StorePlace {
         }
     }
 
+    /// Sessions in a database, objects in a bucket.
+    pub fn in_database_and(database: TestDatabase, bucket: TestBucket) -> Self {
+        Self {
+            top: tempfile::tempdir().expect("a folder"),
+            database: Some(database),
+            bucket: Some(bucket),
+        }
+    }
+
     /// Sessions in PostgreSQL, objects in a bucket of S3, and no folder at all.
     pub async fn remote() -> Option<Self> {
         Some(Self {
@@ -97,6 +106,11 @@ impl StorePlace {
 
     /// As `start`, with the database behind another address.
     pub fn start_at(&self, database: Option<&str>, arguments: &[&str]) -> Result<ServedProgram, String> {
+        self.start_logged("log", database, arguments)
+    }
+
+    /// As `start_at`, with a log of that name.
+    pub fn start_logged(&self, log: &str, database: Option<&str>, arguments: &[&str]) -> Result<ServedProgram, String> {
         let told = self.location(database);
         let arguments: Vec<&str> = told
             .iter()
@@ -105,7 +119,7 @@ impl StorePlace {
             .collect();
         let variables = self.bucket.as_ref().map(TestBucket::variables).unwrap_or_default();
         let variables: Vec<(&str, &str)> = variables.iter().map(|(name, value)| (*name, value.as_str())).collect();
-        ServedProgram::start_anywhere(self.top.path().join("log"), &arguments, &variables)
+        ServedProgram::start_anywhere(self.top.path().join(log), &arguments, &variables)
     }
 
     /// The folder above all that the test writes.
@@ -143,10 +157,14 @@ impl StorePlace {
 
     /// How many rows a table has.
     pub async fn count(&self, table: &str) -> i64 {
+        self.number(&format!("SELECT COUNT(*) FROM {table}")).await
+    }
+
+    /// A number that a query asks for.
+    pub async fn number(&self, query: &str) -> i64 {
         sqlx::any::install_default_drivers();
         let mut connection = AnyConnection::connect(&self.database_url()).await.expect("a database");
-        let count = format!("SELECT COUNT(*) FROM {table}");
-        let row = sqlx::query(&count).fetch_one(&mut connection).await.expect("a count");
+        let row = sqlx::query(query).fetch_one(&mut connection).await.expect("a count");
         connection.close().await.expect("closed");
         row.get(0)
     }

@@ -2,8 +2,8 @@
 
 use bytes::Bytes;
 use pliant::session::store::{
-    DatabaseStore, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit,
-    StoredSession, UsedSession,
+    DatabaseStore, Generation, HeldSession, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError,
+    Stored, StoredCommit, StoredSession, UsedSession,
 };
 use pliant::session::{AuditEntry, Tenant};
 use std::sync::Arc;
@@ -69,7 +69,7 @@ impl SessionStore for FaultyStore {
         self.inner.takes_writes()
     }
 
-    fn create(&self, session: NewSession) -> Stored<'_, ()> {
+    fn create(&self, session: NewSession) -> Stored<'_, Generation> {
         self.held(self.inner.create(session))
     }
 
@@ -77,11 +77,11 @@ impl SessionStore for FaultyStore {
         self.held(self.inner.append(commit))
     }
 
-    fn keep_shape(&self, session: String, sequence: u64, shape: Bytes) -> Stored<'_, ()> {
+    fn keep_shape(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()> {
         self.faulty(self.inner.keep_shape(session, sequence, shape))
     }
 
-    fn adopt(&self, session: String, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()> {
+    fn adopt(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()> {
         self.faulty(self.inner.adopt(session, build, digests))
     }
 
@@ -105,8 +105,8 @@ impl SessionStore for FaultyStore {
         self.faulty(self.inner.object(name))
     }
 
-    fn delete(&self, audit: AuditEntry) -> Stored<'_, ()> {
-        self.faulty(self.inner.delete(audit))
+    fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()> {
+        self.faulty(self.inner.delete(audit, generation))
     }
 
     fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()> {
@@ -123,6 +123,14 @@ impl SessionStore for FaultyStore {
 
     fn stored_bytes(&self, tenant: Tenant) -> Stored<'_, u64> {
         self.faulty(self.inner.stored_bytes(tenant))
+    }
+
+    fn count_sessions(&self, tenant: Tenant) -> Stored<'_, u64> {
+        self.inner.count_sessions(tenant)
+    }
+
+    fn key(&self, tenant: Tenant, key: String) -> Stored<'_, Option<LoggedKey>> {
+        self.inner.key(tenant, key)
     }
 
     fn keys(&self) -> Stored<'_, Vec<LoggedKey>> {

@@ -158,7 +158,7 @@ fn example(page: &mut String, method: &str, path: &str, operation: &Value) {
     });
     let _ = writeln!(
         page,
-        "<pre tabindex=\"0\"><code>{}</code></pre>\n<div data-call=\"{}\"></div>",
+        "<pre><code>{}</code></pre>\n<div data-call=\"{}\"></div>",
         escape(&line),
         escape(&call.to_string())
     );

@@ -1,0 +1,104 @@
+//! A node of several says that it is there, and finds out what it has lost.
+//!
+//! A node that was stopped for longer than its lease does not know what happened meanwhile. It looks at its own clock before it serves a
+//! call: when its last word to the database may be older than its lease, it speaks first, and lets go of what others have taken.
+
+use crate::session::shared::SharedResources;
+use crate::session::store::{NodeLoad, SessionOwnership, StoreError};
+use std::sync::atomic::Ordering::SeqCst;
+use std::sync::{Arc, Weak};
+use std::time::{Duration, Instant};
+
+/// How long a call waits for a word from the database where the lease may have run out. Who is alone with what it has in memory goes on.
+const PATIENCE: Duration = Duration::from_millis(500);
+
+/// Says that this node is there, for as long as there are sessions.
+pub(in crate::session) async fn beat_for_ever(shared: Weak<SharedResources>) {
+    let mut was_away = false;
+    loop {
+        let Some(pause) = shared.upgrade().and_then(|shared| {
+            let store = shared.store.clone()?;
+            Some(store.ownership()?.node().heartbeat)
+        }) else {
+            return;
+        };
+        tokio::time::sleep(pause).await;
+        let Some(shared) = shared.upgrade() else { return };
+        let beaten = beat(&shared).await;
+        if let (Err(error), false) = (&beaten, was_away) {
+            tracing::warn!("the lease of this node cannot be renewed; what is in memory goes on: {error}");
+        }
+        was_away = beaten.is_err();
+    }
+}
+
+/// Says once that this node is there. Sessions that others have taken are let go.
+pub(in crate::session) async fn beat(shared: &SharedResources) -> Result<(), StoreError> {
+    let Some(store) = shared.store.clone() else {
+        return Ok(());
+    };
+    let Some(ownership) = store.ownership() else {
+        return Ok(());
+    };
+    let _speaking = shared.lease_watch.speaking.lock().await;
+    let begun = Instant::now();
+    let told = ownership.beat(load(shared)).await;
+    let settled = match told {
+        Ok(true) => Ok(()),
+        Ok(false) => let_go_of_lost(shared, ownership).await,
+        Err(error) => Err(error),
+    };
+    shared.lease_watch.note(begun, settled.is_ok());
+    settled
+}
+
+/// What this node tells of itself.
+fn load(shared: &SharedResources) -> NodeLoad {
+    NodeLoad {
+        sessions: shared.registry.all().len() as u64,
+        most_sessions: shared.config.sessions as u64,
+        memory_used: shared.ledger.used(),
+        memory_total: shared.ledger.total(),
+        work: u64::try_from(
+            shared
+                .metrics
+                .pool_busy
+                .get()
+                .saturating_add(shared.metrics.pool_waiting.get()),
+        )
+        .unwrap_or_default(),
+        is_leaving: shared.draining.load(SeqCst),
+    }
+}
+
+/// Ends sessions here that other nodes have by now.
+async fn let_go_of_lost(shared: &SharedResources, ownership: &dyn SessionOwnership) -> Result<(), StoreError> {
+    // Those in memory first: what is opened meanwhile is this node's.
+    let here = shared.registry.all();
+    let held = ownership.held().await?;
+    for session in here {
+        if held.get(&session.id) != Some(&session.held.generation) {
+            shared.lose(&session);
+        }
+    }
+    Ok(())
+}
+
+/// Before a call is served: whether what this node has may have been taken by others, and if so, a word with the database. Where that is
+/// away, what is in memory is served as it is; nothing can be written then.
+pub(in crate::session) async fn be_sure_of_lease(shared: &Arc<SharedResources>) {
+    let Some(store) = shared.store.clone() else { return };
+    let Some(node) = store.ownership().map(|ownership| ownership.node().clone()) else {
+        return;
+    };
+    let is_recent = |at: Option<Instant>, span: Duration| at.is_some_and(|at| at.elapsed() < span);
+    let times = shared.lease_watch.times();
+    // Nobody waits again for a database that was away a moment ago.
+    if is_recent(times.heard, node.lease) || is_recent(times.tried, node.heartbeat) {
+        return;
+    }
+    let spoken = tokio::time::timeout(PATIENCE, beat(shared)).await;
+    if spoken.is_err() {
+        shared.lease_watch.note(Instant::now(), false);
+    }
+}

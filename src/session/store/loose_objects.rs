@@ -1,0 +1,71 @@
+//! Objects that no session names, where several nodes share a store: one node's lock says nothing of what another is about to name.
+//!
+//! Who is about to name an object says so first, who names it takes that back in the same transaction, and who takes the last name away
+//! says so too. What has been said for longer than [`GRACE`] of an object that nobody uses is over, and the object goes.
+
+use super::node_lease::DATABASE_NOW;
+use super::objects::Objects;
+use super::reading::{is_used_on, unreadable};
+use super::rows::column;
+use super::session_store::StoreError;
+use sqlx::{AnyConnection, AnyPool};
+use std::time::Duration;
+
+/// How long an object without a name stays.
+pub(super) const GRACE: Duration = Duration::from_secs(3600);
+/// How long after it was announced an object may get its name.
+pub(super) const NAMED_WITHIN: Duration = Duration::from_secs(1200);
+/// Objects of one sweep.
+const MOST: i64 = 200;
+
+fn grace_ms() -> i64 {
+    i64::try_from(GRACE.as_millis()).unwrap_or(i64::MAX)
+}
+
+fn note_statement() -> String {
+    format!(
+        "INSERT INTO loose_objects (object, since_ms) VALUES ($1, {DATABASE_NOW})
+        ON CONFLICT (object) DO UPDATE SET since_ms = {DATABASE_NOW}"
+    )
+}
+
+/// Says that an object is about to be written and named. Waits for whoever is just removing it.
+pub(super) async fn announce(pool: &AnyPool, object: &str) -> Result<(), StoreError> {
+    let done = sqlx::query(&note_statement()).bind(object).execute(pool).await;
+    done.map(drop).map_err(unreadable)
+}
+
+/// Says that an object has lost a name.
+pub(super) async fn note_loose(object: &str, on: &mut AnyConnection) -> Result<(), StoreError> {
+    let done = sqlx::query(&note_statement()).bind(object).execute(on).await;
+    done.map(drop).map_err(unreadable)
+}
+
+/// Removes what nobody uses and nobody has spoken of for long.
+pub(super) async fn remove_loose(pool: &AnyPool, objects: &Objects) -> Result<(), StoreError> {
+    let find =
+        format!("SELECT object FROM loose_objects WHERE since_ms < {DATABASE_NOW} - $1 ORDER BY since_ms LIMIT {MOST}");
+    let rows = sqlx::query(&find).bind(grace_ms()).fetch_all(pool).await;
+    for row in &rows.map_err(unreadable)? {
+        remove_one(pool, objects, &column::<String>(row, 0)?).await?;
+    }
+    Ok(())
+}
+
+async fn remove_one(pool: &AnyPool, objects: &Objects, object: &str) -> Result<(), StoreError> {
+    let mut transaction = pool.begin().await.map_err(unreadable)?;
+    // Who announces it anew waits until it is gone, and writes it then.
+    let lock = format!(
+        "SELECT object FROM loose_objects WHERE object = $1 AND since_ms < {DATABASE_NOW} - $2 FOR UPDATE SKIP LOCKED"
+    );
+    let locked = sqlx::query(&lock).bind(object).bind(grace_ms());
+    if (locked.fetch_optional(&mut *transaction).await.map_err(unreadable)?).is_none() {
+        return Ok(());
+    }
+    if !is_used_on(&mut transaction, object).await? {
+        objects.remove(object).await?;
+    }
+    let delete = sqlx::query("DELETE FROM loose_objects WHERE object = $1").bind(object);
+    delete.execute(&mut *transaction).await.map_err(unreadable)?;
+    transaction.commit().await.map_err(unreadable)
+}

@@ -1,0 +1,181 @@
+//! How a store is opened: by one process that has it for itself, or by one of several nodes that share it.
+
+use super::build_identity::build_identity;
+use super::connection::{DatabaseAddress, SharingNode, WritingConnection, is_alone, let_others_in};
+use super::data_folder::{DATABASE_FILE, FolderHold, existing_database, refuse_objects_alone};
+use super::database_store::DatabaseStore;
+use super::node_lease::NodeLease;
+use super::objects::Objects;
+use super::ownership::{NodeIdentity, NodeLoad};
+use super::private_files::make_private_file;
+use super::schema::{TABLES, identity, migrate, version};
+use super::session_store::StoreError;
+use super::shared_store::SharedStore;
+use super::store_health::StoreHealth;
+use super::store_location::StoreLocation;
+use super::store_watch::watch_store;
+use super::writer::Writer;
+use sqlx::AnyConnection;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+impl DatabaseStore {
+    /// Opens a store, makes or brings up to date what is missing.
+    ///
+    /// # Errors
+    /// [`StoreError::Refused`] when another process has it, a later version wrote it or objects are there without their database,
+    /// [`StoreError::Unavailable`] when folder or database cannot be had.
+    pub async fn open(location: &StoreLocation) -> Result<Self, StoreError> {
+        if let Some(node) = &location.node {
+            return Self::open_shared(location, node).await;
+        }
+        let hold = location.data_dir.as_deref().map(FolderHold::alone).transpose()?;
+        if let (Some(folder), None) = (&location.data_dir, &location.database) {
+            refuse_objects_alone(folder)?;
+            let file = folder.join(DATABASE_FILE);
+            // The folder of objects is made before anything is written into the file: without it the models would be missing.
+            if location.objects.is_none() && file.metadata().is_ok_and(|facts| facts.len() > 0) {
+                Objects::in_folder_to_read(folder)?;
+            }
+            make_private_file(&file).map_err(|e| StoreError::Unavailable(format!("{}: {e}", file.display())))?;
+        }
+        Self::open_held(location, hold, true).await
+    }
+
+    /// Opens a store that is there, to change it. Nothing is made where none is.
+    ///
+    /// # Errors
+    /// As [`DatabaseStore::open`]; [`StoreError::Refused`] where there is no store.
+    pub async fn open_existing(location: &StoreLocation) -> Result<Self, StoreError> {
+        if let (Some(folder), None) = (&location.data_dir, &location.database) {
+            existing_database(folder)?;
+        }
+        let hold = location.data_dir.as_deref().filter(|folder| folder.is_dir());
+        let hold = hold.map(FolderHold::alone).transpose()?;
+        Self::open_held(location, hold, false).await
+    }
+
+    async fn open_held(location: &StoreLocation, hold: Option<FolderHold>, makes: bool) -> Result<Self, StoreError> {
+        let nowhere =
+            || StoreError::Refused("sessions need a data folder, or both a database and a place of objects".into());
+        let folder = || location.data_dir.as_deref().ok_or_else(nowhere);
+        let address = match &location.database {
+            Some(url) => DatabaseAddress::server(url)?,
+            None => DatabaseAddress::file(&folder()?.join(DATABASE_FILE))?,
+        };
+        let objects = match &location.objects {
+            Some(url) => Objects::in_bucket(url)?,
+            None if makes => Objects::in_folder(folder()?)?,
+            None => Objects::in_folder_to_read(folder()?).and_then(|_| Objects::in_folder(folder()?))?,
+        };
+        let mut writing = WritingConnection::open(&address).await?;
+        let connection = writing.get().await?;
+        if version(connection, address.dialect()).await?.is_none() {
+            if !makes {
+                return Err(address.no_tables());
+            }
+            if objects.are_in_use().await? {
+                return Err(address.objects_of_another());
+            }
+        }
+        migrate(connection, address.dialect()).await?;
+        objects.belong_to(&identity(connection).await?).await?;
+        let health = Arc::new(StoreHealth::of_places(places(location))?);
+        let store = Self {
+            build: location.build.clone().unwrap_or_else(build_identity),
+            pool: address.readers().await?,
+            writer: Arc::new(Writer::start(writing, Arc::clone(&health))),
+            objects: Arc::new(objects),
+            health,
+            shared: None,
+            _hold: hold,
+        };
+        store.look_after().await?;
+        Ok(store)
+    }
+
+    /// Opens a store for one of several nodes.
+    async fn open_shared(location: &StoreLocation, node: &NodeIdentity) -> Result<Self, StoreError> {
+        let (Some(database), Some(objects)) = (&location.database, &location.objects) else {
+            let text = "nodes share a database and a place of objects; set both database and objects";
+            return Err(StoreError::Refused(text.into()));
+        };
+        let mut random = [0u8; 16];
+        getrandom::fill(&mut random).map_err(|e| StoreError::Unavailable(format!("no random numbers: {e}")))?;
+        let sharing = SharingNode {
+            key: i64::from_be_bytes(*random.first_chunk().unwrap_or(&[0; 8])),
+            patience: node.lease,
+        };
+        let address = DatabaseAddress::server(database)?.shared_by(sharing);
+        let objects = Objects::in_bucket(objects)?;
+        let door = address.door().await?;
+        let mut writing = WritingConnection::open(&address).await?;
+        let connection = writing.get().await?;
+        prepare_tables(connection, &address, &objects).await?;
+        objects.belong_to(&identity(connection).await?).await?;
+        drop(door);
+        let id = random.map(|byte| format!("{byte:02x}")).concat();
+        let lease = NodeLease::new(node.clone(), id, address.heart().await?);
+        lease.renew(NodeLoad::default()).await?;
+        let health = Arc::new(StoreHealth::of_places([])?);
+        let shared = SharedStore {
+            lease,
+            pool: address.readers().await?,
+            writer: Arc::new(Writer::start(writing, Arc::clone(&health))),
+            objects: Arc::new(objects),
+            health,
+        };
+        let store = Self {
+            build: location.build.clone().unwrap_or_else(build_identity),
+            pool: shared.pool.clone(),
+            writer: Arc::clone(&shared.writer),
+            objects: Arc::clone(&shared.objects),
+            health: Arc::clone(&shared.health),
+            shared: Some(shared),
+            _hold: None,
+        };
+        store.look_after().await?;
+        Ok(store)
+    }
+
+    /// Looks after the store for as long as it is open.
+    async fn look_after(&self) -> Result<(), StoreError> {
+        let (writer, objects) = (Arc::downgrade(&self.writer), Arc::downgrade(&self.objects));
+        tokio::spawn(watch_store(Arc::clone(&self.health), writer, objects));
+        self.measure_objects().await
+    }
+}
+
+/// The files and folders of a store, all of which have to stay where they are.
+fn places(location: &StoreLocation) -> Vec<PathBuf> {
+    let Some(folder) = &location.data_dir else {
+        return Vec::new();
+    };
+    let database = location.database.is_none().then(|| folder.join(DATABASE_FILE));
+    let objects = location.objects.is_none().then(|| folder.join("objects"));
+    [Some(folder.clone()), database, objects]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// Makes the tables or brings them up to date, while no other node has the store open.
+async fn prepare_tables(
+    connection: &mut AnyConnection,
+    address: &DatabaseAddress,
+    objects: &Objects,
+) -> Result<(), StoreError> {
+    let there = version(connection, address.dialect()).await?;
+    if there.is_some_and(|version| usize::try_from(version) == Ok(TABLES)) {
+        return Ok(());
+    }
+    if !is_alone(connection).await? {
+        let text = format!("{address:?} has tables of another version and nodes that use them; stop those nodes first");
+        return Err(StoreError::Refused(text));
+    }
+    if there.is_none() && objects.are_in_use().await? {
+        return Err(address.objects_of_another());
+    }
+    migrate(connection, address.dialect()).await?;
+    let_others_in(connection).await
+}

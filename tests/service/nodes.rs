@@ -1,0 +1,85 @@
+//! Several nodes with one store, in PostgreSQL and S3: each session is at one of them, whatever happens to nodes and database.
+
+use crate::durable::path;
+use crate::durable::place::StorePlace;
+use crate::support::program::ServedProgram;
+use crate::support::server::{Came, Socket, within};
+use pliant::wire::pb::{self, deform_request, deform_response};
+use std::process::Command;
+use std::time::Duration;
+
+mod database_away;
+mod going_and_coming;
+mod sent_on;
+mod stale_writes;
+
+/// How long nodes of tests keep their sessions without a word.
+const LEASE: Duration = Duration::from_secs(1);
+
+/// A node, started on a place with its name.
+fn node(place: &StorePlace, name: &str) -> ServedProgram {
+    node_at(place, name, place.database().map(|d| d.url.clone()))
+}
+
+/// As `node`, with the database behind another address.
+fn node_at(place: &StorePlace, name: &str, database: Option<String>) -> ServedProgram {
+    let arguments = ["--advertise", "http://127.0.0.1:0", "--node", name];
+    let times = ["--lease", "1s", "--heartbeat", "200ms", "--drain-deadline", "5s"];
+    let arguments = [&arguments[..], &times[..]].concat();
+    let log = format!("log-{name}");
+    place
+        .start_logged(&log, database.as_deref(), &arguments)
+        .expect("the node starts")
+}
+
+/// A client that goes nowhere by itself.
+fn unmoved() -> reqwest::Client {
+    let none = reqwest::redirect::Policy::none();
+    let client = reqwest::Client::builder().no_proxy().redirect(none).build();
+    client.expect("a client")
+}
+
+/// Stops a process where it is, or lets it go on.
+fn signal(program: &ServedProgram, name: &str) {
+    let done = Command::new("kill").args([name, &program.id().to_string()]).status();
+    assert!(done.expect("kill runs").success());
+}
+
+/// The status of a call that this node answers by itself, asked again for as long as it is unavailable or at another node.
+async fn answered(server: &ServedProgram, path: &str) -> u16 {
+    let client = unmoved();
+    within("an answer of this node", async {
+        loop {
+            let asked = client.get(format!("{}{path}", server.url)).send().await;
+            match asked.map(|answer| answer.status().as_u16()) {
+                Err(_) | Ok(307 | 503) => tokio::time::sleep(Duration::from_millis(20)).await,
+                Ok(status) => return status,
+            }
+        }
+    })
+    .await
+}
+
+/// A stream on a session that this node has.
+async fn stream(server: &ServedProgram, id: &str) -> Socket {
+    let url = format!("{}{}", server.url.replace("http", "ws"), path(id, "/stream"));
+    Socket::connect(&url).await.expect("a stream")
+}
+
+/// Sends a pose, waits for its last frame and acknowledges it; an error where the stream ends instead.
+async fn drag(socket: &mut Socket, pose: pb::Pose) -> Result<(), String> {
+    let seq = pose.seq;
+    socket.send(deform_request::Message::Pose(pose)).await;
+    loop {
+        match socket.next().await {
+            Came::Response(response) => match response.message.expect("a message") {
+                deform_response::Message::Frame(frame) if frame.r#final && frame.seq == seq => break,
+                deform_response::Message::Error(error) => return Err(format!("{error:?}")),
+                _ => {}
+            },
+            Came::Closed(why) => return Err(format!("closed: {why:?}")),
+        }
+    }
+    socket.send(deform_request::Message::Ack(pb::Ack { seq })).await;
+    Ok(())
+}

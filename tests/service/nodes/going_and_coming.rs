@@ -1,0 +1,141 @@
+//! Nodes that are killed, stopped for a while or drained: what was acknowledged is at another one, once, and streams go on there.
+
+use super::{LEASE, answered, drag, node, signal, stream};
+use crate::durable::place::StorePlace;
+use crate::durable::{bar_session, metric, path, seen, turn};
+use crate::support::server::{Came, turned, within};
+use pliant::wire::pb::{deform_request, deform_response};
+use serde_json::Value;
+use std::time::Instant;
+
+/// What a server alone makes of the same commits.
+async fn seen_alone(angles: &[f64]) -> (Value, Vec<u8>) {
+    let place = StorePlace::folder().await.expect("a folder");
+    let server = place.start(&[]);
+    let id = bar_session(&server).await;
+    for angle in angles {
+        turn(&server, &id, *angle).await;
+    }
+    let (_, history, positions) = seen(&server, &id).await;
+    (history, positions)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_killed_node_had_is_at_another_with_the_same_bits() {
+    let Some(place) = StorePlace::remote().await else {
+        return;
+    };
+    let (a, b, c) = (node(&place, "a"), node(&place, "b"), node(&place, "c"));
+    let id = bar_session(&a).await;
+    for angle in [0.3, 0.6] {
+        turn(&a, &id, angle).await;
+    }
+    let before = seen(&a, &id).await;
+    a.kill();
+    let since = Instant::now();
+    // Until the lease has run out nobody may take it: the dead node might be alive.
+    assert_eq!(answered(&b, &path(&id, "")).await, 200);
+    assert!(since.elapsed() < LEASE * 10, "{:?}", since.elapsed());
+    assert_eq!(seen(&b, &id).await, before);
+    turn(&b, &id, 0.9).await;
+    assert_eq!(
+        seen(&c, &id).await,
+        seen(&b, &id).await,
+        "the third one sends to the second"
+    );
+    let (_, history, positions) = seen(&c, &id).await;
+    assert_eq!((history, positions), seen_alone(&[0.3, 0.6, 0.9]).await);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_was_stopped_past_its_lease_neither_writes_nor_tells_what_was() {
+    let Some(place) = StorePlace::remote().await else {
+        return;
+    };
+    let (a, b) = (node(&place, "a"), node(&place, "b"));
+    let id = bar_session(&a).await;
+    turn(&a, &id, 0.3).await;
+    let mut dragged = stream(&a, &id).await;
+    drag(&mut dragged, turned(1, 0.1, false)).await.expect("a frame");
+    signal(&a, "-STOP");
+    // It may be in the middle of anything; this commit was sent and nobody knows what became of it.
+    dragged.send(deform_request::Message::Pose(turned(2, 0.7, true))).await;
+    assert_eq!(answered(&b, &path(&id, "")).await, 200);
+    turn(&b, &id, 0.6).await;
+    let taken = seen(&b, &id).await;
+    signal(&a, "-CONT");
+    // Asked at once, before it can have noticed by itself.
+    assert_eq!(seen(&a, &id).await, taken, "what the other node has");
+    turn(&a, &id, 0.9).await;
+    let ended = within("the end of the stream", async {
+        loop {
+            match dragged.next().await {
+                Came::Closed(_) => return None,
+                Came::Response(response) => match response.message.expect("a message") {
+                    deform_response::Message::Error(error) => return Some(error.code),
+                    deform_response::Message::Frame(frame) => {
+                        assert_eq!(frame.seq, 1, "the stale commit was acknowledged")
+                    }
+                    _ => {}
+                },
+            }
+        }
+    });
+    assert!(matches!(ended.await, None | Some(14)), "UNAVAILABLE");
+    assert_eq!(metric(&a, "pliant_sessions_lost_total").await, 1.0);
+    let (_, history, positions) = seen(&a, &id).await;
+    assert_eq!((history, positions), seen_alone(&[0.3, 0.6, 0.9]).await);
+    let checked = {
+        b.stop().await;
+        a.stop().await;
+        place.store(&["check", "--replay"])
+    };
+    assert_eq!(checked.code, 0, "{}{}", checked.out, checked.err);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_drained_node_gives_its_sessions_back_one_by_one() {
+    let Some(place) = StorePlace::remote().await else {
+        return;
+    };
+    let (a, b) = (node(&place, "a"), node(&place, "b"));
+    let (idle, used) = (bar_session(&a).await, bar_session(&a).await);
+    turn(&a, &idle, 0.3).await;
+    let before = seen(&a, &idle).await;
+    let mut dragged = stream(&a, &used).await;
+    drag(&mut dragged, turned(1, 0.1, true)).await.expect("a frame");
+    a.ask_to_stop();
+    let token = loop {
+        match dragged.next().await {
+            Came::Response(response) => {
+                if let Some(deform_response::Message::Notice(notice)) = response.message {
+                    break notice.resume_token;
+                }
+            }
+            Came::Closed(why) => panic!("no notice: {why:?}"),
+        }
+    };
+    // What nobody uses is free at once, without the lease having to run out, while the stream goes on.
+    let since = Instant::now();
+    assert_eq!(answered(&b, &path(&idle, "")).await, 200);
+    assert_eq!(seen(&b, &idle).await, before);
+    drag(&mut dragged, turned(2, 0.2, true))
+        .await
+        .expect("a frame of the node that leaves");
+    drop(dragged);
+    assert_eq!(answered(&b, &path(&token, "")).await, 200);
+    let took = since.elapsed();
+    let mut resumed = stream(&b, &token).await;
+    drag(&mut resumed, turned(1, 0.1, true)).await.expect("a frame");
+    let history = b.done("GET", &path(&used, "/history"), None).await;
+    let commits = history["commits"].as_array().expect("commits").len();
+    assert_eq!(commits, 5, "created, handles and three poses: {history}");
+    assert_eq!(
+        metric(&b, "pliant_sessions_reopened_total").await,
+        2.0,
+        "one reopening each"
+    );
+    assert!(took.as_secs() < 5, "{took:?}");
+    a.stop().await;
+    assert_eq!(place.count("nodes").await, 1, "its row is gone");
+}

@@ -1,0 +1,161 @@
+//! A call that comes to the wrong node is sent to the right one, and a call that comes twice happens once, wherever it comes to.
+
+use super::{node, unmoved};
+use crate::durable::place::StorePlace;
+use crate::durable::{bar_session, path, seen, turn};
+use crate::support::server::{bar_obj, http, within};
+use pliant::server::grpc::client::DeformerClient;
+use pliant::wire::pb;
+use serde_json::Value;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_call_to_the_wrong_node_is_sent_to_the_right_one() {
+    let Some(place) = StorePlace::remote().await else {
+        return;
+    };
+    let (a, b) = (node(&place, "a"), node(&place, "b"));
+    let id = bar_session(&a).await;
+    turn(&a, &id, 0.4).await;
+    let asked = format!("{}{}", b.url, path(&id, "/positions"));
+    let sent = within("an answer", unmoved().get(&asked).send())
+        .await
+        .expect("an answer");
+    let header = |answer: &reqwest::Response, name: &str| {
+        let value = answer
+            .headers()
+            .get(name)
+            .map(|value| value.to_str().expect("a text").to_owned());
+        value.unwrap_or_default()
+    };
+    assert_eq!(sent.status().as_u16(), 307);
+    assert_eq!(header(&sent, "x-pliant-owner"), a.url);
+    assert_eq!(header(&sent, "x-pliant-node"), "a");
+    let location = format!("{}{}?pliant-node=a", a.url, path(&id, "/positions"));
+    assert_eq!(header(&sent, "location"), location);
+    // Who goes there by itself is told the same in an answer that no library follows.
+    let told = unmoved().get(&asked).header("x-pliant-hops", "0").send();
+    let told = within("an answer", told).await.expect("an answer");
+    assert_eq!(told.status().as_u16(), 503);
+    assert_eq!(
+        (header(&told, "x-pliant-owner"), header(&told, "location")),
+        (a.url.clone(), String::new())
+    );
+    let problem: Value = told.json().await.expect("a problem");
+    assert_eq!(problem["code"], "UNAVAILABLE");
+
+    let mut client = DeformerClient::connect(b.url.clone()).await.expect("a connection");
+    let request = pb::SessionRequest { session_id: id.clone() };
+    let refused = client.get_session(request).await.expect_err("it is elsewhere");
+    assert_eq!(refused.code(), tonic::Code::Unavailable);
+    let told = |name: &str| {
+        refused
+            .metadata()
+            .get(name)
+            .map(|value| value.to_str().expect("a text").to_owned())
+    };
+    assert_eq!(told("x-pliant-owner"), Some(a.url.clone()));
+    assert_eq!(told("x-pliant-node").as_deref(), Some("a"));
+
+    // Who follows sees at one node what the other one has, and changes it there.
+    assert_eq!(seen(&b, &id).await, seen(&a, &id).await);
+    turn(&b, &id, 0.7).await;
+    assert_eq!(seen(&b, &id).await, seen(&a, &id).await);
+    let (status, _) = b.call("GET", &path("00000000000000000000000000000000", ""), None).await;
+    assert_eq!(status, 404, "what nobody has is nowhere");
+    b.done("DELETE", &path(&id, ""), None).await;
+    assert_eq!(a.call("GET", &path(&id, ""), None).await.0, 404);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_call_that_comes_twice_happens_once_wherever_it_comes_to() {
+    let Some(place) = StorePlace::remote().await else {
+        return;
+    };
+    let (a, b) = (node(&place, "a"), node(&place, "b"));
+    let create = async |url: &str, model: String| {
+        let sent = http()
+            .post(format!("{url}/v1/sessions"))
+            .header("idempotency-key", "once");
+        let answer = within("a session", sent.body(model).send()).await.expect("an answer");
+        let status = answer.status().as_u16();
+        (status, answer.json::<Value>().await.expect("JSON"))
+    };
+    // Both at the same time: one is first, the other one is told to ask again or gets the same.
+    let model = bar_obj(12);
+    let (one, other) = tokio::join!(create(&a.url, model.clone()), create(&b.url, model.clone()));
+    let statuses = [one.0, other.0];
+    assert!(statuses.contains(&201), "{statuses:?}");
+    assert!(
+        statuses.iter().all(|status| [200, 201, 409].contains(status)),
+        "{statuses:?}"
+    );
+    let first = if one.0 == 201 { one.1 } else { other.1 };
+    for url in [&a.url, &b.url] {
+        let (status, again) = create(url, model.clone()).await;
+        assert_eq!((status, &again["id"]), (200, &first["id"]), "{again}");
+        assert_eq!(
+            create(url, bar_obj(7)).await.0,
+            422,
+            "another request under the same key"
+        );
+    }
+    assert_eq!(place.count("sessions").await, 1);
+    let id = first["id"].as_str().expect("an id").to_owned();
+    let handles = serde_json::json!({"handles": crate::support::server::ends()});
+    a.done("PUT", &path(&id, "/handles"), Some(&handles)).await;
+    let solve = crate::support::server::turn_json(0.5);
+    let mut revisions = Vec::new();
+    for server in [&a, &b, &a] {
+        let (status, answer) = server
+            .call_with_key("POST", &path(&id, "/solve"), Some(&solve), Some("solved-once"))
+            .await;
+        assert_eq!(status, 200, "{answer}");
+        revisions.push(answer["revision"].clone());
+    }
+    assert!(revisions.iter().all(|r| r == &revisions[0]), "{revisions:?}");
+    // Sessions are numbered across nodes, so that lists tell each of them once.
+    for server in [&a, &b, &a] {
+        server.open(bar_obj(7), "").await;
+    }
+    for server in [&a, &b] {
+        let list = server.done("GET", "/v1/sessions", None).await;
+        assert_eq!(list["sessions"].as_array().expect("a list").len(), 4, "{list}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nobody_has_the_store_for_himself_beside_nodes() {
+    let Some(place) = StorePlace::remote().await else {
+        return;
+    };
+    let a = node(&place, "a");
+    let told = place.try_start(&[]).err().expect("refused");
+    assert!(told.contains("in use by another process"), "{told}");
+    let pruned = place.store(&["prune"]);
+    assert_eq!(pruned.code, 2, "{}", pruned.err);
+    assert!(pruned.err.contains("in use by another process"), "{}", pruned.err);
+    let id = bar_session(&a).await;
+    let before = seen(&a, &id).await;
+    a.stop().await;
+    // One that has it for itself goes on with what nodes made, and nodes with what it made.
+    let alone = place.start(&[]);
+    assert_eq!(seen(&alone, &id).await, before);
+    turn(&alone, &id, 0.3).await;
+    let other = bar_session(&alone).await;
+    let arguments = ["--advertise", "http://127.0.0.1:0"];
+    let refused = place.start_logged("log-b", place.database().map(|d| d.url.as_str()), &arguments);
+    let told = refused.err().expect("refused");
+    assert!(told.contains("in use by another process"), "{told}");
+    let after = (seen(&alone, &id).await, seen(&alone, &other).await);
+    alone.stop().await;
+    let b = node(&place, "b");
+    assert_eq!((seen(&b, &id).await, seen(&b, &other).await), after);
+    let third = bar_session(&b).await;
+    assert_eq!(
+        b.done("GET", "/v1/sessions", None).await["sessions"]
+            .as_array()
+            .map(Vec::len),
+        Some(3),
+        "{third}"
+    );
+}
