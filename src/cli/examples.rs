@@ -84,6 +84,13 @@ Examples:
   pliant store export ID shape.glb --data-dir sessions
   pliant store prune --data-dir sessions --unused-for 90d --dry-run";
 
+/// `pliant health --help`.
+pub(super) const HEALTH: &str = "\
+Examples:
+  pliant health                                       the server of this machine
+  pliant health --config pliant.toml                  where that configuration listens
+  pliant health https://pliant.example.com --live";
+
 /// `pliant audit --help`.
 pub(super) const AUDIT: &str = "\
 Examples:

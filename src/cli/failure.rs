@@ -12,20 +12,25 @@ pub enum CliFailure {
     Input(String),
     /// A defect or a broken machine: exit code 3.
     Internal(String),
+    /// One that the log has told, with its exit code.
+    Logged(u8),
 }
 
 impl CliFailure {
-    fn exit_code(&self) -> u8 {
+    pub(super) fn exit_code(&self) -> u8 {
         match self {
             Self::Check(_) => 1,
             Self::Input(_) => 2,
             Self::Internal(_) => 3,
+            Self::Logged(code) => *code,
         }
     }
 
     /// Says why in the last line of stderr.
     pub(super) fn report_and_exit(&self) -> ExitCode {
-        eprintln!("pliant: {}", self.message());
+        if !matches!(self, Self::Logged(_)) {
+            eprintln!("pliant: {}", self.message());
+        }
         ExitCode::from(self.exit_code())
     }
 
@@ -41,6 +46,7 @@ impl CliFailure {
     pub(super) fn message(&self) -> &str {
         match self {
             Self::Check(text) | Self::Input(text) | Self::Internal(text) => text,
+            Self::Logged(_) => "the log says why",
         }
     }
 }

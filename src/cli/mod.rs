@@ -4,12 +4,14 @@
 //! `--json` stdout carries exactly one JSON document.
 
 mod animate;
+mod announcement;
 mod audit;
 mod check;
 mod cutaway;
 mod deform;
 mod examples;
 mod failure;
+mod health;
 mod input_files;
 mod inspect;
 mod job_file;
@@ -74,6 +76,9 @@ enum PliantCommand {
     /// Check, list, export and prune sessions that a server kept
     #[command(after_help = examples::STORE)]
     Store(store::StoreArgs),
+    /// Ask a server whether it takes new sessions
+    #[command(after_help = examples::HEALTH)]
+    Health(health::HealthArgs),
     /// Tell who opened, changed and took away what on a server
     #[command(after_help = examples::AUDIT)]
     Audit(audit::AuditArgs),
@@ -98,6 +103,7 @@ pub fn main() -> ExitCode {
         PliantCommand::Token(args) => token::run_token(&args),
         PliantCommand::Store(args) => store::run_store(&args),
         PliantCommand::Audit(args) => audit::run_audit(&args),
+        PliantCommand::Health(args) => health::run_health(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

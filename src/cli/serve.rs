@@ -1,5 +1,6 @@
 //! `pliant serve`: the server as a program.
 
+use super::announcement;
 use super::failure::CliFailure;
 use crate::asset::FileSet;
 use crate::asset::sample::BuiltInModel;
@@ -9,7 +10,6 @@ use crate::server::{self, sample};
 use crate::session::store::{DatabaseStore, StoreError};
 use crate::session::{self, Manager, OpenDeformer, Tenant};
 use crate::wire::{DeformOptions, PoseCommit, SessionOptions};
-use std::io::Write as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -86,6 +86,13 @@ pub(super) fn run_serve(args: ServeArgs) -> Result<(), CliFailure> {
             CliFailure::Internal(error.to_string())
         }
     });
+    let done = done.map_err(|failure| match server::logs_json() {
+        true => {
+            tracing::error!("{}", failure.message());
+            CliFailure::Logged(failure.exit_code())
+        }
+        false => failure,
+    });
     // Work that ignored the deadline ends with the process; waiting for its threads would undo the deadline.
     runtime.shutdown_background();
     done
@@ -93,7 +100,8 @@ pub(super) fn run_serve(args: ServeArgs) -> Result<(), CliFailure> {
 
 /// Reads the configuration, serves until SIGTERM or SIGINT, drains and returns.
 ///
-/// Prints one line on stdout once it listens: `listening on http://ADDRESS:PORT`, or `https` where it speaks TLS.
+/// Prints one line on stdout once it listens: `listening on http://ADDRESS:PORT`, or `https` where it speaks TLS; where the log is
+/// JSON, a line of its form with these words as the message.
 ///
 /// # Errors
 /// When the configuration, the port or the services cannot be had. A drain that met its deadline is no error.
@@ -125,25 +133,25 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     };
     let limits = manager.config();
     let scheme = if settings.server.tls.is_some() { "https" } else { "http" };
+    let url = format!("{scheme}://{address}");
     tracing::info!(
         server.version = env!("CARGO_PKG_VERSION"),
         server.address = %address,
         limits.sessions = limits.sessions,
         limits.memory_bytes = limits.memory_bytes,
         limits.upload_bytes = limits.upload_bytes,
-        "listening on {scheme}://{address}"
+        "serving on {url}"
     );
     if settings.sample {
-        let (manager, shown) = (manager.clone(), address);
+        let (manager, url, format) = (manager.clone(), url.clone(), settings.log_format);
         tokio::spawn(async move {
-            if let Err(error) = open_sample(&manager, shown).await {
-                tracing::warn!("the sample session cannot be opened: {error}");
+            match open_sample(&manager).await {
+                Ok(id) => announcement::tell_sample(&url, &id, format),
+                Err(error) => tracing::warn!("the sample session cannot be opened: {error}"),
             }
         });
     }
-    // Whoever started this process may wait for the line; that nobody reads it is no reason to stop.
-    let mut out = std::io::stdout();
-    let _ = writeln!(out, "listening on {scheme}://{address}").and_then(|()| out.flush());
+    announcement::tell_listening(&url, settings.log_format);
     let hurried = manager.clone();
     let shutdown = async move {
         signals.next().await;
@@ -184,8 +192,8 @@ impl Signals {
     }
 }
 
-/// Opens a session with the built-in creature, turns its head once, and says how to go on.
-async fn open_sample(manager: &Manager, address: SocketAddr) -> Result<(), session::Error> {
+/// Opens a session with the built-in creature and turns its head once; answers its id.
+async fn open_sample(manager: &Manager) -> Result<String, session::Error> {
     let tenant = Tenant::default();
     let started = Instant::now();
     let shown = BuiltInModel::Creature;
@@ -215,18 +223,7 @@ async fn open_sample(manager: &Manager, address: SocketAddr) -> Result<(), sessi
         duration_ms = started.elapsed().as_millis() as u64,
         "opened the sample session `{id}`, held its feet and turned its head"
     );
-    let base = format!("http://{address}/v1/sessions/{id}");
-    let body = r#"{"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, -0.8, 0.4]}}]}}"#;
-    let text = format!(
-        "\nA creature stands ready, its feet held and its head movable. Try:\n\n  \
-         curl -s {base}\n  \
-         curl -s {base}/solve -H 'content-type: application/json' -H 'accept: model/gltf-binary' -o turned.glb \\\n    \
-         -d '{body}'\n  \
-         curl -s -X POST {base}/undo\n  \
-         curl -s '{base}/model?format=obj' -o creature.obj\n\n"
-    );
-    let _ = std::io::stderr().write_all(text.as_bytes());
-    Ok(())
+    Ok(id)
 }
 
 #[cfg(test)]

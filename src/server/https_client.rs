@@ -1,5 +1,6 @@
 //! Calls that this program makes itself, over HTTP and HTTPS.
 
+use super::own_certificate::OwnCertificate;
 use hyper_rustls::{HttpsConnector, HttpsConnectorBuilder};
 use hyper_util::client::legacy::connect::HttpConnector;
 use std::path::Path;
@@ -39,9 +40,29 @@ pub fn https_connector(ca: Option<&Path>) -> Result<HttpsConnector<HttpConnector
         .map_err(|e| e.to_string())?
         .with_root_certificates(roots)
         .with_no_client_auth();
+    Ok(connector_of(config))
+}
+
+/// Makes connections to the server whose own certificate is in the PEM file, whatever name it is called by.
+///
+/// # Errors
+/// The file and what is wrong with it.
+pub fn own_connector(certificate: &Path) -> Result<HttpsConnector<HttpConnector>, String> {
+    let provider = Arc::new(ring::default_provider());
+    let verifier = OwnCertificate::read(certificate, Arc::clone(&provider))?;
+    let config = ClientConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()
+        .map_err(|e| e.to_string())?
+        .dangerous()
+        .with_custom_certificate_verifier(Arc::new(verifier))
+        .with_no_client_auth();
+    Ok(connector_of(config))
+}
+
+fn connector_of(config: ClientConfig) -> HttpsConnector<HttpConnector> {
     let connector = HttpsConnectorBuilder::new()
         .with_tls_config(config)
         .https_or_http()
         .enable_http1();
-    Ok(connector.build())
+    connector.build()
 }

@@ -23,6 +23,7 @@ mod listen;
 mod messages;
 mod openapi;
 mod origin;
+mod own_certificate;
 mod peers;
 mod redirect;
 mod reload;
@@ -42,7 +43,7 @@ pub use error::Error;
 pub use heap::use_one_heap;
 pub use hosts::Hosts;
 pub use origin::Origins;
-pub use telemetry::{TraceExport, start_log};
+pub use telemetry::{TraceExport, logs_json, start_log};
 pub use tls::{CertificateField, LARGEST_TLS_FILE, TlsConfig};
 
 use crate::session::Manager;

@@ -7,6 +7,7 @@ mod pages;
 mod python;
 #[path = "../support/mod.rs"]
 mod support;
+mod workflows;
 
 use std::sync::{Mutex, MutexGuard};
 

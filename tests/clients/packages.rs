@@ -5,11 +5,21 @@
 
 use crate::node::{is_offline, lacks_node, said, tell};
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
+use std::process::Command;
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn is_unreachable(said: &str) -> bool {
+    let signs = [
+        "No matching distribution",
+        "Network is unreachable",
+        "Temporary failure in name resolution",
+        "ensurepip",
+    ];
+    is_offline(said) || signs.iter().any(|sign| said.contains(sign))
 }
 
 /// Makes wheels and tarball; `None` where that cannot be done here.
@@ -27,75 +37,13 @@ fn release(out: &Path) -> Option<()> {
         return None;
     };
     let said = said(&made);
-    let unreachable = [
-        "No matching distribution",
-        "Network is unreachable",
-        "Temporary failure in name resolution",
-        "ensurepip",
-    ];
-    if !made.status.success() && (is_offline(&said) || unreachable.iter().any(|sign| said.contains(sign))) {
+    if !made.status.success() && is_unreachable(&said) {
         tell("SKIPPED: packages cannot be fetched");
         return None;
     }
     assert!(made.status.success(), "{said}");
     Some(())
 }
-
-fn only(folder: &Path, fits: impl Fn(&str) -> bool) -> PathBuf {
-    let found: Vec<PathBuf> = fs::read_dir(folder)
-        .expect("a folder")
-        .flatten()
-        .map(|f| f.path())
-        .collect();
-    let name = |file: &Path| file.file_name().and_then(|n| n.to_str()).unwrap_or_default().to_owned();
-    let mut fitting = found.iter().filter(|file| fits(&name(file)));
-    let first = fitting.next().unwrap_or_else(|| panic!("{found:?}")).clone();
-    assert_eq!(fitting.next(), None, "{found:?}");
-    first
-}
-
-/// A command that finds nothing but what the system has.
-fn bare(program: impl AsRef<std::ffi::OsStr>, folder: &Path) -> Command {
-    let mut command = Command::new(program);
-    command
-        .current_dir(folder)
-        .env_remove("PLIANT_BIN")
-        .env("PATH", "/usr/local/bin:/usr/bin:/bin");
-    command
-}
-
-fn done(output: std::io::Result<Output>, what: &str) -> String {
-    let output = output.unwrap_or_else(|e| panic!("{what}: {e}"));
-    let told = said(&output);
-    assert!(output.status.success(), "{what}: {told}");
-    told
-}
-
-const BEND: &str = r#"
-import pliant
-with pliant.connect() as client:
-    open("creature.glb", "wb").write(client.sample())
-with pliant.open("creature.glb") as s:
-    s.handle("feet", half_space=((0, -1, 0), -0.14))
-    s.handle("head", sphere=((0.76, 1.22, 0), 0.36))
-    bent = s.solve({"head": {"rotation_vector": (0, 0.8, 0)}})
-    s.export("turned.glb")
-print(bent.shape, open("turned.glb", "rb").read(4))
-"#;
-
-const DRAG: &str = r#"
-import { spawn } from "node:child_process";
-import { Client } from "pliant-client";
-const server = spawn(process.argv[2], ["serve", "--listen", "127.0.0.1:0", "--log", "warn"], { stdio: ["ignore", "pipe", "inherit"] });
-const line = await new Promise((resolve) => server.stdout.once("data", (bytes) => resolve(String(bytes))));
-const pliant = new Client({ url: line.trim().replace("listening on ", "") });
-const session = await pliant.sample();
-const before = await session.positions();
-const model = await session.model("glb");
-console.log(`opened ${before.length} ${model.size > 1000}`);
-await session.close();
-server.kill();
-"#;
 
 #[test]
 fn packages_work_where_nothing_else_is() {
@@ -117,41 +65,21 @@ fn packages_work_where_nothing_else_is() {
         &licences[..400]
     );
 
-    let home = place.path().join("python");
-    done(Command::new("python3").args(["-m", "venv"]).arg(&home).output(), "venv");
-    let wheel = only(&out, |name| name.ends_with(".whl") && !name.contains("none-any"));
-    let pip = bare(home.join("bin/pip"), place.path())
-        .args(["install", "-q", "--disable-pip-version-check"])
-        .arg(&wheel)
+    let first = Command::new(root().join("tests/clients/first-model.sh"))
+        .arg(&out)
         .output();
-    done(pip, "pip");
-    let told = done(
-        bare(home.join("bin/python"), place.path()).args(["-c", BEND]).output(),
-        "python",
-    );
-    assert!(told.contains("(8628, 3) b'glTF'"), "{told}");
-    assert!(home.join("bin/pliant").is_file());
-
-    if let Some(lack) = lacks_node() {
-        tell(&format!("SKIPPED: {lack}"));
-        return;
+    let first = first.expect("bash runs");
+    let told = said(&first);
+    if !first.status.success() && is_unreachable(&told) {
+        return tell("SKIPPED: packages cannot be fetched");
     }
-    let page = place.path().join("node");
-    fs::create_dir(&page).expect("a folder");
-    fs::write(page.join("package.json"), r#"{"type": "module", "private": true}"#).expect("written");
-    fs::write(page.join("drag.js"), DRAG).expect("written");
-    let tarball = only(&out, |name| name.ends_with(".tgz"));
-    let npm = Command::new("npm")
-        .args(["install", "--no-audit", "--no-fund"])
-        .arg(&tarball)
-        .current_dir(&page)
-        .output();
-    done(npm, "npm");
-    let node = Command::new("node")
-        .arg("drag.js")
-        .arg(home.join("bin/pliant"))
-        .current_dir(&page)
-        .output();
-    let told = done(node, "node");
-    assert!(told.contains("opened 25884 true"), "{told}");
+    assert!(first.status.success(), "{told}");
+    assert!(told.contains("pip: 8628 vertices, b'glTF'"), "{told}");
+    match lacks_node() {
+        Some(lack) => tell(&format!("SKIPPED: {lack}")),
+        None => assert!(told.contains("npm: 8628 vertices, glTF"), "{told}"),
+    }
+    for line in told.lines().filter(|line| line.ends_with(" s")) {
+        tell(line);
+    }
 }

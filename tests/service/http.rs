@@ -5,7 +5,9 @@ mod carry;
 mod connections;
 mod downloads;
 mod forms;
+mod health_command;
 mod ledger;
+mod log_lines;
 mod operators;
 mod problems;
 

@@ -54,7 +54,12 @@ impl ServedProgram {
         let mut line = String::new();
         let stdout = child.stdout.take().expect("piped");
         BufReader::new(stdout).read_line(&mut line).expect("a line");
-        match line.trim().strip_prefix("listening on ") {
+        // With a log of JSON it is a line of that form.
+        let said = match serde_json::from_str::<Value>(&line) {
+            Ok(line) => super::server::text(&line["message"]),
+            Err(_) => line,
+        };
+        match said.trim().strip_prefix("listening on ") {
             Some(url) => Ok(Self {
                 child,
                 url: url.to_owned(),

@@ -7,6 +7,7 @@ mod log;
 mod observe;
 mod traces;
 
+pub use log::is_json as logs_json;
 pub use log::start as start_log;
 pub(super) use observe::{Recorder, grpc_code};
 pub use traces::TraceExport;

@@ -4,13 +4,10 @@
  */
 
 import assert from "node:assert/strict";
-import { readFile } from "node:fs/promises";
-import http from "node:http";
-import path from "node:path";
 import { BROWSER, launch } from "./browser.mjs";
+import { serveFolder } from "./folder.mjs";
 
 const [folder] = process.argv.slice(2);
-const TYPES = { ".html": "text/html", ".js": "text/javascript" };
 /** No step takes this long unless something hangs. */
 const PATIENCE_MS = 180_000;
 
@@ -19,22 +16,14 @@ if (BROWSER === undefined) {
   process.exit(0);
 }
 
-const files = http.createServer(async (request, response) => {
-  const { pathname } = new URL(request.url, "http://page");
-  const name = pathname === "/" ? "/index.html" : path.normalize(pathname);
-  const body = await readFile(path.join(folder, name)).catch(() => undefined);
-  response.writeHead(body === undefined ? 404 : 200, { "content-type": TYPES[path.extname(name)] ?? "application/octet-stream" });
-  response.end(body);
-});
-await new Promise((resolve) => files.listen(0, "127.0.0.1", resolve));
-
+const files = await serveFolder(folder);
 const browser = await launch();
 try {
   const page = await browser.newPage();
   page.setDefaultTimeout(PATIENCE_MS);
   const complaints = [];
   page.on("pageerror", (error) => complaints.push(String(error)));
-  await page.goto(`http://127.0.0.1:${files.address().port}/`);
+  await page.goto(files.url);
   await page.waitForFunction(() => {
     const canvas = document.querySelector("canvas");
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -53,5 +42,5 @@ try {
   console.log(`dragged; the page says: ${await page.locator("p").innerText()}`);
 } finally {
   await browser.close();
-  files.close();
+  files.stop();
 }

@@ -92,36 +92,6 @@ fn the_commands_of_the_page_work() {
     assert_eq!(check(&suite, &[]).code, Some(0), "blessing again changes nothing");
 }
 
-#[test]
-fn the_workflows_run_the_suite_and_keep_its_reports() {
-    for name in ["github-actions.yml", "gitlab-ci.yml"] {
-        let text = read(name);
-        let line = text.lines().find(|l| l.contains("pliant\" check")).expect("a check");
-        let quoted = line.split_once('\'').and_then(|(_, rest)| rest.rsplit_once('\''));
-        let script = quoted.expect("one command in quotes").0;
-        let suite = text
-            .lines()
-            .find_map(|l| l.trim().strip_prefix("SUITE: "))
-            .expect("a suite");
-        let folder = workplace();
-        let done = Command::new("sh")
-            .args(["-ec", script])
-            .current_dir(folder.path())
-            .envs([("SOURCE", "."), ("CARGO_TARGET_DIR", "target"), ("SUITE", suite)])
-            .output()
-            .expect("it runs");
-        assert!(
-            done.status.success(),
-            "{script}: {}",
-            String::from_utf8_lossy(&done.stderr)
-        );
-        for report in ["check/junit.xml", "check/report.html"] {
-            assert!(folder.path().join(report).exists(), "{name} writes {report}");
-        }
-        assert!(text.contains("check/") && text.contains("cargo build --locked --release --bin pliant"));
-    }
-}
-
 /// Copies a folder of files and folders.
 fn copy(from: &Path, to: &PathBuf) {
     fs::create_dir_all(to).expect("a folder");

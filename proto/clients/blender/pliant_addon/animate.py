@@ -5,23 +5,37 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from . import cache, link, mesh, skin
+from . import cache, chosen, link, mesh, skin
 from .operators import act
 
 #: Seconds between two looks at what has come.
 _BEAT = 0.02
 
 
+_FRAMES = [
+    ("SCENE", "Scene", "What the timeline plays: the scene's frame range, or its preview range"),
+    ("ACTION", "Action", "The action of each armature, from its first key to its last"),
+    ("RANGE", "Range", "From the first frame to the last one below"),
+]
+
+
 def meshes(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The meshes that are meant: the active one, or those that the active armature deforms."""
+    """The active and the selected meshes that an armature deforms, and those of selected armatures."""
     active = context.object
-    if active is None or active.type != "ARMATURE":
-        return [] if active is None or active.type != "MESH" else [active]
-    return [
-        object
-        for object in context.scene.objects
-        if object.type == "MESH" and any(m.type == "ARMATURE" and m.object == active for m in object.modifiers)
-    ]
+    picked = [active, *(other for other in context.selected_objects if other != active)] if active is not None else []
+    found = []
+    for one in picked:
+        if one.type == "ARMATURE":
+            found += [other for other in context.scene.objects if other.type == "MESH" and one in _armatures(other)]
+        elif one.type == "MESH" and (one == active or _armatures(one)):
+            found.append(one)
+    found = list(dict.fromkeys(found))
+    # An active mesh that nothing deforms is told so, unless others are meant.
+    return [object for object in found if _armatures(object)] or found[:1]
+
+
+def _armatures(object: bpy.types.Object) -> list[bpy.types.Object]:
+    return [m.object for m in object.modifiers if m.type == "ARMATURE" and m.object is not None]
 
 
 def action_name(armature: bpy.types.Object) -> str:
@@ -34,19 +48,22 @@ def action_name(armature: bpy.types.Object) -> str:
     return "nla" if any(not track.mute and track.strips for track in animated.nla_tracks) else ""
 
 
-def frame_range(armature: bpy.types.Object, scene: bpy.types.Scene) -> tuple[int, int]:
+def action_range(armature: bpy.types.Object, scene: bpy.types.Scene) -> tuple[int, int]:
     """First and last frame of the armature's action; those of the scene where it has none of its own."""
     animated = armature.animation_data
     if animated is not None and animated.action is not None:
         first, last = animated.action.frame_range
         return int(np.floor(first)), int(np.ceil(last))
-    return scene.frame_start, scene.frame_end
+    return chosen.frames(scene)
 
 
 class Run:
     """One mesh that is being animated: frames come one by one, and nothing is changed until all are there."""
 
-    def __init__(self, object: bpy.types.Object, scene: bpy.types.Scene, first: int, last: int, refine: int) -> None:
+    def __init__(
+        self, object: bpy.types.Object, scene: bpy.types.Scene, span: tuple[int, int], refine: int, name: str
+    ) -> None:
+        first, last = span
         if last < first:
             raise mesh.Refusal(f"the last frame {last} lies before the first, {first}")
         self._object = object
@@ -59,7 +76,7 @@ class Run:
             raise mesh.Refusal(f'the armature "{armature.name}" has no action')
         bound = skin.skin(object, armature)
         rate = scene.render.fps / scene.render.fps_base
-        path = cache.path_for(object, played)
+        path = cache.path_for(name or f"{object.name}-{played}")
         matrices = skin.sample(object, bound, scene, range(first, last + 1))
         self._link = link.opened(object, skin.glb(object, bound, matrices, rate))
         try:
@@ -130,9 +147,18 @@ class PLIANT_OT_animate(bpy.types.Operator):
     # Not REGISTER: a changed value would solve all of it again at once.
     bl_options = {"UNDO"}
 
+    frames: bpy.props.EnumProperty(name="Frames", items=_FRAMES)
     first: bpy.props.IntProperty(name="First Frame", default=0, options={"SKIP_SAVE"})
     last: bpy.props.IntProperty(
-        name="Last Frame", description="Before the first: all of the action", default=-1, options={"SKIP_SAVE"}
+        name="Last Frame",
+        description="A script that gives both needs not say that they are a range",
+        default=-1,
+        options={"SKIP_SAVE"},
+    )
+    name: bpy.props.StringProperty(
+        name="Name",
+        description="Of the point cache; empty calls it after the object and the action",
+        options={"SKIP_SAVE"},
     )
     refine: bpy.props.IntProperty(
         name="Refine",
@@ -146,28 +172,45 @@ class PLIANT_OT_animate(bpy.types.Operator):
     _run: Run | None = None
     _waiting: list[bpy.types.Object] = []
     _running: list[bpy.types.Object] = []
+    _named: dict[bpy.types.Object, str] = {}
     _timer = None
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only on meshes, or an armature that deforms some."""
-        found = meshes(context)
-        return bool(found) and not any(object.pliant.running for object in found)
+        return chosen.are_idle(meshes(context))
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Asks for the frames."""
 
         def work() -> None:
-            self.first, self.last = frame_range(_checked(meshes(context)[0]), context.scene)
+            for object in meshes(context):
+                _checked(object)
 
         if "CANCELLED" in act(self, work):
             return {"CANCELLED"}
+        self.first, self.last = chosen.frames(context.scene)
         self._asked = True
         return context.window_manager.invoke_props_dialog(self)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draws the dialog."""
+        self.layout.use_property_split = True
+        self.layout.prop(self, "frames")
+        if self.frames == "RANGE":
+            self.layout.prop(self, "first")
+            self.layout.prop(self, "last")
+        self.layout.prop(self, "name")
+        self.layout.prop(self, "refine")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Solves: in the background where someone looks on and may press Escape, else at once."""
         self._waiting = meshes(context)
+        self._named = {
+            object: self.name if len(self._waiting) == 1 else f"{object.name}-{self.name}"
+            for object in self._waiting
+            if self.name
+        }
         self._run = None
         if self._asked and context.window is not None:
             self._begin(context)
@@ -225,14 +268,21 @@ class PLIANT_OT_animate(bpy.types.Operator):
             if not self._waiting:
                 return False
             object = self._waiting.pop(0)
-            whole = self.last < self.first
-            first, last = frame_range(_checked(object), context.scene) if whole else (self.first, self.last)
-            self._run = Run(object, context.scene, first, last, self.refine)
+            self._run = Run(
+                object, context.scene, self._span(object, context.scene), self.refine, self._named.get(object, "")
+            )
         elif not self._run.step():
             for line in self._run.finish():
                 self.report({"INFO"}, line)
             self._run = None
         return True
+
+    def _span(self, object: bpy.types.Object, scene: bpy.types.Scene) -> tuple[int, int]:
+        """The frames that are wanted of a mesh."""
+        given = not self._asked and self.last >= self.first
+        if given or self.frames == "RANGE":
+            return self.first, self.last
+        return action_range(_checked(object), scene) if self.frames == "ACTION" else chosen.frames(scene)
 
     def _drop(self) -> None:
         if self._run is not None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
-from . import handles, link, mesh
+from . import chosen, handles, link, mesh, results
 from .operators import act
 
 
@@ -27,38 +27,44 @@ def poses_at(object: bpy.types.Object, scene: bpy.types.Scene, listed: list[int]
         yield handles.poses(object, bpy.context.evaluated_depsgraph_get())
 
 
-def bake(object: bpy.types.Object, scene: bpy.types.Scene, listed: list[int], progress=lambda done: None) -> None:
-    """A shape key for every frame of `listed`, keyed so that they follow one another and blend in between."""
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    mesh.check(object, depsgraph)
-    session = link.session(object)
+def bake(
+    objects: list[bpy.types.Object], scene: bpy.types.Scene, listed: list[int], progress=lambda done: None
+) -> None:
+    """Shape keys of each object, one a frame, keyed so that they follow one another and blend in between."""
+    chosen.check(objects, bpy.context.evaluated_depsgraph_get())
     back = scene.frame_current
+    done = 0
     solved = []
     try:
-        for frame in session.drag(poses_at(object, scene, listed), commit=True, **link.options(object)):
-            solved.append(frame.positions)
-            link.result(object, frame)
-            progress(len(solved))
+        for object in objects:
+            shapes = []
+            for frame in link.session(object).drag(
+                poses_at(object, scene, listed), commit=True, **link.options(object)
+            ):
+                shapes.append(frame.positions)
+                link.result(object, frame)
+                done += 1
+                progress(done)
+            solved.append(shapes)
     finally:
         scene.frame_set(back)
-    with _straight_keys():
-        for number, positions in zip(listed, solved):
-            key = mesh.key(object, f"{mesh.KEY} {number:04d}")
-            mesh.write(object, key, positions, value=0.0)
-        for at, number in enumerate(listed):
-            key = mesh.key(object, f"{mesh.KEY} {number:04d}")
-            for other in listed[max(0, at - 1) : at + 2]:
-                key.value = 1.0 if other == number else 0.0
-                key.keyframe_insert("value", frame=other)
-    _silence(object)
+    for object, shapes in zip(objects, solved):
+        _write(object, listed, shapes)
     scene.frame_set(back)
 
 
-def _silence(object: bpy.types.Object) -> None:
-    """The key of single solves would add to the baked ones."""
-    single = object.data.shape_keys.key_blocks.get(mesh.KEY)
-    if single is not None:
-        single.value = 0.0
+def _write(object: bpy.types.Object, listed: list[int], shapes: list[np.ndarray]) -> None:
+    """The shapes of the frames as shape keys that take turns."""
+    names = [f"{results.name(object)} {number:04d}" for number in listed]
+    with _straight_keys():
+        for name, positions in zip(names, shapes):
+            mesh.write(object, mesh.key(object, name), positions, value=0.0)
+        for at, (name, number) in enumerate(zip(names, listed)):
+            key = mesh.key(object, name)
+            for other in listed[max(0, at - 1) : at + 2]:
+                key.value = 1.0 if other == number else 0.0
+                key.keyframe_insert("value", frame=other)
+    results.show(object, names)
 
 
 @contextmanager
@@ -80,30 +86,33 @@ class PLIANT_OT_bake(bpy.types.Operator):
     bl_label = "Bake Key Frames"
     bl_options = {"REGISTER", "UNDO"}
 
-    first: bpy.props.IntProperty(name="First Frame", default=1)
-    last: bpy.props.IntProperty(name="Last Frame", default=50)
-    step: bpy.props.IntProperty(name="Step", default=5, min=1)
+    first: bpy.props.IntProperty(name="First Frame", default=0, options={"SKIP_SAVE"})
+    last: bpy.props.IntProperty(
+        name="Last Frame", description="Before the first: the scene's frame range", default=-1, options={"SKIP_SAVE"}
+    )
+    step: bpy.props.IntProperty(name="Step", description="1 bakes every frame", default=1, min=1)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only on a mesh that is not being dragged."""
-        object = context.object
-        return object is not None and object.type == "MESH" and not object.pliant.running
+        """Only on meshes, and not while one is being dragged."""
+        return chosen.are_idle(chosen.meshes(context))
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Asks for the frames."""
-        self.first, self.last = context.scene.frame_start, context.scene.frame_end
+        self.first, self.last = chosen.frames(context.scene)
         return context.window_manager.invoke_props_dialog(self)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Bakes."""
 
         def work() -> None:
-            listed = frames(self.first, self.last, self.step)
+            meant = chosen.meshes(context)
+            whole = self.last < self.first
+            listed = frames(*(chosen.frames(context.scene) if whole else (self.first, self.last)), self.step)
             manager = context.window_manager
-            manager.progress_begin(0, len(listed))
+            manager.progress_begin(0, len(listed) * len(meant))
             try:
-                bake(context.object, context.scene, listed, manager.progress_update)
+                bake(meant, context.scene, listed, manager.progress_update)
             finally:
                 manager.progress_end()
 

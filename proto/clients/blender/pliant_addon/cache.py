@@ -15,12 +15,12 @@ from . import mesh
 MODIFIER = "Pliant Animation"
 
 
-def path_for(object: bpy.types.Object, action: str) -> Path:
+def path_for(name: str) -> Path:
     """A file beside the .blend that is not there yet: older ones stay, so that undo finds them."""
     if not bpy.data.filepath:
         raise mesh.Refusal("save the .blend file first: the point cache lies beside it")
     folder = Path(bpy.data.filepath).parent
-    stem = re.sub(r"[^\w.-]+", "_", f"{object.name}-{action}").strip("_") or "animation"
+    stem = re.sub(r"[^\w.-]+", "_", name).strip("_") or "animation"
     path, number = folder / f"{stem}.pc2", 1
     while path.exists():
         number += 1

@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from . import handles, link, mesh
+from . import chosen, handles, link, mesh, results
 
 _BEAT = 1 / 60
 _HELP = "Pliant: move the controls; Enter keeps, Escape cancels"
@@ -25,9 +25,13 @@ class Drag:
         self._object = object
         session = link.session(object)
         had_keys = object.data.shape_keys is not None
-        existed = had_keys and object.data.shape_keys.key_blocks.get(mesh.KEY) is not None
+        called = results.name(object)
+        existed = had_keys and object.data.shape_keys.key_blocks.get(called) is not None
         self._stream: Any = session.stream(tolerance=object.pliant.tolerance, window=2)
-        self._key = mesh.key(object)
+        self._key = mesh.key(object, called)
+        self._shown = object.pliant.shown
+        self._muted = {key.name: key.mute for key in object.data.shape_keys.key_blocks}
+        results.show(object, [called])
         self._before = (mesh.shape(self._key), self._key.value) if existed else None
         self._had_keys = had_keys
         self._sent: dict[str, np.ndarray] | None = None
@@ -67,6 +71,9 @@ class Drag:
     def cancel(self) -> None:
         """Gives back the shape key as it was before, or takes it away if there was none."""
         self._stream.close()
+        for key in self._object.data.shape_keys.key_blocks:
+            key.mute = self._muted.get(key.name, key.mute)
+        self._object.pliant.shown = self._shown
         if self._before is not None:
             mesh.write(self._object, self._key, self._before[0], value=self._before[1])
             return
@@ -83,25 +90,30 @@ class PLIANT_OT_drag(bpy.types.Operator):
     bl_label = "Drag"
     bl_options = {"REGISTER", "UNDO"}
 
-    _drag: Drag | None = None
+    _drags: list[Drag] = []
+    _objects: list[bpy.types.Object] = []
     _timer = None
     _was_lost = False
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only on a mesh that is not being dragged."""
-        object = context.object
-        return object is not None and object.type == "MESH" and not object.pliant.running
+        """Only on meshes, and not while one is being dragged."""
+        return chosen.are_idle(chosen.meshes(context))
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Starts the drag."""
+        self._objects, self._drags = chosen.meshes(context), []
+        depsgraph = context.evaluated_depsgraph_get()
         try:
-            self._drag = Drag(context.object, context.evaluated_depsgraph_get())
+            chosen.check(self._objects, depsgraph)
+            for object in self._objects:
+                self._drags.append(Drag(object, depsgraph))
         except Exception as error:
+            self._drop()
             return self._fail(error)
-        self._object = context.object
         self._was_lost = False
-        self._object.pliant.running = True
+        for object in self._objects:
+            object.pliant.running = True
         manager = context.window_manager
         self._timer = manager.event_timer_add(_BEAT, window=context.window)
         manager.modal_handler_add(self)
@@ -110,39 +122,44 @@ class PLIANT_OT_drag(bpy.types.Operator):
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """One event."""
-        drag = self._drag
-        assert drag is not None
         try:
             if event.type == "ESC" and event.value == "PRESS":
-                drag.cancel()
+                self._drop()
                 return self._end(context, {"CANCELLED"})
             keeps = event.type in {"RET", "NUMPAD_ENTER"} and event.value == "PRESS"
-            if keeps or not self._object.pliant.running:
-                drag.finish(context.evaluated_depsgraph_get())
+            if keeps or not all(object.pliant.running for object in self._objects):
+                for drag in self._drags:
+                    drag.finish(context.evaluated_depsgraph_get())
                 return self._end(context, {"FINISHED"})
-            if event.type == "TIMER" and drag.step(context.evaluated_depsgraph_get()):
+            # All of them are stepped, whichever has news.
+            if event.type == "TIMER" and any([drag.step(context.evaluated_depsgraph_get()) for drag in self._drags]):
                 for area in context.screen.areas:
                     area.tag_redraw()
-            if drag.lost != self._was_lost:
-                self._was_lost = drag.lost
-                context.workspace.status_text_set(_LOST if drag.lost else _HELP)
+            lost = any(drag.lost for drag in self._drags)
+            if lost != self._was_lost:
+                self._was_lost = lost
+                context.workspace.status_text_set(_LOST if lost else _HELP)
         except Exception as error:
-            drag.cancel()
+            self._drop()
             self._end(context, set())
             return self._fail(error)
         return {"PASS_THROUGH"}
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender ends the operator, such as by closing the file."""
-        if self._drag is not None:
-            self._drag.cancel()
+        self._drop()
         self._end(context, set())
+
+    def _drop(self) -> None:
+        for drag in self._drags:
+            drag.cancel()
 
     def _end(self, context: bpy.types.Context, answer: set[str]) -> set[str]:
         context.window_manager.event_timer_remove(self._timer)
         context.workspace.status_text_set(None)
-        self._object.pliant.running = False
-        self._drag = None
+        for object in self._objects:
+            object.pliant.running = False
+        self._drags = []
         return answer
 
     def _fail(self, error: Exception) -> set[str]:
@@ -161,11 +178,12 @@ class PLIANT_OT_keep(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only while it is being dragged."""
-        return context.object is not None and context.object.type == "MESH" and context.object.pliant.running
+        return any(object.pliant.running for object in chosen.meshes(context))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Asks the drag to end at its next beat."""
-        context.object.pliant.running = False
+        for object in chosen.meshes(context):
+            object.pliant.running = False
         return {"FINISHED"}
 
 

@@ -57,12 +57,40 @@ class PliantSettings(bpy.types.PropertyGroup):
     refine: bpy.props.IntProperty(
         name="Refine", description="Rotation re-fits of a final result; 0 is the quickest", default=4, min=0, max=100
     )
+    result: bpy.props.StringProperty(
+        name="Result",
+        description="What the shape key of a result is called; baked ones add their frame. Other results are muted",
+        default=mesh.KEY,
+    )
+    shown: bpy.props.StringProperty(
+        options={"HIDDEN"}, description="Shape keys of the result that is shown, one a line"
+    )
     running: bpy.props.BoolProperty(options={"SKIP_SAVE", "HIDDEN"})
     told: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"}, description="What the last result was like")
 
 
-def add(object: bpy.types.Object, group: str, kind: str) -> PliantHandle:
-    """Makes a vertex group a handle; one that moves gets a control in the middle of the group."""
+def from_selected(objects: list[bpy.types.Object], kind: str, name: str) -> str:
+    """Makes the selected vertices of each mesh a vertex group and a handle; all of them get one control.
+
+    Answers the name of the groups, which no vertex group of these meshes had before.
+    """
+    selected = {object: mesh.selected(object) for object in objects}
+    selected = {object: vertices for object, vertices in selected.items() if vertices}
+    if not selected:
+        raise mesh.Refusal("no vertex is selected: select those to hold or to move in Edit Mode")
+    wanted = name.strip() or dict((key, label) for key, label, _ in _KINDS)[kind]
+    called, number = wanted, 1
+    while any(called in object.vertex_groups for object in selected):
+        called, number = f"{wanted}.{number:03d}", number + 1
+    control = None
+    for object, vertices in selected.items():
+        object.vertex_groups.new(name=called).add(vertices, 1.0, "REPLACE")
+        control = add(object, called, kind, control).control
+    return called
+
+
+def add(object: bpy.types.Object, group: str, kind: str, control: bpy.types.Object | None = None) -> PliantHandle:
+    """Makes a vertex group a handle; one that moves follows `control`, or gets one in the middle of the group."""
     weights = mesh.group_weights(object, group)
     handle = next((h for h in object.pliant.handles if h.group == group), None)
     if handle is None:
@@ -71,18 +99,23 @@ def add(object: bpy.types.Object, group: str, kind: str) -> PliantHandle:
     handle.name = handle.group = group
     handle.kind = kind
     if kind == "MOVE" and handle.control is None:
-        points = mesh.rest(object)[weights > 0]
-        middle = points.mean(axis=0)
-        control = bpy.data.objects.new(f"{object.name} {group}", None)
-        control.empty_display_type = "SPHERE"
-        control.empty_display_size = float(np.linalg.norm(points - middle, axis=1).max() or 1.0)
-        control.rotation_mode = "QUATERNION"
-        for collection in object.users_collection or [bpy.context.scene.collection]:
-            collection.objects.link(control)
-        control.matrix_world = object.matrix_world @ Matrix.Translation(middle.tolist())
+        if control is None:
+            control = _new_control(object, group, mesh.rest(object)[weights > 0])
         handle.control = control
-        _remember(handle, Matrix.Translation(middle.tolist()))
+        _remember(handle, object.matrix_world.inverted_safe() @ control.matrix_world)
     return handle
+
+
+def _new_control(object: bpy.types.Object, group: str, points: np.ndarray) -> bpy.types.Object:
+    middle = points.mean(axis=0)
+    control = bpy.data.objects.new(f"{object.name} {group}", None)
+    control.empty_display_type = "SPHERE"
+    control.empty_display_size = float(np.linalg.norm(points - middle, axis=1).max() or 1.0)
+    control.rotation_mode = "QUATERNION"
+    for collection in object.users_collection or [bpy.context.scene.collection]:
+        collection.objects.link(control)
+    control.matrix_world = object.matrix_world @ Matrix.Translation(middle.tolist())
+    return control
 
 
 def _remember(handle: PliantHandle, mesh_from_control: Matrix) -> None:
@@ -105,7 +138,9 @@ def to_rest(object: bpy.types.Object) -> None:
 def regions(object: bpy.types.Object) -> dict[str, tuple[np.ndarray, float]]:
     """The weights and the stiffness of each handle, in the order of the list."""
     if not object.pliant.handles:
-        raise mesh.Refusal("add a vertex group as a handle first")
+        raise mesh.Refusal(
+            f'"{object.name}" has no handle: select vertices in Edit Mode and press Hold or Move Selected'
+        )
     if not any(handle.kind == "MOVE" for handle in object.pliant.handles):
         raise mesh.Refusal("no handle moves: make one of kind Move")
     return {h.group: (mesh.group_weights(object, h.group), h.stiffness) for h in object.pliant.handles}

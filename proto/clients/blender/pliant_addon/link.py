@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,9 @@ import bpy
 
 from . import handles, mesh, preferences
 
+#: The program that extensions for Linux bring.
+_CARRIED = Path(__file__).parent / "bin/pliant"
+_NAME_ONE = "write its address into the add-on's preferences, under Server"
 # A copy of the Python package inside the add-on's folder is found as well.
 _VENDOR = Path(__file__).parent / "vendor"
 if _VENDOR.is_dir() and str(_VENDOR) not in sys.path:
@@ -46,8 +51,6 @@ _server: Any = None
 
 def session(object: bpy.types.Object) -> Any:
     """The session of an object's rest shape, with the object's handles; opened where there is none that fits."""
-    if pliant is None:
-        raise mesh.Refusal(MISSING)
     named = handles.regions(object)
     points, corners = mesh.rest(object), mesh.triangles(object)
     created = _created(object)
@@ -71,8 +74,6 @@ def session(object: bpy.types.Object) -> Any:
 
 def opened(object: bpy.types.Object, model: bytes) -> Link:
     """A session of its own with a model file, for whoever closes it."""
-    if pliant is None:
-        raise mesh.Refusal(MISSING)
     return _opened(object, model, ())
 
 
@@ -91,8 +92,35 @@ def _created(object: bpy.types.Object) -> dict[str, Any]:
     return {"volume_graph": settings.volume_graph.lower(), "components": settings.components.lower()}
 
 
+def refusal() -> str:
+    """Why nothing can be computed as things are set; empty where it can be tried."""
+    server, _, program = preferences.way()
+    if MISSING or server or os.environ.get("PLIANT_SERVER"):
+        return MISSING
+    if sys.platform == "win32":
+        return f"no server runs on Windows: start one on a machine with Linux, and {_NAME_ONE}"
+    if sys.platform == "darwin" and not program and not os.environ.get("PLIANT_BIN") and shutil.which("pliant") is None:
+        return f"no program is made for macOS: start one on a machine with Linux, and {_NAME_ONE}"
+    return ""
+
+
+def _program(named: str) -> str:
+    """The program to start: the one that is named, else the one that came with the add-on; empty looks in PATH."""
+    if named or os.environ.get("PLIANT_BIN") or not _CARRIED.is_file():
+        return named
+    if not os.access(_CARRIED, os.X_OK):
+        # Archives are unpacked without their files' rights.
+        _CARRIED.chmod(0o755)
+    return str(_CARRIED)
+
+
 def _connect(server: str, token: str, program: str) -> Any:
     global _server
+    why = refusal()
+    if why:
+        raise mesh.Refusal(why)
+    program = _program(program)
+    server = server or os.environ.get("PLIANT_SERVER", "")
     if not server and program:
         if _server is None or _server.ended is not None:
             _server = pliant.LocalServer(program)

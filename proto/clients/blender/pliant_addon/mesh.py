@@ -51,6 +51,13 @@ def triangles(object: bpy.types.Object) -> np.ndarray:
     return flat.reshape(-1, 3)
 
 
+def selected(object: bpy.types.Object) -> list[int]:
+    """The vertices that are selected in Edit Mode, also after it was left."""
+    flags = np.empty(len(object.data.vertices), bool)
+    object.data.vertices.foreach_get("select", flags)
+    return np.flatnonzero(flags).tolist()
+
+
 def group_weights(object: bpy.types.Object, group: str) -> np.ndarray:
     """The weight of every vertex in a vertex group; 0 outside it."""
     found = object.vertex_groups.get(group)

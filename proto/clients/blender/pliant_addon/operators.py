@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import handles, link, mesh
+from . import chosen, handles, link, mesh, results
 
 
 def act(operator: bpy.types.Operator, work) -> set[str]:
@@ -26,9 +26,40 @@ class _OnMesh:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only on a mesh, and not while it is being dragged."""
-        object = context.object
-        return object is not None and object.type == "MESH" and not object.pliant.running
+        """Only on meshes, and not while one is being dragged."""
+        return chosen.are_idle(chosen.meshes(context))
+
+
+class PLIANT_OT_handle_selected(bpy.types.Operator):
+    """Make the selected vertices a vertex group and a handle, on every mesh that is edited; leaves Edit Mode"""
+
+    bl_idname = "pliant.handle_selected"
+    bl_label = "Handle from Selected"
+    bl_options = {"REGISTER", "UNDO"}
+
+    kind: bpy.props.EnumProperty(name="Kind", items=handles._KINDS)
+    name: bpy.props.StringProperty(name="Name", description="Of the vertex group; empty calls it Hold or Move")
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only in Edit Mode of meshes."""
+        return context.mode == "EDIT_MESH"
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Adds the handles."""
+
+        def work() -> None:
+            edited = list(context.objects_in_mode)
+            # Undo in Edit Mode would bring back the mesh alone, and leave handles and controls behind.
+            bpy.ops.object.mode_set(mode="OBJECT")
+            try:
+                called = handles.from_selected(edited, self.kind, self.name)
+            except mesh.Refusal:
+                bpy.ops.object.mode_set(mode="EDIT")
+                raise
+            self.report({"INFO"}, f'made the handle "{called}"')
+
+        return act(self, work)
 
 
 class PLIANT_OT_add_handle(_OnMesh, bpy.types.Operator):
@@ -44,9 +75,11 @@ class PLIANT_OT_add_handle(_OnMesh, bpy.types.Operator):
         """Adds the handle."""
 
         def work() -> None:
-            object = context.object
+            object = chosen.shown(context)
             if object.mode == "EDIT":
-                raise mesh.Refusal("leave Edit Mode first")
+                raise mesh.Refusal(
+                    "in Edit Mode press Hold Selected or Move Selected; vertex groups are taken in Object Mode"
+                )
             active = object.vertex_groups.active
             name = self.group or (active.name if active is not None else "")
             if not name:
@@ -66,13 +99,13 @@ class PLIANT_OT_remove_handle(_OnMesh, bpy.types.Operator):
         """Removes the active handle."""
 
         def work() -> None:
-            settings = context.object.pliant
+            settings = chosen.shown(context).pliant
             if not 0 <= settings.active < len(settings.handles):
                 raise mesh.Refusal("no handle is selected")
             control = settings.handles[settings.active].control
             settings.handles.remove(settings.active)
             settings.active = max(0, settings.active - 1)
-            if control is not None:
+            if control is not None and not chosen.moved_by(control, context.scene):
                 bpy.data.objects.remove(control)
 
         return act(self, work)
@@ -84,19 +117,23 @@ class PLIANT_OT_solve(_OnMesh, bpy.types.Operator):
     bl_idname = "pliant.solve"
     bl_label = "Solve"
 
-    name: bpy.props.StringProperty(name="Shape Key", default=mesh.KEY)
+    name: bpy.props.StringProperty(name="Shape Key", description="Empty takes the name of the object's settings")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Solves and writes the key."""
 
         def work() -> None:
-            object = context.object
+            meant = chosen.meshes(context)
             depsgraph = context.evaluated_depsgraph_get()
-            mesh.check(object, depsgraph)
-            poses = handles.poses(object, depsgraph)
-            frame = link.session(object).solve_frame(poses, **link.options(object))
-            mesh.write(object, mesh.key(object, self.name), frame.positions)
-            link.result(object, frame)
+            chosen.check(meant, depsgraph)
+            solved = []
+            for object in meant:
+                poses = handles.poses(object, depsgraph)
+                solved.append(link.session(object).solve_frame(poses, **link.options(object)))
+            # None is changed before all are there.
+            for object, frame in zip(meant, solved):
+                results.write(object, self.name or results.name(object), frame.positions)
+                link.result(object, frame)
 
         return act(self, work)
 
@@ -109,7 +146,12 @@ class PLIANT_OT_rest(_OnMesh, bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Moves the controls."""
-        return act(self, lambda: handles.to_rest(context.object))
+
+        def work() -> None:
+            for object in chosen.meshes(context):
+                handles.to_rest(object)
+
+        return act(self, work)
 
 
-CLASSES = (PLIANT_OT_add_handle, PLIANT_OT_remove_handle, PLIANT_OT_solve, PLIANT_OT_rest)
+CLASSES = (PLIANT_OT_handle_selected, PLIANT_OT_add_handle, PLIANT_OT_remove_handle, PLIANT_OT_solve, PLIANT_OT_rest)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import link, mesh
+from . import chosen, link, mesh
 
 
 class PLIANT_UL_handles(bpy.types.UIList):
@@ -12,7 +12,7 @@ class PLIANT_UL_handles(bpy.types.UIList):
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index=0, flt_flag=0) -> None:
         """One handle in a row."""
-        missing = item.group not in context.object.vertex_groups
+        missing = item.group not in item.id_data.vertex_groups
         row = layout.row(align=True)
         row.label(text=item.group, icon="ERROR" if missing else "PINNED" if item.kind == "HOLD" else "EMPTY_ARROWS")
         row.prop(item, "kind", text="")
@@ -30,10 +30,13 @@ class PLIANT_PT_sidebar(bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draws the panel."""
         layout = self.layout
-        object = context.object
+        object = chosen.shown(context)
         try:
-            if link.MISSING:
-                raise mesh.Refusal(link.MISSING)
+            if link.refusal():
+                raise mesh.Refusal(link.refusal())
+            if object is not None and object.mode == "EDIT" and object.type == "MESH":
+                _selected(layout)
+                return
             if object is not None and object.type == "ARMATURE":
                 layout.operator("pliant.animate", icon="ARMATURE_DATA")
                 return
@@ -49,6 +52,7 @@ class PLIANT_PT_sidebar(bpy.types.Panel):
             _handles(layout, settings)
             column = layout.column(align=True)
             column.enabled = len(settings.handles) > 0
+            column.prop(settings, "result")
             column.operator("pliant.drag", icon="VIEW_PAN")
             column.operator("pliant.solve", icon="SHAPEKEY_DATA")
             column.operator("pliant.bake", icon="KEYFRAME")
@@ -71,14 +75,24 @@ class PLIANT_PT_options(bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only for a mesh."""
-        return context.object is not None and context.object.type == "MESH"
+        object = chosen.shown(context)
+        return object is not None and object.type == "MESH"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draws the options."""
         self.layout.use_property_split = True
-        self.layout.enabled = not context.object.pliant.running
+        settings = chosen.shown(context).pliant
+        self.layout.enabled = not settings.running
         for name in ("volume_graph", "components", "tolerance", "refine"):
-            self.layout.prop(context.object.pliant, name)
+            self.layout.prop(settings, name)
+
+
+def _selected(layout: bpy.types.UILayout) -> None:
+    """What can be done in Edit Mode."""
+    row = layout.row(align=True)
+    row.operator("pliant.handle_selected", text="Hold Selected", icon="PINNED").kind = "HOLD"
+    row.operator("pliant.handle_selected", text="Move Selected", icon="EMPTY_ARROWS").kind = "MOVE"
+    layout.label(text="Drag and Solve are in Object Mode")
 
 
 def _handles(layout: bpy.types.UILayout, settings) -> None:

@@ -17,12 +17,16 @@ class PliantPreferences(bpy.types.AddonPreferences):
     token: bpy.props.StringProperty(name="Token", description="Sent to the server with every call", subtype="PASSWORD")
     program: bpy.props.StringProperty(
         name="Program",
-        description="The pliant program that is started; empty looks in PLIANT_BIN and PATH",
+        description="The program to start; empty looks in PLIANT_BIN, takes the one that came along, or looks in PATH",
         subtype="FILE_PATH",
     )
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draws the page of the preferences."""
+        from . import link  # which asks this module
+
+        if link.refusal():
+            self.layout.label(text=link.refusal(), icon="INFO")
         self.layout.prop(self, "server")
         self.layout.prop(self, "token")
         row = self.layout.row()

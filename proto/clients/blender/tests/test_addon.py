@@ -165,12 +165,13 @@ def until_shown(dragged: drag.Drag) -> None:
 class Operator:
     """The drag's operator without the window that Blender would give it: its own methods, made-up events."""
 
-    invoke, modal = drag.PLIANT_OT_drag.invoke, drag.PLIANT_OT_drag.modal
+    invoke, modal, _drop = (getattr(drag.PLIANT_OT_drag, name) for name in ("invoke", "modal", "_drop"))
     _end, _fail, cancel = drag.PLIANT_OT_drag._end, drag.PLIANT_OT_drag._fail, drag.PLIANT_OT_drag.cancel
-    _drag = _timer = None
+    _timer = None
 
-    def __init__(self, object: bpy.types.Object) -> None:
+    def __init__(self, object: bpy.types.Object, *others: bpy.types.Object) -> None:
         self.object, self.reports, self.calls = object, [], []
+        self.selected_objects, self.scene = [object, *others], bpy.context.scene
         self.window = self.area = self
         self.areas = [self]
 
@@ -300,7 +301,7 @@ def test_modifiers_that_change_counts_are_refused_by_name(bar: bpy.types.Object)
 
 
 def test_what_cannot_be_done_is_said(bar: bpy.types.Object) -> None:
-    refusal("add a vertex group")
+    refusal('"bar" has no handle: select vertices in Edit Mode')
     with pytest.raises(RuntimeError, match='"nothing" is empty'):
         bpy.ops.pliant.add_handle(kind="HOLD", group="nothing")
     with pytest.raises(RuntimeError, match='no vertex group "wing"'):
@@ -360,7 +361,7 @@ def test_a_drag_goes_on_while_its_server_is_started_again(
         control = held(bar)
         operator = Operator(bar)
         assert operator.invoke(operator, None) == {"RUNNING_MODAL"}
-        dragged = operator._drag
+        dragged = operator._drags[0]
 
         def follow(angle: float) -> None:
             move(bar, control, angle)
@@ -386,7 +387,9 @@ def test_a_drag_goes_on_while_its_server_is_started_again(
         follow(0.9)
         assert not dragged.lost
         operator.event("TIMER")
-        assert operator.calls.count("status_text_set") == said + 2, "it is told that the server is away, and that it is back"
+        assert operator.calls.count("status_text_set") == said + 2, (
+            "it is told that the server is away, and that it is back"
+        )
         assert operator.event("RET") == {"FINISHED"}
         assert dragged._session.id == session, "nothing was opened anew"
         result = mesh.shape(bar.data.shape_keys.key_blocks["Pliant"])
@@ -432,6 +435,7 @@ def test_the_panel_draws_for_what_can_and_cannot_be_deformed(bar: bpy.types.Obje
     class Context:
         object = bar
         region = Region
+        scene = bpy.context.scene
         evaluated_depsgraph_get = staticmethod(bpy.context.evaluated_depsgraph_get)
 
     class Panel:

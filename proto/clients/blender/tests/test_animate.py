@@ -54,6 +54,7 @@ def arm(tmp_path: Path) -> Iterator[bpy.types.Object]:
     turn(rig, {1: 0.0, 11: 1.3})
     bpy.context.view_layer.objects.active = object
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
+    scene.frame_start, scene.frame_end = 1, 11
     yield object
     link.close_all()
 
@@ -149,7 +150,7 @@ def test_it_can_be_done_again_in_part_and_from_the_armature(arm: bpy.types.Objec
     bpy.context.view_layer.objects.active = rig
     turn(rig, {21: 0.0})
     bpy.context.scene.render.fps = 30
-    assert bpy.ops.pliant.animate(refine=2) == {"FINISHED"}
+    assert bpy.ops.pliant.animate(refine=2, frames="ACTION") == {"FINISHED"}
     assert [m.type for m in arm.modifiers] == ["MESH_CACHE", "ARMATURE"], "the modifier is the same one"
     assert modifier.filepath == "//bar-bend_it-2.pc2" and modifier.frame_start == 1
     assert (tmp_path / "bar-bend_it.pc2").exists(), "what undo goes back to is there"
@@ -218,15 +219,16 @@ def test_a_file_that_was_never_saved_has_no_place_for_a_cache(
 ) -> None:
     monkeypatch.setattr(cache.bpy, "data", type("Data", (), {"filepath": ""})())
     with pytest.raises(mesh.Refusal, match="save the .blend file first"):
-        cache.path_for(arm, "walk")
+        cache.path_for("bar-walk")
 
 
 class Watched:
     """Stands for the operator as Blender's window runs it: an event at a time."""
 
-    first, last, refine = 0, -1, -1
-    _begin, _step, _drop, _end = (
-        getattr(animate.PLIANT_OT_animate, name) for name in ("_begin", "_step", "_drop", "_end")
+    first, last, refine, frames = 0, -1, -1, "SCENE"
+    _asked, _named = True, {}
+    _begin, _step, _span, _drop, _end = (
+        getattr(animate.PLIANT_OT_animate, name) for name in ("_begin", "_step", "_span", "_drop", "_end")
     )
 
     def __init__(self, object: bpy.types.Object) -> None:

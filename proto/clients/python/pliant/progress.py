@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from types import TracebackType
@@ -22,14 +23,13 @@ class Meter(AbstractContextManager["Meter"]):
         self._bar: Any = None
         self._stage = ""
         if wish is True:
+            kind = {"unit": "B", "unit_scale": True, "unit_divisor": 1024} if bytes else {"unit": "pose"}
             try:
                 from tqdm.auto import tqdm
             except ImportError:
-                raise ImportError(
-                    "progress=True draws with tqdm: pip install 'pliant[progress]', or give a callable"
-                ) from None
-            kind = {"unit": "B", "unit_scale": True, "unit_divisor": 1024} if bytes else {"unit": "pose"}
-            self._bar = tqdm(desc=what, leave=False, **kind)
+                self._bar = _Line(what)
+            else:
+                self._bar = tqdm(desc=what, leave=False, **kind)
         self.stage(what)
 
     def stage(self, what: str) -> None:
@@ -54,6 +54,39 @@ class Meter(AbstractContextManager["Meter"]):
     ) -> None:
         if self._bar is not None:
             self._bar.close()
+
+
+class _Line:
+    """What there is of tqdm's bar without tqdm: one line on stderr, written anew; without a terminal, one for each stage."""
+
+    def __init__(self, what: str) -> None:
+        self.total, self.n = 0, 0
+        self._what = ""
+        self._shown = 0
+        self.set_description(what)
+
+    def set_description(self, what: str) -> None:
+        if what == self._what:
+            return
+        self._what = what
+        self._write()
+        if not sys.stderr.isatty():
+            print(what, file=sys.stderr, flush=True)
+
+    def update(self, more: int) -> None:
+        self.n += more
+        self._write()
+
+    def close(self) -> None:
+        self._write("")
+
+    def _write(self, text: str | None = None) -> None:
+        if not sys.stderr.isatty():
+            return
+        if text is None:
+            text = f"{self._what}: {100 * self.n // self.total} %" if self.total else self._what
+        print("\r" + text.ljust(self._shown) + ("" if text else "\r"), end="", file=sys.stderr, flush=True)
+        self._shown = len(text)
 
 
 def uploading(meter: Meter) -> Progress:

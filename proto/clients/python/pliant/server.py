@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import json
 import os
 import shutil
 import signal
@@ -99,6 +100,9 @@ class LocalServer:
         late.start()
         line = self._process.stdout.readline().decode(errors="replace").strip()
         late.cancel()
+        if line.startswith("{"):
+            # With log_format="json" the line has the form of the log.
+            line = str(json.loads(line).get("message"))
         if not line.startswith("listening on "):
             words = self._words()
             self.stop()

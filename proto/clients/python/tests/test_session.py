@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 import zlib
 from pathlib import Path
 
@@ -414,3 +415,15 @@ def coverage(png: bytes) -> float:
     width, height = size_of(png)
     rows = np.frombuffer(zlib.decompress(png[41 : 41 + length]), np.uint8).reshape(height, 1 + 3 * width)
     return float((rows[:, 1:].reshape(-1, 3).min(axis=1) < 255).mean())
+
+
+def test_progress_needs_no_package(
+    server: pliant.LocalServer, creature: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "tqdm.auto", None)
+    pliant.open(creature, server=server, progress=True).close()
+    assert capsys.readouterr().err.split() == ["read", "upload", "build"], "without a terminal, a line for each stage"
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    pliant.open(creature, server=server, progress=True).close()
+    drawn = capsys.readouterr().err
+    assert "\rupload: 100 %" in drawn and drawn.endswith("\r") and "\n" not in drawn, "on one, a line that goes away"

@@ -60,7 +60,8 @@ fn render(document: &Value) -> String {
                 escape(&method),
                 escape(path)
             );
-            call(&mut calls, &method, path, operation);
+            let shared = &document["components"]["responses"];
+            call(&mut calls, &method, path, operation, shared);
         }
     }
     contents.push_str("</ul><h2>Messages</h2><ul>");
@@ -89,7 +90,28 @@ fn render(document: &Value) -> String {
     )
 }
 
-fn call(page: &mut String, method: &str, path: &str, operation: &Value) {
+/// What a call answers with, by status; those with the same body in one row, as most refusals are.
+fn answers(rows: &mut String, operation: &Value, shared: &Value) {
+    let mut found: Vec<(String, &Value)> = Vec::new();
+    for (status, response) in entries(&operation["responses"]) {
+        if status == "default" {
+            continue;
+        }
+        let named = response["$ref"].as_str().and_then(|r| r.rsplit('/').next());
+        let content = &named.map_or(response, |name| &shared[name])["content"];
+        match found.iter_mut().find(|(_, other)| *other == content) {
+            Some((statuses, _)) => {
+                let _ = write!(statuses, ", {status}");
+            }
+            None => found.push((format!("answer {status}"), content)),
+        }
+    }
+    for (statuses, content) in found {
+        body(rows, &statuses, content);
+    }
+}
+
+fn call(page: &mut String, method: &str, path: &str, operation: &Value, shared: &Value) {
     let id = escape(word(&operation["operationId"]));
     let _ = writeln!(
         page,
@@ -109,11 +131,7 @@ fn call(page: &mut String, method: &str, path: &str, operation: &Value) {
         row(&mut rows, word(&parameter["name"]), &escape(&place), text);
     }
     body(&mut rows, "body", &operation["requestBody"]["content"]);
-    for (status, response) in entries(&operation["responses"]) {
-        if status != "default" {
-            body(&mut rows, &format!("answer {status}"), &response["content"]);
-        }
-    }
+    answers(&mut rows, operation, shared);
     table(page, &rows);
     example(page, method, path, operation);
     page.push_str("</section>\n");
@@ -158,7 +176,7 @@ fn example(page: &mut String, method: &str, path: &str, operation: &Value) {
     });
     let _ = writeln!(
         page,
-        "<pre><code>{}</code></pre>\n<div data-call=\"{}\"></div>",
+        "<pre tabindex=\"0\"><code>{}</code></pre>\n<div data-call=\"{}\"></div>",
         escape(&line),
         escape(&call.to_string())
     );
@@ -304,6 +322,20 @@ mod tests {
                 None => assert!(["/openapi.json", "/v1/limits"].contains(&target), "{target}"),
             }
         }
+    }
+
+    #[test]
+    fn refusals_are_one_row_that_says_what_they_hold() {
+        let page = PAGE.as_ref().unwrap();
+        let create = page.split("<section id=\"createSession\">").nth(1).unwrap();
+        let create = create.split("</section>").next().unwrap();
+        let rows: Vec<&str> = create.split("<tr>").filter(|row| row.contains(">answer ")).collect();
+        assert_eq!(rows.len(), 2, "{rows:#?}");
+        assert!(
+            rows[1].contains("answer 400, 401,") && rows[1].contains("application/problem+json"),
+            "{}",
+            rows[1]
+        );
     }
 
     #[test]

@@ -53,9 +53,9 @@ async function told(answer) {
   if (/json|text/.test(type) && !/ndjson/.test(type)) {
     const text = await answer.text();
     try {
-      return element("pre", {}, JSON.stringify(JSON.parse(text), null, 2));
+      return element("pre", { tabIndex: 0 }, JSON.stringify(JSON.parse(text), null, 2));
     } catch {
-      return element("pre", {}, text);
+      return element("pre", { tabIndex: 0 }, text);
     }
   }
   const bytes = await answer.blob();
@@ -69,7 +69,7 @@ function attempt(call) {
   const inputs = (call.parameters ?? []).filter((p) => p.in !== "header").map((parameter) => field(form, parameter));
   let body = null;
   let file = null;
-  if (call.json !== undefined) {
+  if (call.json) {
     body = element("textarea", { value: JSON.stringify(call.json, null, 2), spellcheck: false });
     form.append(element("label", {}, "body", body));
   } else if (call.file) {

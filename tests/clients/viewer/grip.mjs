@@ -1,0 +1,85 @@
+/**
+ * The cookbook's page with three.js in a browser: grip.mjs FOLDER [PICTURE]. Serves the built page, pulls the green arrow up, and then turns by a
+ * ring. The server that it talks to is written in it.
+ */
+
+import assert from "node:assert/strict";
+import { BROWSER, launch } from "./browser.mjs";
+import { serveFolder } from "./folder.mjs";
+
+const [folder, picture] = process.argv.slice(2);
+/** No step takes this long unless something hangs. */
+const PATIENCE_MS = 180_000;
+
+if (BROWSER === undefined) {
+  console.log("SKIPPED: Chromium is not installed; the page was not opened");
+  process.exit(0);
+}
+
+/** Where pixels of a picture are of a colour: three ranges. */
+async function places(page, ranges) {
+  const shot = (await page.locator("canvas").screenshot()).toString("base64");
+  return page.evaluate(
+    async ([text, wanted]) => {
+      const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+      const bitmap = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
+      const paint = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+      paint.drawImage(bitmap, 0, 0);
+      const { data } = paint.getImageData(0, 0, bitmap.width, bitmap.height);
+      const found = [];
+      for (let k = 0; k < data.length; k += 4) {
+        const fits = wanted.every(([low, high], c) => data[k + c] >= low && data[k + c] <= high);
+        if (fits) found.push({ x: (k / 4) % bitmap.width, y: Math.floor(k / 4 / bitmap.width) });
+      }
+      return found;
+    },
+    [shot, ranges],
+  );
+}
+
+const GREEN = [[0, 90], [200, 255], [0, 90]];
+const CREATURE = [[60, 175], [70, 190], [110, 255]];
+const top = (found) => found.reduce((a, b) => (b.y < a.y ? b : a), { y: Infinity });
+
+const files = await serveFolder(folder);
+const browser = await launch();
+try {
+  const page = await browser.newPage();
+  page.setDefaultTimeout(PATIENCE_MS);
+  const complaints = [];
+  page.on("pageerror", (error) => complaints.push(String(error)));
+  await page.goto(files.url);
+  const deadline = Date.now() + PATIENCE_MS;
+  let arrow = [];
+  while (arrow.length < 20) {
+    if (Date.now() > deadline) throw new Error(`no arrow is drawn; the page says ${await page.locator("p").innerText()} ${complaints}`);
+    arrow = await places(page, GREEN);
+  }
+  const { x, y } = await page.locator("canvas").boundingBox();
+  const high = top(await places(page, CREATURE)).y;
+  const tip = top(arrow);
+  const hand = { x: x + tip.x, y: y + tip.y + 5 };
+  await page.mouse.move(hand.x, hand.y);
+  await page.mouse.down();
+  for (let k = 1; k <= 20; k++) await page.mouse.move(hand.x, hand.y - 2 * k);
+  await page.mouse.up();
+  await page.waitForFunction(() => document.title === "Revision 3");
+  while (top(await places(page, CREATURE)).y > high - 15) {
+    if (Date.now() > deadline) throw new Error("the head does not follow the arrow");
+  }
+  if (picture) await page.locator("canvas").screenshot({ path: picture });
+  // Turned by the ring of the same axis, which is where its green is leftmost.
+  await page.keyboard.press("e");
+  await page.waitForTimeout(300);
+  const ring = (await places(page, GREEN)).reduce((a, b) => (b.y > a.y ? b : a));
+  await page.mouse.move(x + ring.x, y + ring.y);
+  await page.mouse.down();
+  for (let k = 1; k <= 20; k++) await page.mouse.move(x + ring.x + 3 * k, y + ring.y);
+  await page.mouse.up();
+  await page.waitForFunction(() => document.title === "Revision 4");
+  assert.deepEqual(complaints, []);
+  console.log("pulled by an arrow and turned by a ring");
+} finally {
+  await browser.close();
+  files.stop();
+}

@@ -1,0 +1,197 @@
+//! The workflow files of `deploy/ci/` as a runner plays them: the program comes from a release's files, which are checked, the suite
+//! is run with it, and the reports are kept. `tests/clients/workflows.rs` has them read by the forges' own schemas.
+
+use std::fs;
+use std::os::unix::fs::{PermissionsExt as _, symlink};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn workflow(name: &str) -> String {
+    fs::read_to_string(root().join("deploy/ci").join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+}
+
+/// The script that begins at the first line which ends with `start` below a line that ends with `below`: the rest of that line, or,
+/// after a bar, the lines that are indented further.
+fn script(text: &str, below: &str, start: &str) -> String {
+    let mut lines = text
+        .lines()
+        .skip_while(|line| !line.trim_end().ends_with(below))
+        .skip(1);
+    let first = lines
+        .find(|line| line.trim_start().starts_with(start))
+        .unwrap_or_else(|| panic!("no {start} below {below}"));
+    let rest = first.trim_start().strip_prefix(start).expect("found").trim();
+    if rest != "|" {
+        return rest.to_owned();
+    }
+    let depth = first.len() - first.trim_start().len();
+    let block: Vec<&str> = lines
+        .take_while(|line| line.trim().is_empty() || line.len() - line.trim_start().len() > depth)
+        .collect();
+    block.join("\n")
+}
+
+/// A checkout with the suite, and beside it the files of a release around this build's program.
+struct Runner {
+    folder: tempfile::TempDir,
+    archive: String,
+}
+
+impl Runner {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let version = env!("CARGO_PKG_VERSION");
+        let name = format!("pliant-{version}-linux-{}", std::env::consts::ARCH);
+        let at = |path: &str| folder.path().join(path);
+        fs::create_dir_all(at("checkout")).expect("a folder");
+        symlink(root().join("deploy"), at("checkout/deploy")).expect("a link");
+        fs::create_dir_all(at(&format!("release/{name}"))).expect("a folder");
+        let program = at(&format!("release/{name}/pliant"));
+        // As small as it may be; the real one is packed by deploy/release.
+        write_program(&program, &format!("exec {} \"$@\"", env!("CARGO_BIN_EXE_pliant")));
+        let archive = format!("{name}.tar.xz");
+        let packed = format!(
+            "tar -cJf {archive} {name} && sha256sum {archive} > SHA256SUMS && echo \"$(printf 0%.0s $(seq 64))  other.tgz\" >> SHA256SUMS"
+        );
+        let done = Command::new("sh")
+            .args(["-ec", &packed])
+            .current_dir(at("release"))
+            .output();
+        assert!(done.expect("it runs").status.success());
+        // What the forge's own program does for the workflow.
+        fs::create_dir(at("bin")).expect("a folder");
+        write_program(
+            &at("bin/gh"),
+            r#"[ "$1 $2 $3" = "release download v$PLIANT_VERSION" ] && [ "$5" = owner/name ] && [ -n "$GH_TOKEN" ]
+while [ $# -gt 0 ]; do
+    case "$1" in
+        --pattern) wanted="${wanted:-} $2"; shift ;;
+        --dir) mkdir -p "$2"; to=$2; shift ;;
+    esac
+    shift
+done
+for file in $wanted; do cp "$RELEASE/$file" "$to/"; done"#,
+        );
+        Self { folder, archive }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn play(&self, script: &str) -> Output {
+        let release = self.path("release");
+        let bin = self.path("bin");
+        let path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap_or_default());
+        Command::new("bash")
+            .args(["-eo", "pipefail", "-c", script])
+            .current_dir(self.path("checkout"))
+            .env("PATH", path)
+            .env("RELEASE", &release)
+            .env("PLIANT_RELEASE", format!("file://{}", release.display()))
+            .envs([
+                ("GH_TOKEN", "token"),
+                ("PLIANT_REPOSITORY", "owner/name"),
+                ("PLIANT_VERSION", env!("CARGO_PKG_VERSION")),
+                ("SUITE", "deploy/ci/sample-suite"),
+            ])
+            .output()
+            .expect("bash runs")
+    }
+
+    fn reports(&self) -> usize {
+        let reports = ["checkout/check/junit.xml", "checkout/check/report.html"];
+        reports.iter().filter(|name| self.path(name).exists()).count()
+    }
+
+    /// Another file in place of the archive, as it would come over a bad line.
+    fn spoil(&self) {
+        fs::write(self.path("release").join(&self.archive), "not what was released").expect("written");
+    }
+}
+
+fn write_program(path: &Path, script: &str) {
+    fs::write(path, format!("#!/bin/sh\nset -eu\n{script}\n")).expect("written");
+    fs::set_permissions(path, fs::Permissions::from_mode(0o755)).expect("its rights");
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&[output.stdout.as_slice(), &output.stderr].concat()).into_owned()
+}
+
+#[test]
+fn the_github_workflow_checks_with_the_released_program() {
+    let text = workflow("github-actions.yml");
+    assert!(!text.contains("cargo"), "nothing is compiled");
+    let (fetch, check) = (
+        script(&text, "- name: Fetch", "run:"),
+        script(&text, "- name: Check", "run:"),
+    );
+    let runner = Runner::new();
+    let fetched = runner.play(&fetch);
+    assert!(fetched.status.success(), "{}", said(&fetched));
+    let checked = runner.play(&check);
+    assert!(checked.status.success() && runner.reports() == 2, "{}", said(&checked));
+    // A later run restores the folder that is cached, and fetches nothing.
+    assert!(text.contains("path: .pliant") && text.contains("if: steps.cache.outputs.cache-hit != 'true'"));
+    let spoiled = Runner::new();
+    spoiled.spoil();
+    assert!(
+        !spoiled.play(&fetch).status.success(),
+        "what is not the release is not run"
+    );
+    assert!(!spoiled.path("checkout/.pliant/pliant").exists());
+}
+
+#[test]
+fn the_gitlab_pipeline_checks_with_the_released_program() {
+    let text = workflow("gitlab-ci.yml");
+    assert!(!text.contains("cargo"), "nothing is compiled");
+    let whole = script(&text, "  script:", "-");
+    let runner = Runner::new();
+    let first = runner.play(&whole);
+    if said(&first).contains("curl: not found") || said(&first).contains("curl: command not found") {
+        return eprintln!("SKIPPED: curl is not installed");
+    }
+    assert!(first.status.success() && runner.reports() == 2, "{}", said(&first));
+    // With its cache it needs no release.
+    runner.spoil();
+    let second = runner.play(&whole);
+    assert!(second.status.success(), "{}", said(&second));
+    let spoiled = Runner::new();
+    spoiled.spoil();
+    assert!(!spoiled.play(&whole).status.success() && spoiled.reports() == 0);
+}
+
+#[test]
+fn the_workflows_name_what_a_release_makes() {
+    let release = fs::read_to_string(root().join("deploy/release")).expect("the script");
+    assert!(release.contains(r#"archive(out, f"pliant-{version}-linux-{name}""#) && release.contains("{name}.tar.xz"));
+    for name in ["github-actions.yml", "gitlab-ci.yml"] {
+        let text = workflow(name);
+        assert!(
+            text.contains(&format!("PLIANT_VERSION: {}\n", env!("CARGO_PKG_VERSION"))),
+            "{name}"
+        );
+        assert!(
+            text.contains(r#"archive="pliant-$PLIANT_VERSION-linux-$(uname -m).tar.xz""#),
+            "{name}"
+        );
+    }
+    let text = workflow("github-release.yml");
+    let make = script(&text, "- name: Make", "run:");
+    assert!(make.ends_with("deploy/release -o target/release-files"), "{make}");
+    let attach = script(&text, "- name: Attach", "run:");
+    assert!(
+        attach.contains("target/release-files/* --draft --verify-tag"),
+        "nothing is published by itself: {attach}"
+    );
+    assert!(
+        text.contains("restore-keys:"),
+        "a run takes over what the one before compiled"
+    );
+}
