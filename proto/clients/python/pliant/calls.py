@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
@@ -11,6 +12,7 @@ import grpc
 from . import channel, errors
 from .model import Upload
 from .progress import Progress
+from .route import AWAY_SECONDS, Route
 from .server import LocalServer
 from .v1 import pliant_pb2 as pb
 from .v1.pliant_pb2_grpc import DeformerStub
@@ -21,51 +23,101 @@ _T = TypeVar("_T")
 _GLANCE = 0.5
 
 
+class Lines:
+    """The connections of one client: one to its server, and one to each node that it was sent to."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._open: dict[str, tuple[Any, Any]] = {}
+        self.closed = False
+
+    def to(self, settings: channel.Settings) -> tuple[Any, Any]:
+        """The channel to an address, and what calls on it."""
+        with self._lock:
+            if self.closed:
+                raise errors.FailedPrecondition(channel.CLOSED)
+            if settings.url not in self._open:
+                options = settings.options()
+                if settings.secure:
+                    made = grpc.secure_channel(settings.target, settings.credentials(), options=options)
+                else:
+                    made = grpc.insecure_channel(settings.target, options=options)
+                make_stub: Any = DeformerStub  # the generated file has no types
+                self._open[settings.url] = (made, make_stub(made))
+            return self._open[settings.url]
+
+    def close(self) -> None:
+        """Closes them; calls under way are cancelled."""
+        with self._lock:
+            self.closed = True
+            for line, _ in self._open.values():
+                line.close()
+
+
 class Calls:
-    """One connection to one server. Threads may share it."""
+    """Calls to one server, about all or about one session. Threads may share it."""
 
     def __init__(self, settings: channel.Settings, server: LocalServer | None = None) -> None:
         self.settings = settings
         self._server = server
-        self._closed = False
-        options = settings.options()
-        if settings.secure:
-            self._channel = grpc.secure_channel(settings.target, settings.credentials(), options=options)
-        else:
-            self._channel = grpc.insecure_channel(settings.target, options=options)
-        make_stub: Any = DeformerStub  # the generated file has no types
-        self._stub = make_stub(self._channel)
+        self._lines = Lines()
+        self._route = Route(settings)
+        self._session = ""
+        self._lines.to(settings)
+
+    def toward(self, session: str) -> Calls:
+        """Calls about one session, which go where it is; they begin where the last call was answered."""
+        other = Calls.__new__(Calls)
+        other.settings, other._server, other._lines = self.settings, self._server, self._lines
+        other._route, other._session = self._route.copy(), session
+        self._route.go_home()
+        return other
 
     def close(self) -> None:
-        """Closes the connection; calls under way are cancelled."""
-        self._closed = True
-        self._channel.close()
+        """Closes the connections; calls under way are cancelled."""
+        self._lines.close()
 
     def check_open(self) -> None:
         """Raises when this connection was closed."""
-        if self._closed:
+        if self._lines.closed:
             raise errors.FailedPrecondition(channel.CLOSED)
+
+    def _stub(self) -> Any:
+        return self._lines.to(self._route.settings())[1]
+
+    def _metadata(self, key: str | None, request: Any = None) -> tuple[tuple[str, str], ...]:
+        session = self._session or str(getattr(request, "session_id", ""))
+        return self.settings.metadata(key) + self._route.headers(session)
 
     def one(self, name: str, request: Any, *, keyed: bool = False, patience: float | None = None) -> Any:
         """A call with one request and one answer. `keyed` calls happen once however often they are sent."""
-        metadata = self.settings.metadata(channel.key() if keyed else None)
-        call = getattr(self._stub, name)
-        return self._repeat(lambda: call(request, metadata=metadata, timeout=self.settings.timeout), patience)
+        key = channel.key() if keyed else None
+
+        def attempt() -> Any:
+            call = getattr(self._stub(), name)
+            return call(request, metadata=self._metadata(key, request), timeout=self.settings.timeout)
+
+        return self._repeat(attempt, patience)
 
     def many(self, name: str, request: Any, *, keyed: bool = False) -> list[Any]:
         """A call whose answer comes in pieces."""
-        metadata = self.settings.metadata(channel.key() if keyed else None)
-        call = getattr(self._stub, name)
-        return self._repeat(lambda: list(call(request, metadata=metadata, timeout=self.settings.timeout)))
+        key = channel.key() if keyed else None
+
+        def attempt() -> list[Any]:
+            call = getattr(self._stub(), name)
+            return list(call(request, metadata=self._metadata(key, request), timeout=self.settings.timeout))
+
+        return self._repeat(attempt)
 
     def create(self, upload: Upload, options: pb.CreateOptions, progress: Progress) -> pb.Session:
         """Uploads a model. The same upload is sent again where the connection was lost."""
-        metadata = self.settings.metadata(channel.key())
+        key = channel.key()
         limits: pb.Limits = self.one("GetLimits", pb.GetLimitsRequest())
 
         def attempt() -> pb.Session:
             requests = upload.requests(options, limits.message_bytes, progress)
-            session = self._stub.CreateSession(requests, metadata=metadata, timeout=self.settings.timeout)
+            timeout = self.settings.timeout
+            session = self._stub().CreateSession(requests, metadata=self._metadata(key), timeout=timeout)
             assert isinstance(session, pb.Session)
             return session
 
@@ -74,27 +126,30 @@ class Calls:
     def deform(self, requests: Iterator[pb.DeformRequest]) -> Any:
         """Opens a stream; nothing is repeated here."""
         self.check_open()
-        return self._stub.Deform(requests, metadata=self.settings.metadata())
+        return self._stub().Deform(requests, metadata=self._metadata(None))
 
     def animate(self, requests: Iterator[pb.AnimateRequest]) -> Any:
         """Begins an animation; nothing is repeated here."""
         self.check_open()
-        return self._stub.Animate(requests, metadata=self.settings.metadata())
+        return self._stub().Animate(requests, metadata=self._metadata(None))
 
     def get(self, path: str) -> bytes:
         """The body of an HTTP GET, for what has no call in gRPC."""
 
         def attempt() -> bytes:
             try:
-                return self.settings.get(path)
+                return self._route.settings().get(path, self._route.headers(self._session))
             except errors.PliantError as error:
+                self._route.learn(error)
                 raise channel.of_session(error) from None
 
         return self._repeat(attempt)
 
     def fault(self, error: grpc.RpcError) -> errors.PliantError:
         """What a failed call means here."""
-        return self.reason(channel.of_session(errors.of_rpc(error)))
+        failed = errors.of_rpc(error)
+        self._route.learn(failed)
+        return self.reason(channel.of_session(failed))
 
     def reason(self, error: errors.PliantError) -> errors.PliantError:
         """The end of a server of one's own, where that lies behind a failure; it may show only after it."""
@@ -103,10 +158,12 @@ class Calls:
     def found(self, pause: float, patience: float, given_up: Callable[[], bool] = lambda: False) -> bool:
         """Waits for `pause` seconds and then until there is a connection; whether there is one."""
         time.sleep(pause)
-        if self._closed:
+        if self._lines.closed:
             return False
+        is_sure = self._route.is_sure
+        patience = patience if is_sure else min(patience, AWAY_SECONDS)
         # gRPC connects only while somebody waits for it, and calls that fail at once do not wait.
-        ready = grpc.channel_ready_future(self._channel)
+        ready = grpc.channel_ready_future(self._lines.to(self._route.settings())[0])
         end = time.monotonic() + patience
         while True:
             try:
@@ -116,7 +173,9 @@ class Calls:
                 hopeless = self._server is not None and self._server.ended is not None
                 if time.monotonic() >= end or hopeless or given_up():
                     ready.cancel()
-                    return False
+                    # There is somebody else to ask.
+                    self._route.go_on()
+                    return not (is_sure or hopeless or given_up())
 
     def _repeat(self, attempt: Callable[[], _T], patience: float | None = None) -> _T:
         attempts = channel.Attempts(self.settings.patience if patience is None else patience)

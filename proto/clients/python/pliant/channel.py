@@ -39,15 +39,12 @@ class Settings:
     message_bytes: int = 16 << 20
     #: Bytes of one stream that may be under way before they are read: HTTP/2's flow-control window.
     window_bytes: int = 8 << 20
+    #: Further addresses of the same service, asked where the first one does not answer: other nodes with the same store.
+    others: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        parts = urlsplit(self.url if "://" in self.url else f"http://{self.url}")
-        named = parts.hostname is not None and re.fullmatch(r"[\w.:-]+", parts.hostname)
-        if parts.scheme not in ("http", "https") or not named or parts.path not in ("", "/"):
-            raise ValueError(f"server: {self.url!r}; http://HOST:PORT, https://HOST:PORT or HOST:PORT is allowed")
-        host = f"[{parts.hostname}]" if ":" in str(parts.hostname) else parts.hostname
-        port = parts.port or (443 if parts.scheme == "https" else 7411)
-        object.__setattr__(self, "url", f"{parts.scheme}://{host}:{port}")
+        object.__setattr__(self, "url", _address("server", self.url))
+        object.__setattr__(self, "others", tuple(_address("others", url) for url in self.others))
 
     @property
     def secure(self) -> bool:
@@ -96,9 +93,11 @@ class Settings:
         token = (("authorization", f"Bearer {self.token}"),) if self.token else ()
         return token + ((("idempotency-key", key),) if key else ())
 
-    def get(self, path: str) -> bytes:
-        """The body of an HTTP GET, for what has no call in gRPC."""
-        request = urllib.request.Request(self.url + path, headers=dict(self.metadata()))
+    def get(self, path: str, more: tuple[tuple[str, str], ...] = ()) -> bytes:
+        """The body of an HTTP GET, for what has no call in gRPC; `more` headers go with it."""
+        # Where another node has what is asked for, its address is told, and not followed without us.
+        headers = dict(self.metadata() + more + (("x-pliant-hops", "0"),))
+        request = urllib.request.Request(self.url + path, headers=headers)
         handlers: list[urllib.request.BaseHandler] = []
         if self.loopback:
             handlers.append(urllib.request.ProxyHandler({}))
@@ -109,12 +108,24 @@ class Settings:
             with urllib.request.build_opener(*handlers).open(request, timeout=self.timeout) as answer:
                 body = answer.read()
         except urllib.error.HTTPError as refused:
-            raise errors.of_problem(refused.code, refused.read(), refused.headers.get("retry-after")) from None
+            error = errors.of_problem(refused.code, refused.read(), refused.headers.get("retry-after"))
+            error.owner, error.node = refused.headers.get("x-pliant-owner"), refused.headers.get("x-pliant-node")
+            raise error from None
         except OSError as lost:
             reason = getattr(lost, "reason", lost)
             raise errors.Unavailable(f"{self.url} cannot be reached: {reason}") from None
         assert isinstance(body, bytes)
         return body
+
+
+def _address(field: str, url: str) -> str:
+    parts = urlsplit(url if "://" in url else f"http://{url}")
+    named = parts.hostname is not None and re.fullmatch(r"[\w.:-]+", parts.hostname)
+    if parts.scheme not in ("http", "https") or not named or parts.path not in ("", "/"):
+        raise ValueError(f"{field}: {url!r}; http://HOST:PORT, https://HOST:PORT or HOST:PORT is allowed")
+    host = f"[{parts.hostname}]" if ":" in str(parts.hostname) else parts.hostname
+    port = parts.port or (443 if parts.scheme == "https" else 7411)
+    return f"{parts.scheme}://{host}:{port}"
 
 
 def key() -> str:
@@ -129,16 +140,24 @@ _LOST = ("RST_STREAM", "Stream removed", "Internal error from Core")
 CLOSED = "the connection is closed: close() was called on its client, or on the session that pliant.open() made"
 
 
+def is_lost(error: errors.PliantError) -> bool:
+    """Whether whoever was asked went away, or is about to."""
+    return isinstance(error, errors.Unavailable) or any(words in error.message for words in _LOST)
+
+
 class Attempts:
     """When a call that failed is worth another try: soon at first, then after longer and longer pauses, for as long as
     the patience lasts, which is counted from the first failure."""
 
     _FIRST, _LONGEST = 0.05, 1.0
+    # So often a call goes at once where it is sent; who is sent around goes on slowly.
+    _HOPS = 4
 
     def __init__(self, patience: float, *, resuming: bool = False) -> None:
         self._patience = patience
         self._end: float | None = None
         self._pause = self._FIRST
+        self._hops = 0
         # Whether this client had its place already: then a place that is still taken is its own, and comes free.
         self._resuming = resuming
 
@@ -154,6 +173,9 @@ class Attempts:
         if self._end is None:
             self._end = time.monotonic() + self._patience
         left, wanted = self.left, error.retry_after or 0.0
+        if error.owner is not None and self._hops < self._HOPS:
+            self._hops += 1
+            return 0.0
         if left == 0 or wanted > left:
             return None
         # Not all clients of a server that was restarted come at the same moment.
@@ -170,7 +192,7 @@ class Attempts:
     def _may_pass(self, error: errors.PliantError) -> bool:
         if isinstance(error, (errors.LocalServerError, errors.TooLarge)):
             return False
-        lost = isinstance(error, errors.Unavailable) or any(words in error.message for words in _LOST)
+        lost = is_lost(error)
         running = isinstance(error, errors.Aborted) and "still running" in error.message
         taken = isinstance(error, errors.ResourceExhausted) and error.retry_after is not None and self._resuming
         return lost or running or taken

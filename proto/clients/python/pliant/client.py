@@ -75,13 +75,13 @@ class Client:
             options.format = options.format or upload.format
             options.label = options.label or upload.label
             info = self._calls.create(upload, options, uploading(tell))
-        return Session(self._calls, info, keep=keep, at_close=self.close if self_closing else None)
+        return Session(self._calls.toward(info.id), info, keep=keep, at_close=self.close if self_closing else None)
 
     def attach(self, session_id: str, *, keep: bool = True) -> Session:
         """Takes up an open session."""
         text("session_id", session_id)
         info = self._calls.one("GetSession", pb.SessionRequest(session_id=session_id))
-        return Session(self._calls, info, keep=keep, at_close=None)
+        return Session(self._calls.toward(info.id), info, keep=keep, at_close=None)
 
     def sessions(self) -> Iterator[pb.Session]:
         """The caller's open sessions, oldest first."""
@@ -122,7 +122,8 @@ def connect(server: str | local.LocalServer | None = None, **way: Any) -> Client
 
     Without one the server of the environment variable PLIANT_SERVER is taken, else one of our own is started on a free
     port of this machine and stopped when Python ends. `way` are the fields of :class:`pliant.Settings`: ``token``,
-    ``ca``, ``timeout``, ``patience``, ``message_bytes``, ``window_bytes``.
+    ``ca``, ``timeout``, ``patience``, ``message_bytes``, ``window_bytes``, ``others``. Where several servers share a store,
+    each session's calls go to the node that has it; ``others`` are further addresses to ask when the first one is away.
     """
     return Client(server, **way)
 

@@ -28,6 +28,8 @@ class PliantError(Exception):
         field: str | None = None,
         retry_after: float | None = None,
         seq: int | None = None,
+        owner: str | None = None,
+        node: str | None = None,
     ) -> None:
         super().__init__(message)
         self.message = message
@@ -37,6 +39,9 @@ class PliantError(Exception):
         self.retry_after = retry_after
         #: The pose of a stream that was refused, where it is about one.
         self.seq = seq
+        #: The address of the node that has the session, and its name, where another one was asked.
+        self.owner = owner
+        self.node = node
 
 
 class InvalidArgument(PliantError, ValueError):
@@ -193,7 +198,10 @@ def of_rpc(error: grpc.RpcError) -> PliantError:
             detail.Unpack(info)
             reason = info.reason
     text = call.details() or "the call failed without a word"
-    return make(call.code().name, text, field=field, retry_after=retry_after, reason=reason)
+    failed = make(call.code().name, text, field=field, retry_after=retry_after, reason=reason)
+    told = {key: value for key, value in call.trailing_metadata() or () if isinstance(value, str)}
+    failed.owner, failed.node = told.get("x-pliant-owner"), told.get("x-pliant-node")
+    return failed
 
 
 def _details(metadata: Iterable[tuple[str, str | bytes]]) -> list[Any]:

@@ -230,6 +230,12 @@ export class Stream {
       const code = event.code > 4000 ? statusName(event.code - 4000) : "UNREACHABLE";
       this.lose(reason ?? this.leaving ?? new PliantError(code, told));
     };
+    socket.onerror = () => {
+      // Not every platform closes a socket that was never open, such as one that was sent elsewhere.
+      if (socket !== this.socket || this.isOver || this.current === "open") return;
+      this.socket = undefined;
+      this.lose(new PliantError("UNREACHABLE", "the connection was refused"));
+    };
   }
 
   /** Leaves a server that stops, once what it was given to record is answered. */

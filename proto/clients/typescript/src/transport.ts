@@ -1,12 +1,14 @@
 /**
  * HTTP calls: JSON of the schema's messages in and out, failures as `PliantError`. A server that answered before and cannot be reached
  * now, or is stopping, is asked again for a while; calls that change something carry an idempotency key, so that they happen once.
+ * Where several servers share a store, a call about a session goes to the one that has it.
  */
 
 import type { DescMessage, MessageInitShape, MessageShape } from "@bufbuild/protobuf";
 import { create, fromJson, toJson } from "@bufbuild/protobuf";
 import { Attempts, newKey, pause } from "./attempts.js";
 import { PliantError, problemOf } from "./errors.js";
+import { MOST_HOPS, type Place, Places } from "./places.js";
 
 /** What a page may set once for all calls. */
 export interface TransportOptions {
@@ -54,12 +56,14 @@ export class Transport {
   private readonly askToken: ((refused: boolean) => Promise<string | undefined>) | undefined;
   private token: string | undefined;
   private asking: Promise<string | undefined> | undefined;
+  private readonly places: Places;
   private readonly fetch: typeof globalThis.fetch;
   private readonly Socket: typeof globalThis.WebSocket | undefined;
 
   constructor(options: TransportOptions = {}) {
     const page = typeof location === "object" && location.protocol.startsWith("http") ? location.origin : undefined;
     this.url = (options.url ?? page ?? "http://127.0.0.1:7411").replace(/\/+$/, "");
+    this.places = new Places(this.url);
     this.headers = options.headers ?? {};
     this.patience = options.patience ?? 15;
     this.token = options.token ?? environment("PLIANT_TOKEN");
@@ -140,7 +144,10 @@ export class Transport {
     }
     // A page cannot give its WebSocket headers; the token goes as a sub-protocol, which the server does not repeat.
     const protocols = this.token === undefined ? ["pliant.v1"] : ["pliant.v1", `pliant.bearer.${this.token}`];
-    const socket = new this.Socket(this.url.replace(/^http/, "ws") + path, protocols);
+    const { url, node } = this.places.of(path);
+    // A page cannot give it headers either.
+    const named = node === undefined ? "" : `${path.includes("?") ? "&" : "?"}pliant-node=${encodeURIComponent(node)}`;
+    const socket = new this.Socket(url.replace(/^http/, "ws") + path + named, protocols);
     socket.binaryType = "arraybuffer";
     return socket;
   }
@@ -167,16 +174,26 @@ export class Transport {
       init.signal = signal;
     }
     let response: Response;
-    for (;;) {
+    let place = this.places.of(path);
+    for (let hops = 0; ; ) {
       const shown = this.show(headers);
+      point(headers, place, hops);
       try {
-        response = await this.fetch(this.url + path, init);
+        response = await this.fetch(place.url + path, init);
       } catch (error) {
-        throw unreachable(this.url, error);
+        this.places.forget(path);
+        throw unreachable(place.url, error);
       }
       this.reached = true;
-      if (response.status !== 401 || !(await this.hasOther(shown))) break;
+      const there = this.places.told(response.status, (name) => response.headers.get(name));
+      if (there !== undefined && hops < MOST_HOPS) {
+        hops += 1;
+        place = there;
+        await response.body?.cancel();
+      } else if (response.status !== 401 || !(await this.hasOther(shown))) break;
     }
+    if (response.status === 503) this.places.forget(path);
+    else this.places.remember(path, place);
     if (!response.ok) {
       const { status, statusText } = response;
       throw problemOf(status, statusText, await textOf(response), response.headers.get("retry-after"));
@@ -206,13 +223,16 @@ export class Transport {
     type: string | undefined,
     call: CallOptions,
     onProgress: Progress,
+    place: Place = { url: this.url },
+    hops = 0,
   ): Promise<string> {
     const { signal, idempotencyKey } = call;
     const headers = { ...this.headers };
     const shown = this.show(headers);
+    point(headers, place, hops);
     return new Promise((resolve, reject) => {
       const request = new XMLHttpRequest();
-      request.open("POST", this.url + path);
+      request.open("POST", place.url + path);
       request.setRequestHeader("accept", "application/json");
       for (const [name, value] of Object.entries(headers)) {
         request.setRequestHeader(name, value);
@@ -231,21 +251,33 @@ export class Transport {
           resolve(responseText);
           return;
         }
+        const there = this.places.told(status, (name) => request.getResponseHeader(name));
+        if (there !== undefined && hops < MOST_HOPS) {
+          this.uploadWatched(path, body, type, call, onProgress, there, hops + 1).then(resolve, reject);
+          return;
+        }
         const problem = problemOf(status, statusText, responseText, request.getResponseHeader("retry-after"));
         if (status !== 401) {
           reject(problem);
           return;
         }
         this.hasOther(shown)
-          .then((other) => (other ? this.uploadWatched(path, body, type, call, onProgress) : Promise.reject(problem)))
+          .then((other) => (other ? this.uploadWatched(path, body, type, call, onProgress, place, hops) : Promise.reject(problem)))
           .then(resolve, reject);
       };
-      request.onerror = () => reject(unreachable(this.url, undefined));
+      request.onerror = () => reject(unreachable(place.url, undefined));
       request.onabort = () => reject(signal?.reason ?? new DOMException("aborted", "AbortError"));
       signal?.addEventListener("abort", () => request.abort(), { once: true });
       request.send(body);
     });
   }
+}
+
+/** Tells a proxy which node is meant, and the server that its caller goes where it is sent by itself. */
+function point(headers: Record<string, string>, { node }: Place, hops: number): void {
+  headers["x-pliant-hops"] = String(hops);
+  if (node === undefined) delete headers["x-pliant-node"];
+  else headers["x-pliant-node"] = node;
 }
 
 /** A message as the JSON that the server reads. */

@@ -13,6 +13,7 @@ import grpc.aio
 from .. import channel, errors
 from ..model import Upload
 from ..progress import Progress
+from ..route import AWAY_SECONDS, Route
 from ..server import LocalServer
 from ..v1 import pliant_pb2 as pb
 from ..v1.pliant_pb2_grpc import DeformerStub
@@ -23,58 +24,99 @@ _T = TypeVar("_T")
 _GLANCE = 0.5
 
 
+class Lines:
+    """The connections of one client: one to its server, and one to each node that it was sent to."""
+
+    def __init__(self) -> None:
+        self._open: dict[str, tuple[Any, Any]] = {}
+        self.closed = False
+
+    def to(self, settings: channel.Settings) -> tuple[Any, Any]:
+        """The channel to an address, and what calls on it."""
+        if self.closed:
+            raise errors.FailedPrecondition(channel.CLOSED)
+        if settings.url not in self._open:
+            options = settings.options()
+            if settings.secure:
+                made = grpc.aio.secure_channel(settings.target, settings.credentials(), options=options)
+            else:
+                made = grpc.aio.insecure_channel(settings.target, options=options)
+            make_stub: Any = DeformerStub  # the generated file has no types
+            self._open[settings.url] = (made, make_stub(made))
+        return self._open[settings.url]
+
+    async def close(self) -> None:
+        """Closes them; calls under way are cancelled."""
+        self.closed = True
+        for line, _ in list(self._open.values()):
+            await line.close()
+
+
 class Calls:
-    """One connection to one server, for one event loop."""
+    """Calls to one server, about all or about one session, for one event loop."""
 
     def __init__(self, settings: channel.Settings, server: LocalServer | None = None) -> None:
         self.settings = settings
         self._server = server
-        self._closed = False
-        options = settings.options()
-        if settings.secure:
-            self._channel = grpc.aio.secure_channel(settings.target, settings.credentials(), options=options)
-        else:
-            self._channel = grpc.aio.insecure_channel(settings.target, options=options)
-        make_stub: Any = DeformerStub  # the generated file has no types
-        self._stub = make_stub(self._channel)
+        self._lines = Lines()
+        self._route = Route(settings)
+        self._session = ""
+        self._lines.to(settings)
+
+    def toward(self, session: str) -> Calls:
+        """Calls about one session, which go where it is; they begin where the last call was answered."""
+        other = Calls.__new__(Calls)
+        other.settings, other._server, other._lines = self.settings, self._server, self._lines
+        other._route, other._session = self._route.copy(), session
+        self._route.go_home()
+        return other
 
     async def close(self) -> None:
-        """Closes the connection; calls under way are cancelled."""
-        self._closed = True
-        await self._channel.close()
+        """Closes the connections; calls under way are cancelled."""
+        await self._lines.close()
 
     def check_open(self) -> None:
         """Raises when this connection was closed."""
-        if self._closed:
+        if self._lines.closed:
             raise errors.FailedPrecondition(channel.CLOSED)
+
+    def _stub(self) -> Any:
+        return self._lines.to(self._route.settings())[1]
+
+    def _metadata(self, key: str | None, request: Any = None) -> tuple[tuple[str, str], ...]:
+        session = self._session or str(getattr(request, "session_id", ""))
+        return self.settings.metadata(key) + self._route.headers(session)
 
     async def one(self, name: str, request: Any, *, keyed: bool = False, patience: float | None = None) -> Any:
         """A call with one request and one answer. `keyed` calls happen once however often they are sent."""
-        metadata = self.settings.metadata(channel.key() if keyed else None)
+        key = channel.key() if keyed else None
 
         async def attempt() -> Any:
-            return await getattr(self._stub, name)(request, metadata=metadata, timeout=self.settings.timeout)
+            call = getattr(self._stub(), name)
+            return await call(request, metadata=self._metadata(key, request), timeout=self.settings.timeout)
 
         return await self._repeat(attempt, patience)
 
     async def many(self, name: str, request: Any, *, keyed: bool = False) -> list[Any]:
         """A call whose answer comes in pieces."""
-        metadata = self.settings.metadata(channel.key() if keyed else None)
+        key = channel.key() if keyed else None
 
         async def attempt() -> list[Any]:
-            call = getattr(self._stub, name)(request, metadata=metadata, timeout=self.settings.timeout)
+            metadata = self._metadata(key, request)
+            call = getattr(self._stub(), name)(request, metadata=metadata, timeout=self.settings.timeout)
             return [piece async for piece in call]
 
         return await self._repeat(attempt)
 
     async def create(self, upload: Upload, options: pb.CreateOptions, progress: Progress) -> pb.Session:
         """Uploads a model. The same upload is sent again where the connection was lost."""
-        metadata = self.settings.metadata(channel.key())
+        key = channel.key()
         limits: pb.Limits = await self.one("GetLimits", pb.GetLimitsRequest())
 
         async def attempt() -> pb.Session:
             requests = upload.requests(options, limits.message_bytes, progress)
-            session = await self._stub.CreateSession(requests, metadata=metadata, timeout=self.settings.timeout)
+            timeout = self.settings.timeout
+            session = await self._stub().CreateSession(requests, metadata=self._metadata(key), timeout=timeout)
             assert isinstance(session, pb.Session)
             return session
 
@@ -83,27 +125,31 @@ class Calls:
     def deform(self, requests: AsyncIterator[pb.DeformRequest]) -> Any:
         """Opens a stream; nothing is repeated here."""
         self.check_open()
-        return self._stub.Deform(requests, metadata=self.settings.metadata())
+        return self._stub().Deform(requests, metadata=self._metadata(None))
 
     def animate(self, requests: AsyncIterator[pb.AnimateRequest]) -> Any:
         """Begins an animation; nothing is repeated here."""
         self.check_open()
-        return self._stub.Animate(requests, metadata=self.settings.metadata())
+        return self._stub().Animate(requests, metadata=self._metadata(None))
 
     async def get(self, path: str) -> bytes:
         """The body of an HTTP GET, for what has no call in gRPC."""
 
         async def attempt() -> bytes:
             try:
-                return await asyncio.to_thread(self.settings.get, path)
+                headers = self._route.headers(self._session)
+                return await asyncio.to_thread(self._route.settings().get, path, headers)
             except errors.PliantError as error:
+                self._route.learn(error)
                 raise channel.of_session(error) from None
 
         return await self._repeat(attempt)
 
     def fault(self, error: grpc.RpcError) -> errors.PliantError:
         """What a failed call means here."""
-        return self.reason(channel.of_session(errors.of_rpc(error)))
+        failed = errors.of_rpc(error)
+        self._route.learn(failed)
+        return self.reason(channel.of_session(failed))
 
     def reason(self, error: errors.PliantError) -> errors.PliantError:
         """The end of a server of one's own, where that lies behind a failure; it may show only after it."""
@@ -112,16 +158,22 @@ class Calls:
     async def found(self, pause: float, patience: float) -> bool:
         """Waits for `pause` seconds and then until there is a connection; whether there is one."""
         await asyncio.sleep(pause)
-        if self._closed:
+        if self._lines.closed:
             return False
+        is_sure = self._route.is_sure
+        patience = patience if is_sure else min(patience, AWAY_SECONDS)
+        line = self._lines.to(self._route.settings())[0]
         end = time.monotonic() + patience
         while True:
             try:
-                await asyncio.wait_for(self._channel.channel_ready(), min(_GLANCE, max(0.0, end - time.monotonic())))
+                await asyncio.wait_for(line.channel_ready(), min(_GLANCE, max(0.0, end - time.monotonic())))
                 return True
             except asyncio.TimeoutError:
-                if time.monotonic() >= end or (self._server is not None and self._server.ended):
-                    return False
+                hopeless = self._server is not None and self._server.ended is not None
+                if time.monotonic() >= end or hopeless:
+                    # There is somebody else to ask.
+                    self._route.go_on()
+                    return not (is_sure or hopeless)
 
     async def _repeat(self, attempt: Callable[[], Awaitable[_T]], patience: float | None = None) -> _T:
         attempts = channel.Attempts(self.settings.patience if patience is None else patience)

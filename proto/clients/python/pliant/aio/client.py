@@ -60,13 +60,13 @@ class Client:
             options.format = options.format or upload.format
             options.label = options.label or upload.label
             info = await self._calls.create(upload, options, uploading(tell))
-        return Session(self._calls, info, keep=keep, at_close=self.close if self_closing else None)
+        return Session(self._calls.toward(info.id), info, keep=keep, at_close=self.close if self_closing else None)
 
     async def attach(self, session_id: str, *, keep: bool = True) -> Session:
         """Takes up an open session."""
         text("session_id", session_id)
         info = await self._calls.one("GetSession", pb.SessionRequest(session_id=session_id))
-        return Session(self._calls, info, keep=keep, at_close=None)
+        return Session(self._calls.toward(info.id), info, keep=keep, at_close=None)
 
     async def sessions(self) -> AsyncIterator[pb.Session]:
         """The caller's open sessions, oldest first."""
