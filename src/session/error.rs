@@ -160,6 +160,16 @@ impl Error {
         }
     }
 
+    /// Another node has more room for a new session.
+    pub fn placed(owner: OwnerAddress) -> Self {
+        let text = format!("another node has more room for a new session; ask {}", owner.address);
+        Self {
+            retry_after_s: Some(1),
+            owner: Some(Box::new(owner)),
+            ..Self::new(ErrorCode::Unavailable, text)
+        }
+    }
+
     /// Another node has taken the session.
     pub fn moved() -> Self {
         let text = "another node has taken the session; nothing has changed, ask again and you are told where it is";

@@ -12,6 +12,7 @@ mod database_away;
 mod going_and_coming;
 mod sent_on;
 mod stale_writes;
+mod through_proxy;
 
 /// How long nodes of tests keep their sessions without a word.
 const LEASE: Duration = Duration::from_secs(1);
@@ -21,11 +22,20 @@ fn node(place: &StorePlace, name: &str) -> ServedProgram {
     node_at(place, name, place.database().map(|d| d.url.clone()))
 }
 
+/// As `node`, with further arguments.
+fn node_with(place: &StorePlace, name: &str, more: &[&str]) -> ServedProgram {
+    started(place, name, place.database().map(|d| d.url.clone()), more)
+}
+
 /// As `node`, with the database behind another address.
 fn node_at(place: &StorePlace, name: &str, database: Option<String>) -> ServedProgram {
+    started(place, name, database, &[])
+}
+
+fn started(place: &StorePlace, name: &str, database: Option<String>, more: &[&str]) -> ServedProgram {
     let arguments = ["--advertise", "http://127.0.0.1:0", "--node", name];
     let times = ["--lease", "1s", "--heartbeat", "200ms", "--drain-deadline", "5s"];
-    let arguments = [&arguments[..], &times[..]].concat();
+    let arguments = [&arguments[..], &times[..], more].concat();
     let log = format!("log-{name}");
     place
         .start_logged(&log, database.as_deref(), &arguments)

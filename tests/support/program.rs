@@ -36,6 +36,8 @@ impl ServedProgram {
     pub fn start_anywhere(log: PathBuf, arguments: &[&str], variables: &[(&str, &str)]) -> Result<Self, String> {
         // A limit on the size of files ends a process that has not asked to be told otherwise.
         let mut command = Command::new("sh");
+        let somewhere = ["--listen", "127.0.0.1:0"];
+        let is_told = arguments.contains(&"--listen");
         command
             .args([
                 "-c",
@@ -44,7 +46,8 @@ impl ServedProgram {
                 env!("CARGO_BIN_EXE_pliant"),
                 "serve",
             ])
-            .args(["--listen", "127.0.0.1:0", "--threads", "2"])
+            .args(if is_told { &[][..] } else { &somewhere[..] })
+            .args(["--threads", "2"])
             .args(arguments)
             .envs(variables.iter().copied())
             .env_remove("PLIANT_CONFIG")

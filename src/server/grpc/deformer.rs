@@ -7,8 +7,8 @@ use super::stream;
 use super::upload;
 use crate::server::auth;
 use crate::server::format_name::parse_format_name;
-use crate::server::messages;
 use crate::server::state::State;
+use crate::server::{messages, redirect};
 use crate::session::{CallKey, Error, Manager, SessionFacts, Tenant};
 use crate::wire::{self, frames::encode, pb};
 use bytes::Bytes;
@@ -70,10 +70,10 @@ fn tenant<T>(request: &Request<T>) -> Result<Tenant, Status> {
 }
 
 /// New work is refused while the server is going away; what only reads is not.
-fn work<T>(state: &State, request: Request<T>) -> Result<(Tenant, Option<String>, T), Status> {
+async fn work<T>(state: &State, request: Request<T>) -> Result<(Tenant, Option<String>, T), Status> {
     let parts = keyed(request)?;
     if state.draining.is_cancelled() {
-        Err(status(Error::draining()))
+        Err(status(state.manager.leaving().await))
     } else {
         Ok(parts)
     }
@@ -102,7 +102,9 @@ fn sent<T: Send + 'static>(items: impl IntoIterator<Item = T, IntoIter: Send + '
 impl Deformer for Calls {
     async fn create_session(&self, request: Request<Streaming<pb::CreateSessionRequest>>) -> GrpcAnswer<pb::Session> {
         let manager = acting(&self.state, &request)?;
-        let (tenant, key, inbound) = work(&self.state, request)?;
+        let was_sent = request.metadata().contains_key(redirect::NODE);
+        let (tenant, key, inbound) = work(&self.state, request).await?;
+        self.state.manager.place_new(was_sent).await.map_err(status)?;
         let upload::Upload { files, options, held } = upload::receive(&self.state, &tenant, inbound).await?;
         let key = call_key(key, &options);
         let options = wire::session_options(&options, manager.ttl_range(&tenant).map_err(status)?).map_err(refused)?;
@@ -136,7 +138,7 @@ impl Deformer for Calls {
 
     async fn set_handles(&self, request: Request<pb::SetHandlesRequest>) -> GrpcAnswer<pb::Session> {
         let manager = acting(&self.state, &request)?;
-        let (tenant, key, message) = work(&self.state, request)?;
+        let (tenant, key, message) = work(&self.state, request).await?;
         self.check_session(&tenant, &message.session_id).await?;
         let (key, handles) = (call_key(key, &message), wire::handle_set(&message).map_err(refused)?);
         self.session(manager.set_handles(&tenant, &message.session_id, handles, key).await)
@@ -158,7 +160,7 @@ impl Deformer for Calls {
 
     async fn solve(&self, request: Request<pb::SolveRequest>) -> GrpcAnswer<Self::SolveStream> {
         let manager = acting(&self.state, &request)?;
-        let (tenant, key, message) = work(&self.state, request)?;
+        let (tenant, key, message) = work(&self.state, request).await?;
         self.check_session(&tenant, &message.session_id).await?;
         let pose = wire::pose_commit(&message, manager.config().window).map_err(refused)?;
         let key = call_key(key, &message);
@@ -168,7 +170,7 @@ impl Deformer for Calls {
 
     async fn edit(&self, request: Request<pb::EditRequest>) -> GrpcAnswer<pb::EditResult> {
         let manager = acting(&self.state, &request)?;
-        let (tenant, key, message) = work(&self.state, request)?;
+        let (tenant, key, message) = work(&self.state, request).await?;
         self.check_session(&tenant, &message.session_id).await?;
         let edit = wire::session_edit(&message).map_err(refused)?;
         let key = call_key(key, &message);
@@ -178,13 +180,13 @@ impl Deformer for Calls {
 
     async fn undo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
         let manager = acting(&self.state, &request)?;
-        let (tenant, key, message) = work(&self.state, request)?;
+        let (tenant, key, message) = work(&self.state, request).await?;
         self.session(manager.undo(&tenant, &message.session_id, key.as_deref()).await)
     }
 
     async fn redo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
         let manager = acting(&self.state, &request)?;
-        let (tenant, key, message) = work(&self.state, request)?;
+        let (tenant, key, message) = work(&self.state, request).await?;
         self.session(manager.redo(&tenant, &message.session_id, key.as_deref()).await)
     }
 

@@ -67,7 +67,7 @@ impl Open {
         let patience = state.config.header_timeout;
         let first = tokio::select! {
             first = tokio::time::timeout(patience, inbound_message(&mut inbound)) => first,
-            () = state.draining.cancelled() => return Err(status(Error::draining())),
+            () = state.draining.cancelled() => return Err(status(manager.leaving().await)),
         };
         let first = first.map_err(|_| {
             let text = format!(

@@ -14,6 +14,7 @@ use super::upload_body::next_bytes;
 use crate::asset::sample::BuiltInModel;
 use crate::asset::{FileSet, Format};
 use crate::server::auth;
+use crate::server::redirect;
 use crate::server::sample;
 use crate::server::state::State;
 use crate::server::upload_pace::UploadPace;
@@ -43,6 +44,10 @@ pub(super) async fn create(From(state): From<State>, caller: Caller, request: Re
     }
     // A key that is none is refused before anything is read.
     caller.key()?;
+    state
+        .manager
+        .place_new(request.headers().contains_key(redirect::NODE))
+        .await?;
     let mut options = Options::from_query(request.uri())?;
     let kind = body::content_type(request.headers());
     let Received { files, held } = if let Some(name) = options.sample.take() {

@@ -33,7 +33,6 @@ use super::redirect;
 use super::state::State;
 use super::telemetry::{self, Recorder};
 use super::visitors::Refused;
-use crate::session::Error;
 use axum::Router;
 use axum::body::Body;
 use axum::extract::{MatchedPath, Request};
@@ -98,6 +97,9 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
     let asked = (request.uri().clone(), request.headers().clone());
     if let Some(without) = redirect::without_node(&asked.0) {
         *request.uri_mut() = without;
+        request
+            .headers_mut()
+            .insert(redirect::NODE, HeaderValue::from_static("sent"));
     }
     if request.version() < http::Version::HTTP_2 {
         let body = std::mem::replace(request.body_mut(), Body::empty());
@@ -111,7 +113,7 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
             .with_header(header::ACCEPT_ENCODING, "identity".into())
             .into_response()
     } else if state.draining.is_cancelled() && matches!(*request.method(), Method::POST | Method::PUT | Method::PATCH) {
-        Problem::from(Error::draining()).into_response()
+        Problem::from(state.manager.leaving().await).into_response()
     } else {
         // A defect costs its call an answer of 500, not the connection.
         match AssertUnwindSafe(next.run(request))

@@ -37,7 +37,7 @@ use crate::session::store::session_store::now_ms;
 use crate::session::store::{SessionStore, StoreError};
 use crate::wire::{SessionOptions, SessionPage};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
 use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
@@ -303,6 +303,9 @@ impl Manager {
     pub(in crate::session) async fn find(&self, tenant: &Tenant, id: &str) -> Result<Arc<OpenSession>, Error> {
         be_sure_of_lease(&self.shared).await;
         match (self.shared.registry.find(tenant, id), &self.shared.store) {
+            (Err(error), Some(_)) if error.code == ErrorCode::NotFound && self.shared.draining.load(SeqCst) => {
+                Err(self.leaving().await)
+            }
             (Err(error), Some(store)) if error.code == ErrorCode::NotFound => {
                 reopen_session(&self.shared, store, tenant, id).await
             }

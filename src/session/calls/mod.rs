@@ -11,6 +11,7 @@ pub(super) mod handle_change;
 pub(super) mod idempotency;
 pub(super) mod manager;
 pub(super) mod model_opening;
+mod placement;
 mod recorded_answer;
 pub(super) mod session_places;
 mod shape;

@@ -78,7 +78,7 @@ impl Manager {
     pub async fn stream(&self, tenant: &Tenant, id: &str) -> Result<DeformStream, Error> {
         let mut session = self.find(tenant, id).await?;
         if self.shared.draining.load(SeqCst) {
-            return Err(Error::draining());
+            return Err(self.leaving().await);
         }
         let (config, metrics) = (&self.shared.config, Arc::clone(&self.shared.metrics));
         let place = self.account(tenant)?.take_stream().inspect_err(|_| {

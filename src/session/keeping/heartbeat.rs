@@ -42,7 +42,7 @@ pub(in crate::session) async fn beat(shared: &SharedResources) -> Result<(), Sto
     };
     let _speaking = shared.lease_watch.speaking.lock().await;
     let begun = Instant::now();
-    let told = ownership.beat(load(shared)).await;
+    let told = ownership.beat(load_of(shared)).await;
     let settled = match told {
         Ok(true) => Ok(()),
         Ok(false) => let_go_of_lost(shared, ownership).await,
@@ -53,7 +53,7 @@ pub(in crate::session) async fn beat(shared: &SharedResources) -> Result<(), Sto
 }
 
 /// What this node tells of itself.
-fn load(shared: &SharedResources) -> NodeLoad {
+pub(in crate::session) fn load_of(shared: &SharedResources) -> NodeLoad {
     NodeLoad {
         sessions: shared.registry.all().len() as u64,
         most_sessions: shared.config.sessions as u64,

@@ -1,6 +1,6 @@
 //! Nodes that are killed, stopped for a while or drained: what was acknowledged is at another one, once, and streams go on there.
 
-use super::{LEASE, answered, drag, node, signal, stream};
+use super::{LEASE, answered, drag, node, signal, stream, unmoved};
 use crate::durable::place::StorePlace;
 use crate::durable::{bar_session, metric, path, seen, turn};
 use crate::support::server::{Came, turned, within};
@@ -119,6 +119,20 @@ async fn a_drained_node_gives_its_sessions_back_one_by_one() {
     let since = Instant::now();
     assert_eq!(answered(&b, &path(&idle, "")).await, 200);
     assert_eq!(seen(&b, &idle).await, before);
+    // Who comes to the node that leaves is sent to one that stays, with what is new too.
+    for (method, rest) in [
+        ("GET", path(&idle, "")),
+        ("POST", "/v1/sessions?sample=creature".to_owned()),
+    ] {
+        let call = unmoved().request(method.parse().expect("a method"), format!("{}{rest}", a.url));
+        let sent = within("an answer", call.send()).await.expect("an answer");
+        assert_eq!(sent.status().as_u16(), 307, "{method} {rest}");
+        let owner = sent
+            .headers()
+            .get("x-pliant-owner")
+            .and_then(|owner| owner.to_str().ok());
+        assert_eq!(owner, Some(b.url.as_str()), "{method} {rest}");
+    }
     drag(&mut dragged, turned(2, 0.2, true))
         .await
         .expect("a frame of the node that leaves");

@@ -1,8 +1,8 @@
 //! A call that comes to the wrong node is sent to the right one, and a call that comes twice happens once, wherever it comes to.
 
-use super::{node, unmoved};
+use super::{node, node_with, unmoved};
 use crate::durable::place::StorePlace;
-use crate::durable::{bar_session, path, seen, turn};
+use crate::durable::{bar_session, metric, path, seen, turn};
 use crate::support::server::{bar_obj, http, within};
 use pliant::server::grpc::client::DeformerClient;
 use pliant::wire::pb;
@@ -158,4 +158,43 @@ async fn nobody_has_the_store_for_himself_beside_nodes() {
         Some(3),
         "{third}"
     );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_new_session_goes_where_there_is_more_room() {
+    let Some(place) = StorePlace::remote().await else {
+        return;
+    };
+    let (small, large) = (node_with(&place, "small", &["--sessions", "2"]), node(&place, "large"));
+    let create = async |client: reqwest::Client, to: &str| {
+        let sent = client.post(format!("{to}/v1/sessions")).body(bar_obj(7)).send();
+        within("an answer", sent).await.expect("an answer")
+    };
+    // Both are empty: it stays. Then half of the small one is taken, and none of the large one.
+    assert_eq!(create(unmoved(), &small.url).await.status().as_u16(), 201);
+    let sent = create(unmoved(), &small.url).await;
+    assert_eq!(sent.status().as_u16(), 307);
+    let location = sent
+        .headers()
+        .get("location")
+        .and_then(|l| l.to_str().ok())
+        .expect("a place");
+    assert_eq!(location, format!("{}/v1/sessions?pliant-node=large", large.url));
+    for _ in 0..3 {
+        assert_eq!(
+            create(http(), &small.url).await.status().as_u16(),
+            201,
+            "who follows has a session"
+        );
+    }
+    assert_eq!(metric(&small, "pliant_sessions ").await, 1.0);
+    assert_eq!(metric(&large, "pliant_sessions ").await, 3.0);
+    // Whom another node has sent stays: nobody is sent around.
+    let stays = unmoved()
+        .post(format!("{}/v1/sessions", small.url))
+        .header("x-pliant-node", "small");
+    let stays = within("an answer", stays.body(bar_obj(7)).send())
+        .await
+        .expect("an answer");
+    assert_eq!(stays.status().as_u16(), 201);
 }
