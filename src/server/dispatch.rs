@@ -162,6 +162,10 @@ fn cors(config: &ServerConfig) -> CorsLayer {
         "x-pliant-flipped-triangles",
         "x-pliant-max-stretch",
         "x-pliant-self-intersections",
+        "x-pliant-faces-too-large",
+        "x-pliant-followed",
+        "x-pliant-frames",
+        "x-pliant-warning",
     ];
     let mut exposed: Vec<HeaderName> = own.into_iter().map(HeaderName::from_static).collect();
     exposed.extend([

@@ -152,6 +152,39 @@ async fn json_is_compressed_on_request_and_nothing_else() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn pages_of_other_origins_may_read_every_fact_of_an_answer() {
+    let server = Server::start().await;
+    let id = server.bar_session().await;
+    let origin = "http://localhost:5173";
+    let solve = http()
+        .post(server.url(&format!("/v1/sessions/{id}/solve")))
+        .header("accept", "application/octet-stream")
+        .json(&turn_json(0.1));
+    let model = http().get(server.url(&format!("/v1/sessions/{id}/model?format=glb")));
+    let figure = http().post(server.url("/v1/sessions?sample=figure"));
+    let figure: Value = within("a session", figure.send()).await.unwrap().json().await.unwrap();
+    let walk = http()
+        .post(server.url(&format!("/v1/sessions/{}/animations", text(&figure["id"]))))
+        .header("accept", "model/gltf-binary")
+        .json(&serde_json::json!({"options": {"clip": "walk", "fps": 2}}));
+    let mut told = 0;
+    for call in [solve, model, walk] {
+        let answer = within("an answer", call.header("origin", origin).send()).await.unwrap();
+        assert_eq!(answer.status(), 200);
+        let exposed = answer.headers()["access-control-expose-headers"]
+            .to_str()
+            .unwrap()
+            .to_lowercase();
+        let exposed: Vec<&str> = exposed.split(',').map(str::trim).collect();
+        for name in answer.headers().keys().filter(|name| name.as_str().starts_with("x-")) {
+            assert!(exposed.contains(&name.as_str()), "{name} is hidden from pages");
+            told += 1;
+        }
+    }
+    assert!(told > 15, "{told}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn pages_of_foreign_origins_may_not_call() {
     let server = Server::start().await;
     let from = |origin: &'static str| {

@@ -1,6 +1,6 @@
 /** One open session: its handles, committed poses, edits, history and exports, and its stream. */
 
-import type { MessageInitShape } from "@bufbuild/protobuf";
+import { create, type MessageInitShape } from "@bufbuild/protobuf";
 import type { EditResult, HistoryResponse, Quality, Session as Facts } from "./gen/pliant/v1/pliant_pb.js";
 import {
   CarryRequestSchema,
@@ -11,6 +11,7 @@ import {
   HistoryResponseSchema,
   OptionsSchema,
   Pose_EntrySchema,
+  QualitySchema,
   SessionSchema,
   SetHandlesRequestSchema,
   SolveRequestSchema,
@@ -51,6 +52,8 @@ export interface Solved {
   readonly residual: number;
   readonly maxError: number;
   readonly solveMs: number;
+  /** The shape against the rest shape. */
+  readonly quality: Quality;
 }
 
 /** Points carried along with a shape, in the order in which they were given. */
@@ -118,6 +121,17 @@ export class Session {
     const accept = "application/octet-stream";
     const { headers, bytes } = await this.transport.read("POST", this.path("/solve"), accept, { ...call, json }, read);
     const fact = (name: string): string => headers.get(`x-pliant-${name}`) ?? "";
+    const pairs = headers.get("x-pliant-self-intersections");
+    const quality = create(QualitySchema, {
+      edgeRms: Number(fact("edge-rms")),
+      volumeChange: Number(fact("volume-change")),
+      openSurface: fact("open-surface") === "true",
+      areaChange: Number(fact("area-change")),
+      flippedTriangles: Number(fact("flipped-triangles")),
+      maxStretch: Number(fact("max-stretch")),
+      facesTooLarge: Number(fact("faces-too-large")),
+      ...(pairs === null ? {} : { selfIntersections: Number(pairs) }),
+    });
     return {
       positions: new Float32Array(bytes),
       revision: Number(fact("revision")),
@@ -125,6 +139,7 @@ export class Session {
       residual: Number(fact("residual")),
       maxError: Number(fact("max-error")),
       solveMs: Number(fact("solve-ms")),
+      quality,
     };
   }
 

@@ -32,6 +32,7 @@ test("a drag ends where a solve of the same pose ends, to the bit", { skip }, as
   assert.ok(frame.quality !== undefined && frame.quality.flippedTriangles === 0);
   const solved = await twin.solve(NOD);
   assert.deepEqual(positions, solved.positions);
+  assert.deepEqual(solved.quality, frame.quality, "what the shape is like is told either way");
   assert.deepEqual(await session.positions(), solved.positions);
 
   await session.undo();
