@@ -166,7 +166,7 @@ async fn pages_of_other_origins_may_read_every_fact_of_an_answer() {
     let walk = http()
         .post(server.url(&format!("/v1/sessions/{}/animations", text(&figure["id"]))))
         .header("accept", "model/gltf-binary")
-        .json(&serde_json::json!({"options": {"clip": "walk", "fps": 2}}));
+        .json(&serde_json::json!({"clip": "walk", "fps": 2}));
     let mut told = 0;
     for call in [solve, model, walk] {
         let answer = within("an answer", call.header("origin", origin).send()).await.unwrap();
