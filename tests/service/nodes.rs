@@ -9,6 +9,7 @@ use std::process::Command;
 use std::time::Duration;
 
 mod database_away;
+mod database_share;
 mod going_and_coming;
 mod sent_on;
 mod stale_writes;

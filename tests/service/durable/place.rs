@@ -155,6 +155,15 @@ impl StorePlace {
         tamper_at(&self.database_url(), statement).await;
     }
 
+    /// Tells the database something that changes no rows.
+    pub async fn ask(&self, statement: &str) {
+        sqlx::any::install_default_drivers();
+        let mut connection = AnyConnection::connect(&self.database_url()).await.expect("a database");
+        let done = sqlx::query(statement).execute(&mut connection).await;
+        done.expect("a statement");
+        connection.close().await.expect("closed");
+    }
+
     /// How many rows a table has.
     pub async fn count(&self, table: &str) -> i64 {
         self.number(&format!("SELECT COUNT(*) FROM {table}")).await
