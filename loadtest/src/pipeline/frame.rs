@@ -1,6 +1,7 @@
 //! `loadtest frame`: one frame of a drag followed through, pass by pass, beside what the machine could do at best.
 
 use crate::failure::LoadtestFailure;
+use crate::pipeline::pass_clock::PassClock;
 use crate::shared::drag_scene::DragScene;
 use crate::shared::input_files::read_model_file;
 use crate::shared::measurements::Measurements;
@@ -9,12 +10,10 @@ use crate::shared::timing::time_once;
 use pliant::engine::{Deformer, DeformerLimits, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
-use pliant::progress::{Progress, Silent};
+use pliant::progress::Silent;
 use pliant::wire::frames::{FrameHeader, FrameOutput, FrameRequest, encode};
 use pliant::wire::{self, DeformOptions, pb};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
 
 /// Bytes of a frame's part, as servers send them.
 const PART: usize = 256 << 10;
@@ -64,59 +63,6 @@ pub(crate) struct FrameArgs {
     /// Print one JSON document on stdout
     #[arg(long)]
     json: bool,
-}
-
-/// Clocks passes.
-struct PassClock {
-    start: Instant,
-    passes: Mutex<ClockedPasses>,
-}
-
-/// Passes with seconds.
-#[derive(Default)]
-struct ClockedPasses {
-    /// The one under way, and when it began.
-    current: Option<(&'static str, f64)>,
-    /// Those before it, and how long they took.
-    done: Vec<(&'static str, f64)>,
-}
-
-impl PassClock {
-    fn new() -> Self {
-        Self {
-            start: Instant::now(),
-            passes: Mutex::default(),
-        }
-    }
-
-    fn switch_to(&self, next: Option<&'static str>) {
-        let now = self.start.elapsed().as_secs_f64();
-        let mut passes = self.passes.lock().unwrap_or_else(PoisonError::into_inner);
-        let ClockedPasses { current, done } = &mut *passes;
-        if let Some((pass, begun)) = current.take() {
-            done.push((pass, now - begun));
-        }
-        *current = next.map(|pass| (pass, now));
-    }
-
-    /// Seconds of every pass of [`PASSES`], of those since the last time.
-    fn take(&self) -> [f64; PASSES.len()] {
-        self.switch_to(None);
-        let mut passes = self.passes.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut seconds = [0.0; PASSES.len()];
-        for (pass, took) in passes.done.drain(..) {
-            if let Some(k) = PASSES.iter().position(|(name, _)| *name == pass) {
-                seconds[k] += took;
-            }
-        }
-        seconds
-    }
-}
-
-impl Progress for PassClock {
-    fn begin_pass(&self, pass: &'static str) {
-        self.switch_to(Some(pass));
-    }
 }
 
 /// What was measured.
@@ -196,6 +142,7 @@ fn drag_frames(
         let exec = Exec::new(pool, &clock);
         let (solved, solve) = time_once(|| deformer.solve(&poses, &settings, SolveMode::Drag, &exec, &mut |_| true));
         let (solved, passes) = (solved?, clock.take());
+        let of_pass = |(name, _): &(&str, &str)| passes.iter().find(|(pass, _)| pass == name).map_or(0.0, |p| p.1);
         let (parts, encode) = time_once(|| {
             let parts = encode(FrameRequest {
                 header: FrameHeader::default(),
@@ -210,7 +157,7 @@ fn drag_frames(
         debug_assert!(parts > 0);
         if seq > WARM_UP {
             run.cycles += f64::from(solved.cycles) / args.frames as f64;
-            run.passes.iter_mut().zip(passes).for_each(|(all, s)| all.push(s));
+            (run.passes.iter_mut().zip(&PASSES)).for_each(|(all, pass)| all.push(of_pass(pass)));
             run.encode.push(encode);
             run.frames.push(solve + encode);
         }

@@ -5,3 +5,4 @@ pub(crate) mod first_frame;
 pub(crate) mod fit_energies;
 pub(crate) mod frame;
 mod graph_stages;
+mod pass_clock;

@@ -114,7 +114,7 @@ fn pose_systems(
         fixed: rig.given().to_vec(),
         stiffness,
         frames: first.frames,
-        rest: body.rest().to_vec(),
+        rest: (0..body.nodes()).map(|node| body.rest(node).to_array()).collect(),
         poses: [(first.rhs, first.given), (second.rhs, second.given)].map(|(rhs, given)| PoseSystem { rhs, given }),
     };
     Ok((free_system(&companion)?, companion))
@@ -247,7 +247,7 @@ pub(super) mod tests {
         assert!(all.stiffness.as_ref().is_some_and(|s| s.iter().any(|s| *s > 0.0)));
         assert_eq!(problem.matrix.rows(), all.fixed.iter().filter(|f| !**f).count());
         // From model space to the coordinates of the files.
-        let origin = body.graph.positions[0] - DVec3::from_array(body.rest()[0]) * body.unit();
+        let origin = body.graph.positions[0] - body.rest(0) * body.unit();
         let center = DVec3::from_array(rig.equations(body, &transforms, &pool).center);
         let next = one_step_on(body, rig, &transforms).unwrap();
         for (k, transforms) in [&transforms, &next].into_iter().enumerate() {

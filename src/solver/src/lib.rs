@@ -168,4 +168,6 @@ pub use options::{
 };
 pub use relaxation::LocalRelaxation;
 pub use repair::{GraphChange, RepairReport};
-pub use solve::{IterationReport, LinearEquations, PoseCriteria, PoseRow, PoseRows, SolveControl, Workspace};
+pub use solve::{
+    IterationReport, LinearEquations, MapColumns, PoseCriteria, PoseRow, PoseRows, SolveControl, Workspace,
+};

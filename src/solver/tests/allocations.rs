@@ -5,124 +5,49 @@
 //! solve on it allocates nothing on its behalf either, from whichever thread it is called.
 
 use case::{SolverCase, to, twist};
+use counting_allocator::{Asked, CountingAllocator, counted};
 use graphs::{lattice, surface};
 use pliant_solver::exec::Exec;
 use pliant_solver::progress::Silent;
 use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveMethod, SolveOptions, SolveStats, Workspace};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
 
 #[allow(dead_code)]
 #[path = "laws/case.rs"]
 mod case;
+#[path = "support/counting_allocator.rs"]
+mod counting_allocator;
 #[allow(dead_code)]
 #[path = "laws/graphs.rs"]
 mod graphs;
-
-/// Hands everything to the system's allocator, and counts while [`COUNTING`].
-struct CountingAllocator;
-
-static COUNTING: AtomicBool = AtomicBool::new(false);
-static CALLS: AtomicUsize = AtomicUsize::new(0);
-static BYTES: AtomicUsize = AtomicUsize::new(0);
-/// Where the first few calls came from.
-static TRACES: Mutex<Vec<String>> = Mutex::new(Vec::new());
-
-thread_local! {
-    /// Set while a trace is taken, which allocates itself.
-    static TRACING: Cell<bool> = const { Cell::new(false) };
-}
-
-impl CountingAllocator {
-    fn count(size: usize) {
-        if !COUNTING.load(SeqCst) || TRACING.get() {
-            return;
-        }
-        BYTES.fetch_add(size, SeqCst);
-        if CALLS.fetch_add(1, SeqCst) < 8 {
-            TRACING.set(true);
-            let trace = std::backtrace::Backtrace::force_capture().to_string();
-            let solver = trace
-                .lines()
-                .filter(|l| l.contains("pliant_solver::") || l.contains("rayon"));
-            let solver: Vec<&str> = solver.take(6).collect();
-            TRACES
-                .lock()
-                .unwrap()
-                .push(format!("{size} bytes from\n{}", solver.join("\n")));
-            TRACING.set(false);
-        }
-    }
-}
-
-// SAFETY: every call goes to the system's allocator as it came.
-unsafe impl GlobalAlloc for CountingAllocator {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        Self::count(layout.size());
-        // SAFETY: by the caller's promise.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        Self::count(layout.size());
-        // SAFETY: by the caller's promise.
-        unsafe { System.alloc_zeroed(layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        Self::count(size);
-        // SAFETY: by the caller's promise.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: by the caller's promise.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 /// What the third of three equal solves asked for.
-struct Asked {
-    calls: usize,
-    bytes: usize,
-    traces: Vec<String>,
-    stats: SolveStats,
-}
-
-fn third_solve(case: &SolverCase, columns: usize, rhs: &[f64], from: &[f64], options: &SolveOptions<'_>) -> Asked {
+fn third_solve(
+    case: &SolverCase,
+    columns: usize,
+    rhs: &[f64],
+    from: &[f64],
+    options: &SolveOptions<'_>,
+) -> (SolveStats, Asked) {
     let mut workspace = Workspace::default();
     let (mut x, mut shown) = (from.to_vec(), from.to_vec());
-    let mut asked = None;
-    for round in 0..3 {
+    let exec = Exec::new(&case.pool, &Silent);
+    let equations = case.system.equations(&case.hierarchy, columns, rhs);
+    let mut solve = || {
         x.copy_from_slice(from);
         let mut watch = |iteration: &IterationReport<'_>| {
             iteration.copy_to(&mut shown);
             SolveControl::Continue
         };
-        CALLS.store(0, SeqCst);
-        BYTES.store(0, SeqCst);
-        COUNTING.store(round == 2, SeqCst);
-        let stats = case.system.equations(&case.hierarchy, columns, rhs).solve(
-            &mut x,
-            options,
-            &mut workspace,
-            &Exec::new(&case.pool, &Silent),
-            &mut watch,
-        );
-        COUNTING.store(false, SeqCst);
-        asked = Some(Asked {
-            calls: CALLS.load(SeqCst),
-            bytes: BYTES.load(SeqCst),
-            traces: std::mem::take(&mut *TRACES.lock().unwrap()),
-            stats: stats.unwrap(),
-        });
+        equations.solve(&mut x, options, &mut workspace, &exec, &mut watch)
+    };
+    for _ in 0..2 {
+        solve().unwrap();
     }
-    asked.unwrap()
+    let (stats, asked) = counted(solve);
+    (stats.unwrap(), asked)
 }
 
 /// One kind of solve.
@@ -204,19 +129,14 @@ fn one_thread() {
         for mut kind in kinds(case, &frames) {
             // Where nothing or little is held, targets leave the start undefined.
             kind.from.iter_mut().filter(|v| v.is_nan()).for_each(|v| *v = 0.0);
-            let asked = third_solve(case, kind.columns, &kind.rhs, &kind.from, &kind.options);
-            let iterations = asked.stats.iterations;
+            let (stats, asked) = third_solve(case, kind.columns, &kind.rhs, &kind.from, &kind.options);
+            let iterations = stats.iterations;
             println!(
                 "{name}, {}: {} calls in {iterations} iterations",
                 kind.name, asked.calls
             );
             assert!(iterations > 0, "{name}, {}: something is solved", kind.name);
-            assert_ne!(
-                asked.stats.method,
-                SolveMethod::ConjugateGradients,
-                "{name}, {}",
-                kind.name
-            );
+            assert_ne!(stats.method, SolveMethod::ConjugateGradients, "{name}, {}", kind.name);
             assert_eq!(
                 (asked.calls, asked.bytes),
                 (1, 8 * kind.columns),
@@ -240,8 +160,8 @@ fn more_threads() {
         let (_, _, frames) = twist(&case, 1.0);
         for mut kind in kinds(&case, &frames) {
             kind.from.iter_mut().filter(|v| v.is_nan()).for_each(|v| *v = 0.0);
-            let asked = third_solve(&case, kind.columns, &kind.rhs, &kind.from, &kind.options);
-            let (calls, iterations) = (asked.calls, asked.stats.iterations);
+            let (stats, asked) = third_solve(&case, kind.columns, &kind.rhs, &kind.from, &kind.options);
+            let (calls, iterations) = (asked.calls, stats.iterations);
             let groups = kind.columns.div_ceil(4);
             println!(
                 "{threads} threads, {}: {calls} calls in {iterations} iterations, {} bytes",

@@ -5,6 +5,7 @@ use crate::deform::second_pass::single_rest::SingleRest;
 use crate::exec::Exec;
 use crate::graph::{self, MeshGraph};
 use crate::mesh::Mesh;
+use crate::pool::Pool;
 use crate::solver::{self, Hierarchy};
 use glam::DVec3;
 use rayon::prelude::*;
@@ -49,11 +50,7 @@ pub struct DeformableBody {
     pub graph: MeshGraph,
     /// The multigrid hierarchy over all nodes.
     pub hierarchy: Hierarchy,
-    /// Rest positions of all nodes in solving coordinates.
-    pub(in crate::deform) rest: Vec<[f64; 3]>,
-    /// Σ w (p_i − p_j) over neighbours: the first sum of equation (8)'s right-hand side.
-    pub(in crate::deform) laplacian: Vec<[f64; 3]>,
-    /// Both in single precision, once an animation asked for them.
+    /// Rest positions and their Laplacian in single precision, once an animation asked for them.
     pub(in crate::deform) single: OnceLock<SingleRest>,
     /// Where solving coordinates have their origin, in model space.
     pub(in crate::deform) origin: DVec3,
@@ -122,12 +119,9 @@ impl DeformableBody {
             ..Default::default()
         };
         let hierarchy = Hierarchy::build(&view, &build, exec)?;
-        let laplacian = exec.pool.install(|| laplacian(&graph, &rest));
         Ok(Self {
             graph,
             hierarchy,
-            rest,
-            laplacian,
             single: OnceLock::new(),
             origin,
             unit,
@@ -138,12 +132,18 @@ impl DeformableBody {
 
     /// Number of graph nodes.
     pub fn nodes(&self) -> usize {
-        self.rest.len()
+        self.graph.positions.len()
     }
 
-    /// Rest positions of all nodes in the coordinates that solving uses.
-    pub fn rest(&self) -> &[[f64; 3]] {
-        &self.rest
+    /// Rest position of a node in the coordinates that solving uses. It is not kept: it comes of the one in model space at once.
+    #[inline(always)]
+    pub fn rest(&self, node: usize) -> DVec3 {
+        self.solving_from_model(self.graph.positions[node])
+    }
+
+    /// The same of all nodes.
+    pub(in crate::deform) fn rest_of_all(&self, pool: &Pool) -> Vec<[f64; 3]> {
+        pool.install(|| place(&self.graph.positions, self.origin, self.unit))
     }
 
     /// Model units of one unit of the coordinates that solving uses.
@@ -153,18 +153,16 @@ impl DeformableBody {
 
     /// Rest positions and their Laplacian in single precision; made when first asked for.
     pub(in crate::deform) fn single_rest(&self) -> &SingleRest {
-        self.single.get_or_init(|| SingleRest::of(&self.rest, &self.laplacian))
+        self.single.get_or_init(|| SingleRest::of(self))
     }
 
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
-        self.graph.byte_size()
-            + self.hierarchy.byte_size()
-            + (self.rest.capacity() + self.laplacian.capacity()) * 24
-            + self.single.get().map_or(0, SingleRest::byte_size)
+        self.graph.byte_size() + self.hierarchy.byte_size() + self.single.get().map_or(0, SingleRest::byte_size)
     }
 
     /// From model space to solving coordinates.
+    #[inline(always)]
     pub(in crate::deform) fn solving_from_model(&self, p: DVec3) -> DVec3 {
         (p - self.origin) / self.unit
     }
@@ -172,6 +170,12 @@ impl DeformableBody {
     /// From solving coordinates to model space.
     pub(in crate::deform) fn model_from_solving(&self, p: DVec3) -> DVec3 {
         p * self.unit + self.origin
+    }
+
+    /// Σ w (p_i − p_j) over the neighbours of a node, solving coordinates: the first sum of equation (8)'s right-hand side.
+    pub(in crate::deform) fn laplacian(&self, node: usize) -> DVec3 {
+        let here = self.rest(node);
+        self.edges(node).map(|(j, w)| w * (here - self.rest(j))).sum()
     }
 
     /// Neighbours of a node with the weights of the edges.
@@ -195,23 +199,4 @@ fn power_of_two_near(length: f64) -> f64 {
 pub(in crate::deform) fn place(positions: &[DVec3], origin: DVec3, unit: f64) -> Vec<[f64; 3]> {
     let to_solving = |p: &DVec3| ((*p - origin) / unit).to_array();
     positions.par_iter().map(to_solving).collect()
-}
-
-/// Σ w (p_i − p_j) over the neighbours of every node.
-pub(in crate::deform) fn laplacian(graph: &MeshGraph, rest: &[[f64; 3]]) -> Vec<[f64; 3]> {
-    (0..rest.len())
-        .into_par_iter()
-        .map(|i| differential(graph, rest, i))
-        .collect()
-}
-
-/// Σ w (p_i − p_j) over the neighbours of one node.
-pub(in crate::deform) fn differential(graph: &MeshGraph, rest: &[[f64; 3]], i: usize) -> [f64; 3] {
-    let p = DVec3::from_array(rest[i]);
-    let mut sum = DVec3::ZERO;
-    for e in graph.offsets[i] as usize..graph.offsets[i + 1] as usize {
-        let w = graph.weights.as_ref().map_or(1.0, |w| f64::from(w[e]));
-        sum += w * (p - DVec3::from_array(rest[graph.neighbours[e] as usize]));
-    }
-    sum.to_array()
 }

@@ -1,7 +1,7 @@
 //! A body after an edit of its mesh, at the price of the edit: the graph is sampled anew around the change, the hierarchy
-//! repaired, the rest pose and its differential coordinates copied where nothing changed.
+//! repaired.
 
-use crate::deform::body::{DeformableBody, differential, laplacian, place};
+use crate::deform::body::{DeformableBody, place};
 use crate::deform::error::Error;
 use crate::exec::Exec;
 use crate::graph::{self, MeshChange, TieOptions};
@@ -85,16 +85,10 @@ impl DeformableBody {
             hierarchy
         };
         let old_from_new = resampled.old_from_new;
-        let laplacian = exec.pool.install(|| match moved {
-            Some(_) => laplacian(&graph, &rest),
-            None => self.carried_laplacian(&graph, &rest, &old_from_new, &resampled.touched),
-        });
         let body = Self {
             diagonal: self.diagonal_of(&bounds),
             too_large: self.too_large.clone(),
             hierarchy,
-            rest,
-            laplacian,
             single: Default::default(),
             origin: self.origin,
             unit: self.unit,
@@ -132,26 +126,6 @@ impl DeformableBody {
             }
         }
         strained as f64 > MOST_STRAINED * all as f64
-    }
-
-    /// Differential coordinates that nothing near has changed are those of old.
-    fn carried_laplacian(
-        &self,
-        graph: &graph::MeshGraph,
-        rest: &[[f64; 3]],
-        old_from_new: &[u32],
-        touched: &[u32],
-    ) -> Vec<[f64; 3]> {
-        let old = |&o: &u32| self.laplacian.get(o as usize).copied().unwrap_or_default();
-        let mut carried: Vec<[f64; 3]> = old_from_new.par_iter().map(old).collect();
-        let mut again: Vec<u32> = touched.to_vec();
-        again.extend(touched.iter().flat_map(|&t| graph.row(t)));
-        again.sort_unstable();
-        again.dedup();
-        for &node in &again {
-            carried[node as usize] = differential(graph, rest, node as usize);
-        }
-        carried
     }
 }
 

@@ -6,6 +6,10 @@ use crate::mesh::carry::CarrySurface;
 use crate::mesh::{Mesh, NONE};
 use crate::pool::Pool;
 use glam::{DVec3, Mat3};
+use rayon::prelude::*;
+
+/// Vertices that one piece of work handles at least.
+const PIECE: usize = 4096;
 
 /// From graph nodes back to render vertices.
 pub(super) struct ShapeTransfer<'a> {
@@ -22,26 +26,25 @@ impl ShapeTransfer<'_> {
     /// One position per render vertex for those of the nodes, their frames and the handles' transforms.
     pub fn render(&self, nodes: &[DVec3], frames: &[[f32; 9]], transforms: &[Transform]) -> Vec<DVec3> {
         let at_rest = &self.body.graph.positions;
-        let mut positions: Vec<DVec3> = self
-            .rest
-            .iter()
-            .zip(&self.mesh.solver_from_render)
-            .map(|(&rest, &solver)| {
-                let s = solver as usize;
-                // Bits, not values: -0 and 0 are different bytes of the model.
-                if solver == NONE || nodes[s] == at_rest[s] {
-                    return rest;
-                }
-                // Welding by tolerance leaves render vertices a little beside their solver vertex.
-                let beside = rest - at_rest[s];
-                let frame = frames.get(s).map_or(Mat3::IDENTITY, Mat3::from_cols_array);
-                if beside == DVec3::ZERO {
-                    nodes[s]
-                } else {
-                    nodes[s] + frame.as_dmat3() * beside
-                }
-            })
-            .collect();
+        let place = |(&rest, &solver): (&DVec3, &u32)| {
+            let s = solver as usize;
+            // Bits, not values: -0 and 0 are different bytes of the model.
+            if solver == NONE || nodes[s] == at_rest[s] {
+                return rest;
+            }
+            // Welding by tolerance leaves render vertices a little beside their solver vertex.
+            let beside = rest - at_rest[s];
+            let frame = frames.get(s).map_or(Mat3::IDENTITY, Mat3::from_cols_array);
+            if beside == DVec3::ZERO {
+                nodes[s]
+            } else {
+                nodes[s] + frame.as_dmat3() * beside
+            }
+        };
+        let mut positions: Vec<DVec3> = self.pool.install(|| {
+            let vertices = self.rest.par_iter().zip(&self.mesh.solver_from_render);
+            vertices.with_min_len(PIECE).map(place).collect()
+        });
         for &(vertex, hold) in self.strays {
             if let Some(t) = transforms.get(hold as usize) {
                 positions[vertex as usize] = t.map()(positions[vertex as usize]);

@@ -177,6 +177,7 @@ impl Deformer {
             .thin
             .settle(body, rig, &solution.frames, &mut solution.positions, exec.pool);
         if mode == SolveMode::Commit && !settings.spatial_rbf {
+            exec.progress.begin_pass("unfold");
             let surroundings = OnceLock::new();
             unfold_faces(&derived.mesh, &surroundings, rig, &mut solution.positions, exec.pool);
         }
@@ -185,11 +186,14 @@ impl Deformer {
         let positions = Arc::new(shape.render(&solution.positions, &solution.frames, &transforms));
         *solutions += 1;
         let id = ShapeId::solution(derived.lineage.id, *solutions);
-        if mode == SolveMode::Commit {
-            *committed = Some(CommittedShape {
-                id,
-                nodes: Arc::new(solution.positions),
-            });
+        match mode {
+            SolveMode::Drag => state.recycle(solution.positions, solution.frames),
+            SolveMode::Commit => {
+                *committed = Some(CommittedShape {
+                    id,
+                    nodes: Arc::new(solution.positions),
+                });
+            }
         }
         Ok(SolvedShape {
             id,

@@ -11,7 +11,12 @@ use crate::threads::{Parallelism, piece_count, piece_rows};
 const PIECE: usize = 256;
 
 /// Turns the maps of open rows to fit the positions that rows show. Returns Σ w |x_i − x_j − M_i (p_i − p_j)|² over them.
-pub(crate) fn fit_rows(level: &HierarchyLevel, rows: &mut [PoseRow], open: &[bool], threads: Parallelism) -> f64 {
+pub(crate) fn fit_rows(
+    level: &HierarchyLevel,
+    (rows, rest): (&mut [PoseRow], &[Lanes]),
+    open: &[bool],
+    threads: Parallelism,
+) -> f64 {
     let bundles = rows.len() / SLICE_ROWS;
     let read = &*rows;
     // Neighbours read positions alone, but a row is one line of a cache: all maps are made before any is replaced.
@@ -27,7 +32,7 @@ pub(crate) fn fit_rows(level: &HierarchyLevel, rows: &mut [PoseRow], open: &[boo
                     maps.extend((0..SLICE_ROWS).map(|d| read[first + d].columns()));
                     continue;
                 }
-                let sums = bundle_sums(level, read, bundle);
+                let sums = bundle_sums(level, (read, rest), bundle);
                 let turns = nearest_turns(sums.each_ref().map(|(columns, _)| columns));
                 for (d, (turn, trace)) in turns.into_iter().enumerate() {
                     let map = read[first + d].columns();
@@ -59,7 +64,11 @@ pub(crate) fn fit_rows(level: &HierarchyLevel, rows: &mut [PoseRow], open: &[boo
 
 /// Σ w (x_i − x_j) (M_i (p_i − p_j))ᵀ by columns, and what squares come to, for the four rows of a bundle.
 #[inline(always)]
-fn bundle_sums(level: &HierarchyLevel, rows: &[PoseRow], bundle: usize) -> [([Lanes; 3], Lanes); SLICE_ROWS] {
+fn bundle_sums(
+    level: &HierarchyLevel,
+    (rows, rest): (&[PoseRow], &[Lanes]),
+    bundle: usize,
+) -> [([Lanes; 3], Lanes); SLICE_ROWS] {
     let (begin, _, end) = level.slice_extent(bundle);
     let first = bundle * SLICE_ROWS;
     let filling = level.filling();
@@ -70,7 +79,8 @@ fn bundle_sums(level: &HierarchyLevel, rows: &[PoseRow], bundle: usize) -> [([La
             // Filling has weight 0: to itself, a row has no difference.
             let j = if j[d] == filling { first + d } else { j[d] as usize };
             let (here, other) = (&rows[first + d], &rows[j]);
-            let edge = here.turned(here.rest() - other.rest());
+            let mut edge = here.turned(rest[first + d] - rest[j]);
+            edge.0[3] = 0.0;
             let flow = here.position() - other.position();
             let w = level.weight(begin + n * SLICE_ROWS + d);
             let weighted = flow * w;

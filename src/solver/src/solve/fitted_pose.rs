@@ -30,7 +30,13 @@ impl LinearSystem {
         exec.check()?;
         exec.progress.begin_pass("start");
         let PoseRows {
-            rows, x, more, open, ..
+            rows,
+            rest,
+            laplacians,
+            x,
+            more,
+            open,
+            ..
         } = pose;
         let threads = Parallelism::from_pool(exec.pool);
         let cycle = MultigridCycle {
@@ -43,6 +49,8 @@ impl LinearSystem {
         let mut fits = open.contains(&true).then(|| CoarseFits::new(&cycle, open));
         let frames = FrameRows {
             rows,
+            rest,
+            laplacians,
             more,
             scale: hierarchy.weight_scale as f32,
         };
@@ -58,8 +66,8 @@ impl LinearSystem {
             if let Some(fits) = &fits {
                 turn_rows(&hierarchy.levels[0], rows, open, fits.turns(), threads);
             }
-            PoseRows::show_positions(rows, x);
         });
+        pose.show_positions(exec.pool);
         Ok(())
     }
 
@@ -72,12 +80,12 @@ impl LinearSystem {
         self.check_pose(hierarchy, pose)?;
         exec.check()?;
         exec.progress.begin_pass("fit");
-        let PoseRows { rows, x, open, .. } = pose;
+        pose.show_positions(exec.pool);
+        let PoseRows { rows, rest, open, .. } = pose;
         open.resize(rows.len(), false);
         let threads = Parallelism::from_pool(exec.pool).for_rows(rows.len());
         Ok(threads.run_on(exec.pool, || {
-            PoseRows::show_positions(rows, x);
-            fit_rows(&hierarchy.levels[0], rows, open, threads)
+            fit_rows(&hierarchy.levels[0], (rows, rest), open, threads)
         }))
     }
 }
@@ -136,7 +144,7 @@ mod tests {
 
         fn pose(&self) -> PoseRows {
             let mut pose = PoseRows::default();
-            pose.begin(&self.hierarchy, &self.rest);
+            pose.begin(&self.hierarchy, |v| self.rest[v], &self.pool);
             for (row, &v) in self.hierarchy.row_vertices().iter().enumerate() {
                 pose.open.push(v != NO_ROW && !self.fixed[v as usize]);
                 if v != NO_ROW {
@@ -145,7 +153,7 @@ mod tests {
                     pose.x[row] = [x - 0.3 * aside, y + aside, z, 0.0];
                 }
             }
-            PoseRows::show_positions(&mut pose.rows, &pose.x);
+            pose.show_positions(&self.pool);
             pose
         }
 
@@ -162,7 +170,7 @@ mod tests {
                 Some(_) => SolveControl::Continue,
                 None => SolveControl::Stop,
             };
-            PoseRows::show_positions(&mut pose.rows, &pose.x);
+            pose.show_positions(&self.pool);
             self.system
                 .solve_pose(&self.hierarchy, pose, criteria, (&mut self.workspace, &exec), watch)
                 .unwrap();

@@ -1,99 +1,141 @@
-//! Equation (8)'s right-hand side made from the frames of a pose, row by row, where it is needed.
+//! Equation (8)'s residual made from the frames of a pose, row by row, where it is needed.
 //!
-//! With d_ij = ½ (M_i + M_j)(p_i − p_j) the right-hand side of row i is ½ (M_i Σ w e_ij + Σ w M_j e_ij), e_ij = p_i − p_j. A residual
-//! reads the same neighbours, so both are made in one pass and the right-hand side is never stored.
+//! With d_ij = ½ (M_i + M_j)(p_i − p_j) a row of the residual is Σ w (d_ij − (x_i − x_j)). All that it wants of a neighbour is linear in M_j
+//! and c_j = x_j − ½ M_j p_j, so that no product is formed for an edge:
+//!
+//! r_i = ½ M_i δ_i + ½ (Σ w (M_j − M_i)) p_i + Σ w (c_j − c_i), where δ_i = Σ w (p_i − p_j) is known once and for all.
 //!
 //! All of a row that its neighbours read stands in one line of a cache, in single precision. Positions of about unit size are
 //! off by 3e-8 there, and so is a residual, whatever the solution is: it shows in a shape as some 1e-6 of its size at most.
 
 use crate::build::level::HierarchyLevel;
-use crate::lanes::{Lanes, WideLanes};
+use crate::lanes::{Lanes, WideLanes, per_lane};
 use crate::solve::patches::PatchMap;
 use crate::storage::SLICE_ROWS;
 
-/// What the neighbours of a row read of it, one line of a cache: the columns of M, the position at rest, the present position.
+/// A linear map by its columns, each with whatever number behind it.
+pub type MapColumns = [[f32; 4]; 3];
+
+/// What the neighbours of a row read of it, one line of a cache: the columns of M, each with a coordinate of c = x − ½ M p behind it,
+/// and the present position x.
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
-pub struct PoseRow([f32; 16]);
+pub struct PoseRow([f32; NUMBERS]);
+
+/// Numbers of a row; the last one is 0.
+const NUMBERS: usize = 16;
+/// Where the coordinates of c are.
+const OFFSET: [usize; 3] = [3, 7, 11];
+/// Where x begins.
+const POSITION: usize = 12;
 
 impl PoseRow {
-    /// A row without a vertex.
-    pub(crate) const EMPTY: Self = Self([0.0; 16]);
+    /// A row whose map is the identity; no position is shown yet.
+    pub(crate) const IDENTITY: Self = Self([
+        1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+    ]);
 
-    /// A row of a vertex that is at rest at `rest`.
-    pub(crate) fn at_rest([x, y, z]: [f64; 3]) -> Self {
-        let (x, y, z) = (x as f32, y as f32, z as f32);
-        Self([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, x, y, z, x, y, z, 0.0])
-    }
-
-    /// Replaces the columns of M (paper equation (8)'s s R).
+    /// Replaces M (paper equation (8)'s s R), told column by column. What else depends on it is right again once positions are shown.
     #[inline(always)]
     pub fn set_map(&mut self, map: &[f32; 9]) {
-        self.0[..9].copy_from_slice(map);
+        for (out, column) in self.0.chunks_exact_mut(4).zip(map.as_chunks::<3>().0) {
+            out[..3].copy_from_slice(column);
+        }
+    }
+
+    /// M, column by column.
+    #[inline(always)]
+    pub fn map(&self) -> [f32; 9] {
+        let m = &self.0;
+        [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]]
     }
 
     /// The columns of M.
     #[inline(always)]
-    pub fn map(&self) -> [f32; 9] {
-        let m = &self.0;
-        [m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]]
+    pub(super) fn map_columns(&self) -> MapColumns {
+        [0, 4, 8].map(|k| four(&self.0, k).0)
     }
 
     /// The columns of M, each with 0 in its fourth lane.
     #[inline(always)]
     pub(super) fn columns(&self) -> PatchMap {
-        let m = &self.0;
-        [0, 3, 6].map(|k| Lanes([m[k], m[k + 1], m[k + 2], 0.0]))
+        self.map_columns().map(|[x, y, z, _]| Lanes([x, y, z, 0.0]))
     }
 
-    /// Replaces the columns of M.
+    /// Replaces the columns of M, as [`PoseRow::set_map`].
     #[inline(always)]
     pub(super) fn set_columns(&mut self, columns: &PatchMap) {
-        for (out, column) in self.0.chunks_exact_mut(3).zip(columns) {
-            out.copy_from_slice(&column.0[..3]);
+        for (out, column) in self.0.chunks_exact_mut(4).zip(columns) {
+            out[..3].copy_from_slice(&column.0[..3]);
         }
     }
 
-    /// Replaces the present position.
+    /// Replaces the columns of M, told with four numbers each, as [`PoseRow::set_map`].
     #[inline(always)]
-    pub(super) fn set_position(&mut self, x: &WideLanes) {
-        (0..3).for_each(|c| self.0[12 + c] = x[c] as f32);
+    pub fn set_map_columns(&mut self, columns: &MapColumns) {
+        for (out, column) in self.0.as_chunks_mut::<4>().0.iter_mut().zip(columns) {
+            *out = *column;
+        }
     }
 
-    /// Three numbers from `at` on; the fourth lane holds whatever follows.
+    /// Replaces the present position and c.
     #[inline(always)]
-    fn three(&self, at: usize) -> Lanes {
-        let m = &self.0;
-        Lanes([m[at], m[at + 1], m[at + 2], m[at + 3]])
-    }
-
-    /// The position at rest; the fourth lane is of no use.
-    #[inline(always)]
-    pub(super) fn rest(&self) -> Lanes {
-        self.three(9)
+    pub(super) fn show(&mut self, rest: Lanes, x: &WideLanes) {
+        let [a, b, c] = self.map_columns().map(|column| Lanes(column).to_wide());
+        let p = rest.to_wide();
+        let offset = per_lane(|k| x[k] - 0.5 * (a[k] * p[0] + b[k] * p[1] + c[k] * p[2]));
+        for (at, offset) in OFFSET.into_iter().zip(Lanes::from_wide(offset).0) {
+            self.0[at] = offset;
+        }
+        let [x, y, z, _] = *x;
+        self.0[POSITION..].copy_from_slice(&Lanes::from_wide([x, y, z, 0.0]).0);
     }
 
     /// The present position; the fourth lane is 0.
     #[inline(always)]
     pub(super) fn position(&self) -> Lanes {
-        self.three(12)
+        four(&self.0, POSITION)
     }
 
     /// M e; the fourth lane is of no use.
     #[inline(always)]
     pub(super) fn turned(&self, e: Lanes) -> Lanes {
-        self.three(0) * e.0[0] + self.three(3) * e.0[1] + self.three(6) * e.0[2]
+        turned(&self.0, e)
     }
 }
 
-/// What right-hand sides are made from, in row order.
+/// Four numbers from `at` on.
+#[inline(always)]
+fn four(row: &[f32; NUMBERS], at: usize) -> Lanes {
+    Lanes([row[at], row[at + 1], row[at + 2], row[at + 3]])
+}
+
+/// The columns times e; the fourth lane is of no use.
+#[inline(always)]
+fn turned(row: &[f32; NUMBERS], e: Lanes) -> Lanes {
+    four(row, 0) * e.0[0] + four(row, 4) * e.0[1] + four(row, 8) * e.0[2]
+}
+
+/// What residuals are made from, in row order.
 #[derive(Clone, Copy)]
 pub(crate) struct FrameRows<'a> {
     pub(crate) rows: &'a [PoseRow],
-    /// What comes on top, in the caller's units; empty where there is none.
+    /// p of each row.
+    pub(crate) rest: &'a [Lanes],
+    /// δ of each row.
+    pub(crate) laplacians: &'a [Lanes],
+    /// What comes on top of right-hand sides, in the caller's units; empty where there is none.
     pub(crate) more: &'a [Lanes],
     /// What those units are multiplied by.
     pub(crate) scale: f32,
+}
+
+/// One row of equation (8), stiffness aside.
+pub(super) struct PosedEquation {
+    /// b − A x.
+    pub(super) residual: Lanes,
+    /// b.
+    pub(super) rhs: Lanes,
 }
 
 impl FrameRows<'_> {
@@ -106,65 +148,72 @@ impl FrameRows<'_> {
 
     /// The right-hand side of one row.
     pub(crate) fn right_hand_side(&self, level: &HierarchyLevel, row: usize) -> WideLanes {
-        let here = self.rows[row].rest();
-        let (mut edges, mut others) = (Lanes::ZERO, Lanes::ZERO);
+        let here = self.rest[row];
+        let mut others = Lanes::ZERO;
         for (j, w) in level.row(row) {
-            let e = (here - self.rows[j].rest()) * w;
-            edges += e;
-            others += self.rows[j].turned(e);
+            others += self.rows[j].turned((here - self.rest[j]) * w);
         }
-        self.row_of_sums(row, edges, others).to_wide()
+        let mut b = (self.rows[row].turned(self.laplacians[row]) + others) * 0.5;
+        b.0[3] = 0.0;
+        self.with_more(row, b).to_wide()
     }
 
-    /// The right-hand side of a row from the sums over its neighbours.
     #[inline(always)]
-    pub(super) fn row_of_sums(&self, row: usize, edges: Lanes, others: Lanes) -> Lanes {
-        let mut b = (self.rows[row].turned(edges) + others) * 0.5;
-        b.0[3] = 0.0;
+    fn with_more(&self, row: usize, b: Lanes) -> Lanes {
         match self.more.get(row) {
             Some(more) => b + *more * self.scale,
             None => b,
         }
     }
 
-    /// Sums over the neighbours of bundle `k`.
-    #[inline(always)]
-    pub(super) fn bundle_sums<const WEIGHTED: bool>(&self, level: &HierarchyLevel, k: usize) -> BundleSums {
+    /// Σ w (row j − row i) over the neighbours j of each row i of bundle `k`, number by number.
+    ///
+    /// Not inlined: where the compiler sees what the sums are for it forms them number by number too.
+    #[inline(never)]
+    fn bundle_sums<const WEIGHTED: bool>(&self, level: &HierarchyLevel, k: usize) -> [[f32; NUMBERS]; SLICE_ROWS] {
         let (begin, _, end) = level.slice_extent(k);
-        let first = k * SLICE_ROWS;
         let filling = level.filling();
-        let rest: [Lanes; SLICE_ROWS] = std::array::from_fn(|d| self.rows[first + d].rest());
-        let here: [Lanes; SLICE_ROWS] = std::array::from_fn(|d| self.rows[first + d].position());
-        let mut sums = BundleSums::default();
         let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
         let weights = level.weights.as_deref().map_or(&[][..], |w| &w[begin..end]);
         let weights = weights.as_chunks::<SLICE_ROWS>().0;
-        for (n, j) in neighbours.iter().enumerate() {
-            for d in 0..SLICE_ROWS {
+        std::array::from_fn(|d| {
+            let i = k * SLICE_ROWS + d;
+            let here = self.rows[i].0;
+            let mut sums = [0.0; NUMBERS];
+            for (n, j) in neighbours.iter().enumerate() {
                 // Filling has weight 0: to itself, a row has no difference.
-                let j = if j[d] == filling { first + d } else { j[d] as usize };
-                let row = &self.rows[j];
-                let (mut e, mut flow) = (rest[d] - row.rest(), here[d] - row.position());
-                if WEIGHTED {
-                    let w = weights[n][d];
-                    (e, flow) = (e * w, flow * w);
+                let j = if j[d] == filling { i } else { j[d] as usize };
+                let there = &self.rows[j].0;
+                let w = if WEIGHTED { weights[n][d] } else { 1.0 };
+                for c in 0..NUMBERS {
+                    let difference = there[c] - here[c];
+                    sums[c] += if WEIGHTED { difference * w } else { difference };
                 }
-                sums.edges[d] += e;
-                sums.others[d] += row.turned(e);
-                sums.flows[d] += flow;
             }
-        }
-        sums
+            sums
+        })
     }
-}
 
-/// Sums over the neighbours of four rows.
-#[derive(Default)]
-pub(super) struct BundleSums {
-    /// Σ w e; the fourth lane is of no use.
-    pub(super) edges: [Lanes; SLICE_ROWS],
-    /// Σ w M_j e; the fourth lane is of no use.
-    pub(super) others: [Lanes; SLICE_ROWS],
-    /// Σ w (x_i − x_j).
-    pub(super) flows: [Lanes; SLICE_ROWS],
+    /// The equations of the rows of bundle `k`.
+    #[inline(always)]
+    pub(super) fn equations<const WEIGHTED: bool>(
+        &self,
+        level: &HierarchyLevel,
+        k: usize,
+    ) -> [PosedEquation; SLICE_ROWS] {
+        let sums = self.bundle_sums::<WEIGHTED>(level, k);
+        std::array::from_fn(|d| {
+            let i = k * SLICE_ROWS + d;
+            let sums = &sums[d];
+            let turned = self.rows[i].turned(self.laplacians[i]) + turned(sums, self.rest[i]);
+            let [x, y, z] = OFFSET.map(|k| sums[k]);
+            let mut residual = turned * 0.5 + Lanes([x, y, z, 0.0]);
+            residual.0[3] = 0.0;
+            let residual = self.with_more(i, residual);
+            PosedEquation {
+                residual,
+                rhs: residual - four(sums, POSITION),
+            }
+        })
+    }
 }

@@ -25,7 +25,7 @@ mod start;
 mod sweep;
 pub(crate) mod workspace;
 
-pub use self::frame_rows::PoseRow;
+pub use self::frame_rows::{MapColumns, PoseRow};
 pub use self::iteration::{IterationReport, SolveControl};
 pub use self::methods::LinearEquations;
 pub use self::pose::{PoseCriteria, PoseRows};

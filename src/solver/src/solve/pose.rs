@@ -4,8 +4,9 @@ use crate::build::hierarchy::Hierarchy;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::lanes::{Lanes, WIDTH};
+use crate::lanes::{Lanes, SharedRows, WIDTH};
 use crate::options::SolveStats;
+use crate::pool::Pool;
 use crate::solve::criteria::StoppingCriteria;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::frame_rows::{FrameRows, PoseRow};
@@ -15,7 +16,10 @@ use crate::solve::problem::ColumnGroup;
 use crate::solve::recalled::RecalledSteps;
 use crate::solve::workspace::Workspace;
 use crate::storage::NO_ROW;
-use crate::threads::Parallelism;
+use crate::threads::{Parallelism, piece_count, piece_rows};
+
+/// Rows that one piece of work handles.
+const PIECE: usize = 256;
 
 /// One pose on the rows of a hierarchy, and what a drag carries from one to the next.
 ///
@@ -25,6 +29,10 @@ use crate::threads::Parallelism;
 pub struct PoseRows {
     /// The linear map of each row, beside what the solver puts there.
     pub rows: Vec<PoseRow>,
+    /// The position of each row at rest, p.
+    pub(super) rest: Vec<Lanes>,
+    /// Σ w (p_i − p_j) of each row.
+    pub(super) laplacians: Vec<Lanes>,
     /// Positions, in the units of the rest positions: given ones of fixed rows, the start of the others, and after a solve the
     /// solution. The last number of each is 0.
     pub x: Vec<[f64; 4]>,
@@ -56,29 +64,89 @@ impl Hierarchy {
 }
 
 impl PoseRows {
-    /// Takes over rest positions and sizes everything else; nothing of earlier poses is left.
-    pub fn begin(&mut self, hierarchy: &Hierarchy, rest: &[[f64; 3]]) {
-        let n = hierarchy.order.len();
+    /// Takes over rest positions, told by vertex, and sizes everything else; nothing of earlier poses is left.
+    pub fn begin(&mut self, hierarchy: &Hierarchy, rest: impl Fn(usize) -> [f64; 3] + Sync, pool: &Pool) {
+        let level = &hierarchy.levels[0];
+        let n = level.rows();
         self.recalled.forget();
-        self.rows.clear();
-        self.rows.extend(hierarchy.order.iter().map(|&v| match v {
-            NO_ROW => PoseRow::EMPTY,
-            v => PoseRow::at_rest(rest[v as usize]),
-        }));
         self.x.clear();
         self.x.resize(n, [0.0; WIDTH]);
         self.more.clear();
         self.open.clear();
+        self.rest.resize(n, Lanes::ZERO);
+        self.laplacians.resize(n, Lanes::ZERO);
+        self.rows.clear();
+        self.rows.resize(n, PoseRow::IDENTITY);
+        let at = |row: usize| match hierarchy.order[row] {
+            NO_ROW => [0.0; 3],
+            vertex => rest(vertex as usize),
+        };
+        let threads = Parallelism::from_pool(pool).for_rows(n);
+        let pieces = 0..piece_count(n, PIECE);
+        threads.run_on(pool, || {
+            let rest = SharedRows::new(&mut self.rest);
+            threads.for_each(pieces.clone(), |k| {
+                for i in piece_rows(k, n, PIECE) {
+                    let [x, y, z] = at(i);
+                    // SAFETY: pieces are disjoint and each is visited once.
+                    unsafe { rest.set(i, Lanes([x as f32, y as f32, z as f32, 0.0])) };
+                }
+            });
+            let rest = &self.rest;
+            let laplacians = SharedRows::new(&mut self.laplacians);
+            threads.for_each(pieces, |k| {
+                for i in piece_rows(k, n, PIECE) {
+                    let here = rest[i].to_wide();
+                    let mut sum = [0.0; WIDTH];
+                    for (j, w) in level.row(i) {
+                        let there = rest[j].to_wide();
+                        (0..WIDTH).for_each(|c| sum[c] += f64::from(w) * (here[c] - there[c]));
+                    }
+                    // SAFETY: as above.
+                    unsafe { laplacians.set(i, Lanes::from_wide(sum)) };
+                }
+            });
+        });
     }
 
-    /// Puts positions where neighbours read them, of some rows: `x` as in [`PoseRows::x`].
-    pub fn show_positions(rows: &mut [PoseRow], x: &[[f64; 4]]) {
-        rows.iter_mut().zip(x).for_each(|(row, x)| row.set_position(x));
+    /// Replaces maps and positions of rows, in pieces of rows that lie side by side, and shows all positions to neighbours. `place` gets
+    /// memory that `scratch` makes for a thread, the number of a row, the row for its map, and its position.
+    pub fn place_rows<S>(
+        &mut self,
+        pool: &Pool,
+        scratch: impl Fn() -> S + Sync + Send,
+        place: impl Fn(&mut S, usize, &mut PoseRow, &mut [f64; 4]) + Sync + Send,
+    ) {
+        let threads = Parallelism::from_pool(pool).for_rows(self.rows.len());
+        let Self { rows, rest, x, .. } = self;
+        threads.run_on(pool, || {
+            let n = rows.len().min(rest.len()).min(x.len());
+            let (rows, x) = (SharedRows::new(rows), SharedRows::new(x));
+            let of_piece = |scratch: &mut S, k: usize| {
+                let piece = piece_rows(k, n, PIECE);
+                // SAFETY: pieces are disjoint and each is visited once.
+                let (rows, x) = unsafe { (rows.rows(piece.clone()), x.rows(piece.clone())) };
+                for ((row, x), i) in rows.iter_mut().zip(x.iter_mut()).zip(piece.clone()) {
+                    place(scratch, i, row, x);
+                }
+                // In a turn of its own: what has just been written in pieces is slow to read as a whole.
+                for ((row, x), rest) in rows.iter_mut().zip(x).zip(&rest[piece]) {
+                    row.show(*rest, x);
+                }
+            };
+            threads.map(0..piece_count(n, PIECE), scratch, of_piece);
+        });
+    }
+
+    /// Shows all positions to neighbours.
+    pub fn show_positions(&mut self, pool: &Pool) {
+        self.place_rows(pool, || (), |(), _, _, _| ());
     }
 
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
-        let rows = 64 * self.rows.capacity() + self.open.capacity();
+        let rows =
+            64 * self.rows.capacity() + 16 * (self.rest.capacity() + self.laplacians.capacity()) + self.open.capacity();
         rows + 32 * self.x.capacity() + 16 * self.more.capacity() + self.recalled.byte_size()
     }
 }
@@ -110,6 +178,8 @@ impl LinearSystem {
         exec.check()?;
         let PoseRows {
             rows,
+            rest,
+            laplacians,
             x,
             more,
             recalled,
@@ -118,6 +188,8 @@ impl LinearSystem {
         let threads = Parallelism::from_pool(exec.pool);
         let frames = FrameRows {
             rows,
+            rest,
+            laplacians,
             more,
             scale: hierarchy.weight_scale as f32,
         };
@@ -183,7 +255,8 @@ impl LinearSystem {
     pub(super) fn check_pose(&self, hierarchy: &Hierarchy, pose: &PoseRows) -> Result<(), Error> {
         self.check_hierarchy(hierarchy)?;
         let n = hierarchy.order.len();
-        let fits = [pose.rows.len(), pose.x.len()] == [n; 2] && (pose.more.is_empty() || pose.more.len() == n);
+        let fits = [pose.rows.len(), pose.rest.len(), pose.laplacians.len(), pose.x.len()] == [n; 4]
+            && (pose.more.is_empty() || pose.more.len() == n);
         match self.can_solve_poses() && fits && (pose.open.is_empty() || pose.open.len() == n) {
             true => Ok(()),
             false => Err(Error::Invalid("these rows are no pose of this system".into())),
@@ -248,7 +321,7 @@ mod tests {
             let (mut workspace, mut other) = (Workspace::default(), Workspace::default());
             let exec = Exec::new(&pool, &Silent);
             let mut pose = PoseRows::default();
-            pose.begin(&hierarchy, &rest);
+            pose.begin(&hierarchy, |v| rest[v], &pool);
             for (x, &v) in pose
                 .x
                 .iter_mut()
@@ -275,7 +348,7 @@ mod tests {
                     pose.rows[row].set_map(&maps[v as usize]);
                     pose.more[row] = Lanes([1e-3, 1e-3, 1e-3, 0.0]);
                 }
-                PoseRows::show_positions(&mut pose.rows, &pose.x);
+                pose.show_positions(&pool);
                 let criteria = PoseCriteria {
                     tolerance: Some(1e-4),
                     max_error: None,
@@ -344,10 +417,10 @@ mod tests {
         };
         let mut pose = PoseRows::default();
         assert!(matches!(solve(&mut pose), Err(Error::Invalid(_))));
-        pose.begin(&hierarchy, &block.positions);
+        pose.begin(&hierarchy, |v| block.positions[v], &pool);
         pose.x[0] = [f64::INFINITY; 4];
         pose.x.iter_mut().for_each(|x| x[0] = 1e300);
-        PoseRows::show_positions(&mut pose.rows, &pose.x);
+        pose.show_positions(&pool);
         assert!(matches!(solve(&mut pose), Err(Error::Diverged { .. })));
     }
 }

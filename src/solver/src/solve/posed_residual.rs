@@ -37,15 +37,13 @@ fn residual_with<const WEIGHTED: bool>(
         let mut norms = [[0.0; WIDTH]; 2];
         let bundles = out.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
         for (out, k) in bundles.zip(rows.start / SLICE_ROWS..) {
-            let sums = frames.bundle_sums::<WEIGHTED>(level, k);
-            for (d, out) in out.iter_mut().enumerate() {
-                let i = k * SLICE_ROWS + d;
+            let equations = frames.equations::<WEIGHTED>(level, k);
+            for ((out, equation), i) in out.iter_mut().zip(equations).zip(k * SLICE_ROWS..) {
                 if !mask.free(i) {
                     *out = Lanes::ZERO;
                     continue;
                 }
-                let b = frames.row_of_sums(i, sums.edges[d], sums.others[d]);
-                let mut r = b - sums.flows[d];
+                let (mut r, b) = (equation.residual, equation.rhs);
                 if let Some(s) = stiffness.get(i) {
                     r -= Lanes::from_wide(x[i]) * *s as f32;
                 }

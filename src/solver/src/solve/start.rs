@@ -152,7 +152,7 @@ fn load_posed_maps(grid: &MaskedLevel<'_>, frames: FrameRows<'_>, finest: &mut A
             // SAFETY: pieces are disjoint and each is visited once.
             unsafe {
                 maps.set(i, row.columns());
-                positions.set(i, row.rest());
+                positions.set(i, frames.rest[i]);
             }
         }
     });

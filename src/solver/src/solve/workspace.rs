@@ -55,6 +55,12 @@ impl FineVectors {
 }
 
 impl Workspace {
+    /// Lets go of what only starts by full multigrid and solves in double precision need.
+    pub fn release_start(&mut self) {
+        self.patches = Vec::new();
+        self.wide = Default::default();
+    }
+
     /// Bytes held.
     pub fn byte_size(&self) -> usize {
         let f = &self.fine;

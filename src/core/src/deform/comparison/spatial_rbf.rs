@@ -230,7 +230,7 @@ impl RbfDisplacement<'_> {
 }
 
 pub(in crate::deform) fn at_rest(body: &DeformableBody, node: usize) -> DVec3 {
-    DVec3::from_array(body.rest[node])
+    body.rest(node)
 }
 
 fn kernel(d: DVec3) -> f64 {

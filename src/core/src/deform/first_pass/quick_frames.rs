@@ -1,7 +1,7 @@
 //! Frames of all nodes many times a second: about one axis by three matrices and a polynomial, else as the first pass blends them.
 
 use crate::deform::first_pass::blend::{OneAxisBlend, PoseBlend};
-use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame};
+use crate::solver::MapColumns;
 use glam::{DMat3, DVec3, Mat3};
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2};
 
@@ -23,7 +23,7 @@ pub(in crate::deform) struct QuickFrames<'a> {
 /// Frames about one axis: a base, and what sine and 1 − cosine of an angle add to it (Rodrigues).
 struct OneAxisFrames<'a> {
     blend: OneAxisBlend<'a>,
-    matrices: [LocalFrame; 3],
+    matrices: [MapColumns; 3],
 }
 
 impl<'a> QuickFrames<'a> {
@@ -35,7 +35,7 @@ impl<'a> QuickFrames<'a> {
             let matrices = [base, base * across, base * across * across];
             OneAxisFrames {
                 blend,
-                matrices: matrices.map(|m| m.as_mat3().to_cols_array()),
+                matrices: matrices.map(|m| columns(&m.as_mat3())),
             }
         });
         Self { blend, one_axis }
@@ -43,22 +43,22 @@ impl<'a> QuickFrames<'a> {
 
     /// The frame of a node; `scratch` is memory for the terms.
     #[inline]
-    pub fn at(&self, node: usize, scratch: &mut Vec<(usize, f64)>) -> LocalFrame {
+    pub fn at(&self, node: usize, scratch: &mut Vec<(usize, f64)>) -> MapColumns {
         match &self.one_axis {
             Some(frames) => frames.at(node),
             None => self.blended_at(node, scratch),
         }
     }
 
-    fn blended_at(&self, node: usize, scratch: &mut Vec<(usize, f64)>) -> LocalFrame {
+    fn blended_at(&self, node: usize, scratch: &mut Vec<(usize, f64)>) -> MapColumns {
         let map = self.blend.map(node, scratch);
-        map.map_or(IDENTITY_FRAME, |map| Mat3::to_cols_array(&map.as_mat3()))
+        columns(&map.map_or(Mat3::IDENTITY, |map| map.as_mat3()))
     }
 }
 
 impl OneAxisFrames<'_> {
     #[inline]
-    fn at(&self, node: usize) -> LocalFrame {
+    fn at(&self, node: usize) -> MapColumns {
         let OneAxisBlend {
             terms,
             covered,
@@ -66,7 +66,7 @@ impl OneAxisFrames<'_> {
             ..
         } = &self.blend;
         if !covered[component[node] as usize] {
-            return IDENTITY_FRAME;
+            return columns(&Mat3::IDENTITY);
         }
         let mut angle = 0.0;
         for (field, whole) in terms {
@@ -78,8 +78,15 @@ impl OneAxisFrames<'_> {
         }
         let (sine, cosine) = sin_cos(angle);
         let (sine, rest) = (sine as f32, (1.0 - cosine) as f32);
-        std::array::from_fn(|k| base[k] + by_sine[k] * sine + by_rest[k] * rest)
+        std::array::from_fn(|k| {
+            let column = |c: usize| base[k][c] + by_sine[k][c] * sine + by_rest[k][c] * rest;
+            std::array::from_fn(column)
+        })
     }
+}
+
+fn columns(map: &Mat3) -> MapColumns {
+    map.to_cols_array_2d().map(|[x, y, z]| [x, y, z, 0.0])
 }
 
 /// Sine and cosine. On an eighth of a turn either side of 0 the Taylor series up to x¹³ and x¹² are off by less than the term

@@ -77,7 +77,7 @@ impl FreeParts {
             nodes[number[c as usize]].push(node as u32);
         }
         let held = (0..body.graph.surface).filter(|&i| covered[body.graph.component[i] as usize]);
-        let tree = NearestPoints::new(held.map(|i| (DVec3::from_array(body.rest[i]), i as u32)));
+        let tree = NearestPoints::new(held.map(|i| (body.rest(i), i as u32)));
         let followers = nodes
             .into_iter()
             .filter_map(|nodes| {
@@ -110,7 +110,7 @@ impl FreeParts {
 /// The nodes of `tree` that a part with these `nodes` follows: those nearest to places all over its surface, each
 /// weighing the less the further away it is.
 fn find_leaders(body: &DeformableBody, tree: &NearestPoints, nodes: &[u32]) -> Vec<(u32, f64)> {
-    let at = |n: u32| DVec3::from_array(body.rest[n as usize]);
+    let at = |n: u32| body.rest(n as usize);
     let count = nodes.partition_point(|n| (*n as usize) < body.graph.surface);
     let looking = nodes[..count].iter().step_by(count.div_ceil(LOOKING).max(1));
     let mut found: Vec<(u32, f64)> = looking.filter_map(|&n| tree.nearest(at(n))).collect();

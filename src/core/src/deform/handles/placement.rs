@@ -6,7 +6,9 @@ use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;
 use crate::deform::rotation::fit::fit_rigid_motion;
 use crate::deform::transform::Transform;
+use crate::pool::Pool;
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// Brings nodes from solving coordinates around `center` to model space.
 pub(in crate::deform) struct NodePlacement<'a, M> {
@@ -57,14 +59,15 @@ impl HandleSystem {
         &self,
         body: &DeformableBody,
         moved_parts: &[bool],
-        transforms: &[Transform],
-        center: DVec3,
+        (transforms, center): (&[Transform], DVec3),
         x: &[f64],
+        pool: &Pool,
     ) -> Vec<DVec3> {
         let placement = self.placement(body, moved_parts, transforms, center);
-        let mut positions: Vec<DVec3> = (0..body.nodes())
-            .map(|i| placement.of(i, &x[i * 3..i * 3 + 3]))
-            .collect();
+        let mut positions: Vec<DVec3> = pool.install(|| {
+            let nodes = x.as_chunks::<3>().0.par_iter().enumerate().with_min_len(4096);
+            nodes.map(|(node, x)| placement.of(node, x)).collect()
+        });
         self.parts.place(body, &mut positions);
         positions
     }
@@ -95,11 +98,7 @@ impl HandleSystem {
             .filter(|h| h.rigid && !(h.position && h.stiffness.is_none()))
         {
             let at = |n: &u32| DVec3::from_slice(&x[*n as usize * 3..*n as usize * 3 + 3]);
-            let rest: Vec<_> = hold
-                .nodes
-                .iter()
-                .map(|n| DVec3::from_array(body.rest[*n as usize]))
-                .collect();
+            let rest: Vec<_> = hold.nodes.iter().map(|n| body.rest(*n as usize)).collect();
             let now: Vec<_> = hold.nodes.iter().map(at).collect();
             let map = fit_rigid_motion(&rest, &now).map();
             for (n, p) in hold.nodes.iter().zip(&rest) {

@@ -5,7 +5,7 @@
 //! fits are left to do, a cycle after each, in the order of the solver's rows; they end once the energy hardly falls either.
 
 use crate::deform::error::Error;
-use crate::deform::first_pass::frame::{LocalFrame, LocalRotation};
+use crate::deform::first_pass::frame::LocalFrame;
 use crate::deform::first_pass::spread::FirstPass;
 use crate::deform::second_pass::drag::{SINGLE_ERROR, SINGLE_TOLERANCE, fill_scattered};
 use crate::deform::second_pass::drag_rows::NO_NODE;
@@ -55,6 +55,7 @@ impl PoseSolve<'_> {
     ) -> Result<SolveStats, Error> {
         let (rig, body, exec) = (self.rig, self.body, self.exec);
         let system = &rig.positions.system;
+        exec.progress.begin_pass("load");
         self.load_rows(fit, posed, state);
         self.pull_scattered(state);
         let SolveState { rows, workspace, .. } = state;
@@ -78,20 +79,15 @@ impl PoseSolve<'_> {
                 break;
             }
         }
-        posed.frames = state.rows.frames(body.nodes(), exec.pool);
-        state.extra = fit.extra(&rotations_of(&posed.frames, exec.pool), exec.pool);
-        state.rows.hand_over(body, &mut state.x);
-        let center = posed.center.to_array();
-        for x in state.x.chunks_exact_mut(3) {
-            x.iter_mut().zip(center).for_each(|(v, c)| *v -= c);
-        }
+        exec.progress.begin_pass("store");
+        store(posed, state, exec.pool);
         Ok(stats)
     }
 
     /// Takes the pose over into the order of the solver's rows.
     fn load_rows(&self, fit: &RotationFit<'_>, posed: &PosedHandles, state: &mut SolveState) {
         let SolveState { rows, x, .. } = state;
-        rows.take_over(self.body, self.rig, x);
+        rows.take_over(self.body, self.rig, x, self.exec.pool);
         rows.center = posed.center;
         let vertices = self.body.hierarchy.row_vertices();
         let PoseRows { rows, open, .. } = &mut rows.pose;
@@ -123,7 +119,7 @@ impl PoseSolve<'_> {
         };
         let before = tally.iterations;
         let SolveState { rows, workspace, .. } = state;
-        PoseRows::show_positions(&mut rows.pose.rows, &rows.pose.x);
+        rows.pose.show_positions(self.exec.pool);
         let stats = rig.positions.system.solve_pose(
             &body.hierarchy,
             &mut rows.pose,
@@ -142,12 +138,33 @@ impl PoseSolve<'_> {
     }
 }
 
-/// The rotations of frames without scales.
-fn rotations_of(frames: &[LocalFrame], pool: &Pool) -> Vec<LocalRotation> {
+/// Gives the solution back in the order of nodes, around the centre, with frames and with what fits have added to the first pass's
+/// rotations, which `posed.frames` has before.
+fn store(posed: &mut PosedHandles, state: &mut SolveState, pool: &Pool) {
+    let SolveState { x, extra, rows, .. } = state;
+    let nodes = posed.frames.len();
+    x.resize(3 * nodes, 0.0);
+    extra.resize(nodes, [0.0; 4]);
+    let solved = &*rows;
     pool.install(|| {
-        let frames = frames.par_iter().with_min_len(4096);
-        frames
-            .map(|frame| Quat::from_mat3(&Mat3::from_cols_array(frame)).to_array())
-            .collect()
-    })
+        let nodes = x
+            .as_chunks_mut::<3>()
+            .0
+            .par_iter_mut()
+            .zip(&mut posed.frames)
+            .zip(extra);
+        let nodes = nodes.zip(&solved.row_of).with_min_len(4096);
+        nodes.for_each(|(((x, frame), extra), &row)| {
+            let (row, [a, b, c, _]) = (&solved.pose.rows[row as usize], solved.pose.x[row as usize]);
+            *x = [a, b, c];
+            let first = std::mem::replace(frame, row.map());
+            *extra = (rotation_of(frame) * rotation_of(&first).inverse()).to_array();
+        });
+    });
+    rows.let_go();
+}
+
+/// The rotation of a frame without scales.
+fn rotation_of(frame: &LocalFrame) -> Quat {
+    Quat::from_mat3(&Mat3::from_cols_array(frame))
 }

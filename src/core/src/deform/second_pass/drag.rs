@@ -22,7 +22,7 @@ use crate::deform::second_pass::state::SolveState;
 use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::solver::{Lanes, PoseCriteria, PoseRows, SolveControl, SolveStats};
+use crate::solver::{Lanes, PoseCriteria, SolveControl, SolveStats};
 use glam::{DVec3, Mat3};
 use rayon::prelude::*;
 
@@ -78,8 +78,9 @@ impl DragPose<'_> {
         exec.progress.begin_pass("blend");
         if !state.rows.is_newest() {
             state.begin(body, request.transforms.len());
-            state.rows.take_over(body, rig, &mut state.x);
+            state.rows.take_over(body, rig, &mut state.x, exec.pool);
             (state.rhs, state.extra) = (Vec::new(), Vec::new());
+            state.workspace.release_start();
         }
         let center = state.rows.mean_of_held(body, request.transforms);
         let pass = RowPass {
@@ -108,19 +109,22 @@ impl DragPose<'_> {
         let placement = rig.placement(body, moved_parts, request.transforms, center);
         let rows = &state.rows;
         let at = |node: usize| rows.pose.x[rows.row_of[node] as usize];
-        let mut positions: Vec<DVec3> = exec.pool.install(|| {
+        let (mut positions, mut frames) = std::mem::take(&mut state.spare);
+        exec.pool.install(|| {
             let all = (0..nodes).into_par_iter().with_min_len(PIECE);
-            all.map(|node| placement.of(node, &at(node)[..3])).collect()
+            let placed = all.map(|node| placement.of(node, &at(node)[..3]));
+            placed.collect_into_vec(&mut positions);
         });
         if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
             return Err(Error::Solver(format!("node {node} left the range of numbers")));
         }
         rig.parts.place(body, &mut positions);
+        match request.extent {
+            SolutionExtent::Positions => frames.clear(),
+            _ => rows.copy_frames(&mut frames, nodes, exec.pool),
+        }
         Ok(PoseSolution {
-            frames: match request.extent {
-                SolutionExtent::Positions => Vec::new(),
-                _ => rows.frames(nodes, exec.pool),
-            },
+            frames,
             positions,
             refined: 0,
             iterations: stats.iterations,
@@ -161,7 +165,7 @@ impl DragPose<'_> {
                 let positions = || {
                     let mut now = vec![0.0; body.nodes() * 3];
                     done.copy_to(&mut now);
-                    rig.place(body, moved_parts, request.transforms, center, &now)
+                    rig.place(body, moved_parts, (request.transforms, center), &now, exec.pool)
                 };
                 let cycle = CycleReport {
                     index: done.index,
@@ -214,24 +218,15 @@ struct RowPass<'a, M> {
 impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
     fn run(&self, rows: &mut DragRows, pool: &Pool) {
         let vertices = self.body.hierarchy.row_vertices();
-        let pose = &mut rows.pose;
-        pool.install(|| {
-            let pieces = pose.rows.par_chunks_mut(PIECE).zip(pose.x.par_chunks_mut(PIECE));
-            pieces
-                .zip(vertices.par_chunks(PIECE))
-                .for_each(|((rows, x), vertices)| {
-                    let mut scratch = Vec::new();
-                    for ((row, x), &node) in rows.iter_mut().zip(x.iter_mut()).zip(vertices) {
-                        if node == NO_NODE {
-                            continue;
-                        }
-                        let node = node as usize;
-                        row.set_map(&self.frames.at(node, &mut scratch));
-                        let place = self.place_of(node, DVec3::new(x[0], x[1], x[2]));
-                        (x[0], x[1], x[2]) = place.into();
-                    }
-                    PoseRows::show_positions(rows, x);
-                });
+        rows.pose.place_rows(pool, Vec::new, |scratch, row, frame, x| {
+            let node = vertices[row];
+            if node == NO_NODE {
+                return;
+            }
+            let node = node as usize;
+            frame.set_map_columns(&self.frames.at(node, scratch));
+            let place = self.place_of(node, DVec3::new(x[0], x[1], x[2]));
+            (x[0], x[1], x[2]) = place.into();
         });
     }
 
@@ -242,7 +237,7 @@ impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
             let k = self.rig.position.hard[node];
             return match self.maps.get(k as usize).filter(|_| k != NOBODY) {
                 Some(map) => self.body.solving_from_model(map(self.body.graph.positions[node])) - to,
-                None => DVec3::from_array(self.body.rest[node]) - to,
+                None => self.body.rest(node) - to,
             };
         }
         let here = before + from;
@@ -252,11 +247,12 @@ impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
 }
 
 impl DragRows {
-    /// The frames of the first `nodes` nodes.
-    pub(super) fn frames(&self, nodes: usize, pool: &Pool) -> Vec<LocalFrame> {
+    /// Replaces `out` by the frames of the first `nodes` nodes.
+    fn copy_frames(&self, out: &mut Vec<LocalFrame>, nodes: usize, pool: &Pool) {
         pool.install(|| {
             let rows = self.row_of[..nodes].par_iter().with_min_len(PIECE);
-            rows.map(|&row| self.pose.rows[row as usize].map()).collect()
-        })
+            let frames = rows.map(|&row| self.pose.rows[row as usize].map());
+            frames.collect_into_vec(out);
+        });
     }
 }

@@ -4,6 +4,7 @@ use crate::deform::body::DeformableBody;
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;
 use crate::deform::transform::Transform;
+use crate::pool::Pool;
 use crate::solver::PoseRows;
 use glam::DVec3;
 
@@ -36,12 +37,13 @@ pub(in crate::deform) struct DragRows {
 
 impl DragRows {
     /// Takes over the last solution, `x` in the order of nodes, which is given up.
-    pub(super) fn take_over(&mut self, body: &DeformableBody, rig: &HandleSystem, x: &mut Vec<f64>) {
+    pub(super) fn take_over(&mut self, body: &DeformableBody, rig: &HandleSystem, x: &mut Vec<f64>, pool: &Pool) {
         if self.is_newest {
             return;
         }
         let vertices = body.hierarchy.row_vertices();
-        self.pose.begin(&body.hierarchy, &body.rest);
+        self.pose
+            .begin(&body.hierarchy, |node| body.rest(node).to_array(), pool);
         self.row_of.clear();
         self.row_of.resize(body.nodes(), 0);
         self.center = DVec3::ZERO;
@@ -96,7 +98,7 @@ impl DragRows {
                 }
                 None => {
                     self.unmoved.0 += 1.0;
-                    self.unmoved.1 += DVec3::from_array(body.rest[node]);
+                    self.unmoved.1 += body.rest(node);
                 }
             }
         }

@@ -22,7 +22,7 @@ impl HandleSystem {
             .collect();
         let frames = fit.frames(&fit.step(&fit.start(pool), &x, pool), pool);
         let at = |i: usize| DVec3::from_slice(&x[3 * i..3 * i + 3]);
-        let rest = |i: usize| DVec3::from_array(body.rest[i]);
+        let rest = |i: usize| body.rest(i);
         let (mut sum, mut size) = (0.0, 0.0);
         for (i, frame) in frames.iter().enumerate() {
             let frame = Mat3::from_cols_array(frame).as_dmat3();

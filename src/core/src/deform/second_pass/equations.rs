@@ -53,7 +53,7 @@ impl HandleSystem {
     /// themselves. Rigid regions that nothing holds are taken as free, as in the first of their two solves.
     pub fn equations(&self, body: &DeformableBody, transforms: &[Transform], pool: &Pool) -> SecondPassEquations {
         let frames = blend_frames_with(body, self, transforms, None, pool);
-        let posed = self.pose_handles(body, transforms, frames, Precision::Double);
+        let posed = self.pose_handles(body, transforms, frames, (Precision::Double, pool));
         let mut rhs = vec![0.0; body.nodes() * 3];
         self.assemble(body, &posed, transforms, &mut rhs, pool);
         SecondPassEquations {
@@ -70,9 +70,9 @@ impl HandleSystem {
         body: &DeformableBody,
         transforms: &[Transform],
         frames: Vec<LocalFrame>,
-        precision: Precision,
+        (precision, pool): (Precision, &Pool),
     ) -> PosedHandles {
-        let targets = self.given_targets(body, transforms);
+        let targets = self.given_targets(body, transforms, pool);
         let center = mean_of(&targets, self.given());
         PosedHandles {
             frames,
@@ -143,27 +143,27 @@ impl HandleSystem {
     }
 
     /// Solving coordinates of all given nodes; rest elsewhere.
-    fn given_targets(&self, body: &DeformableBody, transforms: &[Transform]) -> Vec<DVec3> {
-        let mut targets: Vec<DVec3> = body.rest.iter().map(|p| DVec3::from_array(*p)).collect();
-        let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
-        for (node, &k) in self.position.hard.iter().enumerate().filter(|(_, k)| **k != NOBODY) {
-            if let Some(map) = maps.get(k as usize).filter(|_| !transforms[k as usize].is_identity()) {
-                targets[node] = body.solving_from_model(map(body.graph.positions[node]));
-            }
-        }
-        targets
+    fn given_targets(&self, body: &DeformableBody, transforms: &[Transform], pool: &Pool) -> Vec<DVec3> {
+        let maps: Vec<_> = transforms.iter().map(|t| (!t.is_identity()).then(|| t.map())).collect();
+        let target = |(node, &hold): (usize, &u32)| match maps.get(hold as usize) {
+            Some(Some(map)) if hold != NOBODY => body.solving_from_model(map(body.graph.positions[node])),
+            _ => body.rest(node),
+        };
+        let nodes = self.position.hard.par_iter().enumerate().with_min_len(4096);
+        pool.install(|| nodes.map(target).collect())
     }
 }
 
 /// Equation (8)'s right-hand side at one node.
 fn right_hand_side(body: &DeformableBody, frames: &[LocalFrame], i: usize) -> DVec3 {
-    let p = DVec3::from_array(body.rest[i]);
-    let own = linear(&frames[i]) * DVec3::from_array(body.laplacian[i]);
-    let others: DVec3 = body
-        .edges(i)
-        .map(|(j, w)| linear(&frames[j]) * (p - DVec3::from_array(body.rest[j])) * w)
-        .sum();
-    0.5 * (own + others)
+    let here = body.rest(i);
+    let (mut laplacian, mut others) = (DVec3::ZERO, DVec3::ZERO);
+    for (j, w) in body.edges(i) {
+        let edge = here - body.rest(j);
+        laplacian += w * edge;
+        others += linear(&frames[j]) * edge * w;
+    }
+    0.5 * (linear(&frames[i]) * laplacian + others)
 }
 
 /// Has ties keep the offset of a vertex from the flat triangle that it is tied to.
@@ -173,7 +173,7 @@ fn right_hand_side(body: &DeformableBody, frames: &[LocalFrame], i: usize) -> DV
 /// until together they ask for the turned offset. For triangles that are small against the bend this is next to nothing.
 fn add_tie_offsets(body: &DeformableBody, frame: impl Fn(usize) -> DMat3, add: &mut dyn FnMut(usize, DVec3)) {
     let Some(ties) = &body.graph.ties else { return };
-    let rest = |v: u32| DVec3::from_array(body.rest[v as usize]);
+    let rest = |v: u32| body.rest(v as usize);
     let mut add = |v: u32, by: DVec3| add(v as usize, by);
     let frame_of = frame;
     for anchor in ties.anchors() {

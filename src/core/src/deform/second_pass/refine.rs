@@ -177,11 +177,11 @@ impl<'a> RotationFit<'a> {
     fn fitted(&self, i: usize, turns: &[LocalRotation], x: &[f64]) -> DQuat {
         let body = self.body;
         let at = |j: usize| DVec3::new(x[3 * j], x[3 * j + 1], x[3 * j + 2]);
-        let (here, rest) = (at(i), DVec3::from_array(body.rest[i]));
+        let (here, rest) = (at(i), body.rest(i));
         let (mut sum, mut size, mut weights) = (DMat3::ZERO, 0.0, 0.0);
         let mut around = DMat3::ZERO;
         for (j, w) in body.edges(i) {
-            let (edge, now) = (rest - DVec3::from_array(body.rest[j]), (here - at(j)) * w);
+            let (edge, now) = (rest - body.rest(j), (here - at(j)) * w);
             sum += DMat3::from_cols(now * edge.x, now * edge.y, now * edge.z);
             size += w * edge.length_squared();
             weights += w;

@@ -1,6 +1,7 @@
 //! The rest shape in single precision, for sums over edges that need no more.
 
-use glam::{DVec3, Vec3A};
+use crate::deform::body::DeformableBody;
+use glam::Vec3A;
 
 /// Rest positions and their Laplacian in single precision, solving coordinates.
 #[derive(Debug)]
@@ -10,11 +11,12 @@ pub(in crate::deform) struct SingleRest {
 }
 
 impl SingleRest {
-    pub(in crate::deform) fn of(rest: &[[f64; 3]], laplacian: &[[f64; 3]]) -> Self {
-        let single = |all: &[[f64; 3]]| all.iter().map(|p| DVec3::from_array(*p).as_vec3a()).collect();
+    pub(in crate::deform) fn of(body: &DeformableBody) -> Self {
+        // One thread: whoever waits for the others here could be handed work that waits for this.
+        let nodes = 0..body.nodes();
         Self {
-            positions: single(rest),
-            laplacian: single(laplacian),
+            positions: nodes.clone().map(|i| body.rest(i).as_vec3a()).collect(),
+            laplacian: nodes.map(|i| body.laplacian(i).as_vec3a()).collect(),
         }
     }
 

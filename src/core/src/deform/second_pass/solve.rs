@@ -77,7 +77,7 @@ impl HandleSystem {
             _ => Precision::Double,
         };
         exec.progress.begin_pass("carry");
-        let mut posed = self.pose_handles(body, request.transforms, frames, precision);
+        let mut posed = self.pose_handles(body, request.transforms, frames, (precision, exec.pool));
         let pose = PoseSolve {
             rig: self,
             body,
@@ -178,16 +178,22 @@ impl PoseSolve<'_> {
         }
 
         self.exec.progress.begin_pass("place");
-        let positions = rig.place(body, self.moved_parts, request.transforms, posed.center, &state.x);
+        let positions = rig.place(
+            body,
+            self.moved_parts,
+            (request.transforms, posed.center),
+            &state.x,
+            pool,
+        );
         if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
             return Err(Error::Solver(format!("node {node} left the range of numbers")));
         }
         // Kept relative to nothing, so that the next solve may centre elsewhere.
         let center = posed.center.to_array();
-        state
-            .x
-            .chunks_exact_mut(3)
-            .for_each(|row| row.iter_mut().zip(center).for_each(|(v, c)| *v += c));
+        pool.install(|| {
+            let rows = state.x.as_chunks_mut::<3>().0.par_iter_mut().with_min_len(4096);
+            rows.for_each(|row| row.iter_mut().zip(center).for_each(|(v, c)| *v += c));
+        });
         Ok(PoseSolution {
             positions,
             frames: Vec::new(),
@@ -220,11 +226,12 @@ impl PoseSolve<'_> {
             None => Vec::new(),
         };
         self.assemble(posed, state);
+        let rest = (!warm).then(|| self.body.rest_of_all(pool));
         let first = match warm {
             true => solver::InitialGuess::Given,
             false => solver::InitialGuess::FullMultigrid {
                 frames: Some(&posed.frames),
-                rest: Some(&body.rest),
+                rest: rest.as_deref(),
             },
         };
         let between = request.tolerance.map_or(BETWEEN_FITS, |t| t.min(BETWEEN_FITS));
@@ -252,6 +259,7 @@ impl PoseSolve<'_> {
     fn assemble(&self, posed: &PosedHandles, state: &mut SolveState) {
         self.exec.progress.begin_pass("equations");
         let transforms = self.request.transforms;
+        state.rhs.resize(3 * self.body.nodes(), 0.0);
         (self.rig).assemble(self.body, posed, transforms, &mut state.rhs, self.exec.pool);
     }
 
@@ -297,7 +305,13 @@ impl PoseSolve<'_> {
         let positions = || {
             let mut now = vec![0.0; body.nodes() * 3];
             done.copy_to(&mut now);
-            rig.place(body, self.moved_parts, request.transforms, self.center, &now)
+            rig.place(
+                body,
+                self.moved_parts,
+                (request.transforms, self.center),
+                &now,
+                self.exec.pool,
+            )
         };
         let cycle = CycleReport {
             index: before + done.index,
@@ -334,7 +348,6 @@ fn prepare(
 ) {
     let nodes = body.nodes();
     state.x.resize(nodes * 3, 0.0);
-    state.rhs.resize(nodes * 3, 0.0);
     let x = &mut state.x;
     pool.install(|| {
         x.par_chunks_exact_mut(3)

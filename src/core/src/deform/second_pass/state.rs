@@ -2,10 +2,11 @@
 
 use crate::deform::body::DeformableBody;
 use crate::deform::comparison::spatial_rbf::RbfSpace;
-use crate::deform::first_pass::frame::LocalRotation;
+use crate::deform::first_pass::frame::{LocalFrame, LocalRotation};
 use crate::deform::second_pass::drag_rows::DragRows;
 use crate::deform::transform::Transform;
 use crate::solver::Workspace;
+use glam::DVec3;
 
 /// What a solve keeps for the next one: the last solution and scratch memory.
 #[derive(Default)]
@@ -20,6 +21,8 @@ pub struct SolveState {
     pub(in crate::deform) workspace: Workspace,
     /// The last solution in the order of the solver's rows, where a drag keeps it.
     pub(in crate::deform) rows: DragRows,
+    /// Memory for the positions and frames of the next pose of a drag.
+    pub(in crate::deform) spare: (Vec<DVec3>, Vec<LocalFrame>),
     /// What [`HandleSystem::solve_by_spatial_rbf`] made of the handles.
     pub(in crate::deform) space: Option<Box<RbfSpace>>,
 }
@@ -29,6 +32,8 @@ impl SolveState {
     pub fn byte_size(&self) -> usize {
         (self.x.capacity() + self.rhs.capacity()) * 8
             + self.extra.capacity() * 16
+            + self.spare.0.capacity() * size_of::<DVec3>()
+            + self.spare.1.capacity() * size_of::<LocalFrame>()
             + self.workspace.byte_size()
             + self.rows.byte_size()
             + self.space.as_ref().map_or(0, |space| space.byte_size())
@@ -39,10 +44,16 @@ impl SolveState {
         self.rows.hand_over(body, &mut self.x);
         if self.x.len() != body.nodes() * 3 {
             self.x.clear();
-            self.x.extend_from_slice(body.rest.as_flattened());
+            self.x
+                .extend((0..body.nodes()).flat_map(|node| body.rest(node).to_array()));
             self.extra.clear();
             self.transforms = vec![Transform::IDENTITY; holds];
         }
+    }
+
+    /// Takes back positions and frames of a pose that nobody needs any more, as memory for those of the next one.
+    pub fn recycle(&mut self, positions: Vec<DVec3>, frames: Vec<LocalFrame>) {
+        self.spare = (positions, frames);
     }
 
     /// Lets go of what refinement had added to the first pass's rotations, so that the next solve fits them anew.

@@ -7,6 +7,7 @@ use crate::deform::handles::system::HandleSystem;
 use crate::pool::Pool;
 use glam::{DVec3, Mat3};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// How often corners of caps are brought to their edges, whose ends may be corners of others.
 const SWEEPS: usize = 3;
@@ -26,8 +27,9 @@ impl NeedlesAndCaps {
             return;
         }
         // What is tied to another part stays at its place beside it.
-        let mut held = handles.held_nodes().to_vec();
+        let mut held = Cow::Borrowed(handles.held_nodes());
         for anchor in body.graph.ties.iter().flat_map(|ties| ties.anchors()) {
+            let held = held.to_mut();
             held[anchor.vertex as usize] = true;
             anchor.corners.iter().for_each(|&v| held[v as usize] = true);
         }
