@@ -189,6 +189,7 @@ impl Deformer {
         match mode {
             SolveMode::Drag => state.recycle(solution.positions, solution.frames),
             SolveMode::Commit => {
+                state.release_start();
                 *committed = Some(CommittedShape {
                     id,
                     nodes: Arc::new(solution.positions),

@@ -80,6 +80,13 @@ impl DragRows {
         self.is_newest
     }
 
+    /// Gives memory back that does not hold the last solution.
+    pub(super) fn release(&mut self) {
+        if !self.is_newest {
+            (self.pose, self.row_of) = (PoseRows::default(), Vec::new());
+        }
+    }
+
     /// Forgets the last solution.
     pub(in crate::deform) fn let_go(&mut self) {
         self.is_newest = false;

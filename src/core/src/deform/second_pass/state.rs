@@ -56,6 +56,13 @@ impl SolveState {
         self.spare = (positions, frames);
     }
 
+    /// Gives memory back that only a solve from nothing needs.
+    pub fn release_start(&mut self) {
+        self.rhs = Vec::new();
+        self.workspace.release_start();
+        self.rows.release();
+    }
+
     /// Lets go of what refinement had added to the first pass's rotations, so that the next solve fits them anew.
     pub fn forget_fits(&mut self) {
         self.extra.clear();
