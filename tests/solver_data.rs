@@ -110,7 +110,7 @@ impl Ready<'_> {
 fn full_multigrid(rung: &Rung) -> InitialGuess<'_> {
     InitialGuess::FullMultigrid {
         frames: Some(&rung.frames),
-        rest: Some(rung.body().rest()),
+        rest: Some(&rung.rest),
     }
 }
 
@@ -272,8 +272,8 @@ fn largest_residual(rung: &Rung, x: &[f64]) -> f64 {
 /// The rung's handles and one more: a free node in the middle and all its neighbours.
 fn with_another_handle(rung: &Rung) -> HandleSystem {
     let (body, given) = (rung.body(), rung.rig().given());
-    let middle = body
-        .rest()
+    let middle = rung
+        .rest
         .iter()
         .enumerate()
         .filter(|(i, _)| !given[*i])

@@ -29,6 +29,8 @@ pub struct Pose {
 pub struct Rung {
     pub name: &'static str,
     bench: Deformer,
+    /// Rest positions of all nodes, solving coordinates.
+    pub rest: Vec<[f64; 3]>,
     pub stiffness: Option<Vec<f64>>,
     /// Diagonal of the model's box in solving units.
     pub diagonal: f64,
@@ -82,8 +84,10 @@ impl Rung {
                 given: given.collect(),
             }
         });
+        let rest = body.rest_of_all(&pool);
         Rung {
             name,
+            rest,
             bench,
             stiffness,
             diagonal,
@@ -115,7 +119,7 @@ impl Rung {
             offsets: &graph.offsets,
             neighbours: &graph.neighbours,
             weights: graph.weights.as_deref(),
-            positions: Some(self.body().rest()),
+            positions: Some(&self.rest),
         }
     }
 

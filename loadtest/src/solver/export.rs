@@ -114,7 +114,7 @@ fn pose_systems(
         fixed: rig.given().to_vec(),
         stiffness,
         frames: first.frames,
-        rest: (0..body.nodes()).map(|node| body.rest(node).to_array()).collect(),
+        rest: body.rest_of_all(pool),
         poses: [(first.rhs, first.given), (second.rhs, second.given)].map(|(rhs, given)| PoseSystem { rhs, given }),
     };
     Ok((free_system(&companion)?, companion))

@@ -142,7 +142,7 @@ impl DeformableBody {
     }
 
     /// The same of all nodes.
-    pub(in crate::deform) fn rest_of_all(&self, pool: &Pool) -> Vec<[f64; 3]> {
+    pub fn rest_of_all(&self, pool: &Pool) -> Vec<[f64; 3]> {
         pool.install(|| place(&self.graph.positions, self.origin, self.unit))
     }
 
