@@ -218,10 +218,12 @@ impl SessionRegistry {
         self.note_departure(self.sessions.remove(id));
     }
 
-    /// Removes this session, and not one that came back under its id.
-    pub fn remove_this(&self, session: &Arc<OpenSession>) {
+    /// Removes this session, and not one that came back under its id. Returns whether it was there.
+    pub fn remove_this(&self, session: &Arc<OpenSession>) -> bool {
         let removed = (self.sessions).remove_if(&session.id, |_, there| Arc::ptr_eq(there, session));
+        let was_there = removed.is_some();
         self.note_departure(removed);
+        was_there
     }
 
     fn note_departure(&self, removed: Option<(String, Arc<OpenSession>)>) {

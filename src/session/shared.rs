@@ -55,9 +55,12 @@ pub(super) struct SharedResources {
 impl SharedResources {
     /// Another node has a session: nobody finds it here any more.
     pub fn lose(&self, session: &Arc<OpenSession>) {
-        tracing::warn!(session.id = %session.id, "another node has taken the session");
+        // A write that is refused and a heartbeat may both find out: the first of them counts.
+        let is_news = self.registry.remove_this(session);
         session.close(Error::moved());
-        self.registry.remove_this(session);
-        self.metrics.sessions_lost.inc();
+        if is_news {
+            tracing::warn!(session.id = %session.id, "another node has taken the session");
+            self.metrics.sessions_lost.inc();
+        }
     }
 }

@@ -153,7 +153,7 @@ impl DeformableBody {
 
     /// Rest positions and their Laplacian in single precision; made when first asked for.
     pub(in crate::deform) fn single_rest(&self) -> &SingleRest {
-        self.single.get_or_init(|| SingleRest::of(self))
+        (self.single).get_or_init(|| SingleRest::of(self.nodes(), |i| self.rest(i), |i| self.laplacian(i)))
     }
 
     /// Bytes held on the heap.

@@ -144,11 +144,7 @@ impl Deformer {
                 carried: false,
                 order: settings.fit_order,
             },
-            extent: match mode {
-                SolveMode::Drag if derived.shows_without_frames() => SolutionExtent::Positions,
-                SolveMode::Drag => SolutionExtent::Surface,
-                SolveMode::Commit => SolutionExtent::Graph,
-            },
+            extent: extent_of(mode, derived.shows_without_frames()),
         };
         let shape = ShapeTransfer {
             body,
@@ -204,6 +200,15 @@ impl Deformer {
             max_error: solution.max_error,
             solver,
         })
+    }
+}
+
+/// How much of a solution is needed. Where the surface shows without frames a drag has no use for them.
+fn extent_of(mode: SolveMode, shows_without_frames: bool) -> SolutionExtent {
+    match mode {
+        SolveMode::Drag if shows_without_frames => SolutionExtent::Positions,
+        SolveMode::Drag => SolutionExtent::Surface,
+        SolveMode::Commit => SolutionExtent::Graph,
     }
 }
 

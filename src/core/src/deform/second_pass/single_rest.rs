@@ -1,7 +1,6 @@
 //! The rest shape in single precision, for sums over edges that need no more.
 
-use crate::deform::body::DeformableBody;
-use glam::Vec3A;
+use glam::{DVec3, Vec3A};
 
 /// Rest positions and their Laplacian in single precision, solving coordinates.
 #[derive(Debug)]
@@ -11,12 +10,16 @@ pub(in crate::deform) struct SingleRest {
 }
 
 impl SingleRest {
-    pub(in crate::deform) fn of(body: &DeformableBody) -> Self {
+    /// `position` and `laplacian` tell those of a node.
+    pub(in crate::deform) fn of(
+        nodes: usize,
+        position: impl Fn(usize) -> DVec3,
+        laplacian: impl Fn(usize) -> DVec3,
+    ) -> Self {
         // One thread: whoever waits for the others here could be handed work that waits for this.
-        let nodes = 0..body.nodes();
         Self {
-            positions: nodes.clone().map(|i| body.rest(i).as_vec3a()).collect(),
-            laplacian: nodes.map(|i| body.laplacian(i).as_vec3a()).collect(),
+            positions: (0..nodes).map(|i| position(i).as_vec3a()).collect(),
+            laplacian: (0..nodes).map(|i| laplacian(i).as_vec3a()).collect(),
         }
     }
 
