@@ -1,6 +1,8 @@
 //! Clients as their authors run them, with Python, Node and a browser, and the commands that the documentation shows.
 
+mod cluster;
 mod described;
+mod monitoring;
 mod node;
 mod packages;
 mod pages;

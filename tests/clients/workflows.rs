@@ -32,7 +32,7 @@ fn file(name: &str) -> PathBuf {
 }
 
 /// Runs what fetches packages; `None` where they cannot be had.
-fn fetched(command: &mut Command) -> Option<()> {
+pub(super) fn fetched(command: &mut Command) -> Option<()> {
     let Ok(done) = command.output() else {
         tell(&format!("SKIPPED: {:?} is not installed", command.get_program()));
         return None;
