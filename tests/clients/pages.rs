@@ -15,12 +15,13 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 21] = [
+const PAGES: [&str; 22] = [
     "README.md",
     "CONTRIBUTING.md",
     "deploy/README.md",
     "deploy/docs/animation.md",
     "deploy/docs/architecture.md",
+    "deploy/docs/batches.md",
     "deploy/docs/command-line.md",
     "deploy/docs/concepts.md",
     "deploy/docs/durability.md",
@@ -130,6 +131,12 @@ fn security() {
 #[test]
 fn nodes() {
     play("deploy/docs/nodes.md");
+}
+
+#[test]
+fn batches() {
+    let checkout = play("deploy/docs/batches.md");
+    assert!(checkout.path("target/batch_jobs.py").exists() || !Checkout::has("bash"));
 }
 
 #[test]
