@@ -136,7 +136,7 @@ fn nodes() {
 #[test]
 fn batches() {
     let checkout = play("deploy/docs/batches.md");
-    assert!(checkout.path("target/batch_jobs.py").exists() || !Checkout::has("bash"));
+    assert!(checkout.path("target/batch_jobs.py").exists() || !checkout::has("bash"));
 }
 
 #[test]

@@ -76,7 +76,9 @@ def with_a_worker_killed(batch: pliant.batch.Batch, after: int) -> BatchReport:
     return report
 
 
-@pytest.mark.parametrize("count", [24, pytest.param(200, marks=pytest.mark.skipif("not os.environ.get('PLIANT_LONG')"))])
+@pytest.mark.parametrize(
+    "count", [24, pytest.param(200, marks=pytest.mark.skipif("not os.environ.get('PLIANT_LONG')"))]
+)
 def test_a_killed_worker_costs_no_result(count: int, tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     tell: Callable[[int, int], None] = lambda done, total: told.append((done, total))
@@ -135,7 +137,9 @@ def test_a_job_that_fails_is_told_and_the_others_finish(tmp_path: Path) -> None:
     assert errors["schema"].where == "job" and "handels" in str(errors["schema"]) and "handles" in str(errors["schema"])
     assert errors["missing"].code == "NOT_FOUND" and "none.glb" in str(errors["missing"])
     assert errors["model"].where == "model" and errors["model"].code == "INVALID_ARGUMENT"
-    assert errors["outside"].where.endswith("steps[0].edit.merge.file") and "below the job's folder" in str(errors["outside"])
+    assert errors["outside"].where.endswith("steps[0].edit.merge.file") and "below the job's folder" in str(
+        errors["outside"]
+    )
     assert "expected xxh3:0000000000000000" in report["unmet"].unmet[0]
     assert report.lost == 0, "what the job is to blame for is not tried again"
     with pytest.raises(pliant.batch.BatchFailed, match=r"6 of 10 jobs failed: pose: steps\[0\]"):
@@ -208,7 +212,11 @@ def test_a_job_that_ends_its_workers_is_given_up() -> None:
         report = pliant.batch.run(jobs(4), executor=pool, retries=3).report()
     assert [result.name for result in report.failed] == ["bend_001"] and len(Poison.asked) == 4 == report.lost
     error = report["bend_001"].error
-    assert error is not None and error.code == "UNAVAILABLE" and "the worker is gone (4 tries, the last one alone)" in str(error)
+    assert (
+        error is not None
+        and error.code == "UNAVAILABLE"
+        and "the worker is gone (4 tries, the last one alone)" in str(error)
+    )
 
 
 class Counting(ThreadPoolExecutor):
@@ -278,7 +286,10 @@ def test_a_recipe_of_the_page_works(recipe: str, creature: Path, tmp_path: Path)
     for before in (0, 24):
         command = [sys.executable, "recipe.py"]
         # Workers of clusters find what their caller's folder holds.
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])}
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])]),
+        }
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         assert f"24 jobs, {before} finished before, 0 failed, 0 tries lost" in done.stdout
@@ -311,7 +322,9 @@ def on_ray() -> Iterator[Executor]:
 
 
 @pytest.mark.parametrize("cluster", [on_dask, on_ray], ids=["dask", "ray"])
-@pytest.mark.parametrize("count", [24, pytest.param(200, marks=pytest.mark.skipif("not os.environ.get('PLIANT_LONG')"))])
+@pytest.mark.parametrize(
+    "count", [24, pytest.param(200, marks=pytest.mark.skipif("not os.environ.get('PLIANT_LONG')"))]
+)
 def test_a_cluster_loses_a_worker(cluster: Any, count: int, tmp_path: Path) -> None:
     with cluster() as executor:
         batch = pliant.batch.run(jobs(count), executor=executor, keys={"threads": 1}, results=tmp_path)

@@ -81,7 +81,12 @@ class ResultFolder:
 
 def _inside(folder: Path, name: str) -> Path:
     path = PurePosixPath(name)
-    if path.is_absolute() or ".." in path.parts or name in ("", RECORD) or not (folder / path).resolve().is_relative_to(folder.resolve()):
+    if (
+        path.is_absolute()
+        or ".." in path.parts
+        or name in ("", RECORD)
+        or not (folder / path).resolve().is_relative_to(folder.resolve())
+    ):
         raise ValueError(f"the result's file {name!r} would lie outside {folder}")
     return folder / path
 

@@ -33,7 +33,7 @@ class Job:
     #: What :func:`pliant.open` takes: a path, bytes, arrays, a mesh.
     model: Model
     #: The path of a job file, or what one holds: a dict, or a ``pb.Job``. A file may name models that lie beside it.
-    job: Union[str, "os.PathLike[str]", Mapping[str, Any], pb.Job]
+    job: Union[str, os.PathLike[str], Mapping[str, Any], pb.Job]
     #: Files that the model refers to, by URI; those of a path are found beside it.
     companions: Mapping[str, bytes] | None = None
     #: What the result is written as; absent, the model's own format, and glb for fbx.
@@ -76,7 +76,9 @@ def named(jobs: Iterable[Job]) -> list[Job]:
         if not isinstance(job, Job):
             raise TypeError(f"jobs[{k}]: {seen(job)}, a pliant.batch.Job is allowed")
         if not _NAME.fullmatch(text(f"jobs[{k}].name", job.name)) or job.name.endswith("."):
-            allowed = "1 to 120 letters, digits, '.', '_' and '-' that begin with none of '.' and '-' and do not end with '.'"
+            allowed = (
+                "1 to 120 letters, digits, '.', '_' and '-' that begin with none of '.' and '-' and do not end with '.'"
+            )
             raise ValueError(f"jobs[{k}].name: {seen(job.name)}, {allowed} are allowed")
         # Names that differ by case alone are one folder on some systems.
         first = places.setdefault(job.name.casefold(), k)
@@ -106,7 +108,15 @@ def task(job: Job, version: str) -> Task:
     for uri in sorted(upload.companions):
         parts += [uri.encode(errors="surrogateescape"), upload.companions[uri]]
     return Task(
-        job.name, _digest(parts), version, upload.main, upload.companions, upload.format, upload.label, bytes_of_job, format
+        job.name,
+        _digest(parts),
+        version,
+        upload.main,
+        upload.companions,
+        upload.format,
+        upload.label,
+        bytes_of_job,
+        format,
     )
 
 
@@ -161,7 +171,9 @@ def _named_models(message: pb.Job) -> Iterator[tuple[str, Any]]:
 
 def _beside(folder: Path | None, name: str) -> bytes:
     if folder is None:
-        raise ValueError(f"{name!r} is named by a job that is no file; the model's bytes, or the path of a job file, are allowed")
+        raise ValueError(
+            f"{name!r} is named by a job that is no file; the model's bytes, or the path of a job file, are allowed"
+        )
     path = (folder / name).resolve()
     if not path.is_relative_to(folder.resolve()):
         raise ValueError(f"{name!r} lies outside {folder.resolve()}; files below the job's folder are allowed")

@@ -124,7 +124,9 @@ class BatchReport:
         return len(self.results)
 
     def __str__(self) -> str:
-        lines = [f"{len(self.results)} jobs, {self.resumed} finished before, {len(self.failed)} failed, {self.lost} tries lost"]
+        lines = [
+            f"{len(self.results)} jobs, {self.resumed} finished before, {len(self.failed)} failed, {self.lost} tries lost"
+        ]
         return "\n".join(lines + [f"  {result}" for result in self.failed])
 
 

@@ -62,7 +62,9 @@ def run(
     address = server.url if isinstance(server, LocalServer) else server or os.environ.get("PLIANT_SERVER") or None
     configured = dict(keys or {})
     if address is not None and configured:
-        raise ValueError("keys: they configure servers that workers start, and a server is named; one of the two is allowed")
+        raise ValueError(
+            "keys: they configure servers that workers start, and a server is named; one of the two is allowed"
+        )
     if executor is None and address is None:
         # Not every worker's server takes every core.
         configured.setdefault("threads", max(1, (os.cpu_count() or 1) // count))
@@ -70,7 +72,9 @@ def run(
     place = Place(address, tuple(sorted(configured.items())), tuple(sorted((way or {}).items())))
     folder = None if results is None else ResultFolder(Path(results))
     every = named(jobs)
-    return Batch(every, Workers(executor, count, place, start_timeout), place, folder, resume, window, retries, progress)
+    return Batch(
+        every, Workers(executor, count, place, start_timeout), place, folder, resume, window, retries, progress
+    )
 
 
 def _count(what: str, value: int | None, default: int, low: int, high: int) -> int:
@@ -239,7 +243,13 @@ class Batch(Iterator[JobResult]):
             self._waiting.appendleft(ticket)
 
     def _fail(
-        self, ticket: _Ticket, where: str, code: str, words: str, field: str | None = None, outcome: Outcome | None = None
+        self,
+        ticket: _Ticket,
+        where: str,
+        code: str,
+        words: str,
+        field: str | None = None,
+        outcome: Outcome | None = None,
     ) -> None:
         error = JobError(ticket.job.name, where, words, code=code, field=field)
         worker, seconds = (outcome.worker, outcome.seconds) if outcome is not None else ("", 0.0)

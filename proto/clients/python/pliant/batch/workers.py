@@ -40,7 +40,9 @@ class Workers:
             make = self._processes
         elif self._given is None:
             if not callable(executor):
-                raise TypeError(f"executor: {seen(executor)}, an Executor, a function that makes one, or None is allowed")
+                raise TypeError(
+                    f"executor: {seen(executor)}, an Executor, a function that makes one, or None is allowed"
+                )
             make = executor
         else:
             _refuse_forks(self._given)
@@ -84,7 +86,7 @@ class Workers:
             self.discard()
             if self._make is None:
                 break
-        guard = "; a script that starts processes needs `if __name__ == \"__main__\":` around what it does"
+        guard = '; a script that starts processes needs `if __name__ == "__main__":` around what it does'
         again = "; where workers may die, executor= takes a function that makes an executor"
         hint = again if self._make is None else guard
         raise WorkersLost(f"no worker can work: {words}{hint}")
