@@ -20,18 +20,16 @@ use crate::threads::{piece_count, piece_rows};
 const PIECE: usize = 256;
 /// Fits on one level at most.
 const MOST_FITS: usize = 48;
-/// Fits over which the energy must fall.
-const PATIENCE: usize = 3;
 /// An energy that rises by more than this part of it shows that steps were too long.
 const RISE: f64 = 0.002;
 
-/// By which part of it the energy must fall. Large levels leave more to the levels below: their fits cost nearly as much as those
-/// of the finest.
-fn enough_of(rows: usize) -> f64 {
+/// By which part of it the energy must fall, and over how many fits. Large levels leave more to the levels below: their fits cost
+/// nearly as much as those of the finest.
+fn enough_of(rows: usize) -> (f64, usize) {
     match rows {
-        0..2048 => 0.001,
-        2048..8192 => 0.003,
-        _ => 0.006,
+        0..2048 => (0.001, 3),
+        2048..8192 => (0.003, 3),
+        _ => (0.006, 1),
     }
 }
 
@@ -78,7 +76,7 @@ impl CoarseFits {
         if self.turns.len() != n {
             self.turns = vec![STILL; n];
         }
-        let enough = enough_of(n);
+        let (enough, patience) = enough_of(n);
         let mut memory = StepMemory::default();
         let mut residual = vec![Lanes::ZERO; n];
         let mut energies: Vec<f64> = Vec::with_capacity(MOST_FITS);
@@ -97,7 +95,7 @@ impl CoarseFits {
             let step = &mut vectors[0].z;
             memory.after_cycle(step);
             patches.x.iter_mut().zip(&*step).for_each(|(x, step)| *x += *step);
-            let before = energies.len().checked_sub(PATIENCE + 1).map(|k| energies[k]);
+            let before = energies.len().checked_sub(patience + 1).map(|k| energies[k]);
             if !energy.is_finite() || before.is_some_and(|before| before - energy < enough * energy) {
                 break;
             }
