@@ -4,7 +4,7 @@
 use crate::node::{said, tell};
 use crate::support::program::ServedProgram;
 use crate::support::server::http;
-use crate::workflows::fetched;
+use crate::workflows::program_of_package;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -60,16 +60,7 @@ fn setting(text: &str, key: &str) -> Option<String> {
 }
 
 fn schema_checker() -> Option<PathBuf> {
-    let home = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/kubernetes-schemas");
-    let program = home.join("bin/kubernetes-validate");
-    let stamp = home.join("stamp");
-    if fs::read_to_string(&stamp).is_ok_and(|had| had == SCHEMAS) {
-        return Some(program);
-    }
-    fetched(Command::new("python3").args(["-m", "venv"]).arg(&home))?;
-    fetched(Command::new(home.join("bin/pip")).args(["install", "-q", "--disable-pip-version-check", SCHEMAS]))?;
-    fs::write(stamp, SCHEMAS).expect("target can be written");
-    Some(program)
+    program_of_package("kubernetes-schemas", SCHEMAS, "kubernetes-validate")
 }
 
 fn fits_schema(checker: &Path, version: &str, file: &Path) -> Result<(), String> {

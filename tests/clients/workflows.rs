@@ -55,15 +55,20 @@ pub(super) fn fetched(command: &mut Command) -> Option<()> {
 
 /// The program that holds files against schemas.
 fn schema_checker() -> Option<PathBuf> {
-    let home = root().join("target/workflow-schemas");
-    let program = home.join("bin/check-jsonschema");
+    program_of_package("workflow-schemas", SCHEMAS, "check-jsonschema")
+}
+
+/// A program of a Python package, in an environment of its own under `target/` that is made where it is not there yet.
+pub(super) fn program_of_package(environment: &str, package: &str, program: &str) -> Option<PathBuf> {
+    let home = root().join("target").join(environment);
+    let program = home.join("bin").join(program);
     let stamp = home.join("stamp");
-    if fs::read_to_string(&stamp).is_ok_and(|had| had == SCHEMAS) {
+    if fs::read_to_string(&stamp).is_ok_and(|had| had == package) {
         return Some(program);
     }
     fetched(Command::new("python3").args(["-m", "venv"]).arg(&home))?;
-    fetched(Command::new(home.join("bin/pip")).args(["install", "-q", "--disable-pip-version-check", SCHEMAS]))?;
-    fs::write(stamp, SCHEMAS).expect("target can be written");
+    fetched(Command::new(home.join("bin/pip")).args(["install", "-q", "--disable-pip-version-check", package]))?;
+    fs::write(stamp, package).expect("target can be written");
     Some(program)
 }
 

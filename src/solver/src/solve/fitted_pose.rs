@@ -7,8 +7,7 @@ use crate::exec::Exec;
 use crate::solve::coarse_fits::CoarseFits;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::fine_fit::{fit_rows, turn_rows};
-use crate::solve::frame_rows::FrameRows;
-use crate::solve::pose::PoseRows;
+use crate::solve::pose::{PoseParts, PoseRows};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::start::{StartMaps, full_multigrid};
 use crate::solve::workspace::Workspace;
@@ -29,15 +28,8 @@ impl LinearSystem {
         self.check_pose(hierarchy, pose)?;
         exec.check()?;
         exec.progress.begin_pass("start");
-        let PoseRows {
-            rows,
-            rest,
-            laplacians,
-            x,
-            more,
-            open,
-            ..
-        } = pose;
+        pose.open.resize(pose.rows.len(), false);
+        let PoseParts { frames, x, open, .. } = pose.parts(hierarchy);
         let threads = Parallelism::from_pool(exec.pool);
         let cycle = MultigridCycle {
             hierarchy,
@@ -45,15 +37,7 @@ impl LinearSystem {
             threads,
             progress: exec.progress,
         };
-        open.resize(rows.len(), false);
         let mut fits = open.contains(&true).then(|| CoarseFits::new(&cycle, open));
-        let frames = FrameRows {
-            rows,
-            rest,
-            laplacians,
-            more,
-            scale: hierarchy.weight_scale as f32,
-        };
         let problem = ColumnGroup::of_pose(hierarchy, self, threads, frames);
         std::mem::swap(&mut workspace.x, x);
         let begun = problem.threads.run_on(exec.pool, || {
@@ -64,7 +48,7 @@ impl LinearSystem {
         begun?;
         threads.run_on(exec.pool, || {
             if let Some(fits) = &fits {
-                turn_rows(&hierarchy.levels[0], rows, open, fits.turns(), threads);
+                turn_rows(&hierarchy.levels[0], &mut pose.rows, &pose.open, fits.turns(), threads);
             }
         });
         pose.show_positions(exec.pool);

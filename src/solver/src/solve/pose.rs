@@ -56,6 +56,14 @@ pub struct PoseCriteria {
     pub remember: bool,
 }
 
+/// A pose as a solve needs it: what residuals are made from, and what it changes.
+pub(super) struct PoseParts<'a> {
+    pub(super) frames: FrameRows<'a>,
+    pub(super) x: &'a mut Vec<[f64; 4]>,
+    pub(super) open: &'a [bool],
+    recalled: &'a mut RecalledSteps,
+}
+
 impl Hierarchy {
     /// The vertex of each row of the finest level; `u32::MAX` where a row holds none.
     pub fn row_vertices(&self) -> &[u32] {
@@ -138,6 +146,21 @@ impl PoseRows {
         });
     }
 
+    pub(super) fn parts(&mut self, hierarchy: &Hierarchy) -> PoseParts<'_> {
+        PoseParts {
+            frames: FrameRows {
+                rows: &self.rows,
+                rest: &self.rest,
+                laplacians: &self.laplacians,
+                more: &self.more,
+                scale: hierarchy.weight_scale as f32,
+            },
+            x: &mut self.x,
+            open: &self.open,
+            recalled: &mut self.recalled,
+        }
+    }
+
     /// Shows all positions to neighbours.
     pub fn show_positions(&mut self, pool: &Pool) {
         self.place_rows(pool, || (), |(), _, _, _| ());
@@ -176,23 +199,10 @@ impl LinearSystem {
     ) -> Result<SolveStats, Error> {
         self.check_pose(hierarchy, pose)?;
         exec.check()?;
-        let PoseRows {
-            rows,
-            rest,
-            laplacians,
-            x,
-            more,
-            recalled,
-            ..
-        } = pose;
+        let PoseParts {
+            frames, x, recalled, ..
+        } = pose.parts(hierarchy);
         let threads = Parallelism::from_pool(exec.pool);
-        let frames = FrameRows {
-            rows,
-            rest,
-            laplacians,
-            more,
-            scale: hierarchy.weight_scale as f32,
-        };
         let problem = ColumnGroup::of_pose(hierarchy, self, threads, frames);
         std::mem::swap(&mut workspace.x, x);
         let cycle = MultigridCycle {

@@ -79,8 +79,8 @@ impl DragPose<'_> {
         if !state.rows.is_newest() {
             state.begin(body, request.transforms.len());
             state.rows.take_over(body, rig, &mut state.x, exec.pool);
-            (state.rhs, state.extra) = (Vec::new(), Vec::new());
-            state.workspace.release_start();
+            state.extra = Vec::new();
+            state.release_start();
         }
         let center = state.rows.mean_of_held(body, request.transforms);
         let pass = RowPass {
