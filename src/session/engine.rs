@@ -51,6 +51,14 @@ pub trait Engine: Send + 'static {
         exec: &Exec<'_>,
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<SolvedShape, Error>;
+    /// Whether the last pose of a drag has left something to do for [`Engine::settle`].
+    fn is_worth_settling(&self) -> bool {
+        false
+    }
+    /// Works ahead between two poses of a drag.
+    fn settle(&mut self, _exec: &Exec<'_>) -> Result<(), Error> {
+        Ok(())
+    }
     /// How far a shape is from the rest shape, with the number of self-intersections when `count_crossings` asks for it;
     /// `None` when the engine measures nothing.
     fn measure(
@@ -189,6 +197,14 @@ impl Engine for Deformer {
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<SolvedShape, Error> {
         Self::solve(self, poses, settings, mode, exec, watch)
+    }
+
+    fn is_worth_settling(&self) -> bool {
+        Self::is_worth_settling(self)
+    }
+
+    fn settle(&mut self, exec: &Exec<'_>) -> Result<(), Error> {
+        Self::settle(self, exec)
     }
 
     fn measure(

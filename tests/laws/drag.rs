@@ -195,19 +195,100 @@ fn frames_have_the_same_bits_on_any_number_of_threads() {
         let pool = Pool::new(threads).unwrap();
         let mut dragged = deformer(Scene::Tied, &pool);
         let mut bits = Vec::new();
-        for k in 1..=6 {
+        for k in 1..=24 {
             let shown = frame(
                 &mut dragged,
-                pose(Scene::Tied, f64::from(k) / 6.0, false),
+                pose(Scene::Tied, f64::from(k) / 24.0, false),
                 &SolveSettings::default(),
                 &pool,
             );
+            dragged.settle(&Exec::new(&pool, &Silent)).unwrap();
             bits.extend(shown.positions.iter().flat_map(|p| p.to_array().map(f64::to_bits)));
         }
         bits
     };
     let one = run(1);
     assert!([2, 3, 8].into_iter().all(|threads| run(threads) == one));
+}
+
+#[test]
+fn frames_of_a_smooth_drag_need_no_iteration_where_the_time_between_them_is_used() {
+    let pool = Pool::new(2).unwrap();
+    let settings = SolveSettings::default();
+    let exact = SolveSettings {
+        tolerance: Some(1e-10),
+        ..SolveSettings::default()
+    };
+    let mut cycles = [0, 0];
+    let mut settled = 0;
+    let (mut dragged, mut ahead, mut beside) = (
+        deformer(Scene::Tied, &pool),
+        deformer(Scene::Tied, &pool),
+        deformer(Scene::Tied, &pool),
+    );
+    assert!(!ahead.is_worth_settling(), "nothing has been dragged");
+    for k in 1..=60 {
+        let now = || pose(Scene::Tied, f64::from(k) / 60.0, false);
+        let shown = [&mut dragged, &mut ahead].map(|d| frame(d, now(), &settings, &pool));
+        settled += u32::from(ahead.is_worth_settling());
+        ahead.settle(&Exec::new(&pool, &Silent)).unwrap();
+        assert!(!ahead.is_worth_settling(), "frame {k}: it is done");
+        ahead.settle(&Exec::new(&pool, &Silent)).unwrap();
+        if k <= 10 {
+            continue;
+        }
+        (cycles.iter_mut().zip(&shown)).for_each(|(cycles, shown)| *cycles += shown.cycles);
+        assert!(shown[1].residual <= 1e-4);
+        if k % 7 == 0 {
+            let wanted = frame(&mut beside, now(), &exact, &pool);
+            let far = distance(&ahead, &shown[1].positions, &wanted.positions);
+            assert!(
+                far < 1e-4 && far < 4.0 * shown[1].max_error + 2e-6,
+                "frame {k}: {far:.1e}"
+            );
+        }
+    }
+    assert!(settled > 3, "some frames leave much: {settled}");
+    assert!(
+        cycles[0] > 5 && cycles[1] <= 1,
+        "{} iterations in frames, and {} where the time between them is used",
+        cycles[0],
+        cycles[1]
+    );
+}
+
+#[test]
+fn what_is_solved_between_frames_is_given_up_whole() {
+    /// Gives up at once.
+    struct GivenUp;
+    impl pliant::progress::Progress for GivenUp {
+        fn cancelled(&self) -> bool {
+            true
+        }
+    }
+    let pool = Pool::new(2).unwrap();
+    let settings = SolveSettings::default();
+    let (mut dragged, mut same) = (deformer(Scene::Ends, &pool), deformer(Scene::Ends, &pool));
+    let mut given_up = 0;
+    for k in 1..=40 {
+        let now = || pose(Scene::Ends, f64::from(k) / 40.0, false);
+        let [one, other] = [&mut dragged, &mut same].map(|d| frame(d, now(), &settings, &pool));
+        // What was known of earlier poses may be forgotten, which the next frame makes up for.
+        assert!(one.residual <= 1e-4 && distance(&same, &one.positions, &other.positions) < 2e-4);
+        if dragged.is_worth_settling() {
+            given_up += 1;
+            assert!(dragged.settle(&Exec::new(&pool, &GivenUp)).is_err());
+        }
+        // A commit in between uses the same memory, after which there is nothing to go on from.
+        if k == 30 {
+            let exec = Exec::new(&pool, &Silent);
+            for d in [&mut dragged, &mut same] {
+                d.commit(now(), &settings, &exec).unwrap();
+            }
+            assert!(!dragged.is_worth_settling());
+        }
+    }
+    assert!(given_up > 2, "{given_up}");
 }
 
 #[test]

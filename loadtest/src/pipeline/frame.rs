@@ -75,6 +75,8 @@ struct FrameRun {
     passes: [Vec<f64>; PASSES.len()],
     encode: Vec<f64>,
     frames: Vec<f64>,
+    /// Seconds of working ahead, after frames that are worth it; sorted.
+    ahead: Vec<f64>,
     /// Bytes a second that the machine reads at best.
     bandwidth: f64,
 }
@@ -135,6 +137,7 @@ fn drag_frames(
         passes: Default::default(),
         encode: Vec::new(),
         frames: Vec::new(),
+        ahead: Vec::new(),
         bandwidth: measure_bandwidth(pool),
     };
     for seq in 1..=WARM_UP + args.frames {
@@ -155,11 +158,17 @@ fn drag_frames(
             parts.map(|part| part.data.len()).sum::<usize>()
         });
         debug_assert!(parts > 0);
+        let is_ahead = deformer.is_worth_settling();
+        let (settled, settle) = time_once(|| deformer.settle(&Exec::new(pool, &Silent)));
+        settled.map_err(wire::Error::from)?;
         if seq > WARM_UP {
             run.cycles += f64::from(solved.cycles) / args.frames as f64;
             (run.passes.iter_mut().zip(&PASSES)).for_each(|(all, pass)| all.push(of_pass(pass)));
             run.encode.push(encode);
             run.frames.push(solve + encode);
+            if is_ahead {
+                run.ahead.push(settle);
+            }
         }
     }
     run.held_bytes = deformer.byte_size();
@@ -188,9 +197,15 @@ fn median(sorted: &[f64]) -> f64 {
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
 
+/// The 99th percentile.
+fn p99(sorted: &[f64]) -> f64 {
+    let last = sorted.len().saturating_sub(1);
+    sorted.get((last as f64 * 0.99) as usize).copied().unwrap_or(0.0)
+}
+
 impl FrameRun {
     fn sort(&mut self) {
-        let all = self.passes.iter_mut().chain([&mut self.encode, &mut self.frames]);
+        let all = (self.passes.iter_mut()).chain([&mut self.encode, &mut self.frames, &mut self.ahead]);
         all.for_each(|seconds| seconds.sort_by(f64::total_cmp));
     }
 
@@ -209,15 +224,12 @@ impl FrameRun {
         }
         m.set_number("encode_s", median(&self.encode));
         m.set_number("frame_s", median(&self.frames));
-        m.set_number("frame_p99_s", self.p99());
+        m.set_number("frame_p99_s", p99(&self.frames));
+        m.set_number("ahead", self.ahead.len() as f64 / self.frames.len() as f64);
+        m.set_number("ahead_s", median(&self.ahead));
         m.set_number("bytes_a_node", self.held_bytes as f64 / self.nodes as f64);
         m.set_number("bandwidth_GB_s", self.bandwidth / 1e9);
         m
-    }
-
-    fn p99(&self) -> f64 {
-        let last = self.frames.len().saturating_sub(1);
-        self.frames.get((last as f64 * 0.99) as usize).copied().unwrap_or(0.0)
     }
 
     fn table(&self, model: &Path, pool: &Pool) -> String {
@@ -225,14 +237,15 @@ impl FrameRun {
         let row = |name: &str, seconds: &[f64], what: &str| {
             let s = median(seconds);
             format!(
-                "{name:<10} {:>8.2} ms {:>4.0} %  {:>7.1} bytes a node  {what}\n",
+                "{name:<10} {:>8.2} ms {:>8.2} ms {:>4.0} %  {:>7.1} bytes a node  {what}\n",
                 s * 1e3,
+                p99(seconds) * 1e3,
                 100.0 * s / whole,
                 s * self.bandwidth / self.nodes as f64
             )
         };
         let mut text = format!(
-            "{}: {} vertices, {} graph nodes, {} threads; medians of {} frames of a drag\n",
+            "{}: {} vertices, {} graph nodes, {} threads; medians and 99th percentiles of {} frames of a drag\n",
             model.display(),
             self.vertices,
             self.nodes,
@@ -245,10 +258,12 @@ impl FrameRun {
         text += &row("encode", &self.encode, "the frame's bytes, 32-bit positions");
         text += &row("frame", &self.frames, "all of it");
         text + &format!(
-            "{:.2} cycles a frame, 99th percentile {:.2} ms, {:.0} bytes held a node\nmemory read in order: {:.1} GB/s; \"bytes a node\" is what it could have read in a pass's time\n",
+            "{:.2} cycles a frame, 99th percentile {:.2} ms, {:.0} bytes held a node\n{:.2} times a frame {:.2} ms of working ahead once it is out\nmemory read in order: {:.1} GB/s; \"bytes a node\" is what it could have read in a pass's time\n",
             self.cycles,
-            self.p99() * 1e3,
+            p99(&self.frames) * 1e3,
             self.held_bytes as f64 / self.nodes as f64,
+            self.ahead.len() as f64 / self.frames.len() as f64,
+            median(&self.ahead) * 1e3,
             self.bandwidth / 1e9
         )
     }

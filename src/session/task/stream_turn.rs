@@ -136,6 +136,29 @@ impl SessionTask {
             frame: Some(frames.final_frame(seq, &settings, &solution)),
             refused: None,
         });
+        self.settle_drag(&mailbox).await;
+    }
+
+    /// Works ahead once a frame is out, where that has left much undone. Done whether another pose waits by now or not, so that
+    /// frames depend on poses and not on time.
+    async fn settle_drag(&mut self, mailbox: &Mailbox) {
+        let is_needed = |deformer: &LoadedDeformer| deformer.engine.is_worth_settling();
+        if !self.deformer.as_ref().is_some_and(is_needed) {
+            return;
+        }
+        let order = WorkOrder {
+            what: "settle",
+            ..turn_order(mailbox, false, self.shared.config.solve)
+        };
+        let ran = self.compute(order, |deformer, pool, watch, _| {
+            deformer.engine.settle(&Exec::new(pool, watch))
+        });
+        // Nothing is lost where it came to nothing: the next pose begins from the frame that is out.
+        match ran.await {
+            Ok((Ok(()), _)) => {}
+            Ok((Err(error), _)) => tracing::debug!(%error, "a drag was not worked ahead"),
+            Err(error) => tracing::debug!(%error, "a drag was not worked ahead"),
+        }
     }
 
     /// Keeps a solved pose and commits it; its key, if it has one, stands for `frame` from now on.

@@ -31,6 +31,14 @@ impl Drag<'_> {
         (self.deformer).solve(&self.poses, &self.settings, mode, exec, &mut |_| true)
     }
 
+    /// Works ahead while nobody waits, so that the next pose is solved sooner; see [`Deformer::settle`].
+    ///
+    /// # Errors
+    /// Those of [`Deformer::settle`].
+    pub fn settle(&mut self, exec: &Exec<'_>) -> Result<(), Error> {
+        self.deformer.settle(exec)
+    }
+
     /// Returns the poses that the handles have now.
     pub fn poses(&self) -> &HandlePoses {
         &self.poses

@@ -203,6 +203,25 @@ impl Deformer {
     }
 }
 
+impl Deformer {
+    /// Whether the last pose of a drag has left enough to do for [`Deformer::settle`].
+    pub fn is_worth_settling(&self) -> bool {
+        self.rig.is_some() && self.state.is_worth_settling()
+    }
+
+    /// Works ahead between two frames of a drag. A frame may leave as much undone as its tolerance allows; solved before the next
+    /// one is asked for, that one goes out sooner. Does nothing where little is left ([`Deformer::is_worth_settling`]).
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`]; [`Error::Internal`] where numbers left the range of single precision. A drag can go on after either.
+    pub fn settle(&mut self, exec: &Exec<'_>) -> Result<(), Error> {
+        match &self.rig {
+            Some(rig) => Ok(rig.settle_drag(&self.derived.body, &mut self.state, exec)?),
+            None => Ok(()),
+        }
+    }
+}
+
 /// How much of a solution is needed. Where the surface shows without frames a drag has no use for them.
 fn extent_of(mode: SolveMode, shows_without_frames: bool) -> SolutionExtent {
     match mode {

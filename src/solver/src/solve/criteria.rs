@@ -19,6 +19,13 @@ impl StoppingCriteria {
         residual && error && (self.tolerance.is_some() || self.max_error.is_some())
     }
 
+    /// The largest part that residual and error are of what is allowed.
+    pub(crate) fn nearness(&self, relative: &[f64], max_error: f64) -> f64 {
+        let worst = relative.iter().fold(0.0f64, |a, &b| a.max(b));
+        let residual = self.tolerance.map_or(0.0, |t| worst / t);
+        self.max_error.map_or(residual, |m| residual.max(max_error / m))
+    }
+
     /// True if a column at this relative residual needs no more iterations, whatever the others need.
     pub(crate) fn rests(&self, relative: f64) -> bool {
         self.max_error.is_none() && self.tolerance.is_some_and(|t| relative <= t)

@@ -23,6 +23,17 @@ pub(crate) struct GroupSolve<'a, 'w> {
     pub(crate) recalled: Option<&'w mut RecalledSteps>,
     /// What cycles have come to; `None` until they have reached a solution, or where none was needed.
     pub(crate) reached: Option<ReachedByCycles>,
+    /// The residual that `workspace` holds: given, iterations go on from it; after a solve without iterations, what is left.
+    pub(crate) left: Option<LeftResidual>,
+}
+
+/// Norms of a residual b − A x that a solve has left, column by column.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LeftResidual {
+    /// Squared.
+    pub(crate) squares: WideLanes,
+    /// Of b.
+    pub(crate) reference: WideLanes,
 }
 
 /// A solution that cycles have reached.

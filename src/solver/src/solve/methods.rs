@@ -124,6 +124,7 @@ impl LinearEquations<'_> {
                     from_zero: matches!(options.start, InitialGuess::Zero),
                     recalled: None,
                     reached: None,
+                    left: None,
                 };
                 solve_by_cycles(group, options.start, watch)?
             };

@@ -21,6 +21,7 @@ mod posed_residual;
 pub(crate) mod problem;
 mod quasi_newton;
 mod recalled;
+mod settled_pose;
 mod start;
 mod sweep;
 pub(crate) mod workspace;

@@ -11,7 +11,7 @@ use crate::solve::criteria::GroupOutcome;
 use crate::solve::cycle::{clear_inactive, prepare};
 use crate::solve::fallback::conjugate_gradients;
 use crate::solve::frame_rows::FrameRows;
-use crate::solve::group::GroupSolve;
+use crate::solve::group::{GroupSolve, LeftResidual};
 use crate::solve::inner::InnerEnd;
 use crate::solve::iteration::IterationWatcher;
 use crate::solve::outer_state::OuterState;
@@ -34,11 +34,15 @@ impl GroupSolve<'_, '_> {
         loop {
             norms = self.ensure_finite(norms, &state)?;
             state.judge_residual(norms, &self.criteria, problem.width());
-            if let Some(recalled) = &self.recalled {
+            if let Some(recalled) = self.recalled.as_ref().filter(|_| self.left.is_none()) {
                 state.judge_recalled(recalled, &self.criteria, problem.width());
             }
             if state.outcome.converged || state.outcome.iterations >= self.criteria.max_iterations {
                 self.reached = state.reached();
+                self.left = (state.outcome.iterations == 0).then_some(LeftResidual {
+                    squares: norms,
+                    reference: state.reference,
+                });
                 return Ok(state.outcome);
             }
             state.count_poor_stretch();
@@ -72,10 +76,15 @@ impl GroupSolve<'_, '_> {
     fn prepare_vectors(&mut self) {
         let grid = self.cycle.grid(0);
         let Workspace {
-            fine, coarse, history, ..
+            fine,
+            coarse,
+            history,
+            solves,
+            ..
         } = &mut *self.workspace;
         history.clear();
         history.reserve(USUAL);
+        *solves = solves.wrapping_add(1);
         fine.resize(self.problem.hierarchy.levels[0].rows());
         // A solve that was cancelled or ruined has left a correction behind.
         fine.e.fill(Lanes::ZERO);
@@ -89,6 +98,10 @@ impl GroupSolve<'_, '_> {
     /// squared norms.
     fn load_first_residual(&mut self, state: &mut OuterState) -> WideLanes {
         let (problem, from_zero) = (self.problem, self.from_zero);
+        if let Some(left) = self.left {
+            state.reference = left.reference;
+            return left.squares;
+        }
         if let Some(frames) = problem.frames() {
             return self.load_posed_residual(frames, state);
         }

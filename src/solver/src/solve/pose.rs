@@ -7,10 +7,10 @@ use crate::exec::Exec;
 use crate::lanes::{Lanes, SharedRows, WIDTH};
 use crate::options::SolveStats;
 use crate::pool::Pool;
-use crate::solve::criteria::StoppingCriteria;
+use crate::solve::criteria::{GroupOutcome, StoppingCriteria};
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::frame_rows::{FrameRows, PoseRow};
-use crate::solve::group::GroupSolve;
+use crate::solve::group::{GroupSolve, LeftResidual};
 use crate::solve::iteration::{IterationReport, SolveControl};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::recalled::RecalledSteps;
@@ -41,6 +41,18 @@ pub struct PoseRows {
     /// Rows whose rotation is fitted, for [`LinearSystem::start_pose`] and [`LinearSystem::fit_pose`].
     pub open: Vec<bool>,
     recalled: RecalledSteps,
+    /// What the last solve left to do, where it needed no iteration.
+    pub(super) unsettled: Option<UnsettledPose>,
+}
+
+/// What a solve without iterations has left of its pose.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct UnsettledPose {
+    pub(super) left: LeftResidual,
+    /// The solve of the workspace that left it.
+    pub(super) solve: u64,
+    /// Residual or error over what was allowed, whichever is nearer.
+    pub(super) nearness: f64,
 }
 
 /// When the solve of a pose stops. All that are given must hold.
@@ -77,6 +89,7 @@ impl PoseRows {
         let level = &hierarchy.levels[0];
         let n = level.rows();
         self.recalled.forget();
+        self.unsettled = None;
         self.x.clear();
         self.x.resize(n, [0.0; WIDTH]);
         self.more.clear();
@@ -125,6 +138,7 @@ impl PoseRows {
         scratch: impl Fn() -> S + Sync + Send,
         place: impl Fn(&mut S, usize, &mut PoseRow, &mut [f64; 4]) + Sync + Send,
     ) {
+        self.unsettled = None;
         let threads = Parallelism::from_pool(pool).for_rows(self.rows.len());
         let Self { rows, rest, x, .. } = self;
         threads.run_on(pool, || {
@@ -199,6 +213,38 @@ impl LinearSystem {
     ) -> Result<SolveStats, Error> {
         self.check_pose(hierarchy, pose)?;
         exec.check()?;
+        let remember = criteria.remember;
+        let criteria = StoppingCriteria {
+            tolerance: criteria.tolerance,
+            max_error: criteria.max_error,
+            max_iterations: criteria.max_iterations,
+        };
+        let outcome = self.iterate_pose(hierarchy, pose, (criteria, remember, None), (workspace, exec), watch)?;
+        let residuals: Vec<f64> = outcome.relative[..3].to_vec();
+        Ok(SolveStats {
+            iterations: outcome.iterations,
+            residual: residuals.iter().fold(0.0, |a, &b| a.max(b)),
+            residuals,
+            max_error: outcome.max_error,
+            factor: outcome.factor,
+            method: outcome.method,
+            stopped: outcome.stopped,
+            converged: outcome.converged,
+        })
+    }
+}
+
+impl LinearSystem {
+    /// Iterates on a pose that fits: from what it is, or from the residual that the last solve has left.
+    pub(super) fn iterate_pose(
+        &self,
+        hierarchy: &Hierarchy,
+        pose: &mut PoseRows,
+        (criteria, remember, from): (StoppingCriteria, bool, Option<LeftResidual>),
+        (workspace, exec): (&mut Workspace, &Exec<'_>),
+        watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl,
+    ) -> Result<GroupOutcome, Error> {
+        pose.unsettled = None;
         let PoseParts {
             frames, x, recalled, ..
         } = pose.parts(hierarchy);
@@ -215,25 +261,24 @@ impl LinearSystem {
             problem,
             cycle,
             pool: exec.pool,
-            criteria: StoppingCriteria {
-                tolerance: criteria.tolerance,
-                max_error: criteria.max_error,
-                max_iterations: criteria.max_iterations,
-            },
+            criteria,
             workspace,
             caller: &[],
             from_zero: false,
-            recalled: Some(recalled).filter(|_| criteria.remember),
+            recalled: Some(recalled).filter(|_| remember),
             reached: None,
+            left: from,
         };
         let solved = group.solve(watch);
         let GroupSolve {
             workspace,
             recalled,
             reached,
+            left,
             ..
         } = group;
         exec.progress.begin_pass("recall");
+        let mut unsettled = None;
         if let Some(recalled) = recalled {
             let is_left_alone = solved.as_ref().is_ok_and(|outcome| outcome.iterations == 0);
             match reached.filter(|_| solved.is_ok()) {
@@ -241,27 +286,21 @@ impl LinearSystem {
                     let left = (workspace.fine.r.as_slice(), reached.scale);
                     recalled.keep(&problem, left, (reached.moved, reached.from_relative));
                 }),
-                None if is_left_alone => {}
+                None if is_left_alone => {
+                    unsettled = solved.as_ref().ok().zip(left).map(|(outcome, left)| UnsettledPose {
+                        left,
+                        solve: workspace.solves,
+                        nearness: criteria.nearness(&outcome.relative[..3], outcome.max_error),
+                    });
+                }
                 None => recalled.forget(),
             }
         }
         std::mem::swap(&mut workspace.x, x);
-        let outcome = solved?;
-        let residuals: Vec<f64> = outcome.relative[..3].to_vec();
-        Ok(SolveStats {
-            iterations: outcome.iterations,
-            residual: residuals.iter().fold(0.0, |a, &b| a.max(b)),
-            residuals,
-            max_error: outcome.max_error,
-            factor: outcome.factor,
-            method: outcome.method,
-            stopped: outcome.stopped,
-            converged: outcome.converged,
-        })
+        pose.unsettled = unsettled;
+        solved
     }
-}
 
-impl LinearSystem {
     pub(super) fn check_pose(&self, hierarchy: &Hierarchy, pose: &PoseRows) -> Result<(), Error> {
         self.check_hierarchy(hierarchy)?;
         let n = hierarchy.order.len();

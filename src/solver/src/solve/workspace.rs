@@ -19,6 +19,8 @@ pub struct Workspace {
     pub(crate) history: Vec<f64>,
     /// Vectors in double precision for the direct method and the fallback.
     pub(crate) wide: [Vec<WideLanes>; 3],
+    /// Solves so far: tells whether a residual that one of them has left is still here.
+    pub(crate) solves: u64,
 }
 
 /// Single-precision vectors of the outer iteration on the finest level.

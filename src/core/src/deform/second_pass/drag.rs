@@ -48,6 +48,26 @@ impl HandleSystem {
     }
 }
 
+impl HandleSystem {
+    /// Solves on where the last pose of a drag has left much of what it was allowed to leave, so that the next one has less to do.
+    /// Does nothing elsewhere.
+    ///
+    /// # Errors
+    /// [`Error::Solver`], [`Error::Cancelled`]; `state` stays usable after either.
+    pub fn settle_drag(&self, body: &DeformableBody, state: &mut SolveState, exec: &Exec<'_>) -> Result<(), Error> {
+        if !state.is_worth_settling() {
+            return Ok(());
+        }
+        let SolveState { rows, workspace, .. } = &mut *state;
+        let settled = (self.positions.system).settle_pose(&body.hierarchy, &mut rows.pose, (workspace, exec));
+        let settled = settled.map_err(Error::from);
+        if matches!(settled, Err(Error::Solver(_))) {
+            state.forget();
+        }
+        settled
+    }
+}
+
 /// A pose of a drag.
 pub(super) struct DragPose<'a> {
     pub rig: &'a HandleSystem,

@@ -51,6 +51,11 @@ impl SolveState {
         }
     }
 
+    /// Whether [`HandleSystem::settle_drag`](crate::deform::HandleSystem::settle_drag) has something to do.
+    pub fn is_worth_settling(&self) -> bool {
+        self.rows.is_newest() && self.rows.pose.is_worth_settling()
+    }
+
     /// Takes back positions and frames of a pose that nobody needs any more, as memory for those of the next one.
     pub fn recycle(&mut self, positions: Vec<DVec3>, frames: Vec<LocalFrame>) {
         self.spare = (positions, frames);
