@@ -2,6 +2,7 @@
 //! the edit, and where they are built anew.
 
 use crate::failure::LoadtestFailure;
+use crate::pipeline::pass_clock::PassClock;
 use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
 use crate::shared::input_files::read_model_file;
 use crate::shared::measurements::Measurements;
@@ -89,6 +90,8 @@ struct EditBench<'a> {
 #[derive(Clone)]
 struct EditRun {
     ms: BTreeMap<String, f64>,
+    /// Seconds of each pass of the first frame.
+    passes: Vec<(&'static str, f64)>,
     repaired: bool,
     cycles: u32,
     field_cycles: usize,
@@ -165,6 +168,21 @@ pub(crate) fn run_edits(args: &EditsArgs) -> Result<(), LoadtestFailure> {
     for (stage, what) in STAGES {
         let ms = |run: &EditRun| run.ms.get(stage).copied().unwrap_or(0.0);
         println!("{stage:<10} {:>8.1} ms {:>8.1} ms  {what}", ms(&repaired), ms(&rebuilt));
+        if stage == "solve" {
+            for (pass, seconds) in &repaired.passes {
+                let other = rebuilt
+                    .passes
+                    .iter()
+                    .find(|(name, _)| name == pass)
+                    .map_or(0.0, |p| p.1);
+                println!(
+                    "{:<10} {:>8.1} ms {:>8.1} ms",
+                    format!("  {pass}"),
+                    seconds * 1e3,
+                    other * 1e3
+                );
+            }
+        }
     }
     println!(
         "{:<10} {:>8.1} ms {:>8.1} ms  {:.1} times",
@@ -314,13 +332,10 @@ impl EditBench<'_> {
         stages.begin_stage("solve");
         let settings = SolveSettings::default();
         let poses = wire::change_poses(bench, &outcome.poses, &self.pull)?;
-        let solved = bench.solve(
-            &poses,
-            &settings,
-            SolveMode::Drag,
-            &Exec::new(pool, &Silent),
-            &mut |_| true,
-        )?;
+        let clock = PassClock::new();
+        let exec = Exec::new(pool, &clock);
+        let solved = bench.solve(&poses, &settings, SolveMode::Drag, &exec, &mut |_| true)?;
+        let passes = clock.take();
         stages.begin_stage("encode");
         let parts = encode(FrameRequest {
             header: FrameHeader::default(),
@@ -333,6 +348,7 @@ impl EditBench<'_> {
         std::hint::black_box(parts.map(|part| part.data.len()).sum::<usize>());
         Ok(EditRun {
             ms: stages.take_stage_ms(),
+            passes,
             repaired: outcome.report.repaired,
             cycles: solved.cycles,
             field_cycles: bench.rig().map_or(0, |rig| rig.field_iterations),

@@ -1,5 +1,6 @@
 //! Four columns side by side, and rows that several threads write.
 
+use bytemuck::Zeroable;
 use std::marker::PhantomData;
 use std::ops::{Add, AddAssign, Mul, Range, Sub, SubAssign};
 
@@ -13,6 +14,9 @@ pub struct Lanes(pub [f32; 4]);
 
 /// One row of up to four columns in double precision.
 pub(crate) type WideLanes = [f64; WIDTH];
+
+// SAFETY: four numbers, which may be all zero bits.
+unsafe impl Zeroable for Lanes {}
 
 impl Lanes {
     /// All 0.

@@ -1,4 +1,6 @@
-//! Numbers that every room shares about how rows are stored, and vectors with room to grow.
+//! Numbers that every room shares about how rows are stored, and how vectors get their memory.
+
+use bytemuck::{Zeroable, zeroed_vec};
 
 /// No aggregate: the row has no neighbours, so its own equation already determines it. Also: no vertex, a row of filling.
 pub(crate) const NO_ROW: u32 = u32::MAX;
@@ -8,6 +10,17 @@ pub(crate) const SLICE_ROWS: usize = 4;
 
 /// One part in this many of a vector is kept as room for more.
 pub(crate) const SLACK: usize = 16;
+
+/// Sets the length of `v`, whose contents are of no use any more: old ones, or zeros. Where it needs new memory nobody has touched that
+/// yet, so that whoever writes it first does, on all threads, which for large vectors takes longer than what is written.
+pub(crate) fn resize_untouched<T: Zeroable + Clone>(v: &mut Vec<T>, n: usize) {
+    if v.capacity() < n {
+        *v = Vec::new();
+        *v = zeroed_vec(n);
+    } else {
+        v.resize(n, T::zeroed());
+    }
+}
 
 /// Lengthens `v`. There is always some room left, so that repairs rarely move what they add to; one that is empty is
 /// made anew, which leaves it to those who write it first to touch its memory.
@@ -21,4 +34,23 @@ pub(crate) fn grow<T: Clone>(v: &mut Vec<T>, more: usize, value: T) {
         v.reserve_exact(more + v.len() / SLACK);
     }
     v.resize(v.len() + more, value);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lanes::Lanes;
+
+    #[test]
+    fn vectors_have_the_length_that_was_asked_for_and_zeros_where_they_are_new() {
+        let mut v: Vec<Lanes> = Vec::new();
+        resize_untouched(&mut v, 5);
+        assert_eq!(v, [Lanes::ZERO; 5]);
+        v.fill(Lanes([1.0; 4]));
+        resize_untouched(&mut v, 2);
+        resize_untouched(&mut v, 4);
+        assert!(v.len() == 4 && v[2..] == [Lanes::ZERO; 2]);
+        resize_untouched(&mut v, 1000);
+        assert_eq!(v, [Lanes::ZERO; 1000]);
+    }
 }

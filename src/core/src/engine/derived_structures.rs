@@ -102,7 +102,7 @@ impl DerivedStructures {
             mesh,
             parts,
             (body, FollowedNodes::default()),
-            options,
+            (options, exec),
         ))
     }
 
@@ -160,7 +160,7 @@ impl DerivedStructures {
                     restart: change.carried,
                     inside: None,
                 };
-                return Ok(Self::new(lineage, mesh, parts, (body, nodes), options));
+                return Ok(Self::new(lineage, mesh, parts, (body, nodes), (options, exec)));
             }
         }
         let built = Self::build(id, Arc::clone(&change.topology), options, limits, exec)?;
@@ -203,7 +203,7 @@ impl DerivedStructures {
                     mesh,
                     parts,
                     (remade.body, remade.nodes),
-                    options,
+                    (options, exec),
                 )
             });
         }
@@ -218,12 +218,12 @@ impl DerivedStructures {
         mesh: Mesh,
         MeshParts { parts, families }: MeshParts,
         (body, followed): (DeformableBody, FollowedNodes),
-        options: &OpenOptions,
+        (options, exec): (&OpenOptions, &Exec<'_>),
     ) -> Self {
         Self {
             lineage: Arc::new(lineage),
             parts,
-            thin: NeedlesAndCaps::find(&mesh),
+            thin: NeedlesAndCaps::find(&mesh, exec.pool),
             families,
             mesh,
             body,

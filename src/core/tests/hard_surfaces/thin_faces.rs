@@ -84,12 +84,14 @@ fn even_meshes_have_no_thin_faces() {
         shapes::torus(1.0, 0.3, 60, 20),
         shapes::cylinder(0.5, 3.0, 24, 20, false),
     ];
+    let pool = Pool::new(2).expect("threads");
     for (positions, triangles) in even {
         let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a mesh");
-        assert!(NeedlesAndCaps::find(&mesh).is_empty());
+        assert!(NeedlesAndCaps::find(&mesh, &pool).is_empty());
     }
     let (positions, triangles) = bar_with_thin_faces(1e-3);
-    assert!(!NeedlesAndCaps::find(&Mesh::build(&positions, &triangles, Weld::Exact).expect("a mesh")).is_empty());
+    let thin = Mesh::build(&positions, &triangles, Weld::Exact).expect("a mesh");
+    assert!(!NeedlesAndCaps::find(&thin, &pool).is_empty());
 }
 
 #[test]

@@ -2,6 +2,8 @@
 //!
 //! Coarsening works on this form, where the neighbours of a row lie side by side.
 
+use bytemuck::zeroed_vec;
+
 use crate::lanes::{Lanes, SharedRows};
 use crate::storage::NO_ROW;
 use crate::threads::{Parallelism, piece_count, piece_rows};
@@ -69,7 +71,7 @@ impl LevelDraft {
         let mut draft = LevelDraft {
             neighbours: vec![0; total as usize],
             weights: rows.weights.map(|w| vec![0.0; w.len()]),
-            positions: vec![Lanes::ZERO; if rows.positions.is_empty() { 0 } else { n }],
+            positions: zeroed_vec(if rows.positions.is_empty() { 0 } else { n }),
             offsets,
         };
         let offsets = SharedRows::new(&mut draft.offsets[..n]);

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use bytemuck::zeroed_vec;
+
 use crate::build::coarsen::choose_aggregates;
 use crate::build::draft::{LevelDraft, RowBlocks, UnorderedRows};
 use crate::build::layout::arrange_rows;
@@ -11,18 +13,20 @@ use crate::build::order::{UnitBoxMap, along_curve, breadth_first};
 use crate::error::Error;
 use crate::exec::Exec;
 use crate::graph::WeightedGraph;
-use crate::lanes::Lanes;
+use crate::lanes::{Lanes, SharedRows};
 use crate::options::{BuildOptions, CoarseOperators, LevelSize};
 use crate::paper::kept::UncutGraph;
 use crate::pool::Pool;
 use crate::progress::{Cancelled, Progress, check};
 use crate::storage::{NO_ROW, SLICE_ROWS};
-use crate::threads::Parallelism;
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows per block on the finest level; halved from level to level.
 const BLOCK: usize = 512;
 /// Fewest rows per block.
 const SMALLEST_BLOCK: usize = 64;
+/// Vertices that one piece of work handles.
+const PIECE: usize = 1 << 14;
 /// Name of the stage that progress is reported under.
 const STAGE: &str = "hierarchy";
 
@@ -100,7 +104,7 @@ impl Hierarchy {
         let heaviest = graph.weights.map_or(1.0, |w| w.iter().fold(0.0f32, |a, &b| a.max(b)));
         let weight_scale = 1.0 / power_of_two_below(f64::from(heaviest));
         let frame = UnitBoxMap::around(graph.positions.unwrap_or(&[]));
-        let positions: Vec<Lanes> = graph.positions.unwrap_or(&[]).iter().map(|&p| frame.apply(p)).collect();
+        let positions = positions_in_box(&frame, graph.positions.unwrap_or(&[]), exec);
         let rows = UnorderedRows {
             offsets: graph.offsets,
             neighbours: graph.neighbours,
@@ -117,9 +121,15 @@ impl Hierarchy {
             let draft = LevelDraft::new(&rows, &sequence, threads);
             let (levels, ranks) = levels(draft, options, threads, exec.progress)?;
             let mut order = vec![NO_ROW; levels[0].rows()];
-            for (&row, &vertex) in ranks.iter().zip(&sequence) {
-                order[row as usize] = vertex;
-            }
+            let vertex_of = SharedRows::new(&mut order);
+            threads
+                .for_rows(ranks.len())
+                .for_each(0..piece_count(ranks.len(), PIECE), |k| {
+                    for i in piece_rows(k, ranks.len(), PIECE) {
+                        // SAFETY: every vertex has its own row, and each is visited once.
+                        unsafe { vertex_of.set(ranks[i] as usize, sequence[i]) };
+                    }
+                });
             Ok::<_, Cancelled>((levels, order))
         })?;
         exec.progress.report(STAGE, 1.0);
@@ -176,6 +186,25 @@ impl Hierarchy {
         let kept = self.paper.as_ref().map_or(0, UncutGraph::byte_size);
         self.levels.iter().map(HierarchyLevel::byte_size).sum::<usize>() + 4 * self.order.len() + kept
     }
+}
+
+/// Positions of vertices in the unit box.
+fn positions_in_box(frame: &UnitBoxMap, positions: &[[f64; 3]], exec: &Exec<'_>) -> Vec<Lanes> {
+    let n = positions.len();
+    let threads = Parallelism::from_pool(exec.pool).for_rows(n);
+    let mut placed: Vec<Lanes> = zeroed_vec(n);
+    let out = SharedRows::new(&mut placed);
+    threads.run_on(exec.pool, || {
+        threads.for_each(0..piece_count(n, PIECE), |k| {
+            let piece = piece_rows(k, n, PIECE);
+            // SAFETY: pieces are disjoint and each is visited once.
+            let out = unsafe { out.rows(piece.clone()) };
+            for (out, &p) in out.iter_mut().zip(&positions[piece]) {
+                *out = frame.apply(p);
+            }
+        });
+    });
+    placed
 }
 
 /// Builds all levels from the finest one. Returns them and the row that each row of `draft` has become.

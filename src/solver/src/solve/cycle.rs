@@ -5,7 +5,7 @@ use crate::constrain::system::LinearSystem;
 use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane, ratio};
 use crate::progress::{Cancelled, Progress, check};
 use crate::solve::sweep::{LaneDots, MaskedLevel, SweepVectors};
-use crate::storage::SLICE_ROWS;
+use crate::storage::{SLICE_ROWS, resize_untouched};
 use crate::threads::Parallelism;
 
 /// The second step of a K-cycle is left out once the first one has brought the squared residual down by this factor.
@@ -27,9 +27,9 @@ impl CoarseVectors {
     /// Sizes the vectors for a level and clears what sweeps will read without having written it.
     pub(crate) fn prepare(&mut self, grid: &MaskedLevel<'_>) {
         let n = grid.level.rows();
-        self.b.resize(n, Lanes::ZERO);
+        resize_untouched(&mut self.b, n);
         for v in [&mut self.z, &mut self.t, &mut self.first_z, &mut self.first_v] {
-            v.resize(n, Lanes::ZERO);
+            resize_untouched(v, n);
             clear_inactive(grid, v);
         }
     }

@@ -12,6 +12,7 @@ use crate::build::level::HierarchyLevel;
 use crate::lanes::{Lanes, WideLanes, per_lane};
 use crate::solve::patches::PatchMap;
 use crate::storage::SLICE_ROWS;
+use bytemuck::Zeroable;
 
 /// A linear map by its columns, each with whatever number behind it.
 pub type MapColumns = [[f32; 4]; 3];
@@ -21,6 +22,9 @@ pub type MapColumns = [[f32; 4]; 3];
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
 pub struct PoseRow([f32; NUMBERS]);
+
+// SAFETY: numbers, which may be all zero bits.
+unsafe impl Zeroable for PoseRow {}
 
 /// Numbers of a row; the last one is 0.
 const NUMBERS: usize = 16;

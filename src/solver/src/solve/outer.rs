@@ -5,7 +5,8 @@
 //! begins from the true residual, in the same search direction: single precision never limits the result.
 
 use crate::error::Error;
-use crate::lanes::{Lanes, WIDTH, WideLanes};
+use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes};
+use crate::pool::Pool;
 use crate::solve::advance::{first_residual, residual, resume_direction, rhs_reference_norms};
 use crate::solve::criteria::GroupOutcome;
 use crate::solve::cycle::{clear_inactive, prepare};
@@ -18,6 +19,7 @@ use crate::solve::outer_state::OuterState;
 use crate::solve::posed_residual::posed_residual;
 use crate::solve::problem::ColumnGroup;
 use crate::solve::workspace::Workspace;
+use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Iterations that solves stay below unless something is wrong: their history has room from the first solve on.
 const USUAL: usize = 64;
@@ -87,7 +89,7 @@ impl GroupSolve<'_, '_> {
         *solves = solves.wrapping_add(1);
         fine.resize(self.problem.hierarchy.levels[0].rows());
         // A solve that was cancelled or ruined has left a correction behind.
-        fine.e.fill(Lanes::ZERO);
+        clear(&mut fine.e, self.problem.threads, self.pool);
         clear_inactive(&grid, &mut fine.z);
         clear_inactive(&grid, &mut fine.t);
         clear_inactive(&grid, &mut fine.last_e);
@@ -172,6 +174,19 @@ impl GroupSolve<'_, '_> {
         }
         Ok(norms)
     }
+}
+
+/// Sets all rows to 0.
+fn clear(v: &mut [Lanes], threads: Parallelism, pool: &Pool) {
+    const PIECE: usize = 1 << 14;
+    let (n, threads) = (v.len(), threads.for_rows(v.len()));
+    let rows = SharedRows::new(v);
+    threads.run_on(pool, || {
+        threads.for_each(0..piece_count(n, PIECE), |k| {
+            // SAFETY: pieces are disjoint and each is visited once.
+            unsafe { rows.rows(piece_rows(k, n, PIECE)) }.fill(Lanes::ZERO);
+        });
+    });
 }
 
 /// True if the residual is about what computing it in double precision leaves, so that no method can go on.

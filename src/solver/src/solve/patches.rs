@@ -1,6 +1,7 @@
 //! The original equations on one level, whose rows carry their members along as affine patches.
 
 use crate::lanes::Lanes;
+use crate::storage::resize_untouched;
 
 /// A linear map by its columns.
 pub(crate) type PatchMap = [Lanes; 3];
@@ -24,10 +25,10 @@ impl AffinePatches {
 
     pub(crate) fn resize(&mut self, rows: usize, mapped: bool) {
         let mapped = if mapped { rows } else { 0 };
-        self.maps.resize(mapped, [Lanes::ZERO; 3]);
-        self.positions.resize(mapped, Lanes::ZERO);
-        self.beta.resize(rows, Lanes::ZERO);
-        self.x.resize(rows, Lanes::ZERO);
+        resize_untouched(&mut self.maps, mapped);
+        resize_untouched(&mut self.positions, mapped);
+        resize_untouched(&mut self.beta, rows);
+        resize_untouched(&mut self.x, rows);
     }
 
     /// map · (p − centre) for a row's position p.

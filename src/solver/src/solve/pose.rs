@@ -15,7 +15,7 @@ use crate::solve::iteration::{IterationReport, SolveControl};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::recalled::RecalledSteps;
 use crate::solve::workspace::Workspace;
-use crate::storage::NO_ROW;
+use crate::storage::{NO_ROW, resize_untouched};
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows that one piece of work handles.
@@ -90,14 +90,12 @@ impl PoseRows {
         let n = level.rows();
         self.recalled.forget();
         self.unsettled = None;
-        self.x.clear();
-        self.x.resize(n, [0.0; WIDTH]);
         self.more.clear();
         self.open.clear();
-        self.rest.resize(n, Lanes::ZERO);
-        self.laplacians.resize(n, Lanes::ZERO);
-        self.rows.clear();
-        self.rows.resize(n, PoseRow::IDENTITY);
+        resize_untouched(&mut self.x, n);
+        resize_untouched(&mut self.rest, n);
+        resize_untouched(&mut self.laplacians, n);
+        resize_untouched(&mut self.rows, n);
         let at = |row: usize| match hierarchy.order[row] {
             NO_ROW => [0.0; 3],
             vertex => rest(vertex as usize),
@@ -105,12 +103,20 @@ impl PoseRows {
         let threads = Parallelism::from_pool(pool).for_rows(n);
         let pieces = 0..piece_count(n, PIECE);
         threads.run_on(pool, || {
-            let rest = SharedRows::new(&mut self.rest);
+            let (rest, x, rows) = (
+                SharedRows::new(&mut self.rest),
+                SharedRows::new(&mut self.x),
+                SharedRows::new(&mut self.rows),
+            );
             threads.for_each(pieces.clone(), |k| {
                 for i in piece_rows(k, n, PIECE) {
-                    let [x, y, z] = at(i);
+                    let [a, b, c] = at(i);
                     // SAFETY: pieces are disjoint and each is visited once.
-                    unsafe { rest.set(i, Lanes([x as f32, y as f32, z as f32, 0.0])) };
+                    unsafe {
+                        rest.set(i, Lanes([a as f32, b as f32, c as f32, 0.0]));
+                        x.set(i, [0.0; WIDTH]);
+                        rows.set(i, PoseRow::IDENTITY);
+                    }
                 }
             });
             let rest = &self.rest;

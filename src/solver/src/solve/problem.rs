@@ -7,7 +7,7 @@ use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
 use crate::solve::frame_rows::FrameRows;
-use crate::storage::{NO_ROW, SLICE_ROWS};
+use crate::storage::{NO_ROW, SLICE_ROWS, resize_untouched};
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Bundles whose right-hand sides are fetched together.
@@ -172,7 +172,7 @@ impl<'a> ColumnGroup<'a> {
     /// Copies `x` into row order; free rows become 0 unless `given`.
     pub(crate) fn load(&self, x: &[f64], given: bool, out: &mut Vec<WideLanes>) {
         let n = self.hierarchy.levels[0].rows();
-        out.resize(n, [0.0; WIDTH]);
+        resize_untouched(out, n);
         let mask = &self.system.masks[0];
         let shared = SharedRows::new(out.as_mut_slice());
         self.threads.for_each(0..piece_count(n, PIECE), |k| {

@@ -6,6 +6,7 @@
 
 use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane};
 use crate::solve::problem::ColumnGroup;
+use crate::storage::resize_untouched;
 
 /// Corrections that are kept, and the one that the present pose makes.
 const PLACES: usize = 4;
@@ -55,11 +56,10 @@ impl RecalledSteps {
         r: &mut [Lanes],
     ) -> Option<WideLanes> {
         let n = r.len();
-        for step in &mut self.steps {
-            step.d.resize(n, Lanes::ZERO);
-            step.product.resize(n, Lanes::ZERO);
-        }
         let (known, present) = (self.known, self.present);
+        let step = &mut self.steps[present];
+        resize_untouched(&mut step.d, n);
+        resize_untouched(&mut step.product, n);
         let is_any_known = known.contains(&true);
         let factors = match is_any_known {
             true => self.best_combination(problem, r).map(Lanes::from_wide),

@@ -4,6 +4,7 @@ use crate::lanes::{Lanes, WideLanes};
 use crate::solve::cycle::CoarseVectors;
 use crate::solve::patches::AffinePatches;
 use crate::solve::sweep::LaneDots;
+use crate::storage::resize_untouched;
 
 /// Vectors that a solve needs; reuse it and solves of the same size allocate next to nothing.
 ///
@@ -51,7 +52,7 @@ impl FineVectors {
             &mut self.last_r,
             &mut self.last_e,
         ] {
-            v.resize(rows, Lanes::ZERO);
+            resize_untouched(v, rows);
         }
     }
 }

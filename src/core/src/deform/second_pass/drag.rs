@@ -97,7 +97,7 @@ impl DragPose<'_> {
         } = *self;
         exec.progress.begin_pass("blend");
         if !state.rows.is_newest() {
-            state.begin(body, request.transforms.len());
+            state.begin_drag(body, request.transforms.len());
             state.rows.take_over(body, rig, &mut state.x, exec.pool);
             state.extra = Vec::new();
             state.release_start();

@@ -7,7 +7,10 @@ use crate::deform::transform::Transform;
 use crate::pool::Pool;
 use crate::solver::PoseRows;
 use glam::DVec3;
+use rayon::prelude::*;
 
+/// Rows that one piece of work handles.
+const PIECE: usize = 4096;
 /// A row without a node.
 pub(super) const NO_NODE: u32 = u32::MAX;
 
@@ -36,7 +39,7 @@ pub(in crate::deform) struct DragRows {
 }
 
 impl DragRows {
-    /// Takes over the last solution, `x` in the order of nodes, which is given up.
+    /// Takes over the last solution, `x` in the order of nodes, which is given up; where that is empty, the rest shape.
     pub(super) fn take_over(&mut self, body: &DeformableBody, rig: &HandleSystem, x: &mut Vec<f64>, pool: &Pool) {
         if self.is_newest {
             return;
@@ -49,9 +52,19 @@ impl DragRows {
         self.center = DVec3::ZERO;
         for (row, &node) in vertices.iter().enumerate().filter(|(_, v)| **v != NO_NODE) {
             self.row_of[node as usize] = row as u32;
-            let at = node as usize * 3;
-            self.pose.x[row] = [x[at], x[at + 1], x[at + 2], 0.0];
         }
+        let place = |node: usize| match x.get(3 * node..3 * node + 3) {
+            Some(at) => [at[0], at[1], at[2], 0.0],
+            None => {
+                let [x, y, z] = body.rest(node).to_array();
+                [x, y, z, 0.0]
+            }
+        };
+        pool.install(|| {
+            let rows = (self.pose.x.par_iter_mut()).zip(vertices).with_min_len(PIECE);
+            rows.filter(|(_, node)| **node != NO_NODE)
+                .for_each(|(x, &node)| *x = place(node as usize));
+        });
         self.find_held(body, rig);
         *x = Vec::new();
         self.is_newest = true;

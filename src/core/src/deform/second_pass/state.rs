@@ -51,6 +51,15 @@ impl SolveState {
         }
     }
 
+    /// The same for a drag, which takes the rest shape itself where there is nothing else.
+    pub(in crate::deform) fn begin_drag(&mut self, body: &DeformableBody, holds: usize) {
+        if self.x.len() != body.nodes() * 3 {
+            self.x.clear();
+            self.extra.clear();
+            self.transforms = vec![Transform::IDENTITY; holds];
+        }
+    }
+
     /// Whether [`HandleSystem::settle_drag`](crate::deform::HandleSystem::settle_drag) has something to do.
     pub fn is_worth_settling(&self) -> bool {
         self.rows.is_newest() && self.rows.pose.is_worth_settling()

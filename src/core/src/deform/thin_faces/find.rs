@@ -2,7 +2,10 @@
 
 use super::{Cap, NeedlesAndCaps};
 use crate::mesh::{Lists, Mesh};
+use crate::pool::Pool;
 use glam::DVec3;
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A length is short below this share of the longest edge around it.
 const SHORT: f64 = 0.1;
@@ -10,15 +13,21 @@ const SHORT: f64 = 0.1;
 /// How often reaches are spread over the mesh, at most. An even mesh has nothing to spread.
 const SPREAD: usize = 8;
 
+/// Triangles that one piece of work handles.
+const PIECE: usize = 1 << 13;
+
 /// A vertex is averaged with at most so many others; one that has more within reach is left as it is.
 const CROWD: usize = 256;
 
 impl NeedlesAndCaps {
-    /// Finds the needles and caps of a mesh. A mesh without any costs two passes over its triangles.
-    pub fn find(mesh: &Mesh) -> Self {
-        let reach = reaches(mesh);
-        let shorts = short_edges(mesh, &reach);
-        let caps = caps(mesh, &reach);
+    /// Finds the needles and caps of a mesh. A mesh without any costs four passes over its triangles.
+    pub fn find(mesh: &Mesh, pool: &Pool) -> Self {
+        let (reach, shorts, caps) = pool.install(|| {
+            let reach = reaches(mesh);
+            let shorts = short_edges(mesh, &reach);
+            let caps = caps(mesh, &reach);
+            (reach, shorts, caps)
+        });
         let mut found = Self {
             caps,
             ..Self::default()
@@ -53,7 +62,6 @@ impl NeedlesAndCaps {
 /// For each vertex the length below which edges are short: a share of the longest edge of its faces, and what is left of
 /// that of others on the way from there.
 fn reaches(mesh: &Mesh) -> Vec<f64> {
-    let mut reach = vec![0.0f64; mesh.positions.len()];
     let edges = |t: &[u32; 3]| {
         let sides = [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]];
         sides.map(|[a, b]| {
@@ -61,9 +69,24 @@ fn reaches(mesh: &Mesh) -> Vec<f64> {
             (a as usize, b as usize, length)
         })
     };
-    for (a, b, length) in mesh.triangles.iter().flat_map(edges) {
-        reach[a] = reach[a].max(SHORT * length);
-        reach[b] = reach[b].max(SHORT * length);
+    // The bits of numbers that are not negative are in the order of the numbers, and a maximum asks for no order.
+    let longest: Vec<AtomicU64> = (0..mesh.positions.len()).map(|_| AtomicU64::new(0)).collect();
+    let triangles = || mesh.triangles.par_iter().with_min_len(PIECE);
+    triangles().flat_map_iter(edges).for_each(|(a, b, length)| {
+        let bits = (SHORT * length).to_bits();
+        for v in [a, b] {
+            if longest[v].load(Ordering::Relaxed) < bits {
+                longest[v].fetch_max(bits, Ordering::Relaxed);
+            }
+        }
+    });
+    let mut reach: Vec<f64> = longest
+        .into_iter()
+        .map(|bits| f64::from_bits(bits.into_inner()))
+        .collect();
+    let is_far = |(a, b, length): (usize, usize, f64)| reach[a] - length > reach[b] || reach[b] - length > reach[a];
+    if !triangles().any(|t| edges(t).into_iter().any(is_far)) {
+        return reach;
     }
     for _sweep in 0..SPREAD {
         let mut is_settled = true;
@@ -84,15 +107,17 @@ fn reaches(mesh: &Mesh) -> Vec<f64> {
 
 /// Edges that are short at both ends, each once.
 fn short_edges(mesh: &Mesh, reach: &[f64]) -> Vec<[u32; 2]> {
-    let mut short = Vec::new();
-    for t in &mesh.triangles {
-        for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
-            let length = mesh.positions[a as usize].distance(mesh.positions[b as usize]);
-            if length < reach[a as usize].min(reach[b as usize]) {
-                short.push([a.min(b), a.max(b)]);
-            }
-        }
-    }
+    let of_triangle = |t: &[u32; 3]| {
+        let sides = [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]];
+        let is_short = |[a, b]: &[u32; 2]| {
+            let length = mesh.positions[*a as usize].distance(mesh.positions[*b as usize]);
+            length < reach[*a as usize].min(reach[*b as usize])
+        };
+        sides.into_iter().filter(is_short).map(|[a, b]| [a.min(b), a.max(b)])
+    };
+    let mut short: Vec<[u32; 2]> = (mesh.triangles.par_iter().with_min_len(PIECE))
+        .flat_map_iter(of_triangle)
+        .collect();
     short.sort_unstable();
     short.dedup();
     short
@@ -118,8 +143,7 @@ fn gather_crowd(vertex: u32, reach: f64, near: &Lists, positions: &[DVec3], crow
 /// The corners of caps, over the longest edges first. A corner of several goes with the one whose edge is closest.
 fn caps(mesh: &Mesh, reach: &[f64]) -> Vec<Cap> {
     // (height relative to reach, length of the edge, cap)
-    let mut found: Vec<(f64, f64, Cap)> = Vec::new();
-    for t in &mesh.triangles {
+    let of_triangle = |t: &[u32; 3]| {
         let p = t.map(|v| mesh.positions[v as usize]);
         let lengths = [p[1].distance(p[2]), p[2].distance(p[0]), p[0].distance(p[1])];
         let k = (0..3).fold(0, |best, k| if lengths[k] > lengths[best] { k } else { best });
@@ -130,7 +154,7 @@ fn caps(mesh: &Mesh, reach: &[f64]) -> Vec<Cap> {
         let limit = reach[t[k] as usize];
         // Where the corner is as close to an end, the face is a needle.
         let inside = along.min(1.0 - along) * lengths[k];
-        if height < limit && height < inside {
+        (height < limit && height < inside).then(|| {
             let weight = (limit / height) * (limit / height) - 1.0;
             let cap = Cap {
                 apex: t[k],
@@ -138,9 +162,11 @@ fn caps(mesh: &Mesh, reach: &[f64]) -> Vec<Cap> {
                 along,
                 weight,
             };
-            found.push((height / limit, lengths[k], cap));
-        }
-    }
+            (height / limit, lengths[k], cap)
+        })
+    };
+    let triangles = mesh.triangles.par_iter().with_min_len(PIECE);
+    let mut found: Vec<(f64, f64, Cap)> = triangles.filter_map(of_triangle).collect();
     found.sort_by(|x, y| {
         (x.2.apex, x.0)
             .partial_cmp(&(y.2.apex, y.0))
