@@ -31,13 +31,26 @@ fn main() -> Result<(), Box<dyn Error>> {
         .enable_type_names()
         .compile_fds(messages)?;
 
-    let services = out.join("services");
-    fs::create_dir_all(&services)?;
-    tonic_prost_build::configure()
-        .out_dir(services)
-        .extern_path(".pliant.v1", "crate::wire::pb")
-        .codec_path("crate::server::grpc::codec::MessageCodec")
-        .compile_fds(descriptors)?;
+    // The server writes the numbers of frames straight into the bytes that it sends; a client gets plain messages.
+    let services = |name: &str| {
+        let folder = out.join("services").join(name);
+        fs::create_dir_all(&folder)?;
+        let is_server = name == "server";
+        let builder = tonic_prost_build::configure()
+            .out_dir(folder)
+            .build_server(is_server)
+            .build_client(!is_server)
+            .extern_path(".pliant.v1", "crate::wire::pb")
+            .codec_path("crate::server::grpc::codec::MessageCodec");
+        let builder = if is_server {
+            builder.extern_path(".pliant.v1.DeformResponse", "crate::wire::frames::OutgoingResponse")
+        } else {
+            builder
+        };
+        builder.compile_fds(descriptors.clone())
+    };
+    services("server")?;
+    services("client")?;
     viewer::build(&out)
 }
 

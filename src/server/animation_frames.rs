@@ -1,8 +1,8 @@
 //! An animation in messages, for every transport that carries it. Frames are encoded part by part as the transport asks for
 //! them, so a reader that stops costs no encoded bytes.
 
+use super::parts_to_send::PartsToSend;
 use crate::session::{AnimationAnswer, AnimationReader, Error};
-use crate::wire::frames::{FrameParts, encode};
 use crate::wire::{pb, stage_frame, summary_frame};
 
 /// Where the messages of an animation come out.
@@ -10,7 +10,7 @@ use crate::wire::{pb, stage_frame, summary_frame};
 pub(super) struct AnimationFrames {
     output: AnimationReader,
     /// What is left of the frame that is being sent.
-    parts: Option<FrameParts>,
+    parts: PartsToSend,
     last_seq: u64,
 }
 
@@ -19,7 +19,7 @@ impl AnimationFrames {
     pub fn of_output(output: AnimationReader) -> Self {
         Self {
             output,
-            parts: None,
+            parts: PartsToSend::None,
             last_seq: 0,
         }
     }
@@ -33,16 +33,19 @@ impl AnimationFrames {
     /// Why the animation ends before its last frame; then it is over.
     pub async fn next_message(&mut self) -> Option<Result<pb::Frame, Error>> {
         loop {
-            if let Some(part) = self.parts.as_mut().and_then(Iterator::next) {
-                self.output.count_part_bytes(part.data.len());
-                return Some(Ok(part));
+            match self.parts.next().await {
+                Ok(Some(part)) => {
+                    self.output.count_part_bytes(part.data_bytes());
+                    return Some(Ok(part.into_message()));
+                }
+                Ok(None) => {}
+                Err(error) => return Some(Err(error)),
             }
-            self.parts = None;
             match self.output.next_answer().await? {
                 Ok(AnimationAnswer::Stage { stage, fraction }) => return Some(Ok(stage_frame(stage, fraction.into()))),
                 Ok(AnimationAnswer::Frame(frame)) => {
                     self.last_seq = frame.header.seq;
-                    self.parts = Some(encode(*frame));
+                    self.parts = PartsToSend::of(*frame);
                 }
                 Ok(AnimationAnswer::Summary(summary)) => return Some(Ok(summary_frame(&summary, self.last_seq))),
                 Err(error) => return Some(Err(error)),

@@ -24,6 +24,7 @@ mod messages;
 mod openapi;
 mod origin;
 mod own_certificate;
+mod parts_to_send;
 mod peers;
 mod redirect;
 mod reload;

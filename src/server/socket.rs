@@ -12,6 +12,7 @@ use super::lingering::Linger;
 use super::state::State;
 use super::stream_ends::{RequestEnd, ResponseEnd, failure_message, message_ends};
 use crate::session::{DeformStream, Error, ErrorCode};
+use crate::wire::frames::OutgoingResponse;
 use crate::wire::pb::{self, deform_response::Message as Response};
 use axum::extract::State as From;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
@@ -219,7 +220,8 @@ async fn write(state: &State, sink: &mut SplitSink<WebSocket, Message>, output: 
                 None => Ending::new(1000, ""),
             });
         };
-        if let Some(Response::Error(error)) = &response.message
+        if let OutgoingResponse::Words(words) = &response
+            && let Some(Response::Error(error)) = &words.message
             && error.seq == 0
         {
             let code = if error.code == 13 {

@@ -1,10 +1,11 @@
 //! A deform stream in messages, for every transport that carries it.
 //!
 //! A request is read and checked here and goes into the session as values. A frame is encoded part by part as the transport
-//! asks for it, so a reader that stops costs no encoded bytes.
+//! asks for it, so a reader that stops costs no encoded bytes. Its numbers are written once, into the bytes of the message.
 
+use super::parts_to_send::PartsToSend;
 use crate::session::{DeformStream, Error, StreamAnswer, StreamInput, StreamOutput};
-use crate::wire::frames::{FrameParts, encode};
+use crate::wire::frames::OutgoingResponse;
 use crate::wire::pb::{self, deform_response::Message};
 use crate::wire::{StreamLimits, stream_request};
 
@@ -20,13 +21,20 @@ pub(super) struct RequestEnd {
 pub(super) struct ResponseEnd {
     output: StreamOutput,
     /// What is left of the frame that is being sent.
-    parts: Option<FrameParts>,
+    parts: PartsToSend,
+    /// A frame could not be encoded: nothing follows that.
+    is_broken: bool,
 }
 
 /// The two ends of a stream.
 pub(super) fn message_ends(stream: DeformStream, limits: StreamLimits) -> (RequestEnd, ResponseEnd) {
     let (input, output) = stream.split();
-    (RequestEnd { input, limits }, ResponseEnd { output, parts: None })
+    let response_end = ResponseEnd {
+        output,
+        parts: PartsToSend::None,
+        is_broken: false,
+    };
+    (RequestEnd { input, limits }, response_end)
 }
 
 impl RequestEnd {
@@ -52,15 +60,24 @@ impl ResponseEnd {
     ///
     /// # Cancel safety
     /// Dropping the future loses no response.
-    pub async fn next(&mut self) -> Option<pb::DeformResponse> {
+    pub async fn next(&mut self) -> Option<OutgoingResponse> {
+        if self.is_broken {
+            return None;
+        }
         let message = loop {
-            if let Some(part) = self.parts.as_mut().and_then(Iterator::next) {
-                self.output.count_part_bytes(part.data.len());
-                break Message::Frame(part);
+            match self.parts.next().await {
+                Ok(Some(part)) => {
+                    self.output.count_part_bytes(part.data_bytes());
+                    return Some(OutgoingResponse::Part(Box::new(part)));
+                }
+                Ok(None) => {}
+                Err(error) => {
+                    self.is_broken = true;
+                    break Message::Error(failure_message(&error, 0));
+                }
             }
-            self.parts = None;
             match self.output.next().await? {
-                StreamAnswer::Frame(frame) => self.parts = Some(encode(*frame)),
+                StreamAnswer::Frame(frame) => self.parts = PartsToSend::of(*frame),
                 StreamAnswer::Failure { error, seq } => break Message::Error(failure_message(&error, seq)),
                 StreamAnswer::Notice { code, message, session } => {
                     break Message::Notice(pb::Notice {
@@ -72,7 +89,7 @@ impl ResponseEnd {
                 StreamAnswer::Pong(nonce) => break Message::Pong(pb::Ping { nonce }),
             }
         };
-        Some(pb::DeformResponse { message: Some(message) })
+        Some(OutgoingResponse::of(message))
     }
 }
 

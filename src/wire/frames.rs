@@ -1,9 +1,19 @@
 //! Vertex buffers as frames: attributes, encodings, changed vertices and parts.
 //!
 //! Owns how positions, normals and tangents become the bytes of [`pb::Frame`] messages. A frame's parts are made one at a
-//! time, when they are asked for, so that a slow reader costs no memory. Knows no stream and no session: who may get
+//! time, when they are asked for, so that a slow reader costs no memory; where a part goes out as it is made, its numbers are
+//! written straight into the bytes that are sent ([`OutgoingResponse`]). Knows no stream and no session: who may get
 //! a frame, and when, is not decided here.
 
+mod numbers;
+mod outgoing;
+mod part;
+
+pub use outgoing::OutgoingResponse;
+pub use part::FramePart;
+
+use self::numbers::{PickedVertices, put_floats};
+use self::part::{FrameVertices, bytes_a_vertex};
 use super::facts::quality_message;
 use super::pb::{self, frame};
 use crate::engine::{QualityReport, Shading};
@@ -15,9 +25,7 @@ use std::sync::Arc;
 /// Positions as little-endian 32-bit floats, x, y, z per vertex.
 pub fn f32_bytes(positions: &[DVec3]) -> Bytes {
     let mut data = Vec::with_capacity(positions.len() * 12);
-    positions
-        .iter()
-        .for_each(|p| put_f32(&mut data, &p.as_vec3().to_array()));
+    put_floats(PickedVertices::Run(positions), &mut data);
     data.into()
 }
 
@@ -125,7 +133,16 @@ pub struct FrameRequest {
     pub part_bytes: usize,
 }
 
+/// Vertices from which on compressing a frame takes longer than who serves connections may be away.
+const MANY_TO_COMPRESS: usize = 4096;
+
 impl FrameRequest {
+    /// Whether making its parts holds up a thread for long.
+    pub fn is_slow_to_encode(&self) -> bool {
+        let vertices = self.selected.as_ref().map_or(self.positions.len(), Vec::len);
+        self.output.encoding == FrameEncoding::Meshopt && vertices > MANY_TO_COMPRESS
+    }
+
     /// Bytes held, about.
     pub fn byte_size(&self) -> u64 {
         let shading = (self.shading.as_ref()).map_or(0, |s| s.normals.len() * 12 + s.tangents.len() * 16);
@@ -148,47 +165,43 @@ pub fn encode(request: FrameRequest) -> FrameParts {
     } = request;
     let encoding = output.encoding.to_message();
     let shading = shading.filter(|s| s.normals.len() == positions.len() && s.tangents.len() == positions.len());
-    let vertices = selected.as_ref().map_or(positions.len(), Vec::len);
-    let mut attributes = vec![frame::Attribute::Position];
-    // An empty change is told by one empty part.
-    if shading.is_some() && vertices > 0 {
-        attributes.extend(output.normals.then_some(frame::Attribute::Normal));
-        attributes.extend(output.tangents.then_some(frame::Attribute::Tangent));
-    }
-    let mut blocks = Vec::with_capacity(attributes.len());
-    let mut parts = 0u32;
-    for attribute in attributes {
-        let numbers = if attribute == frame::Attribute::Tangent { 4 } else { 3 };
-        let vertex_bytes = match encoding {
-            frame::Encoding::F32 => numbers * 4,
-            frame::Encoding::U16 => numbers * 2,
-            // Four numbers of two bytes; what cannot be compressed grows by less than an eighth.
-            frame::Encoding::Meshopt => 9,
-        };
-        let index_bytes = if selected.is_some() { 4 } else { 0 };
-        let run = (part_bytes / (vertex_bytes + index_bytes)).max(1);
-        let count = u32::try_from(vertices.div_ceil(run).max(1)).unwrap_or(u32::MAX);
-        blocks.push(FrameBlock {
-            attribute,
-            first_part: parts,
-            run,
-        });
-        parts = parts.saturating_add(count);
-    }
-    let bounds = if encoding == frame::Encoding::F32 {
-        None
-    } else {
-        Some(bounds(&positions, selected.as_deref()))
-    };
-    FrameParts {
-        header: header_message(&header),
+    let has_shading = shading.is_some();
+    let bounds = (encoding != frame::Encoding::F32).then(|| bounds(&positions, selected.as_deref()));
+    let vertices = Arc::new(FrameVertices {
         positions,
         shading,
         selected,
-        encoding,
         bounds,
-        blocks,
+    });
+    // An empty change is told by one empty part.
+    let shades = |wanted: bool| wanted && has_shading && vertices.count() > 0;
+    let attributes = [
+        (frame::Attribute::Position, true),
+        (frame::Attribute::Normal, shades(output.normals)),
+        (frame::Attribute::Tangent, shades(output.tangents)),
+    ];
+    let mut parts = 0u32;
+    let blocks = attributes.map(|(attribute, is_sent)| {
+        let index_bytes = if vertices.selected.is_some() { 4 } else { 0 };
+        let run = (part_bytes / (bytes_a_vertex(encoding, attribute) + index_bytes)).max(1);
+        let first_part = parts;
+        if is_sent {
+            let count = u32::try_from(vertices.count().div_ceil(run).max(1)).unwrap_or(u32::MAX);
+            parts = parts.saturating_add(count);
+        }
+        FrameBlock {
+            attribute,
+            first_part,
+            end_part: parts,
+            run,
+        }
+    });
+    FrameParts {
+        header: header_message(&header),
         vertices,
+        encoding,
+        blocks,
+        scratch: Vec::new(),
         next: 0,
         parts,
     }
@@ -238,11 +251,12 @@ fn bounds(positions: &[DVec3], selected: Option<&[u32]>) -> [DVec3; 2] {
     }
 }
 
-/// A run of parts with the same attribute.
+/// A run of parts with the same attribute; an attribute that is not sent has none.
 #[derive(Debug)]
 struct FrameBlock {
     attribute: frame::Attribute,
     first_part: u32,
+    end_part: u32,
     /// Vertices in every part but the last.
     run: usize,
 }
@@ -251,106 +265,54 @@ struct FrameBlock {
 #[derive(Debug)]
 pub struct FrameParts {
     header: pb::Frame,
-    positions: Arc<Vec<DVec3>>,
-    shading: Option<Arc<Shading>>,
-    selected: Option<Vec<u32>>,
+    vertices: Arc<FrameVertices>,
     encoding: frame::Encoding,
-    bounds: Option<[DVec3; 2]>,
-    blocks: Vec<FrameBlock>,
-    vertices: usize,
+    blocks: [FrameBlock; 3],
+    /// What meshopt is given.
+    scratch: Vec<[u16; 4]>,
     next: u32,
     parts: u32,
 }
 
 impl FrameParts {
-    fn part(&self, part: u32) -> Option<pb::Frame> {
-        let block = self.blocks.iter().rev().find(|b| b.first_part <= part)?;
+    /// Whether there is another part.
+    pub fn has_more(&self) -> bool {
+        self.next < self.parts
+    }
+
+    /// The next part, for who sends its bytes; as an iterator this gives messages.
+    pub fn next_part(&mut self) -> Option<FramePart> {
+        let part = self.next;
+        let block = self
+            .blocks
+            .iter()
+            .find(|b| (b.first_part..b.end_part).contains(&part))?;
         let first = (part - block.first_part) as usize * block.run;
-        let end = first.saturating_add(block.run).min(self.vertices);
-        let indices = self
-            .selected
-            .as_ref()
-            .map(|s| s[first..end].to_vec())
-            .unwrap_or_default();
-        let vertex = |k: usize| self.selected.as_ref().map_or(k, |s| s[k] as usize);
-        let [low, high] = match (self.bounds, block.attribute) {
-            (Some(bounds), frame::Attribute::Position) => bounds,
+        let end = first.saturating_add(block.run).min(self.vertices.count());
+        let indices = self.vertices.selected.as_ref().map(|s| s[first..end].to_vec());
+        let corners = self.vertices.bounds.map(|bounds| match block.attribute {
+            frame::Attribute::Position => bounds,
             _ => [DVec3::NEG_ONE, DVec3::ONE],
+        });
+        let corner = |k: usize| corners.map(|c| c[k].to_array().to_vec()).unwrap_or_default();
+        let first_vertex = match &indices {
+            Some(indices) => indices.first().copied().unwrap_or(0),
+            None => u32::try_from(first).unwrap_or(u32::MAX),
         };
-        let numbers = |k: usize| -> ([f64; 4], usize) {
-            let v = vertex(k);
-            match (block.attribute, &self.shading) {
-                (frame::Attribute::Normal, Some(s)) => (s.normals[v].as_dvec3().extend(0.0).to_array(), 3),
-                (frame::Attribute::Tangent, Some(s)) => (s.tangents[v].as_dvec4().to_array(), 4),
-                _ => (self.positions[v].extend(0.0).to_array(), 3),
-            }
-        };
-        let (lows, spans) = (low.extend(-1.0).to_array(), (high - low).extend(2.0).to_array());
-        let quantised = |k: usize| -> ([u16; 4], usize) {
-            let (values, n) = numbers(k);
-            (
-                std::array::from_fn(|i| {
-                    if i < n {
-                        quantise(values[i], lows[i], spans[i])
-                    } else {
-                        0
-                    }
-                }),
-                n,
-            )
-        };
-        let mut encoding = self.encoding;
-        let mut data = Vec::new();
-        if encoding == frame::Encoding::Meshopt && end > first {
-            let vertices: Vec<[u16; 4]> = (first..end).map(|k| quantised(k).0.map(u16::to_le)).collect();
-            match meshopt::encode_vertex_buffer(&vertices) {
-                Ok(coded) if !coded.is_empty() => data = coded,
-                // The encoding is told with every part, so a part that cannot be compressed goes as it is.
-                _ => encoding = frame::Encoding::U16,
-            }
-        }
-        match encoding {
-            frame::Encoding::F32 => {
-                data.reserve_exact((end - first) * 16);
-                for k in first..end {
-                    let (values, n) = numbers(k);
-                    put_f32(&mut data, &values.map(|x| x as f32)[..n]);
-                }
-            }
-            frame::Encoding::U16 => {
-                for k in first..end {
-                    let (values, n) = quantised(k);
-                    values[..n]
-                        .iter()
-                        .for_each(|q| data.extend_from_slice(&q.to_le_bytes()));
-                }
-            }
-            frame::Encoding::Meshopt => {}
-        }
-        let corner = |p: DVec3| {
-            if self.bounds.is_some() {
-                p.to_array().to_vec()
-            } else {
-                Vec::new()
-            }
-        };
-        Some(pb::Frame {
+        let head = pb::Frame {
             part,
             parts: self.parts,
-            first_vertex: if self.selected.is_some() {
-                indices.first().copied().unwrap_or(0)
-            } else {
-                u32::try_from(first).unwrap_or(u32::MAX)
-            },
+            first_vertex,
             vertex_count: u32::try_from(end - first).unwrap_or(u32::MAX),
-            indices,
-            encoding: encoding.into(),
+            indices: indices.unwrap_or_default(),
+            encoding: self.encoding.into(),
             attribute: block.attribute.into(),
-            data: data.into(),
-            box_min: corner(low),
-            box_max: corner(high),
+            box_min: corner(0),
+            box_max: corner(1),
             ..self.header.clone()
-        })
+        };
+        self.next += 1;
+        Some(FramePart::new(head, &self.vertices, first..end, &mut self.scratch))
     }
 }
 
@@ -358,25 +320,7 @@ impl Iterator for FrameParts {
     type Item = pb::Frame;
 
     fn next(&mut self) -> Option<pb::Frame> {
-        if self.next >= self.parts {
-            return None;
-        }
-        let part = self.part(self.next)?;
-        self.next += 1;
-        Some(part)
-    }
-}
-
-fn put_f32(data: &mut Vec<u8>, numbers: &[f32]) {
-    numbers.iter().for_each(|x| data.extend_from_slice(&x.to_le_bytes()));
-}
-
-/// The nearest of 65536 steps from `low` over `span`; 0 on an axis without extent.
-fn quantise(value: f64, low: f64, span: f64) -> u16 {
-    if span > 0.0 {
-        ((value - low) / span * 65535.0).round().clamp(0.0, 65535.0) as u16
-    } else {
-        0
+        self.next_part().map(FramePart::into_message)
     }
 }
 

@@ -1,11 +1,11 @@
-//! Messages as `prost` reads them. Bytes that are no message are the fault of who sent them: `INVALID_ARGUMENT`, and not
+//! Messages as `prost` writes and reads them, each into one buffer of its size. Bytes that are no message are the fault of who sent them: `INVALID_ARGUMENT`, and not
 //! `INTERNAL`, which would be a defect of the server.
 
 use super::status::status;
 use crate::session::Error;
 use prost::Message;
 use tonic::Status;
-use tonic::codec::{BufferSettings, Codec, DecodeBuf, Decoder};
+use tonic::codec::{BufferSettings, Codec, DecodeBuf, Decoder, EncodeBuf, Encoder};
 use tonic_prost::ProstCodec;
 
 /// Encodes `T` and decodes `U`; the generated code names it.
@@ -25,15 +25,33 @@ where
 {
     type Encode = T;
     type Decode = U;
-    type Encoder = <ProstCodec<T, U> as Codec>::Encoder;
+    type Encoder = MessageEncoder<<ProstCodec<T, U> as Codec>::Encoder>;
     type Decoder = MessageDecoder<<ProstCodec<T, U> as Codec>::Decoder>;
 
     fn encoder(&mut self) -> Self::Encoder {
-        self.0.encoder()
+        MessageEncoder(self.0.encoder())
     }
 
     fn decoder(&mut self) -> Self::Decoder {
         MessageDecoder(self.0.decoder())
+    }
+}
+
+/// Makes room for a message before it is written, so that none is moved while it grows.
+#[derive(Debug)]
+pub struct MessageEncoder<E>(E);
+
+impl<E: Encoder<Error = Status, Item: Message>> Encoder for MessageEncoder<E> {
+    type Item = E::Item;
+    type Error = Status;
+
+    fn encode(&mut self, message: E::Item, bytes: &mut EncodeBuf<'_>) -> Result<(), Status> {
+        bytes.reserve(message.encoded_len());
+        self.0.encode(message, bytes)
+    }
+
+    fn buffer_settings(&self) -> BufferSettings {
+        self.0.buffer_settings()
     }
 }
 

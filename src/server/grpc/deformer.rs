@@ -10,7 +10,8 @@ use crate::server::format_name::parse_format_name;
 use crate::server::state::State;
 use crate::server::{messages, redirect};
 use crate::session::{CallKey, Error, Manager, SessionFacts, Tenant};
-use crate::wire::{self, frames::encode, pb};
+use crate::wire::frames::{OutgoingResponse, encode};
+use crate::wire::{self, pb};
 use bytes::Bytes;
 use futures::Stream;
 use std::pin::Pin;
@@ -144,7 +145,7 @@ impl Deformer for Calls {
         self.session(manager.set_handles(&tenant, &message.session_id, handles, key).await)
     }
 
-    type DeformStream = Sent<pb::DeformResponse>;
+    type DeformStream = Sent<OutgoingResponse>;
 
     async fn deform(&self, request: Request<Streaming<pb::DeformRequest>>) -> GrpcAnswer<Self::DeformStream> {
         let (manager, tenant) = (acting(&self.state, &request)?, tenant(&request)?);

@@ -13,7 +13,8 @@ mod upload;
 /// Generated from the schema.
 mod services {
     #![allow(missing_docs, clippy::all)]
-    include!(concat!(env!("OUT_DIR"), "/services/pliant.v1.rs"));
+    include!(concat!(env!("OUT_DIR"), "/services/server/pliant.v1.rs"));
+    include!(concat!(env!("OUT_DIR"), "/services/client/pliant.v1.rs"));
 }
 
 /// The generated client.

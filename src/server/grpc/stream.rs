@@ -8,6 +8,7 @@ use super::status::{inbound_message, status};
 use crate::server::state::State;
 use crate::server::stream_ends::{RequestEnd, ResponseEnd, message_ends};
 use crate::session::{Error, ErrorCode, Manager, Tenant};
+use crate::wire::frames::OutgoingResponse;
 use crate::wire::pb::{self, deform_response};
 use futures::Stream;
 use tokio::sync::oneshot;
@@ -19,7 +20,7 @@ pub(super) fn responses(
     state: State,
     caller: (Manager, Tenant),
     inbound: Streaming<pb::DeformRequest>,
-) -> impl Stream<Item = Result<pb::DeformResponse, Status>> + Send {
+) -> impl Stream<Item = Result<OutgoingResponse, Status>> + Send {
     futures::stream::unfold(Phase::Waiting(Box::new((state, caller, inbound))), |phase| async move {
         let mut open = match phase {
             Phase::Waiting(parts) => {
@@ -102,7 +103,7 @@ impl Open {
         })
     }
 
-    async fn next(&mut self) -> Option<Result<pb::DeformResponse, Status>> {
+    async fn next(&mut self) -> Option<Result<OutgoingResponse, Status>> {
         loop {
             tokio::select! {
                 biased;
@@ -123,7 +124,7 @@ impl Open {
     }
 
     /// Why the stream is over: a failure that was told, the server's leaving, or that all is said.
-    fn end(&mut self) -> Option<Result<pb::DeformResponse, Status>> {
+    fn end(&mut self) -> Option<Result<OutgoingResponse, Status>> {
         if let Some(failure) = self.failure.take() {
             return Some(Err(failure));
         }
@@ -133,8 +134,11 @@ impl Open {
 }
 
 /// The status that ends the stream after `response`, when it says that the stream itself failed.
-fn failure(response: &pb::DeformResponse) -> Option<Status> {
-    match &response.message {
+fn failure(response: &OutgoingResponse) -> Option<Status> {
+    let OutgoingResponse::Words(words) = response else {
+        return None;
+    };
+    match &words.message {
         Some(deform_response::Message::Error(error)) if error.seq == 0 => {
             let code = tonic::Code::from_i32(i32::try_from(error.code).unwrap_or(13));
             Some(Status::new(code, error.message.clone()))

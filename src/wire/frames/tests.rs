@@ -3,7 +3,9 @@
 use super::*;
 use crate::engine::digest;
 use glam::Vec3Swizzles as _;
+use pb::deform_response::Message as Response;
 use proptest::prelude::*;
+use prost::Message as _;
 
 fn request(positions: Vec<DVec3>, encoding: frame::Encoding, part_bytes: usize) -> FrameRequest {
     FrameRequest {
@@ -207,7 +209,68 @@ fn only_selected_vertices_are_sent() {
     assert_eq!(all, (0..100).collect::<Vec<u32>>(), "indices are told with every part");
 }
 
+/// What a transport sends of a frame, part by part.
+fn sent(request: FrameRequest) -> Vec<Vec<u8>> {
+    let mut parts = encode(request);
+    let mut sent = Vec::new();
+    while let Some(part) = parts.next_part() {
+        let bytes = part.data_bytes();
+        let response = OutgoingResponse::Part(Box::new(part));
+        let message = response.encode_to_vec();
+        assert_eq!(message.len(), response.encoded_len());
+        assert!(message.len() >= bytes);
+        sent.push(message);
+    }
+    sent
+}
+
+#[test]
+fn words_go_out_as_they_are() {
+    let pong = Response::Pong(pb::Ping { nonce: 7 });
+    let bytes = OutgoingResponse::of(pong.clone()).encode_to_vec();
+    let read = pb::DeformResponse::decode(&bytes[..]).expect("a response");
+    assert_eq!(read.message, Some(pong.clone()));
+    let read = OutgoingResponse::decode(&bytes[..]).expect("a response");
+    assert_eq!(pb::DeformResponse::from(read).message, Some(pong));
+}
+
+#[test]
+fn long_frames_are_slow_where_they_are_compressed() {
+    let is_slow = |count, encoding| request(wave(count), encoding, 1 << 20).is_slow_to_encode();
+    assert!(is_slow(100_000, frame::Encoding::Meshopt) && !is_slow(100, frame::Encoding::Meshopt));
+    assert!(!is_slow(100_000, frame::Encoding::F32) && !is_slow(100_000, frame::Encoding::U16));
+}
+
 proptest! {
+    /// Numbers that are written straight into what is sent say what the message says.
+    #[test]
+    fn what_is_sent_is_the_message(
+        count in 0usize..700,
+        encoding in 0i32..3,
+        part_bytes in 100usize..9000,
+        every in prop::option::of(1usize..5),
+        shades in any::<(bool, bool)>(),
+    ) {
+        let positions = wave(count);
+        let encoding = frame::Encoding::try_from(encoding).expect("0 to 2");
+        let mut request = request(positions.clone(), encoding, part_bytes);
+        request.shading = Some(Arc::new(Shading {
+            normals: positions.iter().map(|p| p.as_vec3().normalize()).collect(),
+            tangents: positions.iter().map(|p| p.as_vec3().normalize().zxy().extend(1.0)).collect(),
+        }));
+        (request.output.normals, request.output.tangents) = shades;
+        request.selected = every.map(|every| (0..count as u32).step_by(every).collect());
+        let messages: Vec<pb::Frame> = encode(request.clone()).collect();
+        let read: Vec<pb::Frame> = sent(request)
+            .iter()
+            .map(|bytes| match pb::DeformResponse::decode(&bytes[..]).expect("a response").message {
+                Some(Response::Frame(frame)) => frame,
+                other => panic!("a frame was sent, not {other:?}"),
+            })
+            .collect();
+        prop_assert_eq!(read, messages);
+    }
+
     /// Every encoding gives every vertex back, once, within its stated error.
     #[test]
     fn encodings_keep_their_error(

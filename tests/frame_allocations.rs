@@ -1,0 +1,90 @@
+//! What a frame asks of the allocator on its way to a socket: the bytes of its messages, once, and next to nothing beside.
+
+use counting_allocator::{CountingAllocator, counted};
+use glam::{DVec3, Vec3, Vec4};
+use pliant::engine::Shading;
+use pliant::wire::frames::{FrameEncoding, FrameHeader, FrameOutput, FrameRequest, OutgoingResponse, encode};
+use prost::Message as _;
+use std::sync::Arc;
+
+#[path = "../src/solver/tests/support/counting_allocator.rs"]
+mod counting_allocator;
+
+#[global_allocator]
+static ALLOCATOR: CountingAllocator = CountingAllocator;
+
+const VERTICES: usize = 60_000;
+const PART: usize = 256 << 10;
+/// Calls of the allocator for a part: its message, its head, its box, its indices; what runs the test may make some meanwhile.
+const CALLS: usize = 24;
+/// Bytes for a part beside its numbers: its head.
+const BYTES: usize = 4 << 10;
+
+// One test, so that nothing else in the process allocates meanwhile.
+#[test]
+fn frames_ask_for_the_bytes_that_are_sent() {
+    let positions: Vec<DVec3> = (0..VERTICES)
+        .map(|v| DVec3::new(v as f64 * 1e-3, libm::sin(v as f64 * 0.01), 0.5))
+        .collect();
+    let shading = Shading {
+        normals: vec![Vec3::Z; VERTICES],
+        tangents: vec![Vec4::X; VERTICES],
+    };
+    let (positions, shading) = (Arc::new(positions), Arc::new(shading));
+    for encoding in [FrameEncoding::F32, FrameEncoding::U16, FrameEncoding::Meshopt] {
+        for normals in [false, true] {
+            for changed_only in [None, Some(0.0)] {
+                let request = FrameRequest {
+                    header: FrameHeader::default(),
+                    positions: Arc::clone(&positions),
+                    shading: Some(Arc::clone(&shading)),
+                    output: FrameOutput {
+                        normals,
+                        changed_only,
+                        encoding,
+                        ..FrameOutput::default()
+                    },
+                    selected: changed_only.map(|_| (0..VERTICES as u32).step_by(2).collect()),
+                    part_bytes: PART,
+                };
+                let case = format!("{:?}", request.output);
+                let ((), asked) = counted(|| drop(encode(request.clone())));
+                assert!(
+                    asked.calls <= CALLS && asked.bytes <= BYTES + VERTICES * 4,
+                    "{case}: {} bytes for a frame of which no part is made",
+                    asked.bytes
+                );
+                // What a part is made with: its indices; what meshopt takes, and the room for what it gives.
+                let indices = changed_only.map_or(0, |_| PART);
+                let coded = if encoding == FrameEncoding::Meshopt {
+                    3 * PART
+                } else {
+                    0
+                };
+                let mut parts = encode(request);
+                let mut sent_bytes = 0;
+                while let (Some(part), made) = counted(|| parts.next_part()) {
+                    assert!(
+                        made.calls <= CALLS && made.bytes <= BYTES + coded + indices,
+                        "{case}: {} calls for {} bytes before a part is sent:\n{}",
+                        made.calls,
+                        made.bytes,
+                        made.traces.join("\n")
+                    );
+                    let response = OutgoingResponse::Part(Box::new(part));
+                    let (message, sent) = counted(|| response.encode_to_vec());
+                    assert!(
+                        sent.calls <= CALLS && sent.bytes <= message.len() + BYTES,
+                        "{case}: {} calls for {} bytes, of which {} are sent:\n{}",
+                        sent.calls,
+                        sent.bytes,
+                        message.len(),
+                        sent.traces.join("\n")
+                    );
+                    sent_bytes += message.len();
+                }
+                assert!(sent_bytes > 2 * BYTES, "{case}: numbers are sent");
+            }
+        }
+    }
+}
