@@ -2,18 +2,21 @@
 
 use crate::session::stream::outbound_frame::OutboundFrame;
 use crate::wire::frames::FrameRequest;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use std::collections::VecDeque;
-use std::sync::Arc;
 
 /// Packs the frames of one stream. Remembers what the reader holds, for frames that carry changes only.
 #[derive(Debug)]
 pub(in crate::session) struct FramePacker {
     part_bytes: usize,
     /// The buffer that the reader holds after each frame that it was sent and has not acknowledged, with the frame's seq.
-    sent: VecDeque<(u64, Arc<Vec<Vec3>>)>,
+    sent: VecDeque<(u64, Vec<Vec3>)>,
     /// The buffer after the newest acknowledged frame.
-    acknowledged: Option<Arc<Vec<Vec3>>>,
+    acknowledged: Option<Vec<Vec3>>,
+    /// A buffer that is out of date, for the next frame.
+    spare: Vec<Vec3>,
+    /// How many vertices the last frame carried.
+    carried: usize,
 }
 
 /// Buffers remembered at most; more than any window.
@@ -25,66 +28,85 @@ impl FramePacker {
             part_bytes,
             sent: VecDeque::new(),
             acknowledged: None,
+            spare: Vec::new(),
+            carried: 0,
         }
     }
 
     /// Chooses the vertices of a frame. `acknowledged` is the newest seq that the reader has acknowledged.
     pub fn pack_frame(&mut self, frame: OutboundFrame, acknowledged: Option<u64>) -> FrameRequest {
-        let (seq, output, positions) = (frame.header.seq, frame.output, Arc::clone(&frame.positions));
-        let other = |buffer: &Arc<Vec<Vec3>>| buffer.len() != positions.len();
-        if self
-            .acknowledged
-            .iter()
-            .chain(self.sent.iter().map(|s| &s.1))
-            .any(other)
-        {
-            // An edit has changed the number of vertices: the reader gets all of them.
-            self.sent.clear();
-            self.acknowledged = None;
-        }
-        let delta = output.changed_only.is_some();
-        if delta {
-            while self
-                .sent
-                .front()
-                .is_some_and(|(seq, _)| acknowledged.is_some_and(|a| *seq <= a))
-            {
-                self.acknowledged = self.sent.pop_front().map(|(_, buffer)| buffer);
-            }
-        } else {
-            self.sent.clear();
-            self.acknowledged = None;
-        }
-        let held = self
-            .sent
-            .back()
-            .map(|(_, buffer)| Arc::clone(buffer))
-            .or_else(|| self.acknowledged.clone());
-        // Frames arrive in order, so the reader will hold `held` when this one comes, unless it rebuilds what it has
-        // acknowledged: a vertex is left out only when both are right.
-        let baselines = match (&self.acknowledged, &held) {
-            (Some(a), Some(h)) if !Arc::ptr_eq(a, h) => vec![Arc::clone(a), Arc::clone(h)],
-            (Some(a), _) => vec![Arc::clone(a)],
-            (None, _) => Vec::new(),
+        let Some(threshold) = frame.output.changed_only else {
+            *self = Self::new(self.part_bytes);
+            return frame.into_request(None, self.part_bytes);
         };
-        let request = frame.into_request(&baselines, self.part_bytes);
-        if delta {
-            let buffer = match (&request.selected, held) {
-                (Some(selected), Some(held)) if held.len() == positions.len() => {
-                    let mut buffer = held.as_ref().clone();
-                    selected
-                        .iter()
-                        .for_each(|&v| buffer[v as usize] = positions[v as usize].as_vec3());
-                    buffer
-                }
-                _ => positions.iter().map(|p| p.as_vec3()).collect(),
-            };
-            self.sent.push_back((seq, Arc::new(buffer)));
-            if self.sent.len() > REMEMBERED {
-                self.sent.pop_front();
-            }
+        let positions = frame.positions.as_slice();
+        let mut buffers = self.acknowledged.iter().chain(self.sent.iter().map(|s| &s.1));
+        if buffers.any(|buffer| buffer.len() != positions.len()) {
+            // An edit has changed the number of vertices: the reader gets all of them.
+            *self = Self::new(self.part_bytes);
         }
-        request
+        let is_read = |seq: u64| acknowledged.is_some_and(|a| seq <= a);
+        while self.sent.front().is_some_and(|(seq, _)| is_read(*seq)) {
+            let read = self.sent.pop_front().map(|(_, buffer)| buffer);
+            self.spare = std::mem::replace(&mut self.acknowledged, read).unwrap_or_default();
+        }
+        let reader = self.acknowledged.as_ref().map(|acknowledged| ReaderBuffers {
+            acknowledged,
+            sent: self.sent.back().map(|(_, buffer)| buffer.as_slice()),
+        });
+        let mut buffer = std::mem::take(&mut self.spare);
+        let mut selected = Vec::with_capacity(self.carried.min(positions.len()));
+        select_changed(
+            positions,
+            reader,
+            threshold * frame.diagonal,
+            &mut selected,
+            &mut buffer,
+        );
+        self.carried = selected.len();
+        self.sent.push_back((frame.header.seq, buffer));
+        if self.sent.len() > REMEMBERED {
+            self.sent.pop_front();
+        }
+        frame.into_request(Some(selected), self.part_bytes)
+    }
+}
+
+/// What a reader holds.
+#[derive(Debug, Clone, Copy)]
+struct ReaderBuffers<'a> {
+    acknowledged: &'a [Vec3],
+    /// After the last frame that it was sent, where that is another. Frames arrive in order, so the reader will hold this when the
+    /// next one comes, unless it rebuilds what it has acknowledged: a vertex is left out only when both are right.
+    sent: Option<&'a [Vec3]>,
+}
+
+/// Selects the vertices that lie further than `distance` from their place in any of the reader's buffers, ascending, and writes what
+/// it holds after it was sent them. Without buffers all are selected.
+fn select_changed(
+    positions: &[DVec3],
+    reader: Option<ReaderBuffers<'_>>,
+    distance: f64,
+    selected: &mut Vec<u32>,
+    after: &mut Vec<Vec3>,
+) {
+    after.clear();
+    after.reserve_exact(positions.len());
+    let Some(ReaderBuffers { acknowledged, sent }) = reader else {
+        after.extend(positions.iter().map(|p| p.as_vec3()));
+        selected.extend((0..positions.len()).map(|v| v as u32));
+        return;
+    };
+    for (v, p) in positions.iter().enumerate() {
+        // Both sides are rounded alike, so that a vertex that rests has moved by exactly nothing.
+        let p = p.as_vec3();
+        let is_far = |from: Vec3| (p.as_dvec3() - from.as_dvec3()).length() > distance;
+        if is_far(acknowledged[v]) || sent.is_some_and(|sent| is_far(sent[v])) {
+            selected.push(v as u32);
+            after.push(p);
+        } else {
+            after.push(sent.unwrap_or(acknowledged)[v]);
+        }
     }
 }
 
@@ -92,8 +114,8 @@ impl FramePacker {
 mod tests {
     use super::*;
     use crate::wire::frames::{FrameHeader, FrameOutput, encode};
-    use glam::DVec3;
     use proptest::prelude::*;
+    use std::sync::Arc;
 
     fn frame(seq: u64, positions: &[DVec3], threshold: f64) -> OutboundFrame {
         OutboundFrame {
@@ -152,5 +174,38 @@ mod tests {
             "nothing is acknowledged yet"
         );
         assert_eq!(count(packer.pack_frame(frame(3, &shape, 0.0), Some(1))), Some(0));
+    }
+
+    #[test]
+    fn only_vertices_that_left_some_buffer_are_selected() {
+        let mut positions: Vec<DVec3> = (0..100)
+            .map(|i| DVec3::new(f64::from(i) * 0.37 - 4.0, 0.1, 2.5))
+            .collect();
+        let rest: Vec<Vec3> = positions.iter().map(|p| p.as_vec3()).collect();
+        let mut later = rest.clone();
+        later[3].x += 1.0;
+        positions[8].z += 0.5;
+        positions[9].z += 0.05;
+        let select = |reader, distance| {
+            let (mut selected, mut after) = (Vec::new(), vec![Vec3::NAN; 3]);
+            select_changed(&positions, reader, distance, &mut selected, &mut after);
+            (selected, after)
+        };
+        let reader = ReaderBuffers {
+            acknowledged: &rest,
+            sent: Some(&later),
+        };
+        let (selected, after) = select(Some(reader), 0.1);
+        assert_eq!(selected, [3, 8]);
+        let mut expected = later.clone();
+        [3, 8].map(|v: usize| expected[v] = positions[v].as_vec3());
+        assert_eq!(after, expected, "what was not sent stays where it was");
+        let (selected, after) = select(Some(reader), 2.0);
+        assert!(selected.is_empty() && after == later);
+        let all: Vec<u32> = (0..100).collect();
+        let (selected, after) = select(None, 2.0);
+        assert_eq!(selected, all, "a reader that holds nothing gets everything");
+        let expected: Vec<Vec3> = positions.iter().map(|p| p.as_vec3()).collect();
+        assert_eq!(after, expected);
     }
 }

@@ -5,7 +5,7 @@ use crate::session::answers::StreamAnswer;
 use crate::session::history::loaded_deformer::CommitSolution;
 use crate::wire::DeformOptions;
 use crate::wire::frames::{FrameHeader, FrameOutput, FrameRequest};
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -20,11 +20,15 @@ pub(in crate::session) struct OutboundFrame {
 }
 
 impl OutboundFrame {
-    /// The frame for a reader that may hold `baselines`. Where it wants changes only, a vertex is sent when it moved away from
-    /// its place in any of them; without any, or with one of another length, all are sent.
-    pub fn into_request(self, baselines: &[Arc<Vec<Vec3>>], part_bytes: usize) -> FrameRequest {
-        let selected = (self.output.changed_only)
-            .map(|threshold| changed_vertices(&self.positions, baselines, threshold * self.diagonal));
+    /// The frame for a reader that holds nothing.
+    pub fn into_first_request(self, part_bytes: usize) -> FrameRequest {
+        let changes = self.output.changed_only.is_some();
+        let all = changes.then(|| (0..self.positions.len()).map(|v| v as u32).collect());
+        self.into_request(all, part_bytes)
+    }
+
+    /// The frame with these vertices, ascending; `None` is all of them.
+    pub fn into_request(self, selected: Option<Vec<u32>>, part_bytes: usize) -> FrameRequest {
         FrameRequest {
             header: self.header,
             positions: self.positions,
@@ -34,22 +38,6 @@ impl OutboundFrame {
             part_bytes,
         }
     }
-}
-
-/// Vertices that lie further than `distance` from their place in any of the baselines, ascending.
-fn changed_vertices(positions: &[DVec3], baselines: &[Arc<Vec<Vec3>>], distance: f64) -> Vec<u32> {
-    let all = baselines.is_empty() || baselines.iter().any(|b| b.len() != positions.len());
-    // Both sides are rounded alike, so that a vertex that rests has moved by exactly nothing.
-    let moved = |v: usize, p: Vec3| {
-        baselines
-            .iter()
-            .any(|b| (p.as_dvec3() - b[v].as_dvec3()).length() > distance)
-    };
-    let indices = positions
-        .iter()
-        .enumerate()
-        .filter(|&(v, p)| all || moved(v, p.as_vec3()));
-    indices.map(|(v, _)| v as u32).collect()
 }
 
 /// What all frames of one piece of work have in common.
@@ -115,30 +103,4 @@ pub(in crate::session) enum OutboundItem {
     Words(StreamAnswer),
     Frame(Box<OutboundFrame>),
     End,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_vertices_that_left_some_baseline_are_selected() {
-        let mut positions: Vec<DVec3> = (0..100)
-            .map(|i| DVec3::new(f64::from(i) * 0.37 - 4.0, 0.1, 2.5))
-            .collect();
-        let rest: Vec<Vec3> = positions.iter().map(|p| p.as_vec3()).collect();
-        let mut later = rest.clone();
-        later[3].x += 1.0;
-        positions[8].z += 0.5;
-        positions[9].z += 0.05;
-        let baselines = [Arc::new(rest), Arc::new(later)];
-        assert_eq!(changed_vertices(&positions, &baselines, 0.1), [3, 8]);
-        assert!(changed_vertices(&positions, &baselines, 2.0).is_empty());
-        let all: Vec<u32> = (0..100).collect();
-        assert_eq!(
-            changed_vertices(&positions, &[], 2.0),
-            all,
-            "a reader that holds nothing gets everything"
-        );
-    }
 }

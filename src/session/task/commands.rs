@@ -154,7 +154,7 @@ impl SessionTask {
                         queued,
                     };
                     let frame = context.final_frame(seq, &options, &solution);
-                    Ok::<_, engine::Error>((frame.into_request(&[], part_bytes), solution))
+                    Ok::<_, engine::Error>((frame.into_first_request(part_bytes), solution))
                 },
             )
             .await?;

@@ -97,7 +97,7 @@ impl SessionTask {
                     output,
                     diagonal,
                 };
-                Ok::<_, engine::Error>(frame.into_request(&[], part_bytes))
+                Ok::<_, engine::Error>(frame.into_first_request(part_bytes))
             })
             .await?;
         let frame = made.map_err(|e| self.failure(e, &watch))?;

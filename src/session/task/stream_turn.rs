@@ -178,7 +178,7 @@ impl SessionTask {
         self.commit_solution(&solution, settings.solve.clone());
         if let Some(claim) = claim {
             let answer = StoredAnswer::Solved(Box::new(CommittedPose {
-                frame: frame.clone().into_request(&[], self.shared.config.part_bytes),
+                frame: frame.clone().into_first_request(self.shared.config.part_bytes),
                 revision: self.history.revision(),
                 digest: solution.digest,
             }));
