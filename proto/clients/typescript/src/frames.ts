@@ -1,6 +1,7 @@
 /**
  * Vertex buffers as they come over a stream: parts into frames, frames into a `Float32Array` that the caller owns, such
- * as the array behind a three.js buffer. The bytes of a part are looked at in place; nothing is copied but the numbers.
+ * as the array behind a three.js buffer. The bytes of a part are looked at in place, wherever they begin; nothing is copied but the
+ * numbers, once.
  */
 
 import type { Frame as Part, Quality } from "./gen/pliant/v1/pliant_pb.js";
@@ -95,44 +96,59 @@ export class Frame implements FrameFacts {
 }
 
 function writePart(part: Part, size: 3 | 4, target: Float32Array): void {
-  const { indices, vertexCount } = part;
-  const last = indices.length > 0 ? (indices.at(-1) as number) + 1 : part.firstVertex + vertexCount;
+  const { indices, vertexCount, firstVertex } = part;
+  const last = indices.length > 0 ? (indices.at(-1) as number) + 1 : firstVertex + vertexCount;
   if (last * size > target.length) {
     throw new RangeError(`the frame reaches vertex ${last - 1}, the buffer holds ${target.length / size}`);
   }
+  if (indices.length > 0 && indices.length !== vertexCount) {
+    throw new RangeError(`a part of a frame names ${indices.length} vertices and carries ${vertexCount}`);
+  }
   if (part.encoding === Encoding.F32) {
-    const numbers = floats(part.data, vertexCount * size);
-    if (indices.length === 0) {
-      target.set(numbers, part.firstVertex * size);
+    const data = checked(part.data, vertexCount * size * 4);
+    if (indices.length === 0 && LITTLE_ENDIAN) {
+      // Bytes need no alignment, so this is the one copy from the socket to the buffer.
+      new Uint8Array(target.buffer, target.byteOffset + firstVertex * size * 4, data.byteLength).set(data);
     } else {
-      scatter(numbers, indices, size, target);
+      unpackFloats(data, indices, firstVertex, size, target);
     }
   } else if (part.encoding === Encoding.U16) {
-    const steps = shorts(part.data, vertexCount * size);
-    const { low, step } = scale(part, size);
-    if (indices.length === 0) {
-      unpack(steps, part.firstVertex * size, size, low, step, target);
-    } else {
-      const numbers = new Float32Array(steps.length);
-      unpack(steps, 0, size, low, step, numbers);
-      scatter(numbers, indices, size, target);
-    }
+    const data = checked(part.data, vertexCount * size * 2);
+    unpackSteps(data, indices, firstVertex, size, scale(part, size), target);
   } else {
     throw new RangeError("this client reads F32 and U16 frames; ask for one of them in Options.output.encoding");
   }
 }
 
-function unpack(steps: Uint16Array, at: number, size: 3 | 4, low: number[], step: number[], target: Float32Array): void {
+function unpackFloats(data: Uint8Array, indices: readonly number[], first: number, size: 3 | 4, target: Float32Array): void {
+  const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
+  const count = data.byteLength / (size * 4);
+  for (let k = 0, at = 0; k < count; k++) {
+    const to = (indices.length === 0 ? first + k : (indices[k] as number)) * size;
+    for (let c = 0; c < size; c++, at += 4) target[to + c] = view.getFloat32(at, true);
+  }
+}
+
+function unpackSteps(
+  data: Uint8Array,
+  indices: readonly number[],
+  first: number,
+  size: 3 | 4,
+  { low, step }: { low: number[]; step: number[] },
+  target: Float32Array,
+): void {
+  const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
   const [lx = 0, ly = 0, lz = 0, lw = 0] = low;
   const [sx = 0, sy = 0, sz = 0, sw = 0] = step;
-  let to = at;
-  for (let k = 0; k < steps.length; k += size, to += size) {
-    target[to] = lx + sx * (steps[k] as number);
-    target[to + 1] = ly + sy * (steps[k + 1] as number);
-    target[to + 2] = lz + sz * (steps[k + 2] as number);
-    if (size === 4) {
-      target[to + 3] = lw + sw * (steps[k + 3] as number);
-    }
+  const bytes = size * 2;
+  const listed = indices.length > 0;
+  let to = first * size;
+  for (let at = 0, k = 0; at < data.byteLength; at += bytes, to += size, k++) {
+    if (listed) to = (indices[k] as number) * size;
+    target[to] = lx + sx * view.getUint16(at, true);
+    target[to + 1] = ly + sy * view.getUint16(at + 2, true);
+    target[to + 2] = lz + sz * view.getUint16(at + 4, true);
+    if (size === 4) target[to + 3] = lw + sw * view.getUint16(at + 6, true);
   }
 }
 
@@ -147,15 +163,6 @@ function scale(part: Part, size: 3 | 4): { low: number[]; step: number[] } {
   return { low, step: Array.from({ length: size }, (_, k) => ((high[k] ?? 0) - (low[k] ?? 0)) / 65535) };
 }
 
-function scatter(numbers: Float32Array, indices: readonly number[], size: 3 | 4, target: Float32Array): void {
-  for (let k = 0; k < indices.length; k++) {
-    const to = (indices[k] as number) * size;
-    for (let c = 0; c < size; c++) {
-      target[to + c] = numbers[k * size + c] as number;
-    }
-  }
-}
-
 const LITTLE_ENDIAN = new Uint8Array(new Uint16Array([1]).buffer)[0] === 1;
 
 function checked(data: Uint8Array, bytes: number): Uint8Array {
@@ -163,25 +170,6 @@ function checked(data: Uint8Array, bytes: number): Uint8Array {
     throw new RangeError(`a part of a frame has ${data.byteLength} bytes, its vertices need ${bytes}`);
   }
   return data;
-}
-
-/** The floats in `data`: in place where they are aligned, else from a copy. */
-function floats(data: Uint8Array, count: number): Float32Array {
-  const { buffer, byteOffset } = checked(data, count * 4);
-  if (LITTLE_ENDIAN) {
-    return byteOffset % 4 === 0 ? new Float32Array(buffer, byteOffset, count) : new Float32Array(data.slice().buffer);
-  }
-  const view = new DataView(buffer, byteOffset);
-  return Float32Array.from({ length: count }, (_, k) => view.getFloat32(k * 4, true));
-}
-
-function shorts(data: Uint8Array, count: number): Uint16Array {
-  const { buffer, byteOffset } = checked(data, count * 2);
-  if (LITTLE_ENDIAN) {
-    return byteOffset % 2 === 0 ? new Uint16Array(buffer, byteOffset, count) : new Uint16Array(data.slice().buffer);
-  }
-  const view = new DataView(buffer, byteOffset);
-  return Uint16Array.from({ length: count }, (_, k) => view.getUint16(k * 2, true));
 }
 
 /** Puts parts together. Holds the parts of one frame at most. */

@@ -66,12 +66,24 @@ test("numbers at an odd place in a message are read all the same", () => {
   const target = new Float32Array(3);
   frame.positionsInto(target);
   assert.deepEqual([...target], [1, 2, 3]);
+  // Into a buffer that begins at another place than its memory does.
+  const larger = new Float32Array(8);
+  frame.positionsInto(larger.subarray(1, 5));
+  assert.deepEqual([...larger], [0, 1, 2, 3, 0, 0, 0, 0]);
+  const steps = new Uint8Array(13);
+  steps.set(new Uint8Array(Uint16Array.from([0, 65535, 32768, 65535, 0, 1]).buffer), 1);
+  const box = { encoding: Encoding.U16, boxMin: [-1, 10, 0], boxMax: [1, 20, 65535] };
+  const moved = new Frame([part({ ...box, vertexCount: 2, indices: [0, 2], data: steps.subarray(1) })]);
+  const three = new Float32Array(9);
+  moved.positionsInto(three);
+  assert.deepEqual([...three], [-1, 20, 32768, 0, 0, 0, 1, 10, 1]);
 });
 
 test("what does not fit is refused, not written elsewhere", () => {
   const write = (fields, size = 3) => new Frame([part(fields)]).positionsInto(new Float32Array(size));
   assert.throws(() => write({ vertexCount: 2, data: floats(1, 2, 3, 4, 5, 6) }), /reaches vertex 1, the buffer holds 1/);
   assert.throws(() => write({ vertexCount: 1, data: floats(1, 2) }), /8 bytes, its vertices need 12/);
+  assert.throws(() => write({ vertexCount: 2, indices: [0], data: floats(1, 2, 3, 4, 5, 6) }), /names 1 vertices and carries 2/);
   assert.throws(() => write({ encoding: Encoding.U16, vertexCount: 1, data: new Uint8Array(6) }), /box/);
   assert.throws(() => write({ encoding: Encoding.MESHOPT, vertexCount: 1, data: new Uint8Array(6) }), /F32 and U16/);
   const assembler = new Assembler();
