@@ -38,8 +38,10 @@ export class Sheet {
     page.on("pageerror", (error) => this.complaints.push(error.stack ?? String(error)));
   }
 
-  static async open(browser, url, options = {}) {
+  /** `script` runs in the page before its own. */
+  static async open(browser, url, { script, ...options } = {}) {
     const context = await browser.newContext({ viewport: { width: 1280, height: 800 }, colorScheme: "dark", ...options });
+    if (script !== undefined) await context.addInitScript(script);
     const sheet = new Sheet(await context.newPage());
     await sheet.page.goto(url);
     await sheet.ready();

@@ -1,6 +1,7 @@
 /**
- * Large models: shapes painted in a second while dragging. Measured, not judged: this browser draws without a card. The larger one
- * is for whoever asks for this scene by name: run speed.
+ * Large models: shapes painted in a second while dragging, and how long a frame takes from the socket's message until a pixel of its
+ * picture is there. Measured, not judged: this browser draws without a card. The larger one is for whoever asks for this scene by
+ * name: run speed. SPEED_VERTICES names other sizes.
  */
 
 import assert from "node:assert/strict";
@@ -14,8 +15,9 @@ const DRAG_SECONDS = 4;
 export const title = "50 K vertices, and 300 K when asked for, are dragged live";
 
 export async function play({ browser, url, server, log, named }) {
-  for (const vertices of named ? [50_000, 300_000] : [50_000]) {
-    const sheet = await Sheet.open(browser, url(), { viewport: { width: 1000, height: 640 } });
+  const usual = named ? [50_000, 300_000] : [50_000];
+  for (const vertices of process.env.SPEED_VERTICES?.split(",").map(Number) ?? usual) {
+    const sheet = await Sheet.open(browser, url(), { viewport: { width: 1000, height: 640 }, script: timeFrames });
     const model = finger(vertices);
     const begun = performance.now();
     await sheet.pick(model);
@@ -31,6 +33,7 @@ export async function play({ browser, url, server, log, named }) {
         `last solve ${after.solveMs.toFixed(0)} ms; ${after.superseded} poses superseded; ` +
         `page busy ${seen.takeMs.toFixed(1)} ms a shape without drawing`,
     );
+    log(await told(sheet));
     const handles = await sheet.ask("handles");
     const session = await server.json("POST", "/v1/sessions?format=ply", model.buffer, "application/octet-stream");
     await server.json("PUT", `/v1/sessions/${session.id}/handles`, { handles: asHandles(handles) });
@@ -46,6 +49,55 @@ export async function play({ browser, url, server, log, named }) {
     await sheet.page.getByRole("button", { name: "Close the model" }).click();
     await sheet.close();
   }
+}
+
+/**
+ * In the page: when frames come, how long their messages and the painting after them keep it busy, and when a pixel of the picture
+ * can be read.
+ */
+function timeFrames() {
+  const kept = { handled: [], painted: [], seen: [] };
+  let came;
+  const { set, get, ...rest } = Object.getOwnPropertyDescriptor(WebSocket.prototype, "onmessage");
+  Object.defineProperty(WebSocket.prototype, "onmessage", {
+    ...rest,
+    get,
+    set(handler) {
+      set.call(this, (event) => {
+        const begun = performance.now();
+        handler.call(this, event);
+        if (event.data.byteLength < 10_000) return;
+        came ??= begun;
+        kept.handled.push(performance.now() - begun);
+      });
+    },
+  });
+  const ask = window.requestAnimationFrame.bind(window);
+  window.requestAnimationFrame = (paint) =>
+    ask((now) => {
+      const since = came;
+      came = undefined;
+      const before = window.pliantViewer?.state().painted;
+      const begun = performance.now();
+      paint(now);
+      if (since === undefined || window.pliantViewer?.state().painted === before) return;
+      kept.painted.push(performance.now() - begun);
+      const gl = document.querySelector("canvas[role=img]").getContext("webgl2");
+      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+      kept.seen.push(performance.now() - since);
+    });
+  window.frameTimes = kept;
+}
+
+/** Medians of what `timeFrames` kept. */
+async function told(sheet) {
+  const kept = await sheet.page.evaluate(() => window.frameTimes);
+  const median = (list) => list.toSorted((a, b) => a - b)[list.length >> 1] ?? Number.NaN;
+  const [handled, painted, seen] = [kept.handled, kept.painted, kept.seen].map((list) => median(list).toFixed(2));
+  return (
+    `medians of ${kept.seen.length} frames: ${handled} ms in the handler of a message, ${painted} ms in the painting turn after it, ` +
+    `${seen} ms from the message until a pixel of the picture is there`
+  );
 }
 
 /** Leads the grip around for some seconds; answers what was seen until the mouse let go. */
