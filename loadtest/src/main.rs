@@ -49,6 +49,8 @@ enum LoadtestCommand {
     Energy(pipeline::fit_energies::EnergyArgs),
     /// Follow one frame of a drag through, pass by pass
     Frame(pipeline::frame::FrameArgs),
+    /// Tell what frames take from positions to the bytes of messages, encoding by encoding
+    Wire(pipeline::wire::WireArgs),
     /// Edit a region of a model and time everything up to the next frame, repaired and built anew
     Edits(pipeline::edits::EditsArgs),
     /// Measure clips on models, row by row, beside what they must reach
@@ -70,6 +72,7 @@ fn main() -> ExitCode {
         LoadtestCommand::Pipeline(args) => pipeline::first_frame::run_pipeline(args),
         LoadtestCommand::Energy(args) => pipeline::fit_energies::run_energy(args),
         LoadtestCommand::Frame(args) => pipeline::frame::run_frame(args),
+        LoadtestCommand::Wire(args) => pipeline::wire::run_wire(args),
         LoadtestCommand::Edits(args) => pipeline::edits::run_edits(args),
         LoadtestCommand::Motion(args) => motion::command::run_motion(args),
         LoadtestCommand::Sheet(args) => sheets::contact_sheet::run_sheet(args),

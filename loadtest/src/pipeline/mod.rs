@@ -6,3 +6,4 @@ pub(crate) mod fit_energies;
 pub(crate) mod frame;
 mod graph_stages;
 mod pass_clock;
+pub(crate) mod wire;

@@ -1,0 +1,260 @@
+//! `loadtest wire`: what a frame of a drag takes on its way from positions to a socket, encoding by encoding.
+
+use crate::failure::LoadtestFailure;
+use crate::shared::drag_scene::DragScene;
+use crate::shared::input_files::read_model_file;
+use crate::shared::measurements::Measurements;
+use crate::shared::timing::time_once;
+use glam::DVec3;
+use pliant::engine::{Deformer, DeformerLimits, Shader, Shading, SolveMode};
+use pliant::exec::Exec;
+use pliant::pool::Pool;
+use pliant::progress::Silent;
+use pliant::wire::frames::{FrameEncoding, FrameHeader, FrameOutput, FrameRequest, OutgoingResponse, encode};
+use pliant::wire::{self, DeformOptions, pb};
+use prost::Message as _;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Bytes of a frame's part, as servers send them.
+const PART: usize = 1 << 20;
+
+/// Frames before those that are counted.
+const WARM_UP: u64 = 8;
+
+const ENCODINGS: [(&str, FrameEncoding); 3] = [
+    ("F32", FrameEncoding::F32),
+    ("U16", FrameEncoding::U16),
+    ("MESHOPT", FrameEncoding::Meshopt),
+];
+
+/// Arguments of `loadtest wire`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct WireArgs {
+    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    model: PathBuf,
+    /// Frames that are measured; a swing there and back is 120
+    #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=10_000))]
+    frames: u64,
+    /// Vertices that moved no further than this fraction of the diagonal are left out of frames with changes only
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
+    changed: f64,
+    /// Print one JSON document on stdout
+    #[arg(long)]
+    json: bool,
+}
+
+/// One way of sending frames, and what it took.
+struct WireRow {
+    name: String,
+    output: FrameOutput,
+    /// Seconds of each frame, sorted.
+    seconds: Vec<f64>,
+    bytes: usize,
+}
+
+/// The shapes of a drag, with their normals, and the length of the model's diagonal.
+struct DraggedShapes {
+    shapes: Vec<(Arc<Vec<DVec3>>, Arc<Shading>)>,
+    diagonal: f64,
+}
+
+/// Runs the command.
+pub(crate) fn run_wire(args: &WireArgs) -> Result<(), LoadtestFailure> {
+    let dragged = drag(args)?;
+    let mut rows = Vec::new();
+    for changed_only in [None, Some(args.changed)] {
+        for normals in [false, true] {
+            for (name, encoding) in ENCODINGS {
+                let suffix = |on: bool, text: &'static str| if on { text } else { "" };
+                let name = format!(
+                    "{name}{}{}",
+                    suffix(normals, " normals"),
+                    suffix(changed_only.is_some(), " changed")
+                );
+                let output = FrameOutput {
+                    normals,
+                    changed_only,
+                    encoding,
+                    ..FrameOutput::default()
+                };
+                rows.push(WireRow {
+                    name,
+                    output,
+                    seconds: Vec::new(),
+                    bytes: 0,
+                });
+            }
+        }
+    }
+    // Frame by frame through all rows, so that what disturbs the machine disturbs all of them.
+    for pair in dragged.shapes.windows(2) {
+        let [(before, _), (positions, shading)] = pair else {
+            continue;
+        };
+        for row in &mut rows {
+            let selected = (row.output.changed_only).map(|part| moved(positions, before, part * dragged.diagonal));
+            let request = FrameRequest {
+                header: FrameHeader::default(),
+                positions: Arc::clone(positions),
+                shading: row.output.normals.then(|| Arc::clone(shading)),
+                output: row.output,
+                selected,
+                part_bytes: PART,
+            };
+            let (bytes, seconds) = time_once(|| sent_bytes(request));
+            row.bytes += bytes;
+            row.seconds.push(seconds);
+        }
+    }
+    rows.iter_mut().for_each(|row| row.seconds.sort_by(f64::total_cmp));
+    for (name, prediction) in PREDICTIONS {
+        rows.push(predicted(name, &dragged.shapes, prediction));
+    }
+    let vertices = dragged.shapes.first().map_or(0, |(p, _)| p.len());
+    if args.json {
+        println!("{}", measurements(&args.model, vertices, &rows).to_json());
+    } else {
+        print!("{}", table(&args.model, vertices, &rows));
+    }
+    Ok(())
+}
+
+/// Makes every message of a frame as it is handed to a connection; answers their bytes.
+fn sent_bytes(request: FrameRequest) -> usize {
+    let mut parts = encode(request);
+    let messages = std::iter::from_fn(|| parts.next_part()).map(|part| OutgoingResponse::Part(Box::new(part)));
+    messages
+        .map(|message| std::hint::black_box(message.encode_to_vec()).len())
+        .sum()
+}
+
+/// A place in steps of a box that stays the same over a drag.
+type StepPlaces = Vec<[i32; 3]>;
+
+/// What the steps of a frame could be told against: the one before, the one before that, or where the two lead.
+const PREDICTIONS: [(&str, fn([i32; 2]) -> i32); 3] = [
+    ("MESHOPT minus last", |[_, last]| last),
+    ("MESHOPT minus earlier", |[earlier, _]| earlier),
+    ("MESHOPT minus led to", |[earlier, last]| 2 * last - earlier),
+];
+
+/// What frames would take, coded as MESHOPT frames are, of which each tells what differs from a prediction. No server sends them.
+fn predicted(name: &str, shapes: &[(Arc<Vec<DVec3>>, Arc<Shading>)], prediction: fn([i32; 2]) -> i32) -> WireRow {
+    let points = || shapes.iter().flat_map(|(positions, _)| positions.iter());
+    let low = points().fold(DVec3::INFINITY, |a, &b| a.min(b));
+    let span = points().fold(DVec3::NEG_INFINITY, |a, &b| a.max(b)) - low;
+    let steps = |positions: &[DVec3]| -> StepPlaces {
+        let step = |p: &DVec3| ((*p - low) / span * 65535.0).round().to_array().map(|x| x as i32);
+        positions.iter().map(step).collect()
+    };
+    let mut row = WireRow {
+        name: name.to_owned(),
+        output: FrameOutput::default(),
+        seconds: Vec::new(),
+        bytes: 0,
+    };
+    let mut earlier = shapes.first().map(|(p, _)| steps(p)).unwrap_or_default();
+    let mut last = earlier.clone();
+    for (positions, _) in shapes.iter().skip(1) {
+        let (told, seconds) = time_once(|| {
+            let now = steps(positions);
+            let differs = |v: usize| {
+                let of = |k: usize| (now[v][k] - prediction([earlier[v][k], last[v][k]])) as u16;
+                [of(0), of(1), of(2), 0]
+            };
+            let differences: Vec<[u16; 4]> = (0..now.len()).map(differs).collect();
+            let coded = meshopt::encode_vertex_buffer(&differences).map_or(0, |coded| coded.len());
+            (now, coded)
+        });
+        row.bytes += told.1;
+        row.seconds.push(seconds);
+        earlier = std::mem::replace(&mut last, told.0);
+    }
+    row.seconds.sort_by(f64::total_cmp);
+    row
+}
+
+/// Vertices further than `distance` from where they were, both as 32-bit floats.
+fn moved(positions: &[DVec3], before: &[DVec3], distance: f64) -> Vec<u32> {
+    let far = |(a, b): (&DVec3, &DVec3)| (a.as_vec3().as_dvec3() - b.as_vec3().as_dvec3()).length() > distance;
+    let all = (0u32..).zip(positions.iter().zip(before));
+    all.filter(|(_, pair)| far(*pair)).map(|(v, _)| v).collect()
+}
+
+fn usage(error: impl std::fmt::Display) -> LoadtestFailure {
+    LoadtestFailure::Usage(error.to_string())
+}
+
+/// Swings one end of the model and keeps every shape.
+fn drag(args: &WireArgs) -> Result<DraggedShapes, LoadtestFailure> {
+    let pool = Pool::new(0).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let exec = Exec::new(&pool, &Silent);
+    let scene = DragScene::load(Some(&args.model))?;
+    let options = wire::open_options(&pb::CreateOptions::default()).map_err(usage)?;
+    let files = read_model_file(&args.model)?;
+    let mut deformer = Deformer::open(files, &options, &DeformerLimits::default(), &exec).map_err(usage)?;
+    let request = pb::SetHandlesRequest {
+        handles: scene.handles(),
+        ..Default::default()
+    };
+    let handles = wire::handle_set(&request).map_err(usage)?;
+    deformer.set_handles(handles, &exec).map_err(usage)?;
+    let settings = DeformOptions::check(&pb::Options::default(), "options", u32::MAX).map_err(usage)?;
+    let shader = Shader::from_geometry(deformer.geometry(), deformer.rest());
+    let mut poses = deformer.initial_poses();
+    let mut shapes = Vec::new();
+    for seq in 1..=WARM_UP + args.frames {
+        poses = wire::change_poses(&deformer, &poses, &scene.pose_number(seq)).map_err(usage)?;
+        let solved = deformer.solve(&poses, &settings.solve, SolveMode::Drag, &exec, &mut |_| true);
+        let positions = solved.map_err(usage)?.positions;
+        // Each frame goes out beside the one before.
+        if seq >= WARM_UP {
+            let shading = Arc::new(shader.shade(&positions));
+            shapes.push((positions, shading));
+        }
+    }
+    let diagonal = deformer.diagonal();
+    Ok(DraggedShapes { shapes, diagonal })
+}
+
+fn median(sorted: &[f64]) -> f64 {
+    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
+}
+
+fn measurements(model: &Path, vertices: usize, rows: &[WireRow]) -> Measurements {
+    let mut m = Measurements::default();
+    m.set_value(
+        "model",
+        model.file_name().unwrap_or_default().to_string_lossy().as_ref(),
+    );
+    m.set_value("vertices", vertices);
+    for row in rows {
+        let name = row.name.to_lowercase().replace(' ', "_");
+        m.set_number(&format!("{name}_s"), median(&row.seconds));
+        m.set_number(
+            &format!("{name}_bytes"),
+            row.bytes as f64 / row.seconds.len().max(1) as f64,
+        );
+    }
+    m
+}
+
+fn table(model: &Path, vertices: usize, rows: &[WireRow]) -> String {
+    let frames = rows.first().map_or(0, |row| row.seconds.len());
+    let mut text = format!(
+        "{}: {vertices} vertices; medians of {frames} frames of a drag, from positions to the bytes of messages\n",
+        model.display()
+    );
+    for row in rows {
+        let bytes = row.bytes as f64 / row.seconds.len().max(1) as f64;
+        text += &format!(
+            "{:<24} {:>8.3} ms {:>9.1} KiB a frame {:>6.2} bytes a vertex\n",
+            row.name,
+            median(&row.seconds) * 1e3,
+            bytes / 1024.0,
+            bytes / vertices.max(1) as f64
+        );
+    }
+    text
+}
