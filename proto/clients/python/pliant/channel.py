@@ -20,6 +20,11 @@ from . import errors
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
+#: Silence of a connection on which a call is under way, after which a sign of life is asked for.
+SILENCE_MS = 3_000
+#: How long that sign may take; then the connection counts as lost.
+SIGN_OF_LIFE_MS = 6_000
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -70,9 +75,14 @@ class Settings:
             # One megabyte a frame instead of 16 KiB makes large frames about twice as fast.
             ("grpc.http2.max_frame_size", 1 << 20),
             ("grpc.http2.lookahead_bytes", self.window_bytes),
-            # Finds out within a minute that a peer is gone without a word; servers allow one sign of life in 30 s.
-            ("grpc.keepalive_time_ms", 40_000),
-            ("grpc.keepalive_timeout_ms", 20_000),
+            # While a call is under way: a peer that is gone without a word, or stopped where it is, is noticed within ten seconds. What
+            # only computes for long answers pings all the time.
+            ("grpc.keepalive_time_ms", SILENCE_MS),
+            ("grpc.keepalive_timeout_ms", SIGN_OF_LIFE_MS),
+            # A sign that was asked for to measure the connection stands for one of these, and would have a minute.
+            ("grpc.http2.ping_timeout_ms", SIGN_OF_LIFE_MS),
+            # Of a call that waits for its answer there may be many; otherwise the third would be held back for a minute.
+            ("grpc.http2.max_pings_without_data", 0),
             # A restarted server is found within the second, not after gRPC's growing pauses of up to two minutes.
             ("grpc.initial_reconnect_backoff_ms", 100),
             ("grpc.min_reconnect_backoff_ms", 5_000),

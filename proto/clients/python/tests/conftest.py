@@ -93,7 +93,8 @@ def deform(model: Path, job: dict[str, Any], folder: Path, output: str = "out.pl
 
 
 class Proxy:
-    """A way to a server that can be cut: `drop` closes what is open, `shut` also refuses what comes."""
+    """A way to a server that can be cut: `drop` closes what is open, `shut` also refuses what comes, and after `freeze` what is open
+    stays open and says nothing, as a server that stands still does."""
 
     def __init__(self, url: str) -> None:
         host, port = url.removeprefix("http://").split(":")
@@ -102,6 +103,7 @@ class Proxy:
         self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
         self._open: list[socket.socket] = []
         self._shut = False
+        self._frozen: set[socket.socket] = set()
         self.connections = 0
         threading.Thread(target=self._accept, daemon=True).start()
 
@@ -120,11 +122,11 @@ class Proxy:
             for one, other in ((near, far), (far, near)):
                 threading.Thread(target=self._pump, args=(one, other), daemon=True).start()
 
-    @staticmethod
-    def _pump(one: socket.socket, other: socket.socket) -> None:
+    def _pump(self, one: socket.socket, other: socket.socket) -> None:
         try:
             while data := one.recv(1 << 16):
-                other.sendall(data)
+                if one not in self._frozen:
+                    other.sendall(data)
         except OSError:
             pass
         for end in (one, other):
@@ -140,6 +142,9 @@ class Proxy:
             except OSError:
                 pass
         self._open = []
+
+    def freeze(self) -> None:
+        self._frozen |= set(self._open)
 
     def shut(self, shut: bool = True) -> None:
         self._shut = shut

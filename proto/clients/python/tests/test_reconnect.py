@@ -86,6 +86,22 @@ def test_a_stream_says_where_handles_are_after_it_was_opened_anew(held: pliant.S
         assert np.allclose(both[head], turned[head], atol=1e-6)
 
 
+def test_a_server_that_stands_still_is_left_by_calls_and_streams(held: pliant.Session, proxy: Proxy) -> None:
+    with held.stream() as stream:
+        stream.send(TURN)
+        stream.wait(timeout=30)
+        proxy.freeze()
+        # Nothing is closed and nothing is refused: only signs of life that do not come tell it.
+        stream.send({"head": {"rotation_vector": (0, 0.5, 0)}})
+        assert stream.wait(timeout=45).seq == 2
+        assert stream.reconnects > 0
+        proxy.freeze()
+        before = proxy.connections
+        assert held.solve(TURN).shape == (held.vertices, 3)
+        assert proxy.connections > before
+    assert [c.kind for c in held.history()] == ["create", "handles", "pose"]
+
+
 def test_patience_ends(creature: Path, proxy: Proxy) -> None:
     session = pliant.open(creature, server=proxy.url, way={"patience": 0.4})
     hold(session)

@@ -3,7 +3,7 @@
 import { PliantError } from "./errors.js";
 
 /** Pauses between tries, in milliseconds; the last one repeats. */
-const PAUSES = [100, 250, 500, 1000, 2000, 4000];
+const PAUSES = [100, 250, 500, 1000];
 
 /** Tries of one thing. */
 export class Attempts {

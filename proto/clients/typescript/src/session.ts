@@ -239,7 +239,7 @@ export class Session {
     const path = this.path("/stream");
     const route = {
       connect: () => this.transport.socket(path),
-      probe: () => this.refresh({ patience: 0 }),
+      probe: () => this.told(this.transport.probe(SessionSchema, this.path(""))),
       known: () => this.known,
     };
     return new Stream(route, options, events, patience);

@@ -12,6 +12,7 @@
  */
 
 import { create, fromBinary, toBinary } from "@bufbuild/protobuf";
+import { SIGN_OF_LIFE_MS, SILENCE_MS } from "./alive.js";
 import { Attempts } from "./attempts.js";
 import { PliantError, statusName } from "./errors.js";
 import type { FrameFacts } from "./frames.js";
@@ -51,15 +52,14 @@ export interface StreamTotals {
 /** How a stream reaches its session. */
 export interface StreamRoute {
   connect: () => WebSocket;
-  /** Asks whether the session is there, without the socket. */
+  /** Asks whether the session is there, without the socket, and fails where nobody is. */
   probe: () => Promise<Facts>;
   /** The newest revision that calls beside the stream were told of. */
   known: () => number;
 }
 
-/** Silence after which a sign of life is asked for, and how long it may take. */
-const SILENCE_MS = 15_000;
-const PATIENCE_MS = 10_000;
+/** Between two looks at the silence. */
+const BEAT_MS = 1_000;
 /** Bytes in the socket above which poses wait here, where they can still be replaced. */
 const BACKLOG = 64 << 10;
 
@@ -92,7 +92,7 @@ export class Stream {
   ) {
     this.attempts = new Attempts(patience);
     this.revision = route.known();
-    this.pulse = setInterval(() => this.beat(), 5_000);
+    this.pulse = setInterval(() => this.beat(), BEAT_MS);
     this.open();
   }
 
@@ -376,18 +376,21 @@ export class Stream {
     }
   }
 
-  /** Notices a connection that died without a word. */
+  /** Notices a connection that died without a word, a server that stands still, and a socket that neither opens nor fails. */
   private beat(): void {
     const { socket } = this;
-    if (socket === undefined || this.current !== "open") {
+    if (socket === undefined) {
       return;
     }
     const now = Date.now();
-    if (this.askedAt > 0 && now - this.askedAt > PATIENCE_MS) {
-      socket.close();
-      // The closing handshake of a dead connection takes long.
+    const owes = socket.readyState === socket.OPEN ? this.askedAt : this.heardAt;
+    if (owes > 0 && now - owes > SIGN_OF_LIFE_MS) {
+      // The closing handshake of a dead connection takes long, and one that never opened fails at once: neither is waited for.
       this.socket = undefined;
+      socket.close();
       this.lose(new PliantError("UNREACHABLE", "the connection gives no sign of life"));
+    } else if (socket.readyState !== socket.OPEN) {
+      return;
     } else if (this.askedAt === 0 && now - this.heardAt > SILENCE_MS) {
       this.askedAt = now;
       this.send({ case: "ping", value: { nonce: BigInt(now) } });

@@ -6,6 +6,7 @@
 
 import type { DescMessage, MessageInitShape, MessageShape } from "@bufbuild/protobuf";
 import { create, fromJson, toJson } from "@bufbuild/protobuf";
+import { whileAlive } from "./alive.js";
 import { Attempts, newKey, pause } from "./attempts.js";
 import { PliantError, problemOf } from "./errors.js";
 import { MOST_HOPS, type Place, Places } from "./places.js";
@@ -40,8 +41,8 @@ export interface CallOptions {
   patience?: number;
 }
 
-/** What a call sends along. */
-type Sent = CallOptions & { body?: BodyInit; json?: unknown };
+/** What a call sends along; one that is `watched` fails where its server gives no sign of life any more. */
+type Sent = CallOptions & { body?: BodyInit; json?: unknown; watched?: boolean };
 
 /** The part of an upload that has gone out, 0 to 1. */
 export type Progress = (fraction: number) => void;
@@ -75,6 +76,15 @@ export class Transport {
   /** A call whose answer is a message. */
   async message<D extends DescMessage>(answer: D, method: string, path: string, call: Sent = {}): Promise<MessageShape<D>> {
     return parse(answer, await this.read(method, path, "application/json", call, (response) => response.text()));
+  }
+
+  /**
+   * Asks for a message once, and gives up where whoever is asked stands still. Other calls wait: a page has few connections to a
+   * server, and where all of them are in use no sign of life can be asked for.
+   */
+  async probe<D extends DescMessage>(answer: D, path: string): Promise<MessageShape<D>> {
+    const response = await this.call("GET", path, "application/json", { watched: true });
+    return parse(answer, await textOf(response));
   }
 
   /** A call whose answer is read by `read`. */
@@ -156,7 +166,7 @@ export class Transport {
     method: string,
     path: string,
     accept: string,
-    { body, json, signal, idempotencyKey }: Sent,
+    { body, json, signal, idempotencyKey, watched }: Sent,
     more: Record<string, string> = {},
   ): Promise<Response> {
     const headers: Record<string, string> = { ...this.headers, accept, ...more };
@@ -179,7 +189,10 @@ export class Transport {
       const shown = this.show(headers);
       point(headers, place, hops);
       try {
-        response = await this.fetch(place.url + path, init);
+        const sign = `${place.url}/v1/limits`;
+        response = watched
+          ? await whileAlive(this.fetch, [place.url + path, init], [sign, { headers: { ...headers } }])
+          : await this.fetch(place.url + path, init);
       } catch (error) {
         this.places.forget(path);
         throw unreachable(place.url, error);
