@@ -60,7 +60,7 @@ fn setting(text: &str, key: &str) -> Option<String> {
 }
 
 fn schema_checker() -> Option<PathBuf> {
-    program_of_package("kubernetes-schemas", SCHEMAS, "kubernetes-validate")
+    program_of_package("kubernetes-schemas", &[SCHEMAS], "kubernetes-validate")
 }
 
 fn fits_schema(checker: &Path, version: &str, file: &Path) -> Result<(), String> {

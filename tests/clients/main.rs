@@ -9,6 +9,7 @@ mod pages;
 mod python;
 #[path = "../support/mod.rs"]
 mod support;
+mod through_proxy;
 mod workflows;
 
 use std::sync::{Mutex, MutexGuard};

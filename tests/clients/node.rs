@@ -82,6 +82,14 @@ fn install(package: &str) -> Result<(), String> {
     Err(format!("the packages of {package} cannot be fetched"))
 }
 
+/// Installs and builds the TypeScript client, which the caller holds; why it cannot be had, if so.
+pub(super) fn build_typescript() -> Result<(), String> {
+    let package = "proto/clients/typescript";
+    install(package)?;
+    npm(package, "build");
+    Ok(())
+}
+
 /// Runs a script of a package to its end.
 fn npm(package: &str, script: &str) -> String {
     let mut npm = Command::new("npm");

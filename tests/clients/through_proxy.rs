@@ -1,213 +1,184 @@
-//! Three nodes behind HAProxy, as `deploy/haproxy.cfg` sets it up: sessions are dragged and committed through the proxy while nodes are
-//! killed, drained and stopped past their leases. What was acknowledged is there once, with the bits of a single server.
+//! Three nodes behind HAProxy, as `deploy/haproxy.cfg` sets it up: sessions are dragged and committed through the proxy by the clients for
+//! Python and TypeScript as they are, and by this program, while nodes are killed, drained and stopped past their leases, and the
+//! database goes away. What was acknowledged is there once, with the bits of a single server.
+//!
+//! `PLIANT_FAULTS` says how many faults there are, on 24 sessions; the suite has three, on six.
 
-use super::{LEASE, signal};
-use crate::durable::place::StorePlace;
-use crate::durable::{bar_session, path, seen, turn};
+mod driver;
+mod own;
+
+use crate::node::tell;
+use crate::support::bucket::TestBucket;
+use crate::support::haproxy::{HaProxy, free_port};
+use crate::support::place::StorePlace;
+use crate::support::postgres::PostgresServer;
 use crate::support::program::ServedProgram;
-use crate::support::server::{Socket, bar_obj, ends, http, turn_json, turned, within};
-use futures::{SinkExt as _, StreamExt as _};
+use crate::support::server::{bar_obj, ends, eventually, http, turn_json};
+use driver::Driver;
+use own::OwnDriver;
 use pliant::server::grpc::client::DeformerClient;
-use pliant::wire::pb::{self, deform_request, deform_response};
-use prost::Message as _;
+use pliant::wire::pb;
+use serde::Deserialize;
 use serde_json::{Value, json};
-use std::net::TcpListener;
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::time::{Duration, Instant};
-use tokio_tungstenite::tungstenite::Message;
 
 const NAMES: [&str; 3] = ["a", "b", "c"];
-/// A stream is to be back within this time.
-const BACK: Duration = Duration::from_secs(5);
+const LEASE: Duration = Duration::from_secs(1);
+/// How long the database is away.
+const AWAY: Duration = Duration::from_secs(10);
+/// From the end of one fault to the next.
+const BETWEEN: Duration = Duration::from_secs(3);
 
-/// A running proxy. Dropping it ends it.
-struct Proxy(Child);
-
-impl Drop for Proxy {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// What happens to nodes and database.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Fault {
+    /// A node is killed with SIGKILL, and started again.
+    Kill,
+    /// A node is asked to stop, ends by itself, and is started again.
+    Drain,
+    /// A node is stopped where it is, past its lease, and wakes up as somebody whose sessions others have; meanwhile another one is killed.
+    Stop,
+    /// The database crashes and comes back after a while.
+    DatabaseAway,
 }
 
-/// A port that nobody uses at the moment.
-fn free_port() -> u16 {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-    listener.local_addr().expect("an address").port()
+/// One round of faults of the long run.
+const ROUND: [Fault; 8] = [
+    Fault::Kill,
+    Fault::Drain,
+    Fault::Stop,
+    Fault::Kill,
+    Fault::Stop,
+    Fault::Drain,
+    Fault::Kill,
+    Fault::DatabaseAway,
+];
+
+/// What came back of one session.
+#[derive(Debug, Deserialize)]
+struct Driven {
+    id: String,
+    /// Acknowledged commits: how far the bar was turned, and the revision that this made.
+    commits: Vec<(f64, u64)>,
+    /// Poses that were answered.
+    answers: u64,
+    /// The longest that its stream owed a frame, in seconds: over a cut, from the pose before it to the frame after it.
+    away: f64,
+    /// How often its stream was looked for anew.
+    reconnects: u64,
 }
 
-/// Starts HAProxy with the file of `deploy/`, on this port and before nodes on these; `None` where it is not installed.
-fn proxy(place: &StorePlace, port: u16, nodes: [u16; 3]) -> Option<Proxy> {
-    let program = ["/usr/sbin/haproxy", "/usr/bin/haproxy"]
-        .into_iter()
-        .find(|p| Path::new(p).exists());
-    let Some(program) = program else {
-        println!("SKIPPED: HAProxy is not installed (apt-get install haproxy); nodes were not called through it");
-        return None;
-    };
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/haproxy.cfg");
-    let mut text = std::fs::read_to_string(file).expect("the file of deploy/");
-    text = text.replace("bind :7411\n", &format!("bind 127.0.0.1:{port}\n"));
-    for (k, node) in nodes.iter().enumerate() {
-        let told = format!("10.0.0.{}:7411", 5 + k);
-        assert!(text.contains(&told), "deploy/haproxy.cfg names {told}");
-        text = text.replace(&told, &format!("127.0.0.1:{node}"));
-    }
-    let config = place.top().join("haproxy.cfg");
-    std::fs::write(&config, text).expect("written");
-    let checked = Command::new(program).args(["-c", "-q", "-f"]).arg(&config).status();
-    assert!(
-        checked.expect("haproxy runs").success(),
-        "deploy/haproxy.cfg can be read"
-    );
-    let log = std::fs::File::create(place.top().join("haproxy.log")).expect("a log");
-    let child = Command::new(program)
-        .args(["-db", "-f"])
-        .arg(&config)
-        .stdout(Stdio::null())
-        .stderr(log)
-        .spawn();
-    Some(Proxy(child.expect("haproxy starts")))
+/// The nodes, and the proxy before them.
+struct Cluster {
+    place: StorePlace,
+    database: Arc<PostgresServer>,
+    proxy: HaProxy,
+    ports: [u16; 3],
+    nodes: [Option<ServedProgram>; 3],
+    starts: u32,
 }
 
-/// A node on a port of its own, under the proxy's address.
-fn node(place: &StorePlace, (name, own): (&str, u16), proxy: u16) -> ServedProgram {
-    let (listen, advertise) = (format!("127.0.0.1:{own}"), format!("http://127.0.0.1:{proxy}"));
-    let told = [
-        "--advertise",
-        &advertise,
-        "--node",
-        name,
-        "--lease",
-        "1s",
-        "--heartbeat",
-        "200ms",
-    ];
-    let told = [&told[..], &["--drain-deadline", "5s", "--listen", &listen]].concat();
-    let log = format!("log-{name}-{}", std::process::id());
-    place
-        .start_logged(&log, place.database().map(|d| d.url.as_str()), &told)
-        .expect("the node starts")
-}
-
-/// Makes a call until it is answered; calls that change something carry a key, so that they happen once.
-async fn insist(url: &str, (method, rest): (&str, &str), body: Option<&Value>, key: &str) -> Value {
-    let since = Instant::now();
-    loop {
-        let mut call = http().request(method.parse().expect("a method"), format!("{url}{rest}"));
-        if let Some(body) = body {
-            call = call.json(body);
-        }
-        if !key.is_empty() {
-            call = call.header("idempotency-key", key);
-        }
-        let answer = tokio::time::timeout(Duration::from_secs(4), call.send()).await;
-        if let Ok(Ok(answer)) = answer {
-            let status = answer.status().as_u16();
-            if status < 300 {
-                return answer.json().await.unwrap_or(Value::Null);
-            }
-            let may_pass = [307, 409, 429, 500, 502, 503, 504].contains(&status);
-            assert!(
-                may_pass,
-                "{method} {rest}: {status} {}",
-                answer.text().await.unwrap_or_default()
-            );
-        }
-        assert!(
-            since.elapsed() < Duration::from_secs(40),
-            "{method} {rest} is not answered any more"
-        );
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
-}
-
-/// Opens a stream where the session is: a call finds that out, as the clients do, since a socket's refusal says little.
-async fn open_stream(url: &str, id: &str) -> Option<Socket> {
-    let asked = http()
-        .get(format!("{url}{}", path(id, "")))
-        .header("x-pliant-hops", "0")
-        .send();
-    let told = tokio::time::timeout(Duration::from_secs(1), asked).await.ok()?.ok()?;
-    let node = told
-        .headers()
-        .get("x-pliant-node")
-        .and_then(|node| node.to_str().ok())
-        .map(str::to_owned);
-    let named = node.map(|node| format!("?pliant-node={node}")).unwrap_or_default();
-    let address = format!("{}{}{named}", url.replace("http", "ws"), path(id, "/stream"));
-    let opened = tokio::time::timeout(Duration::from_secs(1), tokio_tungstenite::connect_async(address)).await;
-    Some(Socket {
-        stream: opened.ok()?.ok()?.0,
-    })
-}
-
-/// Sends a pose, waits for its last frame and acknowledges it; `None` where the stream has ended, or its node is about to stop.
-async fn try_drag(socket: &mut Socket, pose: pb::Pose) -> Option<()> {
-    let seq = pose.seq;
-    say(socket, deform_request::Message::Pose(pose)).await?;
-    loop {
-        let Message::Binary(bytes) = socket.stream.next().await?.ok()? else {
-            continue;
+impl Cluster {
+    /// `None` where PostgreSQL or HAProxy is missing.
+    async fn start() -> Option<Self> {
+        let database = PostgresServer::start()?;
+        let place = StorePlace::in_database_and(database.database().await, TestBucket::serve().await);
+        let ports = [free_port(), free_port(), free_port()];
+        let mut cluster = Self {
+            proxy: HaProxy::start(place.top(), ports)?,
+            place,
+            database,
+            ports,
+            nodes: [None, None, None],
+            starts: 0,
         };
-        match pb::DeformResponse::decode(bytes).ok()?.message? {
-            deform_response::Message::Frame(frame) if frame.r#final && frame.seq == seq => break,
-            deform_response::Message::Error(_) | deform_response::Message::Notice(_) => return None,
-            _ => {}
+        for k in 0..NAMES.len() {
+            cluster.start_node(k);
         }
+        Some(cluster)
     }
-    say(socket, deform_request::Message::Ack(pb::Ack { seq })).await
-}
 
-async fn say(socket: &mut Socket, message: deform_request::Message) -> Option<()> {
-    let request = pb::DeformRequest {
-        session_id: String::new(),
-        message: Some(message),
-    };
-    let bytes = request.encode_to_vec().into();
-    socket.stream.send(Message::Binary(bytes)).await.ok()
-}
+    /// Starts a node on its port, under the proxy's address.
+    fn start_node(&mut self, k: usize) {
+        let listen = format!("127.0.0.1:{}", self.ports[k]);
+        let who = ["--advertise", &self.proxy.url, "--node", NAMES[k], "--listen", &listen];
+        let how = ["--lease", "1s", "--heartbeat", "200ms", "--drain-deadline", "5s"];
+        let told = [&who[..], &how[..], &["--history", "10000"]].concat();
+        let database = self.place.database().map(|d| d.url.as_str());
+        // One that does not come up is started again, as by whoever looks after nodes; ten times are a fault.
+        let started = (0..10).find_map(|attempt| {
+            self.starts += 1;
+            let log = format!("log-{}-{}", NAMES[k], self.starts);
+            let started = self.place.start_logged(&log, database, &told);
+            started
+                .inspect_err(|why| println!("node {}, start {attempt}: {why}", NAMES[k]))
+                .ok()
+        });
+        self.nodes[k] = Some(started.expect("the node starts"));
+    }
 
-/// Drags until it is told to stop; the longest time that the stream was away.
-async fn keep_dragging(url: String, id: String, stop: Arc<AtomicBool>) -> Duration {
-    let (mut longest, mut since, mut seq) = (Duration::ZERO, Instant::now(), 0);
-    let mut socket: Option<Socket> = None;
-    while !stop.load(SeqCst) {
-        let Some(open) = &mut socket else {
-            socket = open_stream(&url, &id).await;
-            seq = 0;
-            tokio::time::sleep(Duration::from_millis(30)).await;
-            continue;
-        };
-        seq += 1;
-        let pose = turned(seq, 0.01 * (seq % 50) as f64, false);
-        // One that says nothing for so long is looked for anew, as the clients do.
-        match tokio::time::timeout(Duration::from_millis(1500), try_drag(open, pose)).await {
-            Ok(Some(())) => {
-                longest = longest.max(since.elapsed());
-                since = Instant::now();
-                tokio::time::sleep(Duration::from_millis(20)).await;
+    fn take(&mut self, k: usize) -> ServedProgram {
+        self.nodes[k].take().expect("a node")
+    }
+
+    fn node(&self, k: usize) -> &ServedProgram {
+        self.nodes[k].as_ref().expect("a node")
+    }
+
+    /// The node that has the most sessions: what happens to it is felt.
+    async fn fullest(&self) -> usize {
+        let mut most = (0, -1.0);
+        for k in 0..NAMES.len() {
+            let sessions = metric(self.node(k), "pliant_sessions ").await;
+            if sessions > most.1 {
+                most = (k, sessions);
             }
-            _ => socket = None,
+        }
+        most.0
+    }
+
+    async fn suffer(&mut self, fault: Fault) {
+        let victim = self.fullest().await;
+        match fault {
+            Fault::Kill => {
+                self.take(victim).kill();
+                tokio::time::sleep(LEASE / 2).await;
+                self.start_node(victim);
+            }
+            Fault::Drain => {
+                self.take(victim).stop().await;
+                self.start_node(victim);
+            }
+            Fault::Stop => {
+                self.node(victim).signal("-STOP");
+                tokio::time::sleep(LEASE * 2).await;
+                let other = (victim + 1) % NAMES.len();
+                self.take(other).kill();
+                self.start_node(other);
+                tokio::time::sleep(LEASE).await;
+                self.node(victim).signal("-CONT");
+                let stale = self.node(victim);
+                eventually("it knows that others have its sessions", async || {
+                    metric(stale, "pliant_sessions_lost_total").await > 0.0
+                })
+                .await;
+            }
+            Fault::DatabaseAway => {
+                self.database.crash();
+                tokio::time::sleep(AWAY).await;
+                self.database.go_on();
+            }
         }
     }
-    longest.max(since.elapsed())
 }
 
-/// Commits until it is told to stop, each under its key; the angles that were acknowledged.
-async fn keep_committing(url: String, id: String, stop: Arc<AtomicBool>) -> Vec<f64> {
-    let mut angles = Vec::new();
-    while !stop.load(SeqCst) {
-        let angle = 0.02 * ((angles.len() * 7) % 40) as f64 - 0.4;
-        let key = format!("{id}-{}", angles.len());
-        insist(&url, ("POST", &path(&id, "/solve")), Some(&turn_json(angle)), &key).await;
-        angles.push(angle);
-        tokio::time::sleep(Duration::from_millis(80)).await;
-    }
-    angles
+/// A figure of `/metrics`.
+async fn metric(node: &ServedProgram, name: &str) -> f64 {
+    let asked = http().get(format!("{}/metrics", node.url)).send().await;
+    let text = asked.expect("an answer").text().await.expect("a text");
+    let line = text.lines().find(|line| line.starts_with(name));
+    line.and_then(|l| l.rsplit(' ').next()?.parse().ok()).unwrap_or(0.0)
 }
 
 /// The id of a session as gRPC tells it: the call goes where its session hashes to, and from there to the node that has it.
@@ -230,91 +201,120 @@ async fn told_by_grpc(url: &str, id: &str) -> String {
     panic!("sent around");
 }
 
-#[tokio::test(flavor = "multi_thread")]
+/// What a single server makes of the same commits.
+async fn history_alone(single: &ServedProgram, commits: &[(f64, u64)]) -> Value {
+    let id = single.open(bar_obj(12), "").await;
+    let path = |rest: &str| format!("/v1/sessions/{id}{rest}");
+    let handles = json!({"handles": ends()});
+    single.done("PUT", &path("/handles"), Some(&handles)).await;
+    for (angle, _) in commits {
+        single.done("POST", &path("/solve"), Some(&turn_json(*angle))).await;
+    }
+    single.done("GET", &path("/history"), None).await
+}
+
+/// The revisions that poses made.
+fn revisions(history: &Value) -> Vec<u64> {
+    let commits = history["commits"].as_array().expect("commits").iter();
+    let poses = commits.filter(|commit| commit["kind"] == "pose");
+    let number = |value: &Value| value.as_u64().or_else(|| value.as_str()?.parse().ok());
+    poses
+        .map(|commit| number(&commit["revision"]).expect("a number"))
+        .collect()
+}
+
+/// Faults one after the other, and how many sessions suffer them.
+fn plan() -> (Vec<Fault>, usize) {
+    let asked = std::env::var("PLIANT_FAULTS").ok();
+    let asked: Option<usize> = asked.map(|text| text.parse().expect("PLIANT_FAULTS is a number"));
+    match asked {
+        Some(faults) => (ROUND.into_iter().cycle().take(faults).collect(), 24),
+        None => (ROUND[..3].to_vec(), 6),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn sessions_outlive_their_nodes_behind_a_proxy() {
-    let Some(place) = StorePlace::remote().await else {
+    let Some(mut cluster) = Cluster::start().await else {
         return;
     };
-    let front = free_port();
-    let own = [free_port(), free_port(), free_port()];
-    let Some(_proxy) = proxy(&place, front, own) else {
-        return;
-    };
-    let mut nodes: Vec<Option<ServedProgram>> = Vec::new();
-    for (name, own) in NAMES.into_iter().zip(own) {
-        nodes.push(Some(node(&place, (name, own), front)));
+    let (faults, sessions) = plan();
+    let url = cluster.proxy.url.clone();
+    // A third each, and what is missing here is left to the others.
+    let mut drivers = Vec::new();
+    for start in [Driver::python, Driver::typescript] {
+        drivers.extend(tokio::task::block_in_place(|| {
+            start(&url, cluster.place.top(), sessions / 3)
+        }));
     }
-    let url = format!("http://127.0.0.1:{front}");
-    let mut ids = Vec::new();
-    for k in 0..6 {
-        let since = Instant::now();
-        let session: Value = loop {
-            let sent = http()
-                .post(format!("{url}/v1/sessions"))
-                .header("idempotency-key", format!("create-{k}"));
-            match within("a session", sent.body(bar_obj(12)).send()).await {
-                Ok(answer) if answer.status().is_success() => break answer.json().await.expect("JSON"),
-                _ => assert!(since.elapsed() < Duration::from_secs(20), "no session"),
-            }
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        };
-        let id = session["id"].as_str().expect("an id").to_owned();
-        insist(
-            &url,
-            ("PUT", &path(&id, "/handles")),
-            Some(&json!({"handles": ends()})),
-            &format!("hold-{k}"),
-        )
-        .await;
-        ids.push(id);
-    }
-    for id in &ids {
+    let own = OwnDriver::start(&url, sessions - drivers.len() * (sessions / 3)).await;
+    for id in &own.ids {
         assert_eq!(told_by_grpc(&url, id).await, *id);
     }
-    let stop = Arc::new(AtomicBool::new(false));
-    let mut drags = Vec::new();
-    let mut writers = Vec::new();
-    for (k, id) in ids.iter().enumerate() {
-        match k % 2 {
-            0 => writers.push(tokio::spawn(keep_committing(
-                url.clone(),
-                id.clone(),
-                Arc::clone(&stop),
-            ))),
-            _ => drags.push(tokio::spawn(keep_dragging(url.clone(), id.clone(), Arc::clone(&stop)))),
-        }
+    tokio::time::sleep(BETWEEN).await;
+    let begun = Instant::now();
+    for fault in &faults {
+        cluster.suffer(*fault).await;
+        tokio::time::sleep(BETWEEN).await;
     }
-    tokio::time::sleep(Duration::from_secs(2)).await;
-    nodes[0].take().expect("a node").kill();
-    tokio::time::sleep(Duration::from_secs(3)).await;
-    nodes[0] = Some(node(&place, (NAMES[0], own[0]), front));
-    nodes[1].take().expect("a node").stop().await;
-    tokio::time::sleep(Duration::from_secs(2)).await;
-    nodes[1] = Some(node(&place, (NAMES[1], own[1]), front));
-    let stale = nodes[2].as_ref().expect("a node");
-    signal(stale, "-STOP");
-    tokio::time::sleep(LEASE * 3).await;
-    signal(stale, "-CONT");
-    tokio::time::sleep(Duration::from_secs(3)).await;
-    stop.store(true, SeqCst);
-    for dragged in drags {
-        let longest = dragged.await.expect("no panic");
-        assert!(longest < BACK, "a stream was away for {longest:?}");
+    let took = begun.elapsed();
+    let mut all = own.finish().await;
+    for driver in drivers {
+        let (name, driven) = tokio::task::block_in_place(|| driver.finish());
+        tell(&figures(name, &driven));
+        all.extend(driven);
     }
+    tell(&format!(
+        "{} faults in {:.0} s: {}",
+        faults.len(),
+        took.as_secs_f64(),
+        figures("all", &all)
+    ));
+    assert_eq!(all.len(), sessions);
     let alone = StorePlace::folder().await.expect("a folder");
-    let single = alone.start(&[]);
-    for (written, id) in writers.into_iter().zip(ids.iter().step_by(2)) {
-        let angles = written.await.expect("no panic");
-        assert!(angles.len() > 10, "{} commits", angles.len());
-        let history = insist(&url, ("GET", &path(id, "/history")), None, "").await;
-        let reference = bar_session(&single).await;
-        for angle in &angles {
-            turn(&single, &reference, *angle).await;
-        }
-        let (_, expected, _) = seen(&single, &reference).await;
+    let single = alone.start(&["--history", "10000"]);
+    for driven in &all {
+        assert!(driven.commits.len() > faults.len(), "{driven:?}");
+        let asked = format!("/v1/sessions/{}/history", driven.id);
+        let history = own::insist(&url, ("GET", &asked), None, "").await;
+        let acknowledged: Vec<u64> = driven.commits.iter().map(|(_, revision)| *revision).collect();
         assert_eq!(
-            history, expected,
-            "each acknowledged commit is there once, with the same digest"
+            revisions(&history),
+            acknowledged,
+            "each acknowledged commit is there once, and no other"
+        );
+        assert_eq!(
+            history,
+            history_alone(&single, &driven.commits).await,
+            "with the digests of a single server"
         );
     }
+    // Nothing lies beside what histories tell, and every shape can be made again.
+    for k in 0..NAMES.len() {
+        cluster.take(k).stop().await;
+    }
+    let rows: usize = all.iter().map(|driven| driven.commits.len() + 2).sum();
+    assert_eq!(
+        cluster.place.count("commits").await,
+        rows as i64,
+        "no stale write has landed"
+    );
+    let checked = cluster.place.store(&["check", "--replay"]);
+    assert_eq!(checked.code, 0, "{}{}", checked.out, checked.err);
+}
+
+/// What came back, in one line.
+fn figures(of: &str, driven: &[Driven]) -> String {
+    let mut away: Vec<f64> = driven.iter().map(|d| d.away).collect();
+    away.sort_by(f64::total_cmp);
+    format!(
+        "{of}: {} sessions, {} commits acknowledged, {} poses answered, {} looks for a new stream, longest absence of \
+         a stream {:.1} s (median of sessions {:.1} s)",
+        driven.len(),
+        driven.iter().map(|d| d.commits.len()).sum::<usize>(),
+        driven.iter().map(|d| d.answers).sum::<u64>(),
+        driven.iter().map(|d| d.reconnects).sum::<u64>(),
+        away.last().copied().unwrap_or_default(),
+        away.get(away.len() / 2).copied().unwrap_or_default(),
+    )
 }

@@ -49,26 +49,27 @@ pub(super) fn fetched(command: &mut Command) -> Option<()> {
     ];
     let is_unreachable = is_offline(&told) || pip_lacks.iter().any(|sign| told.contains(sign));
     assert!(is_unreachable, "{command:?}: {told}");
-    tell("SKIPPED: the programs that check workflows cannot be fetched");
+    tell("SKIPPED: packages cannot be fetched");
     None
 }
 
 /// The program that holds files against schemas.
 fn schema_checker() -> Option<PathBuf> {
-    program_of_package("workflow-schemas", SCHEMAS, "check-jsonschema")
+    program_of_package("workflow-schemas", &[SCHEMAS], "check-jsonschema")
 }
 
-/// A program of a Python package, in an environment of its own under `target/` that is made where it is not there yet.
-pub(super) fn program_of_package(environment: &str, package: &str, program: &str) -> Option<PathBuf> {
+/// A program of Python packages, in an environment of its own under `target/` that is made where it is not there yet.
+pub(super) fn program_of_package(environment: &str, packages: &[&str], program: &str) -> Option<PathBuf> {
     let home = root().join("target").join(environment);
     let program = home.join("bin").join(program);
     let stamp = home.join("stamp");
-    if fs::read_to_string(&stamp).is_ok_and(|had| had == package) {
+    if fs::read_to_string(&stamp).is_ok_and(|had| had == packages.join("\n")) {
         return Some(program);
     }
     fetched(Command::new("python3").args(["-m", "venv"]).arg(&home))?;
-    fetched(Command::new(home.join("bin/pip")).args(["install", "-q", "--disable-pip-version-check", package]))?;
-    fs::write(stamp, package).expect("target can be written");
+    let install = ["install", "-q", "--disable-pip-version-check"];
+    fetched(Command::new(home.join("bin/pip")).args(install).args(packages))?;
+    fs::write(stamp, packages.join("\n")).expect("target can be written");
     Some(program)
 }
 

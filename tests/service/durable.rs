@@ -1,5 +1,6 @@
 //! Sessions with a folder: nothing that was acknowledged is lost, whatever happens to the process, and nothing damaged is served.
 
+pub use crate::support::place;
 use crate::support::program::ServedProgram;
 use crate::support::server::{bar_obj, ends, turn_json};
 use serde_json::{Value, json};
@@ -15,7 +16,6 @@ mod idle;
 mod leaving;
 mod looking;
 mod moved;
-pub mod place;
 mod restart;
 mod restored;
 mod tight_memory;

@@ -5,7 +5,6 @@ use crate::durable::place::StorePlace;
 use crate::support::program::ServedProgram;
 use crate::support::server::{Came, Socket, within};
 use pliant::wire::pb::{self, deform_request, deform_response};
-use std::process::Command;
 use std::time::Duration;
 
 mod database_away;
@@ -13,7 +12,6 @@ mod database_share;
 mod going_and_coming;
 mod sent_on;
 mod stale_writes;
-mod through_proxy;
 
 /// How long nodes of tests keep their sessions without a word.
 const LEASE: Duration = Duration::from_secs(1);
@@ -48,12 +46,6 @@ fn unmoved() -> reqwest::Client {
     let none = reqwest::redirect::Policy::none();
     let client = reqwest::Client::builder().no_proxy().redirect(none).build();
     client.expect("a client")
-}
-
-/// Stops a process where it is, or lets it go on.
-fn signal(program: &ServedProgram, name: &str) {
-    let done = Command::new("kill").args([name, &program.id().to_string()]).status();
-    assert!(done.expect("kill runs").success());
 }
 
 /// The status of a call that this node answers by itself, asked again for as long as it is unavailable or at another node.

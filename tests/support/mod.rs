@@ -1,5 +1,5 @@
 //! What the tests of this repository share. Each group of tests includes it and uses a part of it.
-#![allow(dead_code)]
+#![allow(dead_code, unused_imports, unused_macros)]
 
 pub mod bench;
 pub mod book;
@@ -10,8 +10,10 @@ pub mod draw;
 pub mod fbx_text;
 pub mod gltf_parsed;
 pub mod gltf_sets;
+pub mod haproxy;
 pub mod khronos;
 pub mod messages;
+pub mod place;
 pub mod postgres;
 pub mod postgres_proxy;
 pub mod process;

@@ -1,8 +1,8 @@
 //! The places where sessions are kept, for tests that hold in all of them.
 
-use crate::support::bucket::TestBucket;
-use crate::support::postgres::{PostgresServer, TestDatabase};
-use crate::support::program::ServedProgram;
+use super::bucket::TestBucket;
+use super::postgres::{PostgresServer, TestDatabase};
+use super::program::ServedProgram;
 use sqlx::{AnyConnection, Connection as _, Row as _};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -226,7 +226,7 @@ async fn tamper_at(url: &str, statement: &str) {
 macro_rules! in_every_store {
     ($($law:ident),+ $(,)?) => {$(
         mod $law {
-            use super::super::place::StorePlace;
+            use crate::support::place::StorePlace;
 
             #[tokio::test(flavor = "multi_thread")]
             async fn sqlite() {
@@ -251,4 +251,4 @@ macro_rules! in_every_store {
         }
     )+};
 }
-pub(super) use in_every_store;
+pub(crate) use in_every_store;

@@ -91,10 +91,15 @@ impl ServedProgram {
         self.child.wait().expect("it ends");
     }
 
+    /// Sends it a signal, such as `-STOP`, which stops it where it is, and `-CONT`, which lets it go on.
+    pub fn signal(&self, name: &str) {
+        let done = Command::new("kill").args([name, &self.id().to_string()]).status();
+        assert!(done.expect("kill runs").success());
+    }
+
     /// Asks it to stop, and returns at once.
     pub fn ask_to_stop(&self) {
-        let asked = Command::new("kill").args(["-TERM", &self.id().to_string()]).status();
-        assert!(asked.expect("kill runs").success());
+        self.signal("-TERM");
     }
 
     /// Asks it to stop and waits for its end, which has to be a good one.

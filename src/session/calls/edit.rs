@@ -46,17 +46,21 @@ impl Manager {
 
     /// A session's model in its current shape.
     async fn export_files(&self, tenant: &Tenant, id: &str) -> Result<FileSet, Error> {
-        let named = |e: Error| match e.code {
-            ErrorCode::NotFound => Error {
+        let named = |e: Error| match (e.code, &e.owner) {
+            (ErrorCode::NotFound, _) => Error {
                 field: Some("merge.session".into()),
                 ..e
             },
             // Who asks must not go there with this call: it is about a session that is here.
-            ErrorCode::Unavailable if e.owner.is_some() => Error {
+            (ErrorCode::Unavailable, Some(owner)) => Error {
                 field: Some("merge.session".into()),
                 ..Error::new(
                     ErrorCode::FailedPrecondition,
-                    format!("merge.session: \"{id}\" is at another node; export its model and merge that"),
+                    format!(
+                        "merge.session: \"{id}\" is at another node, \"{}\" at {}; export its model, which the call for that \
+                         finds there, and merge the model",
+                        owner.node, owner.address
+                    ),
                 )
             },
             _ => e,

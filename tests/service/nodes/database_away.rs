@@ -1,11 +1,51 @@
 //! The database away for a while: what is in memory goes on, what changes something is refused, and everything recovers by itself.
+//!
+//! It is away for two leases; with `PLIANT_FAULTS`, as in the long run of the clients' test, for ten seconds.
 
 use super::{LEASE, answered, drag, node_at, stream};
 use crate::durable::place::StorePlace;
 use crate::durable::{bar_session, path, seen, turn};
 use crate::support::bucket::TestBucket;
 use crate::support::postgres::PostgresServer;
-use crate::support::server::{eventually, turn_json, turned};
+use crate::support::postgres_proxy::PostgresProxy;
+use crate::support::program::ServedProgram;
+use crate::support::server::{Socket, eventually, turn_json, turned};
+use std::time::{Duration, Instant};
+
+/// How long the database is away.
+fn away() -> Duration {
+    match std::env::var_os("PLIANT_FAULTS") {
+        Some(_) => Duration::from_secs(10),
+        None => LEASE * 2,
+    }
+}
+
+/// Drags for as long as the database is away, and at least twenty poses.
+async fn drag_meanwhile(dragged: &mut Socket) {
+    let since = Instant::now();
+    let mut seq = 0;
+    while since.elapsed() < away() || seq < 20 {
+        seq += 1;
+        let pose = turned(seq, 0.01 * (seq % 50) as f64, false);
+        drag(dragged, pose).await.expect("a frame");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+/// Each session takes commits again where it was, and has this many.
+async fn goes_on(nodes: [(&ServedProgram, &str); 2], commits: [usize; 2]) {
+    for ((node, id), had) in nodes.into_iter().zip(commits) {
+        eventually("a commit is taken again", async || {
+            node.call("POST", &path(id, "/solve"), Some(&turn_json(0.5))).await.0 == 200
+        })
+        .await;
+        // Each is where it was: nobody asked for it elsewhere.
+        assert_eq!(answered(node, &path(id, "")).await, 200);
+        let history = node.done("GET", &path(id, "/history"), None).await;
+        let commits = history["commits"].as_array().map(Vec::len);
+        assert_eq!(commits, Some(had + 1), "{history}");
+    }
+}
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nodes_outlive_a_database_that_is_away_for_longer_than_their_leases() {
@@ -19,11 +59,7 @@ async fn nodes_outlive_a_database_that_is_away_for_longer_than_their_leases() {
     let before = (seen(&a, &one).await, seen(&b, &other).await);
     let mut dragged = stream(&a, &one).await;
     server.crash();
-    tokio::time::sleep(LEASE * 2).await;
-    for seq in 1..=20 {
-        let pose = turned(seq, 0.01 * seq as f64, false);
-        drag(&mut dragged, pose).await.expect("a frame");
-    }
+    drag_meanwhile(&mut dragged).await;
     for (node, id) in [(&a, &one), (&b, &other)] {
         let (status, told) = node.call("POST", &path(id, "/solve"), Some(&turn_json(0.9))).await;
         assert_eq!((status, &told["code"]), (503, &"UNAVAILABLE".into()), "{told}");
@@ -34,14 +70,43 @@ async fn nodes_outlive_a_database_that_is_away_for_longer_than_their_leases() {
         "reading goes on"
     );
     server.go_on();
-    for (node, id) in [(&a, &one), (&b, &other)] {
-        eventually("a commit is taken again", async || {
-            node.call("POST", &path(id, "/solve"), Some(&turn_json(0.5))).await.0 == 200
-        })
-        .await;
-        // Each is where it was: nobody asked for it elsewhere.
-        assert_eq!(answered(node, &path(id, "")).await, 200);
-        let history = node.done("GET", &path(id, "/history"), None).await;
-        assert_eq!(history["commits"].as_array().map(Vec::len), Some(4), "{history}");
-    }
+    goes_on([(&a, &one), (&b, &other)], [3, 3]).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nodes_outlive_a_database_that_says_nothing_for_longer_than_their_leases() {
+    let Some(server) = PostgresServer::start() else { return };
+    let database = server.database().await;
+    let proxy = PostgresProxy::serve(&database);
+    let url = Some(database.through(proxy.socket()));
+    let place = StorePlace::in_database_and(database, TestBucket::serve().await);
+    let (a, b) = (node_at(&place, "a", url.clone()), node_at(&place, "b", url));
+    let (one, other) = (bar_session(&a).await, bar_session(&b).await);
+    turn(&a, &one, 0.3).await;
+    turn(&b, &other, 0.4).await;
+    let before = seen(&a, &one).await;
+    let mut dragged = stream(&a, &one).await;
+    proxy.set_silent(true);
+    let change = turn_json(0.9);
+    let asked = path(&other, "/solve");
+    let (_, (status, told)) = tokio::join!(drag_meanwhile(&mut dragged), async {
+        let answer = b.call("POST", &asked, Some(&change));
+        let silence = async {
+            tokio::time::sleep(away()).await;
+            proxy.set_silent(false);
+            std::future::pending().await
+        };
+        tokio::select! {
+            answer = answer => answer,
+            () = silence => unreachable!("it is pending"),
+        }
+    });
+    // It waits for the database, and may be just in time.
+    assert!(
+        status == 200 || (status, &told["code"]) == (503, &"UNAVAILABLE".into()),
+        "{status} {told}"
+    );
+    proxy.set_silent(false);
+    assert_eq!(seen(&a, &one).await, before, "reading goes on");
+    goes_on([(&a, &one), (&b, &other)], [3, 3 + usize::from(status == 200)]).await;
 }

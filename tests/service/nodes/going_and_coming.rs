@@ -1,6 +1,6 @@
 //! Nodes that are killed, stopped for a while or drained: what was acknowledged is at another one, once, and streams go on there.
 
-use super::{LEASE, answered, drag, node, signal, stream, unmoved};
+use super::{LEASE, answered, drag, node, stream, unmoved};
 use crate::durable::place::StorePlace;
 use crate::durable::{bar_session, metric, path, seen, turn};
 use crate::support::server::{Came, turned, within};
@@ -57,13 +57,13 @@ async fn a_node_that_was_stopped_past_its_lease_neither_writes_nor_tells_what_wa
     turn(&a, &id, 0.3).await;
     let mut dragged = stream(&a, &id).await;
     drag(&mut dragged, turned(1, 0.1, false)).await.expect("a frame");
-    signal(&a, "-STOP");
+    a.signal("-STOP");
     // It may be in the middle of anything; this commit was sent and nobody knows what became of it.
     dragged.send(deform_request::Message::Pose(turned(2, 0.7, true))).await;
     assert_eq!(answered(&b, &path(&id, "")).await, 200);
     turn(&b, &id, 0.6).await;
     let taken = seen(&b, &id).await;
-    signal(&a, "-CONT");
+    a.signal("-CONT");
     // Asked at once, before it can have noticed by itself.
     assert_eq!(seen(&a, &id).await, taken, "what the other node has");
     turn(&a, &id, 0.9).await;

@@ -4,9 +4,11 @@ use super::{node, node_with, unmoved};
 use crate::durable::place::StorePlace;
 use crate::durable::{bar_session, metric, path, seen, turn};
 use crate::support::server::{bar_obj, http, within};
+use base64::Engine as _;
+use base64::prelude::BASE64_STANDARD;
 use pliant::server::grpc::client::DeformerClient;
 use pliant::wire::pb;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_call_to_the_wrong_node_is_sent_to_the_right_one() {
@@ -101,7 +103,7 @@ async fn a_call_that_comes_twice_happens_once_wherever_it_comes_to() {
     }
     assert_eq!(place.count("sessions").await, 1);
     let id = first["id"].as_str().expect("an id").to_owned();
-    let handles = serde_json::json!({"handles": crate::support::server::ends()});
+    let handles = json!({"handles": crate::support::server::ends()});
     a.done("PUT", &path(&id, "/handles"), Some(&handles)).await;
     let solve = crate::support::server::turn_json(0.5);
     let mut revisions = Vec::new();
@@ -197,4 +199,32 @@ async fn a_new_session_goes_where_there_is_more_room() {
         .await
         .expect("an answer");
     assert_eq!(stays.status().as_u16(), 201);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_merge_with_a_session_of_another_node_says_where_that_is() {
+    let Some(place) = StorePlace::remote().await else {
+        return;
+    };
+    let (a, b) = (node(&place, "a"), node(&place, "b"));
+    let (here, there) = (bar_session(&a).await, bar_session(&b).await);
+    turn(&b, &there, 0.4).await;
+    let merge = |source: &str, value: &str| json!({"merge": {source: value, "how": "LOOSE"}});
+    let before = seen(&a, &here).await;
+    let merged = a
+        .call("POST", &path(&here, "/edits"), Some(&merge("session", &there)))
+        .await;
+    let (status, told) = merged;
+    assert_eq!((status, &told["code"]), (409, &"FAILED_PRECONDITION".into()), "{told}");
+    let said = told["detail"].as_str().unwrap_or_default();
+    assert!(said.contains(&b.url) && said.contains("\"b\""), "{told}");
+    assert_eq!(seen(&a, &here).await, before);
+    // What it says to do works, from the node that was asked first.
+    let model = format!("{}{}?format=obj", a.url, path(&there, "/model"));
+    let model = within("a model", http().get(model).send()).await.expect("an answer");
+    let model = BASE64_STANDARD.encode(model.bytes().await.expect("a body"));
+    a.done("POST", &path(&here, "/edits"), Some(&merge("model", &model)))
+        .await;
+    let after = a.done("GET", &path(&here, ""), None).await;
+    assert_ne!(after["vertices"], before.0["vertices"], "{after}");
 }
