@@ -310,7 +310,11 @@ impl SessionStore for DatabaseStore {
     }
 
     fn key(&self, tenant: Tenant, key: String) -> Stored<'_, Option<LoggedKey>> {
-        Box::pin(async move { reading::one_key(&self.pool, &tenant.0, &key).await })
+        Box::pin(async move {
+            // One whose commit was refused goes with it: nobody is to be told that it was carried out.
+            self.writer.settle().await?;
+            reading::one_key(&self.pool, &tenant.0, &key).await
+        })
     }
 
     fn keys(&self) -> Stored<'_, Vec<LoggedKey>> {

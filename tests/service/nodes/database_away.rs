@@ -74,6 +74,44 @@ async fn nodes_outlive_a_database_that_is_away_for_longer_than_their_leases() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_call_that_breaks_off_after_any_message_is_done_once_when_it_is_repeated() {
+    let Some(place) = StorePlace::remote().await else {
+        return;
+    };
+    let database = place.database().expect("a database");
+    let proxy = PostgresProxy::serve(database);
+    let a = node_at(&place, "a", Some(database.through(proxy.socket())));
+    let id = bar_session(&a).await;
+    let (mut messages, mut refused) = (0, 0);
+    loop {
+        messages += 1;
+        let (key, body) = (format!("turn-{messages}"), turn_json(0.01 * f64::from(messages)));
+        proxy.cut_after(messages, None);
+        let asked = path(&id, "/solve");
+        let call = async || a.call_with_key("POST", &asked, Some(&body), Some(&key)).await;
+        let (mut status, mut told) = call().await;
+        let was_cut = !proxy.take_back();
+        refused += u32::from(status != 200);
+        // It may be on disk, and is taken back, with its key, before the key is looked for.
+        for _ in 0..500 {
+            if status != 503 {
+                break;
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+            (status, told) = call().await;
+        }
+        assert_eq!(status, 200, "after {messages} messages: {told}");
+        let history = a.done("GET", &path(&id, "/history"), None).await;
+        let commits = history["commits"].as_array().map(Vec::len);
+        assert_eq!(commits, Some(2 + messages as usize), "{history}");
+        if !was_cut {
+            break;
+        }
+    }
+    assert!(messages > 4 && refused > 4, "{messages} messages, {refused} refused");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn nodes_outlive_a_database_that_says_nothing_for_longer_than_their_leases() {
     let Some(server) = PostgresServer::start() else { return };
     let database = server.database().await;
