@@ -69,6 +69,10 @@ pub(crate) struct FrameArgs {
 struct FrameRun {
     vertices: usize,
     nodes: usize,
+    /// Nodes that are vertices of the surface.
+    surface: usize,
+    /// Neighbours of all nodes together.
+    neighbours: usize,
     held_bytes: u64,
     cycles: f64,
     /// Seconds of each pass, of encoding, and of whole frames; sorted.
@@ -132,6 +136,8 @@ fn drag_frames(
     let mut run = FrameRun {
         vertices: deformer.rest().len(),
         nodes: deformer.body().nodes(),
+        surface: deformer.body().graph.surface,
+        neighbours: deformer.body().graph.neighbours.len(),
         held_bytes: 0,
         cycles: 0.0,
         passes: Default::default(),
@@ -232,12 +238,39 @@ impl FrameRun {
         m
     }
 
+    /// Bytes for each node that a pass has to read and write, each once: what it would move if caches kept all that it meets twice.
+    /// `None` for passes of no weight.
+    fn needed_bytes(&self, pass: &str) -> Option<f64> {
+        let a_node = |all: usize| all as f64 / self.nodes as f64;
+        let surface = a_node(self.surface);
+        Some(match pass {
+            // A field, numbers of node and part; the place, read and written; rest, and the row.
+            "blend" => 4.0 + 8.0 + 64.0 + 16.0 + 64.0,
+            // The row, rest and its Laplacian; a number for each neighbour; the residual.
+            "residual" => 64.0 + 32.0 + 4.0 * a_node(self.neighbours) + 16.0,
+            // The residual twice and written; three kept steps twice, their products; the place; the step of this pose.
+            "recall" => 48.0 + 3.0 * (16.0 + 32.0) + 64.0 + 32.0,
+            // The row's number and place, the position.
+            "place" => (4.0 + 32.0 + 24.0) * surface,
+            "render" => 48.0 * a_node(self.vertices),
+            "encode" => 36.0 * a_node(self.vertices),
+            "frame" => {
+                let passes = ["blend", "residual", "recall", "place", "render", "encode"];
+                passes.iter().filter_map(|pass| self.needed_bytes(pass)).sum()
+            }
+            _ => return None,
+        })
+    }
+
     fn table(&self, model: &Path, pool: &Pool) -> String {
         let whole = median(&self.frames);
         let row = |name: &str, seconds: &[f64], what: &str| {
             let s = median(seconds);
+            let needed = self
+                .needed_bytes(name)
+                .map_or(String::new(), |bytes| format!("{bytes:.0}"));
             format!(
-                "{name:<10} {:>8.2} ms {:>8.2} ms {:>4.0} %  {:>7.1} bytes a node  {what}\n",
+                "{name:<10} {:>8.2} ms {:>8.2} ms {:>4.0} %  {:>7.1} {needed:>7} bytes a node  {what}\n",
                 s * 1e3,
                 p99(seconds) * 1e3,
                 100.0 * s / whole,
@@ -258,7 +291,7 @@ impl FrameRun {
         text += &row("encode", &self.encode, "the frame's bytes, 32-bit positions");
         text += &row("frame", &self.frames, "all of it");
         text + &format!(
-            "{:.2} cycles a frame, 99th percentile {:.2} ms, {:.0} bytes held a node\n{:.2} times a frame {:.2} ms of working ahead once it is out\nmemory read in order: {:.1} GB/s; \"bytes a node\" is what it could have read in a pass's time\n",
+            "{:.2} cycles a frame, 99th percentile {:.2} ms, {:.0} bytes held a node\n{:.2} times a frame {:.2} ms of working ahead once it is out\nmemory read in order: {:.1} GB/s; the first number of \"bytes a node\" is what it could have read in a pass's time, the second what the pass has to move\n",
             self.cycles,
             p99(&self.frames) * 1e3,
             self.held_bytes as f64 / self.nodes as f64,
