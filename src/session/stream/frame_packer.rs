@@ -198,7 +198,9 @@ mod tests {
         let (selected, after) = select(Some(reader), 0.1);
         assert_eq!(selected, [3, 8]);
         let mut expected = later.clone();
-        [3, 8].map(|v: usize| expected[v] = positions[v].as_vec3());
+        for v in [3, 8] {
+            expected[v] = positions[v].as_vec3();
+        }
         assert_eq!(after, expected, "what was not sent stays where it was");
         let (selected, after) = select(Some(reader), 2.0);
         assert!(selected.is_empty() && after == later);

@@ -226,5 +226,5 @@ async fn a_merge_with_a_session_of_another_node_says_where_that_is() {
     a.done("POST", &path(&here, "/edits"), Some(&merge("model", &model)))
         .await;
     let after = a.done("GET", &path(&here, ""), None).await;
-    assert_ne!(after["vertices"], before.0["vertices"], "{after}");
+    assert_ne!(after["primitives"], before.0["primitives"], "{after}");
 }
