@@ -142,7 +142,7 @@ fn batches() {
 #[test]
 fn durability() {
     let checkout = play("deploy/docs/durability.md");
-    if checkout.path("target/backup").exists() {
+    if checkout.path("target/backups").exists() {
         assert!(checkout.path("target/restored.glb").exists(), "the model is written");
     }
 }
