@@ -178,6 +178,10 @@ fn the_workflows_name_what_a_release_makes() {
             "{name}"
         );
         assert!(
+            text.contains(" --no-skip "),
+            "{name}: what is not checked does not pass"
+        );
+        assert!(
             text.contains(r#"archive="pliant-$PLIANT_VERSION-linux-$(uname -m).tar.xz""#),
             "{name}"
         );
