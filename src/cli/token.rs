@@ -6,6 +6,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use clap::Args;
 use std::io::Write as _;
+use std::time::SystemTime;
 
 /// Makes a token: its text in the first line of stdout, and after an empty one what to add to the server's configuration.
 ///
@@ -34,8 +35,11 @@ fn parse_name(text: &str) -> Result<String, String> {
 }
 
 fn parse_time(text: &str) -> Result<String, String> {
-    let time = humantime::format_rfc3339_seconds(parse_expiry(text)?);
-    Ok(time.to_string())
+    let expiry = parse_expiry(text)?;
+    if expiry <= SystemTime::now() {
+        return Err("that time has passed, the token would be refused from its first call on; name a later one".into());
+    }
+    Ok(humantime::format_rfc3339_seconds(expiry).to_string())
 }
 
 /// Runs the command.

@@ -113,6 +113,9 @@ fn a_token_that_the_program_makes_is_known_by_its_lines() {
     assert_eq!(status(port, Some("pliant_")), 401);
     assert_eq!(status(port, None), 401);
 
+    let (code, out, last) = done(folder.path(), &["token", "a", "--expires", "2020-01-01"]);
+    assert_eq!((code, &*out), (Some(2), ""), "{last}");
+    assert!(last.contains("--expires") && last.contains("has passed"), "{last}");
     let (code, _, last) = done(folder.path(), &["token", "a", "--expires", "tomorrow"]);
     assert!(code == Some(2) && last.contains("2027-01-31T12:00:00Z"), "{last}");
 }
