@@ -97,7 +97,7 @@ impl Golden {
         let refuse = |place: &str, problem: String| suite_json::suite_error(file, place, problem);
         let read: GoldenFile = suite_json::from_json_object(file, text)?;
         if read.layout != LAYOUT {
-            let problem = format!("is {}, this version reads {LAYOUT}; bless the suite again", read.layout);
+            let problem = format!("is {}, this version reads {LAYOUT}", read.layout);
             return Err(refuse("layout", problem));
         }
         let (vertices, triangles) = (read.topology.vertices, read.topology.triangles);

@@ -42,11 +42,15 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for JsonObject<T> {
     }
 }
 
-/// Makes the error of something that is wrong in a file. `file` is its name in the suite's folder.
+/// Makes the error of something that is wrong in a file. `file` is its name in the suite's folder; without a place it is the
+/// file itself that is wrong.
 pub(super) fn suite_error(file: &str, place: &str, problem: impl fmt::Display) -> SuiteError {
     SuiteError {
         file: file.to_owned(),
-        problem: format!("{place}: {problem}"),
+        problem: match place {
+            "" => problem.to_string(),
+            place => format!("{place}: {problem}"),
+        },
     }
 }
 
@@ -56,25 +60,19 @@ pub(super) fn suite_error(file: &str, place: &str, problem: impl fmt::Display) -
 /// What is wrong with it and where.
 pub(super) fn from_json_object<'a, T: Deserialize<'a>>(file: &str, text: &'a [u8]) -> Result<T, SuiteError> {
     if text.starts_with(BYTE_ORDER_MARK) {
-        return Err(suite_error(
-            file,
-            "body",
-            "begins with a byte order mark, UTF-8 without one is needed",
-        ));
+        let problem = "begins with a byte order mark, UTF-8 without one is needed";
+        return Err(suite_error(file, "", problem));
     }
     let mut json = serde_json::Deserializer::from_slice(text);
     let read: JsonObject<T> = serde_path_to_error::deserialize(&mut json)
-        .map_err(|e| suite_error(file, &readable_path(&e.path().to_string()), e.inner()))?;
-    json.end().map_err(|e| suite_error(file, "body", e))?;
+        .map_err(|e| suite_error(file, readable_path(&e.path().to_string()), e.inner()))?;
+    json.end().map_err(|e| suite_error(file, "", e))?;
     Ok(read.0)
 }
 
-/// Writes a path as people read it: where a text breaks off, its last part is not known.
-fn readable_path(path: &str) -> String {
-    match path.trim_end_matches(['.', '?']) {
-        "" => "body".into(),
-        path => path.into(),
-    }
+/// Writes a path as people read it: where a text breaks off, its last part is not known. Empty for the file itself.
+fn readable_path(path: &str) -> &str {
+    path.trim_end_matches(['.', '?'])
 }
 
 #[cfg(test)]
@@ -104,7 +102,7 @@ mod tests {
         for list in ["[1, 2]", "[]", "3", "null", "\"x\""] {
             let told = refused(list.as_bytes());
             assert!(
-                told.starts_with("x.json: body: invalid type") && told.contains("a JSON object"),
+                told.starts_with("x.json: invalid type") && told.contains("a JSON object"),
                 "{told}"
             );
         }
@@ -114,10 +112,10 @@ mod tests {
     fn a_place_is_told_wherever_a_text_breaks_off() {
         for text in ["", "{", r#"{"left"#, r#"{"left": 1, "ri"#, r#"{"left": 1"#] {
             let told = refused(text.as_bytes());
-            assert!(told.starts_with("x.json: body: EOF while parsing"), "{text}: {told}");
+            assert!(told.starts_with("x.json: EOF while parsing"), "{text}: {told}");
         }
         assert!(refused(br#"{"left": "#).starts_with("x.json: left: EOF while parsing"));
-        assert!(refused(br#"{"left": 1, "right": 2} x"#).starts_with("x.json: body: trailing"));
+        assert!(refused(br#"{"left": 1, "right": 2} x"#).starts_with("x.json: trailing"));
     }
 
     #[test]

@@ -158,7 +158,10 @@ pub fn judge_result(
                 "there is no golden; look at the result and bless it".into(),
             );
         }
-        Some(Err(text)) => return failed("broken-golden", text),
+        Some(Err(text)) => {
+            let text = format!("{text}; look at the result and bless it anew");
+            return failed("broken-golden", text);
+        }
         Some(Ok(golden)) => golden,
     };
     let comparison = compare_with_golden(found, &golden, pool);

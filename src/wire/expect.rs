@@ -3,7 +3,8 @@
 use super::{Error, pb};
 
 impl pb::Expect {
-    /// Refuses bounds that nothing could exceed, or everything. `place` is where the expectations stand.
+    /// Refuses bounds that nothing could exceed, or everything, and a digest that no positions have. `place` is where the
+    /// expectations stand.
     ///
     /// # Errors
     /// [`Error::Invalid`] with the bound's path.
@@ -20,6 +21,20 @@ impl pb::Expect {
                 return Err(Error::invalid(format!("{place}.{name}"), problem));
             }
         }
+        if !(self.digest.is_empty() || can_be_digest(&self.digest)) {
+            let problem = format!(
+                "is {:?}, \"xxh3:\" and 16 hexadecimal digits in small letters are needed, as reports tell it",
+                self.digest
+            );
+            return Err(Error::invalid(format!("{place}.digest"), problem));
+        }
         Ok(())
     }
+}
+
+/// Whether positions can have this digest.
+fn can_be_digest(text: &str) -> bool {
+    let is_digit = |b: u8| b.is_ascii_digit() || (b'a'..=b'f').contains(&b);
+    text.strip_prefix("xxh3:")
+        .is_some_and(|digits| digits.len() == 16 && digits.bytes().all(is_digit))
 }

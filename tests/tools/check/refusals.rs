@@ -74,11 +74,11 @@ fn a_malformed_suite_is_exit_2_with_what_where_and_what_is_allowed() {
     );
     refused(
         &|f| f.write("bar.case.json", r#"["t", "bar.obj", {}, [], null, null]"#),
-        &["bar.case.json: body: ", "a JSON object"],
+        &["bar.case.json: invalid type", "a JSON object"],
     );
     refused(
         &|f| f.write("bar.case.json", "\u{feff}{\"model\": \"bar.obj\", \"job\": {}}"),
-        &["bar.case.json: body: ", "byte order mark"],
+        &["bar.case.json: begins with a byte order mark"],
     );
 }
 
@@ -106,6 +106,32 @@ fn a_bound_that_can_never_fail_is_exit_2_wherever_the_job_is() {
                 "{last}"
             );
             assert!(last.contains("expect."), "{last}");
+        }
+    }
+}
+
+#[test]
+fn an_expected_digest_that_no_result_can_have_is_exit_2_wherever_the_job_is() {
+    for digest in [
+        "abc",
+        "xxh3:",
+        "xxh3:0011",
+        "xxh3:00112233445566GG",
+        "xxh3:00112233445566AA",
+    ] {
+        let job = format!(r#"{{"expect": {{"digest": "{digest}"}}}}"#);
+        for inside in [true, false] {
+            let folder = Suite::new();
+            folder.case("bar", "bar.obj");
+            folder.write("job.json", &job);
+            let said = if inside { &job } else { "\"job.json\"" };
+            folder.write("bar.case.json", &format!(r#"{{"model": "bar.obj", "job": {said}}}"#));
+            let ran = folder.check(&[]);
+            assert_eq!(ran.code, Some(2), "{digest}: {}", ran.err);
+            let last = ran.last();
+            for word in ["bar.case.json: ", "expect.digest", digest, "16 hexadecimal digits"] {
+                assert!(last.contains(word), "{word} in {last}");
+            }
         }
     }
 }
