@@ -52,6 +52,18 @@ pub enum MetricUnit {
     Count,
 }
 
+impl MetricUnit {
+    /// The unit's name, as the page of suites has it too.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Diagonal => "diagonal",
+            Self::Degrees => "degrees",
+            Self::Ratio => "ratio",
+            Self::Count => "count",
+        }
+    }
+}
+
 /// How a metric is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MetricKind {

@@ -120,9 +120,9 @@ fn write_facts(body: &mut String, case: &CaseReport) {
         }
     }
     if !case.verdict.measures.is_empty() {
-        *body += "<table>\n<thead><tr><th>metric</th><th>difference</th><th>allowed</th><th>stored</th><th>now</th><th>where, why allowed</th></tr></thead>\n<tbody>\n";
+        *body += "<table>\n<thead><tr><th>metric</th><th>unit</th><th>difference</th><th>allowed</th><th>stored</th><th>now</th><th>where, why allowed</th></tr></thead>\n<tbody>\n";
         case.verdict.measures.iter().for_each(|m| write_difference(body, m));
-        *body += "</tbody>\n</table>\n";
+        *body += "</tbody>\n</table>\n<p class=\"soft\">The unit diagonal is the length of the diagonal of the stored shape's bounding box; coordinates are in model units.</p>\n";
     }
     *body += "</details>\n";
 }
@@ -139,9 +139,10 @@ fn write_difference(body: &mut String, m: &MetricDifference) {
         .collect();
     let _ = writeln!(
         body,
-        "<tr{}><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td><td class=\"number\">{stored}</td><td class=\"number\">{now}</td><td>{}</td></tr>",
+        "<tr{}><td>{}</td><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td><td class=\"number\">{stored}</td><td class=\"number\">{now}</td><td>{}</td></tr>",
         if m.is_within_bound() { "" } else { " class=\"over\"" },
         m.metric.name(),
+        m.metric.unit().name(),
         number(m.difference),
         m.metric.format_value(m.allowed),
         escape_text(&words.join("; "))
@@ -170,6 +171,10 @@ mod tests {
             "it names no other file"
         );
         assert!(page.contains("prefers-color-scheme: dark"));
+        assert!(
+            page.contains("<td>maxDisplacement</td><td>diagonal</td>"),
+            "each number has its unit"
+        );
         // Failed cases come first, then the others in their order.
         let at = |name: &str| page.find(&format!("<section id=\"{name}\"")).expect(name);
         assert!(at("d-failed") < at("e-broken") && at("e-broken") < at("a-passed") && at("a-passed") < at("c-skipped"));
