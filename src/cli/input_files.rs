@@ -5,9 +5,11 @@
 
 use super::failure::CliFailure;
 use clap::Args;
+use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Largest file that the command line reads, and most bytes of all files that a model or a job names.
 pub(super) const LARGEST: u64 = 4 << 30;
@@ -133,6 +135,8 @@ pub(super) struct NamedFiles {
     folder: PathBuf,
     /// The folders that files may lie in, without links.
     allowed: Vec<PathBuf>,
+    /// What was opened, without links; shared with what [`NamedFiles::beginning_in`] makes.
+    opened: Arc<Mutex<BTreeSet<PathBuf>>>,
 }
 
 impl NamedFiles {
@@ -148,6 +152,7 @@ impl NamedFiles {
         Ok(Self {
             folder: folder.to_owned(),
             allowed,
+            opened: Arc::default(),
         })
     }
 
@@ -156,7 +161,13 @@ impl NamedFiles {
         Self {
             folder: folder.to_owned(),
             allowed: self.allowed.clone(),
+            opened: Arc::clone(&self.opened),
         }
+    }
+
+    /// Every file that was opened so far, without links.
+    pub(super) fn opened(&self) -> BTreeSet<PathBuf> {
+        self.opened.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Reads a file of at most so many bytes.
@@ -192,7 +203,10 @@ impl NamedFiles {
                 bytes: facts.len(),
                 most,
             }),
-            Ok(_) => Ok(file),
+            Ok(_) => {
+                self.opened.lock().unwrap_or_else(PoisonError::into_inner).insert(real);
+                Ok(file)
+            }
             Err(error) => Err(UnreadFile::Unreadable { path, error }),
         }
     }

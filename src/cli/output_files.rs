@@ -52,6 +52,25 @@ impl OutputPermission {
         }
     }
 
+    /// The same, for goldens: to replace them is what was asked for.
+    pub(super) fn for_goldens(self) -> Self {
+        Self { force: true, ..self }
+    }
+
+    /// Says why a file cannot be written at a path, which is tried with one beside it that goes away again.
+    pub(super) fn try_target(self, path: &Path) -> Result<(), CliFailure> {
+        self.check_target(path)?;
+        let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        // Of folders that are to be made, the one that is there takes the first of them.
+        let there = target.ancestors().skip(1).find(|folder| folder.is_dir());
+        let beside = there
+            .unwrap_or(Path::new("."))
+            .join(target.file_name().unwrap_or_default());
+        let tried = fill_beside(&beside, &mut |_| Ok(()));
+        let refuse = |e: std::io::Error| CliFailure::Input(format!("cannot write {}: {e}", path.display()));
+        tried.map(drop).map_err(refuse)
+    }
+
     /// Writes one file.
     pub(super) fn write_file(self, path: &Path, bytes: &[u8]) -> Result<(), CliFailure> {
         self.write_all(&BTreeMap::from([(path.to_owned(), bytes)]))
@@ -159,6 +178,12 @@ pub(super) fn is_same_place(a: &Path, b: &Path) -> bool {
     a.file_name() == b.file_name() && is_same_file(folder_of(a), folder_of(b))
 }
 
+/// Whether two paths lead to one place, through links too, whatever of it is there.
+pub(super) fn is_same_target(a: &Path, b: &Path) -> bool {
+    let is_same_text = matches!((std::path::absolute(a), std::path::absolute(b)), (Ok(a), Ok(b)) if a == b);
+    is_same_text || is_same_file(a, b) || is_same_place(a, b)
+}
+
 /// Whether a file is there and holds these bytes.
 fn holds_bytes(path: &Path, bytes: &[u8]) -> bool {
     read_regular_file(path, bytes.len() as u64).is_ok_and(|there| there == bytes)
@@ -185,9 +210,17 @@ fn fill_beside(
         // As any other file: what others may do with it is for the umask to say.
         made.permissions(fs::Permissions::from_mode(0o666));
     }
-    let mut file = made.tempfile_in(folder_of(target))?;
+    let mut file = made.tempfile_in(folder_of(target)).map_err(without_temporary_name)?;
     fill(file.as_file_mut())?;
     file.as_file().sync_data()?;
     // Closed: a model may have more files than may be open at once.
     Ok(file.into_temp_path())
+}
+
+/// What went wrong, without the name of a file that nobody asked for.
+fn without_temporary_name(error: std::io::Error) -> std::io::Error {
+    match error.kind() {
+        std::io::ErrorKind::Other => error,
+        kind => kind.into(),
+    }
 }

@@ -1,5 +1,7 @@
-//! This process as tests measure it: its memory, alone.
+//! Processes of tests: this one as they measure it, its memory, alone; and the program as somebody who may not do everything.
 
+use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
+use std::os::unix::process::CommandExt as _;
 use std::process::Command;
 
 /// Says that this process runs one test and nothing else.
@@ -44,4 +46,45 @@ pub fn memory() -> u64 {
         .find_map(|l| l.strip_prefix("VmRSS:"))
         .unwrap_or_default();
     line.trim().trim_end_matches(" kB").trim().parse::<u64>().unwrap_or(0) << 10
+}
+
+/// Whom permissions bind: who runs the tests, or, where that is root, a user without any rights.
+pub struct Nobody {
+    /// The program, where that user can start it.
+    place: Option<tempfile::TempDir>,
+}
+
+impl Nobody {
+    /// `None`, and a word, where there is no such user.
+    pub fn new() -> Option<Self> {
+        let is_root = std::fs::metadata("/proc/self").is_ok_and(|facts| facts.uid() == 0);
+        if !is_root {
+            return Some(Self { place: None });
+        }
+        let place = tempfile::tempdir().expect("a folder");
+        std::fs::set_permissions(place.path(), std::fs::Permissions::from_mode(0o755)).expect("changed");
+        let (from, to) = (env!("CARGO_BIN_EXE_pliant"), place.path().join("pliant"));
+        std::fs::hard_link(from, &to)
+            .or_else(|_| std::fs::copy(from, &to).map(drop))
+            .expect("the program");
+        let nobody = Self { place: Some(place) };
+        let started = nobody.program().arg("--version").output();
+        if started.is_ok_and(|done| done.status.success()) {
+            return Some(nobody);
+        }
+        println!("SKIPPED: root cannot become another user here");
+        None
+    }
+
+    /// The program, to be run as that user.
+    pub fn program(&self) -> Command {
+        match &self.place {
+            None => Command::new(env!("CARGO_BIN_EXE_pliant")),
+            Some(place) => {
+                let mut program = Command::new(place.path().join("pliant"));
+                program.uid(65534).gid(65534);
+                program
+            }
+        }
+    }
 }

@@ -7,6 +7,7 @@ mod folder;
 mod pages;
 mod proxy;
 mod refusals;
+mod reports;
 mod workflows;
 
 use crate::support::server::Server;

@@ -6,6 +6,7 @@ mod local;
 mod remote;
 mod run;
 mod suite;
+mod targets;
 
 use super::failure::CliFailure;
 use super::input_files::AllowedFolders;
@@ -18,7 +19,7 @@ use clap::Args;
 use http::{HttpClient, ServerAddress};
 use run::{CheckPlan, run_all_cases};
 use std::io::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `pliant check`.
 #[derive(Debug, Args)]
@@ -62,8 +63,10 @@ pub struct CheckArgs {
 
 /// Runs the command.
 pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
-    let reports = [&args.junit, &args.html];
-    for path in reports.into_iter().flatten() {
+    let named = [("--junit", &args.junit), ("--html", &args.html)];
+    let reports = named.map(|(option, path)| path.as_deref().map(|path| (option, path)));
+    let reports: Vec<(&str, &Path)> = reports.into_iter().flatten().collect();
+    for (_, path) in &reports {
         args.permission.check_target(path)?;
     }
     let threads = args.threads.start_pool()?.threads();
@@ -73,7 +76,9 @@ pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
         .map(|url| ServerAddress::new(url, args.token.as_deref(), args.ca.as_deref()));
     let server = server.transpose().map_err(CliFailure::Input)?;
     let data = args.data.as_deref().filter(|d| !d.as_os_str().is_empty());
-    let suite::LoadedSuite { cases, notes } = suite::load_suite(&args.suite, data, &args.allowed)?;
+    let suite = suite::load_suite(&args.suite, data, &args.allowed)?;
+    targets::check_targets(&reports, &suite, args.permission, args.bless)?;
+    let suite::LoadedSuite { cases, notes, .. } = suite;
     if let Some(address) = &server {
         let client = HttpClient::new(address).map_err(CliFailure::Input)?;
         remote::ask_limits(&client).map_err(|e| CliFailure::Input(format!("the server cannot be used: {e}")))?;
@@ -107,11 +112,7 @@ pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
     for (case, done) in cases.iter().zip(&done) {
         // Written first: what is told as stored is stored.
         if let Some(golden) = &done.golden {
-            // A golden is what --bless asks to replace.
-            let replace = OutputPermission {
-                force: true,
-                ..args.permission
-            };
+            let replace = args.permission.for_goldens();
             replace.write_file(&case.golden_path, golden.as_bytes())?;
         }
         eprintln!("{}", report::case_line(&done.report, width));

@@ -32,6 +32,8 @@ pub(super) struct LoadedSuite {
     pub cases: Vec<LoadedCase>,
     /// What someone should know of its folder.
     pub notes: Vec<String>,
+    /// The files that it was read from, without links.
+    pub files: BTreeSet<PathBuf>,
 }
 
 enum CaseModel {
@@ -111,7 +113,10 @@ pub(super) fn load_suite(
         let many = deeper.len();
         format!("cases in folders of the suite are not run, {many} are there, the first is {first}")
     });
+    let mut files = folders.files.opened();
+    files.extend(loaded.iter().filter_map(LoadedCase::model_path).map(Path::to_owned));
     Ok(LoadedSuite {
+        files,
         cases: loaded,
         notes: notes.into_iter().collect(),
     })
@@ -236,6 +241,14 @@ impl LoadedCase {
     pub fn absent_reason(&self) -> Option<&str> {
         match &self.model {
             CaseModel::Absent(why) => Some(why),
+            _ => None,
+        }
+    }
+
+    /// Where the case's model lies; `None` without a file.
+    fn model_path(&self) -> Option<&Path> {
+        match &self.model {
+            CaseModel::File { path, .. } => Some(path),
             _ => None,
         }
     }

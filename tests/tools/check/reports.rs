@@ -1,0 +1,118 @@
+//! Where reports may go: looked at before any case is run.
+
+use super::folder::{Ran, Suite};
+use crate::support::process::Nobody;
+use std::collections::BTreeMap;
+use std::fs;
+use std::os::unix::fs::{PermissionsExt as _, symlink};
+use std::path::Path;
+
+/// Every file of the suite with its bytes.
+fn contents(suite: &Suite) -> BTreeMap<String, Vec<u8>> {
+    let files = fs::read_dir(suite.path()).expect("a folder").flatten();
+    let named = files.map(|f| {
+        (
+            f.file_name().to_string_lossy().into_owned(),
+            fs::read(f.path()).expect("a file"),
+        )
+    });
+    named.collect()
+}
+
+/// Nothing was run: a case that was has a line of its own.
+fn assert_refused(ran: &Ran, words: &[&str]) {
+    assert_eq!((ran.code, &*ran.out), (Some(2), ""), "{}", ran.err);
+    assert_eq!(ran.err.trim_end().lines().count(), 1, "{}", ran.err);
+    for word in words {
+        assert!(ran.last().contains(word), "{word} in {}", ran.last());
+    }
+}
+
+#[test]
+fn a_report_never_replaces_a_file_of_the_suite() {
+    let suite = Suite::new();
+    suite.case("bar", "bar.obj");
+    suite.write("job.json", "{}");
+    suite.write("other.case.json", r#"{"model": "bar.obj", "job": "job.json"}"#);
+    assert_eq!(suite.check(&["--bless"]).code, Some(0));
+    suite.remove("other.golden.json");
+    symlink(suite.path().join("bar.case.json"), suite.path().join("../link")).expect("a link");
+    let before = contents(&suite);
+    for option in ["--junit", "--html"] {
+        for file in [
+            "suite/bar.case.json",
+            "suite/bar.golden.json",
+            // One that is not there yet.
+            "suite/other.golden.json",
+            "suite/bar.obj",
+            "suite/job.json",
+            "suite/../suite/job.json",
+            "link",
+        ] {
+            let ran = suite.check(&[option, file, "--force"]);
+            assert_refused(&ran, &[option, file, "a file of the suite"]);
+            assert_eq!(contents(&suite), before, "{option} {file}");
+        }
+    }
+    // Beside them there is room.
+    let ran = suite.check(&["--html", "suite/report.html"]);
+    assert!(
+        ran.err.contains("bar") && suite.path().join("report.html").exists(),
+        "{}",
+        ran.err
+    );
+}
+
+#[test]
+fn two_reports_are_two_files() {
+    let suite = Suite::new();
+    suite.case("bar", "bar.obj");
+    let ways: [(&str, &[&str]); 3] = [("r", &[]), ("./r", &["--force"]), ("suite/../r", &[])];
+    for (junit, more) in ways {
+        let ran = suite.check(&[&["--html", "r", "--junit", junit], more].concat());
+        assert_refused(&ran, &["--html", "--junit", "a file of its own"]);
+    }
+    let ran = suite.check(&["--html", "t/a", "--junit", "t/a", "--parents"]);
+    assert_refused(&ran, &["t/a", "a file of its own"]);
+    assert!(!suite.path().join("../t").exists() && !suite.path().join("../r").exists());
+}
+
+#[test]
+fn a_place_where_nothing_can_be_written_is_told_before_any_case_is_run() {
+    if !Path::new("/proc/self").exists() {
+        println!("SKIPPED: there is no /proc, where nobody can make a file");
+        return;
+    }
+    let suite = Suite::new();
+    suite.case("bar", "bar.obj");
+    for (option, path) in [
+        ("--junit", "/proc/report"),
+        ("--html", "/proc/report"),
+        ("--html", "/proc/new/report"),
+    ] {
+        let ran = suite.check(&[option, path, "--parents"]);
+        assert_refused(&ran, &[&format!("cannot write {path}: ")]);
+        assert!(!ran.err.contains(".part"), "{}", ran.err);
+    }
+}
+
+#[test]
+fn a_suite_that_cannot_be_written_is_not_blessed() {
+    let suite = Suite::new();
+    suite.case("bar", "bar.obj");
+    let Some(nobody) = Nobody::new() else { return };
+    let mode = |of: &Path, mode| fs::set_permissions(of, fs::Permissions::from_mode(mode)).expect("changed");
+    mode(&suite.path().join(".."), 0o755);
+    mode(&suite.path(), 0o555);
+    let ran = nobody.program().args(["check", "--bless"]).arg(suite.path()).output();
+    mode(&suite.path(), 0o755);
+    let ran = ran.expect("it runs");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let ran = Ran {
+        code: ran.status.code(),
+        out: text(&ran.stdout),
+        err: text(&ran.stderr),
+    };
+    assert_refused(&ran, &["bar.golden.json: permission denied"]);
+    assert!(!ran.err.contains(".part"), "{}", ran.err);
+}
