@@ -98,19 +98,26 @@ fn lock(file: &File, how: FlockOperation) -> io::Result<bool> {
 /// The database file of a folder.
 ///
 /// # Errors
-/// [`StoreError::Refused`] where there is none, with what is missing.
+/// [`StoreError::Refused`] where there is none, with what is missing, and where it may not be read.
 pub(super) fn existing_database(folder: &Path) -> Result<PathBuf, StoreError> {
     let shown = folder.display();
-    if !folder.is_dir() {
-        return Err(StoreError::Refused(format!(
-            "there is no store of sessions in {shown}: there is no such folder"
-        )));
+    let unreadable = |path: &Path, e: io::Error| StoreError::Refused(format!("cannot read {}: {e}", path.display()));
+    // Whoever may not look into a folder cannot know what is in it.
+    match std::fs::read_dir(folder) {
+        Ok(_) => {}
+        Err(e) if [io::ErrorKind::NotFound, io::ErrorKind::NotADirectory].contains(&e.kind()) => {
+            return Err(StoreError::Refused(format!(
+                "there is no store of sessions in {shown}: there is no such folder"
+            )));
+        }
+        Err(e) => return Err(unreadable(folder, e)),
     }
     let file = folder.join(DATABASE_FILE);
-    match file.exists() {
-        true => Ok(file),
-        false if holds_objects(folder) => Err(objects_alone(folder)),
-        false => Err(StoreError::Refused(format!(
+    match File::open(&file) {
+        Ok(_) => Ok(file),
+        Err(e) if e.kind() != io::ErrorKind::NotFound => Err(unreadable(&file, e)),
+        Err(_) if holds_objects(folder) => Err(objects_alone(folder)),
+        Err(_) => Err(StoreError::Refused(format!(
             "there is no store of sessions in {shown}: there is no {DATABASE_FILE}"
         ))),
     }

@@ -3,6 +3,7 @@
 
 use super::{bar_session, path, seen, turn};
 use crate::durable::place::StorePlace;
+use crate::support::process::Nobody;
 use crate::support::server::turn_json;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -146,6 +147,39 @@ async fn where_there_is_no_store_none_is_made() {
         let told = place.store(&[command]);
         assert!(told.err.contains("there is no store of sessions in"), "{}", told.err);
         assert_eq!(told.code, 2);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_store_that_may_not_be_read_is_not_told_to_be_missing() {
+    let place = StorePlace::folder().await.expect("a folder");
+    let server = place.start(&[]);
+    bar_session(&server).await;
+    server.stop().await;
+    let Some(nobody) = Nobody::new() else { return };
+    let data = place.data();
+    let mode = |of: &Path, mode| fs::set_permissions(of, fs::Permissions::from_mode(mode)).expect("changed");
+    let refused = |command: &[&str], unread: &Path| {
+        let told = nobody.program().args(command).arg("--data-dir").arg(&data).output();
+        let told = told.expect("it runs");
+        let err = String::from_utf8_lossy(&told.stderr).to_lowercase();
+        let last = err.lines().last().unwrap_or_default();
+        let unread = format!("{}: permission denied", unread.display()).to_lowercase();
+        assert!(last.contains(&unread), "{command:?}: {err}");
+        assert_eq!(told.status.code(), Some(2), "{command:?}");
+    };
+    mode(place.top(), 0o755);
+    for (folder_mode, file_mode, unread) in [
+        (0o000, 0o644, data.clone()),
+        (0o755, 0o000, data.join("sessions.sqlite")),
+    ] {
+        mode(&data.join("sessions.sqlite"), file_mode);
+        mode(&data, folder_mode);
+        for command in [&["store", "check"][..], &["store", "list"], &["audit"]] {
+            refused(command, &unread);
+        }
+        mode(&data, 0o700);
+        mode(&data.join("sessions.sqlite"), 0o600);
     }
 }
 
