@@ -7,8 +7,8 @@ use std::fs;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
-/// Bytes that are written to see whether there is room again: as much as a small model takes.
-const TRIED: usize = 1 << 20;
+/// Bytes that are written to see whether there is room again: one block of a file system, since a commit may need no more.
+const TRIED: usize = 4096;
 
 /// A local folder of objects.
 #[derive(Debug)]
@@ -88,7 +88,7 @@ impl ObjectFolder {
         self.identity.parent().map_or(Ok(()), sync_folder)
     }
 
-    /// Writes a file of the size of a small model, and removes it.
+    /// Writes a small file, and removes it.
     pub fn try_writing(&self) -> io::Result<()> {
         let mut file = tempfile::NamedTempFile::new_in(&self.unfinished)?;
         file.write_all(&vec![0; TRIED])?;

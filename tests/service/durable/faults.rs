@@ -95,7 +95,13 @@ async fn a_full_disk_refuses_changes_and_nothing_else() {
     drop(socket);
     assert_eq!(seen(&server, &id).await, before);
 
-    // There is room again.
+    // There is room again, for commits and not for much more: whoever watches hears of it as soon as they work.
+    assert!(limit_files(&server, "1000000"));
+    eventually("ready for commits", async || {
+        server.call("GET", "/readyz", None).await.0 == 200
+    })
+    .await;
+    turn(&server, &id, 0.5).await;
     assert!(limit_files(&server, "unlimited"));
     eventually("ready again", async || {
         server.call("GET", "/readyz", None).await.0 == 200
