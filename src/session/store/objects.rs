@@ -73,6 +73,15 @@ impl Objects {
         Ok(())
     }
 
+    /// Whether an object is there, whole or not.
+    pub async fn has_object(&self, name: &str) -> Result<bool, StoreError> {
+        match self.store.head(&object_path(name)?).await {
+            Ok(_) => Ok(true),
+            Err(object_store::Error::NotFound { .. }) => Ok(false),
+            Err(error) => Err(unreachable_bucket(error)),
+        }
+    }
+
     /// Refuses objects of another database; whether they know this one.
     pub async fn agree_with(&self, identity: &str) -> Result<bool, StoreError> {
         match self.read_mark().await? {

@@ -8,7 +8,7 @@ use super::node_lease::NodeLease;
 use super::objects::Objects;
 use super::ownership::{NodeIdentity, NodeLoad};
 use super::private_files::make_private_file;
-use super::schema::{TABLES, identity, migrate, version};
+use super::schema::{TABLES, any_object, identity, migrate, version};
 use super::session_store::StoreError;
 use super::shared_store::SharedStore;
 use super::store_health::StoreHealth;
@@ -79,7 +79,7 @@ impl DatabaseStore {
             }
         }
         migrate(connection, address.dialect()).await?;
-        objects.belong_to(&identity(connection).await?).await?;
+        mark_objects(connection, (&address, &objects), location).await?;
         let health = Arc::new(StoreHealth::of_places(places(location))?);
         let store = Self {
             build: location.build.clone().unwrap_or_else(build_identity),
@@ -112,7 +112,7 @@ impl DatabaseStore {
         let mut writing = WritingConnection::open(&address).await?;
         let connection = writing.get().await?;
         prepare_tables(connection, &address, &objects).await?;
-        objects.belong_to(&identity(connection).await?).await?;
+        mark_objects(connection, (&address, &objects), location).await?;
         drop(door);
         let id = random.map(|byte| format!("{byte:02x}")).concat();
         let lease = NodeLease::new(node.clone(), id, address.heart().await?);
@@ -178,4 +178,28 @@ async fn prepare_tables(
     }
     migrate(connection, address.dialect()).await?;
     let_others_in(connection).await
+}
+
+/// Makes sure that a database and the place of its objects belong together. A place that knows no database is marked with this one,
+/// unless the database names objects that are not there: then it is another place than the one that they were written to.
+async fn mark_objects(
+    connection: &mut AnyConnection,
+    (address, objects): (&DatabaseAddress, &Objects),
+    location: &StoreLocation,
+) -> Result<(), StoreError> {
+    let identity = identity(connection).await?;
+    if objects.agree_with(&identity).await? {
+        return Ok(());
+    }
+    if let Some(object) = any_object(connection).await?
+        && !objects.has_object(&object).await?
+    {
+        let folder = location.data_dir.as_ref().map(|folder| folder.display().to_string());
+        let place = location.objects.clone().or(folder).unwrap_or_default();
+        return Err(StoreError::Refused(format!(
+            "the sessions of {address:?} have their objects elsewhere than in {place}, which has not the mark of that database; name \
+             the place that they were written to, or restore them there"
+        )));
+    }
+    objects.belong_to(&identity).await
 }

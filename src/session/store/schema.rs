@@ -192,6 +192,18 @@ pub(super) async fn known_identity(connection: &mut AnyConnection) -> Result<Opt
         .map_err(failed)
 }
 
+/// An object that a session uses; `None` where no session uses any.
+pub(super) async fn any_object(connection: &mut AnyConnection) -> Result<Option<String>, StoreError> {
+    let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
+    let row = sqlx::query("SELECT object FROM object_uses LIMIT 1")
+        .fetch_optional(connection)
+        .await;
+    row.map_err(failed)?
+        .map(|row| row.try_get(0))
+        .transpose()
+        .map_err(failed)
+}
+
 /// What tells this database from others: made when it is asked for the first time.
 pub(super) async fn identity(connection: &mut AnyConnection) -> Result<String, StoreError> {
     let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());

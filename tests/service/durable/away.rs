@@ -2,6 +2,7 @@
 
 use super::{bar_session, path, seen, turn};
 use crate::durable::place::StorePlace;
+use crate::support::bucket::TestBucket;
 use crate::support::postgres::PostgresServer;
 use crate::support::postgres_proxy::PostgresProxy;
 use crate::support::program::ServedProgram;
@@ -110,6 +111,37 @@ async fn objects_of_another_database_are_refused() {
     let last = told.lines().last().unwrap_or_default();
     assert!(last.contains("belong to another database"), "{told}");
     assert_eq!(one.objects().len(), 1);
+}
+
+/// A prefix that was mistyped is another place than the one that the sessions' objects were written to.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_place_that_lacks_the_objects_of_the_database_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (data, bucket) = (folder.path().join("data"), TestBucket::serve().await);
+    let start = |prefix: &str| {
+        let arguments = ["--data-dir", data.to_str().expect("UTF-8"), "--objects", prefix];
+        let variables = bucket.variables();
+        let variables: Vec<(&str, &str)> = variables.iter().map(|(name, value)| (*name, value.as_str())).collect();
+        ServedProgram::start_anywhere(folder.path().join("log"), &arguments, &variables)
+    };
+    let server = start(bucket.url()).expect("it starts");
+    // Without sessions any place may be marked.
+    server.stop().await;
+    let server = start(bucket.url()).expect("it starts");
+    let id = bar_session(&server).await;
+    let before = seen(&server, &id).await;
+    server.stop().await;
+    let told = start("s3://models/of/plaint").err().expect("refused");
+    let last = told.lines().last().unwrap_or_default();
+    for word in ["sessions.sqlite", "s3://models/of/plaint", "the mark of that database"] {
+        assert!(last.contains(word), "{word} in {told}");
+    }
+    let mistyped = bucket.files().with_file_name("plaint");
+    assert!(!mistyped.exists(), "nothing was marked");
+    // A backup may lack the mark: what is there is marked again.
+    std::fs::remove_file(bucket.files().join("store")).expect("the mark");
+    assert_eq!(seen(&start(bucket.url()).expect("it starts"), &id).await, before);
+    assert!(bucket.files().join("store").exists());
 }
 
 #[tokio::test(flavor = "multi_thread")]
