@@ -59,7 +59,7 @@ impl State {
         let certificates = tls.as_ref().is_some_and(TlsDoor::takes_certificates);
         let gatekeeper = Gatekeeper::new(&config.auth, certificates)?;
         let sessions = manager.config();
-        let uploads = Budget::new(sessions.upload_bytes, sessions.memory_bytes / 2, manager.ledger());
+        let uploads = Budget::new(sessions.upload_bytes, sessions.memory_bytes / 2, &manager);
         let message_bytes = usize::try_from(sessions.message_bytes).unwrap_or(usize::MAX);
         let telemetry = Telemetry::new(&manager);
         Ok(Self(Arc::new(Inner {

@@ -1,6 +1,7 @@
 //! Bytes of uploads that are on their way: they belong to no session yet, so they are counted here.
 
-use crate::session::{Error, ErrorCode, MemoryLedger, MemoryReservation, MemoryUse, TenantAccount};
+use crate::session::{Error, ErrorCode, Manager, MemoryLedger, MemoryReservation, MemoryUse, TenantAccount};
+use prometheus_client::metrics::counter::Counter;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -11,6 +12,8 @@ pub(super) struct Budget {
     total: u64,
     each: u64,
     ledger: Arc<MemoryLedger>,
+    /// Calls that were refused for want of capacity.
+    refused: Counter,
 }
 
 /// What one upload holds; given back when dropped.
@@ -26,12 +29,13 @@ pub(super) struct Held {
 
 impl Budget {
     /// `each` bytes for one upload, `total` for all together, and for them and all else what the ledger has left.
-    pub fn new(each: u64, total: u64, ledger: &Arc<MemoryLedger>) -> Self {
+    pub fn new(each: u64, total: u64, manager: &Manager) -> Self {
         Self {
             used: Arc::default(),
             total: total.max(each),
             each,
-            ledger: Arc::clone(ledger),
+            ledger: Arc::clone(manager.ledger()),
+            refused: manager.metrics().refused.clone(),
         }
     }
 
@@ -93,6 +97,7 @@ impl Held {
         self.bytes = mine;
         let has_room = self.counted.as_ref().is_none_or(|counted| counted.grow_to(mine));
         if !has_room || before.saturating_add(bytes) > self.budget.total {
+            self.budget.refused.inc();
             return Err(Error::exhausted("too many uploads are under way", 2));
         }
         Ok(())
@@ -108,12 +113,12 @@ impl Drop for Held {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::{Manager, SessionConfig};
+    use crate::session::SessionConfig;
 
     #[test]
     fn one_upload_and_all_together_are_bounded_and_given_back() {
         let manager = Manager::new(SessionConfig::default()).expect("a manager");
-        let budget = Budget::new(100, 150, manager.ledger());
+        let budget = Budget::new(100, 150, &manager);
         assert_eq!(budget.announce(101).unwrap_err().http_status(), 413);
         let mut first = budget.hold();
         first.grow(100).unwrap();

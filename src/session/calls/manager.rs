@@ -119,7 +119,7 @@ impl Manager {
         let shared = SharedResources {
             compute: ComputeSlots::new(&config, Arc::clone(&metrics))?,
             seats: Arc::new(Semaphore::new(config.sessions)),
-            accounts: TenantAccounts::new(config.quotas.clone()),
+            accounts: TenantAccounts::new(config.quotas.clone(), metrics.refused.clone()),
             animations: Arc::new(Semaphore::new(config.animations)),
             registry: SessionRegistry::default(),
             store,

@@ -3,7 +3,7 @@
 use crate::asset::{self, FileSet};
 use crate::engine::{self, HandleSet, OpenOptions, digest};
 use crate::exec::Exec;
-use crate::session::calls::session_places::{OpeningRefusal, SessionPlaces, refuse, refuse_until};
+use crate::session::calls::session_places::{OpeningRefusal, SessionPlaces, count_refusal, no_place, no_place_until};
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::{WorkSpan, tell_vertices};
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
@@ -70,7 +70,7 @@ pub(in crate::session) async fn open_model(
             OpeningRefusal::Other(error) => return Err(error),
         };
         if !make_room(shared, whose).await {
-            return Err(refused);
+            return Err(count_refusal(shared, refused));
         }
     }
 }
@@ -156,7 +156,7 @@ async fn build_model(
             }
             _ => {
                 let text = format!("the session would need {seen} bytes of memory, your quota has {room} left");
-                OpeningRefusal::TenantMemory(refuse_until(shared, text, of_tenant.tenant()))
+                OpeningRefusal::TenantMemory(no_place_until(shared, text, of_tenant.tenant()))
             }
         },
         // Too large for what is free now, not for the server: later it may fit.
@@ -165,7 +165,7 @@ async fn build_model(
             if limit == room && seen <= shared.ledger.total() =>
         {
             let text = format!("the session would need {seen} bytes of memory, {room} are free");
-            OpeningRefusal::ServerMemory(refuse(shared, text))
+            OpeningRefusal::ServerMemory(no_place(text))
         }
         error => Error::from(error).into(),
     })

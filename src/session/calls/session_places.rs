@@ -47,7 +47,7 @@ impl SessionPlaces {
     pub async fn reserve(shared: &SharedResources, of_tenant: TenantSession, upload: u64) -> Result<Self, Error> {
         loop {
             match take_place(shared, upload) {
-                Err(error) if !make_room(shared, None).await => return Err(error),
+                Err(error) if !make_room(shared, None).await => return Err(count_refusal(shared, error)),
                 Err(_) => {}
                 Ok((seat, memory)) => {
                     return Ok(Self {
@@ -68,29 +68,34 @@ impl SessionPlaces {
         if !self.memory.resize(held) {
             let used = shared.ledger.used().saturating_sub(held);
             let text = format!("the session needs {held} bytes and {used} are in use");
-            return Err(OpeningRefusal::ServerMemory(refuse(shared, text)));
+            return Err(OpeningRefusal::ServerMemory(no_place(text)));
         }
         if !self.of_tenant.resize(held) {
             let text = format!("the session needs {held} bytes, your quota of memory has fewer left");
-            let refused = refuse_until(shared, text, self.of_tenant.tenant());
+            let refused = no_place_until(shared, text, self.of_tenant.tenant());
             return Err(OpeningRefusal::TenantMemory(refused));
         }
         Ok(())
     }
 }
 
-/// Counts a session that finds no place, and says why.
-pub(in crate::session) fn refuse(shared: &SharedResources, text: String) -> Error {
-    shared.metrics.refused.inc();
+/// Says why a session finds no place; it may find one yet, when idle sessions make room.
+pub(in crate::session) fn no_place(text: String) -> Error {
     Error::exhausted(text, 5)
 }
 
+/// Counts a call that ends because there is no place.
+pub(in crate::session) fn count_refusal(shared: &SharedResources, error: Error) -> Error {
+    shared.metrics.refused.inc();
+    error
+}
+
 /// The same for what one of the tenant's own sessions would make room for: the first of them that may end.
-pub(in crate::session) fn refuse_until(shared: &SharedResources, text: String, tenant: &Tenant) -> Error {
+pub(in crate::session) fn no_place_until(shared: &SharedResources, text: String, tenant: &Tenant) -> Error {
     let wait = shared.registry.soonest_end(tenant).as_secs().saturating_add(1);
     Error {
         retry_after_s: u32::try_from(wait).ok(),
-        ..refuse(shared, text)
+        ..no_place(text)
     }
 }
 
@@ -153,7 +158,7 @@ fn take_place(shared: &SharedResources, upload: u64) -> Result<(OwnedSemaphorePe
             "{} sessions are open, no more are allowed; delete one or wait for one to expire",
             shared.config.sessions
         );
-        refuse(shared, text)
+        no_place(text)
     })?;
     let likely = upload
         .saturating_mul(BYTES_PER_UPLOADED_BYTE)
@@ -163,10 +168,7 @@ fn take_place(shared: &SharedResources, upload: u64) -> Result<(OwnedSemaphorePe
         .reserve(MemoryUse::Sessions, LEAST_BYTES.max(upload), likely);
     let memory = memory.ok_or_else(|| {
         let used = shared.ledger.used();
-        refuse(
-            shared,
-            format!("{used} bytes of memory are in use, no more sessions fit"),
-        )
+        no_place(format!("{used} bytes of memory are in use, no more sessions fit"))
     })?;
     Ok((seat, Arc::new(memory)))
 }

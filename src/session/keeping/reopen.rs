@@ -6,7 +6,7 @@ use crate::exec::Exec;
 use crate::session::answers::Tenant;
 use crate::session::calls::create::{SessionOwner, start_session};
 use crate::session::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
-use crate::session::calls::session_places::{OpeningRefusal, SessionPlaces, refuse};
+use crate::session::calls::session_places::{OpeningRefusal, SessionPlaces, count_refusal, no_place};
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkSpan;
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
@@ -166,7 +166,7 @@ async fn open_stored(
             Err(OpeningRefusal::Other(error)) => return Err(error),
             Err(OpeningRefusal::TenantMemory(error) | OpeningRefusal::ServerMemory(error)) => {
                 if !make_room(shared, None).await {
-                    return Err(error);
+                    return Err(count_refusal(shared, error));
                 }
             }
         }
@@ -299,7 +299,7 @@ async fn replay_log(
         // Nothing is wrong with it: the limits are lower than they were, or others hold the memory.
         ReplayError::Engine(error @ engine::Error::TooLarge { .. }) => {
             let text = format!("the stored session does not fit the limits of this server at present: {error}");
-            return Err(OpeningRefusal::ServerMemory(refuse(shared, text)));
+            return Err(OpeningRefusal::ServerMemory(no_place(text)));
         }
         ReplayError::Store(error) => error.into(),
         ReplayError::Engine(engine::Error::Cancelled) if shared.aborted.is_cancelled() => Error::draining(),

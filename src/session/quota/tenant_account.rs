@@ -5,6 +5,7 @@ use crate::session::capacity::work_owner::WorkOwner;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::quota::tenant_quota::TenantQuota;
 use crate::session::quota::token_bucket::TokenBucket;
+use prometheus_client::metrics::counter::Counter;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed, Ordering::SeqCst};
 use std::time::{Duration, Instant};
@@ -22,6 +23,8 @@ pub struct TenantAccount {
     settled: AtomicU64,
     uploads: Option<TokenBucket>,
     work: Option<TokenBucket>,
+    /// Calls that were refused for want of capacity, of all tenants.
+    refused: Counter,
 }
 
 /// One quota as its tenant is told.
@@ -51,7 +54,7 @@ pub struct QuotaReport {
 }
 
 impl TenantAccount {
-    pub(super) fn new(tenant: Tenant, quota: TenantQuota) -> Self {
+    pub(super) fn new(tenant: Tenant, quota: TenantQuota, refused: Counter) -> Self {
         let now = Instant::now();
         Self {
             tenant,
@@ -63,6 +66,7 @@ impl TenantAccount {
             uploads: quota.upload_bytes_per_minute.map(|n| TokenBucket::new(n as f64, now)),
             work: quota.solve_seconds_per_minute.map(|n| TokenBucket::new(n, now)),
             quota,
+            refused,
         }
     }
 
@@ -227,6 +231,7 @@ impl TenantAccount {
             return Err(Error::new(ErrorCode::TooLarge, text));
         }
         bucket.take(more as f64, Instant::now()).map_err(|wait| {
+            self.refused.inc();
             let text = format!("your quota of {most} uploaded bytes a minute is used up");
             later(text, wait)
         })
@@ -251,6 +256,7 @@ impl TenantAccount {
     pub(in crate::session) fn check_work(&self) -> Result<(), Error> {
         let Some(bucket) = &self.work else { return Ok(()) };
         bucket.check(Instant::now()).map_err(|wait| {
+            self.refused.inc();
             let text = format!(
                 "your quota of {} seconds of computing a minute is used up",
                 bucket.a_minute()

@@ -4,6 +4,7 @@ use crate::session::answers::Tenant;
 use crate::session::error::Error;
 use crate::session::quota::tenant_account::TenantAccount;
 use crate::session::quota::tenant_quota::TenantQuotas;
+use prometheus_client::metrics::counter::Counter;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -15,13 +16,16 @@ pub const MOST_TENANTS: usize = 100_000;
 pub(in crate::session) struct TenantAccounts {
     quotas: TenantQuotas,
     open: Mutex<BTreeMap<Tenant, Arc<TenantAccount>>>,
+    /// Calls that were refused for want of capacity.
+    refused: Counter,
 }
 
 impl TenantAccounts {
     /// Nobody uses anything yet.
-    pub fn new(quotas: TenantQuotas) -> Self {
+    pub fn new(quotas: TenantQuotas, refused: Counter) -> Self {
         Self {
             quotas,
+            refused,
             open: Mutex::default(),
         }
     }
@@ -41,7 +45,11 @@ impl TenantAccounts {
                 return Err(Error::exhausted("too many tenants use this server", 60));
             }
         }
-        let account = Arc::new(TenantAccount::new(tenant.clone(), self.quotas.of(tenant)));
+        let account = Arc::new(TenantAccount::new(
+            tenant.clone(),
+            self.quotas.of(tenant),
+            self.refused.clone(),
+        ));
         open.insert(tenant.clone(), Arc::clone(&account));
         Ok(account)
     }
@@ -59,7 +67,7 @@ mod tests {
 
     #[test]
     fn tenants_that_use_nothing_are_forgotten_when_there_are_many() {
-        let accounts = TenantAccounts::new(TenantQuotas::default());
+        let accounts = TenantAccounts::new(TenantQuotas::default(), Counter::default());
         let kept = accounts.of(&named("kept")).unwrap();
         let session = kept.take_session(|| Duration::ZERO).unwrap();
         drop(kept);
@@ -86,7 +94,7 @@ mod tests {
                 },
             )]),
         };
-        let accounts = TenantAccounts::new(quotas);
+        let accounts = TenantAccounts::new(quotas, Counter::default());
         for (name, sessions) in [("large", 3), ("other", 1)] {
             let account = accounts.of(&named(name)).unwrap();
             let taken: Vec<_> = (0..sessions)

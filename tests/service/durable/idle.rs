@@ -76,6 +76,11 @@ async fn idle_sessions_make_room_before_a_new_one_is_refused(place: StorePlace) 
         assert_eq!(&seen(&server, id).await, was);
     }
     assert_eq!(metric(&server, "pliant_sessions ").await, 2.0);
+    assert_eq!(
+        metric(&server, "pliant_refused_total ").await,
+        0.0,
+        "every call succeeded"
+    );
     // Those that streams hold stay: then there is no room.
     let mut streams = Vec::new();
     for (id, _) in &known[..2] {
@@ -84,6 +89,7 @@ async fn idle_sessions_make_room_before_a_new_one_is_refused(place: StorePlace) 
         streams.push(opened.expect("a stream"));
     }
     assert_eq!(server.call("GET", &path(&known[3].0, ""), None).await.0, 429);
+    assert_eq!(metric(&server, "pliant_refused_total ").await, 1.0);
     drop(streams);
     eventually("room", async || {
         server.call("GET", &path(&known[3].0, ""), None).await.0 == 200

@@ -114,8 +114,10 @@ async fn uploads_are_counted_by_the_minute() {
     let server = limited(quota).await;
     assert_eq!(open(&server, "a", 8).await.0, 201);
     assert_eq!(open(&server, "a", 8).await.0, 201);
+    assert_eq!(server.manager.metrics().refused.get(), 0);
     let (status, wait, told) = open(&server, "a", 8).await;
     assert_eq!(status, 429, "{told}");
+    assert_eq!(server.manager.metrics().refused.get(), 1, "whoever watches is told");
     assert!((1..=60).contains(&wait.expect("a time")), "{wait:?}");
     let left = quotas(&server, "a").await["uploadBytesPerMinute"]["left"]
         .as_f64()
@@ -135,6 +137,11 @@ async fn uploads_are_counted_by_the_minute() {
         .post(server.url("/v1/sessions?format=obj"))
         .body(reqwest::Body::wrap_stream(chunks));
     assert_eq!(answer(unannounced, "a").await.0, 429);
+    assert_eq!(
+        server.manager.metrics().refused.get(),
+        2,
+        "too large is no want of capacity"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -152,6 +159,7 @@ async fn computing_is_counted_by_the_minute() {
     let (status, wait, told) = answer(set(), "a").await;
     assert_eq!(status, 429, "{told}");
     assert!(text(&told["detail"]).contains("seconds of computing"), "{told}");
+    assert_eq!(server.manager.metrics().refused.get(), 1, "whoever watches is told");
     assert!(wait > Some(60), "{wait:?}");
     assert_eq!(quotas(&server, "a").await["solveSecondsPerMinute"]["left"], 0.0);
     // What computes nothing goes on.
