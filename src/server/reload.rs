@@ -3,7 +3,7 @@
 //! They are looked at every now and then, by content: an editor that replaces a file, a link that points elsewhere and a renewed
 //! certificate are all seen. What cannot be read changes nothing, and is told once.
 
-use super::config::tokens_of_file;
+use super::config::{FileKeys, changed_keys, keys_of_file, tokens_of_file};
 use super::state::State;
 use std::time::Duration;
 
@@ -12,14 +12,22 @@ const PERIOD: Duration = Duration::from_secs(1);
 
 /// Follows the files for ever.
 pub(super) async fn follow_files(state: State) {
-    let mut told = Told::default();
+    let mut told = Told {
+        keys: state.config.auth.file.as_deref().and_then(keys_of_file),
+        ..Told::default()
+    };
     let mut known = state.config.auth.tokens.clone();
     loop {
         state.gatekeeper.follow_keys().await;
         tokio::time::sleep(PERIOD).await;
         if let Some(file) = state.config.auth.file.clone() {
-            match tokio::task::spawn_blocking(move || tokens_of_file(&file)).await {
-                Ok(Ok(tokens)) => {
+            let read = move || (tokens_of_file(&file), keys_of_file(&file));
+            let Ok((tokens, keys)) = tokio::task::spawn_blocking(read).await else {
+                return;
+            };
+            told.tell_of_keys(keys);
+            match tokens {
+                Ok(tokens) => {
                     told.tokens = None;
                     if tokens != known {
                         tracing::info!(auth.tokens = tokens.len(), "the tokens have changed");
@@ -27,8 +35,7 @@ pub(super) async fn follow_files(state: State) {
                         known = tokens;
                     }
                 }
-                Ok(Err(error)) => tell(&mut told.tokens, "the tokens stay as they were", error.to_string()),
-                Err(_) => return,
+                Err(error) => tell(&mut told.tokens, "the tokens stay as they were", error.to_string()),
             }
         }
         if let Some(tls) = state.tls.clone() {
@@ -54,6 +61,24 @@ pub(super) async fn follow_files(state: State) {
 struct Told {
     tokens: Option<String>,
     certificates: Option<String>,
+    /// What the file of the configuration said at first beside the tokens.
+    keys: Option<FileKeys>,
+    changed: Vec<String>,
+}
+
+impl Told {
+    /// Says which keys have changed that nobody follows.
+    fn tell_of_keys(&mut self, keys: Option<FileKeys>) {
+        let Some(now) = keys else { return };
+        let changed = changed_keys(self.keys.get_or_insert_with(|| now.clone()), &now);
+        if changed != self.changed && !changed.is_empty() {
+            tracing::warn!(
+                "the configuration file has changed, and what it says of {} counts from the next start on; tokens alone are followed",
+                changed.join(", ")
+            );
+        }
+        self.changed = changed;
+    }
 }
 
 fn tell(last: &mut Option<String>, what: &str, problem: String) {

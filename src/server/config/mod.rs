@@ -6,6 +6,7 @@
 mod auth_settings;
 mod auth_table;
 mod error;
+mod file_keys;
 mod keys;
 mod node_keys;
 mod plain_words;
@@ -21,6 +22,7 @@ pub use auth_settings::MOST_TOKENS;
 pub(super) use auth_settings::tokens_of_file;
 pub use auth_table::{AuthTable, TokenTable};
 pub use error::Error;
+pub(super) use file_keys::{FileKeys, changed_keys, keys_of_file};
 pub use keys::{ConfigKeys, KeyValue};
 pub use quota_table::QuotaTable;
 pub use server_config::ServerConfig;

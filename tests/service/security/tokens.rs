@@ -1,7 +1,8 @@
 //! Bearer tokens, on every transport.
 
-use super::{entry, guarded};
+use super::{entry, guarded, token_table};
 use crate::support::certificates::replace_file;
+use crate::support::program::ServedProgram;
 use crate::support::server::*;
 use pliant::server::config::{ConfigKeys, ServeSettings};
 use pliant::wire::pb;
@@ -242,4 +243,50 @@ async fn tokens_follow_their_file_and_a_broken_one_changes_nothing() {
     replace_file(&file, "");
     eventually("no token", async || status("second").await == 401).await;
     assert_eq!(get(&server, "/v1/limits", None).await.status(), 401);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_key_that_counts_from_the_next_start_on_is_told_once_when_it_changes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("pliant.toml");
+    let token = token_table("a", "first", "a");
+    replace_file(&file, &format!("history = 7\n{token}"));
+    let arguments = ["--config", file.to_str().expect("UTF-8")];
+    let server = ServedProgram::start_in_memory(folder.path().join("log"), &arguments);
+    let told = || {
+        let log = server.log();
+        log.lines()
+            .filter(|line| line.contains("from the next start on"))
+            .count()
+    };
+    let followed = async |token: &str| {
+        let known = async || {
+            let asked = http()
+                .get(format!("{}/v1/limits", server.url))
+                .bearer_auth(token)
+                .send();
+            within("an answer", asked)
+                .await
+                .is_ok_and(|answer| answer.status() == 200)
+        };
+        eventually("another token", known).await;
+    };
+    // Tokens are followed, and that is no such change.
+    replace_file(
+        &file,
+        &format!("history = 7\n{token}{}", token_table("a", "second", "a")),
+    );
+    followed("second").await;
+    assert_eq!(told(), 0, "{}", server.log());
+    let tokens = token + &token_table("a", "third", "a");
+    replace_file(&file, &format!("history = 8\nsessions = 3\n{tokens}"));
+    followed("third").await;
+    eventually("the keys", async || told() > 0).await;
+    assert!(server.log().contains("history, sessions"), "{}", server.log());
+    replace_file(
+        &file,
+        &format!("history = 8\nsessions = 3\n{tokens}{}", token_table("a", "fourth", "a")),
+    );
+    followed("fourth").await;
+    assert_eq!(told(), 1, "{}", server.log());
 }
