@@ -47,12 +47,20 @@ pub(in crate::server) const ROUTES: [Route; 23] = [
         status: 201,
         query: &[
             OPENED_FORMAT,
-            ("options", "CreateOptions as JSON"),
+            (
+                "options",
+                "CreateOptions as JSON; keepApart, passengers and rigidChains hold lists and can be given here alone",
+            ),
             ("label", "CreateOptions.label"),
             ("ttl", "CreateOptions.ttl"),
             ("components", "CreateOptions.components"),
             ("weights", "CreateOptions.weights"),
             ("operators", "CreateOptions.operators"),
+            ("parts", "CreateOptions.parts"),
+            ("tieDistance", "CreateOptions.tieDistance"),
+            ("rig", "CreateOptions.rig"),
+            ("morphTargets", "CreateOptions.morphTargets"),
+            ("boneLengths", "CreateOptions.boneLengths"),
             (
                 "volumeGraph",
                 "CreateOptions.volumeGraph.mode; its other fields as volumeGraph.interval and so on",
@@ -60,7 +68,7 @@ pub(in crate::server) const ROUTES: [Route; 23] = [
             ("weld", "CreateOptions.weld.tolerance"),
             (
                 "sample",
-                "creature or figure: open a built-in model; the body stays empty",
+                "creature or figure: open a built-in model; the body stays empty. The figure has a skeleton and clips, the creature none",
             ),
         ],
         keyed: true,
@@ -152,7 +160,7 @@ pub(in crate::server) const ROUTES: [Route; 23] = [
         method: "post",
         path: "/v1/sessions/{id}/animations",
         rpc: Some("Animate"),
-        summary: "Drive the model by a clip. The body is a form with the parts options and clip (a BVH file), or the options as JSON. Accept chooses frames in a row, a line of JSON each (application/x-ndjson) or length-delimited messages (application/vnd.google.protobuf), or a GLB that plays the clip.",
+        summary: "Drive the model by a clip. The body is a form with the parts options and clip (a BVH file), or the options as JSON. Accept chooses frames in a row, a line of JSON each (application/x-ndjson) or length-delimited messages (application/vnd.google.protobuf), or a GLB that plays the clip. The example plays a clip of the model itself: open the session with sample=figure, the creature has none.",
         takes: Some("AnimateOptions"),
         ..PLAIN
     },

@@ -282,6 +282,29 @@ mod tests {
         );
     }
 
+    /// What opens a session by single parameters: every field that is no list, and the lists by name in the text of `options`.
+    #[test]
+    fn every_create_option_is_a_parameter_or_told_of() {
+        let document = build().unwrap();
+        let parameters = document["paths"]["/v1/sessions"]["post"]["parameters"]
+            .as_array()
+            .unwrap();
+        let named = |name: &str| parameters.iter().find(|p| p["name"] == name);
+        let options = named("options").unwrap()["description"].as_str().unwrap();
+        let schema = wire::json::descriptors()
+            .unwrap()
+            .get_message_by_name("pliant.v1.CreateOptions")
+            .unwrap();
+        for field in schema.fields() {
+            let name = field.json_name();
+            let told = named(name).is_some() || options.split(|c: char| !c.is_alphanumeric()).any(|word| word == name);
+            assert!(
+                told,
+                "POST /v1/sessions takes {name}, and its description does not say so"
+            );
+        }
+    }
+
     #[test]
     fn operation_ids_are_unique() {
         let mut ids: Vec<String> = ROUTES.iter().map(operation_id).collect();
