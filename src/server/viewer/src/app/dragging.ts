@@ -2,6 +2,7 @@
 
 import { type FrameFacts, type PoseEntry, type Session, type SolveOptions, type Stream, schema } from "pliant-client";
 import { type HandlePose, entryOf } from "../model/handles.ts";
+import { changedElsewhere, changedHere, takeOver } from "./following.ts";
 import { bringBack, onScreen } from "./intermission.ts";
 import { repaint } from "./painting.ts";
 import { keepDocument } from "./opening.ts";
@@ -73,7 +74,7 @@ export function startStream(session: Session): void {
   stream = mine;
   s.link.value = { state: mine.state };
   // A session that nobody calls expires, even while its model is being looked at.
-  alive = setInterval(() => void session.refresh().catch(() => undefined), RENEW_MS);
+  alive = setInterval(() => void session.refresh().catch(() => undefined).then(changedElsewhere), RENEW_MS);
 }
 
 export function stopStream(): void {
@@ -153,10 +154,13 @@ async function recordPoses(ids: readonly string[]): Promise<void> {
   try {
     const frame = await recorded;
     if (stream !== current) return;
+    const elsewhere = changedHere(BigInt(frame.revision));
     if (frame.quality !== undefined) s.quality.value = frame.quality;
     const [moved] = poses;
     remember(BigInt(frame.revision), recordedHandles, poses.length === 1 && moved !== undefined ? `${moved.name} posed` : "Handles posed");
     await refreshHistory();
+    // The pose was added to what others did: that is shown, too.
+    if (elsewhere) await takeOver();
   } catch (error) {
     // Of a session that is gone the dialog tells, and offers to open the model with this pose.
     if (stream === current && current.state !== "gone") s.fail("The pose was not recorded", error);

@@ -4,6 +4,7 @@ import { type Edit, PliantError, regionOf, schema } from "pliant-client";
 import { AT_REST, heldAfter } from "../model/handles.ts";
 import { otherPlaces } from "../model/warnings.ts";
 import { adoptHandles } from "./handling.ts";
+import { isStale } from "./following.ts";
 import { bringBack } from "./intermission.ts";
 import { holdBeforeEdits, holdRest, keepDocument, reload } from "./opening.ts";
 import { refreshHistory, remember } from "./past.ts";
@@ -56,6 +57,7 @@ async function edit(what: string, operation: Edit): Promise<void> {
   const open = s.doc.peek();
   if (open === undefined) return;
   bringBack();
+  if (await isStale(what)) return;
   s.busy.value = { title: what };
   await committing(() => carryOut(open, what, operation));
 }

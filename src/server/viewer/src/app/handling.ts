@@ -4,6 +4,7 @@ import { batch } from "@preact/signals";
 import type { Vector, schema } from "pliant-client";
 import { AT_REST, type HandleState, type Hold, PALETTE, isAtRest, messageOf, poseOf } from "../model/handles.ts";
 import { commitPoses } from "./dragging.ts";
+import { changedHere, isStale, takeOver } from "./following.ts";
 import { bringBack } from "./intermission.ts";
 import { refreshHistory, remember } from "./past.ts";
 import * as s from "./signals.ts";
@@ -151,13 +152,16 @@ function selectedVertices(): Uint32Array {
 /** Runs a change of handles and notes where it led, and what it was. */
 async function changing(what: string, failure: string, change: () => Promise<void>): Promise<boolean> {
   bringBack();
+  if (await isStale(what)) return false;
   try {
     await committing(async () => {
       await change();
       didCommit();
       const revision = s.facts.peek()?.revision ?? 0n;
       remember(revision, s.handles.peek(), what);
+      const elsewhere = changedHere(revision);
       await refreshHistory();
+      if (elsewhere) void takeOver();
     });
     return true;
   } catch (error) {

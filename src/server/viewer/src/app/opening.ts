@@ -16,6 +16,7 @@ import { type Topology, loadTopology } from "../model/topology.ts";
 import { Surface } from "../scene/surface.ts";
 import { startStream, stopStream } from "./dragging.ts";
 import { dress } from "./dressing.ts";
+import { showsRevision } from "./following.ts";
 import { adoptHandles, sampleHandles, setAllHandles } from "./handling.ts";
 import { bringBack } from "./intermission.ts";
 import { type Kept, forget, keep, kept, markOf } from "./keeping.ts";
@@ -250,6 +251,7 @@ function show(session: Session, name: string, { topology, report }: Drawable, re
   batch(() => {
     s.doc.value = { name, session, topology, report, rest: atRest };
     s.facts.value = session.facts;
+    showsRevision(session.facts.revision);
     s.handles.value = [];
     s.activeId.value = undefined;
     s.selection.value = new Uint8Array(topology.positions.length / 3);

@@ -4,6 +4,7 @@ import { batch, computed } from "@preact/signals";
 import type { schema } from "pliant-client";
 import type { HandleState } from "../model/handles.ts";
 import { dropFrames } from "./dragging.ts";
+import { isStale, showsRevision } from "./following.ts";
 import { adoptHandles } from "./handling.ts";
 import { bringBack } from "./intermission.ts";
 import { holdRest, keepDocument, reload } from "./opening.ts";
@@ -39,6 +40,15 @@ export function forgetPast(
   deeds.clear();
   for (const [revision, handles] of known ?? []) snapshots.set(revision, handles);
   for (const [revision, what] of names ?? []) deeds.set(revision, what);
+}
+
+/** Takes up what another window knows of the same past; what this one knows stays. */
+export function learnPast(
+  known: ReadonlyMap<string, readonly HandleState[]> | undefined,
+  names: ReadonlyMap<string, string> | undefined,
+): void {
+  for (const [revision, handles] of known ?? []) if (!snapshots.has(revision)) snapshots.set(revision, handles);
+  for (const [revision, what] of names ?? []) if (!deeds.has(revision)) deeds.set(revision, what);
 }
 
 export function pastNames(): ReadonlyMap<string, string> {
@@ -91,6 +101,7 @@ async function travel(way: -1 | 1): Promise<void> {
   try {
     await allAnswered();
     bringBack();
+    if (await isStale(way < 0 ? "Undo" : "Redo")) return;
     const local = way < 0 ? stepBack() : stepForth();
     const what = local ?? commitTo(way);
     if (what === undefined || (local === undefined && !(await step(way)))) return;
@@ -102,6 +113,7 @@ async function travel(way: -1 | 1): Promise<void> {
 
 /** Goes to the commit with this revision. */
 export async function goTo(revision: bigint): Promise<void> {
+  if (await isStale("Going to another commit")) return;
   const list = s.commits.peek();
   const from = list.findIndex((commit) => commit.revision === s.currentRevision.peek());
   const to = list.findIndex((commit) => commit.revision === revision);
@@ -140,6 +152,8 @@ export async function arrive(): Promise<void> {
   if (open === undefined) return;
   const { session, name } = open;
   const before = s.topologyRevision.peek();
+  const former = s.handles.peek();
+  let stayed: readonly HandleState[] = [];
   holdRest();
   await refreshHistory();
   if (s.topologyRevision.peek() !== before) {
@@ -150,9 +164,13 @@ export async function arrive(): Promise<void> {
     dropFrames();
     surface?.positions.set(positions);
     surface?.moved(false);
+    // What others made is not written down here; what looks the same is taken for the same.
+    const told = new Map(session.facts.handles.map(({ id, vertices }) => [id, vertices]));
+    stayed = former.filter(({ id, count }) => told.get(id) === count);
   }
   s.facts.value = session.facts;
-  adoptHandles(session.facts, snapshots.get(String(s.currentRevision.peek())));
+  showsRevision(session.facts.revision);
+  adoptHandles(session.facts, snapshots.get(String(s.currentRevision.peek())) ?? stayed);
   repaint();
   void keepDocument();
 }

@@ -80,6 +80,11 @@ export async function committing<T>(work: () => Promise<T>): Promise<T> {
   }
 }
 
+/** Commits that were sent and not answered. */
+export function awaitedNow(): number {
+  return awaited;
+}
+
 /** Waits until all commits that were sent are answered. */
 export async function allAnswered(): Promise<void> {
   if (awaited > 0) await new Promise<void>((resolve) => waiting.push(resolve));

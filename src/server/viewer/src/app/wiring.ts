@@ -11,6 +11,7 @@ import { applyOptions, commitPoses, dragTo, giveUpDrag, turn } from "./dragging.
 import { resume, sessionOfThisTab } from "./opening.ts";
 import { showLooks } from "./dressing.ts";
 import { installAnimating } from "./animating.ts";
+import { installFollowing } from "./following.ts";
 import { installIntermission, onScreen } from "./intermission.ts";
 import { repaint } from "./painting.ts";
 import { installPlaying } from "./playing.ts";
@@ -54,6 +55,7 @@ export function install(host: HTMLElement, gizmoLabel: HTMLElement): void {
   installPlaying();
   installAnimating();
   installIntermission();
+  installFollowing();
   stage.beforePaint(() => followGizmo(gizmoLabel));
 
   const dark = matchMedia("(prefers-color-scheme: dark)");
