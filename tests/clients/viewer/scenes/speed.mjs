@@ -47,6 +47,7 @@ export async function play({ browser, url, server, log, named }) {
     await sheet.picture(`finger-${vertices / 1000}k`);
     assert.deepEqual(sheet.complaints, []);
     await sheet.page.getByRole("button", { name: "Close the model" }).click();
+    await sheet.page.getByRole("button", { name: "Discard" }).click();
     await sheet.close();
   }
 }

@@ -6,6 +6,7 @@ import { AT_REST, type HandleState, type Hold, PALETTE, isAtRest, messageOf, pos
 import { commitPoses } from "./dragging.ts";
 import { changedHere, isStale, takeOver } from "./following.ts";
 import { bringBack } from "./intermission.ts";
+import { OPENING_DEED } from "./leaving.ts";
 import { refreshHistory, remember } from "./past.ts";
 import * as s from "./signals.ts";
 import { committing, didCommit } from "./steps.ts";
@@ -96,7 +97,7 @@ export async function setAllHandles(wanted: readonly HandleState[]): Promise<voi
   const open = s.doc.peek();
   if (open === undefined) return;
   const known = wanted.filter((handle) => handle.vertices !== undefined);
-  const done = await changing("Handles set", "The handles were not set", async () => {
+  const done = await changing(OPENING_DEED, "The handles were not set", async () => {
     merge(await open.session.setHandles({ handles: known.map(messageOf) }), known);
   });
   s.activeId.value = known.findLast(({ hold }) => hold !== "pin")?.id;

@@ -20,6 +20,7 @@ import { showsRevision } from "./following.ts";
 import { adoptHandles, sampleHandles, setAllHandles } from "./handling.ts";
 import { bringBack } from "./intermission.ts";
 import { type Kept, forget, keep, kept, markOf } from "./keeping.ts";
+import { type Leaving, askLeaving } from "./leaving.ts";
 import { forgetPast, pastNames, pastSnapshots, refreshHistory, remember } from "./past.ts";
 import { setCompanions } from "./playing.ts";
 import * as s from "./signals.ts";
@@ -79,8 +80,10 @@ export async function openFiles(files: readonly PlacedFile[]): Promise<void> {
   if (models.length > 1) {
     s.note("info", `Opened ${nameOf(model)}`, "Several models were given; a session holds one.");
   }
+  const leaving = await askLeaving();
+  if (leaving === "stay") return;
   const companions = await companionsOf(model, files.filter((file) => file !== model));
-  await open({ name: nameOf(model), model: model.file, companions, sample: false });
+  await open({ name: nameOf(model), model: model.file, companions, sample: false }, undefined, leaving);
 }
 
 /** Opens the built-in creature, its feet and head already handles. */
@@ -144,11 +147,14 @@ export async function resume(id: string): Promise<boolean> {
   return found;
 }
 
-/** Closes the model; the session goes with it. */
+/** Closes the model. The session goes with it, unless something was done in it and the user keeps it. */
 export async function closeModel(): Promise<void> {
+  const leaving = await askLeaving();
+  if (leaving === "stay") return;
   const open = s.doc.peek();
+  if (leaving === "keep") await keepDocument();
   leave();
-  if (open === undefined) return;
+  if (open === undefined || leaving === "keep") return;
   void forget(open.session.id);
   await open.session.close().catch(() => undefined);
 }
@@ -185,7 +191,7 @@ export async function reload(session: Session, name: string): Promise<void> {
   show(session, name, await drawable(session), rests.get(s.topologyRevision.peek()), false);
 }
 
-async function open(from: Source, restored?: readonly HandleState[]): Promise<void> {
+async function open(from: Source, restored?: readonly HandleState[], leaving: Leaving = "discard"): Promise<void> {
   await busily(from.sample ? "Opening the creature" : `Opening ${from.name}`, async (signal, tell) => {
     const options = createOptions(from.name);
     const previous = s.doc.peek()?.session;
@@ -212,7 +218,7 @@ async function open(from: Source, restored?: readonly HandleState[]): Promise<vo
     rests.clear();
     forgetPast();
     show(session, from.name, drawn, undefined, restored === undefined);
-    if (previous !== undefined) {
+    if (previous !== undefined && leaving === "discard") {
       void forget(previous.id);
       void previous.close().catch(() => undefined);
     }

@@ -12,6 +12,7 @@ import { GizmoLabel } from "./GizmoLabel.tsx";
 import { Help } from "./Help.tsx";
 import { Inspector } from "./Inspector.tsx";
 import { installKeys } from "./keys.ts";
+import { LeavingDialog } from "./LeavingDialog.tsx";
 import { Notes } from "./Notes.tsx";
 import { Start } from "./Start.tsx";
 import { StatusBar } from "./StatusBar.tsx";
@@ -57,6 +58,7 @@ export function App(): JSX.Element {
       <StatusBar />
       <Help />
       <TokenDialog />
+      <LeavingDialog />
     </div>
   );
 }

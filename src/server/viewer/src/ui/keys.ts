@@ -3,6 +3,7 @@
 import { animating, seekFrame } from "../app/animating.ts";
 import { makeHandle, removeHandle } from "../app/handling.ts";
 import { bringBack, onScreen } from "../app/intermission.ts";
+import { leavingQuestion } from "../app/leaving.ts";
 import { redo, undo } from "../app/past.ts";
 import * as s from "../app/signals.ts";
 import { activate, clearSelection, giveUpGesture, invertSelection } from "../app/tools.ts";
@@ -127,7 +128,7 @@ export function installKeys(): void {
     const choosing = event.key.startsWith("Arrow") && target.matches("input, [role=radio]");
     const pressing = target.matches("button, summary, a") && (event.key === "Enter" || event.key === " ");
     const escaping = event.key === "Escape";
-    if ((typing && !escaping) || pressing || choosing || s.busy.peek() !== undefined) return;
+    if ((typing && !escaping) || pressing || choosing || s.busy.peek() !== undefined || leavingQuestion.peek() !== undefined) return;
     const control = event.ctrlKey || event.metaKey;
     if (event.altKey) return;
     let name = `${control ? "ctrl+" : ""}${event.key.toLowerCase()}`;

@@ -1,0 +1,30 @@
+/** Asks what becomes of a session with work in it before the page leaves it. */
+
+import type { JSX } from "preact";
+import { useEffect, useRef } from "preact/hooks";
+import { leavingQuestion } from "../app/leaving.ts";
+import { Button } from "./parts.tsx";
+
+export function LeavingDialog(): JSX.Element {
+  const sheet = useRef<HTMLDialogElement>(null);
+  const question = leavingQuestion.value;
+  useEffect(() => {
+    if (question !== undefined) sheet.current?.showModal();
+    else sheet.current?.close();
+  }, [question]);
+  return (
+    <dialog class="help token" ref={sheet} role="alertdialog" aria-labelledby="leaving-title" onCancel={() => question?.answer("stay")}>
+      <h1 id="leaving-title">Keep what was done to {question?.name}?</h1>
+      <p>
+        A session that is kept stays on this server as it is: the start page lists it under “Open on this server” until it has not been used
+        for a while. One that is discarded is gone, with its history.
+      </p>
+      <div class="row">
+        <Button kind="main" label="Keep" onClick={() => question?.answer("keep")} />
+        <Button kind="danger" label="Discard" onClick={() => question?.answer("discard")} />
+        <span class="gap" />
+        <Button label="Cancel" onClick={() => question?.answer("stay")} />
+      </div>
+    </dialog>
+  );
+}
