@@ -45,6 +45,9 @@ export async function play({ browser, url, server, log }) {
   }
   // A line each, until it is unfolded; and where it is can be shown.
   for (const line of await warnings.all()) assert.ok((await line.boundingBox()).height < 36, `not a line: ${await line.innerText()}`);
+  // The pointer tells the whole of what a line cuts off.
+  const titles = await sheet.page.locator(".inspector .warning .text").evaluateAll((lines) => lines.map(({ title }) => title));
+  assert.ok(titles.some((title) => /hole or open rim.* at render vertex [\d,]+ at \(/.test(title)), `titles: ${titles.join(" | ")}`);
   assert.match(texts.join(" | "), /1 hole or open rim/);
   const resting = await sheet.ask("place", 0);
   await warnings.getByRole("button", { name: "Show me" }).first().click();

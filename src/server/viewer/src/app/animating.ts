@@ -87,6 +87,8 @@ interface Film {
 
 let film: Film | undefined;
 let abort: AbortController | undefined;
+/** The session that was open last: frames of another one are not wanted. */
+let openLast: string | undefined;
 /** The sign that is up until the first frame is there. */
 let sign: s.Busy | undefined;
 
@@ -170,7 +172,8 @@ async function receive(source: ClipSource, options: ClipOptions, into: Film): Pr
     }
     if (film === into) animationReport.value = animation.report;
   } catch (error) {
-    if (!signal.aborted) s.fail(into.frames.length === 0 ? "The clip does not play" : "No more frames came", error);
+    // Another model has taken the place of the one that was to move: nobody waits for its clip.
+    if (!signal.aborted && s.doc.peek()?.session === open.session) s.fail(into.frames.length === 0 ? "The clip does not play" : "No more frames came", error);
   }
 }
 
@@ -334,10 +337,12 @@ export function installAnimating(): void {
     compare();
   });
   effect(() => {
-    if (s.doc.value === undefined) {
+    const session = s.doc.value?.session.id;
+    if (session === undefined || session !== openLast) {
       abort?.abort();
       tooLong.value = undefined;
     }
+    openLast = session;
   });
 }
 

@@ -5,6 +5,7 @@ import type { PliantError, Session, StreamState, schema } from "pliant-client";
 import type { HandleState } from "../model/handles.ts";
 import type { SurfaceReport } from "../model/report.ts";
 import type { Topology } from "../model/topology.ts";
+import { forPeople } from "../model/words.ts";
 import { recall, store } from "./storage.ts";
 
 /** The open model. */
@@ -192,8 +193,8 @@ export function dismissErrors(): void {
   notes.value = notes.peek().filter(({ kind }) => kind !== "error");
 }
 
-/** Tells why something failed, in the server's words. */
+/** Tells why something failed, in the server's words where they mean something here. */
 export function fail(what: string, error: unknown): void {
   if (error instanceof Error && error.name === "AbortError") return;
-  note("error", what, error instanceof Error ? error.message : String(error));
+  note("error", what, forPeople(error instanceof Error ? error.message : String(error)));
 }

@@ -22,7 +22,7 @@ export function WarningLine({ warning }: { warning: Told }): JSX.Element {
   const headline = headlineOf(warning.message);
   return (
     <div class={`warning${open ? "" : " line"}`}>
-      <button type="button" class="text" aria-expanded={open} title={warning.code} onClick={() => setOpen(!open)}>
+      <button type="button" class="text" aria-expanded={open} title={[warning.message, others].filter(Boolean).join("\n")} onClick={() => setOpen(!open)}>
         {open ? warning.message : headline}
         {open && others !== undefined && <small>{others}</small>}
       </button>

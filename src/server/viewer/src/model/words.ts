@@ -1,0 +1,20 @@
+/** What the server says to programs and command lines, said to somebody who has a page in front of them. */
+
+const SAID: readonly (readonly [pattern: RegExp, words: string])[] = [
+  [
+    /; send it along as another part of a multipart upload.*$/s,
+    "; drop the model together with $FILE, or drop the folder that they are in",
+  ],
+  [
+    /; give joints with --at NAME=x,y,z or --landmarks FILE: .*$/s,
+    "; drop a rig (a JSON file that places its joints) together with the clip: “A rig for a model” in deploy/docs/animation.md has one",
+  ],
+  [/rig: is missing, and pliant rig finds none: model: /, "a rig is needed, and none can be made from this model: "],
+  [/; --at puts a joint elsewhere/, "; a rig file dropped with the clip puts a joint elsewhere"],
+];
+
+/** The server's message without flags of the command line and parts of forms. */
+export function forPeople(message: string): string {
+  const file = /the file "([^"]+)" is missing/.exec(message)?.[1] ?? "it";
+  return SAID.reduce((text, [pattern, words]) => text.replace(pattern, () => words.replace("$FILE", () => file)), message);
+}
