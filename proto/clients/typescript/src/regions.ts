@@ -5,6 +5,7 @@ import type { MessageInitShape } from "@bufbuild/protobuf";
 import { PliantError } from "./errors.js";
 import type { Region } from "./gen/pliant/v1/pliant_pb.js";
 import { RegionSchema } from "./gen/pliant/v1/pliant_pb.js";
+import { isNumbers, written as shown } from "./poses.js";
 
 /** x, y, z in model units. */
 export type Point = readonly [x: number, y: number, z: number];
@@ -59,6 +60,38 @@ const WRITTEN: { readonly [K in keyof RegionKinds]: (value: RegionKinds[K]) => R
   weights: (values) => written({ case: "weights", value: { values: Array.from(values) } }),
 };
 
+const POINT = "three numbers";
+const NUMBER = "a number";
+const POINTS = "a list of points of three numbers";
+
+/** What each key of a kind takes, where a kind is an object. */
+const KEYS: { readonly [K in keyof RegionKinds]?: Readonly<Record<string, string>> } = {
+  halfSpace: { normal: POINT, offset: NUMBER },
+  sphere: { center: POINT, radius: NUMBER },
+  box: { min: POINT, max: POINT },
+  capsule: { from: POINT, to: POINT, radius: NUMBER },
+  tube: { points: POINTS, radius: NUMBER },
+};
+
+/** Refuses keys that a kind does not have or lacks, and what is none of what they take. */
+function checkKeys(kind: keyof RegionKinds, value: unknown): void {
+  const keys = KEYS[kind];
+  if (keys === undefined) return;
+  const allowed = Object.entries(keys).map(([key, takes]) => `${key} (${takes})`).join(" and ");
+  if (typeof value !== "object" || value === null) throw new Error(`is ${shown(value)}, an object with ${allowed} is allowed`);
+  const stray = Object.keys(value).find((key) => !Object.hasOwn(keys, key));
+  if (stray !== undefined) throw new Error(`${stray} is no key of it; allowed are ${allowed}`);
+  for (const [key, takes] of Object.entries(keys)) {
+    const given = (value as Record<string, unknown>)[key];
+    // Vectors of other libraries are lists as well; points in a row may be flat.
+    const isPoint = (x: unknown): boolean => isNumbers(typeof x === "object" && x !== null && Symbol.iterator in x ? [...(x as Iterable<unknown>)] : x, [3]);
+    const arePoints = (x: unknown): boolean => Array.isArray(x) && (x.every(isPoint) || isNumbers(x, [x.length]));
+    const fits = takes === NUMBER ? typeof given === "number" : takes === POINT ? isPoint(given) : arePoints(given);
+    if (given === undefined) throw new Error(`${key} is missing; it takes ${allowed}`);
+    if (!fits) throw new Error(`${key} is ${shown(given)}, it takes ${takes}`);
+  }
+}
+
 /** The schema's message of a region. Fails when it is none: not exactly one of the kinds. */
 export function regionFrom(region: RegionLike): Region {
   if (isMessage(region, RegionSchema)) return region;
@@ -71,6 +104,7 @@ export function regionFrom(region: RegionLike): Region {
     throw new PliantError("INVALID_ARGUMENT", `region: ${seen} is given, exactly one of ${allowed} is allowed`);
   }
   try {
+    checkKeys(kind as keyof RegionKinds, region[kind as keyof typeof region]);
     return (WRITTEN[kind as keyof RegionKinds] as (value: unknown) => Region)(region[kind as keyof typeof region]);
   } catch (error) {
     const why = error instanceof Error ? error.message : String(error);

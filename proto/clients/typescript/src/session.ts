@@ -18,6 +18,7 @@ import {
 } from "./gen/pliant/v1/pliant_pb.js";
 import type { AnimateOptions } from "./animation.js";
 import { Animation, formOf } from "./animation.js";
+import { checkPoses } from "./poses.js";
 import { type RegionLike, regionFrom } from "./regions.js";
 import type { StreamEvents } from "./stream.js";
 import { Stream } from "./stream.js";
@@ -116,6 +117,7 @@ export class Session {
 
   /** Solves one pose, commits it, and answers the whole buffer. */
   async solve(handles: PoseEntry[], options: SolveOptions = {}, call: CallOptions = {}): Promise<Solved> {
+    checkPoses(handles);
     const json = jsonOf(SolveRequestSchema, { pose: { handles }, options });
     const read = async (response: Response) => ({ headers: response.headers, bytes: await response.arrayBuffer() });
     const accept = "application/octet-stream";

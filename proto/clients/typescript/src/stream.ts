@@ -20,6 +20,7 @@ import { Assembler, Frame } from "./frames.js";
 import type { DeformResponse, Session as Facts } from "./gen/pliant/v1/pliant_pb.js";
 import { DeformRequestSchema, DeformResponseSchema } from "./gen/pliant/v1/pliant_pb.js";
 import { Pending } from "./pending.js";
+import { checkPoses } from "./poses.js";
 import type { PoseEntry, SolveOptions } from "./session.js";
 
 /**
@@ -102,6 +103,7 @@ export class Stream {
 
   /** Sends a pose to show, or to replace the one that waits. Answers its number. */
   pose(entries: PoseEntry[]): number {
+    checkPoses(entries);
     this.lookBeside();
     const seq = this.pending.drag(entries);
     this.totals.poses += 1;
@@ -119,6 +121,7 @@ export class Stream {
         reject(new PliantError("CANCELLED", "the stream is closed"));
         return;
       }
+      checkPoses(entries);
       this.lookBeside();
       this.pending.commit(entries, this.options, { resolve, reject });
       this.totals.poses += 1;

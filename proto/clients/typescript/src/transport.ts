@@ -63,7 +63,7 @@ export class Transport {
 
   constructor(options: TransportOptions = {}) {
     const page = typeof location === "object" && location.protocol.startsWith("http") ? location.origin : undefined;
-    this.url = (options.url ?? page ?? "http://127.0.0.1:7411").replace(/\/+$/, "");
+    this.url = addressOf(options.url ?? page ?? "http://127.0.0.1:7411");
     this.places = new Places(this.url);
     this.headers = options.headers ?? {};
     this.patience = options.patience ?? 15;
@@ -286,6 +286,16 @@ export class Transport {
   }
 }
 
+/** A server's address without slashes at its end. Fails when it is none. */
+function addressOf(url: string): string {
+  const refuse = (problem: string): never => {
+    throw new PliantError("INVALID_ARGUMENT", `url: ${JSON.stringify(url)} ${problem}, such as http://127.0.0.1:7411`);
+  };
+  if (!/^https?:\/\//i.test(url)) refuse("does not begin with http:// or https://; write both, scheme and host");
+  if (!URL.canParse(url)) refuse("is no address; write scheme, host and port");
+  return url.replace(/\/+$/, "");
+}
+
 /** Tells a proxy which node is meant, and the server that its caller goes where it is sent by itself. */
 function point(headers: Record<string, string>, { node }: Place, hops: number): void {
   headers["x-pliant-hops"] = String(hops);
@@ -326,5 +336,13 @@ function unreachable(what: string, error: unknown): unknown {
   if (error instanceof Error && error.name === "AbortError") {
     return error;
   }
-  return new PliantError("UNREACHABLE", `${what} does not answer`);
+  return new PliantError("UNREACHABLE", `${what} does not answer${hintFor(what)}`);
+}
+
+/** A browser does not tell a page whether a server of another origin is away or does not let the page ask. */
+function hintFor(url: string): string {
+  const { window: page } = globalThis as { window?: { location?: { origin?: string } } };
+  const origin = page?.location?.origin;
+  if (origin === undefined || !URL.canParse(url) || new URL(url).origin === origin) return "";
+  return `; if it runs, it may not answer pages of ${origin}: name that host in its cors_origins`;
 }
