@@ -1,12 +1,18 @@
 /** A headless Chromium without a graphics card, and what the scenes ask of its page. */
 
 import { existsSync, mkdirSync } from "node:fs";
-import { chromium } from "playwright-core";
 
 const CANDIDATES = [process.env.CHROMIUM, "/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
 
 /** The browser that is installed, if one is. */
 export const BROWSER = CANDIDATES.find((path) => path !== undefined && existsSync(path));
+
+/** The hands, which are a package of their own. */
+const { chromium } = await import("playwright-core").catch((error) => {
+  if (error.code !== "ERR_MODULE_NOT_FOUND") throw error;
+  console.error("playwright-core is not installed: npm ci --prefix tests/clients/viewer");
+  process.exit(1);
+});
 
 /** No step takes this long on a machine that is not stuck: a busy one must not fail. */
 const PATIENCE_MS = 180_000;
@@ -20,6 +26,15 @@ export function launch() {
     // A container's root cannot have the browser's own sandbox; pages here are ours.
     args: ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
   });
+}
+
+/** Opens a page whose server is away, and waits until its paragraph says so. `own` is where the page itself comes from. */
+export async function saysWhenAway(browser, own) {
+  const page = await browser.newPage();
+  await page.route((url) => !url.href.startsWith(own), (route) => route.abort("connectionrefused"));
+  await page.goto(own);
+  await page.waitForFunction(() => document.querySelector("p").textContent.includes("does not answer"), undefined, { timeout: PATIENCE_MS });
+  await page.close();
 }
 
 /** A page, what it said on its console, and hands for it. */

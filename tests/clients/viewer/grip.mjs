@@ -4,7 +4,7 @@
  */
 
 import assert from "node:assert/strict";
-import { BROWSER, launch } from "./browser.mjs";
+import { BROWSER, launch, saysWhenAway } from "./browser.mjs";
 import { serveFolder } from "./folder.mjs";
 
 const [folder, picture] = process.argv.slice(2);
@@ -44,6 +44,7 @@ const top = (found) => found.reduce((a, b) => (b.y < a.y ? b : a), { y: Infinity
 const files = await serveFolder(folder);
 const browser = await launch();
 try {
+  await saysWhenAway(browser, files.url);
   const page = await browser.newPage();
   page.setDefaultTimeout(PATIENCE_MS);
   const complaints = [];

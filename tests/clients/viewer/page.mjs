@@ -4,7 +4,7 @@
  */
 
 import assert from "node:assert/strict";
-import { BROWSER, launch } from "./browser.mjs";
+import { BROWSER, launch, saysWhenAway } from "./browser.mjs";
 import { serveFolder } from "./folder.mjs";
 
 const [folder] = process.argv.slice(2);
@@ -19,6 +19,7 @@ if (BROWSER === undefined) {
 const files = await serveFolder(folder);
 const browser = await launch();
 try {
+  await saysWhenAway(browser, files.url);
   const page = await browser.newPage();
   page.setDefaultTimeout(PATIENCE_MS);
   const complaints = [];

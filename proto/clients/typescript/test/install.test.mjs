@@ -29,9 +29,9 @@ test("a page takes it in from a fresh checkout", async (t) => {
       t.skip("no registry of packages is reached");
       return;
     }
-    writeFileSync(join(page, "page.js"), 'import { Client } from "pliant-client";\nconsole.log(new Client({ url: "http://127.0.0.1:9" }).constructor.name);\n');
+    writeFileSync(join(page, "page.js"), 'import { Client } from "pliant-client";\nconsole.log(new Client({ url: "http://127.0.0.1:9" }).constructor.name);\nimport { Deformer } from "pliant-client/gen/pliant/v1/pliant_pb.js";\nimport * as gen from "pliant-client/gen/pliant/v1/pliant_pb";\nconsole.log(Deformer.typeName, gen.Deformer === Deformer);\n');
     const { stdout } = await run("node", ["page.js"], { cwd: page });
-    assert.equal(stdout.trim(), "Client");
+    assert.equal(stdout.trim(), "Client\npliant.v1.Deformer true", "the client, and the generated files by either name");
   } finally {
     rmSync(folder, { recursive: true, force: true });
   }
