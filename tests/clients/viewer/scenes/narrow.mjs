@@ -10,6 +10,8 @@ const SIZES = [
   [375, 667],
   [320, 256],
 ];
+/** What a finger hits without looking, in CSS pixels. */
+const FINGER = 40;
 /** Less is of no use to drag in. */
 const LEAST_CANVAS = 150;
 
@@ -40,6 +42,16 @@ export async function play({ browser, url, log }) {
     await openSample(sheet);
     log(`${width} × ${height}: the canvas is ${Math.round(await fits("the creature"))} high`);
     await sheet.page.getByRole("button", { name: "Export GLB" }).waitFor();
+    const small = await sheet.page.evaluate(
+      ([least, wide]) =>
+        [...document.querySelectorAll("button, select, summary, input:not([type=checkbox], [type=range])")]
+          .filter((element) => element.checkVisibility())
+          .map((element) => ({ name: element.title || element.ariaLabel || element.innerText, box: element.getBoundingClientRect() }))
+          .filter(({ box }) => box.height > 0 && (box.height < least || (wide && box.width < least)))
+          .map(({ name, box }) => `${name}: ${box.width} × ${box.height}`),
+      [FINGER, width >= 360],
+    );
+    assert.deepEqual(small, [], `too small for a finger at ${width} × ${height}`);
     await sheet.picture(`narrow-${width}`);
     await sheet.pick(...nodding(4));
     await sheet.until("an animation is shown", ({ animation }) => animation?.kept === 4);
@@ -56,4 +68,11 @@ export async function play({ browser, url, log }) {
     assert.deepEqual(sheet.complaints, []);
     await sheet.close();
   }
+  // Who has fingers is told what they do.
+  const touched = await Sheet.open(browser, url(), { viewport: { width: 390, height: 844 }, hasTouch: true, isMobile: true });
+  await openSample(touched);
+  const hint = await touched.page.getByText("Paint, box or lasso the places").innerText();
+  assert.match(hint, /One finger selects; two pan/);
+  assert.doesNotMatch(hint, /Shift|button|wheel/);
+  await touched.close();
 }

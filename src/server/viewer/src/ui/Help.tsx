@@ -4,7 +4,7 @@ import type { JSX } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import * as s from "../app/signals.ts";
 import { SHORTCUTS } from "./keys.ts";
-import { buttonsMean } from "./mouse.ts";
+import { hasFingers, selectingMeans } from "./mouse.ts";
 import { Button } from "./parts.tsx";
 
 const CAPS: Record<string, string> = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc", Delete: "Del" };
@@ -27,8 +27,8 @@ export function Help(): JSX.Element {
           <b>Open</b> a model, or the sample creature.
         </li>
         <li>
-          <b>Select</b> places with the brush, box, lasso or a click on a part. Shift adds, Alt takes away.{" "}
-          {buttonsMean(s.settings.value.looksWith)}
+          <b>Select</b> places with the brush, box, lasso or a {hasFingers() ? "tap" : "click"} on a part.{" "}
+          {selectingMeans(s.settings.value.looksWith)}
         </li>
         <li>
           <b>Pin</b> what stays, <b>grip</b> what moves. A <b>soft</b> handle pulls instead of holding.

@@ -4,7 +4,7 @@ import type { JSX } from "preact";
 import { makeHandle } from "../app/handling.ts";
 import * as s from "../app/signals.ts";
 import { clearSelection, invertSelection } from "../app/tools.ts";
-import { buttonsMean } from "./mouse.ts";
+import { selectingMeans } from "./mouse.ts";
 import { Button, Check, Field, Section, count } from "./parts.tsx";
 
 export function SelectionPanel(): JSX.Element {
@@ -15,7 +15,7 @@ export function SelectionPanel(): JSX.Element {
     <Section title="Selection" note={none ? "nothing" : count(selected)}>
       {none && (
         <p class="hint">
-          Paint, box or lasso the places to hold. Shift adds, Alt takes away. {buttonsMean(s.settings.value.looksWith)}
+          Paint, box or lasso the places to hold. {selectingMeans(s.settings.value.looksWith)}
         </p>
       )}
       <div class="row">

@@ -5,8 +5,8 @@ import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
 import { type Kept, allKept, canReopen, markOf } from "../app/keeping.ts";
 import { EXTENSIONS, client, openSample, reopen, resume } from "../app/opening.ts";
-import { keptToken } from "../app/token.ts";
-import { ageOf } from "./age.ts";
+import { keptToken, tokenQuestion } from "../app/token.ts";
+import { ageOf, timeTo } from "./age.ts";
 import { pickFiles } from "./files.ts";
 import { Button, count, things } from "./parts.tsx";
 
@@ -32,7 +32,22 @@ async function look(): Promise<Lists> {
 
 export function Start(): JSX.Element {
   const [{ sessions, failure, records }, setLists] = useState<Lists>({ records: [] });
-  useEffect(() => void look().then(setLists), []);
+  useEffect(() => {
+    let shown = true;
+    const refresh = (): void => void look().then((lists) => shown && setLists(lists));
+    // What other windows and programs opened and closed meanwhile is seen on coming back.
+    const attend = (): void => {
+      if (document.visibilityState === "visible" && tokenQuestion.peek() === undefined) refresh();
+    };
+    refresh();
+    addEventListener("focus", attend);
+    document.addEventListener("visibilitychange", attend);
+    return () => {
+      shown = false;
+      removeEventListener("focus", attend);
+      document.removeEventListener("visibilitychange", attend);
+    };
+  }, []);
   const open = new Set(sessions?.map(({ id }) => id));
   const before = records.filter(({ session }) => !open.has(session));
   return (
@@ -87,10 +102,14 @@ export function Start(): JSX.Element {
 }
 
 function OpenSession({ session, known }: { session: schema.Session; known: KeptModel | undefined }): JSX.Element {
-  const { id, label, model, handles, createdAt } = session;
+  const { id, label, model, handles, createdAt, expiresAt, revision } = session;
+  // The browser knows when it used a session itself; of others' use the server tells by when the session ends without more of it.
+  const used = ageOf(known?.keptAt ?? Number.NaN);
+  const ends = timeTo(Date.parse(expiresAt));
+  const life = used !== undefined ? `, used here ${used}` : ends !== undefined ? `, ends ${ends} unless used` : "";
   const name = label || known?.name || `${(model?.format || "model").toUpperCase()} ${id.slice(0, 8)}`;
   return (
-    <Entry name={name} at={Date.parse(createdAt)} happened="opened" vertices={model?.vertices ?? 0} handles={handles.length}>
+    <Entry name={name} at={Date.parse(createdAt)} happened="opened" vertices={model?.vertices ?? 0} handles={handles.length} more={`revision ${revision}${life}`}>
       <Button label="Go on" onClick={() => void resume(id)} />
     </Entry>
   );

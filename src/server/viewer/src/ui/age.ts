@@ -10,6 +10,14 @@ const UNITS: readonly (readonly [unit: Intl.RelativeTimeFormatUnit, seconds: num
 
 const WORDS = new Intl.RelativeTimeFormat("en", { numeric: "always" });
 
+/** Such as "in 5 minutes"; nothing of a time that cannot be read. */
+export function timeTo(at: number, now = Date.now()): string | undefined {
+  if (!Number.isFinite(at)) return undefined;
+  const seconds = Math.max(0, at - now) / 1000;
+  const [unit, length] = UNITS.find(([, size]) => seconds >= size) ?? [];
+  return unit === undefined || length === undefined ? "in a moment" : WORDS.format(Math.floor(seconds / length), unit);
+}
+
 /** Such as "5 minutes ago"; nothing of a time that cannot be read. */
 export function ageOf(at: number, now = Date.now()): string | undefined {
   if (!Number.isFinite(at)) return undefined;
