@@ -205,7 +205,7 @@ async function refusals({ browser, url }) {
   await sheet.page.getByText("No model is open").waitFor();
   await openSample(sheet);
   await sheet.drop(waving(3));
-  await sheet.page.getByText("rig: is missing").waitFor();
+  await sheet.page.getByText("a rig is needed").waitFor();
   assert.equal((await sheet.ask("state")).animation, null);
   // Half a gigabyte is kept, and no more: fewer frames are offered.
   const [clip, rig] = nodding(50_000);
