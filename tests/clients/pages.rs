@@ -175,10 +175,10 @@ fn every_cookbook_opens_with_a_picture() {
 #[test]
 fn cookbook_for_assets() {
     let checkout = play("deploy/docs/cookbook-assets.md");
-    if checkout.path("target/turned.png").exists() {
+    if checkout.path("target/turned-beside.png").exists() {
         let rods = ["rod", "rod-turned", "rod-coarse"].map(|name| (name, name));
         shows_what_it_draws(&checkout, &rods);
-        shows_what_it_draws(&checkout, &[("turned", "turned")]);
+        shows_what_it_draws(&checkout, &[("turned", "turned-beside")]);
     }
 }
 
