@@ -5,10 +5,15 @@
 use super::super::text::{NumberPrecision, TextLexer, number, push_number};
 use super::corner::STYLE;
 use super::statements::{name_in, printable};
-use crate::asset::FileSet;
 use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
+use crate::asset::{FileSet, Geometry};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+
+/// Names of missing files that a warning lists.
+const MOST_LISTED: usize = 8;
+/// Letters of such a name that are shown.
+const LONGEST_NAME: usize = 80;
 
 /// Materials by their names.
 pub(super) type MaterialLibrary = BTreeMap<String, Arc<NamedMaterial>>;
@@ -32,23 +37,73 @@ pub(super) fn companion_names(files: &FileSet) -> Vec<String> {
             names.push(name);
         }
     };
-    let lines = || files.main.split(|b| matches!(b, b'\n' | b'\r'));
-    let libraries: Vec<String> = lines()
-        .map(<[u8]>::trim_ascii)
-        .filter(|line| line.starts_with(b"mtllib") && line.get(6).is_some_and(u8::is_ascii_whitespace))
-        .flat_map(library_names)
-        .collect();
+    let libraries: Vec<String> = library_lines(files).flat_map(library_names).collect();
     libraries.iter().cloned().for_each(&mut add);
     for text in libraries.iter().filter_map(|name| files.companions.get(name)) {
-        statements_of(text, |keyword, rest| {
-            let lower = keyword.to_ascii_lowercase();
-            let is_map = lower.starts_with("map_") || matches!(&lower[..], "bump" | "disp" | "decal" | "refl" | "norm");
-            if let Some(name) = is_map.then(|| picture_name(rest)).flatten() {
-                add(name);
-            }
-        });
+        picture_names(text, &mut add);
     }
     names
+}
+
+/// The `mtllib` lines of an OBJ.
+fn library_lines(files: &FileSet) -> impl Iterator<Item = &[u8]> {
+    let lines = files.main.split(|b| matches!(b, b'\n' | b'\r')).map(<[u8]>::trim_ascii);
+    lines.filter(|line| line.starts_with(b"mtllib") && line.get(6).is_some_and(u8::is_ascii_whitespace))
+}
+
+/// Hands out the names of the pictures that a library names.
+fn picture_names(text: &[u8], add: &mut impl FnMut(String)) {
+    statements_of(text, |keyword, rest| {
+        let lower = keyword.to_ascii_lowercase();
+        let is_map = lower.starts_with("map_") || matches!(&lower[..], "bump" | "disp" | "decal" | "refl" | "norm");
+        if let Some(name) = is_map.then(|| picture_name(rest)).flatten() {
+            add(name);
+        }
+    });
+}
+
+/// Tells of libraries and pictures whose files are not among those that were given.
+pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
+    let (mut libraries, mut pictures) = (BTreeSet::new(), BTreeSet::new());
+    for names in library_lines(files).map(library_names) {
+        let mut there = names.iter().filter_map(|name| files.companions.get(name)).peekable();
+        // A line is one name with blanks, or several names: where one of them is there, the others are no more than guesses.
+        if there.peek().is_none() {
+            libraries.extend(names.into_iter().next());
+            continue;
+        }
+        for text in there {
+            picture_names(text, &mut |name: String| {
+                if !files.companions.contains_key(&name) {
+                    pictures.insert(name);
+                }
+            });
+        }
+    }
+    let mut warn = |code: &str, missing: &BTreeSet<String>, what: &str, place: &str| {
+        if missing.is_empty() {
+            return;
+        }
+        let shown = |name: &String| name.chars().take(LONGEST_NAME).collect::<String>();
+        let names: Vec<String> = missing.iter().take(MOST_LISTED).map(shown).collect();
+        let more = match missing.len().saturating_sub(MOST_LISTED) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        geometry.warn(code, format!("{what}: {}{more}", names.join(", ")), place);
+    };
+    warn(
+        "library-missing",
+        &libraries,
+        "libraries of materials that were not sent along with the model, whose colours and pictures are not known",
+        "mtllib",
+    );
+    warn(
+        "image-missing",
+        &pictures,
+        "images that were not sent along with the model; it comes back without them",
+        "mtllib",
+    );
 }
 
 /// Hands out the statements of a library: keyword and the rest of the line.
