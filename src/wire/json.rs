@@ -40,13 +40,14 @@ pub fn from_json<M: Message + Default + prost::Name>(text: &[u8]) -> Result<M, E
     let dynamic = DynamicMessage::deserialize_with_options(message.clone(), tracked, &options);
     let dynamic = dynamic.map_err(|e| {
         let (path, problem) = (track.path(), e.to_string());
-        let allowed = allowed_at(message, &path).filter(|_| is_about_a_value(&problem));
+        let allowed = match value_at(message, &path) {
+            Some(Kind::Message(inner)) if is_about_fields(&problem) => Some(fields_of(&inner)),
+            Some(kind) if is_about_a_value(&problem) => allowed_values(&kind).map(|all| format!("allowed are {all}")),
+            _ => None,
+        };
         Error::Json {
             place: place_of(&path.to_string(), &problem),
-            problem: allowed.map_or_else(
-                || problem.clone(),
-                |allowed| format!("{problem}; allowed are {allowed}"),
-            ),
+            problem: allowed.map_or_else(|| problem.clone(), |allowed| format!("{problem}; {allowed}")),
         }
     })?;
     json.end().map_err(|e| Error::Json {
@@ -152,8 +153,26 @@ fn is_about_a_value(problem: &str) -> bool {
     problem.starts_with("unrecognized enum value") || problem.starts_with("out of range integral type")
 }
 
-/// What a field that has only certain values may be: the names of an enum, or the range of a whole number.
-fn allowed_at(mut message: MessageDescriptor, path: &Path) -> Option<String> {
+/// Whether an object was refused for a field that it does not have, or something else where an object is needed.
+fn is_about_fields(problem: &str) -> bool {
+    problem.starts_with("unrecognized field name") || problem.contains(", expected a map")
+}
+
+/// The fields that an object may have, in words.
+fn fields_of(message: &MessageDescriptor) -> String {
+    let names: Vec<String> = message
+        .fields()
+        .map(|field| format!("\"{}\"", field.json_name()))
+        .collect();
+    match names.as_slice() {
+        [] => "allowed is an object without fields".into(),
+        [one] => format!("allowed is an object with the field {one}"),
+        _ => format!("allowed is an object with the fields {}", names.join(", ")),
+    }
+}
+
+/// Of which kind the value is to which a path leads.
+fn value_at(mut message: MessageDescriptor, path: &Path) -> Option<Kind> {
     let mut kind = Kind::Message(message.clone());
     for segment in path {
         match segment {
@@ -165,9 +184,16 @@ fn allowed_at(mut message: MessageDescriptor, path: &Path) -> Option<String> {
                 kind = message.get_field_by_json_name(key).or_else(by_name)?.kind();
             }
             Segment::Seq { .. } => {}
-            Segment::Enum { .. } | Segment::Unknown => return None,
+            // Tracking ends at the object that holds an unknown field.
+            Segment::Unknown => break,
+            Segment::Enum { .. } => return None,
         }
     }
+    Some(kind)
+}
+
+/// What a field that has only certain values may be: the names of an enum, or the range of a whole number.
+fn allowed_values(kind: &Kind) -> Option<String> {
     Some(match kind {
         Kind::Enum(names) => {
             let names: Vec<String> = names.values().map(|value| format!("\"{}\"", value.name())).collect();
@@ -261,6 +287,40 @@ mod tests {
                 Err(Error::Json { place, problem }) => {
                     assert_eq!(place, path, "{problem}");
                     assert!(problem.ends_with(&format!("; allowed are {allowed}")), "{problem}");
+                }
+                other => panic!("{path}: {other:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn an_object_that_is_none_or_has_another_field_is_refused_with_the_fields_that_it_has() {
+        for (text, path, allowed) in [
+            (
+                r#"{"handles": [{"id": "a", "region": {"component": 0}}]}"#,
+                "handles[0].region.component",
+                r#"allowed is an object with the field "index""#,
+            ),
+            (
+                r#"{"handles": [{"id": "a", "region": {"component": {"component": 0}}}]}"#,
+                "handles[0].region.component.component",
+                r#"allowed is an object with the field "index""#,
+            ),
+            (
+                r#"{"handles": [{"id": "a", "region": {"sphere": {"centre": [0, 0, 0]}}}]}"#,
+                "handles[0].region.sphere.centre",
+                r#"allowed is an object with the fields "center", "radius""#,
+            ),
+            (
+                r#"{"handels": []}"#,
+                "handels",
+                r#"allowed is an object with the fields "create", "handles""#,
+            ),
+        ] {
+            match from_json::<pb::Job>(text.as_bytes()) {
+                Err(Error::Json { place, problem }) => {
+                    assert_eq!(place, path, "{problem}");
+                    assert!(problem.contains(&format!("; {allowed}")), "{problem}");
                 }
                 other => panic!("{path}: {other:?}"),
             }
