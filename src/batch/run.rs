@@ -2,7 +2,9 @@
 
 use super::riders::{CarriedFile, Riders};
 use crate::asset::{FileSet, Format, WrittenFiles};
-use crate::engine::{Deformer, DeformerLimits, EditCommand, EditedShape, HandlePoses, ModelShape, SolveMode, digest};
+use crate::engine::{
+    Deformer, DeformerLimits, EditCommand, EditedShape, HandlePose, HandlePoses, ModelShape, SolveMode, digest,
+};
 use crate::exec::Exec;
 use crate::progress::Progress as _;
 use crate::stage_clock::StageClock;
@@ -11,6 +13,7 @@ use crate::wire::{
     quality_message, session_message, warning_message,
 };
 use glam::DVec3;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// A job done.
@@ -130,6 +133,7 @@ pub fn run_and_write(
         deformer,
         poses,
         riders,
+        idle,
         shape: ModelShape { positions, .. },
         ..
     } = batch;
@@ -143,6 +147,7 @@ pub fn run_and_write(
     let mut warnings = facts.warnings;
     warnings.extend(large_faces_warning(&quality));
     warnings.extend(pulled.iter().map(warning_message));
+    warnings.extend(idle.iter().map(|id| idle_handle_warning(id)));
     let report = pb::Report {
         passengers,
         followed: followed_message(&written.followed),
@@ -182,6 +187,8 @@ struct BatchRun<'a> {
     warned: Vec<String>,
     /// What rides along beside the model.
     riders: Riders,
+    /// Handles that a step posed while they held nothing.
+    idle: BTreeSet<String>,
 }
 
 impl<'a> BatchRun<'a> {
@@ -211,12 +218,18 @@ impl<'a> BatchRun<'a> {
             is_solved: false,
             warned: Vec::new(),
             riders,
+            idle: BTreeSet::new(),
         })
     }
 
     /// Solves a pose.
     fn pose(&mut self, pose: &pb::Pose, exec: &Exec<'_>) -> Result<pb::report::Step, Error> {
         self.poses = change_poses(&self.deformer, &self.poses, pose)?;
+        let facts = self.deformer.facts().handles;
+        let posed = facts.into_iter().zip(self.poses.0.iter());
+        let idle =
+            posed.filter(|(held, pose)| held.vertices + held.interior_nodes == 0 && **pose != HandlePose::default());
+        self.idle.extend(idle.map(|(held, _)| held.id));
         let (settings, mode) = (&self.options.solve, SolveMode::Commit);
         let solved = (self.deformer).solve(&self.poses, settings, mode, exec, &mut |_| true)?;
         self.shape = solved.shape();
@@ -336,6 +349,19 @@ fn at_step(e: Error, k: usize, warned: &[String]) -> Error {
         },
         Error::Precondition(text) => Error::Precondition(format!("steps[{k}]: {text}{before}")),
         other => other,
+    }
+}
+
+/// What is said of a handle that a step posed, and that holds nothing that could follow.
+fn idle_handle_warning(id: &str) -> pb::Warning {
+    pb::Warning {
+        code: "idle-handle".into(),
+        message: format!(
+            "a step moves handle \"{id}\", which holds nothing, so that nothing follows it; make its region larger, or list it \
+             after the handles that overlap it"
+        ),
+        r#where: format!("handle \"{id}\""),
+        ..Default::default()
     }
 }
 
