@@ -1,5 +1,6 @@
 //! Tells what a model is and what the solver would see of it, without solving anything.
 
+use super::contents::{ModelContents, contents_of};
 use crate::asset::{FileSet, ModelNode};
 use crate::engine::{Deformer, DeformerLimits};
 use crate::exec::Exec;
@@ -28,13 +29,26 @@ pub fn inspect(
     limits: &DeformerLimits,
     exec: &Exec<'_>,
 ) -> Result<pb::Inspection, Error> {
+    Ok(inspect_contents(files, create, limits, exec)?.0)
+}
+
+/// As [`inspect`], and what the file holds beside its mesh, where its format has such things.
+///
+/// # Errors
+/// As [`Deformer::open`].
+pub fn inspect_contents(
+    files: FileSet,
+    create: &pb::CreateOptions,
+    limits: &DeformerLimits,
+    exec: &Exec<'_>,
+) -> Result<(pb::Inspection, Option<ModelContents>), Error> {
     let bench = Deformer::open(files, &open_options(create)?, limits, exec)?;
     let facts = session_message(&bench.facts());
     let report: &MeshReport = bench.report();
     let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
     let nodes = bench.model().nodes()?.unwrap_or_default();
     let renders = report.render_vertices - report.unreferenced_vertices;
-    Ok(pb::Inspection {
+    let inspection = pb::Inspection {
         components: count(report.parts.len()),
         boundary_loops: count(report.boundary_loops.len()),
         non_manifold_edges: count(report.non_manifold_edges),
@@ -55,5 +69,6 @@ pub fn inspect(
         warnings: facts.warnings,
         node_count: count(nodes.len()),
         nodes: (0..).zip(&nodes).take(MOST_NODES_TOLD).map(node_message).collect(),
-    })
+    };
+    Ok((inspection, contents_of(bench.model())))
 }

@@ -1,6 +1,7 @@
 //! Runs a declarative job in process: opens a model, sets handles, solves and edits step by step, writes the result.
 
 mod animate;
+mod contents;
 mod inspect;
 mod kept_frames;
 mod key_frames;
@@ -15,7 +16,8 @@ mod skin_frames;
 pub use animate::{
     AnimationOrder, ClipSource, MovingClip, frame_totals, moving_clip, play, prepare, unskinned_passengers, warnings_of,
 };
-pub use inspect::{MOST_NODES_TOLD, inspect};
+pub use contents::{ClipContents, ModelContents, SkinContents, contents_of};
+pub use inspect::{MOST_NODES_TOLD, inspect, inspect_contents};
 pub use kept_frames::{KeptFrames, PlayedModel, WrittenOff, node_place};
 pub use morph_frames::write_morph_frames;
 pub use riders::CarriedFile;

@@ -1,21 +1,24 @@
 //! `pliant inspect`: what the solver sees in a model.
 
 use super::failure::CliFailure;
-use super::json_output::print_json;
+use super::json_output::print_value;
 use super::model_files::read_model;
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
-use crate::batch;
+use crate::batch::{self, ModelContents};
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
 use crate::mesh::{brief_number, grouped_count};
-use crate::wire::pb;
+use crate::wire::{json, pb};
 use clap::Args;
+use serde_json::Value;
 use std::io::Write as _;
 use std::path::PathBuf;
 
 /// Primitives that are told for people.
 const NAMED_PRIMITIVES: usize = 32;
+/// Clips, skins, materials and images that are told for people, of each.
+const NAMED_CONTENTS: usize = 16;
 
 /// Arguments of `pliant inspect`.
 #[derive(Debug, Args)]
@@ -34,7 +37,7 @@ pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
     let pool = args.threads.start_pool()?;
     let files = read_model(&args.model)?;
     let spinner = StageSpinner::new(args.json);
-    let found = batch::inspect(
+    let (found, contents) = batch::inspect_contents(
         files,
         &pb::CreateOptions::default(),
         &DeformerLimits::default(),
@@ -42,9 +45,15 @@ pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
     )?;
     spinner.finish();
     if args.json {
-        return print_json(&found);
+        let mut value = json::to_json(&found)?;
+        let contents = serde_json::to_value(&contents).map_err(|e| CliFailure::Internal(e.to_string()))?;
+        if let (Value::Object(all), Value::Object(contents)) = (&mut value, contents) {
+            all.extend(contents);
+        }
+        return print_value(&value);
     }
-    let text = describe_inspection(&found);
+    let contents = contents.as_ref().map(describe_contents).unwrap_or_default();
+    let text = describe_inspection(&found, contents);
     write!(std::io::stdout(), "{text}").map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
 }
 
@@ -81,7 +90,37 @@ fn describe_loose_parts(solver: &pb::SolverFacts) -> String {
     }
 }
 
-fn describe_inspection(found: &pb::Inspection) -> String {
+/// What the file holds beside its mesh, by kind of thing.
+fn describe_contents(contents: &ModelContents) -> Vec<(&'static str, String)> {
+    let clips = contents.clips.iter().map(|clip| match clip.seconds {
+        Some(seconds) => format!("{:?} ({} s)", clip.name, brief_number(seconds)),
+        None => format!("{:?} (unreadable)", clip.name),
+    });
+    let skins = contents.skins.iter().map(|skin| {
+        let joints = if skin.joints == 1 { "joint" } else { "joints" };
+        format!("{:?} ({} {joints})", skin.name, skin.joints)
+    });
+    let quoted = |names: &[String]| names.iter().map(|name| format!("{name:?}")).collect();
+    let lists: [(&'static str, Vec<String>); 4] = [
+        ("clips", clips.collect()),
+        ("skins", skins.collect()),
+        ("materials", quoted(&contents.materials)),
+        ("images", quoted(&contents.images)),
+    ];
+    let told = lists.into_iter().map(|(name, list)| {
+        let shown = list.len().min(NAMED_CONTENTS);
+        let more = match list.len() - shown {
+            0 => String::new(),
+            more => format!(" and {more} more, which --json tells"),
+        };
+        let colon = if list.is_empty() { "" } else { ": " };
+        let told = list[..shown].join(", ");
+        (name, format!("{}{colon}{told}{more}", list.len()))
+    });
+    told.collect()
+}
+
+fn describe_inspection(found: &pb::Inspection, contents: Vec<(&str, String)>) -> String {
     let model = found.model.clone().unwrap_or_default();
     let solver = found.solver.clone().unwrap_or_default();
     let count = |n: u32| grouped_count(n.into());
@@ -101,9 +140,14 @@ fn describe_inspection(found: &pb::Inspection) -> String {
     line(
         "render vertices",
         format!(
-            "{} in {} primitives",
+            "{} in {} {}",
             count(model.vertices),
-            grouped_count(found.primitives.len() as u64)
+            grouped_count(found.primitives.len() as u64),
+            if found.primitives.len() == 1 {
+                "primitive"
+            } else {
+                "primitives"
+            }
         ),
     );
     line("triangles", count(model.triangles));
@@ -111,8 +155,9 @@ fn describe_inspection(found: &pb::Inspection) -> String {
     named.for_each(|(k, primitive)| line(&format!("primitive {k}"), describe_primitive(primitive)));
     if found.primitives.len() > NAMED_PRIMITIVES {
         let more = grouped_count((found.primitives.len() - NAMED_PRIMITIVES) as u64);
-        line("", format!("and {more} primitives more, which --json tells"));
+        line("", format!("and {more} more, which --json tells"));
     }
+    contents.into_iter().for_each(|(name, told)| line(name, told));
     line("solver vertices", count(solver.solver_vertices));
     line("seam vertices", count(found.seam_vertices));
     line(
