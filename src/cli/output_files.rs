@@ -185,7 +185,7 @@ pub(super) fn is_same_target(a: &Path, b: &Path) -> bool {
 }
 
 /// Whether a file is there and holds these bytes.
-fn holds_bytes(path: &Path, bytes: &[u8]) -> bool {
+pub(super) fn holds_bytes(path: &Path, bytes: &[u8]) -> bool {
     read_regular_file(path, bytes.len() as u64).is_ok_and(|there| there == bytes)
 }
 

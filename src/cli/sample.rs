@@ -1,7 +1,7 @@
 //! `pliant sample`: a built-in model or recording as a file, for trying things where none is at hand.
 
 use super::failure::CliFailure;
-use super::output_files::OutputPermission;
+use super::output_files::{OutputPermission, holds_bytes};
 use crate::asset::sample::{BuiltInModel, BuiltInRecording, body_glb};
 use clap::Args;
 use std::path::PathBuf;
@@ -52,11 +52,13 @@ pub(super) fn run_sample(args: &SampleArgs) -> Result<(), CliFailure> {
         let problem = format!("a built-in {what} is written as {ending}, its extension must say so");
         return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
     }
-    args.permission.check_target(&args.output)?;
     let bytes = match args.name {
         BuiltInFile::Model(model) => model.glb(),
         BuiltInFile::Body => body_glb(),
         BuiltInFile::Recording(recording) => recording.bvh_text().into_bytes(),
     };
+    if holds_bytes(&args.output, &bytes) {
+        return Ok(());
+    }
     args.permission.write_file(&args.output, &bytes)
 }
