@@ -1,6 +1,6 @@
 //! Animations run in process: a model, a rig and a clip to frames and their report.
 
-use crate::asset::Model;
+use crate::asset::{Model, MovingScene};
 use crate::engine::{
     self, AnimatedFrame, Animation, AnimationSettings, Deformer, FrameSums, FrameTimes, Passenger, PassengerKind,
     QualityReport, digest,
@@ -68,7 +68,8 @@ pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&Mot
         (ClipSource::Recorded(_), None) => {
             return Err(Error::invalid(
                 "rig",
-                "is missing; a recorded clip needs to be told which bones it drives",
+                "is missing; a recorded clip needs to be told which bones it drives, and `pliant rig MODEL --bvh FILE -o rig.json` \
+                 makes a rig that does",
             ));
         }
         (ClipSource::OfModel(name), _) => name,
@@ -114,8 +115,10 @@ pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&Mot
             beside: None,
         });
     }
-    let rig =
-        rig_of_skin(&scene, &order, &clip, deformer.rest()).map_err(|e| skin_problem(model).unwrap_or(e.into()))?;
+    let rig = rig_of_skin(&scene, &order, &clip, deformer.rest()).map_err(|e| {
+        let told = skin_problem(model).or_else(|| no_skin_problem(&scene, index));
+        told.unwrap_or(e.into())
+    })?;
     let shapes = model.primitive_shapes()?.unwrap_or_default();
     let beside = SceneMotion::of(&scene, &order, &stored.unwrap_or_default(), &clip, shapes);
     Ok(MovingClip {
@@ -124,6 +127,18 @@ pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&Mot
         own: Some(index),
         beside,
     })
+}
+
+/// Why a clip that moves nodes or morph targets alone cannot be solved, where nothing of the model has a skin.
+fn no_skin_problem(scene: &MovingScene, index: usize) -> Option<Error> {
+    let has_skin = scene.is_joint.contains(&true) || scene.primitives.iter().any(|p| p.has_skin);
+    let name = scene.clip_names.get(index).map_or("", String::as_str);
+    let problem = format!(
+        "the model has no skin, and clip {index} \"{name}\" moves nodes or morph targets alone, which plays as it is and leaves \
+         nothing to solve; give a rig whose joints are nodes that it moves, and the whole model is solved for that, or a recording \
+         with a rig"
+    );
+    (!has_skin).then(|| Error::invalid("rig", problem))
 }
 
 /// Why a model's skin says nothing, where it has one that cannot be read.
@@ -299,6 +314,7 @@ pub fn warnings_of(animation: &Animation) -> Vec<String> {
             empty.join(", ")
         ));
     }
+    warnings.extend(animation.large_faces().map(|w| format!("{}: {}", w.code, w.message)));
     warnings
 }
 

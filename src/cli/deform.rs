@@ -141,6 +141,14 @@ fn check_passenger_outputs(job: &pb::Job, folder: &Path, args: &DeformArgs) -> R
     Ok(())
 }
 
+/// A change of the volume in words. What an open surface encloses depends on where the origin is, so it has none.
+pub(in crate::cli) fn describe_change(is_open: bool, change: f64) -> String {
+    match is_open {
+        true => "n/a (the surface is open)".into(),
+        false => format!("{:+.2} %", 100.0 * change),
+    }
+}
+
 fn print_summary(report: &pb::Report, followed: &FollowedCounts, millis: f64) {
     let solver = report.solver.clone().unwrap_or_default();
     for w in &report.warnings {
@@ -171,10 +179,7 @@ fn print_summary(report: &pb::Report, followed: &FollowedCounts, millis: f64) {
         );
     }
     let quality = report.quality.unwrap_or_default();
-    let volume = match quality.open_surface {
-        true => "n/a (the surface is open)".into(),
-        false => format!("{:+.2} %", 100.0 * quality.volume_change),
-    };
+    let volume = describe_change(quality.open_surface, quality.volume_change);
     eprintln!(
         "{} solver vertices, {} graph vertices, {} levels; volume {volume}, {} triangles flipped; {:.0} ms in all",
         grouped_count(solver.solver_vertices.into()),

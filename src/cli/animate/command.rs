@@ -5,6 +5,7 @@ use super::output::{AnimationOutputArgs, RootRule};
 use super::taken_frames::PlayedAnimation;
 use crate::asset::{FileSet, Model};
 use crate::batch::{AnimationOrder, ClipSource, frame_totals, moving_clip, play, prepare, unskinned_passengers};
+use crate::cli::deform::describe_change;
 use crate::cli::failure::CliFailure;
 use crate::cli::input_files::read_file;
 use crate::cli::json_output::print_json;
@@ -172,24 +173,23 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
     if args.json {
         return print_json(&report);
     }
-    print_summary(&report, ready);
+    print_summary(&report, !deformer.report().closed, ready);
     Ok(())
 }
 
-fn print_summary(report: &pb::AnimationReport, ready: f64) {
+fn print_summary(report: &pb::AnimationReport, is_open: bool, ready: f64) {
     let totals = report.totals.unwrap_or_default();
     for warning in &report.warnings {
         eprintln!("warning: {warning}");
     }
+    let mut volume = describe_change(is_open, totals.volume_change_mean);
+    if !is_open {
+        let worst = describe_change(is_open, totals.volume_change_worst);
+        volume += &format!(", at worst {worst}");
+    }
     eprintln!(
-        "{} frames, {:.1} a second after {:.0} ms; volume {:+.2} %, at worst {:+.2} %; {:.1} triangles flipped a frame, at worst {}",
-        totals.frames,
-        totals.frames_per_second,
-        ready,
-        100.0 * totals.volume_change_mean,
-        100.0 * totals.volume_change_worst,
-        totals.flipped_triangles_mean,
-        totals.flipped_triangles_worst
+        "{} frames, {:.1} a second after {:.0} ms; volume {volume}; {:.1} triangles flipped a frame, at worst {}",
+        totals.frames, totals.frames_per_second, ready, totals.flipped_triangles_mean, totals.flipped_triangles_worst
     );
 }
 

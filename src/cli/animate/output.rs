@@ -12,6 +12,9 @@ use crate::motion::decomposition::DecompositionOptions;
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
 
+/// What may be named as an output.
+const ALLOWED_OUTPUTS: &str = "allowed are .glb, .usda, .pc2, .mdd, .png, .apng and a folder, which ends in a slash";
+
 /// Most morph targets of a file.
 const MOST_TARGETS: usize = 4096;
 /// Morph targets of a file unless told otherwise: what game engines take (bevy: 64).
@@ -201,14 +204,19 @@ impl AnimationOutputArgs {
         match Format::from_file_name(&text) {
             Some(format) if format == Format::GLB => {}
             Some(format) => {
-                let problem =
-                    format!("one {format} holds one frame; a folder of them ends in a slash, with --format {format}");
+                let problem = match format.refusal_to_write() {
+                    Some(refusal) => format!("{refusal}; {ALLOWED_OUTPUTS}"),
+                    None => {
+                        format!(
+                            "one {format} holds one frame; a folder of them ends in a slash, with --format {format}"
+                        )
+                    }
+                };
                 return Err(CliFailure::Input(format!("cannot write {text}: {problem}")));
             }
             None => {
-                let problem = "allowed are .glb, .usda, .pc2, .mdd, .png, .apng and a folder, which ends in a slash";
                 return Err(CliFailure::Input(format!(
-                    "cannot tell what to write into {text}: {problem}"
+                    "cannot tell what to write into {text}: {ALLOWED_OUTPUTS}"
                 )));
             }
         }

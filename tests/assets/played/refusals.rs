@@ -32,7 +32,7 @@ fn bad_arguments_say_what_is_allowed_and_write_nothing() {
     make_bar(folder);
     fs::create_dir(folder.join("there")).expect("a folder");
     let before = contents(folder);
-    let cases: [(&[&str], &str); 18] = [
+    let cases: [(&[&str], &str); 19] = [
         (
             &["-o", "walk"],
             "allowed are .glb, .usda, .pc2, .mdd, .png, .apng and a folder",
@@ -48,6 +48,10 @@ fn bad_arguments_say_what_is_allowed_and_write_nothing() {
         (
             &["-o", "walk.ply"],
             "a folder of them ends in a slash, with --format ply",
+        ),
+        (
+            &["-o", "walk.fbx"],
+            "fbx is read, not written; choose glb, gltf, obj, ply, off or stl; allowed are .glb, .usda, .pc2, .mdd, .png, .apng",
         ),
         (
             &["-o", "there/", "--format", "docx"],
@@ -112,4 +116,98 @@ fn nothing_is_replaced_unless_forced() {
     assert_eq!(frames, 4, "and nothing else is left behind");
     let left = contents(folder).into_iter().filter(|(name, _)| name.ends_with(".part"));
     assert_eq!(left.count(), 0);
+}
+
+#[test]
+fn a_recording_without_a_rig_names_the_program_that_makes_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    make_bar(folder.path());
+    let done = animate(folder.path(), &["bar.obj", "--bvh", "bar.bvh"]);
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(2), "{said}");
+    assert!(
+        said.contains("`pliant rig MODEL --bvh FILE -o rig.json` makes a rig"),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_clip_that_moves_no_skin_is_told_as_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let numbers = corners
+        .into_iter()
+        .flatten()
+        .chain([0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
+    let bytes: Vec<u8> = numbers.flat_map(f32::to_le_bytes).collect();
+    fs::write(folder.join("a.bin"), &bytes).expect("written");
+    let gltf = serde_json::json!({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "animations": [{
+            "name": "lift", "samplers": [{"input": 1, "output": 2}],
+            "channels": [{"sampler": 0, "target": {"node": 0, "path": "translation"}}],
+        }],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]},
+            {"bufferView": 1, "componentType": 5126, "count": 2, "type": "SCALAR", "min": [0], "max": [1]},
+            {"bufferView": 2, "componentType": 5126, "count": 2, "type": "VEC3"},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": 36},
+            {"buffer": 0, "byteOffset": 36, "byteLength": 8},
+            {"buffer": 0, "byteOffset": 44, "byteLength": 24},
+        ],
+        "buffers": [{"uri": "a.bin", "byteLength": bytes.len()}],
+    });
+    fs::write(folder.join("a.gltf"), gltf.to_string()).expect("written");
+    let done = animate(folder, &["a.gltf", "--clip", "lift"]);
+    let said = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(2), "{said}");
+    assert!(
+        said.contains("rig: the model has no skin, and clip 0 \"lift\" moves nodes or morph targets alone"),
+        "{said}"
+    );
+}
+
+#[test]
+fn an_open_model_has_no_change_of_volume() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_bar(folder);
+    let whole = super::animate_bar(folder, &["--frames", "0:2"]);
+    assert!(
+        whole.contains("; volume ") && whole.contains(" %, at worst "),
+        "{whole}"
+    );
+    // The bar without one of its triangles is open.
+    let text = fs::read_to_string(folder.join("bar.obj")).expect("the bar");
+    let (kept, _) = text.trim_end().rsplit_once('\n').expect("lines");
+    fs::write(folder.join("bar.obj"), format!("{kept}\n")).expect("written");
+    let open = super::animate_bar(folder, &["--frames", "0:2"]);
+    assert!(open.contains("; volume n/a (the surface is open); "), "{open}");
+}
+
+#[test]
+fn faces_too_large_for_the_bends_of_a_rig_are_warned_of() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    make_bar(folder);
+    let fine = super::animate_bar(folder, &["--frames", "0:2"]);
+    assert!(!fine.contains("faces-too-large"), "{fine}");
+    let (positions, triangles) = pliant::asset::shapes::box_with_cells(glam::DVec3::new(6.0, 1.0, 1.0), [3, 1, 1]);
+    let mut text = String::new();
+    for p in &positions {
+        text += &format!("v {} {} {}\n", p.x - 3.0, p.y - 0.5, p.z - 0.5);
+    }
+    for t in &triangles {
+        text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1);
+    }
+    fs::write(folder.join("bar.obj"), text).expect("written");
+    let coarse = super::animate_bar(folder, &["--frames", "0:2"]);
+    assert!(
+        coarse.contains("warning: faces-too-large: ") && coarse.contains("the edit \"subdivide\" with \"auto\""),
+        "{coarse}"
+    );
 }

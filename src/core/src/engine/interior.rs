@@ -64,10 +64,10 @@ pub(super) fn interior_warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<
             .take(PLACES)
             .collect();
         let places: Vec<String> = points.iter().map(|&p| format!("at {}", brief_point(p))).collect();
-        let message = format!(
-            "{sheets} of {} parts enclose no volume or too little, so they deform as surfaces",
-            has_volume.len()
-        );
+        let message = match has_volume.len() {
+            1 => "its only part encloses no volume or too little, so it deforms as a surface".into(),
+            parts => format!("{sheets} of {parts} parts enclose no volume or too little, so they deform as surfaces"),
+        };
         let more = sheets.saturating_sub(PLACES);
         let more = if more > 0 {
             format!("; and {more} more")

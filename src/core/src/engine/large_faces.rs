@@ -35,7 +35,11 @@ pub(super) struct HandleBend<'a> {
 }
 
 /// The warning that faces are too large for these handles, if any are.
-pub(super) fn warn_of_large_faces(mesh: &Mesh, handles: &HandleSystem, diagonal: f64) -> Option<DeformerWarning> {
+pub(in crate::engine) fn warn_of_large_faces(
+    mesh: &Mesh,
+    handles: &HandleSystem,
+    diagonal: f64,
+) -> Option<DeformerWarning> {
     let shortest = SHORTEST * diagonal;
     let mut found: Vec<u32> = Vec::new();
     let (mut count, mut worst) = (0usize, 0.0f64);

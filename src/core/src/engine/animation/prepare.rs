@@ -7,7 +7,8 @@ use crate::deform::{HandleConstraint, HandleSetup, HandleSystem};
 use crate::engine::deformer::Deformer;
 use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
 use crate::engine::error::Error;
-use crate::engine::facts::QualityReport;
+use crate::engine::facts::{DeformerWarning, QualityReport};
+use crate::engine::large_faces::warn_of_large_faces;
 use crate::engine::quality::measure_quality;
 use crate::exec::Exec;
 use crate::graph::MeshGraph;
@@ -28,6 +29,7 @@ pub struct Animation {
     pub(super) settings: AnimationSettings,
     pub(super) beside: Option<SceneMotion>,
     facts: Vec<RigHandleFacts>,
+    large_faces: Option<DeformerWarning>,
 }
 
 impl Deformer {
@@ -66,6 +68,7 @@ impl Deformer {
         // Blocks that run at the same time find ready what the first one to ask would make.
         system.prepare_shares(exec.pool);
         self.derived.riding_vertices(exec.pool);
+        let large_faces = warn_of_large_faces(self.mesh(), &system, body.diagonal);
         Ok(Animation {
             derived: Arc::clone(&self.derived),
             system,
@@ -76,6 +79,7 @@ impl Deformer {
             settings: settings.clone(),
             beside: None,
             facts,
+            large_faces,
         })
     }
 
@@ -144,6 +148,11 @@ impl Animation {
     /// What each handle of the rig came to hold.
     pub fn handle_facts(&self) -> &[RigHandleFacts] {
         &self.facts
+    }
+
+    /// The warning that faces are too large to show the bends between the handles of the rig, if any are.
+    pub fn large_faces(&self) -> Option<&DeformerWarning> {
+        self.large_faces.as_ref()
     }
 
     /// How far a frame's positions, one per render vertex, are from the rest shape.
