@@ -97,7 +97,10 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
         warnings.push("most joints lie outside of the model; it may have no inside".into());
     } else if !outside.is_empty() {
         let names = outside.join(", ");
-        warnings.push(format!("{names} lie outside of the model; --at puts a joint elsewhere"));
+        let lie = if outside.len() == 1 { "lies" } else { "lie" };
+        warnings.push(format!(
+            "{names} {lie} outside of the model; --at puts a joint elsewhere"
+        ));
     }
     Ok(MadeRig {
         rig: made.rig,

@@ -37,9 +37,15 @@ fn a_sample_is_written_where_it_may_be() {
         fs::read(folder.path().join("figure.glb")).expect("a file"),
         sample::figure_glb()
     );
+    let path = folder.path().join("figure.glb");
+    let written = || fs::metadata(&path).and_then(|facts| facts.modified()).expect("a file");
+    let before = written();
+    let again = pliant(folder.path(), &["sample", "figure", "-o", "figure.glb"]);
+    assert_eq!((again.0, again.2.as_str()), (Some(0), ""), "the same bytes are there");
+    assert_eq!(written(), before, "and are left alone");
     for (arguments, told) in [
         (["sample", "dragon", "-o", "dragon.glb"], "creature or figure"),
-        (["sample", "figure", "-o", "figure.glb"], "--force"),
+        (["sample", "body", "-o", "figure.glb"], "--force"),
         (["sample", "figure", "-o", "figure.obj"], "written as glb"),
         (["sample", "boxing", "-o", "boxing.glb"], "written as bvh"),
         (
@@ -374,6 +380,181 @@ fn what_rides_along_is_told_and_written_beside_the_result() {
         assert_eq!(code, Some(2), "{extra}: {last}");
         assert!(last.contains(reason), "{extra}: {last}");
         assert!(!folder.path().join("none").exists(), "{extra} left something behind");
+    }
+}
+
+/// Runs the program; its exit code and all of stderr.
+fn told(folder: &Path, arguments: &[&str]) -> (Option<i32>, String) {
+    let mut program = Command::new(env!("CARGO_BIN_EXE_pliant"));
+    let done = program.args(arguments).current_dir(folder).output().expect("it runs");
+    (done.status.code(), String::from_utf8_lossy(&done.stderr).into_owned())
+}
+
+/// A square of two triangles as an OBJ that names a library.
+const SQUARE: &str = "mtllib square.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nusemtl a\nf 1 2 3\nf 1 3 4\n";
+
+#[test]
+fn files_that_an_obj_names_and_that_are_not_there_are_warned_of() {
+    let folder = workplace();
+    let at = |name: &str| folder.path().join(name);
+    let inspect = || {
+        let (code, text, _) = pliant(folder.path(), &["inspect", "square.obj"]);
+        assert_eq!(code, Some(0));
+        text
+    };
+    fs::write(at("square.obj"), SQUARE).expect("written");
+    let text = inspect();
+    assert!(
+        text.contains("warning library-missing") && text.contains("square.mtl"),
+        "{text}"
+    );
+    fs::write(at("square.mtl"), "newmtl a\nmap_Kd rust.png\nbump bumps.png\n").expect("written");
+    fs::write(at("bumps.png"), "any").expect("written");
+    let text = inspect();
+    assert!(!text.contains("library-missing"), "{text}");
+    let warning = text.lines().find(|line| line.starts_with("warning image-missing"));
+    let warning = warning.unwrap_or_else(|| panic!("{text}"));
+    assert!(
+        warning.contains("rust.png") && !warning.contains("bumps.png"),
+        "{warning}"
+    );
+    let job = r#"{"handles": [{"id": "a", "region": {"component": {}}, "pose": {"translation": [1, 0, 0]}}]}"#;
+    fs::write(at("job.json"), job).expect("written");
+    let (code, said) = told(
+        folder.path(),
+        &["deform", "square.obj", "--job", "job.json", "-o", "out.obj"],
+    );
+    assert_eq!(code, Some(0), "{said}");
+    assert!(
+        said.contains("warning image-missing: ") && said.contains("rust.png"),
+        "{said}"
+    );
+    fs::write(at("rust.png"), "any").expect("written");
+    assert!(!inspect().contains("missing"));
+}
+
+#[test]
+fn an_inspection_lists_clips_skins_materials_and_pictures() {
+    let folder = workplace();
+    fs::write(folder.path().join("figure.glb"), sample::figure_glb()).expect("written");
+    let (code, text, _) = pliant(folder.path(), &["inspect", "figure.glb"]);
+    assert_eq!(code, Some(0));
+    let line = |name: &str| {
+        let line = text.lines().find(|line| line.starts_with(name));
+        line.unwrap_or_else(|| panic!("{name}: {text}")).to_owned()
+    };
+    assert!(
+        line("clips ").contains("2: \"walk\" (") && line("clips ").ends_with(" s)"),
+        "{text}"
+    );
+    assert!(line("skins ").contains(" joints)"), "{text}");
+    line("materials ");
+    assert!(line("images ").ends_with('0'), "{text}");
+    let (_, json, _) = pliant(folder.path(), &["inspect", "figure.glb", "--json"]);
+    let found: Value = serde_json::from_str(&json).expect("one JSON document");
+    assert_eq!(found["clips"][0]["name"], "walk");
+    assert!(found["clips"][1]["seconds"].as_f64().is_some_and(|s| s > 0.1), "{json}");
+    assert!(found["skins"][0]["joints"].as_u64().is_some_and(|n| n > 10), "{json}");
+    assert!(
+        found["materials"].is_array() && found["images"] == serde_json::json!([]),
+        "{json}"
+    );
+    // A picture is called by its file where it has no name.
+    let mut gltf = serde_json::json!({
+        "asset": {"version": "2.0"}, "images": [{"uri": "rust.png"}, {"name": "moss", "uri": "m.png"}],
+        "materials": [{"name": "old"}], "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}], "buffers": [{"uri": "a.bin", "byteLength": 36}],
+    });
+    gltf["asset"]["generator"] = "test".into();
+    fs::write(folder.path().join("a.gltf"), gltf.to_string()).expect("written");
+    let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let bytes: Vec<u8> = corners.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
+    fs::write(folder.path().join("a.bin"), bytes).expect("written");
+    let (code, text, said) = pliant(folder.path(), &["inspect", "a.gltf"]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(
+        text.contains("2: \"rust.png\", \"moss\"\n") && text.contains("1: \"old\"\n"),
+        "{text}"
+    );
+}
+
+#[test]
+fn every_region_of_the_page_is_taken() {
+    let folder = workplace();
+    fs::write(
+        folder.path().join("square.obj"),
+        SQUARE.replace("mtllib square.mtl\n", ""),
+    )
+    .expect("written");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/docs/concepts.md");
+    let page = fs::read_to_string(page).expect("the page");
+    let rows = page.lines().filter_map(|line| line.strip_prefix("| `{\""));
+    let mut kinds = Vec::new();
+    for row in rows {
+        let (region, _) = row.split_once("` |").expect("a cell");
+        let region = format!("{{\"{region}");
+        let value: Value = serde_json::from_str(&region).unwrap_or_else(|e| panic!("{region}: {e}"));
+        kinds.extend(value.as_object().into_iter().flatten().map(|(kind, _)| kind.clone()));
+        let job =
+            format!(r#"{{"handles": [{{"id": "a", "region": {region}, "pose": {{"translation": [1, 0, 0]}}}}]}}"#);
+        fs::write(folder.path().join("job.json"), job).expect("written");
+        let arguments = ["deform", "square.obj", "--job", "job.json", "-o", "out.obj", "--force"];
+        let (code, said) = told(folder.path(), &arguments);
+        assert_eq!(code, Some(0), "{region}: {said}");
+        assert!(!said.contains("idle-handle"), "{region}: {said}");
+    }
+    let all = "vertices halfSpace sphere box capsule tube component primitive weights";
+    assert_eq!(kinds.join(" "), all);
+}
+
+#[test]
+fn one_of_a_thing_is_told_as_one() {
+    let folder = workplace();
+    fs::write(
+        folder.path().join("square.obj"),
+        SQUARE.replace("mtllib square.mtl\n", ""),
+    )
+    .expect("written");
+    let (code, text, _) = pliant(folder.path(), &["inspect", "square.obj"]);
+    assert_eq!(code, Some(0));
+    assert!(text.contains("4 in 1 primitive\n"), "{text}");
+    assert!(text.contains("its only part encloses no volume"), "{text}");
+}
+
+#[test]
+fn a_handle_that_holds_nothing_and_is_moved_is_warned_of() {
+    let folder = workplace();
+    let job = |order: [&str; 2]| {
+        let handle = |id: &str| {
+            let radius = if id == "all" { 9.0 } else { 0.36 };
+            format!(r#"{{"id": "{id}", "region": {{"sphere": {{"center": [0.76, 1.22, 0], "radius": {radius}}}}}}}"#)
+        };
+        let handles = order.map(handle).join(", ");
+        format!(
+            r#"{{"handles": [{handles}],
+              "steps": [{{"pose": {{"handles": [{{"id": "head", "pose": {{"translation": [0, 0.5, 0]}}}}]}}}}]}}"#
+        )
+    };
+    for (order, is_idle) in [(["head", "all"], true), (["all", "head"], false)] {
+        fs::write(folder.path().join("job.json"), job(order)).expect("written");
+        let arguments = [
+            "deform",
+            "creature.glb",
+            "--job",
+            "job.json",
+            "-o",
+            "out.glb",
+            "--force",
+        ];
+        let (code, said) = told(folder.path(), &arguments);
+        assert_eq!(code, Some(0), "{said}");
+        assert_eq!(said.contains("warning idle-handle: "), is_idle, "{said}");
+        assert!(
+            !is_idle || said.contains("a step moves handle \"head\", which holds nothing"),
+            "{said}"
+        );
     }
 }
 

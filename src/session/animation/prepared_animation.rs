@@ -149,9 +149,10 @@ fn primitives_beside(deformer: &Deformer, warnings: &mut Vec<String>) -> Result<
         }
     }
     if solved > 0 {
-        warnings.push(format!(
-            "{solved} primitives have no skin and were solved with those that have one; a session whose passengers they are lets them play on alone"
-        ));
+        warnings.push(match solved {
+            1 => "1 primitive has no skin and was solved with those that have one; a session whose passenger it is lets it play on alone".into(),
+            _ => format!("{solved} primitives have no skin and were solved with those that have one; a session whose passengers they are lets them play on alone"),
+        });
     }
     Ok(numbers)
 }

@@ -104,8 +104,8 @@ pub(super) fn read(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Re
             let doc = GltfDocument::parse(&plain, format, watch)?;
             super::check::check(&doc)?;
             let (mut geometry, mut notes) = read_document(&doc, &plain, format, limits)?;
-            let message =
-                format!("{count} primitives were compressed with Draco; a changed model comes back without it");
+            let were = if count == 1 { "primitive was" } else { "primitives were" };
+            let message = format!("{count} {were} compressed with Draco; a changed model comes back without it");
             geometry.warn("draco-decoded", message, "meshes");
             notes.uncompressed = Some(plain);
             return Ok((geometry, notes));
