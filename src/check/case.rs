@@ -117,12 +117,7 @@ impl SuiteCase {
     pub fn from_file(file: &str, text: &[u8]) -> Result<Self, SuiteError> {
         let refuse = |place: &str, problem: String| suite_json::suite_error(file, place, problem);
         let name = file.strip_suffix(CASE_SUFFIX).unwrap_or_default();
-        let plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
-        if name.is_empty() || name.starts_with('.') || name.len() > 100 || !name.chars().all(plain) {
-            let problem =
-                "is no name of a case; letters, digits, \".\", \"_\" and \"-\" are allowed, 100 of them at most";
-            return Err(refuse("its name", format!("\"{name}\" {problem}")));
-        }
+        check_case_name(name).map_err(|problem| refuse("its name", problem))?;
         let read: CaseFile<'_> = suite_json::from_json_object(file, text)?;
         let model = ModelSource::from_text(&read.model).map_err(|problem| refuse("model", problem))?;
         let job = match (read.job, read.animate) {
@@ -252,6 +247,16 @@ impl AnimationCase {
         }
         to_lower_hex(&hash.finalize())
     }
+}
+
+/// Refuses what is no name of a case.
+pub(super) fn check_case_name(name: &str) -> Result<(), String> {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
+    if name.is_empty() || name.starts_with('.') || name.len() > 100 || !name.chars().all(plain) {
+        let problem = "is no name of a case; letters, digits, \".\", \"_\" and \"-\" are allowed, 100 of them at most";
+        return Err(format!("\"{name}\" {problem}"));
+    }
+    Ok(())
 }
 
 /// Whether a path is relative, made of plain names with "/" between them.

@@ -16,8 +16,11 @@ const KEY_ROWS: u32 = 30;
 /// A close-up shows this share of the diagonal around its place.
 const NEAR: f64 = 0.045;
 
+/// The captions that there are.
+const CAPTIONS: [&str; 5] = ["before", "after", "expected", "difference", "worst place"];
+
 /// A case picture is a picture with what it shows.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CasePicture {
     /// A word or two.
     pub caption: &'static str,
@@ -27,6 +30,13 @@ pub struct CasePicture {
     pub size: [u32; 2],
     /// A PNG file.
     pub png: Vec<u8>,
+}
+
+impl CasePicture {
+    /// Finds the caption among those that there are.
+    pub(super) fn known_caption(text: &str) -> Option<&'static str> {
+        CAPTIONS.into_iter().find(|caption| *caption == text)
+    }
 }
 
 /// A viewpoint says from where a case is looked at.

@@ -25,6 +25,7 @@
 //! ```
 
 mod case;
+mod case_cost;
 mod case_pictures;
 mod case_result;
 mod comparison;
@@ -33,11 +34,14 @@ mod golden;
 mod metric;
 mod quantized;
 pub mod report;
+mod shard;
+mod split;
 mod suite_json;
 mod tolerances;
 mod verdict;
 
 pub use case::{AnimationCase, CASE_SUFFIX, GOLDEN_SUFFIX, JobSource, ModelSource, SuiteCase, job_hash, model_hash};
+pub use case_cost::{CaseWork, measured_costs};
 pub use case_pictures::{CasePicture, Viewpoint, draw_case_pictures};
 pub use case_result::{CaseResult, TopologyDigests};
 pub use comparison::{GoldenComparison, compare_with_golden};
@@ -45,6 +49,8 @@ pub use distance::hausdorff_distance;
 pub use golden::{Golden, InputHashes};
 pub use metric::{Metric, MetricKind, MetricUnit};
 pub use quantized::QuantizedPositions;
+pub use shard::Shard;
+pub use split::{digest_texts, split_cases, split_digest};
 pub use suite_json::SuiteError;
 pub use tolerances::{Tolerance, Tolerances};
 pub use verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason, judge_result};

@@ -21,6 +21,22 @@ pub enum CaseStatus {
     Blessed,
 }
 
+/// The words for what can be wrong.
+const REASON_CODES: [&str; 12] = [
+    "not-finite",
+    "missing-golden",
+    "broken-golden",
+    "stale-golden",
+    "not-run",
+    "skipped",
+    "topology",
+    "winding",
+    "frames",
+    "digest",
+    "expectation",
+    "metric",
+];
+
 /// One thing that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VerdictReason {
@@ -50,6 +66,13 @@ pub struct MetricDifference {
     pub reason: String,
     /// Where it is worst; maybe empty.
     pub place: String,
+}
+
+impl VerdictReason {
+    /// Finds the word among those that there are.
+    pub(super) fn known_code(word: &str) -> Option<&'static str> {
+        REASON_CODES.into_iter().find(|code| *code == word)
+    }
 }
 
 impl MetricDifference {
@@ -100,7 +123,7 @@ impl MetricDifference {
 }
 
 /// A case verdict is what is said of a case.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct CaseVerdict {
     /// How it ended.
     pub status: CaseStatus,

@@ -35,6 +35,8 @@ Examples:
   pliant check suite                                  compare every case with its golden
   pliant check suite --html report.html --junit report.xml
   pliant check suite --bless                          store what comes out now as goldens
+  pliant check suite --shard 3/8 --report shards/3.json
+  pliant check --merge shards --html report.html      what one run of all shards would say
   pliant check suite --server https://pliant.example.com --token SECRET";
 
 /// `pliant animate --help`.

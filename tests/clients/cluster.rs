@@ -22,6 +22,7 @@ const NODES: [&str; 5] = [
     "nodes/network.yaml",
 ];
 const PROXY: &str = "proxy/proxy.yaml";
+const CHECK: [&str; 2] = ["check/shards.yaml", "check/merge.yaml"];
 
 fn at(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy").join(name)
@@ -76,7 +77,7 @@ fn fits_schema(checker: &Path, version: &str, file: &Path) -> Result<(), String>
 #[test]
 fn manifests_fit_the_schemas_of_kubernetes() {
     let Some(checker) = schema_checker() else { return };
-    for name in NODES.into_iter().chain([PROXY]) {
+    for name in NODES.into_iter().chain([PROXY]).chain(CHECK) {
         for version in VERSIONS {
             let fit = fits_schema(&checker, version, &at("kubernetes").join(name));
             fit.unwrap_or_else(|problem| panic!("{name}, {version}: {problem}"));
@@ -89,6 +90,10 @@ fn manifests_fit_the_schemas_of_kubernetes() {
         ("periodSeconds: 2", "periodSeconds: 2s"),
     ] {
         fs::write(&broken, manifest(NODES[0]).replace(right, wrong)).expect("written");
+        assert!(fits_schema(&checker, "1.30", &broken).is_err(), "{wrong} is found");
+    }
+    for (right, wrong) in [("completions: 8", "completion: 8"), ("values: [2]", "values: [two]")] {
+        fs::write(&broken, manifest(CHECK[0]).replace(right, wrong)).expect("written");
         assert!(fits_schema(&checker, "1.30", &broken).is_err(), "{wrong} is found");
     }
 }
@@ -176,7 +181,7 @@ async fn probes_and_variables_name_what_the_server_has() {
     let listens = setting(&reference, "listen").expect("a default");
     let (_, port) = listens.rsplit_once(':').expect("a port");
     let elsewhere = ["53", "5432", "443"];
-    for name in NODES.into_iter().chain([PROXY]) {
+    for name in NODES.into_iter().chain([PROXY]).chain(CHECK) {
         let text = manifest(name);
         let named = [
             values(&text, "port"),

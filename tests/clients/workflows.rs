@@ -88,6 +88,7 @@ fn workflows_fit_the_schemas_of_their_forges() {
     let gitlab = ["--builtin-schema", "vendor.gitlab-ci", "--data-transform", "gitlab-ci"];
     for (schema, name) in [
         (github.as_slice(), "github-actions.yml"),
+        (&github, "github-shards.yml"),
         (&github, "github-release.yml"),
         (&gitlab, "gitlab-ci.yml"),
     ] {
@@ -123,11 +124,14 @@ fn a_linter_finds_nothing_in_the_workflows_for_github() {
             .filter(|line| !YOUNGER.iter().any(|known| line.contains(known)))
             .collect::<Vec<_>>()
     };
-    let found = lint(&[file("github-actions.yml"), file("github-release.yml")]);
+    let found = lint(&["github-actions.yml", "github-shards.yml", "github-release.yml"].map(file));
     assert!(found.is_empty(), "{found:#?}");
     let folder = tempfile::tempdir().expect("a folder");
     let broken = folder.path().join("broken.yml");
     let text = fs::read_to_string(file("github-actions.yml")).expect("a file");
     fs::write(&broken, text.replace("github.token", "github.tokn")).expect("written");
+    assert!(!lint(std::slice::from_ref(&broken)).is_empty(), "the check can fail");
+    let text = fs::read_to_string(file("github-shards.yml")).expect("a file");
+    fs::write(&broken, text.replace("strategy.job-total", "strategy.job-count")).expect("written");
     assert!(!lint(&[broken]).is_empty(), "the check can fail");
 }

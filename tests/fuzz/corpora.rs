@@ -38,6 +38,15 @@ const JOBS: [&str; 6] = [
     r#"{"steps": [{"edit": {"insertCurve": {"points": [0.5, 0, 0.1, 0.5, 0.5, -0.1], "closed": false}, "on": "REST"}}]}"#,
 ];
 
+/// A report of a shard, with one of everything.
+const REPORT: &str = r#"{"suite": "s", "how": "in process", "shard": {"number": 1, "of": 2, "cases": 2, "suite": "sha256:a", "split": "sha256:b",
+    "build": "0.1.0"}, "passed": 0, "failed": 1, "skipped": 0, "blessed": 0, "notes": ["n"], "cases": [{"name": "a", "title": "A <b>", "model": "m.obj",
+    "status": "failed", "identical": false, "digest": "xxh3:1", "storedDigest": "xxh3:2", "reasons": [{"code": "metric", "text": "t"}],
+    "metrics": [{"name": "volumeChange", "allowed": 0, "holds": true, "applies": false}, {"name": "cycles", "value": 7, "stored": 5.5,
+    "difference": "Infinity", "allowed": 1e-6, "reason": "r", "place": "vertex 1", "holds": false}], "notes": ["n"],
+    "inputs": {"model": "aa", "job": "bb"}, "milliseconds": 1.25, "pictures": [{"caption": "after", "description": "d", "size": [1, 1],
+    "png": "iVBORw0KGgo="}]}]}"#;
+
 /// What a target begins with: generated inputs, small files of the data folder, and what was found before.
 pub fn inputs_of(name: &str) -> Vec<Vec<u8>> {
     let mut inputs = match name {
@@ -66,6 +75,7 @@ pub fn inputs_of(name: &str) -> Vec<Vec<u8>> {
             .collect(),
         "commit_records" => commits(),
         "model_records" => vec![model_record()],
+        "reports" => vec![REPORT.into()],
         _ => Vec::new(),
     };
     inputs.extend(

@@ -8,6 +8,7 @@ mod pages;
 mod proxy;
 mod refusals;
 mod reports;
+mod shards;
 mod workflows;
 
 use crate::support::server::Server;

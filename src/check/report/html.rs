@@ -14,10 +14,15 @@ use std::fmt::Write as _;
 pub fn html_report(report: &SuiteReport) -> String {
     let mut body = String::new();
     let suite = escape_text(&report.suite);
+    let part = report.shard.as_ref().map(|facts| {
+        let (shard, here, of) = (facts.shard, report.cases.len(), facts.cases);
+        format!(", shard {shard}: {here} of {of} cases")
+    });
     let _ = writeln!(
         body,
-        "<h1>{suite}</h1>\n<p class=\"soft\">pliant check, {}</p>",
-        escape_text(&report.how)
+        "<h1>{suite}</h1>\n<p class=\"soft\">pliant check, {}{}</p>",
+        escape_text(&report.how),
+        part.unwrap_or_default()
     );
     body += "<p class=\"counts\">";
     for status in [
@@ -175,6 +180,11 @@ mod tests {
             page.contains("<td>maxDisplacement</td><td>diagonal</td>"),
             "each number has its unit"
         );
+        let mut part = samples::sample_suite();
+        part.shard = Some(samples::sample_shard(2, 3));
+        let part = super::html_report(&part);
+        assert!(part.contains("pliant check, in process, shard 2/3: 5 of 5 cases</p>"));
+        assert!(page.contains("pliant check, in process</p>"));
         // Failed cases come first, then the others in their order.
         let at = |name: &str| page.find(&format!("<section id=\"{name}\"")).expect(name);
         assert!(at("d-failed") < at("e-broken") && at("e-broken") < at("a-passed") && at("a-passed") < at("c-skipped"));

@@ -30,19 +30,29 @@ fn write_report(report: &SuiteReport, xml: &mut XmlWriter) -> io::Result<()> {
         ("errors", broken),
         ("skipped", report.count_cases(CaseStatus::Skipped)),
     ];
-    let counts: Vec<(&str, String)> = counts.map(|(name, n)| (name, n.to_string())).into();
+    let mut counts: Vec<(&str, String)> = counts.map(|(name, n)| (name, n.to_string())).into();
+    if let Some(took) = report.cases.iter().filter_map(|c| c.milliseconds).reduce(|a, b| a + b) {
+        counts.push(("time", seconds(took)));
+    }
     let counts = || counts.iter().map(|(name, n)| (*name, n.as_str()));
     let suite = printable(&report.suite);
     let all = xml.create_element("testsuites").with_attributes(counts());
     all.write_inner_content(|xml| {
         let element = xml.create_element("testsuite").with_attribute(("name", suite.as_str()));
         element.with_attributes(counts()).write_inner_content(|xml| {
-            write_properties(xml, &[("how".into(), report.how.clone())])?;
+            let mut facts = vec![("how".to_owned(), printable(&report.how))];
+            facts.extend(report.shard.as_ref().map(|f| ("shard".to_owned(), f.shard.to_string())));
+            write_properties(xml, &facts)?;
             report.cases.iter().try_for_each(|c| write_case(xml, &suite, c))
         })?;
         Ok(())
     })?;
     Ok(())
+}
+
+/// Writes a time as the format has it.
+fn seconds(milliseconds: f64) -> String {
+    format!("{:.6}", milliseconds / 1000.0)
 }
 
 /// Tells a case that could not be run from one whose result is wrong.
@@ -53,7 +63,11 @@ fn is_error(case: &CaseReport) -> bool {
 fn write_case(xml: &mut XmlWriter, suite: &str, case: &CaseReport) -> io::Result<()> {
     let class = format!("pliant.check.{suite}");
     let element = xml.create_element("testcase");
-    let element = element.with_attributes([("classname", class.as_str()), ("name", case.name.as_str())]);
+    let mut element = element.with_attributes([("classname", class.as_str()), ("name", case.name.as_str())]);
+    let took = case.milliseconds.map(seconds);
+    if let Some(took) = &took {
+        element = element.with_attribute(("time", took.as_str()));
+    }
     element.write_inner_content(|xml| {
         write_properties(xml, &case_properties(case))?;
         let reasons = &case.verdict.reasons;
@@ -85,8 +99,8 @@ fn case_properties(case: &CaseReport) -> Vec<(String, String)> {
     let mut facts = vec![
         ("title".to_owned(), printable(&case.title)),
         ("model".to_owned(), printable(&case.model)),
-        ("digest".to_owned(), case.digest.clone()),
-        ("storedDigest".to_owned(), case.stored_digest.clone()),
+        ("digest".to_owned(), printable(&case.digest)),
+        ("storedDigest".to_owned(), printable(&case.stored_digest)),
     ];
     facts.retain(|(_, text)| !text.is_empty());
     for m in &case.verdict.measures {
@@ -160,6 +174,7 @@ mod tests {
             "{text}"
         );
         assert!(text.contains("su&lt;i&gt;te"));
+        assert!(!text.contains("time=") && !text.contains("name=\"shard\""));
         assert!(
             text.contains(r#"tests="5" failures="1" errors="1" skipped="1""#),
             "{text}"
@@ -170,6 +185,22 @@ mod tests {
         );
         assert!(
             text.contains(r#"name="maxDisplacement.allowed" value="0.000001""#),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn times_and_the_shard_are_told_where_they_are_known() {
+        let mut report = samples::sample_suite();
+        report.cases[0].milliseconds = Some(1500.0);
+        report.cases[1].milliseconds = Some(0.25);
+        report.shard = Some(samples::sample_shard(2, 3));
+        let text = String::from_utf8(super::junit_report(&report).expect("written")).expect("UTF-8");
+        assert!(
+            text.contains(r#"skipped="1" time="1.500250""#)
+                && text.contains(r#"name="a-passed" time="1.500000""#)
+                && text.contains(r#"name="c-skipped">"#)
+                && text.contains(r#"<property name="shard" value="2/3"/>"#),
             "{text}"
         );
     }

@@ -3,8 +3,9 @@
 use super::super::case_pictures::CasePicture;
 use super::super::golden::InputHashes;
 use super::super::metric::Metric;
+use super::super::shard::Shard;
 use super::super::verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason};
-use super::suite_report::{CaseReport, SuiteReport};
+use super::suite_report::{CaseReport, ShardFacts, SuiteReport};
 
 fn sample_case(name: &str, title: &str, verdict: CaseVerdict) -> CaseReport {
     CaseReport {
@@ -20,6 +21,7 @@ fn sample_case(name: &str, title: &str, verdict: CaseVerdict) -> CaseReport {
         verdict,
         pictures: Vec::new(),
         notes: Vec::new(),
+        milliseconds: None,
     }
 }
 
@@ -83,6 +85,8 @@ pub(super) fn sample_suite() -> SuiteReport {
     SuiteReport {
         suite: "su<i>te".into(),
         how: "in process".into(),
+        notes: vec!["a <folder>".into()],
+        shard: None,
         cases: vec![
             sample_case("a-passed", "", passed),
             sample_case("b-close", "", close),
@@ -90,5 +94,16 @@ pub(super) fn sample_suite() -> SuiteReport {
             shown,
             sample_case("e-broken", "", broken),
         ],
+    }
+}
+
+/// Makes what the report of a shard says beside its cases; no split has its digest.
+pub(super) fn sample_shard(number: u32, of: u32) -> ShardFacts {
+    ShardFacts {
+        shard: Shard::new(number, of).expect("a shard"),
+        cases: 5,
+        suite: "sha256:suite".into(),
+        split: "sha256:split".into(),
+        build: "0.1.0".into(),
     }
 }

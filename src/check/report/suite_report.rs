@@ -1,11 +1,13 @@
 //! What was found of a suite, case by case.
 
+use super::super::case::CASE_SUFFIX;
 use super::super::case_pictures::CasePicture;
 use super::super::golden::InputHashes;
+use super::super::shard::Shard;
 use super::super::verdict::{CaseStatus, CaseVerdict};
 
 /// A case report tells of a case that was run, or could not be.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct CaseReport {
     /// Its name.
     pub name: String,
@@ -25,20 +27,46 @@ pub struct CaseReport {
     pub pictures: Vec<CasePicture>,
     /// What someone should know beside, such as why there is no picture.
     pub notes: Vec<String>,
+    /// How long it took, side by side with others; `None` where that is not told.
+    pub milliseconds: Option<f64>,
 }
 
-/// A suite report tells of a suite that was run.
-#[derive(Debug, Clone)]
+/// A suite report tells of a suite that was run, or of a shard of it.
+#[derive(Debug, Clone, PartialEq)]
 pub struct SuiteReport {
     /// The name of its folder.
     pub suite: String,
     /// How its cases were run: `in process` or `on` a server.
     pub how: String,
+    /// What someone should know of the suite's folder.
+    pub notes: Vec<String>,
+    /// Of a shard, what it is a part of.
+    pub shard: Option<ShardFacts>,
     /// In the order of their names.
     pub cases: Vec<CaseReport>,
 }
 
+/// Shard facts say what a shard is a part of, so that nothing is joined that does not belong together.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ShardFacts {
+    /// Which one of how many.
+    pub shard: Shard,
+    /// How many cases the whole suite has.
+    pub cases: usize,
+    /// Digest of the suite: of its cases, jobs and goldens.
+    pub suite: String,
+    /// Digest of the split: of which case is in which shard.
+    pub split: String,
+    /// The build that ran it.
+    pub build: String,
+}
+
 impl SuiteReport {
+    /// Puts cases into the order in which a suite is run, which is that of the names of their files.
+    pub(super) fn sort_cases(&mut self) {
+        self.cases.sort_by_cached_key(|c| format!("{}{CASE_SUFFIX}", c.name));
+    }
+
     /// Counts the cases that ended so.
     pub fn count_cases(&self, status: CaseStatus) -> usize {
         self.cases.iter().filter(|c| c.verdict.status == status).count()
@@ -46,6 +74,12 @@ impl SuiteReport {
 }
 
 impl CaseStatus {
+    /// Finds the status of a name.
+    pub(super) fn from_name(name: &str) -> Option<Self> {
+        let all = [Self::Passed, Self::Failed, Self::Skipped, Self::Blessed];
+        all.into_iter().find(|status| status.name() == name)
+    }
+
     /// Its name in files.
     pub fn name(self) -> &'static str {
         match self {

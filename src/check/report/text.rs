@@ -62,6 +62,11 @@ fn worst_difference<'a>(over: &[&'a MetricDifference]) -> Option<&'a MetricDiffe
     worst
 }
 
+/// The line of something that someone should know.
+pub fn note_line(note: &str) -> String {
+    format!("note: {}", printable(note).replace(['\n', '\r', '\t'], " "))
+}
+
 /// The last line: how many cases ended how.
 pub fn summary_line(report: &SuiteReport) -> String {
     let counts: Vec<String> = [
@@ -75,7 +80,18 @@ pub fn summary_line(report: &SuiteReport) -> String {
     .filter(|(n, _)| *n > 0)
     .map(|(n, name)| format!("{n} {name}"))
     .collect();
-    format!("{} cases {}: {}", report.cases.len(), report.how, counts.join(", "))
+    let (told, how) = (counts.join(", "), printable(&report.how));
+    match &report.shard {
+        None => format!("{} cases {how}: {told}", report.cases.len()),
+        Some(facts) if report.cases.is_empty() => {
+            let (shard, of) = (facts.shard, facts.cases);
+            format!("shard {shard} has no case: all {of} cases of the suite are in other shards")
+        }
+        Some(facts) => {
+            let (shard, of) = (facts.shard, facts.cases);
+            format!("shard {shard}, {} of {of} cases {how}: {told}", report.cases.len())
+        }
+    }
 }
 
 /// What a new golden changes, metric by metric; empty when it says the same. `measures` compare the new result with the
@@ -180,6 +196,18 @@ mod tests {
         assert_eq!(
             summary_line(&suite),
             "5 cases in process: 2 passed, 2 failed, 1 skipped"
+        );
+        let mut part = suite.clone();
+        part.shard = Some(samples::sample_shard(2, 3));
+        part.cases.truncate(3);
+        assert_eq!(
+            summary_line(&part),
+            "shard 2/3, 3 of 5 cases in process: 2 passed, 1 skipped"
+        );
+        part.cases.clear();
+        assert_eq!(
+            summary_line(&part),
+            "shard 2/3 has no case: all 5 cases of the suite are in other shards"
         );
     }
 }

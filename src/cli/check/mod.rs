@@ -1,34 +1,52 @@
-//! `pliant check`: runs a suite of jobs and compares each result with the one that was stored.
+//! `pliant check`: runs a suite of jobs, or a shard of it, and compares each result with the one that was stored; joins the reports of
+//! shards.
 
 mod animated;
 mod http;
 mod local;
+mod merge;
 mod remote;
 mod run;
+mod shard;
 mod suite;
 mod targets;
+mod told;
 
 use super::failure::CliFailure;
 use super::input_files::AllowedFolders;
-use super::output_files::OutputPermission;
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
-use crate::check::CaseStatus;
-use crate::check::report::{self, SuiteReport};
+use crate::check::Shard;
+use crate::check::report::{CaseReport, SuiteReport};
 use clap::Args;
 use http::{HttpClient, ServerAddress};
 use run::{CheckPlan, run_all_cases};
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use told::ReportArgs;
 
 /// Arguments of `pliant check`.
 #[derive(Debug, Args)]
 pub struct CheckArgs {
     /// The suite: a folder of *.case.json files
-    suite: PathBuf,
+    #[arg(required_unless_present = "merge")]
+    suite: Option<PathBuf>,
     /// Store the results as goldens instead of comparing with them, and print what that changes
     #[arg(long, conflicts_with = "server")]
     bless: bool,
+    /// Run this part of the suite alone, such as 3/8; where K begins at 0, write K+1/N
+    #[arg(long, value_name = "K/N", conflicts_with = "bless")]
+    shard: Option<Shard>,
+    /// Split by the times in this report of a former run with --times, not by what goldens and models tell
+    #[arg(long, value_name = "REPORT", requires = "shard")]
+    costs: Option<PathBuf>,
+    /// Join the reports of all shards, or those in a folder, and tell what a run of the whole suite would have told
+    #[arg(
+        long,
+        value_name = "REPORT",
+        num_args = 1..,
+        conflicts_with_all = ["suite", "bless", "shard", "costs", "server", "no_skip", "folders"]
+    )]
+    merge: Vec<PathBuf>,
     /// Run the cases on this server instead of in process, such as http://127.0.0.1:7411
     #[arg(long, value_name = "URL")]
     server: Option<String>,
@@ -46,29 +64,38 @@ pub struct CheckArgs {
     data: Option<PathBuf>,
     #[command(flatten)]
     allowed: AllowedFolders,
-    /// Print the report as JSON on stdout
-    #[arg(long)]
-    json: bool,
-    /// Write the report as JUnit XML
-    #[arg(long, value_name = "FILE")]
-    junit: Option<PathBuf>,
-    /// Write the report as a page with pictures
-    #[arg(long, value_name = "FILE")]
-    html: Option<PathBuf>,
     #[command(flatten)]
-    permission: OutputPermission,
+    told: ReportArgs,
     #[command(flatten)]
     threads: ThreadArgs,
 }
 
 /// Runs the command.
 pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
-    let named = [("--junit", &args.junit), ("--html", &args.html)];
-    let reports = named.map(|(option, path)| path.as_deref().map(|path| (option, path)));
-    let reports: Vec<(&str, &Path)> = reports.into_iter().flatten().collect();
-    for (_, path) in &reports {
-        args.permission.check_target(path)?;
+    args.told.check_targets()?;
+    match &args.suite {
+        Some(suite) => check_suite(suite, args),
+        None => join_shards(args),
     }
+}
+
+/// Joins the reports of shards.
+fn join_shards(args: &CheckArgs) -> Result<(), CliFailure> {
+    let mut report = merge::merge_files(&args.merge)?;
+    if !args.told.times {
+        report.cases.iter_mut().for_each(|c| c.milliseconds = None);
+    }
+    // A case that ended in a result has pictures, or a note that says why not.
+    let bare = |c: &&CaseReport| !c.digest.is_empty() && c.pictures.is_empty() && c.notes.is_empty();
+    let bare = report.cases.iter().filter(bare).count();
+    if args.told.wants_pictures() && bare > 0 {
+        eprintln!("note: {bare} cases come without pictures; shards that are run with --pictures tell them");
+    }
+    args.told.tell(&report, |_| Ok(Vec::new()))
+}
+
+/// Runs a suite, or a shard of it.
+fn check_suite(suite: &Path, args: &CheckArgs) -> Result<(), CliFailure> {
     let threads = args.threads.start_pool()?.threads();
     let server = args
         .server
@@ -76,9 +103,13 @@ pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
         .map(|url| ServerAddress::new(url, args.token.as_deref(), args.ca.as_deref()));
     let server = server.transpose().map_err(CliFailure::Input)?;
     let data = args.data.as_deref().filter(|d| !d.as_os_str().is_empty());
-    let suite = suite::load_suite(&args.suite, data, &args.allowed)?;
-    targets::check_targets(&reports, &suite, args.permission, args.bless)?;
-    let suite::LoadedSuite { cases, notes, .. } = suite;
+    let loaded = suite::load_suite(suite, data, &args.allowed)?;
+    targets::check_targets(&args.told.reports(), &loaded, args.told.permission, args.bless)?;
+    let suite::LoadedSuite { mut cases, notes, .. } = loaded;
+    let shard = args
+        .shard
+        .map(|shard| shard::take_shard(&mut cases, shard, args.costs.as_deref()));
+    let shard = shard.transpose()?;
     if let Some(address) = &server {
         let client = HttpClient::new(address).map_err(CliFailure::Input)?;
         remote::ask_limits(&client).map_err(|e| CliFailure::Input(format!("the server cannot be used: {e}")))?;
@@ -87,17 +118,15 @@ pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
         server: server.as_ref(),
         bless: args.bless,
         skip_fails: args.no_skip,
-        pictures: args.html.is_some(),
+        pictures: args.told.wants_pictures(),
+        times: args.told.times,
     };
-    let spinner = StageSpinner::new(args.json);
+    let spinner = StageSpinner::new(args.told.json);
     let done = run_all_cases(&cases, &plan, threads, &spinner)?;
     spinner.finish();
 
-    let name = args.suite.canonicalize().ok();
-    let name = name
-        .as_deref()
-        .and_then(|p| p.file_name())
-        .unwrap_or(args.suite.as_os_str());
+    let name = suite.canonicalize().ok();
+    let name = name.as_deref().and_then(|p| p.file_name()).unwrap_or(suite.as_os_str());
     let report = SuiteReport {
         suite: name.to_string_lossy().into_owned(),
         how: if server.is_some() {
@@ -105,49 +134,16 @@ pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
         } else {
             "in process".into()
         },
+        notes,
+        shard,
         cases: done.iter().map(|d| d.report.clone()).collect(),
     };
-    let width = report.cases.iter().map(|c| c.name.len()).max().unwrap_or_default();
-    notes.iter().for_each(|note| eprintln!("note: {note}"));
-    for (case, done) in cases.iter().zip(&done) {
+    args.told.tell(&report, |k| {
         // Written first: what is told as stored is stored.
-        if let Some(golden) = &done.golden {
-            let replace = args.permission.for_goldens();
-            replace.write_file(&case.golden_path, golden.as_bytes())?;
+        if let Some(golden) = &done[k].golden {
+            let replace = args.told.permission.for_goldens();
+            replace.write_file(&cases[k].golden_path, golden.as_bytes())?;
         }
-        eprintln!("{}", report::case_line(&done.report, width));
-        done.changes.iter().for_each(|change| eprintln!("         {change}"));
-        done.report
-            .notes
-            .iter()
-            .for_each(|note| eprintln!("         note: {note}"));
-    }
-    eprintln!("{}", report::summary_line(&report));
-    if let Some(path) = &args.junit {
-        let text = report::junit_report(&report).map_err(CliFailure::Internal)?;
-        args.permission.write_file(path, &text)?;
-    }
-    if let Some(path) = &args.html {
-        args.permission
-            .write_file(path, report::html_report(&report).as_bytes())?;
-    }
-    if args.json {
-        let text = serde_json::to_string_pretty(&report::json_report(&report))
-            .map_err(|e| CliFailure::Internal(e.to_string()))?;
-        writeln!(std::io::stdout(), "{text}")
-            .map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))?;
-    }
-    let failed: Vec<&str> = (report.cases.iter())
-        .filter(|c| c.verdict.status == CaseStatus::Failed)
-        .map(|c| c.name.as_str())
-        .collect();
-    match failed.as_slice() {
-        [] => Ok(()),
-        names => {
-            let some = names.iter().take(10).copied().collect::<Vec<_>>().join(", ");
-            let more = if names.len() > 10 { ", …" } else { "" };
-            let text = format!("{} of {} cases failed: {some}{more}", names.len(), report.cases.len());
-            Err(CliFailure::Check(text))
-        }
-    }
+        Ok(done[k].changes.clone())
+    })
 }

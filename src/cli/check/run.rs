@@ -14,6 +14,7 @@ use crate::pool::Pool;
 use crate::progress::Progress as _;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 /// A check plan says what is to be done with every case.
 pub(super) struct CheckPlan<'a> {
@@ -25,6 +26,8 @@ pub(super) struct CheckPlan<'a> {
     pub skip_fails: bool,
     /// Draw pictures.
     pub pictures: bool,
+    /// Tell how long each case took.
+    pub times: bool,
 }
 
 /// A checked case is a case that was run, or could not be.
@@ -59,7 +62,11 @@ pub(super) fn run_all_cases(
             let k = next.fetch_add(1, Ordering::Relaxed);
             let Some(case) = cases.get(k) else { return Ok(()) };
             spinner.report("checking", k as f32 / cases.len() as f32);
-            let one = run_case(case, plan, client.as_ref(), &pool);
+            let clock = Instant::now();
+            let mut one = run_case(case, plan, client.as_ref(), &pool);
+            if plan.times && one.report.verdict.status != CaseStatus::Skipped {
+                one.report.milliseconds = Some(clock.elapsed().as_micros() as f64 / 1000.0);
+            }
             done.lock().unwrap_or_else(|e| e.into_inner()).push((k, one));
         }
     };
@@ -90,6 +97,7 @@ fn run_case(loaded: &LoadedCase, plan: &CheckPlan<'_>, client: Option<&HttpClien
             verdict: CaseVerdict::without_result(CaseStatus::Failed, "not-run", ""),
             pictures: Vec::new(),
             notes: Vec::new(),
+            milliseconds: None,
         },
         golden: None,
         changes: Vec::new(),

@@ -1,7 +1,10 @@
 //! A suite from disk: its cases with their jobs and goldens. Models are read when a case is run.
 
 use crate::asset::{FileSet, sample};
-use crate::check::{AnimationCase, CASE_SUFFIX, GOLDEN_SUFFIX, Golden, JobSource, ModelSource, SuiteCase, job_hash};
+use crate::check::{
+    AnimationCase, CASE_SUFFIX, CaseWork, GOLDEN_SUFFIX, Golden, JobSource, ModelSource, SuiteCase, digest_texts,
+    job_hash,
+};
 use crate::cli::failure::CliFailure;
 use crate::cli::input_files::{AllowedFolders, NamedFiles, UnreadFile, folder_of};
 use crate::cli::job_file::{job_from_text, largest_named, read_named_models};
@@ -23,7 +26,11 @@ pub(super) struct LoadedCase {
     pub golden: Option<Result<Golden, String>>,
     /// Where its golden lies, or would.
     pub golden_path: PathBuf,
+    /// Digest of what the suite holds of it: its file, its job with what that names, and its golden; not of its model.
+    pub content: String,
     model: CaseModel,
+    /// Bytes of its model's file, where that is the suite's own.
+    model_bytes: Option<u64>,
 }
 
 /// A loaded suite is ready to be run.
@@ -134,7 +141,8 @@ fn load_case(file: &str, folders: &SuiteFolders<'_>) -> Result<LoadedCase, CliFa
     let path = suite.join(file);
     let in_suite = |e: crate::check::SuiteError| CliFailure::Input(format!("{}: {}", path.display(), e.problem));
     let in_case = |e: CliFailure| e.in_place(path.display());
-    let case = SuiteCase::from_file(file, &files.read_named(file, largest_named())?).map_err(in_suite)?;
+    let text = files.read_named(file, largest_named())?;
+    let case = SuiteCase::from_file(file, &text).map_err(in_suite)?;
     let job = match &case.job {
         JobSource::Inline(job) => {
             let mut job = job.as_ref().clone();
@@ -156,34 +164,52 @@ fn load_case(file: &str, folders: &SuiteFolders<'_>) -> Result<LoadedCase, CliFa
         JobSource::Animation(animation) => Some(load_animation(animation, files).map_err(in_case)?),
         _ => None,
     };
-    let model = find_model(&case.model, folders).map_err(|e| in_case(e.in_place("model")))?;
-    let golden = match files.read_named(&case.golden_file(), largest_named()) {
-        Ok(text) => Some(Golden::from_file(&case.golden_file(), &text).map_err(|e| e.to_string())),
+    let (model, model_bytes) = find_model(&case.model, folders).map_err(|e| in_case(e.in_place("model")))?;
+    let stored = match files.read_named(&case.golden_file(), largest_named()) {
+        Ok(text) => Some(text),
         Err(UnreadFile::Absent { .. }) => None,
         Err(e) => return Err(e.into()),
     };
+    let golden = stored.as_ref().map(|text| Golden::from_file(&case.golden_file(), text));
+    let golden = golden.map(|golden| golden.map_err(|e| e.to_string()));
+    let hash = hash_of(&job, animation.as_ref());
+    let parts = [Some(text.as_slice()), Some(hash.as_bytes()), stored.as_deref()];
     Ok(LoadedCase {
         golden_path: suite.join(case.golden_file()),
+        content: digest_texts(parts.into_iter().flatten()),
         case,
         job,
         animation,
         golden,
         model,
+        model_bytes,
     })
 }
 
-/// Finds a case's model, and opens it once: what is no file is told before any case is run.
-fn find_model(model: &ModelSource, folders: &SuiteFolders<'_>) -> Result<CaseModel, CliFailure> {
-    match model {
+/// Tells what a result depends on beside the model.
+fn hash_of(job: &pb::Job, animation: Option<&AnimationCase>) -> String {
+    match animation {
+        Some(animation) => animation.input_hash(),
+        None => job_hash(job),
+    }
+}
+
+/// Finds a case's model, and opens it once: what is no file is told before any case is run. Of a file of the suite its bytes are told.
+fn find_model(model: &ModelSource, folders: &SuiteFolders<'_>) -> Result<(CaseModel, Option<u64>), CliFailure> {
+    let found = match model {
         ModelSource::Sample => Ok(CaseModel::Sample),
         ModelSource::Suite(name) => {
             let path = folders.suite.join(name);
             match folders.files.open_named(name, largest_named()) {
-                Ok(_) => Ok(CaseModel::File {
-                    name: name.clone(),
-                    path,
-                    files: folders.files.clone(),
-                }),
+                Ok(file) => {
+                    let bytes = file.metadata().map(|facts| facts.len()).ok();
+                    let file = CaseModel::File {
+                        name: name.clone(),
+                        path,
+                        files: folders.files.clone(),
+                    };
+                    return Ok((file, bytes));
+                }
                 Err(UnreadFile::Absent { .. }) => {
                     Err(CliFailure::Input(format!("there is no file {}", path.display())))
                 }
@@ -214,7 +240,8 @@ fn find_model(model: &ModelSource, folders: &SuiteFolders<'_>) -> Result<CaseMod
                 }
             }
         },
-    }
+    };
+    found.map(|model| (model, None))
 }
 
 /// Reads the clip of an animation into its options.
@@ -231,9 +258,19 @@ fn load_animation(animation: &AnimationCase, files: &NamedFiles) -> Result<Anima
 impl LoadedCase {
     /// Tells what its result depends on beside the model.
     pub fn job_hash(&self) -> String {
-        match &self.animation {
-            Some(animation) => animation.input_hash(),
-            None => job_hash(&self.job),
+        hash_of(&self.job, self.animation.as_ref())
+    }
+
+    /// Tells what is known of the work that it is. It follows from the suite alone: what only this machine has tells nothing.
+    pub fn work(&self) -> CaseWork<'_> {
+        let frames = |animation: &AnimationCase| Some(animation.options.count as usize).filter(|n| *n > 0);
+        CaseWork {
+            golden: self.golden.as_ref().and_then(|g| g.as_ref().ok()),
+            model_bytes: self.model_bytes,
+            rounds: match &self.animation {
+                Some(animation) => frames(animation),
+                None => Some(self.job.steps.len().max(1)),
+            },
         }
     }
 

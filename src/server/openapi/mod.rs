@@ -40,7 +40,7 @@ fn build() -> Result<Value, Error> {
                 numbers are strings, bytes are base64, unknown fields are refused with their path.",
         },
         "paths": paths,
-        "components": {"schemas": components(&schemas), "responses": {"Problem": problem_response()}},
+        "components": {"schemas": components(&schemas), "responses": {"Problem": problem_response(), "SentOn": sent_on_response()}},
     }))
 }
 
@@ -80,6 +80,19 @@ fn components(schemas: &Schemas) -> Value {
 fn problem_response() -> Value {
     json!({
         "description": "It was refused or failed; nothing has changed.",
+        "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
+    })
+}
+
+fn sent_on_response() -> Value {
+    let header = |text: &str| json!({"description": text, "required": true, "schema": {"type": "string"}});
+    json!({
+        "description": "Of several nodes another one has the session, or more room for a new one. The same call is answered there.",
+        "headers": {
+            "Location": header("Where to repeat the call, as it was."),
+            "x-pliant-owner": header("The address of the node that has the session."),
+            "x-pliant-node": header("The name of that node, which a proxy before all nodes chooses by."),
+        },
         "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
     })
 }
@@ -124,6 +137,9 @@ fn operation(route: &Route, schemas: &Schemas) -> Value {
     responses.insert(route.status.to_string(), success(route));
     for status in statuses::other_successes(route) {
         responses.insert(status.to_string(), success(route));
+    }
+    if statuses::is_sent_on(route) {
+        responses.insert("307".into(), json!({"$ref": "#/components/responses/SentOn"}));
     }
     for status in statuses::refusals(route) {
         responses.insert(status.to_string(), json!({"$ref": "#/components/responses/Problem"}));

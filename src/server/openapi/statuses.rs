@@ -40,6 +40,11 @@ pub(super) fn refusals(route: &Route) -> BTreeSet<u16> {
     all
 }
 
+/// Whether it is about a session that another one of several nodes may have, or have more room for: the caller is sent there.
+pub(super) fn is_sent_on(route: &Route) -> bool {
+    route.rpc == Some("CreateSession") || route.path.starts_with("/v1/sessions/{id}")
+}
+
 /// Whether it answers with bytes that can be asked for in parts.
 fn is_download(route: &Route) -> bool {
     [

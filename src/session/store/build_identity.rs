@@ -1,6 +1,6 @@
 //! Which build and processor made a result. Within one, the same inputs give the same bits; another may differ in late digits.
 
 /// The sources of what computes and the compiler, as a digest, and the processor.
-pub(in crate::session) fn build_identity() -> String {
+pub fn build_identity() -> String {
     format!("{}-{}", env!("COMPUTING_SOURCES"), std::env::consts::ARCH)
 }

@@ -54,6 +54,7 @@ mod write_order;
 mod writer;
 
 pub use audit_reading::{AuditFilter, read_audit};
+pub use build_identity::build_identity;
 pub use database_store::DatabaseStore;
 pub use ownership::{Generation, HeldSession, NodeIdentity, NodeLoad, SessionClaim, SessionOwnership};
 pub use read_only_store::ReadOnlyStore;

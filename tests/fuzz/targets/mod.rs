@@ -11,12 +11,13 @@ pub mod messages;
 pub mod models;
 pub mod motion;
 pub mod records;
+pub mod reports;
 
 /// A function that is given arbitrary bytes.
 pub type FuzzTarget = fn(&[u8]);
 
 /// Every target by its name, which is that of its folders of inputs.
-pub const TARGETS: [(&str, FuzzTarget); 16] = [
+pub const TARGETS: [(&str, FuzzTarget); 17] = [
     ("obj", models::obj),
     ("ply", models::ply),
     ("off", models::off),
@@ -33,4 +34,5 @@ pub const TARGETS: [(&str, FuzzTarget); 16] = [
     ("edits", edits::edits),
     ("commit_records", records::commits),
     ("model_records", records::models),
+    ("reports", reports::reports),
 ];

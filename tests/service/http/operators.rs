@@ -59,6 +59,22 @@ async fn operators_find_health_counts_and_description() {
             );
         }
     }
+    // A call on a session may be sent to the node that has it, and one that opens a session to a node with more room.
+    for (path, methods) in described["paths"].as_object().unwrap() {
+        for (method, call) in methods.as_object().unwrap() {
+            let may_move = path.starts_with("/v1/sessions/") || (path == "/v1/sessions" && method == "post");
+            let told = &call["responses"]["307"]["$ref"];
+            assert_eq!(
+                told == "#/components/responses/SentOn",
+                may_move,
+                "{method} {path}: {told}"
+            );
+        }
+    }
+    let sent_on = &described["components"]["responses"]["SentOn"];
+    for name in ["Location", "x-pliant-owner", "x-pliant-node"] {
+        assert!(sent_on["headers"][name]["schema"].is_object(), "{sent_on}");
+    }
     let limits: Value = get(&server, "/v1/limits").await.json().await.unwrap();
     assert_eq!(limits["partBytes"], "1048576");
 }

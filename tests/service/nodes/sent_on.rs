@@ -34,6 +34,14 @@ async fn a_call_to_the_wrong_node_is_sent_to_the_right_one() {
     assert_eq!(header(&sent, "x-pliant-node"), "a");
     let location = format!("{}{}?pliant-node=a", a.url, path(&id, "/positions"));
     assert_eq!(header(&sent, "location"), location);
+    // As the description of the server says of this call.
+    let described: Value = b.done("GET", "/openapi.json", None).await;
+    let told = &described["paths"]["/v1/sessions/{id}/positions"]["get"]["responses"]["307"]["$ref"];
+    assert_eq!(told, "#/components/responses/SentOn");
+    let promised = described["components"]["responses"]["SentOn"]["headers"].as_object();
+    for name in promised.expect("headers").keys() {
+        assert!(!header(&sent, name).is_empty(), "{name}");
+    }
     // Who goes there by itself is told the same in an answer that no library follows.
     let told = unmoved().get(&asked).header("x-pliant-hops", "0").send();
     let told = within("an answer", told).await.expect("an answer");

@@ -1,6 +1,8 @@
 //! The workflow files of `deploy/ci/` as a runner plays them: the program comes from a release's files, which are checked, the suite
-//! is run with it, and the reports are kept. `tests/clients/workflows.rs` has them read by the forges' own schemas.
+//! is run with it, and the reports are kept; and the Jobs of `deploy/kubernetes/check` as pods play them. `tests/clients/workflows.rs` and
+//! `tests/clients/cluster.rs` have them read by the schemas of those who run them.
 
+use super::folder::{check, sample_suite};
 use std::fs;
 use std::os::unix::fs::{PermissionsExt as _, symlink};
 use std::path::{Path, PathBuf};
@@ -84,6 +86,10 @@ for file in $wanted; do cp "$RELEASE/$file" "$to/"; done"#,
     }
 
     fn play(&self, script: &str) -> Output {
+        self.play_with(script, &[])
+    }
+
+    fn play_with(&self, script: &str, variables: &[(&str, &str)]) -> Output {
         let release = self.path("release");
         let bin = self.path("bin");
         let path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap_or_default());
@@ -99,6 +105,7 @@ for file in $wanted; do cp "$RELEASE/$file" "$to/"; done"#,
                 ("PLIANT_VERSION", env!("CARGO_PKG_VERSION")),
                 ("SUITE", "deploy/ci/sample-suite"),
             ])
+            .envs(variables.iter().copied())
             .output()
             .expect("bash runs")
     }
@@ -148,6 +155,119 @@ fn the_github_workflow_checks_with_the_released_program() {
 }
 
 #[test]
+fn the_github_matrix_checks_in_shards_and_joins_them() {
+    let text = workflow("github-shards.yml");
+    assert!(!text.contains("cargo"), "nothing is compiled");
+    let (shards, report) = text.split_once("\n  report:").expect("two jobs");
+    let steps = [
+        script(shards, "- name: Fetch", "run:"),
+        script(shards, "- name: Check", "run:"),
+        script(report, "- name: Merge", "run:"),
+    ];
+    assert_eq!(steps[0], script(report, "- name: Fetch", "run:"));
+    assert!(
+        shards.contains("INDEX: ${{ strategy.job-index }}") && shards.contains("SHARDS: ${{ strategy.job-total }}")
+    );
+    let of = shards.lines().find_map(|l| l.trim().strip_prefix("shard: ["));
+    let of = of.expect("a matrix").split(',').count().to_string();
+    let runner = Runner::new();
+    assert!(runner.play(&steps[0]).status.success());
+    let run = |index: &str| runner.play_with(&steps[1], &[("INDEX", index), ("SHARDS", &of)]);
+    for index in ["0", "1", "2"] {
+        let ran = run(index);
+        assert!(ran.status.success(), "{}", said(&ran));
+        // What comes with the other artifacts is in one folder.
+        assert!(runner.path(&format!("checkout/shards/{index}.json")).exists());
+    }
+    let joined = runner.play(&steps[2]);
+    assert!(joined.status.success() && runner.reports() == 2, "{}", said(&joined));
+    assert!(
+        said(&joined).contains("6 cases in process: 6 passed"),
+        "{}",
+        said(&joined)
+    );
+    // A shard that could not be run is named.
+    fs::remove_file(runner.path("checkout/shards/1.json")).expect("removed");
+    let lacking = runner.play(&steps[2]);
+    assert_eq!(lacking.status.code(), Some(2));
+    assert!(said(&lacking).contains("shard 2/3 is missing"), "{}", said(&lacking));
+}
+
+/// The arguments of a manifest's container.
+fn arguments(manifest: &str) -> Vec<&str> {
+    let lines = manifest.lines().skip_while(|line| line.trim() != "args:").skip(1);
+    let items = lines.map_while(|line| line.trim_start().strip_prefix("- "));
+    items.collect()
+}
+
+#[test]
+fn the_jobs_of_kubernetes_check_in_shards_and_join_them() {
+    let read = |name: &str| fs::read_to_string(root().join("deploy/kubernetes/check").join(name)).expect("a manifest");
+    let (shards, merge) = (read("shards.yaml"), read("merge.yaml"));
+    let number = |key: &str| -> usize {
+        let line = shards.lines().find_map(|l| l.trim().strip_prefix(key)).expect(key);
+        line.trim().parse().expect("a number")
+    };
+    let of = number("completions:");
+    assert!(number("parallelism:") == of && shards.contains(&format!("- $(JOB_COMPLETION_INDEX)+1/{of}\n")));
+    let volume = tempfile::tempdir().expect("a folder");
+    let volume = volume.path().display().to_string();
+    let sample = sample_suite().display().to_string();
+    let play = |manifest: &str, index: usize, suite: &str| {
+        let filled = arguments(manifest).into_iter().map(|argument| match argument {
+            "/suite" => suite.to_owned(),
+            _ => {
+                let told = argument.replace("$(JOB_COMPLETION_INDEX)", &index.to_string());
+                told.replace("/check/", &format!("{volume}/"))
+            }
+        });
+        let ran = Command::new(env!("CARGO_BIN_EXE_pliant"))
+            .args(filled)
+            .env_remove("PLIANT_DATA")
+            .output();
+        ran.expect("it runs")
+    };
+    let early = play(&merge, 0, "");
+    assert_eq!(
+        early.status.code(),
+        Some(2),
+        "before the shards there is nothing: {}",
+        said(&early)
+    );
+    // A pod that is run again replaces what it left.
+    for index in (0..of).chain([1]) {
+        let ran = play(&shards, index, &sample);
+        assert!(ran.status.success(), "{}", said(&ran));
+    }
+    let joined = play(&merge, 0, "");
+    assert!(joined.status.success(), "{}", said(&joined));
+    let whole = check(&sample_suite(), &[]);
+    assert_eq!(String::from_utf8_lossy(&joined.stderr), whole.err);
+    for name in ["report.json", "junit.xml", "report.html"] {
+        assert!(Path::new(&volume).join("merged").join(name).exists(), "{name}");
+    }
+    // What fails is for the second Job to say, with an exit code that its policy knows.
+    let broken = tempfile::tempdir().expect("a folder");
+    let copied = Command::new("cp")
+        .arg("-r")
+        .arg(sample_suite())
+        .arg(broken.path())
+        .status();
+    assert!(copied.expect("cp runs").success());
+    let suite = broken.path().join("sample-suite");
+    let golden = suite.join("bend.golden.json");
+    let text = fs::read_to_string(&golden).expect("a golden");
+    fs::write(&golden, text.replacen("\"digest\": \"xxh3:", "\"digest\": \"xxh3:f", 1)).expect("written");
+    for index in 0..of {
+        let ran = play(&shards, index, &suite.display().to_string());
+        assert!(ran.status.success(), "{}", said(&ran));
+    }
+    let failed = play(&merge, 0, "");
+    assert_eq!(failed.status.code(), Some(1), "{}", said(&failed));
+    assert!(merge.contains("values: [1, 2]") && said(&failed).contains("1 of 6 cases failed: bend"));
+}
+
+#[test]
 fn the_gitlab_pipeline_checks_with_the_released_program() {
     let text = workflow("gitlab-ci.yml");
     assert!(!text.contains("cargo"), "nothing is compiled");
@@ -171,7 +291,7 @@ fn the_gitlab_pipeline_checks_with_the_released_program() {
 fn the_workflows_name_what_a_release_makes() {
     let release = fs::read_to_string(root().join("deploy/release")).expect("the script");
     assert!(release.contains(r#"archive(out, f"pliant-{version}-linux-{name}""#) && release.contains("{name}.tar.xz"));
-    for name in ["github-actions.yml", "gitlab-ci.yml"] {
+    for name in ["github-actions.yml", "github-shards.yml", "gitlab-ci.yml"] {
         let text = workflow(name);
         assert!(
             text.contains(&format!("PLIANT_VERSION: {}\n", env!("CARGO_PKG_VERSION"))),

@@ -85,8 +85,8 @@ def deform(model: Path, job: dict[str, Any], folder: Path, output: str = "out.pl
     """What `pliant deform` makes of a job: its report."""
     written = folder / "job.json"
     written.write_text(json.dumps(job))
-    command = [binary(), "deform", str(model), "--job", str(written), "-o", str(folder / output), "--json", "--force"]
-    done = subprocess.run(command, capture_output=True, text=True)
+    command = [binary(), "deform", str(model), "--job", str(written), "-o", str(folder / output)]
+    done = subprocess.run([*command, "--json", "--force", "--parents"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     report: dict[str, Any] = json.loads(done.stdout)
     return report

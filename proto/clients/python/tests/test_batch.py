@@ -23,6 +23,7 @@ import pliant
 import pliant.batch
 from conftest import ROOT, bar, binary, deform
 from pliant.batch import BatchReport, Job
+from test_companions import bar_gltf
 
 MODEL = pliant.model.ply(*bar())
 
@@ -44,6 +45,44 @@ def bend(k: int, **more: Any) -> dict[str, Any]:
         "steps": [{"pose": {"handles": [{"id": "top", "pose": turn}]}}],
         **more,
     }
+
+
+def glb_of_two() -> bytes:
+    """The bar, and the same beside it as a second primitive."""
+    vertices, faces = bar()
+    points = [part.astype("<f4") for part in (vertices, vertices + [0.9, 0, 0])]
+    indices = faces.astype("<u4")
+    chunk = b"".join(part.tobytes() for part in (*points, indices))
+    size = points[0].nbytes
+    document = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": k}, "indices": 2} for k in range(2)]}],
+        "buffers": [{"byteLength": len(chunk)}],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": size},
+            {"buffer": 0, "byteOffset": size, "byteLength": size},
+            {"buffer": 0, "byteOffset": 2 * size, "byteLength": indices.nbytes},
+        ],
+        "accessors": [
+            {
+                "bufferView": k,
+                "componentType": 5126,
+                "count": len(part),
+                "type": "VEC3",
+                "min": part.min(0).tolist(),
+                "max": part.max(0).tolist(),
+            }
+            for k, part in enumerate(points)
+        ]
+        + [{"bufferView": 2, "componentType": 5125, "count": indices.size, "type": "SCALAR"}],
+    }
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    parts = [(b"JSON", text), (b"BIN\0", chunk)]
+    body = b"".join(len(data).to_bytes(4, "little") + kind + data for kind, data in parts)
+    return b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body
 
 
 def jobs(count: int) -> list[Job]:
@@ -114,6 +153,97 @@ def test_results_are_those_of_the_command_line(tmp_path: Path) -> None:
         assert made.files["model.ply"] == (tmp_path / "out.ply").read_bytes()
     assert made.quality is not None and made.quality.flipped_triangles == 0
     assert made.unchecked == ("maxDistance needs a stored result",)
+
+
+def test_what_rides_along_is_where_the_command_line_has_it(tmp_path: Path) -> None:
+    vertices, faces = bar()
+    (tmp_path / "bar.ply").write_bytes(MODEL)
+    (tmp_path / "hull.ply").write_bytes(pliant.model.ply(1.1 * vertices, faces))
+    along = bend(40)
+    along["create"] = {
+        "passengers": [
+            {"name": "hat", "points": {"positions": [0, 0, 4.2, 0.4, 0, 2], "rotations": [0, 0, 0, 1, 0, 0.6, 0, 0.8]}},
+            {"name": "hull", "file": {"file": "hull.ply", "output": "parts/hull.ply"}},
+        ]
+    }
+    # An edit makes the bent shape the rest pose, of what rides along too.
+    along["steps"] = [*along["steps"], {"edit": {"subdivide": {}}}, *along["steps"]]
+    said = deform(tmp_path / "bar.ply", along, tmp_path)
+    job = Job("along", tmp_path / "bar.ply", tmp_path / "job.json")
+    with ThreadPoolExecutor(1) as pool:
+        made = pliant.batch.run([job], executor=pool, results=tmp_path / "out").report().check()["along"]
+        again = pliant.batch.run([job], executor=pool, results=tmp_path / "out").report().check()["along"]
+    assert made.digest == said["digest"]
+    hat, hull = made.passengers
+    told = said["passengers"][0]
+    assert (hat.name, list(hat.positions)) == ("hat", told["positions"])
+    assert list(hat.rotations) == told["rotations"] and list(hat.scales) == told["scales"]
+    assert abs(hat.positions[0]) > 0.1, "it moved"
+    assert (hull.name, hull.output) == ("hull", said["passengers"][1]["output"])
+    assert [str(path.relative_to(tmp_path / "out" / "along")) for path in made.paths] == ["model.ply", "parts/hull.ply"]
+    carried, expected = (
+        pliant.model.read(path).main for path in (made.paths[1], tmp_path / "parts" / "hull.ply")
+    )
+    assert len(carried) == len(expected) and carried != (tmp_path / "hull.ply").read_bytes()
+    assert again.resumed and again.passengers == made.passengers and again.paths == made.paths
+    # Without an edit between, to the bit.
+    along["steps"] = along["steps"][:1]
+    deform(tmp_path / "bar.ply", along, tmp_path)
+    with ThreadPoolExecutor(1) as pool:
+        made = pliant.batch.run([job], executor=pool).report().check()["along"]
+    assert made.files["parts/hull.ply"] == (tmp_path / "parts" / "hull.ply").read_bytes()
+
+
+def test_files_beside_a_model_travel_with_it(tmp_path: Path) -> None:
+    path = bar_gltf(tmp_path / "in")
+    said = deform(path, bend(4), tmp_path, "out/bar.gltf")
+    beside = {str(p.relative_to(path.parent)): p.read_bytes() for p in path.parent.rglob("*.*") if p != path}
+    given = [
+        Job("path", path, bend(4)),
+        Job("bytes", path.read_bytes(), bend(4), companions=beside, format="gltf"),
+    ]
+    with ThreadPoolExecutor(1) as pool:
+        report = pliant.batch.run(given, executor=pool, results=tmp_path / "made").report().check()
+    assert set(report.digests.values()) == {said["digest"]}
+    written = {str(p.relative_to(tmp_path / "out")): p.read_bytes() for p in (tmp_path / "out").rglob("*.*")}
+    assert len(written) == 1 + len(beside)
+    for name in ("path", "bytes"):
+        folder = tmp_path / "made" / name
+        made = {str(p.relative_to(folder)): p.read_bytes() for p in report[name].paths}
+        made["bar.gltf"] = made.pop("model.gltf")
+        pictures = [uri for uri in beside if not uri.endswith(".bin")]
+        assert len(pictures) == 2 and all(made[uri] == beside[uri] for uri in pictures)
+        assert len(made) == len(written)
+
+
+def test_passengers_of_the_model_ride_in_a_batch(tmp_path: Path) -> None:
+    (tmp_path / "bar.glb").write_bytes(glb_of_two())
+    riding = bend(40, create={"passengers": [{"primitive": 1}]})
+    said = deform(tmp_path / "bar.glb", riding, tmp_path, "out.glb")
+    with ThreadPoolExecutor(1) as pool:
+        made = pliant.batch.run([Job("riding", tmp_path / "bar.glb", riding)], executor=pool).report().check()["riding"]
+        loose = pliant.batch.run([Job("loose", tmp_path / "bar.glb", bend(40))], executor=pool).report()["loose"]
+    assert made.digest == said["digest"] and made.digest != loose.digest
+    assert made.files["model.glb"] == (tmp_path / "out.glb").read_bytes()
+    assert made.passengers == ()
+
+
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ({"model": "b2Zm", "format": "off", "output": "hull.obj"}, "its own format, off"),
+        ({"model": "b2Zm", "output": "hull.off"}, "the format that `format` names"),
+        ({"model": "b2Zm", "format": "off", "output": "../hull.off"}, "a path of plain names"),
+        ({"model": "b2Zm", "format": "off"}, "a path of plain names"),
+        ({"model": "cGx5Cg==", "output": "model.ply"}, "which another file of the result has"),
+    ],
+)
+def test_what_cannot_ride_in_a_batch_is_told(file: dict[str, str], words: str) -> None:
+    job = bend(0, create={"passengers": [{"primitive": 0}, {"file": file}]})
+    with ThreadPoolExecutor(1) as pool:
+        error = pliant.batch.run([Job("along", MODEL, job)], executor=pool).report()["along"].error
+    assert error is not None and error.where == "job: create.passengers[1].file.output"
+    assert words in str(error)
 
 
 def test_a_job_that_fails_is_told_and_the_others_finish(tmp_path: Path) -> None:

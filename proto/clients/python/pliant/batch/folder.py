@@ -22,7 +22,7 @@ from .results import JobResult
 
 RECORD = "result.json"
 #: Bytes of the longest record that is read.
-_RECORD_BYTES = 1 << 20
+_RECORD_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,7 @@ class ResultFolder:
                 None if quality is None else json_format.ParseDict(quality, pb.Quality()),
                 tuple(map(str, record["unmet"])),
                 tuple(map(str, record["unchecked"])),
+                tuple(json_format.ParseDict(told, pb.Report.Passenger()) for told in record["passengers"]),
                 tuple(folder / file for file in record["files"]),
                 resumed=True,
             )
@@ -69,6 +70,7 @@ class ResultFolder:
             "quality": None if result.quality is None else json_format.MessageToDict(result.quality),
             "unmet": result.unmet,
             "unchecked": result.unchecked,
+            "passengers": [json_format.MessageToDict(told) for told in result.passengers],
             "files": {name: _digest(data) for name, data in files.items()},
         }
         paths = {name: _inside(folder, name) for name in files}

@@ -15,6 +15,7 @@ from google.protobuf import json_format
 from ..model import Model, read
 from ..values import seen, text
 from ..v1 import pliant_pb2 as pb
+from .riders import refusal
 
 #: What a job's name looks like: it names a folder as well, on any system.
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,119}")
@@ -102,6 +103,9 @@ def task(job: Job, version: str) -> Task:
     if not format:
         untold = f"the model's bytes do not tell what to write; one of {', '.join(FORMATS)} is allowed"
         raise Unready("format", untold)
+    refused = refusal(message, format)
+    if refused is not None:
+        raise Unready(f"{_place(job)}: {refused[0]}", refused[1])
     bytes_of_job = message.SerializeToString(deterministic=True)
     said = [version, format, own]
     parts = [b"pliant batch 1", *(part.encode() for part in said), upload.main, bytes_of_job]

@@ -48,6 +48,8 @@ class JobResult:
     unmet: tuple[str, ...] = ()
     #: Expectations that were not checked, and why.
     unchecked: tuple[str, ...] = ()
+    #: Where points ended that rode along, and which files were written of other models; in the order of ``create.passengers``.
+    passengers: tuple[pb.Report.Passenger, ...] = ()
     #: The files written, the model first; empty without a folder for results.
     paths: tuple[Path, ...] = ()
     #: The files by name, where no folder for results was given; the model is ``model.FORMAT``.

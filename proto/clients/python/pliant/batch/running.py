@@ -265,6 +265,7 @@ class Batch(Iterator[JobResult]):
             quality,
             broken,
             unchecked,
+            tuple(pb.Report.Passenger.FromString(passenger) for passenger in outcome.passengers),
             tries=ticket.tries,
             seconds=outcome.seconds,
             worker=outcome.worker,

@@ -21,6 +21,7 @@ from ..options import create_options
 from ..server import LocalServer, find_binary
 from ..v1 import pliant_pb2 as pb
 from .jobs import Task
+from .riders import Riders
 
 #: Seconds that a worker waits at most when its server says when to come back, before it gives the job back.
 _PAUSE = 5.0
@@ -49,6 +50,8 @@ class Outcome:
     quality: bytes | None = None
     #: The files by name.
     files: dict[str, bytes] = field(default_factory=dict)
+    #: A ``pb.Report.Passenger`` for each of what rode along and is no part of the model.
+    passengers: tuple[bytes, ...] = ()
     #: Where it failed, the code, the words, and the field to blame.
     failure: tuple[str, str, str, str | None] | None = None
     #: Whether it failed for reasons that lie outside the job, so that another try may go better.
@@ -86,7 +89,7 @@ def work(task: Task, place: Place) -> Outcome:
         client, found = _connected(place)
         if found != task.version:
             raise errors.FailedPrecondition(f"its server has version {found}, this batch is for {task.version}")
-        digest, quality, files = _run(client, task, where)
+        digest, quality, files, passengers = _run(client, task, where)
     except errors.PliantError as error:
         passing = _may_pass(error)
         if passing and error.retry_after:
@@ -96,15 +99,16 @@ def work(task: Task, place: Place) -> Outcome:
     except Exception as defect:
         failure = (where[0], "INTERNAL", f"{type(defect).__name__}: {defect}", None)
         return Outcome(_name(), time.monotonic() - began, failure=failure)
-    return Outcome(_name(), time.monotonic() - began, digest, quality, files)
+    return Outcome(_name(), time.monotonic() - began, digest, quality, files, passengers)
 
 
-def _run(client: Client, task: Task, where: list[str]) -> tuple[str, bytes | None, dict[str, bytes]]:
+def _run(client: Client, task: Task, where: list[str]) -> tuple[str, bytes | None, dict[str, bytes], tuple[bytes, ...]]:
     job = pb.Job.FromString(task.job)
     options = create_options({})
     options.CopyFrom(job.create)
     options.format = options.format or task.model_format
     options.label = options.label or task.label
+    riders = Riders(options)
     calls = client._calls
     where[0] = "model"
     info = calls.create(model.Upload(task.main, task.companions, task.model_format, task.label), options, _untold)
@@ -120,8 +124,13 @@ def _run(client: Client, task: Task, where: list[str]) -> tuple[str, bytes | Non
             here.one("SetHandles", request, keyed=True)
         quality = None
         for k, step in enumerate(_steps(job)):
+            if step.WhichOneof("step") == "edit" and step.edit.on == pb.EditRequest.CURRENT:
+                where[0] = "create.passengers"
+                riders.carry(here, info.id)
             where[0] = f"steps[{k}]"
             quality = _step(here, info.id, step, job.options)
+        where[0] = "create.passengers"
+        riders.carry(here, info.id)
         where[0] = "result"
         history = here.one("History", pb.SessionRequest(session_id=info.id))
         digest = next(commit.digest for commit in history.commits if commit.revision == history.current)
@@ -132,7 +141,12 @@ def _run(client: Client, task: Task, where: list[str]) -> tuple[str, bytes | Non
         except errors.PliantError:
             pass  # it expires by itself
     files = {uri or f"model.{task.format}": data for uri, data in model.joined(exported).items()}
-    return digest, quality, files
+    where[0] = "create.passengers"
+    for name, data in riders.files().items():
+        if name in files:
+            raise errors.InvalidArgument(f"{name!r} is to be written, which another file of the result has")
+        files[name] = data
+    return digest, quality, files, tuple(message.SerializeToString() for message in riders.told())
 
 
 def _steps(job: pb.Job) -> list[pb.Step]:

@@ -1,0 +1,139 @@
+//! What is told of a suite, a shard of it, or the whole that shards make: the same lines, files and exit code.
+
+use crate::check::CaseStatus;
+use crate::check::report::{self, SuiteReport};
+use crate::cli::failure::CliFailure;
+use crate::cli::output_files::OutputPermission;
+use clap::{ArgGroup, Args};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Most failed cases that the last line names.
+const NAMED: usize = 10;
+
+/// Where a report goes, and what it holds.
+#[derive(Debug, Args)]
+#[command(group = ArgGroup::new("document").args(["json", "report"]).multiple(true))]
+pub(super) struct ReportArgs {
+    /// Print the report as JSON on stdout
+    #[arg(long)]
+    pub json: bool,
+    /// Write the report as JSON, which --merge and --costs read
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+    /// Write the report as JUnit XML
+    #[arg(long, value_name = "FILE")]
+    pub junit: Option<PathBuf>,
+    /// Write the report as a page with pictures
+    #[arg(long, value_name = "FILE")]
+    pub html: Option<PathBuf>,
+    /// Put the page's pictures into the JSON report too, so that --merge --html has them
+    #[arg(long, requires = "document")]
+    pub pictures: bool,
+    /// Tell in JSON and JUnit how long each case took
+    #[arg(long)]
+    pub times: bool,
+    /// End with 0 though cases failed, where whoever reads the report says what that means
+    #[arg(long)]
+    pub exit_zero: bool,
+    #[command(flatten)]
+    pub permission: OutputPermission,
+}
+
+impl ReportArgs {
+    /// The files that reports go to, each with the name of its option.
+    pub fn reports(&self) -> Vec<(&'static str, &Path)> {
+        let named = [
+            ("--report", &self.report),
+            ("--junit", &self.junit),
+            ("--html", &self.html),
+        ];
+        let given = named.map(|(option, path)| path.as_deref().map(|path| (option, path)));
+        given.into_iter().flatten().collect()
+    }
+
+    /// Says why a report may not be written; changes nothing.
+    pub fn check_targets(&self) -> Result<(), CliFailure> {
+        let reports = self.reports().into_iter();
+        reports
+            .map(|(_, path)| path)
+            .try_for_each(|path| self.permission.check_target(path))
+    }
+
+    /// Whether pictures are wanted.
+    pub fn wants_pictures(&self) -> bool {
+        self.pictures || self.html.is_some()
+    }
+
+    /// Tells of a report: a line for each case, before which `before_case` does what it has to and answers lines that follow it, and files.
+    ///
+    /// # Errors
+    /// A file that cannot be written; that cases failed.
+    pub fn tell(
+        &self,
+        report: &SuiteReport,
+        mut before_case: impl FnMut(usize) -> Result<Vec<String>, CliFailure>,
+    ) -> Result<(), CliFailure> {
+        let width = report.cases.iter().map(|c| c.name.len()).max().unwrap_or_default();
+        report
+            .notes
+            .iter()
+            .for_each(|note| eprintln!("{}", report::note_line(note)));
+        for (k, case) in report.cases.iter().enumerate() {
+            let lines = before_case(k)?;
+            eprintln!("{}", report::case_line(case, width));
+            lines.iter().for_each(|line| eprintln!("         {line}"));
+            let notes = case.notes.iter().map(|note| report::note_line(note));
+            notes.for_each(|note| eprintln!("         {note}"));
+        }
+        eprintln!("{}", report::summary_line(report));
+        self.write_files(report)?;
+        let Some(text) = failure_text(report) else {
+            return Ok(());
+        };
+        match self.exit_zero {
+            true => {
+                eprintln!("{text}");
+                Ok(())
+            }
+            false => Err(CliFailure::Check(text)),
+        }
+    }
+
+    fn write_files(&self, report: &SuiteReport) -> Result<(), CliFailure> {
+        let write = |path: &PathBuf, bytes: &[u8]| self.permission.write_file(path, bytes);
+        if let Some(path) = &self.junit {
+            write(path, &report::junit_report(report).map_err(CliFailure::Internal)?)?;
+        }
+        if let Some(path) = &self.html {
+            write(path, report::html_report(report).as_bytes())?;
+        }
+        if !self.json && self.report.is_none() {
+            return Ok(());
+        }
+        let document = report::json_report(report, self.pictures).map_err(CliFailure::Internal)?;
+        let text = serde_json::to_string_pretty(&document).map_err(|e| CliFailure::Internal(e.to_string()))?;
+        let text = text + "\n";
+        if let Some(path) = &self.report {
+            write(path, text.as_bytes())?;
+        }
+        if self.json {
+            let mut stdout = std::io::stdout();
+            let written = stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush());
+            written.map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))?;
+        }
+        Ok(())
+    }
+}
+
+/// Says which cases failed; `None` when none did.
+fn failure_text(report: &SuiteReport) -> Option<String> {
+    let failed: Vec<&str> = (report.cases.iter())
+        .filter(|c| c.verdict.status == CaseStatus::Failed)
+        .map(|c| c.name.as_str())
+        .collect();
+    let some = failed.iter().take(NAMED).copied().collect::<Vec<_>>().join(", ");
+    let more = if failed.len() > NAMED { ", …" } else { "" };
+    let (count, of) = (failed.len(), report.cases.len());
+    (count > 0).then(|| format!("{count} of {of} cases failed: {some}{more}"))
+}
