@@ -195,7 +195,7 @@ impl Deformer {
         self.derived.topology()
     }
 
-    fn mesh(&self) -> &Mesh {
+    pub(super) fn mesh(&self) -> &Mesh {
         &self.derived.mesh
     }
 
