@@ -196,7 +196,7 @@ fn faces_too_large_for_the_bends_of_a_rig_are_warned_of() {
     make_bar(folder);
     let fine = super::animate_bar(folder, &["--frames", "0:2"]);
     assert!(!fine.contains("faces-too-large"), "{fine}");
-    let (positions, triangles) = pliant::asset::shapes::box_with_cells(glam::DVec3::new(6.0, 1.0, 1.0), [3, 1, 1]);
+    let (positions, triangles) = pliant::asset::shapes::box_with_cells(glam::DVec3::new(6.0, 1.0, 1.0), [2, 1, 1]);
     let mut text = String::new();
     for p in &positions {
         text += &format!("v {} {} {}\n", p.x - 3.0, p.y - 0.5, p.z - 0.5);

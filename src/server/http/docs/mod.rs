@@ -332,7 +332,7 @@ mod tests {
         let rows: Vec<&str> = create.split("<tr>").filter(|row| row.contains(">answer ")).collect();
         assert_eq!(rows.len(), 2, "{rows:#?}");
         assert!(
-            rows[1].contains("answer 400, 401,") && rows[1].contains("application/problem+json"),
+            rows[1].contains("answer 307, 400, 401,") && rows[1].contains("application/problem+json"),
             "{}",
             rows[1]
         );
