@@ -37,7 +37,7 @@ pub struct ModelContents {
 /// The lists of a glTF document, as far as they are told.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-struct Document {
+struct GltfLists {
     skins: Vec<Item>,
     materials: Vec<Item>,
     images: Vec<Item>,
@@ -74,7 +74,7 @@ pub fn contents_of(model: &Model) -> Option<ModelContents> {
         false => Some(model.write(&model.positions, Format::GLB).ok()?.main),
     };
     let main = written.as_deref().unwrap_or(&model.files.main[..]);
-    let document: Document = serde_json::from_slice(document_text(main)).unwrap_or_default();
+    let document: GltfLists = serde_json::from_slice(document_text(main)).unwrap_or_default();
     let clips = scene.clip_names.into_iter().enumerate().map(|(index, name)| {
         let clip = model.scene_clip(index).ok().flatten();
         let seconds = clip.map(|clip| {

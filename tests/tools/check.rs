@@ -287,7 +287,7 @@ fn an_open_surface_has_no_volume_and_a_golden_that_stores_one_still_passes() {
             told.get("value").is_none() && told.get("stored").is_none() && told["holds"] == true,
             "{told}"
         );
-        let row = "<td>volumeChange</td><td class=\"number\">n/a</td><td class=\"number\">0</td>\
+        let row = "<td>volumeChange</td><td>ratio</td><td class=\"number\">n/a</td><td class=\"number\">0</td>\
                    <td class=\"number\">n/a</td><td class=\"number\">n/a</td>";
         assert!(folder.read("r.html").contains(row));
         assert!(folder.read("r.xml").contains("name=\"volumeChange\" value=\"n/a\""));
