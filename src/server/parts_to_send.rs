@@ -12,7 +12,7 @@ use tokio::task::JoinHandle;
 pub(super) enum PartsToSend {
     None,
     /// Parts that are made at once when they are sent.
-    Quick(FrameParts),
+    Quick(Box<FrameParts>),
     /// The next part is being made, elsewhere.
     Slow(JoinHandle<(FrameParts, Option<FramePart>)>),
 }
@@ -27,7 +27,7 @@ impl PartsToSend {
                 (parts, part)
             }))
         } else {
-            Self::Quick(encode(frame))
+            Self::Quick(Box::new(encode(frame)))
         }
     }
 

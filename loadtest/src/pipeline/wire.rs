@@ -132,8 +132,11 @@ fn sent_bytes(request: FrameRequest) -> usize {
 /// A place in steps of a box that stays the same over a drag.
 type StepPlaces = Vec<[i32; 3]>;
 
+/// What a number is expected to be, from what it was in the last two frames.
+type Prediction = fn([i32; 2]) -> i32;
+
 /// What the steps of a frame could be told against: the one before, the one before that, or where the two lead.
-const PREDICTIONS: [(&str, fn([i32; 2]) -> i32); 3] = [
+const PREDICTIONS: [(&str, Prediction); 3] = [
     ("MESHOPT minus last", |[_, last]| last),
     ("MESHOPT minus earlier", |[earlier, _]| earlier),
     ("MESHOPT minus led to", |[earlier, last]| 2 * last - earlier),

@@ -15,7 +15,7 @@ const DATA: u32 = 7;
 #[derive(Debug)]
 pub enum OutgoingResponse {
     /// All but frames.
-    Words(pb::DeformResponse),
+    Words(Box<pb::DeformResponse>),
     /// A part of a frame.
     Part(Box<FramePart>),
 }
@@ -23,14 +23,14 @@ pub enum OutgoingResponse {
 impl OutgoingResponse {
     /// A response that says `message`.
     pub fn of(message: Response) -> Self {
-        Self::Words(pb::DeformResponse { message: Some(message) })
+        Self::Words(Box::new(pb::DeformResponse { message: Some(message) }))
     }
 }
 
 impl From<OutgoingResponse> for pb::DeformResponse {
     fn from(response: OutgoingResponse) -> Self {
         match response {
-            OutgoingResponse::Words(words) => words,
+            OutgoingResponse::Words(words) => *words,
             OutgoingResponse::Part(part) => Self {
                 message: Some(Response::Frame(part.into_message())),
             },
@@ -86,7 +86,7 @@ impl Message for OutgoingResponse {
     ) -> Result<(), DecodeError> {
         let mut words = pb::DeformResponse::from(std::mem::take(self));
         let merged = words.merge_field(tag, wire_type, bytes, context);
-        *self = Self::Words(words);
+        *self = Self::Words(Box::new(words));
         merged
     }
 
@@ -97,6 +97,6 @@ impl Message for OutgoingResponse {
 
 impl Default for OutgoingResponse {
     fn default() -> Self {
-        Self::Words(pb::DeformResponse::default())
+        Self::Words(Box::default())
     }
 }

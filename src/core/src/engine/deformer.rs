@@ -383,7 +383,7 @@ impl Deformer {
         self.handles = resolved;
         let large = rig
             .as_ref()
-            .and_then(|rig| warn_of_large_faces(&self.derived.mesh, rig, body.diagonal));
+            .and_then(|rig| warn_of_large_faces(&self.derived.mesh, rig, body.diagonal, 0.0));
         self.handles.warnings.extend(large);
         self.rig = rig;
         self.state = SolveState::default();

@@ -34,11 +34,12 @@ pub(super) struct HandleBend<'a> {
     pub diagonal: f64,
 }
 
-/// The warning that faces are too large for these handles, if any are.
+/// The warning that faces are too large for these handles, if more than `least` of all faces are.
 pub(in crate::engine) fn warn_of_large_faces(
     mesh: &Mesh,
     handles: &HandleSystem,
     diagonal: f64,
+    least: f64,
 ) -> Option<DeformerWarning> {
     let shortest = SHORTEST * diagonal;
     let mut found: Vec<u32> = Vec::new();
@@ -55,7 +56,7 @@ pub(in crate::engine) fn warn_of_large_faces(
             }
         }
     }
-    if count == 0 {
+    if count as f64 <= least * mesh.triangles.len() as f64 {
         return None;
     }
     let finer = (worst / DIVIDED_WAY[1]).ceil();

@@ -32,6 +32,10 @@ pub struct Animation {
     large_faces: Option<DeformerWarning>,
 }
 
+/// Faces that are too large for the rig's bends are warned of beyond this part of all: bones are near each other, and a few faces
+/// between two of them show nowhere.
+const SOME_FACES: f64 = 0.01;
+
 impl Deformer {
     /// Prepares an animation of the rest shape. The deformer's handles, poses and history have no part in it, and may change
     /// while it is solved.
@@ -68,7 +72,7 @@ impl Deformer {
         // Blocks that run at the same time find ready what the first one to ask would make.
         system.prepare_shares(exec.pool);
         self.derived.riding_vertices(exec.pool);
-        let large_faces = warn_of_large_faces(self.mesh(), &system, body.diagonal);
+        let large_faces = warn_of_large_faces(self.mesh(), &system, body.diagonal, SOME_FACES);
         Ok(Animation {
             derived: Arc::clone(&self.derived),
             system,
