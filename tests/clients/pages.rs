@@ -26,6 +26,7 @@ const PAGES: [&str; 22] = [
     "deploy/docs/concepts.md",
     "deploy/docs/durability.md",
     "deploy/docs/formats.md",
+    "deploy/docs/frame.md",
     "deploy/docs/glossary.md",
     "deploy/docs/quality.md",
     "deploy/docs/security.md",
