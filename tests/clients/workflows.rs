@@ -132,6 +132,6 @@ fn a_linter_finds_nothing_in_the_workflows_for_github() {
     fs::write(&broken, text.replace("github.token", "github.tokn")).expect("written");
     assert!(!lint(std::slice::from_ref(&broken)).is_empty(), "the check can fail");
     let text = fs::read_to_string(file("github-shards.yml")).expect("a file");
-    fs::write(&broken, text.replace("strategy.job-total", "strategy.job-count")).expect("written");
+    fs::write(&broken, text.replace("github.token", "github.tokn")).expect("written");
     assert!(!lint(&[broken]).is_empty(), "the check can fail");
 }
