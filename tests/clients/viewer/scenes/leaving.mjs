@@ -44,6 +44,7 @@ export async function play({ browser, url, server }) {
 
   // Kept: the other model opens, and the start page goes on with the first.
   await sheet.drop(finger(600));
+  await answer("Keep").waitFor();
   await sheet.key("Enter");
   await page.waitForFunction((before) => window.pliantViewer.session() !== before, bent);
   await opened("the other model opens");
