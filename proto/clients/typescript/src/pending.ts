@@ -5,7 +5,7 @@ import type { PliantError } from "./errors.js";
 import type { FrameFacts } from "./frames.js";
 import type { PoseSchema } from "./gen/pliant/v1/pliant_pb.js";
 import type { PoseEntry, SolveOptions } from "./session.js";
-import { newKey } from "./attempts.js";
+import { Attempts, newKey } from "./attempts.js";
 
 type Pose = MessageInitShape<typeof PoseSchema>;
 
@@ -19,6 +19,9 @@ interface Commit {
   readonly key: string;
   /** Whether it went out on the socket that is open. */
   sent: boolean;
+  /** Whether the server could not record it, and it waits for the next socket. */
+  held: boolean;
+  readonly attempts: Attempts;
   readonly whose: Caller;
 }
 
@@ -43,6 +46,9 @@ export class Pending {
   /** Whether the socket that is open has not been told of them yet. */
   private untold = false;
 
+  /** `patience`: seconds for which a commit that cannot be recorded is tried again. */
+  constructor(private readonly patience: number) {}
+
   /** A pose to show. Answers its number. */
   drag(entries: readonly PoseEntry[]): number {
     for (const entry of entries) this.moved.set(entry.id ?? "", entry);
@@ -58,7 +64,7 @@ export class Pending {
     // What was dragged before is part of the commit, or has no meaning after it.
     this.moved.clear();
     this.newest = undefined;
-    this.commits.push({ seq: ++this.seq, entries: all, options, key: newKey(), sent: false, whose });
+    this.commits.push({ seq: ++this.seq, entries: all, options, key: newKey(), sent: false, held: false, attempts: new Attempts(this.patience), whose });
   }
 
   /** What was dragged is void: others have changed the session. */
@@ -69,7 +75,7 @@ export class Pending {
   /** A socket was opened, which has been told nothing. */
   opened(): void {
     this.untold = true;
-    for (const commit of this.commits) commit.sent = false;
+    for (const commit of this.commits) commit.sent = commit.held = false;
     if (this.newest !== undefined) this.newest.sent = false;
   }
 
@@ -77,7 +83,8 @@ export class Pending {
   nextCommit(): { options: SolveOptions; pose: Pose } | undefined {
     const at = this.commits.findIndex(({ sent }) => !sent);
     const commit = this.commits[at];
-    if (commit === undefined || at >= COMMITS) return undefined;
+    // Those behind one that is held wait with it: they are recorded in the order in which they were made.
+    if (commit === undefined || at >= Math.min(COMMITS, this.firstHeld)) return undefined;
     commit.sent = true;
     const { seq, entries: handles, options, key: idempotencyKey } = commit;
     return { options, pose: { seq: BigInt(seq), handles, commit: true, idempotencyKey } };
@@ -85,7 +92,12 @@ export class Pending {
 
   /** Whether the newest drag is to be sent. Numbers grow along a stream, so commits before it go first. */
   get hasDrag(): boolean {
-    return this.newest?.sent === false && this.commits.every(({ sent }) => sent);
+    return this.newest?.sent === false && this.commits.slice(0, this.firstHeld).every(({ sent }) => sent);
+  }
+
+  private get firstHeld(): number {
+    const at = this.commits.findIndex(({ held }) => held);
+    return at < 0 ? this.commits.length : at;
   }
 
   /** That drag. A new socket hears of all that was dragged. */
@@ -95,7 +107,9 @@ export class Pending {
     if (this.untold) newest.entries = merged([...this.moved.values()], newest.entries);
     this.untold = false;
     newest.sent = true;
-    return { seq: BigInt(newest.seq), handles: newest.entries };
+    // What is held will be recorded before it: the shape that is shown meanwhile has it too.
+    const held = this.commits.slice(this.firstHeld).reduce<PoseEntry[]>((all, { entries }) => merged(all, entries), []);
+    return { seq: BigInt(newest.seq), handles: merged(held, newest.entries) };
   }
 
   /** Whether a commit was sent and not answered. */
@@ -112,6 +126,24 @@ export class Pending {
   putBack(seq: number): void {
     const commit = this.commits.find((each) => each.seq === seq);
     if (commit !== undefined) commit.sent = false;
+  }
+
+  /**
+   * The server cannot record a commit now: it waits for the next socket, and with it those behind it. Milliseconds after which that
+   * is to be opened; undefined when it is no commit, or was tried for long enough.
+   */
+  hold(seq: number, error: PliantError): number | undefined {
+    const commit = this.commits.find((each) => each.seq === seq);
+    const wait = commit?.attempts.again(error);
+    if (commit === undefined || wait === undefined) return undefined;
+    commit.sent = false;
+    commit.held = true;
+    return wait;
+  }
+
+  /** The failure of a commit that stands, with how long it was tried. */
+  lastWord(seq: number, error: PliantError): PliantError {
+    return this.commits.find((each) => each.seq === seq)?.attempts.lastWord(error) ?? error;
   }
 
   /** A final frame, or a refusal, answers a pose; if it is a commit's, who waits for it. */

@@ -5,7 +5,7 @@
  * is replaced there. A frame counts as read when `take` has written it into the caller's buffer, so a page that paints
  * slowly gets fewer frames, never older ones.
  *
- * A socket that is lost, or whose server says that it stops, is opened again: options, commits without an answer and the newest
+ * A socket that is lost, whose server says that it stops or cannot record a commit now, is opened again: options, commits without an answer and the newest
  * pose go out anew. A commit carries a key, so that one which was stored before its answer was lost is answered and not made twice,
  * also by a server that was started again. The stream ends when the server no longer knows the session (`gone`), or is not found
  * again in time (`closed`).
@@ -71,7 +71,7 @@ export class Stream {
   private assembler = new Assembler();
   private current: StreamState = "connecting";
   private revision: number;
-  private readonly pending = new Pending();
+  private readonly pending: Pending;
   /** Whole frames that wait to be taken; those of a socket that is lost are shown, and nobody is told. */
   private frames: Frame[] = [];
   private fresh = new WeakSet<Frame>();
@@ -92,6 +92,7 @@ export class Stream {
     patience: number,
   ) {
     this.attempts = new Attempts(patience);
+    this.pending = new Pending(patience);
     this.revision = route.known();
     this.pulse = setInterval(() => this.beat(), BEAT_MS);
     this.open();
@@ -213,6 +214,8 @@ export class Stream {
       this.flush();
     };
     socket.onmessage = (event: MessageEvent<ArrayBuffer>) => {
+      // What a socket that was left still says, the next one is asked again.
+      if (socket !== this.socket) return;
       this.heardAt = Date.now();
       this.askedAt = 0;
       try {
@@ -330,15 +333,36 @@ export class Stream {
     }
   }
 
-  private refused(error: PliantError, seq: number): void {
-    if (this.leaving !== undefined && error.code === "UNAVAILABLE") {
-      // The server came to its end before it came to this pose; the next one gets it.
-      this.pending.putBack(seq);
-      return;
+  private refused(refusal: PliantError, seq: number): void {
+    let error = refusal;
+    if (error.code === "UNAVAILABLE") {
+      if (this.leaving !== undefined) {
+        // The server came to its end before it came to this pose; the next one gets it.
+        this.pending.putBack(seq);
+        return;
+      }
+      // Its session is at another node by now, or what it keeps sessions in is away.
+      const wait = this.pending.hold(seq, error);
+      if (wait !== undefined) {
+        const { socket } = this;
+        setTimeout(() => this.renew(socket, refusal), wait);
+        this.flush();
+        return;
+      }
+      error = this.pending.lastWord(seq, error);
     }
     this.pending.answered(seq, true)?.reject(error);
     this.flush();
     this.events.onPoseError?.(error, seq);
+  }
+
+  /** Leaves a server that could not record a commit, and looks for the session anew: numbers grow along a socket, so it needs another. */
+  private renew(socket: WebSocket | undefined, reason: PliantError): void {
+    if (socket === undefined || socket !== this.socket || this.isOver || this.leaving !== undefined) return;
+    this.socket = undefined;
+    socket.close();
+    this.change("lost", reason);
+    void this.reopen();
   }
 
   /** Sends commits that wait, and the newest pose when the socket has room. */

@@ -6,7 +6,7 @@
 
 import type { DescMessage, MessageInitShape, MessageShape } from "@bufbuild/protobuf";
 import { create, fromJson, toJson } from "@bufbuild/protobuf";
-import { whileAlive } from "./alive.js";
+import { SIGN_OF_LIFE_MS, whileAlive } from "./alive.js";
 import { Attempts, newKey, pause } from "./attempts.js";
 import { PliantError, problemOf } from "./errors.js";
 import { MOST_HOPS, type Place, Places } from "./places.js";
@@ -24,6 +24,13 @@ export interface TransportOptions {
   askToken?: (refused: boolean) => Promise<string | undefined>;
   /** Seconds for which a server that went away is asked again. Default: 15; 0 gives up at once. */
   patience?: number;
+  /** Seconds that one try of a call may take, with its upload and its answer. Default: 600; 0 is without end. */
+  timeout?: number;
+  /**
+   * Seconds that a server which owes an answer may take to give a sign of life, when it is asked for one after 3 s. Default: 6; 0
+   * asks for none, so that a server which stands still is waited for until the `timeout`.
+   */
+  signOfLife?: number;
   /** Headers of every call. A browser's WebSocket cannot send them. */
   headers?: Record<string, string>;
   /** In place of the global `fetch`. */
@@ -39,10 +46,21 @@ export interface CallOptions {
   idempotencyKey?: string;
   /** In place of the client's `patience`, in seconds. */
   patience?: number;
+  /** In place of the client's `timeout`, in seconds. */
+  timeout?: number;
 }
 
-/** What a call sends along; one that is `watched` fails where its server gives no sign of life any more. */
-type Sent = CallOptions & { body?: BodyInit; json?: unknown; watched?: boolean };
+/** Who is asked for a sign of life while a call is under way. */
+interface Asked {
+  url: string;
+  headers: Record<string, string>;
+}
+
+/** What a call sends along, and what it tells of where it went. */
+type Sent = CallOptions & { body?: BodyInit; json?: unknown; asked?: Asked };
+
+/** Calls under way, as many as a page may have to one server by HTTP/1.1, less the one that asks for a sign of life. */
+const CALLS_OF_PAGE = 5;
 
 /** The part of an upload that has gone out, 0 to 1. */
 export type Progress = (fraction: number) => void;
@@ -52,6 +70,9 @@ export class Transport {
   readonly url: string;
   private readonly headers: Record<string, string>;
   private readonly patience: number;
+  private readonly timeout: number;
+  private readonly signOfLife: number;
+  private underWay = 0;
   /** Whether the server has answered anything: who has never been there is not waited for. */
   private reached = false;
   private readonly askToken: ((refused: boolean) => Promise<string | undefined>) | undefined;
@@ -67,6 +88,8 @@ export class Transport {
     this.places = new Places(this.url);
     this.headers = options.headers ?? {};
     this.patience = options.patience ?? 15;
+    this.timeout = secondsOf("timeout", options.timeout ?? 600);
+    this.signOfLife = secondsOf("signOfLife", options.signOfLife ?? SIGN_OF_LIFE_MS / 1000);
     this.token = options.token ?? environment("PLIANT_TOKEN");
     this.askToken = options.askToken;
     this.fetch = options.fetch ?? globalThis.fetch.bind(globalThis);
@@ -78,35 +101,62 @@ export class Transport {
     return parse(answer, await this.read(method, path, "application/json", call, (response) => response.text()));
   }
 
-  /**
-   * Asks for a message once, and gives up where whoever is asked stands still. Other calls wait: a page has few connections to a
-   * server, and where all of them are in use no sign of life can be asked for.
-   */
+  /** Asks for a message once. */
   async probe<D extends DescMessage>(answer: D, path: string): Promise<MessageShape<D>> {
-    const response = await this.call("GET", path, "application/json", { watched: true });
-    return parse(answer, await textOf(response));
+    const read = async (sent: Sent): Promise<string> => textOf(await this.call("GET", path, "application/json", sent));
+    return parse(answer, await this.watched(path, {}, read));
   }
 
   /** A call whose answer is read by `read`. */
   async read<T>(method: string, path: string, accept: string, call: Sent, read: (response: Response) => Promise<T>): Promise<T> {
     const keyed = withKey(call);
-    return this.repeat(call, async () => {
-      const response = await this.call(method, path, accept, keyed);
-      return read(response).catch((error: unknown) => Promise.reject(unreachable(this.url, error)));
-    });
+    return this.repeat(call, () =>
+      this.watched(path, keyed, async (sent) => {
+        const response = await this.call(method, path, accept, sent);
+        return read(response).catch((error: unknown) => Promise.reject(unreachable(this.url, error)));
+      }),
+    );
   }
 
-  /** A call whose answer the caller reads as it comes. */
+  /** A call whose answer the caller reads as it comes, in its own time. */
   bytes(method: string, path: string, accept: string, call: Sent = {}): Promise<Response> {
     const keyed = withKey(call);
     return this.repeat(call, () => this.call(method, path, accept, keyed));
+  }
+
+  /**
+   * Makes one try of a call, and gives it up where it takes too long or its server stands still. A page has few connections to a
+   * server: while calls use all of them no sign of life is asked for, since it would wait for them.
+   */
+  private async watched<S extends Sent, T>(path: string, call: S, attempt: (sent: S) => Promise<T>): Promise<T> {
+    const asked: Asked = { url: this.places.of(path).url, headers: {} };
+    const isPage = typeof document === "object";
+    this.underWay += 1;
+    try {
+      const watched = {
+        call: (signal: AbortSignal) => attempt({ ...call, signal, asked }),
+        sign: async (signal: AbortSignal) => {
+          const answer = await this.fetch(`${asked.url}/v1/limits`, { headers: asked.headers, signal });
+          await answer.body?.cancel();
+        },
+        mayAsk: () => !isPage || this.underWay <= CALLS_OF_PAGE,
+        signal: call.signal,
+      };
+      const timeout = call.timeout === undefined ? this.timeout : secondsOf("timeout", call.timeout);
+      return await whileAlive(watched, { timeoutMs: timeout * 1000, signMs: this.signOfLife * 1000 });
+    } catch (error) {
+      if (error instanceof PliantError && error.code === "UNREACHABLE") this.places.forget(path);
+      throw error;
+    } finally {
+      this.underWay -= 1;
+    }
   }
 
   /** Deletes something. That it is gone is no failure where an earlier try may have done it. */
   async remove(path: string, call: CallOptions = {}): Promise<void> {
     await this.repeat(call, async (again) => {
       try {
-        await this.call("DELETE", path, "application/json", call);
+        await this.watched(path, call, (sent) => this.call("DELETE", path, "application/json", sent));
       } catch (error) {
         if (!(again && error instanceof PliantError && error.isGone)) throw error;
       }
@@ -122,13 +172,14 @@ export class Transport {
     call: CallOptions & { onProgress?: Progress },
   ): Promise<MessageShape<D>> {
     const { onProgress, ...keyed } = withKey(call);
-    const text = await this.repeat(call, async () => {
+    const attempt = async (sent: Sent): Promise<string> => {
       if (onProgress !== undefined && typeof XMLHttpRequest !== "undefined") {
-        return this.uploadWatched(path, body, type, keyed, onProgress);
+        return this.uploadWatched(path, body, type, sent, onProgress);
       }
       const headers = type === undefined ? {} : { "content-type": type };
-      return textOf(await this.call("POST", path, "application/json", { ...keyed, body }, headers));
-    });
+      return textOf(await this.call("POST", path, "application/json", { ...sent, body }, headers));
+    };
+    const text = await this.repeat(call, () => this.watched(path, keyed, attempt));
     return parse(answer, text);
   }
 
@@ -166,7 +217,7 @@ export class Transport {
     method: string,
     path: string,
     accept: string,
-    { body, json, signal, idempotencyKey, watched }: Sent,
+    { body, json, signal, idempotencyKey, asked }: Sent,
     more: Record<string, string> = {},
   ): Promise<Response> {
     const headers: Record<string, string> = { ...this.headers, accept, ...more };
@@ -188,11 +239,9 @@ export class Transport {
     for (let hops = 0; ; ) {
       const shown = this.show(headers);
       point(headers, place, hops);
+      if (asked !== undefined) Object.assign(asked, { url: place.url, headers: signHeaders(headers) });
       try {
-        const sign = `${place.url}/v1/limits`;
-        response = watched
-          ? await whileAlive(this.fetch, [place.url + path, init], [sign, { headers: { ...headers } }])
-          : await this.fetch(place.url + path, init);
+        response = await this.fetch(place.url + path, init);
       } catch (error) {
         this.places.forget(path);
         throw unreachable(place.url, error);
@@ -234,15 +283,16 @@ export class Transport {
     path: string,
     body: Blob | FormData,
     type: string | undefined,
-    call: CallOptions,
+    call: Sent,
     onProgress: Progress,
     place: Place = { url: this.url },
     hops = 0,
   ): Promise<string> {
-    const { signal, idempotencyKey } = call;
+    const { signal, idempotencyKey, asked } = call;
     const headers = { ...this.headers };
     const shown = this.show(headers);
     point(headers, place, hops);
+    if (asked !== undefined) Object.assign(asked, { url: place.url, headers: signHeaders(headers) });
     return new Promise((resolve, reject) => {
       const request = new XMLHttpRequest();
       request.open("POST", place.url + path);
@@ -296,6 +346,19 @@ function addressOf(url: string): string {
   return url.replace(/\/+$/, "");
 }
 
+/** Headers with which a sign of life is asked for: those of the call, without what tells of its body and its key. */
+function signHeaders(headers: Record<string, string>): Record<string, string> {
+  const { "content-type": _type, "idempotency-key": _key, ...rest } = headers;
+  return rest;
+}
+
+/** Seconds that were given, 0 and more. */
+function secondsOf(name: string, given: number): number {
+  // Longer ones are none for the platform's timers, which would be over at once.
+  if (given >= 0 && given <= 2_000_000) return given;
+  throw new PliantError("INVALID_ARGUMENT", `${name}: ${given}, a number of seconds from 0 (without end) to 2000000 is allowed`);
+}
+
 /** Tells a proxy which node is meant, and the server that its caller goes where it is sent by itself. */
 function point(headers: Record<string, string>, { node }: Place, hops: number): void {
   headers["x-pliant-hops"] = String(hops);
@@ -333,7 +396,7 @@ async function textOf(response: Response): Promise<string> {
 }
 
 function unreachable(what: string, error: unknown): unknown {
-  if (error instanceof Error && error.name === "AbortError") {
+  if (error instanceof PliantError || (error instanceof Error && error.name === "AbortError")) {
     return error;
   }
   return new PliantError("UNREACHABLE", `${what} does not answer${hintFor(what)}`);

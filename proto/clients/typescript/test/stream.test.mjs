@@ -238,6 +238,39 @@ test("a commit that a stopping server did not come to is made by the next", asyn
   stage.stream.close();
 });
 
+test("a commit that a server cannot record now is made on the next socket, in its turn and under its key", async () => {
+  const refused = [];
+  const stage = staged({ onPoseError: (error) => refused.push(error) });
+  const [socket] = stage.sockets;
+  socket.open();
+  const recorded = stage.stream.commit([at("a", 1)]);
+  socket.say({ case: "error", value: { code: 14, message: "the session is at another node", seq: 1n } });
+  const behind = stage.stream.commit([at("b", 2)]);
+  stage.stream.pose([at("c", 3)]);
+  assert.deepEqual(socket.of("pose").map(placed), [["a 1"], ["a 1", "b 2", "c 3"]], "a drag goes on, on top of what waits");
+  const second = await untilSockets(stage, 2);
+  second.open();
+  assert.deepEqual(second.of("pose").map(placed), [["a 1"], ["b 2"], ["c 3"]]);
+  assert.equal(second.of("pose")[0].idempotencyKey, socket.of("pose")[0].idempotencyKey);
+  socket.say({ case: "error", value: { code: 3, message: "what a socket that was left says", seq: 2n } });
+  second.say(frame(1, [0, 0, 0], { revision: 2n }));
+  second.say(frame(2, [0, 0, 0], { revision: 3n }));
+  assert.equal((await recorded).seq, 1);
+  assert.equal((await behind).seq, 2);
+  assert.deepEqual([refused, stage.states], [[], ["open", "lost: UNAVAILABLE", "open"]]);
+  stage.stream.close();
+});
+
+test("a commit that cannot be recorded for longer than the patience fails with what was tried", async () => {
+  const stage = staged({}, 0);
+  stage.sockets[0].open();
+  const recorded = stage.stream.commit([at("a", 1)]);
+  stage.sockets[0].say({ case: "error", value: { code: 14, message: "the store is away", seq: 1n } });
+  await assert.rejects(recorded, { code: "UNAVAILABLE" });
+  assert.equal(stage.stream.state, "open", "the stream itself goes on");
+  stage.stream.close();
+});
+
 test("a session that is no more ends the stream and its commits", async () => {
   const stage = staged();
   stage.sockets[0].open();
