@@ -118,6 +118,91 @@ fn materials_of_a_library_become_those_of_a_gltf_and_come_back() {
 }
 
 #[test]
+fn a_picture_of_normals_goes_along_and_one_of_heights_is_told() {
+    let library = LIBRARY.replace("map_Bump", "norm normals.png\nmap_Bump");
+    let mut files = obj_files();
+    files
+        .companions
+        .insert("my things.mtl".into(), library.into_bytes().into());
+    let normals = [PICTURE, b" of normals"].concat();
+    files.companions.insert("normals.png".into(), normals.clone().into());
+    let told = |model: &Model, code: &str| {
+        let mut warnings = model.warnings.iter();
+        warnings.find(|w| w.0 == code).map(|w| w.1.clone())
+    };
+    assert!(told(&read(files.clone()), "image-missing").is_some_and(|text| text.contains("bump.png")));
+    assert_eq!(
+        told(&read(files.clone()), "bump-map"),
+        None,
+        "what is missing is told as that"
+    );
+    files.companions.insert("bump.png".into(), PICTURE.into());
+    let model = read(files);
+    let text = told(&model, "bump-map").expect("a warning");
+    assert!(
+        text.contains("bump.png") && text.contains("norm") && !text.contains("normals.png"),
+        "{text}"
+    );
+
+    let glb = write(&model, Format::GLB);
+    let (document, bin) = glb_parts(&glb);
+    let material = &document["materials"][0];
+    assert_eq!(material["pbrMetallicRoughness"]["baseColorTexture"]["index"], 0);
+    assert_eq!(material["normalTexture"]["index"], 1);
+    assert_eq!(image_bytes(&document, &bin, 1), normals);
+    assert_eq!(
+        document["images"].as_array().map(Vec::len),
+        Some(2),
+        "no picture of heights"
+    );
+
+    let obj = write(&again(Format::GLB, glb), Format::OBJ);
+    let library = String::from_utf8(obj.companions["again.mtl"].clone()).expect("text");
+    let name = library
+        .lines()
+        .find_map(|line| line.strip_prefix("norm "))
+        .unwrap_or_else(|| panic!("{library}"));
+    assert_eq!(obj.companions[name], normals);
+    let (back, _) = glb_parts(&write(&again(Format::OBJ, obj), Format::GLB));
+    assert_eq!(back["materials"], document["materials"]);
+}
+
+#[test]
+fn normals_on_other_coordinates_than_the_colours_do_not_go_to_an_obj() {
+    let (mut document, bin) = {
+        let mut files = obj_files();
+        let library = LIBRARY.replace("map_Bump -bm 0.5 bump.png", "norm textures/red paint.png");
+        files
+            .companions
+            .insert("my things.mtl".into(), library.into_bytes().into());
+        glb_parts(&write(&read(files), Format::GLB))
+    };
+    let library = |document: &Value| {
+        let mut document = document.clone();
+        let uri = format!("data:application/octet-stream;base64,{}", base64_of(&bin));
+        document["buffers"][0]["uri"] = uri.into();
+        let model = read(FileSet::single("a.gltf", document.to_string()));
+        let obj = write(&model, Format::OBJ);
+        String::from_utf8(
+            obj.companions
+                .values()
+                .find(|b| b.starts_with(b"# pliant"))
+                .expect("a library")
+                .clone(),
+        )
+        .expect("text")
+    };
+    assert!(library(&document).contains("\nnorm "));
+    document["materials"][0]["normalTexture"]["texCoord"] = 1.into();
+    assert!(!library(&document).contains("\nnorm "));
+}
+
+fn base64_of(bytes: &[u8]) -> String {
+    use base64::Engine as _;
+    base64::engine::general_purpose::STANDARD.encode(bytes)
+}
+
+#[test]
 fn libraries_and_pictures_of_an_obj_stay_beside_it() {
     let model = read(obj_files());
     let mut moved = model.positions.clone();

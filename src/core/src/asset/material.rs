@@ -1,4 +1,4 @@
-//! Materials as far as several formats know them: a base colour, its picture, opacity, and whether both sides are drawn.
+//! Materials as far as several formats know them: a base colour, its picture, a picture of normals, opacity, and whether both sides are drawn.
 
 use bytes::Bytes;
 
@@ -26,6 +26,8 @@ pub(super) struct BaseLook {
     pub colour: [f32; 4],
     /// The picture of its colours.
     pub picture: Option<MaterialPicture>,
+    /// The picture of its normals in the frame of its texture coordinates, which are those of the other picture.
+    pub normals: Option<MaterialPicture>,
     /// How its opacity is drawn.
     pub coverage: AlphaCoverage,
     /// Whether the backs of its triangles are drawn too.
@@ -37,6 +39,7 @@ impl Default for BaseLook {
         Self {
             colour: [1.0; 4],
             picture: None,
+            normals: None,
             coverage: AlphaCoverage::Opaque,
             double_sided: false,
         }

@@ -232,6 +232,7 @@ impl BuiltAsset {
         let BaseLook {
             colour,
             picture,
+            normals,
             coverage,
             double_sided,
         } = look;
@@ -241,20 +242,28 @@ impl BuiltAsset {
             json_floats(colour)
         );
         if let Some(picture) = picture {
-            let known = self.pictures.iter().position(|known| known == picture);
-            let number = known.unwrap_or_else(|| {
-                self.pictures.push(picture.clone());
-                self.pictures.len() - 1
-            });
-            base += &format!(r#","baseColorTexture":{{"index":{number}}}"#);
+            base += &format!(r#","baseColorTexture":{{"index":{}}}"#, self.picture_number(picture));
         }
+        let normals = normals.as_ref().map(|picture| self.picture_number(picture));
+        let normals = normals.map_or_else(String::new, |number| {
+            format!(r#","normalTexture":{{"index":{number}}}"#)
+        });
         let coverage = match coverage {
             AlphaCoverage::Opaque => String::new(),
             AlphaCoverage::Mask(cutoff) => format!(r#","alphaMode":"MASK","alphaCutoff":{:?}"#, f64::from(*cutoff)),
             AlphaCoverage::Blend => r#","alphaMode":"BLEND""#.to_owned(),
         };
         let sides = if *double_sided { r#","doubleSided":true"# } else { "" };
-        format!(r#"{{"name":{name},"pbrMetallicRoughness":{{{base}}}{coverage}{sides}}}"#)
+        format!(r#"{{"name":{name},"pbrMetallicRoughness":{{{base}}}{normals}{coverage}{sides}}}"#)
+    }
+
+    /// The number of a picture, which several materials may use.
+    fn picture_number(&mut self, picture: &MaterialPicture) -> usize {
+        let known = self.pictures.iter().position(|known| known == picture);
+        known.unwrap_or_else(|| {
+            self.pictures.push(picture.clone());
+            self.pictures.len() - 1
+        })
     }
 
     fn add_indices(&mut self, indices: &[u32], vertices: usize) -> usize {

@@ -1,4 +1,4 @@
-//! Libraries of materials (MTL) that an OBJ names: base colours, opacity and pictures, in and out.
+//! Libraries of materials (MTL) that an OBJ names: base colours, opacity and pictures of colours and normals, in and out.
 //!
 //! Colours go through as they are written, as other converters do it. Pictures are named from the OBJ's folder.
 
@@ -62,9 +62,9 @@ fn picture_names(text: &[u8], add: &mut impl FnMut(String)) {
     });
 }
 
-/// Tells of libraries and pictures whose files are not among those that were given.
+/// Tells of libraries and pictures whose files are not among those that were given, and of pictures of heights, which no other format has.
 pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
-    let (mut libraries, mut pictures) = (BTreeSet::new(), BTreeSet::new());
+    let (mut libraries, mut pictures, mut heights) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
     for names in library_lines(files).map(library_names) {
         let mut there = names.iter().filter_map(|name| files.companions.get(name)).peekable();
         // A line is one name with blanks, or several names: where one of them is there, the others are no more than guesses.
@@ -77,6 +77,10 @@ pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
                 if !files.companions.contains_key(&name) {
                     pictures.insert(name);
                 }
+            });
+            statements_of(text, |keyword, rest| {
+                let is_height = matches!(&keyword.to_ascii_lowercase()[..], "map_bump" | "bump");
+                heights.extend(picture_name(rest).filter(|name| is_height && files.companions.contains_key(name)));
             });
         }
     }
@@ -96,6 +100,12 @@ pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
         "library-missing",
         &libraries,
         "libraries of materials that were not sent along with the model, whose colours and pictures are not known",
+        "mtllib",
+    );
+    warn(
+        "bump-map",
+        &heights,
+        "pictures of heights (bump, map_Bump), which stay with the OBJ and go into no other format; one that holds normals goes along as norm",
         "mtllib",
     );
     warn(
@@ -138,6 +148,13 @@ fn picture_name(rest: &str) -> Option<String> {
         }
     }
     inside_folder(left)
+}
+
+/// The picture that a statement names.
+fn picture_of(rest: &str, files: &FileSet) -> Option<MaterialPicture> {
+    let name = picture_name(rest)?;
+    let bytes = files.companions.get(&name).cloned();
+    Some(MaterialPicture { name, bytes })
 }
 
 /// The text behind its first word.
@@ -203,12 +220,8 @@ fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
                     }
                 }
             }
-            "map_Kd" => {
-                look.picture = picture_name(rest).map(|name| MaterialPicture {
-                    bytes: files.companions.get(&name).cloned(),
-                    name,
-                });
-            }
+            "map_Kd" => look.picture = picture_of(rest, files),
+            "norm" => look.normals = picture_of(rest, files),
             "map_d" => look.coverage = AlphaCoverage::Blend,
             _ => {}
         }
@@ -232,14 +245,16 @@ pub(super) fn write_library(materials: &[(String, Arc<NamedMaterial>)]) -> (Vec<
         out.extend_from_slice(b"\nd ");
         push_number(&mut out, f64::from(opacity), NumberPrecision::Single);
         out.push(b'\n');
-        let Some(picture) = &look.picture else { continue };
-        let name = printable(&picture.name);
-        out.extend(format!("map_Kd {name}\n").bytes());
-        if look.coverage != AlphaCoverage::Opaque {
-            out.extend(format!("map_d {name}\n").bytes());
-        }
-        if let Some(bytes) = &picture.bytes {
-            pictures.insert(name, bytes.to_vec());
+        for (keyword, picture) in [("map_Kd", &look.picture), ("norm", &look.normals)] {
+            let Some(picture) = picture else { continue };
+            let name = printable(&picture.name);
+            out.extend(format!("{keyword} {name}\n").bytes());
+            if keyword == "map_Kd" && look.coverage != AlphaCoverage::Opaque {
+                out.extend(format!("map_d {name}\n").bytes());
+            }
+            if let Some(bytes) = &picture.bytes {
+                pictures.insert(name, bytes.to_vec());
+            }
         }
     }
     (out, pictures)

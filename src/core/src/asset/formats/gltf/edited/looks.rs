@@ -1,4 +1,4 @@
-//! What the materials of a glTF look like to other formats: base colour, picture, opacity, both sides.
+//! What the materials of a glTF look like to other formats: base colour, pictures of colours and normals, opacity, both sides.
 
 use super::super::buffers::BufferBytes;
 use super::super::document::GltfDocument;
@@ -66,27 +66,37 @@ fn read_look(material: &Value, textures: &[Value], pictures: &mut ImageNames<'_,
         Some("BLEND") => AlphaCoverage::Blend,
         _ => AlphaCoverage::Opaque,
     };
-    let texture = &base["baseColorTexture"];
-    let moved = &texture["extensions"]["KHR_texture_transform"]["texCoord"];
-    let set = moved.as_u64().or(texture["texCoord"].as_u64()).unwrap_or(0);
-    let number = |value: &Value| value.as_u64().and_then(|n| usize::try_from(n).ok());
-    if let Some(stored) = number(&texture["index"]).and_then(|t| textures.get(t)) {
-        let others = [
-            "EXT_texture_webp",
-            "EXT_texture_avif",
-            "KHR_texture_basisu",
-            "MSFT_texture_dds",
-        ];
-        let other = || {
-            others
-                .iter()
-                .find_map(|name| number(&stored["extensions"][name]["source"]))
-        };
-        let source = number(&stored["source"]).or_else(other);
-        look.picture = source.and_then(|image| pictures.picture_of(image));
-    }
+    let (texture, normals) = (&base["baseColorTexture"], &material["normalTexture"]);
+    look.picture = source_of(texture, textures).and_then(|image| pictures.picture_of(image));
+    let set = match look.picture {
+        Some(_) => set_of(texture),
+        None => set_of(normals),
+    };
+    // Other formats have one set of texture coordinates for both.
+    let shared = source_of(normals, textures).filter(|_| set_of(normals) == set);
+    look.normals = shared.and_then(|image| pictures.picture_of(image));
     let says_something = look != BaseLook::default();
     (says_something.then_some(look), usize::try_from(set).unwrap_or(0))
+}
+
+/// The set of texture coordinates that the use of a texture names.
+fn set_of(used: &Value) -> u64 {
+    let moved = &used["extensions"]["KHR_texture_transform"]["texCoord"];
+    moved.as_u64().or(used["texCoord"].as_u64()).unwrap_or(0)
+}
+
+/// The image of a texture that is used: its own, else one of another kind that an extension names.
+fn source_of(used: &Value, textures: &[Value]) -> Option<usize> {
+    let number = |value: &Value| value.as_u64().and_then(|n| usize::try_from(n).ok());
+    let stored = number(&used["index"]).and_then(|t| textures.get(t))?;
+    let others = [
+        "EXT_texture_webp",
+        "EXT_texture_avif",
+        "KHR_texture_basisu",
+        "MSFT_texture_dds",
+    ];
+    let mut other = others.iter().map(|name| &stored["extensions"][name]["source"]);
+    number(&stored["source"]).or_else(|| other.find_map(number))
 }
 
 /// The images of a document as files: by the names that they have, else by new ones.
