@@ -76,7 +76,8 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
         if fixed.is_empty() {
             source = "shape";
             if found.is_none {
-                return Err(not_upright(&found.doubts));
+                let turned = turn_to_a_figure(model, exec)?;
+                return Err(not_upright(&found.doubts, turned));
             }
         }
         if fixed.len() < BODY_JOINTS.len() / 2 {
@@ -110,9 +111,32 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
     })
 }
 
-fn not_upright(doubts: &[String]) -> Error {
+/// Quarter turns, each with its words, that a figure may need which was made for other axes.
+const TURNS: [(&str, fn(DVec3) -> DVec3); 4] = [
+    ("90 degrees about y", |p| DVec3::new(p.z, p.y, -p.x)),
+    ("-90 degrees about y", |p| DVec3::new(-p.z, p.y, p.x)),
+    ("-90 degrees about x", |p| DVec3::new(p.x, p.z, -p.y)),
+    ("90 degrees about x", |p| DVec3::new(p.x, -p.z, p.y)),
+];
+
+/// The turn by which a model that does not look like an upright figure does; `None` when none does.
+fn turn_to_a_figure(model: &Model, exec: &Exec<'_>) -> Result<Option<&'static str>, Error> {
+    for (words, quarter) in TURNS {
+        let turned: Vec<DVec3> = model.positions.iter().copied().map(quarter).collect();
+        let found = find_body(&turned, &model.triangles, exec).map_err(|_| Error::Cancelled)?;
+        if !found.is_none {
+            return Ok(Some(words));
+        }
+    }
+    Ok(None)
+}
+
+fn not_upright(doubts: &[String], turned: Option<&str>) -> Error {
+    let turned = turned.map_or_else(String::new, |turn| {
+        format!("turned by {turn} it does: turn the model in the program that it comes from, or ")
+    });
     let problem = format!(
-        "it does not look like a figure that stands upright and faces along z ({}); give joints with --at NAME=x,y,z or \
+        "it does not look like a figure that stands upright and faces along z ({}); {turned}give joints with --at NAME=x,y,z or \
          --landmarks FILE: {}",
         doubts.join("; "),
         BODY_JOINTS.join(", ")
