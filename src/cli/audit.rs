@@ -1,6 +1,7 @@
 //! `pliant audit`: who opened, changed and took away what, as the store of a server tells it.
 
 use super::failure::CliFailure;
+use crate::server::config::{ConfigKeys, KeyValue, stored_in};
 use crate::session::StoredAuditEntry;
 use crate::session::store::{AuditFilter, StoreError, StoreLocation, read_audit};
 use clap::Args;
@@ -11,6 +12,9 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 /// Prints the audit trail of a server's store, oldest first, as a line of JSON each. The server may be running.
 #[derive(Debug, Args)]
 pub struct AuditArgs {
+    /// Configuration file of the server (TOML)
+    #[arg(long, value_name = "FILE", env = "PLIANT_CONFIG")]
+    config: Option<PathBuf>,
     /// The folder that the server was given as data_dir
     #[arg(long, value_name = "FOLDER", env = "PLIANT_DATA_DIR")]
     data_dir: Option<PathBuf>,
@@ -44,6 +48,30 @@ fn parse_since(text: &str) -> Result<SystemTime, String> {
         .map_err(|_| "neither a time such as 2026-11-23T08:00:00Z nor a span such as 12h".into())
 }
 
+impl AuditArgs {
+    /// Where the trail is: in the store of the server that has this configuration, else in the one that is named.
+    fn location(&self) -> Result<StoreLocation, CliFailure> {
+        let Some(config) = &self.config else {
+            return Ok(StoreLocation {
+                data_dir: self.data_dir.clone(),
+                database: self.database.clone(),
+                ..StoreLocation::default()
+            });
+        };
+        let keys = ConfigKeys {
+            data_dir: (self.data_dir.as_ref()).map(|folder| KeyValue::from(folder.to_string_lossy().into_owned())),
+            database: self.database.clone().map(KeyValue::from),
+            ..ConfigKeys::default()
+        };
+        let location = stored_in(Some(config), &keys).map_err(|e| CliFailure::Input(e.to_string()))?;
+        location.ok_or_else(|| {
+            let problem =
+                "keeps no sessions, and no trail with them: it sets neither data_dir nor database and objects";
+            CliFailure::Input(format!("{} {problem}", config.display()))
+        })
+    }
+}
+
 /// Runs the command.
 pub(super) fn run_audit(args: &AuditArgs) -> Result<(), CliFailure> {
     let since = args.since.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
@@ -56,11 +84,7 @@ pub(super) fn run_audit(args: &AuditArgs) -> Result<(), CliFailure> {
     let runtime = runtime.map_err(|e| CliFailure::Internal(format!("cannot start threads: {e}")))?;
     let mut out = BufWriter::new(std::io::stdout().lock());
     let mut failed = None;
-    let location = StoreLocation {
-        data_dir: args.data_dir.clone(),
-        database: args.database.clone(),
-        ..StoreLocation::default()
-    };
+    let location = args.location()?;
     let read = read_audit(&location, &filter, |entry| {
         let time = UNIX_EPOCH
             .checked_add(Duration::from_millis(entry.at_ms))

@@ -35,6 +35,7 @@ Examples:
   pliant check suite                                  compare every case with its golden
   pliant check suite --html report.html --junit report.xml
   pliant check suite --bless                          store what comes out now as goldens
+  pliant check suite --case bend --case 'twist*'      these cases alone; --bless stores these alone
   pliant check suite --shard 3/8 --report shards/3.json
   pliant check --merge shards --html report.html      what one run of all shards would say
   pliant check suite --server https://pliant.example.com --token SECRET";
@@ -63,6 +64,7 @@ pub(super) const RENDER: &str = "\
 Examples:
   pliant render bent.glb -o bent.png
   pliant render bent.glb --before model.glb -o both.png --marks 3
+  pliant render figure.glb -o head.png --primitive head --primitive eyes
   pliant render bent.glb -o around.png --turntable 8 --size 400x400";
 
 /// `pliant sample --help`.
@@ -97,7 +99,8 @@ Examples:
 pub(super) const AUDIT: &str = "\
 Examples:
   pliant audit --data-dir sessions --since 12h
-  pliant audit --data-dir sessions --tenant studio";
+  pliant audit --data-dir sessions --tenant studio
+  pliant audit --config pliant.toml                   where that configuration keeps it";
 
 #[cfg(test)]
 mod tests {

@@ -1,5 +1,6 @@
 //! Why a command ends badly, and with which exit code.
 
+use super::json_output::print_failure;
 use crate::wire::Error as WireError;
 use std::process::ExitCode;
 
@@ -26,8 +27,18 @@ impl CliFailure {
         }
     }
 
-    /// Says why in the last line of stderr.
+    /// What the exit code means, for programs.
+    pub(super) fn kind(&self) -> &'static str {
+        match self.exit_code() {
+            1 => "check",
+            2 => "input",
+            _ => "internal",
+        }
+    }
+
+    /// Says why in the last line of stderr and, with `--json`, on stdout.
     pub(super) fn report_and_exit(&self) -> ExitCode {
+        print_failure(self);
         if !matches!(self, Self::Logged(_)) {
             eprintln!("pliant: {}", self.message());
         }

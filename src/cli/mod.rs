@@ -1,12 +1,13 @@
 //! People and scripts at a terminal: arguments, progress, exit codes.
 //!
 //! Exit codes: 0 done, 1 a check failed, 2 bad input or usage, 3 internal. The last line of stderr says why. With
-//! `--json` stdout carries exactly one JSON document.
+//! `--json` stdout carries exactly one JSON document, that of a failure too.
 
 mod animate;
 mod announcement;
 mod audit;
 mod check;
+mod chosen_primitives;
 mod cutaway;
 mod deform;
 mod examples;

@@ -114,6 +114,7 @@ impl OutputPermission {
         read: &FileSet,
     ) -> Result<Vec<PathBuf>, CliFailure> {
         let over_itself = is_same_file(path, model);
+        spare_companions(path, model, read)?;
         let mut files = BTreeMap::new();
         for (uri, bytes) in &written.companions {
             if !stays_inside(uri) {
@@ -166,6 +167,20 @@ impl OutputPermission {
         }
         Ok(())
     }
+}
+
+/// Refuses a place where a file of a model lies that is read: what the model names beside itself is replaced by nothing else.
+///
+/// # Errors
+/// Which file it is, and of which model.
+pub(super) fn spare_companions(path: &Path, model: &Path, read: &FileSet) -> Result<(), CliFailure> {
+    let own = read
+        .companions
+        .keys()
+        .find(|uri| is_same_file(&folder_of(model).join(uri), path));
+    let Some(own) = own else { return Ok(()) };
+    let problem = format!("{} is made of it, as \"{own}\"; name another file", model.display());
+    Err(CliFailure::Input(format!("cannot write {}: {problem}", path.display())))
 }
 
 /// Whether both paths lead to one file that is there.

@@ -1,9 +1,10 @@
 //! `pliant render`: a picture of a model, drawn without a display.
 
+use super::chosen_primitives::{choose_primitives, keep_in_sight};
 use super::cutaway::draw_cutaway;
 use super::failure::CliFailure;
 use super::model_files::read_model;
-use super::output_files::OutputPermission;
+use super::output_files::{OutputPermission, spare_companions};
 use super::threads::ThreadArgs;
 use crate::asset::{Limits, Model, SurfaceLook};
 use crate::mesh::BoundingBox;
@@ -31,6 +32,9 @@ pub struct RenderArgs {
     /// The model as it was before: drawn beside, by the same camera
     #[arg(long, value_name = "REST")]
     before: Option<PathBuf>,
+    /// Draw this primitive alone, by its name or the number that `pliant inspect` gives it; given again, that one too
+    #[arg(long, value_name = "NAME", conflicts_with = "rig")]
+    primitive: Vec<String>,
     /// What colours show [default: distortion with --before where the vertices agree, else material for a model that has
     /// base colours, else plain]
     #[arg(long, value_enum, alias = "colour")]
@@ -140,6 +144,27 @@ impl<'a> ModelToDraw<'a> {
         Ok(())
     }
 
+    /// Takes all primitives but those that are named out of sight.
+    fn keep_primitives(&mut self, names: &[String]) -> Result<(), CliFailure> {
+        if names.is_empty() {
+            return Ok(());
+        }
+        let in_file = |e: CliFailure| e.in_place(self.path.display());
+        let chosen = choose_primitives(&self.model.primitives, names).map_err(in_file)?;
+        if let Some((drawn, _)) = &mut self.look {
+            // Read from what the model was written as, it may have others.
+            let same = drawn.primitives.len() == self.model.primitives.len();
+            let theirs = if same {
+                chosen.clone()
+            } else {
+                choose_primitives(&drawn.primitives, names).map_err(in_file)?
+            };
+            keep_in_sight(&mut drawn.geometry, &theirs);
+        }
+        keep_in_sight(&mut self.model.geometry, &chosen);
+        Ok(())
+    }
+
     fn vertex_count(&self) -> usize {
         self.model.positions.len()
     }
@@ -180,6 +205,9 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
     }
     let mut model = ModelToDraw::open_model(&args.model)?;
     let mut before = args.before.as_deref().map(ModelToDraw::open_model).transpose()?;
+    for drawn in before.iter().chain([&model]) {
+        spare_companions(&args.output, drawn.path, &drawn.model.files)?;
+    }
     let mut colour = choose_colours(args.color, &model, before.as_ref())?;
     if colour == ColourChoice::Material {
         for drawn in before.iter_mut().chain([&mut model]) {
@@ -188,6 +216,9 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
         if args.color.is_none() && model.look.is_none() {
             colour = ColourChoice::Plain;
         }
+    }
+    for drawn in before.iter_mut().chain([&mut model]) {
+        drawn.keep_primitives(&args.primitive)?;
     }
     let ColouredShape { mut shape, key, values } = colour_shape(&model, before.as_ref(), colour, args.range, &pool)?;
     let marks = match args.marks {

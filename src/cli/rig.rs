@@ -4,7 +4,7 @@ use super::failure::CliFailure;
 use super::input_files::read_file;
 use super::json_output::print_value;
 use super::model_files::read_model;
-use super::output_files::OutputPermission;
+use super::output_files::{OutputPermission, spare_companions};
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
 use crate::asset::{Limits, Model};
@@ -83,6 +83,9 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
     let clip = clip.transpose()?;
     let pool = args.threads.start_pool()?;
     let files = read_model(&args.model)?;
+    for path in [Some(&args.output), picture.as_ref()].into_iter().flatten() {
+        spare_companions(path, &args.model, &files)?;
+    }
     let spinner = StageSpinner::new(args.json);
     let model = Model::read(files, None, &Limits::default())
         .map_err(|e| CliFailure::Input(format!("{}: {e}", args.model.display())))?;

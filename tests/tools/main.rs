@@ -5,6 +5,7 @@ mod base_colours;
 mod book;
 mod check;
 mod cli;
+mod failures;
 mod floors;
 mod followed;
 mod named_files;

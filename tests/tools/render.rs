@@ -141,6 +141,85 @@ fn a_shape_covers_the_pixels_that_it_should() {
 }
 
 #[test]
+fn chosen_primitives_are_seen_alone_and_fill_the_picture() {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("figure.glb"), pliant::asset::sample::figure_glb()).expect("written");
+    let drawn = |chosen: &[&str]| {
+        let arguments = ["figure.glb", "-o", "p.png", "--size", "160x160", "--view", "0,0"];
+        let (code, _, last) = render(folder.path(), &[&arguments, chosen].concat());
+        assert_eq!(code, Some(0), "{last}");
+        fs::read(folder.path().join("p.png")).expect("a picture")
+    };
+    let [all, hull, body] = [&[][..], &["--primitive", "hull"], &["--primitive", "body"]].map(drawn);
+    assert!(hull != body, "the hull lies around the body");
+    assert_eq!(drawn(&["--primitive", "3"]), hull, "by its number as well");
+    let every: Vec<&str> = ["body", "lod1", "lod2", "hull"]
+        .iter()
+        .flat_map(|name| ["--primitive", name])
+        .collect();
+    assert_eq!(drawn(&every), all);
+    let (code, _, last) = render(folder.path(), &["figure.glb", "-o", "p.png", "--primitive", "hat"]);
+    assert_eq!(code, Some(2));
+    assert!(
+        last.contains(r#"--primitive hat: no primitive is named so; there are 0 "body", 1 "lod1""#),
+        "{last}"
+    );
+    // Two squares far apart: alone, one of them fills what both share.
+    fs::write(folder.path().join("two.gltf"), two_squares()).expect("written");
+    let arguments = ["two.gltf", "-o", "two.png", "--size", "100x100", "--view", "0,0"];
+    let reach = |chosen: &[&str]| {
+        let (code, _, last) = render(folder.path(), &[&arguments, chosen].concat());
+        assert_eq!(code, Some(0), "{last}");
+        let [left, right, top, bottom] = Seen::open(&folder.path().join("two.png")).reach(0..100);
+        [right - left, bottom - top]
+    };
+    let [both, far] = [&[][..], &["--primitive", "far"]].map(reach);
+    assert!(both[0] > 80 && both[1] < 20, "{both:?}");
+    assert!(far[0] > 80 && far[1] > 80, "{far:?}");
+}
+
+/// A square, and the same one nine units to its right.
+fn two_squares() -> String {
+    use base64::Engine as _;
+    let corners = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]];
+    let bytes: Vec<u8> = corners
+        .as_flattened()
+        .iter()
+        .flat_map(|&x| (x as f32).to_le_bytes())
+        .collect();
+    let uri = base64::engine::general_purpose::STANDARD.encode(&bytes);
+    serde_json::json!({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, 1]}],
+        "nodes": [{"name": "near", "mesh": 0}, {"name": "far", "mesh": 0, "translation": [9, 0, 0]}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 6, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}],
+        "bufferViews": [{"buffer": 0, "byteLength": bytes.len()}],
+        "buffers": [{"byteLength": bytes.len(), "uri": format!("data:application/octet-stream;base64,{uri}")}],
+    })
+    .to_string()
+}
+
+#[test]
+fn a_picture_never_replaces_what_the_model_is_made_of() {
+    let folder = workplace();
+    let text = fs::read_to_string(folder.path().join("rest.obj")).expect("a model");
+    fs::write(
+        folder.path().join("skin.obj"),
+        format!("mtllib skin.mtl\nusemtl a\n{text}"),
+    )
+    .expect("written");
+    fs::write(folder.path().join("skin.mtl"), "newmtl a\nmap_Kd skin.png\n").expect("written");
+    fs::write(folder.path().join("skin.png"), "a picture").expect("written");
+    let (code, _, last) = render(folder.path(), &["skin.obj", "-o", "skin.png"]);
+    assert_eq!(code, Some(2), "{last}");
+    assert!(last.contains("skin.obj is made of it"), "{last}");
+    assert_eq!(
+        fs::read(folder.path().join("skin.png")).expect("it is there"),
+        b"a picture"
+    );
+}
+
+#[test]
 fn colours_say_where_edges_are_longer_and_where_shorter() {
     let folder = workplace();
     let arguments = [

@@ -2,6 +2,7 @@
 //! shards.
 
 mod animated;
+mod chosen;
 mod http;
 mod local;
 mod merge;
@@ -33,6 +34,9 @@ pub struct CheckArgs {
     /// Store the results as goldens instead of comparing with them, and print what that changes
     #[arg(long, conflicts_with = "server")]
     bless: bool,
+    /// Run this case alone, with --bless store its golden alone; given again, those too. A * stands for any letters
+    #[arg(long = "case", value_name = "NAME", conflicts_with = "shard")]
+    chosen: Vec<String>,
     /// Run this part of the suite alone, such as 3/8; where K begins at 0, write K+1/N
     #[arg(long, value_name = "K/N", conflicts_with = "bless")]
     shard: Option<Shard>,
@@ -44,7 +48,7 @@ pub struct CheckArgs {
         long,
         value_name = "REPORT",
         num_args = 1..,
-        conflicts_with_all = ["suite", "bless", "shard", "costs", "server", "no_skip", "folders"]
+        conflicts_with_all = ["suite", "bless", "chosen", "shard", "costs", "server", "no_skip", "folders"]
     )]
     merge: Vec<PathBuf>,
     /// Run the cases on this server instead of in process, such as http://127.0.0.1:7411
@@ -103,7 +107,7 @@ fn check_suite(suite: &Path, args: &CheckArgs) -> Result<(), CliFailure> {
         .map(|url| ServerAddress::new(url, args.token.as_deref(), args.ca.as_deref()));
     let server = server.transpose().map_err(CliFailure::Input)?;
     let data = args.data.as_deref().filter(|d| !d.as_os_str().is_empty());
-    let loaded = suite::load_suite(suite, data, &args.allowed)?;
+    let loaded = suite::load_suite(suite, data, &args.allowed, &args.chosen)?;
     targets::check_targets(&args.told.reports(), &loaded, args.told.permission, args.bless)?;
     let suite::LoadedSuite { mut cases, notes, .. } = loaded;
     let shard = args

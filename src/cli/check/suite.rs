@@ -1,5 +1,6 @@
 //! A suite from disk: its cases with their jobs and goldens. Models are read when a case is run.
 
+use super::chosen::choose_cases;
 use crate::asset::{FileSet, sample};
 use crate::check::{
     AnimationCase, CASE_SUFFIX, CaseWork, GOLDEN_SUFFIX, Golden, JobSource, ModelSource, SuiteCase, digest_texts,
@@ -39,8 +40,10 @@ pub(super) struct LoadedSuite {
     pub cases: Vec<LoadedCase>,
     /// What someone should know of its folder.
     pub notes: Vec<String>,
-    /// The files that it was read from, without links.
+    /// The files that it was read from, without links, those of cases that were not chosen too.
     pub files: BTreeSet<PathBuf>,
+    /// The models among them, which may have files of their own.
+    pub models: Vec<PathBuf>,
 }
 
 enum CaseModel {
@@ -65,7 +68,7 @@ struct SuiteFolders<'a> {
     allowed: &'a AllowedFolders,
 }
 
-/// Reads a suite. `data` is the folder of shared data.
+/// Reads a suite, or the cases of it that are `chosen` by name. `data` is the folder of shared data.
 ///
 /// Whatever it names lies below its folder, that of the data, or one that is allowed, once links have been followed.
 ///
@@ -75,6 +78,7 @@ pub(super) fn load_suite(
     suite: &Path,
     data: Option<&Path>,
     allowed: &AllowedFolders,
+    chosen: &[String],
 ) -> Result<LoadedSuite, CliFailure> {
     let unreadable = |e: std::io::Error| CliFailure::Input(format!("cannot read the suite {}: {e}", suite.display()));
     let mut cases = BTreeSet::new();
@@ -109,23 +113,47 @@ pub(super) fn load_suite(
         data,
         allowed,
     };
-    let loaded = cases.iter().map(|file| load_case(file, &folders));
-    let loaded: Vec<LoadedCase> = loaded.collect::<Result<_, _>>()?;
-    if let Some(lost) = goldens.iter().find(|g| loaded.iter().all(|l| l.case.name != **g)) {
+    let wanted = choose_cases(suite, &cases, chosen)?;
+    let mut loaded = Vec::with_capacity(wanted.len());
+    let mut models = Vec::new();
+    for file in &cases {
+        // What is wrong with a case that nobody asked for is not told; its files are the suite's all the same.
+        let case = match (load_case(file, &folders), wanted.contains(file.as_str())) {
+            (Ok(case), _) => case,
+            (Err(_), false) => continue,
+            (Err(e), true) => return Err(e),
+        };
+        models.extend(case.model_path().map(Path::to_owned));
+        if wanted.contains(file.as_str()) {
+            loaded.push(case);
+        }
+    }
+    if let Some(lost) = goldens.iter().find(|g| !cases.contains(&format!("{g}{CASE_SUFFIX}"))) {
         let path = suite.join(format!("{lost}{GOLDEN_SUFFIX}"));
         let problem = "is a golden without a case; delete it, or bring back its case";
         return Err(CliFailure::Input(format!("{} {problem}", path.display())));
     }
-    let notes = deeper.first().map(|first| {
+    let mut notes = Vec::new();
+    if loaded.len() < cases.len() {
+        notes.push(format!("{} of the suite's {} cases are run", loaded.len(), cases.len()));
+    }
+    notes.extend(deeper.first().map(|first| {
         let many = deeper.len();
         format!("cases in folders of the suite are not run, {many} are there, the first is {first}")
-    });
+    }));
     let mut files = folders.files.opened();
-    files.extend(loaded.iter().filter_map(LoadedCase::model_path).map(Path::to_owned));
+    files.extend(models.iter().cloned());
+    files.extend(cases.iter().map(|file| suite.join(file)));
+    files.extend(
+        goldens
+            .iter()
+            .map(|golden| suite.join(format!("{golden}{GOLDEN_SUFFIX}"))),
+    );
     Ok(LoadedSuite {
         files,
+        models,
         cases: loaded,
-        notes: notes.into_iter().collect(),
+        notes,
     })
 }
 

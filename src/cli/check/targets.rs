@@ -2,7 +2,9 @@
 
 use super::suite::LoadedSuite;
 use crate::cli::failure::CliFailure;
-use crate::cli::output_files::{OutputPermission, is_same_target};
+use crate::cli::input_files::folder_of;
+use crate::cli::model_files::read_model;
+use crate::cli::output_files::{OutputPermission, is_same_target, spare_companions};
 use std::path::{Path, PathBuf};
 
 /// Refuses reports that would replace a file of the suite or each other, and places where nothing can be written. Each report has the
@@ -29,6 +31,7 @@ pub(super) fn check_targets(
         if files.any(|file| is_same_target(file, path)) {
             return refuse("it is a file of the suite, which no report replaces; name another file".into());
         }
+        spare_models(path, &suite.models).map_err(|e| e.in_place(option))?;
     }
     for (_, path) in reports {
         permission.try_target(path)?;
@@ -36,6 +39,25 @@ pub(super) fn check_targets(
     if blesses {
         let goldens = permission.for_goldens();
         (suite.cases.iter()).try_for_each(|case| goldens.try_target(&case.golden_path))?;
+    }
+    Ok(())
+}
+
+/// Refuses a report that would replace a file that a model names beside itself.
+fn spare_models(report: &Path, models: &[PathBuf]) -> Result<(), CliFailure> {
+    // Only a file that is there can be one, and those of a model lie below its folder: no other model is read for it.
+    let Ok(report) = report.canonicalize() else {
+        return Ok(());
+    };
+    for model in models {
+        let folder = folder_of(model).canonicalize();
+        if !folder.is_ok_and(|folder| report.starts_with(folder)) {
+            continue;
+        }
+        // A model that cannot be read is told by its case.
+        if let Ok(files) = read_model(model) {
+            spare_companions(&report, model, &files)?;
+        }
     }
     Ok(())
 }

@@ -3,9 +3,9 @@
 use crate::check::CaseStatus;
 use crate::check::report::{self, SuiteReport};
 use crate::cli::failure::CliFailure;
+use crate::cli::json_output::{pretty_text, print_text};
 use crate::cli::output_files::OutputPermission;
 use clap::{ArgGroup, Args};
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Most failed cases that the last line names.
@@ -112,17 +112,14 @@ impl ReportArgs {
             return Ok(());
         }
         let document = report::json_report(report, self.pictures).map_err(CliFailure::Internal)?;
-        let text = serde_json::to_string_pretty(&document).map_err(|e| CliFailure::Internal(e.to_string()))?;
-        let text = text + "\n";
+        let text = pretty_text(&document)?;
         if let Some(path) = &self.report {
             write(path, text.as_bytes())?;
         }
-        if self.json {
-            let mut stdout = std::io::stdout();
-            let written = stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush());
-            written.map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))?;
+        match self.json {
+            true => print_text(&text),
+            false => Ok(()),
         }
-        Ok(())
     }
 }
 

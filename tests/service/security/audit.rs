@@ -177,6 +177,24 @@ async fn tells_who_did_what(folder: &Path, served: &[&str], audited: &[&str]) {
     assert_eq!(audit(&["--session", &id]), running[..12]);
     assert_eq!(audit(&["--since", "1h"]).len(), 13);
     assert_eq!(audit(&["--since", "2100-01-01T00:00:00Z"]).len(), 0);
+    // The server's own configuration says where it is.
+    let keys = served.chunks(2).map(|pair| {
+        let key = pair[0].trim_start_matches("--").replace('-', "_");
+        format!("{key} = {:?}\n", pair[1])
+    });
+    let kept = folder.join("kept.toml");
+    std::fs::write(&kept, keys.collect::<String>()).expect("written");
+    assert_eq!(audit_at(&["--config", kept.to_str().expect("UTF-8")]), running);
+    let mut nothing = Command::new(env!("CARGO_BIN_EXE_pliant"));
+    let nothing = nothing
+        .args(["audit", "--config", &config])
+        .env_remove("PLIANT_DATA_DIR");
+    let nothing = nothing.output().expect("it runs");
+    let told = String::from_utf8_lossy(&nothing.stderr).into_owned();
+    assert!(
+        nothing.status.code() == Some(2) && told.contains("sets neither data_dir nor database"),
+        "{told}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

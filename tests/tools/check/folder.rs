@@ -24,6 +24,16 @@ impl Ran {
         self.err.trim_end().lines().last().unwrap_or_default()
     }
 
+    /// Whether stdout says what the last line of stderr does, where a document was asked for, and nothing else.
+    pub fn tells_only_why(&self, asked: bool) -> bool {
+        if !asked {
+            return self.out.is_empty();
+        }
+        let error = &self.json()["error"];
+        let told = format!("pliant: {}", error["message"].as_str().unwrap_or_default());
+        error["exitCode"].as_i64() == self.code.map(i64::from) && told == self.last()
+    }
+
     /// The document on stdout.
     pub fn json(&self) -> serde_json::Value {
         serde_json::from_str(&self.out).unwrap_or_else(|e| panic!("{e}: {}{}", self.out, self.err))

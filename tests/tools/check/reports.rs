@@ -64,6 +64,34 @@ fn a_report_never_replaces_a_file_of_the_suite() {
 }
 
 #[test]
+fn a_report_never_replaces_a_file_that_a_model_names_beside_itself() {
+    let suite = Suite::new();
+    suite.still("bar", "plain.obj");
+    let bar = suite.read("plain.obj");
+    suite.write("bar.obj", &format!("mtllib bar.mtl\nusemtl skin\n{bar}"));
+    suite.write("bar.mtl", "newmtl skin\nmap_Kd skin.png\n");
+    suite.write("skin.png", "a picture");
+    let case = suite.read("bar.case.json").replace("plain.obj", "bar.obj");
+    suite.write("bar.case.json", &case);
+    suite.remove("plain.obj");
+    let before = contents(&suite);
+    for (option, file) in [("--junit", "bar.mtl"), ("--html", "skin.png"), ("--report", "bar.mtl")] {
+        let path = format!("suite/{file}");
+        let ran = suite.check(&[option, &path, "--force"]);
+        assert_refused(&ran, &[option, file, "bar.obj is made of it"]);
+        assert_eq!(contents(&suite), before, "{option} {file}");
+    }
+    // What only lies beside it is no part of it.
+    suite.write("old.html", "a page");
+    let ran = suite.check(&["--html", "suite/old.html", "--force"]);
+    assert!(
+        ran.err.contains("bar") && suite.read("old.html").contains("<html"),
+        "{}",
+        ran.err
+    );
+}
+
+#[test]
 fn two_reports_are_two_files() {
     let suite = Suite::new();
     suite.case("bar", "bar.obj");
