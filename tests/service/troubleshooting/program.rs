@@ -50,6 +50,7 @@ pub fn provoke() -> Vec<Said> {
     );
     fs::write(folder.path().join("figure.glb"), sample::figure_glb()).expect("written");
     write("chain.json", r#"{"create": {"rigidChains": ["tail"]}}"#);
+    write("plain.toml", "sessions = 4\n");
     write("slip.toml", "sessons = 4\n");
     write("time.toml", "ttl = \"15\"\n");
     let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
@@ -77,7 +78,36 @@ pub fn provoke() -> Vec<Said> {
     fs::create_dir_all(folder.path().join("half/objects/00")).expect("a folder");
     fs::write(folder.path().join("half/objects/00/object"), "").expect("written");
 
-    let cases: [(&'static str, &[&str]); 29] = [
+    fs::create_dir(folder.path().join("suite")).expect("a folder");
+    write("suite/bar.obj", &format!("mtllib bar.mtl\n{SQUARE}"));
+    write("suite/bar.mtl", "newmtl a\n");
+    write("suite/bend.case.json", r#"{"model": "bar.obj", "job": {}}"#);
+    write("suite/turn.case.json", r#"{"model": "bar.obj", "job": {}}"#);
+    for (report, more) in [("1.json", &["--shard", "1/2"][..]), ("all.json", &[])] {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_pliant"));
+        let program = program.args(["check", "suite", "--exit-zero", "--report", report]);
+        let done = program.args(more).current_dir(folder.path()).output().expect("it runs");
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    }
+
+    let cases: [(&'static str, &[&str]); 37] = [
+        (
+            "a report in place of a case",
+            &["check", "suite", "--html", "suite/turn.case.json", "--force"],
+        ),
+        (
+            "a report in place of a model's library",
+            &["check", "suite", "--html", "suite/bar.mtl", "--force"],
+        ),
+        ("a case that is none", &["check", "suite", "--case", "twist"]),
+        ("a shard that is missing", &["check", "--merge", "1.json"]),
+        ("a report of no shard", &["check", "--merge", "all.json"]),
+        (
+            "a primitive that is none",
+            &["render", "figure.glb", "-o", "p.png", "--primitive", "hat"],
+        ),
+        ("a token that is over", &["token", "studio", "--expires", "2001-01-31"]),
+        ("a configuration without a store", &["audit", "--config", "plain.toml"]),
         ("objects without a database", &["store", "prune", "--data-dir", "half"]),
         ("no folder of sessions", &["audit", "--data-dir", "nothing"]),
         ("a port that is taken", &["serve", "--listen", &here]),

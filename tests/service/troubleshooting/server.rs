@@ -308,6 +308,29 @@ async fn of_warnings() -> Vec<Said> {
         }
     };
     let without = warning(&sheet, "a surface without an inside", "no-volume-graph");
+    let square = "mtllib square.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n".to_owned();
+    let bare = server.open(square.clone()).await;
+    let library = warning(&bare, "an OBJ without its library", "library-missing");
+    let parts = [
+        ("model", "square.obj", square.as_str()),
+        ("companion", "square.mtl", "newmtl a\nmap_Kd rust.png\nbump bumps.png\n"),
+        ("companion", "bumps.png", "any"),
+    ];
+    let parts = parts.map(|(name, file, text)| {
+        format!("--edge\r\ncontent-disposition: form-data; name=\"{name}\"; filename=\"{file}\"\r\n\r\n{text}\r\n")
+    });
+    let opened = http()
+        .post(server.url("/v1/sessions"))
+        .header("content-type", "multipart/form-data; boundary=edge")
+        .body(parts.concat() + "--edge--\r\n");
+    let opened: Value = within("opened", opened.send())
+        .await
+        .expect("an answer")
+        .json()
+        .await
+        .expect("JSON");
+    let image = warning(&opened, "an OBJ without its picture", "image-missing");
+    let heights = warning(&opened, "a picture of heights", "bump-map");
     let id = server.bar_session().await;
     let over = json!({"handles": [
         {"id": "base", "region": {"halfSpace": {"normal": [0, 0, -1], "offset": -2}}},
@@ -322,7 +345,8 @@ async fn of_warnings() -> Vec<Said> {
         .json()
         .await
         .expect("JSON");
-    vec![without, warning(&set, "handles that overlap", "overlapping-handles")]
+    let overlap = warning(&set, "handles that overlap", "overlapping-handles");
+    vec![without, library, image, heights, overlap]
 }
 
 /// A server that must know who asks.
