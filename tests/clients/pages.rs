@@ -233,7 +233,11 @@ fn cookbook_for_the_web() {
         }
     }
     let arrows = checkout.path("target/arrows.png");
-    for (driver, page) in [("page.mjs", page), ("grip.mjs", checkout.path("target/dragger/dist"))] {
+    for (driver, page) in [
+        ("page.mjs", page),
+        ("grip.mjs", checkout.path("target/dragger/dist")),
+        ("player.mjs", checkout.path("target/player/dist")),
+    ] {
         let driver = root().join("tests/clients/viewer").join(driver);
         let mut node = Command::new("node");
         let done = node.arg(driver).arg(&page).arg(&arrows).output().expect("node runs");
