@@ -97,12 +97,13 @@ impl DerivedStructures {
         admit_bytes(estimate(vertices, nodes as u64) + files, limits, exec)?;
         let parts = MeshParts::find_parts(&topology, &mesh, options)?;
         let body = DeformableBody::build(&mesh, &body_options(&topology, &parts.families, options, limits), exec)?;
+        let thin = NeedlesAndCaps::find(&mesh, exec.pool);
         Ok(Self::new(
             TopologyLineage::from_built(id, topology),
-            mesh,
+            (mesh, thin),
             parts,
             (body, FollowedNodes::default()),
-            (options, exec),
+            options,
         ))
     }
 
@@ -137,13 +138,14 @@ impl DerivedStructures {
                     let graph_change = lists.as_mesh_change(&mesh.positions, &mesh.triangles);
                     let nodes = change.nodes.as_ref().map(|n| n.as_slice());
                     let follow = || self.body.follow(&graph_change, nodes, ties.as_ref(), exec);
-                    // Finding the parts takes one thread; what follows has work for the others.
-                    let (parts, followed) = exec.pool.install(|| rayon::join(|| parts_of(&mesh), follow));
+                    // Much of either takes one thread, and has work for the others now and then.
+                    let found = || (parts_of(&mesh), NeedlesAndCaps::find(&mesh, exec.pool));
+                    let ((parts, thin), followed) = exec.pool.install(|| rayon::join(found, follow));
                     let parts = MeshParts { parts, families };
-                    followed?.map(|followed| (step, followed, parts))
+                    followed?.map(|followed| (step, followed, (parts, thin)))
                 }
             };
-            if let Some((step, followed, parts)) = followed {
+            if let Some((step, followed, (parts, thin))) = followed {
                 let EditedBody {
                     body,
                     old_from_new,
@@ -160,7 +162,7 @@ impl DerivedStructures {
                     restart: change.carried,
                     inside: None,
                 };
-                return Ok(Self::new(lineage, mesh, parts, (body, nodes), (options, exec)));
+                return Ok(Self::new(lineage, (mesh, thin), parts, (body, nodes), options));
             }
         }
         let built = Self::build(id, Arc::clone(&change.topology), options, limits, exec)?;
@@ -196,14 +198,15 @@ impl DerivedStructures {
             let remade = remade.ok_or_else(|| Error::Internal("an edit cannot be followed again".into()))?;
             let mesh = path.topology.mesh(options.weld)?;
             let parts = MeshParts::find_parts(&path.topology, &mesh, options)?;
+            let thin = NeedlesAndCaps::find(&mesh, exec.pool);
             return Ok(Self {
                 lineage: Arc::clone(path),
                 ..Self::new(
                     TopologyLineage::from_built(path.id, Arc::clone(&path.topology)),
-                    mesh,
+                    (mesh, thin),
                     parts,
                     (remade.body, remade.nodes),
-                    (options, exec),
+                    options,
                 )
             });
         }
@@ -215,15 +218,15 @@ impl DerivedStructures {
 
     fn new(
         lineage: TopologyLineage,
-        mesh: Mesh,
+        (mesh, thin): (Mesh, NeedlesAndCaps),
         MeshParts { parts, families }: MeshParts,
         (body, followed): (DeformableBody, FollowedNodes),
-        (options, exec): (&OpenOptions, &Exec<'_>),
+        options: &OpenOptions,
     ) -> Self {
         Self {
             lineage: Arc::new(lineage),
             parts,
-            thin: NeedlesAndCaps::find(&mesh, exec.pool),
+            thin,
             families,
             mesh,
             body,

@@ -10,8 +10,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// A length is short below this share of the longest edge around it.
 const SHORT: f64 = 0.1;
 
-/// How often reaches are spread over the mesh, at most. An even mesh has nothing to spread.
-const SPREAD: usize = 8;
+/// Over how many edges in a row reaches are spread, at most. An even mesh has nothing to spread.
+const SPREAD: usize = 32;
 
 /// Triangles that one piece of work handles.
 const PIECE: usize = 1 << 13;
@@ -84,22 +84,19 @@ fn reaches(mesh: &Mesh) -> Vec<f64> {
         .into_iter()
         .map(|bits| f64::from_bits(bits.into_inner()))
         .collect();
-    let is_far = |(a, b, length): (usize, usize, f64)| reach[a] - length > reach[b] || reach[b] - length > reach[a];
-    if !triangles().any(|t| edges(t).into_iter().any(is_far)) {
-        return reach;
-    }
-    for _sweep in 0..SPREAD {
-        let mut is_settled = true;
-        for (a, b, length) in mesh.triangles.iter().flat_map(edges) {
-            for (from, to) in [(a, b), (b, a)] {
-                if reach[from] - length > reach[to] {
-                    reach[to] = reach[from] - length;
-                    is_settled = false;
-                }
-            }
-        }
-        if is_settled {
+    for _round in 0..SPREAD {
+        let raised_ends = |(a, b, length): (usize, usize, f64)| {
+            [(a, b), (b, a)].map(|(from, to)| (to, reach[from] - length, reach[to]))
+        };
+        let raised: Vec<(usize, f64)> = (triangles().flat_map_iter(edges).flat_map_iter(raised_ends))
+            .filter(|(_, left, now)| left > now)
+            .map(|(to, left, _)| (to, left))
+            .collect();
+        if raised.is_empty() {
             break;
+        }
+        for (to, left) in raised {
+            reach[to] = reach[to].max(left);
         }
     }
     reach
