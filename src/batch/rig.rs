@@ -111,8 +111,11 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
     })
 }
 
+/// Where a turn takes a point.
+type PointTurn = fn(DVec3) -> DVec3;
+
 /// Quarter turns, each with its words, that a figure may need which was made for other axes.
-const TURNS: [(&str, fn(DVec3) -> DVec3); 4] = [
+const TURNS: [(&str, PointTurn); 4] = [
     ("90 degrees about y", |p| DVec3::new(p.z, p.y, -p.x)),
     ("-90 degrees about y", |p| DVec3::new(-p.z, p.y, p.x)),
     ("-90 degrees about x", |p| DVec3::new(p.x, p.z, -p.y)),
