@@ -1,6 +1,5 @@
 //! Why a command ends badly, and with which exit code.
 
-use super::json_output::print_failure;
 use crate::wire::Error as WireError;
 use std::process::ExitCode;
 
@@ -36,9 +35,8 @@ impl CliFailure {
         }
     }
 
-    /// Says why in the last line of stderr and, with `--json`, on stdout.
+    /// Says why in the last line of stderr.
     pub(super) fn report_and_exit(&self) -> ExitCode {
-        print_failure(self);
         if !matches!(self, Self::Logged(_)) {
             eprintln!("pliant: {}", self.message());
         }

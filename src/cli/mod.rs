@@ -108,7 +108,7 @@ pub fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => failure.report_and_exit(),
+        Err(failure) => tell_and_exit(&failure),
     }
 }
 
@@ -121,13 +121,19 @@ fn answer_usage(problem: &clap::Error) -> ExitCode {
     }
     if problem.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let _ = problem.print();
-        return CliFailure::Input("no command is named; see above".into()).report_and_exit();
+        return tell_and_exit(&CliFailure::Input("no command is named; see above".into()));
     }
     let (reason, hints) = usage_reason(&problem.to_string());
     if !hints.is_empty() {
         eprintln!("{hints}\n");
     }
-    CliFailure::Input(reason).report_and_exit()
+    tell_and_exit(&CliFailure::Input(reason))
+}
+
+/// Says why a command has failed: on stdout too where `--json` asks for a document, and in the last line of stderr.
+fn tell_and_exit(failure: &CliFailure) -> ExitCode {
+    json_output::print_failure(failure);
+    failure.report_and_exit()
 }
 
 /// What is wrong with the arguments, in one line, which is the first paragraph of the parser's message, and its other paragraphs.

@@ -169,8 +169,15 @@ fn try_model(path: &Path, work: &Path) -> Result<String, String> {
         Some(2) if reason.is_empty() || out.exists() => {
             return Err("refused without a reason, or with an output".into());
         }
-        Some(2) if !stdout.trim().is_empty() => return Err("a refusal printed on stdout".into()),
-        Some(2) => return Ok(format!("refused: {}", reason.trim_start_matches("pliant: "))),
+        Some(2) => {
+            let reason = reason.trim_start_matches("pliant: ").trim_end();
+            let told: Option<serde_json::Value> = serde_json::from_str(&stdout).ok();
+            let error = json!({"error": {"kind": "input", "exitCode": 2, "message": reason}});
+            return match told == Some(error) {
+                true => Ok(format!("refused: {reason}")),
+                false => Err(format!("stdout does not tell the refusal \"{reason}\": {stdout}")),
+            };
+        }
         Some(0) => {}
         Some(code) => return Err(format!("exit code {code}: {reason}")),
     }
