@@ -1,28 +1,13 @@
 //! What a program reads on stdout when a command fails: with `--json` one document that says why, else nothing.
 
-use pliant::asset::{FileSet, Format, Limits, Model, sample};
+use crate::program::{pliant, workplace};
+use pliant::asset::{FileSet, Format, Limits, Model};
 use serde_json::Value;
 use std::fs;
-use std::path::Path;
-use std::process::Command;
-
-/// Runs the program; returns exit code, stdout and the last line of stderr.
-fn pliant(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
-    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(arguments)
-        .current_dir(folder)
-        .env_remove("PLIANT_DATA_DIR")
-        .output()
-        .expect("it runs");
-    let err = String::from_utf8_lossy(&done.stderr).into_owned();
-    let last = err.trim_end().lines().last().unwrap_or_default().to_owned();
-    (done.status.code(), String::from_utf8(done.stdout).expect("text"), last)
-}
 
 #[test]
 fn a_command_that_fails_says_why_in_the_document_that_was_asked_for() {
-    let folder = tempfile::tempdir().expect("a folder");
-    fs::write(folder.path().join("creature.glb"), sample::creature_glb()).expect("written");
+    let folder = workplace();
     fs::write(folder.path().join("job.json"), r#"{"handels": []}"#).expect("written");
     let cases: [(&[&str], &str); 6] = [
         (
@@ -57,8 +42,7 @@ fn a_command_that_fails_says_why_in_the_document_that_was_asked_for() {
 
 #[test]
 fn a_check_that_does_not_hold_tells_its_report_and_nothing_more() {
-    let folder = tempfile::tempdir().expect("a folder");
-    fs::write(folder.path().join("creature.glb"), sample::creature_glb()).expect("written");
+    let folder = workplace();
     let job = r#"{"expect": {"digest": "xxh3:0000000000000000"}}"#;
     fs::write(folder.path().join("job.json"), job).expect("written");
     let arguments = ["deform", "creature.glb", "--job", "job.json", "-o", "out.glb", "--json"];

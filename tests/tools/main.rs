@@ -8,9 +8,11 @@ mod cli;
 mod failures;
 mod floors;
 mod followed;
+mod inspections;
 mod named_files;
 mod outputs;
 mod parts;
+mod program;
 mod render;
 mod source;
 #[path = "../support/mod.rs"]

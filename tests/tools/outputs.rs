@@ -392,3 +392,42 @@ fn real_models_keep_every_image() {
         }
     }
 }
+
+/// Writes the figure as fox.gltf, whose buffer is in a file of this name.
+fn figure_beside(folder: &Path, buffer: &str) {
+    let glb = sample::figure_glb();
+    let length_at = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().expect("four bytes")) as usize;
+    let json_end = 20 + length_at(12);
+    let mut document: Value = serde_json::from_slice(&glb[20..json_end]).expect("JSON");
+    document["buffers"][0]["uri"] = buffer.into();
+    fs::write(folder.join("fox.gltf"), document.to_string()).expect("written");
+    let bytes = &glb[json_end + 8..json_end + 8 + length_at(json_end)];
+    fs::write(folder.join(buffer), bytes).expect("written");
+}
+
+#[test]
+fn nothing_that_is_written_replaces_a_file_of_its_model() {
+    let still = r#"{"handles": [{"id": "a", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 0}}}]}"#;
+    let animate = ["animate", "fox.gltf", "--clip", "walk", "--frames", "0:2", "-o"];
+    let ways: [(&str, &[&str]); 5] = [
+        ("fox.pc2", &animate),
+        ("fox.png", &animate),
+        ("fox.glb", &animate),
+        ("fox.obj", &["deform", "fox.gltf", "--job", "job.json", "-o"]),
+        (
+            "fox.png",
+            &["rig", "fox.gltf", "--preset", "cmu", "-o", "rig.json", "--picture"],
+        ),
+    ];
+    for (buffer, way) in ways {
+        let folder = tempfile::tempdir().expect("a folder");
+        fs::write(folder.path().join("job.json"), still).expect("written");
+        figure_beside(folder.path(), buffer);
+        let before = files_in(folder.path());
+        let wanted = format!("fox.gltf is made of it, as \"{buffer}\"");
+        refused(folder.path(), &[way, &[buffer, "--force"]].concat(), &wanted);
+        assert_eq!(files_in(folder.path()), before, "{way:?}");
+        // Beside it there is room.
+        done(folder.path(), &[way, &[&format!("new-{buffer}")]].concat());
+    }
+}

@@ -105,6 +105,7 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
         recorded,
         identity,
     } = args.sources()?;
+    output.spare_companions_of(&args.model, &files)?;
     let spinner = StageSpinner::new(args.json);
     let exec = Exec::new(&pool, &spinner);
     let clock = Instant::now();

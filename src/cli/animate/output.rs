@@ -5,9 +5,9 @@ use super::numbered::NumberedFrames;
 use super::picture_args::{FramePicture, FramePictureArgs};
 use super::pictures::PicturedFrames;
 use super::taken_frames::{FrameTaker, MeasuredFrames, PlayedAnimation};
-use crate::asset::{Format, VertexCache};
+use crate::asset::{FileSet, Format, VertexCache};
 use crate::cli::failure::CliFailure;
-use crate::cli::output_files::OutputPermission;
+use crate::cli::output_files::{OutputPermission, spare_companions};
 use crate::motion::decomposition::DecompositionOptions;
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
@@ -275,6 +275,15 @@ fn usd_ending(name: &str) -> Option<String> {
 }
 
 impl AnimationOutput {
+    /// Refuses a place where a file of the model itself lies. Numbered models look for that themselves, one by one.
+    pub(super) fn spare_companions_of(&self, model: &Path, read: &FileSet) -> Result<(), CliFailure> {
+        match &self.kind {
+            OutputKind::Gathered(path, _) => spare_companions(path, model, read),
+            OutputKind::Pictured(picture) => spare_companions(&picture.path, model, read),
+            OutputKind::Nothing | OutputKind::Numbered(..) => Ok(()),
+        }
+    }
+
     /// Begins to write, or goes on with what is there.
     pub(super) fn begin<'a>(&self, played: PlayedAnimation<'a>) -> Result<Box<dyn FrameTaker + 'a>, CliFailure> {
         Ok(match &self.kind {

@@ -3,18 +3,9 @@
  * ring. The server that it talks to is written in it.
  */
 
-import assert from "node:assert/strict";
-import { BROWSER, launch, saysWhenAway } from "./browser.mjs";
-import { serveFolder } from "./folder.mjs";
+import { onBuiltPage, PATIENCE_MS } from "./built_page.mjs";
 
 const [folder, picture] = process.argv.slice(2);
-/** No step takes this long unless something hangs. */
-const PATIENCE_MS = 180_000;
-
-if (BROWSER === undefined) {
-  console.log("SKIPPED: Chromium is not installed; the page was not opened");
-  process.exit(0);
-}
 
 /** Where pixels of a picture are of a colour: three ranges. */
 async function places(page, ranges) {
@@ -41,15 +32,7 @@ const GREEN = [[0, 90], [200, 255], [0, 90]];
 const CREATURE = [[60, 175], [70, 190], [110, 255]];
 const top = (found) => found.reduce((a, b) => (b.y < a.y ? b : a), { y: Infinity });
 
-const files = await serveFolder(folder);
-const browser = await launch();
-try {
-  await saysWhenAway(browser, files.url);
-  const page = await browser.newPage();
-  page.setDefaultTimeout(PATIENCE_MS);
-  const complaints = [];
-  page.on("pageerror", (error) => complaints.push(String(error)));
-  await page.goto(files.url);
+await onBuiltPage(folder, "the page", async ({ page, complaints }) => {
   const deadline = Date.now() + PATIENCE_MS;
   let arrow = [];
   while (arrow.length < 20) {
@@ -78,9 +61,5 @@ try {
   for (let k = 1; k <= 20; k++) await page.mouse.move(x + ring.x + 3 * k, y + ring.y);
   await page.mouse.up();
   await page.waitForFunction(() => document.title === "Revision 4");
-  assert.deepEqual(complaints, []);
-  console.log("pulled by an arrow and turned by a ring");
-} finally {
-  await browser.close();
-  files.stop();
-}
+  return "pulled by an arrow and turned by a ring";
+});

@@ -3,28 +3,11 @@
  * says. The server that it talks to is written in it.
  */
 
-import assert from "node:assert/strict";
-import { BROWSER, launch, saysWhenAway } from "./browser.mjs";
-import { serveFolder } from "./folder.mjs";
+import { onBuiltPage } from "./built_page.mjs";
 
 const [folder] = process.argv.slice(2);
-/** No step takes this long unless something hangs. */
-const PATIENCE_MS = 180_000;
 
-if (BROWSER === undefined) {
-  console.log("SKIPPED: Chromium is not installed; the page was not opened");
-  process.exit(0);
-}
-
-const files = await serveFolder(folder);
-const browser = await launch();
-try {
-  await saysWhenAway(browser, files.url);
-  const page = await browser.newPage();
-  page.setDefaultTimeout(PATIENCE_MS);
-  const complaints = [];
-  page.on("pageerror", (error) => complaints.push(String(error)));
-  await page.goto(files.url);
+await onBuiltPage(folder, "the page", async ({ page }) => {
   await page.waitForFunction(() => {
     const canvas = document.querySelector("canvas");
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -39,9 +22,5 @@ try {
   await page.mouse.up();
   await page.waitForFunction(() => document.title === "Revision 3");
   await page.waitForFunction((was) => document.querySelector("canvas").toDataURL() !== was, before);
-  assert.deepEqual(complaints, []);
-  console.log(`dragged; the page says: ${await page.locator("p").innerText()}`);
-} finally {
-  await browser.close();
-  files.stop();
-}
+  return `dragged; the page says: ${await page.locator("p").innerText()}`;
+});
