@@ -55,6 +55,21 @@ impl Parallelism {
         }
     }
 
+    /// The same with scratch that `scratch` makes once per piece of work.
+    pub(crate) fn for_each_with<S>(
+        self,
+        range: Range<usize>,
+        scratch: impl Fn() -> S + Sync + Send,
+        body: impl Fn(&mut S, usize) + Sync + Send,
+    ) {
+        if self.is_parallel && range.len() > 1 {
+            range.into_par_iter().with_min_len(4).for_each_init(scratch, body);
+        } else {
+            let mut s = scratch();
+            range.for_each(|i| body(&mut s, i));
+        }
+    }
+
     /// Calls `body` for every number of `range` with scratch that `scratch` makes once per piece of work; results in
     /// the order of the range.
     pub(crate) fn map<S, R: Send>(

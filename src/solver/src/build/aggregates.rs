@@ -8,6 +8,9 @@ use crate::threads::{Parallelism, piece_count, piece_rows};
 /// Groups that one piece of work gathers.
 const SEED_PIECE: usize = 1024;
 
+/// Groups whose seeds' rows are asked of memory before they are needed.
+const AHEAD: usize = 8;
+
 /// How the rows of a level were grouped, which a repair goes on with.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct AggregationRule {
@@ -84,6 +87,9 @@ impl Aggregates {
                 let mut ends = Vec::with_capacity(range.len());
                 let mut used = 0;
                 for group in range {
+                    if let Some(&later) = seeds.get(group + AHEAD) {
+                        draft.prefetch_row(later as usize);
+                    }
                     let seed = seeds[group];
                     members[used] = seed;
                     used += 1;

@@ -24,16 +24,32 @@ struct SliceKey {
 /// Numbers of neighbours above this one count as equal in the sort.
 const WIDEST: u32 = 255;
 
+/// Neighbours of a row that come before it in its block are read in runs of this length, filled up with [`PADDING`]: how many
+/// there are need not be guessed, for most rows have one run.
+const RUN: usize = 8;
+/// Stands for no row: it has no colour and comes before none.
+const PADDING: u16 = MOST_ROWS as u16;
+/// Length of arrays by row and padding; indices are cut to it, which needs no check.
+const ROOM: usize = 2 * MOST_ROWS;
+
 /// Scratch for ordering the rows of one block. Rows are numbered from the first of the block.
 pub(crate) struct SlicePlanner {
+    /// Neighbours inside the block with a smaller number, row by row in whole runs. In a symmetric graph that is every edge once.
+    smaller: Vec<[u16; RUN]>,
+    /// Where the runs of each row begin, and their number.
+    runs: Vec<u32>,
+    /// A bit for the colour of each row; none for rows without one, and for padding.
+    colour_bits: [u64; ROOM],
     colours: [u8; MOST_ROWS],
     /// Classes are swept one after the other; rows of one class are not adjacent.
-    classes: [u16; MOST_ROWS],
+    classes: [u16; ROOM],
     /// Neighbours of each row that are swept before it, at first only those in blocks before this one.
-    before: Vec<u32>,
+    before: [u32; ROOM],
+    /// Rows of the block.
+    rows: usize,
     /// Left-over rows in bundles of their own.
     rest: Vec<[u16; SLICE_ROWS]>,
-    stamps: Vec<u16>,
+    stamps: [u16; ROOM],
     keys: Vec<SliceKey>,
     spare: Vec<SliceKey>,
     tally: Vec<u16>,
@@ -43,14 +59,24 @@ pub(crate) struct SlicePlanner {
 /// No row in this place of a bundle.
 const EMPTY: u16 = u16::MAX;
 
+/// A row or padding as an index into arrays of [`ROOM`].
+#[inline(always)]
+fn at(j: u16) -> usize {
+    usize::from(j) % ROOM
+}
+
 impl SlicePlanner {
     pub(crate) fn new() -> SlicePlanner {
         SlicePlanner {
+            smaller: Vec::new(),
+            runs: Vec::new(),
+            colour_bits: [0; ROOM],
             colours: [NO_COLOUR; MOST_ROWS],
-            classes: [0; MOST_ROWS],
-            before: Vec::new(),
+            classes: [0; ROOM],
+            before: [0; ROOM],
+            rows: 0,
             rest: Vec::new(),
-            stamps: Vec::new(),
+            stamps: [EMPTY; ROOM],
             keys: Vec::new(),
             spare: Vec::new(),
             tally: Vec::new(),
@@ -69,34 +95,25 @@ impl SlicePlanner {
         slots: &mut [u32],
     ) -> Vec<[u32; 2]> {
         let range = blocks.range(b);
-        let shift = blocks.size.trailing_zeros();
-        let (mask, own) = (blocks.size as u32 - 1, b as u32);
-        let row = |k: usize| draft.row(range.start + k);
-        let inside = |j: u32| (j >> shift == own, (j & mask) as usize % MOST_ROWS);
-        let here = places[b];
-        let outer = |j: u32| u32::from(places[(j >> shift) as usize] < here);
-        self.colour(row, range.len(), inside, outer);
-        self.bundle_rest(row, range.len(), inside);
+        self.split_neighbours(draft, blocks, places, b);
+        self.colour();
+        self.bundle_rest(&draft.offsets[range.start..=range.end], &draft.neighbours, range.start as u32);
+        self.count_before();
 
         // Inside a class, rows with equal numbers of neighbours before and after them come together; every second
         // group runs backwards, so that its neighbours in the list are alike too.
         self.keys.clear();
-        for k in 0..range.len() {
-            let class = self.classes[k];
-            let earlier = |&j: &u32| {
-                let (inside, j) = inside(j);
-                u32::from(inside & (self.classes[j] < class))
-            };
-            let before = self.before[k] + row(k).iter().map(earlier).sum::<u32>();
-            let after = row(k).len() as u32 - before;
-            self.before[k] = before;
+        let lengths = draft.offsets[range.start..=range.end].windows(2).map(|w| w[1] - w[0]);
+        for ((k, length), (&class, &before)) in (0..).zip(lengths).zip(self.classes.iter().zip(&self.before)) {
+            // As many as there are, where the graph is symmetric as promised.
+            let after = length.saturating_sub(before);
             let (before, after) = (before.min(WIDEST), after.min(WIDEST));
             let after = if before % 2 == 1 { WIDEST - after } else { after };
             self.keys.push(SliceKey {
                 class,
                 before: before as u8,
                 after: after as u8,
-                row: k as u16,
+                row: k,
             });
         }
         self.sort_keys();
@@ -111,7 +128,7 @@ impl SlicePlanner {
             slots[k] = ((widths.len() - 1) * SLICE_ROWS + filled) as u32;
             filled += 1;
             let before = self.before[k];
-            let after = row(k).len() as u32 - before;
+            let after = (draft.row(range.start + k).len() as u32).saturating_sub(before);
             if let Some(width) = widths.last_mut() {
                 *width = [width[0].max(before), width[1].max(after)];
             }
@@ -119,101 +136,143 @@ impl SlicePlanner {
         widths
     }
 
+    /// Writes down the neighbours inside block `b` that come before each row, and counts those in blocks before it.
+    fn split_neighbours(&mut self, draft: &LevelDraft, blocks: &RowBlocks, places: &[u32], b: usize) {
+        let range = blocks.range(b);
+        let shift = blocks.size.trailing_zeros();
+        let (first, here) = (range.start as u32, places[b]);
+        self.rows = range.len();
+        let entries = draft.offsets[range.start] as usize..draft.offsets[range.end] as usize;
+        // A run more than each row needs, since whoever does not count is written too.
+        let most = entries.len() / RUN + 2 * range.len();
+        if self.smaller.len() < most {
+            self.smaller.resize(most, [PADDING; RUN]);
+        }
+        self.runs.clear();
+        let mut used = 0;
+        for (k, i) in (0..).zip(range) {
+            let row = draft.row(i);
+            let smaller = self.smaller[used..].as_flattened_mut();
+            let (mut count, mut before) = (0, 0);
+            for &j in row {
+                let local = j.wrapping_sub(first);
+                smaller[count] = local as u16;
+                count += usize::from(local < k);
+                before += u32::from(places[(j >> shift) as usize] < here);
+            }
+            smaller[count..count + RUN].fill(PADDING);
+            self.runs.push(used as u32);
+            self.before[at(k as u16)] = before;
+            used += count.div_ceil(RUN);
+        }
+        self.runs.push(used as u32);
+    }
+
+    /// Adds to the neighbours before each row those inside the block, which are of smaller classes.
+    fn count_before(&mut self) {
+        for k in 0..self.rows {
+            let class = u32::from(self.classes[at(k as u16)]);
+            let mut before = 0;
+            for run in &self.smaller[self.runs[k] as usize..self.runs[k + 1] as usize] {
+                for &j in run {
+                    // The sign of the difference, and no question. Padding is of the largest class.
+                    let other = u32::from(self.classes[at(j)]);
+                    before += other.wrapping_sub(class) >> 31;
+                    self.before[at(j)] += class.wrapping_sub(other) >> 31;
+                }
+            }
+            self.before[at(k as u16)] += before;
+        }
+    }
+
     /// Sorts by class, then by neighbours before, then by neighbours after; equal keys keep their order.
     fn sort_keys(&mut self) {
-        let pass =
-            |from: &[SliceKey], to: &mut Vec<SliceKey>, counts: &mut Vec<u16>, digit: &dyn Fn(&SliceKey) -> usize| {
-                counts.clear();
-                for key in from {
-                    let d = digit(key);
-                    if counts.len() <= d + 1 {
-                        counts.resize(d + 2, 0);
-                    }
-                    counts[d + 1] += 1;
-                }
-                for d in 1..counts.len() {
-                    counts[d] += counts[d - 1];
-                }
-                to.clear();
-                to.resize(from.len(), SliceKey::default());
-                for key in from {
-                    let slot = &mut counts[digit(key)];
-                    to[usize::from(*slot)] = *key;
-                    *slot += 1;
-                }
-            };
-        pass(&self.keys, &mut self.spare, &mut self.tally, &|k| usize::from(k.after));
-        pass(&self.spare, &mut self.keys, &mut self.tally, &|k| usize::from(k.before));
-        pass(&self.keys, &mut self.spare, &mut self.tally, &|k| usize::from(k.class));
+        fn pass(
+            from: &[SliceKey],
+            to: &mut Vec<SliceKey>,
+            counts: &mut Vec<u16>,
+            digits: usize,
+            digit: impl Fn(&SliceKey) -> usize,
+        ) {
+            counts.clear();
+            counts.resize(digits + 1, 0);
+            for key in from {
+                counts[digit(key) + 1] += 1;
+            }
+            for d in 1..counts.len() {
+                counts[d] += counts[d - 1];
+            }
+            to.clear();
+            to.resize(from.len(), SliceKey::default());
+            for key in from {
+                let slot = &mut counts[digit(key)];
+                to[usize::from(*slot)] = *key;
+                *slot += 1;
+            }
+        }
+        const WIDTHS: usize = WIDEST as usize + 1;
+        let classes = 1 + usize::from(NO_COLOUR) + self.rest.len();
+        pass(&self.keys, &mut self.spare, &mut self.tally, WIDTHS, |k| usize::from(k.after));
+        pass(&self.spare, &mut self.keys, &mut self.tally, WIDTHS, |k| usize::from(k.before));
+        pass(&self.keys, &mut self.spare, &mut self.tally, classes, |k| usize::from(k.class));
         std::mem::swap(&mut self.keys, &mut self.spare);
     }
 
-    /// Colours the rows greedily in their order, and counts neighbours that `outer` says are in blocks before this one.
-    fn colour<'r>(
-        &mut self,
-        row: impl Fn(usize) -> &'r [u32],
-        rows: usize,
-        inside: impl Fn(u32) -> (bool, usize),
-        outer: impl Fn(u32) -> u32,
-    ) {
-        self.before.clear();
-        self.colours.fill(NO_COLOUR);
+    /// Colours the rows greedily in their order.
+    fn colour(&mut self) {
+        self.colour_bits.fill(0);
         self.counts.fill(0);
-        for k in 0..rows {
-            let mut taken = 0u64;
-            let mut before = 0;
-            for &j in row(k) {
-                before += outer(j);
-                let (inside, j) = inside(j);
-                taken |= 1 << if inside { self.colours[j] } else { NO_COLOUR };
-            }
-            self.before.push(before);
+        for k in 0..self.rows {
+            let runs = &self.smaller[self.runs[k] as usize..self.runs[k + 1] as usize];
+            let bits = |taken: u64, run: &[u16; RUN]| run.map(|j| self.colour_bits[at(j)]).iter().fold(taken, |a, b| a | b);
+            let taken = runs.iter().fold(0, bits);
             let colour = ((!taken).trailing_zeros() as u8).min(LAST_COLOUR);
-            self.colours[k] = colour;
+            self.colour_bits[k % MOST_ROWS] = 1 << colour;
+            self.colours[k % MOST_ROWS] = colour;
             self.counts[usize::from(colour)] += 1;
         }
     }
 
     /// Takes out of each colour what does not fill a bundle and bundles these rows as far as they are not adjacent.
     /// Every such bundle becomes a class of its own after all colours.
-    fn bundle_rest<'r>(
-        &mut self,
-        row: impl Fn(usize) -> &'r [u32],
-        rows: usize,
-        inside: impl Fn(u32) -> (bool, usize),
-    ) {
+    fn bundle_rest(&mut self, offsets: &[u32], neighbours: &[u32], first: u32) {
+        let rows = self.rows;
         for (colour, count) in self.counts.iter_mut().enumerate() {
             if colour != usize::from(LAST_COLOUR) {
                 *count %= SLICE_ROWS as u16;
             }
         }
-        self.classes = self.colours.map(u16::from);
+        self.classes.fill(u16::MAX);
+        for (class, &colour) in self.classes.iter_mut().zip(&self.colours[..rows]) {
+            *class = u16::from(colour);
+        }
         self.rest.clear();
-        self.stamps.clear();
-        self.stamps.resize(rows, EMPTY);
+        self.stamps.fill(EMPTY);
         for k in (0..rows).rev() {
             let count = &mut self.counts[usize::from(self.colours[k])];
             if *count == 0 {
                 continue;
             }
             *count -= 1;
-            for (_, j) in row(k).iter().map(|&j| inside(j)).filter(|(inside, _)| *inside) {
-                self.stamps[j] = k as u16;
+            for &j in &neighbours[offsets[k] as usize..offsets[k + 1] as usize] {
+                // Those outside the block are no row of it.
+                let local = j.wrapping_sub(first).min(u32::from(PADDING));
+                self.stamps[at(local as u16)] = k as u16;
             }
-            let first = self.rest.len().saturating_sub(OPEN_BUNDLES);
+            let latest = self.rest.len().saturating_sub(OPEN_BUNDLES);
             let fits = |bundle: &[u16; SLICE_ROWS]| {
-                let apart = |&m: &u16| m == EMPTY || self.stamps[usize::from(m)] != k as u16;
+                let apart = |&m: &u16| m == EMPTY || self.stamps[at(m)] != k as u16;
                 bundle[SLICE_ROWS - 1] == EMPTY && bundle.iter().all(apart)
             };
-            let at = self.rest[first..].iter().position(fits).map(|at| first + at);
-            let at = at.unwrap_or_else(|| {
+            let open = self.rest[latest..].iter().position(fits).map(|open| latest + open);
+            let open = open.unwrap_or_else(|| {
                 self.rest.push([EMPTY; SLICE_ROWS]);
                 self.rest.len() - 1
             });
-            if let Some(place) = self.rest[at].iter_mut().find(|m| **m == EMPTY) {
+            if let Some(place) = self.rest[open].iter_mut().find(|m| **m == EMPTY) {
                 *place = k as u16;
             }
-            self.classes[k] = (usize::from(NO_COLOUR) + 1 + at) as u16;
+            self.classes[k] = (usize::from(NO_COLOUR) + 1 + open) as u16;
         }
     }
 }

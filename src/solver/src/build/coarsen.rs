@@ -119,42 +119,64 @@ fn nearest_seeds(draft: &LevelDraft, blocks: &RowBlocks, reach2: f32, threads: P
             .collect(),
     };
     let covered: Vec<AtomicBool> = (0..n).map(|_| AtomicBool::new(false)).collect();
-    // Cost in the upper half, seed in the lower one: the order of these numbers is that of costs, then of seeds.
     let offers: Vec<AtomicU64> = (0..n).map(|_| AtomicU64::new(u64::MAX)).collect();
+    let told = ToldNeighbours { covered, offers, weak, reach2 };
     for c in blocks.colours.windows(2) {
         threads.for_each(c[0] as usize..c[1] as usize, |k| {
             for i in blocks.range(blocks.by_colour[k] as usize) {
-                if !draft.connected(i) || covered[i].load(Ordering::Relaxed) {
+                if !draft.connected(i) || told.covered[i].load(Ordering::Relaxed) {
                     continue;
                 }
-                offers[i].store(i as u64, Ordering::Relaxed);
-                let here = if placed { draft.positions[i] } else { Lanes::ZERO };
-                for e in draft.entries(i) {
-                    let (j, w) = (draft.neighbours[e] as usize, draft.weight(e));
-                    let length2 = if placed {
-                        distance2(here, draft.positions[j])
-                    } else {
-                        1.0
-                    };
-                    // Rows before this one have had their turn: what they hear now changes nothing.
-                    if (!placed || length2 <= reach2) && weak.get(j).is_none_or(|weak| w >= *weak) {
-                        covered[j].store(true, Ordering::Relaxed);
-                    }
-                    let cost = (length2 / w).min(f32::MAX);
-                    // Above every cost of a seed to itself.
-                    let offer = (u64::from(cost.to_bits()) + 1) << 32 | i as u64;
-                    if offer < offers[j].load(Ordering::Relaxed) {
-                        if threads.parallel() {
-                            offers[j].fetch_min(offer, Ordering::Relaxed);
-                        } else {
-                            offers[j].store(offer, Ordering::Relaxed);
-                        }
-                    }
+                match (&draft.weights, placed) {
+                    (None, true) => told.take_seed::<false, true>(draft, i, threads),
+                    (Some(_), true) => told.take_seed::<true, true>(draft, i, threads),
+                    (None, false) => told.take_seed::<false, false>(draft, i, threads),
+                    (Some(_), false) => told.take_seed::<true, false>(draft, i, threads),
                 }
             }
         });
     }
+    let offers = told.offers;
     offers.into_iter().map(|offer| offer.into_inner() as u32).collect()
+}
+
+/// What rows have heard from seeds.
+struct ToldNeighbours {
+    /// Whether a seed is near.
+    covered: Vec<AtomicBool>,
+    /// Cost in the upper half, seed in the lower one: the order of these numbers is that of costs, then of seeds.
+    offers: Vec<AtomicU64>,
+    /// The weight below which an edge covers nothing; empty where there are no weights.
+    weak: Vec<f32>,
+    reach2: f32,
+}
+
+impl ToldNeighbours {
+    /// Makes row `i` a seed, which tells its neighbours.
+    #[inline(always)]
+    fn take_seed<const WEIGHTED: bool, const PLACED: bool>(&self, draft: &LevelDraft, i: usize, threads: Parallelism) {
+        self.offers[i].store(i as u64, Ordering::Relaxed);
+        let at = |i: usize| if PLACED { draft.positions[i] } else { Lanes::ZERO };
+        let here = at(i);
+        for e in draft.entries(i) {
+            let (j, w) = (draft.neighbours[e] as usize, if WEIGHTED { draft.weight(e) } else { 1.0 });
+            let length2 = if PLACED { distance2(here, at(j)) } else { 1.0 };
+            // Rows before this one have had their turn: what they hear now changes nothing.
+            let near = !PLACED || length2 <= self.reach2;
+            if near & (!WEIGHTED || w >= self.weak[j]) {
+                self.covered[j].store(true, Ordering::Relaxed);
+            }
+            let cost = if WEIGHTED { length2 / w } else { length2 }.min(f32::MAX);
+            // Above every cost of a seed to itself.
+            let offer = (u64::from(cost.to_bits()) + 1) << 32 | i as u64;
+            let best = self.offers[j].load(Ordering::Relaxed);
+            if !threads.parallel() {
+                self.offers[j].store(best.min(offer), Ordering::Relaxed);
+            } else if offer < best {
+                self.offers[j].fetch_min(offer, Ordering::Relaxed);
+            }
+        }
+    }
 }
 
 /// Greedy pairing along the heaviest edges, for graphs where seeds hardly thin out (stars, edges of very different

@@ -4,7 +4,7 @@
 
 use bytemuck::zeroed_vec;
 
-use crate::lanes::{Lanes, SharedRows};
+use crate::lanes::{Lanes, SharedRows, prefetch};
 use crate::storage::NO_ROW;
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
@@ -33,6 +33,9 @@ pub(crate) struct LevelDraft {
     /// Positions in the unit box, or empty.
     pub(crate) positions: Vec<Lanes>,
 }
+
+/// Rows that are asked of memory before they are copied.
+const AHEAD: usize = 16;
 
 impl LevelDraft {
     /// Copies `rows` in the order of `sequence`.
@@ -95,7 +98,18 @@ impl LevelDraft {
             // SAFETY: as above.
             let lengths = unsafe { offsets.rows(range.clone()) };
             let mut to = 0;
-            for (&i, length) in sequence[range].iter().zip(lengths) {
+            for (at, length) in range.zip(lengths) {
+                if let Some(&later) = sequence.get(at + 2 * AHEAD) {
+                    prefetch(rows.offsets, later as usize);
+                }
+                if let Some(&later) = sequence.get(at + AHEAD) {
+                    let entries = rows.offsets[later as usize] as usize..rows.offsets[later as usize + 1] as usize;
+                    prefetch_both_ends(rows.neighbours, &entries);
+                    if let Some(weights) = rows.weights {
+                        prefetch_both_ends(weights, &entries);
+                    }
+                }
+                let i = sequence[at];
                 *length = bases[k] + to as u32;
                 let from = rows.offsets[i as usize] as usize..rows.offsets[i as usize + 1] as usize;
                 if let (Some(out), Some(w)) = (out_weights.as_deref_mut(), rows.weights) {
@@ -103,10 +117,12 @@ impl LevelDraft {
                         *out = w * rows.scale;
                     }
                 }
-                for (out, &j) in out[to..].iter_mut().zip(&rows.neighbours[from.clone()]) {
-                    *out = ranks[j as usize];
-                }
+                out[to..to + from.len()].copy_from_slice(&rows.neighbours[from.clone()]);
                 to += from.len();
+            }
+            // All at once: whoever asks nothing in between waits for many of them at the same time.
+            for j in out {
+                *j = ranks[*j as usize];
             }
         });
         draft
@@ -128,6 +144,16 @@ impl LevelDraft {
         &self.neighbours[self.entries(i)]
     }
 
+    /// Asks memory for the neighbours of row `i`, and their weights.
+    #[inline(always)]
+    pub(crate) fn prefetch_row(&self, i: usize) {
+        let entries = self.entries(i);
+        prefetch_both_ends(&self.neighbours, &entries);
+        if let Some(weights) = &self.weights {
+            prefetch_both_ends(weights, &entries);
+        }
+    }
+
     #[inline(always)]
     pub(crate) fn weight(&self, entry: usize) -> f32 {
         self.weights.as_ref().map_or(1.0, |w| w[entry])
@@ -138,6 +164,13 @@ impl LevelDraft {
     pub(crate) fn connected(&self, i: usize) -> bool {
         self.offsets[i] < self.offsets[i + 1]
     }
+}
+
+/// Asks memory for entries that lie in two lines of a cache at most, as those of nearly all rows do.
+#[inline(always)]
+fn prefetch_both_ends<T>(all: &[T], entries: &std::ops::Range<usize>) {
+    prefetch(all, entries.start);
+    prefetch(all, entries.end);
 }
 
 /// Blocks of consecutive rows of a [`LevelDraft`], coloured so that two blocks of one colour are not adjacent.

@@ -131,7 +131,20 @@ pub(crate) fn append_rows(
     ranks
 }
 
+/// Scratch for copying one block.
+#[derive(Default)]
+struct BlockScratch {
+    /// Where the entries of each row begin and end in `renamed`; filling has none.
+    rows_from: Vec<[u32; 2]>,
+    /// The block's entries as the level's rows. Renaming all at once asks nothing, so that the processor waits for many of them
+    /// at the same time.
+    renamed: Vec<u32>,
+}
+
 /// Copies the draft block by block into bundles, renames neighbours and puts those before each row first.
+///
+/// Rows go in the order of bundles, where those that follow one another have nearly always the same numbers of neighbours: how
+/// long the next row is need not be guessed.
 fn copy_into_slices(
     level: &mut HierarchyLevel,
     first_block: usize,
@@ -145,33 +158,41 @@ fn copy_into_slices(
     let diagonal = SharedRows::new(&mut level.diagonal);
     let neighbours = SharedRows::new(&mut level.neighbours);
     let weights = level.weights.as_mut().map(|w| SharedRows::new(w));
-    threads.for_each(0..blocks.by_colour.len(), |k| {
+    threads.for_each_with(0..blocks.by_colour.len(), BlockScratch::default, |scratch, k| {
         let rows = block_rows[k] as usize..block_rows[k + 1] as usize;
         let entries = bundles[rows.start / SLICE_ROWS].begin as usize..bundles[rows.end / SLICE_ROWS - 1].end as usize;
+        let source = blocks.range(blocks.by_colour[k] as usize);
+        let first = draft.offsets[source.start];
+        let source_entries = first as usize..draft.offsets[source.end] as usize;
+        let BlockScratch { rows_from, renamed } = scratch;
+        rows_from.clear();
+        rows_from.resize(rows.len(), [0; 2]);
+        for (&rank, from) in ranks[source.clone()].iter().zip(draft.offsets[source.start..=source.end].windows(2)) {
+            rows_from[rank as usize - rows.start] = [from[0] - first, from[1] - first];
+        }
+        renamed.clear();
+        renamed.extend(draft.neighbours[source_entries.clone()].iter().map(|&j| ranks[j as usize]));
+        let from_weights = draft.weights.as_deref().map(|w| &w[source_entries]);
         // SAFETY: blocks hold disjoint rows, and rows disjoint entries; each block is visited once.
         let (diagonal, out) = unsafe { (diagonal.rows(rows.clone()), neighbours.rows(entries.clone())) };
         // SAFETY: as above.
         let mut out_weights = weights.map(|w| unsafe { w.rows(entries.clone()) });
-        out.fill(filling);
-        for from in blocks.range(blocks.by_colour[k] as usize) {
-            let rank = ranks[from];
-            let i = rank as usize;
-            let source = draft.entries(from);
+        for (i, &[from, to]) in rows.clone().zip(&*rows_from) {
             let (bundle, lane) = (bundles[i / SLICE_ROWS], i % SLICE_ROWS);
             // From both ends: every entry is written at both, and the end that does not advance is written again.
             let mut low = bundle.begin as usize - entries.start + lane;
             let mut high = bundle.end as usize - entries.start + lane;
+            let source = from as usize..to as usize;
             let mut sum = 0.0f64;
-            match (out_weights.as_deref_mut(), &draft.weights) {
+            match (out_weights.as_deref_mut(), from_weights) {
                 (Some(out_weights), Some(w)) => {
-                    for s in source.clone() {
-                        let j = ranks[draft.neighbours[s] as usize];
-                        let before = usize::from(j < rank);
+                    for (&j, &w) in renamed[source.clone()].iter().zip(&w[source]) {
+                        let before = usize::from((j as usize) < i);
                         out[low] = j;
                         out[high - SLICE_ROWS] = j;
-                        out_weights[low] = w[s];
-                        out_weights[high - SLICE_ROWS] = w[s];
-                        sum += f64::from(w[s]);
+                        out_weights[low] = w;
+                        out_weights[high - SLICE_ROWS] = w;
+                        sum += f64::from(w);
                         low += SLICE_ROWS * before;
                         high -= SLICE_ROWS * (1 - before);
                     }
@@ -180,21 +201,20 @@ fn copy_into_slices(
                     }
                 }
                 _ => {
-                    for &s in &draft.neighbours[source.clone()] {
-                        let j = ranks[s as usize];
-                        let before = usize::from(j < rank);
+                    sum = source.len() as f64;
+                    for &j in &renamed[source] {
+                        let before = usize::from((j as usize) < i);
                         out[low] = j;
                         out[high - SLICE_ROWS] = j;
                         low += SLICE_ROWS * before;
                         high -= SLICE_ROWS * (1 - before);
                     }
-                    sum = source.len() as f64;
                 }
             }
             for e in (low..high).step_by(SLICE_ROWS) {
                 out[e] = filling;
             }
-            debug_assert!(low <= bundle.middle as usize - entries.start + lane);
+            debug_assert!(from == to || low <= bundle.middle as usize - entries.start + lane);
             diagonal[i - rows.start] = sum as f32;
         }
     });

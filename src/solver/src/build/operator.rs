@@ -21,11 +21,22 @@ const RATIO_WITHOUT_POSITIONS: f64 = 0.55;
 /// Coarse rows that one piece of work handles.
 const PIECE: usize = 1024;
 
-/// Scratch of one thread: the groups that the present one touches, and the sums towards them.
-///
-/// Every entry is added somewhere without asking where it leads, since such questions cost more than the sums: those
-/// inside the group get a sum of their own, which nobody reads.
+/// An edge from a group to one of a larger number: the row and its neighbour.
+#[derive(Debug, Clone, Copy, Default)]
+struct CrossingEdge {
+    from: u32,
+    to: u32,
+}
+
+/// Groups that are asked of memory before they are needed.
+const AHEAD: usize = 4;
+
+/// Scratch of one thread: the groups beyond the present one that it touches, and the sums towards them.
 struct RowAccumulator {
+    /// Edges of the present group that lead on; longer than that.
+    onward: Vec<CrossingEdge>,
+    /// Their weights, where there are any.
+    onward_weights: Vec<f32>,
     /// For each group the one whose slot numbers were written last, in the upper half, and the slot in the lower one.
     table: Vec<u64>,
     /// Group of each slot in use; longer than that.
@@ -38,6 +49,8 @@ struct RowAccumulator {
 impl RowAccumulator {
     fn new(count: usize) -> RowAccumulator {
         RowAccumulator {
+            onward: Vec::new(),
+            onward_weights: Vec::new(),
             table: vec![u64::MAX; count],
             others: Vec::new(),
             sums: Vec::new(),
@@ -50,12 +63,20 @@ impl RowAccumulator {
         self.used = 0;
     }
 
-    /// Makes sure that `more` slots can be taken.
-    fn reserve(&mut self, more: usize) {
-        let want = self.used + more + 1;
-        if self.sums.len() < want {
-            self.sums.resize(2 * want, Lanes::ZERO);
-            self.others.resize(2 * want, NO_ROW);
+    /// Makes sure that `more` edges can be taken behind the first `taken`.
+    #[inline(always)]
+    fn reserve_edges(&mut self, taken: usize, more: usize) {
+        if self.onward.len() <= taken + more {
+            self.onward.resize(2 * (taken + more) + 64, CrossingEdge::default());
+            self.onward_weights.resize(self.onward.len(), 0.0);
+        }
+    }
+
+    /// Makes sure that `most` slots can be taken.
+    fn reserve_slots(&mut self, most: usize) {
+        if self.sums.len() <= most {
+            self.sums.resize(2 * most + 1, Lanes::ZERO);
+            self.others.resize(2 * most + 1, NO_ROW);
         }
     }
 }
@@ -79,23 +100,31 @@ pub(crate) fn coarse_rows(draft: &LevelDraft, groups: &Aggregates, threads: Para
             let mut entries: Vec<(u32, f32)> = Vec::with_capacity(8 * rows.len());
             let mut ends = Vec::with_capacity(rows.len());
             for coarse in rows {
+                prefetch_members(draft, groups, coarse + AHEAD);
                 match (&draft.weights, positions.is_empty()) {
                     (None, false) => sum_crossing::<false, true>(draft, groups, coarse, slots),
                     (Some(_), false) => sum_crossing::<true, true>(draft, groups, coarse, slots),
                     (None, true) => sum_crossing::<false, false>(draft, groups, coarse, slots),
                     (Some(_), true) => sum_crossing::<true, false>(draft, groups, coarse, slots),
                 }
-                for (&other, &sum) in slots.others[..slots.used].iter().zip(&slots.sums) {
-                    if other as usize > coarse {
-                        entries.push((other, weight(&positions, coarse, other as usize, sum)));
-                    }
-                }
+                let others = slots.others[..slots.used].iter().zip(&slots.sums);
+                entries.extend(others.map(|(&other, &sum)| (other, weight(&positions, coarse, other as usize, sum))));
                 ends.push(entries.len());
             }
             (entries, ends)
         },
     );
     mirror_halves(count, &halves, positions)
+}
+
+/// Asks for what [`sum_crossing`] will read of the rows of group `coarse`, if there is one.
+#[inline(always)]
+fn prefetch_members(draft: &LevelDraft, groups: &Aggregates, coarse: usize) {
+    if coarse < groups.len() {
+        for &i in groups.members_of(coarse) {
+            draft.prefetch_row(i as usize);
+        }
+    }
 }
 
 /// Mean position of each aggregate's members.
@@ -119,7 +148,10 @@ fn find_centroids(draft: &LevelDraft, groups: &Aggregates, threads: Parallelism)
     parts.concat()
 }
 
-/// Sums over the edges from aggregate `coarse` to each aggregate that they lead to.
+/// Sums over the edges from aggregate `coarse` to each aggregate of a larger number that they lead to.
+///
+/// First the edges that count are written side by side, whether one does being a sum and no question, since a question that
+/// cannot be guessed costs more than writing an edge; then these few are summed.
 fn sum_crossing<const WEIGHTED: bool, const PLACED: bool>(
     draft: &LevelDraft,
     groups: &Aggregates,
@@ -128,35 +160,41 @@ fn sum_crossing<const WEIGHTED: bool, const PLACED: bool>(
 ) {
     let weights: &[f32] = draft.weights.as_deref().unwrap_or(&[]);
     let of_row = groups.of_row.as_slice();
-    let owner = (coarse as u64) << 32;
-    slots.begin();
+    let mut taken = 0;
     for &i in groups.members_of(coarse) {
-        let i = i as usize;
-        let mut here = if PLACED { draft.positions[i] } else { Lanes::ZERO };
-        here.0[3] = 1.0;
-        let entries = draft.entries(i);
-        slots.reserve(entries.len());
-        let neighbours = &draft.neighbours[entries.clone()];
-        let weights = if WEIGHTED { &weights[entries] } else { &[] };
-        let (table, others, sums) = (&mut slots.table[..], &mut slots.others[..], &mut slots.sums[..]);
-        let mut used = slots.used;
-        for (e, &j) in neighbours.iter().enumerate() {
-            let j = j as usize;
-            let there = if PLACED { draft.positions[j] } else { Lanes::ZERO };
-            let difference = here - there;
-            let term = if WEIGHTED { difference * weights[e] } else { difference };
-            let other = of_row[j];
-            let known = table[other as usize];
-            let fresh = known ^ owner > u64::from(u32::MAX);
-            let slot = if fresh { used } else { known as u32 as usize };
-            // What a known slot writes at the end, the next fresh one replaces.
-            others[used] = other;
-            used += usize::from(fresh);
-            table[other as usize] = owner | slot as u64;
-            sums[slot] += term;
+        let entries = draft.entries(i as usize);
+        slots.reserve_edges(taken, entries.len());
+        let (onward, onward_weights) = (&mut slots.onward[..], &mut slots.onward_weights[..]);
+        let row_weights = if WEIGHTED { &weights[entries.clone()] } else { &[] };
+        for (e, &j) in draft.neighbours[entries].iter().enumerate() {
+            onward[taken] = CrossingEdge { from: i, to: j };
+            if WEIGHTED {
+                onward_weights[taken] = row_weights[e];
+            }
+            taken += usize::from(of_row[j as usize] as usize > coarse);
         }
-        slots.used = used;
     }
+    slots.begin();
+    slots.reserve_slots(taken);
+    let owner = (coarse as u64) << 32;
+    let (table, others, sums) = (&mut slots.table[..], &mut slots.others[..], &mut slots.sums[..]);
+    let mut used = 0;
+    for (edge, &weight) in slots.onward[..taken].iter().zip(&slots.onward_weights) {
+        let at = |i: u32| if PLACED { draft.positions[i as usize] } else { Lanes::ZERO };
+        let mut difference = at(edge.from) - at(edge.to);
+        difference.0[3] = 1.0;
+        let term = if WEIGHTED { difference * weight } else { difference };
+        let other = of_row[edge.to as usize];
+        let known = table[other as usize];
+        let fresh = known ^ owner > u64::from(u32::MAX);
+        let slot = if fresh { used } else { known as u32 as usize };
+        // What a known slot writes at the end, the next fresh one replaces.
+        others[used] = other;
+        used += usize::from(fresh);
+        table[other as usize] = owner | slot as u64;
+        sums[slot] += term;
+    }
+    slots.used = used;
 }
 
 /// The coarse weight S·φ of two aggregates of the present draft.
@@ -188,38 +226,39 @@ type HalfRows = (Vec<(u32, f32)>, Vec<usize>);
 
 /// Turns the entries towards larger numbers into full rows.
 fn mirror_halves(count: usize, halves: &[HalfRows], positions: Vec<Lanes>) -> LevelDraft {
-    let each = |visit: &mut dyn FnMut(usize, u32, f32)| {
-        for (k, (entries, ends)) in halves.iter().enumerate() {
-            let mut begin = 0;
-            for (local, &end) in ends.iter().enumerate() {
-                for &(other, w) in &entries[begin..end] {
-                    visit(k * PIECE + local, other, w);
-                }
-                begin = end;
-            }
-        }
-    };
     let mut offsets = vec![0u32; count + 1];
-    each(&mut |i, j, _| {
-        offsets[i + 1] += 1;
-        offsets[j as usize + 1] += 1;
-    });
+    for (k, (entries, ends)) in halves.iter().enumerate() {
+        let mut begin = 0;
+        for (i, &end) in (k * PIECE..).zip(ends) {
+            offsets[i + 1] += (end - begin) as u32;
+            begin = end;
+        }
+        for &(other, _) in entries {
+            offsets[other as usize + 1] += 1;
+        }
+    }
     for i in 0..count {
         offsets[i + 1] += offsets[i];
     }
     let mut cursor = offsets.clone();
     let mut neighbours = vec![0u32; offsets[count] as usize];
     let mut weights = vec![0.0f32; offsets[count] as usize];
-    let mut put = |i: usize, j: u32, w: f32| {
-        let slot = cursor[i] as usize;
-        neighbours[slot] = j;
-        weights[slot] = w;
-        cursor[i] += 1;
-    };
-    each(&mut |i, j, w| {
-        put(i, j, w);
-        put(j as usize, i as u32, w);
-    });
+    for (k, (entries, ends)) in halves.iter().enumerate() {
+        let mut begin = 0;
+        for (i, &end) in (k * PIECE..).zip(ends) {
+            // All that smaller rows have put here stands before.
+            let mut own = cursor[i] as usize;
+            for &(other, w) in &entries[begin..end] {
+                (neighbours[own], weights[own]) = (other, w);
+                own += 1;
+                let slot = &mut cursor[other as usize];
+                (neighbours[*slot as usize], weights[*slot as usize]) = (i as u32, w);
+                *slot += 1;
+            }
+            cursor[i] = own as u32;
+            begin = end;
+        }
+    }
     LevelDraft {
         offsets,
         neighbours,
