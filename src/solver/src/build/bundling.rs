@@ -97,7 +97,11 @@ impl SlicePlanner {
         let range = blocks.range(b);
         self.split_neighbours(draft, blocks, places, b);
         self.colour();
-        self.bundle_rest(&draft.offsets[range.start..=range.end], &draft.neighbours, range.start as u32);
+        self.bundle_rest(
+            &draft.offsets[range.start..=range.end],
+            &draft.neighbours,
+            range.start as u32,
+        );
         self.count_before();
 
         // Inside a class, rows with equal numbers of neighbours before and after them come together; every second
@@ -212,9 +216,15 @@ impl SlicePlanner {
         }
         const WIDTHS: usize = WIDEST as usize + 1;
         let classes = 1 + usize::from(NO_COLOUR) + self.rest.len();
-        pass(&self.keys, &mut self.spare, &mut self.tally, WIDTHS, |k| usize::from(k.after));
-        pass(&self.spare, &mut self.keys, &mut self.tally, WIDTHS, |k| usize::from(k.before));
-        pass(&self.keys, &mut self.spare, &mut self.tally, classes, |k| usize::from(k.class));
+        pass(&self.keys, &mut self.spare, &mut self.tally, WIDTHS, |k| {
+            usize::from(k.after)
+        });
+        pass(&self.spare, &mut self.keys, &mut self.tally, WIDTHS, |k| {
+            usize::from(k.before)
+        });
+        pass(&self.keys, &mut self.spare, &mut self.tally, classes, |k| {
+            usize::from(k.class)
+        });
         std::mem::swap(&mut self.keys, &mut self.spare);
     }
 
@@ -224,7 +234,8 @@ impl SlicePlanner {
         self.counts.fill(0);
         for k in 0..self.rows {
             let runs = &self.smaller[self.runs[k] as usize..self.runs[k + 1] as usize];
-            let bits = |taken: u64, run: &[u16; RUN]| run.map(|j| self.colour_bits[at(j)]).iter().fold(taken, |a, b| a | b);
+            let bits =
+                |taken: u64, run: &[u16; RUN]| run.map(|j| self.colour_bits[at(j)]).iter().fold(taken, |a, b| a | b);
             let taken = runs.iter().fold(0, bits);
             let colour = ((!taken).trailing_zeros() as u8).min(LAST_COLOUR);
             self.colour_bits[k % MOST_ROWS] = 1 << colour;

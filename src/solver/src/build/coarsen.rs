@@ -120,7 +120,12 @@ fn nearest_seeds(draft: &LevelDraft, blocks: &RowBlocks, reach2: f32, threads: P
     };
     let covered: Vec<AtomicBool> = (0..n).map(|_| AtomicBool::new(false)).collect();
     let offers: Vec<AtomicU64> = (0..n).map(|_| AtomicU64::new(u64::MAX)).collect();
-    let told = ToldNeighbours { covered, offers, weak, reach2 };
+    let told = ToldNeighbours {
+        covered,
+        offers,
+        weak,
+        reach2,
+    };
     for c in blocks.colours.windows(2) {
         threads.for_each(c[0] as usize..c[1] as usize, |k| {
             for i in blocks.range(blocks.by_colour[k] as usize) {
@@ -159,7 +164,10 @@ impl ToldNeighbours {
         let at = |i: usize| if PLACED { draft.positions[i] } else { Lanes::ZERO };
         let here = at(i);
         for e in draft.entries(i) {
-            let (j, w) = (draft.neighbours[e] as usize, if WEIGHTED { draft.weight(e) } else { 1.0 });
+            let (j, w) = (
+                draft.neighbours[e] as usize,
+                if WEIGHTED { draft.weight(e) } else { 1.0 },
+            );
             let length2 = if PLACED { distance2(here, at(j)) } else { 1.0 };
             // Rows before this one have had their turn: what they hear now changes nothing.
             let near = !PLACED || length2 <= self.reach2;

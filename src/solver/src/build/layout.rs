@@ -167,11 +167,18 @@ fn copy_into_slices(
         let BlockScratch { rows_from, renamed } = scratch;
         rows_from.clear();
         rows_from.resize(rows.len(), [0; 2]);
-        for (&rank, from) in ranks[source.clone()].iter().zip(draft.offsets[source.start..=source.end].windows(2)) {
+        for (&rank, from) in ranks[source.clone()]
+            .iter()
+            .zip(draft.offsets[source.start..=source.end].windows(2))
+        {
             rows_from[rank as usize - rows.start] = [from[0] - first, from[1] - first];
         }
         renamed.clear();
-        renamed.extend(draft.neighbours[source_entries.clone()].iter().map(|&j| ranks[j as usize]));
+        renamed.extend(
+            draft.neighbours[source_entries.clone()]
+                .iter()
+                .map(|&j| ranks[j as usize]),
+        );
         let from_weights = draft.weights.as_deref().map(|w| &w[source_entries]);
         // SAFETY: blocks hold disjoint rows, and rows disjoint entries; each block is visited once.
         let (diagonal, out) = unsafe { (diagonal.rows(rows.clone()), neighbours.rows(entries.clone())) };

@@ -180,7 +180,13 @@ fn sum_crossing<const WEIGHTED: bool, const PLACED: bool>(
     let (table, others, sums) = (&mut slots.table[..], &mut slots.others[..], &mut slots.sums[..]);
     let mut used = 0;
     for (edge, &weight) in slots.onward[..taken].iter().zip(&slots.onward_weights) {
-        let at = |i: u32| if PLACED { draft.positions[i as usize] } else { Lanes::ZERO };
+        let at = |i: u32| {
+            if PLACED {
+                draft.positions[i as usize]
+            } else {
+                Lanes::ZERO
+            }
+        };
         let mut difference = at(edge.from) - at(edge.to);
         difference.0[3] = 1.0;
         let term = if WEIGHTED { difference * weight } else { difference };

@@ -9,7 +9,7 @@
 //! off by 3e-8 there, and so is a residual, whatever the solution is: it shows in a shape as some 1e-6 of its size at most.
 
 use crate::build::level::HierarchyLevel;
-use crate::lanes::{Lanes, WideLanes, per_lane};
+use crate::lanes::{Lanes, WideLanes, per_lane, prefetch};
 use crate::solve::patches::PatchMap;
 use crate::storage::SLICE_ROWS;
 use bytemuck::Zeroable;
@@ -32,6 +32,10 @@ const NUMBERS: usize = 16;
 const OFFSET: [usize; 3] = [3, 7, 11];
 /// Where x begins.
 const POSITION: usize = 12;
+
+/// Entries that memory is asked for before they are summed, two bundles or so. Nearer ones do not come in time, and much further
+/// ones are gone again.
+const AHEAD: usize = 96;
 
 impl PoseRow {
     /// A row whose map is the identity; no position is shown yet.
@@ -177,6 +181,9 @@ impl FrameRows<'_> {
     fn bundle_sums<const WEIGHTED: bool>(&self, level: &HierarchyLevel, k: usize) -> [[f32; NUMBERS]; SLICE_ROWS] {
         let (begin, _, end) = level.slice_extent(k);
         let filling = level.filling();
+        // The rows of a bundle further on: those of this one have been asked for already.
+        let later = level.neighbours.get(begin + AHEAD..end + AHEAD).unwrap_or(&[]);
+        later.iter().for_each(|&j| prefetch(self.rows, j as usize));
         let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
         let weights = level.weights.as_deref().map_or(&[][..], |w| &w[begin..end]);
         let weights = weights.as_chunks::<SLICE_ROWS>().0;
