@@ -121,9 +121,9 @@ pub(crate) fn ratio(a: f64, b: f64) -> f64 {
 }
 
 /// Asks for the line of a cache that holds element `i`, if there is one, long before it is read. What follows an order that
-/// no hardware foresees waits for memory otherwise.
+/// no hardware foresees waits for memory otherwise. Nothing comes of it but time.
 #[inline(always)]
-pub(crate) fn prefetch<T>(slice: &[T], i: usize) {
+pub fn prefetch<T>(slice: &[T], i: usize) {
     #[cfg(all(target_arch = "x86_64", not(miri)))]
     {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};

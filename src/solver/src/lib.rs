@@ -162,7 +162,7 @@ pub use cholesky::CholeskyFactor;
 pub use constrain::LinearSystem;
 pub use error::Error;
 pub use graph::WeightedGraph;
-pub use lanes::Lanes;
+pub use lanes::{Lanes, prefetch};
 pub use options::{
     BuildOptions, CoarseOperators, Constraints, InitialGuess, LevelSize, SolveMethod, SolveOptions, SolveStats,
 };

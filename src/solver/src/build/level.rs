@@ -119,6 +119,17 @@ impl HierarchyLevel {
             .map(|(j, w)| (j as usize, w))
     }
 
+    /// Neighbours that passes read a little after those of bundle `k`: whoever reads much of a row asks memory for it now. Nearer
+    /// ones would not come in time, and much further ones would be gone again.
+    #[inline(always)]
+    pub(crate) fn later_neighbours(&self, k: usize) -> impl Iterator<Item = usize> + '_ {
+        /// Entries: two bundles or so.
+        const AHEAD: usize = 96;
+        let (begin, _, end) = self.slice_extent(k);
+        let later = self.neighbours.get(begin + AHEAD..end + AHEAD).unwrap_or(&[]);
+        later.iter().map(|&j| j as usize)
+    }
+
     #[inline(always)]
     pub(crate) fn weight(&self, entry: usize) -> f32 {
         self.weights.as_ref().map_or(1.0, |w| w[entry])

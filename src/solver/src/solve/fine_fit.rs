@@ -1,7 +1,7 @@
 //! Rotations of a pose fitted to its positions, row by row, where right-hand sides are made from them.
 
 use crate::build::level::HierarchyLevel;
-use crate::lanes::{Lanes, SharedRows};
+use crate::lanes::{Lanes, SharedRows, prefetch};
 use crate::solve::frame_rows::PoseRow;
 use crate::solve::nearest_turn::{Turn, nearest_turns, turned};
 use crate::storage::{NO_ROW, SLICE_ROWS};
@@ -72,6 +72,10 @@ fn bundle_sums(
     let (begin, _, end) = level.slice_extent(bundle);
     let first = bundle * SLICE_ROWS;
     let filling = level.filling();
+    for j in level.later_neighbours(bundle) {
+        prefetch(rows, j);
+        prefetch(rest, j);
+    }
     let mut sums: [([Lanes; 3], Lanes); SLICE_ROWS] = Default::default();
     let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
     for (n, j) in neighbours.iter().enumerate() {

@@ -33,10 +33,6 @@ const OFFSET: [usize; 3] = [3, 7, 11];
 /// Where x begins.
 const POSITION: usize = 12;
 
-/// Entries that memory is asked for before they are summed, two bundles or so. Nearer ones do not come in time, and much further
-/// ones are gone again.
-const AHEAD: usize = 96;
-
 impl PoseRow {
     /// A row whose map is the identity; no position is shown yet.
     pub(crate) const IDENTITY: Self = Self([
@@ -154,6 +150,15 @@ impl FrameRows<'_> {
             .map_or([0.0; 4], |more| (*more * self.scale).to_wide())
     }
 
+    /// Asks memory for what right-hand sides of rows a little after bundle `k` are made from.
+    #[inline(always)]
+    pub(super) fn prefetch_after(&self, level: &HierarchyLevel, k: usize) {
+        for j in level.later_neighbours(k) {
+            prefetch(self.rows, j);
+            prefetch(self.rest, j);
+        }
+    }
+
     /// The right-hand side of one row.
     pub(crate) fn right_hand_side(&self, level: &HierarchyLevel, row: usize) -> WideLanes {
         let here = self.rest[row];
@@ -181,9 +186,8 @@ impl FrameRows<'_> {
     fn bundle_sums<const WEIGHTED: bool>(&self, level: &HierarchyLevel, k: usize) -> [[f32; NUMBERS]; SLICE_ROWS] {
         let (begin, _, end) = level.slice_extent(k);
         let filling = level.filling();
-        // The rows of a bundle further on: those of this one have been asked for already.
-        let later = level.neighbours.get(begin + AHEAD..end + AHEAD).unwrap_or(&[]);
-        later.iter().for_each(|&j| prefetch(self.rows, j as usize));
+        // Those of this bundle have been asked for already.
+        level.later_neighbours(k).for_each(|j| prefetch(self.rows, j));
         let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
         let weights = level.weights.as_deref().map_or(&[][..], |w| &w[begin..end]);
         let weights = weights.as_chunks::<SLICE_ROWS>().0;

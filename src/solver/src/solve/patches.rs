@@ -1,6 +1,6 @@
 //! The original equations on one level, whose rows carry their members along as affine patches.
 
-use crate::lanes::Lanes;
+use crate::lanes::{Lanes, prefetch};
 use crate::storage::resize_untouched;
 
 /// A linear map by its columns.
@@ -29,6 +29,19 @@ impl AffinePatches {
         resize_untouched(&mut self.positions, mapped);
         resize_untouched(&mut self.beta, rows);
         resize_untouched(&mut self.x, rows);
+    }
+
+    /// Asks memory for these rows.
+    #[inline(always)]
+    pub(crate) fn prefetch(&self, rows: &[u32]) {
+        for i in rows.iter().map(|&i| i as usize) {
+            if !self.maps.is_empty() {
+                prefetch(&self.maps, i);
+                prefetch(&self.positions, i);
+            }
+            prefetch(&self.beta, i);
+            prefetch(&self.x, i);
+        }
     }
 
     /// map · (p − centre) for a row's position p.

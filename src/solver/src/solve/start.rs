@@ -21,6 +21,8 @@ use crate::threads::{piece_count, piece_rows};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 1024;
+/// Aggregates whose members are asked of memory before they are needed.
+const AHEAD: usize = 4;
 
 /// The maps that carry rows along.
 #[derive(Clone, Copy)]
@@ -227,6 +229,9 @@ fn restrict_equations(
     let (betas, xs) = (SharedRows::new(&mut coarse.beta), SharedRows::new(&mut coarse.x));
     grid.threads.for_each(0..piece_count(n, PIECE), |k| {
         for row in piece_rows(k, n, PIECE) {
+            if row + AHEAD < n {
+                fine.prefetch(level.members_of(row + AHEAD));
+            }
             let members = level.members_of(row);
             let (map, centre) = if mapped {
                 mean_patch(fine, members)
@@ -246,6 +251,10 @@ fn restrict_equations(
                     Lanes::ZERO
                 };
                 beta += fine.beta[i] - offset * mask.alpha(i);
+                // Nobody else has neighbours that are given.
+                if !mask.on_border(i) {
+                    continue;
+                }
                 for (j, w) in level.row(i) {
                     if !mask.free(j) {
                         let share = tie_share(level, below.mask, row, j);

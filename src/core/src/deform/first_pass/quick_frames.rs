@@ -1,7 +1,7 @@
 //! Frames of all nodes many times a second: about one axis by three matrices and a polynomial, else as the first pass blends them.
 
 use crate::deform::first_pass::blend::{OneAxisBlend, PoseBlend};
-use crate::solver::MapColumns;
+use crate::solver::{MapColumns, prefetch};
 use glam::{DMat3, DVec3, Mat3};
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2};
 
@@ -47,6 +47,15 @@ impl<'a> QuickFrames<'a> {
         match &self.one_axis {
             Some(frames) => frames.at(node),
             None => self.blended_at(node, scratch),
+        }
+    }
+
+    /// Asks memory for what the frame of a node is made from.
+    #[inline]
+    pub fn prefetch(&self, node: usize) {
+        if let Some(OneAxisFrames { blend, .. }) = &self.one_axis {
+            prefetch(blend.component, node);
+            blend.terms.iter().for_each(|(field, _)| prefetch(field, node));
         }
     }
 

@@ -22,7 +22,7 @@ use crate::deform::second_pass::state::SolveState;
 use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::solver::{Lanes, PoseCriteria, SolveControl, SolveStats};
+use crate::solver::{Lanes, PoseCriteria, SolveControl, SolveStats, prefetch};
 use glam::{DVec3, Mat3};
 use rayon::prelude::*;
 
@@ -32,6 +32,8 @@ pub(super) const SINGLE_TOLERANCE: f64 = 1e-5;
 pub(super) const SINGLE_ERROR: f64 = 1e-5;
 /// Rows that one piece of work handles.
 const PIECE: usize = 4096;
+/// Rows, and nodes, that memory is asked for before they are needed.
+const AHEAD: usize = 24;
 /// Iterations at most.
 const MOST_ITERATIONS: usize = 200;
 
@@ -132,7 +134,12 @@ impl DragPose<'_> {
         let (mut positions, mut frames) = std::mem::take(&mut state.spare);
         exec.pool.install(|| {
             let all = (0..nodes).into_par_iter().with_min_len(PIECE);
-            let placed = all.map(|node| placement.of(node, &at(node)[..3]));
+            let placed = all.map(|node| {
+                if let Some(&later) = rows.row_of.get(node + AHEAD) {
+                    prefetch(&rows.pose.x, later as usize);
+                }
+                placement.of(node, &at(node)[..3])
+            });
             placed.collect_into_vec(&mut positions);
         });
         if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
@@ -239,6 +246,9 @@ impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
     fn run(&self, rows: &mut DragRows, pool: &Pool) {
         let vertices = self.body.hierarchy.row_vertices();
         rows.pose.place_rows(pool, Vec::new, |scratch, row, frame, x| {
+            if let Some(&later) = vertices.get(row + AHEAD).filter(|later| **later != NO_NODE) {
+                self.prefetch(later as usize);
+            }
             let node = vertices[row];
             if node == NO_NODE {
                 return;
@@ -248,6 +258,14 @@ impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
             let place = self.place_of(node, DVec3::new(x[0], x[1], x[2]));
             (x[0], x[1], x[2]) = place.into();
         });
+    }
+
+    /// Asks memory for what the pass reads of a node: rows follow a curve through space, nodes do not.
+    #[inline]
+    fn prefetch(&self, node: usize) {
+        self.frames.prefetch(node);
+        self.motions.iter().for_each(|motion| prefetch(motion.field, node));
+        prefetch(&self.rig.positions.fixed, node);
     }
 
     /// Where a node is when the solve begins.
