@@ -13,10 +13,14 @@ pub(crate) const SLACK: usize = 16;
 
 /// Sets the length of `v`, whose contents are of no use any more: old ones, or zeros. Where it needs new memory nobody has touched that
 /// yet, so that whoever writes it first does, on all threads, which for large vectors takes longer than what is written.
+///
+/// What has to grow will grow again, as it does from edit to edit: it gets some room more, which costs nothing until it is touched.
 pub(crate) fn resize_untouched<T: Zeroable + Clone>(v: &mut Vec<T>, n: usize) {
     if v.capacity() < n {
+        let room = if v.capacity() > 0 { n / SLACK } else { 0 };
         *v = Vec::new();
-        *v = zeroed_vec(n);
+        *v = zeroed_vec(n + room);
+        v.truncate(n);
     } else {
         v.resize(n, T::zeroed());
     }

@@ -55,11 +55,20 @@ impl DeformableBody {
         let middle = bounds.min + (bounds.max - bounds.min) * 0.5;
         let lost = !LENGTHS.contains(&((bounds.max - bounds.min).length() / self.unit))
             || (middle - self.origin).length() > FARTHEST * self.unit;
-        if lost || moved.is_some_and(|m| m.len() != self.nodes() || self.is_strained(m)) {
+        let is_strained = |m: &[DVec3]| m.len() != self.nodes() || exec.pool.install(|| self.is_strained(m));
+        if lost || moved.is_some_and(is_strained) {
             return Ok(None);
         }
         let at = moved.unwrap_or(&self.graph.positions);
-        let Some(resampled) = graph::resample_tied(&self.graph, at, change, ties, exec)? else {
+        let is_worn = self.hierarchy.is_worn();
+        // Much of a graph's change takes one thread. A copy of the hierarchy, which knows nothing of it, has work for the others.
+        let (resampled, hierarchy) = exec.pool.install(|| {
+            rayon::join(
+                || graph::resample_tied(&self.graph, at, change, ties, exec),
+                || (!is_worn).then(|| self.hierarchy.clone_in_parallel(exec.pool)),
+            )
+        });
+        let Some(resampled) = resampled? else {
             return Ok(None);
         };
         let graph = resampled.graph;
@@ -73,16 +82,16 @@ impl DeformableBody {
             weights: graph.weights.as_deref(),
             positions: Some(&rest),
         };
-        let hierarchy = if self.hierarchy.is_worn() {
-            Hierarchy::build(&view, self.hierarchy.options(), exec)?
-        } else {
-            let mut hierarchy = self.hierarchy.clone_in_parallel(exec.pool);
-            let change = solver::GraphChange {
-                new_from_old: &resampled.new_from_old,
-                touched: &resampled.touched,
-            };
-            hierarchy.repair(&view, &change, exec)?;
-            hierarchy
+        let hierarchy = match hierarchy {
+            None => Hierarchy::build(&view, self.hierarchy.options(), exec)?,
+            Some(mut hierarchy) => {
+                let change = solver::GraphChange {
+                    new_from_old: &resampled.new_from_old,
+                    touched: &resampled.touched,
+                };
+                hierarchy.repair(&view, &change, exec)?;
+                hierarchy
+            }
         };
         let old_from_new = resampled.old_from_new;
         let body = Self {
@@ -111,8 +120,8 @@ impl DeformableBody {
     /// Whether a deformation has strained too many edges of the lattice.
     fn is_strained(&self, moved: &[DVec3]) -> bool {
         let lattice = self.graph.surface + self.graph.stats.shell_nodes;
-        let (mut all, mut strained) = (0usize, 0usize);
-        for node in (lattice..self.nodes()).step_by(SAMPLE) {
+        let edges_of = |node: usize| {
+            let (mut all, mut strained) = (0usize, 0usize);
             for &other in self.graph.row(node as u32) {
                 let other = other as usize;
                 if other < lattice {
@@ -124,7 +133,13 @@ impl DeformableBody {
                 all += 1;
                 strained += usize::from(!(least * least * before..=most * most * before).contains(&now));
             }
-        }
+            (all, strained)
+        };
+        let nodes = (lattice..self.nodes())
+            .into_par_iter()
+            .step_by(SAMPLE)
+            .with_min_len(1024);
+        let (all, strained) = nodes.map(edges_of).reduce(|| (0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
         strained as f64 > MOST_STRAINED * all as f64
     }
 }

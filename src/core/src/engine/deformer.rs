@@ -386,7 +386,7 @@ impl Deformer {
             .and_then(|rig| warn_of_large_faces(&self.derived.mesh, rig, body.diagonal, 0.0));
         self.handles.warnings.extend(large);
         self.rig = rig;
-        self.state = SolveState::default();
+        self.state.begin_anew();
         Ok(())
     }
 

@@ -93,7 +93,7 @@ impl Deformer {
         next.set_handles(&carried.set, exec)?;
         let settings = order.settings.cloned().unwrap_or(EDITED_AT_REST);
         let outcome = next.shape_after_edit(carried, report, at_rest.then_some(settings), exec)?;
-        *self = next;
+        self.give_way(next);
         Ok(outcome)
     }
 
@@ -188,8 +188,19 @@ impl Deformer {
                 exec,
             )?),
         };
-        *self = self.with_derived(derived);
+        let next = self.with_derived(derived);
+        self.give_way(next);
         Ok(())
+    }
+
+    /// Becomes `next`, which solves with the memory that this one has, unless it has solved something already: what has just been
+    /// touched need not be touched for the first time again.
+    fn give_way(&mut self, mut next: Self) {
+        if next.state.is_empty() {
+            next.state = std::mem::take(&mut self.state);
+            next.state.begin_anew();
+        }
+        *self = next;
     }
 
     /// What regions are resolved against in the shape that is edited.

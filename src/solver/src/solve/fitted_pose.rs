@@ -128,7 +128,7 @@ mod tests {
 
         fn pose(&self) -> PoseRows {
             let mut pose = PoseRows::default();
-            pose.begin(&self.hierarchy, |v| self.rest[v], &self.pool);
+            pose.begin(&self.hierarchy, |v| self.rest[v], |v| self.rest[v], &self.pool);
             for (row, &v) in self.hierarchy.row_vertices().iter().enumerate() {
                 pose.open.push(v != NO_ROW && !self.fixed[v as usize]);
                 if v != NO_ROW {

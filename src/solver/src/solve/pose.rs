@@ -1,6 +1,7 @@
 //! Poses of a drag: the second pass solved on the rows of the hierarchy, from one frame to the next, in single precision.
 
 use crate::build::hierarchy::Hierarchy;
+use crate::build::level::HierarchyLevel;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::exec::Exec;
@@ -15,7 +16,7 @@ use crate::solve::iteration::{IterationReport, SolveControl};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::recalled::RecalledSteps;
 use crate::solve::workspace::Workspace;
-use crate::storage::{NO_ROW, resize_untouched};
+use crate::storage::{NO_ROW, SLICE_ROWS, resize_untouched};
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows that one piece of work handles.
@@ -84,8 +85,15 @@ impl Hierarchy {
 }
 
 impl PoseRows {
-    /// Takes over rest positions, told by vertex, and sizes everything else; nothing of earlier poses is left.
-    pub fn begin(&mut self, hierarchy: &Hierarchy, rest: impl Fn(usize) -> [f64; 3] + Sync, pool: &Pool) {
+    /// Takes over rest positions and those to begin from, told by vertex, and sizes everything else; nothing of earlier poses is
+    /// left. All maps are the identity.
+    pub fn begin(
+        &mut self,
+        hierarchy: &Hierarchy,
+        rest: impl Fn(usize) -> [f64; 3] + Sync,
+        start: impl Fn(usize) -> [f64; 3] + Sync,
+        pool: &Pool,
+    ) {
         let level = &hierarchy.levels[0];
         let n = level.rows();
         self.recalled.forget();
@@ -97,8 +105,8 @@ impl PoseRows {
         resize_untouched(&mut self.laplacians, n);
         resize_untouched(&mut self.rows, n);
         let at = |row: usize| match hierarchy.order[row] {
-            NO_ROW => [0.0; 3],
-            vertex => rest(vertex as usize),
+            NO_ROW => ([0.0; 3], [0.0; 3]),
+            vertex => (rest(vertex as usize), start(vertex as usize)),
         };
         let threads = Parallelism::from_pool(pool).for_rows(n);
         let pieces = 0..piece_count(n, PIECE);
@@ -110,11 +118,11 @@ impl PoseRows {
             );
             threads.for_each(pieces.clone(), |k| {
                 for i in piece_rows(k, n, PIECE) {
-                    let [a, b, c] = at(i);
+                    let ([a, b, c], [x0, x1, x2]) = at(i);
                     // SAFETY: pieces are disjoint and each is visited once.
                     unsafe {
                         rest.set(i, Lanes([a as f32, b as f32, c as f32, 0.0]));
-                        x.set(i, [0.0; WIDTH]);
+                        x.set(i, [x0, x1, x2, 0.0]);
                         rows.set(i, PoseRow::IDENTITY);
                     }
                 }
@@ -122,15 +130,11 @@ impl PoseRows {
             let rest = &self.rest;
             let laplacians = SharedRows::new(&mut self.laplacians);
             threads.for_each(pieces, |k| {
-                for i in piece_rows(k, n, PIECE) {
-                    let here = rest[i].to_wide();
-                    let mut sum = [0.0; WIDTH];
-                    for (j, w) in level.row(i) {
-                        let there = rest[j].to_wide();
-                        (0..WIDTH).for_each(|c| sum[c] += f64::from(w) * (here[c] - there[c]));
-                    }
-                    // SAFETY: as above.
-                    unsafe { laplacians.set(i, Lanes::from_wide(sum)) };
+                // SAFETY: as above.
+                let out = unsafe { laplacians.rows(piece_rows(k, n, PIECE)) };
+                let slices = out.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
+                for (slice, out) in (k * PIECE / SLICE_ROWS..).zip(slices) {
+                    *out = differential_coordinates(level, rest, slice);
                 }
             });
         });
@@ -192,6 +196,27 @@ impl PoseRows {
             64 * self.rows.capacity() + 16 * (self.rest.capacity() + self.laplacians.capacity()) + self.open.capacity();
         rows + 32 * self.x.capacity() + 16 * self.more.capacity() + self.recalled.byte_size()
     }
+}
+
+/// Σ w (p_i − p_j) of the four rows of a bundle.
+fn differential_coordinates(level: &HierarchyLevel, rest: &[Lanes], k: usize) -> [Lanes; SLICE_ROWS] {
+    let (begin, _, end) = level.slice_extent(k);
+    let filling = level.filling();
+    let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
+    let weights = level.weights.as_deref().map_or(&[][..], |w| &w[begin..end]);
+    let weights = weights.as_chunks::<SLICE_ROWS>().0;
+    let mut sums = [[0.0; WIDTH]; SLICE_ROWS];
+    for (n, j) in neighbours.iter().enumerate() {
+        for d in 0..SLICE_ROWS {
+            let i = k * SLICE_ROWS + d;
+            // Filling has weight 0: to itself, a row has no difference.
+            let j = if j[d] == filling { i } else { j[d] as usize };
+            let (here, there) = (rest[i].to_wide(), rest[j].to_wide());
+            let w = weights.get(n).map_or(1.0, |w| f64::from(w[d]));
+            (0..WIDTH).for_each(|c| sums[d][c] += w * (here[c] - there[c]));
+        }
+    }
+    sums.map(Lanes::from_wide)
 }
 
 impl LinearSystem {
@@ -376,16 +401,7 @@ mod tests {
             let (mut workspace, mut other) = (Workspace::default(), Workspace::default());
             let exec = Exec::new(&pool, &Silent);
             let mut pose = PoseRows::default();
-            pose.begin(&hierarchy, |v| rest[v], &pool);
-            for (x, &v) in pose
-                .x
-                .iter_mut()
-                .zip(hierarchy.row_vertices())
-                .filter(|(_, v)| **v != NO_ROW)
-            {
-                let [a, b, c] = rest[v as usize];
-                *x = [a, b, c, 0.0];
-            }
+            pose.begin(&hierarchy, |v| rest[v], |v| rest[v], &pool);
             let mut iterations = Vec::new();
             // The last pose twice.
             for frame in 1..=13 {
@@ -472,7 +488,7 @@ mod tests {
         };
         let mut pose = PoseRows::default();
         assert!(matches!(solve(&mut pose), Err(Error::Invalid(_))));
-        pose.begin(&hierarchy, |v| block.positions[v], &pool);
+        pose.begin(&hierarchy, |v| block.positions[v], |_| [0.0; 3], &pool);
         pose.x[0] = [f64::INFINITY; 4];
         pose.x.iter_mut().for_each(|x| x[0] = 1e300);
         pose.show_positions(&pool);

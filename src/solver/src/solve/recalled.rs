@@ -6,7 +6,8 @@
 
 use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane};
 use crate::solve::problem::ColumnGroup;
-use crate::storage::resize_untouched;
+use crate::solve::sweep::MaskedLevel;
+use crate::storage::{SLICE_ROWS, resize_untouched};
 
 /// Corrections that are kept, and the one that the present pose makes.
 const PLACES: usize = 4;
@@ -131,6 +132,34 @@ impl RecalledSteps {
             }
             [0.0; WIDTH]
         });
+    }
+
+    /// Makes the present residual, times `scale`, from the one that the pose began with and the step so far: half the work of making it
+    /// from frames and positions in double precision, and as exact as the first one was while steps are short. Returns its squared
+    /// norms and those of the step.
+    pub(crate) fn residual(&self, grid: &MaskedLevel<'_>, out: &mut [Lanes], scale: WideLanes) -> [WideLanes; 2] {
+        let RecalledStep { d, product: before } = &self.steps[self.present];
+        let out = SharedRows::new(out);
+        let scale_by = Lanes::from_wide(scale);
+        let mut partials = Vec::new();
+        let [squares, lengths, _] = grid.sum_over_blocks(&mut partials, |rows| {
+            // SAFETY: blocks are disjoint and each is visited once.
+            let out = unsafe { out.rows(rows.clone()) };
+            let (mut squares, mut lengths) = (Lanes::ZERO, Lanes::ZERO);
+            let slices = out.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
+            for (k, out) in (rows.start / SLICE_ROWS..).zip(slices) {
+                let flows = grid.edge_flows(d, k);
+                for (n, out) in out.iter_mut().enumerate() {
+                    let i = k * SLICE_ROWS + n;
+                    let left = before[i] - flows[n];
+                    squares += left * left;
+                    lengths += d[i] * d[i];
+                    *out = left * scale_by;
+                }
+            }
+            [squares, lengths, Lanes::ZERO]
+        });
+        [squares, lengths]
     }
 
     /// The error that a pose is expected to have whose relative residual is this before any iteration.

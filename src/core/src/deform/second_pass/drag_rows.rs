@@ -7,10 +7,7 @@ use crate::deform::transform::Transform;
 use crate::pool::Pool;
 use crate::solver::PoseRows;
 use glam::DVec3;
-use rayon::prelude::*;
 
-/// Rows that one piece of work handles.
-const PIECE: usize = 4096;
 /// A row without a node.
 pub(super) const NO_NODE: u32 = u32::MAX;
 
@@ -45,26 +42,22 @@ impl DragRows {
             return;
         }
         let vertices = body.hierarchy.row_vertices();
-        self.pose
-            .begin(&body.hierarchy, |node| body.rest(node).to_array(), pool);
-        self.row_of.clear();
-        self.row_of.resize(body.nodes(), 0);
-        self.center = DVec3::ZERO;
-        for (row, &node) in vertices.iter().enumerate().filter(|(_, v)| **v != NO_NODE) {
-            self.row_of[node as usize] = row as u32;
-        }
-        let place = |node: usize| match x.get(3 * node..3 * node + 3) {
-            Some(at) => [at[0], at[1], at[2], 0.0],
-            None => {
-                let [x, y, z] = body.rest(node).to_array();
-                [x, y, z, 0.0]
+        let Self { pose, row_of, .. } = self;
+        let rest = |node: usize| body.rest(node).to_array();
+        let start = |node: usize| match x.get(3 * node..3 * node + 3) {
+            Some(at) => [at[0], at[1], at[2]],
+            None => rest(node),
+        };
+        let find_rows = || {
+            row_of.clear();
+            row_of.resize(body.nodes(), 0);
+            for (row, &node) in vertices.iter().enumerate().filter(|(_, v)| **v != NO_NODE) {
+                row_of[node as usize] = row as u32;
             }
         };
-        pool.install(|| {
-            let rows = (self.pose.x.par_iter_mut()).zip(vertices).with_min_len(PIECE);
-            rows.filter(|(_, node)| **node != NO_NODE)
-                .for_each(|(x, &node)| *x = place(node as usize));
-        });
+        // Finding rows takes one thread; poses have work for the others.
+        pool.install(|| rayon::join(|| pose.begin(&body.hierarchy, rest, start, pool), find_rows));
+        self.center = DVec3::ZERO;
         self.find_held(body, rig);
         *x = Vec::new();
         self.is_newest = true;

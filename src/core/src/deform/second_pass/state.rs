@@ -82,6 +82,19 @@ impl SolveState {
         self.extra.clear();
     }
 
+    /// Whether nothing was solved with it.
+    pub fn is_empty(&self) -> bool {
+        self.byte_size() == 0
+    }
+
+    /// Lets go of all but memory, as other handles need.
+    pub fn begin_anew(&mut self) {
+        self.forget();
+        self.transforms.clear();
+        self.rhs.clear();
+        self.space = None;
+    }
+
     /// Lets go of the last solution.
     pub(in crate::deform) fn forget(&mut self) {
         self.rows.let_go();
