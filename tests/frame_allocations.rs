@@ -3,7 +3,9 @@
 use counting_allocator::{CountingAllocator, counted};
 use glam::{DVec3, Vec3, Vec4};
 use pliant::engine::Shading;
-use pliant::wire::frames::{FrameEncoding, FrameHeader, FrameOutput, FrameRequest, OutgoingResponse, encode};
+use pliant::wire::frames::{
+    FrameEncoding, FrameHeader, FrameOutput, FrameRequest, OutgoingResponse, SentSteps, encode_next,
+};
 use prost::Message as _;
 use std::sync::Arc;
 
@@ -31,9 +33,18 @@ fn frames_ask_for_the_bytes_that_are_sent() {
         tangents: vec![Vec4::X; VERTICES],
     };
     let (positions, shading) = (Arc::new(positions), Arc::new(shading));
-    for encoding in [FrameEncoding::F32, FrameEncoding::U16, FrameEncoding::Meshopt] {
+    let encodings = [
+        FrameEncoding::F32,
+        FrameEncoding::U16,
+        FrameEncoding::Meshopt,
+        FrameEncoding::Delta,
+    ];
+    for encoding in encodings {
         for normals in [false, true] {
-            for changed_only in [None, Some(0.0)] {
+            // What differs and what has changed are not asked for together: the second round is of a frame that follows.
+            let tells_differences = encoding == FrameEncoding::Delta;
+            let mut held = SentSteps::default();
+            for changed_only in [None, if tells_differences { None } else { Some(0.0) }] {
                 let request = FrameRequest {
                     header: FrameHeader::default(),
                     positions: Arc::clone(&positions),
@@ -48,20 +59,25 @@ fn frames_ask_for_the_bytes_that_are_sent() {
                     part_bytes: PART,
                 };
                 let case = format!("{:?}", request.output);
-                let ((), asked) = counted(|| drop(encode(request.clone())));
+                let is_key = held.byte_size() == 0;
+                let kept = if is_key {
+                    usize::try_from(request.kept_bytes()).expect("fits")
+                } else {
+                    0
+                };
+                let (mut parts, asked) = counted(|| encode_next(request.clone(), std::mem::take(&mut held)));
                 assert!(
-                    asked.calls <= CALLS && asked.bytes <= BYTES + VERTICES * 4,
+                    asked.calls <= CALLS && asked.bytes <= BYTES + VERTICES * 4 + kept,
                     "{case}: {} bytes for a frame of which no part is made",
                     asked.bytes
                 );
                 // What a part is made with: its indices; what meshopt takes, and the room for what it gives.
                 let indices = changed_only.map_or(0, |_| PART);
-                let coded = if encoding == FrameEncoding::Meshopt {
+                let coded = if matches!(encoding, FrameEncoding::Meshopt | FrameEncoding::Delta) {
                     3 * PART
                 } else {
                     0
                 };
-                let mut parts = encode(request);
                 let mut sent_bytes = 0;
                 while let (Some(part), made) = counted(|| parts.next_part()) {
                     assert!(
@@ -83,7 +99,9 @@ fn frames_ask_for_the_bytes_that_are_sent() {
                     );
                     sent_bytes += message.len();
                 }
-                assert!(sent_bytes > 2 * BYTES, "{case}: numbers are sent");
+                assert!(!is_key || sent_bytes > 2 * BYTES, "{case}: numbers are sent");
+                held = parts.into_sent();
+                assert_eq!(held.byte_size(), request.kept_bytes(), "{case}");
             }
         }
     }

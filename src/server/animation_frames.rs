@@ -9,7 +9,7 @@ use crate::wire::{pb, stage_frame, summary_frame};
 #[derive(Debug)]
 pub(super) struct AnimationFrames {
     output: AnimationReader,
-    /// What is left of the frame that is being sent.
+    /// The frame that is being sent, and what differences of the next one are told from.
     parts: PartsToSend,
     last_seq: u64,
 }
@@ -19,7 +19,7 @@ impl AnimationFrames {
     pub fn of_output(output: AnimationReader) -> Self {
         Self {
             output,
-            parts: PartsToSend::None,
+            parts: PartsToSend::default(),
             last_seq: 0,
         }
     }
@@ -45,7 +45,8 @@ impl AnimationFrames {
                 Ok(AnimationAnswer::Stage { stage, fraction }) => return Some(Ok(stage_frame(stage, fraction.into()))),
                 Ok(AnimationAnswer::Frame(frame)) => {
                     self.last_seq = frame.header.seq;
-                    self.parts = PartsToSend::of(*frame);
+                    self.output.hold_bytes(frame.kept_bytes());
+                    self.parts.begin(*frame);
                 }
                 Ok(AnimationAnswer::Summary(summary)) => return Some(Ok(summary_frame(&summary, self.last_seq))),
                 Err(error) => return Some(Err(error)),

@@ -20,7 +20,7 @@ pub(super) struct RequestEnd {
 #[derive(Debug)]
 pub(super) struct ResponseEnd {
     output: StreamOutput,
-    /// What is left of the frame that is being sent.
+    /// The frame that is being sent, and what differences of the next one are told from.
     parts: PartsToSend,
     /// A frame could not be encoded: nothing follows that.
     is_broken: bool,
@@ -31,7 +31,7 @@ pub(super) fn message_ends(stream: DeformStream, limits: StreamLimits) -> (Reque
     let (input, output) = stream.split();
     let response_end = ResponseEnd {
         output,
-        parts: PartsToSend::None,
+        parts: PartsToSend::default(),
         is_broken: false,
     };
     (RequestEnd { input, limits }, response_end)
@@ -77,7 +77,10 @@ impl ResponseEnd {
                 }
             }
             match self.output.next().await? {
-                StreamAnswer::Frame(frame) => self.parts = PartsToSend::of(*frame),
+                StreamAnswer::Frame(frame) => {
+                    self.output.hold_bytes(frame.kept_bytes());
+                    self.parts.begin(*frame);
+                }
                 StreamAnswer::Failure { error, seq } => break Message::Error(failure_message(&error, seq)),
                 StreamAnswer::Notice { code, message, session } => {
                     break Message::Notice(pb::Notice {

@@ -5,19 +5,27 @@
 //! written straight into the bytes that are sent ([`OutgoingResponse`]). Knows no stream and no session: who may get
 //! a frame, and when, is not decided here.
 
+mod header;
 mod numbers;
 mod outgoing;
+mod output;
 mod part;
+mod reader;
+mod sent_steps;
 
+pub use header::{AnimatedHeader, FrameHeader};
 pub use outgoing::OutgoingResponse;
+pub use output::{FrameEncoding, FrameOutput};
 pub use part::FramePart;
+pub use reader::FrameReader;
+pub use sent_steps::SentSteps;
 
+use self::header::header_message;
 use self::numbers::{PickedVertices, put_floats};
 use self::part::{FrameVertices, bytes_a_vertex};
-use super::facts::quality_message;
+use self::sent_steps::{FrameKind, FrameTelling, KEPT_BYTES};
 use super::pb::{self, frame};
-use crate::engine::{QualityReport, Shading};
-use crate::motion::rig::RigidMotion;
+use crate::engine::Shading;
 use bytes::Bytes;
 use glam::DVec3;
 use std::sync::Arc;
@@ -27,93 +35,6 @@ pub fn f32_bytes(positions: &[DVec3]) -> Bytes {
     let mut data = Vec::with_capacity(positions.len() * 12);
     put_floats(PickedVertices::Run(positions), &mut data);
     data.into()
-}
-
-/// What a frame tells beside its numbers. All its parts repeat it.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct FrameHeader {
-    /// The number of the pose that it shows.
-    pub seq: u64,
-    /// The session's revision.
-    pub revision: u64,
-    /// Whether it ends the work on its pose.
-    pub is_final: bool,
-    /// Relative residual reached.
-    pub residual: f64,
-    /// Estimated largest missing displacement, as a fraction of the diagonal.
-    pub max_error: f64,
-    /// Milliseconds of solving.
-    pub solve_ms: f64,
-    /// Milliseconds of waiting for a compute slot.
-    pub queue_ms: f64,
-    /// Poses that were skipped since the frame before.
-    pub superseded: u32,
-    /// How far the shape of a commit, or of a frame of an animation, is from the rest shape.
-    pub quality: Option<QualityReport>,
-    /// Which frame of an animation it is.
-    pub animated: Option<Box<AnimatedHeader>>,
-}
-
-/// What a frame of an animation tells beside.
-#[derive(Debug, Clone, PartialEq)]
-pub struct AnimatedHeader {
-    /// Its number.
-    pub index: usize,
-    /// Frames of the whole animation.
-    pub count: usize,
-    /// When it is, in seconds of the clip.
-    pub seconds: f64,
-    /// Where the root bone has carried the model, when that is not in the positions.
-    pub root: RigidMotion,
-    /// Digest of the positions as the root bone sees them.
-    pub digest: String,
-    /// Cycles of the solver.
-    pub cycles: usize,
-}
-
-/// What frames carry, and how.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct FrameOutput {
-    /// Whether they carry normals.
-    pub normals: bool,
-    /// Whether they carry tangents.
-    pub tangents: bool,
-    /// They carry only vertices that have moved further than this, as a fraction of the diagonal; `None` is all vertices.
-    pub changed_only: Option<f64>,
-    /// How numbers are written.
-    pub encoding: FrameEncoding,
-    /// Whether the triangles that cross are counted on commit.
-    pub self_intersections: bool,
-}
-
-/// How the numbers of a frame are written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum FrameEncoding {
-    /// Little-endian 32-bit floats.
-    #[default]
-    F32,
-    /// 16-bit steps of a box.
-    U16,
-    /// The same, compressed by meshopt.
-    Meshopt,
-}
-
-impl FrameEncoding {
-    pub(super) fn from_message(encoding: frame::Encoding) -> Self {
-        match encoding {
-            frame::Encoding::F32 => Self::F32,
-            frame::Encoding::U16 => Self::U16,
-            frame::Encoding::Meshopt => Self::Meshopt,
-        }
-    }
-
-    pub(super) fn to_message(self) -> frame::Encoding {
-        match self {
-            Self::F32 => frame::Encoding::F32,
-            Self::U16 => frame::Encoding::U16,
-            Self::Meshopt => frame::Encoding::Meshopt,
-        }
-    }
 }
 
 /// A frame to encode.
@@ -140,7 +61,32 @@ impl FrameRequest {
     /// Whether making its parts holds up a thread for long.
     pub fn is_slow_to_encode(&self) -> bool {
         let vertices = self.selected.as_ref().map_or(self.positions.len(), Vec::len);
-        self.output.encoding == FrameEncoding::Meshopt && vertices > MANY_TO_COMPRESS
+        let is_coded = matches!(self.output.encoding, FrameEncoding::Meshopt | FrameEncoding::Delta);
+        is_coded && vertices > MANY_TO_COMPRESS
+    }
+
+    /// Bytes that its stream holds beside it, for the differences of the next frame.
+    pub fn kept_bytes(&self) -> u64 {
+        if !self.tells_differences() {
+            return 0;
+        }
+        let attributes = self.carries().into_iter().filter(|&is_carried| is_carried).count();
+        (self.positions.len() * attributes * KEPT_BYTES) as u64
+    }
+
+    /// Whether it carries positions, normals and tangents.
+    fn carries(&self) -> [bool; 3] {
+        let count = self.positions.len();
+        let fits = |s: &Arc<Shading>| s.normals.len() == count && s.tangents.len() == count;
+        // An empty change is told by one empty part.
+        let is_empty = count == 0 || self.selected.as_ref().is_some_and(Vec::is_empty);
+        let shades = self.shading.as_ref().is_some_and(fits) && !is_empty;
+        [true, shades && self.output.normals, shades && self.output.tangents]
+    }
+
+    fn tells_differences(&self) -> bool {
+        // Those who ask for some of the vertices are refused differences before.
+        self.output.encoding == FrameEncoding::Delta && self.selected.is_none()
     }
 
     /// Bytes held, about.
@@ -151,10 +97,21 @@ impl FrameRequest {
     }
 }
 
-/// Prepares a frame; the iterator makes its parts one by one.
+/// Prepares a frame that stands for itself; the iterator makes its parts one by one. Who asked for differences gets a key frame.
 ///
 /// There is always at least one part. Attributes follow one another: positions, then normals, then tangents.
 pub fn encode(request: FrameRequest) -> FrameParts {
+    prepare(request, None)
+}
+
+/// Prepares the next frame of a stream whose reader holds what `sent` says, and who will hold what [`FrameParts::into_sent`] says
+/// when all its parts are sent.
+pub fn encode_next(request: FrameRequest, sent: SentSteps) -> FrameParts {
+    prepare(request, Some(sent))
+}
+
+fn prepare(request: FrameRequest, sent: Option<SentSteps>) -> FrameParts {
+    let (tells_differences, carries) = (request.tells_differences(), request.carries());
     let FrameRequest {
         header,
         positions,
@@ -163,30 +120,54 @@ pub fn encode(request: FrameRequest) -> FrameParts {
         selected,
         part_bytes,
     } = request;
-    let encoding = output.encoding.to_message();
-    let shading = shading.filter(|s| s.normals.len() == positions.len() && s.tangents.len() == positions.len());
-    let has_shading = shading.is_some();
-    let bounds = (encoding != frame::Encoding::F32).then(|| bounds(&positions, selected.as_deref()));
-    let vertices = Arc::new(FrameVertices {
+    let mut vertices = FrameVertices {
         positions,
         shading,
         selected,
-        bounds,
-    });
-    // An empty change is told by one empty part.
-    let shades = |wanted: bool| wanted && has_shading && vertices.count() > 0;
+        bounds: None,
+    };
+    let kind = FrameKind {
+        output,
+        topology: header.topology,
+        carries,
+        vertices: vertices.count(),
+    };
+    let telling = if tells_differences {
+        FrameTelling::of_difference(kind, sent, &mut vertices)
+    } else {
+        FrameTelling::of_itself(output.encoding, sent, &mut vertices)
+    };
+    let encoding = telling.encoding();
+    let (blocks, parts) = blocks(&kind, encoding, vertices.selected.is_some(), part_bytes);
+    FrameParts {
+        header: pb::Frame {
+            number: telling.number(),
+            ..header_message(&header)
+        },
+        vertices: Arc::new(vertices),
+        encoding,
+        blocks,
+        telling,
+        scratch: Vec::new(),
+        next: 0,
+        parts,
+    }
+}
+
+/// The runs of parts of a frame, and how many parts they are.
+fn blocks(kind: &FrameKind, encoding: frame::Encoding, is_listed: bool, part_bytes: usize) -> ([FrameBlock; 3], u32) {
     let attributes = [
-        (frame::Attribute::Position, true),
-        (frame::Attribute::Normal, shades(output.normals)),
-        (frame::Attribute::Tangent, shades(output.tangents)),
+        (frame::Attribute::Position, kind.carries[0]),
+        (frame::Attribute::Normal, kind.carries[1]),
+        (frame::Attribute::Tangent, kind.carries[2]),
     ];
+    let index_bytes = if is_listed { 4 } else { 0 };
     let mut parts = 0u32;
     let blocks = attributes.map(|(attribute, is_sent)| {
-        let index_bytes = if vertices.selected.is_some() { 4 } else { 0 };
         let run = (part_bytes / (bytes_a_vertex(encoding, attribute) + index_bytes)).max(1);
         let first_part = parts;
         if is_sent {
-            let count = u32::try_from(vertices.count().div_ceil(run).max(1)).unwrap_or(u32::MAX);
+            let count = u32::try_from(kind.vertices.div_ceil(run).max(1)).unwrap_or(u32::MAX);
             parts = parts.saturating_add(count);
         }
         FrameBlock {
@@ -196,59 +177,7 @@ pub fn encode(request: FrameRequest) -> FrameParts {
             run,
         }
     });
-    FrameParts {
-        header: header_message(&header),
-        vertices,
-        encoding,
-        blocks,
-        scratch: Vec::new(),
-        next: 0,
-        parts,
-    }
-}
-
-fn header_message(header: &FrameHeader) -> pb::Frame {
-    pb::Frame {
-        seq: header.seq,
-        revision: header.revision,
-        r#final: header.is_final,
-        residual: header.residual,
-        max_error: header.max_error,
-        solve_ms: header.solve_ms,
-        queue_ms: header.queue_ms,
-        superseded: header.superseded,
-        quality: header.quality.as_ref().map(quality_message),
-        animated: header.animated.as_deref().map(animated_message),
-        ..Default::default()
-    }
-}
-
-fn animated_message(header: &AnimatedHeader) -> pb::Animated {
-    let narrow = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-    pb::Animated {
-        index: narrow(header.index),
-        count: narrow(header.count),
-        time: header.seconds,
-        root_translation: header.root.place(DVec3::ZERO).to_array().to_vec(),
-        root_rotation: header.root.rotation.to_array().to_vec(),
-        digest: header.digest.clone(),
-        cycles: narrow(header.cycles),
-        ..Default::default()
-    }
-}
-
-fn bounds(positions: &[DVec3], selected: Option<&[u32]>) -> [DVec3; 2] {
-    let grow = |[low, high]: [DVec3; 2], p: DVec3| [low.min(p), high.max(p)];
-    let nothing = [DVec3::INFINITY, DVec3::NEG_INFINITY];
-    let [low, high] = match selected {
-        Some(indices) => indices.iter().map(|&v| positions[v as usize]).fold(nothing, grow),
-        None => positions.iter().copied().fold(nothing, grow),
-    };
-    if low.is_finite() && high.is_finite() {
-        [low, high]
-    } else {
-        [DVec3::ZERO; 2]
-    }
+    (blocks, parts)
 }
 
 /// A run of parts with the same attribute; an attribute that is not sent has none.
@@ -268,6 +197,8 @@ pub struct FrameParts {
     vertices: Arc<FrameVertices>,
     encoding: frame::Encoding,
     blocks: [FrameBlock; 3],
+    /// What the numbers are told from.
+    telling: FrameTelling,
     /// What meshopt is given.
     scratch: Vec<[u16; 4]>,
     next: u32,
@@ -278,6 +209,11 @@ impl FrameParts {
     /// Whether there is another part.
     pub fn has_more(&self) -> bool {
         self.next < self.parts
+    }
+
+    /// What the reader holds when it was sent all parts. Before that it is no base for another frame.
+    pub fn into_sent(self) -> SentSteps {
+        self.telling.into_sent()
     }
 
     /// The next part, for who sends its bytes; as an iterator this gives messages.
@@ -312,7 +248,16 @@ impl FrameParts {
             ..self.header.clone()
         };
         self.next += 1;
-        Some(FramePart::new(head, &self.vertices, first..end, &mut self.scratch))
+        let held = self
+            .telling
+            .held(block.attribute)
+            .and_then(|held| held.get_mut(first..end));
+        Some(FramePart::new(
+            head,
+            &self.vertices,
+            first..end,
+            (&mut self.scratch, held),
+        ))
     }
 }
 
@@ -324,5 +269,7 @@ impl Iterator for FrameParts {
     }
 }
 
+#[cfg(test)]
+mod difference_tests;
 #[cfg(test)]
 mod tests;

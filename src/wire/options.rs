@@ -71,6 +71,12 @@ impl DeformOptions {
             let problem = format!("is {threshold}, allowed are 0 to 1 (fraction of the diagonal)");
             return Err(Error::invalid(at("output.changedOnly"), problem));
         }
+        let encoding = FrameEncoding::from_message(encoding);
+        if output.changed_only.is_some() && encoding == FrameEncoding::Delta {
+            let problem = "stands beside encoding DELTA, in whose frames what has not moved takes next to nothing; allowed are one of \
+                           the two, or changedOnly with F32, U16 or MESHOPT";
+            return Err(Error::invalid(at("output.changedOnly"), problem));
+        }
         let solve = SolveSettings {
             tolerance: if tolerance.is_none() && max_error.is_none() {
                 Some(1e-4)
@@ -96,8 +102,9 @@ impl DeformOptions {
                 normals: output.normals,
                 tangents: output.tangents,
                 changed_only: output.changed_only,
-                encoding: FrameEncoding::from_message(encoding),
+                encoding,
                 self_intersections: output.self_intersections,
+                asked: 0,
             },
             window: if options.window == 0 {
                 2.min(max_window.max(1))

@@ -3,8 +3,8 @@
 use crate::found::found_inputs;
 use crate::support::data::{data_root, files_below};
 use crate::support::fbx_text::FbxText;
-use crate::targets::TARGETS;
 use crate::targets::jobs::{LIMITS, box_file};
+use crate::targets::{self, TARGETS};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model, sample};
 use pliant::engine::{
@@ -13,10 +13,12 @@ use pliant::engine::{
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
+use pliant::wire::frames::{FrameEncoding, FrameHeader, FrameOutput, FrameRequest, SentSteps, encode_next};
 use pliant::wire::record::{FileReferences, LoggedCommit, RecordedModel, ShapeProbe};
 use pliant::wire::{json, pb, rig_from_json, rig_message};
 use prost::Message;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Larger files tell nothing more and are slow to mutate.
 const LARGEST: u64 = 24 << 10;
@@ -76,6 +78,7 @@ pub fn inputs_of(name: &str) -> Vec<Vec<u8>> {
         "commit_records" => commits(),
         "model_records" => vec![model_record()],
         "reports" => vec![REPORT.into()],
+        "frames" => frames(),
         _ => Vec::new(),
     };
     inputs.extend(
@@ -84,6 +87,42 @@ pub fn inputs_of(name: &str) -> Vec<Vec<u8>> {
             .map(|path| std::fs::read(path).expect("a readable file")),
     );
     inputs
+}
+
+/// What streams send: in each encoding three frames of a shape that moves, in several parts.
+fn frames() -> Vec<Vec<u8>> {
+    let encodings = [
+        FrameEncoding::F32,
+        FrameEncoding::U16,
+        FrameEncoding::Meshopt,
+        FrameEncoding::Delta,
+    ];
+    let told = |encoding| {
+        let (mut sent, mut bytes) = (SentSteps::default(), Vec::new());
+        for k in 0..3 {
+            let place = |v: usize| DVec3::new(v as f64, libm::sin(v as f64 + f64::from(k) * 0.01), 0.5);
+            let positions: Vec<DVec3> = (0..targets::frames::VERTICES).map(place).collect();
+            let output = FrameOutput {
+                encoding,
+                ..FrameOutput::default()
+            };
+            let request = FrameRequest {
+                header: FrameHeader::default(),
+                positions: Arc::new(positions),
+                shading: None,
+                output,
+                selected: None,
+                part_bytes: 200,
+            };
+            let mut parts = encode_next(request, sent);
+            parts
+                .by_ref()
+                .for_each(|part| bytes.extend(part.encode_length_delimited_to_vec()));
+            sent = parts.into_sent();
+        }
+        bytes
+    };
+    encodings.map(told).to_vec()
 }
 
 fn box_model() -> Model {

@@ -1,6 +1,7 @@
 //! The deform stream, over gRPC and over a WebSocket: what is counted, what a slow reader costs, how it ends.
 
 mod commit_keys;
+mod differences;
 mod sockets;
 
 use crate::support::data::{data_folder, tell_skipped};

@@ -4,6 +4,7 @@ use crate::session::animation::frame_outbox::{FrameOutbox, OutboxItem};
 use crate::session::animation::prepared_animation::PreparedAnimation;
 use crate::session::answers::AnimationAnswer;
 use crate::session::capacity::call_gate::CallGuard;
+use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::Metrics;
 use crate::session::stream::frame_packer::FramePacker;
@@ -21,6 +22,7 @@ pub struct AnimationReader {
     outbox: Arc<FrameOutbox>,
     packer: FramePacker,
     metrics: Arc<Metrics>,
+    held: MemoryReservation,
     _inside: CallGuard,
 }
 
@@ -28,7 +30,7 @@ pub struct AnimationReader {
 pub(in crate::session) fn animation_ends(
     outbox: &Arc<FrameOutbox>,
     part_bytes: usize,
-    metrics: &Arc<Metrics>,
+    (metrics, held): (&Arc<Metrics>, MemoryReservation),
     inside: CallGuard,
 ) -> (AnimationControl, AnimationReader) {
     let input = AnimationControl {
@@ -38,6 +40,7 @@ pub(in crate::session) fn animation_ends(
         outbox: Arc::clone(outbox),
         packer: FramePacker::new(part_bytes),
         metrics: Arc::clone(metrics),
+        held,
         _inside: inside,
     };
     (input, output)
@@ -98,6 +101,12 @@ impl AnimationReader {
     /// The animation, once it is prepared.
     pub(in crate::session) fn prepared(&self) -> Option<Arc<PreparedAnimation>> {
         self.outbox.prepared()
+    }
+
+    /// Says how many bytes who sends the frames holds for the differences of the next one. They are counted even where they are more
+    /// than there is room for: they are little beside what the session holds, and what is sent depends on no other session.
+    pub fn hold_bytes(&self, bytes: u64) {
+        self.held.resize(bytes);
     }
 
     /// Counts the bytes of a part that goes out.

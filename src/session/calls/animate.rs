@@ -8,6 +8,7 @@ use crate::session::animation::running_animation::RunningAnimation;
 use crate::session::answers::{AnimatedModel, Tenant};
 use crate::session::audit::audit_entry::AuditedAction;
 use crate::session::calls::manager::Manager;
+use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::capacity::work_owner::WorkOwner;
 use crate::session::error::Error;
 use crate::wire::AnimateOrder;
@@ -45,7 +46,13 @@ impl Manager {
         self.note(tenant, AuditedAction::Animate, id).await;
         let running = RunningAnimation::on_session(&session, (permit, place), &shared.metrics);
         let outbox = Arc::new(FrameOutbox::with_window(order.window));
-        let ends = animation_ends(&outbox, shared.config.part_bytes, &shared.metrics, shared.gate.enter());
+        let held = shared.ledger.reserve_later(MemoryUse::Sessions);
+        let ends = animation_ends(
+            &outbox,
+            shared.config.part_bytes,
+            (&shared.metrics, held),
+            shared.gate.enter(),
+        );
         let task = AnimationTask {
             manager: self.clone(),
             session,

@@ -5,6 +5,7 @@ use crate::session::answers::{CarriedAlong, ExportedModel, PositionBuffer, Tenan
 use crate::session::audit::audit_entry::AuditedAction;
 use crate::session::calls::command::SessionCommand;
 use crate::session::calls::manager::Manager;
+use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::error::Error;
 use crate::session::registry::OpenSession;
 use crate::session::stream::ends::DeformStream;
@@ -107,7 +108,8 @@ impl Manager {
         };
         let inside = self.shared.gate.enter();
         self.note(tenant, AuditedAction::Stream, id).await;
-        let stream = DeformStream::new(mailbox, session, config.part_bytes, metrics, (inside, place));
+        let held = self.shared.ledger.reserve_later(MemoryUse::Sessions);
+        let stream = DeformStream::new(mailbox, session, config.part_bytes, (metrics, held), (inside, place));
         // A drain that began meanwhile may have missed this stream.
         if self.shared.draining.load(SeqCst) {
             Err(Error::draining())

@@ -41,6 +41,15 @@ impl MemoryLedger {
         *self.used.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Takes nothing yet, for who will say by [`MemoryReservation::resize`] what is held.
+    pub fn reserve_later(self: &Arc<Self>, what: MemoryUse) -> MemoryReservation {
+        MemoryReservation {
+            ledger: Arc::clone(self),
+            what,
+            bytes: AtomicU64::new(0),
+        }
+    }
+
     /// Takes `wanted` bytes, or what there is if that is at least `least`.
     pub fn reserve(self: &Arc<Self>, what: MemoryUse, least: u64, wanted: u64) -> Option<MemoryReservation> {
         let mut used = self.used.lock().unwrap_or_else(PoisonError::into_inner);

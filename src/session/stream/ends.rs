@@ -2,6 +2,7 @@
 
 use crate::session::answers::StreamAnswer;
 use crate::session::capacity::call_gate::CallGuard;
+use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::error::Error;
 use crate::session::metrics::Metrics;
 use crate::session::quota::tenant_account::TenantStream;
@@ -34,6 +35,7 @@ pub struct StreamOutput {
     packer: FramePacker,
     ended: bool,
     metrics: Arc<Metrics>,
+    held: MemoryReservation,
     _inside: (CallGuard, TenantStream),
 }
 
@@ -42,7 +44,7 @@ impl DeformStream {
         mailbox: Arc<Mailbox>,
         session: Arc<OpenSession>,
         part_bytes: usize,
-        metrics: Arc<Metrics>,
+        (metrics, held): (Arc<Metrics>, MemoryReservation),
         inside: (CallGuard, TenantStream),
     ) -> Self {
         metrics.streams.inc();
@@ -56,6 +58,7 @@ impl DeformStream {
                 packer: FramePacker::new(part_bytes),
                 ended: false,
                 metrics,
+                held,
                 _inside: inside,
             },
         }
@@ -111,6 +114,12 @@ impl StreamOutput {
                 None => self.mailbox.wait_for_change().await,
             }
         }
+    }
+
+    /// Says how many bytes who sends the frames holds for the differences of the next one. They are counted even where they are more
+    /// than there is room for: they are little beside what the session holds, and what is sent depends on no other session.
+    pub fn hold_bytes(&self, bytes: u64) {
+        self.held.resize(bytes);
     }
 
     /// Counts the bytes of a part that goes out.

@@ -116,8 +116,7 @@ impl Mailbox {
                 self.task.notify_one();
             }
             StreamRequest::Options(Ok(settings)) => {
-                state.settings = Arc::new(settings);
-                state.promote_held_frame();
+                state.take_options(settings);
                 self.reader.notify_one();
                 self.task.notify_one();
             }

@@ -1,6 +1,6 @@
 //! A frame on its way out: what is known of it before its numbers are encoded.
 
-use crate::engine::Shading;
+use crate::engine::{Shading, TopologyId};
 use crate::session::answers::StreamAnswer;
 use crate::session::history::loaded_deformer::CommitSolution;
 use crate::wire::DeformOptions;
@@ -44,6 +44,8 @@ impl OutboundFrame {
 #[derive(Debug, Clone)]
 pub(in crate::session) struct FrameContext {
     pub revision: u64,
+    /// What edits have made of the model.
+    pub topology: Option<TopologyId>,
     pub diagonal: f64,
     /// How long the work waited for a compute slot.
     pub queued: Duration,
@@ -66,6 +68,7 @@ impl FrameContext {
         let header = FrameHeader {
             seq,
             revision: self.revision,
+            topology: self.topology,
             residual: shape.residual,
             max_error: shape.max_error,
             solve_ms: solve_time.as_secs_f64() * 1e3,

@@ -13,6 +13,8 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub(in crate::session) struct StreamState {
     pub settings: Arc<DeformOptions>,
+    /// How many options the client has sent.
+    asked: u64,
     pub waiting: VecDeque<WaitingPose>,
     pub last_seq: Option<u64>,
     pub dragged: DraggedPoses,
@@ -41,6 +43,7 @@ impl StreamState {
     pub fn new(settings: Arc<DeformOptions>) -> Self {
         Self {
             settings,
+            asked: 0,
             waiting: VecDeque::new(),
             last_seq: None,
             dragged: DraggedPoses::new(),
@@ -56,6 +59,15 @@ impl StreamState {
             leaving: false,
             ended: None,
         }
+    }
+
+    /// Puts options in force for the poses that follow. Their frames tell no differences from those before, also where both are
+    /// the same: a client that lacks what it would need sends its options again.
+    pub fn take_options(&mut self, mut settings: DeformOptions) {
+        self.asked += 1;
+        settings.output.asked = self.asked;
+        self.settings = Arc::new(settings);
+        self.promote_held_frame();
     }
 
     /// Frames that may still be made: the window counts what was taken and not acknowledged, and what is not taken yet.

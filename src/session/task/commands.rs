@@ -1,7 +1,7 @@
 //! The calls that a session's task serves, one at a time.
 
 use crate::asset::Format;
-use crate::engine::{self, ModelShape};
+use crate::engine::{self, ModelShape, TopologyState};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
 use crate::pool::Pool;
@@ -150,6 +150,7 @@ impl SessionTask {
                     let solution = deformer.solve_for_commit(&state, &changes, &options, watch, pool)?;
                     let context = FrameContext {
                         revision,
+                        topology: state.topology.as_ref().map(TopologyState::id),
                         diagonal,
                         queued,
                     };

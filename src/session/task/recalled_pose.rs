@@ -1,7 +1,7 @@
 //! Commits that were made before: the frame of one is made again from its shape, and a commit of a stream that comes a second
 //! time is answered with it.
 
-use crate::engine;
+use crate::engine::{self, TopologyState};
 use crate::exec::Exec;
 use crate::session::answers::CommittedPose;
 use crate::session::calls::command::{StoredAnswer, WorkOrder};
@@ -84,6 +84,7 @@ impl SessionTask {
         let (digest, diagonal, topology) = (state.digest.clone(), state.diagonal, state.topology.clone());
         let AnsweredFrame { mut header, output } = frame;
         header.revision = revision;
+        header.topology = topology.as_ref().map(TopologyState::id);
         let part_bytes = self.shared.config.part_bytes;
         let (made, watch) = self
             .compute(order(), move |deformer, pool, watch, _| {

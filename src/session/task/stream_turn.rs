@@ -1,6 +1,6 @@
 //! One turn of a deform stream: the waiting poses are checked and merged, the newest is solved, its frame goes out.
 
-use crate::engine::{self, HandlePose, SolveMode, SolveSettings, SolveUpdate};
+use crate::engine::{self, HandlePose, SolveMode, SolveSettings, SolveUpdate, TopologyState};
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::session::answers::CommittedPose;
@@ -72,6 +72,7 @@ impl SessionTask {
             .compute(order, move |deformer, pool, watch, queued| {
                 let frames = FrameContext {
                     revision,
+                    topology: state.topology.as_ref().map(TopologyState::id),
                     diagonal: state.diagonal,
                     queued,
                 };

@@ -112,6 +112,15 @@ pub(super) fn push_padded_steps<const N: usize, V: VertexNumbers<N>>(
     });
 }
 
+/// Replaces steps by how far they are from those held, modulo 65536, and these by them.
+pub(super) fn take_differences(steps: &mut [[u16; 4]], held: &mut [[u16; 4]]) {
+    for (step, held) in steps.as_flattened_mut().iter_mut().zip(held.as_flattened_mut()) {
+        let now = u16::from_le(*step);
+        *step = now.wrapping_sub(u16::from_le(*held)).to_le();
+        *held = now.to_le();
+    }
+}
+
 /// Numbers that are rounded at once: whole vertices of three as of four numbers.
 const LANES: usize = 12;
 

@@ -1,6 +1,8 @@
 //! One part of a frame, from its vertices to the bytes that are sent.
 
-use super::numbers::{PickedVertices, Steps, VertexNumbers, push_padded_steps, put_floats, put_steps};
+use super::numbers::{
+    PickedVertices, Steps, VertexNumbers, push_padded_steps, put_floats, put_steps, take_differences,
+};
 use super::pb::{self, frame};
 use crate::engine::Shading;
 use bytes::BufMut;
@@ -40,6 +42,21 @@ impl FrameVertices {
     }
 }
 
+/// The box of positions, of those listed or of all; where they have none, both corners are the origin.
+pub(super) fn bounds(positions: &[DVec3], selected: Option<&[u32]>) -> [DVec3; 2] {
+    let grow = |[low, high]: [DVec3; 2], p: DVec3| [low.min(p), high.max(p)];
+    let nothing = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+    let [low, high] = match selected {
+        Some(indices) => indices.iter().map(|&v| positions[v as usize]).fold(nothing, grow),
+        None => positions.iter().copied().fold(nothing, grow),
+    };
+    if low.is_finite() && high.is_finite() {
+        [low, high]
+    } else {
+        [DVec3::ZERO; 2]
+    }
+}
+
 /// A part of a frame. Its numbers stay where they are until it is sent.
 #[derive(Debug)]
 pub struct FramePart {
@@ -57,19 +74,26 @@ enum PartData {
 }
 
 impl FramePart {
-    /// The vertices in `range`, told by `head`. What meshopt codes is coded here, by way of `scratch`.
+    /// The vertices in `range`, told by `head`. What meshopt codes is coded here, by way of `scratch`; of a stream that asked for
+    /// differences, `held` is what its reader has of these vertices.
     pub(super) fn new(
         mut head: pb::Frame,
         vertices: &Arc<FrameVertices>,
         range: Range<usize>,
-        scratch: &mut Vec<[u16; 4]>,
+        (scratch, held): (&mut Vec<[u16; 4]>, Option<&mut [[u16; 4]]>),
     ) -> Self {
         let mut data = PartData::Of(Arc::clone(vertices), range.clone());
-        if head.encoding() == frame::Encoding::Meshopt && !range.is_empty() {
+        let is_coded = matches!(head.encoding(), frame::Encoding::Meshopt | frame::Encoding::Delta);
+        if is_coded && !range.is_empty() {
             scratch.clear();
             scratch.reserve_exact(range.len());
             let corners = vertices.corners();
             visit(head.attribute(), vertices, &range, PadSteps { corners, out: scratch });
+            match held {
+                Some(held) if head.encoding() == frame::Encoding::Delta => take_differences(scratch, held),
+                Some(held) => held.copy_from_slice(scratch),
+                None => {}
+            }
             match meshopt::encode_vertex_buffer(scratch) {
                 Ok(coded) if !coded.is_empty() => data = PartData::Coded(coded),
                 // The encoding is told with every part, so a part that cannot be compressed goes as it is.
@@ -77,6 +101,11 @@ impl FramePart {
             }
         }
         Self { head, data }
+    }
+
+    /// How its numbers are written.
+    pub fn encoding(&self) -> frame::Encoding {
+        self.head.encoding()
     }
 
     /// Bytes of numbers.
@@ -102,7 +131,7 @@ impl FramePart {
                     frame::Encoding::F32 => visit(attribute, vertices, range, PutFloats(out)),
                     frame::Encoding::U16 => visit(attribute, vertices, range, PutSteps { corners, out }),
                     // Coded, unless it is empty.
-                    frame::Encoding::Meshopt => {}
+                    frame::Encoding::Meshopt | frame::Encoding::Delta => {}
                 }
             }
         }
@@ -132,7 +161,7 @@ pub(super) fn bytes_a_vertex(encoding: frame::Encoding, attribute: frame::Attrib
         frame::Encoding::F32 => numbers * 4,
         frame::Encoding::U16 => numbers * 2,
         // Four numbers of two bytes; what cannot be compressed grows by less than an eighth.
-        frame::Encoding::Meshopt => 9,
+        frame::Encoding::Meshopt | frame::Encoding::Delta => 9,
     }
 }
 

@@ -366,6 +366,7 @@ fn recorded_frame(message: &FrameMessage) -> Result<AnsweredFrame, Error> {
             changed_only: output.changed_only,
             encoding: FrameEncoding::from_message(encoding),
             self_intersections: output.self_intersections,
+            asked: 0,
         },
     })
 }

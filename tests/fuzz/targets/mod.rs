@@ -6,6 +6,7 @@
 
 pub mod byte_draw;
 pub mod edits;
+pub mod frames;
 pub mod jobs;
 pub mod messages;
 pub mod models;
@@ -17,7 +18,7 @@ pub mod reports;
 pub type FuzzTarget = fn(&[u8]);
 
 /// Every target by its name, which is that of its folders of inputs.
-pub const TARGETS: [(&str, FuzzTarget); 17] = [
+pub const TARGETS: [(&str, FuzzTarget); 18] = [
     ("obj", models::obj),
     ("ply", models::ply),
     ("off", models::off),
@@ -35,4 +36,5 @@ pub const TARGETS: [(&str, FuzzTarget); 17] = [
     ("commit_records", records::commits),
     ("model_records", records::models),
     ("reports", reports::reports),
+    ("frames", frames::frames),
 ];

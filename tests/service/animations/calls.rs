@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::support::gltf_parsed::parse;
+use pliant::wire::frames::FrameReader;
 use prost::Message as _;
 use std::collections::BTreeMap;
 use std::process::Command;
@@ -239,6 +240,39 @@ async fn http_answers_frames_in_a_row() {
     let lines: Vec<pb::Frame> = lines.map(|frame| without_times(frame.expect("a frame"))).collect();
     let frames: Vec<pb::Frame> = frames.into_iter().map(without_times).collect();
     assert_eq!(lines[..7], frames[..]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_that_tell_what_differs_show_the_same() {
+    let server = Server::start().await;
+    let model = server.open(bar_obj(16)).await;
+    let (id, vertices) = (
+        text(&model["id"]),
+        model["model"]["vertices"].as_u64().expect("a number"),
+    );
+    let clip = bending_clip(7);
+    let wanted = animated(&server, bar_options(&id, &clip)).await;
+    let options = json!({"rig": bar_rig(), "skipFirst": "NO", "output": {"encoding": "DELTA"}});
+    let form = animation_form(&options, Some(clip.clone()));
+    let answer = post_animation(&server, &id, "application/vnd.google.protobuf", form).await;
+    assert_eq!(answer.status(), 200);
+    let mut body = answer.bytes().await.expect("a body");
+    let mut reader = FrameReader::new(vertices as usize);
+    let mut encodings = Vec::new();
+    for whole in &wanted {
+        let part = pb::Frame::decode_length_delimited(&mut body).expect("a frame");
+        assert!(reader.take(&part).expect("is read"));
+        assert_eq!(part.number, encodings.len() as u64 + 1);
+        let seen = reader
+            .numbers(pb::frame::Attribute::Position)
+            .iter()
+            .zip(floats(&whole.data));
+        let apart = seen.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(apart < 5.0 / 65535.0, "frame {}: {apart}", part.number);
+        encodings.push(part.encoding());
+    }
+    assert_eq!(encodings[0], pb::frame::Encoding::Meshopt);
+    assert!(encodings.contains(&pb::frame::Encoding::Delta), "{encodings:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -121,6 +121,11 @@ async fn wrong_rigs_and_values_are_refused_with_their_field() {
         (json!({"rig": bar_rig(), "refine": 40}), "refine", "0 to 32"),
         (json!({"rig": bar_rig(), "clip": "walk"}), "clip", "is given twice"),
         (
+            json!({"rig": bar_rig(), "output": {"encoding": "DELTA", "changedOnly": 0}}),
+            "output.changedOnly",
+            "next to nothing",
+        ),
+        (
             json!({"rig": bar_rig(), "bvhSize": 5, "fps": 1}),
             "clip",
             "is given twice",

@@ -670,15 +670,17 @@ class DeformRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., ack: _Optional[_Union[Ack, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ...) -> None: ...
 
 class Frame(_message.Message):
-    __slots__ = ("seq", "revision", "part", "parts", "first_vertex", "encoding", "data", "final", "residual", "max_error", "solve_ms", "queue_ms", "superseded", "attribute", "vertex_count", "indices", "box_min", "box_max", "quality", "animated")
+    __slots__ = ("seq", "revision", "part", "parts", "first_vertex", "encoding", "data", "final", "residual", "max_error", "solve_ms", "queue_ms", "superseded", "attribute", "vertex_count", "indices", "box_min", "box_max", "quality", "animated", "number")
     class Encoding(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         F32: _ClassVar[Frame.Encoding]
         U16: _ClassVar[Frame.Encoding]
         MESHOPT: _ClassVar[Frame.Encoding]
+        DELTA: _ClassVar[Frame.Encoding]
     F32: Frame.Encoding
     U16: Frame.Encoding
     MESHOPT: Frame.Encoding
+    DELTA: Frame.Encoding
     class Attribute(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         POSITION: _ClassVar[Frame.Attribute]
@@ -707,6 +709,7 @@ class Frame(_message.Message):
     BOX_MAX_FIELD_NUMBER: _ClassVar[int]
     QUALITY_FIELD_NUMBER: _ClassVar[int]
     ANIMATED_FIELD_NUMBER: _ClassVar[int]
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
     seq: int
     revision: int
     part: int
@@ -727,7 +730,8 @@ class Frame(_message.Message):
     box_max: _containers.RepeatedScalarFieldContainer[float]
     quality: Quality
     animated: Animated
-    def __init__(self, seq: _Optional[int] = ..., revision: _Optional[int] = ..., part: _Optional[int] = ..., parts: _Optional[int] = ..., first_vertex: _Optional[int] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., data: _Optional[bytes] = ..., final: bool = ..., residual: _Optional[float] = ..., max_error: _Optional[float] = ..., solve_ms: _Optional[float] = ..., queue_ms: _Optional[float] = ..., superseded: _Optional[int] = ..., attribute: _Optional[_Union[Frame.Attribute, str]] = ..., vertex_count: _Optional[int] = ..., indices: _Optional[_Iterable[int]] = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., animated: _Optional[_Union[Animated, _Mapping]] = ...) -> None: ...
+    number: int
+    def __init__(self, seq: _Optional[int] = ..., revision: _Optional[int] = ..., part: _Optional[int] = ..., parts: _Optional[int] = ..., first_vertex: _Optional[int] = ..., encoding: _Optional[_Union[Frame.Encoding, str]] = ..., data: _Optional[bytes] = ..., final: bool = ..., residual: _Optional[float] = ..., max_error: _Optional[float] = ..., solve_ms: _Optional[float] = ..., queue_ms: _Optional[float] = ..., superseded: _Optional[int] = ..., attribute: _Optional[_Union[Frame.Attribute, str]] = ..., vertex_count: _Optional[int] = ..., indices: _Optional[_Iterable[int]] = ..., box_min: _Optional[_Iterable[float]] = ..., box_max: _Optional[_Iterable[float]] = ..., quality: _Optional[_Union[Quality, _Mapping]] = ..., animated: _Optional[_Union[Animated, _Mapping]] = ..., number: _Optional[int] = ...) -> None: ...
 
 class Animated(_message.Message):
     __slots__ = ("index", "count", "time", "root_translation", "root_rotation", "digest", "cycles", "stage", "fraction", "report")

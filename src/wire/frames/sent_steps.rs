@@ -1,0 +1,173 @@
+//! What the reader of a stream holds, as its sending end remembers it: the steps of the frame that it was sent last.
+//!
+//! Frames that tell differences are formed of it when they are sent, so that a frame which never went out leaves no gap. Steps
+//! are whole numbers and differences wrap, so nothing adds up: a reader that adds every difference has the bits of the steps.
+
+use super::output::{FrameEncoding, FrameOutput};
+use super::part::{FrameVertices, bounds};
+use super::pb::frame;
+use crate::engine::TopologyId;
+use glam::DVec3;
+
+/// The box of a key frame reaches beyond its shape by this part of its largest extent on each side, so that the frames that follow
+/// have room to move.
+const ROOM: f64 = 0.125;
+/// A shape that fills less than this part of the box, by the largest extents of both, gets a box of its own: its steps have become
+/// coarse.
+const LEAST_FILLED: f64 = 0.25;
+
+/// Bytes of the steps of a vertex, of one attribute.
+pub(super) const KEPT_BYTES: usize = size_of::<[u16; 4]>();
+
+/// What the reader of a stream holds after the frames that it was sent. Of streams that ask for no differences it holds nothing.
+#[derive(Debug, Default)]
+pub struct SentSteps {
+    /// How many frames of the stream were begun that differences may be told from.
+    number: u64,
+    last: Option<LastFrame>,
+}
+
+/// The frame that was sent last.
+#[derive(Debug)]
+struct LastFrame {
+    kind: FrameKind,
+    /// The box of its key frame.
+    corners: [DVec3; 2],
+    /// Steps of positions, normals and tangents, four a vertex; of what it does not carry there are none.
+    steps: [Vec<[u16; 4]>; 3],
+}
+
+/// Frames of one kind can be told by what differs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct FrameKind {
+    /// What was asked for, and by which options.
+    pub output: FrameOutput,
+    /// The state of the model that its vertices belong to.
+    pub topology: Option<TopologyId>,
+    /// Which attributes it carries.
+    pub carries: [bool; 3],
+    pub vertices: usize,
+}
+
+/// What the numbers of a frame on its way are told from.
+#[derive(Debug)]
+pub(super) struct FrameTelling {
+    encoding: frame::Encoding,
+    /// Which frame of the stream it is, of those that differences may be told from; 0 is none.
+    number: u64,
+    /// What the reader holds: of the frame before where the next parts go, of this one where they went.
+    reader: SentSteps,
+}
+
+impl LastFrame {
+    /// With room for the steps of a key frame, where there was room for those of the frame before.
+    fn of_key(kind: FrameKind, corners: [DVec3; 2], before: Option<Self>) -> Self {
+        let mut steps = before.map(|before| before.steps).unwrap_or_default();
+        for (steps, is_carried) in steps.iter_mut().zip(kind.carries) {
+            let count = if is_carried { kind.vertices } else { 0 };
+            if steps.len() != count {
+                // Of the size that is counted, not of that of a model that was larger.
+                *steps = vec![[0; 4]; count];
+            }
+        }
+        Self { kind, corners, steps }
+    }
+}
+
+impl SentSteps {
+    /// Bytes held.
+    pub fn byte_size(&self) -> u64 {
+        let held = self.last.as_ref().map_or(0, |last| {
+            last.steps.iter().map(|steps| steps.capacity() * KEPT_BYTES).sum()
+        });
+        held as u64
+    }
+}
+
+impl FrameTelling {
+    /// Tells a frame by itself, without keeping anything of it.
+    pub fn of_itself(asked: FrameEncoding, sent: Option<SentSteps>, vertices: &mut FrameVertices) -> Self {
+        let encoding = match asked {
+            FrameEncoding::Delta => frame::Encoding::Meshopt,
+            other => other.to_message(),
+        };
+        if encoding != frame::Encoding::F32 {
+            vertices.bounds = Some(bounds(&vertices.positions, vertices.selected.as_deref()));
+        }
+        Self {
+            encoding,
+            number: 0,
+            reader: SentSteps {
+                number: sent.map_or(0, |sent| sent.number),
+                last: None,
+            },
+        }
+    }
+
+    /// Tells what differs, where the reader holds what that is told from and the shape keeps to the box of its key frame; else
+    /// begins anew with a key frame. `vertices` get the box in which their steps are. Without `sent` no frame follows.
+    pub fn of_difference(kind: FrameKind, sent: Option<SentSteps>, vertices: &mut FrameVertices) -> Self {
+        let shape = bounds(&vertices.positions, None);
+        let Some(SentSteps { number, last }) = sent else {
+            vertices.bounds = Some(roomy(shape));
+            return Self {
+                encoding: frame::Encoding::Meshopt,
+                number: 1,
+                reader: SentSteps::default(),
+            };
+        };
+        let number = number + 1;
+        let (encoding, last) = match last {
+            Some(last) if last.kind == kind && is_at_home(shape, last.corners) => (frame::Encoding::Delta, last),
+            last => (frame::Encoding::Meshopt, LastFrame::of_key(kind, roomy(shape), last)),
+        };
+        vertices.bounds = Some(last.corners);
+        Self {
+            encoding,
+            number,
+            reader: SentSteps {
+                number,
+                last: Some(last),
+            },
+        }
+    }
+
+    /// What its parts say, those that can be compressed.
+    pub fn encoding(&self) -> frame::Encoding {
+        self.encoding
+    }
+
+    /// Which frame of the stream it is, of those that differences may be told from; 0 is none.
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// The steps that the reader holds of an attribute, to be replaced by those of a part.
+    pub fn held(&mut self, attribute: frame::Attribute) -> Option<&mut [[u16; 4]]> {
+        let last = self.reader.last.as_mut()?;
+        Some(last.steps.get_mut(attribute as usize)?.as_mut_slice())
+    }
+
+    /// What the reader holds when all parts are sent.
+    pub fn into_sent(self) -> SentSteps {
+        self.reader
+    }
+}
+
+/// The box of a shape, with room.
+fn roomy([low, high]: [DVec3; 2]) -> [DVec3; 2] {
+    let room = DVec3::splat(ROOM * (high - low).max_element());
+    let wide = [low - room, high + room];
+    // Numbers near the end of what there is leave no room.
+    if (wide[1] - wide[0]).is_finite() {
+        wide
+    } else {
+        [low, high]
+    }
+}
+
+/// Whether a shape lies in a box and fills enough of it.
+fn is_at_home([low, high]: [DVec3; 2], [from, to]: [DVec3; 2]) -> bool {
+    let fills = (high - low).max_element() >= LEAST_FILLED * (to - from).max_element();
+    low.cmpge(from).all() && high.cmple(to).all() && fills
+}
