@@ -1,5 +1,6 @@
 //! The arguments of `loadtest stream`.
 
+use pliant::wire::pb::frame;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -45,9 +46,32 @@ pub(crate) struct StreamArgs {
     /// Ask for better and better frames of one pose
     #[arg(long)]
     pub progressive: bool,
+    /// How frames are packed
+    #[arg(long, value_enum, default_value_t = EncodingChoice::F32)]
+    pub encoding: EncodingChoice,
     /// Print one JSON document on stdout
     #[arg(long)]
     pub json: bool,
+}
+
+/// How frames are packed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum EncodingChoice {
+    F32,
+    U16,
+    Meshopt,
+    Delta,
+}
+
+impl From<EncodingChoice> for frame::Encoding {
+    fn from(choice: EncodingChoice) -> Self {
+        match choice {
+            EncodingChoice::F32 => Self::F32,
+            EncodingChoice::U16 => Self::U16,
+            EncodingChoice::Meshopt => Self::Meshopt,
+            EncodingChoice::Delta => Self::Delta,
+        }
+    }
 }
 
 impl StreamArgs {
@@ -66,6 +90,7 @@ impl StreamArgs {
             window: 2,
             tolerance: 1e-3,
             progressive: false,
+            encoding: EncodingChoice::F32,
             json: false,
         }
     }

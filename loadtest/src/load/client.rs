@@ -5,7 +5,8 @@ use super::ledger::PoseLedger;
 use crate::failure::LoadtestFailure;
 use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
 use pliant::server::grpc::client::DeformerClient;
-use pliant::wire::pb::{self, create_session_request, deform_request, deform_response};
+use pliant::wire::frames::FrameReader;
+use pliant::wire::pb::{self, create_session_request, deform_request, deform_response, frame};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -178,6 +179,10 @@ async fn drag_session(
         tolerance: args.tolerance,
         window: args.window,
         progressive: args.progressive,
+        output: Some(pb::Output {
+            encoding: frame::Encoding::from(args.encoding).into(),
+            ..Default::default()
+        }),
         ..Default::default()
     };
     let first = pb::DeformRequest {
@@ -200,6 +205,7 @@ async fn drag_session(
     let patience = start + Duration::from_secs(args.seconds.into()) + GRACE;
     let mut acknowledge = Some(requests);
     let mut ledger = PoseLedger::for_one_client();
+    let mut reader = FrameReader::new(scene.vertices);
     loop {
         let Ok(response) = timeout_at(patience, responses.message()).await else {
             ledger.note_problem(format!("no end came within {} s of the last pose", GRACE.as_secs()));
@@ -208,6 +214,10 @@ async fn drag_session(
         let answered = match response?.and_then(|r| r.message) {
             None => break,
             Some(deform_response::Message::Frame(frame)) => {
+                // A frame is here when its numbers are.
+                if let Err(error) = reader.take(&frame) {
+                    ledger.note_problem(format!("frame {}: {error}", frame.seq));
+                }
                 let latency = |seq: u64| start.elapsed().saturating_sub(args.pose_due_at(seq - 1));
                 if ledger.enter_part(&frame, latency) {
                     Some(frame.seq)

@@ -10,7 +10,9 @@ use pliant::engine::{Deformer, DeformerLimits, Shader, Shading, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::frames::{FrameEncoding, FrameHeader, FrameOutput, FrameRequest, OutgoingResponse, encode};
+use pliant::wire::frames::{
+    FrameEncoding, FrameHeader, FrameOutput, FrameRequest, OutgoingResponse, SentSteps, encode_next,
+};
 use pliant::wire::{self, DeformOptions, pb};
 use prost::Message as _;
 use std::path::{Path, PathBuf};
@@ -22,10 +24,11 @@ const PART: usize = 1 << 20;
 /// Frames before those that are counted.
 const WARM_UP: u64 = 8;
 
-const ENCODINGS: [(&str, FrameEncoding); 3] = [
+const ENCODINGS: [(&str, FrameEncoding); 4] = [
     ("F32", FrameEncoding::F32),
     ("U16", FrameEncoding::U16),
     ("MESHOPT", FrameEncoding::Meshopt),
+    ("DELTA", FrameEncoding::Delta),
 ];
 
 /// Arguments of `loadtest wire`.
@@ -51,6 +54,10 @@ struct WireRow {
     /// Seconds of each frame, sorted.
     seconds: Vec<f64>,
     bytes: usize,
+    /// What its reader holds.
+    sent: SentSteps,
+    /// Frames that stood for themselves.
+    keys: usize,
 }
 
 /// The shapes of a drag, with their normals, and the length of the model's diagonal.
@@ -66,6 +73,9 @@ pub(crate) fn run_wire(args: &WireArgs) -> Result<(), LoadtestFailure> {
     for changed_only in [None, Some(args.changed)] {
         for normals in [false, true] {
             for (name, encoding) in ENCODINGS {
+                if encoding == FrameEncoding::Delta && changed_only.is_some() {
+                    continue;
+                }
                 let suffix = |on: bool, text: &'static str| if on { text } else { "" };
                 let name = format!(
                     "{name}{}{}",
@@ -83,6 +93,8 @@ pub(crate) fn run_wire(args: &WireArgs) -> Result<(), LoadtestFailure> {
                     output,
                     seconds: Vec::new(),
                     bytes: 0,
+                    sent: SentSteps::default(),
+                    keys: 0,
                 });
             }
         }
@@ -102,7 +114,10 @@ pub(crate) fn run_wire(args: &WireArgs) -> Result<(), LoadtestFailure> {
                 selected,
                 part_bytes: PART,
             };
-            let (bytes, seconds) = time_once(|| sent_bytes(request));
+            let sent = std::mem::take(&mut row.sent);
+            let ((bytes, is_key, sent), seconds) = time_once(|| send(request, sent));
+            row.sent = sent;
+            row.keys += usize::from(is_key);
             row.bytes += bytes;
             row.seconds.push(seconds);
         }
@@ -120,13 +135,17 @@ pub(crate) fn run_wire(args: &WireArgs) -> Result<(), LoadtestFailure> {
     Ok(())
 }
 
-/// Makes every message of a frame as it is handed to a connection; answers their bytes.
-fn sent_bytes(request: FrameRequest) -> usize {
-    let mut parts = encode(request);
-    let messages = std::iter::from_fn(|| parts.next_part()).map(|part| OutgoingResponse::Part(Box::new(part)));
-    messages
-        .map(|message| std::hint::black_box(message.encode_to_vec()).len())
-        .sum()
+/// Makes every message of a frame as it is handed to a connection; answers their bytes, whether it stands for itself, and what the
+/// reader holds then.
+fn send(request: FrameRequest, sent: SentSteps) -> (usize, bool, SentSteps) {
+    let mut parts = encode_next(request, sent);
+    let (mut bytes, mut is_key) = (0, true);
+    while let Some(part) = parts.next_part() {
+        is_key &= part.encoding() != pb::frame::Encoding::Delta;
+        let message = OutgoingResponse::Part(Box::new(part));
+        bytes += std::hint::black_box(message.encode_to_vec()).len();
+    }
+    (bytes, is_key, parts.into_sent())
 }
 
 /// A place in steps of a box that stays the same over a drag.
@@ -135,9 +154,8 @@ type StepPlaces = Vec<[i32; 3]>;
 /// What a number is expected to be, from what it was in the last two frames.
 type Prediction = fn([i32; 2]) -> i32;
 
-/// What the steps of a frame could be told against: the one before, the one before that, or where the two lead.
-const PREDICTIONS: [(&str, Prediction); 3] = [
-    ("MESHOPT minus last", |[_, last]| last),
+/// What else the steps of a frame could be told against than the one before: the one before that, or where the two lead.
+const PREDICTIONS: [(&str, Prediction); 2] = [
     ("MESHOPT minus earlier", |[earlier, _]| earlier),
     ("MESHOPT minus led to", |[earlier, last]| 2 * last - earlier),
 ];
@@ -156,6 +174,8 @@ fn predicted(name: &str, shapes: &[(Arc<Vec<DVec3>>, Arc<Shading>)], prediction:
         output: FrameOutput::default(),
         seconds: Vec::new(),
         bytes: 0,
+        sent: SentSteps::default(),
+        keys: 0,
     };
     let mut earlier = shapes.first().map(|(p, _)| steps(p)).unwrap_or_default();
     let mut last = earlier.clone();
@@ -239,6 +259,9 @@ fn measurements(model: &Path, vertices: usize, rows: &[WireRow]) -> Measurements
             &format!("{name}_bytes"),
             row.bytes as f64 / row.seconds.len().max(1) as f64,
         );
+        if row.output.encoding == FrameEncoding::Delta {
+            m.set_value(&format!("{name}_key_frames"), row.keys);
+        }
     }
     m
 }
@@ -252,11 +275,16 @@ fn table(model: &Path, vertices: usize, rows: &[WireRow]) -> String {
     for row in rows {
         let bytes = row.bytes as f64 / row.seconds.len().max(1) as f64;
         text += &format!(
-            "{:<24} {:>8.3} ms {:>9.1} KiB a frame {:>6.2} bytes a vertex\n",
+            "{:<24} {:>8.3} ms {:>9.1} KiB a frame {:>6.2} bytes a vertex{}\n",
             row.name,
             median(&row.seconds) * 1e3,
             bytes / 1024.0,
-            bytes / vertices.max(1) as f64
+            bytes / vertices.max(1) as f64,
+            if row.output.encoding == FrameEncoding::Delta {
+                format!("  {} key frames", row.keys)
+            } else {
+                String::new()
+            }
         );
     }
     text
