@@ -6,6 +6,7 @@
 
 import type { Frame as Part, Quality } from "./gen/pliant/v1/pliant_pb.js";
 import { Frame_Attribute as Attribute, Frame_Encoding as Encoding } from "./gen/pliant/v1/pliant_pb.js";
+import { decodeSteps } from "./vertex_codec.js";
 
 /** What is known of a frame beside its numbers. */
 export interface FrameFacts {
@@ -46,7 +47,11 @@ export class Frame implements FrameFacts {
   /** Whether it carries only some vertices and thus needs the frames before it. */
   readonly isPartial: boolean;
 
-  constructor(private readonly parts: readonly Part[]) {
+  /** `steps` are those of a frame of a stream that tells differences, four a vertex, by attribute. */
+  constructor(
+    private readonly parts: readonly Part[],
+    private readonly steps?: ReadonlyMap<Attribute, Uint16Array>,
+  ) {
     const first = parts[0];
     if (first === undefined) {
       throw new RangeError("a frame has at least one part");
@@ -89,13 +94,13 @@ export class Frame implements FrameFacts {
   private write(attribute: Attribute, size: 3 | 4, target: Float32Array): void {
     for (const part of this.parts) {
       if (part.attribute === attribute) {
-        writePart(part, size, target);
+        writePart(part, size, target, this.steps?.get(attribute));
       }
     }
   }
 }
 
-function writePart(part: Part, size: 3 | 4, target: Float32Array): void {
+function writePart(part: Part, size: 3 | 4, target: Float32Array, held: Uint16Array | undefined): void {
   const { indices, vertexCount, firstVertex } = part;
   const last = indices.length > 0 ? (indices.at(-1) as number) + 1 : firstVertex + vertexCount;
   if (last * size > target.length) {
@@ -104,7 +109,10 @@ function writePart(part: Part, size: 3 | 4, target: Float32Array): void {
   if (indices.length > 0 && indices.length !== vertexCount) {
     throw new RangeError(`a part of a frame names ${indices.length} vertices and carries ${vertexCount}`);
   }
-  if (part.encoding === Encoding.F32) {
+  if (held !== undefined) {
+    const range = held.subarray(firstVertex * 4, (firstVertex + vertexCount) * 4);
+    unpackSteps(range, 4, indices, firstVertex, size, scale(part, size), target);
+  } else if (part.encoding === Encoding.F32) {
     const data = checked(part.data, vertexCount * size * 4);
     if (indices.length === 0 && LITTLE_ENDIAN) {
       // Bytes need no alignment, so this is the one copy from the socket to the buffer.
@@ -113,10 +121,15 @@ function writePart(part: Part, size: 3 | 4, target: Float32Array): void {
       unpackFloats(data, indices, firstVertex, size, target);
     }
   } else if (part.encoding === Encoding.U16) {
-    const data = checked(part.data, vertexCount * size * 2);
-    unpackSteps(data, indices, firstVertex, size, scale(part, size), target);
+    unpackSteps(plainSteps(part, size), size, indices, firstVertex, size, scale(part, size), target);
+  } else if (part.encoding === Encoding.MESHOPT) {
+    const steps = new Uint16Array(vertexCount * 4);
+    if (vertexCount > 0) decodeSteps(part.data, vertexCount, steps);
+    unpackSteps(steps, 4, indices, firstVertex, size, scale(part, size), target);
+  } else if (part.encoding === Encoding.DELTA) {
+    throw new RangeError("a frame tells what differs from the one before, which is not here");
   } else {
-    throw new RangeError("this client reads F32 and U16 frames; ask for one of them in Options.output.encoding");
+    throw new RangeError(`the frame is packed in a way (number ${part.encoding}) that this client does not know`);
   }
 }
 
@@ -129,26 +142,26 @@ function unpackFloats(data: Uint8Array, indices: readonly number[], first: numbe
   }
 }
 
+/** Writes steps, of which every vertex has `stride`. */
 function unpackSteps(
-  data: Uint8Array,
+  steps: Uint16Array,
+  stride: 3 | 4,
   indices: readonly number[],
   first: number,
   size: 3 | 4,
   { low, step }: { low: number[]; step: number[] },
   target: Float32Array,
 ): void {
-  const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
   const [lx = 0, ly = 0, lz = 0, lw = 0] = low;
   const [sx = 0, sy = 0, sz = 0, sw = 0] = step;
-  const bytes = size * 2;
   const listed = indices.length > 0;
   let to = first * size;
-  for (let at = 0, k = 0; at < data.byteLength; at += bytes, to += size, k++) {
+  for (let at = 0, k = 0; at < steps.length; at += stride, to += size, k++) {
     if (listed) to = (indices[k] as number) * size;
-    target[to] = lx + sx * view.getUint16(at, true);
-    target[to + 1] = ly + sy * view.getUint16(at + 2, true);
-    target[to + 2] = lz + sz * view.getUint16(at + 4, true);
-    if (size === 4) target[to + 3] = lw + sw * view.getUint16(at + 6, true);
+    target[to] = lx + sx * (steps[at] as number);
+    target[to + 1] = ly + sy * (steps[at + 1] as number);
+    target[to + 2] = lz + sz * (steps[at + 2] as number);
+    if (size === 4) target[to + 3] = lw + sw * (steps[at + 3] as number);
   }
 }
 
@@ -158,9 +171,22 @@ function scale(part: Part, size: 3 | 4): { low: number[]; step: number[] } {
   const low = directions ? [-1, -1, -1, -1] : part.boxMin;
   const high = directions ? [1, 1, 1, 1] : part.boxMax;
   if (low.length < 3 || high.length < 3) {
-    throw new RangeError("a U16 frame says which box its numbers lie in; this one does not");
+    throw new RangeError("a frame of steps says which box its numbers lie in; this one does not");
   }
   return { low, step: Array.from({ length: size }, (_, k) => ((high[k] ?? 0) - (low[k] ?? 0)) / 65535) };
+}
+
+/** The steps of a U16 part, wherever its bytes begin. */
+function plainSteps(part: Part, size: 3 | 4): Uint16Array {
+  const data = checked(part.data, part.vertexCount * size * 2);
+  const steps = new Uint16Array(part.vertexCount * size);
+  if (LITTLE_ENDIAN) {
+    new Uint8Array(steps.buffer).set(data);
+  } else {
+    const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
+    for (let k = 0; k < steps.length; k++) steps[k] = view.getUint16(k * 2, true);
+  }
+  return steps;
 }
 
 const LITTLE_ENDIAN = new Uint8Array(new Uint16Array([1]).buffer)[0] === 1;
@@ -172,9 +198,14 @@ function checked(data: Uint8Array, bytes: number): Uint8Array {
   return data;
 }
 
-/** Puts parts together. Holds the parts of one frame at most. */
+/**
+ * Puts the parts of one connection together. Holds the parts of one frame at most and, of a stream that tells differences, the steps
+ * of the frame before.
+ */
 export class Assembler {
   private parts: Part[] = [];
+  /** What the next frame may be told from. */
+  private held: HeldFrame | undefined;
 
   /** Takes a part; answers the frame that it completes. */
   push(part: Part): Frame | undefined {
@@ -188,8 +219,63 @@ export class Assembler {
     if (this.parts.length < part.parts) {
       return undefined;
     }
-    const frame = new Frame(this.parts);
+    const parts = this.parts;
+    const before = this.held;
     this.parts = [];
-    return frame;
+    this.held = undefined;
+    if (part.number === 0n) return new Frame(parts);
+    const sizes = new Map<Attribute, number>();
+    // Every frame gets steps of its own: those of the one before may not have been looked at yet.
+    const steps = new Map<Attribute, Uint16Array>();
+    for (const { attribute, vertexCount } of parts) sizes.set(attribute, (sizes.get(attribute) ?? 0) + vertexCount);
+    for (const [attribute, vertices] of sizes) steps.set(attribute, new Uint16Array(vertices * 4));
+    for (const one of parts) readSteps(one, steps.get(one.attribute) as Uint16Array, before);
+    this.held = { number: part.number, parts, steps };
+    return new Frame(parts, steps);
   }
+}
+
+/** A frame that differences may be told from. */
+interface HeldFrame {
+  readonly number: bigint;
+  readonly parts: readonly Part[];
+  readonly steps: ReadonlyMap<Attribute, Uint16Array>;
+}
+
+/** Reads the steps of a part to their place among `all` of its frame. */
+function readSteps(part: Part, all: Uint16Array, before: HeldFrame | undefined): void {
+  const { attribute, vertexCount, firstVertex, number } = part;
+  const from = firstVertex * 4;
+  const to = from + vertexCount * 4;
+  if (part.indices.length > 0 || to > all.length) {
+    throw new RangeError(`frame ${part.seq} does not carry every vertex, as frames of which differences are told do`);
+  }
+  const now = all.subarray(from, to);
+  if (part.encoding === Encoding.U16) {
+    const size = attribute === Attribute.TANGENT ? 4 : 3;
+    const plain = plainSteps(part, size);
+    for (let k = 0; k < vertexCount; k++) now.set(plain.subarray(k * size, (k + 1) * size), k * 4);
+    return;
+  }
+  if (part.encoding !== Encoding.MESHOPT && part.encoding !== Encoding.DELTA) {
+    throw new RangeError(`frame ${part.seq} is packed in a way (number ${part.encoding}) in which no differences are told`);
+  }
+  if (vertexCount > 0) decodeSteps(part.data, vertexCount, now);
+  if (part.encoding === Encoding.MESHOPT) return;
+  const base = before?.steps.get(attribute);
+  const box = before?.parts.find((one) => one.attribute === attribute);
+  if (before === undefined || base === undefined || before.number !== number - 1n || base.length !== all.length || !hasBox(part, box)) {
+    throw new RangeError(
+      `frame ${part.seq} tells what differs from the frame before, which is not here; a stream that is opened anew, or whose ` +
+        "options are sent again, begins with a whole one",
+    );
+  }
+  // A Uint16Array keeps sums modulo 65536.
+  for (let k = 0, at = from; at < to; k++, at++) now[k] = (now[k] as number) + (base[at] as number);
+}
+
+/** Whether two parts have their steps in the same box. */
+function hasBox(part: Part, other: Part | undefined): boolean {
+  const same = (a: readonly number[], b: readonly number[] | undefined) => a.length === b?.length && a.every((x, k) => x === b[k]);
+  return same(part.boxMin, other?.boxMin) && same(part.boxMax, other?.boxMax);
 }

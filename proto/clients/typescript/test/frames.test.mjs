@@ -1,7 +1,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { create } from "@bufbuild/protobuf";
+import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { Assembler, Frame, regionOf, schema } from "../dist/index.js";
+import { decodeSteps } from "../dist/vertex_codec.js";
+import { coded } from "./fake.mjs";
 
 const { Frame_Attribute: Attribute, Frame_Encoding: Encoding, FrameSchema } = schema;
 
@@ -85,9 +88,116 @@ test("what does not fit is refused, not written elsewhere", () => {
   assert.throws(() => write({ vertexCount: 1, data: floats(1, 2) }), /8 bytes, its vertices need 12/);
   assert.throws(() => write({ vertexCount: 2, indices: [0], data: floats(1, 2, 3, 4, 5, 6) }), /names 1 vertices and carries 2/);
   assert.throws(() => write({ encoding: Encoding.U16, vertexCount: 1, data: new Uint8Array(6) }), /box/);
-  assert.throws(() => write({ encoding: Encoding.MESHOPT, vertexCount: 1, data: new Uint8Array(6) }), /F32 and U16/);
+  const box = { boxMin: [0, 0, 0], boxMax: [1, 1, 1] };
+  assert.throws(() => write({ ...box, encoding: Encoding.MESHOPT, vertexCount: 1, data: new Uint8Array(60) }), /no version/);
+  assert.throws(() => write({ ...box, encoding: Encoding.DELTA, vertexCount: 1, data: new Uint8Array(60) }), /not here/);
+  assert.throws(() => write({ ...box, encoding: 9, vertexCount: 1, data: new Uint8Array(60) }), /number 9/);
   const assembler = new Assembler();
   assert.throws(() => assembler.push(part({ part: 1, parts: 2 })), /after 0 others/);
+});
+
+/** Random numbers that are the same in every run. */
+function draw(seed) {
+  let state = seed;
+  return () => {
+    state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
+    return state / 2 ** 32;
+  };
+}
+
+test("the vertex codec gives back what was packed, in every version and for every kind of numbers", async () => {
+  await MeshoptEncoder.ready;
+  const random = draw(7);
+  const kinds = [
+    () => 0,
+    () => random() * 65536,
+    (k) => k * 3,
+    (k) => 32768 + Math.sin(k / 9) * 2000,
+    (k) => (k & 1) * 65535,
+    () => (random() < 0.05 ? random() * 65536 : 0),
+    () => random() * 9 - 4,
+  ];
+  for (const kind of kinds) {
+    for (const count of [1, 15, 16, 17, 255, 256, 257, 700]) {
+      const steps = Uint16Array.from({ length: count * 4 }, (_, k) => (k % 4 === 3 ? 0 : kind(k)));
+      for (const [level, version] of [[0, 0], [0, 1], [1, 1], [2, 1], [3, 1]]) {
+        const code = coded(steps, level, version);
+        const out = new Uint16Array(count * 4);
+        decodeSteps(code, count, out);
+        assert.deepEqual(out, steps, `${count} vertices, level ${level}, version ${version}`);
+        // Whatever is done to it, it is read or refused.
+        for (let k = 0; k < 8; k++) {
+          const bad = code.slice(0, random() < 0.3 ? random() * code.length : code.length);
+          if (bad.length > 0) bad[Math.floor(random() * bad.length)] ^= 1 << (random() * 8);
+          try {
+            decodeSteps(bad, count, out);
+          } catch (error) {
+            assert.ok(error instanceof RangeError, String(error));
+          }
+        }
+        assert.throws(() => decodeSteps(code.subarray(0, code.length - 1), count, new Uint16Array(count * 4)), RangeError);
+      }
+    }
+  }
+});
+
+test("frames that tell what differs add up to whole ones", async () => {
+  await MeshoptEncoder.ready;
+  const random = draw(3);
+  const vertices = 40;
+  const box = { boxMin: [-1, 0, 2], boxMax: [1, 4, 3] };
+  /** The parts of a frame, with steps as they are or told from others. */
+  const told = (number, steps, base, fields = {}) => {
+    const numbers = base === undefined ? steps : steps.map((step, k) => step - base[k]);
+    const encoding = base === undefined ? Encoding.MESHOPT : Encoding.DELTA;
+    return [0, 25].map((first, k) => {
+      const count = k === 0 ? 25 : vertices - 25;
+      const data = coded(numbers.slice(first * 4, (first + count) * 4));
+      return part({ seq: 5n, part: k, parts: 2, number: BigInt(number), encoding, firstVertex: first, vertexCount: count, data, ...box, ...fields });
+    });
+  };
+  const drawn = () => Uint16Array.from({ length: vertices * 4 }, (_, k) => (k % 4 === 3 ? 0 : random() * 65536));
+  const whole = (steps) => {
+    const data = new Uint8Array(steps.filter((_, k) => k % 4 < 3).buffer);
+    const target = new Float32Array(vertices * 3);
+    new Frame([part({ encoding: Encoding.U16, vertexCount: vertices, data, ...box })]).positionsInto(target);
+    return target;
+  };
+  const read = (assembler, parts) => parts.map((one) => assembler.push(one)).at(-1);
+  const shapes = [drawn(), drawn(), drawn()];
+  const assembler = new Assembler();
+  const frames = shapes.map((steps, k) => read(assembler, told(k + 1, steps, shapes[k - 1])));
+  frames.forEach((frame, k) => {
+    // One that is looked at late shows its own shape, not that of a later one.
+    const target = new Float32Array(vertices * 3);
+    frame.positionsInto(target);
+    assert.deepEqual(target, whole(shapes[k]));
+    assert.ok(!frame.isPartial);
+  });
+  // A part that did not compress stands for itself.
+  const plain = told(4, shapes[0], shapes[2]);
+  plain[0].encoding = Encoding.U16;
+  plain[0].data = new Uint8Array(shapes[0].slice(0, 100).filter((_, k) => k % 4 < 3).buffer);
+  const target = new Float32Array(vertices * 3);
+  read(assembler, plain).positionsInto(target);
+  assert.deepEqual(target, whole(shapes[0]));
+
+  const refused = (parts, before = [told(1, shapes[0])]) => {
+    const fresh = new Assembler();
+    for (const frame of before) read(fresh, frame);
+    assert.throws(() => read(fresh, parts), RangeError);
+    // What comes next is told from nothing either, until a whole frame comes.
+    assert.throws(() => read(fresh, told(3, shapes[2], shapes[1])), /not here/);
+    assert.ok(read(fresh, told(4, shapes[0])));
+  };
+  const second = told(2, shapes[1], shapes[0]);
+  refused(second, []);
+  refused(told(3, shapes[1], shapes[0]));
+  refused(told(2, shapes[1], shapes[0], { boxMax: [1, 4, 4] }));
+  refused(told(2, shapes[1], shapes[0], { attribute: Attribute.NORMAL }));
+  refused(told(2, shapes[1], shapes[0], { indices: [1] }));
+  refused(told(2, shapes[1], shapes[0], { vertexCount: 24 }));
+  refused(told(2, shapes[1], shapes[0], { encoding: Encoding.F32 }));
 });
 
 test("indices become runs where there are runs", () => {

@@ -1,7 +1,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { MeshoptEncoder } from "meshoptimizer/encoder";
 import { PliantError, Stream } from "../dist/index.js";
-import { FakeSocket, frame, settled } from "./fake.mjs";
+import { FakeSocket, frame, settled, toldFrame } from "./fake.mjs";
 
 /** A stream whose sockets and session the test plays. */
 function staged(events = {}, patience = 60) {
@@ -125,6 +126,32 @@ test("a lost socket is opened again with options and the newest pose", async () 
   assert.deepEqual(placed(second.of("pose")[0]), ["a 0", "b 0"], "the server has forgotten what was dragged");
   assert.equal(stage.stream.totals.reconnects, 1);
   assert.deepEqual(stage.states, ["open", "lost: UNREACHABLE", "open"]);
+  stage.stream.close();
+});
+
+test("differences are told anew on a socket that is opened again, and what they lack is never guessed", async () => {
+  await MeshoptEncoder.ready;
+  const stage = staged();
+  const [first, second, third] = [7, 9, 65535].map((x) => Uint16Array.from([x, 1, 2, 0]));
+  const target = new Float32Array(3);
+  const shown = () => stage.stream.take(target) && [...target];
+  stage.sockets[0].open();
+  stage.sockets[0].say(toldFrame(1, 1, first));
+  stage.sockets[0].say(toldFrame(2, 2, second, first));
+  stage.sockets[0].say(toldFrame(3, 3, third, second));
+  assert.deepEqual(shown(), [65535, 1, 2], "also of frames that nobody looked at");
+  stage.sockets[0].drop();
+  const again = await untilSockets(stage, 2);
+  again.open();
+  again.say(toldFrame(4, 4, first, third));
+  assert.equal(stage.stream.hasFrame, false);
+  again.drop();
+  assert.equal(stage.states.at(-1), "lost: DATA_LOSS");
+  const last = await untilSockets(stage, 3);
+  last.open();
+  last.say(toldFrame(5, 1, second));
+  last.say(toldFrame(6, 2, first, second));
+  assert.deepEqual(shown(), [7, 1, 2]);
   stage.stream.close();
 });
 
