@@ -55,8 +55,9 @@ class AnimateFields(TypedDict, total=False):
     tangents: bool
     #: Only vertices that moved by more than this fraction of the diagonal travel. Frames are whole all the same.
     changed_only: float
-    #: How numbers travel: as they are, or as 16 bits between the corners of the frame's box.
-    encoding: Literal["f32", "u16"]
+    #: How numbers travel: as they are, as 16 bits between the corners of the frame's box, these compressed, or of these only what
+    #: differs from the frame before (not with ``changed_only``).
+    encoding: Literal["f32", "u16", "meshopt", "delta"]
     #: Unacknowledged frames in flight.
     window: int
 

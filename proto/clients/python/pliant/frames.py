@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from .errors import Internal
 from .v1 import pliant_pb2 as pb
+from .vertex_codec import Steps, decode_steps
 
 Floats = npt.NDArray[np.float32]
 
@@ -67,7 +68,8 @@ class Assembler:
     """Puts the parts of one stream's frames together.
 
     With ``changed_only`` it holds the buffers to which the changes apply; they stay valid when the stream is opened
-    anew, since a new stream begins with all vertices.
+    anew, since a new stream begins with all vertices. With ``encoding="delta"`` it holds the steps of the frame before, which are
+    those of one connection.
     """
 
     def __init__(self, vertices: int, *, changed_only: bool = False) -> None:
@@ -76,31 +78,47 @@ class Assembler:
         self._held: dict[int, Floats] = {}
         self._changed: list[npt.NDArray[np.uint32]] = []
         self._under_way: tuple[int, int] | None = None  # seq and the number of the next part
+        # Of frames that differences may be told from: the number of the last whole one, its steps, and its box.
+        self._number: int | None = None
+        self._steps: dict[int, Steps] = {}
+        self._box: list[float] = []
+        self._carried: set[int] = set()
 
     def restart(self) -> None:
-        """Forgets a frame of which not all parts came."""
+        """Forgets a frame of which not all parts came, and what a connection that is lost told differences from."""
         self._under_way = None
         self._changed = []
+        self._number = None
+        self._steps = {}
+        self._carried = set()
 
     def take(self, part: pb.Frame) -> Frame | None:
         """Takes the next part; answers the frame when it was the last one."""
         expected = (part.seq, 0) if self._under_way is None else self._under_way
+        base, self._number = self._number, None
         if (part.seq, part.part) != expected:
             raise Internal(
                 f"part {part.part} of frame {part.seq} came where part {expected[1]} of {expected[0]} was due"
             )
-        self._place(part)
+        self._under_way = None
+        self._place(part, base)
         if part.part + 1 < part.parts:
             self._under_way = (part.seq, part.part + 1)
+            self._number = base
             return None
-        self._under_way = None
+        self._number = part.number or None
+        # Differences are told of what the frame before carried, and of nothing else.
+        self._steps = {attribute: steps for attribute, steps in self._steps.items() if attribute in self._carried}
+        self._carried = set()
         return self._finish(part)
 
-    def _place(self, part: pb.Frame) -> None:
+    def _place(self, part: pb.Frame, base: int | None) -> None:
         if part.part == 0 and not self._sparse:
             self._held = {}
         count, width = part.vertex_count, _NUMBERS[part.attribute]
-        values = _decode(part, count, width)
+        if count > self._vertices:
+            raise Internal(f"frame {part.seq} has more than the model's {self._vertices} vertices")
+        values = self._added(part, count, width, base) if part.number else _decode(part, count, width)
         buffer = self._held.get(part.attribute)
         if buffer is None:
             # A whole frame fills every place of its positions and normals; tangents may leave primitives out.
@@ -116,6 +134,30 @@ class Assembler:
             if part.first_vertex + count > self._vertices:
                 raise Internal(f"frame {part.seq} has more than the model's {self._vertices} vertices")
             buffer[part.first_vertex : part.first_vertex + count] = values
+
+    def _added(self, part: pb.Frame, count: int, width: int, base: int | None) -> npt.NDArray[Any]:
+        """The numbers of a part of which differences may be told, or which is told by them."""
+        attribute, first, box = part.attribute, part.first_vertex, [*part.box_min, *part.box_max]
+        if part.indices or part.encoding == pb.Frame.F32 or first + count > self._vertices:
+            raise Internal(f"frame {part.seq} is none of which differences are told")
+        steps = _steps(part, count, width)
+        if part.encoding == pb.Frame.DELTA:
+            held = self._steps.get(attribute)
+            is_there = base == part.number - 1 and held is not None
+            if held is None or not is_there or (attribute == pb.Frame.POSITION and box != self._box):
+                raise Internal(
+                    f"frame {part.seq} tells what differs from the frame before, which is not here; "
+                    "a stream that is opened anew begins with a whole one"
+                )
+            steps = steps + held[first : first + count, :width]
+        if attribute == pb.Frame.POSITION:
+            self._box = box
+        self._carried.add(attribute)
+        held = self._steps.get(attribute)
+        if held is None:
+            held = self._steps[attribute] = np.zeros((self._vertices, 4), np.uint16)
+        held[first : first + count, :width] = steps
+        return _scaled(part, steps, width)
 
     def _finish(self, last: pb.Frame) -> Frame:
         def buffer(attribute: int) -> Floats | None:
@@ -147,24 +189,40 @@ class Assembler:
 
 
 def _decode(part: pb.Frame, count: int, width: int) -> npt.NDArray[Any]:
-    """The numbers of a part, (count, width)."""
+    """The numbers of a part that stands for itself, (count, width)."""
     if part.encoding == pb.Frame.F32:
-        kind: npt.DTypeLike = "<f4"
-    elif part.encoding == pb.Frame.U16:
-        kind = "<u2"
-    else:
-        raise Internal(f"frame {part.seq} is packed in a way (number {part.encoding}) that was not asked for")
-    values = np.frombuffer(part.data, kind)
-    if values.size != count * width:
+        return _values(part, "<f4", count, width)
+    if part.encoding == pb.Frame.DELTA:
+        raise Internal(f"frame {part.seq} tells what differs from a frame that it does not name")
+    return _scaled(part, _steps(part, count, width), width)
+
+
+def _values(part: pb.Frame, kind: npt.DTypeLike, count: int, width: int) -> npt.NDArray[Any]:
+    values = np.frombuffer(part.data, np.uint8)
+    if values.size != count * width * np.dtype(kind).itemsize:
         raise Internal(f"part {part.part} of frame {part.seq} has {len(part.data)} bytes for {count} vertices")
-    values = values.reshape(count, width)
-    if part.encoding == pb.Frame.F32:
-        return values
+    return values.view(kind).reshape(count, width)
+
+
+def _steps(part: pb.Frame, count: int, width: int) -> npt.NDArray[np.uint16]:
+    """The steps of a part, or how far they are from others, (count, width)."""
+    if part.encoding == pb.Frame.U16:
+        return _values(part, "<u2", count, width)
+    if part.encoding not in (pb.Frame.MESHOPT, pb.Frame.DELTA):
+        raise Internal(f"frame {part.seq} is packed in a way (number {part.encoding}) that was not asked for")
+    if count == 0:
+        return np.empty((0, width), np.uint16)
+    return decode_steps(part.data, count)[:, :width]
+
+
+def _scaled(part: pb.Frame, steps: npt.NDArray[np.uint16], width: int) -> npt.NDArray[Any]:
     if part.attribute == pb.Frame.POSITION:
+        if len(part.box_min) != 3 or len(part.box_max) != 3:
+            raise Internal(f"frame {part.seq} does not say which box its steps lie in")
         low, high = np.array(part.box_min), np.array(part.box_max)
     else:
         low, high = np.full(width, -1.0), np.full(width, 1.0)
-    scaled: npt.NDArray[Any] = low + values * ((high - low) / 65535)
+    scaled: npt.NDArray[Any] = low + steps * ((high - low) / 65535)
     return scaled
 
 

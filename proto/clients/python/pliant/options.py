@@ -37,8 +37,9 @@ class SolveFields(TypedDict, total=False):
     tangents: bool
     #: Only vertices that moved by more than this fraction of the diagonal travel. Frames are whole all the same.
     changed_only: float
-    #: How numbers travel: as they are, or as 16 bits between the corners of the frame's box.
-    encoding: Literal["f32", "u16"]
+    #: How numbers travel: as they are, as 16 bits between the corners of the frame's box, these compressed, or of these only what
+    #: differs from the frame before (on streams; not with ``changed_only``).
+    encoding: Literal["f32", "u16", "meshopt", "delta"]
     #: Count self-intersections in the quality of a committed pose.
     self_intersections: bool
     #: Unacknowledged frames in flight. Only on a stream.
@@ -58,8 +59,8 @@ def options(fields: SolveFields) -> pb.Options:
         elif name in _OUTPUT:
             put(message.output, name, value)
         elif name == "encoding":
-            if value not in ("f32", "u16"):
-                raise ValueError(f"encoding: {seen(value)}, f32 or u16 is allowed")
+            if value not in ("f32", "u16", "meshopt", "delta"):
+                raise ValueError(f"encoding: {seen(value)}, f32, u16, meshopt or delta is allowed")
             message.output.encoding = enum(name, pb.Frame.Encoding, value)
         elif name == "first_pass":
             message.first_pass = enum(name, pb.Options.FirstPass, value)

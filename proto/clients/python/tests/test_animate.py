@@ -8,6 +8,7 @@ import subprocess
 import time
 import urllib.request
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -143,14 +144,21 @@ def test_leaving_early_stops_it(server: pliant.LocalServer) -> None:
         assert list(playing) == []
 
 
+ENCODINGS: tuple[Literal["u16", "meshopt", "delta"], ...] = ("u16", "meshopt", "delta")
+
+
 def test_asynchronously_it_is_the_same(server: pliant.LocalServer) -> None:
     with pliant.open(bar(), server=server) as session:
-        wanted = [frame.digest for frame in session.animate(bvh=clip(10), rig=RIG)]
+        exact = list(session.animate(bvh=clip(10), rig=RIG))
+    wanted, shapes = [frame.digest for frame in exact], [frame.positions for frame in exact]
 
     async def work() -> None:
         async with pliant.aio.open(bar(), server=server) as session:
-            playing = session.animate(bvh=clip(10), rig=RIG, encoding="u16")
-            assert [frame.digest async for frame in playing] == wanted
+            for encoding in ENCODINGS:
+                playing = session.animate(bvh=clip(10), rig=RIG, encoding=encoding)
+                frames = [frame async for frame in playing]
+                assert [frame.digest for frame in frames] == wanted
+                assert all(np.abs(a.positions - b).max() < 1e-3 for a, b in zip(frames, shapes))
             assert playing.report is not None and playing.report.totals.frames == 10
             async with session.animate(bvh=clip(100), rig=RIG, fps=10000) as playing:
                 assert (await playing.__anext__()).index == 0

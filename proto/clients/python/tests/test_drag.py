@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -100,6 +101,27 @@ def test_changed_vertices_alone_make_whole_frames(held: pliant.Session) -> None:
         assert after.changed is not None and 0 < len(after.changed) < len(rest)
         untouched = np.setdiff1d(np.arange(len(rest)), after.changed)
         assert np.array_equal(before.positions[untouched], after.positions[untouched])
+
+
+@pytest.mark.parametrize("encoding", ["meshopt", "delta"])
+def test_packed_frames_show_what_whole_ones_show(held: pliant.Session, encoding: Literal["meshopt", "delta"]) -> None:
+    whole = list(held.drag(POSES, normals=True, tolerance=1e-9))
+    packed = list(held.drag(POSES, normals=True, tolerance=1e-9, encoding=encoding))
+    assert len(packed) == len(POSES)
+    for frame, exact in zip(packed, whole):
+        # The box of a frame from which others are told has an eighth of room on each side, and may be as old as the drag.
+        step = np.ptp(exact.positions, axis=0).max() * 1.5 / 65535
+        assert 0 < np.abs(frame.positions - exact.positions).max() <= step
+        assert frame.normals is not None and exact.normals is not None
+        assert np.abs(frame.normals - exact.normals).max() <= 2 / 65535
+    packed[0].positions[:] = 7  # the caller may write to it
+    solved = held.solve(POSES[-1], encoding=encoding)
+    assert np.abs(solved - held.positions()).max() <= np.ptp(solved, axis=0).max() * 1.5 / 65535
+
+
+def test_changes_and_differences_are_not_asked_for_together(held: pliant.Session) -> None:
+    with pytest.raises(pliant.InvalidArgument, match="next to nothing"):
+        list(held.drag(POSES, changed_only=0.0, encoding="delta"))
 
 
 def test_progressive_frames_get_better(held: pliant.Session) -> None:

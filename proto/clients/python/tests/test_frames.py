@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import base64
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from pliant.errors import Internal
 from pliant.frames import Assembler, whole
 from pliant.v1 import pliant_pb2 as pb
+from pliant.vertex_codec import decode_steps
 
 
 def part(number: int, parts: int, values: np.ndarray, **fields: object) -> pb.Frame:
@@ -76,7 +81,9 @@ def test_sixteen_bits_come_back_within_half_a_step() -> None:
         ([part(0, 1, np.zeros((1, 3)), indices=[5])], "does not have"),
         ([part(0, 1, np.zeros((2, 3)), indices=[0])], "does not have"),
         ([part(0, 1, np.zeros((2, 2)))], "bytes for 2 vertices"),
-        ([part(0, 1, np.zeros((2, 3)), encoding=pb.Frame.MESHOPT)], "not asked for"),
+        ([part(0, 1, np.zeros((2, 3)), encoding=pb.Frame.MESHOPT)], "no code of 2 vertices"),
+        ([part(0, 1, np.zeros((2, 3)), encoding=pb.Frame.DELTA)], "does not name"),
+        ([part(0, 1, np.zeros((2, 3)), encoding=9)], "not asked for"),
         ([part(0, 2, np.zeros((2, 3)))], "ended before the frame was whole"),
         ([part(0, 1, np.zeros((2, 3)), attribute=pb.Frame.NORMAL)], "no positions"),
     ],
@@ -84,3 +91,92 @@ def test_sixteen_bits_come_back_within_half_a_step() -> None:
 def test_an_answer_that_does_not_fit_the_model_is_told_of(parts: list[pb.Frame], words: str) -> None:
     with pytest.raises(Internal, match=words):
         whole(parts, 2, changed_only=False)
+
+
+def codes() -> list[tuple[bytes, np.ndarray]]:
+    """What meshoptimizer's encoder (npm, 1.3.0) makes of vertices, and these; ``vertex_codes.json`` tells how."""
+    stored = json.loads((Path(__file__).parent / "vertex_codes.json").read_text())
+    return [
+        (base64.b64decode(code["code"]), np.frombuffer(base64.b64decode(code["steps"]), "<u2").reshape(-1, 4))
+        for code in stored["codes"]
+    ]
+
+
+def test_the_vertex_codec_gives_back_what_was_packed() -> None:
+    seen = codes()
+    assert len(seen) > 20
+    for code, steps in seen:
+        assert np.array_equal(decode_steps(code, len(steps)), steps)
+
+
+def test_bytes_that_are_no_code_are_refused_or_read_and_never_crash() -> None:
+    draw = np.random.default_rng(3)
+    for code, steps in codes():
+        with pytest.raises(Internal):
+            decode_steps(code[:-1], len(steps))
+        for _ in range(20):
+            broken = bytearray(code[: draw.integers(1, len(code) + 1)])
+            broken[draw.integers(len(broken))] ^= 1 << int(draw.integers(8))
+            try:
+                decode_steps(bytes(broken), len(steps))
+            except Internal:
+                pass
+    with pytest.raises(Internal):
+        decode_steps(b"", 3)
+    with pytest.raises(Internal):
+        decode_steps(codes()[0][0], 1 << 31)
+
+
+BOX: dict[str, object] = {"box_min": [-1, 0, 2], "box_max": [1, 4, 3], "number": 1}
+
+
+def told(code: bytes, count: int, **fields: object) -> pb.Frame:
+    """The one part of a frame that is packed so."""
+    packed = {"encoding": pb.Frame.MESHOPT, "vertex_count": count, "data": code}
+    return pb.Frame(**{"seq": 7, "parts": 1, **BOX, **packed, **fields})
+
+
+def test_differences_add_up_to_whole_frames() -> None:
+    code, steps = next((code, steps) for code, steps in codes() if len(steps) == 257 and steps.any())
+    low, high = np.array([-1, 0, 2]), np.array([1, 4, 3])
+    assembler = Assembler(257)
+    for number in range(1, 5):
+        encoding = pb.Frame.MESHOPT if number == 1 else pb.Frame.DELTA
+        frame = assembler.take(told(code, 257, encoding=encoding, number=number))
+        assert frame is not None
+        wanted = (steps[:, :3].astype(np.uint32) * number % 65536).astype(np.uint16)
+        assert np.array_equal(frame.positions, (low + wanted * ((high - low) / 65535)).astype(np.float32))
+    # A part that did not compress stands for itself.
+    frame = assembler.take(told(steps[:, :3].tobytes(), 257, encoding=pb.Frame.U16, number=5))
+    assert frame is not None
+    assert np.array_equal(frame.positions, (low + steps[:, :3] * ((high - low) / 65535)).astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"number": 3},
+        {"box_max": [1, 4, 4]},
+        {"attribute": pb.Frame.NORMAL},
+        {"indices": [1]},
+        {"vertex_count": 256},
+        {"first_vertex": 1},
+        {"encoding": pb.Frame.F32},
+        {"data": b"\xa1"},
+    ],
+)
+def test_differences_without_what_they_are_told_from_are_refused(fields: dict[str, object]) -> None:
+    code, _ = next((code, steps) for code, steps in codes() if len(steps) == 257)
+    assembler = Assembler(257)
+    with pytest.raises(Internal, match="not here"):
+        assembler.take(told(code, 257, encoding=pb.Frame.DELTA, number=2))
+    assert assembler.take(told(code, 257)) is not None
+    with pytest.raises(Internal):
+        assembler.take(told(code, 257, **{"encoding": pb.Frame.DELTA, "number": 2, **fields}))
+    # Nothing is told from what was refused, and nothing from the frame of a connection that is lost.
+    with pytest.raises(Internal):
+        assembler.take(told(code, 257, encoding=pb.Frame.DELTA, number=2))
+    assert assembler.take(told(code, 257)) is not None
+    assembler.restart()
+    with pytest.raises(Internal, match="not here"):
+        assembler.take(told(code, 257, encoding=pb.Frame.DELTA, number=2))
