@@ -12,6 +12,7 @@ import { dropComparison, hasComparison, prepareComparison, showComparison } from
 import { wardrobe } from "./dressing.ts";
 import { bringBack, putAside } from "./intermission.ts";
 import { repaint } from "./painting.ts";
+import { frameEncoding } from "./packing.ts";
 import { playSpeed } from "./playing.ts";
 import * as s from "./signals.ts";
 import { view } from "./view.ts";
@@ -92,8 +93,6 @@ let openLast: string | undefined;
 /** The sign that is up until the first frame is there. */
 let sign: s.Busy | undefined;
 
-/** Above this many vertices frames come as 16-bit numbers unless the user wants otherwise. */
-const MANY_VERTICES = 100_000;
 /** What the server takes of a clip that was not recorded in frames. */
 const USUAL_RATE = 30;
 
@@ -179,8 +178,6 @@ async function receive(source: ClipSource, options: ClipOptions, into: Film): Pr
 
 /** What is asked of the server. Positions are wanted as the root sees them: the page carries them itself. */
 function requestOf(source: ClipSource, options: ClipOptions, vertices: number): AnimateOptions {
-  const { encoding } = s.settings.peek();
-  const chosen = encoding === "AUTO" ? (vertices > MANY_VERTICES ? "U16" : "F32") : encoding;
   const { own, bvh, rig } = source;
   return {
     ...(own !== undefined && { clip: own }),
@@ -191,7 +188,7 @@ function requestOf(source: ClipSource, options: ClipOptions, vertices: number): 
     count: options.count,
     ...(options.refine >= 0 && { refine: options.refine }),
     root: schema.AnimateOptions_Root.NODE,
-    output: { encoding: schema.Frame_Encoding[chosen] },
+    output: { encoding: frameEncoding(vertices) },
   };
 }
 

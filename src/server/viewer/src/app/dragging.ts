@@ -6,13 +6,12 @@ import { changedElsewhere, changedHere, takeOver } from "./following.ts";
 import { bringBack, onScreen } from "./intermission.ts";
 import { repaint } from "./painting.ts";
 import { keepDocument } from "./opening.ts";
+import { frameEncoding } from "./packing.ts";
 import { refreshHistory, remember } from "./past.ts";
 import * as s from "./signals.ts";
 import { allAnswered, committing } from "./steps.ts";
 import { view } from "./view.ts";
 
-/** Above this many vertices frames come as 16-bit numbers unless the user wants otherwise. */
-const MANY_VERTICES = 100_000;
 /** What the server does by itself when `refine` is absent. */
 const USUAL_REFINE = { dragging: 0, commit: 4 };
 
@@ -35,16 +34,14 @@ let painted: number[] = [];
 
 /** How the stream solves, by the settings. */
 function solveOptions(refine: number | undefined): SolveOptions {
-  const { tolerance, maxError, progressive, encoding, window, firstPass, method } = s.settings.peek();
-  const vertices = (s.doc.peek()?.rest.length ?? 0) / 3;
-  const chosen = encoding === "AUTO" ? (vertices > MANY_VERTICES ? "U16" : "F32") : encoding;
+  const { tolerance, maxError, progressive, window, firstPass, method } = s.settings.peek();
   return {
     ...(maxError > 0 ? { maxError } : { tolerance }),
     progressive,
     window,
     firstPass: schema.Options_FirstPass[firstPass],
     method: schema.Options_Method[method],
-    output: { encoding: schema.Frame_Encoding[chosen] },
+    output: { encoding: frameEncoding((s.doc.peek()?.rest.length ?? 0) / 3) },
     ...(refine === undefined ? {} : { refine }),
   };
 }

@@ -72,7 +72,7 @@ export interface Settings {
   readonly tolerance: number;
   readonly maxError: number;
   readonly progressive: boolean;
-  readonly encoding: "AUTO" | "F32" | "U16";
+  readonly encoding: "AUTO" | "F32" | "U16" | "DELTA";
   readonly window: number;
   readonly firstPass: "HARMONIC" | "DIFFUSION" | "LINEAR_FRAMES";
   readonly method: "GRAPH" | "SPATIAL_RBF";

@@ -69,7 +69,7 @@ export function SolvePanel(): JSX.Element {
             onValue={(method) => choose({ method })}
           />
         </Field>
-        <Field label="Frames" hint="16-bit frames are half as large; exact to 1/65535 of the box">
+        <Field label="Frames" hint="16-bit frames are half as large, what differs is smaller still; exact to 1/65535 of the box">
           <Choice
             label="Frame encoding"
             value={chosen.encoding}
@@ -77,6 +77,7 @@ export function SolvePanel(): JSX.Element {
               ["AUTO", "auto"],
               ["F32", "32 bit"],
               ["U16", "16 bit"],
+              ["DELTA", "differences"],
             ]}
             onValue={(encoding) => choose({ encoding })}
           />
