@@ -136,7 +136,7 @@ pub fn prefetch<T>(slice: &[T], i: usize) {
 
 /// A slice whose elements several threads read and write, each element by one thread at a time.
 ///
-/// This is the solver's one unsafe tool. A Gauss–Seidel sweep writes the rows of one block while it reads rows of
+/// This is the solver's one unsafe tool, hints to a cache aside. A Gauss–Seidel sweep writes the rows of one block while it reads rows of
 /// blocks of other colours, which borrows cannot express.
 pub(crate) struct SharedRows<'a, T> {
     pointer: *mut T,
