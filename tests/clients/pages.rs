@@ -70,6 +70,7 @@ fn play(page: &str) -> Checkout {
         tell(&format!("SKIPPED: {page}: there is no bash"));
         return checkout;
     }
+    let mut was_skipped = false;
     for block in book::blocks(&read(page)) {
         block.check(page);
         if let Some(file) = block.word("is") {
@@ -85,7 +86,13 @@ fn play(page: &str) -> Checkout {
             assert!(runs, "{page}:{}: {test} does not run this", block.line);
             continue;
         }
-        if let Played::Skipped(reason) = checkout.play(&block) {
+        // What a block writes that was skipped stands on the page, and nowhere else.
+        if was_skipped && block.language == "text" && block.word("file").is_none() {
+            continue;
+        }
+        let played = checkout.play(&block);
+        was_skipped = matches!(played, Played::Skipped(_));
+        if let Played::Skipped(reason) = played {
             tell(&format!("SKIPPED: {page}:{}: {reason}", block.line));
             // What follows may build on it; a missing compiler stops nobody else.
             if block.word("needs").is_none() || checkout::is_offline(&reason) {
