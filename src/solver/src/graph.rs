@@ -309,6 +309,27 @@ mod tests {
     }
 
     #[test]
+    fn a_vertex_in_a_row_of_its_own_is_found_wherever_it_stands() {
+        for length in [1, 7, 8, 9, 15, 16, 17, 40] {
+            for i in 0..length {
+                // Row i holds all vertices, the others none.
+                let offsets: Vec<u32> = (0..=length).map(|v| if v > i { length } else { 0 }).collect();
+                let neighbours: Vec<u32> = (0..length).collect();
+                let graph = WeightedGraph {
+                    offsets: &offsets,
+                    neighbours: &neighbours,
+                    ..PATH
+                };
+                let seen = text(graph);
+                assert!(
+                    seen.contains(&format!("row {i} of the graph holds neighbour {i}")),
+                    "{seen}"
+                );
+            }
+        }
+    }
+
+    #[test]
     fn bad_weights_and_positions_are_named() {
         assert!(
             text(WeightedGraph {

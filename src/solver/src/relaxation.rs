@@ -290,3 +290,50 @@ fn edges_of<'g>(graph: &'g WeightedGraph<'_>, i: usize) -> impl Iterator<Item = 
         )
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::BoxLattice;
+
+    #[test]
+    fn a_column_is_relaxed_alike_whatever_stands_beside_it() {
+        let block = BoxLattice::new(20, 9, 9).weighted();
+        let n = block.positions.len();
+        let end = |i: usize| block.positions[i][0];
+        let fixed: Vec<bool> = (0..n).map(|i| end(i) == 0.0 || end(i) == 19.0).collect();
+        let changed: Vec<u32> = (0..n as u32)
+            .filter(|&i| (9.0..11.0).contains(&end(i as usize)))
+            .collect();
+        let is_new = |i: usize| changed.binary_search(&(i as u32)).is_ok();
+        let relaxed = |columns: usize| {
+            let mut x: Vec<f64> = (0..n)
+                .flat_map(|i| vec![if is_new(i) { 0.0 } else { end(i) / 19.0 }; columns])
+                .collect();
+            let relaxation = LocalRelaxation {
+                graph: block.view(),
+                fixed: &fixed,
+                has_value: &|i| !is_new(i),
+                references: &vec![1.0; columns],
+            };
+            let left = relaxation.relax_around(changed.clone(), &mut x);
+            (x, left)
+        };
+        let (alone, left) = relaxed(1);
+        let middle = changed[0] as usize;
+        assert!(
+            (alone[middle] - end(middle) / 19.0).abs() < 0.05 && left[0] < 0.05,
+            "{} {left:?}",
+            alone[middle]
+        );
+        for columns in 2..7 {
+            let (x, each) = relaxed(columns);
+            assert!(
+                each.iter().all(|r| *r == left[0]),
+                "{columns} columns: {each:?}, alone {left:?}"
+            );
+            let is_same = |(row, value): (&[f64], &f64)| row.iter().all(|v| v.to_bits() == value.to_bits());
+            assert!(x.chunks(columns).zip(&alone).all(is_same), "{columns} columns");
+        }
+    }
+}

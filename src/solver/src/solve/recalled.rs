@@ -236,6 +236,73 @@ fn solve_small(known: [bool; PLACES], matrix: &dyn Fn(usize, usize) -> f64, righ
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::options::Constraints;
+    use crate::solve::pose::{PoseParts, PoseRows};
+    use crate::solve::posed_residual::posed_residual;
+    use crate::storage::NO_ROW;
+    use crate::testing::{BoxLattice, pool};
+    use crate::threads::Parallelism;
+
+    #[test]
+    fn a_residual_follows_the_steps_of_a_pose() {
+        let block = BoxLattice::new(14, 10, 9).weighted();
+        let (hierarchy, pool) = (block.hierarchy(60), pool());
+        let fixed: Vec<bool> = block.positions.iter().map(|p| p[0] == 0.0).collect();
+        let stiffness: Vec<f64> = block.positions.iter().map(|p| 0.3 * p[1]).collect();
+        let constraints = Constraints {
+            fixed: &fixed,
+            stiffness: Some(&stiffness),
+        };
+        let system = hierarchy.constrain(&constraints, &pool).unwrap();
+        let rest = |v: usize| block.positions[v].map(|x| x / 14.0);
+        let bent = |v: usize| {
+            let [x, y, z] = rest(v);
+            [x, y + 0.2 * x * x, z]
+        };
+        let mut pose = PoseRows::default();
+        pose.begin(&hierarchy, rest, bent, &pool);
+        pose.show_positions(&pool);
+        let threads = Parallelism::from_pool(&pool);
+        let PoseParts { frames, x, .. } = pose.parts(&hierarchy);
+        let problem = ColumnGroup::of_pose(&hierarchy, &system, threads, frames);
+        let grid = MaskedLevel::new(&hierarchy.levels[0], &system.masks[0], threads);
+        let n = x.len();
+        let mut r = vec![Lanes::ZERO; n];
+        posed_residual(&problem, &frames, x, &mut r);
+        let mut recalled = RecalledSteps::default();
+        recalled.take_out(&problem, x, &mut r);
+
+        let scale = [4.0, 2.0, 1.0, 1.0];
+        let mut length = 0.0;
+        for round in 0..2 {
+            let mut e = vec![Lanes::ZERO; n];
+            for (i, &v) in hierarchy.order.iter().enumerate().filter(|(_, v)| **v != NO_ROW) {
+                if !fixed[v as usize] {
+                    e[i] = Lanes([0.01, -0.02, 0.03, 0.0]) * libm::sinf((v + round) as f32);
+                }
+                (0..3).for_each(|c| x[i][c] += f64::from(e[i].0[c]) / scale[c]);
+            }
+            recalled.add(&problem, &e, scale);
+        }
+        for d in &recalled.steps[recalled.present].d {
+            length += f64::from(d.0[1]).powi(2);
+        }
+        let mut followed = vec![Lanes::ZERO; n];
+        let [squares, lengths] = recalled.residual(&grid, &mut followed, [8.0; WIDTH]);
+        let mut truth = vec![[0.0; WIDTH]; n];
+        let norms = problem.residual(x, true, &mut truth, |r| r);
+        for c in 0..3 {
+            assert!(
+                (squares[c] - norms[c]).abs() < 1e-5 * norms[c],
+                "{squares:?}, in truth {norms:?}"
+            );
+            for (followed, truth) in followed.iter().zip(&truth) {
+                let off = (f64::from(followed.0[c]) / 8.0 - truth[c]).abs();
+                assert!(off < 1e-5 * norms[c].sqrt(), "column {c} is off by {off:.1e}");
+            }
+        }
+        assert!((lengths[1] - length).abs() < 1e-5 * length && length > 0.0);
+    }
 
     #[test]
     fn small_systems_are_solved_and_dependent_directions_left_out() {
