@@ -97,6 +97,17 @@ fn check_parts(parts: &[pb::Frame], part_bytes: usize) {
     }
 }
 
+/// Readers in other languages are told so: another version is another encoding.
+#[test]
+fn the_vertex_codec_is_of_version_1() {
+    let positions: Vec<DVec3> = (0..300).map(|i| DVec3::splat(f64::from(i))).collect();
+    for encoding in [frame::Encoding::Meshopt, frame::Encoding::Delta] {
+        let mut parts = encode(request(positions.clone(), encoding, 1 << 20));
+        let part = parts.next().expect("a part");
+        assert_eq!((part.encoding(), part.data[0]), (frame::Encoding::Meshopt, 0xA1));
+    }
+}
+
 #[test]
 fn digest_is_of_the_bits_in_order() {
     let (a, b) = (DVec3::new(1.0, 2.0, 3.0), DVec3::new(0.0, -0.0, 5.0));

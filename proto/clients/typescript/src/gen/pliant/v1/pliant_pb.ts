@@ -2527,7 +2527,8 @@ export const DeformRequestSchema: GenMessage<DeformRequest> = /*@__PURE__*/
   messageDesc(file_pliant_v1_pliant, 29);
 
 /**
- * A solved vertex buffer, or a part of one. All parts of a frame carry the same seq and follow one another.
+ * A solved vertex buffer, or a part of one. All parts of a frame carry the same seq and follow one another: all of positions,
+ * then of normals, then of tangents, those of each from the first vertex to the last. Where a frame is cut into parts is its own.
  *
  * @generated from message pliant.v1.Frame
  */
@@ -2645,14 +2646,14 @@ export type Frame = Message<"pliant.v1.Frame"> & {
   indices: number[];
 
   /**
-   * What U16 value 0 stands for, [x, y, z]; also in MESHOPT and DELTA.
+   * What U16 value 0 stands for in x, y and z; also in MESHOPT and DELTA. Of normals and tangents always -1, of handedness too.
    *
    * @generated from field: repeated double box_min = 17;
    */
   boxMin: number[];
 
   /**
-   * What U16 value 65535 stands for, [x, y, z]; also in MESHOPT and DELTA.
+   * What U16 value 65535 stands for in x, y and z; also in MESHOPT and DELTA. Of normals and tangents always 1, of handedness too.
    *
    * @generated from field: repeated double box_max = 18;
    */
@@ -2673,7 +2674,7 @@ export type Frame = Message<"pliant.v1.Frame"> & {
   animated?: Animated | undefined;
 
   /**
-   * Where DELTA was asked for: which frame of the stream this is, from 1, each one more than the frame sent before it; else 0.
+   * Where DELTA was asked for: which of such frames of the stream this is, from 1, each one more than the one sent before it; else 0.
    * Parts that say DELTA are told from the frame whose number is one less. Every part of the frame carries it.
    *
    * @generated from field: uint64 number = 21;
@@ -2709,7 +2710,9 @@ export enum Frame_Encoding {
   U16 = 1,
 
   /**
-   * meshoptimizer vertex codec over the U16 form with 4 values a vertex.
+   * The U16 form with 4 values a vertex, 8 bytes, in meshoptimizer's vertex codec, version 1 (first byte 0xA1), which
+   * meshopt_decodeVertexBuffer reads: its release 1.3 does, 0.20 does not. The fourth value of positions and normals is 0 and
+   * says nothing.
    *
    * @generated from enum value: MESHOPT = 2;
    */
@@ -2717,12 +2720,13 @@ export enum Frame_Encoding {
 
   /**
    * What differs from the frame before, for streams and animations. A stream that asks for it begins with a key frame, whose
-   * parts say MESHOPT, or U16 where they do not compress; its box has room on every side. Parts that say DELTA have the box of
+   * parts say MESHOPT, or U16 should one not be coded; its box has room on every side. Parts that say DELTA have the box of
    * the last key frame, and are the vertex codec over 4 values a vertex: how far each U16 value is from the value of the same
    * vertex and attribute in the frame whose number is one less, modulo 65536. Adding them gives the very values that U16 would
-   * have in that box. Parts of such a stream that do not say DELTA replace the values. A key frame comes first on a stream,
-   * when the options are sent again, when the shape leaves the box or fills less than a quarter of it, and when an edit has
-   * changed the model. Calls that answer one frame answer a key frame. Not together with changed_only.
+   * have in that box. Parts of such a stream that do not say DELTA replace the values, also in a frame whose other parts say
+   * DELTA. A key frame comes first on a stream, when the options are sent again, when the shape leaves the box or fills less than
+   * a quarter of it, and when an edit, its undo or redo has changed the model. Calls that answer one frame answer a key frame.
+   * Not together with changed_only.
    *
    * @generated from enum value: DELTA = 3;
    */
