@@ -102,18 +102,16 @@ export class Frame implements FrameFacts {
 
 function writePart(part: Part, size: 3 | 4, target: Float32Array, held: Uint16Array | undefined): void {
   const { indices, vertexCount, firstVertex } = part;
+  checkPart(part);
   const last = indices.length > 0 ? (indices.at(-1) as number) + 1 : firstVertex + vertexCount;
   if (last * size > target.length) {
     throw new RangeError(`the frame reaches vertex ${last - 1}, the buffer holds ${target.length / size}`);
-  }
-  if (indices.length > 0 && indices.length !== vertexCount) {
-    throw new RangeError(`a part of a frame names ${indices.length} vertices and carries ${vertexCount}`);
   }
   if (held !== undefined) {
     const range = held.subarray(firstVertex * 4, (firstVertex + vertexCount) * 4);
     unpackSteps(range, 4, indices, firstVertex, size, scale(part, size), target);
   } else if (part.encoding === Encoding.F32) {
-    const data = checked(part.data, vertexCount * size * 4);
+    const { data } = part;
     if (indices.length === 0 && LITTLE_ENDIAN) {
       // Bytes need no alignment, so this is the one copy from the socket to the buffer.
       new Uint8Array(target.buffer, target.byteOffset + firstVertex * size * 4, data.byteLength).set(data);
@@ -126,11 +124,48 @@ function writePart(part: Part, size: 3 | 4, target: Float32Array, held: Uint16Ar
     const steps = new Uint16Array(vertexCount * 4);
     if (vertexCount > 0) decodeSteps(part.data, vertexCount, steps);
     unpackSteps(steps, 4, indices, firstVertex, size, scale(part, size), target);
-  } else if (part.encoding === Encoding.DELTA) {
-    throw new RangeError("a frame tells what differs from the one before, which is not here");
   } else {
-    throw new RangeError(`the frame is packed in a way (number ${part.encoding}) that this client does not know`);
+    throw new RangeError("a frame tells what differs from the one before, which is not here");
   }
+}
+
+/** How many vertices a byte of the vertex codec tells at most: a block of 256 takes two bytes where all of it is nothing. */
+const VERTICES_A_BYTE = 128;
+
+/**
+ * Finds what is wrong with a part before anything is made of it: numbers that are not known, bytes that are too many or too few for
+ * its vertices, and facts that are missing.
+ */
+function checkPart({ attribute, encoding, data, vertexCount, indices, boxMin, boxMax, number }: Part): void {
+  if (attribute !== Attribute.POSITION && attribute !== Attribute.NORMAL && attribute !== Attribute.TANGENT) {
+    throw new RangeError(`the frame carries something (number ${attribute}) that this client does not know`);
+  }
+  if (indices.length > 0 && indices.length !== vertexCount) {
+    throw new RangeError(`a part of a frame names ${indices.length} vertices and carries ${vertexCount}`);
+  }
+  if (encoding === Encoding.F32 || encoding === Encoding.U16) {
+    const bytes = vertexCount * widthOf(attribute) * (encoding === Encoding.F32 ? 4 : 2);
+    if (data.byteLength !== bytes) {
+      throw new RangeError(`a part of a frame has ${data.byteLength} bytes, its vertices need ${bytes}`);
+    }
+  } else if (encoding === Encoding.MESHOPT || encoding === Encoding.DELTA) {
+    if (vertexCount > VERTICES_A_BYTE * data.byteLength) {
+      throw new RangeError(`a part of a frame has ${data.byteLength} bytes, which cannot be the code of ${vertexCount} vertices`);
+    }
+  } else {
+    throw new RangeError(`the frame is packed in a way (number ${encoding}) that this client does not know`);
+  }
+  if (encoding === Encoding.DELTA && number === 0n) {
+    throw new RangeError("a frame tells what differs from one that it does not name, which is not here");
+  }
+  if (encoding !== Encoding.F32 && attribute === Attribute.POSITION && (boxMin.length !== 3 || boxMax.length !== 3)) {
+    throw new RangeError("a frame of steps says which box its numbers lie in; this one does not");
+  }
+}
+
+/** Numbers of a vertex. */
+function widthOf(attribute: Attribute): 3 | 4 {
+  return attribute === Attribute.TANGENT ? 4 : 3;
 }
 
 function unpackFloats(data: Uint8Array, indices: readonly number[], first: number, size: 3 | 4, target: Float32Array): void {
@@ -170,16 +205,12 @@ function scale(part: Part, size: 3 | 4): { low: number[]; step: number[] } {
   const directions = part.attribute !== Attribute.POSITION;
   const low = directions ? [-1, -1, -1, -1] : part.boxMin;
   const high = directions ? [1, 1, 1, 1] : part.boxMax;
-  if (low.length < 3 || high.length < 3) {
-    throw new RangeError("a frame of steps says which box its numbers lie in; this one does not");
-  }
   return { low, step: Array.from({ length: size }, (_, k) => ((high[k] ?? 0) - (low[k] ?? 0)) / 65535) };
 }
 
 /** The steps of a U16 part, wherever its bytes begin. */
-function plainSteps(part: Part, size: 3 | 4): Uint16Array {
-  const data = checked(part.data, part.vertexCount * size * 2);
-  const steps = new Uint16Array(part.vertexCount * size);
+function plainSteps({ data, vertexCount }: Part, size: 3 | 4): Uint16Array {
+  const steps = new Uint16Array(vertexCount * size);
   if (LITTLE_ENDIAN) {
     new Uint8Array(steps.buffer).set(data);
   } else {
@@ -191,13 +222,6 @@ function plainSteps(part: Part, size: 3 | 4): Uint16Array {
 
 const LITTLE_ENDIAN = new Uint8Array(new Uint16Array([1]).buffer)[0] === 1;
 
-function checked(data: Uint8Array, bytes: number): Uint8Array {
-  if (data.byteLength !== bytes) {
-    throw new RangeError(`a part of a frame has ${data.byteLength} bytes, its vertices need ${bytes}`);
-  }
-  return data;
-}
-
 /**
  * Puts the parts of one connection together. Holds the parts of one frame at most and, of a stream that tells differences, the steps
  * of the frame before.
@@ -207,13 +231,23 @@ export class Assembler {
   /** What the next frame may be told from. */
   private held: HeldFrame | undefined;
 
-  /** Takes a part; answers the frame that it completes. */
+  /** `vertices` tells how many vertices the model has at a revision, where that is known. */
+  constructor(private readonly vertices: (revision: number) => number | undefined = () => undefined) {}
+
+  /**
+   * Takes a part; answers the frame that it completes.
+   *
+   * @throws RangeError for parts that are no frame.
+   */
   push(part: Part): Frame | undefined {
     if (part.part === 0) {
       this.parts = [];
     } else if (part.part !== this.parts.length || part.seq !== this.parts[0]?.seq) {
       // The beginning was missed, which a stream in order never does.
       throw new RangeError(`part ${part.part} of frame ${part.seq} came after ${this.parts.length} others`);
+    }
+    if (part.part >= part.parts || part.parts !== (this.parts[0] ?? part).parts) {
+      throw new RangeError(`part ${part.part} of frame ${part.seq} says that there are ${part.parts}`);
     }
     this.parts.push(part);
     if (this.parts.length < part.parts) {
@@ -223,16 +257,43 @@ export class Assembler {
     const before = this.held;
     this.parts = [];
     this.held = undefined;
+    const sizes = sizesOf(parts, this.vertices(Number(part.revision)));
     if (part.number === 0n) return new Frame(parts);
-    const sizes = new Map<Attribute, number>();
     // Every frame gets steps of its own: those of the one before may not have been looked at yet.
     const steps = new Map<Attribute, Uint16Array>();
-    for (const { attribute, vertexCount } of parts) sizes.set(attribute, (sizes.get(attribute) ?? 0) + vertexCount);
     for (const [attribute, vertices] of sizes) steps.set(attribute, new Uint16Array(vertices * 4));
     for (const one of parts) readSteps(one, steps.get(one.attribute) as Uint16Array, before);
     this.held = { number: part.number, parts, steps };
     return new Frame(parts, steps);
   }
+}
+
+/**
+ * How many vertices a frame carries of each attribute, once nothing is wrong with its parts: no more than `most`, and where
+ * differences may be told of them, one after the other without holes, under one number and in one box.
+ */
+function sizesOf(parts: readonly Part[], most = Number.POSITIVE_INFINITY): Map<Attribute, number> {
+  const sizes = new Map<Attribute, number>();
+  const number = parts[0]?.number ?? 0n;
+  for (const part of parts) {
+    const { seq, attribute, vertexCount, firstVertex, indices } = part;
+    checkPart(part);
+    const before = sizes.get(attribute) ?? 0;
+    if (before + vertexCount > most || (indices.length === 0 && firstVertex + vertexCount > most)) {
+      throw new RangeError(`frame ${seq} carries more vertices than the model has, which are ${most}`);
+    }
+    if (part.number !== number) {
+      throw new RangeError(`frame ${seq} says in one part that its number is ${number}, in another ${part.number}`);
+    }
+    if (number !== 0n && (indices.length > 0 || firstVertex !== before)) {
+      throw new RangeError(`frame ${seq} does not carry every vertex, as frames of which differences are told do`);
+    }
+    if (number !== 0n && !hasBox(part, parts.find((one) => one.attribute === attribute))) {
+      throw new RangeError(`frame ${seq} says in its parts that its numbers lie in several boxes`);
+    }
+    sizes.set(attribute, before + vertexCount);
+  }
+  return sizes;
 }
 
 /** A frame that differences may be told from. */
@@ -247,12 +308,9 @@ function readSteps(part: Part, all: Uint16Array, before: HeldFrame | undefined):
   const { attribute, vertexCount, firstVertex, number } = part;
   const from = firstVertex * 4;
   const to = from + vertexCount * 4;
-  if (part.indices.length > 0 || to > all.length) {
-    throw new RangeError(`frame ${part.seq} does not carry every vertex, as frames of which differences are told do`);
-  }
   const now = all.subarray(from, to);
   if (part.encoding === Encoding.U16) {
-    const size = attribute === Attribute.TANGENT ? 4 : 3;
+    const size = widthOf(attribute);
     const plain = plainSteps(part, size);
     for (let k = 0; k < vertexCount; k++) now.set(plain.subarray(k * size, (k + 1) * size), k * 4);
     return;

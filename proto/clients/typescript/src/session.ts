@@ -243,6 +243,11 @@ export class Session {
       connect: () => this.transport.socket(path),
       probe: () => this.told(this.transport.probe(SessionSchema, this.path(""))),
       known: () => this.known,
+      // Edits change it, and those of others are told by the revision alone.
+      vertices: (revision: number) => {
+        const { primitives, revision: told } = this.facts;
+        return revision === Number(told) ? primitives.reduce((sum, { vertexCount }) => sum + vertexCount, 0) : undefined;
+      },
     };
     return new Stream(route, options, events, patience);
   }

@@ -57,6 +57,8 @@ export interface StreamRoute {
   probe: () => Promise<Facts>;
   /** The newest revision that calls beside the stream were told of. */
   known: () => number;
+  /** How many vertices the model has at a revision, where that is known. */
+  vertices?: (revision: number) => number | undefined;
 }
 
 /** Between two looks at the silence. */
@@ -68,7 +70,7 @@ const BACKLOG = 64 << 10;
 export class Stream {
   readonly totals: StreamTotals = { poses: 0, frames: 0, superseded: 0, bytes: 0, reconnects: 0 };
   private socket: WebSocket | undefined;
-  private assembler = new Assembler();
+  private assembler: Assembler;
   private current: StreamState = "connecting";
   private revision: number;
   private readonly pending: Pending;
@@ -80,6 +82,8 @@ export class Stream {
   private readonly attempts: Attempts;
   /** Whether the server on the other end has said that it stops. */
   private leaving: PliantError | undefined;
+  /** Sockets in a row that brought what cannot be read. */
+  private unreadable = 0;
   private heardAt = 0;
   private askedAt = 0;
   private timer: ReturnType<typeof setTimeout> | undefined;
@@ -94,6 +98,7 @@ export class Stream {
     this.attempts = new Attempts(patience);
     this.pending = new Pending(patience);
     this.revision = route.known();
+    this.assembler = new Assembler(route.vertices);
     this.pulse = setInterval(() => this.beat(), BEAT_MS);
     this.open();
   }
@@ -154,13 +159,17 @@ export class Stream {
     this.frames = [];
     // Everything before the last whole frame is overwritten by it.
     const from = Math.max(0, waiting.findLastIndex((frame) => !frame.isPartial));
-    for (const frame of waiting.slice(from)) {
-      frame.positionsInto(positions);
-      if (normals !== undefined && frame.hasNormals) {
-        frame.normalsInto(normals);
+    try {
+      for (const frame of waiting.slice(from)) {
+        frame.positionsInto(positions);
+        if (normals !== undefined && frame.hasNormals) {
+          frame.normalsInto(normals);
+        }
       }
+    } finally {
+      // A frame that does not fit the buffer is gone as well: the server must not wait for it.
+      this.acknowledge(last);
     }
-    this.acknowledge(last);
     return last;
   }
 
@@ -199,14 +208,14 @@ export class Stream {
     const socket = this.route.connect();
     this.socket = socket;
     // What was half read is read anew: the first frame of a new socket is whole.
-    this.assembler = new Assembler();
+    this.assembler = new Assembler(this.route.vertices);
     this.fresh = new WeakSet();
     this.heardAt = Date.now();
     this.askedAt = 0;
     this.leaving = undefined;
     let reason: PliantError | undefined;
+    let [messages, frames] = [0, 0];
     socket.onopen = () => {
-      this.attempts.worked();
       this.change("open");
       this.told = undefined;
       this.sayOptions(this.options);
@@ -218,14 +227,27 @@ export class Stream {
       if (socket !== this.socket) return;
       this.heardAt = Date.now();
       this.askedAt = 0;
+      if (reason?.code === "DATA_LOSS") return;
+      let message: DeformResponse["message"];
+      let frame: Frame | undefined;
       try {
-        const failure = this.receive(fromBinary(DeformResponseSchema, new Uint8Array(event.data)));
-        reason = failure ?? reason;
-        this.leave();
+        ({ message } = fromBinary(DeformResponseSchema, new Uint8Array(event.data)));
+        if (message.case === "frame") frame = this.assembler.push(message.value);
       } catch (error) {
         reason = new PliantError("DATA_LOSS", error instanceof Error ? error.message : String(error));
-        socket.close();
+        this.unreadable += 1;
+        // What another socket brings as well will not be read by a third.
+        if (this.unreadable > 1) this.end("closed", reason);
+        else socket.close();
+        return;
       }
+      // The first frame of a socket is told as a whole, so the second must be read as well.
+      if (frame !== undefined && ++frames > 1) this.unreadable = 0;
+      const failure = this.receive(message, frame);
+      reason = failure ?? reason;
+      // Only what was said and understood shows that it works, not a socket that opened.
+      if (failure === undefined && messages++ === 0) this.attempts.worked();
+      this.leave();
     };
     socket.onclose = (event) => {
       if (socket !== this.socket || this.isOver) {
@@ -294,13 +316,9 @@ export class Stream {
     }
   }
 
-  private receive(response: DeformResponse): PliantError | undefined {
-    const { message } = response;
-    if (message.case === "frame") {
-      const frame = this.assembler.push(message.value);
-      if (frame !== undefined) {
-        this.arrived(frame);
-      }
+  private receive(message: DeformResponse["message"], frame: Frame | undefined): PliantError | undefined {
+    if (frame !== undefined) {
+      this.arrived(frame);
     } else if (message.case === "error") {
       const error = new PliantError(statusName(message.value.code), message.value.message);
       const seq = Number(message.value.seq);

@@ -54,7 +54,8 @@ export function decodeSteps(source: Uint8Array, count: number, out: Uint16Array)
       writePair(planes, pair * 4, vertices, channel, last, out, first * 4 + pair * 2);
     }
   }
-  if (at !== end) throw broken(`has ${end - at} bytes more than its vertices need`);
+  if (at > end) throw broken("ends early");
+  if (at < end) throw broken(`has ${end - at} bytes more than its vertices need`);
 }
 
 /** Reads one byte of each vertex of a block; answers where the next begins. */

@@ -96,6 +96,55 @@ test("what does not fit is refused, not written elsewhere", () => {
   assert.throws(() => assembler.push(part({ part: 1, parts: 2 })), /after 0 others/);
 });
 
+test("a frame that is none is found when it comes, before anything is made of it", () => {
+  const refuses = (parts, words, vertices) => {
+    const assembler = new Assembler(vertices && (() => vertices));
+    assert.throws(() => parts.forEach((one) => assembler.push(part(one))), words);
+  };
+  const box = { boxMin: [0, 0, 0], boxMax: [1, 1, 1] };
+  const steps = (vertices, more) => ({ ...box, number: 1n, encoding: Encoding.U16, vertexCount: vertices, data: new Uint8Array(vertices * 6), ...more });
+  refuses([steps(1, { parts: 0 })], /says that there are 0/);
+  refuses([steps(1, { parts: 2 }), steps(1, { part: 1, parts: 3, firstVertex: 1 })], /says that there are 3/);
+  refuses([steps(1, { attribute: 9 })], /number 9/);
+  refuses([steps(1, { attribute: 9, number: 0n })], /number 9/);
+  refuses([steps(1, { boxMin: [] })], /box/);
+  refuses([steps(1, { boxMin: [], number: 0n })], /box/);
+  refuses([steps(1, { encoding: 8, number: 0n })], /number 8/);
+  refuses([steps(1, { encoding: Encoding.DELTA, number: 0n })], /does not name/);
+  refuses([steps(2, { data: new Uint8Array(6), number: 0n })], /6 bytes, its vertices need 12/);
+  refuses([steps(2, { indices: [1], number: 0n })], /names 1 vertices and carries 2/);
+  // Holes, overlaps, and parts of several frames.
+  const second = { part: 1, parts: 2, firstVertex: 2 };
+  refuses([steps(2, { parts: 2 }), steps(2, { ...second, firstVertex: 1 })], /does not carry every vertex/);
+  refuses([steps(2, { parts: 2 }), steps(2, { ...second, firstVertex: 3 })], /does not carry every vertex/);
+  refuses([steps(2, { firstVertex: 1 })], /does not carry every vertex/);
+  refuses([steps(2, { parts: 2 }), steps(2, { ...second, number: 2n })], /in another 2/);
+  refuses([steps(2, { parts: 2 }), steps(2, { ...second, number: 0n })], /in another 0/);
+  refuses([steps(2, { parts: 2 }), steps(2, { ...second, boxMax: [1, 1, 2] })], /several boxes/);
+  // Few bytes that speak of many vertices.
+  for (const encoding of [Encoding.MESHOPT, Encoding.DELTA]) {
+    refuses([steps(1, { encoding, vertexCount: 2 ** 32 - 1, data: new Uint8Array(60) })], /cannot be the code of 4294967295/);
+  }
+  refuses([steps(1, { encoding: Encoding.MESHOPT, vertexCount: 6000, data: new Uint8Array(60) })], /the model has, which are 5999/, 5999);
+  refuses([steps(1, { firstVertex: 3, number: 0n })], /the model has, which are 3/, 3);
+});
+
+test("code that is short says so", async () => {
+  await MeshoptEncoder.ready;
+  const code = coded(Uint16Array.from({ length: 64 }, (_, k) => k * 999));
+  for (let length = 25; length < code.length; length++) {
+    try {
+      decodeSteps(code.subarray(0, length), 16, new Uint16Array(64));
+    } catch (error) {
+      assert.doesNotMatch(error.message, /-\d+ bytes/);
+    }
+  }
+  const zero = new Uint8Array(27);
+  zero.set([0xa1, 0xaa, 0xaa]);
+  decodeSteps(zero, 4, new Uint16Array(16));
+  assert.throws(() => decodeSteps(zero.subarray(0, 26), 4, new Uint16Array(16)), /ends early/);
+});
+
 /** Random numbers that are the same in every run. */
 function draw(seed) {
   let state = seed;

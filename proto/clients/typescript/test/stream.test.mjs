@@ -155,6 +155,76 @@ test("differences are told anew on a socket that is opened again, and what they 
   stage.stream.close();
 });
 
+test("a frame that cannot be read is asked for once more, and then the stream ends with what was wrong", async () => {
+  await MeshoptEncoder.ready;
+  const stage = staged();
+  const [first, second] = [7, 9].map((x) => Uint16Array.from([x, 1, 2, 0]));
+  const loses = (socket) => {
+    socket.open();
+    socket.say({ case: "pong", value: { nonce: 1n } });
+    socket.say(toldFrame(1, 1, first));
+    socket.say(toldFrame(3, 3, second, first));
+    // What still comes is of a socket that is left.
+    socket.say(toldFrame(1, 1, first));
+    socket.drop();
+  };
+  loses(stage.sockets[0]);
+  assert.equal(stage.stream.state, "lost");
+  // Two frames that were read: the next failure is the first again.
+  const again = await untilSockets(stage, 2);
+  again.open();
+  again.say(toldFrame(1, 1, first));
+  again.say(toldFrame(2, 2, second, first));
+  again.say(toldFrame(4, 4, second, first));
+  again.drop();
+  loses(await untilSockets(stage, 3));
+  assert.equal(stage.states.at(-1), "closed: DATA_LOSS");
+  await new Promise((resolve) => setTimeout(resolve, 300));
+  assert.equal(stage.sockets.length, 3);
+});
+
+test("a socket that opens and says nothing does not give the patience anew", async () => {
+  const stage = staged({}, 0.3);
+  const start = Date.now();
+  for (let k = 1; stage.stream.state !== "closed"; k++) {
+    assert.ok(Date.now() - start < 5000, "it goes on for ever");
+    const socket = stage.sockets[k - 1];
+    socket.open();
+    socket.drop();
+    while (stage.stream.state === "lost" && stage.sockets.length === k) await new Promise((resolve) => setTimeout(resolve, 5));
+  }
+  assert.match(stage.states.at(-1), /closed: UNREACHABLE/);
+});
+
+test("a frame without its facts is never handed out, and one that does not fit a buffer is acknowledged", async () => {
+  await MeshoptEncoder.ready;
+  const stage = staged();
+  const [socket] = stage.sockets;
+  socket.open();
+  socket.say(frame(1, [1, 2, 3, 4, 5, 6]));
+  assert.throws(() => stage.stream.take(new Float32Array(3)), /reaches vertex 1, the buffer holds 1/);
+  assert.deepEqual(socket.of("ack").map(({ seq }) => seq), [1n]);
+  const bad = toldFrame(2, 1, Uint16Array.from([5, 5, 5, 0]));
+  bad.value.boxMin = [];
+  socket.say(bad);
+  assert.equal(stage.stream.hasFrame, false);
+  socket.drop();
+  assert.equal(stage.states.at(-1), "lost: DATA_LOSS");
+  stage.stream.close();
+});
+
+test("what a page does with a frame is no failure of the socket", () => {
+  const stage = staged({
+    onFrame: () => {
+      throw new Error("the page's own");
+    },
+  });
+  stage.sockets[0].open();
+  assert.throws(() => stage.sockets[0].say(frame(1, [1, 2, 3])), /the page's own/);
+  assert.equal(stage.stream.state, "open");
+  stage.stream.close();
+});
+
 test("handles that were dragged are told again with the next pose, when none waits for an answer", async () => {
   const stage = staged();
   stage.sockets[0].open();
