@@ -195,6 +195,9 @@ class Traffic:
         self._assembler = Assembler(vertices, changed_only=options.output.HasField("changed_only"))
         self._repeat = False
         self._opened = False
+        # Frames of this connection, and connections in a row that brought what cannot be read.
+        self._frames = 0
+        self._unreadable = 0
         self._settled: dict[str, pb.HandlePose] = {}
         # Poses that are neither solved nor refused yet, by number. A refused one moves nothing.
         self._pending: dict[int, dict[str, pb.HandlePose]] = {}
@@ -218,6 +221,7 @@ class Traffic:
     def opening(self) -> list[pb.DeformRequest]:
         """The first messages of a connection."""
         self._assembler.restart()
+        self._frames = 0
         first = [pb.DeformRequest(session_id=self._session_id, options=self._options)]
         if self._opened:
             # Its answer tells that the stream is there again, also where no pose waits for one.
@@ -257,8 +261,24 @@ class Traffic:
             return errors.Unavailable(response.notice.message)
         if kind != "frame":
             return None
-        frame = self._assembler.take(response.frame)
+        frame = self._read(response.frame)
         if frame is not None and frame.final:
             self._settle(frame.seq)
             self.answered = max(self.answered, frame.seq)
+        return frame
+
+    def _read(self, part: pb.Frame) -> Frame | None:
+        try:
+            frame = self._assembler.take(part)
+        except errors.Internal as broken:
+            # What another connection brings as well will not be read by a third.
+            self._unreadable += 1
+            error = errors.Unreadable(broken.message)
+            error.is_first = self._unreadable == 1
+            raise error from broken
+        if frame is not None:
+            self._frames += 1
+            # The first frame of a connection is told as a whole, so the second must be read as well.
+            if self._frames > 1:
+                self._unreadable = 0
         return frame

@@ -202,7 +202,7 @@ class Attempts:
     def _may_pass(self, error: errors.PliantError) -> bool:
         if isinstance(error, (errors.LocalServerError, errors.TooLarge)):
             return False
-        lost = is_lost(error)
+        lost = is_lost(error) or (isinstance(error, errors.Unreadable) and error.is_first)
         running = isinstance(error, errors.Aborted) and "still running" in error.message
         taken = isinstance(error, errors.ResourceExhausted) and error.retry_after is not None and self._resuming
         return lost or running or taken

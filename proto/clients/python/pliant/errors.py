@@ -130,6 +130,13 @@ class Internal(PliantError):
     code = "INTERNAL"
 
 
+class Unreadable(Internal):
+    """A frame of a stream that cannot be read."""
+
+    #: Whether another connection is worth a try: it begins with a frame that stands for itself.
+    is_first = True
+
+
 class LocalServerError(PliantError):
     """A server of one's own cannot be started, or ended by itself."""
 

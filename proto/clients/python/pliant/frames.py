@@ -14,6 +14,9 @@ from .vertex_codec import Steps, decode_steps
 
 Floats = npt.NDArray[np.float32]
 
+#: What is behind frames that have another number of vertices.
+_EDITED = "after an edit, its undo or redo, a stream has to be opened anew"
+
 _NUMBERS = {pb.Frame.POSITION: 3, pb.Frame.NORMAL: 3, pb.Frame.TANGENT: 4}
 
 
@@ -29,7 +32,8 @@ class Frame:
     positions: Floats
     #: (render vertices, 3), where asked for.
     normals: Floats | None
-    #: (render vertices, 4), where asked for; zeros for primitives without tangents.
+    #: (render vertices, 4), where asked for; zeros for primitives without tangents (with packed encodings about 1.5e-5,
+    #: which is next to zero among their steps).
     tangents: Floats | None
     #: With ``changed_only``: the render vertices that this frame brought, ascending. The arrays are whole all the same.
     changed: npt.NDArray[np.uint32] | None
@@ -77,51 +81,66 @@ class Assembler:
         self._sparse = changed_only
         self._held: dict[int, Floats] = {}
         self._changed: list[npt.NDArray[np.uint32]] = []
-        self._under_way: tuple[int, int] | None = None  # seq and the number of the next part
+        # The part before, where it was not the last of its frame, and how many vertices of each attribute have come.
+        self._before: pb.Frame | None = None
+        self._carried: dict[int, int] = {}
         # Of frames that differences may be told from: the number of the last whole one, its steps, and its box.
         self._number: int | None = None
         self._steps: dict[int, Steps] = {}
         self._box: list[float] = []
-        self._carried: set[int] = set()
+        self._next_box: list[float] = []
 
     def restart(self) -> None:
         """Forgets a frame of which not all parts came, and what a connection that is lost told differences from."""
-        self._under_way = None
+        self._before = None
         self._changed = []
         self._number = None
         self._steps = {}
-        self._carried = set()
 
     def take(self, part: pb.Frame) -> Frame | None:
         """Takes the next part; answers the frame when it was the last one."""
-        expected = (part.seq, 0) if self._under_way is None else self._under_way
+        before, self._before = self._before, None
         base, self._number = self._number, None
+        expected = (part.seq, 0) if before is None else (before.seq, before.part + 1)
         if (part.seq, part.part) != expected:
             raise Internal(
                 f"part {part.part} of frame {part.seq} came where part {expected[1]} of {expected[0]} was due"
             )
-        self._under_way = None
+        _check_with(part, before or part)
+        if before is None:
+            self._carried = {}
         self._place(part, base)
         if part.part + 1 < part.parts:
-            self._under_way = (part.seq, part.part + 1)
+            self._before = part
             self._number = base
             return None
-        self._number = part.number or None
+        if not self._sparse:
+            self._check_whole(part)
+        if part.number:
+            self._number, self._box = part.number, self._next_box
         # Differences are told of what the frame before carried, and of nothing else.
         self._steps = {attribute: steps for attribute, steps in self._steps.items() if attribute in self._carried}
-        self._carried = set()
         return self._finish(part)
+
+    def _check_whole(self, last: pb.Frame) -> None:
+        """A frame of everything has every vertex of all that it carries: nothing of the one before shows through."""
+        for count in self._carried.values():
+            if count < self._vertices:
+                raise Internal(f"frame {last.seq} has {count} of the model's {self._vertices} vertices; {_EDITED}")
 
     def _place(self, part: pb.Frame, base: int | None) -> None:
         if part.part == 0 and not self._sparse:
             self._held = {}
-        count, width = part.vertex_count, _NUMBERS[part.attribute]
-        if count > self._vertices:
-            raise Internal(f"frame {part.seq} has more than the model's {self._vertices} vertices")
+        count, width, come = part.vertex_count, _NUMBERS.get(part.attribute), self._carried.get(part.attribute, 0)
+        if width is None:
+            raise Internal(f"frame {part.seq} carries something (number {part.attribute}) that was not asked for")
+        if max(part.first_vertex, come) + count > self._vertices:
+            raise Internal(f"frame {part.seq} has more than the model's {self._vertices} vertices; {_EDITED}")
+        if not self._sparse and not part.indices and part.first_vertex != come:
+            raise Internal(f"frame {part.seq} goes on at vertex {part.first_vertex} where {come} was due")
         values = self._added(part, count, width, base) if part.number else _decode(part, count, width)
         buffer = self._held.get(part.attribute)
         if buffer is None:
-            # A whole frame fills every place of its positions and normals; tangents may leave primitives out.
             buffer = self._held[part.attribute] = np.zeros((self._vertices, width), np.float32)
         if part.indices:
             indices = np.fromiter(part.indices, np.uint32, len(part.indices))
@@ -131,15 +150,18 @@ class Assembler:
             if part.attribute == pb.Frame.POSITION:
                 self._changed.append(indices)
         else:
-            if part.first_vertex + count > self._vertices:
-                raise Internal(f"frame {part.seq} has more than the model's {self._vertices} vertices")
             buffer[part.first_vertex : part.first_vertex + count] = values
+        self._carried[part.attribute] = come + count
 
     def _added(self, part: pb.Frame, count: int, width: int, base: int | None) -> npt.NDArray[Any]:
         """The numbers of a part of which differences may be told, or which is told by them."""
         attribute, first, box = part.attribute, part.first_vertex, [*part.box_min, *part.box_max]
-        if part.indices or part.encoding == pb.Frame.F32 or first + count > self._vertices:
+        if self._sparse or part.indices or part.encoding == pb.Frame.F32:
             raise Internal(f"frame {part.seq} is none of which differences are told")
+        if attribute == pb.Frame.POSITION:
+            if attribute in self._carried and box != self._next_box:
+                raise Internal(f"frame {part.seq} says in its parts that its numbers lie in several boxes")
+            self._next_box = box
         steps = _steps(part, count, width)
         if part.encoding == pb.Frame.DELTA:
             held = self._steps.get(attribute)
@@ -150,9 +172,6 @@ class Assembler:
                     "a stream that is opened anew begins with a whole one"
                 )
             steps = steps + held[first : first + count, :width]
-        if attribute == pb.Frame.POSITION:
-            self._box = box
-        self._carried.add(attribute)
         held = self._steps.get(attribute)
         if held is None:
             held = self._steps[attribute] = np.zeros((self._vertices, 4), np.uint16)
@@ -186,6 +205,15 @@ class Assembler:
             superseded=last.superseded,
             quality=last.quality if last.HasField("quality") else None,
         )
+
+
+def _check_with(part: pb.Frame, before: pb.Frame) -> None:
+    """What every part of a frame says is the same in all of them, and there is one at least."""
+    if part.part >= part.parts or part.parts != before.parts:
+        raise Internal(f"part {part.part} of frame {part.seq} says that there are {part.parts}")
+    if part.number != before.number:
+        numbers = f"{before.number}, in another {part.number}"
+        raise Internal(f"frame {part.seq} says in one part that its number is {numbers}")
 
 
 def _decode(part: pb.Frame, count: int, width: int) -> npt.NDArray[Any]:

@@ -158,6 +158,18 @@ class Stream:
         return item
 
     def _run(self) -> None:
+        try:
+            self._read()
+        except Exception as fault:
+            # A defect of this package: who waits for a frame is told, and does not wait for ever.
+            self._outgoing.put(None)
+            with self._news:
+                if self._call is not None:
+                    self._call.cancel()
+                self._failure = errors.Internal(f"{type(fault).__name__}: {fault}")
+                self._news.notify_all()
+
+    def _read(self) -> None:
         """Reads one connection after the other until the stream is closed or cannot go on."""
         attempts = channel.Attempts(self._calls.settings.patience)
         while True:

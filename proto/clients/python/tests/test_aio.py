@@ -13,6 +13,8 @@ import pytest
 import pliant
 import pliant.aio
 from conftest import Proxy, binary
+from pliant.frames import Assembler
+from pliant.v1 import pliant_pb2 as pb
 
 POSES = [{"head": {"rotation_vector": (0, 0.8 * k / 12, 0)}} for k in range(1, 13)]
 TURN = POSES[-1]
@@ -176,5 +178,25 @@ def test_limits_and_lists(server: pliant.LocalServer, creature: Path) -> None:
             with pytest.raises(pliant.FailedPrecondition, match="the connection is closed"):
                 await call()
         await left.close()
+
+    run(work())
+
+
+@pytest.mark.parametrize("fault", [pliant.Internal("no code"), KeyError("what nobody thought of")])
+def test_frames_that_cannot_be_read_end_a_stream_and_nobody_waits_for_ever(
+    server: pliant.LocalServer, creature: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception
+) -> None:
+    def faulty(self: Assembler, part: pb.Frame) -> None:
+        raise fault
+
+    async def work() -> None:
+        async with pliant.aio.open(creature, server=server) as s:
+            hold(s)
+            async with await s.stream() as stream:
+                monkeypatch.setattr(Assembler, "take", faulty)
+                stream.send(TURN)
+                with pytest.raises(pliant.Internal, match=str(fault)):
+                    await asyncio.wait_for(stream.wait(), 30)
+                assert stream.reconnects == isinstance(fault, pliant.Internal)
 
     run(work())

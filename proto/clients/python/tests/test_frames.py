@@ -86,6 +86,17 @@ def test_sixteen_bits_come_back_within_half_a_step() -> None:
         ([part(0, 1, np.zeros((2, 3)), encoding=9)], "not asked for"),
         ([part(0, 2, np.zeros((2, 3)))], "ended before the frame was whole"),
         ([part(0, 1, np.zeros((2, 3)), attribute=pb.Frame.NORMAL)], "no positions"),
+        ([part(0, 1, np.zeros((2, 3)), attribute=9)], "number 9"),
+        ([part(0, 0, np.zeros((2, 3)))], "says that there are 0"),
+        ([part(0, 2, np.zeros((1, 3))), part(1, 3, np.zeros((1, 3)), first_vertex=1)], "says that there are 3"),
+        ([part(0, 2, np.zeros((1, 3))), part(1, 2, np.zeros((1, 3)))], "at vertex 0 where 1 was due"),
+        ([part(0, 1, np.zeros((1, 3)), first_vertex=1)], "at vertex 1 where 0 was due"),
+        ([part(0, 1, np.zeros((1, 3)))], "has 1 of the model's 2 vertices; after an edit.*opened anew"),
+        ([part(0, 1, np.zeros((3, 3)))], "more than the model's 2 vertices; after an edit.*opened anew"),
+        (
+            [part(0, 2, np.zeros((2, 3))), part(1, 2, np.zeros((1, 3)), attribute=pb.Frame.NORMAL)],
+            "has 1 of the model's 2 vertices",
+        ),
     ],
 )
 def test_an_answer_that_does_not_fit_the_model_is_told_of(parts: list[pb.Frame], words: str) -> None:
@@ -150,6 +161,42 @@ def test_differences_add_up_to_whole_frames() -> None:
     frame = assembler.take(told(steps[:, :3].tobytes(), 257, encoding=pb.Frame.U16, number=5))
     assert frame is not None
     assert np.array_equal(frame.positions, (low + steps[:, :3] * ((high - low) / 65535)).astype(np.float32))
+
+
+def test_parts_of_which_differences_are_told_are_of_one_frame_and_leave_no_holes() -> None:
+    def half(k: int, number: int = 1, **fields: object) -> pb.Frame:
+        numbers = np.full((2, 3), number, "<u2").tobytes()
+        place = {"part": k, "parts": 2, "first_vertex": 2 * k, "encoding": pb.Frame.U16, "number": number}
+        return told(numbers, 2, **{**place, **fields})
+
+    def refused(words: str, *parts: pb.Frame, before: tuple[pb.Frame, ...] = ()) -> None:
+        assembler = Assembler(4)
+        for one in before:
+            assembler.take(one)
+        with pytest.raises(Internal, match=words):
+            for one in parts:
+                assembler.take(one)
+
+    refused("in another 50", half(0), half(1, number=50))
+    refused("in another 0", half(0), half(1, number=0))
+    refused("several boxes", half(0), half(1, box_max=[1, 4, 4]))
+    refused("at vertex 0 where 2 was due", half(0), half(1, first_vertex=0))
+    refused("more than the model's 4 vertices", half(0), half(1, first_vertex=3))
+    refused("more than the model's 4 vertices", half(0, first_vertex=2**32 - 1))
+    refused("2 of the model's 4", half(0, parts=1))
+    # Nothing is told from a box that the frame before did not have.
+    code = bytes([0xA1, 0xAA, 0xAA]) + bytes(24)
+    delta: dict[str, object] = {"encoding": pb.Frame.DELTA, "data": code, "number": 2}
+    key = (half(0), half(1))
+    other: dict[str, object] = {"box_max": [9, 9, 9]}
+    refused("not here", half(0, 2, **other), half(1, **{**delta, **other}), before=key)
+    # A part that stands for itself leaves the others what they are told from.
+    assembler = Assembler(4)
+    frames = [assembler.take(one) for one in (*key, half(0, 2), half(1, **delta))]
+    assert frames[3] is not None
+    low, high = np.array([-1, 0, 2]), np.array([1, 4, 3])
+    steps = np.array([2, 2, 1, 1])[:, None]
+    assert np.array_equal(frames[3].positions, (low + steps * ((high - low) / 65535)).astype(np.float32))
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,9 @@ import pytest
 
 import pliant
 from conftest import Proxy, binary
+from pliant.frames import Assembler, Frame
 from pliant.options import SolveFields
+from pliant.v1 import pliant_pb2 as pb
 
 TURN = {"head": {"rotation_vector": (0, 0.8, 0)}}
 
@@ -88,6 +90,46 @@ def test_a_stream_says_where_handles_are_after_it_was_opened_anew(held: pliant.S
         rest = held.positions()
         head = np.linalg.norm(rest - [0.76, 1.22, 0], axis=1) < 0.36
         assert np.allclose(both[head], turned[head], atol=1e-6)
+
+
+def unreadable(monkeypatch: pytest.MonkeyPatch, faults: Iterator[Exception | None]) -> None:
+    """Lets the next parts that come have these faults."""
+    take = Assembler.take
+
+    def faulty(self: Assembler, part: pb.Frame) -> Frame | None:
+        fault = next(faults, None)
+        if fault is not None:
+            raise fault
+        return take(self, part)
+
+    monkeypatch.setattr(Assembler, "take", faulty)
+
+
+def test_a_frame_that_cannot_be_read_is_asked_for_once_more(
+    held: pliant.Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for faults in (1, 2):
+        with held.stream() as stream:
+            unreadable(monkeypatch, iter([pliant.Internal("no code")] * faults))
+            stream.send(TURN)
+            if faults == 1:
+                assert stream.wait(timeout=30).seq == 1
+            else:
+                with pytest.raises(pliant.Internal, match="no code$"):
+                    stream.wait(timeout=30)
+            assert stream.reconnects == 1
+    monkeypatch.undo()
+
+
+def test_a_defect_of_this_package_ends_a_stream_and_nobody_waits_for_ever(
+    held: pliant.Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with held.stream() as stream:
+        unreadable(monkeypatch, iter([KeyError("what nobody thought of")]))
+        stream.send(TURN)
+        with pytest.raises(pliant.Internal, match="KeyError.*nobody thought of"):
+            stream.wait(timeout=30)
+    monkeypatch.undo()
 
 
 def test_a_server_that_stands_still_is_left_by_calls_and_streams(held: pliant.Session, proxy: Proxy) -> None:

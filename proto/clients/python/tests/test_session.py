@@ -7,6 +7,7 @@ import json
 import sys
 import zlib
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -238,6 +239,30 @@ def test_a_handle_that_makes_no_sense_is_refused_by_name(held: pliant.Session) -
     with pytest.raises(ValueError, match="commit: 'first'"):
         list(held.drag([TURN], commit="first"))  # type: ignore[arg-type]
     assert held.handles == ["feet", "head"] and len(held.history()) == 2, "nothing came of it"
+
+
+@pytest.mark.parametrize("encoding", ["f32", "delta"])
+@pytest.mark.parametrize("edit", [{"cut": {"normal": (0, 0, 1), "offset": 2.0}}, {"subdivide": {}}])
+def test_a_stream_that_was_open_before_an_edit_says_so(
+    server: pliant.LocalServer, encoding: Literal["f32", "delta"], edit: Any
+) -> None:
+    with pliant.open(bar(), server=server) as session:
+        session.handle("base", half_space=((0, 0, -1), -0.3))
+        session.handle("middle", sphere=((0, 0, 1.5), 1.0))
+        moved = {"middle": {"translation": (0.1, 0, 0)}}
+        with session.stream(encoding=encoding) as stream:
+            stream.send(moved)
+            stream.wait(timeout=60)
+            try:
+                session.edit(**edit)
+            except pliant.Unimplemented as refusal:
+                pytest.skip(f"this server does not edit: {refusal}")
+            stream.send(moved)
+            with pytest.raises(pliant.Internal, match="vertices; after an edit.*opened anew"):
+                stream.wait(timeout=60)
+        with session.stream(encoding=encoding) as stream:
+            stream.send(moved)
+            assert stream.wait(timeout=60).positions.shape == (session.vertices, 3)
 
 
 def test_an_edit_is_done_or_refused_by_name(server: pliant.LocalServer) -> None:

@@ -131,6 +131,14 @@ class Stream:
         return item
 
     async def _run(self) -> None:
+        try:
+            await self._read()
+        except Exception as fault:
+            # A defect of this package: who waits for a frame is told, and does not wait for ever.
+            self._failure = errors.Internal(f"{type(fault).__name__}: {fault}")
+            self._news.set()
+
+    async def _read(self) -> None:
         """Reads one connection after the other until the stream is closed or cannot go on."""
         attempts = channel.Attempts(self._calls.settings.patience)
         while True:
