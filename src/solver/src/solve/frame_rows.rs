@@ -150,15 +150,6 @@ impl FrameRows<'_> {
             .map_or([0.0; 4], |more| (*more * self.scale).to_wide())
     }
 
-    /// Asks memory for what right-hand sides of rows a little after bundle `k` are made from.
-    #[inline(always)]
-    pub(super) fn prefetch_after(&self, level: &HierarchyLevel, k: usize) {
-        for j in level.later_neighbours(k) {
-            prefetch(self.rows, j);
-            prefetch(self.rest, j);
-        }
-    }
-
     /// The right-hand side of one row.
     pub(crate) fn right_hand_side(&self, level: &HierarchyLevel, row: usize) -> WideLanes {
         let here = self.rest[row];

@@ -26,7 +26,7 @@ const USUAL: usize = 64;
 /// Rounding of the step of a whole pose, relative to the largest diagonal times its norm: that of single precision.
 const STEP_ROUNDING: f64 = 6e-8;
 /// A residual made from the step is taken where that is at most this part of it.
-const SPOILT: f64 = 0.1;
+const TRUSTED: f64 = 0.1;
 /// Stretches in a row that may fail to halve the true residual.
 const POOR_STRETCHES: usize = 2;
 
@@ -153,9 +153,9 @@ impl GroupSolve<'_, '_> {
         let recalled = self.recalled.as_deref();
         problem.threads.run_on(self.pool, || {
             let followed = recalled.and_then(|recalled| {
-                let [squares, lengths] = recalled.residual(&grid, &mut fine.r, state.scale);
+                let [squares, lengths] = recalled.residual(&grid, (&mut fine.r, &mut fine.partials), state.scale);
                 let noise = |c: usize| STEP_ROUNDING * problem.hierarchy.largest_diagonal * lengths[c].sqrt();
-                let is_sound = (0..problem.width()).all(|c| noise(c) <= SPOILT * squares[c].sqrt());
+                let is_sound = (0..problem.width()).all(|c| noise(c) <= TRUSTED * squares[c].sqrt());
                 is_sound.then_some(squares)
             });
             let norms = followed.unwrap_or_else(|| residual(&problem, x, fine, state.scale));

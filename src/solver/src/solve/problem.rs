@@ -5,7 +5,7 @@ use std::ops::Range;
 use crate::build::hierarchy::{Hierarchy, power_of_two_below};
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
-use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide, prefetch};
+use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
 use crate::solve::frame_rows::FrameRows;
 use crate::storage::{NO_ROW, SLICE_ROWS, resize_untouched};
 use crate::threads::{Parallelism, piece_count, piece_rows};
@@ -240,9 +240,6 @@ impl<'a> ColumnGroup<'a> {
             {
                 if with_rhs && n % FETCH == 0 {
                     for (b, i) in fetched.iter_mut().zip(k * SLICE_ROWS..rows.end) {
-                        if let (Some(frames), 0) = (self.frames(), i % SLICE_ROWS) {
-                            frames.prefetch_after(&self.hierarchy.levels[0], i / SLICE_ROWS);
-                        }
                         *b = if mask.free(i) { self.rhs(i) } else { [0.0; WIDTH] };
                     }
                 }
@@ -273,7 +270,6 @@ impl<'a> ColumnGroup<'a> {
         let here: [WideLanes; SLICE_ROWS] = std::array::from_fn(|d| x[first + d]);
         let mut flows = [[0.0; WIDTH]; SLICE_ROWS];
         let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
-        level.later_neighbours(k).for_each(|j| prefetch(x, j));
         match &level.weights {
             None => {
                 let filling = level.filling();

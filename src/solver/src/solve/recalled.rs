@@ -6,7 +6,7 @@
 
 use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane};
 use crate::solve::problem::ColumnGroup;
-use crate::solve::sweep::MaskedLevel;
+use crate::solve::sweep::{LaneDots, MaskedLevel};
 use crate::storage::{SLICE_ROWS, resize_untouched};
 
 /// Corrections that are kept, and the one that the present pose makes.
@@ -137,12 +137,16 @@ impl RecalledSteps {
     /// Makes the present residual, times `scale`, from the one that the pose began with and the step so far: half the work of making it
     /// from frames and positions in double precision, and as exact as the first one was while steps are short. Returns its squared
     /// norms and those of the step.
-    pub(crate) fn residual(&self, grid: &MaskedLevel<'_>, out: &mut [Lanes], scale: WideLanes) -> [WideLanes; 2] {
+    pub(crate) fn residual(
+        &self,
+        grid: &MaskedLevel<'_>,
+        (out, partials): (&mut [Lanes], &mut Vec<LaneDots>),
+        scale: WideLanes,
+    ) -> [WideLanes; 2] {
         let RecalledStep { d, product: before } = &self.steps[self.present];
         let out = SharedRows::new(out);
         let scale_by = Lanes::from_wide(scale);
-        let mut partials = Vec::new();
-        let [squares, lengths, _] = grid.sum_over_blocks(&mut partials, |rows| {
+        let [squares, lengths, _] = grid.sum_over_blocks(partials, |rows| {
             // SAFETY: blocks are disjoint and each is visited once.
             let out = unsafe { out.rows(rows.clone()) };
             let (mut squares, mut lengths) = (Lanes::ZERO, Lanes::ZERO);
@@ -288,7 +292,7 @@ mod tests {
             length += f64::from(d.0[1]).powi(2);
         }
         let mut followed = vec![Lanes::ZERO; n];
-        let [squares, lengths] = recalled.residual(&grid, &mut followed, [8.0; WIDTH]);
+        let [squares, lengths] = recalled.residual(&grid, (&mut followed, &mut Vec::new()), [8.0; WIDTH]);
         let mut truth = vec![[0.0; WIDTH]; n];
         let norms = problem.residual(x, true, &mut truth, |r| r);
         for c in 0..3 {
