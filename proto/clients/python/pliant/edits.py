@@ -13,14 +13,16 @@ import numpy.typing as npt
 from typing_extensions import TypedDict
 
 from .poses import Vector
-from .regions import RegionLike, enum, indices, plane, region
-from .values import about, array, mapping, put
+from .regions import RegionLike, enum, indices, no_such_setting, plane, region
+from .values import about, array, mapping, put, snake_case
 from .v1 import pliant_pb2 as pb
 
 
 class Cut(TypedDict, total=False):
-    """Cuts by a plane (``normal`` and ``offset``), by a line drawn on the surface, or along edges."""
+    """Cuts by a plane (``normal`` and ``offset``, or ``plane``), by a line drawn on the surface, or along edges."""
 
+    #: (normal, offset), or a dict of them, as jobs and HTTP have it.
+    plane: Union[tuple[Vector, float], Mapping[str, Any]]
     #: The plane's points have normal . x = offset.
     normal: Vector
     offset: float
@@ -41,6 +43,8 @@ class Subdivide(TypedDict, total=False):
 
     region: RegionLike
     scheme: Literal["loop", "midpoint"]
+    #: Only triangles too large for the bend between the handles.
+    auto: bool
 
 
 class Decimate(TypedDict, total=False):
@@ -147,7 +151,12 @@ OPERATIONS = tuple(EditFields.__annotations__)
 
 
 def request(session_id: str, on: str, fields: Mapping[str, Any], count: int | None = None) -> pb.EditRequest:
-    """An edit of a model with `count` render vertices as the schema carries it."""
+    """An edit of a model with `count` render vertices as the schema carries it.
+
+    Operations and settings may also be spelled as jobs and HTTP spell them: ``insertCurve``, ``edgeLength``, enums in capitals, points
+    in a row, a transform as 16 numbers.
+    """
+    fields = {snake_case(name): settings for name, settings in fields.items()}
     if len(fields) != 1 or next(iter(fields)) not in OPERATIONS:
         seen = ", ".join(fields) or "nothing"
         raise ValueError(f"edit: {seen} is given, exactly one of {', '.join(OPERATIONS)} is allowed")
@@ -161,31 +170,39 @@ def request(session_id: str, on: str, fields: Mapping[str, Any], count: int | No
 
 
 def _fill(name: str, operation: Any, given: dict[str, Any], count: int | None) -> None:
+    given = {snake_case(key): value for key, value in given.items()}
     if name == "cut" and ("normal" in given or "offset" in given):
-        operation.plane.CopyFrom(plane((given.pop("normal", ()), given.pop("offset", 0.0))))
+        if "plane" in given:
+            raise TypeError("plane is given beside normal and offset; one of both is allowed")
+        given["plane"] = (given.pop("normal", ()), given.pop("offset", 0.0))
     for key, value in given.items():
         if key == "region":
             operation.region.CopyFrom(region(value, count))
         elif key in ("keep", "scheme", "how"):
             setattr(operation, key, enum(key, _ENUMS[key], value))
+        elif key == "plane" and name == "cut":
+            operation.plane.CopyFrom(plane(value))
         elif key == "transform":
             matrix = array(key, value).astype(np.float64)
-            if matrix.shape != (4, 4):
-                raise ValueError(f"a transform of shape {matrix.shape}, (4, 4) is allowed")
+            if matrix.shape not in ((4, 4), (16,)):
+                allowed = "(4, 4) is allowed, or 16 numbers, column by column"
+                raise ValueError(f"a transform of shape {matrix.shape}, {allowed}")
             operation.transform.extend(matrix.T.ravel().tolist())
         elif key in ("points", "polyline"):
             points = array(key, value).astype(np.float64)
-            if points.ndim != 2 or points.shape[1] != 3:
-                raise ValueError(f"{key} of shape {points.shape}, (points, 3) is allowed")
+            in_a_row = points.ndim == 1 and points.size % 3 == 0
+            if not in_a_row and (points.ndim != 2 or points.shape[1] != 3):
+                raise ValueError(f"{key} of shape {points.shape}, (points, 3) is allowed, or x, y, z of each in a row")
             getattr(operation, key).extend(points.ravel().tolist())
         elif key == "path":
             operation.path.extend(indices(key, value).tolist())
-        elif key == "model" and name == "merge":
+        elif key in ("model", "file") and name == "merge":
             operation.model = value if isinstance(value, bytes) else Path(value).read_bytes()
-        elif key in operation.DESCRIPTOR.fields_by_name and key not in ("plane", "file"):
+        elif key in operation.DESCRIPTOR.fields_by_name:
             put(operation, key, value)
         else:
-            raise TypeError(f"no such setting as {key}")
+            own = ("normal", "offset") if name == "cut" else ()
+            raise no_such_setting(key, (*operation.DESCRIPTOR.fields_by_name, *own))
 
 
 _ENUMS: dict[str, Any] = {

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from typing_extensions import TypedDict
 
-from .values import about, array, mapping, seen, text
+from .values import about, array, mapping, seen, snake_case, text
 from .v1 import pliant_pb2 as pb
 
 Vector: TypeAlias = Union[Sequence[float], "npt.NDArray[Any]"]
@@ -106,6 +106,7 @@ def to_message(pose: PoseLike) -> pb.HandlePose:
         pose = Pose.from_matrix(pose)
     if not isinstance(pose, Pose):
         fields = mapping("pose", pose, "a pliant.Pose, a dict of its fields, or an array of shape (4, 4)")
+        fields = {snake_case(name): value for name, value in fields.items()}
         for name in fields:
             if name not in _LENGTHS:
                 raise TypeError(f"{seen(name)}: no such field of a pose; allowed are {', '.join(_LENGTHS)}")
@@ -113,6 +114,9 @@ def to_message(pose: PoseLike) -> pb.HandlePose:
     message = pb.HandlePose()
     for name, allowed in _LENGTHS.items():
         value = getattr(pose, name)
+        if name == "rotation" and value is not None and array(name, value).size == 3:
+            hint = "an axis times an angle in radians is rotation_vector, such as (0, math.radians(45), 0)"
+            raise ValueError(f"rotation: 3 numbers, a quaternion of 4, (x, y, z, w), is allowed; {hint}")
         if value is not None:
             getattr(message, name).extend(numbers(name, value, allowed))
     return message

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias, Union
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from typing_extensions import TypedDict
 
 from .poses import Vector, numbers
-from .values import about, array, mapping, number, put, seen, text, whole
+from .values import about, array, mapping, number, put, seen, snake_case, text, whole
 from .v1 import pliant_pb2 as pb
 
 #: Runs of vertices of at least this length travel as first and count.
@@ -18,26 +18,30 @@ _RUN = 4
 
 
 class RegionFields(TypedDict, total=False):
-    """One way to name vertices; exactly one key is given."""
+    """One way to name vertices; exactly one key is given.
+
+    Each value may also be a dict as jobs and HTTP have it, such as ``{"center": [0, 1, 0], "radius": 0.5}`` of a sphere, and each
+    name may be spelled as there, such as ``halfSpace``.
+    """
 
     #: Render vertices: indices, or a boolean mask over all of them.
-    vertices: Union[Sequence[int], npt.NDArray[Any]]
+    vertices: Union[Sequence[int], npt.NDArray[Any], Mapping[str, Any]]
     #: (normal, offset): points with normal . x >= offset.
-    half_space: tuple[Vector, float]
+    half_space: Union[tuple[Vector, float], Mapping[str, Any]]
     #: (center, radius).
-    sphere: tuple[Vector, float]
+    sphere: Union[tuple[Vector, float], Mapping[str, Any]]
     #: (lowest corner, highest corner).
-    box: tuple[Vector, Vector]
+    box: Union[tuple[Vector, Vector], Mapping[str, Any]]
     #: (one end, other end, radius).
-    capsule: tuple[Vector, Vector, float]
+    capsule: Union[tuple[Vector, Vector, float], Mapping[str, Any]]
     #: (points of a polyline, radius).
-    tube: tuple[Any, float]
+    tube: Union[tuple[Any, float], Mapping[str, Any]]
     #: Number of a connected component, by smallest vertex.
-    component: int
+    component: Union[int, Mapping[str, Any]]
     #: Number of an entry of ``Session.info.primitives``.
-    primitive: int
+    primitive: Union[int, Mapping[str, Any]]
     #: A weight for every render vertex, 0 to 1; those above 0 are in the region.
-    weights: Vector
+    weights: Union[Vector, Mapping[str, Any]]
 
 
 RegionLike: TypeAlias = Union[RegionFields, pb.Region]
@@ -49,11 +53,17 @@ def region(fields: RegionLike | Mapping[str, Any], count: int | None = None) -> 
     if isinstance(fields, pb.Region):
         return fields
     named = mapping("region", fields, f"a dict of one of {', '.join(REGIONS)}")
-    given: dict[str, Any] = {name: value for name, value in named.items() if value is not None}
+    given: dict[str, Any] = {snake_case(name): value for name, value in named.items() if value is not None}
     if len(given) != 1 or not set(given) <= set(REGIONS):
         seen = ", ".join(given) or "nothing"
         raise ValueError(f"region: {seen} is given, exactly one of {', '.join(REGIONS)} is allowed")
     name, value = next(iter(given.items()))
+    if isinstance(value, Mapping):
+        message = pb.Region()
+        with about(name):
+            fill(getattr(message, name), value)
+        getattr(message, name).SetInParent()
+        return message
     if name == "vertices":
         return pb.Region(vertices=vertices(value, count))
     if name == "component":
@@ -69,7 +79,8 @@ def region(fields: RegionLike | Mapping[str, Any], count: int | None = None) -> 
 def _shape(name: str, value: Any) -> pb.Region:
     parts = {"half_space": 2, "sphere": 2, "box": 2, "capsule": 3, "tube": 2}[name]
     if not isinstance(value, (tuple, list)) or len(value) != parts:
-        raise ValueError(f"{name}: {_FORMS[name]} is allowed, not {seen(value)}")
+        keys = ", ".join(getattr(pb.Region(), name).DESCRIPTOR.fields_by_name)
+        raise ValueError(f"{name}: {_FORMS[name]} is allowed, or a dict of {keys}, not {seen(value)}")
     if name == "half_space":
         normal = numbers("half_space's normal", value[0], (3,))
         return pb.Region(half_space=pb.Region.HalfSpace(normal=normal, offset=number("half_space's offset", value[1])))
@@ -96,6 +107,33 @@ _FORMS = {
     "capsule": "(one end, other end, radius)",
     "tube": "(points, radius)",
 }
+
+
+def fill(message: Any, fields: Mapping[str, Any]) -> None:
+    """Sets the fields of a message that is spelled as jobs and HTTP spell it; lists of points may have one row a point."""
+    for key, value in fields.items():
+        name = snake_case(key)
+        field = message.DESCRIPTOR.fields_by_name.get(name)
+        if field is None:
+            raise no_such_setting(key, message.DESCRIPTOR.fields_by_name)
+        held = getattr(message, name)
+        if not hasattr(held, "extend"):
+            if field.message_type is None:
+                put(message, name, value)
+            else:
+                fill(held, mapping(name, value, "a dict"))
+        elif field.message_type is not None:
+            for entry in value:
+                fill(held.add(), mapping(name, entry, "a list of dicts"))
+        elif field.cpp_type == field.CPPTYPE_UINT32:
+            held.extend(indices(name, value).tolist())
+        else:
+            held.extend(array(name, value).astype(np.float64).ravel().tolist())
+
+
+def no_such_setting(seen: str, allowed: Iterable[str]) -> TypeError:
+    """The refusal of a setting that does not exist."""
+    return TypeError(f"no such setting as {seen}; allowed are {', '.join(allowed)}")
 
 
 def line(what: str, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -176,6 +214,13 @@ def enum(what: str, kind: Any, name: object) -> Any:
         raise refusal(f"{what}: {seen(name)}, one of {allowed} is allowed") from None
 
 
-def plane(value: tuple[Vector, float]) -> pb.Plane:
-    """(normal, offset): points with normal . x = offset."""
+def plane(value: tuple[Vector, float] | Mapping[str, Any]) -> pb.Plane:
+    """(normal, offset), or a dict of them: points with normal . x = offset."""
+    if isinstance(value, Mapping):
+        message = pb.Plane()
+        with about("plane"):
+            fill(message, value)
+        return message
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise ValueError(f"plane: (normal, offset) is allowed, or a dict of normal, offset, not {seen(value)}")
     return pb.Plane(normal=numbers("plane's normal", value[0], (3,)), offset=number("plane's offset", value[1]))

@@ -41,9 +41,9 @@ def find_binary() -> str:
     found = _installed() or shutil.which("pliant") or next(_built(), None)
     if found is None:
         raise LocalServerError(
-            "no pliant program came with this package (wheels for Linux bring one), is in PATH or in a checkout's target/release: build it "
-            "with `cargo build --release`, "
-            "name it in PLIANT_BIN, or give the address of a running server as server= or in PLIANT_SERVER"
+            "found no pliant program: none came with this package (wheels for Linux bring one), and none is in PATH or in a checkout's "
+            "target/release; build one with `cargo build --release`, name one in PLIANT_BIN, or give the address of a running server as "
+            "server= or in PLIANT_SERVER"
         )
     return found
 

@@ -6,6 +6,7 @@ numbers, the imaginary part into nothing) is refused here, and what they refuse 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -77,6 +78,11 @@ def mapping(what: str, value: Any, allowed: str) -> Mapping[Any, Any]:
     if not isinstance(value, Mapping):
         raise TypeError(f"{what}: {seen(value)}, {allowed} is allowed")
     return value
+
+
+def snake_case(name: Any) -> Any:
+    """A name as Python spells it: jobs and HTTP say halfSpace, Python says half_space."""
+    return re.sub("(?<=[a-z0-9])[A-Z]", lambda found: "_" + found[0].lower(), name) if isinstance(name, str) else name
 
 
 def put(message: Any, name: str, value: Any) -> None:

@@ -213,8 +213,10 @@ def test_edits_are_carried_by_name() -> None:
         )
     )
     assert told.now_from_before.tolist() == [0, 1, -1, -1, 2, 3]
-    with pytest.raises(TypeError, match="no such setting"):
+    with pytest.raises(TypeError, match="no such setting as distance; allowed are tolerance"):
         edits.request("id", "current", {"weld": {"distance": 1}})
+    with pytest.raises(TypeError, match="no such setting as side; allowed are plane, keep, .*, normal, offset"):
+        edits.request("id", "current", {"cut": {"normal": (0, 1, 0), "side": "above"}})
     for fields, words in [
         ({"cut": 5}, "cut: 5, a dict"),
         ({"cut": {"path": [0.5, 1]}}, "cut: path: values of type float64, indices"),
@@ -224,6 +226,63 @@ def test_edits_are_carried_by_name() -> None:
     ]:
         with pytest.raises((TypeError, ValueError), match=words):
             edits.request("id", "current", fields, 9)
+
+
+REGIONS = [
+    ({"vertices": [1, 5, 6, 7, 8]}, {"vertices": {"indices": [1], "ranges": [{"first": 5, "count": 4}]}}),
+    ({"half_space": ((0, 1, 0), 0.5)}, {"halfSpace": {"normal": [0, 1, 0], "offset": 0.5}}),
+    ({"sphere": ((0, 1, 0), 0.5)}, {"sphere": {"center": [0, 1, 0], "radius": 0.5}}),
+    ({"box": ((0, 1, 0), (1, 2, 3))}, {"box": {"min": [0, 1, 0], "max": [1, 2, 3]}}),
+    ({"capsule": ((0, 1, 0), (1, 2, 3), 2)}, {"capsule": {"from": [0, 1, 0], "to": [1, 2, 3], "radius": 2}}),
+    ({"tube": ([(0, 1, 0), (1, 2, 3)], 2)}, {"tube": {"points": [0, 1, 0, 1, 2, 3], "radius": 2}}),
+    ({"component": 3}, {"component": {"index": 3}}),
+    ({"primitive": 0}, {"primitive": {"index": 0}}),
+    ({"weights": [0, 0.5, 1]}, {"weights": {"values": [0, 0.5, 1]}}),
+]
+EDITS = [
+    ({"cut": {"normal": (0, 1, 0), "offset": 0.5}}, {"cut": {"plane": {"normal": [0, 1, 0], "offset": 0.5}}}),
+    ({"cut": {"normal": (0, 1, 0), "keep": "above"}}, {"cut": {"plane": ((0, 1, 0), 0), "keep": "ABOVE"}}),
+    ({"cut": {"polyline": [(0, 0, 0), (1, 2, 3)]}}, {"cut": {"polyline": [0, 0, 0, 1, 2, 3]}}),
+    ({"cut": {"path": [3, 1], "closed": True}}, {"cut": {"path": [3, 1], "closed": True}}),
+    ({"subdivide": {"scheme": "loop"}}, {"subdivide": {"scheme": "LOOP"}}),
+    ({"decimate": {"ratio": 0.5}}, {"decimate": {"ratio": 0.5}}),
+    ({"delete": {"fill": True}}, {"delete": {"fill": True}}),
+    ({"fill": {}}, {"fill": {}}),
+    ({"remesh": {"edge_length": 0.1}}, {"remesh": {"edgeLength": 0.1}}),
+    ({"merge": {"session": "x", "transform": np.diag([1, 2, 3, 1])}}, {"merge": {"session": "x", "transform": np.diag([1, 2, 3, 1]).ravel()}}),
+    ({"insert_curve": {"points": [(0, 0, 0), (1, 2, 3)]}}, {"insertCurve": {"points": [0, 0, 0, 1, 2, 3]}}),
+    ({"weld": {"tolerance": 0.1}}, {"weld": {"tolerance": 0.1}}),
+]
+
+
+def test_regions_and_edits_may_be_spelled_as_jobs_spell_them() -> None:
+    kinds = {next(iter(here)) for here, _ in REGIONS}
+    assert kinds == set(regions.REGIONS) == {field.name for field in pb.Region.DESCRIPTOR.oneofs[0].fields}
+    assert {next(iter(here)) for here, _ in EDITS} == set(edits.OPERATIONS)
+    for here, job in REGIONS:
+        assert regions.region(here) == regions.region(job)
+    for here, job in EDITS:
+        assert edits.request("id", "rest", here) == edits.request("id", "rest", job)
+        (name, settings), (named, spelled) = next(iter(here.items())), next(iter(job.items()))
+        if name in ("subdivide", "decimate", "delete", "fill", "remesh"):
+            within = [{which: {**given, "region": area}} for which, given, area in ((name, settings, REGIONS[1][0]), (named, spelled, REGIONS[1][1]))]
+            assert edits.request("id", "rest", within[0]) == edits.request("id", "rest", within[1])
+    for wrong, words in [
+        ({"cut": {"plane": {"normal": [0, 1, 0], "ofset": 1}}}, "cut: plane: no such setting as ofset; allowed are normal, offset"),
+        ({"cut": {"plane": 5}}, r"cut: plane: \(normal, offset\) is allowed, or a dict"),
+        ({"cut": {"plane": ((0, 1, 0), 0), "normal": (0, 1, 0)}}, "cut: plane is given beside normal"),
+        ({"fill": {"region": {"sphere": {"centre": [0, 0, 0]}}}}, "fill: sphere: no such setting as centre; allowed are center, radius"),
+        ({"fill": {"region": {"sphere": 5}}}, r"\(center, radius\) is allowed, or a dict of center, radius"),
+        ({"fill": {"region": {"halfSpac": ()}}}, "exactly one of vertices, half_space"),
+    ]:
+        with pytest.raises((TypeError, ValueError), match=words):
+            edits.request("id", "rest", wrong)
+
+
+def test_a_pose_of_three_angles_is_told_what_it_wants() -> None:
+    assert to_message({"rotationVector": (0, 1, 0)}) == to_message({"rotation_vector": (0, 1, 0)})
+    with pytest.raises(ValueError, match=r"quaternion of 4.*rotation_vector.*math\.radians"):
+        to_message(pliant.Pose(rotation=(0, 45, 0)))
 
 
 def test_arrays_become_a_ply_that_keeps_their_precision() -> None:
