@@ -99,8 +99,9 @@ export class Stream {
     this.pending = new Pending(patience);
     this.revision = route.known();
     this.assembler = new Assembler(route.vertices);
-    this.pulse = setInterval(() => this.beat(), BEAT_MS);
     this.open();
+    // After what may throw: an interval that nobody can clear would keep the process from its end.
+    this.pulse = setInterval(() => this.beat(), BEAT_MS);
   }
 
   get state(): StreamState {

@@ -201,7 +201,7 @@ export class Transport {
   /** Opens a WebSocket on `path`. */
   socket(path: string): WebSocket {
     if (this.Socket === undefined) {
-      throw new PliantError("UNIMPLEMENTED", "there is no WebSocket here; give one in the options of the client");
+      throw new PliantError("UNIMPLEMENTED", "there is no WebSocket here; run `node --experimental-websocket` (node 20), or give one: `new Client({ WebSocket })`");
     }
     // A page cannot give its WebSocket headers; the token goes as a sub-protocol, which the server does not repeat.
     const protocols = this.token === undefined ? ["pliant.v1"] : ["pliant.v1", `pliant.bearer.${this.token}`];

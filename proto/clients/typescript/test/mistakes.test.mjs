@@ -1,6 +1,7 @@
 /** What people get wrong is told with its place and what is allowed, before anything is sent. */
 
 import assert from "node:assert/strict";
+import { spawnSync } from "node:child_process";
 import { test } from "node:test";
 import { Client, Stream, regionFrom } from "../dist/index.js";
 import { FakeSocket } from "./fake.mjs";
@@ -64,4 +65,20 @@ test("a page of another origin is told of cors_origins, one of the server's own 
   } finally {
     delete globalThis.window;
   }
+});
+
+test("a process without a WebSocket is told how to get one, and ends", () => {
+  const program = `
+    import { Client, Stream } from "./dist/index.js";
+    const { transport } = new Client({ url: "http://127.0.0.1:9" });
+    try {
+      new Stream({ connect: () => transport.socket("/stream"), probe: async () => undefined, known: () => 0 }, {}, {}, 1);
+    } catch ({ code, message }) {
+      console.log(code, message);
+    }`;
+  const flags = process.allowedNodeEnvironmentFlags.has("--no-experimental-websocket") ? ["--no-experimental-websocket"] : [];
+  const options = { cwd: new URL("..", import.meta.url), encoding: "utf8", timeout: 60_000, env: { ...process.env, NODE_OPTIONS: "" } };
+  const { signal, status, stdout, stderr } = spawnSync(process.execPath, [...flags, "--input-type=module", "-e", program], options);
+  assert.deepEqual([signal, status], [null, 0], stderr);
+  assert.match(stdout, /^UNIMPLEMENTED there is no WebSocket here; run `node --experimental-websocket` .* `new Client\(\{ WebSocket \}\)`/);
 });
