@@ -55,6 +55,10 @@ fn packages_work_where_nothing_else_is() {
     }
     let sums = fs::read_to_string(out.join("SHA256SUMS")).expect("sums");
     assert!(
+        !sums.contains("musllinux") && !sums.contains("manylinux2014"),
+        "the program needs the libraries of this machine: {sums}"
+    );
+    assert!(
         sums.lines().count() >= 5 && sums.contains("THIRD-PARTY-LICENCES.txt") && sums.contains(".cdx.json"),
         "{sums}"
     );
@@ -81,5 +85,93 @@ fn packages_work_where_nothing_else_is() {
     }
     for line in told.lines().filter(|line| line.ends_with(" s")) {
         tell(line);
+    }
+}
+
+/// What `deploy/release` would tag a wheel with.
+fn tags_of(program: &Path) -> Option<String> {
+    let script = "import sys; from importlib.machinery import SourceFileLoader; from pathlib import Path; sys.dont_write_bytecode = True; \
+                  print(SourceFileLoader('release', sys.argv[1]).load_module().platform_tags(Path(sys.argv[2]), 'x86_64'))";
+    let mut command = Command::new("python3");
+    command
+        .args(["-W", "ignore", "-c", script])
+        .arg(root().join("deploy/release"))
+        .arg(program);
+    let Ok(done) = command.output() else {
+        tell("SKIPPED: python3 is not installed");
+        return None;
+    };
+    assert!(done.status.success(), "{}", said(&done));
+    Some(String::from_utf8_lossy(&done.stdout).trim().to_owned())
+}
+
+/// A program of headers alone, which is linked to libraries and asks for versions of their symbols.
+fn program_that_needs(libraries: &[&str], versions: &[&str]) -> Vec<u8> {
+    const HEADERS: u64 = 64 + 2 * 56;
+    let mut names = vec![0];
+    let mut name = |text: &str| {
+        let at = names.len() as u64;
+        names.extend(text.bytes().chain([0]));
+        at
+    };
+    let mut dynamic: Vec<[u64; 2]> = libraries.iter().map(|library| [1, name(library)]).collect();
+    let asked: Vec<u64> = versions.iter().map(|version| name(version)).collect();
+    let entries = dynamic.len() as u64 + 4;
+    let (needed, text) = (
+        HEADERS + 16 * entries,
+        HEADERS + 16 * entries + 16 * (1 + asked.len() as u64),
+    );
+    dynamic.extend([
+        [5, text],
+        [0x6fff_fffe, needed],
+        [0x6fff_ffff, u64::from(!asked.is_empty())],
+        [0, 0],
+    ]);
+    let end = text + names.len() as u64;
+    let mut program = b"\x7fELF\x02\x01\x01".to_vec();
+    program.resize(64, 0);
+    program[32..40].copy_from_slice(&64_u64.to_le_bytes());
+    program[54..58].copy_from_slice(&[56, 0, 2, 0]);
+    for (kind, start, length) in [(1_u64, 0, end), (2, HEADERS, 16 * entries)] {
+        for number in [kind, start, start, start, length, length, 0] {
+            program.extend(number.to_le_bytes());
+        }
+    }
+    program.extend(dynamic.iter().flatten().flat_map(|number| number.to_le_bytes()));
+    program.extend([1_u16, asked.len() as u16].iter().flat_map(|n| n.to_le_bytes()));
+    program.extend([0_u32, 16, 0].iter().flat_map(|n| n.to_le_bytes()));
+    for (k, at) in asked.iter().enumerate() {
+        program.extend([0_u32, 0].iter().flat_map(|n| n.to_le_bytes()));
+        let next = if k + 1 == asked.len() { 0 } else { 16 };
+        program.extend([*at as u32, next].iter().flat_map(|n| n.to_le_bytes()));
+    }
+    program.extend(names);
+    program
+}
+
+#[test]
+fn a_wheel_is_tagged_by_what_its_program_needs() {
+    let place = tempfile::tempdir().expect("a folder");
+    let tags = |libraries: &[&str], versions: &[&str]| {
+        let program = place.path().join("program");
+        fs::write(&program, program_that_needs(libraries, versions)).expect("written");
+        tags_of(&program)
+    };
+    let Some(own) = tags_of(Path::new(env!("CARGO_BIN_EXE_pliant"))) else {
+        return;
+    };
+    assert!(own == "linux_x86_64" || own.starts_with("manylinux_2_"), "{own}");
+    for (libraries, versions, wanted) in [
+        (&[][..], &[][..], "manylinux2014_x86_64.musllinux_1_1_x86_64"),
+        (&["libc.so.6"], &["GLIBC_2.2.5"], "manylinux_2_17_x86_64"),
+        (
+            &["libm.so.6", "libc.so.6", "ld-linux-x86-64.so.2"],
+            &["GLIBC_2.9", "GLIBC_2.34"],
+            "manylinux_2_34_x86_64",
+        ),
+        (&["libstdc++.so.6", "libc.so.6"], &["GLIBC_2.34"], "linux_x86_64"),
+        (&["libc.musl-x86_64.so.1"], &[], "linux_x86_64"),
+    ] {
+        assert_eq!(tags(libraries, versions).as_deref(), Some(wanted), "{libraries:?}");
     }
 }

@@ -8,6 +8,7 @@ mod cli;
 mod failures;
 mod floors;
 mod followed;
+mod images;
 mod inspections;
 mod named_files;
 mod outputs;
