@@ -58,7 +58,7 @@ pub use calls::manager::Manager;
 pub use capacity::memory_ledger::{MemoryLedger, MemoryReservation};
 pub use capacity::memory_use::MemoryUse;
 pub use capacity::session_lease::MIN_TTL;
-pub use capacity::work_span::SPANS;
+pub use capacity::work_span::{SPANS, WorkKind};
 pub use config::SessionConfig;
 pub use engine::{Engine, EngineOpener, OpenDeformer};
 pub use error::{Error, ErrorCode};

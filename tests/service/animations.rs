@@ -15,7 +15,7 @@ use tokio_stream::wrappers::UnboundedReceiverStream;
 use tonic::transport::Channel;
 
 /// A clip of so many frames that bends the upper half of the bar and turns and carries the whole.
-fn bending_clip(frames: usize) -> String {
+pub(crate) fn bending_clip(frames: usize) -> String {
     let mut clip = String::from(
         "HIERARCHY\nROOT low\n{\nOFFSET 0 0 0\nCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n\
          JOINT high\n{\nOFFSET 0 0 2\nCHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n{\nOFFSET 0 0 2\n}\n}\n}\nMOTION\n",
@@ -57,7 +57,7 @@ fn waving_clip() -> String {
 }
 
 /// The rig that goes with the bar, in JSON.
-fn bar_rig() -> Value {
+pub(crate) fn bar_rig() -> Value {
     json!({
         "version": 1,
         "joints": {"bottom": [0.25, 0.25, 0.1], "middle": [0.25, 0.25, 2], "top": [0.25, 0.25, 3.9]},

@@ -1,11 +1,16 @@
 //! Spans of calls and of their work, as a collector gets them.
 
+use crate::animations::{bar_rig, bending_clip};
 use crate::support::program::ServedProgram;
-use crate::support::server::{bar_obj, ends, eventually, http, turn_json};
+use crate::support::server::{Came, Socket, bar_obj, ends, eventually, http, turn_json, turned};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use opentelemetry_proto::tonic::collector::trace::v1::trace_service_server::{TraceService, TraceServiceServer};
 use opentelemetry_proto::tonic::collector::trace::v1::{ExportTraceServiceRequest, ExportTraceServiceResponse};
 use opentelemetry_proto::tonic::common::v1::any_value::Value as AnyValue;
 use opentelemetry_proto::tonic::trace::v1::Span;
+use pliant::session::WorkKind;
+use pliant::wire::pb::deform_request::Message;
 use serde_json::json;
 use std::sync::{Arc, Mutex};
 use tokio_stream::wrappers::TcpListenerStream;
@@ -52,6 +57,35 @@ impl Collector {
             .find(|span| span.name == name)
             .cloned()
     }
+}
+
+impl Collector {
+    /// The names of the calls that have work of a name.
+    fn calls_of(&self, work: &str) -> Vec<String> {
+        let spans = self.0.lock().expect("no panic");
+        let parents = spans
+            .iter()
+            .filter(|span| span.name == work)
+            .map(|span| &span.parent_span_id);
+        let calls = parents.filter_map(|id| spans.iter().find(|span| span.span_id == *id));
+        calls.map(|call| call.name.clone()).collect()
+    }
+}
+
+/// The call that has work of a kind; `None` where the work is not part of one call, or only a large model has it.
+fn call_of(work: WorkKind) -> Option<&'static str> {
+    Some(match work {
+        WorkKind::Build => "/v1/sessions",
+        WorkKind::Handles => "/v1/sessions/{id}/handles",
+        WorkKind::Solve | WorkKind::Replay | WorkKind::Recall => "/v1/sessions/{id}/solve",
+        WorkKind::Drag => "/v1/sessions/{id}/stream",
+        WorkKind::Edit => "/v1/sessions/{id}/edits",
+        WorkKind::History => "/v1/sessions/{id}/undo",
+        WorkKind::Export => "/v1/sessions/{id}/model",
+        WorkKind::Carry => "/v1/sessions/{id}/carry",
+        WorkKind::Animate | WorkKind::Frame | WorkKind::Clip => "/v1/sessions/{id}/animations",
+        WorkKind::Settle => return None,
+    })
 }
 
 fn attribute(span: &Span, key: &str) -> Option<AnyValue> {
@@ -125,4 +159,64 @@ async fn a_collector_that_is_not_there_hinders_nobody() {
     let server = ServedProgram::start(&folder.path().join("data"), &["--otlp-endpoint", "http://127.0.0.1:9"]);
     let id = server.open(bar_obj(8), "").await;
     server.done("GET", &format!("/v1/sessions/{id}"), None).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn work_of_every_kind_has_its_own_name_below_the_call_that_asked_for_it() {
+    let collector = Collector::default();
+    let address = collector.start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let arguments = ["--otlp-endpoint", &address];
+    let mut server = ServedProgram::start(&data, &arguments);
+    let id = server.open(bar_obj(8), "").await;
+    let path = |rest: &str| format!("/v1/sessions/{id}/{rest}");
+    server
+        .done("PUT", &path("handles"), Some(&json!({"handles": ends()})))
+        .await;
+    let (solve, pose) = (path("solve"), turn_json(0.4));
+    let (status, _) = server.call_with_key("POST", &solve, Some(&pose), Some("once")).await;
+    assert_eq!(status, 200, "{}", server.log());
+    server.done("GET", &path("model"), None).await;
+    server
+        .done("POST", &path("carry"), Some(&json!({"points": [0, 0, 0]})))
+        .await;
+    let mut stream = Socket::connect(&format!("{}{}", server.url.replace("http", "ws"), path("stream")))
+        .await
+        .expect("a stream");
+    stream.send(Message::Pose(turned(1, 0.2, false))).await;
+    assert!(matches!(stream.next().await, Came::Response(_)));
+    drop(stream);
+    let driven = json!({"bvh": STANDARD.encode(bending_clip(2)), "rig": bar_rig(), "skipFirst": "NO"});
+    let played = http()
+        .post(format!("{}{}", server.url, path("animations")))
+        .header("accept", "model/gltf-binary")
+        .json(&driven)
+        .send()
+        .await
+        .expect("an answer");
+    assert_eq!(
+        played.status().as_u16(),
+        200,
+        "{}",
+        played.text().await.expect("a reason")
+    );
+    // A server that starts again replays the session and computes the answer of the commit again.
+    server.stop().await;
+    server = ServedProgram::start(&data, &arguments);
+    let (status, _) = server.call_with_key("POST", &solve, Some(&pose), Some("once")).await;
+    assert_eq!(status, 200, "{}", server.log());
+    server.done("POST", &path("undo"), None).await;
+    let edit = json!({"subdivide": {"scheme": "MIDPOINT"}});
+    server.done("POST", &path("edits"), Some(&edit)).await;
+    server.stop().await;
+    for work in WorkKind::ALL {
+        let Some(call) = call_of(*work) else { continue };
+        let calls = collector.calls_of(work.name());
+        assert!(
+            calls.iter().any(|seen| seen == call),
+            "\"{}\" is part of {calls:?}, not of {call}",
+            work.name()
+        );
+    }
 }

@@ -13,7 +13,7 @@ use crate::session::calls::command::SessionCommand;
 use crate::session::calls::manager::Manager;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;
-use crate::session::capacity::work_span::WorkSpan;
+use crate::session::capacity::work_span::{WorkKind, WorkSpan};
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::registry::OpenSession;
@@ -139,7 +139,7 @@ impl AnimationTask {
             let watch = Arc::new(WorkWatch::new(flags, shared.config.solve));
             let (inside, frames, sums) = (Arc::clone(&watch), Arc::clone(&solver), summary.sums);
             let queued = slot.queued.as_secs_f64() * 1e3;
-            let span = WorkSpan::new("frame", &self.session.id, &Span::current());
+            let span = WorkSpan::new(WorkKind::Frame, &self.session.id, &Span::current());
             let solved = slot
                 .run(span, move |pool| frames.solve_next(cursor, sums, &inside, pool))
                 .await

@@ -9,7 +9,7 @@ use crate::session::answers::{AnimatedModel, AnimationAnswer};
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::capacity::work_owner::WorkOwner;
-use crate::session::capacity::work_span::WorkSpan;
+use crate::session::capacity::work_span::{WorkKind, WorkSpan};
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::shared::SharedResources;
@@ -83,7 +83,7 @@ pub(in crate::session) async fn gather_clip(
     let inside = Arc::clone(&watch);
     let has_root = root == OrderedRoot::Apart;
     let slot = shared.compute.slot_for_frame(owner).await?;
-    let span = WorkSpan::new("clip", "", &Span::current());
+    let span = WorkSpan::new(WorkKind::Clip, "", &Span::current());
     let written = slot.run(span, move |pool| {
         let exec = Exec::new(pool, &*inside);
         let (model, rest) = prepared.animation.model();

@@ -9,6 +9,7 @@ use crate::session::answers::{CarriedAlong, CommittedEdit, CommittedPose, Export
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::calls::idempotency::KeyClaim;
 use crate::session::capacity::compute_slots::WorkLane;
+use crate::session::capacity::work_span::WorkKind;
 use crate::session::error::Error;
 use crate::wire::record::AnsweredFrame;
 use crate::wire::{AnimateOrder, CarryOrder, PoseCommit, SessionEdit};
@@ -72,10 +73,10 @@ pub(in crate::session) struct PendingCall<T> {
 }
 
 impl<T> PendingCall<T> {
-    /// Its work, called `what`, which may take as long as `limit` from its arrival on.
-    pub fn order(&self, what: &'static str, lane: WorkLane, limit: Duration) -> WorkOrder {
+    /// Its work, which may take as long as `limit` from its arrival on.
+    pub fn order(&self, kind: WorkKind, lane: WorkLane, limit: Duration) -> WorkOrder {
         WorkOrder {
-            what,
+            kind,
             call: self.span.clone(),
             lane,
             flag: Arc::clone(&self.cancel),
@@ -89,7 +90,7 @@ impl<T> PendingCall<T> {
 #[derive(Debug)]
 pub(in crate::session) struct WorkOrder {
     /// What operators call it.
-    pub what: &'static str,
+    pub kind: WorkKind,
     /// The span of whoever asked for it.
     pub call: Span,
     pub lane: WorkLane,

@@ -5,7 +5,7 @@ use crate::engine::{self, HandleSet, OpenOptions, digest};
 use crate::exec::Exec;
 use crate::session::calls::session_places::{OpeningRefusal, SessionPlaces, count_refusal, no_place, no_place_until};
 use crate::session::capacity::compute_slots::WorkLane;
-use crate::session::capacity::work_span::{WorkSpan, tell_vertices};
+use crate::session::capacity::work_span::{WorkKind, WorkSpan, tell_vertices};
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::engine::Engine;
 use crate::session::error::{Error, ErrorCode};
@@ -108,7 +108,7 @@ async fn build_model(
     let watch = Arc::new(WorkWatch::since(arrived, flags, config.build).within(Arc::clone(memory)));
     let (inner_watch, inside) = (Arc::clone(&watch), Arc::clone(shared));
     let begun = Instant::now();
-    let span = WorkSpan::new("build", "", &Span::current());
+    let span = WorkSpan::new(WorkKind::Build, "", &Span::current());
     let built = slot.run(span, move |pool| -> Result<OpenedModel, engine::Error> {
         crate::progress::check(&*inner_watch)?;
         let engine: Box<dyn Engine> = inside

@@ -316,7 +316,7 @@ impl ComputeSlot {
     /// [`WorkPanicked`]; the panic goes no further.
     pub async fn run<R: Send + 'static>(
         self,
-        WorkSpan { what, span }: WorkSpan,
+        WorkSpan { kind, span }: WorkSpan,
         work: impl FnOnce(&Pool) -> R + Send + 'static,
     ) -> Result<R, WorkPanicked> {
         let Self {
@@ -334,7 +334,7 @@ impl ComputeSlot {
             let busy = GaugeUnit::add_to(&metrics.pool_busy);
             let begun = Instant::now();
             let result = caught(|| span.in_scope(|| work(&inside)));
-            metrics.observe_work(what, begun.elapsed());
+            metrics.observe_work(kind.name(), begun.elapsed());
             drop((busy, span));
             // Free before the result is told, so that whoever gets the result finds the slot free.
             drop((threads, permit));
@@ -359,9 +359,10 @@ fn caught<R>(work: impl FnOnce() -> R) -> Result<R, WorkPanicked> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::session::capacity::work_span::WorkKind;
 
     fn tried() -> WorkSpan {
-        WorkSpan::new("tried", "", &tracing::Span::none())
+        WorkSpan::new(WorkKind::Solve, "", &tracing::Span::none())
     }
     use crate::session::answers::Tenant;
 

@@ -8,7 +8,7 @@ use crate::session::calls::create::{SessionOwner, start_session};
 use crate::session::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
 use crate::session::calls::session_places::{OpeningRefusal, SessionPlaces, count_refusal, no_place};
 use crate::session::capacity::compute_slots::WorkLane;
-use crate::session::capacity::work_span::WorkSpan;
+use crate::session::capacity::work_span::{WorkKind, WorkSpan};
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::kept_session::KeptSession;
@@ -257,7 +257,7 @@ async fn replay_log(
     let mut kept = KeptSession::new(Arc::clone(store));
     kept.shape_at = log.snapshot.as_ref().map_or(0, |(sequence, _)| *sequence);
     let begun = Instant::now();
-    let span = WorkSpan::new("replay", "", &Span::current());
+    let span = WorkSpan::new(WorkKind::Replay, "", &Span::current());
     let done = slot.run(span, move |pool| -> Result<Replayed, ReplayError> {
         let OpenedModel {
             graph_bytes,

@@ -6,6 +6,7 @@ use crate::session::animation::frame_outbox::{FrameOutbox, StageTeller};
 use crate::session::animation::prepared_animation::ReadyAnimation;
 use crate::session::calls::command::PendingCall;
 use crate::session::capacity::compute_slots::WorkLane;
+use crate::session::capacity::work_span::WorkKind;
 use crate::session::error::Error;
 use crate::session::task::session_task::SessionTask;
 use crate::wire::{self, AnimateOrder};
@@ -24,7 +25,7 @@ impl SessionTask {
         let limits = self.shared.config.animation_limits();
         let (prepared, watch) = self
             .compute(
-                call.order("animate", WorkLane::Builds, self.shared.config.build),
+                call.order(WorkKind::Animate, WorkLane::Builds, self.shared.config.build),
                 move |deformer, pool, watch, _| {
                     let teller = StageTeller { outbox: &outbox, watch };
                     let exec = &Exec::new(pool, &teller);

@@ -10,6 +10,7 @@ use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel, Sessio
 use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, StoredAnswer, WorkOrder};
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::capacity::compute_slots::WorkLane;
+use crate::session::capacity::work_span::WorkKind;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::engine::Engine;
 use crate::session::error::{Error, ErrorCode};
@@ -67,7 +68,7 @@ impl SessionTask {
             }
             SessionCommand::Recall(revision, frame, call) => {
                 let limit = self.shared.config.build;
-                let order = || call.order("recall", WorkLane::Interactive, limit);
+                let order = || call.order(WorkKind::Recall, WorkLane::Interactive, limit);
                 let result = self.recall(revision, *frame, order).await;
                 send_answer(call, result, |_| None);
             }
@@ -104,10 +105,13 @@ impl SessionTask {
             let room = self.memory.room().min(self.place.room());
             let (set, topology) = (set.clone(), topology.clone());
             let (replaced, watch) = self
-                .compute(call.order("handles", lane, limit), move |deformer, pool, watch, _| {
-                    deformer.engine.limit_memory(room);
-                    deformer.replace_handles(topology.as_ref(), &set, &Exec::new(pool, watch))
-                })
+                .compute(
+                    call.order(WorkKind::Handles, lane, limit),
+                    move |deformer, pool, watch, _| {
+                        deformer.engine.limit_memory(room);
+                        deformer.replace_handles(topology.as_ref(), &set, &Exec::new(pool, watch))
+                    },
+                )
                 .await?;
             match replaced {
                 Ok((poses, facts)) => break (poses, facts, watch.take_stage_ms()),
@@ -145,7 +149,7 @@ impl SessionTask {
         let settings = options.solve.clone();
         let (solved, watch) = self
             .compute(
-                call.order("solve", WorkLane::Interactive, limit),
+                call.order(WorkKind::Solve, WorkLane::Interactive, limit),
                 move |deformer, pool, watch, queued| {
                     let solution = deformer.solve_for_commit(&state, &changes, &options, watch, pool)?;
                     let context = FrameContext {
@@ -188,7 +192,7 @@ impl SessionTask {
         let index = target.ok_or_else(nothing)?;
         let limit = self.shared.config.build;
         let shape = self
-            .shape_of_commit(index, call.order("history", WorkLane::Interactive, limit))
+            .shape_of_commit(index, call.order(WorkKind::History, WorkLane::Interactive, limit))
             .await?
             .ok_or_else(nothing)?;
         self.keep_step(direction, index, call.claim.as_ref()).await?;
@@ -231,7 +235,7 @@ impl SessionTask {
         let topology = self.history.current().topology.clone();
         let (carried, watch) = self
             .compute(
-                call.order("export", WorkLane::Interactive, limit),
+                call.order(WorkKind::Carry, WorkLane::Interactive, limit),
                 move |deformer, pool, watch, _| {
                     let exec = Exec::new(pool, watch);
                     deformer.go_to_topology(topology.as_ref(), &exec)?;
@@ -260,7 +264,7 @@ impl SessionTask {
         let topology = self.history.current().topology.clone();
         let (written, watch) = self
             .compute(
-                call.order("carry", WorkLane::Interactive, limit),
+                call.order(WorkKind::Export, WorkLane::Interactive, limit),
                 move |deformer, pool, watch, _| {
                     let exec = Exec::new(pool, watch);
                     deformer.go_to_topology(topology.as_ref(), &exec)?;

@@ -5,6 +5,7 @@ use crate::exec::Exec;
 use crate::session::answers::CommittedEdit;
 use crate::session::calls::command::PendingCall;
 use crate::session::capacity::compute_slots::WorkLane;
+use crate::session::capacity::work_span::WorkKind;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
 use crate::session::history::loaded_deformer::EditStart;
@@ -48,7 +49,7 @@ impl SessionTask {
             let edit = Arc::clone(&edit);
             let (done, watch) = self
                 .compute(
-                    call.order("edit", WorkLane::Builds, limit),
+                    call.order(WorkKind::Edit, WorkLane::Builds, limit),
                     move |deformer, pool, watch, _| {
                         let start = EditStart {
                             state: &state,

@@ -178,7 +178,7 @@ impl SessionTask {
     ) -> Result<(R, Arc<WorkWatch>), Error> {
         self.place.account().check_work()?;
         let owner = self.session.work_owner();
-        let span = WorkSpan::new(order.what, &self.session.id, &order.call);
+        let span = WorkSpan::new(order.kind, &self.session.id, &order.call);
         let slot = tokio::select! {
             biased;
             () = self.session.closing.cancelled() => return Err(self.session.why()),

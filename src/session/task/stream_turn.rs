@@ -7,6 +7,7 @@ use crate::session::answers::CommittedPose;
 use crate::session::calls::command::{StoredAnswer, WorkOrder};
 use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim};
 use crate::session::capacity::compute_slots::WorkLane;
+use crate::session::capacity::work_span::WorkKind;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
 use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
@@ -148,7 +149,7 @@ impl SessionTask {
             return;
         }
         let order = WorkOrder {
-            what: "settle",
+            kind: WorkKind::Settle,
             ..turn_order(mailbox, false, self.shared.config.solve)
         };
         let ran = self.compute(order, |deformer, pool, watch, _| {
@@ -200,7 +201,7 @@ impl SessionTask {
         let Some(commit) = poses.last() else { return };
         let limit = self.shared.config.build;
         let order = || WorkOrder {
-            what: "recall",
+            kind: WorkKind::Recall,
             call: mailbox.span.clone(),
             lane: WorkLane::Interactive,
             flag: Arc::clone(&mailbox.cancel),
@@ -223,12 +224,12 @@ impl SessionTask {
 
 /// The work of a turn. A drag comes before what does not go on at once.
 fn turn_order(mailbox: &Mailbox, commit: bool, limit: Duration) -> WorkOrder {
-    let (what, lane) = match commit {
-        true => ("solve", WorkLane::Interactive),
-        false => ("drag", WorkLane::Drags),
+    let (kind, lane) = match commit {
+        true => (WorkKind::Solve, WorkLane::Interactive),
+        false => (WorkKind::Drag, WorkLane::Drags),
     };
     WorkOrder {
-        what,
+        kind,
         call: mailbox.span.clone(),
         lane,
         flag: Arc::clone(&mailbox.cancel),
