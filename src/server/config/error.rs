@@ -11,6 +11,14 @@ pub enum Error {
         /// What the operating system said.
         problem: String,
     },
+    /// An environment variable is called as keys are, and there is no such key.
+    #[error("environment variable {name} is no key of the configuration; {hint}")]
+    Variable {
+        /// Its name.
+        name: String,
+        /// What may have been meant.
+        hint: String,
+    },
     /// A key has a value that is not allowed, or does not exist.
     #[error("{key}: {problem} ({place})")]
     Value {

@@ -6,7 +6,7 @@ use super::node_keys::node_identity;
 use super::plain_words::no_address;
 use super::server_config::ServerConfig;
 use super::session_config::session_config_from_keys;
-use super::sources::{MergedKeys, unknown_variables};
+use super::sources::MergedKeys;
 use crate::server::auth::JwtVerifier;
 use crate::server::tls::TlsDoor;
 use crate::session;
@@ -85,10 +85,7 @@ impl ServeSettings {
                 ));
             }
         };
-        let unknown = unknown_variables().into_iter();
-        let mut remarks: Vec<String> = unknown
-            .map(|name| format!("environment variable {name} is no configuration key and was ignored"))
-            .collect();
+        let mut remarks = Vec::new();
         if !listen.ip().to_canonical().is_loopback() && server.tls.is_none() {
             remarks.push("what clients send is not encrypted, tokens among it; set tls_certificate and tls_key, or let a proxy do it".into());
         }

@@ -82,6 +82,7 @@ impl MergedKeys {
             });
         }
         let names = ConfigKeys::names();
+        refuse_unknown_variables(&names)?;
         let sources = sources.merge(VariableProvider(&names)).merge(FlagProvider(flags));
         let keys = sources.extract().map_err(|error| refuse_unreadable(&sources, &error))?;
         Ok(Self { keys, sources })
@@ -108,12 +109,15 @@ fn refuse_unreadable(sources: &Figment, error: &figment::Error) -> Error {
         None => "the configuration".to_owned(),
     };
     match &error.kind {
-        Kind::UnknownField(_, allowed) if error.path.len() > 1 => Error::Value {
+        Kind::UnknownField(name, allowed) if error.path.len() > 1 => Error::Value {
             key,
             place,
-            problem: format!("no such key; allowed are {}", allowed.join(", ")),
+            problem: match nearest_name(name, allowed) {
+                Some(near) => format!("no such key; did you mean {near}?"),
+                None => format!("no such key; allowed are {}", allowed.join(", ")),
+            },
         },
-        Kind::UnknownField(name, _) => {
+        Kind::UnknownField(name, allowed) => {
             let file = sources
                 .metadata()
                 .next()
@@ -121,10 +125,13 @@ fn refuse_unreadable(sources: &Figment, error: &figment::Error) -> Error {
             Error::Value {
                 key: name.clone(),
                 place: if error.metadata.is_some() { place } else { file },
-                problem: format!(
-                    "no such key; allowed are {}, and the tables auth, quotas and tenants",
-                    ConfigKeys::names().join(", ")
-                ),
+                problem: match nearest_name(name, allowed) {
+                    Some(near) => format!("no such key; did you mean {near}?"),
+                    None => format!(
+                        "no such key; allowed are {}, and the tables auth, quotas and tenants",
+                        ConfigKeys::names().join(", ")
+                    ),
+                },
             }
         }
         kind => Error::Value {
@@ -133,6 +140,15 @@ fn refuse_unreadable(sources: &Figment, error: &figment::Error) -> Error {
             place,
         },
     }
+}
+
+/// The name that is most like a wrong one, if one is like it.
+fn nearest_name<'a>(wrong: &str, names: &[&'a str]) -> Option<&'a str> {
+    /// As like as clap wants names of flags to be.
+    const LIKE: f64 = 0.8;
+    let likeness = names.iter().map(|name| (strsim::jaro_winkler(wrong, name), *name));
+    let nearest = likeness.max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (nearest.0 > LIKE).then_some(nearest.1)
 }
 
 fn describe_source(metadata: &Metadata, key: &str) -> String {
@@ -161,29 +177,69 @@ impl Provider for NamedToml {
     }
 }
 
-/// Environment variables that look like keys and are none.
-pub(super) fn unknown_variables() -> Vec<String> {
-    let keys = ConfigKeys::names();
-    std::env::vars_os()
-        .filter_map(|(name, _)| name.into_string().ok())
-        .filter(|name| is_unknown_variable(name, &keys))
-        .collect()
+/// Refuses environment variables that are called as keys are and which nothing reads: a slip in a name would leave a default in force
+/// without a word.
+fn refuse_unknown_variables(keys: &[String]) -> Result<(), Error> {
+    let mut variables: Vec<(String, String)> = std::env::vars_os()
+        .filter_map(|(name, value)| Some((name.into_string().ok()?, value.to_string_lossy().into_owned())))
+        .collect();
+    variables.sort_unstable();
+    let unknown = variables
+        .iter()
+        .find(|(name, value)| is_unknown_variable(name, value, keys));
+    let Some((name, _)) = unknown else { return Ok(()) };
+    // What all of them begin with would make any two alike.
+    let bare = |name: &'static str| name.trim_start_matches("PLIANT_").to_lowercase();
+    let known: Vec<String> = keys.iter().cloned().chain(OTHERS.map(bare)).collect();
+    let known: Vec<&str> = known.iter().map(String::as_str).collect();
+    let seen = name.trim_start_matches("PLIANT_").to_lowercase();
+    Err(Error::Variable {
+        name: name.clone(),
+        hint: match nearest_name(&seen, &known) {
+            Some(near) => format!("did you mean PLIANT_{}?", near.to_uppercase()),
+            None => "`pliant serve --help` lists the keys; each is a variable with PLIANT_ before its name in capitals"
+                .into(),
+        },
+    })
 }
 
-fn is_unknown_variable(name: &str, keys: &[String]) -> bool {
-    // Read by the other commands, the Python package, the build, the tests and the workflows, not by the server.
-    const OTHERS: [&str; 8] = [
-        "PLIANT_BIN",
-        "PLIANT_CONFIG",
-        "PLIANT_DATA",
-        "PLIANT_REPOSITORY",
-        "PLIANT_SERVER",
-        "PLIANT_TOKEN",
-        "PLIANT_VIEWER",
-        "PLIANT_VIEWER_PAGE",
-    ];
-    let key = name.strip_prefix("PLIANT_").map(str::to_lowercase);
-    key.is_some_and(|ref key| !OTHERS.contains(&name) && !keys.contains(key))
+/// Variables that are read by other commands, the clients, the build, the tests and the workflows, not by the server.
+const OTHERS: [&str; 16] = [
+    "PLIANT_BIN",
+    "PLIANT_CONFIG",
+    "PLIANT_COUNTS_OF",
+    "PLIANT_CRASHES",
+    "PLIANT_DATA",
+    "PLIANT_FAULTS",
+    "PLIANT_LONG",
+    "PLIANT_RELEASE",
+    "PLIANT_REPOSITORY",
+    "PLIANT_SERVER",
+    "PLIANT_TEST_ALONE",
+    "PLIANT_TOKEN",
+    "PLIANT_VERSION",
+    "PLIANT_VIEWER",
+    "PLIANT_VIEWER_OUT",
+    "PLIANT_VIEWER_PAGE",
+];
+
+fn is_unknown_variable(name: &str, value: &str, keys: &[String]) -> bool {
+    let Some(key) = name.strip_prefix("PLIANT_").map(str::to_lowercase) else {
+        return false;
+    };
+    !OTHERS.contains(&name) && !keys.contains(&key) && !is_service_link(name, value)
+}
+
+/// Whether a variable is one of those by which Kubernetes and Docker tell every container where a service is, here one whose name
+/// begins with `pliant`.
+fn is_service_link(name: &str, value: &str) -> bool {
+    let is_address = ["tcp://", "udp://", "sctp://"]
+        .iter()
+        .any(|scheme| value.starts_with(scheme));
+    let names_protocol = ["_TCP", "_UDP", "_SCTP"].iter().any(|protocol| name.contains(protocol));
+    name.ends_with("_SERVICE_HOST")
+        || name.contains("_SERVICE_PORT")
+        || name.contains("_PORT") && (is_address || names_protocol)
 }
 
 #[cfg(test)]
@@ -193,19 +249,37 @@ mod tests {
     #[test]
     fn only_a_variable_that_nothing_reads_is_unknown() {
         let keys = ConfigKeys::names();
-        for known in [
-            "PATH",
-            "PLIANT_LISTEN",
-            "PLIANT_MAX_TTL",
-            "PLIANT_BIN",
-            "PLIANT_SERVER",
-            "PLIANT_TOKEN",
-            "PLIANT_VIEWER_PAGE",
+        for (known, value) in [
+            ("PATH", "/bin"),
+            ("PLIANT_LISTEN", ""),
+            ("PLIANT_MAX_TTL", ""),
+            ("PLIANT_BIN", ""),
+            ("PLIANT_SERVER", ""),
+            ("PLIANT_TOKEN", ""),
+            ("PLIANT_VIEWER_PAGE", ""),
+            ("PLIANT_SERVICE_HOST", "10.0.0.1"),
+            ("PLIANT_NODES_SERVICE_PORT_HTTP", "7411"),
+            ("PLIANT_PORT", "tcp://10.0.0.1:7411"),
+            ("PLIANT_PORT_7411_TCP_ADDR", "10.0.0.1"),
         ] {
-            assert!(!is_unknown_variable(known, &keys), "{known}");
+            assert!(!is_unknown_variable(known, value, &keys), "{known}");
         }
-        for unknown in ["PLIANT_LISTENS", "PLIANT_", "PLIANT_BINS"] {
-            assert!(is_unknown_variable(unknown, &keys), "{unknown}");
+        for unknown in [
+            "PLIANT_LISTENS",
+            "PLIANT_",
+            "PLIANT_BINS",
+            "PLIANT_PORT",
+            "PLIANT_MEMRY_BYTES",
+        ] {
+            assert!(is_unknown_variable(unknown, "7411", &keys), "{unknown}");
         }
+    }
+
+    #[test]
+    fn a_slip_has_a_nearest_name_and_another_word_has_none() {
+        let names = ["listen", "sessions", "memory_bytes", "ttl"];
+        assert_eq!(nearest_name("listn", &names), Some("listen"));
+        assert_eq!(nearest_name("memory_byte", &names), Some("memory_bytes"));
+        assert_eq!(nearest_name("zebra", &names), None);
     }
 }

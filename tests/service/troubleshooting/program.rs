@@ -19,12 +19,13 @@ const SCENE: &str = r#"{"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"no
 
 const HELD: &str = r#"{"handles": [{"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.14}}}], "expect": {"digest": "xxh3:0000000000000000"}}"#;
 
-/// The last line of stderr; fails when there was no failure.
-fn last_line(folder: &Path, arguments: &[&str]) -> String {
+/// The last line of stderr, with a variable set or none; fails when there was no failure.
+fn last_line(folder: &Path, arguments: &[&str], variable: Option<(&str, &str)>) -> String {
     let mut program = Command::new(env!("CARGO_BIN_EXE_pliant"));
     for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("PLIANT_")) {
         program.env_remove(name);
     }
+    program.envs(variable);
     let done = program.args(arguments).current_dir(folder).output().expect("it runs");
     assert!(!done.status.success(), "{arguments:?} did not fail");
     let said = String::from_utf8_lossy(&done.stderr).trim_end().to_owned();
@@ -188,7 +189,11 @@ pub fn provoke() -> Vec<Said> {
     ];
     let said = cases.into_iter().map(|(by, arguments)| Said {
         by,
-        text: last_line(folder.path(), arguments).replace(&port, "7411"),
+        text: last_line(folder.path(), arguments, None).replace(&port, "7411"),
     });
-    said.collect()
+    let slip = Said {
+        by: "a variable that is called as a key and is none",
+        text: last_line(folder.path(), &["serve"], Some(("PLIANT_MEMRY_BYTES", "1GiB"))),
+    };
+    said.chain([slip]).collect()
 }
