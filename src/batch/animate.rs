@@ -1,9 +1,10 @@
 //! Animations run in process: a model, a rig and a clip to frames and their report.
 
+use super::rig::{MadeRig, RigOrder, make_rig};
+use super::unskinned::unskinned_warnings;
 use crate::asset::{Model, MovingScene};
 use crate::engine::{
-    self, AnimatedFrame, Animation, AnimationSettings, Deformer, FrameSums, FrameTimes, Passenger, PassengerKind,
-    QualityReport, digest,
+    self, AnimatedFrame, Animation, AnimationSettings, Deformer, FrameSums, FrameTimes, QualityReport, digest,
 };
 use crate::exec::Exec;
 use crate::mesh::BoundingBox;
@@ -34,6 +35,8 @@ pub struct MovingClip {
     pub own: Option<usize>,
     /// What it moves beside that skin.
     beside: Option<SceneMotion>,
+    /// What speaks against it, one line each.
+    warnings: Vec<String>,
 }
 
 /// Which frames of an animation are wanted, and how.
@@ -41,7 +44,7 @@ pub struct AnimationOrder {
     /// When the frames are.
     pub times: FrameTimes,
     /// Which of them are wanted.
-    pub range: Range<usize>,
+    pub ranges: Vec<Range<usize>>,
     /// How they are solved.
     pub settings: AnimationSettings,
     /// Blocks that are solved at the same time.
@@ -50,29 +53,45 @@ pub struct AnimationOrder {
     pub bakes_root: bool,
 }
 
-/// Finds a clip for a model, and the rig that it drives: the one given, or the skin's.
+impl AnimationOrder {
+    /// The frames that are wanted.
+    fn frames(&self) -> impl Iterator<Item = usize> {
+        self.ranges.iter().cloned().flatten()
+    }
+}
+
+/// Finds a clip for a model, and the rig that it drives: the one given; else for a recording the one that [`make_rig`] makes, and
+/// for a clip of the model the skin's.
 ///
 /// # Errors
-/// [`Error::Invalid`] for a clip that is not there (with those that are), or a model without a skin and no rig given.
-pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&MotionRig>) -> Result<MovingClip, Error> {
-    let name = match (source, rig) {
-        (ClipSource::Recorded(clip), Some(rig)) => {
-            let rig = rig.clone();
+/// [`Error::Invalid`] for a clip that is not there (with those that are), or a model that no rig can be found for.
+pub fn moving_clip(
+    deformer: &Deformer,
+    source: ClipSource<'_>,
+    rig: Option<&MotionRig>,
+    exec: &Exec<'_>,
+) -> Result<MovingClip, Error> {
+    let is_own_clip = matches!(source, ClipSource::OfModel(_)) && rig.is_none();
+    let mut warnings = unskinned_warnings(deformer.model(), &deformer.geometry().primitives, is_own_clip)?;
+    let name = match source {
+        ClipSource::Recorded(clip) => {
+            let rig = match rig {
+                Some(rig) => rig.clone(),
+                None => {
+                    let made = rig_for_clip(deformer.model(), &clip, exec)?;
+                    warnings.extend(made.warnings);
+                    made.rig
+                }
+            };
             return Ok(MovingClip {
                 rig,
                 clip,
                 own: None,
                 beside: None,
+                warnings,
             });
         }
-        (ClipSource::Recorded(_), None) => {
-            return Err(Error::invalid(
-                "rig",
-                "is missing; a recorded clip needs to be told which bones it drives, and `pliant rig MODEL --bvh FILE -o rig.json` \
-                 makes a rig that does",
-            ));
-        }
-        (ClipSource::OfModel(name), _) => name,
+        ClipSource::OfModel(name) => name,
     };
     if deformer.is_edited() {
         let problem =
@@ -113,6 +132,7 @@ pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&Mot
             clip,
             own: None,
             beside: None,
+            warnings,
         });
     }
     let rig = rig_of_skin(&scene, &order, &clip, deformer.rest()).map_err(|e| {
@@ -126,6 +146,7 @@ pub fn moving_clip(deformer: &Deformer, source: ClipSource<'_>, rig: Option<&Mot
         clip,
         own: Some(index),
         beside,
+        warnings,
     })
 }
 
@@ -151,22 +172,20 @@ fn skin_problem(model: &Model) -> Option<Error> {
     ))
 }
 
-/// What rides along where a model's own clip moves its skin: primitives that no skin places. They go where the clip moves their
-/// nodes, and have no part in what is solved.
-///
-/// # Errors
-/// Those of [`Model::moving_scene`].
-pub fn unskinned_passengers(model: &Model) -> Result<Vec<Passenger>, Error> {
-    let Some(scene) = model.moving_scene()?.filter(|scene| scene.is_joint.contains(&true)) else {
-        return Ok(Vec::new());
+/// The rig that `pliant rig` makes of a model for a recorded clip, where none is given.
+fn rig_for_clip(model: &Model, clip: &MotionClip, exec: &Exec<'_>) -> Result<MadeRig, Error> {
+    exec.progress.report("rig", 0.0);
+    let order = RigOrder {
+        clip: Some(clip),
+        ..Default::default()
     };
-    let unskinned = scene.primitives.iter().enumerate().filter(|(_, p)| !p.has_skin);
-    Ok(unskinned
-        .map(|(number, _)| Passenger {
-            name: model.primitives[number].name.clone(),
-            kind: PassengerKind::Primitive(number as u32),
-        })
-        .collect())
+    make_rig(model, &order, exec).map_err(|error| match error {
+        Error::Invalid { field, problem } => Error::invalid(
+            "rig",
+            format!("is missing, and pliant rig finds none: {field}: {problem}"),
+        ),
+        other => other,
+    })
 }
 
 /// Prepares the animation of a model by a clip. `scale`: model units for one unit of the clip, in place of the rig's.
@@ -180,7 +199,13 @@ pub fn prepare(
     order: &AnimationOrder,
     exec: &Exec<'_>,
 ) -> Result<Animation, Error> {
-    let MovingClip { rig, clip, own, beside } = moving;
+    let MovingClip {
+        rig,
+        clip,
+        own,
+        beside,
+        warnings,
+    } = moving;
     let start = order.times.start;
     let mut driver = match own.is_some() {
         true => RigDriver::of_skin(&rig, clip, start)?,
@@ -194,10 +219,11 @@ pub fn prepare(
         }
     };
     check_reach(&rig, &driver, order)?;
+    warnings.into_iter().for_each(|warning| driver.warn(warning));
     if own.is_none() {
         warn_of_misfits(&rig, deformer.rest(), &mut driver);
     }
-    driver.warn_of_twists(&rig, order.range.clone().map(|frame| (frame, order.times.at(frame))));
+    driver.warn_of_twists(&rig, order.frames().map(|frame| (frame, order.times.at(frame))));
     let prepared = deformer.animation(rig, driver, order.times, &order.settings, exec);
     let animation = prepared.map_err(|e| match e {
         engine::Error::Precondition(problem) => Error::invalid("rig", problem),
@@ -209,7 +235,7 @@ pub fn prepare(
 /// Checks that no frame takes a bone farther than 32-bit floats reach, in which positions are written.
 fn check_reach(rig: &MotionRig, driver: &RigDriver, order: &AnimationOrder) -> Result<(), Error> {
     let is_near = |motion: &RigidMotion| motion.to.abs().cmple(DVec3::splat(FARTHEST_FRAME)).all();
-    for frame in order.range.clone() {
+    for frame in order.frames() {
         let pose = driver.pose_at(order.times.at(frame));
         let motions = pose.bones.iter().zip(&rig.bones);
         let far = motions.chain([(&pose.root, &rig.bones[0])]).find(|(m, _)| !is_near(m));
@@ -264,7 +290,8 @@ fn warn_of_misfits(rig: &MotionRig, rest: &[DVec3], driver: &mut RigDriver) {
     }
 }
 
-/// Solves the frames of an order, gives each to `take` with what is told of it, and tells of all. `millis` is a clock.
+/// Solves the frames of an order, gives each to `take` with what is told of it as soon as it is there, in any order, and tells of
+/// all. `millis` is a clock.
 ///
 /// # Errors
 /// Those of [`Animation::solve`], and what `take` refuses with.
@@ -272,7 +299,7 @@ pub fn play<E: From<Error>>(
     animation: &Animation,
     order: &AnimationOrder,
     exec: &Exec<'_>,
-    millis: &dyn Fn() -> f64,
+    millis: &(dyn Fn() -> f64 + Sync),
     take: &mut dyn FnMut(&AnimatedFrame, &pb::animation_report::FrameReport) -> Result<(), E>,
 ) -> Result<pb::AnimationReport, E> {
     let mut report = pb::AnimationReport {
@@ -282,24 +309,23 @@ pub fn play<E: From<Error>>(
         ..Default::default()
     };
     let begun = millis();
-    let mut last = begun;
     let mut refused = None;
-    let solved = animation.solve(order.range.clone(), order.blocks_at_once, exec, &mut |mut frame| {
-        let mut told = frame_report(&frame);
+    let mut take_solved = |mut frame: AnimatedFrame, ms: f64| {
+        let told = frame_report(&frame, ms);
         if order.bakes_root {
             frame.bake_root();
         }
-        told.ms = millis() - last;
         refused = take(&frame, &told).err();
-        last = millis();
         report.frames.push(told);
         refused.is_none()
-    });
+    };
+    let solved = animation.solve(&order.ranges, order.blocks_at_once, millis, exec, &mut take_solved);
     if let Some(refused) = refused {
         return Err(refused);
     }
     solved.map_err(Error::from)?;
-    report.totals = Some(frame_totals(&report.frames, last - begun));
+    report.frames.sort_by_key(|frame| frame.index);
+    report.totals = Some(frame_totals(&report.frames, millis() - begun));
     Ok(report)
 }
 
@@ -318,12 +344,12 @@ pub fn warnings_of(animation: &Animation) -> Vec<String> {
     warnings
 }
 
-fn frame_report(frame: &AnimatedFrame) -> pb::animation_report::FrameReport {
+fn frame_report(frame: &AnimatedFrame, ms: f64) -> pb::animation_report::FrameReport {
     let quality = &frame.quality;
     pb::animation_report::FrameReport {
         index: u32::try_from(frame.index).unwrap_or(u32::MAX),
         time: frame.seconds,
-        ms: 0.0,
+        ms,
         cycles: u32::try_from(frame.cycles).unwrap_or(u32::MAX),
         volume_change: quality.volume_change,
         flipped_triangles: quality.flipped_triangles,

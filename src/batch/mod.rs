@@ -12,17 +12,17 @@ mod rig_frames;
 mod run;
 mod skin;
 mod skin_frames;
+mod unskinned;
 
-pub use animate::{
-    AnimationOrder, ClipSource, MovingClip, frame_totals, moving_clip, play, prepare, unskinned_passengers, warnings_of,
-};
+pub use animate::{AnimationOrder, ClipSource, MovingClip, frame_totals, moving_clip, play, prepare, warnings_of};
 pub use contents::{ClipContents, ModelContents, SkinContents, contents_of};
 pub use inspect::{MOST_NODES_TOLD, inspect, inspect_contents};
 pub use kept_frames::{KeptFrames, PlayedModel, WrittenOff, node_place};
 pub use morph_frames::write_morph_frames;
 pub use riders::CarriedFile;
-pub use rig::{MadeRig, RigOrder, make_rig};
+pub use rig::{MadeRig, RigOrder, left_out_of_rig, make_rig};
 pub use rig_frames::{DrivenFrames, write_corrected_frames, write_rig_frames};
 pub use run::{BatchOutcome, BatchOutput, StepTaker, pose_steps, run, run_and_write, unmet_expectations};
 pub use skin::{BoundModel, bind_model, carrying_joints, influences_of_skin};
 pub use skin_frames::write_skin_frames;
+pub use unskinned::{unskinned_passengers, unskinned_primitives};

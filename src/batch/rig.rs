@@ -1,5 +1,6 @@
 //! Rigs made of models, in process.
 
+use super::unskinned::{primitive_names, unskinned_primitives};
 use crate::asset::Model;
 use crate::exec::Exec;
 use crate::motion::humanoid::{
@@ -9,6 +10,7 @@ use crate::motion::rig::{MotionRig, ReferencePose, RigError, rig_of_skin};
 use crate::motion::{MotionClip, NodeOrder, Skeleton, clip_of_scene};
 use crate::wire::Error;
 use glam::DVec3;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 /// What a rig is to be made for, and what is known of the model.
@@ -35,12 +37,64 @@ pub struct MadeRig {
     pub warnings: Vec<String>,
 }
 
+/// The surface that bones are found in: what a skin places where the model has a skin, else all of it.
+struct BodySurface<'a> {
+    positions: Cow<'a, [DVec3]>,
+    triangles: Cow<'a, [[u32; 3]]>,
+}
+
+impl<'a> BodySurface<'a> {
+    fn of(model: &'a Model) -> Result<Self, Error> {
+        let unskinned = unskinned_primitives(model)?;
+        if unskinned.is_empty() {
+            return Ok(Self {
+                positions: Cow::Borrowed(&model.positions),
+                triangles: Cow::Borrowed(&model.triangles),
+            });
+        }
+        let mut positions = Vec::new();
+        let mut number_of = vec![None; model.positions.len()];
+        for (_, primitive) in (0..)
+            .zip(&model.primitives)
+            .filter(|(number, _)| !unskinned.contains(number))
+        {
+            for vertex in primitive.vertices() {
+                number_of[vertex] = Some(positions.len() as u32);
+                positions.push(model.positions[vertex]);
+            }
+        }
+        let renumbered = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|vertex| number_of[vertex as usize]);
+            Some([a?, b?, c?])
+        };
+        Ok(Self {
+            triangles: model.triangles.iter().filter_map(renumbered).collect(),
+            positions: Cow::Owned(positions),
+        })
+    }
+}
+
+/// What [`make_rig`] leaves out of a model, in one line.
+///
+/// # Errors
+/// Those of [`Model::moving_scene`].
+pub fn left_out_of_rig(model: &Model) -> Result<Option<String>, Error> {
+    let unskinned = unskinned_primitives(model)?;
+    let end = match unskinned.len() {
+        0 => return Ok(None),
+        1 => "has no skin, and is left out",
+        _ => "have no skin, and are left out",
+    };
+    Ok(Some(format!("{} {end}", primitive_names(model, &unskinned))))
+}
+
 /// Makes a rig of a model: that of its own skin where neither a clip nor a preset asks for other names, else one of a body whose
 /// joints are given, named by the skin, or found in the shape.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a clip whose joints are no body's, or a model that has no place for some joint.
 pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<MadeRig, Error> {
+    let body = BodySurface::of(model)?;
     let own = own_skeleton(model)?;
     if let (Some((scene_rig, _)), None, None) = (&own, order.clip, order.preset) {
         return Ok(rig_of_own_skin(scene_rig));
@@ -72,11 +126,11 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
     }
     let fixed: Vec<&str> = joints.keys().copied().collect();
     if BODY_JOINTS.iter().any(|name| !joints.contains_key(name)) {
-        let found = find_body(&model.positions, &model.triangles, exec).map_err(|_| Error::Cancelled)?;
+        let found = find_body(&body.positions, &body.triangles, exec).map_err(|_| Error::Cancelled)?;
         if fixed.is_empty() {
             source = "shape";
             if found.is_none {
-                let turned = turn_to_a_figure(model, exec)?;
+                let turned = turn_to_a_figure((&body.positions[..], &body.triangles[..]), exec)?;
                 return Err(not_upright(&found.doubts, turned));
             }
         }
@@ -88,8 +142,14 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
             .into_iter()
             .for_each(|(name, at)| _ = joints.entry(name).or_insert(at));
     }
-    let mesh = (&model.positions[..], &model.triangles[..]);
-    let made = rig_of_body(mesh, &joints, &fixed, (skeleton, &bones), reference, exec.pool)?;
+    let made = rig_of_body(
+        (&body.positions[..], &body.triangles[..]),
+        &joints,
+        &fixed,
+        (skeleton, &bones),
+        reference,
+        exec.pool,
+    )?;
     let outside = made.joints.iter().filter(|j| !j.inside).map(|j| j.name.as_str());
     let outside: Vec<&str> = outside
         .filter(|name| !name.ends_with("End") && !name.ends_with("Toe"))
@@ -123,10 +183,13 @@ const TURNS: [(&str, PointTurn); 4] = [
 ];
 
 /// The turn by which a model that does not look like an upright figure does; `None` when none does.
-fn turn_to_a_figure(model: &Model, exec: &Exec<'_>) -> Result<Option<&'static str>, Error> {
+fn turn_to_a_figure(
+    (positions, triangles): (&[DVec3], &[[u32; 3]]),
+    exec: &Exec<'_>,
+) -> Result<Option<&'static str>, Error> {
     for (words, quarter) in TURNS {
-        let turned: Vec<DVec3> = model.positions.iter().copied().map(quarter).collect();
-        let found = find_body(&turned, &model.triangles, exec).map_err(|_| Error::Cancelled)?;
+        let turned: Vec<DVec3> = positions.iter().copied().map(quarter).collect();
+        let found = find_body(&turned, triangles, exec).map_err(|_| Error::Cancelled)?;
         if !found.is_none {
             return Ok(Some(words));
         }

@@ -44,6 +44,7 @@ Examples:
 pub(super) const ANIMATE: &str = "\
 Examples:
   pliant animate figure.glb --clip 0 -o walk.glb      a clip of the model's own
+  pliant animate figure.glb --bvh walk.bvh -o walk.glb      a recording, on the rig that `pliant rig` makes
   pliant animate model.obj --bvh walk.bvh --rig rig.json -o walk.glb
   pliant animate model.obj --bvh walk.bvh --rig rig.json -o frames --frames 0:120 --fps 30";
 

@@ -12,6 +12,8 @@ pub enum CliFailure {
     Input(String),
     /// A defect or a broken machine: exit code 3.
     Internal(String),
+    /// A signal asked the command to stop: exit code 130, as shells have it for SIGINT.
+    Stopped(String),
     /// One that the log has told, with its exit code.
     Logged(u8),
 }
@@ -22,6 +24,7 @@ impl CliFailure {
             Self::Check(_) => 1,
             Self::Input(_) => 2,
             Self::Internal(_) => 3,
+            Self::Stopped(_) => 130,
             Self::Logged(code) => *code,
         }
     }
@@ -31,6 +34,7 @@ impl CliFailure {
         match self.exit_code() {
             1 => "check",
             2 => "input",
+            130 => "stopped",
             _ => "internal",
         }
     }
@@ -54,7 +58,7 @@ impl CliFailure {
     /// What went wrong, in words.
     pub(super) fn message(&self) -> &str {
         match self {
-            Self::Check(text) | Self::Input(text) | Self::Internal(text) => text,
+            Self::Check(text) | Self::Input(text) | Self::Internal(text) | Self::Stopped(text) => text,
             Self::Logged(_) => "the log says why",
         }
     }
@@ -63,7 +67,8 @@ impl CliFailure {
 impl From<WireError> for CliFailure {
     fn from(e: WireError) -> Self {
         match e {
-            WireError::Internal(_) | WireError::Cancelled => Self::Internal(e.to_string()),
+            WireError::Internal(_) => Self::Internal(e.to_string()),
+            WireError::Cancelled => Self::Stopped(e.to_string()),
             other => Self::Input(other.to_string()),
         }
     }

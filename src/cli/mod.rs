@@ -1,6 +1,6 @@
 //! People and scripts at a terminal: arguments, progress, exit codes.
 //!
-//! Exit codes: 0 done, 1 a check failed, 2 bad input or usage, 3 internal. The last line of stderr says why. With
+//! Exit codes: 0 done, 1 a check failed, 2 bad input or usage, 3 internal, 130 stopped by a signal. The last line of stderr says why. With
 //! `--json` stdout carries exactly one JSON document, that of a failure too.
 
 mod animate;
@@ -25,11 +25,12 @@ mod sample;
 pub mod serve;
 mod skin;
 mod stage_spinner;
+mod stop_signals;
 mod store;
 mod threads;
 mod token;
 
-use clap::error::ErrorKind;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Parser, Subcommand};
 use failure::CliFailure;
 use std::process::ExitCode;
@@ -123,9 +124,14 @@ fn answer_usage(problem: &clap::Error) -> ExitCode {
         let _ = problem.print();
         return tell_and_exit(&CliFailure::Input("no command is named; see above".into()));
     }
-    let (reason, hints) = usage_reason(&problem.to_string());
-    if !hints.is_empty() {
-        eprintln!("{hints}\n");
+    let (mut reason, usage) = usage_reason(&problem.to_string());
+    if let Some(ContextValue::String(argument)) = problem.get(ContextKind::InvalidArg)
+        && let Some(hint) = hint_for(argument)
+    {
+        reason = format!("{reason}; {hint}");
+    }
+    if !usage.is_empty() {
+        eprintln!("{usage}\n");
     }
     tell_and_exit(&CliFailure::Input(reason))
 }
@@ -136,10 +142,48 @@ fn tell_and_exit(failure: &CliFailure) -> ExitCode {
     failure.report_and_exit()
 }
 
-/// What is wrong with the arguments, in one line, which is the first paragraph of the parser's message, and its other paragraphs.
+/// What is wrong with the arguments and what may have been meant, in one line, which are the first paragraph of the parser's message
+/// and its tips, and its other paragraphs.
 fn usage_reason(message: &str) -> (String, String) {
-    let (first, hints) = message.split_once("\n\n").unwrap_or((message, ""));
-    let paragraph: Vec<&str> = first.lines().map(str::trim).collect();
-    let reason = paragraph.join(" ").trim_start_matches("error: ").trim().to_owned();
-    (reason, hints.trim_end().to_owned())
+    let mut paragraphs = message.split("\n\n").map(str::trim_end);
+    let in_one_line = |text: &str| text.lines().map(str::trim).collect::<Vec<&str>>().join(" ");
+    let first = in_one_line(paragraphs.next().unwrap_or_default());
+    let mut reason = first.trim_start_matches("error: ").trim().to_owned();
+    let (tips, rest): (Vec<&str>, Vec<&str>) = paragraphs.partition(|text| text.trim_start().starts_with("tip: "));
+    for tip in tips.iter().flat_map(|text| text.lines()) {
+        reason += &format!("; {}", tip.trim().trim_start_matches("tip: "));
+    }
+    (reason, rest.join("\n\n"))
+}
+
+/// What an argument means here that other programs take.
+fn hint_for(argument: &str) -> Option<&'static str> {
+    let name = argument.split('=').next().unwrap_or_default();
+    match name {
+        "--port" | "--host" | "--bind" | "--address" | "-p" => {
+            Some("the server's address and port are --listen ADDRESS:PORT")
+        }
+        "--out" | "--outfile" => Some("the output is -o FILE"),
+        _ if !name.starts_with('-') && name.ends_with(".json") => {
+            Some("a job is named by --job FILE, a rig by --rig FILE")
+        }
+        _ if !name.starts_with('-') && name.ends_with(".bvh") => Some("a clip is named by --bvh FILE"),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tips_stand_with_the_reason_and_usage_apart() {
+        let message = "error: unrecognized subcommand 'defrom'\n\n  tip: a similar subcommand exists: 'deform'\n\nUsage: pliant <COMMAND>\n\nFor more";
+        let (reason, usage) = usage_reason(message);
+        assert_eq!(
+            reason,
+            "unrecognized subcommand 'defrom'; a similar subcommand exists: 'deform'"
+        );
+        assert_eq!(usage, "Usage: pliant <COMMAND>\n\nFor more");
+    }
 }

@@ -8,7 +8,7 @@ use super::output_files::{OutputPermission, spare_companions};
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
 use crate::asset::{Limits, Model};
-use crate::batch::{MadeRig, RigOrder, make_rig};
+use crate::batch::{MadeRig, RigOrder, left_out_of_rig, make_rig};
 use crate::exec::Exec;
 use crate::motion::bvh::{ClipLimits, read_bvh};
 use crate::motion::humanoid::BODY_JOINTS;
@@ -94,7 +94,8 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
         preset: args.preset.as_deref(),
         landmarks,
     };
-    let made = make_rig(&model, &order, &Exec::new(&pool, &spinner))?;
+    let mut made = make_rig(&model, &order, &Exec::new(&pool, &spinner))?;
+    made.warnings.extend(left_out_of_rig(&model)?);
     spinner.finish();
     let names: Vec<(&str, DVec3)> = made.joints.iter().map(|j| (j.name.as_str(), j.at)).collect();
     let of = args.model.file_name().unwrap_or_default().to_string_lossy();

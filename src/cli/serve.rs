@@ -2,6 +2,7 @@
 
 use super::announcement;
 use super::failure::CliFailure;
+use super::stop_signals::StopSignals;
 use crate::asset::FileSet;
 use crate::asset::sample::BuiltInModel;
 use crate::engine::{HandlePose, HandleSet, OpenOptions};
@@ -112,7 +113,7 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     for remark in &settings.remarks {
         tracing::warn!("{remark}");
     }
-    let mut signals = Signals::new().map_err(|e| ServeError::Signals(e.to_string()))?;
+    let mut signals = StopSignals::new().map_err(|e| ServeError::Signals(e.to_string()))?;
     let refuse = |e: std::io::Error| ServeError::Listen {
         address: settings.listen,
         problem: e.to_string(),
@@ -167,29 +168,6 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     }
     traces.finish().await;
     Ok(served?)
-}
-
-/// The wishes to stop: SIGTERM and SIGINT.
-struct Signals {
-    terminate: tokio::signal::unix::Signal,
-    interrupt: tokio::signal::unix::Signal,
-}
-
-impl Signals {
-    fn new() -> std::io::Result<Self> {
-        use tokio::signal::unix::{SignalKind, signal};
-        Ok(Self {
-            terminate: signal(SignalKind::terminate())?,
-            interrupt: signal(SignalKind::interrupt())?,
-        })
-    }
-
-    async fn next(&mut self) {
-        tokio::select! {
-            _ = self.terminate.recv() => {}
-            _ = self.interrupt.recv() => {}
-        }
-    }
 }
 
 /// Opens a session with the built-in creature and turns its head once; answers its id.

@@ -1,5 +1,6 @@
 //! The command line as scripts meet it, and what holds the source in shape.
 
+mod animate;
 mod architecture;
 mod base_colours;
 mod book;

@@ -11,6 +11,7 @@ use crate::cli::input_files::read_file;
 use crate::cli::json_output::print_json;
 use crate::cli::model_files::{in_file, read_model};
 use crate::cli::stage_spinner::StageSpinner;
+use crate::cli::stop_signals::raised_on_stop;
 use crate::cli::threads::ThreadArgs;
 use crate::engine::{
     AnimatedFrame, AnimationRefinement, AnimationSettings, Deformer, DeformerLimits, FrameChoice, FrameTimes,
@@ -26,6 +27,7 @@ use clap::{Args, ValueEnum};
 use sha2::{Digest as _, Sha256};
 use std::ops::Range;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Most frames of an animation.
@@ -42,7 +44,7 @@ pub struct AnimateArgs {
     /// A clip of the model itself, by name or by number from 0
     #[arg(long)]
     clip: Option<String>,
-    /// Which bones of the model the clip's joints drive; a skinned model's own clip needs none
+    /// Which bones of the model the clip's joints drive [default: the model's own skin for --clip, what `pliant rig` makes for --bvh]
     #[arg(long)]
     rig: Option<PathBuf>,
     #[command(flatten)]
@@ -116,25 +118,18 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
         (None, Some(name)) => ClipSource::OfModel(name),
         (None, None) => return Err(CliFailure::Input("give a clip, --bvh FILE or --clip NAME".into())),
     };
-    let moving = moving_clip(&deformer, source, rig.as_ref())?;
+    let moving = moving_clip(&deformer, source, rig.as_ref(), &exec)?;
     let times = args.times(&moving.clip)?;
     let range = args.range(&times)?;
     let clip = args.clip_name(&moving.clip);
-    let identity = identity
-        + &output.identity()
-        + &format!(
-            "frames {}:{} of {} from {:?} at {:?}\n",
-            range.start,
-            range.len(),
-            times.count,
-            times.start,
-            times.rate
-        );
-    let quiet = Exec::new(&pool, &Silent);
+    let identity = identity + &output.identity() + &identity_of_frames(&range, &times);
+    // Frames are taken while others are solved: on the threads that solve, taking one would wait for the end of a block.
+    let taking = args.threads.start_pool()?;
+    let quiet = Exec::new(&taking, &Silent);
     let own = moving.own;
     let mut order = AnimationOrder {
         times,
-        range: range.clone(),
+        ranges: vec![range.clone()],
         settings,
         blocks_at_once: pool.threads(),
         bakes_root: output.root == RootRule::Baked,
@@ -154,17 +149,27 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
         permission: output.permission,
         exec: quiet,
     })?;
-    order.range = taker.missing();
+    order.ranges = taker.missing();
     let ready = millis();
     spinner.finish();
-    let bar = FramesBar::new(args.json, order.range.len());
+    let stop = raised_on_stop()?;
+    let bar = FramesBar::new(
+        args.json,
+        order.ranges.iter().map(ExactSizeIterator::len).sum(),
+        Arc::clone(&stop),
+    );
+    let watched = Exec::new(&pool, &bar);
     let mut take = |frame: &AnimatedFrame, told: &pb::animation_report::FrameReport| -> Result<(), CliFailure> {
         bar.step();
         taker.take(frame, told)
     };
-    let mut report = play(&animation, &order, &quiet, &millis, &mut take)?;
-    drop(bar);
-    taker.finish(&mut report, &animation)?;
+    let played = play(&animation, &order, &watched, &millis, &mut take);
+    bar.finish();
+    let finished = played.and_then(|mut report| taker.finish(&mut report, &animation, &watched).map(|()| report));
+    let mut report = match finished {
+        Err(CliFailure::Stopped(_)) => return Err(CliFailure::Stopped(taker.stop())),
+        finished => finished?,
+    };
     let ended = report.totals.unwrap_or_default();
     report.totals = Some(pb::animation_report::Totals {
         frames_per_second: ended.frames_per_second,
@@ -174,11 +179,15 @@ pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> 
     if args.json {
         return print_json(&report);
     }
-    print_summary(&report, !deformer.report().closed, ready);
+    print_summary(&report, !deformer.report().closed);
+    if let Some(place) = output.place() {
+        eprintln!("{} -> {place}", args.model.display());
+    }
     Ok(())
 }
 
-fn print_summary(report: &pb::AnimationReport, is_open: bool, ready: f64) {
+fn print_summary(report: &pb::AnimationReport, is_open: bool) {
+    let ready = report.build_ms.get("prepare").copied().unwrap_or_default();
     let totals = report.totals.unwrap_or_default();
     for warning in &report.warnings {
         eprintln!("warning: {warning}");
@@ -194,6 +203,15 @@ fn print_summary(report: &pb::AnimationReport, is_open: bool, ready: f64) {
     );
 }
 
+/// What tells the frames that are wanted from others: a line of a name and a value.
+fn identity_of_frames(range: &Range<usize>, times: &FrameTimes) -> String {
+    let (start, count) = (range.start, range.len());
+    format!(
+        "frames {start}:{count} of {} from {:?} at {:?}\n",
+        times.count, times.start, times.rate
+    )
+}
+
 /// A text that tells parts from other parts.
 fn digest_of<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> String {
     let mut hasher = Sha256::new();
@@ -206,15 +224,15 @@ fn digest_of<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> String {
 }
 
 impl AnimateArgs {
-    /// Opens the model. Where its own clip moves its skin, what has no skin is not solved.
+    /// Opens the model. Where it has a skin, what has none is not solved.
     fn open(&self, files: FileSet, exec: &Exec<'_>) -> Result<Deformer, CliFailure> {
         let limits = DeformerLimits::default();
         exec.progress.report("read", 0.0);
         let model = Model::read(files, None, &limits.model).map_err(Error::from)?;
-        let mut options = OpenOptions::default();
-        if self.clip.is_some() && self.rig.is_none() {
-            options.passengers = unskinned_passengers(&model)?;
-        }
+        let options = OpenOptions {
+            passengers: unskinned_passengers(&model)?,
+            ..Default::default()
+        };
         let opened = Deformer::of_model(model, &options, &limits, exec);
         Ok(opened.map_err(Error::from)?)
     }

@@ -2,7 +2,7 @@
 //!
 //! A mark, the length of a text, the text that says what the frames are of, and then frames. A frame is the length of its
 //! report, the report as protobuf, ten doubles of what its root does, its positions as 32-bit floats, and a checksum. One that was
-//! not written to its end is cut off.
+//! not written to its end is cut off. Frames stand in the order in which they were solved.
 
 use super::numbered::first_difference;
 use crate::cli::failure::CliFailure;
@@ -13,12 +13,13 @@ use crate::wire::pb::animation_report::FrameReport;
 use flate2::Crc;
 use glam::{DQuat, DVec3, Vec3};
 use prost::Message as _;
+use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-const MARK: &[u8; 16] = b"pliant frames 1\n";
+const MARK: &[u8; 16] = b"pliant frames 2\n";
 /// Bytes of what a root does.
 const ROOT: usize = 80;
 /// Most bytes of a report.
@@ -38,8 +39,10 @@ pub(super) struct FramesFile {
     file: File,
     vertices: usize,
     end: u64,
-    /// The frames so far, in order.
-    pub(super) frames: Vec<StoredFrame>,
+    /// The frames that the animation has.
+    range: Range<usize>,
+    /// Those so far, by how many the animation has before them.
+    pub(super) frames: BTreeMap<usize, StoredFrame>,
 }
 
 impl FramesFile {
@@ -51,7 +54,12 @@ impl FramesFile {
     }
 
     /// Begins a file, in place of one that is there.
-    pub(super) fn create(path: &Path, identity: &str, vertices: usize) -> Result<Self, CliFailure> {
+    pub(super) fn create(
+        path: &Path,
+        identity: &str,
+        vertices: usize,
+        range: Range<usize>,
+    ) -> Result<Self, CliFailure> {
         let make = || {
             // Taken away first, and made anew: through a link that lies there, another file would be written over.
             match fs::remove_file(path) {
@@ -72,12 +80,13 @@ impl FramesFile {
             file,
             vertices,
             end,
-            frames: Vec::new(),
+            range,
+            frames: BTreeMap::new(),
         })
     }
 
-    /// Opens a file that is there, and cuts off what is not whole. The frames are numbered from `first` on.
-    pub(super) fn open(path: &Path, identity: &str, vertices: usize, first: usize) -> Result<Self, CliFailure> {
+    /// Opens a file that is there, and cuts off what is not whole.
+    pub(super) fn open(path: &Path, identity: &str, vertices: usize, range: Range<usize>) -> Result<Self, CliFailure> {
         let refuse = |e: &io::Error| failure("read", path, e);
         let mut file = open_regular_file(path, OpenOptions::new().read(true).write(true))?;
         let mut head = vec![0; MARK.len() + 4];
@@ -100,13 +109,14 @@ impl FramesFile {
             end: head.len() as u64 + text.len() as u64,
             file,
             vertices,
-            frames: Vec::new(),
+            range,
+            frames: BTreeMap::new(),
         };
-        frames.find_frames(first).map_err(|e| refuse(&e))?;
+        frames.find_frames().map_err(|e| refuse(&e))?;
         Ok(frames)
     }
 
-    fn find_frames(&mut self, first: usize) -> io::Result<()> {
+    fn find_frames(&mut self) -> io::Result<()> {
         let length = self.file.metadata()?.len();
         loop {
             self.file.seek(SeekFrom::Start(self.end))?;
@@ -126,18 +136,21 @@ impl FramesFile {
             };
             let (report, rest) = body.split_at(told as usize);
             let Ok(told) = FrameReport::decode(report) else { break };
-            if checksum(body) != u32::from_le_bytes(*sum) || told.index as usize != first + self.frames.len() {
+            let frame = told.index as usize;
+            let is_new = self.range.contains(&frame) && !self.frames.contains_key(&(frame - self.range.start));
+            if checksum(body) != u32::from_le_bytes(*sum) || !is_new {
                 break;
             }
             let mut numbers = [0.0; ROOT / 8];
             for (number, bytes) in numbers.iter_mut().zip(rest.as_chunks::<8>().0) {
                 *number = f64::from_le_bytes(*bytes);
             }
-            self.frames.push(StoredFrame {
+            let stored = StoredFrame {
                 at: self.end + 4 + (report.len() + ROOT) as u64,
                 root: root_of(&numbers),
                 told,
-            });
+            };
+            self.frames.insert(frame - self.range.start, stored);
             self.end += 4 + bytes.len() as u64;
         }
         self.file.set_len(self.end)
@@ -157,16 +170,17 @@ impl FramesFile {
         let written = self.file.seek(SeekFrom::Start(self.end));
         let written = written.and_then(|_| self.file.write_all(&bytes));
         written.map_err(|e| failure("write", &self.path, &e))?;
-        self.frames.push(StoredFrame {
+        let stored = StoredFrame {
             at: self.end + (4 + report + ROOT) as u64,
             root: frame.root,
             told: told.clone(),
-        });
+        };
+        self.frames.insert(frame.index - self.range.start, stored);
         self.end += bytes.len() as u64;
         Ok(())
     }
 
-    /// Where the vertices are in a frame, counted from the first in the file.
+    /// Where the vertices are in a frame, counted from the first of the animation.
     pub(super) fn positions(&mut self, frame: usize) -> io::Result<Vec<Vec3>> {
         self.positions_of(frame, 0..self.vertices)
     }
@@ -174,7 +188,7 @@ impl FramesFile {
     /// Where some of them are.
     pub(super) fn positions_of(&mut self, frame: usize, vertices: Range<usize>) -> io::Result<Vec<Vec3>> {
         let mut bytes = vec![0; 12 * vertices.len()];
-        let start = self.frames[frame].at + 12 * vertices.start as u64;
+        let start = self.frames[&frame].at + 12 * vertices.start as u64;
         self.file.seek(SeekFrom::Start(start))?;
         self.file.read_exact(&mut bytes)?;
         let numbers = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));

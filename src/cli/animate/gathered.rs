@@ -1,7 +1,7 @@
 //! Frames that become one file: kept in a partial file until the last one is there.
 
 use super::frames_file::FramesFile;
-use super::taken_frames::{FrameTaker, PlayedAnimation};
+use super::taken_frames::{FrameTaker, PlayedAnimation, kept_frames, missing_ranges};
 use crate::asset::{NodePlace, UsdClip, VertexCache};
 use crate::batch::{
     DrivenFrames, KeptFrames, PlayedModel, WrittenOff, node_place, write_corrected_frames, write_morph_frames,
@@ -9,7 +9,9 @@ use crate::batch::{
 };
 use crate::cli::failure::CliFailure;
 use crate::engine::{AnimatedFrame, Animation};
+use crate::exec::Exec;
 use crate::motion::rig::RigidMotion;
+use crate::wire::pb::animation_report::FrameReport;
 use crate::wire::{Error, pb};
 use glam::Vec3;
 use std::io::{BufWriter, Write};
@@ -40,8 +42,8 @@ pub(super) struct GatheredFrames<'a> {
     has_root: bool,
     played: PlayedAnimation<'a>,
     frames: FramesFile,
-    /// Frames that an earlier run solved.
-    before: usize,
+    /// What is told of the frames that an earlier run solved.
+    before: Vec<FrameReport>,
 }
 
 impl<'a> GatheredFrames<'a> {
@@ -61,21 +63,21 @@ impl<'a> GatheredFrames<'a> {
         // A link that leads nowhere is there too.
         let is_there = part.symlink_metadata().is_ok();
         let frames = if resumes && is_there {
-            FramesFile::open(&part, played.identity, vertices, played.range.start)?
+            FramesFile::open(&part, played.identity, vertices, played.range.clone())?
         } else {
             if is_there && !permission.force {
                 let problem =
-                    "it holds frames of a run that was stopped; --resume goes on with them, --force begins anew";
+                    "it holds frames of a run that was stopped; --resume continues with them, --force starts over";
                 return Err(CliFailure::Input(format!("cannot write {}: {problem}", part.display())));
             }
             permission.make_folder_of(&part)?;
-            FramesFile::create(&part, played.identity, vertices)?
+            FramesFile::create(&part, played.identity, vertices, played.range.clone())?
         };
         Ok(Self {
             path: path.to_owned(),
             kind,
             has_root,
-            before: frames.frames.len().min(played.range.len()),
+            before: frames.frames.values().map(|frame| frame.told.clone()).collect(),
             played,
             frames,
         })
@@ -98,7 +100,7 @@ impl<'a> GatheredFrames<'a> {
     }
 
     /// Writes a GLB that plays the frames, and tells what there is to say of it.
-    fn write_glb(&mut self, animation: &Animation) -> Result<Option<WrittenOff>, CliFailure> {
+    fn write_glb(&mut self, animation: &Animation, exec: &Exec<'_>) -> Result<Option<WrittenOff>, CliFailure> {
         let played = &self.played;
         let Range { start, end } = played.range;
         let model = PlayedModel {
@@ -122,15 +124,15 @@ impl<'a> GatheredFrames<'a> {
         };
         let (written, told) = match self.kind {
             GatheredKind::Skin(bones) => {
-                let (written, told) = write_skin_frames(&model, &mut frames, bones, &played.exec)?;
+                let (written, told) = write_skin_frames(&model, &mut frames, bones, exec)?;
                 (written, Some(told))
             }
             GatheredKind::Rig { has_twists } => {
-                let found = write_rig_frames(&model, &mut frames, &driven, has_twists, &played.exec)?;
+                let found = write_rig_frames(&model, &mut frames, &driven, has_twists, exec)?;
                 (found.0, Some(found.1))
             }
             GatheredKind::Correctives(most) => {
-                let found = write_corrected_frames(&model, &mut frames, &driven, most, &played.exec)?;
+                let found = write_corrected_frames(&model, &mut frames, &driven, most, exec)?;
                 (found.0, Some(found.1))
             }
             GatheredKind::Morphs(most) => write_morph_frames(&model, &mut frames, most)?,
@@ -157,7 +159,7 @@ impl KeptFrames for FramesOfRange<'_> {
     }
 
     fn root(&self, frame: usize) -> RigidMotion {
-        self.file.frames[frame].root
+        self.file.frames[&frame].root
     }
 
     fn positions(&mut self, frame: usize) -> Result<Vec<Vec3>, CliFailure> {
@@ -170,7 +172,7 @@ impl GatheredFrames<'_> {
         let played = &self.played;
         let usd = played.deformer.model().for_usd().map_err(Error::from)?;
         let count = played.range.len();
-        let roots = self.frames.frames.iter().take(count);
+        let roots = self.frames.frames.values();
         let places: Vec<NodePlace> = roots.map(|frame| node_place(&frame.root)).collect();
         let moves = self.has_root && places.iter().any(|place| *place != NodePlace::IDENTITY);
         let clip = UsdClip {
@@ -195,16 +197,31 @@ impl GatheredFrames<'_> {
 }
 
 impl FrameTaker for GatheredFrames<'_> {
-    fn missing(&self) -> Range<usize> {
-        let Range { start, end } = self.played.range;
-        start + self.before..end
+    fn missing(&self) -> Vec<Range<usize>> {
+        let start = self.played.range.start;
+        missing_ranges(self.played.range.clone(), |frame| {
+            self.frames.frames.contains_key(&(frame - start))
+        })
     }
 
-    fn take(&mut self, frame: &AnimatedFrame, told: &pb::animation_report::FrameReport) -> Result<(), CliFailure> {
+    fn take(&mut self, frame: &AnimatedFrame, told: &FrameReport) -> Result<(), CliFailure> {
         self.frames.push(frame, told)
     }
 
-    fn finish(&mut self, report: &mut pb::AnimationReport, animation: &Animation) -> Result<(), CliFailure> {
+    fn stop(&mut self) -> String {
+        let (kept, part) = (self.frames.frames.len(), FramesFile::path_for(&self.path));
+        if kept == 0 {
+            self.frames.remove();
+        }
+        kept_frames([kept, self.played.range.len()], &part)
+    }
+
+    fn finish(
+        &mut self,
+        report: &mut pb::AnimationReport,
+        animation: &Animation,
+        exec: &Exec<'_>,
+    ) -> Result<(), CliFailure> {
         match self.kind {
             GatheredKind::Cache(cache) => self.write_cache(cache)?,
             GatheredKind::Usd => self.write_usd()?,
@@ -212,14 +229,14 @@ impl FrameTaker for GatheredFrames<'_> {
             | GatheredKind::Skin(_)
             | GatheredKind::Rig { .. }
             | GatheredKind::Correctives(_) => {
-                if let Some((off, told)) = self.write_glb(animation)? {
+                if let Some((off, told)) = self.write_glb(animation, exec)? {
                     report.warnings.push(told);
                     report.written_error = Some(off);
                 }
             }
         }
-        let earlier = self.frames.frames.iter().take(self.before);
-        report.frames.splice(0..0, earlier.map(|frame| frame.told.clone()));
+        report.frames.append(&mut self.before);
+        report.frames.sort_by_key(|frame| frame.index);
         report.output.push(self.path.display().to_string());
         self.frames.remove();
         Ok(())

@@ -3,11 +3,12 @@
 //! While frames are missing, a file beside them says what they are of. Models are written beside their places and renamed, so
 //! those that are there are whole.
 
-use super::taken_frames::{FrameTaker, PlayedAnimation};
+use super::taken_frames::{FrameTaker, PlayedAnimation, kept_frames, missing_ranges};
 use crate::asset::Format;
 use crate::cli::failure::CliFailure;
 use crate::cli::input_files::read_file;
 use crate::engine::{AnimatedFrame, Animation};
+use crate::exec::Exec;
 use crate::wire::{Error, pb};
 use std::fs;
 use std::ops::Range;
@@ -21,7 +22,8 @@ pub(super) struct NumberedFrames<'a> {
     folder: PathBuf,
     format: Format,
     played: PlayedAnimation<'a>,
-    missing: Range<usize>,
+    missing: Vec<Range<usize>>,
+    kept: usize,
     has_begun: bool,
 }
 
@@ -33,12 +35,13 @@ impl<'a> NumberedFrames<'a> {
         resumes: bool,
         played: PlayedAnimation<'a>,
     ) -> Result<Self, CliFailure> {
-        let missing = played.range.clone();
+        let missing = vec![played.range.clone()];
         let mut frames = Self {
             folder,
             format,
             played,
             missing,
+            kept: 0,
             has_begun: false,
         };
         let mark = frames.folder.join(MARK);
@@ -57,11 +60,9 @@ impl<'a> NumberedFrames<'a> {
                     }
                 }
             }
-            let missing: Vec<usize> = frames.played.range.clone().filter(|f| !is_there(f)).collect();
-            frames.missing = match (missing.first(), missing.last()) {
-                (Some(first), Some(last)) => *first..last + 1,
-                _ => frames.played.range.end..frames.played.range.end,
-            };
+            let missing = missing_ranges(frames.played.range.clone(), |frame| is_there(&frame));
+            frames.kept = frames.played.range.len() - missing.iter().map(ExactSizeIterator::len).sum::<usize>();
+            frames.missing = missing;
             return Ok(frames);
         }
         for frame in frames.played.range.clone() {
@@ -76,7 +77,7 @@ impl<'a> NumberedFrames<'a> {
 }
 
 impl FrameTaker for NumberedFrames<'_> {
-    fn missing(&self) -> Range<usize> {
+    fn missing(&self) -> Vec<Range<usize>> {
         self.missing.clone()
     }
 
@@ -98,22 +99,24 @@ impl FrameTaker for NumberedFrames<'_> {
             allowed.write_file(&mark, identity.as_bytes())?;
             self.has_begun = true;
         }
-        if self.missing != self.played.range && path.is_file() {
-            return Ok(());
-        }
         let written = deformer
             .write(&frame.positions, self.format, exec)
             .map_err(Error::from)?;
         permission.write_model(&path, &written, model, files)?;
+        self.kept += 1;
         Ok(())
     }
 
-    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Animation) -> Result<(), CliFailure> {
-        let before = self.missing.start - self.played.range.start;
+    fn stop(&mut self) -> String {
+        kept_frames([self.kept, self.played.range.len()], &self.folder)
+    }
+
+    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Animation, _: &Exec<'_>) -> Result<(), CliFailure> {
+        let before = self.kept - report.frames.len();
         if before > 0 {
-            report
-                .warnings
-                .push(format!("{before} frames were there already, and are not told of"));
+            report.warnings.push(format!(
+                "{before} frames were there already; the report does not list them"
+            ));
         }
         let frames = self.played.range.clone();
         report.output = frames.map(|f| self.path(f).display().to_string()).collect();

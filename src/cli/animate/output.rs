@@ -57,7 +57,7 @@ pub(super) struct AnimationOutputArgs {
     root: Option<RootRule>,
     #[command(flatten)]
     pictures: FramePictureArgs,
-    /// Go on where an animation with the same output and options was stopped
+    /// Continue an animation with the same output and options that was stopped
     #[arg(long)]
     resume: bool,
     #[command(flatten)]
@@ -281,6 +281,15 @@ impl AnimationOutput {
             OutputKind::Gathered(path, _) => spare_companions(path, model, read),
             OutputKind::Pictured(picture) => spare_companions(&picture.path, model, read),
             OutputKind::Nothing | OutputKind::Numbered(..) => Ok(()),
+        }
+    }
+
+    /// Where frames go, in words; `None` where they go nowhere.
+    pub(super) fn place(&self) -> Option<String> {
+        match &self.kind {
+            OutputKind::Nothing => None,
+            OutputKind::Pictured(picture) => Some(picture.path.display().to_string()),
+            OutputKind::Numbered(path, _) | OutputKind::Gathered(path, _) => Some(path.display().to_string()),
         }
     }
 

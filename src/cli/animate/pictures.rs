@@ -5,6 +5,7 @@ use super::picture_args::{CloseUp, FrameColour, FramePicture, MOST_TILES};
 use super::taken_frames::{FrameTaker, PlayedAnimation};
 use crate::cli::failure::CliFailure;
 use crate::engine::{AnimatedFrame, Animation};
+use crate::exec::Exec;
 use crate::motion::rig::{MotionRig, RigidMotion};
 use crate::render::{
     Camera, ColourKey, ColourRamp, POSITION_COLOUR, Picture, ROTATION_COLOUR, STRETCH_RANGE, ShadedSurface,
@@ -23,6 +24,8 @@ const WORDS: u32 = 96;
 
 /// A shape that is drawn, and what linear blend skinning makes of the same pose.
 struct ShownShape {
+    /// The frame; `None` for the shape at rest, which comes first.
+    frame: Option<usize>,
     /// By bone of the rig, what it does with what lies at rest.
     motions: Vec<RigidMotion>,
     solved: Vec<DVec3>,
@@ -58,17 +61,18 @@ impl<'a> PicturedFrames<'a> {
         };
         if frames.picture.has_rest {
             let still = vec![RigidMotion::IDENTITY; frames.played.animation.moving_rig().bones.len()];
-            frames.add_shape(still, frames.played.deformer.rest().to_vec());
+            frames.add_shape(None, still, frames.played.deformer.rest().to_vec());
         }
         Ok(frames)
     }
 
-    fn add_shape(&mut self, motions: Vec<RigidMotion>, solved: Vec<DVec3>) {
+    fn add_shape(&mut self, frame: Option<usize>, motions: Vec<RigidMotion>, solved: Vec<DVec3>) {
         let rest = self.played.deformer.rest();
         let pool = self.played.exec.pool;
         let skin = self.skin.as_ref();
         let skinned = skin.map(|skin| pool.install(|| skin.place_vertices(rest, &motions)));
         self.shapes.push(ShownShape {
+            frame,
             motions,
             solved,
             skinned,
@@ -92,8 +96,8 @@ impl<'a> PicturedFrames<'a> {
     fn draw_shapes(&self) -> Result<Vec<Picture>, CliFailure> {
         let rest = self.played.deformer.rest();
         let pool = self.played.exec.pool;
-        let played = self.played.played_vertices();
-        // What the clip does not move would stand about at rest: hulls for collisions, floors.
+        let played = self.played.solved_vertices();
+        // What no skin places would hide the rest, or stand about: hulls for collisions, floors.
         let is_played = |t: &&[u32; 3]| played.binary_search(&(t[0] as usize)).is_ok();
         let triangles = &self.played.deformer.geometry().triangles;
         let triangles: Vec<[u32; 3]> = triangles.iter().filter(is_played).copied().collect();
@@ -203,19 +207,24 @@ fn columns_for(tiles: usize, aspect: f64) -> usize {
 }
 
 impl FrameTaker for PicturedFrames<'_> {
-    fn missing(&self) -> Range<usize> {
-        self.played.range.clone()
+    fn missing(&self) -> Vec<Range<usize>> {
+        vec![self.played.range.clone()]
     }
 
     fn take(&mut self, frame: &AnimatedFrame, _: &pb::animation_report::FrameReport) -> Result<(), CliFailure> {
         if self.is_shown(frame.index) {
             let motions = bone_motions(&self.played, frame);
-            self.add_shape(motions, frame.positions.clone());
+            self.add_shape(Some(frame.index), motions, frame.positions.clone());
         }
         Ok(())
     }
 
-    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Animation) -> Result<(), CliFailure> {
+    fn stop(&mut self) -> String {
+        "stopped before the last frame; a picture is written when all are there, and nothing is kept".into()
+    }
+
+    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Animation, _: &Exec<'_>) -> Result<(), CliFailure> {
+        self.shapes.sort_by_key(|shown| shown.frame);
         let PlayedAnimation { permission, times, .. } = &self.played;
         let pictures = self.draw_shapes()?;
         let bytes = match self.picture.moves {

@@ -36,40 +36,93 @@ impl PlayedAnimation<'_> {
 
     /// The vertices that are played; the others go on as the model's own clip moves them.
     pub(super) fn played_vertices(&self) -> Vec<usize> {
-        let rests = |p: &&Primitive| self.own.is_some() && p.is_passenger;
-        let mut is_played = vec![true; self.deformer.rest().len()];
-        for primitive in self.deformer.geometry().primitives.iter().filter(rests) {
-            is_played[primitive.vertices()].fill(false);
+        match self.own {
+            Some(_) => self.solved_vertices(),
+            None => (0..self.deformer.rest().len()).collect(),
         }
-        (0..is_played.len()).filter(|vertex| is_played[*vertex]).collect()
+    }
+
+    /// The vertices of what is solved; the others have no skin.
+    pub(super) fn solved_vertices(&self) -> Vec<usize> {
+        let solved = self.deformer.geometry().primitives.iter().filter(|p| !p.is_passenger);
+        solved.flat_map(Primitive::vertices).collect()
     }
 }
 
 /// Takes frames.
 pub(super) trait FrameTaker {
     /// The frames that are still to be solved.
-    fn missing(&self) -> Range<usize>;
+    fn missing(&self) -> Vec<Range<usize>>;
 
-    /// Takes the next frame.
+    /// Takes a frame, in whatever order they are solved.
     fn take(&mut self, frame: &AnimatedFrame, told: &pb::animation_report::FrameReport) -> Result<(), CliFailure>;
 
+    /// Ends before all frames are there; says what is kept, and how to continue.
+    fn stop(&mut self) -> String;
+
     /// Ends the output after the last frame, and tells of it.
-    fn finish(&mut self, report: &mut pb::AnimationReport, animation: &Animation) -> Result<(), CliFailure>;
+    fn finish(
+        &mut self,
+        report: &mut pb::AnimationReport,
+        animation: &Animation,
+        exec: &Exec<'_>,
+    ) -> Result<(), CliFailure>;
 }
 
 /// Takes frames that are only measured.
 pub(super) struct MeasuredFrames(pub(super) Range<usize>);
 
 impl FrameTaker for MeasuredFrames {
-    fn missing(&self) -> Range<usize> {
-        self.0.clone()
+    fn missing(&self) -> Vec<Range<usize>> {
+        vec![self.0.clone()]
     }
 
     fn take(&mut self, _: &AnimatedFrame, _: &pb::animation_report::FrameReport) -> Result<(), CliFailure> {
         Ok(())
     }
 
-    fn finish(&mut self, _: &mut pb::AnimationReport, _: &Animation) -> Result<(), CliFailure> {
+    fn stop(&mut self) -> String {
+        "stopped before the last frame; without --output nothing is kept".into()
+    }
+
+    fn finish(&mut self, _: &mut pb::AnimationReport, _: &Animation, _: &Exec<'_>) -> Result<(), CliFailure> {
         Ok(())
+    }
+}
+
+/// The frames of a range that are not there.
+pub(super) fn missing_ranges(range: Range<usize>, is_there: impl Fn(usize) -> bool) -> Vec<Range<usize>> {
+    let mut missing: Vec<Range<usize>> = Vec::new();
+    for frame in range.filter(|frame| !is_there(*frame)) {
+        match missing.last_mut() {
+            Some(last) if last.end == frame => last.end += 1,
+            _ => missing.push(frame..frame + 1),
+        }
+    }
+    missing
+}
+
+/// What is said of frames that are kept when an animation is stopped, and how many there should be.
+pub(super) fn kept_frames([kept, frames]: [usize; 2], place: &Path) -> String {
+    match kept {
+        0 => "stopped before the first frame; nothing is kept".into(),
+        _ => format!(
+            "stopped: {kept} of {frames} frames are kept in {}; the same command with --resume continues",
+            place.display()
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_frames_are_ranges() {
+        let missing = |range: Range<usize>, there: &[usize]| missing_ranges(range, |frame| there.contains(&frame));
+        let whole = 5..9;
+        assert!(missing(5..5, &[]).is_empty() && missing(5..7, &[5, 6]).is_empty());
+        assert_eq!(missing(whole.clone(), &[]), [whole]);
+        assert_eq!(missing(5..12, &[5, 8, 9]), [6..8, 10..12]);
     }
 }

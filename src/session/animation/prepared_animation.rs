@@ -1,9 +1,7 @@
 //! An animation before its first frame: the clip read, the rig found, the handles set on the model's graph.
 
-use crate::batch::{
-    AnimationOrder, ClipSource, MadeRig, RigOrder, make_rig, moving_clip, prepare, unskinned_passengers, warnings_of,
-};
-use crate::engine::{Animation, Deformer, PassengerKind, Shader};
+use crate::batch::{AnimationOrder, ClipSource, moving_clip, prepare, unskinned_primitives, warnings_of};
+use crate::engine::{Animation, Deformer, Shader};
 use crate::exec::Exec;
 use crate::motion::MotionClip;
 use crate::motion::bvh::{ClipLimits, read_bvh};
@@ -46,7 +44,7 @@ pub struct PreparedAnimation {
     /// The clip's number in the model, where it is of the model's own skin.
     pub own_clip: Option<usize>,
     /// Primitives that go on as that clip moves them.
-    pub beside: Vec<u32>,
+    pub beside: Vec<usize>,
     /// What was noticed, one line each.
     pub warnings: Vec<String>,
     /// What makes normals and tangents, when they are wanted.
@@ -76,12 +74,7 @@ impl PreparedAnimation {
             OrderedClip::Recorded(bytes) => ClipSource::Recorded(recorded_clip(bytes, limits)?),
             OrderedClip::Announced(_) => return Err(Error::Internal("the clip has not come".into())),
         };
-        let made = match &source {
-            ClipSource::Recorded(clip) if order.rig.is_none() => Some(rig_of_figure(deformer, clip, exec)?),
-            _ => None,
-        };
-        let rig = order.rig.as_ref().or(made.as_ref().map(|made| &made.rig));
-        let moving = moving_clip(deformer, source, rig)?;
+        let moving = moving_clip(deformer, source, order.rig.as_ref(), exec)?;
         let times = order.frames.times(&moving.clip);
         check_count(
             "the number of frames of the animation",
@@ -98,20 +91,18 @@ impl PreparedAnimation {
         let (clip_name, own_clip) = (moving.clip.name.clone(), moving.own);
         let batch = AnimationOrder {
             times,
-            range: range.clone(),
+            ranges: vec![range.clone()],
             settings: order.settings.clone(),
             blocks_at_once: 1,
             bakes_root: order.root == OrderedRoot::Baked,
         };
         let animation = prepare(deformer, moving, order.scale, &batch, exec).map_err(of_rig)?;
-        let mut warnings = warnings_of(&animation);
-        warnings.extend(made.into_iter().flat_map(|made| made.warnings));
         let beside = match own_clip {
-            Some(_) => primitives_beside(deformer, &mut warnings)?,
+            Some(_) => unskinned_primitives(deformer.model())?,
             None => Vec::new(),
         };
         Ok(Self {
-            warnings,
+            warnings: warnings_of(&animation),
             beside,
             own_clip,
             animation,
@@ -125,7 +116,7 @@ impl PreparedAnimation {
     pub(super) fn played_vertices(&self) -> Vec<usize> {
         let (model, rest) = self.animation.model();
         let mut is_played = vec![true; rest.len()];
-        for primitive in self.beside.iter().filter_map(|p| model.primitives.get(*p as usize)) {
+        for primitive in self.beside.iter().filter_map(|p| model.primitives.get(*p)) {
             is_played[primitive.vertices()].fill(false);
         }
         (0..is_played.len()).filter(|vertex| is_played[*vertex]).collect()
@@ -135,42 +126,6 @@ impl PreparedAnimation {
     pub(super) fn byte_size(&self) -> u64 {
         self.animation.byte_size() + self.shader.as_ref().map_or(0, |s| s.byte_size())
     }
-}
-
-/// The primitives that no skin places, and which the model's own clip moves beside it.
-fn primitives_beside(deformer: &Deformer, warnings: &mut Vec<String>) -> Result<Vec<u32>, Error> {
-    let mut numbers = Vec::new();
-    let mut solved = 0;
-    for passenger in unskinned_passengers(deformer.model())? {
-        if let PassengerKind::Primitive(number) = passenger.kind {
-            let primitive = deformer.geometry().primitives.get(number as usize);
-            solved += usize::from(primitive.is_some_and(|p| !p.is_passenger));
-            numbers.push(number);
-        }
-    }
-    if solved > 0 {
-        warnings.push(match solved {
-            1 => "1 primitive has no skin and was solved with those that have one; a session whose passenger it is lets it play on alone".into(),
-            _ => format!("{solved} primitives have no skin and were solved with those that have one; a session whose passengers they are lets them play on alone"),
-        });
-    }
-    Ok(numbers)
-}
-
-/// The rig that `pliant rig` makes of the model for a clip, where the request has none.
-fn rig_of_figure(deformer: &Deformer, clip: &MotionClip, exec: &Exec<'_>) -> Result<MadeRig, Error> {
-    exec.progress.report("rig", 0.0);
-    let order = RigOrder {
-        clip: Some(clip),
-        ..Default::default()
-    };
-    make_rig(deformer.model(), &order, exec).map_err(|error| match error {
-        Error::Invalid { field, problem } => Error::invalid(
-            "rig",
-            format!("is missing, and pliant rig finds none: {field}: {problem}"),
-        ),
-        other => other,
-    })
 }
 
 fn recorded_clip(bytes: &[u8], limits: &AnimationLimits) -> Result<MotionClip, Error> {

@@ -69,6 +69,25 @@ impl Pool {
         self.threads.install(work)
     }
 
+    /// Runs `work` on this pool while the calling thread, which is not one of the pool's, runs `here`; returns what that returns once
+    /// both have ended.
+    ///
+    /// ```
+    /// use pliant_solver::pool::Pool;
+    ///
+    /// let pool = Pool::new(1)?;
+    /// let (send, squares) = std::sync::mpsc::channel();
+    /// let work = move || (1..=3).for_each(|n| send.send(n * n).expect("it is read"));
+    /// assert_eq!(pool.run_beside(work, || squares.iter().sum::<i32>()), 14);
+    /// # Ok::<(), pliant_solver::pool::PoolError>(())
+    /// ```
+    pub fn run_beside<R>(&self, work: impl FnOnce() + Send, here: impl FnOnce() -> R) -> R {
+        self.threads.in_place_scope(|scope| {
+            scope.spawn(|_| work());
+            here()
+        })
+    }
+
     /// Queues `work` without waiting for it.
     pub fn spawn(&self, work: impl FnOnce() + Send + 'static) {
         self.threads.spawn(work);

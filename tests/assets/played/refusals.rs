@@ -119,14 +119,14 @@ fn nothing_is_replaced_unless_forced() {
 }
 
 #[test]
-fn a_recording_without_a_rig_names_the_program_that_makes_one() {
+fn a_recording_for_which_no_rig_can_be_made_says_why() {
     let folder = tempfile::tempdir().expect("a folder");
     make_bar(folder.path());
     let done = animate(folder.path(), &["bar.obj", "--bvh", "bar.bvh"]);
     let said = String::from_utf8_lossy(&done.stderr);
     assert_eq!(done.status.code(), Some(2), "{said}");
     assert!(
-        said.contains("`pliant rig MODEL --bvh FILE -o rig.json` makes a rig"),
+        said.contains("pliant: rig: is missing, and pliant rig finds none: clip: "),
         "{said}"
     );
 }

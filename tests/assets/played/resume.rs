@@ -57,7 +57,7 @@ fn a_killed_animation_goes_on_to_the_same_bytes() {
 
         let again = BAR.iter().copied().chain(["-o", name]);
         let plain = animate(folder, &again.clone().collect::<Vec<&str>>());
-        assert!(String::from_utf8_lossy(&plain.stderr).contains("--resume goes on with them"));
+        assert!(String::from_utf8_lossy(&plain.stderr).contains("--resume continues with them"));
         let other: Vec<&str> = again.clone().chain(["--resume", "--refine", "0"]).collect();
         let refused = animate(folder, &other);
         let said = String::from_utf8_lossy(&refused.stderr).into_owned();

@@ -83,7 +83,7 @@ def test_frames_are_those_of_the_command_line(server: pliant.LocalServer, figure
     with pliant.open(figure, server=server) as session:
         walk = session.animate(count=1)
         assert len(list(walk)) == 1 and walk.report is not None
-        assert any("1 primitive has no skin" in warning for warning in walk.report.warnings)
+        assert any('"hull" has no skin, and is solved' in warning for warning in walk.report.warnings)
 
 
 def test_a_recording_drives_a_rig(server: pliant.LocalServer, tmp_path: Path) -> None:

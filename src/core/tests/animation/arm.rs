@@ -101,7 +101,7 @@ pub fn animate(
         .expect("an animation")
 }
 
-/// Frames of an animation.
+/// Frames of an animation, in their order.
 pub fn frames(
     animation: &Animation,
     range: std::ops::Range<usize>,
@@ -109,10 +109,11 @@ pub fn frames(
     exec: &Exec<'_>,
 ) -> Vec<AnimatedFrame> {
     let mut all = Vec::new();
-    let taken = animation.solve(range, at_once, exec, &mut |frame| {
+    let taken = animation.solve(&[range], at_once, &|| 0.0, exec, &mut |frame, _| {
         all.push(frame);
         true
     });
     taken.expect("frames");
+    all.sort_by_key(|frame| frame.index);
     all
 }

@@ -5,6 +5,7 @@ use pliant_core::engine::{AnimationRefinement, BLOCK_FRAMES, digest};
 use pliant_core::exec::Exec;
 use pliant_core::pool::Pool;
 use pliant_core::progress::{Progress, Silent};
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn wave(count: usize) -> Vec<[f64; 2]> {
@@ -107,17 +108,88 @@ fn an_animation_ends_when_nobody_wants_it() {
         AnimationRefinement::Steps(0),
         &exec,
     );
+    let all = 0..30;
     let mut taken = 0;
-    let enough = animation.solve(0..30, 1, &exec, &mut |_| {
+    let enough = animation.solve(std::slice::from_ref(&all), 1, &|| 0.0, &exec, &mut |_, _| {
         taken += 1;
         taken < 5
     });
     assert!(enough.is_ok() && taken == 5);
     let impatient = Impatient(AtomicUsize::new(40));
     let mut seen = 0;
-    let cancelled = animation.solve(0..30, 1, &Exec::new(&pool, &impatient), &mut |_| {
-        seen += 1;
-        true
-    });
+    let cancelled = animation.solve(
+        std::slice::from_ref(&all),
+        1,
+        &|| 0.0,
+        &Exec::new(&pool, &impatient),
+        &mut |_, _| {
+            seen += 1;
+            true
+        },
+    );
     assert!(cancelled.is_err() && seen < 30, "{seen} frames");
+}
+
+/// Remembers how far the work was said to be, and gives it up after so many looks at its clock.
+struct Follower {
+    until: usize,
+    looks: AtomicUsize,
+    told: Mutex<Vec<f32>>,
+}
+
+impl Progress for Follower {
+    fn report(&self, stage: &'static str, fraction: f32) {
+        assert_eq!(stage, "frames");
+        self.told.lock().expect("no panic").push(fraction);
+    }
+
+    fn cancelled(&self) -> bool {
+        self.looks.load(Ordering::Relaxed) >= self.until
+    }
+}
+
+#[test]
+fn frames_of_blocks_come_as_they_are_solved_and_none_is_lost_when_the_work_is_given_up() {
+    let pool = Pool::new(2).expect("threads");
+    let quiet = Exec::new(&pool, &Silent);
+    let deformer = open_arm(&quiet);
+    let text = clip_text(0.0, &wave(2 * BLOCK_FRAMES));
+    let animation = animate(&deformer, &text, arm_rig(1), AnimationRefinement::Carried, &quiet);
+    let solve = |ranges: &[std::ops::Range<usize>], until: usize| {
+        let follower = Follower {
+            until,
+            looks: AtomicUsize::default(),
+            told: Mutex::default(),
+        };
+        let millis = || follower.looks.fetch_add(1, Ordering::Relaxed) as f64;
+        let mut taken = Vec::new();
+        let solved = animation.solve(ranges, 2, &millis, &Exec::new(&pool, &follower), &mut |frame, ms| {
+            assert!(ms > 0.0);
+            taken.push((frame.index, digest(&frame.positions)));
+            true
+        });
+        (solved.is_ok(), taken, follower.told.into_inner().expect("no panic"))
+    };
+    let all = 0..2 * BLOCK_FRAMES;
+    let (done, mut whole, told) = solve(std::slice::from_ref(&all), usize::MAX);
+    assert!(done && told.is_sorted() && told.last() == Some(&1.0), "{told:?}");
+    // Counted are frames too that only lead to the second block.
+    let steps = told.len();
+    assert!(steps > 2 * BLOCK_FRAMES, "{steps}");
+    whole.sort();
+    let indices: Vec<usize> = whole.iter().map(|(index, _)| *index).collect();
+    assert_eq!(indices, (0..2 * BLOCK_FRAMES).collect::<Vec<_>>());
+    // Given up once more is done than either block has, where the clock is looked at twice a frame and two are under way.
+    let until = 2 * (steps - BLOCK_FRAMES + 2) + 2;
+    let (done, mut kept, told) = solve(std::slice::from_ref(&all), until);
+    assert!(!done && kept.len() < 2 * BLOCK_FRAMES && told.len() < steps);
+    let count =
+        |frames: &[(usize, String)], block: usize| frames.iter().filter(|f| f.0 / BLOCK_FRAMES == block).count();
+    let [first, second] = [0, 1].map(|block| count(&kept, block));
+    assert!(first > 0 && second > 0, "{first} and {second}");
+    // What is missing makes up the rest.
+    let missing = [first..BLOCK_FRAMES, BLOCK_FRAMES + second..2 * BLOCK_FRAMES];
+    kept.extend(solve(&missing, usize::MAX).1);
+    kept.sort();
+    assert_eq!(kept, whole);
 }

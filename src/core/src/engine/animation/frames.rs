@@ -15,6 +15,7 @@ use crate::motion::rig::RigidMotion;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::mpsc;
 
 /// How often frame 0 is fitted where others go on from it.
 const FIRST_FITS: u32 = 32;
@@ -117,66 +118,96 @@ impl FrameCursor {
 }
 
 impl Animation {
-    /// Solves the frames of a range, some blocks at the same time, and gives them to `take` in order; `false` ends it.
+    /// Solves the frames of some ranges, some blocks at the same time, and gives each to `take` as soon as it is there, with the
+    /// milliseconds that it took by the clock `millis`; `false` ends it. The frames of a block come in their order, those of blocks
+    /// that are solved at the same time in any. Progress is told as the stage `frames`, with frames counted that only lead to others.
+    /// To be called from outside of the pool.
     ///
     /// # Errors
-    /// [`Error::Cancelled`]; [`Error::Internal`] for a defect.
+    /// [`Error::Cancelled`], after all frames that were solved until then were given; [`Error::Internal`] for a defect.
     pub fn solve(
         &self,
-        range: Range<usize>,
+        ranges: &[Range<usize>],
         blocks_at_once: usize,
+        millis: &(dyn Fn() -> f64 + Sync),
         exec: &Exec<'_>,
-        take: &mut dyn FnMut(AnimatedFrame) -> bool,
+        take: &mut dyn FnMut(AnimatedFrame, f64) -> bool,
     ) -> Result<(), Error> {
-        let end = range.end.min(self.times.count);
-        let blocks: Vec<usize> = (range.start / BLOCK_FRAMES..end.div_ceil(BLOCK_FRAMES)).collect();
+        let parts = self.parts_in_blocks(ranges);
+        let steps: usize = parts
+            .iter()
+            .map(|part| part.end - self.cursor(part.clone()).begin())
+            .sum();
+        let mut done = 0;
+        let mut give = |step: SolvedStep| {
+            done += 1;
+            exec.progress.report("frames", done as f32 / steps as f32);
+            step.is_none_or(|(frame, ms)| take(frame, ms))
+        };
         let block_bytes = BLOCK_FRAMES * size_of::<DVec3>() * self.derived.topology().rest.len();
         let at_once = blocks_at_once.min(HELD_BYTES / block_bytes.max(1)).max(1);
-        for wave in blocks.chunks(at_once) {
-            let of_block = |block: &usize| {
-                let mut frames = Vec::new();
-                self.solve_block(*block, range.start..end, exec, &mut |frame| {
-                    frames.push(frame);
-                    true
-                })?;
-                Ok(frames)
+        for wave in parts.chunks(at_once) {
+            let goes_on = match wave {
+                [part] => self.solve_part(part.clone(), millis, exec, &mut give)?,
+                _ => self.solve_wave(wave, millis, exec, &mut give)?,
             };
-            if let [block] = wave {
-                if !self.solve_block(*block, range.start..end, exec, take)? {
-                    return Ok(());
-                }
-                continue;
-            }
-            let solved: Vec<Result<Vec<AnimatedFrame>, Error>> = exec
-                .pool
-                .install(|| wave.par_iter().with_max_len(1).map(of_block).collect());
-            for frames in solved {
-                for frame in frames? {
-                    if !take(frame) {
-                        return Ok(());
-                    }
-                }
+            if !goes_on {
+                break;
             }
         }
         Ok(())
     }
 
-    /// Solves a block from its beginning, and gives those of its frames that lie in `wanted` to `take`; answers whether it
-    /// wants more.
-    fn solve_block(
+    /// Ranges, as far as there are frames, cut where blocks begin.
+    fn parts_in_blocks(&self, ranges: &[Range<usize>]) -> Vec<Range<usize>> {
+        let mut parts = Vec::new();
+        for range in ranges {
+            let (mut start, end) = (range.start, range.end.min(self.times.count));
+            while start < end {
+                let next = (start - start % BLOCK_FRAMES + BLOCK_FRAMES).min(end);
+                parts.push(start..next);
+                start = next;
+            }
+        }
+        parts
+    }
+
+    /// Solves parts of different blocks at the same time; answers whether `give` wants more. Frames go to the thread that asked,
+    /// because a thread of the pool that gave one itself could take up another block while it does.
+    fn solve_wave(
         &self,
-        block: usize,
-        wanted: Range<usize>,
+        wave: &[Range<usize>],
+        millis: &(dyn Fn() -> f64 + Sync),
         exec: &Exec<'_>,
-        take: &mut dyn FnMut(AnimatedFrame) -> bool,
+        give: &mut dyn FnMut(SolvedStep) -> bool,
     ) -> Result<bool, Error> {
-        let first = block * BLOCK_FRAMES;
-        let last = (first + BLOCK_FRAMES).min(wanted.end);
-        let mut cursor = self.cursor(first.max(wanted.start)..last);
+        let (send, steps) = mpsc::channel();
+        let mut solved = Ok(());
+        let result = &mut solved;
+        let work = move || {
+            let solve = |part: &Range<usize>| {
+                let mut send = |step| send.send(step).is_ok();
+                self.solve_part(part.clone(), millis, exec, &mut send).map(drop)
+            };
+            *result = wave.par_iter().with_max_len(1).try_for_each(solve);
+        };
+        let goes_on = exec.pool.run_beside(work, || steps.into_iter().all(give));
+        solved.map(|()| goes_on)
+    }
+
+    /// Solves frames of one block from where it begins; answers whether `give` wants more.
+    fn solve_part(
+        &self,
+        part: Range<usize>,
+        millis: &(dyn Fn() -> f64 + Sync),
+        exec: &Exec<'_>,
+        give: &mut dyn FnMut(SolvedStep) -> bool,
+    ) -> Result<bool, Error> {
+        let mut cursor = self.cursor(part);
         while cursor.next_index().is_some() {
-            if let Some(frame) = self.solve_next(&mut cursor, exec)?
-                && !take(frame)
-            {
+            let begun = millis();
+            let frame = self.solve_next(&mut cursor, exec)?;
+            if !give(frame.map(|frame| (frame, millis() - begun))) {
                 return Ok(false);
             }
         }
@@ -294,6 +325,9 @@ impl Animation {
         }
     }
 }
+
+/// A frame with the milliseconds that it took; `None` for one that only leads to others.
+type SolvedStep = Option<(AnimatedFrame, f64)>;
 
 /// A frame whose nodes are placed.
 struct SolvedPose {

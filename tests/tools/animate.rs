@@ -1,0 +1,231 @@
+//! `pliant animate` at a terminal, and of a model that brings more than its body.
+
+use crate::program::pliant;
+use glam::DVec3;
+use pliant::asset::sample::{BuiltInModel, BuiltInRecording};
+use pliant::asset::shapes;
+use serde_json::Value;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+/// Frames of [`write_bar`]'s clip.
+const FRAMES: usize = 1000;
+
+/// A bar along x, a clip that bends its upper half, and a rig that goes with them.
+fn write_bar(folder: &Path) {
+    let (positions, triangles) = shapes::box_with_cells(DVec3::new(6.0, 1.0, 1.0), [12, 2, 2]);
+    let mut text = String::new();
+    for p in &positions {
+        writeln!(text, "v {} {} {}", p.x - 3.0, p.y - 0.5, p.z - 0.5).expect("text");
+    }
+    for t in &triangles {
+        writeln!(text, "f {} {} {}", t[0] + 1, t[1] + 1, t[2] + 1).expect("text");
+    }
+    fs::write(folder.join("bar.obj"), text).expect("written");
+    let mut clip = String::from(
+        "HIERARCHY\nROOT low\n{\nOFFSET 0 0 0\nCHANNELS 3 Zrotation Xrotation Yrotation\nJOINT high\n{\nOFFSET 3 0 0\n\
+         CHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n{\nOFFSET 3 0 0\n}\n}\n}\nMOTION\n",
+    );
+    writeln!(clip, "Frames: {FRAMES}\nFrame Time: 0.02").expect("text");
+    for k in 0..FRAMES {
+        writeln!(clip, "0 0 0 {} 0 0", 50.0 * (0.05 * k as f64).sin()).expect("text");
+    }
+    fs::write(folder.join("bar.bvh"), clip).expect("written");
+    let rig = r#"{"version": 1, "joints": {"a": [-2.7, 0, 0], "b": [0, 0, 0], "c": [2.7, 0, 0]}, "bones": [
+        {"id": "low", "from": "a", "to": "b", "joint": "low", "rest": "ORIENTATION", "radius": 0.5},
+        {"id": "high", "from": "b", "to": "c", "parent": "low", "joint": "high", "rest": "ORIENTATION", "radius": 0.5}]}"#;
+    fs::write(folder.join("rig.json"), rig).expect("written");
+}
+
+const BAR: [&str; 10] = [
+    "animate",
+    "bar.obj",
+    "--bvh",
+    "bar.bvh",
+    "--rig",
+    "rig.json",
+    "--skip-first",
+    "no",
+    "--threads",
+    "2",
+];
+
+/// Runs the program on a terminal, and sends it the signal of Ctrl-C once a frame is shown as solved; its exit code and what it drew.
+fn stopped_at_a_terminal(folder: &Path, arguments: &[&str]) -> Option<(Option<i32>, String)> {
+    let script = r#"
+import fcntl, os, pty, re, signal, struct, sys, termios
+child, terminal = pty.fork()
+if child == 0:
+    os.execv(sys.argv[1], sys.argv[1:])
+fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 120, 0, 0))
+drawn, asked = b"", False
+while True:
+    try:
+        more = os.read(terminal, 65536)
+    except OSError:
+        break
+    if not more:
+        break
+    drawn += more
+    if not asked and re.search(rb"[1-9][0-9]* of [0-9]+ frames", drawn):
+        os.kill(child, signal.SIGINT)
+        asked = True
+sys.stdout.buffer.write(drawn)
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) % 256)
+"#;
+    let mut command = Command::new("python3");
+    command
+        .args(["-c", script, env!("CARGO_BIN_EXE_pliant")])
+        .args(arguments);
+    command.current_dir(folder).env("TERM", "xterm");
+    let Ok(done) = command.output() else {
+        println!("SKIPPED: python3 is not here to make a terminal");
+        return None;
+    };
+    Some((done.status.code(), String::from_utf8_lossy(&done.stdout).into_owned()))
+}
+
+/// The numbers in front of a text, wherever it stands.
+fn counts_before(drawn: &str, text: &str) -> Vec<usize> {
+    let places = drawn.match_indices(text).map(|(at, _)| &drawn[..at]);
+    let digits = places.map(|before| before.rsplit(|c: char| !c.is_ascii_digit()).next().unwrap_or_default());
+    digits.filter_map(|digits| digits.parse().ok()).collect()
+}
+
+#[test]
+fn a_stopped_animation_says_what_it_kept_and_continues_from_there() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    write_bar(folder);
+    let of = |output: &[&'static str]| [&BAR[..], output].concat();
+    let (code, _, last) = pliant(folder, &of(&["-o", "whole.pc2"]));
+    assert_eq!((code, last.as_str()), (Some(0), "bar.obj -> whole.pc2"));
+    let Some((code, drawn)) = stopped_at_a_terminal(folder, &of(&["-o", "bar.pc2"])) else {
+        return;
+    };
+    let last = drawn.trim_end().lines().last().unwrap_or_default();
+    assert_eq!(code, Some(130), "{last}");
+    let kept = counts_before(
+        last,
+        " of 1000 frames are kept in bar.pc2.part; the same command with --resume continues",
+    );
+    let [kept] = kept[..] else { panic!("{last}") };
+    let shown = counts_before(&drawn, " of 1000 frames");
+    assert!(shown.is_sorted() && 0 < kept && kept < FRAMES, "{kept} of {shown:?}");
+    assert!(drawn.contains("/s, ") && drawn.contains("s left"), "{drawn}");
+    let (code, _, last) = pliant(folder, &of(&["-o", "bar.pc2"]));
+    assert!(
+        code == Some(2) && last.contains("--resume continues with them"),
+        "{last}"
+    );
+    let (code, report, _) = pliant(folder, &of(&["-o", "bar.pc2", "--resume", "--json"]));
+    let report: Value = serde_json::from_str(&report).expect("one JSON document");
+    assert_eq!(
+        (code, report["frames"].as_array().map(Vec::len)),
+        (Some(0), Some(FRAMES))
+    );
+    assert!(
+        report["frames"]
+            .as_array()
+            .expect("frames")
+            .iter()
+            .all(|frame| frame["ms"].as_f64() > Some(0.0))
+    );
+    let read = |name: &str| fs::read(folder.join(name)).expect("written");
+    assert!(read("bar.pc2") == read("whole.pc2") && !folder.join("bar.pc2.part").exists());
+
+    // Numbered models are kept as they are.
+    let numbered = stopped_at_a_terminal(folder, &of(&["-o", "frames/", "--parents"]));
+    let (code, drawn) = numbered.expect("python3 was here");
+    let last = drawn.trim_end().lines().last().unwrap_or_default();
+    assert_eq!(code, Some(130), "{last}");
+    let there = fs::read_dir(folder.join("frames")).expect("a folder").flatten();
+    let models = there
+        .filter(|entry| entry.file_name().to_string_lossy().ends_with(".obj"))
+        .count();
+    assert_eq!(
+        counts_before(last, " of 1000 frames are kept in frames"),
+        [models],
+        "{last}"
+    );
+
+    // A picture is not begun before its frames are there.
+    let pictured = stopped_at_a_terminal(folder, &of(&["-o", "bar.png", "--tile", "64x64"]));
+    let (code, drawn) = pictured.expect("python3 was here");
+    assert!(
+        code == Some(130) && drawn.contains("nothing is kept") && !folder.join("bar.png").exists(),
+        "{drawn}"
+    );
+}
+
+/// A GLB without one of its nodes.
+fn without_node(glb: &[u8], name: &str) -> Vec<u8> {
+    let length = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().expect("four bytes")) as usize;
+    let (text, rest) = glb[20..].split_at(length(12));
+    let mut document: Value = serde_json::from_slice(text).expect("JSON");
+    let nodes = document["nodes"].as_array().expect("nodes");
+    let gone = nodes.iter().position(|node| node["name"] == name).expect("the node");
+    document["scenes"][0]["nodes"]
+        .as_array_mut()
+        .expect("roots")
+        .retain(|root| *root != gone);
+    let mut text = document.to_string().into_bytes();
+    text.resize(text.len().next_multiple_of(4), b' ');
+    let mut file = glb[..8].to_vec();
+    file.extend((20 + text.len() as u32 + rest.len() as u32).to_le_bytes());
+    file.extend((text.len() as u32).to_le_bytes());
+    file.extend(&glb[16..20]);
+    [&file[..], &text, rest].concat()
+}
+
+#[test]
+fn a_recording_moves_what_a_skin_places_and_leaves_out_the_rest() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    let figure = BuiltInModel::Figure.glb();
+    fs::write(folder.join("figure.glb"), &figure).expect("written");
+    fs::write(folder.join("bare.glb"), without_node(&figure, "hull")).expect("written");
+    fs::write(folder.join("clip.bvh"), BuiltInRecording::ALL[0].bvh_text()).expect("written");
+    let told = |arguments: &[&str]| -> Value {
+        let (code, report, last) = pliant(folder, &[arguments, &["--bvh", "clip.bvh", "--json"]].concat());
+        assert_eq!(code, Some(0), "{last}");
+        serde_json::from_str(&report).expect("one JSON document")
+    };
+    let says = |report: &Value, words: &str| {
+        report["warnings"]
+            .as_array()
+            .is_some_and(|all| all.iter().any(|w| *w == words))
+    };
+    let rig = told(&["rig", "figure.glb", "-o", "figure.json", "--no-picture"]);
+    let bare_rig = told(&["rig", "bare.glb", "-o", "bare.json", "--no-picture"]);
+    assert!(
+        says(&rig, "\"hull\" has no skin, and is left out"),
+        "{}",
+        rig["warnings"]
+    );
+    assert_eq!(
+        (&rig["joints"], &rig["bones"]),
+        (&bare_rig["joints"], &bare_rig["bones"])
+    );
+
+    // Without a rig, that rig is made; what is measured is the body alone.
+    let few = ["--frames", "5:1"];
+    let played = told(&[&["animate", "figure.glb"][..], &few].concat());
+    let given = told(&[&["animate", "figure.glb", "--rig", "figure.json"][..], &few].concat());
+    let bare = told(&[&["animate", "bare.glb"][..], &few].concat());
+    assert!(
+        says(&played, "\"hull\" has no skin, and is not solved"),
+        "{}",
+        played["warnings"]
+    );
+    assert!(!says(&bare, "\"hull\" has no skin, and is not solved"));
+    let measured = |report: &Value, names: &[&str]| -> Vec<Value> {
+        names.iter().map(|name| report["frames"][0][name].clone()).collect()
+    };
+    assert_eq!(measured(&played, &["digest"]), measured(&given, &["digest"]));
+    let names = ["volumeChange", "flippedTriangles", "maxStretch", "edgeRms", "cycles"];
+    assert_eq!(measured(&played, &names), measured(&bare, &names));
+    assert_eq!(played["handles"], bare["handles"]);
+}
