@@ -65,8 +65,12 @@ pub(super) fn run_health(args: &HealthArgs) -> Result<(), CliFailure> {
     let answered = runtime.block_on(async {
         let answer = async {
             let response = client.get(uri).await.map_err(|e| {
-                let cause = std::error::Error::source(&e).map(|cause| format!(": {cause}"));
-                format!("does not answer{}", cause.unwrap_or_default())
+                let mut cause = std::error::Error::source(&e).map_or_else(String::new, |cause| format!(": {cause}"));
+                if cause.contains("CaUsedAsEndEntity") {
+                    cause += "; the server shows the certificate of an authority, and needs one of its own, which \
+                              `openssl req -x509 -addext basicConstraints=critical,CA:FALSE …` makes (security.md)";
+                }
+                format!("does not answer{cause}")
             })?;
             let status = response.status();
             let body = Limited::new(response.into_body(), LONGEST).collect().await;

@@ -12,7 +12,14 @@ const MOST_COMPANIONS: usize = 10_000;
 
 /// Reads a model and the files beside it that it names: buffers and images. Nothing outside the model's folder is opened.
 pub(super) fn read_model(path: &Path) -> Result<FileSet, CliFailure> {
-    with_companions(path, read_file(path)?)
+    let main = read_file(path)?;
+    if main.trim_ascii_start().starts_with(b"HIERARCHY") {
+        let place = path.display();
+        let problem =
+            format!("it is a BVH clip, not a model; `pliant animate MODEL --bvh {place}` plays it on a model");
+        return Err(CliFailure::Input(format!("{place}: {problem}")));
+    }
+    with_companions(path, main)
 }
 
 /// Reads the files beside a model that it names.

@@ -105,7 +105,21 @@ fn parse_above_zero(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "a finite number above 0 is needed".into())
 }
 
+/// Views by the names that modelling programs have for them; right is the side that faces +x.
+const NAMED_VIEWS: [(&str, [f64; 2]); 7] = [
+    ("front", [0.0, 0.0]),
+    ("back", [180.0, 0.0]),
+    ("side", [90.0, 0.0]),
+    ("right", [90.0, 0.0]),
+    ("left", [-90.0, 0.0]),
+    ("top", [0.0, 90.0]),
+    ("bottom", [0.0, -90.0]),
+];
+
 pub(super) fn parse_angles(text: &str) -> Result<[f64; 2], String> {
+    if let Some((_, angles)) = NAMED_VIEWS.iter().find(|(name, _)| *name == text) {
+        return Ok(*angles);
+    }
     let parts = text.split_once(',');
     let number = |part: &str| part.trim().parse::<f64>().ok();
     match parts.and_then(|(a, e)| Some([number(a)?, number(e)?])) {
@@ -113,7 +127,12 @@ pub(super) fn parse_angles(text: &str) -> Result<[f64; 2], String> {
         Some([a, e]) => ViewDirection::new(a, e, UpAxis::Y)
             .map(|_| [a, e])
             .map_err(|e| e.to_string()),
-        None => Err("two numbers with a comma between them are needed, such as 30,20".into()),
+        None => {
+            let names = NAMED_VIEWS.map(|(name, _)| name).join(", ");
+            Err(format!(
+                "allowed are two numbers with a comma between them, such as 30,20, and {names}"
+            ))
+        }
     }
 }
 

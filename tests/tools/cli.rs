@@ -468,6 +468,87 @@ fn wrong_usage_is_told_once_and_last() {
     }
 }
 
+#[test]
+fn arguments_of_other_programs_are_answered_with_those_of_this_one() {
+    let folder = workplace();
+    for (arguments, hint) in [
+        (
+            &["defrom", "creature.glb"][..],
+            "'defrom'; a similar subcommand exists: 'deform'",
+        ),
+        (
+            &["deform", "creature.glb", "job.json", "-o", "x.glb"],
+            "a job is named by --job FILE",
+        ),
+        (&["serve", "--port", "80"], "--listen ADDRESS:PORT"),
+        (
+            &["animate", "creature.glb", "clip.bvh"],
+            "a clip is named by --bvh FILE",
+        ),
+        (
+            &["render", "creature.glb", "-o", "x.png", "--view", "frnt"],
+            "30,20, and front, back, side",
+        ),
+    ] {
+        let (code, _, last) = pliant(folder.path(), arguments);
+        assert_eq!(code, Some(2));
+        assert!(last.starts_with("pliant: ") && last.contains(hint), "{last}");
+    }
+    let picture = |view: &str, name: &str| {
+        let arguments = ["render", "creature.glb", "-o", name, "--size", "64x64", "--view", view];
+        let (code, _, last) = pliant(folder.path(), &arguments);
+        assert_eq!(code, Some(0), "{last}");
+        fs::read(folder.path().join(name)).expect("a picture")
+    };
+    assert_eq!(picture("top", "top.png"), picture("0,90", "same.png"));
+    fs::write(folder.path().join("clip.bvh"), "HIERARCHY\nROOT hips\n").expect("written");
+    let (code, _, last) = pliant(folder.path(), &["inspect", "clip.bvh"]);
+    assert_eq!(code, Some(2));
+    assert!(
+        last.contains("it is a BVH clip, not a model; `pliant animate MODEL --bvh clip.bvh`"),
+        "{last}"
+    );
+}
+
+#[test]
+fn a_variable_that_is_called_as_a_key_and_is_none_stops_the_server() {
+    let serve = |name: &str, value: &str| {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_pliant"));
+        program
+            .args(["serve", "--listen", "nowhere"])
+            .env_remove("PLIANT_CONFIG")
+            .env(name, value);
+        let done = program.output().expect("it runs");
+        let err = String::from_utf8_lossy(&done.stderr).into_owned();
+        (
+            done.status.code(),
+            err.trim_end().lines().last().unwrap_or_default().to_owned(),
+        )
+    };
+    let (code, last) = serve("PLIANT_MEMRY_BYTES", "1GiB");
+    assert_eq!(code, Some(2), "{last}");
+    assert!(
+        last.contains(
+            "environment variable PLIANT_MEMRY_BYTES is no key of the configuration; did you mean PLIANT_MEMORY_BYTES?"
+        ),
+        "{last}"
+    );
+    let (_, last) = serve("PLIANT_ZEBRA", "1");
+    assert!(
+        last.contains("PLIANT_ZEBRA") && last.contains("pliant serve --help"),
+        "{last}"
+    );
+    // What the clients, the tests and Kubernetes set is left alone: the address is what is refused.
+    for (name, value) in [
+        ("PLIANT_DATA", "/data"),
+        ("PLIANT_SERVER", "http://h"),
+        ("PLIANT_PORT", "tcp://10.0.0.1:7411"),
+    ] {
+        let (code, last) = serve(name, value);
+        assert!(code == Some(2) && last.contains("nowhere"), "{last}");
+    }
+}
+
 /// Runs the program on a terminal, which python makes; what it drew there.
 #[cfg(unix)]
 fn on_a_terminal(folder: &Path, arguments: &[&str]) -> Option<String> {

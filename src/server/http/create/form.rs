@@ -31,7 +31,13 @@ pub(super) async fn receive(state: &State, request: Request, options: &mut Optio
         parts.take(state, &form, field, options).await?;
     }
     let Some((name, main)) = parts.model else {
-        return Err(Error::malformed("the form has no part \"model\"").into());
+        let file = parts.companions.keys().next().map_or_else(String::new, |file| {
+            format!(
+                "; the file \"{}\" came in a part of another name, which files beside the model do",
+                clip(file)
+            )
+        });
+        return Err(Error::malformed(format!("the form has no part \"model\"{file}")).into());
     };
     if main.is_empty() {
         return Err(Error::malformed("the part \"model\" is empty").into());
