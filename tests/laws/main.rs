@@ -15,3 +15,4 @@ mod solver_slivers;
 #[path = "../support/mod.rs"]
 mod support;
 mod winding;
+mod when_set;

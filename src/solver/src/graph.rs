@@ -37,11 +37,6 @@ impl WeightedGraph<'_> {
         self.offsets.len().saturating_sub(1)
     }
 
-    /// Neighbours of vertex `i`.
-    pub(crate) fn neighbours_of(&self, i: usize) -> &[u32] {
-        &self.neighbours[self.offsets[i] as usize..self.offsets[i + 1] as usize]
-    }
-
     /// Checks array lengths, row order and ranges, weights (finite, positive) and positions (finite).
     ///
     /// # Errors

@@ -78,8 +78,7 @@
 //!
 //! A [`Workspace`] carries all vectors from solve to solve. An [`Exec`](exec::Exec) joins the [`Pool`](pool::Pool) that parallel
 //! loops run on with the [`Progress`](progress::Progress) that is told how far the work is and can cancel it: there are no
-//! hidden threads, no clock and no global state. [`LocalRelaxation`] mends a known solution around a small change,
-//! and [`CholeskyFactor`] solves dense systems.
+//! hidden threads, no clock and no global state. [`CholeskyFactor`] solves dense systems.
 //!
 //! # How rows are stored
 //!
@@ -149,7 +148,6 @@ mod graph;
 mod lanes;
 mod options;
 mod paper;
-mod relaxation;
 mod repair;
 mod solve;
 mod storage;
@@ -166,7 +164,6 @@ pub use lanes::{Lanes, prefetch};
 pub use options::{
     BuildOptions, CoarseOperators, Constraints, InitialGuess, LevelSize, SolveMethod, SolveOptions, SolveStats,
 };
-pub use relaxation::LocalRelaxation;
 pub use repair::{GraphChange, RepairReport};
 pub use solve::{
     IterationReport, LinearEquations, MapColumns, PoseCriteria, PoseRow, PoseRows, SolveControl, Workspace,

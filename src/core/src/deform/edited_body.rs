@@ -11,16 +11,6 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
 
-/// A body after an edit, and which of its nodes are which.
-pub struct EditedBody {
-    /// Graph and hierarchy of the mesh after the edit.
-    pub body: DeformableBody,
-    /// For each node its number before, or `u32::MAX` when it is new.
-    pub old_from_new: Vec<u32>,
-    /// Nodes that are new, or whose place or neighbours changed; rising.
-    pub touched: Vec<u32>,
-}
-
 /// A followed body keeps solving coordinates while the mesh's diagonal is this many units long,
 const LENGTHS: RangeInclusive<f64> = 0.125..=8.0;
 /// and its middle within so many units of their origin.
@@ -49,7 +39,7 @@ impl DeformableBody {
         moved: Option<&[DVec3]>,
         ties: Option<&TieOptions>,
         exec: &Exec<'_>,
-    ) -> Result<Option<EditedBody>, Error> {
+    ) -> Result<Option<DeformableBody>, Error> {
         exec.progress.report("graph", 0.0);
         let bounds = exec.pool.install(|| bounds(change.positions));
         let middle = bounds.min + (bounds.max - bounds.min) * 0.5;
@@ -93,8 +83,7 @@ impl DeformableBody {
                 hierarchy
             }
         };
-        let old_from_new = resampled.old_from_new;
-        let body = Self {
+        Ok(Some(Self {
             diagonal: self.diagonal_of(&bounds),
             too_large: self.too_large.clone(),
             hierarchy,
@@ -102,11 +91,6 @@ impl DeformableBody {
             origin: self.origin,
             unit: self.unit,
             graph,
-        };
-        Ok(Some(EditedBody {
-            body,
-            old_from_new,
-            touched: resampled.touched,
         }))
     }
 

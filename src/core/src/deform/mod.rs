@@ -77,9 +77,8 @@ mod thin_faces;
 mod transform;
 
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
-pub use edited_body::EditedBody;
 pub use error::Error;
-pub use fields::{FieldRestart, HarmonicFields, KeptFields};
+pub use fields::HarmonicFields;
 pub use first_pass::{FirstPass, LocalFrame, frames};
 pub use folds::{FaceChanges, FaceSurroundings, unfold_faces};
 pub use handles::{

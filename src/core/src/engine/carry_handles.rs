@@ -1,10 +1,14 @@
-//! Handles across an edit: regions become lists of the vertices that they held, in the new numbers.
+//! Handles across an edit.
+//!
+//! A region that is given by place stays as it is while the rest shape stays where it is; it then holds what the same handle
+//! holds when it is set after the edit. Every other region becomes the list of the vertices that it held, in the new numbers.
 
 use super::edit_command::KeptVertexRun;
 use super::facts::{DeformerWarning, WarningPlace};
 use super::handle::{Handle, HandleSet};
 use super::pose::HandlePose;
 use super::region::{Region, VertexRange};
+use crate::deform::Transform;
 use crate::edit::{PatchedSurface, SurfacePatch};
 use crate::mesh::NONE;
 use glam::DVec3;
@@ -12,10 +16,8 @@ use glam::DVec3;
 /// The handles in force after an edit, and what became of them.
 #[derive(Debug, Default)]
 pub(super) struct CarriedHandles {
-    /// With regions as lists.
+    /// The handles that still hold something.
     pub set: HandleSet,
-    /// Handles that still hold something.
-    pub kept: Vec<String>,
     /// Those that hold nothing any more.
     pub warnings: Vec<DeformerWarning>,
 }
@@ -28,6 +30,8 @@ pub(super) struct HeldVertices<'a> {
     pub vertices: Vec<Vec<bool>>,
     /// The default pivots.
     pub centroids: &'a [DVec3],
+    /// Where a deformed shape was edited, how each handle moved its region; `None` where the rest shape stays in its place.
+    pub moved: Option<Vec<Transform>>,
 }
 
 /// Carries handles over. With `poses` they keep them, turning about the same points as before; without they are at rest.
@@ -43,41 +47,77 @@ pub(super) fn carry_handles(
     for (k, handle) in old.handles.iter().enumerate() {
         let region = match &handle.region {
             Region::Weights(values) => carry_weights(values, applied, patch),
-            // What holds nodes inside alone goes on to hold them; there are no vertices to list.
-            inside if inside.is_solid() && !held.vertices[k].contains(&true) => Some(inside.clone()),
+            solid if solid.is_solid() && held.moved.is_none() => Some(solid.clone()),
+            // It holds nodes inside alone, so there are no vertices to list.
+            solid if solid.is_solid() && !held.vertices[k].contains(&true) => Some(
+                (held.moved.as_ref().and_then(|moved| moved.get(k))).map_or_else(|| solid.clone(), |t| solid.moved(t)),
+            ),
             _ => carry_vertices(&held.vertices[k], applied, patch, true),
         };
         let Some(region) = region else {
-            let message = format!("handle \"{}\" has no vertex left and is gone", handle.id);
-            let warning = DeformerWarning::about_handles("handle-lost", message, [k]);
-            carried.warnings.push(warning);
+            carried.warnings.push(lost_handle(k, &handle.id));
             continue;
         };
         let pose = poses.and_then(|poses| poses.get(k)).map(|pose| HandlePose {
             pivot: pose.pivot.or(Some(held.centroids[k])),
             ..*pose
         });
-        carried.kept.push(handle.id.clone());
         carried.set.handles.push(Handle {
             region,
             pose,
             ..handle.clone()
         });
     }
-    if old.region_of_interest.is_some() {
+    if let Some(region) = &old.region_of_interest {
         let marks = held.vertices.get(old.handles.len());
-        let region = marks.and_then(|marks| carry_vertices(marks, applied, patch, false));
-        if region.is_none() {
-            let message =
-                "the region of interest has no vertex left and is gone; what was outside of it can move from now on";
-            carried.warnings.push(DeformerWarning {
-                place: WarningPlace::RegionOfInterest,
-                ..DeformerWarning::new("region-of-interest-lost", message, "")
-            });
+        carried.set.region_of_interest = match region.is_solid() && held.moved.is_none() {
+            true => Some(region.clone()),
+            false => marks.and_then(|marks| carry_vertices(marks, applied, patch, false)),
+        };
+        if carried.set.region_of_interest.is_none() {
+            carried.warnings.push(lost_region_of_interest());
         }
-        carried.set.region_of_interest = region;
     }
     carried
+}
+
+impl CarriedHandles {
+    /// Takes out the handles of the set `old` whose regions hold nothing in the edited model (`holds_nothing`), and the region
+    /// of interest where it has no vertex (`has_no_vertex`), with a warning of each.
+    pub fn drop_empty(
+        &mut self,
+        old: &HandleSet,
+        holds_nothing: impl Fn(&Region) -> bool,
+        has_no_vertex: impl Fn(&Region) -> bool,
+    ) {
+        let Self { set, warnings } = self;
+        set.handles.retain(|handle| {
+            // Lists and weights are of vertices that are left.
+            let is_lost = handle.region.is_solid() && holds_nothing(&handle.region);
+            if is_lost {
+                let was = old.handles.iter().position(|h| h.id == handle.id).unwrap_or_default();
+                warnings.push(lost_handle(was, &handle.id));
+            }
+            !is_lost
+        });
+        if (set.region_of_interest.as_ref()).is_some_and(|region| region.is_solid() && has_no_vertex(region)) {
+            set.region_of_interest = None;
+            warnings.push(lost_region_of_interest());
+        }
+    }
+}
+
+fn lost_handle(number: usize, id: &str) -> DeformerWarning {
+    let message = format!("handle \"{id}\" has no vertex left and is gone");
+    DeformerWarning::about_handles("handle-lost", message, [number])
+}
+
+fn lost_region_of_interest() -> DeformerWarning {
+    let message = "the region of interest has no vertex left and is gone; what was outside of it can move from now on";
+    DeformerWarning {
+        place: WarningPlace::RegionOfInterest,
+        ..DeformerWarning::new("region-of-interest-lost", message, "")
+    }
 }
 
 /// The vertices left of those marked, and the new ones between them: where all (or any) of what they are made of was marked.

@@ -5,7 +5,6 @@ use super::error::Error;
 use super::facts::count_u32;
 use super::facts::{DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, QualityReport, SolverFacts};
 use super::handle::HandleSet;
-use super::held_inside::HeldBeforeEdit;
 use super::large_faces::warn_of_large_faces;
 use super::limits::DeformerLimits;
 use super::model_topology::ModelTopology;
@@ -21,7 +20,7 @@ use super::shape::{ModelShape, ShapeId};
 use super::tie_facts::PulledTies;
 use super::topology_id::TopologyId;
 use crate::asset::{FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
-use crate::deform::{DeformableBody, FieldRestart, HandleSystem, SolveState};
+use crate::deform::{DeformableBody, HandleSystem, SolveState};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
@@ -339,12 +338,7 @@ impl Deformer {
     /// [`Error::Invalid`] for a region that does not fit the model, [`Error::Precondition`] when the handles leave the model without a place,
     /// [`Error::TooLarge`], [`Error::Cancelled`].
     pub fn set_handles(&mut self, handles: impl Into<HandleSet>, exec: &Exec<'_>) -> Result<(), Error> {
-        let DerivedStructures {
-            lineage,
-            body,
-            followed,
-            ..
-        } = self.derived.as_ref();
+        let body = &self.derived.body;
         let handles = handles.into();
         if handles.handles.len() > self.limits.handles {
             return Err(Error::TooLarge {
@@ -354,14 +348,6 @@ impl Deformer {
             });
         }
         let is_empty = handles.handles.is_empty();
-        // What an edit carried over, whoever asks for it.
-        let carried = lineage.restart.as_ref().filter(|c| c.set == handles);
-        let followed_edit = carried.map(|c| HeldBeforeEdit::Followed {
-            rigging: c.fields.setup(),
-            old_from_new: &followed.old_from_new,
-        });
-        let rebuilt = lineage.inside.as_ref().filter(|inside| inside.set == handles);
-        let before = followed_edit.or(rebuilt.map(HeldBeforeEdit::Rebuilt));
         let regions = self.rest_regions();
         // A mirror image of each may come beside it.
         let most = handles.handles.len() as u64 * if handles.symmetry_plane.is_some() { 2 } else { 1 };
@@ -370,15 +356,10 @@ impl Deformer {
             exec.check()?;
             admit_bytes(held + held_by_handles, &self.room_limits(), exec)
         };
-        let (resolved, rigging) = resolve_handles((&regions, body), handles, self.options.policy, before, &admit)?;
-        let restart = carried.map(|c| FieldRestart {
-            before: &c.fields,
-            old_from_new: &followed.old_from_new,
-            touched: &followed.touched,
-        });
+        let (resolved, rigging) = resolve_handles((&regions, body), handles, self.options.policy, &admit)?;
         let rig = match is_empty {
             true => None,
-            false => Some(HandleSystem::restart(body, rigging, restart.as_ref(), exec)?),
+            false => Some(HandleSystem::build(body, rigging, exec)?),
         };
         self.handles = resolved;
         let large = rig

@@ -2,8 +2,6 @@
 
 use super::error::Error;
 use super::facts::{DeformerWarning, TieFacts, WarningPlace};
-use super::followed_nodes::FollowedNodes;
-use super::held_inside::HeldInside;
 use super::interior::{BYTES_PER_NODE, interior_warnings, most_nodes};
 use super::limits::DeformerLimits;
 use super::mesh_delta::MeshDelta;
@@ -13,11 +11,9 @@ use super::riding::RidingVertices;
 use super::settings::OpenOptions;
 use super::tie_facts::tie_facts;
 use super::topology_id::TopologyId;
-use super::topology_state::{KeptHandleFields, LineageOrigin, TopologyLineage, TopologyState};
+use super::topology_state::{LineageOrigin, TopologyLineage, TopologyState};
 use crate::asset::Model;
-use crate::deform::{
-    BodyOptions, DeformableBody, EditedBody, FaceSurroundings, NeedlesAndCaps, TieOptions, VolumeMode,
-};
+use crate::deform::{BodyOptions, DeformableBody, FaceSurroundings, NeedlesAndCaps, TieOptions, VolumeMode};
 use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
@@ -40,8 +36,6 @@ pub(super) struct DerivedStructures {
     pub body: DeformableBody,
     /// Needles and caps of the mesh.
     pub thin: NeedlesAndCaps,
-    /// How the nodes of the graph came about when the body has followed an edit.
-    pub followed: FollowedNodes,
     volume: VolumeMode,
     /// Whether render vertices are exactly where their solver vertices are.
     welded_exactly: bool,
@@ -61,12 +55,8 @@ pub(super) struct TopologyChange<'a> {
     pub applied: &'a PatchedSurface,
     /// All nodes of the graph before, in the shape that was edited; `None` when that was the rest shape.
     pub nodes: Option<Arc<Vec<DVec3>>>,
-    /// Whether it is known where the nodes of the graph before are in the shape that was edited.
-    pub knows_nodes: bool,
     /// Whether the body may follow, or has to be built.
     pub follow: bool,
-    /// The handles that the edit carries over, with their fields before it.
-    pub carried: Option<KeptHandleFields>,
 }
 
 impl DerivedStructures {
@@ -102,7 +92,7 @@ impl DerivedStructures {
             TopologyLineage::from_built(id, topology),
             (mesh, thin),
             parts,
-            (body, FollowedNodes::default()),
+            body,
             options,
         ))
     }
@@ -142,16 +132,10 @@ impl DerivedStructures {
                     let found = || (parts_of(&mesh), NeedlesAndCaps::find(&mesh, exec.pool));
                     let ((parts, thin), followed) = exec.pool.install(|| rayon::join(found, follow));
                     let parts = MeshParts { parts, families };
-                    followed?.map(|followed| (step, followed, (parts, thin)))
+                    followed?.map(|body| (step, body, (parts, thin)))
                 }
             };
-            if let Some((step, followed, (parts, thin))) = followed {
-                let EditedBody {
-                    body,
-                    old_from_new,
-                    touched,
-                } = followed;
-                let nodes = FollowedNodes { old_from_new, touched };
+            if let Some((step, body, (parts, thin))) = followed {
                 let vertices = change.topology.rest.len() as u64;
                 let files = change.topology.model.files.total_bytes();
                 admit_bytes(estimate(vertices, body.nodes() as u64) + files, limits, exec)?;
@@ -159,26 +143,11 @@ impl DerivedStructures {
                     id,
                     topology: change.topology,
                     past: LineageOrigin::Edited(step),
-                    restart: change.carried,
-                    inside: None,
                 };
-                return Ok(Self::new(lineage, (mesh, thin), parts, (body, nodes), options));
+                return Ok(Self::new(lineage, (mesh, thin), parts, body, options));
             }
         }
-        let built = Self::build(id, Arc::clone(&change.topology), options, limits, exec)?;
-        let Some(carried) = change.carried.filter(|_| change.knows_nodes) else {
-            return Ok(built);
-        };
-        let old = change.nodes.as_deref().unwrap_or(&self.body.graph.positions);
-        let inside = HeldInside::nearest(carried.set, carried.fields.setup(), old, &built.body.graph, exec);
-        let lineage = TopologyLineage {
-            inside: Some(inside),
-            ..TopologyLineage::from_built(id, change.topology)
-        };
-        Ok(Self {
-            lineage: Arc::new(lineage),
-            ..built
-        })
+        Self::build(id, change.topology, options, limits, exec)
     }
 
     /// What `state` leads to, again.
@@ -205,7 +174,7 @@ impl DerivedStructures {
                     TopologyLineage::from_built(path.id, Arc::clone(&path.topology)),
                     (mesh, thin),
                     parts,
-                    (remade.body, remade.nodes),
+                    remade.body,
                     options,
                 )
             });
@@ -220,7 +189,7 @@ impl DerivedStructures {
         lineage: TopologyLineage,
         (mesh, thin): (Mesh, NeedlesAndCaps),
         MeshParts { parts, families }: MeshParts,
-        (body, followed): (DeformableBody, FollowedNodes),
+        body: DeformableBody,
         options: &OpenOptions,
     ) -> Self {
         Self {
@@ -230,7 +199,6 @@ impl DerivedStructures {
             families,
             mesh,
             body,
-            followed,
             volume: options.body.volume,
             welded_exactly: options.weld == Weld::Exact,
             report: OnceLock::new(),
@@ -316,7 +284,6 @@ impl DerivedStructures {
         };
         let parts = self.mesh.byte_size()
             + self.parts.of_vertex.capacity() * 4
-            + (self.followed.old_from_new.capacity() + self.followed.touched.capacity()) * 4
             + self.thin.byte_size()
             + self.body.byte_size()
             + self.carry.get().map_or(0, |surface| surface.byte_size())

@@ -70,7 +70,7 @@ impl Deformer {
         self.solve(&poses, settings, SolveMode::Commit, exec, &mut |_| true)
     }
 
-    /// Edits the rest shape. Handles keep the vertices that are left of them.
+    /// Edits the rest shape. Regions that are given by place stay as they are; others become the list of the vertices that are left.
     ///
     /// # Errors
     /// Those of [`Deformer::edit`].

@@ -12,11 +12,11 @@ use super::error::{Error, InputPlace};
 use super::facts::{DeformerWarning, MeshCounts, count_u32};
 use super::large_faces::{HandleBend, largest_turn};
 use super::model_topology::EditSurface;
-use super::pose::HandlePoses;
-use super::region_context::{RegionContext, vertices_in_region, vertices_of_handle};
+use super::region::Region;
+use super::region_context::{RegionContext, nodes_in_region, vertices_in_region, vertices_of_handle};
 use super::settings::{EDITED_AT_REST, SolveMode, SolveSettings};
 use super::shape::ModelShape;
-use super::topology_state::{KeptHandleFields, TopologyState};
+use super::topology_state::TopologyState;
 use super::{Deformer, digest};
 use crate::edit::{PatchedSurface, apply_patch};
 use crate::exec::Exec;
@@ -60,8 +60,8 @@ impl Deformer {
         let patch = &planned.patch;
         let applied = apply_patch(&surface.surface(), patch, &surface.first_vertices())?;
         self.admit_size(&applied, exec)?;
-        let carried = self.carry(&applied, &planned, at_rest.then_some(order.poses))?;
-        let mut report = self.report_edit(before, &applied, &planned, &carried);
+        let mut carried = self.carry(&applied, &planned, shape, order)?;
+        let mut report = self.report_edit(before, &applied, &planned);
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
         let separated = (families, planned.parts);
@@ -81,15 +81,20 @@ impl Deformer {
         let change = TopologyChange {
             topology: Arc::new(topology),
             applied: &applied,
-            knows_nodes: nodes.is_some(),
             follow: nodes.is_some() && applied.old_from_point.len() == applied.points as usize,
             nodes: nodes.flatten(),
-            carried: self.keep_fields(&carried),
         };
         let id = self.next_topology;
         let derived = (self.derived).edited(change, id, &self.options, &self.room_limits(), exec)?;
         report.repaired = derived.is_followed();
         let mut next = self.with_derived(Arc::new(derived));
+        carried.drop_empty(
+            self.handles(),
+            |region| next.holds_nothing(region),
+            |region| vertices_in_region(&next.rest_regions(), region, None).is_err(),
+        );
+        report.handles_kept = carried.set.handles.iter().map(|h| h.id.clone()).collect();
+        report.warnings.splice(..0, std::mem::take(&mut carried.warnings));
         next.set_handles(&carried.set, exec)?;
         let settings = order.settings.cloned().unwrap_or(EDITED_AT_REST);
         let outcome = next.shape_after_edit(carried, report, at_rest.then_some(settings), exec)?;
@@ -98,20 +103,12 @@ impl Deformer {
     }
 
     /// What an edit has done, but for the shape after it.
-    fn report_edit(
-        &self,
-        before: (usize, usize),
-        applied: &PatchedSurface,
-        planned: &PlannedEdit,
-        carried: &CarriedHandles,
-    ) -> EditReport {
+    fn report_edit(&self, before: (usize, usize), applied: &PatchedSurface, planned: &PlannedEdit) -> EditReport {
         // What rides along is in no patch.
         let riding = self.topology().passenger_triangles();
         let mut report = EditReport {
             before: mesh_counts(before.0, before.1),
             after: mesh_counts(applied.positions.len(), applied.triangles.len() + riding),
-            handles_kept: carried.kept.clone(),
-            warnings: carried.warnings.clone(),
             kept: kept_vertex_runs(applied, before.0),
             curve: planned.curve_vertices(applied),
             ..Default::default()
@@ -129,14 +126,12 @@ impl Deformer {
         report
     }
 
-    /// What the fields of carried handles begin from: those that they have, if none was lost.
-    fn keep_fields(&self, carried: &CarriedHandles) -> Option<KeptHandleFields> {
-        let all = carried.kept.len() == self.handles().handles.len();
-        let rig = self.rig().filter(|_| all)?;
-        Some(KeptHandleFields {
-            set: carried.set.clone(),
-            fields: rig.keep_fields(),
-        })
+    /// Whether a handle of this region would hold neither a vertex nor a node inside.
+    fn holds_nothing(&self, region: &Region) -> bool {
+        let context = self.rest_regions();
+        let has_vertex = vertices_of_handle(&context, region).is_ok_and(|vertices| vertices.contains(&true));
+        let nodes = || nodes_in_region(&context, &self.body().graph, region, None);
+        !has_vertex && nodes().map_or(true, |held| held.nodes.is_empty())
     }
 
     /// The shape after an edit, and all that is told of it; with `settings` the poses are solved for.
@@ -268,7 +263,8 @@ impl Deformer {
         &self,
         applied: &PatchedSurface,
         planned: &PlannedEdit,
-        poses: Option<&HandlePoses>,
+        shape: &ModelShape,
+        order: &EditCommand<'_>,
     ) -> Result<CarriedHandles, Error> {
         let set = self.handles();
         let context = self.rest_regions();
@@ -285,8 +281,9 @@ impl Deformer {
             set,
             vertices,
             centroids: self.centroids(),
+            moved: (shape.positions != *self.rest()).then(|| self.handles.transforms(&order.poses.0)),
         };
-        let poses = poses.map(|p| p.0.as_slice());
+        let poses = (order.on == EditedShape::Rest).then_some(order.poses.0.as_slice());
         Ok(carry_handles(&held, poses, applied, &planned.patch))
     }
 }

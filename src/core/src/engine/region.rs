@@ -1,5 +1,6 @@
 //! A region: a set of vertices, told by where they are, by number or by weight.
 
+use crate::deform::{Transform, exp_rotation};
 use glam::DVec3;
 
 /// A set of vertices. Handles take it in the rest pose, an edit takes it in the shape that it works on; both in model space.
@@ -149,6 +150,35 @@ impl Region {
             | Self::Capsule { .. }
             | Self::Tube { .. } => true,
             Self::Vertices { .. } | Self::Component(_) | Self::Primitive(_) | Self::Weights(_) => false,
+        }
+    }
+
+    /// Returns the region moved with a handle. Spheres, capsules and tubes grow with it; a box stays along the axes and keeps
+    /// its size. What is not told by where points are stays as it is.
+    pub(super) fn moved(&self, by: &Transform) -> Self {
+        let map = by.map();
+        let grown = |radius: f64| {
+            let logs = [0, 1, 2].map(|k| by.log_scale.col(k)[k]);
+            radius * libm::exp(logs.iter().sum::<f64>() / 3.0)
+        };
+        match self {
+            Self::HalfSpace(plane) => {
+                let (normal, point) = plane.unit_normal_and_point();
+                let normal = exp_rotation(by.rotation) * normal;
+                Self::half_space(normal, normal.dot(map(point)))
+            }
+            Self::Sphere { center, radius } => Self::sphere(map(*center), grown(*radius)),
+            &Self::Box { min, max } => {
+                let middle = (min + max) * 0.5;
+                let way = map(middle) - middle;
+                Self::axis_aligned_box(min + way, max + way)
+            }
+            &Self::Capsule { from, to, radius } => Self::capsule(map(from), map(to), grown(radius)),
+            Self::Tube { points, radius } => Self::Tube {
+                points: points.iter().map(|p| map(*p)).collect(),
+                radius: grown(*radius),
+            },
+            Self::Vertices { .. } | Self::Component(_) | Self::Primitive(_) | Self::Weights(_) => self.clone(),
         }
     }
 

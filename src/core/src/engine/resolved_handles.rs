@@ -3,7 +3,6 @@
 use super::error::{Error, InputPlace};
 use super::facts::DeformerWarning;
 use super::handle::{Falloff, FalloffCurve, Handle, HandleSet};
-use super::held_inside::HeldBeforeEdit;
 use super::pose::HandlePose;
 use super::region::Region;
 use super::region_context::{
@@ -45,18 +44,15 @@ pub(super) struct ResolvedHandles {
 /// What handles hold besides, while they are resolved: asked with the bytes of all so far, before the next one is.
 pub(super) type HeldBytesAdmission<'a> = dyn Fn(u64) -> Result<(), Error> + 'a;
 
-/// Resolves handles. With `before` they go on to hold the nodes inside that they held.
+/// Resolves handles to what they hold in the model as it is; nothing else decides it, so that no shape depends on when its
+/// handles were set.
 pub(super) fn resolve_handles(
     (context, body): (&RegionContext<'_>, &DeformableBody),
     set: HandleSet,
     policy: FreePartPolicy,
-    before: Option<HeldBeforeEdit<'_>>,
     admit: &HeldBytesAdmission<'_>,
 ) -> Result<(ResolvedHandles, HandleSetup), Error> {
     let mirror = set.symmetry_plane.map(|p| p.unit_normal_and_point());
-    // Mirror images are found from what handles hold, so those stay as they are listed.
-    let before = before.filter(|b| mirror.is_none() && b.handle_count() == set.handles.len());
-    let inside = before.map(|b| b.held_inside(body.graph.surface as u32));
     let graph = &body.graph;
     let mut resolved = ResolvedHandles {
         mirror,
@@ -68,12 +64,8 @@ pub(super) fn resolve_handles(
         admit(held_bytes)?;
         let place = |part| InputPlace::HandleRegion(k, part);
         let vertices = vertices_of_handle(context, &handle.region).map_err(|e| e.with_place(place))?;
-        let mut held = nodes_in_region(context, graph, &handle.region, None).map_err(|e| e.with_place(place))?;
-        if let Some(inside) = inside.as_ref().filter(|_| held.weights.is_none()) {
-            inside.keep_inside(k, &mut held.nodes);
-        }
-        // What an edit left without anything is warned of below.
-        if before.is_none() && held.nodes.is_empty() && !vertices.contains(&true) {
+        let held = nodes_in_region(context, graph, &handle.region, None).map_err(|e| e.with_place(place))?;
+        if held.nodes.is_empty() && !vertices.contains(&true) {
             return Err(holds_nothing(context).with_place(place));
         }
         (resolved.centroids).push(region_centroid(context, graph, &vertices, &held.nodes));
@@ -109,7 +101,7 @@ pub(super) fn resolve_handles(
     resolved.strays = strays;
     resolved.counts = count_held(context, body, &holds, set.handles.len(), &frozen);
     for (k, held) in resolved.counts.iter().enumerate() {
-        if held.vertices + held.interior_nodes == 0 && (before.is_some() || !holds[k].nodes.is_empty()) {
+        if held.vertices + held.interior_nodes == 0 && !holds[k].nodes.is_empty() {
             let message = format!("handle \"{}\" holds nothing after overlaps", set.handles[k].id);
             (resolved.warnings).push(DeformerWarning::about_handles("empty-handle", message, [k]));
         }

@@ -5,14 +5,11 @@
 //! gives the same bits; solving is no part of it.
 
 use super::error::Error;
-use super::followed_nodes::FollowedNodes;
-use super::handle::HandleSet;
-use super::held_inside::HeldInside;
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
 use super::settings::OpenOptions;
 use super::topology_id::TopologyId;
-use crate::deform::{BodyOptions, DeformableBody, EditedBody, KeptFields, TieOptions};
+use crate::deform::{BodyOptions, DeformableBody, TieOptions};
 use crate::exec::Exec;
 use crate::mesh::Mesh;
 use glam::DVec3;
@@ -32,17 +29,6 @@ pub(super) struct TopologyLineage {
     pub id: TopologyId,
     pub topology: Arc<ModelTopology>,
     pub past: LineageOrigin,
-    /// What the fields of the handles that the last edit carried over begin from.
-    pub restart: Option<KeptHandleFields>,
-    /// What these handles hold inside, where the body was built anew after the edit.
-    pub inside: Option<HeldInside>,
-}
-
-/// The handles that an edit carried over, and the fields that they had before it.
-#[derive(Debug)]
-pub(super) struct KeptHandleFields {
-    pub set: HandleSet,
-    pub fields: KeptFields,
 }
 
 /// Where a body comes from.
@@ -85,16 +71,8 @@ impl TopologyState {
             LineageOrigin::Built(_) => 0,
             LineageOrigin::Edited(step) => step.own_bytes(),
         };
-        let kept = self.0.restart.as_ref().map_or(0, |c| c.fields.byte_size() as u64);
-        let inside = self.0.inside.as_ref().map_or(0, |inside| inside.byte_size() as u64);
-        step + kept
-            + inside
-            + self
-                .0
-                .topology
-                .edited
-                .as_ref()
-                .map_or(0, |_| self.0.topology.byte_size())
+        let topology = &self.0.topology;
+        step + topology.edited.as_ref().map_or(0, |_| topology.byte_size())
     }
 }
 
@@ -105,8 +83,6 @@ impl TopologyLineage {
             id,
             past: LineageOrigin::Built(Arc::clone(&topology)),
             topology,
-            restart: None,
-            inside: None,
         }
     }
 }
@@ -160,7 +136,6 @@ impl LineageOrigin {
         let body = DeformableBody::build(&mesh, &fit(start, &mesh)?, exec)?;
         let mut now = RetracedBody {
             body,
-            nodes: FollowedNodes::default(),
             positions: mesh.positions,
             triangles: mesh.triangles,
         };
@@ -170,17 +145,11 @@ impl LineageOrigin {
             let lists = step.delta.change_lists(&now.triangles);
             let (positions, triangles) = step.delta.apply(at, &now.triangles);
             let change = lists.as_mesh_change(&positions, &triangles);
-            let Some(followed) = now.body.follow(&change, nodes, step.ties.as_ref(), exec)? else {
+            let Some(body) = now.body.follow(&change, nodes, step.ties.as_ref(), exec)? else {
                 return Ok(None);
             };
-            let EditedBody {
-                body,
-                old_from_new,
-                touched,
-            } = followed;
             now = RetracedBody {
                 body,
-                nodes: FollowedNodes { old_from_new, touched },
                 positions,
                 triangles,
             };
@@ -192,7 +161,6 @@ impl LineageOrigin {
 /// A body made again.
 pub(super) struct RetracedBody {
     pub body: DeformableBody,
-    pub nodes: FollowedNodes,
     positions: Vec<DVec3>,
     triangles: Vec<[u32; 3]>,
 }

@@ -7,7 +7,6 @@ use crate::deform::body::DeformableBody;
 use crate::deform::handles::ownership::{NOBODY, NodeOwnership};
 use crate::pool::Pool;
 use rayon::prelude::*;
-use std::sync::Arc;
 
 /// The fields of the handles that constrain one kind of quantity.
 #[derive(Debug, Clone, Default)]
@@ -18,10 +17,6 @@ pub struct HarmonicFields {
     pub(in crate::deform) covered: Vec<bool>,
     /// Solver iterations.
     pub(in crate::deform) iterations: usize,
-    /// By hold: norm of the residual of its equations, in units of edge weights; infinite where nothing was solved.
-    pub(in crate::deform) residuals: Vec<f64>,
-    /// By node: who holds it hard.
-    pub(in crate::deform) hard: Arc<Vec<u32>>,
 }
 
 impl HarmonicFields {
@@ -32,9 +27,7 @@ impl HarmonicFields {
 
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
-        self.fields.iter().map(|f| f.capacity() * 4).sum::<usize>()
-            + self.covered.capacity()
-            + self.residuals.capacity() * 8
+        self.fields.iter().map(|f| f.capacity() * 4).sum::<usize>() + self.covered.capacity()
     }
 }
 

@@ -1,30 +1,24 @@
-//! Solving the fields of all handles in one go: from nothing, or from those before an edit.
+//! Solving the fields of all handles in one go.
 
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
-use crate::deform::fields::equations::{FieldEquations, references};
 use crate::deform::fields::harmonic::HarmonicFields;
-use crate::deform::fields::restart::FieldRestart;
 use crate::deform::handles::ownership::{NOBODY, NodeOwnership};
 use crate::exec::Exec;
 use crate::solver::{Constraints, InitialGuess, LinearSystem, SolveControl, SolveOptions, Workspace};
 use rayon::prelude::*;
-use std::sync::Arc;
 
 /// Relative residual to which fields are solved. Blending needs no more, and bends show no difference below it.
 const FIELD_TOLERANCE: f64 = 1e-5;
 
-/// The same for fields that begin from those before an edit: what was relaxed around the edit mostly reaches it at once, for
-/// several edits in turn. What they leave adds up until it is reached, and a solve takes it away.
-const RESTARTED_TOLERANCE: f64 = 3e-5;
-
-/// Solves the fields of all handles in one go, all columns together: from nothing, or from those before an edit. Also
-/// answers the system, if there was anything to solve.
+/// Solves the fields of all handles in one go, all columns together. Also returns the system, if there was anything to solve.
+///
+/// A solve begins from nothing even where an edit has changed little: fields that began from those before the edit would
+/// depend, within their tolerance, on when the handles were set.
 pub(in crate::deform) fn solve_fields(
     body: &DeformableBody,
     ownership: &NodeOwnership,
     handles: usize,
-    restart: Option<(&FieldRestart<'_>, &HarmonicFields)>,
     exec: &Exec<'_>,
 ) -> Result<(HarmonicFields, Option<LinearSystem>), Error> {
     let covered = ownership.covered(body);
@@ -41,14 +35,9 @@ pub(in crate::deform) fn solve_fields(
     let Some((&first, others)) = active.split_first() else {
         return Ok((solved, None));
     };
-    solved.residuals = vec![f64::INFINITY; handles + 1];
-    solved.hard = Arc::clone(&ownership.hard);
     let (mut x, mut system) = (Vec::new(), None);
     if !others.is_empty() {
-        let columns = solve_columns(body, ownership, &solved.covered, others, restart, exec)?;
-        for (&k, residual) in others.iter().zip(columns.residuals) {
-            solved.residuals[k] = residual;
-        }
+        let columns = solve_columns(body, ownership, &solved.covered, others, exec)?;
         (x, system, solved.iterations) = (columns.x, Some(columns.system), columns.iterations);
     }
     exec.pool
@@ -62,8 +51,6 @@ struct SolvedColumns {
     x: Vec<f64>,
     system: LinearSystem,
     iterations: usize,
-    /// By column: norm of the residual of its equations.
-    residuals: Vec<f64>,
 }
 
 /// Solves the fields of the handles `others`, a column for each; `covered` says of each component whether any handle has a
@@ -73,13 +60,11 @@ fn solve_columns(
     ownership: &NodeOwnership,
     covered: &[bool],
     others: &[usize],
-    restart: Option<(&FieldRestart<'_>, &HarmonicFields)>,
     exec: &Exec<'_>,
 ) -> Result<SolvedColumns, Error> {
     let nodes = body.nodes();
     let columns = others.len();
     let in_cover = |i: usize| covered[body.graph.component[i] as usize];
-    let mut iterations = 0;
     let mut x = vec![0.0; nodes * columns];
     let mut column_of = vec![usize::MAX; others.iter().max().map_or(0, |k| k + 1)];
     others.iter().enumerate().for_each(|(c, &k)| column_of[k] = c);
@@ -102,58 +87,24 @@ fn solve_columns(
         fixed: &fixed,
         stiffness: stiffness.as_deref(),
     };
-    let references = exec.pool.install(|| references(body, columns, &fixed, &rhs, &x));
-    let equations = FieldEquations {
-        body,
-        columns: others,
-        fixed: &fixed,
-        hard: &ownership.hard,
-        is_soft: stiffness.is_some(),
-        references: &references,
-    };
-    // Relaxing takes one thread; constraints have work for the others.
-    let (guess, system) = exec.pool.install(|| {
-        rayon::join(
-            || restart.and_then(|(restart, before)| restart.guess(&equations, before, &mut x, exec.pool)),
-            || body.hierarchy.constrain(&constraints, exec.pool),
-        )
-    });
-    let system = system?;
-    let mut reached = match &guess {
-        Some(residuals) => residuals.clone(),
-        None => vec![f64::INFINITY; columns],
-    };
-    if reached.iter().any(|r| *r > RESTARTED_TOLERANCE) {
-        let from_nothing = InitialGuess::FullMultigrid {
+    let system = body.hierarchy.constrain(&constraints, exec.pool)?;
+    let options = SolveOptions {
+        start: InitialGuess::FullMultigrid {
             frames: None,
             rest: None,
-        };
-        let (start, tolerance) = match guess {
-            Some(_) => (InitialGuess::Given, RESTARTED_TOLERANCE),
-            None => (from_nothing, FIELD_TOLERANCE),
-        };
-        let options = SolveOptions {
-            start,
-            tolerance: Some(tolerance),
-            ..Default::default()
-        };
-        let mut workspace = Workspace::default();
-        let stats = system.equations(&body.hierarchy, columns, &rhs).solve(
-            &mut x,
-            &options,
-            &mut workspace,
-            exec,
-            &mut |_| SolveControl::Continue,
-        )?;
-        iterations = stats.iterations;
-        reached = stats.residuals;
-    }
-    let relative = references.iter().zip(reached);
+        },
+        tolerance: Some(FIELD_TOLERANCE),
+        ..Default::default()
+    };
+    let mut workspace = Workspace::default();
+    let stats =
+        system
+            .equations(&body.hierarchy, columns, &rhs)
+            .solve(&mut x, &options, &mut workspace, exec, &mut |_| SolveControl::Continue)?;
     Ok(SolvedColumns {
         x,
         system,
-        iterations,
-        residuals: relative.map(|(reference, relative)| relative * reference).collect(),
+        iterations: stats.iterations,
     })
 }
 

@@ -233,7 +233,7 @@ struct HandleScales<'a> {
 
 impl<'a> HandleScales<'a> {
     fn new(rig: &'a HandleSystem, transforms: &[Transform]) -> Self {
-        let fields = rig.scale_fields.as_deref().unwrap_or(&rig.rotation_fields);
+        let fields = rig.scale_fields.as_ref().unwrap_or(&rig.rotation_fields);
         let terms = transforms
             .iter()
             .enumerate()

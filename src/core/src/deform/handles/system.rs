@@ -3,7 +3,6 @@
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
 use crate::deform::fields::harmonic::HarmonicFields;
-use crate::deform::fields::restart::{FieldRestart, KeptFields};
 use crate::deform::fields::solve::solve_fields;
 use crate::deform::fields::sparse::SparseShares;
 use crate::deform::handles::free_parts::FreeParts;
@@ -14,7 +13,7 @@ use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::solver::{Constraints, LinearSystem};
 use glam::DVec3;
-use std::sync::{Arc, OnceLock};
+use std::sync::OnceLock;
 
 /// A system with the nodes that it takes as given.
 pub(in crate::deform) struct ConstrainedSystem {
@@ -24,15 +23,15 @@ pub(in crate::deform) struct ConstrainedSystem {
 
 /// Handles on a body, ready for any number of poses.
 pub struct HandleSystem {
-    pub(in crate::deform) setup: Arc<HandleSetup>,
+    pub(in crate::deform) setup: HandleSetup,
     pub(in crate::deform) position: NodeOwnership,
     pub(in crate::deform) rotation: NodeOwnership,
     /// Fields of the handles that constrain rotation.
-    pub(in crate::deform) rotation_fields: Arc<HarmonicFields>,
+    pub(in crate::deform) rotation_fields: HarmonicFields,
     /// What rotations are blended with instead, when a handle is small.
     pub(in crate::deform) blending_fields: Option<HarmonicFields>,
     /// Fields of those that constrain scale; `None` when they are the same as for rotation.
-    pub(in crate::deform) scale_fields: Option<Arc<HarmonicFields>>,
+    pub(in crate::deform) scale_fields: Option<HarmonicFields>,
     pub(in crate::deform) positions: ConstrainedSystem,
     /// With rigid regions that nothing holds hard: the system in which they are given too.
     pub(in crate::deform) rigid: Option<ConstrainedSystem>,
@@ -50,19 +49,6 @@ impl HandleSystem {
     /// # Errors
     /// [`Error::NoPosition`], [`Error::FreePart`], [`Error::Solver`], [`Error::Cancelled`].
     pub fn build(body: &DeformableBody, setup: HandleSetup, exec: &Exec<'_>) -> Result<Self, Error> {
-        Self::restart(body, setup, None, exec)
-    }
-
-    /// As [`HandleSystem::build`], with fields that begin from those of the same holds before an edit.
-    ///
-    /// # Errors
-    /// As [`HandleSystem::build`].
-    pub fn restart(
-        body: &DeformableBody,
-        setup: HandleSetup,
-        restart: Option<&FieldRestart<'_>>,
-        exec: &Exec<'_>,
-    ) -> Result<Self, Error> {
         exec.progress.report("fields", 0.0);
         let nodes = body.nodes();
         let position = NodeOwnership::settle(&setup, nodes, |h| h.position);
@@ -82,16 +68,12 @@ impl HandleSystem {
         let parts = FreeParts::settle(body, &covered, setup.policy)?;
 
         let holds = setup.handles.len();
-        let begin = restart.map(|r| (r, r.before.rotation.as_ref()));
-        let (rotation_fields, system) = solve_fields(body, &rotation, holds, begin, exec)?;
+        let (rotation_fields, system) = solve_fields(body, &rotation, holds, exec)?;
         let blending_fields = rotation_fields.around_small(body, &rotation, exec.pool);
         let shared = scale.same_as(&rotation);
         let scale_fields = match shared {
             true => None,
-            false => {
-                let begin = restart.and_then(|r| Some((r, r.before.scale.as_deref()?)));
-                Some(solve_fields(body, &scale, holds, begin, exec)?.0)
-            }
+            false => Some(solve_fields(body, &scale, holds, exec)?.0),
         };
         let field_iterations = rotation_fields.iterations + scale_fields.as_ref().map_or(0, |fields| fields.iterations);
 
@@ -121,12 +103,12 @@ impl HandleSystem {
             Some(constrained(body, fixed, stiffness.as_deref(), exec.pool)?)
         };
         Ok(Self {
-            setup: Arc::new(setup),
+            setup,
             position,
             rotation,
-            rotation_fields: Arc::new(rotation_fields),
+            rotation_fields,
             blending_fields,
-            scale_fields: scale_fields.map(Arc::new),
+            scale_fields,
             positions,
             rigid,
             parts,
@@ -166,15 +148,6 @@ impl HandleSystem {
     /// The fields of the handles that constrain rotation.
     pub fn rotation_fields(&self) -> &HarmonicFields {
         &self.rotation_fields
-    }
-
-    /// Its fields, to begin those after an edit from.
-    pub fn keep_fields(&self) -> KeptFields {
-        KeptFields {
-            rotation: Arc::clone(&self.rotation_fields),
-            scale: self.scale_fields.clone(),
-            setup: Arc::clone(&self.setup),
-        }
     }
 
     /// By node: whether its position is given (held hard, frozen, or in a part that is placed by policy).
