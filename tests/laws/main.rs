@@ -7,6 +7,7 @@ mod first_pass;
 mod graph;
 mod graph_data;
 mod graph_resample;
+mod handle_options;
 mod handles;
 mod mesh;
 mod paper;

@@ -73,7 +73,7 @@ impl HandleSystem {
             .enumerate()
             .flat_map(|(i, d)| (at_rest(body, i) + *d).to_array())
             .collect();
-        self.make_regions_rigid(body, &mut x);
+        self.make_regions_rigid(body, transforms, &mut [], &mut x);
         let stays = |i: usize| {
             self.setup.policy == FreePartPolicy::Hold && self.positions.fixed[i] && self.position.hard[i] == NOBODY
         };

@@ -2,10 +2,12 @@
 //! parts are placed, rigid regions keep their shape.
 
 use crate::deform::body::DeformableBody;
+use crate::deform::first_pass::frame::{LocalFrame, pack_frame};
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;
 use crate::deform::rotation::fit::fit_rigid_motion;
 use crate::deform::transform::Transform;
+use crate::mesh::rotation::exp_rotation;
 use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -89,22 +91,37 @@ impl HandleSystem {
         }
     }
 
-    /// Replaces the solution on rigid regions by the rigid motion that fits it best.
-    pub(in crate::deform) fn make_regions_rigid(&self, body: &DeformableBody, x: &mut [f64]) {
-        for hold in self
-            .setup
-            .handles
-            .iter()
-            .filter(|h| h.rigid && !(h.position && h.stiffness.is_none()))
-        {
+    /// Replaces the solution on rigid regions that no hard handle puts in place by the rigid motion that fits it best. Where the
+    /// handle gives the rotation, only the translation is fitted. The `frames` of the region, where there are any, turn with it,
+    /// so that what lies around follows.
+    pub(in crate::deform) fn make_regions_rigid(
+        &self,
+        body: &DeformableBody,
+        transforms: &[Transform],
+        frames: &mut [LocalFrame],
+        x: &mut [f64],
+    ) {
+        let holds = self.setup.handles.iter().zip(transforms);
+        for (hold, transform) in holds.filter(|(hold, _)| hold.is_loosely_rigid()) {
             let at = |n: &u32| DVec3::from_slice(&x[*n as usize * 3..*n as usize * 3 + 3]);
             let rest: Vec<_> = hold.nodes.iter().map(|n| body.rest(*n as usize)).collect();
             let now: Vec<_> = hold.nodes.iter().map(at).collect();
-            let map = fit_rigid_motion(&rest, &now).map();
+            let fitted = fit_rigid_motion(&rest, &now);
+            let motion = match hold.rotation && hold.stiffness.is_none() {
+                true => Transform {
+                    rotation: transform.rotation,
+                    ..fitted
+                },
+                false => fitted,
+            };
+            let (map, frame) = (motion.map(), pack_frame(exp_rotation(motion.rotation), None));
             for (n, p) in hold.nodes.iter().zip(&rest) {
                 let n = *n as usize;
                 if self.position.hard[n] == NOBODY {
                     x[n * 3..n * 3 + 3].copy_from_slice(&map(*p).to_array());
+                    if let Some(own) = frames.get_mut(n) {
+                        *own = frame;
+                    }
                 }
             }
         }

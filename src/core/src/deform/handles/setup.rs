@@ -22,6 +22,13 @@ pub struct HandleConstraint {
     pub rigid: bool,
 }
 
+impl HandleConstraint {
+    /// Whether its region keeps its shape and no hard position says where it is: a solve finds that.
+    pub(in crate::deform) fn is_loosely_rigid(&self) -> bool {
+        self.rigid && !(self.position && self.stiffness.is_none())
+    }
+}
+
 /// What a [`HandleSystem`] is built from.
 #[derive(Debug, Clone, Default)]
 pub struct HandleSetup {

@@ -87,11 +87,7 @@ impl HandleSystem {
             Some(system) => ConstrainedSystem { fixed, system },
             None => constrained(body, fixed, stiffness.as_deref(), exec.pool)?,
         };
-        let loose: Vec<&HandleConstraint> = setup
-            .handles
-            .iter()
-            .filter(|h| h.rigid && !(h.position && h.stiffness.is_none()))
-            .collect();
+        let loose: Vec<&HandleConstraint> = setup.handles.iter().filter(|h| h.is_loosely_rigid()).collect();
         let rigid = if loose.is_empty() {
             None
         } else {

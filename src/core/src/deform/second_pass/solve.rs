@@ -172,7 +172,8 @@ impl PoseSolve<'_> {
             None => self.fit_in_turn(fit.as_ref(), posed, state, &mut tally)?,
         };
         if let Some(rigid) = &rig.rigid {
-            rig.make_regions_rigid(body, &mut state.x);
+            rig.make_regions_rigid(body, request.transforms, &mut posed.frames, &mut state.x);
+            self.assemble(posed, state);
             let start = solver::InitialGuess::Given;
             stats = self.run(rigid, start, 0.0, state, &mut tally)?;
         }
