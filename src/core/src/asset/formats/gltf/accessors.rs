@@ -4,6 +4,7 @@ use super::buffers::BufferBytes;
 use super::document::GltfDocument;
 use super::schema::{BufferView, GltfAccessor};
 use crate::asset::Error;
+use glam::Vec3;
 
 /// Type of one number, as the `gltf` crate names it.
 pub(super) use gltf::json::accessor::ComponentType;
@@ -152,7 +153,8 @@ pub(super) fn check_role(doc: &GltfDocument<'_>, index: usize, role: ShapeAttrib
     Err(doc.fault.malformed(place() + "/componentType", problem))
 }
 
-/// All elements of an attribute in file order, lane by lane, as floats. Compressed views must be decoded.
+/// All elements of an attribute in file order, lane by lane, as floats. Compressed views must be decoded. Normals and tangents
+/// that are stored as integers come out at unit length, which rounding to integers took from them.
 pub(super) fn read_floats(
     doc: &GltfDocument<'_>,
     buffers: &BufferBytes,
@@ -160,7 +162,16 @@ pub(super) fn read_floats(
     role: ShapeAttribute,
 ) -> Result<Vec<f32>, Error> {
     let layout = check_role(doc, index, role)?;
-    read_values(doc, buffers, index, layout)
+    let mut values = read_values(doc, buffers, index, layout)?;
+    if role != ShapeAttribute::Position && layout.component != ComponentType::F32 {
+        for element in values.chunks_exact_mut(layout.lanes) {
+            let unit = Vec3::from_slice(element).as_dvec3().try_normalize();
+            if let Some(unit) = unit {
+                element[..3].copy_from_slice(&unit.as_vec3().to_array());
+            }
+        }
+    }
+    Ok(values)
 }
 
 /// All elements of an accessor of any kind, lane by lane, as floats. Compressed views must be decoded.

@@ -164,6 +164,46 @@ fn quantised_positions_come_back_as_floats() {
 }
 
 #[test]
+fn quantised_normals_and_tangents_come_back_at_unit_length() {
+    let mut draft = DocumentDraft::default();
+    draft.points(&SQUARE);
+    // Of lengths from 0.996 to 1.004.
+    let normals = [[13i8, 0, 126, 0], [0, 30, 123, 0], [40, 40, 114, 0], [0, 0, 127, 0]];
+    let tangents = [
+        [126i8, 3, 0, 127],
+        [123, -30, 0, -127],
+        [90, 90, 0, 127],
+        [127, 0, 0, 127],
+    ];
+    for (values, shape) in [(normals, "VEC3"), (tangents, "VEC4")] {
+        let bytes: Vec<u8> = values.as_flattened().iter().map(|v| *v as u8).collect();
+        let view = draft.view(&bytes, r#","byteStride":4"#);
+        draft.accessor(view, 5120, 4, shape, r#","normalized":true"#);
+    }
+    draft.indices(&CORNERS);
+    let body = one(r#"{"attributes":{"POSITION":0,"NORMAL":1,"TANGENT":2},"indices":3}"#);
+    let files = draft.glb(&format!(r#""extensionsUsed":["KHR_mesh_quantization"],{body}"#));
+    let written = moved(&files, |i, p| if i == 0 { p + DVec3::Z } else { p });
+    let (document, bytes) = (json(&written), bin(&written.main));
+    let attributes = &document["meshes"][0]["primitives"][0]["attributes"];
+    for (name, lanes) in [("NORMAL", 3), ("TANGENT", 4)] {
+        let accessor = &document["accessors"][attributes[name].as_u64().expect("an accessor") as usize];
+        assert_eq!(accessor["componentType"], 5126, "{name}");
+        let view = &document["bufferViews"][accessor["bufferView"].as_u64().expect("a view") as usize];
+        let offset = |of: &serde_json::Value| of["byteOffset"].as_u64().unwrap_or(0) as usize;
+        let from = offset(view) + offset(accessor);
+        let values: Vec<f32> = (bytes[from..][..16 * lanes].as_chunks::<4>().0.iter())
+            .map(|b| f32::from_le_bytes(*b))
+            .collect();
+        for element in values.chunks(lanes) {
+            let length = glam::Vec3::from_slice(element).length();
+            assert!((length - 1.0).abs() < 1e-6, "{name} {element:?}: {length}");
+            assert!(lanes == 3 || element[3].abs() == 1.0, "{element:?}");
+        }
+    }
+}
+
+#[test]
 fn an_invalid_normal_is_kept_until_its_primitive_changes() {
     let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
