@@ -88,7 +88,7 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
     };
     let weld = match &create.weld {
         Some(weld) => length(weld.tolerance, "weld.tolerance")?.map_or(Weld::Exact, Weld::Tolerance),
-        None => Weld::Exact,
+        None => Weld::Rounding,
     };
     let policy = match enumerated(create.components, "components")? {
         pb::create_options::Components::Follow => FreePartPolicy::Follow,

@@ -15,5 +15,5 @@ mod refinement;
 mod solver_slivers;
 #[path = "../support/mod.rs"]
 mod support;
-mod winding;
 mod when_set;
+mod winding;

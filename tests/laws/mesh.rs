@@ -20,7 +20,11 @@ fn soups() -> impl Strategy<Value = (Vec<DVec3>, Vec<[u32; 3]>)> {
 }
 
 fn welds() -> impl Strategy<Value = Weld> {
-    prop_oneof![Just(Weld::Exact), (0.0..1.0f64).prop_map(Weld::Tolerance)]
+    prop_oneof![
+        Just(Weld::Exact),
+        Just(Weld::Rounding),
+        (0.0..1.0f64).prop_map(Weld::Tolerance)
+    ]
 }
 
 proptest! {
@@ -28,7 +32,7 @@ proptest! {
     fn weld_maps_fit_together(soup in soups(), weld in welds()) {
         let (positions, triangles) = soup;
         let Ok(mesh) = Mesh::build(&positions, &triangles, weld) else { return Ok(()) };
-        let tolerance = match weld { Weld::Exact => 0.0, Weld::Tolerance(t) => t };
+        let tolerance = match weld { Weld::Exact | Weld::Rounding => 0.0, Weld::Tolerance(t) => t };
         let mut highest = None;
         for (render, &solver) in mesh.solver_from_render.iter().enumerate() {
             if solver == NONE {

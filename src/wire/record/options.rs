@@ -90,7 +90,8 @@ fn create_message(options: &OpenOptions) -> Result<pb::CreateOptions, Error> {
         }
         .into(),
         weld: match options.weld {
-            Weld::Exact => None,
+            Weld::Rounding => None,
+            Weld::Exact => Some(message::Weld { tolerance: 0.0 }),
             Weld::Tolerance(tolerance) => Some(message::Weld { tolerance }),
         },
         operators: match body.operators {

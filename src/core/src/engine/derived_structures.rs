@@ -18,7 +18,7 @@ use crate::edit::PatchedSurface;
 use crate::exec::Exec;
 use crate::graph::estimate_nodes;
 use crate::mesh::carry::CarrySurface;
-use crate::mesh::{Adjacency, Components, Mesh, MeshReport, Weld, inspect};
+use crate::mesh::{Adjacency, Components, Mesh, MeshReport, inspect};
 use crate::pool::Pool;
 use glam::DVec3;
 use std::sync::{Arc, OnceLock};
@@ -37,8 +37,6 @@ pub(super) struct DerivedStructures {
     /// Needles and caps of the mesh.
     pub thin: NeedlesAndCaps,
     volume: VolumeMode,
-    /// Whether render vertices are exactly where their solver vertices are.
-    welded_exactly: bool,
     report: OnceLock<MeshReport>,
     /// The surface at rest, once something was carried along with it.
     carry: OnceLock<Arc<CarrySurface>>,
@@ -200,7 +198,6 @@ impl DerivedStructures {
             mesh,
             body,
             volume: options.body.volume,
-            welded_exactly: options.weld == Weld::Exact,
             report: OnceLock::new(),
             carry: OnceLock::new(),
             riders: OnceLock::new(),
@@ -211,7 +208,7 @@ impl DerivedStructures {
 
     /// Whether a shape is made of the nodes' positions alone.
     pub fn shows_without_frames(&self) -> bool {
-        self.welded_exactly && self.thin.is_empty()
+        self.mesh.inexact_vertices.is_empty() && self.thin.is_empty()
     }
 
     /// The surface at rest, ready to carry points; built when first asked for.

@@ -227,7 +227,7 @@ fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>
     let model = Model::read_watched(files, merge.format, limits, exec.progress).map_err(|e| unfit(e.into()))?;
     let model = Arc::new(model);
     let other = ModelTopology::from_shared_model(Arc::clone(&model));
-    let mesh = other.mesh(Weld::Exact).map_err(unfit)?;
+    let mesh = other.mesh(Weld::Rounding).map_err(unfit)?;
     let placement = merge.own_from_other;
     let positions: Vec<DVec3> = other.rest.iter().map(|p| placement.transform_point3(*p)).collect();
     check_sizes(context.regions.positions, &positions)?;

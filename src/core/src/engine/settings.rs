@@ -45,7 +45,7 @@ impl Default for OpenOptions {
     fn default() -> Self {
         Self {
             format: None,
-            weld: Weld::Exact,
+            weld: Weld::Rounding,
             policy: FreePartPolicy::Follow,
             body: BodyOptions {
                 volume: VolumeMode::Auto,

@@ -87,6 +87,15 @@ pub(super) fn describe_findings(mesh: &Mesh, found: &MeshFindings, parts: &[(u32
         "boundary vertices almost on others",
     ];
     words.add_kind(kind, &found.cracked, |&v| vertex(v));
+    let kind = [
+        "rounded-vertex",
+        "vertex is welded to one with slightly different coordinates",
+        "vertices are welded to others with slightly different coordinates",
+    ];
+    words.add_kind(kind, &mesh.inexact_vertices, |&v| {
+        let at = brief_point(mesh.positions[mesh.solver_from_render[v as usize] as usize]);
+        (format!("at render vertex {} at {at}", grouped_count(v.into())), Some(v))
+    });
     let kind = ["non-manifold-edge", "non-manifold edge", "non-manifold edges"];
     words.add_kind(kind, &found.crowded_edges, |&e| edge_place(mesh, e));
     let kind = ["non-manifold-vertex", "non-manifold vertex", "non-manifold vertices"];
@@ -223,6 +232,6 @@ fn cracked_vertices(mesh: &Mesh, adjacency: &Adjacency) -> Vec<u32> {
     let rim = adjacency.edges.iter().filter(|e| e.faces() == 1);
     rim.flat_map(|e| e.vertices).for_each(|v| on_rim[v as usize] = true);
     let tolerance = Weld::Tolerance(mesh.bounds().diagonal() * CRACK);
-    let near = weld::representatives(&mesh.positions, &on_rim, tolerance).unwrap_or_default();
+    let near = weld::representatives(&mesh.positions, &mesh.triangles, &on_rim, tolerance).unwrap_or_default();
     (0u32..).zip(&near).filter(|(v, r)| v != *r).map(|(v, _)| v).collect()
 }

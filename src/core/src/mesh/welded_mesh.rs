@@ -27,6 +27,8 @@ pub struct Mesh {
     pub collapsed_triangles: Vec<u32>,
     /// Input triangles left out because an earlier one has the same three corners, whichever way round.
     pub duplicate_triangles: Vec<u32>,
+    /// Render vertices that are not exactly where their solver vertex is, rising.
+    pub inexact_vertices: Vec<u32>,
     render_from_solver: Lists,
 }
 
@@ -60,7 +62,7 @@ impl Mesh {
             }
         }
         let used = used_vertices(positions, triangles)?;
-        let representative = weld::representatives(positions, &used, weld)?;
+        let representative = weld::representatives(positions, triangles, &used, weld)?;
         let kept = clean(triangles, &representative);
         if kept.triangles.is_empty() {
             return Err(Error::NoTriangle {
@@ -92,6 +94,7 @@ impl Mesh {
                 .map(|(&s, render)| (s, render))
         });
         Ok(Self {
+            inexact_vertices: inexact_vertices(positions, &solver_from_render, &solver_positions),
             positions: solver_positions,
             triangles: kept
                 .triangles
@@ -146,6 +149,7 @@ impl Mesh {
                 .map(|(&s, render)| (s, render))
         });
         Ok(Self {
+            inexact_vertices: inexact_vertices(positions, &solver_from_render, &solver_positions),
             positions: solver_positions,
             triangles: triangles
                 .iter()
@@ -184,10 +188,18 @@ impl Mesh {
             + (self.solver_from_render.capacity()
                 + self.source_triangle.capacity()
                 + self.collapsed_triangles.capacity()
-                + self.duplicate_triangles.capacity())
+                + self.duplicate_triangles.capacity()
+                + self.inexact_vertices.capacity())
                 * size_of::<u32>()
             + self.render_from_solver.byte_size()
     }
+}
+
+/// The render vertices that are not exactly where their solver vertices are, rising.
+fn inexact_vertices(positions: &[DVec3], solver_from_render: &[u32], solver: &[DVec3]) -> Vec<u32> {
+    let welded = (0u32..).zip(positions.iter().zip(solver_from_render));
+    let inexact = welded.filter(|(_, (p, s))| **s != NONE && **p != solver[**s as usize]);
+    inexact.map(|(v, _)| v).collect()
 }
 
 /// Which vertices some triangle names; checks indices and the positions of those.

@@ -137,7 +137,7 @@ export type CreateOptions = Message<"pliant.v1.CreateOptions"> & {
   ttl: string;
 
   /**
-   * Welding. Default: equal bits.
+   * Welding. Default: equal bits, and on open edges what differs by rounding (1e-7 of the bounding-box diagonal).
    *
    * @generated from field: pliant.v1.CreateOptions.Weld weld = 7;
    */
