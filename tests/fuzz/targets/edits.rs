@@ -15,7 +15,7 @@ use pliant::pool::Pool;
 use pliant::progress::Silent;
 
 /// Small enough that an input takes milliseconds: most of what goes wrong in an edit goes wrong among a few triangles.
-const LIMITS: DeformerLimits = DeformerLimits {
+pub(super) const LIMITS: DeformerLimits = DeformerLimits {
     model: Limits {
         vertices: 400,
         triangles: 800,
@@ -28,7 +28,7 @@ const LIMITS: DeformerLimits = DeformerLimits {
 };
 
 /// A box of few triangles, most of the time without nodes inside.
-fn small_box(draw: &mut ByteDraw<'_>) -> (FileSet, OpenOptions) {
+pub(super) fn small_box(draw: &mut ByteDraw<'_>) -> (FileSet, OpenOptions) {
     let mut options = OpenOptions::default();
     let choice = draw.below(16);
     if choice != 0 {
@@ -112,7 +112,7 @@ fn pose(deformer: &mut Deformer, draw: &mut ByteDraw<'_>, exec: &Exec<'_>) {
     }
 }
 
-fn region(draw: &mut ByteDraw<'_>) -> Region {
+pub(super) fn region(draw: &mut ByteDraw<'_>) -> Region {
     match draw.below(4) {
         0 => Region::sphere(draw.vector(), draw.number().abs()),
         1 => Region::half_space(draw.vector(), draw.number()),
@@ -132,7 +132,7 @@ fn points(draw: &mut ByteDraw<'_>) -> Vec<DVec3> {
     (0..draw.below(6)).map(|_| draw.vector()).collect()
 }
 
-fn edit(draw: &mut ByteDraw<'_>) -> Edit {
+pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
     match draw.below(12) {
         0 => Edit::Cut {
             along: CutLine::Plane(Plane::new(draw.vector(), draw.number())),

@@ -7,6 +7,7 @@
 pub mod byte_draw;
 pub mod edits;
 pub mod frames;
+pub mod handles;
 pub mod jobs;
 pub mod messages;
 pub mod models;
@@ -18,7 +19,7 @@ pub mod reports;
 pub type FuzzTarget = fn(&[u8]);
 
 /// Every target by its name, which is that of its folders of inputs.
-pub const TARGETS: [(&str, FuzzTarget); 18] = [
+pub const TARGETS: [(&str, FuzzTarget); 19] = [
     ("obj", models::obj),
     ("ply", models::ply),
     ("off", models::off),
@@ -33,6 +34,7 @@ pub const TARGETS: [(&str, FuzzTarget); 18] = [
     ("json", messages::json),
     ("jobs", jobs::jobs),
     ("edits", edits::edits),
+    ("handles", handles::handles),
     ("commit_records", records::commits),
     ("model_records", records::models),
     ("reports", reports::reports),
