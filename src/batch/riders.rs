@@ -98,7 +98,7 @@ impl Riders {
                 RiderKind::Nodes(_) => {}
                 RiderKind::Points(frames) => {
                     let places: Vec<DVec3> = frames.iter().map(|f| f.position).collect();
-                    for (frame, moved) in frames.iter_mut().zip(carrier.carry_points(&places, exec.pool)) {
+                    for (frame, moved) in frames.iter_mut().zip(carrier.carry_points(&places, exec)?) {
                         *frame = CarriedFrame {
                             position: moved.position,
                             rotation: moved.rotation * frame.rotation,
@@ -107,7 +107,7 @@ impl Riders {
                     }
                 }
                 RiderKind::Model { positions, .. } => {
-                    let moved = carrier.carry_points(positions, exec.pool);
+                    let moved = carrier.carry_points(positions, exec)?;
                     *positions = moved.iter().map(|f| f.position).collect();
                 }
             }

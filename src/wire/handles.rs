@@ -3,7 +3,9 @@
 use super::check::{enumerated, number, optional_within, plane, points, positive, vector};
 use super::poses::{handle_pose, handle_pose_message};
 use super::{Error, pb};
-use crate::engine::{Falloff, FalloffCurve, Handle, HandleConstrains, HandleSet, Plane, Region, VertexRange};
+use crate::engine::{
+    Falloff, FalloffCurve, Handle, HandleConstrains, HandleSet, MOST_TUBE_POINTS, Plane, Region, VertexRange,
+};
 use glam::DVec3;
 use std::collections::BTreeSet;
 
@@ -154,9 +156,15 @@ pub(super) fn region(region: Option<&pb::Region>, field: &str) -> Result<Region,
             radius: positive(capsule.radius, "capsule.radius")?,
         },
         Message::Tube(tube) => {
-            let problem = |seen| format!("has {seen} numbers, a polyline has three for each of at least two points");
+            let problem =
+                |seen| format!("has {seen} numbers, a polyline has three for each of 2 to {MOST_TUBE_POINTS} points");
             Region::Tube {
-                points: points(&tube.points, 2..=usize::MAX, &format!("{field}.tube.points"), problem)?,
+                points: points(
+                    &tube.points,
+                    2..=MOST_TUBE_POINTS,
+                    &format!("{field}.tube.points"),
+                    problem,
+                )?,
                 radius: positive(tube.radius, "tube.radius")?,
             }
         }

@@ -159,6 +159,10 @@ fn limits_without_a_key_are_those_of_the_program() {
             pliant::edit::MOST_POINTS.to_string(),
         ),
         (
+            "points of a tube that a region is",
+            pliant::engine::MOST_TUBE_POINTS.to_string(),
+        ),
+        (
             "rows of one clip",
             pliant::motion::bvh::ClipLimits::default().frames.to_string(),
         ),

@@ -57,6 +57,11 @@ impl LoadedDeformer {
         }
     }
 
+    /// Whether these handles are in force.
+    pub fn has_loaded(&self, handles: HandleSetId) -> bool {
+        self.loaded == Some(handles)
+    }
+
     /// Makes `topology` the state that edits have left, and `handles` the ones in force.
     pub fn load_state(
         &mut self,

@@ -39,6 +39,14 @@ pub(in crate::session) struct SessionState {
     pub digest: String,
 }
 
+impl SessionState {
+    /// About how many points are looked at when `handles` are set in this state.
+    pub fn cost_of_handles(&self, handles: &HandleSet) -> u64 {
+        let (nodes, vertices) = (self.facts.solver.graph_vertices, self.facts.model.counts.vertices);
+        handles.cost(u64::from(nodes) + u64::from(vertices))
+    }
+}
+
 /// The state of an engine that an edit has changed, to be committed.
 #[derive(Debug)]
 pub(in crate::session) struct EditedState {

@@ -15,17 +15,42 @@ use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::engine::Engine;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::loaded_deformer::LoadedDeformer;
+use crate::session::history::session_state::{CommittedHandles, SessionState, ShapeRecipe};
 use crate::session::registry::OpenSession;
 use crate::session::stream::outbound_frame::FrameContext;
 use crate::session::task::session_task::{SessionTask, no_handles};
 use crate::wire::record::{AnsweredFrame, LoggedCommit};
-use crate::wire::{CarryOrder, PoseCommit};
+use crate::wire::{CarryOrder, DeformOptions, PoseCommit};
 use glam::DVec3;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Handles up to which setting them is no build.
-const FEW_HANDLES: usize = 16;
+/// Points times triangles up to which carrying points along is a moment's work also where each point looks at each triangle, as where
+/// triangles are as long as the model.
+const FEW_COMPARISONS: u64 = 100_000_000;
+/// What [`HandleSet::cost`] is at most where setting handles is a moment's work: sixteen half-spaces on a surface of 125,000
+/// vertices.
+const LIGHT_HANDLES: u64 = 16 << 18;
+
+/// Triangles up to which comparing each with each is a moment's work, as where a pose collapses the surface.
+const FEW_TRIANGLES: u32 = 10_000;
+
+/// The lane of a commit with such options: counting crossings may compare each triangle with each.
+pub(in crate::session) fn lane_of_commit(state: &SessionState, options: &DeformOptions) -> WorkLane {
+    let is_light = !options.output.self_intersections || state.facts.model.counts.faces <= FEW_TRIANGLES;
+    match is_light {
+        true => WorkLane::Interactive,
+        false => WorkLane::Builds,
+    }
+}
+
+/// The lane of work that sets handles of a cost.
+fn lane_of_cost(cost: u64) -> WorkLane {
+    match cost <= LIGHT_HANDLES {
+        true => WorkLane::Interactive,
+        false => WorkLane::Builds,
+    }
+}
 
 impl SessionTask {
     /// Serves a call, unless nobody waits for its answer any more.
@@ -96,11 +121,7 @@ impl SessionTask {
         let set = change.apply_to(&state.handles.set, &state.poses)?;
         let limit = self.shared.config.build;
         let topology = state.topology.clone();
-        // A few handles are somebody's next drag, many take as long as a build.
-        let lane = match set.handles.len() <= FEW_HANDLES {
-            true => WorkLane::Interactive,
-            false => WorkLane::Builds,
-        };
+        let lane = lane_of_cost(state.cost_of_handles(&set));
         let (poses, facts, stages) = loop {
             let room = self.memory.room().min(self.place.room());
             let (set, topology) = (set.clone(), topology.clone());
@@ -147,9 +168,10 @@ impl SessionTask {
         let (revision, diagonal) = (self.history.revision() + 1, state.diagonal);
         let PoseCommit { seq, changes, options } = request;
         let settings = options.solve.clone();
+        let lane = lane_of_commit(&state, &options);
         let (solved, watch) = self
             .compute(
-                call.order(WorkKind::Solve, WorkLane::Interactive, limit),
+                call.order(WorkKind::Solve, lane, limit),
                 move |deformer, pool, watch, queued| {
                     let solution = deformer.solve_for_commit(&state, &changes, &options, watch, pool)?;
                     let context = FrameContext {
@@ -202,8 +224,17 @@ impl SessionTask {
         Ok(self.session.describe())
     }
 
+    /// The lane of work that needs `handles`, which are set first where the engine has others.
+    pub fn lane_with_handles(&self, lane: WorkLane, state: &SessionState, handles: &CommittedHandles) -> WorkLane {
+        let is_loaded = self.deformer.as_ref().is_some_and(|d| d.has_loaded(handles.id));
+        match is_loaded {
+            false if lane_of_cost(state.cost_of_handles(&handles.set)) == WorkLane::Builds => WorkLane::Builds,
+            _ => lane,
+        }
+    }
+
     /// The shape of commit `index`, solved again where it is not at hand; `None` when there is no such commit.
-    pub async fn shape_of_commit(&mut self, index: usize, order: WorkOrder) -> Result<Option<ModelShape>, Error> {
+    pub async fn shape_of_commit(&mut self, index: usize, mut order: WorkOrder) -> Result<Option<ModelShape>, Error> {
         let Some(state) = self.history.state(index) else {
             return Ok(None);
         };
@@ -211,6 +242,9 @@ impl SessionTask {
             Ok(shape) => return Ok(Some(shape)),
             Err(recipe) => recipe,
         };
+        if let ShapeRecipe::Solved { handles, .. } = &recipe {
+            order.lane = self.lane_with_handles(order.lane, state, handles);
+        }
         let (recorded, diagonal) = (state.digest.clone(), state.diagonal);
         let replay = move |deformer: &mut LoadedDeformer, pool: &Pool, watch: &WorkWatch, _| {
             deformer.solve_recipe(&recipe, &Exec::new(pool, watch))
@@ -233,15 +267,18 @@ impl SessionTask {
         let limit = self.shared.config.build;
         let positions = Arc::clone(&view.positions);
         let topology = self.history.current().topology.clone();
+        let triangles = u64::from(self.history.current().facts.model.counts.faces);
+        let comparisons = (order.points.len() as u64).saturating_mul(triangles);
+        let lane = match order.model.is_none() && comparisons <= FEW_COMPARISONS {
+            true => WorkLane::Interactive,
+            false => WorkLane::Builds,
+        };
         let (carried, watch) = self
-            .compute(
-                call.order(WorkKind::Carry, WorkLane::Interactive, limit),
-                move |deformer, pool, watch, _| {
-                    let exec = Exec::new(pool, watch);
-                    deformer.go_to_topology(topology.as_ref(), &exec)?;
-                    carry_order_along(deformer.engine.as_ref(), &positions, order, &exec)
-                },
-            )
+            .compute(call.order(WorkKind::Carry, lane, limit), move |deformer, pool, watch, _| {
+                let exec = Exec::new(pool, watch);
+                deformer.go_to_topology(topology.as_ref(), &exec)?;
+                carry_order_along(deformer.engine.as_ref(), &positions, order, &exec)
+            })
             .await?;
         let (frames, model) = carried.map_err(|e| self.failure(e, &watch))?;
         Ok(CarriedAlong {

@@ -179,10 +179,13 @@ impl SessionTask {
         self.place.account().check_work()?;
         let owner = self.session.work_owner();
         let span = WorkSpan::new(order.kind, &self.session.id, &order.call);
+        let state = self.history.current();
+        // After an edit, an undo or a failure the handles are set again before anything is solved.
+        let lane = self.lane_with_handles(order.lane, state, &state.handles);
         let slot = tokio::select! {
             biased;
             () = self.session.closing.cancelled() => return Err(self.session.why()),
-            slot = self.shared.compute.slot(order.lane, &owner, (order.arrived, order.limit)) => slot?,
+            slot = self.shared.compute.slot(lane, &owner, (order.arrived, order.limit)) => slot?,
         };
         let lost = || Error::new(ErrorCode::Internal, "the session's engine is gone");
         let mut deformer = self.deformer.take().ok_or_else(lost)?;

@@ -15,6 +15,7 @@ use crate::session::history::session_state::SessionState;
 use crate::session::stream::mailbox::{Mailbox, StreamWork, StreamWorkResult};
 use crate::session::stream::outbound_frame::{FrameContext, FrameShape, OutboundFrame};
 use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose};
+use crate::session::task::commands::lane_of_commit;
 use crate::session::task::session_task::{SessionTask, no_handles};
 use crate::wire::record::AnsweredFrame;
 use crate::wire::{DeformOptions, Error as WireError, PoseEntry};
@@ -63,12 +64,17 @@ impl SessionTask {
                 Err(error) => return refuse_all(&mailbox, &poses, before, &error),
             },
         };
-        let commit = poses.last().is_some_and(|p| p.commit);
+        let committed = poses.last().filter(|p| p.commit);
+        let commit = committed.is_some();
+        let lane = committed.map_or(WorkLane::Drags, |p| lane_of_commit(&state, &p.settings));
         let longest = self.shared.config.solve;
         // A drag takes its best result in time; only one that has none after twice the time is given up.
         let limit = if commit { longest } else { longest.saturating_mul(2) };
         let (revision, desk) = (self.history.revision(), Arc::clone(&mailbox));
-        let order = turn_order(&mailbox, commit, limit);
+        let order = WorkOrder {
+            lane,
+            ..turn_order(&mailbox, commit, limit)
+        };
         let ran = self
             .compute(order, move |deformer, pool, watch, queued| {
                 let frames = FrameContext {

@@ -58,7 +58,7 @@ pub struct DeformableBody {
     pub(in crate::deform) unit: f64,
     /// Length of the mesh's bounding box diagonal, model units; above 0.
     pub diagonal: f64,
-    /// Why there are no interior nodes although mode [`VolumeMode::Auto`] would have them: there would be too many.
+    /// Why there are no interior nodes although mode [`VolumeMode::Auto`] would have them: there would be too many, or finding them would take too long.
     pub too_large: Option<String>,
 }
 
@@ -78,11 +78,11 @@ impl DeformableBody {
         let (volume, too_large) = match built {
             Ok(volume) => (volume, None),
             // What cannot be had with an inside can be had as a surface, unless the inside was asked for.
-            Err(e @ (graph::Error::TooManyNodes { .. } | graph::Error::TooManyEdges { .. }))
-                if options.volume == VolumeMode::Auto =>
-            {
-                (None, Some(e.to_string()))
-            }
+            Err(
+                e @ (graph::Error::TooManyNodes { .. }
+                | graph::Error::TooManyEdges { .. }
+                | graph::Error::FacesTooLong { .. }),
+            ) if options.volume == VolumeMode::Auto => (None, Some(e.to_string())),
             Err(e) => return Err(e.into()),
         };
         let graph = match volume {

@@ -34,7 +34,7 @@ impl Deformer {
         points: &[DVec3],
         exec: &Exec<'_>,
     ) -> Result<Vec<CarriedFrame>, Error> {
-        Ok(self.carrier(positions, exec)?.carry_points(points, exec.pool))
+        Ok(self.carrier(positions, exec)?.carry_points(points, exec)?)
     }
 
     /// Tells where a shape of this model carries the nodes of its file that ride along, in the order of
@@ -53,7 +53,7 @@ impl Deformer {
             return Ok(Arc::clone(at_rest));
         }
         let carrier = self.carrier(positions, exec)?;
-        Ok(Arc::new(at_rest.carried_along(&carrier, exec.pool)))
+        Ok(Arc::new(at_rest.carried_along(&carrier, exec)?))
     }
 
     /// Carries another model that stands in the rest space along with a shape of this one, and writes it in `output`, or in

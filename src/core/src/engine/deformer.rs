@@ -25,6 +25,7 @@ use crate::exec::Exec;
 use crate::mesh::{Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
 use glam::DVec3;
+use std::cell::OnceCell;
 use std::sync::Arc;
 
 /// Bytes of a harmonic field for each handle and node.
@@ -348,7 +349,7 @@ impl Deformer {
             });
         }
         let is_empty = handles.handles.is_empty();
-        let regions = self.rest_regions();
+        let regions = self.rest_regions(exec);
         // A mirror image of each may come beside it.
         let most = handles.handles.len() as u64 * if handles.symmetry_plane.is_some() { 2 } else { 1 };
         let held = self.estimate() + (most + 1) * body.nodes() as u64 * FIELD_BYTES;
@@ -372,13 +373,15 @@ impl Deformer {
     }
 
     /// What regions of the rest pose are resolved against.
-    pub(super) fn rest_regions(&self) -> RegionContext<'_> {
+    pub(super) fn rest_regions<'a>(&'a self, exec: &'a Exec<'a>) -> RegionContext<'a> {
         RegionContext {
             pose: "the rest pose",
             positions: self.rest(),
             primitives: &self.geometry().primitives,
             mesh: &self.derived.mesh,
             parts: &self.derived.parts,
+            exec,
+            images: OnceCell::new(),
         }
     }
 

@@ -42,7 +42,7 @@ impl Deformer {
         let mut origins = self.topology().origins(&self.derived.mesh);
         let before = (surface.positions.len(), self.geometry().triangles.len());
         let mut context = EditContext {
-            regions: self.region_context(shape),
+            regions: self.region_context(shape, exec),
             limits: self.limits,
             rest: &rest.positions,
             bend: self.rig().map(|handles| HandleBend {
@@ -60,7 +60,7 @@ impl Deformer {
         let patch = &planned.patch;
         let applied = apply_patch(&surface.surface(), patch, &surface.first_vertices())?;
         self.admit_size(&applied, exec)?;
-        let mut carried = self.carry(&applied, &planned, shape, order)?;
+        let mut carried = self.carry(&applied, &planned, shape, order, exec)?;
         let mut report = self.report_edit(before, &applied, &planned);
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
@@ -199,12 +199,12 @@ impl Deformer {
     }
 
     /// What regions are resolved against in the shape that is edited.
-    fn region_context<'a>(&'a self, shape: &'a ModelShape) -> RegionContext<'a> {
+    fn region_context<'a>(&'a self, shape: &'a ModelShape, exec: &'a Exec<'a>) -> RegionContext<'a> {
         let current = shape.id != self.rest_id();
         RegionContext {
             pose: if current { "the current shape" } else { "the rest pose" },
             positions: &shape.positions,
-            ..self.rest_regions()
+            ..self.rest_regions(exec)
         }
     }
 
@@ -265,9 +265,10 @@ impl Deformer {
         planned: &PlannedEdit,
         shape: &ModelShape,
         order: &EditCommand<'_>,
+        exec: &Exec<'_>,
     ) -> Result<CarriedHandles, Error> {
         let set = self.handles();
-        let context = self.rest_regions();
+        let context = self.rest_regions(exec);
         let mut vertices = Vec::new();
         for (k, handle) in set.handles.iter().enumerate() {
             let place = |part| InputPlace::HandleRegion(k, part);

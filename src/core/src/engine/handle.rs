@@ -117,6 +117,23 @@ impl HandleSet {
     }
 }
 
+impl HandleSet {
+    /// About how many points are looked at when the handles are set on a model with so many vertices and nodes: what decides
+    /// whether that is a moment's work.
+    pub fn cost(&self, points: u64) -> u64 {
+        let of_region = |region: &Region| match region {
+            Region::Tube { points, .. } => 1 + (points.len() as u64 / 16).min(4),
+            _ => 1,
+        };
+        // A falloff goes from node to node, nearest first.
+        let of_handle = |h: &Handle| of_region(&h.region) + if h.falloff.is_some() { 8 } else { 0 };
+        let each: u64 = self.handles.iter().map(of_handle).sum();
+        let mirrored = if self.symmetry_plane.is_some() { 2 } else { 1 };
+        let interest = self.region_of_interest.as_ref().map_or(0, of_region);
+        (mirrored * each + interest).saturating_mul(points)
+    }
+}
+
 impl<const N: usize> From<[Handle; N]> for HandleSet {
     fn from(handles: [Handle; N]) -> Self {
         Vec::from(handles).into()

@@ -62,6 +62,7 @@ mod solve;
 mod tie_facts;
 mod topology_id;
 mod topology_state;
+mod tube_region;
 mod vertex_origins;
 
 pub use animation::{
@@ -92,3 +93,4 @@ pub use shape::{ModelShape, ShapeId};
 pub use solve::{SolveUpdate, SolvedShape};
 pub use topology_id::TopologyId;
 pub use topology_state::TopologyState;
+pub use tube_region::MOST_TUBE_POINTS;

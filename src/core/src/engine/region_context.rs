@@ -2,15 +2,19 @@
 
 use super::error::{Error, InputPlace, RegionPlace};
 use super::region::{Region, VertexRange};
+use super::tube_region::Tube;
 use crate::asset::Primitive;
+use crate::exec::Exec;
 use crate::graph::MeshGraph;
-use crate::mesh::query::NearestPoints;
+use crate::graph::parallel::map;
 use crate::mesh::query::closest_point::closest_point_on_segment;
+use crate::mesh::query::{NearestPoints, QueryStop, VisitBudget};
 use crate::mesh::{Components, Mesh, NONE};
+use crate::progress::Cancelled;
 use glam::DVec3;
+use std::cell::OnceCell;
 
 /// The surface that regions are taken on: in the rest pose, or in the shape that is edited.
-#[derive(Clone, Copy)]
 pub(super) struct RegionContext<'a> {
     /// Which of these, in words.
     pub pose: &'static str,
@@ -18,7 +22,13 @@ pub(super) struct RegionContext<'a> {
     pub primitives: &'a [Primitive],
     pub mesh: &'a Mesh,
     pub parts: &'a Components,
+    pub exec: &'a Exec<'a>,
+    /// The mirror images of solver vertices, once a region asked for them.
+    pub images: OnceCell<MirrorImages>,
 }
+
+/// For every solver vertex the one whose mirror image it is, and the mirror.
+pub(super) type MirrorImages = (MirrorPlane, Vec<Option<u32>>);
 
 /// A mirror: unit normal and a point of the plane.
 pub(super) type MirrorPlane = (DVec3, DVec3);
@@ -35,19 +45,35 @@ pub(super) struct RegionNodes {
 
 /// Why a region cannot be taken.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct RegionError {
-    part: RegionPlace,
-    problem: String,
+pub(super) enum RegionError {
+    /// It does not fit the model.
+    Invalid {
+        /// The part of it that does not.
+        part: RegionPlace,
+        /// What was seen and what is allowed.
+        problem: String,
+    },
+    /// Nobody wants the result any more.
+    Cancelled,
+}
+
+impl From<Cancelled> for RegionError {
+    fn from(_: Cancelled) -> Self {
+        Self::Cancelled
+    }
 }
 
 impl RegionError {
-    fn new(part: RegionPlace, problem: String) -> Self {
-        Self { part, problem }
+    pub fn new(part: RegionPlace, problem: String) -> Self {
+        Self::Invalid { part, problem }
     }
 
     /// Says which region of the input it is.
     pub fn with_place(self, place: impl Fn(RegionPlace) -> InputPlace) -> Error {
-        Error::invalid(place(self.part), self.problem)
+        match self {
+            Self::Invalid { part, problem } => Error::invalid(place(part), problem),
+            Self::Cancelled => Error::Cancelled,
+        }
     }
 }
 
@@ -59,7 +85,15 @@ enum Membership<'a> {
     Weighted(&'a [f32]),
     /// By where they are.
     Solid(Box<dyn Fn(DVec3) -> bool + 'a>),
+    /// By how far they are from a polyline.
+    Tube(Tube<'a>),
 }
+
+/// Points looked at between two looks at the progress; a few nanoseconds each.
+const BLOCK: usize = 1 << 16;
+/// What finding the mirror image of one vertex may look at on average, and finding all of them in any case.
+const VISITS_PER_IMAGE: u64 = 256;
+const LEAST_VISITS: u64 = 1 << 22;
 
 /// Returns for each render vertex whether the region holds it, as the region stands or seen in a mirror.
 ///
@@ -125,18 +159,18 @@ fn find_vertices(
     let vertices = match (membership(context, region)?, mirror) {
         (Membership::Listed(marks), None) => marks,
         (Membership::Listed(marks), Some(mirror)) => {
-            let seen = mirrored_surface(context, &surface_of_vertices(context, &marks), mirror);
+            let seen = mirrored_surface(context, &surface_of_vertices(context, &marks), mirror)?;
             vertices_of_surface(context, &seen)
         }
         (Membership::Weighted(values), None) => values.iter().map(|w| *w > 0.0).collect(),
         (Membership::Weighted(values), Some(_)) => {
-            let weights = surface_weights(context, values, mirror);
+            let weights = surface_weights(context, values, mirror)?;
             let marks: Vec<bool> = weights.iter().map(|w| *w > 0.0).collect();
             vertices_of_surface(context, &marks)
         }
-        (Membership::Solid(contains), mirror) => {
-            let points = context.positions.iter();
-            points.map(|&p| contains(unmirrored(p, mirror))).collect()
+        (Membership::Solid(contains), mirror) => points_inside(context, contains, context.positions, mirror)?,
+        (Membership::Tube(tube), mirror) => {
+            tube.find_inside(context.positions, |p| unmirrored(p, mirror), context.exec)?
         }
     };
     without_passengers(context, vertices, mirror)
@@ -183,25 +217,44 @@ pub(super) fn nodes_in_region(
             let own = surface_of_vertices(context, &marks);
             let surface = match mirror {
                 None => own,
-                Some(mirror) => mirrored_surface(context, &own, mirror),
+                Some(mirror) => mirrored_surface(context, &own, mirror)?,
             };
             nodes_nearest_to(graph, &surface)
         }
         Membership::Weighted(values) => {
-            let by_solver = surface_weights(context, values, mirror);
+            let by_solver = surface_weights(context, values, mirror)?;
             let marks: Vec<bool> = by_solver.iter().map(|w| *w > 0.0).collect();
             let nodes = nodes_nearest_to(graph, &marks);
             let weight = |n: &u32| f64::from(by_solver[graph.nearest_surface[*n as usize] as usize]);
             let weights = Some(nodes.iter().map(weight).collect());
             return Ok(RegionNodes { nodes, weights });
         }
-        Membership::Solid(contains) => {
-            let points = (0u32..).zip(&graph.positions);
-            let held = points.filter(|(_, p)| contains(unmirrored(**p, mirror)));
-            held.map(|(n, _)| n).collect()
+        Membership::Solid(contains) => numbers_of(&points_inside(context, contains, &graph.positions, mirror)?),
+        Membership::Tube(tube) => {
+            numbers_of(&tube.find_inside(&graph.positions, |p| unmirrored(p, mirror), context.exec)?)
         }
     };
     Ok(RegionNodes { nodes, weights: None })
+}
+
+/// Which points a shape contains, as they stand or seen in a mirror.
+fn points_inside(
+    context: &RegionContext<'_>,
+    contains: impl Fn(DVec3) -> bool,
+    points: &[DVec3],
+    mirror: Option<MirrorPlane>,
+) -> Result<Vec<bool>, RegionError> {
+    let mut inside = Vec::with_capacity(points.len());
+    for block in points.chunks(BLOCK) {
+        context.exec.check()?;
+        inside.extend(block.iter().map(|&p| contains(unmirrored(p, mirror))));
+    }
+    Ok(inside)
+}
+
+fn numbers_of(marks: &[bool]) -> Vec<u32> {
+    let marked = (0u32..).zip(marks).filter(|(_, is_marked)| **is_marked);
+    marked.map(|(n, _)| n).collect()
 }
 
 /// The mean of a region's solver vertices at rest; that of its render vertices when none of them is in a face, and that of its
@@ -254,9 +307,7 @@ fn membership<'a>(context: &RegionContext<'_>, region: &'a Region) -> Result<Mem
         &Region::Capsule { from, to, radius } => {
             Membership::Solid(Box::new(move |p| distance_to_segment(p, from, to) <= radius))
         }
-        Region::Tube { points, radius } => Membership::Solid(Box::new(move |p| {
-            points.windows(2).any(|s| distance_to_segment(p, s[0], s[1]) <= *radius)
-        })),
+        Region::Tube { points, radius } => Membership::Tube(Tube::cut_pieces(points, *radius)?),
     })
 }
 
@@ -291,13 +342,21 @@ fn listed_vertices(
         require_number(index, count, RegionPlace::ListedVertex(k), "render vertices")?;
         marks[index as usize] = true;
     }
+    // How many more ranges begin at a vertex than end there: ranges may overlap, and each is to cost the same however long it is.
+    let mut begun = vec![0i32; if ranges.is_empty() { 0 } else { count + 1 }];
     for (k, range) in ranges.iter().enumerate() {
         let end = u64::from(range.first) + u64::from(range.count);
         if end > count as u64 {
             let problem = format!("ends at {end}, the model has {count} render vertices, counted from 0");
             return Err(RegionError::new(RegionPlace::VertexRange(k), problem));
         }
-        marks[range.first as usize..end as usize].fill(true);
+        begun[range.first as usize] += 1;
+        begun[end as usize] -= 1;
+    }
+    let mut open = 0;
+    for (mark, begun) in marks.iter_mut().zip(begun) {
+        open += begun;
+        *mark |= open > 0;
     }
     Ok(marks)
 }
@@ -319,24 +378,31 @@ fn vertices_of_surface(context: &RegionContext<'_>, surface: &[bool]) -> Vec<boo
 }
 
 /// The solver vertices whose mirror images are marked.
-fn mirrored_surface(context: &RegionContext<'_>, surface: &[bool], mirror: MirrorPlane) -> Vec<bool> {
-    let images = mirror_images(context, mirror);
-    images.iter().map(|o| o.is_some_and(|o| surface[o as usize])).collect()
+fn mirrored_surface(
+    context: &RegionContext<'_>,
+    surface: &[bool],
+    mirror: MirrorPlane,
+) -> Result<Vec<bool>, RegionError> {
+    let images = mirror_images(context, mirror)?;
+    Ok(images.iter().map(|o| o.is_some_and(|o| surface[o as usize])).collect())
 }
 
 /// The weight of each solver vertex: the largest of its render vertices, or that of its mirror image.
-fn surface_weights(context: &RegionContext<'_>, values: &[f32], mirror: Option<MirrorPlane>) -> Vec<f32> {
+fn surface_weights(
+    context: &RegionContext<'_>,
+    values: &[f32],
+    mirror: Option<MirrorPlane>,
+) -> Result<Vec<f32>, RegionError> {
     let mut by_solver = vec![0f32; context.mesh.positions.len()];
     let weighted = context.mesh.solver_from_render.iter().zip(values);
     for (&solver, &w) in weighted.filter(|(s, _)| **s != NONE) {
         by_solver[solver as usize] = by_solver[solver as usize].max(w);
     }
-    match mirror {
-        None => by_solver,
-        Some(mirror) => (mirror_images(context, mirror).iter())
-            .map(|o| o.map_or(0.0, |o| by_solver[o as usize]))
-            .collect(),
-    }
+    let Some(mirror) = mirror else {
+        return Ok(by_solver);
+    };
+    let images = mirror_images(context, mirror)?.iter();
+    Ok(images.map(|o| o.map_or(0.0, |o| by_solver[o as usize])).collect())
 }
 
 /// The nodes whose nearest surface vertex is marked.
@@ -345,16 +411,29 @@ fn nodes_nearest_to(graph: &MeshGraph, surface: &[bool]) -> Vec<u32> {
     nearest.filter(|(_, s)| surface[**s as usize]).map(|(n, _)| n).collect()
 }
 
-/// For every solver vertex the one whose mirror image it is: the nearest within half a mean edge of the exact place.
-fn mirror_images(context: &RegionContext<'_>, mirror: MirrorPlane) -> Vec<Option<u32>> {
-    let positions = &context.mesh.positions;
+/// For every solver vertex the one whose mirror image it is: the nearest within half a mean edge of the exact place. All regions
+/// of a context are seen in one mirror.
+fn mirror_images<'a>(context: &'a RegionContext<'_>, mirror: MirrorPlane) -> Result<&'a [Option<u32>], RegionError> {
+    if let Some((_, images)) = context.images.get().filter(|(plane, _)| *plane == mirror) {
+        return Ok(images);
+    }
+    let (positions, exec) = (&context.mesh.positions, context.exec);
     let tree = NearestPoints::new(positions.iter().copied().zip(0u32..));
     let edge = 0.5 * mean_triangle_edge(context.mesh);
+    let seen = || tree.visits.total();
+    let budget = VisitBudget::new(LEAST_VISITS + VISITS_PER_IMAGE * positions.len() as u64, &seen, exec);
     let image = |&p: &DVec3| {
-        let found = tree.nearest(unmirrored(p, Some(mirror)));
-        found.filter(|(_, d)| *d <= edge * edge).map(|(n, _)| n)
+        let found = tree.nearest_within(unmirrored(p, Some(mirror)), edge * edge);
+        found.map(|(n, _)| n)
     };
-    positions.iter().map(image).collect()
+    let images = map(positions, &budget, image).map_err(|stop| match stop {
+        QueryStop::Cancelled => RegionError::Cancelled,
+        QueryStop::TooMany { limit } => RegionError::new(
+            RegionPlace::Whole,
+            format!("is mirrored, and finding the mirror images of this model's vertices takes more than {limit} comparisons"),
+        ),
+    })?;
+    Ok(&context.images.get_or_init(|| (mirror, images)).1)
 }
 
 /// The point that a mirror shows at `p`.

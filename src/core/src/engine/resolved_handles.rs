@@ -10,10 +10,15 @@ use super::region_context::{
     vertices_of_handle,
 };
 use crate::deform::{DeformableBody, FreePartPolicy, HandleConstraint, HandleSetup, Transform};
+use crate::exec::Exec;
 use crate::mesh::NONE;
+use crate::progress::Cancelled;
 use glam::{DMat3, DVec3};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+
+/// Nodes that a falloff reaches between two looks at the progress.
+const CHECKED: u64 = 4096;
 
 /// How much a handle holds.
 #[derive(Debug, Clone, Copy, Default)]
@@ -73,13 +78,13 @@ pub(super) fn resolve_handles(
             let problem = "needs stiffness: a hard handle cannot fade out";
             return Err(Error::invalid(InputPlace::HandleFalloff(k), problem));
         }
-        let hold = hold_nodes(body, handle, held);
+        let hold = hold_nodes(body, handle, held, context.exec)?;
         if hold.stiffness.is_none() && hold.position {
             strays.extend(stray_vertices(context, &vertices, k as u32));
         }
         if mirror.is_some() {
             let image = nodes_in_region(context, graph, &handle.region, mirror).map_err(|e| e.with_place(place))?;
-            let mut image = hold_nodes(body, handle, image);
+            let mut image = hold_nodes(body, handle, image, context.exec)?;
             // A node of both belongs to the handle itself, not to its mirror image.
             image.nodes.retain(|n| hold.nodes.binary_search(n).is_err());
             image.pulls.retain(|(n, _)| hold.nodes.binary_search(n).is_err());
@@ -143,18 +148,23 @@ fn constraint_bytes(hold: &HandleConstraint) -> u64 {
 }
 
 /// What a handle does to the nodes that it holds.
-fn hold_nodes(body: &DeformableBody, handle: &Handle, held: RegionNodes) -> HandleConstraint {
+fn hold_nodes(
+    body: &DeformableBody,
+    handle: &Handle,
+    held: RegionNodes,
+    exec: &Exec<'_>,
+) -> Result<HandleConstraint, Cancelled> {
     let mut pulls = Vec::new();
     if handle.stiffness.is_some() {
         let ones = vec![1.0; held.nodes.len()];
         let weights = held.weights.as_deref().unwrap_or(&ones);
         pulls = held.nodes.iter().copied().zip(weights.iter().copied()).collect();
         if let Some(falloff) = handle.falloff {
-            pulls.extend(fading_weights(body, &held.nodes, falloff));
+            pulls.extend(fading_weights(body, &held.nodes, falloff, exec)?);
             pulls.sort_by_key(|p| p.0);
         }
     }
-    HandleConstraint {
+    Ok(HandleConstraint {
         nodes: held.nodes,
         pulls,
         stiffness: handle.stiffness,
@@ -162,11 +172,16 @@ fn hold_nodes(body: &DeformableBody, handle: &Handle, held: RegionNodes) -> Hand
         rotation: handle.constrains.rotation,
         scale: handle.constrains.scale,
         rigid: handle.rigid,
-    }
+    })
 }
 
 /// Weights around a region by distance along the graph's edges, so that a falloff does not jump between fingers.
-fn fading_weights(body: &DeformableBody, core: &[u32], Falloff { radius, curve }: Falloff) -> Vec<(u32, f64)> {
+fn fading_weights(
+    body: &DeformableBody,
+    core: &[u32],
+    Falloff { radius, curve }: Falloff,
+    exec: &Exec<'_>,
+) -> Result<Vec<(u32, f64)>, Cancelled> {
     #[derive(PartialEq)]
     struct Reached(f64, u32);
     impl Eq for Reached {}
@@ -188,7 +203,12 @@ fn fading_weights(body: &DeformableBody, core: &[u32], Falloff { radius, curve }
         heap.push(Reached(0.0, n));
     }
     let mut found = Vec::new();
+    let mut reached = 0u64;
     while let Some(Reached(d, n)) = heap.pop() {
+        if reached.is_multiple_of(CHECKED) {
+            exec.check()?;
+        }
+        reached += 1;
         if d > distance[n as usize] {
             continue;
         }
@@ -209,7 +229,7 @@ fn fading_weights(body: &DeformableBody, core: &[u32], Falloff { radius, curve }
             }
         }
     }
-    found
+    Ok(found)
 }
 
 fn frozen_nodes(

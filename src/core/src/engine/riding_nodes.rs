@@ -4,9 +4,10 @@ use super::error::{Error, InputPlace};
 use super::passenger::{Passenger, PassengerKind};
 use super::riding::clip_name;
 use crate::asset::{Model, ModelNode, NodeMotions};
+use crate::exec::Exec;
 use crate::mesh::carry::{CarriedFrame, SurfaceCarrier};
 use crate::mesh::rotation::fit_rotation;
-use crate::pool::Pool;
+use crate::progress::Cancelled;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use std::collections::BTreeMap;
 
@@ -107,9 +108,12 @@ impl RidingNodes {
     }
 
     /// Carries all from the rest pose in force to a shape.
-    pub fn carried_along(&self, carrier: &SurfaceCarrier, pool: &Pool) -> Self {
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn carried_along(&self, carrier: &SurfaceCarrier, exec: &Exec<'_>) -> Result<Self, Cancelled> {
         let places: Vec<DVec3> = self.0.iter().map(|node| node.carried.position).collect();
-        let moved = carrier.carry_points(&places, pool);
+        let moved = carrier.carry_points(&places, exec)?;
         let carry_on = |(node, moved): (&RidingNode, CarriedFrame)| RidingNode {
             carried: CarriedFrame {
                 position: moved.position,
@@ -118,7 +122,7 @@ impl RidingNodes {
             },
             ..node.clone()
         };
-        Self(self.0.iter().zip(moved).map(carry_on).collect())
+        Ok(Self(self.0.iter().zip(moved).map(carry_on).collect()))
     }
 
     /// The rigid motions from where the file has them.

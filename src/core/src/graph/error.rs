@@ -1,5 +1,6 @@
 //! Why a graph cannot be built.
 
+use crate::mesh::query::QueryStop;
 use crate::progress::Cancelled;
 
 /// Why a volume graph cannot be built as asked.
@@ -37,7 +38,25 @@ pub enum Error {
         /// How many can be numbered.
         limit: usize,
     },
+    /// Finding interior nodes compares too many faces, because faces are as long as the mesh or lie on top of each other.
+    #[error(
+        "finding interior nodes takes more than {limit} comparisons, because faces are as long as the model or lie on top of each \
+         other; remesh the model to give it faces of about one size"
+    )]
+    FacesTooLong {
+        /// How many comparisons are allowed.
+        limit: u64,
+    },
     /// The work was given up.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
+}
+
+impl From<QueryStop> for Error {
+    fn from(stop: QueryStop) -> Self {
+        match stop {
+            QueryStop::Cancelled => Self::Cancelled(Cancelled),
+            QueryStop::TooMany { limit } => Self::FacesTooLong { limit },
+        }
+    }
 }

@@ -12,7 +12,7 @@
 mod assemble;
 mod error;
 mod mesh_graph;
-mod parallel;
+pub(crate) mod parallel;
 mod recipe;
 mod resample;
 mod surface;

@@ -10,7 +10,7 @@ use crate::progress::Cancelled;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Triangles between two looks at the progress. A triangle meets every other one at worst.
+/// Triangles looked at in one piece of work.
 const BLOCK: usize = 16;
 
 /// Counts the pairs of triangles that cross.
@@ -38,9 +38,12 @@ pub fn self_intersections(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Ex
         (0..triangles.len().div_ceil(BLOCK))
             .into_par_iter()
             .map(|block| {
-                exec.check()?;
-                let places = block * BLOCK..((block + 1) * BLOCK).min(triangles.len());
-                Ok(places.map(|place| surface.count_crossings(place)).sum::<u64>())
+                let mut places = block * BLOCK..((block + 1) * BLOCK).min(triangles.len());
+                // A triangle meets every other one at worst.
+                places.try_fold(0, |count, place| {
+                    exec.check()?;
+                    Ok(count + surface.count_crossings(place))
+                })
             })
             .sum()
     })

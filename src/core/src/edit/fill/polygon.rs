@@ -11,6 +11,9 @@ use super::planar::turn;
 use crate::progress::{Cancelled, Progress, check};
 use glam::DVec2;
 
+/// Places compared with ears between two looks at the progress: a few milliseconds.
+const COMPARED: usize = 1 << 18;
+
 /// Triangles, counter-clockwise, of the polygon inside `outer` (counter-clockwise) and outside `holes` (clockwise, none
 /// inside another). Loops name places by number in `at`; a number stands in one loop once. `None` when the loops are so
 /// entangled that a triangle would need one point twice.
@@ -176,13 +179,18 @@ impl<'a> PolygonRing<'a> {
         let mut reflex: Vec<bool> = (0..left).map(|n| reflex_at(&self, n)).collect();
         let mut bad: Vec<usize> = (0..left).filter(|&n| reflex[n]).collect();
         let (mut node, mut misses, mut leniency) = (0, 0, 0);
+        let mut compared = 0;
         while left > 3 {
+            compared += bad.len() + 1;
+            if compared > COMPARED {
+                compared = 0;
+                check(progress)?;
+            }
             let (a, c) = (self.prev[node], self.next[node]);
             let mut obstacles = bad.iter().copied().filter(|&n| reflex[n]);
             if self.is_ear([a, node, c], &mut obstacles, leniency) {
                 triangles.push([self.id[a], self.id[node], self.id[c]]);
                 if triangles.len() % 64 == 0 {
-                    check(progress)?;
                     bad.retain(|&n| reflex[n]);
                 }
                 self.link(a, c);

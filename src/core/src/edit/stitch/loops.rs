@@ -1,11 +1,15 @@
 //! Closed boundary loops that can be stitched.
 
+use crate::edit::error::Error;
 use crate::edit::region_mesh::RegionMesh;
 use crate::mesh::NONE;
+use crate::progress::{Progress, check};
 use std::collections::BTreeMap;
 
 /// Points compared on each loop when the nearest are looked for.
 const SAMPLE: usize = 48;
+/// Pairs of loops that are compared at most; a few seconds.
+const MOST_LOOP_PAIRS: usize = 100_000_000;
 
 /// A closed boundary loop, each point once, in the order in which the faces beside it pass its edges.
 #[derive(Debug, Clone, PartialEq)]
@@ -101,20 +105,34 @@ pub(super) fn loop_distance(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop) -
     least
 }
 
-/// The pair, one of each list, whose points are nearest to each other on average, among those that `allowed` accepts.
+/// The pair, one of each list, whose points are nearest to each other on average, among those whose places in the lists `allowed`
+/// accepts.
+///
+/// # Errors
+/// [`Error::Impossible`] where there are too many pairs to compare; [`Error::Cancelled`].
 pub(super) fn nearest_pair<'a>(
     mesh: &RegionMesh,
     from: &[&'a StitchLoop],
     to: &[&'a StitchLoop],
-    allowed: impl Fn(&StitchLoop, &StitchLoop) -> bool,
-) -> Option<(&'a StitchLoop, &'a StitchLoop)> {
+    allowed: impl Fn(usize, usize) -> bool,
+    progress: &dyn Progress,
+) -> Result<Option<(&'a StitchLoop, &'a StitchLoop)>, Error> {
     // With many loops a few points of each must do.
     let pairs = from.len().saturating_mul(to.len());
+    if pairs > MOST_LOOP_PAIRS {
+        let problem = format!(
+            "{} and {} boundary loops are more than {MOST_LOOP_PAIRS} pairs to compare; name a point on each of two loops",
+            from.len(),
+            to.len()
+        );
+        return Err(Error::impossible(problem, "the whole surface"));
+    }
     let few = if pairs > 10_000 { 1 } else { SAMPLE };
     let mut best: Option<(f64, &StitchLoop, &StitchLoop)> = None;
-    for &a in from {
-        for &b in to {
-            if !allowed(a, b) {
+    for (i, &a) in from.iter().enumerate() {
+        check(progress)?;
+        for (j, &b) in to.iter().enumerate() {
+            if !allowed(i, j) {
                 continue;
             }
             let gap = mean_gap(mesh, a, b, few).max(mean_gap(mesh, b, a, few));
@@ -123,7 +141,7 @@ pub(super) fn nearest_pair<'a>(
             }
         }
     }
-    best.map(|(_, a, b)| (a, b))
+    Ok(best.map(|(_, a, b)| (a, b)))
 }
 
 fn mean_gap(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop, few: usize) -> f64 {

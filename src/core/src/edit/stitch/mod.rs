@@ -62,10 +62,10 @@ pub fn stitch_boundaries(
     let mesh = RegionMesh::with_frozen_ring(surface, &near)?;
     check(progress)?;
     let found = loops::find_loops(&mesh);
-    let (a, b) = choose_loops(surface, &mesh, &found, between)?;
+    let (a, b) = choose_loops(surface, &mesh, &found, between, progress)?;
     check_match(&mesh, a, b, matches!(between, LoopPair::Points(..)))?;
     check(progress)?;
-    let strip = strip::find_shortest_strip(&mesh, a, b).ok_or_else(|| {
+    let strip = strip::find_shortest_strip(&mesh, a, b, progress)?.ok_or_else(|| {
         let problem = "no strip between the two loops has only new edges; they are joined by edges already";
         Error::impossible(problem, describe_place(&mesh, a, b))
     })?;
@@ -77,7 +77,8 @@ pub fn stitch_boundaries(
             points: turned,
             ..b.clone()
         },
-    );
+        progress,
+    )?;
     if other_way.is_some_and(|o| o.cost * 2.0 < strip.cost) {
         let problem = "the two parts face opposite ways: one of them is inside out, turn its triangles over";
         return Err(Error::impossible(problem, describe_place(&mesh, a, b)));
@@ -99,6 +100,7 @@ fn choose_loops<'a>(
     mesh: &RegionMesh,
     found: &'a [StitchLoop],
     between: LoopPair,
+    progress: &dyn Progress,
 ) -> Result<(&'a StitchLoop, &'a StitchLoop), Error> {
     let old = |l: &StitchLoop| {
         l.points
@@ -121,7 +123,7 @@ fn choose_loops<'a>(
         LoopPair::Appended(first) => {
             let (model, appended): (Vec<_>, Vec<_>) = found.iter().partition(|l| newest(l) < first);
             let appended: Vec<_> = appended.into_iter().filter(|l| old(l) >= first).collect();
-            let pair = loops::nearest_pair(mesh, &model, &appended, |_, _| true);
+            let pair = loops::nearest_pair(mesh, &model, &appended, |_, _| true, progress)?;
             pair.ok_or_else(|| {
                 let (m, n) = (model.len(), appended.len());
                 let problem =
@@ -134,9 +136,9 @@ fn choose_loops<'a>(
                 .filter_map(|t| surface.proper_points(t))
                 .collect();
             let parts = Components::of_triangles(surface.points as usize, &corners);
-            let part = |l: &StitchLoop| parts.of_vertex[old(l) as usize];
             let all: Vec<&StitchLoop> = found.iter().collect();
-            let pair = loops::nearest_pair(mesh, &all, &all, |a, b| part(a) < part(b));
+            let part: Vec<u32> = found.iter().map(|l| parts.of_vertex[old(l) as usize]).collect();
+            let pair = loops::nearest_pair(mesh, &all, &all, |i, j| part[i] < part[j], progress)?;
             pair.ok_or_else(|| {
                 let problem = format!(
                     "there are {} closed boundary loops and no two of different parts; to join loops of one part name a point on each",
@@ -150,7 +152,9 @@ fn choose_loops<'a>(
 
 fn check_match(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop, named: bool) -> Result<(), Error> {
     let place = describe_place(mesh, a, b);
-    if a.points.iter().any(|p| b.points.contains(p)) {
+    let mut others = b.points.clone();
+    others.sort_unstable();
+    if a.points.iter().any(|p| others.binary_search(p).is_ok()) {
         let problem = if a == b {
             "both points are on the same boundary loop; name one on each of two, or fill the hole"
         } else {

@@ -3,6 +3,7 @@
 use super::loops::StitchLoop;
 use crate::edit::region_mesh::RegionMesh;
 use crate::mesh::NONE;
+use crate::progress::{Cancelled, Progress, check};
 
 /// Most pairs of points for which all strips are compared; beyond, the shorter of the next two edges is taken each time.
 const MOST_PAIRS: usize = 16 << 20;
@@ -24,12 +25,18 @@ pub(super) struct StitchStrip {
 
 /// The strip of least length that begins at the closest pair of points and has no edge that is there already; `None` when
 /// there is none. Seen along the first loop the second runs backwards, so that the strip's faces turn as both parts' do.
-pub(super) fn find_shortest_strip(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop) -> Option<StitchStrip> {
+pub(super) fn find_shortest_strip(
+    mesh: &RegionMesh,
+    a: &StitchLoop,
+    b: &StitchLoop,
+    progress: &dyn Progress,
+) -> Result<Option<StitchStrip>, Cancelled> {
     let (n, m) = (a.points.len(), b.points.len());
     let mut start = (f64::INFINITY, 0, 0);
     // Long loops begin at a point that is close enough.
     let (skip_a, skip_b) = (n.div_ceil(4096), m.div_ceil(4096));
     for i in (0..n).step_by(skip_a) {
+        check(progress)?;
         for j in (0..m).step_by(skip_b) {
             let length = mesh.edge_length(a.points[i], b.points[j]);
             if length < start.0 {
@@ -64,13 +71,15 @@ pub(super) fn find_shortest_strip(mesh: &RegionMesh, a: &StitchLoop, b: &StitchL
             }
         };
         if n.saturating_mul(m) <= MOST_PAIRS {
-            shortest_steps(n, m, cost)
+            shortest_steps(n, m, cost, progress)
         } else {
-            greedy_steps(n, m, cost)
+            Ok(greedy_steps(n, m, cost))
         }
     };
-    let ways = [try_from(true), try_from(false)].into_iter().flatten();
-    let (steps, total) = ways.min_by(|x, y| x.1.total_cmp(&y.1))?;
+    let ways = [try_from(true)?, try_from(false)?].into_iter().flatten();
+    let Some((steps, total)) = ways.min_by(|x, y| x.1.total_cmp(&y.1)) else {
+        return Ok(None);
+    };
     let (mut i, mut j) = (0, 0);
     let mut triangles = Vec::with_capacity(n + m);
     for along_a in steps {
@@ -90,7 +99,7 @@ pub(super) fn find_shortest_strip(mesh: &RegionMesh, a: &StitchLoop, b: &StitchL
             j += 1;
         }
     }
-    Some(StitchStrip { triangles, cost: total })
+    Ok(Some(StitchStrip { triangles, cost: total }))
 }
 
 /// The face at an edge of a loop.
@@ -98,12 +107,21 @@ fn face_beside(mesh: &RegionMesh, p: u32, q: u32) -> u32 {
     mesh.edge_faces(p, q).faces().next().unwrap_or(NONE)
 }
 
+/// Steps, true along the first loop, and their length in all.
+type StepsAndCost = (Vec<bool>, f64);
+
 /// All ways from (0, 0) to (n, m) by single steps, compared; true is a step along the first loop.
-fn shortest_steps(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Option<(Vec<bool>, f64)> {
+fn shortest_steps(
+    n: usize,
+    m: usize,
+    cost: impl Fn(usize, usize) -> f64,
+    progress: &dyn Progress,
+) -> Result<Option<StepsAndCost>, Cancelled> {
     let width = m + 1;
     let mut from_a = vec![false; (n + 1) * width];
     let mut row = vec![f64::INFINITY; width];
     for i in 0..=n {
+        check(progress)?;
         for j in 0..=m {
             let here = if (i, j) == (n, m) { cost(0, 0) } else { cost(i, j) };
             let (up, left) = (
@@ -116,7 +134,7 @@ fn shortest_steps(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Opt
     }
     let total = row[m];
     if !total.is_finite() {
-        return None;
+        return Ok(None);
     }
     let mut steps = Vec::with_capacity(n + m);
     let (mut i, mut j) = (n, m);
@@ -130,11 +148,11 @@ fn shortest_steps(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Opt
         }
     }
     steps.reverse();
-    Some((steps, total))
+    Ok(Some((steps, total)))
 }
 
 /// The shorter of the two next edges each time.
-fn greedy_steps(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Option<(Vec<bool>, f64)> {
+fn greedy_steps(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Option<StepsAndCost> {
     let mut steps = Vec::with_capacity(n + m);
     let (mut i, mut j, mut total) = (0, 0, cost(0, 0));
     while (i, j) != (n, m) {
@@ -155,13 +173,18 @@ fn greedy_steps(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Optio
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::progress::Silent;
+
+    fn shortest(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Option<StepsAndCost> {
+        shortest_steps(n, m, cost, &Silent).expect("not cancelled")
+    }
 
     #[test]
     fn both_ways_of_choosing_reach_the_end_and_the_full_one_is_no_longer() {
         let a = [0.0, 0.3, 0.5, 0.9, 1.0f64];
         let b = [0.0, 0.5, 0.6, 0.7, 0.75, 0.9, 1.0f64];
         let cost = |i: usize, j: usize| (a[i] - b[j]).abs() + 0.1;
-        let (full, least) = shortest_steps(4, 6, cost).expect("a way");
+        let (full, least) = shortest(4, 6, cost).expect("a way");
         let (greedy, more) = greedy_steps(4, 6, cost).expect("a way");
         for steps in [&full, &greedy] {
             assert_eq!((steps.len(), steps.iter().filter(|s| **s).count()), (10, 4));
@@ -172,7 +195,7 @@ mod tests {
     #[test]
     fn forbidden_edges_are_gone_around_or_refused() {
         let blocked = |i: usize, j: usize| if (i, j) == (1, 1) { f64::INFINITY } else { 1.0 };
-        assert!(shortest_steps(3, 3, blocked).is_some_and(|(_, total)| total == 7.0));
-        assert!(shortest_steps(2, 2, |i, j| if i == 1 || j == 1 { f64::INFINITY } else { 1.0 }).is_none());
+        assert!(shortest(3, 3, blocked).is_some_and(|(_, total)| total == 7.0));
+        assert!(shortest(2, 2, |i, j| if i == 1 || j == 1 { f64::INFINITY } else { 1.0 }).is_none());
     }
 }

@@ -74,7 +74,7 @@ pub fn weld_boundaries(
     check(progress)?;
     let positions = point_positions(surface);
     let at = |p: u32| positions[p as usize];
-    let matches = close_pairs::find_close_pairs(new, old, tolerance, at);
+    let matches = close_pairs::find_close_pairs(new, old, tolerance, at, progress)?;
     if matches.is_empty() {
         let (distance, p, q) = close_pairs::find_closest(new, old, at);
         return Err(Error::impossible(

@@ -8,7 +8,7 @@ use crate::graph::resample::local::LocalMesh;
 use crate::graph::volume::lattice_grid::CERTAIN;
 use crate::graph::volume::neighbours::{LatticeKey, directions, toward};
 use crate::graph::volume::shell::walk;
-use crate::mesh::query::TriangleBvh;
+use crate::mesh::query::{TriangleBvh, VisitCount};
 use glam::DVec3;
 
 /// A place of the grid is taken by a moved node no further than this, in intervals.
@@ -38,6 +38,8 @@ pub(super) struct EdgeFinder<'a> {
     pub(super) grid: &'a ZoneGrid,
     pub(super) table: &'a NodeTable,
     pub(super) surface: &'a TriangleBvh<'a>,
+    /// What is looked at without asking any structure.
+    pub(super) looked: &'a VisitCount,
 }
 
 impl EdgeFinder<'_> {
@@ -129,7 +131,13 @@ impl EdgeFinder<'_> {
             return None;
         }
         let hit = self.surface.first_hit(node.at + way * clear, end, None)?;
-        Some(walk(&local.positions, &local.adjacency, hit.vertex, hit.point))
+        Some(walk(
+            &local.positions,
+            &local.adjacency,
+            hit.vertex,
+            hit.point,
+            self.looked,
+        ))
     }
 
     /// The vertex of `local` nearest to `end`, if it is no further than that of an end that was left out for being too
@@ -138,6 +146,12 @@ impl EdgeFinder<'_> {
         let near = self
             .surface
             .closest_point_within(end, 1.5 * (self.inside.depth + self.inside.interval))?;
-        Some(walk(&local.positions, &local.adjacency, near.vertex, near.point))
+        Some(walk(
+            &local.positions,
+            &local.adjacency,
+            near.vertex,
+            near.point,
+            self.looked,
+        ))
     }
 }

@@ -14,6 +14,7 @@ use crate::graph::resample::zone::{CORE, NEAR, RIM};
 use crate::graph::volume::neighbours::LatticeKey;
 use crate::graph::volume::shell::walk;
 use crate::mesh::NONE;
+use crate::mesh::query::VisitCount;
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -82,9 +83,10 @@ pub(super) fn follow_interior(
         grid: &lattice.grid,
         table: &table,
         surface: site.surface,
+        looked: site.looked,
     };
     let again: Vec<u32> = (0u32..).zip(&nodes).filter(|n| n.1.again).map(|n| n.0).collect();
-    let found = map(&again, site.exec, |&node| finder.find_edges(node))?;
+    let found = map(&again, site.budget, |&node| finder.find_edges(node))?;
     let mut links: Vec<NewEdge> = Vec::new();
     let mut leaving: Vec<(u32, DVec3)> = Vec::new();
     for mut edges in found {
@@ -114,9 +116,9 @@ pub(super) fn follow_interior(
         (s.0, at, lattice.local_vertex_instead(nearest))
     }));
     let local = site.local;
-    let nearest = map(&asked, site.exec, |&(_, p, start)| {
+    let nearest = map(&asked, site.budget, |&(_, p, start)| {
         let start = start.or_else(|| site.surface.closest_vertex(p, None))?;
-        Some(local.points[walk(&local.positions, &local.adjacency, start, p) as usize])
+        Some(local.points[walk(&local.positions, &local.adjacency, start, p, site.looked) as usize])
     })?;
     if nearest.contains(&None) {
         return Ok(None);
@@ -175,7 +177,7 @@ impl LatticeUpdate<'_> {
                 0
             }
         };
-        self.site.exec.pool.install(|| {
+        self.site.budget.exec.pool.install(|| {
             let all = (self.first..old.nodes()).into_par_iter().with_min_len(BLOCK);
             let found = all.map(|node| (node as u32, marks(old.positions[node]), lost(node)));
             found.filter(|s| s.1 != 0 || s.2).collect()
@@ -193,7 +195,7 @@ impl LatticeUpdate<'_> {
     fn judge_nodes(&self, seen: &[AffectedNode]) -> Result<(Vec<ZoneNode>, Vec<u32>), Error> {
         let old = self.edited.old;
         let near: Vec<(u32, u8)> = seen.iter().filter(|s| s.1 != 0).map(|s| (s.0, s.1)).collect();
-        let judged: Vec<Option<ZoneNode>> = map(&near, self.site.exec, |&(number, marks)| {
+        let judged: Vec<Option<ZoneNode>> = map(&near, self.site.budget, |&(number, marks)| {
             let at = old.positions[number as usize];
             let key = self.grid.key_at(at);
             if marks & CORE == 0 {
@@ -273,7 +275,7 @@ impl LatticeUpdate<'_> {
             return Ok(None);
         }
         let cells = zone.lattice_cells(mark);
-        let free: Vec<[Option<(LatticeKey, f64)>; 2]> = map(&cells, self.site.exec, |&cell| {
+        let free: Vec<[Option<(LatticeKey, f64)>; 2]> = map(&cells, self.site.budget, |&cell| {
             [false, true].map(|in_b| {
                 let key = grid.cell_key(cell, in_b)?;
                 let p = grid.position(key);
@@ -309,15 +311,15 @@ impl LatticeUpdate<'_> {
     /// Finds the local vertices that nodes are tied to where their edges leave the lattice, as sorted (index of the node,
     /// vertex).
     fn find_ties(&self, finder: &EdgeFinder<'_>, leaving: &[(u32, DVec3)]) -> Result<Vec<(u32, u32)>, Error> {
-        let (local, exec) = (self.site.local, self.site.exec);
-        let crossed = map(leaving, exec, |&(node, end)| finder.crossed_vertex(local, node, end))?;
+        let (local, budget) = (self.site.local, self.site.budget);
+        let crossed = map(leaving, budget, |&(node, end)| finder.crossed_vertex(local, node, end))?;
         // Several edges lead to the same place; its nearest point is looked up once.
         let bits = |p: DVec3| p.to_array().map(f64::to_bits);
         let unmet = leaving.iter().zip(&crossed).filter(|l| l.1.is_none());
         let mut ends: Vec<[u64; 3]> = unmet.map(|l| bits(l.0.1)).collect();
         ends.sort_unstable();
         ends.dedup();
-        let beside = map(&ends, exec, |&end| {
+        let beside = map(&ends, budget, |&end| {
             finder.vertex_beside(local, DVec3::from_array(end.map(f64::from_bits)))
         })?;
         let mut ties: Vec<(u32, u32)> = Vec::with_capacity(leaving.len());
@@ -376,7 +378,7 @@ impl LatticeUpdate<'_> {
                     .map(|&m| (m, g)),
             );
         }
-        let parents = map(&orphans, self.site.exec, |&(_, g)| {
+        let parents = map(&orphans, self.site.budget, |&(_, g)| {
             self.local_vertex_instead(old.nearest_surface[g as usize])
         })?;
         let adopted = orphans
@@ -439,7 +441,7 @@ pub(super) fn spread_nearest(graph: &mut MeshGraph, local: &LocalMesh, asked: Ve
             if local.positions[start as usize].distance_squared(p) >= own {
                 continue;
             }
-            let vertex = walk(&local.positions, &local.adjacency, start, p);
+            let vertex = walk(&local.positions, &local.adjacency, start, p, &VisitCount::default());
             if local.positions[vertex as usize].distance_squared(p) < CLEARLY * own {
                 graph.nearest_surface[other] = local.points[vertex as usize];
                 waiting.push(other as u32);

@@ -25,7 +25,8 @@ use crate::exec::Exec;
 use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphStats, MeshGraph};
 use crate::graph::recipe::{GraphRecipe, InteriorRecipe};
-use crate::mesh::query::TriangleBvh;
+use crate::graph::volume::build::most_visits;
+use crate::mesh::query::{TriangleBvh, VisitBudget, VisitCount};
 use crate::mesh::{BoundingBox, NONE, signed_volume};
 use crate::pool::Pool;
 pub use change::{MeshChange, ResampledGraph};
@@ -68,7 +69,11 @@ pub fn resample(
         None if old.surface < old.nodes() => Ok(None),
         None => resample_surface(old, change, &points, exec.pool).map(Some),
         Some(inside) if inside.soups => Ok(None),
-        Some(inside) => resample_volume(old, inside, change, &points, exec),
+        Some(inside) => match resample_volume(old, inside, change, &points, exec) {
+            // What takes too long here is told by whoever builds the graph from the beginning.
+            Err(Error::FacesTooLong { .. }) => Ok(None),
+            followed => followed,
+        },
     }
 }
 
@@ -137,12 +142,16 @@ fn resample_volume(
     let surface = TriangleBvh::build(&local.positions, &local.triangles, exec.pool);
     let around = LocalFaces::around_zone(change, &hull, &found);
     let columns = around.sort_columns(found.best_axis(), exec.pool);
+    let looked = VisitCount::default();
+    let seen = || surface.visits.total() + columns.visits() + looked.total();
+    let budget = VisitBudget::new(most_visits(change.positions.len()), &seen, exec);
     let site = places::ShellSite {
         local: &local,
         surface: &surface,
         zone: &zone,
         columns: &columns,
-        exec,
+        budget: &budget,
+        looked: &looked,
     };
     let unsided = std::mem::take(&mut hull.unsided);
     places::orient_parts(&site, &unsided, &mut hull.reach);

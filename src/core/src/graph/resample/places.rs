@@ -1,6 +1,5 @@
 //! Copies of vertices and the edges among vertices and copies, around an edit.
 
-use crate::exec::Exec;
 use crate::graph::error::Error;
 use crate::graph::parallel::map;
 use crate::graph::resample::change::GraphBefore;
@@ -13,7 +12,7 @@ use crate::graph::volume::shell::{copy, has_room};
 use crate::graph::volume::solid::{normal, sample, turn};
 use crate::graph::weights::cotangent_of;
 use crate::mesh::NONE;
-use crate::mesh::query::TriangleBvh;
+use crate::mesh::query::{TriangleBvh, VisitBudget, VisitCount};
 use glam::DVec3;
 
 /// Places no further apart than this part of an offset are the same.
@@ -41,7 +40,10 @@ pub(super) struct ShellSite<'a> {
     pub(super) surface: &'a TriangleBvh<'a>,
     pub(super) zone: &'a ChangeZone,
     pub(super) columns: &'a FaceColumns<'a>,
-    pub(super) exec: &'a Exec<'a>,
+    /// What queries may look at in all.
+    pub(super) budget: &'a VisitBudget<'a>,
+    /// What is looked at without asking any structure.
+    pub(super) looked: &'a VisitCount,
 }
 
 /// Which way copies of new parts go: turns the reach of those that are wound inside out.
@@ -77,7 +79,7 @@ pub(super) fn place_copies(
         if o == NONE { NONE } else { old_shell[o as usize] }
     };
     let vertices: Vec<u32> = (0..local.points.len() as u32).collect();
-    let placed: Vec<Option<DVec3>> = map(&vertices, site.exec, |&v| {
+    let placed: Vec<Option<DVec3>> = map(&vertices, site.budget, |&v| {
         let (p, own) = (local.positions[v as usize], own_of(v));
         let reach = f64::from(reach[local.points[v as usize] as usize]);
         let before = (own != NONE).then(|| old.positions[own as usize]);

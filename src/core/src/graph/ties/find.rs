@@ -65,11 +65,12 @@ pub(super) fn find_anchors(site: &TieSite, asked: &[u32], exec: &Exec<'_>) -> Re
         let found = map_few(&runs, exec, |run| {
             let (mut anchors, mut places) = (Vec::new(), Vec::new());
             for &vertex in *run {
+                exec.check()?;
                 let reach = reach_of(site, vertex);
                 tree.nearest_places(vertex, surface[vertex as usize], reach, &mut places);
                 anchors.extend(places.iter().map(|place| anchor_at(site, vertex, place, reach)));
             }
-            anchors
+            Ok::<_, Cancelled>(anchors)
         })?;
         found.into_iter().for_each(|found| anchors.extend(found));
     }

@@ -83,6 +83,11 @@ impl<'a> FaceColumns<'a> {
             .collect()
     }
 
+    /// What long queries have looked at.
+    pub(in crate::graph) fn visits(&self) -> u64 {
+        self.grid.as_ref().map_or(0, |grid| grid.visits.total())
+    }
+
     /// Whether the winding number at a place is not 0.
     pub(in crate::graph) fn contains(&self, p: DVec3) -> bool {
         let Some(grid) = &self.grid else {

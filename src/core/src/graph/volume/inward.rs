@@ -14,9 +14,9 @@ pub(in crate::graph) fn inward_directions(
     order: &[u32],
     step: f64,
 ) -> Result<(InwardDirections, Vec<f64>), Error> {
-    let VolumeSite { parts, exec, .. } = *site;
+    let VolumeSite { parts, budget, .. } = *site;
     let (positions, triangles) = (&site.mesh.positions, &site.mesh.triangles);
-    let found = map(order, exec, |&v| {
+    let found = map(order, budget, |&v| {
         if parts.kind(v) != PartKind::Sheet {
             -normal(positions, triangles, site.adjacency, v)
         } else {
@@ -31,7 +31,7 @@ pub(in crate::graph) fn inward_directions(
         .collect();
     let asked = sample(candidates, parts.kinds.len(), part);
     let space = || order.to_vec();
-    let sides = map_in_space(&asked, space, exec, |&v| {
+    let sides = map_in_space(&asked, space, budget, |&v| {
         let (p, d) = (positions[v as usize], inward[v as usize] * step);
         (site.contains(p + d), site.contains(p - d))
     })?;

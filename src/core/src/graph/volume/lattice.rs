@@ -102,7 +102,7 @@ pub(in crate::graph) fn edges(
         let edges = from.flat_map_iter(|i| rows[i as usize].into_iter().map(move |j| [i, j]));
         edges.filter(|&[i, j]| j != NONE && i < j && doubtful(i, j)).collect()
     });
-    let blocked = map(&asked, site.exec, |&[i, j]| {
+    let blocked = map(&asked, site.budget, |&[i, j]| {
         site.surface.is_way_crossed(at(i), at(j), None)
     })?;
     for (&[i, j], _) in asked.iter().zip(&blocked).filter(|e| *e.1) {
@@ -112,7 +112,7 @@ pub(in crate::graph) fn edges(
         }
     }
     let starts: Vec<u32> = (0..rows.len() as u32).step_by(NODES).collect();
-    let found = map(&starts, site.exec, |&first| {
+    let found = map(&starts, site.budget, |&first| {
         let last = (first + NODES as u32).min(rows.len() as u32);
         let mut found = LatticeTies::default();
         let mut hints = [0; 14];
@@ -182,7 +182,7 @@ fn tied_to_nearest(site: &VolumeSite, grid: &LatticeGrid, unmet: &[(u32, Lattice
     site.exec.pool.install(|| ends.par_sort_unstable());
     ends.dedup();
     let surface = site.surface.tree().bvh();
-    let nearest = map_along(&ends, site.exec, |&end, before: Option<&Option<SurfacePoint>>| {
+    let nearest = map_along(&ends, site.budget, |&end, before: Option<&Option<SurfacePoint>>| {
         let p = grid.position(end);
         let within = before
             .copied()

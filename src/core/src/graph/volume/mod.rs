@@ -7,7 +7,7 @@
 
 mod angle;
 mod apart;
-mod build;
+pub(in crate::graph) mod build;
 pub(super) mod caps;
 pub(super) mod columns;
 mod inward;

@@ -73,6 +73,12 @@ impl<'a> NearSurface<'a> {
         self.tree.get_or_init(build)
     }
 
+    /// What long queries have looked at.
+    pub(in crate::graph) fn visits(&self) -> u64 {
+        let in_cells = self.cells.as_ref().map_or(0, TriangleCells::visits);
+        in_cells + self.tree.get().map_or(0, |tree| tree.bvh().visits.total())
+    }
+
     /// Lists all vertices, so that those next to each other in the list are close in space.
     pub(in crate::graph) fn vertices_in_space_order(&self) -> Vec<u32> {
         match &self.cells {

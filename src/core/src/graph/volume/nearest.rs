@@ -62,7 +62,7 @@ pub(in crate::graph) fn nearest_vertices(
         site.surface.tree();
     }
     let starts: Vec<(u32, u32)> = (0..count).zip(nearest).collect();
-    let walked = map(&starts, site.exec, |&(node, start)| {
+    let walked = map(&starts, site.budget, |&(node, start)| {
         let p = at(node);
         let start = match start {
             UNKNOWN => site.surface.tree().bvh().closest_vertex(p, None).unwrap_or(0),

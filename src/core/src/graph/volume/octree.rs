@@ -77,7 +77,7 @@ pub(in crate::graph) fn nodes(
     }];
     let mut found: Vec<(LatticeKey, f64)> = Vec::new();
     while !front.is_empty() {
-        let verdicts = map(&front, site.exec, |b| search.judge(b))?;
+        let verdicts = map(&front, site.budget, |b| search.judge(b))?;
         // Count before anything is stored.
         let (mut splits, mut kept) = (0usize, found.len());
         for (block, verdict) in front.iter().zip(&verdicts) {

@@ -12,12 +12,15 @@ use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeNodes, TooFine};
 use crate::graph::volume::neighbours::{LAST, NONE, key};
 use crate::graph::volume::shell::VolumeSite;
 use crate::mesh::Lists;
+use crate::mesh::query::QueryStop;
 use crate::mesh::query::closest_point::PreparedTriangle;
 use glam::DVec3;
 use rayon::prelude::*;
 
 /// Sheets looked at between two looks at the progress and at the number of nodes.
 const BLOCK: usize = 256;
+/// Nodes and crossings looked at between two looks at the progress inside of one sheet.
+const CHECKED: usize = 1 << 13;
 
 /// A row crosses a face here.
 #[derive(Clone, Copy)]
@@ -70,15 +73,16 @@ pub(in crate::graph) fn nodes(
     let mut nodes = LatticeNodes::default();
     let sheets: Vec<u32> = (0..faces.rows() as u32).collect();
     for block in sheets.chunks(BLOCK) {
-        let found = map_few(block, site.exec, |&sheet| {
-            let runs = runs(grid, crossings(hull, grid, crossing.of(sheet), sheet));
+        let scan = |sheet: u32| {
+            let runs = runs(grid, crossings(site, hull, grid, crossing.of(sheet), sheet)?);
             let count = runs.iter().map(|r| r.count as usize).sum::<usize>();
             // A sheet alone that holds many times more than all may is not worth storing.
             if count > limit.saturating_mul(8).saturating_add(1 << 20) {
-                return Err(count);
+                return Ok::<_, QueryStop>(Err(count));
             }
-            Ok(deep_nodes(site, grid, &runs, faces.of(sheet), sheet, [depth, reach]))
-        })?;
+            deep_nodes(site, grid, &runs, faces.of(sheet), sheet, [depth, reach]).map(Ok)
+        };
+        let found = map_few(block, site.exec, |&sheet| scan(sheet))?;
         for sheet in found {
             let count = nodes.keys.len() + sheet.as_ref().map_or_else(|count| *count, |s| s.keys.len());
             match sheet {
@@ -101,10 +105,11 @@ pub(in crate::graph) fn volume(site: &VolumeSite, hull: HullFaces, grid: &Lattic
         return Ok(None);
     };
     let sheets: Vec<u32> = (0..faces.rows() as u32).collect();
-    let lengths = map_few(&sheets, site.exec, |&sheet| {
-        let runs = runs(grid, crossings(hull, grid, faces.of(sheet), sheet));
-        runs.iter().map(|r| r.length).sum::<f64>()
-    })?;
+    let measure = |sheet: u32| {
+        let runs = runs(grid, crossings(site, hull, grid, faces.of(sheet), sheet)?);
+        Ok::<_, QueryStop>(runs.iter().map(|r| r.length).sum::<f64>())
+    };
+    let lengths = map_few(&sheets, site.exec, |&sheet| measure(sheet))?;
     // Sheets are half a cell apart, rows of a sheet one.
     let cell = grid.interval * grid.interval * grid.interval;
     Ok(Some(0.5 * lengths.iter().sum::<f64>() * cell))
@@ -148,9 +153,15 @@ fn height(grid: &LatticeGrid, sheet: u32) -> (f64, f64) {
 
 /// Where the rows of a sheet cross faces of `hull`. Each edge is cut by the sheet in one way whichever face asks, so the
 /// turns of a row add up to zero, to the bit and without special cases.
-fn crossings(hull: HullFaces, grid: &LatticeGrid, near: &[u32], sheet: u32) -> Vec<RowCrossing> {
+fn crossings(
+    site: &VolumeSite,
+    hull: HullFaces,
+    grid: &LatticeGrid,
+    near: &[u32],
+    sheet: u32,
+) -> Result<Vec<RowCrossing>, QueryStop> {
     let (z, shift) = height(grid, sheet);
-    let mut found = Vec::new();
+    let (mut found, mut looked) = (Vec::new(), 0);
     for &t in near {
         let face = hull.faces[t as usize];
         let heights = face.map(|v| hull.positions[v as usize].z > z);
@@ -182,8 +193,13 @@ fn crossings(hull: HullFaces, grid: &LatticeGrid, near: &[u32], sheet: u32) -> V
             });
             row += 1.0;
         }
+        looked += 1 + (row - low.0).max(0.0) as usize;
+        if looked > CHECKED {
+            looked = 0;
+            site.budget.check()?;
+        }
     }
-    found
+    Ok(found)
 }
 
 /// What lies between crossings with a winding number other than 0.
@@ -222,10 +238,10 @@ fn deep_nodes(
     near: &[u32],
     sheet: u32,
     [depth, reach]: [f64; 2],
-) -> LatticeNodes {
+) -> Result<LatticeNodes, QueryStop> {
     let mut nodes = LatticeNodes::default();
     let (Some(first), Some(last)) = (runs.first(), runs.last()) else {
-        return nodes;
+        return Ok(nodes);
     };
     let (z, shift) = height(grid, sheet);
     // Where each row's runs begin, and where each run's nodes do.
@@ -246,6 +262,7 @@ fn deep_nodes(
     let world = |cell: f64, axis: usize| grid.origin[axis] + (cell + shift) * grid.interval;
     // Distances below this may be nothing but rounding.
     let noise = (1e-12 * reach) * (1e-12 * reach);
+    let mut looked = 0;
     for &t in near {
         let corners = site.mesh.triangles[t as usize].map(|v| site.mesh.positions[v as usize]);
         let face = PreparedTriangle::new(corners);
@@ -274,6 +291,7 @@ fn deep_nodes(
                 let run = runs[k];
                 let begin = x0.max(f64::from(run.first));
                 let end = x1.min(f64::from(run.first) + f64::from(run.count) - 1.0);
+                looked += 1 + (end - begin).max(0.0) as u64;
                 let mut i = begin;
                 while i <= end {
                     let p = DVec3::new(world(i, 0), y, z);
@@ -291,6 +309,10 @@ fn deep_nodes(
                         faces[node] = t;
                     }
                 }
+            }
+            if looked > CHECKED as u64 {
+                site.looked.add(std::mem::take(&mut looked));
+                site.budget.check()?;
             }
             row += 1.0;
         }
@@ -310,5 +332,5 @@ fn deep_nodes(
             }
         }
     }
-    nodes
+    Ok(nodes)
 }

@@ -12,6 +12,7 @@ use crate::graph::volume::columns::FaceColumns;
 use crate::graph::volume::near_surface::{NearSurface, RoomQueries};
 use crate::graph::volume::solid::ClassifiedParts;
 use crate::graph::winding::tree::WindingTree;
+use crate::mesh::query::{VisitBudget, VisitCount};
 use crate::mesh::{Adjacency, Mesh};
 use crate::pool::Pool;
 use glam::DVec3;
@@ -32,10 +33,14 @@ pub(in crate::graph) struct VolumeSite<'a> {
     /// Closed parts and those whose holes have been closed, if there are any.
     pub(in crate::graph) hull: Option<HullFaces<'a>>,
     /// The same, to be asked what lies inside.
-    pub(in crate::graph) inside_hull: InsideHull<'a>,
+    pub(in crate::graph) inside_hull: &'a InsideHull<'a>,
     /// Soups that enclose space, if there are any.
     pub(in crate::graph) soup: Option<&'a WindingTree<'a>>,
     pub(in crate::graph) exec: &'a Exec<'a>,
+    /// What queries may look at in all.
+    pub(in crate::graph) budget: &'a VisitBudget<'a>,
+    /// What is looked at without asking any structure.
+    pub(in crate::graph) looked: &'a VisitCount,
 }
 
 /// Who tells what lies inside a hull.
@@ -58,12 +63,20 @@ impl<'a> InsideHull<'a> {
         };
         FaceColumns::sort(hull.positions, hull.faces, pool).map_or_else(|| Self::Tree(tree()), Self::Columns)
     }
+
+    /// What long queries of the columns have looked at; a tree counts for itself.
+    pub(in crate::graph) fn visits(&self) -> u64 {
+        match self {
+            Self::Columns(columns) => columns.visits(),
+            Self::Nothing | Self::Tree(_) => 0,
+        }
+    }
 }
 
 impl VolumeSite<'_> {
     /// The vertex where a walk along the mesh from `start` comes no nearer to `p`.
     pub(in crate::graph) fn walk(&self, start: u32, p: DVec3) -> u32 {
-        walk(&self.mesh.positions, self.adjacency, start, p)
+        walk(&self.mesh.positions, self.adjacency, start, p, self.looked)
     }
 
     /// Soups that are worth a lattice; beside a hull of many more faces they have a shell only.
@@ -77,7 +90,7 @@ impl VolumeSite<'_> {
 
     /// Lists all vertices, so that those next to each other in the list are close in space, and their columns are the same.
     pub(in crate::graph) fn vertices_in_space_order(&self) -> Vec<u32> {
-        let InsideHull::Columns(columns) = &self.inside_hull else {
+        let InsideHull::Columns(columns) = self.inside_hull else {
             return self.surface.vertices_in_space_order();
         };
         // A hull may have more vertices than the mesh, or lack some.
@@ -94,7 +107,7 @@ impl VolumeSite<'_> {
 
     /// Whether a place lies inside the hull, or inside soups.
     pub(in crate::graph) fn contains(&self, p: DVec3) -> bool {
-        let in_hull = match &self.inside_hull {
+        let in_hull = match self.inside_hull {
             InsideHull::Nothing => false,
             InsideHull::Columns(columns) => columns.contains(p),
             InsideHull::Tree(tree) => tree.contains(p),
@@ -115,7 +128,7 @@ pub(in crate::graph) fn shell(
     // In the order of space, so that one query finds in the cache what the last one read.
     let mut waiting = order;
     waiting.retain(|&v| inward[v as usize] != DVec3::ZERO);
-    let found = map(&waiting, site.exec, |&v| {
+    let found = map(&waiting, site.budget, |&v| {
         let offset = offsets[site.parts.components.of_vertex[v as usize] as usize];
         let p = site.mesh.positions[v as usize];
         copy(site.surface, v, p, inward[v as usize], offset, |p| site.contains(p))
@@ -165,12 +178,20 @@ pub(in crate::graph) fn has_room(
 }
 
 /// The vertex where a walk along the mesh from `start` comes no nearer to `p`.
-pub(in crate::graph) fn walk(positions: &[DVec3], adjacency: &Adjacency, start: u32, p: DVec3) -> u32 {
+pub(in crate::graph) fn walk(
+    positions: &[DVec3],
+    adjacency: &Adjacency,
+    start: u32,
+    p: DVec3,
+    looked: &VisitCount,
+) -> u32 {
     let distance = |v: u32| positions[v as usize].distance_squared(p);
     let nearer = |a: u32, b: u32| if distance(b) < distance(a) { b } else { a };
     let mut here = start;
     loop {
-        let next = adjacency.neighbours.of(here).iter().copied().fold(here, nearer);
+        let around = adjacency.neighbours.of(here);
+        looked.add(around.len() as u64);
+        let next = around.iter().copied().fold(here, nearer);
         if next == here {
             return here;
         }

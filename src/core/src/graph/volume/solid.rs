@@ -5,13 +5,13 @@
 //! nearer to a half than to a whole number is a sheet: it encloses nothing, and it is left out when other parts are
 //! asked what they enclose.
 
-use crate::exec::Exec;
 use crate::graph::error::Error;
 use crate::graph::parallel::{map, map_in_space};
 use crate::graph::volume::angle::upper_angle;
 use crate::graph::volume::caps::ClosedHull;
 use crate::graph::volume::near_surface::NearSurface;
 use crate::graph::winding::tree::WindingTree;
+use crate::mesh::query::VisitBudget;
 use crate::mesh::{Adjacency, Components, Mesh};
 use glam::DVec3;
 
@@ -57,7 +57,7 @@ impl ClassifiedParts {
         adjacency: &Adjacency,
         surface: &NearSurface,
         step: f64,
-        exec: &Exec<'_>,
+        budget: &VisitBudget<'_>,
     ) -> Result<Self, Error> {
         let components = Components::of_triangles(mesh.positions.len(), &mesh.triangles);
         let mut kinds = vec![PartKind::Closed; components.count];
@@ -79,7 +79,7 @@ impl ClassifiedParts {
             let looked_at = sample(faces, components.count, part);
             let tree = surface.tree();
             let space = || tree.bvh().triangle_order().to_vec();
-            let open = map_in_space(&looked_at, space, exec, |&t| {
+            let open = map_in_space(&looked_at, space, budget, |&t| {
                 let [a, b, c] = mesh.triangles[t as usize].map(|v| mesh.positions[v as usize]);
                 let beside = (b - a).cross(c - a).try_normalize()? * step;
                 let winding = tree.rough_winding_number((a + b + c) / 3.0 - beside);
@@ -142,9 +142,9 @@ impl ClassifiedParts {
         &mut self,
         tree: &WindingTree,
         hull: &ClosedHull,
-        exec: &Exec<'_>,
+        budget: &VisitBudget<'_>,
     ) -> Result<bool, Error> {
-        let within = map(&hull.loops, exec, |l| {
+        let within = map(&hull.loops, budget, |l| {
             let winding = tree.winding_number(l.2).abs();
             winding > 0.5 && (winding - winding.round()).abs() < WHOLE
         })?;

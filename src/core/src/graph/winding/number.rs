@@ -41,7 +41,9 @@ impl WindingTree<'_> {
         let mut far = 0.0;
         let leaves = self.bvh.leaf_count();
         let mut stack = NodeStack::new(&self.bvh);
+        let mut visits = 0;
         while let Some(index) = stack.pop() {
+            visits += 1;
             let node = &self.nodes[index];
             let d = node.center - point;
             let square = d.length_squared();
@@ -57,6 +59,7 @@ impl WindingTree<'_> {
                 (node.first..node.first + node.count).for_each(|child| stack.push(child));
             }
         }
+        self.bvh.visits.add(visits);
         (angle.total() + far) / (4.0 * PI)
     }
 }

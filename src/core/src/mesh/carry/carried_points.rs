@@ -1,9 +1,11 @@
 //! Points with the neighbourhoods that they follow, and the carrier of one deformed shape.
 
+use crate::exec::Exec;
 use crate::mesh::carry::clusters::CarrySurface;
 use crate::mesh::carry::motion::{CarriedFrame, SurfaceMotion};
 use crate::mesh::carry::neighbourhood::Neighbourhood;
 use crate::pool::Pool;
+use crate::progress::Cancelled;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -150,13 +152,17 @@ impl SurfaceCarrier {
         self.carry_around(&mut Neighbourhood::default(), point)
     }
 
-    /// Carries points, in order.
-    pub fn carry_points(&self, points: &[DVec3], pool: &Pool) -> Vec<CarriedFrame> {
-        pool.install(|| {
+    /// Carries points, in order. One point takes about `log n` time; where triangles are as long as the surface it may look at each.
+    ///
+    /// # Errors
+    /// [`Cancelled`], one point after the work was given up.
+    pub fn carry_points(&self, points: &[DVec3], exec: &Exec<'_>) -> Result<Vec<CarriedFrame>, Cancelled> {
+        exec.pool.install(|| {
             let points = points.par_iter().with_min_len(BATCH);
             points
                 .map_init(Neighbourhood::default, |around, &point| {
-                    self.carry_around(around, point)
+                    exec.check()?;
+                    Ok(self.carry_around(around, point))
                 })
                 .collect()
         })

@@ -1,6 +1,7 @@
 //! The bounding-volume hierarchy: triangles sorted along a Morton curve, four to a leaf, four nodes to a node above.
 
 use crate::mesh::measure::BoundingBox;
+use crate::mesh::query::visits::VisitCount;
 use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -38,6 +39,8 @@ pub struct TriangleBvh<'a> {
     pub(super) leaves: usize,
     /// Boxes around the children of each node that is no leaf.
     pub(super) boxes: Vec<ChildBoxes>,
+    /// What long queries have looked at.
+    pub(crate) visits: VisitCount,
 }
 
 /// The children of one node of a [`TriangleBvh`].
@@ -71,6 +74,7 @@ impl<'a> TriangleBvh<'a> {
                 nodes: Vec::new(),
                 leaves: triangles.len().div_ceil(FAN),
                 boxes: Vec::new(),
+                visits: VisitCount::default(),
             };
             let mut level: Vec<BoundingBox> = (0..bvh.leaves).into_par_iter().map(|i| bvh.leaf_bounds(i)).collect();
             let (mut first, mut below) = (0, triangles.len());

@@ -112,9 +112,9 @@ impl TriangleBvh<'_> {
         };
         let mut waiting = [(0.0f64, 0u32); 64];
         waiting[0].1 = root as u32;
-        let mut len = 1;
+        let (mut len, mut visits) = (1, 0);
         while len > 0 {
-            len -= 1;
+            (len, visits) = (len - 1, visits + 1);
             let (square, index) = waiting[len];
             if square > limit || visitor.skips_node(index as usize, square) {
                 continue;
@@ -147,6 +147,7 @@ impl TriangleBvh<'_> {
                 len += 1;
             }
         }
+        self.visits.add(visits);
     }
 }
 

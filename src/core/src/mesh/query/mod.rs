@@ -13,6 +13,7 @@ pub mod fan;
 mod nearest_points;
 mod segment_hit;
 mod triangle_cells;
+mod visits;
 
 pub use bvh::TriangleBvh;
 pub(crate) use closest_surface_point::NearVisitor;
@@ -21,3 +22,4 @@ pub(crate) use closest_surface_point::corner_near;
 pub use nearest_points::NearestPoints;
 pub use segment_hit::SegmentHit;
 pub use triangle_cells::TriangleCells;
+pub(crate) use visits::{QueryStop, VisitBudget, VisitCount};

@@ -1,5 +1,6 @@
 //! Nearest of a set of points, by a balanced k-d tree without pointers.
 
+use crate::mesh::query::visits::VisitCount;
 use glam::DVec3;
 
 /// A set of points that can be asked which of them is nearest to a place.
@@ -7,6 +8,8 @@ use glam::DVec3;
 pub struct NearestPoints {
     /// Points in tree order: the median of every range stands in its middle.
     points: Vec<(DVec3, u32)>,
+    /// What long queries have looked at.
+    pub(crate) visits: VisitCount,
 }
 
 impl NearestPoints {
@@ -26,28 +29,37 @@ impl NearestPoints {
             ranges.push((from, middle));
             ranges.push((middle + 1, to));
         }
-        Self { points }
+        Self {
+            points,
+            visits: VisitCount::default(),
+        }
     }
 
     /// The number of the nearest point and its squared distance; ties go to the smaller number. `None` without points.
     pub fn nearest(&self, place: DVec3) -> Option<(u32, f64)> {
+        self.nearest_within(place, f64::INFINITY)
+    }
+
+    /// As [`NearestPoints::nearest`], for points whose squared distance is at most `square`; a small one makes the search faster.
+    pub fn nearest_within(&self, place: DVec3, square: f64) -> Option<(u32, f64)> {
         let mut best: Option<(u32, f64)> = None;
         // (range, squared distance below which nothing in it can be nearer). Each range taken puts back two of half its
         // length, so there are never more than twice as many as the number of points has digits.
         let mut stack = [(0usize, 0usize, 0.0f64); 2 * usize::BITS as usize];
         stack[0].1 = self.points.len();
-        let mut waiting = 1;
+        let (mut waiting, mut visits) = (1, 0);
         while waiting > 0 {
-            waiting -= 1;
+            (waiting, visits) = (waiting - 1, visits + 1);
             let (from, to, bound) = stack[waiting];
-            if from >= to || best.is_some_and(|b| bound > b.1) {
+            if from >= to || bound > best.map_or(square, |b| b.1) {
                 continue;
             }
             let axis = split_axis(to - from);
             let middle = from + (to - from) / 2;
             let (point, number) = self.points[middle];
             let distance = point.distance_squared(place);
-            if best.is_none_or(|(n, d)| distance < d || (distance == d && number < n)) {
+            let is_better = |(n, d)| distance < d || (distance == d && number < n);
+            if best.map_or(distance <= square, is_better) {
                 best = Some((number, distance));
             }
             let ahead = place[axis] - point[axis];
@@ -59,6 +71,7 @@ impl NearestPoints {
             stack[waiting + 1] = (near.0, near.1, bound);
             waiting += 2;
         }
+        self.visits.add(visits);
         best
     }
 }
@@ -92,6 +105,9 @@ mod tests {
                 .map(|p| (p.0.distance_squared(place), p.1))
                 .min_by(|a, b| a.partial_cmp(b).unwrap());
             assert_eq!(tree.nearest(place).map(|(n, d)| (d, n)), expected);
+            let square = 0.01 * random();
+            let within = expected.filter(|e| e.0 <= square);
+            assert_eq!(tree.nearest_within(place, square).map(|(n, d)| (d, n)), within);
         }
         assert_eq!(NearestPoints::new([]).nearest(DVec3::ZERO), None);
     }

@@ -22,8 +22,10 @@ impl TriangleBvh<'_> {
     pub fn first_hit(&self, from: DVec3, to: DVec3, except: Option<u32>) -> Option<SegmentHit> {
         let segment = PreparedSegment::new(from, to);
         let mut best: Option<(f64, u32)> = None;
+        let mut visits = 0;
         let mut stack = NodeStack::new(self);
         while let Some(index) = stack.pop() {
+            visits += 1;
             let node = &self.nodes[index];
             if index >= self.leaves {
                 let boxes = &self.boxes[index - self.leaves];
@@ -45,6 +47,7 @@ impl TriangleBvh<'_> {
                 }
             }
         }
+        self.visits.add(visits);
         best.map(|(along, triangle)| {
             let point = from + segment.direction * along;
             SegmentHit {

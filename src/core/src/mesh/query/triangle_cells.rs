@@ -75,6 +75,11 @@ impl<'a> TriangleCells<'a> {
             .collect()
     }
 
+    /// What long queries have looked at.
+    pub(crate) fn visits(&self) -> u64 {
+        self.grid.visits.total()
+    }
+
     /// Side of a cell.
     pub fn side(&self) -> f64 {
         self.side

@@ -1817,7 +1817,7 @@ export const Region_CapsuleSchema: GenMessage<Region_Capsule> = /*@__PURE__*/
  */
 export type Region_Tube = Message<"pliant.v1.Region.Tube"> & {
   /**
-   * x, y, z of each point in a row; at least two points.
+   * x, y, z of each point in a row; 2 to 4096 points.
    *
    * @generated from field: repeated double points = 1;
    */
