@@ -15,6 +15,7 @@ mod first_version;
 mod idle;
 mod leaving;
 mod looking;
+mod lost_end;
 mod moved;
 mod restart;
 mod restored;

@@ -14,6 +14,7 @@
 //! | `store_health`, `store_watch` | whether what is written is taken |
 //! | `connection`, `schema` | the database, SQLite or PostgreSQL, and its tables |
 //! | `writer`, `write_order` | one task writes, what comes together in one transaction |
+//! | `newest_write` | how far a file was written, so that a lost end is noticed |
 //! | `rows`, `reading` | rows with their checksums, read again |
 //! | `audit_reading` | who did what, read beside the process that writes it |
 //! | `objects` | what is large, by content |
@@ -31,6 +32,7 @@ mod data_folder;
 mod database_store;
 mod database_to_read;
 mod loose_objects;
+mod newest_write;
 mod node_lease;
 mod object_folder;
 mod objects;

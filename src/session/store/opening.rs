@@ -4,11 +4,12 @@ use super::build_identity::build_identity;
 use super::connection::{DatabaseAddress, SharingNode, WritingConnection, is_alone, let_others_in};
 use super::data_folder::{DATABASE_FILE, FolderHold, existing_database, refuse_objects_alone};
 use super::database_store::DatabaseStore;
+use super::newest_write::NewestWrite;
 use super::node_lease::NodeLease;
 use super::objects::Objects;
 use super::ownership::{NodeIdentity, NodeLoad};
 use super::private_files::make_private_file;
-use super::schema::{TABLES, any_object, identity, migrate, version};
+use super::schema::{Dialect, TABLES, any_object, identity, migrate, version};
 use super::session_store::StoreError;
 use super::shared_store::SharedStore;
 use super::store_health::StoreHealth;
@@ -80,11 +81,15 @@ impl DatabaseStore {
         }
         migrate(connection, address.dialect()).await?;
         mark_objects(connection, (&address, &objects), location).await?;
+        let newest = match address.dialect() {
+            Dialect::Sqlite => Some(NewestWrite::open(folder()?, connection).await?),
+            Dialect::Postgres => None,
+        };
         let health = Arc::new(StoreHealth::of_places(places(location))?);
         let store = Self {
             build: location.build.clone().unwrap_or_else(build_identity),
             pool: address.readers().await?,
-            writer: Arc::new(Writer::start(writing, Arc::clone(&health))),
+            writer: Arc::new(Writer::start(writing, Arc::clone(&health), newest)),
             objects: Arc::new(objects),
             health,
             shared: None,
@@ -121,7 +126,7 @@ impl DatabaseStore {
         let shared = SharedStore {
             lease,
             pool: address.readers().await?,
-            writer: Arc::new(Writer::start(writing, Arc::clone(&health))),
+            writer: Arc::new(Writer::start(writing, Arc::clone(&health), None)),
             objects: Arc::new(objects),
             health,
         };

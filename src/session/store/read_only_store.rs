@@ -14,12 +14,15 @@ use super::store_location::StoreLocation;
 use crate::session::answers::Tenant;
 use crate::session::audit::audit_entry::AuditEntry;
 use bytes::Bytes;
+use std::path::PathBuf;
 
 /// A store that is looked at.
 #[derive(Debug)]
 pub struct ReadOnlyStore {
     pub(super) database: DatabaseToRead,
     pub(super) objects: Objects,
+    /// The folder of a database that is a file.
+    pub(super) folder: Option<PathBuf>,
     build: String,
 }
 
@@ -43,6 +46,7 @@ impl ReadOnlyStore {
         Ok(Self {
             database,
             objects,
+            folder: location.data_dir.clone().filter(|_| location.database.is_none()),
             build: location.build.clone().unwrap_or_else(build_identity),
         })
     }

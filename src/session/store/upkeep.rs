@@ -1,6 +1,7 @@
 //! What operators do with a store: look into it, compare it with its checksums, remove what is left over.
 
 use super::database_store::DatabaseStore;
+use super::newest_write::find_lost_writes;
 use super::objects::Objects;
 use super::read_only_store::ReadOnlyStore;
 use super::reading;
@@ -89,7 +90,14 @@ impl ReadOnlyStore {
     /// # Errors
     /// [`StoreError::Damaged`] with what it finds.
     pub async fn check_database(&self) -> Result<(), StoreError> {
-        reading::integrity(&self.database.pool, self.database.dialect).await
+        reading::integrity(&self.database.pool, self.database.dialect).await?;
+        let Some(folder) = &self.folder else { return Ok(()) };
+        let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
+        let mut connection = self.database.pool.acquire().await.map_err(failed)?;
+        match find_lost_writes(folder, &mut connection).await? {
+            Some(lost) => Err(StoreError::Damaged(lost)),
+            None => Ok(()),
+        }
     }
 
     /// The objects that no session names; where a server holds the store, those among them that it is just writing.

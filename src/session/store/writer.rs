@@ -6,6 +6,7 @@
 
 use super::connection::WritingConnection;
 use super::loose_objects::note_loose;
+use super::newest_write::{NewestWrite, number_transaction};
 use super::session_store::StoreError;
 use super::store_health::StoreHealth;
 use super::write_order::{DoubtfulCommit, WriteOrder, undo_doubtful};
@@ -45,14 +46,15 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    /// Starts the task. It writes while the places of the store are there, and notes what fails.
-    pub fn start(connection: WritingConnection, health: Arc<StoreHealth>) -> Self {
+    /// Starts the task. It writes while the places of the store are there, and notes what fails, and in `newest` what does not.
+    pub fn start(connection: WritingConnection, health: Arc<StoreHealth>, newest: Option<NewestWrite>) -> Self {
         let is_shared = connection.is_shared();
         let (orders, waiting) = mpsc::channel(QUEUE);
         let doubtful = Arc::default();
         let task = WritingTask {
             connection,
             health,
+            newest,
             waiting,
             doubtful: Arc::clone(&doubtful),
             is_shared,
@@ -103,6 +105,8 @@ impl Writer {
 struct WritingTask {
     connection: WritingConnection,
     health: Arc<StoreHealth>,
+    /// How far a file has been written.
+    newest: Option<NewestWrite>,
     waiting: mpsc::Receiver<WaitingOrder>,
     doubtful: Arc<Mutex<Doubts>>,
     /// Whether other nodes write too.
@@ -194,7 +198,8 @@ impl WritingTask {
             .map_err(Failure::NoConnection)?;
         let connection = self.connection.get().await.map_err(StoreError::from);
         let connection = self.health.note(connection).map_err(Failure::NoConnection)?;
-        let transaction = write_together(connection, &doubtful, orders, self.is_shared);
+        let number = self.newest.as_ref().map(NewestWrite::next);
+        let transaction = write_together(connection, (&doubtful, number), orders, self.is_shared);
         let written = match tokio::time::timeout(PATIENCE, transaction).await {
             Ok(written) => written,
             Err(_) => Err(StoreError::Unavailable(format!("it took longer than {PATIENCE:?}"))),
@@ -203,6 +208,9 @@ impl WritingTask {
             Ok(answers) => {
                 // This task alone adds to them.
                 doubts(&self.doubtful).clear();
+                if let (Some(newest), Some(number)) = (&mut self.newest, number) {
+                    newest.note(number);
+                }
                 Ok(answers)
             }
             Err(error) => {
@@ -229,10 +237,10 @@ fn refuse_all(orders: impl IntoIterator<Item = WaitingOrder>, failure: &Failure)
     }
 }
 
-/// Writes orders in one transaction, after what is to be removed.
+/// Writes orders in one transaction, after what is to be removed, and its number.
 async fn write_together(
     connection: &mut AnyConnection,
-    doubtful: &Doubts,
+    (doubtful, number): (&Doubts, Option<u32>),
     orders: &[&WriteOrder],
     is_shared: bool,
 ) -> Result<Vec<Written>, StoreError> {
@@ -257,6 +265,9 @@ async fn write_together(
             Err(error @ (StoreError::Moved | StoreError::Repeated)) => Err(error),
             Err(error) => return Err(error),
         });
+    }
+    if let Some(number) = number {
+        number_transaction(&mut transaction, number).await?;
     }
     transaction.commit().await.map_err(failed)?;
     Ok(answers)

@@ -25,6 +25,11 @@ async fn a_backup_takes_the_place_of_what_was_there() {
     }
     let newest = fs::read(place.data().join("sessions.sqlite")).expect("a file");
     fs::copy(&backup, place.data().join("sessions.sqlite")).expect("restored");
+    // What the backup lacks is reported, until the note of it is removed as the page says.
+    let check = place.store(&["check", "--replay"]);
+    assert_eq!(check.code, 1, "{}", check.out);
+    assert!(check.out.contains("lacks the newest"), "{}", check.out);
+    fs::remove_file(place.data().join("sessions.newest")).expect("a note");
     assert_eq!(place.store(&["check", "--replay"]).code, 0);
     let server = place.start(&[]);
     assert_eq!(seen(&server, &id).await, before);
