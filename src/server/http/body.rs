@@ -124,18 +124,35 @@ const LINGER: Duration = Duration::from_secs(5);
 /// Makes an HTTP/1 body polite: when it is dropped before its end, the rest is read and forgotten for a while, so that a
 /// client that is still sending gets to see the answer instead of a broken connection.
 pub(super) fn linger(body: Body) -> Body {
+    leave_rest(body, |rest| {
+        let Ok(runtime) = tokio::runtime::Handle::try_current() else {
+            return;
+        };
+        runtime.spawn(tokio::time::timeout(LINGER, async move {
+            let mut stream = rest.into_data_stream();
+            while let Some(Ok(_)) = stream.next().await {}
+        }));
+    })
+}
+
+/// A body that gives `take` what is left of it when it is dropped before its end.
+pub(super) fn leave_rest(body: Body, take: impl FnOnce(Body) + Send + 'static) -> Body {
     if body.is_end_stream() {
         body
     } else {
-        Body::new(Lingering { inner: Some(body) })
+        let (inner, take) = (Some(body), Some(Box::new(take) as TakeRest));
+        Body::new(LeavingRest { inner, take })
     }
 }
 
-struct Lingering {
+type TakeRest = Box<dyn FnOnce(Body) + Send>;
+
+struct LeavingRest {
     inner: Option<Body>,
+    take: Option<TakeRest>,
 }
 
-impl HttpBody for Lingering {
+impl HttpBody for LeavingRest {
     type Data = Bytes;
     type Error = axum::Error;
 
@@ -161,17 +178,11 @@ impl HttpBody for Lingering {
     }
 }
 
-impl Drop for Lingering {
+impl Drop for LeavingRest {
     fn drop(&mut self) {
-        let Some(body) = self.inner.take().filter(|body| !body.is_end_stream()) else {
-            return;
-        };
-        let Ok(runtime) = tokio::runtime::Handle::try_current() else {
-            return;
-        };
-        runtime.spawn(tokio::time::timeout(LINGER, async move {
-            let mut stream = body.into_data_stream();
-            while let Some(Ok(_)) = stream.next().await {}
-        }));
+        let rest = self.inner.take().filter(|body| !body.is_end_stream());
+        if let (Some(rest), Some(take)) = (rest, self.take.take()) {
+            take(rest);
+        }
     }
 }

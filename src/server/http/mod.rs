@@ -12,6 +12,7 @@ mod download;
 mod edits;
 mod form_reader;
 mod handles;
+mod late_end;
 mod models;
 mod negotiate;
 mod pages;
@@ -40,6 +41,7 @@ use axum::middleware::{self, Next};
 use axum::response::{IntoResponse as _, Response};
 use futures::FutureExt as _;
 use http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
+use late_end::UnreadRest;
 use problem::Problem;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
@@ -101,30 +103,18 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
             .headers_mut()
             .insert(redirect::NODE, HeaderValue::from_static("sent"));
     }
-    if request.version() < http::Version::HTTP_2 {
-        let body = std::mem::replace(request.body_mut(), Body::empty());
-        *request.body_mut() = body::linger(body);
-    }
-    let response = if let Some(Refused(error)) = request.extensions_mut().remove() {
-        Problem::from(error).into_response()
-    } else if let Some(encoding) = unread_encoding(request.headers()) {
-        let told = format!("the content encoding \"{encoding}\" is not read; send the body as it is");
-        Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "INVALID_ARGUMENT", told)
-            .with_header(header::ACCEPT_ENCODING, "identity".into())
-            .into_response()
-    } else if state.draining.is_cancelled() && matches!(*request.method(), Method::POST | Method::PUT | Method::PATCH) {
-        Problem::from(state.manager.leaving().await).into_response()
-    } else {
-        // A defect costs its call an answer of 500, not the connection.
-        match AssertUnwindSafe(next.run(request))
-            .catch_unwind()
-            .instrument(recorder.span())
-            .await
-        {
-            Ok(response) => response,
-            Err(_panic) => Problem::internal("a call panicked").into_response(),
+    let body = std::mem::replace(request.body_mut(), Body::empty());
+    let mut unread = None;
+    *request.body_mut() = match request.version() < http::Version::HTTP_2 {
+        true => body::linger(body),
+        false => {
+            let (body, rest) = UnreadRest::of(body);
+            unread = Some(rest);
+            body
         }
     };
+    let refused = request.extensions_mut().remove::<Refused>();
+    let response = answer_call(&state, request, refused, next, &recorder).await;
 
     let mut response = match response.extensions().get::<Problem>().cloned() {
         // Allow and other headers that the route added stay.
@@ -156,7 +146,44 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         tracing::error!(request.id = %request_id, http.path = %path, "a call failed by a defect of the server");
     }
     recorder.set_code(status.as_str());
-    response.map(|body| recorder.observe(body))
+    let unread = unread.filter(|_| status.is_client_error() || status.is_server_error());
+    response.map(|body| {
+        let answer = recorder.observe(body);
+        match unread {
+            Some(rest) => rest.delay_end(answer),
+            None => answer,
+        }
+    })
+}
+
+/// Answers a call, or refuses it before anything of its body is read.
+async fn answer_call(
+    state: &State,
+    request: Request,
+    refused: Option<Refused>,
+    next: Next,
+    recorder: &Recorder,
+) -> Response {
+    if let Some(Refused(error)) = refused {
+        Problem::from(error).into_response()
+    } else if let Some(encoding) = unread_encoding(request.headers()) {
+        let told = format!("the content encoding \"{encoding}\" is not read; send the body as it is");
+        Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "INVALID_ARGUMENT", told)
+            .with_header(header::ACCEPT_ENCODING, "identity".into())
+            .into_response()
+    } else if state.draining.is_cancelled() && matches!(*request.method(), Method::POST | Method::PUT | Method::PATCH) {
+        Problem::from(state.manager.leaving().await).into_response()
+    } else {
+        // A defect costs its call an answer of 500, not the connection.
+        match AssertUnwindSafe(next.run(request))
+            .catch_unwind()
+            .instrument(recorder.span())
+            .await
+        {
+            Ok(response) => response,
+            Err(_panic) => Problem::internal("a call panicked").into_response(),
+        }
+    }
 }
 
 /// How a body is encoded that nothing here decodes.

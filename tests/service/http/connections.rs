@@ -155,3 +155,44 @@ async fn a_connection_that_does_not_begin_is_closed() {
         );
     }
 }
+
+/// Sends what is refused before its body is read, as people do.
+#[tokio::test(flavor = "multi_thread")]
+async fn curl_shows_each_refusal_over_http2() {
+    let version = std::process::Command::new("curl").arg("--version").output();
+    let speaks_http2 = version.is_ok_and(|v| String::from_utf8_lossy(&v.stdout).contains("HTTP2"));
+    if !speaks_http2 {
+        println!("SKIPPED: there is no curl that speaks HTTP/2; refusals over HTTP/2 were not seen by it");
+        return;
+    }
+    let server = Server::start().await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let body = folder.path().join("body");
+    for size in [10, 300_000, 3_000_000] {
+        std::fs::write(&body, vec![b'x'; size]).expect("written");
+        for path in ["/v1/nope", "/v1/sessions?format=none"] {
+            for _ in 0..6 {
+                let mut curl = std::process::Command::new("curl");
+                curl.args([
+                    "-s",
+                    "--http2-prior-knowledge",
+                    "-o",
+                    "-",
+                    "-w",
+                    " %{http_code}",
+                    "--data-binary",
+                ])
+                .arg(format!("@{}", body.display()))
+                .arg(server.url(path));
+                let ran = tokio::task::spawn_blocking(move || curl.output());
+                let ran = within("curl", ran).await.expect("it ends").expect("curl runs");
+                let told = String::from_utf8_lossy(&ran.stdout).into_owned();
+                assert!(ran.status.success(), "{size} bytes to {path}: {:?}, {told}", ran.status);
+                assert!(
+                    told.contains("urn:pliant:problem") && !told.ends_with("200"),
+                    "{size} bytes to {path}: {told}"
+                );
+            }
+        }
+    }
+}
