@@ -39,18 +39,19 @@ pub(super) async fn follow_files(state: State) {
             }
         }
         if let Some(tls) = state.tls.clone() {
-            match tokio::task::spawn_blocking(move || tls.reload()).await {
-                Ok(Ok(false)) => {}
-                Ok(Ok(true)) => {
-                    told.certificates = None;
-                    tracing::info!("the TLS certificates have changed");
-                }
-                Ok(Err(problem)) => tell(
+            let Ok(looked) = tokio::task::spawn_blocking(move || tls.reload()).await else {
+                return;
+            };
+            if looked.has_changed {
+                tracing::info!("the TLS certificates have changed");
+            }
+            match looked.problem {
+                None => told.certificates = None,
+                Some(problem) => tell(
                     &mut told.certificates,
-                    "the TLS certificates stay as they were",
+                    "what was read before of a TLS file stays in use",
                     problem,
                 ),
-                Err(_) => return,
             }
         }
     }

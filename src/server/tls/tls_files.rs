@@ -15,9 +15,10 @@ pub const LARGEST_TLS_FILE: u64 = 1 << 20;
 /// The bytes of the files, which tell one state of them from another.
 #[derive(Clone, PartialEq, Eq)]
 pub(super) struct TlsFiles {
-    certificate: Vec<u8>,
-    key: Vec<u8>,
-    client_ca: Option<Vec<u8>>,
+    /// The server's certificate and its key, which go together.
+    pub pair: [Vec<u8>; 2],
+    /// The authorities of clients, which are followed whatever becomes of the pair.
+    pub client_ca: Option<Vec<u8>>,
 }
 
 impl TlsFiles {
@@ -27,13 +28,29 @@ impl TlsFiles {
     /// The file and what the operating system said.
     pub fn read(config: &TlsConfig) -> Result<Self, String> {
         Ok(Self {
-            certificate: read_file("certificate", &config.certificate)?,
-            key: read_file("key", &config.key)?,
-            client_ca: match &config.client_ca {
-                Some(path) => Some(read_file("clients' authorities", path)?),
-                None => None,
-            },
+            pair: Self::read_pair(config)?,
+            client_ca: Self::read_client_ca(config)?,
         })
+    }
+
+    /// Reads the certificate and its key.
+    ///
+    /// # Errors
+    /// As [`TlsFiles::read`].
+    pub fn read_pair(config: &TlsConfig) -> Result<[Vec<u8>; 2], String> {
+        Ok([
+            read_file("certificate", &config.certificate)?,
+            read_file("key", &config.key)?,
+        ])
+    }
+
+    /// Reads the authorities of clients.
+    ///
+    /// # Errors
+    /// As [`TlsFiles::read`].
+    pub fn read_client_ca(config: &TlsConfig) -> Result<Option<Vec<u8>>, String> {
+        let path = config.client_ca.as_deref();
+        path.map(|path| read_file("clients' authorities", path)).transpose()
     }
 
     /// What a handshake needs.
@@ -42,8 +59,8 @@ impl TlsFiles {
     /// The file and what is wrong with it; also a key that is not the certificate's.
     pub fn server_config(&self, paths: &TlsConfig) -> Result<ServerConfig, String> {
         let provider = Arc::new(ring::default_provider());
-        let chain = certificates("certificate", &self.certificate, &paths.certificate)?;
-        let key = PrivateKeyDer::from_pem_slice(&self.key)
+        let chain = certificates("certificate", &self.pair[0], &paths.certificate)?;
+        let key = PrivateKeyDer::from_pem_slice(&self.pair[1])
             .map_err(|e| format!("the TLS key {} is no private key in PEM: {e}", paths.key.display()))?;
         let builder = ServerConfig::builder_with_provider(Arc::clone(&provider))
             .with_safe_default_protocol_versions()
