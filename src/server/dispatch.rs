@@ -62,7 +62,7 @@ impl Dispatch {
             self.sides.clone().oneshot(request).await
         };
         match answer {
-            Ok(response) => response,
+            Ok(response) => guarded(response),
             Err(never) => match never {},
         }
     }
@@ -95,6 +95,18 @@ impl Dispatch {
     pub fn dropped(&self) -> CancellationToken {
         self.dropped.clone()
     }
+}
+
+/// Has browsers take an answer for what it says it is, and keep it from pages of other origins that only embed it.
+fn guarded(mut response: Response<Body>) -> Response<Body> {
+    let headers = response.headers_mut();
+    for (name, value) in [
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+    ] {
+        headers.entry(name).or_insert(HeaderValue::from_static(value));
+    }
+    response
 }
 
 #[derive(Clone)]

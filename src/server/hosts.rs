@@ -72,7 +72,8 @@ impl Hosts {
         let from_header = match (named.next(), named.next()) {
             (Some(_), Some(_)) => return Err(Error::malformed("the request has two Host headers, one is allowed")),
             (Some(host), None) => {
-                let read = host.to_str().ok().and_then(|text| text.parse::<Authority>().ok());
+                let text = host.to_str().ok().filter(|text| !text.contains('@'));
+                let read = text.and_then(|text| text.parse::<Authority>().ok());
                 Some(read.ok_or_else(|| Error::malformed("the Host header is no host with or without a port"))?)
             }
             (None, _) => None,

@@ -56,6 +56,11 @@ impl Origins {
         Ok(origins)
     }
 
+    /// Whether any page may call.
+    pub fn allow_any(&self) -> bool {
+        self.any
+    }
+
     /// Whether a page of `origin` may call a server that is addressed as `host`.
     pub fn allow(&self, origin: &HeaderValue, host: Option<&str>) -> bool {
         if self.any {
@@ -66,7 +71,8 @@ impl Origins {
         if self.listed.contains(&origin) {
             return true;
         }
-        let Some((_, authority)) = origin.split_once("://") else {
+        // An origin names no user (RFC 6454): what stands before an @ is not the host.
+        let Some((_, authority)) = origin.split_once("://").filter(|(_, rest)| !rest.contains('@')) else {
             return false;
         };
         (self.local && is_local(authority)) || host.is_some_and(|host| host.eq_ignore_ascii_case(authority))
@@ -111,6 +117,8 @@ mod tests {
         assert!(!from("https://evil.example", Some("mesh.example.org")));
         assert!(!from("http://localhost.evil.example", None));
         assert!(!from("null", None));
+        assert!(!from("http://localhost:80@evil.example", None));
+        assert!(!from("http://a@localhost", None));
     }
 
     #[test]

@@ -94,7 +94,10 @@ impl CaseStatus {
 /// Rewrites a text without the characters that no XML document may hold, each replaced by U+FFFD.
 pub(super) fn printable(text: &str) -> String {
     let allowed = |c: char| {
-        matches!(c, '\t' | '\n' | '\r') || (c >= ' ' && !matches!(c, '\u{7f}'..='\u{9f}' | '\u{fffe}' | '\u{ffff}'))
+        // Marks of direction would show a text as another one.
+        let turns = matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+        matches!(c, '\t' | '\n' | '\r')
+            || (c >= ' ' && !turns && !matches!(c, '\u{7f}'..='\u{9f}' | '\u{fffe}' | '\u{ffff}'))
     };
     text.chars().map(|c| if allowed(c) { c } else { '\u{fffd}' }).collect()
 }

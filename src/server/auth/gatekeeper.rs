@@ -65,7 +65,7 @@ impl Gatekeeper {
         if is_open(request.uri().path()) {
             return Ok(());
         }
-        let token = presented_token(request.headers())?.map(str::to_owned);
+        let token = presented_token(request)?.map(str::to_owned);
         let principal = match (token, &self.0.jwt, shown) {
             (Some(token), Some(jwt), _) if JwtVerifier::looks_like_one(&token) => jwt.bearer(&token).await?,
             (Some(token), _, _) => token_bearer(&self.0.tokens.load(), &token, SystemTime::now())?,

@@ -124,7 +124,12 @@ impl JwtVerifier {
             ErrorKind::InvalidSignature => refuse("the token's signature does not hold"),
             _ => refuse("the token cannot be read as a JWT"),
         });
-        Ok(decoded?.claims)
+        let claims = decoded?.claims;
+        // The library takes a list that has the issuer among others; a token has one.
+        match claims.get("iss") == Some(&Value::String(config.issuer.clone())) {
+            true => Ok(claims),
+            false => Err(refuse("the token is of another issuer")),
+        }
     }
 
     /// The key that a token says it was signed with. One that is not known may be new: the keys are fetched again, but not for
