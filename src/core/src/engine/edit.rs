@@ -90,9 +90,11 @@ impl Deformer {
         let mut next = self.with_derived(Arc::new(derived));
         carried.drop_empty(
             self.handles(),
-            |region| next.holds_nothing(region),
-            |region| vertices_in_region(&next.rest_regions(), region, None).is_err(),
+            |region| next.holds_nothing(region, exec),
+            |region| vertices_in_region(&next.rest_regions(exec), region, None).is_err(),
         );
+        // Regions that were not looked at to their end hold nothing.
+        exec.check()?;
         report.handles_kept = carried.set.handles.iter().map(|h| h.id.clone()).collect();
         report.warnings.splice(..0, std::mem::take(&mut carried.warnings));
         next.set_handles(&carried.set, exec)?;
@@ -127,8 +129,8 @@ impl Deformer {
     }
 
     /// Whether a handle of this region would hold neither a vertex nor a node inside.
-    fn holds_nothing(&self, region: &Region) -> bool {
-        let context = self.rest_regions();
+    fn holds_nothing(&self, region: &Region, exec: &Exec<'_>) -> bool {
+        let context = self.rest_regions(exec);
         let has_vertex = vertices_of_handle(&context, region).is_ok_and(|vertices| vertices.contains(&true));
         let nodes = || nodes_in_region(&context, &self.body().graph, region, None);
         !has_vertex && nodes().map_or(true, |held| held.nodes.is_empty())

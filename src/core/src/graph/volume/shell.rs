@@ -47,7 +47,7 @@ pub(in crate::graph) struct VolumeSite<'a> {
 pub(in crate::graph) enum InsideHull<'a> {
     /// There is no hull.
     Nothing,
-    Columns(FaceColumns<'a>),
+    Columns(Box<FaceColumns<'a>>),
     Tree(&'a WindingTree<'a>),
 }
 
@@ -61,7 +61,10 @@ impl<'a> InsideHull<'a> {
         let Some(hull) = hull else {
             return Self::Nothing;
         };
-        FaceColumns::sort(hull.positions, hull.faces, pool).map_or_else(|| Self::Tree(tree()), Self::Columns)
+        match FaceColumns::sort(hull.positions, hull.faces, pool) {
+            Some(columns) => Self::Columns(Box::new(columns)),
+            None => Self::Tree(tree()),
+        }
     }
 
     /// What long queries of the columns have looked at; a tree counts for itself.
