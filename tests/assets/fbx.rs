@@ -265,7 +265,7 @@ fn broken_files_say_what_and_where() {
         ..Limits::default()
     };
     let refused = Model::read(FileSet::single("a.fbx", whole), None, &limits).expect_err("too large");
-    assert!(refused.to_string().contains("more than the 1000 bytes"), "{refused}");
+    assert!(refused.to_string().contains("at most 1000 is allowed"), "{refused}");
     let wrong = Model::read(FileSet::single("a.fbx", "hello"), Some(Format::FBX), &Limits::default());
     assert_eq!(
         wrong.expect_err("no FBX").to_string(),

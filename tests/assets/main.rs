@@ -3,6 +3,7 @@
 mod bones;
 mod bound;
 mod clips;
+mod decoded_memory;
 mod draco;
 mod fbx;
 mod figure;

@@ -3,6 +3,7 @@
 use crate::found::found_inputs;
 use crate::support::data::{data_root, files_below};
 use crate::support::fbx_text::FbxText;
+use crate::support::packed_models::{draco_of_faces, embedded_zeros, fbx_of_zeros, meshopt_of_zeros, placed_often};
 use crate::targets::jobs::{LIMITS, box_file};
 use crate::targets::{self, TARGETS};
 use glam::DVec3;
@@ -53,6 +54,7 @@ const REPORT: &str = r#"{"suite": "s", "how": "in process", "shard": {"number": 
 pub fn inputs_of(name: &str) -> Vec<Vec<u8>> {
     let mut inputs = match name {
         "obj" => models(&[Format::OBJ], &["obj"]),
+        "decoders" => packed_models(),
         "ply" => models(&[Format::PLY], &["ply"]),
         "off" => models(&[Format::OFF], &["off"]),
         "stl" => models(&[Format::STL], &["stl"]),
@@ -127,6 +129,20 @@ fn frames() -> Vec<Vec<u8>> {
 
 fn box_model() -> Model {
     Model::read(box_file(), Some(Format::OBJ), &Limits::default()).expect("the box")
+}
+
+/// Files that are packed, each behind the byte that says how much memory there is.
+fn packed_models() -> Vec<Vec<u8>> {
+    let packed = [
+        fbx_of_zeros(3000),
+        meshopt_of_zeros(300),
+        draco_of_faces(100),
+        placed_often(20, 9),
+        embedded_zeros(300),
+    ];
+    let plain = models(&Format::ALL, &["fbx", "glb"]);
+    let files = packed.into_iter().chain(plain).enumerate();
+    files.map(|(k, file)| [&[(k % 16) as u8][..], &file].concat()).collect()
 }
 
 fn models(formats: &[Format], extensions: &[&str]) -> Vec<Vec<u8>> {

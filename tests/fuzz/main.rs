@@ -2,6 +2,7 @@
 //! Long runs that coverage guides are in `coverage`; see its README.
 
 mod corpora;
+mod decoded_memory;
 mod found;
 mod mutated;
 #[path = "../support/mod.rs"]

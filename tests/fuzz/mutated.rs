@@ -71,7 +71,7 @@ fn mutated(inputs: &[Vec<u8>], draw: &mut Draw) -> Vec<u8> {
 fn rounds(name: &str) -> usize {
     match name {
         "jobs" | "edits" => 150,
-        "glb" | "gltf" | "fbx" | "any_model" => 1500,
+        "glb" | "gltf" | "fbx" | "any_model" | "decoders" => 1500,
         _ => 4000,
     }
 }

@@ -13,6 +13,8 @@ pub mod gltf_sets;
 pub mod haproxy;
 pub mod khronos;
 pub mod messages;
+pub mod packed_models;
+pub mod peak_memory;
 pub mod place;
 pub mod postgres;
 pub mod postgres_proxy;

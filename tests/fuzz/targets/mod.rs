@@ -5,6 +5,7 @@
 #![allow(dead_code)]
 
 pub mod byte_draw;
+pub mod decoders;
 pub mod edits;
 pub mod frames;
 pub mod handles;
@@ -28,6 +29,7 @@ pub const TARGETS: [(&str, FuzzTarget); 19] = [
     ("gltf", models::gltf),
     ("fbx", models::fbx),
     ("any_model", models::any_model),
+    ("decoders", decoders::decoders),
     ("bvh", motion::bvh),
     ("rig", motion::rig),
     ("messages", messages::messages),

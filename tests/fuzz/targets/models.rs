@@ -46,7 +46,7 @@ pub fn any_model(bytes: &[u8]) {
 }
 
 /// The companions that files may name: some bytes, and a material library.
-fn companions() -> BTreeMap<String, bytes::Bytes> {
+pub fn companions() -> BTreeMap<String, bytes::Bytes> {
     let pattern: Vec<u8> = (0..2048u32).map(|i| (i * 37 % 251) as u8).collect();
     let library = "newmtl a\nKd 1 0 0\nmap_Kd b.png\nnewmtl b\nKd nan 1 2\n";
     BTreeMap::from([

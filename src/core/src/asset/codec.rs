@@ -11,7 +11,7 @@ use super::model::FileNotes;
 use super::moving_scene::{MovingScene, PrimitiveShapes, SceneClip};
 use super::neutral::{NeutralModel, RunAttributes, SeamPart};
 use super::played_clip::PlayedClip;
-use super::{Error, FileSet, FollowedCounts, Format, Geometry, Limits, Model, ModelNode, ShapeFollowers, WrittenFiles};
+use super::{Error, FileSet, FollowedCounts, Format, Geometry, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -193,7 +193,7 @@ pub(super) trait FormatTranslator: Sync {
     fn companion_names(&self, files: &FileSet) -> Vec<String>;
 
     /// Makes the files of the other format, for a reader with the same limits.
-    fn translate(&self, files: &FileSet, limits: &Limits) -> Result<Translation, Error>;
+    fn translate(&self, files: &FileSet, watch: &ReadWatch<'_>) -> Result<Translation, Error>;
 }
 
 /// What a [`FormatTranslator`] makes of a model.

@@ -5,6 +5,8 @@ use crate::progress::{self, Progress};
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::ops::Deref;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// What was uploaded: one main file and the companions that it names: buffers and images of a glTF, material
 /// libraries of an OBJ and their pictures. Nothing outside this set is ever read.
@@ -70,17 +72,63 @@ impl Limits {
     }
 }
 
-/// The limits of one read, and who waits for it. Dereferences to the limits.
-#[derive(Clone, Copy)]
+/// The limits of one read, who waits for it, and the memory that it has reserved. Dereferences to the limits. Cloning shares it.
+#[derive(Clone)]
 pub(super) struct ReadWatch<'a> {
     limits: &'a Limits,
     progress: &'a dyn Progress,
+    reserved: Arc<ReservedMemory>,
+}
+
+/// Bytes that one read has reserved, by what they are for.
+#[derive(Debug, Default)]
+struct ReservedMemory {
+    /// The files themselves.
+    files: u64,
+    /// What decoding takes now.
+    decoded: AtomicU64,
+    /// The parsed text of a document.
+    document: AtomicU64,
+    /// The mesh in the making: its vertices and triangles so far.
+    vertices: AtomicU64,
+    triangles: AtomicU64,
+    /// Bytes that the watcher has allowed.
+    granted: AtomicU64,
+}
+
+impl ReservedMemory {
+    /// Bytes of a vertex while it is read: position, normal and tangent, and the numbers that they are made of.
+    const BYTES_PER_VERTEX: u64 = 128;
+    /// Bytes of a triangle while it is read: its corners in the file, as they are cut, and in the mesh.
+    const BYTES_PER_TRIANGLE: u64 = 48;
+    /// Bytes that the watcher is asked for ahead, so that it is not asked for every row of a file.
+    const STEP: u64 = 1 << 20;
+
+    fn total(&self) -> u64 {
+        let mesh = [
+            (&self.vertices, Self::BYTES_PER_VERTEX),
+            (&self.triangles, Self::BYTES_PER_TRIANGLE),
+        ];
+        let mesh = mesh.map(|(count, bytes)| count.load(Relaxed).saturating_mul(bytes));
+        [self.decoded.load(Relaxed), self.document.load(Relaxed)]
+            .into_iter()
+            .chain(mesh)
+            .fold(self.files, u64::saturating_add)
+    }
 }
 
 impl<'a> ReadWatch<'a> {
-    /// Within `limits`, until `progress` is cancelled.
-    pub(super) fn new(limits: &'a Limits, progress: &'a dyn Progress) -> Self {
-        Self { limits, progress }
+    /// Within `limits`, until `progress` is cancelled. `files` bytes are held already.
+    pub(super) fn new(limits: &'a Limits, progress: &'a dyn Progress, files: u64) -> Self {
+        let reserved = ReservedMemory {
+            files,
+            ..ReservedMemory::default()
+        };
+        Self {
+            limits,
+            progress,
+            reserved: Arc::new(reserved),
+        }
     }
 
     /// Stops the read when nobody wants it any more.
@@ -97,9 +145,62 @@ impl<'a> ReadWatch<'a> {
         }
     }
 
-    /// Refuses a document whose parsed text would take more bytes than allowed, before it is parsed.
+    /// Refuses a document whose parsed text would take more bytes than allowed, and reserves them, before it is parsed.
     pub(super) fn check_document(&self, bytes: u64) -> Result<(), Error> {
-        within("the bytes of the parsed document", bytes, self.document_bytes)
+        within("the bytes of the parsed document", bytes, self.document_bytes)?;
+        self.reserved.document.fetch_max(bytes, Relaxed);
+        self.ask()
+    }
+
+    /// Refuses more render vertices in all than allowed, and reserves the memory that they take.
+    pub(super) fn check_vertices(&self, seen: u64) -> Result<(), Error> {
+        within("vertices", seen, self.vertices.min(u32::MAX.into()))?;
+        self.reserved.vertices.fetch_max(seen, Relaxed);
+        self.ask()
+    }
+
+    /// Refuses more triangles in all than allowed, and reserves the memory that they take.
+    pub(super) fn check_triangles(&self, seen: u64) -> Result<(), Error> {
+        // Tables count corners with 32 bits, whatever the caller allows.
+        within("triangles", seen, self.triangles.min((u32::MAX / 3).into()))?;
+        self.reserved.triangles.fetch_max(seen, Relaxed);
+        self.ask()
+    }
+
+    /// Reserves bytes that decoding is about to take.
+    pub(super) fn reserve(&self, bytes: u64) -> Result<(), Error> {
+        let before = self.reserved.decoded.load(Relaxed);
+        let decoded = before.saturating_add(bytes);
+        within("the bytes that decoding takes", decoded, self.decoded_bytes)?;
+        self.reserved.decoded.store(decoded, Relaxed);
+        self.ask().inspect_err(|_| self.reserved.decoded.store(before, Relaxed))
+    }
+
+    /// Gives back bytes that decoding has reserved and does not hold any more.
+    pub(super) fn release(&self, bytes: u64) {
+        let decoded = self.reserved.decoded.load(Relaxed);
+        self.reserved.decoded.store(decoded.saturating_sub(bytes), Relaxed);
+    }
+
+    /// Asks whether all that is reserved may be held.
+    fn ask(&self) -> Result<(), Error> {
+        let (bytes, granted) = (self.reserved.total(), self.reserved.granted.load(Relaxed));
+        if bytes <= granted {
+            return Ok(());
+        }
+        let ahead = bytes.saturating_add(ReservedMemory::STEP);
+        let allowed = [ahead, bytes].into_iter().find(|&b| self.progress.may_hold(b));
+        match allowed {
+            Some(allowed) => self.reserved.granted.store(allowed, Relaxed),
+            None => {
+                return Err(Error::TooLarge {
+                    what: "the memory that reading the model takes in bytes",
+                    seen: bytes,
+                    limit: self.decoded_bytes,
+                });
+            }
+        }
+        Ok(())
     }
 }
 

@@ -56,17 +56,18 @@ impl Model {
             let allowed = Format::read_name_list("and");
             return Err(Error::UnknownFormat { place, allowed });
         };
+        let watch = ReadWatch::new(limits, progress, files.total_bytes());
         if let Some(translator) = translator_of(format) {
             let Translation {
                 files,
                 format,
                 warnings,
-            } = translator.translate(&files, limits)?;
+            } = translator.translate(&files, &watch)?;
             let mut model = Self::read_watched(files, Some(format), limits, progress)?;
             model.geometry.warnings.splice(0..0, warnings);
             return Ok(model);
         }
-        let (geometry, notes) = codec_of(format).read(&files, format, &ReadWatch::new(limits, progress))?;
+        let (geometry, notes) = codec_of(format).read(&files, format, &watch)?;
         geometry.check(format, limits)?;
         Ok(Self {
             format,

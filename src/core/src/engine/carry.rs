@@ -2,6 +2,7 @@
 
 use super::Deformer;
 use super::error::Error;
+use super::limits::HeldBeside;
 use super::passenger::CarriedModel;
 use super::riding_nodes::{CarriedNode, RidingNodes};
 use crate::asset::{Model, WrittenFiles};
@@ -67,7 +68,12 @@ impl Deformer {
         passenger: CarriedModel,
         exec: &Exec<'_>,
     ) -> Result<WrittenFiles, Error> {
-        let model = Model::read_watched(passenger.files, passenger.format, &self.limits.model, exec.progress)?;
+        let beside = HeldBeside {
+            held: self.byte_size(),
+            watcher: exec.progress,
+        };
+        let limits = self.room_limits().of_reading();
+        let model = Model::read_watched(passenger.files, passenger.format, &limits, &beside)?;
         exec.check()?;
         let carried = self.carry_points(positions, &model.positions, exec)?;
         let now: Vec<DVec3> = carried.iter().map(|frame| frame.position).collect();

@@ -28,8 +28,8 @@ use glam::DVec3;
 use std::cell::OnceCell;
 use std::sync::Arc;
 
-/// Bytes of a harmonic field for each handle and node.
-const FIELD_BYTES: u64 = 12;
+/// Bytes of a harmonic field for each handle and node while it is solved: the solution and the right-hand side.
+const FIELD_BYTES: u64 = 16;
 
 /// A model with everything derived from it. One owner; solves need `&mut`.
 pub struct Deformer {
@@ -76,7 +76,7 @@ impl Deformer {
         exec: &Exec<'_>,
     ) -> Result<Self, Error> {
         exec.progress.report("read", 0.0);
-        let model = Model::read_watched(files, options.format, &limits.model, exec.progress)?;
+        let model = Model::read_watched(files, options.format, &limits.of_reading(), exec.progress)?;
         Self::of_model(model, options, limits, exec)
     }
 
@@ -256,11 +256,30 @@ impl Deformer {
     /// Returns the bytes held.
     pub fn byte_size(&self) -> u64 {
         let committed = self.committed.as_ref().map_or(0, |c| size_of_val(c.nodes.as_slice()));
-        let parts = self.rig.as_ref().map_or(0, HandleSystem::byte_size) + self.state.byte_size() + committed;
+        self.derived.byte_size() + self.spare_bytes() + self.state.byte_size() as u64 + committed as u64
+    }
+
+    /// Bytes of what [`Deformer::release_memory`] drops and can be made again: the handles' system, and states that were left.
+    pub fn spare_bytes(&self) -> u64 {
         // The files are one and the same.
         let files = self.model().files.total_bytes();
         let past: u64 = self.past.iter().map(|d| d.byte_size().saturating_sub(files)).sum();
-        self.derived.byte_size() + past + parts as u64
+        past + self.rig.as_ref().map_or(0, HandleSystem::byte_size) as u64
+    }
+
+    /// Drops the states that were left.
+    pub(super) fn forget_past(&mut self) {
+        self.past = Vec::new();
+    }
+
+    /// Drops all that can be made again: the handles with their system, what was solved, and states that were left. It has no
+    /// handles then.
+    pub fn release_memory(&mut self) {
+        self.handles = ResolvedHandles::default();
+        self.rig = None;
+        self.state = SolveState::default();
+        self.committed = None;
+        self.past = Vec::new();
     }
 
     /// Bytes that a deformer of this model is expected to hold at most.
@@ -352,7 +371,8 @@ impl Deformer {
         let regions = self.rest_regions(exec);
         // A mirror image of each may come beside it.
         let most = handles.handles.len() as u64 * if handles.symmetry_plane.is_some() { 2 } else { 1 };
-        let held = self.estimate() + (most + 1) * body.nodes() as u64 * FIELD_BYTES;
+        // The handles in force and the states that were left stay until the new ones are whole.
+        let held = self.estimate() + self.spare_bytes() + (most + 1) * body.nodes() as u64 * FIELD_BYTES;
         let admit = |held_by_handles: u64| {
             exec.check()?;
             admit_bytes(held + held_by_handles, &self.room_limits(), exec)

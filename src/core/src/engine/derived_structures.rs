@@ -3,7 +3,7 @@
 use super::error::Error;
 use super::facts::{DeformerWarning, TieFacts, WarningPlace};
 use super::interior::{BYTES_PER_NODE, interior_warnings, most_nodes};
-use super::limits::DeformerLimits;
+use super::limits::{DeformerLimits, ESTIMATED_MEMORY};
 use super::mesh_delta::MeshDelta;
 use super::model_topology::ModelTopology;
 use super::part_families::PartFamilies;
@@ -356,7 +356,7 @@ pub(super) fn admit_bytes(bytes: u64, limits: &DeformerLimits, exec: &Exec<'_>) 
         return Ok(());
     }
     Err(Error::TooLarge {
-        what: "the estimated memory of the session in bytes",
+        what: ESTIMATED_MEMORY,
         seen: bytes,
         limit: limits.memory_bytes,
     })

@@ -11,6 +11,7 @@ use super::edit_operations::{EditContext, PlannedEdit, plan_edit};
 use super::error::{Error, InputPlace};
 use super::facts::{DeformerWarning, MeshCounts, count_u32};
 use super::large_faces::{HandleBend, largest_turn};
+use super::limits::{ESTIMATED_MEMORY, HeldBeside};
 use super::model_topology::EditSurface;
 use super::region::Region;
 use super::region_context::{RegionContext, nodes_in_region, vertices_in_region, vertices_of_handle};
@@ -35,6 +36,10 @@ impl Deformer {
         if order.shape.positions.len() != self.rest().len() {
             return Err(Error::Internal("the shape of another model".into()));
         }
+        // States that were left can be made again; what is edited and what comes of it have to be held.
+        if self.estimate().saturating_add(self.byte_size()) > self.room {
+            self.forget_past();
+        }
         let rest = self.rest_shape();
         let shape = if at_rest { &rest } else { order.shape };
         let mut surface = self.edit_surface(&shape.positions);
@@ -43,7 +48,7 @@ impl Deformer {
         let before = (surface.positions.len(), self.geometry().triangles.len());
         let mut context = EditContext {
             regions: self.region_context(shape, exec),
-            limits: self.limits,
+            limits: self.room_limits(),
             rest: &rest.positions,
             bend: self.rig().map(|handles| HandleBend {
                 handles,
@@ -54,7 +59,12 @@ impl Deformer {
             origins: &mut origins,
             admit_growth: &|triangles| self.admit_growth(triangles, exec),
         };
-        let mut planned = plan_edit(&mut context, order.edit, exec)?;
+        // All that there is stays until the edit is whole.
+        let beside = HeldBeside {
+            held: self.byte_size(),
+            watcher: exec.progress,
+        };
+        let mut planned = plan_edit(&mut context, order.edit, &Exec::new(exec.pool, &beside))?;
         exec.check()?;
         planned.patch.idle = std::mem::take(&mut surface.idle_vertices);
         let patch = &planned.patch;
@@ -97,7 +107,11 @@ impl Deformer {
         exec.check()?;
         report.handles_kept = carried.set.handles.iter().map(|h| h.id.clone()).collect();
         report.warnings.splice(..0, std::mem::take(&mut carried.warnings));
-        next.set_handles(&carried.set, exec)?;
+        let beside = HeldBeside {
+            held: self.rig.as_ref().map_or(0, |rig| rig.byte_size() as u64),
+            watcher: exec.progress,
+        };
+        next.set_handles(&carried.set, &Exec::new(exec.pool, &beside))?;
         let settings = order.settings.cloned().unwrap_or(EDITED_AT_REST);
         let outcome = next.shape_after_edit(carried, report, at_rest.then_some(settings), exec)?;
         self.give_way(next);
@@ -247,12 +261,13 @@ impl Deformer {
         if let Some((what, seen, limit)) = sizes.into_iter().find(|(_, seen, limit)| seen > limit) {
             return Err(Error::TooLarge { what, seen, limit });
         }
-        // What grows is expected to need as much for each vertex as what there is.
+        // What grows is expected to need as much for each vertex as what there is, and both are held until the edit is whole.
         let before = self.rest().len().max(1) as u64;
-        let seen = (self.derived.estimate() / before).saturating_mul(vertices);
+        let grown = (self.derived.estimate() / before).saturating_mul(vertices);
+        let seen = grown.saturating_add(self.byte_size());
         if vertices > before && (seen > self.room || !exec.progress.may_hold(seen)) {
             return Err(Error::TooLarge {
-                what: "the estimated memory of the session in bytes",
+                what: ESTIMATED_MEMORY,
                 seen,
                 limit: self.room,
             });

@@ -223,8 +223,8 @@ fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>
         Error::Asset(asset::Error::TooLarge { .. }) | Error::TooLarge { .. } | Error::Cancelled => e,
         other => Error::invalid(source, format!("cannot be taken: {other}")),
     };
-    let (files, limits) = (merge.files.clone(), &context.limits.model);
-    let model = Model::read_watched(files, merge.format, limits, exec.progress).map_err(|e| unfit(e.into()))?;
+    let (files, limits) = (merge.files.clone(), context.limits.of_reading());
+    let model = Model::read_watched(files, merge.format, &limits, exec.progress).map_err(|e| unfit(e.into()))?;
     let model = Arc::new(model);
     let other = ModelTopology::from_shared_model(Arc::clone(&model));
     let mesh = other.mesh(Weld::Rounding).map_err(unfit)?;

@@ -81,7 +81,7 @@ pub use facts::{
     TieFacts, WarningPlace,
 };
 pub use handle::{Falloff, FalloffCurve, Handle, HandleConstrains, HandleSet};
-pub use limits::DeformerLimits;
+pub use limits::{DeformerLimits, ESTIMATED_MEMORY};
 pub use passenger::{CarriedModel, Passenger, PassengerKind};
 pub use pose::{HandlePose, HandlePoses, HandleRotation, HandleScale};
 pub use quality::FrameQuality;

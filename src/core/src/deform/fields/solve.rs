@@ -74,7 +74,7 @@ fn solve_columns(
         }
     }
     let mut rhs = vec![0.0; nodes * columns];
-    for &(node, k, stiffness) in &ownership.soft {
+    for &(node, k, stiffness) in ownership.soft.iter() {
         if column_of[k as usize] != usize::MAX {
             rhs[node as usize * columns + column_of[k as usize]] += stiffness;
         }

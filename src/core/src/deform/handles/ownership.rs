@@ -13,7 +13,7 @@ pub(in crate::deform) struct NodeOwnership {
     /// By node: the hard holder, or [`NOBODY`].
     pub hard: Arc<Vec<u32>>,
     /// Soft pulls (node, hold, stiffness) on nodes without a hard holder, by node then hold.
-    pub soft: Vec<(u32, u32, f64)>,
+    pub soft: Arc<Vec<(u32, u32, f64)>>,
 }
 
 impl NodeOwnership {
@@ -37,7 +37,8 @@ impl NodeOwnership {
             *owner = frozen_holder;
         }
         let is_hard = |k: u32| k == frozen_holder || setup.handles[k as usize].stiffness.is_none();
-        let mut soft = Vec::new();
+        let pulls = setup.handles.iter().filter(|h| constrains(h)).map(|h| h.pulls.len());
+        let mut soft = Vec::with_capacity(pulls.sum());
         for (k, hold) in setup.handles.iter().enumerate().filter(|(_, h)| constrains(h)) {
             let Some(stiffness) = hold.stiffness else { continue };
             let mut in_core = hold.nodes.iter().copied().peekable();
@@ -54,14 +55,15 @@ impl NodeOwnership {
                 }
             }
         }
-        soft.sort_by_key(|&(node, hold, _)| (node, hold));
+        // No two are of one node and one hold, so that this is an order, and it needs no second list.
+        soft.sort_unstable_by_key(|&(node, hold, _)| (node, hold));
         let hard = core
             .into_iter()
             .map(|k| if k != NOBODY && is_hard(k) { k } else { NOBODY })
             .collect();
         Self {
             hard: Arc::new(hard),
-            soft,
+            soft: Arc::new(soft),
         }
     }
 
@@ -82,7 +84,7 @@ impl NodeOwnership {
         for (node, _) in self.hard.iter().enumerate().filter(|(_, k)| **k != NOBODY) {
             covered[body.graph.component[node] as usize] = true;
         }
-        for &(node, ..) in &self.soft {
+        for &(node, ..) in self.soft.iter() {
             covered[body.graph.component[node as usize] as usize] = true;
         }
         covered
@@ -99,10 +101,15 @@ impl NodeOwnership {
     }
 
     pub(in crate::deform) fn byte_size(&self) -> usize {
-        self.hard.capacity() * 4 + self.soft.capacity() * 24
+        self.hard.capacity() * 4 + self.soft.capacity() * size_of::<(u32, u32, f64)>()
     }
 
     pub(in crate::deform) fn same_as(&self, other: &Self) -> bool {
-        self.hard == other.hard && self.soft == other.soft
+        self.shares_with(other) || (self.hard == other.hard && self.soft == other.soft)
+    }
+
+    /// Whether both are the same lists in memory.
+    pub(in crate::deform) fn shares_with(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.hard, &other.hard) && Arc::ptr_eq(&self.soft, &other.soft)
     }
 }

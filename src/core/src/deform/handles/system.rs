@@ -213,7 +213,11 @@ impl HandleSystem {
             + self.scale_fields.as_ref().map_or(0, |f| f.byte_size())
             + self.sparse.get().map_or(0, SparseShares::byte_size)
             + self.position.byte_size()
-            + self.rotation.byte_size()
+            + if self.rotation.shares_with(&self.position) {
+                0
+            } else {
+                self.rotation.byte_size()
+            }
             + self.positions.fixed.capacity()
             + self.positions.system.byte_size()
             + self

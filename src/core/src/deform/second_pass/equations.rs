@@ -128,7 +128,7 @@ impl HandleSystem {
             return;
         }
         let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
-        for &(node, k, stiffness) in &self.position.soft {
+        for &(node, k, stiffness) in self.position.soft.iter() {
             let node = node as usize;
             let target = maps
                 .get(k as usize)

@@ -2,21 +2,25 @@
 
 use super::super::gltf::{ElementShape, GlbWriter};
 use super::fault::refuse;
-use crate::asset::{Error, Limits};
+use crate::asset::Error;
+use crate::asset::files::ReadWatch;
 use serde_json::Value;
 
-/// One buffer that grows; it refuses what is not finite, and to grow beyond what decoding may take.
-pub(super) struct GlbBuffer {
+/// How often the numbers of an accessor are in memory at most: as they are, as bytes, and in the buffer as it grows.
+const COPIES: u64 = 3;
+
+/// One buffer that grows; it refuses what is not finite, and reserves what it is about to hold.
+pub(super) struct GlbBuffer<'a> {
     writer: GlbWriter,
-    most: u64,
+    watch: ReadWatch<'a>,
 }
 
-impl GlbBuffer {
-    /// An empty buffer that holds at most the decoded bytes that are allowed.
-    pub(super) fn new(limits: &Limits) -> Self {
+impl<'a> GlbBuffer<'a> {
+    /// An empty buffer.
+    pub(super) fn new(watch: &ReadWatch<'a>) -> Self {
         Self {
             writer: GlbWriter::default(),
-            most: limits.decoded_bytes,
+            watch: watch.clone(),
         }
     }
 
@@ -26,12 +30,7 @@ impl GlbBuffer {
     }
 
     fn make_room(&self, bytes: usize) -> Result<(), Error> {
-        let seen = self.writer.byte_count() + bytes as u64;
-        if seen > self.most {
-            let (what, limit) = ("decoded bytes", self.most);
-            return Err(Error::TooLarge { what, seen, limit });
-        }
-        Ok(())
+        self.watch.reserve(COPIES * bytes as u64)
     }
 
     /// Adds bytes as a view of their own; returns its number.
@@ -71,11 +70,15 @@ impl GlbBuffer {
         place: &str,
     ) -> Result<usize, Error> {
         if places.len() >= count / 4 * 3 {
+            let bytes = 12 * count as u64;
+            self.watch.reserve(bytes)?;
             let mut all = vec![[0.0; 3]; count];
             for (&at, value) in places.iter().zip(values) {
                 all[at as usize] = *value;
             }
-            return self.add_bounded(&all, place);
+            let added = self.add_bounded(&all, place);
+            self.watch.release(bytes);
+            return added;
         }
         self.make_room(16 * places.len())?;
         self.check(values, place)?;

@@ -4,8 +4,9 @@ use super::buffer::GlbBuffer;
 use super::fault::place_of;
 use super::nodes::{MorphedNode, SceneNodes};
 use super::notes::TranslationNotes;
-use super::scene::allocator;
-use crate::asset::{Error, Limits};
+use super::scene::within_reserve;
+use crate::asset::Error;
+use crate::asset::files::ReadWatch;
 use serde_json::{Value, json};
 use ufbx::{BakedAnim, BakedNode, BakedProp, BakedVec3, Scene};
 
@@ -22,9 +23,9 @@ impl AddedClips {
     pub(super) fn build(
         scene: &Scene,
         nodes: &SceneNodes,
-        buffer: &mut GlbBuffer,
+        buffer: &mut GlbBuffer<'_>,
         notes: &mut TranslationNotes,
-        limits: &Limits,
+        watch: &ReadWatch<'_>,
     ) -> Result<Self, Error> {
         let mut animations = Vec::new();
         for stack in &scene.anim_stacks {
@@ -35,19 +36,23 @@ impl AddedClips {
                 notes.warn("fbx-clip", message, place);
                 continue;
             }
-            let options = ufbx::BakeOpts {
-                temp_allocator: allocator(limits),
-                result_allocator: allocator(limits),
-                trim_start_time: true,
-                key_reduction_enabled: true,
-                key_reduction_rotation: true,
-                ..Default::default()
-            };
-            let baked = match ufbx::bake_anim(scene, &stack.anim, options) {
+            let (baked, reserved) = within_reserve(watch, 0, |allocator| {
+                let options = ufbx::BakeOpts {
+                    temp_allocator: allocator(),
+                    result_allocator: allocator(),
+                    trim_start_time: true,
+                    key_reduction_enabled: true,
+                    key_reduction_rotation: true,
+                    ..Default::default()
+                };
+                ufbx::bake_anim(scene, &stack.anim, options)
+            })?;
+            let baked = match baked {
                 Ok(baked) => baked,
                 Err(error) => {
                     let message = format!("cannot be sampled ({}): it is left out", &*error.description).to_lowercase();
                     notes.warn("fbx-clip", message, place);
+                    watch.release(reserved);
                     continue;
                 }
             };
@@ -72,20 +77,21 @@ impl AddedClips {
                 }
                 animations.push(json);
             }
+            watch.release(reserved);
         }
         Ok(Self { animations })
     }
 }
 
 /// One clip in the making.
-struct ClipBuilder<'a> {
-    buffer: &'a mut GlbBuffer,
+struct ClipBuilder<'a, 'w> {
+    buffer: &'a mut GlbBuffer<'w>,
     place: &'a str,
     samplers: Vec<Value>,
     channels: Vec<Value>,
 }
 
-impl ClipBuilder<'_> {
+impl ClipBuilder<'_, '_> {
     fn add_node(&mut self, baked: &BakedNode, node: u32) -> Result<(), Error> {
         let vectors = |keys: &[BakedVec3]| -> Vec<(f64, [f32; 3])> {
             let value = |key: &BakedVec3| [key.value.x, key.value.y, key.value.z].map(|x| x as f32);

@@ -7,25 +7,31 @@ use super::materials::MaterialTable;
 use super::morphs;
 use super::notes::TranslationNotes;
 use super::skins::MeshSkin;
-use crate::asset::{Error, Limits};
+use crate::asset::Error;
+use crate::asset::files::ReadWatch;
 use crate::mesh::shading;
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 use ufbx::{Mesh, Node};
 
+/// Bytes of the tables in which corners of polygons become vertices.
+const BYTES_PER_CORNER: u64 = 64;
+/// Bytes of a position while they do.
+const BYTES_PER_POINT: u64 = 24;
+
 /// What meshes are put into, and what has been put there.
-pub(super) struct MeshSink<'a, 'f> {
-    pub buffer: &'a mut GlbBuffer,
+pub(super) struct MeshSink<'a, 'f, 'w> {
+    pub buffer: &'a mut GlbBuffer<'w>,
     pub materials: &'a mut MaterialTable<'f>,
     pub notes: &'a mut TranslationNotes,
-    pub limits: &'a Limits,
+    pub watch: &'a ReadWatch<'a>,
     /// Vertices so far.
     pub vertices: u64,
     /// Triangles so far.
     pub triangles: u64,
 }
 
-impl MeshSink<'_, '_> {
+impl MeshSink<'_, '_, '_> {
     /// The JSON of a mesh with the materials of a node; `None` where it has no triangles.
     pub(super) fn add_mesh(
         &mut self,
@@ -41,14 +47,19 @@ impl MeshSink<'_, '_> {
         let mut primitives = Vec::new();
         let name = place_of("mesh", &mesh.element);
         for part in &mesh.material_parts {
-            self.triangles += corners::triangle_count(mesh, part);
-            self.limits.check_triangles(self.triangles)?;
+            let triangles = corners::triangle_count(mesh, part);
+            self.triangles += triangles;
+            self.watch.check_triangles(self.triangles)?;
+            // Until it is known which corners are one vertex, each may be one.
+            let working = triangles * 3 * BYTES_PER_CORNER + mesh.vertices.len() as u64 * BYTES_PER_POINT;
+            self.watch.reserve(working)?;
             let divided = corners::divide(mesh, part, &attributes);
+            self.watch.release(working);
             if divided.triangles.is_empty() {
                 continue;
             }
             self.vertices += divided.corner.len() as u64;
-            self.limits.check_vertices(self.vertices)?;
+            self.watch.check_vertices(self.vertices)?;
             if divided.crude > 0 {
                 let message = format!("{} polygons are too large to cut into triangles well", divided.crude);
                 self.notes.warn("polygon-too-large", message, name.clone());

@@ -24,7 +24,8 @@ pub(super) use fault::FORMAT;
 
 use super::gltf;
 use crate::asset::codec::{FormatTranslator, Translation};
-use crate::asset::{Error, FileSet, Limits};
+use crate::asset::files::ReadWatch;
+use crate::asset::{Error, FileSet};
 use buffer::GlbBuffer;
 use clips::AddedClips;
 use materials::MaterialTable;
@@ -40,17 +41,17 @@ impl FormatTranslator for FbxTranslator {
         scene::texture_names(files)
     }
 
-    fn translate(&self, files: &FileSet, limits: &Limits) -> Result<Translation, Error> {
-        let opened = scene::open(files, limits)?;
+    fn translate(&self, files: &FileSet, watch: &ReadWatch<'_>) -> Result<Translation, Error> {
+        let opened = scene::open(files, watch)?;
         let mut notes = TranslationNotes::default();
         let version = opened.metadata.version;
         let message = format!("an FBX {version} file is read as the GLB that comes back, in metres and with Y up");
         notes.warn("fbx-as-glb", message, "file");
         scene::tell_of_repairs(&opened, &mut notes);
-        let mut buffer = GlbBuffer::new(limits);
+        let mut buffer = GlbBuffer::new(watch);
         let mut materials = MaterialTable::new(files);
-        let nodes = SceneNodes::build(&opened, &mut buffer, &mut materials, &mut notes, limits)?;
-        let clips = AddedClips::build(&opened, &nodes, &mut buffer, &mut notes, limits)?;
+        let nodes = SceneNodes::build(&opened, &mut buffer, &mut materials, &mut notes, watch)?;
+        let clips = AddedClips::build(&opened, &nodes, &mut buffer, &mut notes, watch)?;
         let (looks, companions) = materials.finish(&mut buffer)?;
         let main = buffer.finish(document(nodes, clips, looks))?;
         Ok(Translation {

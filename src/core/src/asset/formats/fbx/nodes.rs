@@ -7,7 +7,8 @@ use super::meshes::MeshSink;
 use super::morphs;
 use super::notes::TranslationNotes;
 use super::skins::MeshSkin;
-use crate::asset::{Error, Limits};
+use crate::asset::Error;
+use crate::asset::files::ReadWatch;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use ufbx::{Mesh, Node, Scene, Transform};
@@ -39,10 +40,10 @@ impl SceneNodes {
     /// Puts nodes, meshes and skins of a file into an asset.
     pub(super) fn build(
         scene: &Scene,
-        buffer: &mut GlbBuffer,
+        buffer: &mut GlbBuffer<'_>,
         materials: &mut MaterialTable<'_>,
         notes: &mut TranslationNotes,
-        limits: &Limits,
+        watch: &ReadWatch<'_>,
     ) -> Result<Self, Error> {
         let mut made = Self::hierarchy(scene)?;
         let mut meshes: BTreeMap<(u32, Vec<u32>), Option<usize>> = BTreeMap::new();
@@ -51,7 +52,7 @@ impl SceneNodes {
             buffer,
             materials,
             notes,
-            limits,
+            watch,
             vertices: 0,
             triangles: 0,
         };

@@ -2,8 +2,10 @@
 
 use super::fault::{FORMAT, refuse};
 use super::notes::TranslationNotes;
+use crate::asset::files::ReadWatch;
 use crate::asset::material::inside_folder;
 use crate::asset::{Error, FileSet, Limits};
+use crate::progress::Silent;
 use std::collections::BTreeSet;
 use ufbx::ErrorType;
 
@@ -13,10 +15,39 @@ const DEEPEST: u32 = 1000;
 /// How many repairs a warning lists.
 const MOST_LISTED: usize = 4;
 
-/// What decoding may take of memory, and into how many pieces.
-pub(super) fn allocator(limits: &Limits) -> ufbx::AllocatorOpts {
+/// Bytes of memory that the reader is given first for each byte of a file.
+const BYTES_PER_BYTE: u64 = 2;
+
+/// Bytes of memory that it is given first at least.
+const LEAST_BYTES: u64 = 1 << 20;
+
+/// Lets the reader work within as much memory as is reserved for it, and reserves twice as much for another try where that was too
+/// little: what a file unpacks to is known only when it is unpacked. `work` is given what makes the options of its two
+/// allocators. Returns what the reader said, and the bytes that are reserved: the caller releases them.
+pub(super) fn within_reserve<T>(
+    watch: &ReadWatch<'_>,
+    file_bytes: usize,
+    work: impl Fn(&dyn Fn() -> ufbx::AllocatorOpts) -> Result<T, ufbx::Error>,
+) -> Result<(Result<T, ufbx::Error>, u64), Error> {
+    let mut each = (file_bytes as u64).saturating_mul(BYTES_PER_BYTE).max(LEAST_BYTES);
+    loop {
+        watch.check()?;
+        let reserved = each.saturating_mul(2);
+        watch.reserve(reserved)?;
+        match work(&|| allocator(each)) {
+            Err(error) if error.type_ == ErrorType::MemoryLimit => {
+                watch.release(reserved);
+                each = reserved;
+            }
+            done => return Ok((done, reserved)),
+        }
+    }
+}
+
+/// An allocator that holds as many bytes at most, in so many pieces.
+fn allocator(bytes: u64) -> ufbx::AllocatorOpts {
     ufbx::AllocatorOpts {
-        memory_limit: usize::try_from(limits.decoded_bytes).unwrap_or(usize::MAX).max(1),
+        memory_limit: usize::try_from(bytes).unwrap_or(usize::MAX),
         allocation_limit: 10_000_000,
         ..Default::default()
     }
@@ -24,14 +55,14 @@ pub(super) fn allocator(limits: &Limits) -> ufbx::AllocatorOpts {
 
 /// Opens a file: in metres, Y up, right-handed, with what glTF cannot say of nodes (geometric transforms, ways to inherit
 /// scale) worked into geometry and nodes. Nothing outside of `files` is opened.
-pub(super) fn open(files: &FileSet, limits: &Limits) -> Result<ufbx::SceneRoot, Error> {
-    load(files, limits, false)
+pub(super) fn open(files: &FileSet, watch: &ReadWatch<'_>) -> Result<ufbx::SceneRoot, Error> {
+    load(files, watch, false)
 }
 
-fn load(files: &FileSet, limits: &Limits, names_only: bool) -> Result<ufbx::SceneRoot, Error> {
-    let options = ufbx::LoadOpts {
-        temp_allocator: allocator(limits),
-        result_allocator: allocator(limits),
+fn load(files: &FileSet, watch: &ReadWatch<'_>, names_only: bool) -> Result<ufbx::SceneRoot, Error> {
+    let options = |allocator: &dyn Fn() -> ufbx::AllocatorOpts| ufbx::LoadOpts {
+        temp_allocator: allocator(),
+        result_allocator: allocator(),
         file_format: ufbx::FileFormat::Fbx,
         no_format_from_content: true,
         no_format_from_extension: true,
@@ -51,11 +82,18 @@ fn load(files: &FileSet, limits: &Limits, names_only: bool) -> Result<ufbx::Scen
         handedness_conversion_axis: ufbx::MirrorAxis::X,
         ..Default::default()
     };
-    ufbx::load_memory(&files.main, options).map_err(|error| fault_of(&error, files, limits))
+    let (scene, reserved) = within_reserve(watch, files.main.len(), |allocator| {
+        ufbx::load_memory(&files.main, options(allocator))
+    })?;
+    let scene = scene.map_err(|error| fault_of(&error, files))?;
+    // What was temporary is gone.
+    let kept = scene.metadata.result_memory_used as u64;
+    watch.release(reserved.saturating_sub(kept));
+    Ok(scene)
 }
 
 /// What the reader says of a file, in the words of this house.
-fn fault_of(error: &ufbx::Error, files: &FileSet, limits: &Limits) -> Error {
+fn fault_of(error: &ufbx::Error, files: &FileSet) -> Error {
     let unsupported = |problem: String, hint: &str| Error::Unsupported {
         format: FORMAT,
         place: "file".into(),
@@ -63,12 +101,9 @@ fn fault_of(error: &ufbx::Error, files: &FileSet, limits: &Limits) -> Error {
         hint: hint.into(),
     };
     match error.type_ {
-        ErrorType::MemoryLimit | ErrorType::AllocationLimit | ErrorType::OutOfMemory => unsupported(
-            format!(
-                "decoding takes more than the {} bytes that are allowed",
-                limits.decoded_bytes
-            ),
-            "divide the model, or have the limit raised",
+        ErrorType::AllocationLimit | ErrorType::OutOfMemory => unsupported(
+            "decoding takes more pieces of memory than are allowed".into(),
+            "divide the model",
         ),
         ErrorType::NodeDepthLimit => refuse("nodes", format!("hang more than {DEEPEST} deep below each other")),
         ErrorType::UnsupportedVersion => unsupported(
@@ -143,7 +178,9 @@ pub(super) fn embedded_bytes(texture: &ufbx::Texture) -> Option<&[u8]> {
 /// The names of the files that textures are kept in beside the model, each once. None where the file cannot be read:
 /// whoever reads it says why.
 pub(super) fn texture_names(files: &FileSet) -> Vec<String> {
-    let Ok(scene) = load(files, &Limits::default(), true) else {
+    let limits = Limits::default();
+    let watch = ReadWatch::new(&limits, &Silent, files.total_bytes());
+    let Ok(scene) = load(files, &watch, true) else {
         return Vec::new();
     };
     let mut seen = BTreeSet::new();

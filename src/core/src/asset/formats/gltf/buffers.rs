@@ -3,7 +3,8 @@
 use super::compressed;
 use super::document::GltfDocument;
 use super::uri::{self, UriTarget};
-use crate::asset::{Error, FileSet, Limits};
+use crate::asset::files::ReadWatch;
+use crate::asset::{Error, FileSet};
 use bytes::Bytes;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -28,21 +29,22 @@ pub(super) struct StoredBuffer {
 }
 
 /// All buffers of a document, and the decompressed views that were asked for.
-pub(super) struct BufferBytes {
+pub(super) struct BufferBytes<'w> {
     pub(super) stored: Vec<StoredBuffer>,
     decoded: BTreeMap<usize, Vec<u8>>,
-    budget: u64,
-    limit: u64,
+    watch: ReadWatch<'w>,
+    /// Bytes that are reserved for what is decoded.
+    reserved: u64,
 }
 
-impl BufferBytes {
+impl<'w> BufferBytes<'w> {
     /// Finds every buffer's bytes.
-    pub(super) fn load(doc: &GltfDocument<'_>, files: &FileSet, limits: &Limits) -> Result<Self, Error> {
+    pub(super) fn load(doc: &GltfDocument<'_>, files: &FileSet, watch: &ReadWatch<'w>) -> Result<Self, Error> {
         let mut buffers = Self {
             stored: Vec::with_capacity(doc.buffers.len()),
             decoded: BTreeMap::new(),
-            budget: limits.decoded_bytes,
-            limit: limits.decoded_bytes,
+            watch: watch.clone(),
+            reserved: 0,
         };
         for i in 0..doc.buffers.len() {
             let stored = buffers.load_one(doc, files, i)?;
@@ -68,11 +70,8 @@ impl BufferBytes {
                     bytes: None,
                 });
             }
-            Some(text) => match uri::resolve(text, &place, doc.fault)? {
-                UriTarget::Embedded(bytes) => {
-                    self.spend(bytes.len() as u64)?;
-                    (BufferOrigin::Embedded, Bytes::from(bytes))
-                }
+            Some(text) => match uri::resolve(text, &place, doc.fault, &mut |bytes| self.reserve(bytes))? {
+                UriTarget::Embedded(bytes) => (BufferOrigin::Embedded, Bytes::from(bytes)),
                 UriTarget::Companion(name) => match files.companions.get(&name) {
                     Some(bytes) => (BufferOrigin::Companion(name), bytes.clone()),
                     None if fallback => {
@@ -102,23 +101,17 @@ impl BufferBytes {
         })
     }
 
-    /// How many bytes decoding may still take.
-    pub(super) fn budget_left(&self) -> u64 {
-        self.budget
+    /// Reserves bytes that decoding is about to take; released when this is dropped.
+    pub(super) fn reserve(&mut self, bytes: u64) -> Result<(), Error> {
+        self.watch.reserve(bytes)?;
+        self.reserved += bytes;
+        Ok(())
     }
 
-    /// Counts bytes that decoding is about to take.
-    pub(super) fn spend(&mut self, bytes: u64) -> Result<(), Error> {
-        let Some(left) = self.budget.checked_sub(bytes) else {
-            let seen = (self.limit - self.budget).saturating_add(bytes);
-            return Err(Error::TooLarge {
-                what: "bytes of decoded buffers",
-                seen,
-                limit: self.limit,
-            });
-        };
-        self.budget = left;
-        Ok(())
+    /// Gives back bytes that were reserved and are not held any more.
+    pub(super) fn release(&mut self, bytes: u64) {
+        self.watch.release(bytes);
+        self.reserved -= bytes;
     }
 
     /// Decompresses what the given accessors need.
@@ -139,15 +132,18 @@ impl BufferBytes {
                 continue;
             };
             if !self.decoded.contains_key(&view) {
-                self.spend(doc.views.values[view].byte_length.0)?;
+                // The filters make a second copy of what the codec gives.
+                let bytes = compression.count.0.saturating_mul(compression.byte_stride.0);
+                self.reserve(bytes.saturating_mul(2))?;
                 let source = self.bytes_of(
                     doc,
                     compression.buffer.index(),
                     compression.offset(),
                     compression.byte_length.0,
                 );
-                let bytes = compressed::decode(source?, compression, &format!("bufferViews/{view}"), doc.fault)?;
-                self.decoded.insert(view, bytes);
+                let decoded = compressed::decode(source?, compression, &format!("bufferViews/{view}"), doc.fault)?;
+                self.release(bytes);
+                self.decoded.insert(view, decoded);
             }
         }
         Ok(())
@@ -188,5 +184,11 @@ impl BufferBytes {
             BufferOrigin::Bin | BufferOrigin::Embedded => true,
             companion => self.stored.iter().filter(|s| s.origin == *companion).count() == 1,
         }
+    }
+}
+
+impl Drop for BufferBytes<'_> {
+    fn drop(&mut self) {
+        self.watch.release(self.reserved);
     }
 }

@@ -95,7 +95,7 @@ fn moved_vertices(rest: &[DVec3], now: &[DVec3]) -> Vec<bool> {
 
 struct RowWriter<'a, 'f> {
     doc: &'a GltfDocument<'f>,
-    buffers: &'a BufferBytes,
+    buffers: &'a BufferBytes<'a>,
     row: &'a PlacedPrimitive,
     world_from_mesh: VertexTransforms,
     mesh_from_world: VertexTransforms,

@@ -84,6 +84,8 @@ impl<'a> GltfDocument<'a> {
         }
         let text = std::str::from_utf8(bytes)
             .map_err(|e| fault.malformed("json", format!("byte {} is not UTF-8", e.valid_up_to())))?;
+        // Its texts, such as data URIs, are copied once.
+        watch.check_document(text.len() as u64)?;
         let root = JsonRoot {
             fault,
             allowance: DocumentAllowance::new(text, watch),
@@ -142,7 +144,7 @@ impl<'a> DocumentAllowance<'a> {
         Self {
             watch,
             most: (text.len() as u64).saturating_mul(Self::BYTES_PER_BYTE) + Self::FREE,
-            counted: Cell::new(0),
+            counted: Cell::new(text.len() as u64),
         }
     }
 

@@ -15,13 +15,24 @@ use super::reclaimed::{BufferCuts, count_view_uses};
 use super::schema::{MeshPrimitive, WholeNumber};
 use super::text::{JsonEdits, items, members, quoted, value_of};
 use super::uri;
-use crate::asset::{Error, FileSet, Limits};
+use crate::asset::files::ReadWatch;
+use crate::asset::{Error, FileSet};
 use draco_core::{DataType, DecodeLimits, DecoderBuffer, ErrorKind, Mesh, MeshDecoder, PointAttribute, PointIndex};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
 /// The extension's name.
 pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
+
+/// Bytes of memory that a stream is decoded within first for each of its bytes, and at least.
+const BYTES_PER_BYTE: u64 = 64;
+const LEAST_BYTES: u64 = 1 << 20;
+/// Bytes of memory that decoding takes for a face (its corners and their neighbours), and for a byte of a value (as it is stored,
+/// predicted and given out).
+const BYTES_PER_FACE: u64 = 128;
+const BYTES_PER_VALUE_BYTE: u64 = 4;
+/// How often what was decoded is in memory at most until it is written into plain files.
+const COPIES: u64 = 4;
 
 /// What the extension says of a primitive.
 #[derive(Deserialize)]
@@ -37,13 +48,13 @@ struct DracoStream {
 pub(super) fn uncompress(
     doc: &GltfDocument<'_>,
     files: &FileSet,
-    buffers: &mut BufferBytes,
-    limits: &Limits,
+    buffers: &mut BufferBytes<'_>,
+    watch: &ReadWatch<'_>,
 ) -> Result<Option<(FileSet, usize)>, Error> {
     let mut streams = DracoUncompressor {
         doc,
         edits: JsonEdits::new(doc.text),
-        limits,
+        watch,
         decoded: BTreeMap::new(),
         filled: BTreeMap::new(),
         data: Vec::new(),
@@ -82,10 +93,38 @@ fn needs_draco(doc: &GltfDocument<'_>, primitive: &MeshPrimitive) -> bool {
             .any(|a| doc.accessors.values[a].buffer_view.is_none() && doc.accessors.values[a].sparse.is_none())
 }
 
+/// How many faces or bytes of values a stream says it has, as the decoder says when it refuses them.
+struct DeclaredCount {
+    is_faces: bool,
+    count: u64,
+}
+
+impl DeclaredCount {
+    /// `None` where the text says nothing of it: then twice as much is tried.
+    fn of_refusal(text: &str) -> Option<Self> {
+        let (_, rest) = text.split_once("decodes ")?;
+        let (count, rest) = rest.split_once(' ')?;
+        Some(Self {
+            is_faces: rest.starts_with("faces"),
+            count: count.parse().ok()?,
+        })
+    }
+
+    /// Bytes within which so many are decoded: half of them are for faces, half for values.
+    fn bytes_needed(&self) -> u64 {
+        let each = if self.is_faces {
+            BYTES_PER_FACE
+        } else {
+            BYTES_PER_VALUE_BYTE
+        };
+        self.count.saturating_add(1).saturating_mul(2 * each)
+    }
+}
+
 struct DracoUncompressor<'d, 'a> {
     doc: &'d GltfDocument<'a>,
     edits: JsonEdits<'a>,
-    limits: &'d Limits,
+    watch: &'d ReadWatch<'d>,
     /// Decoded streams by their view.
     decoded: BTreeMap<usize, Mesh>,
     /// What an accessor has been given: view and attribute of a stream, `None` for its indices.
@@ -166,28 +205,48 @@ impl<'a> DracoUncompressor<'_, 'a> {
             let problem = format!("buffer view {view} does not exist, there are {}", self.doc.views.len());
             return Err(fault.malformed(format!("{place}/bufferView"), problem));
         }
-        let limits = DecodeLimits::default()
-            .with_max_points(self.limits.vertices)
-            .with_max_faces(self.limits.triangles)
-            .with_max_decoded_bytes(buffers.budget_left());
-        let mut mesh = Mesh::new();
-        let bytes = buffers.view(self.doc, view)?;
-        let mut input = DecoderBuffer::new(bytes).with_limits(limits);
-        if let Err(e) = MeshDecoder::new().decode(&mut input, &mut mesh) {
-            let problem = format!("the Draco stream cannot be decoded: {e}");
-            return Err(match e.kind() {
-                ErrorKind::LimitExceeded => fault.unsupported(place, problem, "decimate the model"),
-                _ => fault.malformed(place, problem),
-            });
-        }
+        let mesh = self.decode_within_reserve(buffers, view, place)?;
         if self.uses_left.get(view) == Some(&0) && self.doc.views.values[view].compression().is_none() {
             self.unused.push(view);
         }
-        self.limits.check_vertices(mesh.num_points() as u64)?;
-        self.limits.check_triangles(mesh.num_faces() as u64)?;
-        buffers.spend(12 * mesh.num_faces() as u64)?;
+        buffers.reserve(COPIES * 12 * mesh.num_faces() as u64)?;
         self.decoded.insert(view, mesh);
         Ok(())
+    }
+
+    /// Decodes a stream within as much memory as is reserved for it, and reserves twice as much for another try where that was too
+    /// little: a stream says how many points, faces and values it has as it is decoded.
+    fn decode_within_reserve(&self, buffers: &mut BufferBytes<'_>, view: usize, place: &str) -> Result<Mesh, Error> {
+        let fault = self.doc.fault;
+        let stream = buffers.view(self.doc, view)?.len() as u64;
+        let mut reserved = stream.saturating_mul(BYTES_PER_BYTE).max(LEAST_BYTES);
+        loop {
+            self.watch.check()?;
+            buffers.reserve(reserved)?;
+            let limits = DecodeLimits::default()
+                .with_max_points(self.watch.vertices)
+                .with_max_faces((self.watch.triangles).min(reserved / 2 / BYTES_PER_FACE))
+                .with_max_decoded_bytes(reserved / 2 / BYTES_PER_VALUE_BYTE);
+            let mut mesh = Mesh::new();
+            let mut input = DecoderBuffer::new(buffers.view(self.doc, view)?).with_limits(limits);
+            let Err(e) = MeshDecoder::new().decode(&mut input, &mut mesh) else {
+                return Ok(mesh);
+            };
+            let problem = format!("the Draco stream cannot be decoded: {e}");
+            if e.kind() != ErrorKind::LimitExceeded {
+                return Err(fault.malformed(place, problem));
+            }
+            buffers.release(reserved);
+            let declared = DeclaredCount::of_refusal(&problem);
+            let is_too_large = declared
+                .as_ref()
+                .is_some_and(|d| d.is_faces && d.count > self.watch.triangles);
+            let twice = reserved.checked_mul(2).filter(|_| !is_too_large);
+            let Some(twice) = twice else {
+                return Err(fault.unsupported(place, problem, "decimate the model"));
+            };
+            reserved = declared.map_or(0, |d| d.bytes_needed()).max(twice);
+        }
     }
 
     fn fill_primitive(
@@ -296,7 +355,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
         }
         let element = layout.lanes * layout.component.size();
         let stride = element.next_multiple_of(4);
-        buffers.spend((points as u64).saturating_mul(stride as u64))?;
+        buffers.reserve((points as u64).saturating_mul(COPIES * stride as u64))?;
         let mut bytes = Vec::with_capacity(points * stride);
         let stored = component_of(attribute.data_type());
         let limits = if layout.component == ComponentType::F32 {

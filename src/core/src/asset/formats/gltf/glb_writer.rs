@@ -115,11 +115,6 @@ impl GlbWriter {
         self.views.len() - 1
     }
 
-    /// How many bytes it holds.
-    pub(in crate::asset) fn byte_count(&self) -> u64 {
-        self.bytes.len() as u64
-    }
-
     /// The file: `document` with the asset, the accessors and the buffer added.
     ///
     /// # Errors

@@ -178,7 +178,7 @@ pub(super) fn scene_clip(model: &Model, notes: &GltfNotes, index: usize) -> Resu
 
 struct ClipReader<'r, 'a> {
     doc: &'r GltfDocument<'a>,
-    buffers: &'r mut BufferBytes,
+    buffers: &'r mut BufferBytes<'static>,
     samplers: &'r [SamplerText],
     numbers: u64,
 }

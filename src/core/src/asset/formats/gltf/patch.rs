@@ -49,7 +49,7 @@ const MOST_COPIED: usize = 512 << 20;
 
 struct DocumentPatcher<'d, 'a> {
     doc: &'d GltfDocument<'a>,
-    stored: &'d BufferBytes,
+    stored: &'d BufferBytes<'d>,
     out: PatchedDocument<'a>,
 }
 

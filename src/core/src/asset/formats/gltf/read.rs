@@ -74,36 +74,42 @@ const UNLIMITED: Limits = Limits {
     document_bytes: u64::MAX,
 };
 
+fn unlimited() -> ReadWatch<'static> {
+    ReadWatch::new(&UNLIMITED, &Silent, 0)
+}
+
 /// Parses a document that was parsed before, within the limits of that time.
 pub(super) fn parse_known(files: &FileSet, format: Format) -> Result<GltfDocument<'_>, Error> {
-    GltfDocument::parse(files, format, &ReadWatch::new(&UNLIMITED, &Silent))
+    GltfDocument::parse(files, format, &unlimited())
 }
 
 /// Parses the document of a model that was read before, and finds its bytes.
-pub(super) fn reopen<'a>(model: &'a Model, notes: &'a GltfNotes) -> Result<(GltfDocument<'a>, BufferBytes), Error> {
+pub(super) fn reopen<'a>(
+    model: &'a Model,
+    notes: &'a GltfNotes,
+) -> Result<(GltfDocument<'a>, BufferBytes<'static>), Error> {
     parse_again(notes.files(model), notes.format)
 }
 
 /// Parses the document of files that are known to be right, and finds its bytes.
-pub(super) fn parse_again(files: &FileSet, format: Format) -> Result<(GltfDocument<'_>, BufferBytes), Error> {
+pub(super) fn parse_again(files: &FileSet, format: Format) -> Result<(GltfDocument<'_>, BufferBytes<'static>), Error> {
     let doc = parse_known(files, format)?;
     super::check::check(&doc)?;
-    let buffers = BufferBytes::load(&doc, files, &UNLIMITED)?;
+    let buffers = BufferBytes::load(&doc, files, &unlimited())?;
     Ok((doc, buffers))
 }
 
 /// Reads a model, checking everything it relies on.
 pub(super) fn read(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<(Geometry, GltfNotes), Error> {
-    let limits: &Limits = watch;
     let doc = GltfDocument::parse(files, format, watch)?;
     super::check::check(&doc)?;
     if doc.uses(draco::DRACO) {
-        let mut buffers = BufferBytes::load(&doc, files, limits)?;
-        if let Some((plain, count)) = draco::uncompress(&doc, files, &mut buffers, limits)? {
+        let mut buffers = BufferBytes::load(&doc, files, watch)?;
+        if let Some((plain, count)) = draco::uncompress(&doc, files, &mut buffers, watch)? {
             drop(buffers);
             let doc = GltfDocument::parse(&plain, format, watch)?;
             super::check::check(&doc)?;
-            let (mut geometry, mut notes) = read_document(&doc, &plain, format, limits)?;
+            let (mut geometry, mut notes) = read_document(&doc, &plain, format, watch)?;
             let were = if count == 1 { "primitive was" } else { "primitives were" };
             let message = format!("{count} {were} compressed with Draco; a changed model comes back without it");
             geometry.warn("draco-decoded", message, "meshes");
@@ -111,7 +117,7 @@ pub(super) fn read(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Re
             return Ok((geometry, notes));
         }
     }
-    read_document(&doc, files, format, limits)
+    read_document(&doc, files, format, watch)
 }
 
 /// Reads a document without Draco, or with what it holds uncompressed beside it.
@@ -119,21 +125,12 @@ fn read_document(
     doc: &GltfDocument<'_>,
     files: &FileSet,
     format: Format,
-    limits: &Limits,
+    watch: &ReadWatch<'_>,
 ) -> Result<(Geometry, GltfNotes), Error> {
-    // Tables count with 32 bits, whatever the caller allows.
-    let (vertices, triangles) = (
-        limits.vertices.min(u32::MAX.into()),
-        limits.triangles.min((u32::MAX / 3).into()),
-    );
     let mut reader = GltfReader {
-        buffers: BufferBytes::load(doc, files, limits)?,
+        buffers: BufferBytes::load(doc, files, watch)?,
         doc,
-        limits: Limits {
-            vertices,
-            triangles,
-            ..*limits
-        },
+        watch,
         geometry: Geometry::default(),
         rows: Vec::new(),
         examined: 0,
@@ -203,8 +200,8 @@ fn fill_up(geometry: &mut Geometry) {
 
 struct GltfReader<'d, 'f> {
     doc: &'d GltfDocument<'f>,
-    buffers: BufferBytes,
-    limits: Limits,
+    buffers: BufferBytes<'d>,
+    watch: &'d ReadWatch<'d>,
     geometry: Geometry,
     rows: Vec<PlacedPrimitive>,
     /// Triangles that were or could have been made of the indices read so far.
@@ -327,7 +324,7 @@ impl GltfReader<'_, '_> {
     /// triangles that it may have.
     fn count_primitive(&mut self, primitive: &MeshPrimitive, vertices: u64) -> Result<u64, Error> {
         let before = self.geometry.positions.len() as u64;
-        self.limits.check_vertices(before.saturating_add(vertices))?;
+        self.watch.check_vertices(before.saturating_add(vertices))?;
         let indexed = primitive.indices.map(|i| self.doc.accessors.values[i.index()].count.0);
         let corners = indexed.unwrap_or(vertices);
         let most = if primitive.mode() == 4 {
@@ -336,7 +333,7 @@ impl GltfReader<'_, '_> {
             corners.saturating_sub(2)
         };
         self.examined = self.examined.saturating_add(most);
-        self.limits.check_triangles(self.examined)?;
+        self.watch.check_triangles(self.examined)?;
         Ok(most)
     }
 

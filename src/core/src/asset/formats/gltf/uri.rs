@@ -40,9 +40,16 @@ pub(super) enum UriTarget {
     Companion(String),
 }
 
-/// Reads a buffer URI.
-pub(super) fn resolve(uri: &str, place: &str, fault: GltfFault) -> Result<UriTarget, Error> {
+/// Reads a buffer URI. `reserve` is asked for the bytes of embedded data before they are decoded.
+pub(super) fn resolve(
+    uri: &str,
+    place: &str,
+    fault: GltfFault,
+    reserve: &mut dyn FnMut(u64) -> Result<(), Error>,
+) -> Result<UriTarget, Error> {
     if uri.get(..5).is_some_and(|scheme| scheme.eq_ignore_ascii_case("data:")) {
+        // As many bytes at most, whether or not some of them are escaped.
+        reserve(uri.len() as u64)?;
         return embedded(&uri[5..], place, fault).map(UriTarget::Embedded);
     }
     companion_name(uri, place, fault).map(UriTarget::Companion)
@@ -164,7 +171,7 @@ mod tests {
     use crate::asset::Format;
 
     fn read(uri: &str) -> Result<UriTarget, String> {
-        resolve(uri, "buffers/0/uri", GltfFault(Format::GLTF)).map_err(|e| e.to_string())
+        resolve(uri, "buffers/0/uri", GltfFault(Format::GLTF), &mut |_| Ok(())).map_err(|e| e.to_string())
     }
 
     #[test]

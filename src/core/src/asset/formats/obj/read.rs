@@ -48,7 +48,7 @@ fn recognise(bytes: &[u8]) -> Recognition {
 /// Reads an OBJ file.
 pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, ObjNotes), Error> {
     check_main_size(bytes)?;
-    let mut reader = ObjReader::new(bytes, *watch);
+    let mut reader = ObjReader::new(bytes, watch.clone());
     reader.read_statements()?;
     reader.finish()
 }

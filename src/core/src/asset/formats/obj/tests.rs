@@ -320,7 +320,7 @@ proptest! {
 /// Vertex, number of the `vn` line, and normal of each face corner.
 fn named_corners(text: &str) -> Vec<(u32, u32, Vec3)> {
     let limits = Limits::default();
-    let mut reader = ObjReader::new(text.as_bytes(), ReadWatch::new(&limits, &Silent));
+    let mut reader = ObjReader::new(text.as_bytes(), ReadWatch::new(&limits, &Silent, 0));
     reader.read_statements().unwrap_or_else(|e| panic!("{e}"));
     let corner = |(&v, &n): (&u32, &u32)| (v, n, reader.normals[n as usize]);
     reader

@@ -103,7 +103,7 @@ fn source_of(used: &Value, textures: &[Value]) -> Option<usize> {
 struct ImageNames<'i, 'a> {
     doc: &'i GltfDocument<'a>,
     files: &'i FileSet,
-    buffers: &'i BufferBytes,
+    buffers: &'i BufferBytes<'i>,
     images: &'i [Value],
     taken: BTreeSet<String>,
     made: Vec<Option<MaterialPicture>>,

@@ -35,7 +35,7 @@ const OTHER_IMAGE: [&str; 4] = [
 /// Where new things go.
 struct CopyTarget<'t, 'f> {
     frame: &'t GltfDocument<'f>,
-    buffers: &'t BufferBytes,
+    buffers: &'t BufferBytes<'t>,
     fresh: &'t mut NewAccessors,
     joined: &'t mut JoinedBases,
 }

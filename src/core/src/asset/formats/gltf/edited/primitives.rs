@@ -40,7 +40,7 @@ pub(super) enum MeshSpace {
 /// Makes the primitives of one base.
 pub(super) struct PrimitiveMaker<'a, 'f> {
     pub(super) doc: &'a GltfDocument<'f>,
-    pub(super) buffers: &'a mut BufferBytes,
+    pub(super) buffers: &'a mut BufferBytes<'static>,
     pub(super) edited: &'a EditedModel<'a>,
     pub(super) positions: &'a [DVec3],
     pub(super) fresh: &'a mut NewAccessors,

@@ -15,14 +15,14 @@ use std::collections::{BTreeMap, BTreeSet};
 pub(super) struct PlayedDocument<'d, 'a> {
     pub(super) doc: &'d GltfDocument<'a>,
     pub(super) fresh: NewAccessors,
-    buffers: BufferBytes,
+    buffers: BufferBytes<'static>,
     nodes: Vec<String>,
     meshes: Vec<String>,
 }
 
 impl<'d, 'a> PlayedDocument<'d, 'a> {
     /// Nothing is changed yet.
-    pub(super) fn new(doc: &'d GltfDocument<'a>, buffers: BufferBytes) -> Self {
+    pub(super) fn new(doc: &'d GltfDocument<'a>, buffers: BufferBytes<'static>) -> Self {
         let owned = |list: &[&str]| list.iter().map(|text| (*text).to_owned()).collect();
         Self {
             doc,

@@ -53,7 +53,7 @@ impl FollowedNodeTree {
 
 struct RigWriter<'d, 'a> {
     doc: &'d GltfDocument<'a>,
-    buffers: BufferBytes,
+    buffers: BufferBytes<'static>,
     edits: JsonEdits<'a>,
     fresh: NewAccessors,
     /// Whole new contents by buffer.
