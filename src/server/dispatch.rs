@@ -1,6 +1,6 @@
 //! One port, two families: requests of gRPC and gRPC-Web go to one side, all others to HTTP.
 
-use super::auth::Gatekeeper;
+use super::auth::{Gatekeeper, principal};
 use super::config::ServerConfig;
 use super::connection_facts::ConnectionFacts;
 use super::grpc::Grpc;
@@ -137,11 +137,17 @@ impl Service<Request<Body>> for Sides {
                     request.extensions_mut().insert(Refused(error));
                 }
             }
-            if Grpc::takes(&request) {
-                Ok(grpc.call(request).await)
+            let tenant = principal(request.extensions()).map(|p| p.tenant.clone()).ok();
+            let mut response = if Grpc::takes(&request) {
+                grpc.call(request).await
             } else {
-                http.oneshot(request).await
+                http.oneshot(request).await?
+            };
+            // Who asked is charged for the answer until it is read.
+            if let Some(tenant) = tenant {
+                response.extensions_mut().insert(tenant);
             }
+            Ok(response)
         })
     }
 }

@@ -15,6 +15,7 @@ use super::peers::Peers;
 use super::state::State;
 use super::tls::TlsDoor;
 use super::unread::UnreadAnswer;
+use crate::session::Tenant;
 use axum::body::Body;
 use bytes::Bytes;
 use http::{HeaderValue, Request, Response, Version, header};
@@ -273,14 +274,14 @@ where
     };
     let heard = Arc::clone(&activity);
     let unread = CancellationToken::new();
-    let (ledger, stalled) = (Arc::clone(state.manager.ledger()), unread.clone());
+    let (manager, stalled) = (state.manager.clone(), unread.clone());
     let deadline = state.config.unread_deadline;
     let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(slot.clone());
         request.extensions_mut().insert(facts.clone());
         request.extensions_mut().insert(linger.clone());
         let busy = Busy::new(&heard, !is_watch(&request));
-        let (dispatch, ledger) = (dispatch.clone(), Arc::clone(&ledger));
+        let (dispatch, manager) = (dispatch.clone(), manager.clone());
         // On HTTP/1 nothing else can follow an answer that is not read; of HTTP/2 it is one of many.
         let stalled = match request.version() {
             Version::HTTP_2 => CancellationToken::new(),
@@ -289,10 +290,13 @@ where
         async move {
             let is_grpc = Dispatch::is_grpc(&request);
             let response: Response<Body> = dispatch.call(request.map(Body::new)).await;
-            let watched = UnreadAnswer::watch(response, &ledger, deadline, stalled.clone());
+            let asked_by = response.extensions().get::<Tenant>();
+            let account = asked_by.and_then(|tenant| manager.account(tenant).ok());
+            let memory = (manager.ledger(), account.as_ref());
+            let watched = UnreadAnswer::watch(response, memory, deadline, stalled.clone());
             let watched = watched.or_else(|error| {
                 let refusal = Dispatch::refusal(error, is_grpc);
-                UnreadAnswer::watch(refusal, &ledger, deadline, stalled)
+                UnreadAnswer::watch(refusal, memory, deadline, stalled)
             });
             watched.map(|response| response.map(|inner| Answer { inner, _busy: busy }))
         }

@@ -48,7 +48,7 @@ impl State {
             self.uploads.announce(bytes)?;
             account.check_upload(bytes)?;
         }
-        Ok(self.uploads.hold().of_tenant(account))
+        Ok(self.uploads.hold(Some(&account)).of_tenant(account))
     }
 
     /// The state of a new server.

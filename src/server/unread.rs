@@ -5,7 +5,7 @@
 //! ledger, the library is handed copies of small pieces, and when it has come for no further piece within the deadline the rest is
 //! dropped, whether or not the library ever asks again.
 
-use crate::session::{Error, MemoryLedger, MemoryReservation, MemoryUse};
+use crate::session::{Error, MemoryLedger, MemoryReservation, MemoryUse, TenantAccount};
 use axum::body::Body;
 use bytes::{Buf as _, Bytes};
 use http::Response;
@@ -50,13 +50,13 @@ struct WaitingAnswer {
 }
 
 impl UnreadAnswer {
-    /// Takes an answer over. `stalled` is cancelled when it is given up.
+    /// Takes an answer over, which counts for the memory of its tenant. `stalled` is cancelled when it is given up.
     ///
     /// # Errors
     /// `RESOURCE_EXHAUSTED` when there is no memory to hold it until it is read.
     pub fn watch(
         response: Response<Body>,
-        ledger: &Arc<MemoryLedger>,
+        (ledger, account): (&Arc<MemoryLedger>, Option<&Arc<TenantAccount>>),
         deadline: Duration,
         stalled: CancellationToken,
     ) -> Result<Response<Self>, Error> {
@@ -66,8 +66,9 @@ impl UnreadAnswer {
             return Ok(Response::from_parts(parts, Self(Reading::Small(body))));
         }
         let known = size.exact().unwrap_or(0);
-        let held = ledger.reserve(MemoryUse::Answers, known, known).ok_or_else(|| {
-            let text = format!("the answer has {known} bytes, and too many others are not read yet; try again later");
+        let held = ledger.reserve(MemoryUse::Answers, account, known, known);
+        let held = held.map_err(|shortage| {
+            let text = format!("the answer has {known} bytes, and {shortage}; read other answers, or try again later");
             Error::exhausted(text, 2)
         })?;
         let answer = Arc::new(Mutex::new(WaitingAnswer {
@@ -131,7 +132,7 @@ impl WaitingAnswer {
         self.handed = Some(Instant::now());
         // A whole body is held until its end, of a stream only what is left of its last frame.
         if let Some(held) = self.held.as_ref().filter(|_| !self.has_known_size) {
-            held.resize(self.rest.len() as u64);
+            let _ = held.resize(self.rest.len() as u64);
         }
         Frame::data(piece)
     }
@@ -222,7 +223,8 @@ mod tests {
 
     fn watch(body: Body, ledger: &Arc<MemoryLedger>) -> Result<UnreadAnswer, Error> {
         let late = Duration::from_millis(50);
-        UnreadAnswer::watch(Response::new(body), ledger, late, CancellationToken::new()).map(Response::into_body)
+        UnreadAnswer::watch(Response::new(body), (ledger, None), late, CancellationToken::new())
+            .map(Response::into_body)
     }
 
     #[tokio::test]

@@ -22,8 +22,10 @@ pub(super) struct Held {
     budget: Budget,
     bytes: u64,
     /// The same bytes in the ledger of everything that is held.
-    counted: Option<MemoryReservation>,
-    /// Whose it is.
+    counted: MemoryReservation,
+    /// Who sends it.
+    sender: Option<Arc<TenantAccount>>,
+    /// Whose uploads it counts for.
     account: Option<Arc<TenantAccount>>,
 }
 
@@ -39,12 +41,13 @@ impl Budget {
         }
     }
 
-    /// Starts an upload.
-    pub fn hold(&self) -> Held {
+    /// Starts the body of a request, which counts for its tenant.
+    pub fn hold(&self, account: Option<&Arc<TenantAccount>>) -> Held {
         Held {
             budget: self.clone(),
             bytes: 0,
-            counted: self.ledger.reserve(MemoryUse::Uploads, 0, 0),
+            counted: self.ledger.reserve_later(MemoryUse::Uploads, None),
+            sender: account.cloned(),
             account: None,
         }
     }
@@ -73,7 +76,7 @@ impl Budget {
 }
 
 impl Held {
-    /// The same, counted as the upload of a tenant.
+    /// The same, counted as an upload of a tenant.
     #[must_use]
     pub fn of_tenant(mut self, account: Arc<TenantAccount>) -> Self {
         self.account = Some(account);
@@ -83,7 +86,8 @@ impl Held {
     /// Takes `bytes` more.
     ///
     /// # Errors
-    /// Too large when this upload passes its limit; exhausted when all uploads together do.
+    /// Too large when this upload passes its limit; exhausted when all uploads together do, or those of the tenant pass its quota,
+    /// or the memory of the server is full.
     pub fn grow(&mut self, bytes: usize) -> Result<(), Error> {
         let bytes = bytes as u64;
         let mine = self.bytes.saturating_add(bytes);
@@ -93,20 +97,30 @@ impl Held {
         if let Some(account) = &self.account {
             account.take_upload(bytes, mine)?;
         }
+        self.sender.as_ref().map_or(Ok(()), |sender| sender.take_body(bytes))?;
         let before = self.budget.used.fetch_add(bytes, Ordering::Relaxed);
         self.bytes = mine;
-        let has_room = self.counted.as_ref().is_none_or(|counted| counted.grow_to(mine));
-        if !has_room || before.saturating_add(bytes) > self.budget.total {
+        let total = self.budget.total;
+        let refuse = |text: String| {
             self.budget.refused.inc();
-            return Err(Error::exhausted("too many uploads are under way", 2));
+            Err(Error::exhausted(format!("{text}; try again later"), 2))
+        };
+        if before.saturating_add(bytes) > total {
+            return refuse(format!(
+                "the bodies of requests that are being received fill the {total} bytes that they may hold together"
+            ));
         }
-        Ok(())
+        match self.counted.grow_to(mine) {
+            Ok(()) => Ok(()),
+            Err(shortage) => refuse(shortage.to_string()),
+        }
     }
 }
 
 impl Drop for Held {
     fn drop(&mut self) {
         self.budget.used.fetch_sub(self.bytes, Ordering::Relaxed);
+        self.sender.iter().for_each(|sender| sender.end_body(self.bytes));
     }
 }
 
@@ -120,13 +134,13 @@ mod tests {
         let manager = Manager::new(SessionConfig::default()).expect("a manager");
         let budget = Budget::new(100, 150, &manager);
         assert_eq!(budget.announce(101).unwrap_err().http_status(), 413);
-        let mut first = budget.hold();
+        let mut first = budget.hold(None);
         first.grow(100).unwrap();
         assert_eq!(first.grow(1).unwrap_err().http_status(), 413);
-        let mut second = budget.hold();
+        let mut second = budget.hold(None);
         second.grow(50).unwrap();
         assert_eq!(second.grow(1).unwrap_err().http_status(), 429);
-        assert_eq!(manager.ledger().used(), 151, "and the byte that was one too many");
+        assert_eq!(manager.ledger().used(), 150);
         drop((first, second));
         assert_eq!(manager.ledger().used(), 0);
         assert_eq!(budget.used.load(Ordering::Relaxed), 0);

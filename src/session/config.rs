@@ -20,8 +20,6 @@ pub struct SessionConfig {
     pub vertices: u64,
     /// Triangles of one model.
     pub triangles: u64,
-    /// Bytes that decoding one model may take.
-    pub decoded_bytes: u64,
     /// Sessions held at a time.
     pub sessions: usize,
     /// Bytes that all sessions together may hold.
@@ -90,7 +88,6 @@ impl Default for SessionConfig {
             upload_bytes: 1 << 30,
             vertices: 20_000_000,
             triangles: 40_000_000,
-            decoded_bytes: 4 << 30,
             sessions: 64,
             memory_bytes: 8 << 30,
             high_water: 0.9,
@@ -159,7 +156,6 @@ impl SessionConfig {
         at_least("vertices", self.vertices.into(), 3)?;
         at_most("vertices", self.vertices.into(), u128::from(u32::MAX))?;
         at_least("triangles", self.triangles.into(), 1)?;
-        at_least("decoded_bytes", self.decoded_bytes.into(), 1)?;
         at_least("sessions", self.sessions as u128, 1)?;
         at_most("sessions", self.sessions as u128, 1_000_000)?;
         at_least("memory_bytes", self.memory_bytes.into(), 1 << 20)?;
@@ -205,8 +201,8 @@ impl SessionConfig {
             model: asset::Limits {
                 vertices: self.vertices,
                 triangles: self.triangles,
-                decoded_bytes: self.decoded_bytes.min(memory_bytes),
-                document_bytes: self.decoded_bytes.min(memory_bytes),
+                decoded_bytes: memory_bytes,
+                document_bytes: memory_bytes,
             },
             memory_bytes,
             graph_bytes: None,

@@ -30,6 +30,12 @@ pub trait Engine: Send + 'static {
     fn byte_size(&self) -> u64;
     /// Bytes that the engine may hold after what is asked of it next.
     fn limit_memory(&mut self, _bytes: u64) {}
+    /// Bytes of what [`Engine::release_memory`] drops.
+    fn spare_bytes(&self) -> u64 {
+        0
+    }
+    /// Drops the handles, and all that can be made again.
+    fn release_memory(&mut self) {}
     /// Format of the model's files.
     fn format(&self) -> Format;
     /// Replaces the handles.
@@ -170,6 +176,14 @@ impl Engine for Deformer {
 
     fn limit_memory(&mut self, bytes: u64) {
         Self::limit_memory(self, bytes);
+    }
+
+    fn spare_bytes(&self) -> u64 {
+        Self::spare_bytes(self)
+    }
+
+    fn release_memory(&mut self) {
+        Self::release_memory(self);
     }
 
     fn format(&self) -> Format {

@@ -55,7 +55,8 @@ pub use answers::{
 };
 pub use audit::audit_entry::{AuditEntry, AuditedAction, StoredAuditEntry};
 pub use calls::manager::Manager;
-pub use capacity::memory_ledger::{MemoryLedger, MemoryReservation};
+pub use capacity::compute_slots::SLOTS_FOR_ANOTHER_TENANT;
+pub use capacity::memory_ledger::{MemoryLedger, MemoryReservation, MemoryShortage};
 pub use capacity::memory_use::MemoryUse;
 pub use capacity::session_lease::MIN_TTL;
 pub use capacity::work_span::{SPANS, WorkKind};

@@ -93,7 +93,6 @@ fn limits_without_a_key_are_those_of_the_program() {
         upload_bytes: _,
         vertices: _,
         triangles,
-        decoded_bytes,
         sessions: _,
         memory_bytes: _,
         high_water,
@@ -131,7 +130,6 @@ fn limits_without_a_key_are_those_of_the_program() {
         "twice as many triangles are allowed"
     );
     let wanted = [
-        ("bytes that decoding one model may take", size(decoded_bytes)),
         ("data of one frame part (partBytes)", size(part_bytes as u64)),
         ("old shapes that one session keeps", size(snapshot_bytes)),
         ("building a session or its handles", time(build)),
@@ -143,6 +141,10 @@ fn limits_without_a_key_are_those_of_the_program() {
         ("commits waiting on one stream", stream_commits.to_string()),
         ("calls waiting on one session", session_queue.to_string()),
         ("pieces of work waiting for a compute slot", compute_queue.to_string()),
+        (
+            "slots for builds, edits and animations that are there for other tenants while one tenant has all",
+            session::SLOTS_FOR_ANOTHER_TENANT.to_string(),
+        ),
         ("waiting for a compute slot", time(compute_wait)),
         ("answers to idempotency keys, kept for", time(idempotency_age)),
         ("idempotency keys of one caller", idempotency_keys.to_string()),

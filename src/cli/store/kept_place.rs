@@ -78,7 +78,6 @@ pub(super) async fn lookers(store: &Arc<ReadOnlyStore>) -> Result<Manager, CliFa
     let config = SessionConfig {
         vertices: u32::MAX.into(),
         triangles: u32::MAX.into(),
-        decoded_bytes: 1 << 40,
         handles: u32::MAX as usize,
         ..SessionConfig::default()
     };

@@ -2,6 +2,7 @@
 
 use super::problem::Problem;
 
+use crate::server::auth;
 use crate::server::state::State;
 use crate::session::{Error, ErrorCode};
 use crate::wire;
@@ -75,9 +76,13 @@ pub(super) async fn text(state: &State, request: Request) -> Result<Bytes, Probl
     if let Some(length) = length.filter(|&length| length > limit as u64) {
         return Err(too_large(length));
     }
-    let mut stream = request.into_body().into_data_stream();
     // Many bodies at a time are as heavy as an upload.
-    let mut held = state.uploads.hold();
+    let account = match auth::principal(request.extensions()) {
+        Ok(principal) => Some(state.manager.account(&principal.tenant)?),
+        Err(_) => None,
+    };
+    let mut held = state.uploads.hold(account.as_ref());
+    let mut stream = request.into_body().into_data_stream();
     let read = async {
         let mut text = BytesMut::new();
         while let Some(bytes) = next(state, &mut stream).await? {

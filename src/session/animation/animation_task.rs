@@ -104,12 +104,12 @@ impl AnimationTask {
     fn reserve_memory(&self, prepared: &PreparedAnimation) -> Result<MemoryReservation, Error> {
         let bytes = prepared.byte_size();
         let shared = &self.manager.shared;
-        shared.ledger.reserve(MemoryUse::Sessions, bytes, bytes).ok_or_else(|| {
+        let account = self.manager.account(&self.session.tenant)?;
+        let reserved = (shared.ledger).reserve(MemoryUse::Sessions, Some(&account), bytes, bytes);
+        reserved.map_err(|shortage| {
             shared.metrics.refused.inc();
-            Error::exhausted(
-                format!("the animation would need {bytes} bytes of memory, fewer are free"),
-                5,
-            )
+            let text = format!("the animation would need {bytes} bytes of memory, and {shortage}");
+            Error::exhausted(text, 5)
         })
     }
 
@@ -153,7 +153,7 @@ impl AnimationTask {
             };
             SolvedFrame { cursor, .. } = solved;
             summary.sums = solved.sums;
-            memory.resize(prepared.byte_size() + cursor.byte_size());
+            let _ = memory.resize(prepared.byte_size() + cursor.byte_size());
             shared.metrics.cycles.inc_by(solved.cycles as u64);
             shared.metrics.solve.observe(watch.elapsed().as_secs_f64());
             self.running.charge_work(watch.elapsed());

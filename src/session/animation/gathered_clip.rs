@@ -12,6 +12,7 @@ use crate::session::capacity::work_owner::WorkOwner;
 use crate::session::capacity::work_span::{WorkKind, WorkSpan};
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
+use crate::session::quota::tenant_account::TenantAccount;
 use crate::session::shared::SharedResources;
 use crate::wire::frames::FrameRequest;
 use crate::wire::{self, OrderedRoot, PlayedForm};
@@ -55,7 +56,7 @@ impl FramesInMemory {
 
 /// Takes the frames of an animation, and writes a model that plays them.
 pub(in crate::session) async fn gather_clip(
-    (shared, owner): (&SharedResources, &WorkOwner),
+    (shared, account, owner): (&SharedResources, &Arc<TenantAccount>, &WorkOwner),
     mut output: AnimationReader,
     (form, root): (PlayedForm, OrderedRoot),
 ) -> Result<AnimatedModel, Error> {
@@ -66,7 +67,7 @@ pub(in crate::session) async fn gather_clip(
             Some(Ok(AnimationAnswer::Stage { .. })) => {}
             Some(Ok(AnimationAnswer::Frame(frame))) => {
                 if memory.is_none() {
-                    memory = Some(reserve_frames(shared, output.prepared().as_deref())?);
+                    memory = Some(reserve_frames((shared, account), output.prepared().as_deref())?);
                 }
                 frames.push(&frame);
             }
@@ -123,7 +124,10 @@ pub(in crate::session) async fn gather_clip(
 }
 
 /// The bytes that all frames will hold, of what all sessions together may.
-fn reserve_frames(shared: &SharedResources, prepared: Option<&PreparedAnimation>) -> Result<MemoryReservation, Error> {
+fn reserve_frames(
+    (shared, account): (&SharedResources, &Arc<TenantAccount>),
+    prepared: Option<&PreparedAnimation>,
+) -> Result<MemoryReservation, Error> {
     let (frames, vertices) = prepared.map_or((0, 0), |p| (p.range.len(), p.animation.model().1.len()));
     if prepared.is_some_and(|p| p.animation.is_edited()) {
         let text =
@@ -139,11 +143,10 @@ fn reserve_frames(shared: &SharedResources, prepared: Option<&PreparedAnimation>
             format!("the animation as one model would need {bytes} bytes of memory, at most {total} are allowed");
         return Err(Error::new(ErrorCode::TooLarge, text));
     }
-    shared.ledger.reserve(MemoryUse::Sessions, bytes, bytes).ok_or_else(|| {
+    let reserved = (shared.ledger).reserve(MemoryUse::Sessions, Some(account), bytes, bytes);
+    reserved.map_err(|shortage| {
         shared.metrics.refused.inc();
-        Error::exhausted(
-            format!("the animation as one model would need {bytes} bytes of memory, fewer are free"),
-            5,
-        )
+        let text = format!("the animation as one model would need {bytes} bytes of memory, and {shortage}");
+        Error::exhausted(text, 5)
     })
 }

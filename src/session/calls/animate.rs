@@ -46,7 +46,7 @@ impl Manager {
         self.note(tenant, AuditedAction::Animate, id).await;
         let running = RunningAnimation::on_session(&session, (permit, place), &shared.metrics);
         let outbox = Arc::new(FrameOutbox::with_window(order.window));
-        let held = shared.ledger.reserve_later(MemoryUse::Sessions);
+        let held = shared.ledger.reserve_later(MemoryUse::Sessions, Some(&account));
         let ends = animation_ends(
             &outbox,
             shared.config.part_bytes,
@@ -84,6 +84,7 @@ impl Manager {
             tenant: tenant.clone(),
             session: id.to_owned(),
         };
-        gather_clip((&self.shared, &owner), output, form).await
+        let account = self.account(tenant)?;
+        gather_clip((&self.shared, &account, &owner), output, form).await
     }
 }

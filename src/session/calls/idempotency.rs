@@ -258,12 +258,12 @@ impl<A> KeyClaim<A> {
             return;
         };
         // It was given already, so it is kept even where that breaks the budget.
-        let counted = self.ledger.reserve(MemoryUse::KeptAnswers, 0, 0);
-        counted.iter().for_each(|counted| _ = counted.resize(bytes));
+        let counted = self.ledger.reserve_later(MemoryUse::KeptAnswers, None);
+        let _ = counted.resize(bytes);
         entry.answer = Some(KeptAnswer {
             answer,
             bytes,
-            _counted: counted,
+            _counted: Some(counted),
         });
         entry.number = number;
         keys.bytes = keys.bytes.saturating_add(bytes);

@@ -1,10 +1,11 @@
 //! Builds the engine of a session on the compute pool, within what its tenant and the server have left.
 
 use crate::asset::{self, FileSet};
-use crate::engine::{self, HandleSet, OpenOptions, digest};
+use crate::engine::{self, ESTIMATED_MEMORY, HandleSet, OpenOptions, digest};
 use crate::exec::Exec;
 use crate::session::calls::session_places::{OpeningRefusal, SessionPlaces, count_refusal, no_place, no_place_until};
 use crate::session::capacity::compute_slots::WorkLane;
+use crate::session::capacity::memory_ledger::{MemoryReservation, MemoryShortage};
 use crate::session::capacity::work_span::{WorkKind, WorkSpan, tell_vertices};
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::engine::Engine;
@@ -13,6 +14,7 @@ use crate::session::history::commit_history::CommitHistory;
 use crate::session::history::loaded_deformer::LoadedDeformer;
 use crate::session::history::session_state::EditedState;
 use crate::session::keeping::made_room::make_room;
+use crate::session::quota::tenant_account::TenantSession;
 use crate::session::shared::SharedResources;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -95,9 +97,7 @@ async fn build_model(
         slot = shared.compute.slot(WorkLane::Builds, &owner, (arrived, shared.config.build)) => slot?,
     };
     let config = &shared.config;
-    // What is refused for the tenant's sake is told so; the smaller room counts.
-    let own_room = account.memory_room();
-    let room = memory.room().min(own_room);
+    let room = memory.room();
     let may_hold = account.memory_quota().unwrap_or(u64::MAX).min(shared.ledger.total());
     let graph_bytes = graph_bytes.unwrap_or(may_hold);
     let limits = engine::DeformerLimits {
@@ -105,7 +105,7 @@ async fn build_model(
         ..config.deformer_limits(room)
     };
     let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
-    let watch = Arc::new(WorkWatch::since(arrived, flags, config.build).within(Arc::clone(memory)));
+    let watch = Arc::new(WorkWatch::since(arrived, flags, config.build).within(Arc::clone(memory), 0));
     let (inner_watch, inside) = (Arc::clone(&watch), Arc::clone(shared));
     let begun = Instant::now();
     let span = WorkSpan::new(WorkKind::Build, "", &Span::current());
@@ -149,26 +149,48 @@ async fn build_model(
         engine::Error::Cancelled if shared.aborted.is_cancelled() => Error::draining().into(),
         engine::Error::Cancelled if watch.abandoned() => Error::new(ErrorCode::Cancelled, "the caller gave up").into(),
         engine::Error::Cancelled => build_took_too_long(watch.limit()).into(),
-        engine::Error::TooLarge { seen, limit, .. } if limit == own_room => match account.memory_quota() {
-            Some(quota) if seen > quota => {
-                let text = format!("the session would need {seen} bytes of memory, your quota allows {quota}");
-                Error::new(ErrorCode::TooLarge, text).into()
-            }
-            _ => {
-                let text = format!("the session would need {seen} bytes of memory, your quota has {room} left");
-                OpeningRefusal::TenantMemory(no_place_until(shared, text, of_tenant.tenant()))
-            }
+        error => match memory_needed(&error, room) {
+            Some(needed) => lacks_memory(shared, (memory.as_ref(), of_tenant), needed),
+            None => Error::from(error).into(),
         },
-        // Too large for what is free now, not for the server: later it may fit.
+    })
+}
+
+/// The bytes in all for which an engine that has `room` refuses something; `None` where it refuses for something else.
+pub(in crate::session) fn memory_needed(error: &engine::Error, room: u64) -> Option<u64> {
+    match error {
         engine::Error::TooLarge { seen, limit, .. }
         | engine::Error::Asset(asset::Error::TooLarge { seen, limit, .. })
-            if limit == room && seen <= shared.ledger.total() =>
+            if *limit == room =>
         {
-            let text = format!("the session would need {seen} bytes of memory, {room} are free");
-            OpeningRefusal::ServerMemory(no_place(text))
+            Some(*seen)
         }
-        error => Error::from(error).into(),
-    })
+        _ => None,
+    }
+}
+
+/// Of a model that takes more memory than it may have now: whether it may fit later, and whose memory is full.
+fn lacks_memory(
+    shared: &SharedResources,
+    (memory, of_tenant): (&MemoryReservation, &TenantSession),
+    needed: u64,
+) -> OpeningRefusal {
+    let quota = of_tenant.account().memory_quota().unwrap_or(u64::MAX);
+    let total = shared.ledger.total();
+    if needed > total && quota >= total {
+        let text = format!("{ESTIMATED_MEMORY} is {needed}, at most {total} is allowed");
+        return Error::new(ErrorCode::TooLarge, text).into();
+    }
+    if needed > quota {
+        let text = format!("the session would need {needed} bytes of memory, your quota allows {quota}");
+        return Error::new(ErrorCode::TooLarge, text).into();
+    }
+    let shortage = memory.shortage(needed);
+    let text = format!("the session would need {needed} bytes of memory, and {shortage}");
+    match shortage {
+        MemoryShortage::Server { .. } => OpeningRefusal::ServerMemory(no_place(text)),
+        MemoryShortage::Tenant { .. } => OpeningRefusal::TenantMemory(no_place_until(shared, text, of_tenant.tenant())),
+    }
 }
 
 fn build_took_too_long(limit: Duration) -> Error {

@@ -1,7 +1,7 @@
 //! What a session takes before it is opened: a seat among all sessions, memory, and a place among those of its tenant.
 
 use crate::session::answers::Tenant;
-use crate::session::capacity::memory_ledger::MemoryReservation;
+use crate::session::capacity::memory_ledger::{MemoryReservation, MemoryShortage};
 use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::made_room::make_room;
@@ -46,9 +46,13 @@ impl SessionPlaces {
     /// `RESOURCE_EXHAUSTED`.
     pub async fn reserve(shared: &SharedResources, of_tenant: TenantSession, upload: u64) -> Result<Self, Error> {
         loop {
-            match take_place(shared, upload) {
-                Err(error) if !make_room(shared, None).await => return Err(count_refusal(shared, error)),
-                Err(_) => {}
+            match take_place(shared, of_tenant.account(), upload) {
+                Err((error, shortage)) => {
+                    let whose = matches!(shortage, Some(MemoryShortage::Tenant { .. })).then(|| of_tenant.tenant());
+                    if !make_room(shared, whose).await {
+                        return Err(count_refusal(shared, error));
+                    }
+                }
                 Ok((seat, memory)) => {
                     return Ok(Self {
                         seat,
@@ -65,17 +69,17 @@ impl SessionPlaces {
     /// # Errors
     /// `RESOURCE_EXHAUSTED` where that is more than the server or the tenant may hold.
     pub fn admit(&self, shared: &SharedResources, held: u64) -> Result<(), OpeningRefusal> {
-        if !self.memory.resize(held) {
-            let used = shared.ledger.used().saturating_sub(held);
-            let text = format!("the session needs {held} bytes and {used} are in use");
-            return Err(OpeningRefusal::ServerMemory(no_place(text)));
-        }
-        if !self.of_tenant.resize(held) {
-            let text = format!("the session needs {held} bytes, your quota of memory has fewer left");
-            let refused = no_place_until(shared, text, self.of_tenant.tenant());
-            return Err(OpeningRefusal::TenantMemory(refused));
-        }
-        Ok(())
+        let Err(shortage) = self.memory.grow_to(held) else {
+            let _ = self.memory.resize(held);
+            return Ok(());
+        };
+        let text = format!("the session would need {held} bytes of memory, and {shortage}");
+        Err(match shortage {
+            MemoryShortage::Server { .. } => OpeningRefusal::ServerMemory(no_place(text)),
+            MemoryShortage::Tenant { .. } => {
+                OpeningRefusal::TenantMemory(no_place_until(shared, text, self.of_tenant.tenant()))
+            }
+        })
     }
 }
 
@@ -152,23 +156,27 @@ pub(in crate::session) async fn announce_stored(
     })
 }
 
-fn take_place(shared: &SharedResources, upload: u64) -> Result<(OwnedSemaphorePermit, Arc<MemoryReservation>), Error> {
+fn take_place(
+    shared: &SharedResources,
+    account: &Arc<TenantAccount>,
+    upload: u64,
+) -> Result<(OwnedSemaphorePermit, Arc<MemoryReservation>), (Error, Option<MemoryShortage>)> {
     let seat = Arc::clone(&shared.seats).try_acquire_owned().map_err(|_| {
         let text = format!(
             "{} sessions are open, no more are allowed; delete one or wait for one to expire",
             shared.config.sessions
         );
-        no_place(text)
+        (no_place(text), None)
     })?;
     let likely = upload
         .saturating_mul(BYTES_PER_UPLOADED_BYTE)
         .saturating_add(LEAST_BYTES);
-    let memory = shared
-        .ledger
-        .reserve(MemoryUse::Sessions, LEAST_BYTES.max(upload), likely);
-    let memory = memory.ok_or_else(|| {
-        let used = shared.ledger.used();
-        no_place(format!("{used} bytes of memory are in use, no more sessions fit"))
+    let of_quota = account.memory_quota().unwrap_or(LEAST_BYTES);
+    let least = LEAST_BYTES.min(of_quota).max(upload);
+    let memory = (shared.ledger).reserve(MemoryUse::Sessions, Some(account), least, likely);
+    let memory = memory.map_err(|shortage| {
+        let text = format!("the session would need {least} bytes of memory, and {shortage}");
+        (no_place(text), Some(shortage))
     })?;
     Ok((seat, Arc::new(memory)))
 }

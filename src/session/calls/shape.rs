@@ -82,7 +82,8 @@ impl Manager {
             return Err(self.leaving().await);
         }
         let (config, metrics) = (&self.shared.config, Arc::clone(&self.shared.metrics));
-        let place = self.account(tenant)?.take_stream().inspect_err(|_| {
+        let account = self.account(tenant)?;
+        let place = account.take_stream().inspect_err(|_| {
             metrics.refused.inc();
         })?;
         let mailbox = loop {
@@ -108,7 +109,7 @@ impl Manager {
         };
         let inside = self.shared.gate.enter();
         self.note(tenant, AuditedAction::Stream, id).await;
-        let held = self.shared.ledger.reserve_later(MemoryUse::Sessions);
+        let held = self.shared.ledger.reserve_later(MemoryUse::Sessions, Some(&account));
         let stream = DeformStream::new(mailbox, session, config.part_bytes, (metrics, held), (inside, place));
         // A drain that began meanwhile may have missed this stream.
         if self.shared.draining.load(SeqCst) {

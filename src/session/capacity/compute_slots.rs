@@ -4,10 +4,10 @@
 //! have what somebody waits for, so that it never stands behind a long build (poses, commits and what reads a shape), and what
 //! builds, edits and animates, whose threads the operating system serves last. Of the former, drags come first and have slots that
 //! nothing else gets. In a lane tenants take turns, in a tenant its sessions, and work that would wait longer than it may is refused
-//! before it waits.
+//! before it waits. A build may take minutes: while one tenant has all slots for builds, there is one more for another tenant.
 
 use crate::pool::Pool;
-use crate::session::capacity::fair_line::{FairLine, LinePermit, LinePlace, LineRefusal, TurnClass};
+use crate::session::capacity::fair_line::{FairLine, LinePermit, LinePlace, LineRefusal, LineSlots, TurnClass};
 use crate::session::capacity::lone_threads::{LoneThread, LoneThreads};
 use crate::session::capacity::work_owner::WorkOwner;
 use crate::session::capacity::work_span::WorkSpan;
@@ -21,6 +21,9 @@ use tokio::sync::{Semaphore, oneshot};
 
 /// So many slots come with one more that only drags get.
 const SLOTS_A_DRAG: usize = 4;
+
+/// Slots for builds that are there for other tenants while one tenant has all, and threads for them.
+pub const SLOTS_FOR_ANOTHER_TENANT: usize = 1;
 
 /// Threads that pack answers and drop what is large.
 const PACKING_THREADS: usize = 2;
@@ -45,6 +48,8 @@ struct ComputeLane {
     pool: Pool,
     /// What carries the work while too much is under way for a share of two threads each.
     alone: LoneThreads,
+    /// What carries the work of another tenant than the one that has all slots, and maybe all threads of the pool.
+    for_another: LoneThreads,
     line: Arc<FairLine>,
 }
 
@@ -89,18 +94,43 @@ impl From<WorkPanicked> for Error {
 
 impl ComputeLane {
     /// So many slots, and `for_drags` more that only drags get. Without threads of their own every piece of work shares the pool.
-    fn new((slots, for_drags): (usize, usize), config: &SessionConfig, pool: Pool, alone: LoneThreads) -> Self {
+    fn interactive((all, for_drags): (usize, usize), config: &SessionConfig, pool: Pool, alone: LoneThreads) -> Self {
+        let slots = LineSlots {
+            all,
+            for_drags,
+            one_for_another_tenant: false,
+        };
         Self {
-            line: FairLine::new(slots, for_drags, config.compute_queue),
+            line: FairLine::new(slots, config.compute_queue),
             pool,
             alone,
+            for_another: LoneThreads::default(),
+        }
+    }
+
+    /// So many slots for work that lasts long: what would run alone would stay alone when the others have ended.
+    fn builds(all: usize, config: &SessionConfig, pool: Pool, for_another: LoneThreads) -> Self {
+        let slots = LineSlots {
+            all,
+            for_drags: 0,
+            one_for_another_tenant: true,
+        };
+        Self {
+            line: FairLine::new(slots, config.compute_queue),
+            pool,
+            alone: LoneThreads::default(),
+            for_another,
         }
     }
 
     /// The threads for a piece of work that has its slot already.
-    fn threads(&self) -> SlotThreads {
+    fn threads(&self, permit: &LinePermit) -> SlotThreads {
         let share = self.pool.threads() / self.line.busy().max(1);
-        let alone = if share < 2 { self.alone.take() } else { None };
+        let alone = match share {
+            _ if permit.is_reserve() => self.for_another.take(),
+            0 | 1 => self.alone.take(),
+            _ => None,
+        };
         alone.map_or_else(|| SlotThreads::Shared(self.pool.clone()), SlotThreads::Alone)
     }
 }
@@ -134,11 +164,11 @@ impl ComputeSlots {
         let most = slots + for_drags;
         // With a share of two threads for every slot none would ever run.
         let alone = if interactive.threads() / most < 2 { most } else { 0 };
-        let alone = LoneThreads::start(alone).map_err(unstarted)?;
+        let alone = LoneThreads::start(alone, || {}).map_err(unstarted)?;
+        let for_another = LoneThreads::start(SLOTS_FOR_ANOTHER_TENANT, give_way).map_err(unstarted)?;
         Ok(Self {
-            interactive: ComputeLane::new((slots, for_drags), config, interactive, alone),
-            // Builds last long: what runs alone would stay alone when the others have ended.
-            builds: ComputeLane::new((slots, 0), config, builds, LoneThreads::default()),
+            interactive: ComputeLane::interactive((slots, for_drags), config, interactive, alone),
+            builds: ComputeLane::builds(slots, config, builds, for_another),
             packing: Pool::started_with(PACKING_THREADS, "pack", || {}).map_err(unstarted)?,
             packing_seats: Arc::new(Semaphore::new(PACKING_QUEUE)),
             wait: config.compute_wait,
@@ -235,8 +265,8 @@ impl ComputeSlots {
 
     fn slot_on(&self, lane: &ComputeLane, permit: LinePermit, queued: Duration) -> ComputeSlot {
         ComputeSlot {
+            threads: lane.threads(&permit),
             permit,
-            threads: lane.threads(),
             metrics: Arc::clone(&self.metrics),
             queued,
         }

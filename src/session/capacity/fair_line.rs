@@ -4,9 +4,11 @@
 //! A tenant that asks for much waits behind itself and not before others: whoever comes new waits for one piece of work of each
 //! tenant at most. Somebody looks at a drag and waits for its next frame, and it is asked for anew as soon as that is there. So drags
 //! have slots that nothing else gets, and of the others as many turns as come to [`DRAGS_TIME`] times the time of one turn of the
-//! rest: however much there is to solve, drags go on, and however many drag, what is solved goes on. Nothing here depends on time
-//! but what is expected of it.
+//! rest: however much there is to solve, drags go on, and however many drag, what is solved goes on. Work may take minutes, and then
+//! turns are no help: while one tenant has all slots, one more is there for the others. Nothing here depends on time but what is
+//! expected of it.
 
+use crate::session::answers::Tenant;
 use crate::session::capacity::turn_queue::{QueuedTurn, TurnQueue};
 use crate::session::capacity::work_owner::WorkOwner;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -51,8 +53,24 @@ pub(super) enum LinePlace {
 pub(super) struct LinePermit {
     line: Option<Arc<FairLine>>,
     class: TurnClass,
+    tenant: Tenant,
+    is_reserve: bool,
     begun: Option<Instant>,
 }
+
+/// How much computes at once.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LineSlots {
+    /// How many pieces of work.
+    pub all: usize,
+    /// How many more when there are drags among them.
+    pub for_drags: usize,
+    /// Whether one more does, which is no drag, while a single other tenant has all slots.
+    pub one_for_another_tenant: bool,
+}
+
+/// Who waits, and where the turn is told.
+type TurnWaiter = (Tenant, TurnSender);
 
 /// A place in the line. Given up when dropped.
 #[derive(Debug)]
@@ -69,10 +87,7 @@ type TurnReceiver = oneshot::Receiver<Result<LinePermit, LineRefusal>>;
 /// The line.
 #[derive(Debug)]
 pub(super) struct FairLine {
-    /// How many compute at once.
-    slots: usize,
-    /// How many more do when there are drags among them.
-    for_drags: usize,
+    slots: LineSlots,
     /// How many of a class may wait.
     most: usize,
     state: Mutex<LineState>,
@@ -82,6 +97,10 @@ pub(super) struct FairLine {
 struct LineState {
     drags: ClassState,
     others: ClassState,
+    /// Whose pieces of work that are no drags compute, on a slot that any tenant gets.
+    holders: Vec<Tenant>,
+    /// Who computes on the slot for another tenant.
+    reserve_holder: Option<Tenant>,
     next_ticket: u64,
     /// Turns of drags since the last turn of the rest, as far as these waited meanwhile.
     drags_since: u32,
@@ -91,7 +110,7 @@ struct LineState {
 
 #[derive(Debug, Default)]
 struct ClassState {
-    waiting: TurnQueue<TurnSender>,
+    waiting: TurnQueue<TurnWaiter>,
     /// How many compute.
     busy: usize,
     /// How long a piece of work takes, in seconds.
@@ -99,11 +118,10 @@ struct ClassState {
 }
 
 impl FairLine {
-    /// Nobody waits; `most` of each class may. So many compute at once, and `for_drags` more when they are drags.
-    pub fn new(slots: usize, for_drags: usize, most: usize) -> Arc<Self> {
+    /// Nobody waits; `most` of each class may.
+    pub fn new(slots: LineSlots, most: usize) -> Arc<Self> {
         Arc::new(Self {
             slots,
-            for_drags,
             most,
             state: Mutex::default(),
         })
@@ -123,8 +141,13 @@ impl FairLine {
     ) -> Result<LinePlace, LineRefusal> {
         let mut state = self.lock();
         if self.has_room(&state, class) {
-            state.note_turn(class, self.slots);
-            return Ok(LinePlace::Free(LinePermit::of(self, class)));
+            state.note_turn((class, &owner.tenant), self.slots.all);
+            return Ok(LinePlace::Free(LinePermit::of(self, class, &owner.tenant)));
+        }
+        let all_of = self.only_holder(&state);
+        if class == TurnClass::Other && all_of.is_some_and(|holder| *holder != owner.tenant) {
+            state.reserve_holder = Some(owner.tenant.clone());
+            return Ok(LinePlace::Free(LinePermit::of_reserve(self, &owner.tenant)));
         }
         if let Some(patience) = patience {
             let seconds = self.expected_wait(&state, class, owner);
@@ -134,7 +157,7 @@ impl FairLine {
             }
             let waiting = &mut state.class(class).waiting;
             if waiting.refusable() >= self.most {
-                let displaced = waiting.displace_for(&owner.tenant).ok_or(LineRefusal::Full)?;
+                let (_, displaced) = waiting.displace_for(&owner.tenant).ok_or(LineRefusal::Full)?;
                 let _ = displaced.send(Err(LineRefusal::Full));
             }
         }
@@ -144,7 +167,7 @@ impl FairLine {
         let queued = QueuedTurn {
             ticket,
             refusable: patience.is_some(),
-            waiter: give,
+            waiter: (owner.tenant.clone(), give),
         };
         state.class(class).waiting.push(owner, queued);
         Ok(LinePlace::Waiting(WaitingPlace {
@@ -157,13 +180,23 @@ impl FairLine {
 
     /// How many compute now.
     pub fn busy(&self) -> usize {
-        self.lock().busy()
+        let state = self.lock();
+        state.busy() + usize::from(state.reserve_holder.is_some())
+    }
+
+    /// The tenant that has all slots, where the one for another tenant is free.
+    fn only_holder<'a>(&self, state: &'a LineState) -> Option<&'a Tenant> {
+        let (first, others) = state.holders.split_first()?;
+        let is_kept = self.slots.one_for_another_tenant && state.reserve_holder.is_none();
+        let has_all = state.holders.len() >= self.slots.all && others.iter().all(|tenant| tenant == first);
+        (is_kept && has_all).then_some(first)
     }
 
     /// Whether one more of a class may compute.
     fn has_room(&self, state: &LineState, class: TurnClass) -> bool {
-        let is_below = state.busy() < self.slots + self.for_drags;
-        is_below && (class == TurnClass::Drag || state.others.busy < self.slots)
+        let LineSlots { all, for_drags, .. } = self.slots;
+        let is_below = state.busy() < all + for_drags;
+        is_below && (class == TurnClass::Drag || state.others.busy < all)
     }
 
     /// The seconds that one that comes now is expected to wait: its own class's turns up to its own, and those of the other class
@@ -176,32 +209,44 @@ impl FairLine {
                 let between = own.div_ceil(state.most_drags_between() as usize);
                 let of_others = between.min(others.waiting.waiting_count());
                 let turns = own as f64 * drags.mean + of_others as f64 * others.mean;
-                (turns, self.slots + self.for_drags)
+                (turns, self.slots.all + self.slots.for_drags)
             }
             TurnClass::Other => {
                 let own = others.waiting.rank(owner) + 1;
                 // Drags ask for the next turn when they have had one, so that those which wait now tell nothing.
                 let turn = others.mean + state.drags_between * drags.mean;
-                (own as f64 * turn, self.slots)
+                (own as f64 * turn, self.slots.all)
             }
         };
         turns / slots.max(1) as f64
     }
 
     /// Somebody is done: whoever is next may compute.
-    fn release(self: &Arc<Self>, class: TurnClass, took: Option<Duration>) {
+    fn release(self: &Arc<Self>, permit: &LinePermit, took: Option<Duration>) {
         let mut state = self.lock();
-        state.class(class).busy -= 1;
+        state.end_turn(permit.class, &permit.tenant);
         if let Some(took) = took {
-            state.class(class).note_service(took);
+            state.class(permit.class).note_service(took);
         }
         while let Some(next) = self.next_class(&state) {
             let Some(turn) = state.class(next).waiting.pop() else {
-                return;
+                break;
             };
-            match turn.waiter.send(Ok(LinePermit::of(self, next))) {
-                Ok(()) => state.note_turn(next, self.slots),
+            let (tenant, give) = turn.waiter;
+            match give.send(Ok(LinePermit::of(self, next, &tenant))) {
+                Ok(()) => state.note_turn((next, &tenant), self.slots.all),
                 // It has gone meanwhile. The permit must not come back here while the state is locked.
+                Err(Ok(permit)) => permit.forget(),
+                Err(Err(_)) => {}
+            }
+        }
+        while let Some(holder) = self.only_holder(&state).cloned() {
+            let Some(turn) = state.others.waiting.pop_other_than(&holder) else {
+                break;
+            };
+            let (tenant, give) = turn.waiter;
+            match give.send(Ok(LinePermit::of_reserve(self, &tenant))) {
+                Ok(()) => state.reserve_holder = Some(tenant),
                 Err(Ok(permit)) => permit.forget(),
                 Err(Err(_)) => {}
             }
@@ -245,7 +290,7 @@ impl LineState {
     }
 
     /// Somebody of a class computes from now on.
-    fn note_turn(&mut self, class: TurnClass, slots: usize) {
+    fn note_turn(&mut self, (class, tenant): (TurnClass, &Tenant), slots: usize) {
         match class {
             // On a slot that others may not have it holds none of them up.
             TurnClass::Drag if !self.others.waiting.is_empty() && self.others.busy < slots => {
@@ -255,9 +300,23 @@ impl LineState {
             TurnClass::Other => {
                 self.drags_between += (f64::from(self.drags_since) - self.drags_between) * NEWEST;
                 self.drags_since = 0;
+                self.holders.push(tenant.clone());
             }
         }
         self.class(class).busy += 1;
+    }
+
+    /// A piece of work of a tenant is done. What is on the slot for another tenant counts as one on a slot that any tenant gets as soon
+    /// as one of those is free.
+    fn end_turn(&mut self, class: TurnClass, tenant: &Tenant) {
+        if class == TurnClass::Drag {
+            self.drags.busy -= 1;
+        } else if self.reserve_holder.take_if(|holder| holder == tenant).is_none() {
+            let held = self.holders.iter().position(|holder| holder == tenant);
+            held.map(|at| self.holders.swap_remove(at));
+            self.holders.extend(self.reserve_holder.take());
+            self.others.busy = self.holders.len();
+        }
     }
 }
 
@@ -273,12 +332,25 @@ impl ClassState {
 }
 
 impl LinePermit {
-    fn of(line: &Arc<FairLine>, class: TurnClass) -> Self {
+    fn of(line: &Arc<FairLine>, class: TurnClass, tenant: &Tenant) -> Self {
         Self {
             line: Some(Arc::clone(line)),
             class,
+            tenant: tenant.clone(),
+            is_reserve: false,
             begun: None,
         }
+    }
+
+    fn of_reserve(line: &Arc<FairLine>, tenant: &Tenant) -> Self {
+        let mut permit = Self::of(line, TurnClass::Other, tenant);
+        permit.is_reserve = true;
+        permit
+    }
+
+    /// Whether it is that of the slot which is there while another tenant has all.
+    pub fn is_reserve(&self) -> bool {
+        self.is_reserve
     }
 
     /// The work begins; how long it takes is counted from here.
@@ -295,7 +367,7 @@ impl LinePermit {
 impl Drop for LinePermit {
     fn drop(&mut self) {
         if let Some(line) = self.line.take() {
-            line.release(self.class, self.begun.map(|begun| begun.elapsed()));
+            line.release(self, self.begun.map(|begun| begun.elapsed()));
         }
     }
 }

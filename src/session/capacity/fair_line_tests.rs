@@ -14,6 +14,15 @@ fn owner(tenant: &str, session: &str) -> WorkOwner {
     }
 }
 
+fn line_of(all: usize, for_drags: usize, most: usize) -> Arc<FairLine> {
+    let slots = LineSlots {
+        all,
+        for_drags,
+        one_for_another_tenant: false,
+    };
+    FairLine::new(slots, most)
+}
+
 fn patient() -> Option<Duration> {
     Some(Duration::from_secs(1))
 }
@@ -62,7 +71,7 @@ fn served<T: Copy>(permit: LinePermit, waiting: Vec<(T, WaitingPlace)>) -> Vec<T
 
 #[test]
 fn tenants_take_turns_and_in_them_sessions() {
-    let line = FairLine::new(1, 0, 100);
+    let line = line_of(1, 0, 100);
     let permit = free(&line);
     let asked = [
         ("a", "1"),
@@ -94,7 +103,7 @@ fn tenants_take_turns_and_in_them_sessions() {
 
 #[test]
 fn a_newcomer_waits_for_one_piece_of_work_of_each_tenant_however_much_they_want() {
-    let line = FairLine::new(1, 0, 1000);
+    let line = line_of(1, 0, 1000);
     let permit = free(&line);
     let mut waiting: Vec<_> = (0..100).map(|_| ("flood", wait(&line, "flood", "1"))).collect();
     waiting.push(("other", wait(&line, "other", "1")));
@@ -105,7 +114,7 @@ fn a_newcomer_waits_for_one_piece_of_work_of_each_tenant_however_much_they_want(
 
 #[test]
 fn a_full_line_makes_way_for_a_tenant_that_has_less_in_it() {
-    let line = FairLine::new(1, 0, 4);
+    let line = line_of(1, 0, 4);
     let permit = free(&line);
     let mut flood: Vec<_> = (0..4).map(|k| wait(&line, "flood", ["1", "2"][k % 2])).collect();
     assert!(matches!(
@@ -134,7 +143,7 @@ fn a_full_line_makes_way_for_a_tenant_that_has_less_in_it() {
 
 #[test]
 fn frames_wait_for_ever_and_take_nobodys_place() {
-    let line = FairLine::new(1, 0, 1);
+    let line = line_of(1, 0, 1);
     let permit = free(&line);
     line.note_service(OTHER, Duration::from_secs(3600));
     let frames: Vec<_> = (0..5).map(|_| line.enter(OTHER, &owner("a", "1"), None)).collect();
@@ -152,7 +161,7 @@ fn frames_wait_for_ever_and_take_nobodys_place() {
 
 #[test]
 fn what_is_expected_counts_turns_and_slots() {
-    let line = FairLine::new(2, 0, 100);
+    let line = line_of(2, 0, 100);
     let permits = [free(&line), free(&line)];
     line.note_service(OTHER, Duration::from_secs(8));
     let _waiting: Vec<_> = (0..3)
@@ -169,7 +178,7 @@ fn what_is_expected_counts_turns_and_slots() {
 
 #[test]
 fn who_gives_up_leaves_no_trace() {
-    let line = FairLine::new(1, 0, 100);
+    let line = line_of(1, 0, 100);
     let permit = free(&line);
     let (first, second) = (wait(&line, "a", "1"), wait(&line, "b", "1"));
     drop(first);
@@ -205,7 +214,7 @@ fn turns_of_asking_anew(line: &Arc<FairLine>, mut permit: LinePermit, turns: usi
 
 #[test]
 fn drags_come_first_and_the_rest_gets_every_fourth_turn() {
-    let line = FairLine::new(1, 0, 100);
+    let line = line_of(1, 0, 100);
     let permit = free(&line);
     let order = turns_of_asking_anew(&line, permit, 12);
     assert_eq!(order, [DRAG, DRAG, DRAG, OTHER].repeat(3));
@@ -214,7 +223,7 @@ fn drags_come_first_and_the_rest_gets_every_fourth_turn() {
 #[test]
 fn drags_get_three_times_the_time_of_the_rest_in_bounded_many_turns() {
     for (drag, other, between) in [(10, 10, 3), (30, 10, 3), (10, 50, 15), (1, 1000, 32)] {
-        let line = FairLine::new(1, 0, 100);
+        let line = line_of(1, 0, 100);
         let permit = free(&line);
         line.note_service(DRAG, Duration::from_micros(drag));
         line.note_service(OTHER, Duration::from_micros(other));
@@ -226,7 +235,7 @@ fn drags_get_three_times_the_time_of_the_rest_in_bounded_many_turns() {
 
 #[test]
 fn drags_have_slots_that_nothing_else_gets() {
-    let line = FairLine::new(2, 1, 100);
+    let line = line_of(2, 1, 100);
     let others = [free(&line), free(&line)];
     let mut solve = wait(&line, "a", "1");
     let drag = free_of(&line, DRAG);
@@ -251,7 +260,7 @@ fn drags_have_slots_that_nothing_else_gets() {
 
 #[test]
 fn a_flood_of_solves_takes_no_place_of_a_drag() {
-    let line = FairLine::new(1, 0, 2);
+    let line = line_of(1, 0, 2);
     let permit = free(&line);
     let flood = [wait(&line, "a", "1"), wait(&line, "a", "2")];
     assert!(matches!(
@@ -266,7 +275,7 @@ fn a_flood_of_solves_takes_no_place_of_a_drag() {
 
 #[test]
 fn tenants_and_their_sessions_take_turns_among_drags_too() {
-    let line = FairLine::new(1, 0, 100);
+    let line = line_of(1, 0, 100);
     let permit = free(&line);
     let asked = [("a", "1"), ("a", "1"), ("a", "2"), ("b", "1"), ("b", "1")];
     let waiting = asked.map(|(t, s)| ((t, s), wait_of(&line, DRAG, t, s)));
@@ -277,7 +286,7 @@ fn tenants_and_their_sessions_take_turns_among_drags_too() {
 #[test]
 fn what_is_expected_counts_the_drags_between_solves() {
     let seconds = Duration::from_secs;
-    let line = FairLine::new(1, 0, 1000);
+    let line = line_of(1, 0, 1000);
     let mut permit = free(&line);
     let expected = |class: TurnClass| match line.enter(class, &owner("c", "1"), Some(Duration::ZERO)) {
         Err(LineRefusal::TooLong(expected)) => expected.as_secs_f64(),
@@ -321,7 +330,7 @@ proptest! {
     #[test]
     fn the_rank_is_how_many_come_before(asked in prop::collection::vec((0usize..4, 0usize..3), 0..30), served_first in 0usize..10) {
         let names = ["a", "b", "c", "d"];
-        let line = FairLine::new(1, 0, 1000);
+        let line = line_of(1, 0, 1000);
         let mut permit = free(&line);
         let mut waiting: Vec<_> = asked.iter().map(|(t, s)| Some(wait(&line, names[*t], names[*s]))).collect();
         // Some are served, so that turns are anywhere.
@@ -340,5 +349,92 @@ proptest! {
         left.push((true, wait(&line, &newcomer.tenant.0, &newcomer.session)));
         let order = served(permit, left);
         prop_assert_eq!(order.iter().position(|is_newcomer| *is_newcomer), Some(rank));
+    }
+}
+
+/// A line of two slots, and one more while a single tenant has both.
+fn line_with_reserve() -> Arc<FairLine> {
+    let slots = LineSlots {
+        all: 2,
+        for_drags: 0,
+        one_for_another_tenant: true,
+    };
+    FairLine::new(slots, 100)
+}
+
+fn begin(line: &Arc<FairLine>, tenant: &str) -> Option<LinePermit> {
+    match line.enter(OTHER, &owner(tenant, "1"), None) {
+        Ok(LinePlace::Free(permit)) => Some(permit),
+        _ => None,
+    }
+}
+
+#[test]
+fn a_tenant_that_has_all_slots_leaves_one_for_another() {
+    let line = line_with_reserve();
+    let long = [begin(&line, "a"), begin(&line, "a")].map(|permit| permit.expect("a free slot"));
+    assert!(begin(&line, "a").is_none(), "it has all that it gets");
+    let other = begin(&line, "b").expect("the slot for another tenant");
+    assert!(other.is_reserve() && line.busy() == 3);
+    assert!(
+        begin(&line, "b").is_none() && begin(&line, "c").is_none(),
+        "there is one such slot"
+    );
+    drop(other);
+    assert!(begin(&line, "a").is_none(), "it is for others");
+    assert!(begin(&line, "c").is_some_and(|permit| permit.is_reserve()));
+    drop(long);
+    assert_eq!(line.busy(), 0);
+}
+
+#[test]
+fn who_waits_gets_the_slot_when_one_tenant_comes_to_have_all() {
+    let line = line_with_reserve();
+    let [first, second] = [begin(&line, "a"), begin(&line, "b")].map(|permit| permit.expect("a free slot"));
+    let mut waiting = [wait(&line, "a", "1"), wait(&line, "c", "1")];
+    drop(second);
+    let got = waiting
+        .each_mut()
+        .map(|place| place.turn.try_recv().ok().and_then(Result::ok));
+    let reserve = got.each_ref().map(|permit| permit.as_ref().map(LinePermit::is_reserve));
+    assert_eq!(reserve, [Some(false), Some(true)]);
+    drop((first, got));
+    assert_eq!(line.busy(), 0);
+}
+
+proptest! {
+    /// However tenants come and go, one that has nothing waits for its first turn only while two others have something.
+    #[test]
+    fn one_tenant_never_keeps_another_out(events in prop::collection::vec((0usize..4, any::<bool>()), 1..80)) {
+        let line = line_with_reserve();
+        let mut held: [Vec<LinePermit>; 4] = Default::default();
+        let mut waiting: Vec<(usize, WaitingPlace)> = Vec::new();
+        for (tenant, comes) in events {
+            if !comes {
+                held[tenant].pop();
+            } else {
+                match line.enter(OTHER, &owner(&tenant.to_string(), "1"), None) {
+                    Ok(LinePlace::Free(permit)) => held[tenant].push(permit),
+                    Ok(LinePlace::Waiting(place)) => waiting.push((tenant, place)),
+                    Err(why) => prop_assert!(false, "{why:?}"),
+                }
+            }
+            let mut left = Vec::new();
+            for (tenant, mut place) in waiting {
+                match place.turn.try_recv() {
+                    Ok(Ok(permit)) => held[tenant].push(permit),
+                    _ => left.push((tenant, place)),
+                }
+            }
+            waiting = left;
+            let busy = held.iter().map(Vec::len).sum::<usize>();
+            prop_assert!(busy <= 3 && busy == line.busy());
+            let active = held.iter().filter(|permits| !permits.is_empty()).count();
+            for (tenant, _) in &waiting {
+                let others = active - usize::from(!held[*tenant].is_empty());
+                prop_assert!(!held[*tenant].is_empty() || others >= 2, "tenant {tenant} waits for {held:?}");
+            }
+        }
+        drop(waiting);
     }
 }

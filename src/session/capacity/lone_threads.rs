@@ -21,13 +21,13 @@ pub(super) struct LoneThread {
 }
 
 impl LoneThreads {
-    /// Starts so many.
+    /// Starts so many; `begin` is run on each.
     ///
     /// # Errors
     /// [`PoolError`] when the system gives no more threads.
-    pub fn start(threads: usize) -> Result<Self, PoolError> {
+    pub fn start(threads: usize, begin: fn()) -> Result<Self, PoolError> {
         let started: Result<Vec<Pool>, PoolError> = (0..threads)
-            .map(|_| Pool::started_with(1, "compute-alone", || {}))
+            .map(|_| Pool::started_with(1, "compute-alone", begin))
             .collect();
         Ok(Self {
             free: Arc::new(Mutex::new(started?)),

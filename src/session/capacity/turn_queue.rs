@@ -93,7 +93,16 @@ impl<W> TurnQueue<W> {
 
     /// Takes whoever is next. Its tenant, and in it its session, goes behind the others.
     pub fn pop(&mut self) -> Option<QueuedTurn<W>> {
-        let mut tenant = self.tenants.pop_front()?;
+        self.pop_at(0)
+    }
+
+    /// As [`TurnQueue::pop`], of those who are not of that tenant.
+    pub fn pop_other_than(&mut self, tenant: &Tenant) -> Option<QueuedTurn<W>> {
+        self.pop_at(self.tenants.iter().position(|queue| queue.tenant != *tenant)?)
+    }
+
+    fn pop_at(&mut self, at: usize) -> Option<QueuedTurn<W>> {
+        let mut tenant = self.tenants.remove(at)?;
         let mut session = tenant.sessions.pop_front()?;
         let next = session.waiting.pop_front();
         if !session.waiting.is_empty() {

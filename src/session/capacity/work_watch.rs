@@ -25,8 +25,8 @@ pub(in crate::session) struct WorkWatch {
     waited: Duration,
     limit: Duration,
     deadline: Instant,
-    /// What the work may hold beside what it was given.
-    memory: Option<Arc<MemoryReservation>>,
+    /// What the work is counted against, and the bytes of it that something else holds.
+    memory: Option<(Arc<MemoryReservation>, u64)>,
     stages: StageClock<'static>,
 }
 
@@ -50,10 +50,11 @@ impl WorkWatch {
         }
     }
 
-    /// Counts what the work is about to hold against a reservation, which grows as long as there is room.
-    pub fn within(self, memory: Arc<MemoryReservation>) -> Self {
+    /// Counts what the work is about to hold against a reservation, which grows as long as there is room; `beside` bytes of it are of
+    /// something else.
+    pub fn within(self, memory: Arc<MemoryReservation>, beside: u64) -> Self {
         Self {
-            memory: Some(memory),
+            memory: Some((memory, beside)),
             ..self
         }
     }
@@ -90,7 +91,8 @@ impl Progress for WorkWatch {
     }
 
     fn may_hold(&self, bytes: u64) -> bool {
-        self.memory.as_ref().is_none_or(|memory| memory.grow_to(bytes))
+        let memory = self.memory.as_ref();
+        memory.is_none_or(|(memory, beside)| memory.grow_to(bytes.saturating_add(*beside)).is_ok())
     }
 
     fn report(&self, stage: &'static str, fraction: f32) {

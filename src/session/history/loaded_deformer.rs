@@ -2,9 +2,9 @@
 //! time: the next one brings the engine back to the handles that it needs.
 
 use crate::engine::{
-    DeformerFacts, DeformerWarning, EditCommand, EditOutcome, EditReport, Error, HandlePose, HandlePoses, HandleSet,
-    ModelShape, QualityReport, Shader, Shading, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState,
-    digest,
+    DeformerFacts, DeformerWarning, ESTIMATED_MEMORY, EditCommand, EditOutcome, EditReport, Error, HandlePose,
+    HandlePoses, HandleSet, ModelShape, QualityReport, Shader, Shading, SolveMode, SolveSettings, SolveUpdate,
+    SolvedShape, TopologyState, digest,
 };
 use crate::exec::Exec;
 use crate::pool::Pool;
@@ -71,10 +71,24 @@ impl LoadedDeformer {
     ) -> Result<(), Error> {
         self.go_to_topology(topology, exec)?;
         if self.loaded != Some(handles.id) {
-            self.engine.set_handles(&handles.set, exec)?;
+            self.set_handles(&handles.set, exec)?;
             self.loaded = Some(handles.id);
         }
         Ok(())
+    }
+
+    /// Sets handles. Where they fit, but not beside those in force, these are dropped first.
+    fn set_handles(&mut self, handles: &HandleSet, exec: &Exec<'_>) -> Result<(), Error> {
+        let spare = self.engine.spare_bytes();
+        match self.engine.set_handles(handles, exec) {
+            Err(Error::TooLarge { what, seen, limit })
+                if what == ESTIMATED_MEMORY && spare > 0 && seen.saturating_sub(spare) <= limit =>
+            {
+                self.release_memory();
+                self.engine.set_handles(handles, exec)
+            }
+            done => done,
+        }
     }
 
     /// Makes `topology` the state that edits have left.
@@ -103,7 +117,8 @@ impl LoadedDeformer {
         Ok(outcome)
     }
 
-    /// Edits the shape of a state, as [`LoadedDeformer::edit`] does, with at most `room` bytes held after it.
+    /// Edits the shape of a state, as [`LoadedDeformer::edit`] does, with at most `room` bytes held after it. What does not fit is
+    /// dropped.
     pub fn edit_state(
         &mut self,
         start: EditStart<'_>,
@@ -131,6 +146,11 @@ impl LoadedDeformer {
             settings,
         };
         let outcome = self.edit(state.topology.as_ref(), &state.handles, &command, exec)?;
+        if let Err(refused) = self.check_memory(room, exec) {
+            self.go_to_topology(state.topology.as_ref(), exec)?;
+            self.release_memory();
+            return Err(refused);
+        }
         let edited = EditedState {
             topology: self.engine.topology_state(),
             diagonal: self.engine.diagonal(),
@@ -154,16 +174,43 @@ impl LoadedDeformer {
         self.shader = None;
     }
 
-    /// Replaces the handles by new ones, for a commit. Until the commit is stored, `load` with the old ones goes back.
+    /// Drops the handles, and all that can be made again: whatever comes next loads its own.
+    fn release_memory(&mut self) {
+        self.engine.release_memory();
+        self.forget_derived();
+    }
+
+    /// Refuses what the engine holds now where that does not fit.
+    fn check_memory(&self, room: u64, exec: &Exec<'_>) -> Result<(), Error> {
+        let seen = self.byte_size();
+        if exec.progress.may_hold(seen) {
+            return Ok(());
+        }
+        let what = ESTIMATED_MEMORY;
+        Err(Error::TooLarge {
+            what,
+            seen,
+            limit: room,
+        })
+    }
+
+    /// Replaces the handles by new ones, for a commit, with at most `room` bytes held. Until the commit is stored, `load` with the old ones
+    /// goes back. Where not both fit at a time, the old ones are dropped first, and made again when they are needed.
     pub fn replace_handles(
         &mut self,
         topology: Option<&TopologyState>,
         handles: &HandleSet,
+        room: u64,
         exec: &Exec<'_>,
     ) -> Result<(HandlePoses, DeformerFacts), Error> {
         self.go_to_topology(topology, exec)?;
-        self.engine.set_handles(handles, exec)?;
+        self.engine.limit_memory(room);
+        self.set_handles(handles, exec)?;
         self.loaded = None;
+        if let Err(refused) = self.check_memory(room, exec) {
+            self.release_memory();
+            return Err(refused);
+        }
         Ok((self.engine.initial_poses(), self.engine.facts()))
     }
 

@@ -172,8 +172,7 @@ async fn open_stored(
         }
     };
     // Counted even where it breaks the budget: the session was admitted before.
-    places.memory.resize(opened.held);
-    places.of_tenant.resize(opened.held);
+    let _ = places.memory.resize(opened.held);
     if !anew.is_empty() {
         tracing::warn!(
             session.id = %owner.id,
@@ -252,7 +251,7 @@ async fn replay_log(
     };
     let (limit, room) = (shared.config.history, memory.room());
     let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
-    let watch = Arc::new(WorkWatch::since(arrived, flags, shared.config.build).within(Arc::clone(memory)));
+    let watch = Arc::new(WorkWatch::since(arrived, flags, shared.config.build).within(Arc::clone(memory), 0));
     let inner_watch = Arc::clone(&watch);
     let mut kept = KeptSession::new(Arc::clone(store));
     kept.shape_at = log.snapshot.as_ref().map_or(0, |(sequence, _)| *sequence);

@@ -18,6 +18,8 @@ pub struct TenantAccount {
     sessions: AtomicU64,
     streams: AtomicU64,
     resident: AtomicU64,
+    /// Bytes of bodies of requests that are being received.
+    bodies: AtomicU64,
     /// Bytes on their way into the store and those that have arrived or never did, both since the start.
     announced: AtomicU64,
     settled: AtomicU64,
@@ -41,7 +43,7 @@ pub struct QuotaUse {
 pub struct QuotaReport {
     /// Sessions held at a time.
     pub sessions: Option<QuotaUse>,
-    /// Bytes of its sessions in memory.
+    /// Bytes of its sessions and answers in memory.
     pub memory_bytes: Option<QuotaUse>,
     /// Bytes of its sessions in the store.
     pub stored_bytes: Option<QuotaUse>,
@@ -61,6 +63,7 @@ impl TenantAccount {
             sessions: AtomicU64::new(0),
             streams: AtomicU64::new(0),
             resident: AtomicU64::new(0),
+            bodies: AtomicU64::new(0),
             announced: AtomicU64::new(0),
             settled: AtomicU64::new(0),
             uploads: quota.upload_bytes_per_minute.map(|n| TokenBucket::new(n as f64, now)),
@@ -109,7 +112,7 @@ impl TenantAccount {
     pub(super) fn is_idle(&self) -> bool {
         let now = Instant::now();
         let is_full = |bucket: &Option<TokenBucket>| bucket.as_ref().is_none_or(|b| b.left(now) >= b.a_minute());
-        let uses_none = [&self.sessions, &self.streams, &self.resident];
+        let uses_none = [&self.sessions, &self.streams, &self.resident, &self.bodies];
         uses_none.iter().all(|used| used.load(Relaxed) == 0) && is_full(&self.uploads) && is_full(&self.work)
     }
 
@@ -130,7 +133,6 @@ impl TenantAccount {
         }
         Ok(TenantSession {
             account: Arc::clone(self),
-            bytes: AtomicU64::new(0),
             outlived: false,
             storing: None,
         })
@@ -140,7 +142,6 @@ impl TenantAccount {
     pub(in crate::session) fn place_again(self: &Arc<Self>) -> TenantSession {
         TenantSession {
             account: Arc::clone(self),
-            bytes: AtomicU64::new(0),
             outlived: true,
             storing: None,
         }
@@ -162,12 +163,47 @@ impl TenantAccount {
         let _ = self.sessions.fetch_update(Relaxed, Relaxed, less);
     }
 
-    /// Bytes that one more session may hold; more than can be where there is no quota.
+    /// Bytes that may be reserved besides; more than can be where there is no quota.
     pub(in crate::session) fn memory_room(&self) -> u64 {
         let used = self.resident.load(Relaxed);
         self.quota
             .memory_bytes
             .map_or(u64::MAX, |most| most.saturating_sub(used))
+    }
+
+    /// Where so many more bytes are more than its quota has room for: how many are reserved, and how many may be.
+    pub(in crate::session) fn memory_shortage(&self, more: u64) -> Option<(u64, u64)> {
+        let (used, total) = (self.resident.load(Relaxed), self.quota.memory_bytes?);
+        (used.saturating_add(more) > total).then_some((used, total))
+    }
+
+    /// Counts `now` bytes where `before` were counted, even where that is more than the quota.
+    pub(in crate::session) fn count_memory(&self, before: u64, now: u64) {
+        let changed = |held: u64| Some(held.saturating_sub(before).saturating_add(now));
+        let _ = self.resident.fetch_update(Relaxed, Relaxed, changed);
+    }
+
+    /// Counts `more` bytes of the body of a request, until [`TenantAccount::end_body`]. All bodies that it sends at a time may hold as
+    /// many bytes as its sessions may, beside them: idle sessions leave memory for a new one only when its model has come.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED`.
+    pub fn take_body(&self, more: u64) -> Result<(), Error> {
+        let most = self.quota.memory_bytes.unwrap_or(u64::MAX);
+        let grown = |held: u64| held.checked_add(more).filter(|held| *held <= most);
+        let taken = self.bodies.fetch_update(Relaxed, Relaxed, grown);
+        taken.map(|_| ()).map_err(|held| {
+            self.refused.inc();
+            let text = format!(
+                "the bodies of your requests hold {held} bytes, {more} more have come and your quota of memory allows {most}"
+            );
+            later(text, Duration::from_secs(2))
+        })
+    }
+
+    /// So many bytes of bodies are gone.
+    pub fn end_body(&self, bytes: u64) {
+        self.bodies.fetch_sub(bytes, Relaxed);
     }
 
     /// The most bytes that its sessions may hold in the store.
@@ -201,7 +237,7 @@ impl TenantAccount {
         })
     }
 
-    /// The most bytes that its sessions may hold together.
+    /// The most bytes that its sessions and answers may hold together.
     pub(in crate::session) fn memory_quota(&self) -> Option<u64> {
         self.quota.memory_bytes
     }
@@ -300,11 +336,10 @@ impl Drop for BytesToStore {
     }
 }
 
-/// The place of one session of a tenant, and the bytes that it holds. Given back when dropped.
+/// The place of one session of a tenant. Given back when dropped.
 #[derive(Debug)]
 pub(in crate::session) struct TenantSession {
     account: Arc<TenantAccount>,
-    bytes: AtomicU64,
     /// The session is in the store too: it stays counted until it is deleted there.
     outlived: bool,
     /// What is to be stored of it.
@@ -341,27 +376,10 @@ impl TenantSession {
         self.outlived = true;
         self.storing = None;
     }
-
-    /// Bytes that the session could hold within its tenant's quota.
-    pub fn room(&self) -> u64 {
-        self.account.memory_room().saturating_add(self.bytes.load(Relaxed))
-    }
-
-    /// Says how many bytes the session holds; false where that is more than the tenant may hold. They are counted either way.
-    pub fn resize(&self, bytes: u64) -> bool {
-        let before = self.bytes.swap(bytes, Relaxed);
-        let resident = &self.account.resident;
-        let sum = match bytes.checked_sub(before) {
-            Some(more) => resident.fetch_add(more, Relaxed).saturating_add(more),
-            None => resident.fetch_sub(before - bytes, Relaxed) - (before - bytes),
-        };
-        self.account.quota.memory_bytes.is_none_or(|most| sum <= most)
-    }
 }
 
 impl Drop for TenantSession {
     fn drop(&mut self) {
-        self.resize(0);
         if !self.outlived {
             self.account.uncount_session();
         }

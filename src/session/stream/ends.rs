@@ -119,7 +119,7 @@ impl StreamOutput {
     /// Says how many bytes who sends the frames holds for the differences of the next one. They are counted even where they are more
     /// than there is room for: they are little beside what the session holds, and what is sent depends on no other session.
     pub fn hold_bytes(&self, bytes: u64) {
-        self.held.resize(bytes);
+        let _ = self.held.resize(bytes);
     }
 
     /// Counts the bytes of a part that goes out.

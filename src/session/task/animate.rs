@@ -9,8 +9,11 @@ use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkKind;
 use crate::session::error::Error;
 use crate::session::task::session_task::SessionTask;
-use crate::wire::{self, AnimateOrder};
+use crate::wire::{self, AnimateOrder, OrderedClip};
 use std::sync::Arc;
+
+/// Bytes of memory for each byte of a clip while it is read: a number of two digits is a number, and becomes part of a rotation.
+const BYTES_PER_CLIP_BYTE: u64 = 16;
 
 impl SessionTask {
     /// Prepares an animation of the model as it is now. Handles, shape and history stay as they are.
@@ -23,6 +26,15 @@ impl SessionTask {
         let revision = self.history.revision();
         let topology = self.history.current().topology.clone();
         let limits = self.shared.config.animation_limits();
+        if let OrderedClip::Recorded(bytes) = &order.clip {
+            let needed = (bytes.len() as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
+            let reserved = self.memory.grow_to(self.memory.bytes().saturating_add(needed));
+            reserved.map_err(|shortage| {
+                self.shared.metrics.refused.inc();
+                let text = format!("reading the clip would need {needed} bytes of memory, and {shortage}");
+                Error::exhausted(text, 5)
+            })?;
+        }
         let (prepared, watch) = self
             .compute(
                 call.order(WorkKind::Animate, WorkLane::Builds, self.shared.config.build),

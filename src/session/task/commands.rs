@@ -123,16 +123,12 @@ impl SessionTask {
         let topology = state.topology.clone();
         let lane = lane_of_cost(state.cost_of_handles(&set));
         let (poses, facts, stages) = loop {
-            let room = self.memory.room().min(self.place.room());
+            let room = self.memory.room();
             let (set, topology) = (set.clone(), topology.clone());
             let (replaced, watch) = self
-                .compute(
-                    call.order(WorkKind::Handles, lane, limit),
-                    move |deformer, pool, watch, _| {
-                        deformer.engine.limit_memory(room);
-                        deformer.replace_handles(topology.as_ref(), &set, &Exec::new(pool, watch))
-                    },
-                )
+                .compute(call.order(WorkKind::Handles, lane, limit), move |deformer, pool, watch, _| {
+                    deformer.replace_handles(topology.as_ref(), &set, room, &Exec::new(pool, watch))
+                })
                 .await?;
             match replaced {
                 Ok((poses, facts)) => break (poses, facts, watch.take_stage_ms()),
@@ -140,7 +136,6 @@ impl SessionTask {
                 Err(e) => return Err(self.memory_failure(e, room, &watch)),
             }
         };
-        self.refuse_beyond_memory()?;
         let commit = || LoggedCommit::Handles {
             set: set.clone(),
             poses: poses.clone(),

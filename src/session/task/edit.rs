@@ -4,7 +4,9 @@ use crate::engine;
 use crate::exec::Exec;
 use crate::session::answers::CommittedEdit;
 use crate::session::calls::command::PendingCall;
+use crate::session::calls::model_opening::memory_needed;
 use crate::session::capacity::compute_slots::WorkLane;
+use crate::session::capacity::memory_ledger::MemoryShortage;
 use crate::session::capacity::work_span::WorkKind;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
@@ -17,25 +19,28 @@ use std::sync::Arc;
 impl SessionTask {
     /// Of a change that takes more memory than is free now, but not more than the server has, that it may fit later.
     pub fn memory_failure(&self, error: engine::Error, room: u64, watch: &WorkWatch) -> Error {
-        match error {
-            engine::Error::TooLarge { seen, limit, .. } if limit == room && seen <= self.shared.ledger.total() => {
+        match memory_needed(&error, room).filter(|needed| *needed <= self.shared.ledger.total()) {
+            Some(needed) => {
                 self.shared.metrics.refused.inc();
-                Error::exhausted(
-                    format!("the session would need {seen} bytes of memory, {room} are free"),
-                    5,
-                )
+                let shortage = self.memory.shortage(needed);
+                let text = format!(
+                    "the session would need {needed} bytes of memory, and {shortage}; {} of them are the session's own",
+                    self.memory.bytes()
+                );
+                Error::exhausted(text, 5)
             }
-            error => self.failure(error, watch),
+            None => self.failure(error, watch),
         }
     }
 
     /// Whether a change that found too little memory free may try again, because idle sessions have left it meanwhile.
     pub async fn found_room(&mut self, error: &engine::Error, room: u64) -> bool {
-        let engine::Error::TooLarge { seen, limit, .. } = error else {
+        let needed = memory_needed(error, room).filter(|needed| *needed <= self.shared.ledger.total());
+        let Some(shortage) = needed.map(|needed| self.memory.shortage(needed)) else {
             return false;
         };
-        let of_tenant = (self.place.room() < self.memory.room()).then_some(&self.session.tenant);
-        *limit == room && *seen <= self.shared.ledger.total() && make_room(&self.shared, of_tenant).await
+        let of_tenant = matches!(shortage, MemoryShortage::Tenant { .. }).then_some(&self.session.tenant);
+        make_room(&self.shared, of_tenant).await
     }
 
     pub async fn edit(&mut self, edit: SessionEdit, call: &PendingCall<CommittedEdit>) -> Result<CommittedEdit, Error> {
@@ -45,7 +50,7 @@ impl SessionTask {
             let state = self.history.current().clone();
             let (shape, recipe) = (self.history.shape(state.shape), self.history.recipe(state.shape));
             // What the other sessions leave, now: the engine was opened when there was more or less.
-            let room = self.memory.room().min(self.place.room());
+            let room = self.memory.room();
             let edit = Arc::clone(&edit);
             let (done, watch) = self
                 .compute(
@@ -66,7 +71,6 @@ impl SessionTask {
                 Err(e) => return Err(self.memory_failure(e, room, &watch)),
             }
         };
-        self.refuse_beyond_memory()?;
         let ms = watch.take_stage_ms();
         self.shared.metrics.observe_stages(&ms);
         let kept_edit = self.kept.is_some().then(|| Arc::unwrap_or_clone(edit));

@@ -125,7 +125,7 @@ async fn more_answers_than_there_is_memory_for_are_refused() {
     let ledger = server.manager.ledger();
     let rest = ledger.total() - ledger.used();
     let taken = ledger
-        .reserve(MemoryUse::Sessions, rest, rest)
+        .reserve(MemoryUse::Sessions, None, rest, rest)
         .expect("all that is left");
     let refused = within("an answer", http().get(&path).send()).await.expect("an answer");
     assert_eq!(
@@ -150,4 +150,55 @@ async fn more_answers_than_there_is_memory_for_are_refused() {
             .status(),
         200
     );
+}
+
+/// Handles that each pull at all of a model.
+fn far_reaching(count: usize) -> Value {
+    let handle = |k: usize| {
+        json!({
+            "id": format!("h{k}"),
+            "region": {"vertices": {"ranges": [{"first": 3 * k, "count": 3}]}},
+            "stiffness": 1.0,
+            "falloff": {"radius": 100.0, "kind": "SMOOTH"}
+        })
+    };
+    json!({"handles": (0..count).map(handle).collect::<Vec<Value>>()})
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn refused_handles_leave_the_old_ones_and_all_memory_to_others() {
+    let server = Server::with(|sessions, _| sessions.memory_bytes = 32 << 20).await;
+    let id = server.open(bar([6, 6, 60])).await;
+    let id = text(&id["id"]);
+    let put = async |count: usize| {
+        let path = server.url(&format!("/v1/sessions/{id}/handles"));
+        within("handles", http().put(path).json(&far_reaching(count)).send())
+            .await
+            .expect("an answer")
+    };
+    let (mut taken, mut refused) = (0, 0);
+    for count in (80..=480).step_by(80) {
+        assert_eq!(put(10).await.status(), 200);
+        let before = held(&server)[0];
+        let answer = put(count).await;
+        if answer.status() == 200 {
+            taken = count;
+            continue;
+        }
+        refused += 1;
+        assert!(matches!(answer.status().as_u16(), 413 | 429), "{}", answer.status());
+        assert!(held(&server)[0] <= before, "{count} handles left something behind");
+        assert_eq!(get(&server, "/readyz").await.status(), 200);
+        let other = server.bar_session().await;
+        let gone = http().delete(server.url(&format!("/v1/sessions/{other}"))).send().await;
+        assert_eq!(gone.expect("an answer").status(), 204);
+        let pose = json!({"pose": {"handles": [{"id": "h9", "pose": {"translation": [0, 0.1, 0]}}]}});
+        let solved = post(&server, &format!("/v1/sessions/{id}/solve"), pose).await;
+        assert_eq!(solved.status(), 200, "{}", solved.text().await.unwrap_or_default());
+    }
+    assert!(taken > 0 && refused > 0, "{taken} were taken, {refused} refused");
+    // What fits alone is taken whatever handles are in force: where it does not fit beside them, these are dropped first.
+    for _ in 0..2 {
+        assert_eq!(put(taken).await.status(), 200);
+    }
 }

@@ -81,15 +81,15 @@ async fn memory_is_counted_by_tenant() {
         ..TenantQuota::default()
     };
     let server = limited(quota).await;
-    let mut open_at_once = 0;
+    let mut opened = Vec::new();
     let refused = loop {
         match open(&server, "a", 24).await {
-            (201, ..) => open_at_once += 1,
+            (201, _, session) => opened.push(text(&session["id"])),
             refused => break refused,
         }
-        assert!(open_at_once < 100);
+        assert!(opened.len() < 100);
     };
-    assert!(open_at_once >= 1);
+    assert!(!opened.is_empty());
     assert_eq!(refused.0, 429, "{}", refused.2);
     assert!(refused.1.is_some());
     let told = quotas(&server, "a").await["memoryBytes"].clone();
@@ -97,7 +97,22 @@ async fn memory_is_counted_by_tenant() {
         told["allowed"] == f64::from(3 << 20) && told["left"].as_f64() < Some(f64::from(3 << 20)),
         "{told}"
     );
+    // A file is refused while it is read, where there is no memory for it.
+    let (status, _, told) = open(&server, "a", 4000).await;
+    assert!(
+        status == 429 && text(&told["detail"]).contains("your quota of memory is full"),
+        "{told}"
+    );
+    for id in opened {
+        let gone = http().delete(server.url(&format!("/v1/sessions/{id}")));
+        assert_eq!(answer(gone, "a").await.0, 204);
+    }
     // A model that alone is too large will not fit later either.
+    eventually("an empty quota", async || {
+        let memory = quotas(&server, "a").await["memoryBytes"].clone();
+        memory["left"] == memory["allowed"]
+    })
+    .await;
     let (status, wait, told) = open(&server, "a", 4000).await;
     assert_eq!((status, wait), (413, None), "{told}");
     assert_eq!(open(&server, "b", 24).await.0, 201);
@@ -402,4 +417,51 @@ async fn times_to_live_are_the_tenants_own() {
         answer(http().get(&gone), "a").await.0 == 404
     })
     .await;
+}
+
+/// Answers that one tenant asks for and does not read fill its own quota.
+#[tokio::test(flavor = "multi_thread")]
+async fn unread_answers_are_charged_to_who_asked() {
+    let server = Server::with(|sessions, config| {
+        sessions.memory_bytes = 400 << 20;
+        let quota = TenantQuota {
+            memory_bytes: Some(256 << 20),
+            ..TenantQuota::default()
+        };
+        sessions.quotas.named.insert("a".into(), quota);
+        config.auth.tokens = vec![entry("a", "a"), entry("b", "b")];
+    })
+    .await;
+    let (status, _, session) = answer(http().post(server.url("/v1/sessions")).body(large_bar()), "a").await;
+    assert_eq!(status, 201, "{session}");
+    let path = server.url(&format!("/v1/sessions/{}/positions", text(&session["id"])));
+    let lazy = || {
+        reqwest::Client::builder()
+            .http2_prior_knowledge()
+            .http2_initial_stream_window_size(1024)
+            .http2_initial_connection_window_size(1024)
+            .build()
+            .expect("a client")
+    };
+    let (mut client, mut unread) = (lazy(), Vec::new());
+    let refused = loop {
+        // A connection has so many calls at a time.
+        if unread.len() % 60 == 59 {
+            client = lazy();
+        }
+        let asked = client.get(&path).bearer_auth("a").send();
+        let answer = within("an answer", asked).await.expect("an answer");
+        if answer.status() != 200 {
+            break answer;
+        }
+        unread.push(answer);
+        assert!(unread.len() < 2000, "they are never too many");
+    };
+    assert_eq!(refused.status(), 429);
+    let left = quotas(&server, "a").await["memoryBytes"]["left"].as_f64();
+    assert!(left < Some(2e6), "{left:?}");
+    assert_eq!(open(&server, "b", 24).await.0, 201);
+    let ready = within("ready", http().get(server.url("/readyz")).send()).await;
+    assert_eq!(ready.expect("an answer").status(), 200);
+    drop(unread);
 }

@@ -125,3 +125,26 @@ async fn what_cannot_begin_in_time_is_refused_and_nothing_is_held_for_it() {
     let solved = manager.solve(tenant(), &second, solve(&[("a", 1.0)]), None).await;
     solved.expect("solved");
 }
+
+#[tokio::test]
+async fn a_tenant_that_builds_on_all_slots_leaves_one_for_another() {
+    let (manager, control) = manager(small());
+    let (many, few) = (Tenant("many".into()), Tenant("few".into()));
+    control.hold();
+    let build = |owner: &Tenant| {
+        let (manager, owner) = (manager.clone(), owner.clone());
+        tokio::spawn(async move { manager.create(&owner, model("slow 4"), options(), None).await })
+    };
+    let mut long = vec![build(&many), build(&many)];
+    until(|| manager.metrics().pool_busy.get() == 2).await;
+    long.push(build(&many));
+    until(|| manager.metrics().pool_waiting.get() == 1).await;
+    let created = manager.create(&few, model("points 4"), options(), None).await;
+    created.expect("a slot is left");
+    let busy = (manager.metrics().pool_busy.get(), manager.metrics().pool_waiting.get());
+    assert_eq!(busy, (2, 1), "the others still build and wait");
+    control.release();
+    for build in long {
+        build.await.expect("no panic").expect("created");
+    }
+}
