@@ -45,7 +45,7 @@ impl AddedClips {
                     key_reduction_rotation: true,
                     ..Default::default()
                 };
-                ufbx::bake_anim(scene, &stack.anim, options)
+                ufbx::bake_anim(scene, &stack.anim, options).map_err(Box::new)
             })?;
             let baked = match baked {
                 Ok(baked) => baked,

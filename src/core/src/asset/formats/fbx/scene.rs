@@ -27,8 +27,8 @@ const LEAST_BYTES: u64 = 1 << 20;
 pub(super) fn within_reserve<T>(
     watch: &ReadWatch<'_>,
     file_bytes: usize,
-    work: impl Fn(&dyn Fn() -> ufbx::AllocatorOpts) -> Result<T, ufbx::Error>,
-) -> Result<(Result<T, ufbx::Error>, u64), Error> {
+    work: impl Fn(&dyn Fn() -> ufbx::AllocatorOpts) -> Result<T, Box<ufbx::Error>>,
+) -> Result<(Result<T, Box<ufbx::Error>>, u64), Error> {
     let mut each = (file_bytes as u64).saturating_mul(BYTES_PER_BYTE).max(LEAST_BYTES);
     loop {
         watch.check()?;
@@ -83,7 +83,7 @@ fn load(files: &FileSet, watch: &ReadWatch<'_>, names_only: bool) -> Result<ufbx
         ..Default::default()
     };
     let (scene, reserved) = within_reserve(watch, files.main.len(), |allocator| {
-        ufbx::load_memory(&files.main, options(allocator))
+        ufbx::load_memory(&files.main, options(allocator)).map_err(Box::new)
     })?;
     let scene = scene.map_err(|error| fault_of(&error, files))?;
     // What was temporary is gone.
