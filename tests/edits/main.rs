@@ -10,6 +10,7 @@ mod edit_support;
 mod marathon;
 mod no_numbers;
 mod remesh;
+mod soups;
 mod statue;
 #[path = "../support/mod.rs"]
 mod support;

@@ -70,7 +70,7 @@ pub fn inputs_of(name: &str) -> Vec<Vec<u8>> {
         "messages" => messages(),
         "json" => texts(),
         "jobs" => jobs().iter().map(Message::encode_to_vec).collect(),
-        "edits" | "handles" => (0..24u8)
+        "edits" | "handles" | "soups" => (0..24u8)
             .map(|k| {
                 (0..60u8)
                     .map(|i| i.wrapping_mul(37).wrapping_add(k.wrapping_mul(11)) ^ k)

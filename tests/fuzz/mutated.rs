@@ -70,7 +70,7 @@ fn mutated(inputs: &[Vec<u8>], draw: &mut Draw) -> Vec<u8> {
 /// How often each target is run. Those that deform or write models take longer.
 fn rounds(name: &str) -> usize {
     match name {
-        "jobs" | "edits" => 150,
+        "jobs" | "edits" | "soups" => 150,
         "glb" | "gltf" | "fbx" | "any_model" | "decoders" => 1500,
         _ => 4000,
     }

@@ -431,3 +431,45 @@ fn nothing_that_is_written_replaces_a_file_of_its_model() {
         done(folder.path(), &[way, &[&format!("new-{buffer}")]].concat());
     }
 }
+
+#[test]
+fn an_edited_text_stl_keeps_its_solids() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (points, faces) = pliant::asset::shapes::box_with_cells(glam::DVec3::new(1.0, 4.0, 1.0), [2, 8, 2]);
+    let mut text = String::new();
+    for (name, low) in [("Lower Half", true), ("upper half", false)] {
+        text += &format!("SOLID {name}\r\n");
+        for corners in faces.iter().map(|t| t.map(|v| points[v as usize])) {
+            let middle = corners.iter().map(|p| p.y).sum::<f64>() / 3.0;
+            if (middle < 0.0) == low {
+                text += "facet normal 0 0 0\r\nouter loop\r\n";
+                text.extend(corners.map(|p| format!("vertex {} {} {}\r\n", p.x, p.y, p.z)));
+                text += "endloop\r\nendfacet\r\n";
+            }
+        }
+        text += &format!("ENDSOLID {name}\r\n");
+    }
+    fs::write(folder.path().join("bar.stl"), &text).expect("written");
+    let job = r#"{"steps": [{"edit": {"decimate": {"ratio": 0.5}}}]}"#;
+    fs::write(folder.path().join("job.json"), job).expect("written");
+    done(
+        folder.path(),
+        &["deform", "bar.stl", "--job", "job.json", "-o", "thin.stl"],
+    );
+    let thin = fs::read_to_string(folder.path().join("thin.stl")).expect("a text");
+    let (lower, upper) = thin
+        .split_once("endsolid Lower Half\r\nsolid upper half\r\n")
+        .expect("both solids");
+    assert!(lower.starts_with("solid Lower Half\r\n") && upper.ends_with("endsolid upper half\r\n"));
+    let facets = |text: &str| text.matches("facet normal").count();
+    assert_eq!(2 * facets(&thin), facets(&text));
+    let below = |line: &str| {
+        line.split(' ')
+            .nth(8)
+            .is_some_and(|y| y.parse::<f64>().is_ok_and(|y| y <= 0.0))
+    };
+    let vertices =
+        |solid: &'_ str| -> Vec<bool> { solid.lines().filter(|l| l.contains("vertex")).map(below).collect() };
+    assert!(facets(lower) > 4 && vertices(lower).iter().all(|below| *below));
+    assert!(facets(upper) > 4 && vertices(upper).iter().any(|below| !below));
+}

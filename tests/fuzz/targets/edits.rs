@@ -132,6 +132,7 @@ fn points(draw: &mut ByteDraw<'_>) -> Vec<DVec3> {
     (0..draw.below(6)).map(|_| draw.vector()).collect()
 }
 
+/// Any operation.
 pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
     match draw.below(12) {
         0 => Edit::Cut {

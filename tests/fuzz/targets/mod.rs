@@ -15,12 +15,13 @@ pub mod models;
 pub mod motion;
 pub mod records;
 pub mod reports;
+pub mod soups;
 
 /// A function that is given arbitrary bytes.
 pub type FuzzTarget = fn(&[u8]);
 
 /// Every target by its name, which is that of its folders of inputs.
-pub const TARGETS: [(&str, FuzzTarget); 19] = [
+pub const TARGETS: [(&str, FuzzTarget); 21] = [
     ("obj", models::obj),
     ("ply", models::ply),
     ("off", models::off),
@@ -37,6 +38,7 @@ pub const TARGETS: [(&str, FuzzTarget); 19] = [
     ("jobs", jobs::jobs),
     ("edits", edits::edits),
     ("handles", handles::handles),
+    ("soups", soups::soups),
     ("commit_records", records::commits),
     ("model_records", records::models),
     ("reports", reports::reports),

@@ -11,6 +11,7 @@ use super::model::FileNotes;
 use super::moving_scene::{MovingScene, PrimitiveShapes, SceneClip};
 use super::neutral::{NeutralModel, RunAttributes, SeamPart};
 use super::played_clip::PlayedClip;
+use super::vertex_attributes::AttributeKeys;
 use super::{Error, FileSet, FollowedCounts, Format, Geometry, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
 use std::collections::BTreeSet;
@@ -162,6 +163,13 @@ pub(super) trait FormatCodec: Sync {
     ) -> Result<Option<Vec<SeamPart>>, Error> {
         let _ = (edited, run, positions);
         Ok(None)
+    }
+
+    /// Hands out what the files of a model that this codec has read give to its vertices, beside positions, normals and
+    /// tangents, or to the faces around them: equal where nobody could tell two vertices apart.
+    fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+        let _ = (model, keys);
+        Ok(())
     }
 
     /// Whether models built in this format have their vertices divided at seams, as [`FormatCodec::seam_parts`] does it,

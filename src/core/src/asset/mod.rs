@@ -42,6 +42,7 @@ pub mod sample;
 pub mod shapes;
 mod surface_nets;
 mod usd;
+mod vertex_attributes;
 mod vertex_cache;
 mod write;
 
@@ -63,5 +64,6 @@ pub use played_clip::{
     CarryingJoints, ClipBeside, MorphClip, NodeKeys, NodePlace, PlayedCorrectives, PlayedJoint, SkinnedClip,
 };
 pub use usd::{UsdClip, UsdModel};
+pub use vertex_attributes::{VertexAttributes, agrees_with_facet, facet_normal, normal_key};
 pub use vertex_cache::VertexCache;
 pub use write::{missing_companions, write_edited_model, write_edited_model_following};

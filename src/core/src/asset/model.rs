@@ -1,11 +1,11 @@
 //! A model as the rest of the house sees it: the mesh at rest, and the files that it came from.
 
-use super::{Error, FileSet, Format, Geometry};
+use super::{Error, FileSet, Format, Geometry, VertexAttributes};
 use glam::DVec3;
 use std::any::Any;
 use std::fmt::Debug;
 use std::ops::Deref;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// A model that was read, with the files it came from. Dereferences to its [`Geometry`], so that `model.positions`,
 /// `model.triangles` and the like read as fields of the model.
@@ -19,6 +19,8 @@ pub struct Model {
     pub files: FileSet,
     /// What the writers of its format have to remember beyond the files and the geometry.
     pub(super) notes: Arc<dyn FileNotes>,
+    /// What tells its vertices apart, once it was asked for.
+    pub(super) attributes: OnceLock<VertexAttributes>,
 }
 
 /// What a format's reader has learnt of a file that its writers need.
@@ -50,9 +52,14 @@ impl Model {
         self.notes().ok_or_else(|| Error::unwritable(format, problem()))
     }
 
+    /// Bytes held for the comparison of its vertices.
+    pub fn attribute_bytes(&self) -> u64 {
+        self.attributes.get().map_or(0, VertexAttributes::byte_size)
+    }
+
     /// About how many bytes it holds in memory.
     pub fn bytes_held(&self) -> u64 {
-        self.files.total_bytes() + self.geometry.bytes_held() + self.notes.bytes_held()
+        self.files.total_bytes() + self.geometry.bytes_held() + self.notes.bytes_held() + self.attribute_bytes()
     }
 }
 

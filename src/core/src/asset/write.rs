@@ -8,9 +8,12 @@ use super::formats::{codec_of, translator_of, writer_of};
 use super::model::is_same;
 use super::neutral::NeutralModel;
 use super::precision::check_precision;
-use super::{Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, WrittenFiles};
+use super::{
+    Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, VertexAttributes, WrittenFiles,
+};
 use crate::progress::{Progress, Silent};
 use glam::{DAffine3, DVec3};
+use std::sync::OnceLock;
 
 impl Model {
     /// Reads a model. The format is `format` when given, else what the bytes say, else what the file name says. A format
@@ -74,7 +77,23 @@ impl Model {
             geometry,
             files,
             notes,
+            attributes: OnceLock::new(),
         })
+    }
+
+    /// What the files give to the vertices beside their positions, to be compared. Read again when first asked for, then
+    /// kept.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`]. Where something cannot be read, no two vertices are alike.
+    pub fn vertex_attributes(&self, progress: &dyn Progress) -> Result<&VertexAttributes, Error> {
+        if self.attributes.get().is_none() {
+            let codec = codec_of(self.format);
+            let read = VertexAttributes::gather(&self.geometry, |keys| codec.tell_apart(self, keys), progress)?;
+            // Another thread may have read the same meanwhile.
+            let _ = self.attributes.set(read);
+        }
+        Ok(self.attributes.get_or_init(VertexAttributes::default))
     }
 
     /// Writes the model with new positions (one per render vertex, in model space) in `format`.

@@ -45,4 +45,4 @@ pub use stitch::{LoopPair, stitch_boundaries};
 pub use subdivide::{EvennessTarget, FieldSample, SubdivisionScheme, subdivide_region, subdivide_until_even};
 pub use surface::SurfaceView;
 pub use topology::{SurfaceTopology, verify_surface};
-pub use weld::{weld_boundaries, weld_points};
+pub use weld::{NOTHING_TO_WELD, weld_boundaries, weld_points};

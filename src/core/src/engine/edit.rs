@@ -8,18 +8,20 @@ use super::carry_handles::{CarriedHandles, HeldVertices, carry_handles, kept_ver
 use super::derived_structures::{DerivedStructures, TopologyChange};
 use super::edit_command::{EditCommand, EditOutcome, EditReport, EditedShape};
 use super::edit_operations::{EditContext, PlannedEdit, plan_edit};
+use super::edit_surface::EditSurface;
 use super::error::{Error, InputPlace};
 use super::facts::{DeformerWarning, MeshCounts, count_u32};
 use super::large_faces::{HandleBend, largest_turn};
 use super::limits::{ESTIMATED_MEMORY, HeldBeside};
-use super::model_topology::EditSurface;
 use super::region::Region;
 use super::region_context::{RegionContext, nodes_in_region, vertices_in_region, vertices_of_handle};
+use super::seams::Seams;
 use super::settings::{EDITED_AT_REST, SolveMode, SolveSettings};
 use super::shape::ModelShape;
 use super::topology_state::TopologyState;
+use super::vertex_origins::VertexOrigins;
 use super::{Deformer, digest};
-use crate::edit::{PatchedSurface, apply_patch};
+use crate::edit::{PatchedSurface, SurfacePatch, apply_patch};
 use crate::exec::Exec;
 use glam::DVec3;
 use std::sync::Arc;
@@ -42,9 +44,9 @@ impl Deformer {
         }
         let rest = self.rest_shape();
         let shape = if at_rest { &rest } else { order.shape };
-        let mut surface = self.edit_surface(&shape.positions);
-        let points = (shape.id != rest.id).then(|| surface.point_positions());
         let mut origins = self.topology().origins(&self.derived.mesh);
+        let mut surface = self.edit_surface(&shape.positions, &origins, exec)?;
+        let points = (shape.id != rest.id).then(|| surface.point_positions());
         let before = (surface.positions.len(), self.geometry().triangles.len());
         let mut context = EditContext {
             regions: self.region_context(shape, exec),
@@ -67,10 +69,11 @@ impl Deformer {
         let mut planned = plan_edit(&mut context, order.edit, &Exec::new(exec.pool, &beside))?;
         exec.check()?;
         planned.patch.idle = std::mem::take(&mut surface.idle_vertices);
+        (surface.seams).part_facets(&mut planned.patch, &surface.own_surface());
         let patch = &planned.patch;
-        let applied = apply_patch(&surface.surface(), patch, &surface.first_vertices())?;
+        let applied = apply_patch(&surface.own_surface(), patch, &surface.first_vertices())?;
         self.admit_size(&applied, exec)?;
-        let mut carried = self.carry(&applied, &planned, shape, order, exec)?;
+        let mut carried = self.carry(&applied, patch, &surface.seams, shape, order, exec)?;
         let mut report = self.report_edit(before, &applied, &planned);
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
@@ -225,7 +228,7 @@ impl Deformer {
     }
 
     /// The surface in a shape, as an operation reads it.
-    fn edit_surface(&self, shape: &[DVec3]) -> EditSurface {
+    fn edit_surface(&self, shape: &[DVec3], origins: &VertexOrigins, exec: &Exec<'_>) -> Result<EditSurface, Error> {
         let geometry = self.geometry();
         let shading = match geometry.normals.is_empty() {
             true => Default::default(),
@@ -236,7 +239,15 @@ impl Deformer {
         } else {
             shading.tangents
         };
-        EditSurface::new(&self.derived.mesh, geometry, shape, shading.normals, tangents)
+        let mesh = &self.derived.mesh;
+        let seams = Seams::find((geometry, self.rest()), mesh, origins, exec.progress)?;
+        Ok(EditSurface::new(
+            mesh,
+            geometry,
+            shape,
+            (shading.normals, tangents),
+            seams,
+        ))
     }
 
     /// Refuses an edit that would add about so many triangles, and half as many vertices, by its estimate alone.
@@ -279,7 +290,8 @@ impl Deformer {
     fn carry(
         &self,
         applied: &PatchedSurface,
-        planned: &PlannedEdit,
+        patch: &SurfacePatch,
+        seams: &Seams,
         shape: &ModelShape,
         order: &EditCommand<'_>,
         exec: &Exec<'_>,
@@ -295,6 +307,8 @@ impl Deformer {
             let held = vertices_in_region(&context, region, None);
             vertices.push(held.map_err(|e| e.with_place(InputPlace::RegionOfInterest))?);
         }
+        // What stands for a vertex that is held is held as well.
+        vertices.iter_mut().for_each(|held| seams.spread(held));
         let held = HeldVertices {
             set,
             vertices,
@@ -302,7 +316,7 @@ impl Deformer {
             moved: (shape.positions != *self.rest()).then(|| self.handles.transforms(&order.poses.0)),
         };
         let poses = (order.on == EditedShape::Rest).then_some(order.poses.0.as_slice());
-        Ok(carry_handles(&held, poses, applied, &planned.patch))
+        Ok(carry_handles(&held, poses, applied, patch))
     }
 }
 

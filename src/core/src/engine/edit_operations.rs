@@ -2,11 +2,13 @@
 
 use super::DeformerLimits;
 use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge};
+use super::edit_surface::EditSurface;
 use super::error::{Error, InputPlace};
 use super::large_faces::{HandleBend, plan_division};
-use super::model_topology::{EditSurface, ModelTopology};
+use super::model_topology::ModelTopology;
 use super::region::Region;
 use super::region_context::{RegionContext, vertices_in_region};
+use super::seams::Seams;
 use super::vertex_origins::VertexOrigins;
 use crate::asset::{self, Model};
 use crate::edit::{
@@ -137,7 +139,7 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
             let (patch, curve) = edit::insert_curve(&context.surface.surface(), &curve, *closed, progress)?;
             return Ok(PlannedEdit { curve, ..patch.into() });
         }
-        Edit::Weld { tolerance } => edit::weld_points(&context.surface.surface(), *tolerance, progress)?,
+        Edit::Weld { tolerance } => plan_weld(context, *tolerance, exec)?,
     };
     Ok(patch.into())
 }
@@ -213,6 +215,15 @@ fn plan_cut(
     })
 }
 
+/// Joins points; and the render vertices of each point that differ in nothing, as files without indices have them.
+fn plan_weld(context: &mut EditContext<'_>, tolerance: f64, exec: &Exec<'_>) -> Result<SurfacePatch, Error> {
+    let mut patch = edit::weld_points(&context.surface.surface(), tolerance, exec.progress)?;
+    if context.surface.join_equal_vertices() > 0 {
+        patch.warnings.retain(|warning| warning.code != edit::NOTHING_TO_WELD);
+    }
+    Ok(patch)
+}
+
 /// Appends the other model to surface and origins, and plans how they are joined.
 fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>) -> Result<SurfacePatch, Error> {
     let source = match merge.from_session {
@@ -231,7 +242,7 @@ fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>
     let placement = merge.own_from_other;
     let positions: Vec<DVec3> = other.rest.iter().map(|p| placement.transform_point3(*p)).collect();
     check_sizes(context.regions.positions, &positions)?;
-    let placed = placed_surface(&other, &mesh, &positions, placement);
+    let placed = placed_surface(&other, &mesh, (&positions, placement), exec)?;
     let first_point = context.surface.points;
     context.surface.append(&placed);
     let affine = DAffine3::from_mat4(placement);
@@ -249,7 +260,12 @@ fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>
 }
 
 /// The surface of a model that is placed by a transform, with normals and tangents turned alike.
-fn placed_surface(other: &ModelTopology, mesh: &Mesh, positions: &[DVec3], placement: DMat4) -> EditSurface {
+fn placed_surface(
+    other: &ModelTopology,
+    mesh: &Mesh,
+    (positions, placement): (&[DVec3], DMat4),
+    exec: &Exec<'_>,
+) -> Result<EditSurface, Error> {
     let normals_to = DMat3::from_mat4(placement).inverse().transpose();
     let turned: Vec<Vec3> = (other.model.normals.iter())
         .map(|n| (normals_to * n.as_dvec3()).normalize_or_zero().as_vec3())
@@ -260,11 +276,13 @@ fn placed_surface(other: &ModelTopology, mesh: &Mesh, positions: &[DVec3], place
             along.normalize_or_zero().as_vec3().extend(t.w)
         })
         .collect();
-    let mut surface = EditSurface::new(mesh, other.geometry(), positions, turned, tangents);
+    let own = (other.geometry(), &other.rest[..]);
+    let seams = Seams::find(own, mesh, &other.origins(mesh), exec.progress)?;
+    let mut surface = EditSurface::new(mesh, own.0, positions, (turned, tangents), seams);
     if placement.determinant() < 0.0 {
-        surface.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+        surface.turn_inside_out();
     }
-    surface
+    Ok(surface)
 }
 
 /// Refuses a model that is so much larger than the other, or so far off, that the smaller one would be lost in rounding.

@@ -1,12 +1,13 @@
 //! What everything in a deformer is derived from: the model as it was read, or as edits have left it.
 
+use super::edit_surface::{EditSurface, triangle_primitives};
 use super::error::Error;
 use super::part_families::PartFamilies;
 use super::riding_nodes::RidingNodes;
 use super::vertex_origins::VertexOrigins;
 use crate::asset::{self, Format, Geometry, Model, Primitive, ShapeFollowers, WrittenFiles};
-use crate::edit::{PatchedSurface, SurfacePatch, SurfaceView};
-use crate::mesh::{Mesh, NONE, Weld};
+use crate::edit::{PatchedSurface, SurfacePatch};
+use crate::mesh::{Mesh, Weld};
 use glam::{DVec3, Vec3, Vec4};
 use sha2::{Digest, Sha256};
 use std::mem::take;
@@ -156,7 +157,10 @@ impl ModelTopology {
         let edited = self.edited.as_ref().map_or(0, |e| {
             e.geometry.bytes_held() + e.origins.byte_size() + e.families.byte_size() + 4 * e.point_of.capacity() as u64
         });
-        self.model.geometry.bytes_held() + edited + (self.rest.capacity() * 24 + self.riding_nodes.byte_size()) as u64
+        self.model.geometry.bytes_held()
+            + self.model.attribute_bytes()
+            + edited
+            + (self.rest.capacity() * 24 + self.riding_nodes.byte_size()) as u64
     }
 
     /// The topology after an edit of `before`, whose vertices are made of `origins`, and the maps that are left of
@@ -240,144 +244,6 @@ impl ModelTopology {
     }
 }
 
-/// The surface that an edit works on, with what goes along.
-#[derive(Debug, Clone, Default)]
-pub(super) struct EditSurface {
-    /// Render vertices in the shape that is edited.
-    pub positions: Vec<DVec3>,
-    /// Triangles that the solver sees, over render vertices.
-    pub triangles: Vec<[u32; 3]>,
-    /// The primitive of each triangle.
-    pub primitive_of: Vec<u32>,
-    /// The solver vertex of each render vertex.
-    pub point_of: Vec<u32>,
-    /// How many there are.
-    pub points: u32,
-    /// Normals in that shape, or none.
-    pub normals: Vec<Vec3>,
-    /// Tangents in that shape, or none.
-    pub tangents: Vec<Vec4>,
-    /// The runs of render vertices.
-    pub primitives: Vec<Primitive>,
-    /// Vertices that only triangles use which the solver does not see, rising: the first edit leaves both out.
-    pub idle_vertices: Vec<u32>,
-}
-
-impl EditSurface {
-    /// The surface of a mesh in the shape `positions`.
-    pub fn new(mesh: &Mesh, geometry: &Geometry, positions: &[DVec3], normals: Vec<Vec3>, tangents: Vec<Vec4>) -> Self {
-        let of_triangle = triangle_primitives(&geometry.primitives, geometry.triangles.len());
-        Self {
-            // Welding by tolerance leaves vertices of one point a little apart; an edit makes them one.
-            positions: (0..positions.len())
-                .map(|v| match mesh.solver_from_render[v] {
-                    NONE => positions[v],
-                    s => positions[mesh.render_vertices_of(s)[0] as usize],
-                })
-                .collect(),
-            triangles: mesh
-                .source_triangle
-                .iter()
-                .map(|&t| geometry.triangles[t as usize])
-                .collect(),
-            primitive_of: mesh.source_triangle.iter().map(|&t| of_triangle[t as usize]).collect(),
-            point_of: mesh.solver_from_render.clone(),
-            points: mesh.positions.len() as u32,
-            normals,
-            tangents,
-            primitives: geometry.primitives.clone(),
-            idle_vertices: idle_vertices(mesh, geometry),
-        }
-    }
-
-    /// What an operation reads.
-    pub fn surface(&self) -> SurfaceView<'_> {
-        SurfaceView {
-            positions: &self.positions,
-            triangles: &self.triangles,
-            primitive_of: &self.primitive_of,
-            point_of: &self.point_of,
-            points: self.points,
-        }
-    }
-
-    /// Where each point is.
-    pub fn point_positions(&self) -> Vec<DVec3> {
-        let mut positions = vec![DVec3::ZERO; self.points as usize];
-        for (&p, &position) in self.point_of.iter().zip(&self.positions).filter(|p| *p.0 != NONE) {
-            positions[p as usize] = position;
-        }
-        positions
-    }
-
-    /// The first render vertex of each primitive.
-    pub fn first_vertices(&self) -> Vec<u32> {
-        self.primitives.iter().map(|p| p.first_vertex).collect()
-    }
-
-    /// Appends another surface, whose vertices were put in place before.
-    pub fn append(&mut self, other: &EditSurface) {
-        let (vertices, primitives) = (self.positions.len() as u32, self.primitives.len() as u32);
-        let both = |a: bool, b: bool| a || b;
-        if both(!self.normals.is_empty(), !other.normals.is_empty()) {
-            self.normals.resize(self.positions.len(), Vec3::ZERO);
-            self.normals.extend(&other.normals);
-            self.normals
-                .resize(self.positions.len() + other.positions.len(), Vec3::ZERO);
-        }
-        if both(!self.tangents.is_empty(), !other.tangents.is_empty()) {
-            self.tangents.resize(self.positions.len(), Vec4::ZERO);
-            self.tangents.extend(&other.tangents);
-            self.tangents
-                .resize(self.positions.len() + other.positions.len(), Vec4::ZERO);
-        }
-        self.positions.extend(&other.positions);
-        self.triangles
-            .extend(other.triangles.iter().map(|t| t.map(|v| v + vertices)));
-        self.primitive_of
-            .extend(other.primitive_of.iter().map(|p| p + primitives));
-        let points = self.points;
-        let point = |p: &u32| if *p == NONE { NONE } else { p + points };
-        self.point_of.extend(other.point_of.iter().map(point));
-        self.points += other.points;
-        self.idle_vertices
-            .extend(other.idle_vertices.iter().map(|v| v + vertices));
-        self.primitives.extend(other.primitives.iter().map(|p| Primitive {
-            first_vertex: p.first_vertex + vertices,
-            ..p.clone()
-        }));
-    }
-}
-
-/// The vertices of triangles that the mesh left out which are in no other, rising.
-fn idle_vertices(mesh: &Mesh, geometry: &Geometry) -> Vec<u32> {
-    let left_out = mesh.collapsed_triangles.iter().chain(&mesh.duplicate_triangles);
-    let mut found: Vec<u32> = left_out.flat_map(|&t| geometry.triangles[t as usize]).collect();
-    if found.is_empty() {
-        return found;
-    }
-    let mut used = vec![false; mesh.solver_from_render.len()];
-    for &t in &mesh.source_triangle {
-        geometry.triangles[t as usize]
-            .iter()
-            .for_each(|&v| used[v as usize] = true);
-    }
-    found.retain(|&v| !used[v as usize]);
-    found.sort_unstable();
-    found.dedup();
-    found
-}
-
-/// The primitive of each of `count` triangles.
-fn triangle_primitives(primitives: &[Primitive], count: usize) -> Vec<u32> {
-    let mut of = Vec::with_capacity(count);
-    for (p, primitive) in (0u32..).zip(primitives) {
-        of.resize((of.len() + primitive.index_count as usize / 3).min(count), p);
-    }
-    of.resize(count, primitives.len().saturating_sub(1) as u32);
-    of
-}
-
 fn edited_primitives(before: &EditSurface, applied: &PatchedSurface) -> Vec<Primitive> {
     let vertices = applied.positions.len() as u32;
     let mut triangles = vec![0u32; before.primitives.len()];
@@ -433,6 +299,9 @@ fn is_own(
     const ALIKE: f32 = 0.5;
     let old = before.positions.len();
     let new = (applied.old_from_vertex[vertex] as usize).checked_sub(old);
+    if new.is_some_and(|k| patch.flat.binary_search(&(k as u32)).is_ok()) {
+        return true;
+    }
     let (Some(new), false) = (new.and_then(|k| patch.vertices.get(k)), before.normals.is_empty()) else {
         return false;
     };

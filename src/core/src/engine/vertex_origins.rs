@@ -2,8 +2,8 @@
 //! model is written.
 
 use crate::asset::{
-    BaseModel, EditedModel, Error, Format, Model, PrimitiveRun, ShapeFollowers, VertexBlends, WrittenFiles,
-    write_edited_model_following,
+    BaseModel, EditedModel, Error, Format, Model, PrimitiveRun, ShapeFollowers, VertexBlend, VertexBlends,
+    WrittenFiles, write_edited_model_following,
 };
 use crate::edit::{PatchedSurface, SurfacePatch};
 use crate::mesh::NONE;
@@ -56,6 +56,31 @@ impl VertexOrigins {
         self.bare.resize(self.blends.len(), false);
         self.triangles.extend(source_triangle);
         self.bases.push((Arc::clone(model), placement));
+    }
+
+    /// The models that vertices come from.
+    pub fn models(&self) -> impl Iterator<Item = &Arc<Model>> {
+        self.bases.iter().map(|base| &base.0)
+    }
+
+    /// Which of them a primitive comes from.
+    pub fn base_of_primitive(&self, primitive: u32) -> usize {
+        self.sources[primitive as usize].base as usize
+    }
+
+    /// What a vertex is made of, among the vertices of its primitive's model.
+    pub fn blend(&self, vertex: u32) -> Option<VertexBlend<'_>> {
+        self.blends.get(vertex as usize)
+    }
+
+    /// Whether a vertex lies on surface that an edit has made.
+    pub fn is_bare(&self, vertex: u32) -> bool {
+        self.bare.get(vertex as usize).copied().unwrap_or(false)
+    }
+
+    /// Whether any does.
+    pub fn has_bare(&self) -> bool {
+        self.bare.contains(&true)
     }
 
     /// The same with the triangles of these numbers alone.

@@ -34,4 +34,5 @@ pub use lists::Lists;
 pub use measure::{BoundingBox, mean_edge_length, signed_volume, surface_area};
 pub use readable::{brief_number, brief_point, grouped_count};
 pub use weld::Weld;
+pub(crate) use weld::mix_bits;
 pub use welded_mesh::{Mesh, NONE};

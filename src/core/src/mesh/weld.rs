@@ -131,10 +131,13 @@ fn position_bits_key(p: DVec3) -> [u64; 3] {
 }
 
 fn hash(key: [u64; 3]) -> u64 {
-    key.iter().fold(0x9e37_79b9_7f4a_7c15, |h: u64, &k| {
-        let x = (h ^ k).wrapping_mul(0xff51_afd7_ed55_8ccd);
-        (x ^ (x >> 32)).wrapping_mul(0xc4ce_b9fe_1a85_ec53).rotate_left(29)
-    })
+    key.iter().fold(0x9e37_79b9_7f4a_7c15, |h, &k| mix_bits(h, k))
+}
+
+/// Goes on with a hash by one more number.
+pub(crate) fn mix_bits(hash: u64, number: u64) -> u64 {
+    let x = (hash ^ number).wrapping_mul(0xff51_afd7_ed55_8ccd);
+    (x ^ (x >> 32)).wrapping_mul(0xc4ce_b9fe_1a85_ec53).rotate_left(29)
 }
 
 /// Classes of equal coordinates: sorting by a hash brings them together, and each run of equal hashes is then sorted

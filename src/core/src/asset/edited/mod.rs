@@ -75,8 +75,8 @@ pub struct EditedModel<'a> {
     /// For each triangle the triangle of the base that it is a part of or lies on, [`NONE`](crate::mesh::NONE) where
     /// that is not known. Empty when it is known of none: the triangle that shares most of the blends is then taken.
     pub origins: &'a [u32],
-    /// For each vertex whether its surface is the edit's own (a cap, a filled hole), so that normals and tangents are
-    /// taken from the triangles instead of from the blend. Empty when there is no such vertex.
+    /// For each vertex whether its surface is the edit's own (a cap, a filled hole) or shaded flat, so that normals and
+    /// tangents are taken from the triangles instead of from the blend. Empty when there is no such vertex.
     pub bare: &'a [bool],
 }
 

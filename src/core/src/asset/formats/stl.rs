@@ -1,15 +1,19 @@
 //! Stereolithography (STL), binary and text.
 //!
 //! Facets share no vertices: there are three render vertices for each facet, in file order. Welding is the solver's
-//! affair. The facet normal is redundant; it is computed anew for facets that moved.
+//! affair. The facet normal is redundant; it is computed anew for facets that moved. An edited text stays a text with its
+//! solids, an edited binary file keeps its header and the attributes of its facets.
 
-use super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, coordinate, shown};
+use super::text::{
+    NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, coordinate, newline_of, push_triple, shown,
+};
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
 use crate::asset::edited::{BaseModel, EditedModel, TriangleOrigins};
 use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::model::{FileNotes, is_same};
 use crate::asset::neutral::NeutralModel;
+use crate::asset::vertex_attributes::AttributeKeys;
 use crate::asset::{Error, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
 use crate::mesh::NONE;
 use glam::DVec3;
@@ -66,7 +70,28 @@ impl FormatCodec for StlCodec {
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
-        write_edited(output.edited, output.positions).map(WrittenFiles::single)
+        let EditedOutput { edited, positions, .. } = *output;
+        let first = edited.bases.first().map(|base| base.model);
+        let written = match first.filter(|model| is_text(model)) {
+            Some(first) => write_edited_text(edited, positions, newline_of(&first.files.main)),
+            None => write_edited_binary(edited, positions),
+        };
+        written.map(WrittenFiles::single)
+    }
+
+    /// Which solid a facet is of, or its attribute.
+    fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+        let of_facet = if is_text(model) {
+            read_solids(model)?.of_facet.into_iter().map(u64::from).collect()
+        } else {
+            facets_of(model)
+                .map(|facet| u64::from(facet[48]) | u64::from(facet[49]) << 8)
+                .collect::<Vec<_>>()
+        };
+        for (facet, value) in of_facet.into_iter().enumerate() {
+            (3 * facet..3 * facet + 3).for_each(|v| keys.add(v, value));
+        }
+        Ok(())
     }
 }
 
@@ -139,9 +164,7 @@ fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, StlNotes), Err
             }
         }
     } else {
-        let mut facets = FacetReader {
-            lexer: TextLexer::new(bytes, STYLE),
-        };
+        let mut facets = FacetReader::new(bytes);
         while let Some((_, corners)) = facets.next()? {
             for words in corners {
                 positions.push(facets.read_position(words)?);
@@ -194,16 +217,28 @@ fn push_vector(out: &mut [u8], index: usize, value: DVec3) {
 /// The facets of a text file.
 struct FacetReader<'a> {
     lexer: TextLexer<'a>,
+    /// Names of the solids so far, empty where one has none.
+    solids: Vec<&'a [u8]>,
 }
 
 /// The words of a facet's normal (absent where the file leaves them out) and of its corners.
 type FacetWords = (Option<[TextToken; 3]>, [[TextToken; 3]; 3]);
 
-impl FacetReader<'_> {
+impl<'a> FacetReader<'a> {
+    fn new(bytes: &'a [u8]) -> Self {
+        Self {
+            lexer: TextLexer::new(bytes, STYLE),
+            solids: Vec::new(),
+        }
+    }
+
     fn next(&mut self) -> Result<Option<FacetWords>, Error> {
         while let Some(token) = self.lexer.token() {
             let word = self.lexer.text(token);
-            if word.eq_ignore_ascii_case(b"solid") || word.eq_ignore_ascii_case(b"endsolid") {
+            if word.eq_ignore_ascii_case(b"solid") {
+                let name = self.lexer.rest_of_line();
+                self.solids.push(self.lexer.bytes_at(name));
+            } else if word.eq_ignore_ascii_case(b"endsolid") {
                 self.lexer.end_line();
             } else if word.eq_ignore_ascii_case(b"facet") {
                 let normal = self.read_normal();
@@ -277,6 +312,37 @@ fn is_binary(model: &Model) -> bool {
     model.notes::<StlNotes>().is_some_and(|notes| notes.binary)
 }
 
+/// Whether a model came as a text STL.
+fn is_text(model: &Model) -> bool {
+    model.notes::<StlNotes>().is_some_and(|notes| !notes.binary)
+}
+
+/// The bytes of the facets of a binary file.
+fn facets_of(model: &Model) -> impl Iterator<Item = &[u8; FACET]> {
+    let facets = model.files.main.get(HEADER..).unwrap_or_default();
+    facets.as_chunks().0.iter().take(model.geometry.triangles.len())
+}
+
+/// The solids of a text.
+#[derive(Default)]
+struct Solids<'a> {
+    names: Vec<&'a [u8]>,
+    /// For each facet its solid.
+    of_facet: Vec<u32>,
+}
+
+fn read_solids(model: &Model) -> Result<Solids<'_>, Error> {
+    let mut reader = FacetReader::new(&model.files.main);
+    let mut of_facet = Vec::with_capacity(model.geometry.triangles.len());
+    while reader.next()?.is_some() {
+        of_facet.push((reader.solids.len() as u32).saturating_sub(1));
+    }
+    Ok(Solids {
+        names: reader.solids,
+        of_facet,
+    })
+}
+
 /// The uploaded file with the vertices at `positions`.
 fn patch(model: &Model, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
     let bytes = &model.files.main[..];
@@ -291,9 +357,7 @@ fn patch(model: &Model, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
         }
         return Ok(out);
     }
-    let mut reader = FacetReader {
-        lexer: TextLexer::new(bytes, STYLE),
-    };
+    let mut reader = FacetReader::new(bytes);
     let mut patch = TextPatch::new(bytes);
     for (old, new) in facets {
         let Some((normal, corners)) = reader.next()? else { break };
@@ -321,8 +385,70 @@ fn is_as_long_as_binary(bytes: &[u8]) -> bool {
     declared_facets(bytes).is_some_and(|count| binary_length(count) == bytes.len() as u64)
 }
 
+/// A text of an edited model with the solids of all bases, in order; what comes from other formats is one solid. New facets
+/// are of the solid that they lie on.
+fn write_edited_text(edited: &EditedModel<'_>, positions: &[DVec3], newline: &[u8]) -> Result<Vec<u8>, Error> {
+    let mut out = Vec::new();
+    for base in 0..edited.bases.len() as u32 {
+        let model = edited.bases[base as usize].model;
+        let mut solids = Solids::default();
+        if is_text(model) {
+            solids = read_solids(model)?;
+        }
+        if solids.names.is_empty() {
+            if edited.runs_with_triangles(base).next().is_none() {
+                continue;
+            }
+            solids.names.push(b"");
+        }
+        let mut facets: Vec<Vec<[u32; 3]>> = vec![Vec::new(); solids.names.len()];
+        for run in edited.runs_with_triangles(base) {
+            let triangles = &edited.triangles[run.triangles()];
+            if let [all] = facets.as_mut_slice() {
+                all.extend(triangles);
+                continue;
+            }
+            let origins = TriangleOrigins::new(edited, run, &model.geometry.triangles);
+            for (t, &origin) in triangles.iter().zip(origins.old_triangles()) {
+                let solid = solids.of_facet.get(origin as usize).copied().unwrap_or(0);
+                facets[solid as usize].push(*t);
+            }
+        }
+        for (name, facets) in solids.names.iter().zip(&facets) {
+            push_solid(&mut out, (name, newline), facets, positions);
+        }
+    }
+    if is_as_long_as_binary(&out) {
+        out.extend_from_slice(newline);
+    }
+    Ok(out)
+}
+
+fn push_solid(out: &mut Vec<u8>, (name, newline): (&[u8], &[u8]), facets: &[[u32; 3]], positions: &[DVec3]) {
+    let line = |out: &mut Vec<u8>, words: &[u8], numbers: Option<(DVec3, NumberPrecision)>| {
+        out.extend_from_slice(words);
+        if let Some((numbers, precision)) = numbers {
+            push_triple(out, numbers, precision);
+        }
+        out.extend_from_slice(newline);
+    };
+    line(out, [b"solid ", name].concat().trim_ascii_end(), None);
+    for facet in facets {
+        let corners = facet.map(|v| positions[v as usize]);
+        let normal = (facet_normal(&corners), NumberPrecision::Single);
+        line(out, b"  facet normal ", Some(normal));
+        line(out, b"    outer loop", None);
+        for corner in corners {
+            line(out, b"      vertex ", Some((corner, NumberPrecision::Double)));
+        }
+        line(out, b"    endloop", None);
+        line(out, b"  endfacet", None);
+    }
+    line(out, [b"endsolid ", name].concat().trim_ascii_end(), None);
+}
+
 /// A binary file of an edited model; a binary source keeps its header, and facets the attribute of those they lie on.
-fn write_edited(edited: &EditedModel<'_>, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
+fn write_edited_binary(edited: &EditedModel<'_>, positions: &[DVec3]) -> Result<Vec<u8>, Error> {
     let mut out = facets_file(edited.triangles, positions)?;
     let binary = |base: &BaseModel<'_>| is_binary(base.model);
     if let Some(first) = edited.bases.first().filter(|base| binary(base))

@@ -35,6 +35,8 @@ pub struct SurfacePatch {
     pub removed: Vec<u32>,
     /// Vertices that come, numbered on from the old ones.
     pub vertices: Vec<NewVertex>,
+    /// Those of them, by place, rising, that show the normal of their triangle instead of a blended one.
+    pub flat: Vec<u32>,
     /// Triangles that come.
     pub triangles: Vec<NewTriangle>,
     /// Old points that move, with all their render vertices: point and new position, rising, each once.

@@ -16,6 +16,9 @@ use crate::progress::{Progress, check};
 use glam::DVec3;
 use joins::PointJoins;
 
+/// The code of the warning that no two points are close enough.
+pub const NOTHING_TO_WELD: &str = "weld-nothing";
+
 /// Joins points no further apart than `tolerance`: each, in order of number, to the nearest earlier one that joined none.
 /// Triangles that lose a corner by it go. Says with `weld-nothing` when there is nothing to join, and with `weld-left`
 /// what was left out.
@@ -137,7 +140,7 @@ fn join_pairs(
         let message = "no two points are within the tolerance";
         patch
             .warnings
-            .push(EditWarning::new("weld-nothing", message, "the whole surface"));
+            .push(EditWarning::new(NOTHING_TO_WELD, message, "the whole surface"));
         return Ok(patch);
     }
     let mut joins = PointJoins::gather_faces(surface, positions, &pairs);

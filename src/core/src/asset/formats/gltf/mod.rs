@@ -96,6 +96,7 @@ use crate::asset::look::SurfaceLook;
 use crate::asset::moving_scene::{MovingScene, PrimitiveShapes, SceneClip};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::played_clip::PlayedClip;
+use crate::asset::vertex_attributes::AttributeKeys;
 use crate::asset::{
     Error, FileSet, FollowedCounts, Format, Model, ModelNode, MorphTargetRule, ShapeFollowers, WrittenFiles,
 };
@@ -227,6 +228,10 @@ impl FormatCodec for GltfCodec {
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
         edited::run_attributes(edited, runs)
+    }
+
+    fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+        edited::tell_apart(model, model.notes_or_refuse(model.format)?, keys)
     }
 }
 

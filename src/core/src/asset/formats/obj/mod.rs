@@ -21,6 +21,7 @@ use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, patch_text_file, 
 use crate::asset::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::asset::files::ReadWatch;
 use crate::asset::neutral::{NeutralModel, RunAttributes, SeamPart};
+use crate::asset::vertex_attributes::AttributeKeys;
 use crate::asset::{Error, FileSet, Format, Model, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
 
@@ -75,5 +76,10 @@ impl FormatCodec for ObjCodec {
         positions: &[DVec3],
     ) -> Result<Option<Vec<SeamPart>>, Error> {
         Ok(Some(edited::seam_parts(edited, run, positions)))
+    }
+
+    fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+        statements::tell_apart(model, keys);
+        Ok(())
     }
 }

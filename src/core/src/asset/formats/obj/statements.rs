@@ -3,7 +3,10 @@
 use super::super::polygons::Polygons;
 use super::super::text::{TextLexer, number};
 use super::corner::{FaceCorner, NO_NORMAL, STYLE, resolve};
+use crate::asset::Model;
 use crate::asset::geometry::unit_or_zero;
+use crate::asset::vertex_attributes::{AttributeKeys, hash_bytes, hash_numbers, normal_key};
+use crate::mesh::mix_bits;
 use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;
 
@@ -184,6 +187,48 @@ impl<'a> StatementReader<'a> {
             self.out.states.extend(std::iter::repeat_n(state, count));
         }
         self.out
+    }
+}
+
+/// The numbers after the coordinates of vertices; and of each corner its texture coordinates, its normal where vertices have
+/// none of their own, and the statements that hold for its face.
+pub(super) fn tell_apart(model: &Model, keys: &mut AttributeKeys<'_>) {
+    let geometry = &model.geometry;
+    let read = read(&model.files.main, &geometry.positions);
+    for (i, number) in read.more.iter().enumerate() {
+        keys.add(i / read.more_lanes, number.to_bits());
+    }
+    if read.states.len() != geometry.triangles.len() {
+        return;
+    }
+    let of_line = |text: &&[u8]| hash_numbers(&parse_numbers(text));
+    let textures: Vec<u64> = read.textures.iter().map(of_line).collect();
+    let of_state = |state: &FaceState<'_>| {
+        let lines = [state.object, state.group, state.smoothing, state.material];
+        lines
+            .iter()
+            .fold(1, |hash, line| mix_bits(hash, line.map_or(0, hash_bytes)))
+    };
+    let mut state = (read.states.first(), read.states.first().map_or(0, of_state));
+    for (i, t) in geometry.triangles.iter().enumerate() {
+        if state.0 != read.states.get(i) {
+            state = (read.states.get(i), of_state(&read.states[i]));
+        }
+        for (k, &v) in t.iter().enumerate() {
+            let texture = read
+                .corner_textures
+                .get(3 * i + k)
+                .and_then(|&t| textures.get(t as usize));
+            let mut key = mix_bits(state.1, texture.copied().unwrap_or(0));
+            if geometry.normals.is_empty() {
+                let normal = read
+                    .corner_normals
+                    .get(3 * i + k)
+                    .and_then(|&n| read.normals.get(n as usize));
+                key = mix_bits(key, normal.map_or(0, |n| normal_key(n.1)));
+            }
+            keys.add_of_corner(v, key);
+        }
     }
 }
 

@@ -5,6 +5,7 @@ use super::read::{FORMAT, OffNotes, STYLE, read_count, read_header};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::asset::neutral::RunAttributes;
+use crate::asset::vertex_attributes::{AttributeKeys, hash_bytes};
 use crate::asset::{Error, Model};
 use crate::mesh::NONE;
 use glam::Vec3;
@@ -152,6 +153,21 @@ impl OffAttributes<'_> {
         let number_of = |v: u32| self.more.get(v as usize * self.lanes + lane).copied();
         edited.blended(vertex, |v| number_of(v).unwrap_or(0.0))
     }
+}
+
+/// The numbers after the coordinates of vertices, and what follows the corners of faces.
+pub(super) fn tell_apart(model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+    let rest = read_attributes(model, model.notes_or_refuse(FORMAT)?)?;
+    for (i, number) in rest.more.iter().enumerate() {
+        keys.add(i / rest.lanes, number.to_bits());
+    }
+    let triangles = &model.geometry.triangles;
+    if rest.of_triangle.len() == triangles.len() && rest.of_triangle.iter().any(|more| !more.is_empty()) {
+        for (t, more) in triangles.iter().zip(&rest.of_triangle) {
+            t.iter().for_each(|&v| keys.add_of_corner(v, hash_bytes(more)));
+        }
+    }
+    Ok(())
 }
 
 /// Colours of the vertices of runs.

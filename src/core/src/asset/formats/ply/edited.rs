@@ -6,11 +6,12 @@ use super::header::{PlyElement, PlyEncoding, PlyProperty, PlyScalar};
 use super::read::{FORMAT, PlyNotes, VertexRole, is_indices};
 use super::table::{PlyTable, read};
 use super::write::stored_types;
-use crate::asset::Error;
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::asset::neutral::RunAttributes;
-use crate::mesh::NONE;
+use crate::asset::vertex_attributes::{AttributeKeys, hash_numbers};
+use crate::asset::{Error, Model};
+use crate::mesh::{NONE, mix_bits};
 use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;
 
@@ -62,6 +63,50 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
         }
     }
     Ok(writer.out)
+}
+
+/// The numbers of vertices beside position and normal, and those of the faces around them.
+pub(super) fn tell_apart(model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+    let notes: &PlyNotes = model.notes_or_refuse(FORMAT)?;
+    let table = read(&model.files.main, &model.geometry.positions)?;
+    let properties = notes.vertex.properties.iter().enumerate();
+    for (p, property) in properties.filter(|(p, _)| notes.role(*p).is_none()) {
+        let lists = table.vertex_lists.get(&p).filter(|_| property.count.is_some());
+        for v in 0..model.geometry.positions.len() {
+            match lists {
+                Some(lists) => keys.add(v, lists.get(v).map_or(0, |list| hash_numbers(list))),
+                None => keys.add(v, table.vertex_number(v as u32, p).to_bits()),
+            }
+        }
+    }
+    let triangles = &model.geometry.triangles;
+    let (Some(face), true) = (&table.face, table.row_of.len() == triangles.len()) else {
+        return Ok(());
+    };
+    let coordinates = table.corner_coordinates();
+    let corner_list = table.corner_list().map(|(at, _)| at);
+    let of_row = |row: u32| {
+        let properties = face.properties.iter().enumerate();
+        let own = properties.filter(|(p, property)| !is_indices(&property.name) && Some(*p) != corner_list);
+        own.fold(1, |hash, (p, property)| {
+            let list = table.face_lists.get(&p).and_then(|lists| lists.get(row as usize));
+            mix_bits(
+                hash,
+                match property.count {
+                    Some(_) => list.map_or(0, |list| hash_numbers(list)),
+                    None => table.face_number(row, p).to_bits(),
+                },
+            )
+        })
+    };
+    for (i, (t, &row)) in triangles.iter().zip(&table.row_of).enumerate() {
+        let of_face = of_row(row);
+        for (k, &v) in t.iter().enumerate() {
+            let here = coordinates.as_ref().and_then(|all| all.get(3 * i + k));
+            keys.add_of_corner(v, here.map_or(of_face, |uv| mix_bits(of_face, hash_numbers(uv))));
+        }
+    }
+    Ok(())
 }
 
 struct EditedPlyWriter<'w, 'a> {

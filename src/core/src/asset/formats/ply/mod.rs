@@ -18,6 +18,7 @@ use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
 use crate::asset::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::asset::files::ReadWatch;
 use crate::asset::neutral::{NeutralModel, RunAttributes};
+use crate::asset::vertex_attributes::AttributeKeys;
 use crate::asset::{Error, FileSet, Format, Model, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
 
@@ -58,5 +59,9 @@ impl FormatCodec for PlyCodec {
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
         edited::run_attributes(edited, runs)
+    }
+
+    fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+        edited::tell_apart(model, keys)
     }
 }

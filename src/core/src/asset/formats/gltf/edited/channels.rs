@@ -1,10 +1,12 @@
 //! Attributes of a primitive as numbers, and how each kind is blended.
 
-use super::super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_values};
+use super::super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, check_unbacked, read_values};
 use super::super::buffers::BufferBytes;
 use super::super::document::GltfDocument;
-use crate::asset::Error;
+use super::super::read::{GltfNotes, reopen};
 use crate::asset::edited::{EditedModel, PrimitiveRun, VertexBlend};
+use crate::asset::vertex_attributes::AttributeKeys;
+use crate::asset::{Error, Model};
 use std::collections::BTreeMap;
 
 /// One attribute of all vertices of a primitive.
@@ -49,6 +51,34 @@ pub(super) fn read(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) 
         is_whole: layout.component != ComponentType::F32 && !accessor.normalized,
         values: read_values(doc, buffers, index, layout)?,
     })
+}
+
+/// Hands out all attributes of the vertices of a model but their shape, those of morph targets included.
+pub(in super::super) fn tell_apart(
+    model: &Model,
+    notes: &GltfNotes,
+    keys: &mut AttributeKeys<'_>,
+) -> Result<(), Error> {
+    let (doc, mut buffers) = reopen(model, notes)?;
+    for row in &notes.rows {
+        let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+        let shape = |name: &str| ShapeAttribute::ALL.iter().any(|own| own.name() == name);
+        let own = primitive.attributes.iter().filter(|(name, _)| !shape(name));
+        let targets = primitive.targets.iter().flatten();
+        let all: Vec<usize> = own.chain(targets).map(|(_, accessor)| accessor.index()).collect();
+        buffers.decode_for(&doc, &all.iter().copied().collect())?;
+        for accessor in all {
+            // What only an extension can read is not written again either.
+            let stored = doc.accessors.get(accessor);
+            let Some(layout) = stored.and_then(|a| AccessorLayout::of(a, &doc.views.values)) else {
+                continue;
+            };
+            keys.spend(row.vertices.len() as u64 * layout.lanes as u64)?;
+            let channel = read(&doc, &buffers, accessor)?;
+            keys.add_values(row.vertices.start, channel.lanes, &channel.values);
+        }
+    }
+    Ok(())
 }
 
 /// The vertices of one run, by what they are made of among the vertices of its primitive.

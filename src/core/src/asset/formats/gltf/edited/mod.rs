@@ -20,6 +20,7 @@ mod rigged;
 mod skins;
 mod targets;
 
+pub(super) use channels::tell_apart;
 pub(super) use extras::run_attributes;
 pub(super) use fresh::{NewAccessorKind, NewAccessors};
 pub(super) use places::References;
