@@ -441,7 +441,7 @@ fn an_edited_text_stl_keeps_its_solids() {
         text += &format!("SOLID {name}\r\n");
         for corners in faces.iter().map(|t| t.map(|v| points[v as usize])) {
             let middle = corners.iter().map(|p| p.y).sum::<f64>() / 3.0;
-            if (middle < 0.0) == low {
+            if (middle < 2.0) == low {
                 text += "facet normal 0 0 0\r\nouter loop\r\n";
                 text.extend(corners.map(|p| format!("vertex {} {} {}\r\n", p.x, p.y, p.z)));
                 text += "endloop\r\nendfacet\r\n";
