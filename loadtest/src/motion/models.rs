@@ -83,13 +83,13 @@ pub(super) fn measure_own_clip(
 ) -> Result<Vec<MotionFigure>, LoadtestFailure> {
     let exec = Exec::new(pool, &Silent);
     let deformer = open(read_model_file(&folders.data.join("gltf/CesiumMan.glb"))?, pool)?;
-    let moving = moving_clip(&deformer, ClipSource::OfModel("0"), None).map_err(failed)?;
+    let moving = moving_clip(&deformer, ClipSource::OfModel("0"), None, &exec).map_err(failed)?;
     let (rig, clip) = (moving.rig.clone(), moving.clip.clone());
     let mut times = FrameTimes::between(0.0, clip.duration, RATE);
     times.count = times.count.min(most);
     let order = AnimationOrder {
         times,
-        range: 0..times.count,
+        ranges: vec![0..times.count],
         settings: AnimationSettings::default(),
         blocks_at_once: pool.threads(),
         bakes_root: false,

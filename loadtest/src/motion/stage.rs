@@ -15,6 +15,7 @@ use pliant::motion::rig::{DriveOptions, MotionRig, RigDriver};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::wire;
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
 
@@ -137,7 +138,7 @@ impl MotionStage {
     }
 }
 
-/// Solves frames and gives them to `take`, as many blocks at the same time as there are threads.
+/// Solves frames, as many blocks at the same time as there are threads, and gives them to `take` in their order.
 pub(super) fn solve(
     animation: &Animation,
     range: Range<usize>,
@@ -145,9 +146,15 @@ pub(super) fn solve(
     take: &mut dyn FnMut(AnimatedFrame),
 ) -> Result<(), LoadtestFailure> {
     let exec = Exec::new(pool, &Silent);
-    let mut take = |frame: AnimatedFrame| {
-        take(frame);
+    let (mut next, mut early) = (range.start, BTreeMap::new());
+    let mut take_solved = |frame: AnimatedFrame, _| {
+        early.insert(frame.index, frame);
+        while let Some(frame) = early.remove(&next) {
+            take(frame);
+            next += 1;
+        }
         true
     };
-    animation.solve(range, pool.threads(), &exec, &mut take).map_err(failed)
+    let solved = animation.solve(&[range], pool.threads(), &|| 0.0, &exec, &mut take_solved);
+    solved.map_err(failed)
 }

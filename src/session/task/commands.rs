@@ -126,9 +126,12 @@ impl SessionTask {
             let room = self.memory.room();
             let (set, topology) = (set.clone(), topology.clone());
             let (replaced, watch) = self
-                .compute(call.order(WorkKind::Handles, lane, limit), move |deformer, pool, watch, _| {
-                    deformer.replace_handles(topology.as_ref(), &set, room, &Exec::new(pool, watch))
-                })
+                .compute(
+                    call.order(WorkKind::Handles, lane, limit),
+                    move |deformer, pool, watch, _| {
+                        deformer.replace_handles(topology.as_ref(), &set, room, &Exec::new(pool, watch))
+                    },
+                )
                 .await?;
             match replaced {
                 Ok((poses, facts)) => break (poses, facts, watch.take_stage_ms()),
@@ -269,11 +272,14 @@ impl SessionTask {
             false => WorkLane::Builds,
         };
         let (carried, watch) = self
-            .compute(call.order(WorkKind::Carry, lane, limit), move |deformer, pool, watch, _| {
-                let exec = Exec::new(pool, watch);
-                deformer.go_to_topology(topology.as_ref(), &exec)?;
-                carry_order_along(deformer.engine.as_ref(), &positions, order, &exec)
-            })
+            .compute(
+                call.order(WorkKind::Carry, lane, limit),
+                move |deformer, pool, watch, _| {
+                    let exec = Exec::new(pool, watch);
+                    deformer.go_to_topology(topology.as_ref(), &exec)?;
+                    carry_order_along(deformer.engine.as_ref(), &positions, order, &exec)
+                },
+            )
             .await?;
         let (frames, model) = carried.map_err(|e| self.failure(e, &watch))?;
         Ok(CarriedAlong {
