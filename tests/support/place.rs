@@ -3,7 +3,7 @@
 use super::bucket::TestBucket;
 use super::postgres::{PostgresServer, TestDatabase};
 use super::program::ServedProgram;
-use sqlx::{AnyConnection, Connection as _, Row as _};
+use sqlx::{AssertSqlSafe, AnyConnection, Connection as _, Row as _};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -159,7 +159,7 @@ impl StorePlace {
     pub async fn ask(&self, statement: &str) {
         sqlx::any::install_default_drivers();
         let mut connection = AnyConnection::connect(&self.database_url()).await.expect("a database");
-        let done = sqlx::query(statement).execute(&mut connection).await;
+        let done = sqlx::query(AssertSqlSafe(statement)).execute(&mut connection).await;
         done.expect("a statement");
         connection.close().await.expect("closed");
     }
@@ -173,7 +173,7 @@ impl StorePlace {
     pub async fn number(&self, query: &str) -> i64 {
         sqlx::any::install_default_drivers();
         let mut connection = AnyConnection::connect(&self.database_url()).await.expect("a database");
-        let row = sqlx::query(query).fetch_one(&mut connection).await.expect("a count");
+        let row = sqlx::query(AssertSqlSafe(query)).fetch_one(&mut connection).await.expect("a count");
         connection.close().await.expect("closed");
         row.get(0)
     }
@@ -213,7 +213,7 @@ fn sqlite_url(folder: &Path) -> String {
 async fn tamper_at(url: &str, statement: &str) {
     sqlx::any::install_default_drivers();
     let mut connection = AnyConnection::connect(url).await.expect("a database");
-    let done = sqlx::query(statement)
+    let done = sqlx::query(AssertSqlSafe(statement))
         .execute(&mut connection)
         .await
         .expect("a statement");

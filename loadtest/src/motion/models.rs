@@ -89,7 +89,7 @@ pub(super) fn measure_own_clip(
     times.count = times.count.min(most);
     let order = AnimationOrder {
         times,
-        ranges: vec![0..times.count],
+        ranges: std::iter::once(0..times.count).collect(),
         settings: AnimationSettings::default(),
         blocks_at_once: pool.threads(),
         bakes_root: false,

@@ -4,7 +4,7 @@ use super::schema::Dialect;
 use super::session_store::StoreError;
 use percent_encoding::{AsciiSet, CONTROLS, utf8_percent_encode};
 use sqlx::any::{AnyPoolOptions, install_default_drivers};
-use sqlx::{AnyConnection, AnyPool, Connection as _, Executor as _, Row as _};
+use sqlx::{AssertSqlSafe, AnyConnection, AnyPool, Connection as _, Executor as _, Row as _};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tokio::task::JoinHandle;
@@ -231,7 +231,7 @@ async fn prepare(
             "SET idle_in_transaction_session_timeout = {}",
             node.patience.as_millis().max(1)
         );
-        connection.execute(&*patience).await?;
+        connection.execute(AssertSqlSafe(patience)).await?;
     }
     Ok(())
 }

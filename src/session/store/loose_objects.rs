@@ -8,7 +8,7 @@ use super::objects::Objects;
 use super::reading::{is_used_on, unreadable};
 use super::rows::column;
 use super::session_store::StoreError;
-use sqlx::{AnyConnection, AnyPool};
+use sqlx::{AssertSqlSafe, AnyConnection, AnyPool};
 use std::time::Duration;
 
 /// How long an object without a name stays.
@@ -31,13 +31,13 @@ fn note_statement() -> String {
 
 /// Says that an object is about to be written and named. Waits for whoever is just removing it.
 pub(super) async fn announce(pool: &AnyPool, object: &str) -> Result<(), StoreError> {
-    let done = sqlx::query(&note_statement()).bind(object).execute(pool).await;
+    let done = sqlx::query(AssertSqlSafe(note_statement())).bind(object).execute(pool).await;
     done.map(drop).map_err(unreadable)
 }
 
 /// Says that an object has lost a name.
 pub(super) async fn note_loose(object: &str, on: &mut AnyConnection) -> Result<(), StoreError> {
-    let done = sqlx::query(&note_statement()).bind(object).execute(on).await;
+    let done = sqlx::query(AssertSqlSafe(note_statement())).bind(object).execute(on).await;
     done.map(drop).map_err(unreadable)
 }
 
@@ -45,7 +45,7 @@ pub(super) async fn note_loose(object: &str, on: &mut AnyConnection) -> Result<(
 pub(super) async fn remove_loose(pool: &AnyPool, objects: &Objects) -> Result<(), StoreError> {
     let find =
         format!("SELECT object FROM loose_objects WHERE since_ms < {DATABASE_NOW} - $1 ORDER BY since_ms LIMIT {MOST}");
-    let rows = sqlx::query(&find).bind(grace_ms()).fetch_all(pool).await;
+    let rows = sqlx::query(AssertSqlSafe(find)).bind(grace_ms()).fetch_all(pool).await;
     for row in &rows.map_err(unreadable)? {
         remove_one(pool, objects, &column::<String>(row, 0)?).await?;
     }
@@ -58,7 +58,7 @@ async fn remove_one(pool: &AnyPool, objects: &Objects, object: &str) -> Result<(
     let lock = format!(
         "SELECT object FROM loose_objects WHERE object = $1 AND since_ms < {DATABASE_NOW} - $2 FOR UPDATE SKIP LOCKED"
     );
-    let locked = sqlx::query(&lock).bind(object).bind(grace_ms());
+    let locked = sqlx::query(AssertSqlSafe(lock)).bind(object).bind(grace_ms());
     if (locked.fetch_optional(&mut *transaction).await.map_err(unreadable)?).is_none() {
         return Ok(());
     }

@@ -12,7 +12,7 @@ use super::private_files::make_private_file;
 use super::schema::{identity, known_identity};
 use super::session_store::StoreError;
 use sha2::{Digest as _, Sha256};
-use sqlx::{AnyConnection, Executor as _, Row as _};
+use sqlx::{AssertSqlSafe, AnyConnection, Executor as _, Row as _};
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt as _;
@@ -134,7 +134,7 @@ pub(super) async fn find_lost_writes(
 /// Writes the number of a transaction into the database, as part of it.
 pub(super) async fn number_transaction(connection: &mut AnyConnection, number: u32) -> Result<(), StoreError> {
     let statement = format!("PRAGMA user_version = {number}");
-    let done = connection.execute(&*statement).await;
+    let done = connection.execute(AssertSqlSafe(statement)).await;
     done.map(drop).map_err(|e| StoreError::Unavailable(e.to_string()))
 }
 

@@ -5,7 +5,7 @@ use super::reading::unreadable;
 use super::rows::{column, signed, unsigned};
 use super::session_store::StoreError;
 use crate::session::owner_address::OwnerAddress;
-use sqlx::{AnyConnection, AnyPool};
+use sqlx::{AssertSqlSafe, AnyConnection, AnyPool};
 use std::sync::atomic::{AtomicI64, Ordering::SeqCst};
 
 /// Milliseconds since 1970 by the clock of the database.
@@ -49,7 +49,7 @@ impl NodeLease {
             RETURNING lapses"
         );
         let lease_ms = i64::try_from(self.node.lease.as_millis()).unwrap_or(i64::MAX);
-        let renew = sqlx::query(&renew)
+        let renew = sqlx::query(AssertSqlSafe(renew))
             .bind(&self.id)
             .bind(&self.node.name)
             .bind(&self.node.address)
@@ -74,7 +74,7 @@ impl NodeLease {
             "SELECT name, address, sessions, most_sessions, memory_used, memory_total, work FROM nodes
             WHERE lease_until_ms > {DATABASE_NOW} AND leaving = 0 ORDER BY name, node"
         );
-        let rows = sqlx::query(&find).fetch_all(&self.pool).await.map_err(unreadable)?;
+        let rows = sqlx::query(AssertSqlSafe(find)).fetch_all(&self.pool).await.map_err(unreadable)?;
         let node = |row: &sqlx::any::AnyRow| {
             let owner = OwnerAddress {
                 node: column(row, 0)?,
@@ -106,7 +106,7 @@ impl NodeLease {
     /// Forgets nodes that are long gone.
     pub async fn forget_others(&self) -> Result<(), StoreError> {
         let delete = format!("DELETE FROM nodes WHERE lease_until_ms < {DATABASE_NOW} - $1");
-        let done = sqlx::query(&delete).bind(FORGOTTEN_MS).execute(&self.pool).await;
+        let done = sqlx::query(AssertSqlSafe(delete)).bind(FORGOTTEN_MS).execute(&self.pool).await;
         done.map(drop).map_err(unreadable)
     }
 
@@ -119,6 +119,6 @@ impl NodeLease {
 /// Whether a node has a lease. Until the transaction ends none can be renewed or run out unnoticed: what renews it waits.
 pub(super) async fn has_lease(node: &str, on: &mut AnyConnection) -> Result<bool, StoreError> {
     let find = format!("SELECT lease_until_ms > {DATABASE_NOW} FROM nodes WHERE node = $1 FOR SHARE");
-    let row = sqlx::query(&find).bind(node).fetch_optional(on).await;
+    let row = sqlx::query(AssertSqlSafe(find)).bind(node).fetch_optional(on).await;
     row.map_err(unreadable)?.map_or(Ok(false), |row| column(&row, 0))
 }

@@ -9,7 +9,7 @@ use super::write_order::session_checksum;
 use crate::session::answers::Tenant;
 use crate::wire::record::RecordedModel;
 use sqlx::any::AnyRow;
-use sqlx::{AnyConnection, AnyPool};
+use sqlx::{AssertSqlSafe, AnyConnection, AnyPool};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -74,7 +74,7 @@ pub(super) fn unreadable(error: sqlx::Error) -> StoreError {
 /// The row of a session; `None` when the tenant has none of that id.
 async fn session_row(pool: &AnyPool, tenant: &str, id: &str) -> Result<Option<SessionRow>, StoreError> {
     let query = format!("SELECT {SESSION_COLUMNS} FROM sessions WHERE id = $1 AND tenant = $2");
-    let found = sqlx::query(&query).bind(id).bind(tenant).fetch_optional(pool).await;
+    let found = sqlx::query(AssertSqlSafe(query)).bind(id).bind(tenant).fetch_optional(pool).await;
     found.map_err(unreadable)?.as_ref().map(SessionRow::read).transpose()
 }
 
@@ -95,7 +95,7 @@ pub(super) async fn whole_session(
         return Ok(None);
     };
     let query = format!("SELECT {COMMIT_COLUMNS} FROM commits WHERE session = $1 ORDER BY sequence");
-    let rows = sqlx::query(&query).bind(id).fetch_all(pool).await.map_err(unreadable)?;
+    let rows = sqlx::query(AssertSqlSafe(query)).bind(id).fetch_all(pool).await.map_err(unreadable)?;
     let commits: Vec<StoredCommit> = (rows.iter())
         .map(|row| CommitRow::read(row)?.into_commit())
         .collect::<Result<_, _>>()?;
@@ -142,7 +142,7 @@ async fn created_ms(pool: &AnyPool, session: &str) -> Result<u64, StoreError> {
 /// The row of a commit.
 pub(super) async fn commit_row(pool: &AnyPool, session: &str, sequence: u64) -> Result<Option<CommitRow>, StoreError> {
     let query = format!("SELECT {COMMIT_COLUMNS} FROM commits WHERE session = $1 AND sequence = $2");
-    let found = sqlx::query(&query).bind(session).bind(signed(sequence));
+    let found = sqlx::query(AssertSqlSafe(query)).bind(session).bind(signed(sequence));
     let found = found.fetch_optional(pool).await.map_err(unreadable)?;
     found.as_ref().map(CommitRow::read).transpose()
 }
@@ -163,7 +163,7 @@ pub(super) async fn listed(
 ) -> Result<Vec<(u64, Option<ListedSession>)>, StoreError> {
     let query =
         format!("SELECT {SESSION_COLUMNS} FROM sessions WHERE tenant = $1 AND number > $2 ORDER BY number LIMIT $3");
-    let query = sqlx::query(&query).bind(tenant).bind(signed(after));
+    let query = sqlx::query(AssertSqlSafe(query)).bind(tenant).bind(signed(after));
     let rows = query
         .bind(signed(most as u64))
         .fetch_all(pool)
@@ -287,14 +287,14 @@ fn key_from_row(row: &AnyRow) -> Result<LoggedKey, StoreError> {
 /// The keys that are kept.
 pub(super) async fn keys(pool: &AnyPool) -> Result<Vec<LoggedKey>, StoreError> {
     let query = format!("SELECT {KEY_COLUMNS} FROM call_keys ORDER BY at_ms");
-    let rows = sqlx::query(&query).fetch_all(pool).await.map_err(unreadable)?;
+    let rows = sqlx::query(AssertSqlSafe(query)).fetch_all(pool).await.map_err(unreadable)?;
     rows.iter().map(key_from_row).collect()
 }
 
 /// A key that is kept.
 pub(super) async fn one_key(pool: &AnyPool, tenant: &str, key: &str) -> Result<Option<LoggedKey>, StoreError> {
     let query = format!("SELECT {KEY_COLUMNS} FROM call_keys WHERE tenant = $1 AND call_key = $2");
-    let row = sqlx::query(&query).bind(tenant).bind(key).fetch_optional(pool).await;
+    let row = sqlx::query(AssertSqlSafe(query)).bind(tenant).bind(key).fetch_optional(pool).await;
     row.map_err(unreadable)?.as_ref().map(key_from_row).transpose()
 }
 

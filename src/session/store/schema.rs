@@ -1,7 +1,7 @@
 //! The tables, and how an older database becomes a newer one.
 
 use super::session_store::StoreError;
-use sqlx::AnyConnection;
+use sqlx::{AssertSqlSafe, AnyConnection};
 use sqlx::Row as _;
 
 /// The databases that are spoken.
@@ -169,7 +169,7 @@ pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) ->
             Dialect::Postgres => ("BYTEA", "BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY"),
         };
         let statement = statement.replace("{bytes}", bytes).replace("{serial}", serial);
-        sqlx::query(&statement).execute(&mut *steps).await.map_err(failed)?;
+        sqlx::query(AssertSqlSafe(statement)).execute(&mut *steps).await.map_err(failed)?;
     }
     let note = match row {
         Some(_) => "UPDATE pliant_schema SET version = $1",

@@ -60,7 +60,7 @@ pub(super) enum WriteOrder {
     Touch,
 }
 
-type Statement<'q> = Query<'q, sqlx::Any, sqlx::any::AnyArguments<'q>>;
+type Statement<'q> = Query<'q, sqlx::Any, sqlx::any::AnyArguments>;
 
 async fn execute(statement: Statement<'_>, on: &mut AnyConnection) -> Result<u64, StoreError> {
     let done = statement.execute(on).await;
