@@ -3,7 +3,7 @@
 use super::bucket::TestBucket;
 use super::postgres::{PostgresServer, TestDatabase};
 use super::program::ServedProgram;
-use sqlx::{AssertSqlSafe, AnyConnection, Connection as _, Row as _};
+use sqlx::{AnyConnection, AssertSqlSafe, Connection as _, Row as _};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -173,7 +173,10 @@ impl StorePlace {
     pub async fn number(&self, query: &str) -> i64 {
         sqlx::any::install_default_drivers();
         let mut connection = AnyConnection::connect(&self.database_url()).await.expect("a database");
-        let row = sqlx::query(AssertSqlSafe(query)).fetch_one(&mut connection).await.expect("a count");
+        let row = sqlx::query(AssertSqlSafe(query))
+            .fetch_one(&mut connection)
+            .await
+            .expect("a count");
         connection.close().await.expect("closed");
         row.get(0)
     }

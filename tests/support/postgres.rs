@@ -1,6 +1,6 @@
 //! A server of PostgreSQL that tests start as an ordinary user, where Debian's package `postgresql` is installed.
 
-use sqlx::{AssertSqlSafe, AnyConnection, Connection as _};
+use sqlx::{AnyConnection, AssertSqlSafe, Connection as _};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -173,7 +173,10 @@ impl PostgresServer {
         let url = self.url_of("postgres", self.socket());
         let mut connection = AnyConnection::connect(&url).await.expect("a connection");
         let create = format!("CREATE DATABASE {name}");
-        sqlx::query(AssertSqlSafe(create)).execute(&mut connection).await.expect("a database");
+        sqlx::query(AssertSqlSafe(create))
+            .execute(&mut connection)
+            .await
+            .expect("a database");
         connection.close().await.expect("closed");
         TestDatabase {
             server: Arc::clone(self),

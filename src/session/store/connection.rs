@@ -4,7 +4,7 @@ use super::schema::Dialect;
 use super::session_store::StoreError;
 use percent_encoding::{AsciiSet, CONTROLS, utf8_percent_encode};
 use sqlx::any::{AnyPoolOptions, install_default_drivers};
-use sqlx::{AssertSqlSafe, AnyConnection, AnyPool, Connection as _, Executor as _, Row as _};
+use sqlx::{AnyConnection, AnyPool, AssertSqlSafe, Connection as _, Executor as _, Row as _};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tokio::task::JoinHandle;

@@ -8,7 +8,7 @@ use super::objects::Objects;
 use super::reading::{is_used_on, unreadable};
 use super::rows::column;
 use super::session_store::StoreError;
-use sqlx::{AssertSqlSafe, AnyConnection, AnyPool};
+use sqlx::{AnyConnection, AnyPool, AssertSqlSafe};
 use std::time::Duration;
 
 /// How long an object without a name stays.
@@ -31,13 +31,19 @@ fn note_statement() -> String {
 
 /// Says that an object is about to be written and named. Waits for whoever is just removing it.
 pub(super) async fn announce(pool: &AnyPool, object: &str) -> Result<(), StoreError> {
-    let done = sqlx::query(AssertSqlSafe(note_statement())).bind(object).execute(pool).await;
+    let done = sqlx::query(AssertSqlSafe(note_statement()))
+        .bind(object)
+        .execute(pool)
+        .await;
     done.map(drop).map_err(unreadable)
 }
 
 /// Says that an object has lost a name.
 pub(super) async fn note_loose(object: &str, on: &mut AnyConnection) -> Result<(), StoreError> {
-    let done = sqlx::query(AssertSqlSafe(note_statement())).bind(object).execute(on).await;
+    let done = sqlx::query(AssertSqlSafe(note_statement()))
+        .bind(object)
+        .execute(on)
+        .await;
     done.map(drop).map_err(unreadable)
 }
 

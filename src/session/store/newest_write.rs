@@ -12,7 +12,7 @@ use super::private_files::make_private_file;
 use super::schema::{identity, known_identity};
 use super::session_store::StoreError;
 use sha2::{Digest as _, Sha256};
-use sqlx::{AssertSqlSafe, AnyConnection, Executor as _, Row as _};
+use sqlx::{AnyConnection, AssertSqlSafe, Executor as _, Row as _};
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt as _;

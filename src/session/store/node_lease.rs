@@ -5,7 +5,7 @@ use super::reading::unreadable;
 use super::rows::{column, signed, unsigned};
 use super::session_store::StoreError;
 use crate::session::owner_address::OwnerAddress;
-use sqlx::{AssertSqlSafe, AnyConnection, AnyPool};
+use sqlx::{AnyConnection, AnyPool, AssertSqlSafe};
 use std::sync::atomic::{AtomicI64, Ordering::SeqCst};
 
 /// Milliseconds since 1970 by the clock of the database.
@@ -74,7 +74,10 @@ impl NodeLease {
             "SELECT name, address, sessions, most_sessions, memory_used, memory_total, work FROM nodes
             WHERE lease_until_ms > {DATABASE_NOW} AND leaving = 0 ORDER BY name, node"
         );
-        let rows = sqlx::query(AssertSqlSafe(find)).fetch_all(&self.pool).await.map_err(unreadable)?;
+        let rows = sqlx::query(AssertSqlSafe(find))
+            .fetch_all(&self.pool)
+            .await
+            .map_err(unreadable)?;
         let node = |row: &sqlx::any::AnyRow| {
             let owner = OwnerAddress {
                 node: column(row, 0)?,
@@ -106,7 +109,10 @@ impl NodeLease {
     /// Forgets nodes that are long gone.
     pub async fn forget_others(&self) -> Result<(), StoreError> {
         let delete = format!("DELETE FROM nodes WHERE lease_until_ms < {DATABASE_NOW} - $1");
-        let done = sqlx::query(AssertSqlSafe(delete)).bind(FORGOTTEN_MS).execute(&self.pool).await;
+        let done = sqlx::query(AssertSqlSafe(delete))
+            .bind(FORGOTTEN_MS)
+            .execute(&self.pool)
+            .await;
         done.map(drop).map_err(unreadable)
     }
 

@@ -9,7 +9,7 @@ use super::write_order::session_checksum;
 use crate::session::answers::Tenant;
 use crate::wire::record::RecordedModel;
 use sqlx::any::AnyRow;
-use sqlx::{AssertSqlSafe, AnyConnection, AnyPool};
+use sqlx::{AnyConnection, AnyPool, AssertSqlSafe};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -74,7 +74,11 @@ pub(super) fn unreadable(error: sqlx::Error) -> StoreError {
 /// The row of a session; `None` when the tenant has none of that id.
 async fn session_row(pool: &AnyPool, tenant: &str, id: &str) -> Result<Option<SessionRow>, StoreError> {
     let query = format!("SELECT {SESSION_COLUMNS} FROM sessions WHERE id = $1 AND tenant = $2");
-    let found = sqlx::query(AssertSqlSafe(query)).bind(id).bind(tenant).fetch_optional(pool).await;
+    let found = sqlx::query(AssertSqlSafe(query))
+        .bind(id)
+        .bind(tenant)
+        .fetch_optional(pool)
+        .await;
     found.map_err(unreadable)?.as_ref().map(SessionRow::read).transpose()
 }
 
@@ -95,7 +99,11 @@ pub(super) async fn whole_session(
         return Ok(None);
     };
     let query = format!("SELECT {COMMIT_COLUMNS} FROM commits WHERE session = $1 ORDER BY sequence");
-    let rows = sqlx::query(AssertSqlSafe(query)).bind(id).fetch_all(pool).await.map_err(unreadable)?;
+    let rows = sqlx::query(AssertSqlSafe(query))
+        .bind(id)
+        .fetch_all(pool)
+        .await
+        .map_err(unreadable)?;
     let commits: Vec<StoredCommit> = (rows.iter())
         .map(|row| CommitRow::read(row)?.into_commit())
         .collect::<Result<_, _>>()?;
@@ -287,14 +295,21 @@ fn key_from_row(row: &AnyRow) -> Result<LoggedKey, StoreError> {
 /// The keys that are kept.
 pub(super) async fn keys(pool: &AnyPool) -> Result<Vec<LoggedKey>, StoreError> {
     let query = format!("SELECT {KEY_COLUMNS} FROM call_keys ORDER BY at_ms");
-    let rows = sqlx::query(AssertSqlSafe(query)).fetch_all(pool).await.map_err(unreadable)?;
+    let rows = sqlx::query(AssertSqlSafe(query))
+        .fetch_all(pool)
+        .await
+        .map_err(unreadable)?;
     rows.iter().map(key_from_row).collect()
 }
 
 /// A key that is kept.
 pub(super) async fn one_key(pool: &AnyPool, tenant: &str, key: &str) -> Result<Option<LoggedKey>, StoreError> {
     let query = format!("SELECT {KEY_COLUMNS} FROM call_keys WHERE tenant = $1 AND call_key = $2");
-    let row = sqlx::query(AssertSqlSafe(query)).bind(tenant).bind(key).fetch_optional(pool).await;
+    let row = sqlx::query(AssertSqlSafe(query))
+        .bind(tenant)
+        .bind(key)
+        .fetch_optional(pool)
+        .await;
     row.map_err(unreadable)?.as_ref().map(key_from_row).transpose()
 }
 

@@ -1,8 +1,8 @@
 //! The tables, and how an older database becomes a newer one.
 
 use super::session_store::StoreError;
-use sqlx::{AssertSqlSafe, AnyConnection};
 use sqlx::Row as _;
+use sqlx::{AnyConnection, AssertSqlSafe};
 
 /// The databases that are spoken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -169,7 +169,10 @@ pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) ->
             Dialect::Postgres => ("BYTEA", "BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY"),
         };
         let statement = statement.replace("{bytes}", bytes).replace("{serial}", serial);
-        sqlx::query(AssertSqlSafe(statement)).execute(&mut *steps).await.map_err(failed)?;
+        sqlx::query(AssertSqlSafe(statement))
+            .execute(&mut *steps)
+            .await
+            .map_err(failed)?;
     }
     let note = match row {
         Some(_) => "UPDATE pliant_schema SET version = $1",

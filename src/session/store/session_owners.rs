@@ -6,7 +6,7 @@ use super::reading::unreadable;
 use super::rows::{column, signed, unsigned};
 use super::session_store::StoreError;
 use crate::session::owner_address::OwnerAddress;
-use sqlx::{AssertSqlSafe, AnyPool};
+use sqlx::{AnyPool, AssertSqlSafe};
 use std::collections::BTreeMap;
 
 /// How often a session is asked for that changes hands meanwhile.
@@ -26,7 +26,11 @@ async fn owner_row(pool: &AnyPool, tenant: &str, id: &str) -> Result<Option<Owne
         "SELECT owner, generation, COALESCE(address, ''), COALESCE(name, ''), COALESCE(leaving, 0), COALESCE(lease_until_ms, 0) > {DATABASE_NOW}
         FROM sessions LEFT JOIN nodes ON node = owner WHERE id = $1 AND tenant = $2"
     );
-    let row = sqlx::query(AssertSqlSafe(find)).bind(id).bind(tenant).fetch_optional(pool).await;
+    let row = sqlx::query(AssertSqlSafe(find))
+        .bind(id)
+        .bind(tenant)
+        .fetch_optional(pool)
+        .await;
     let Some(row) = row.map_err(unreadable)? else {
         return Ok(None);
     };
