@@ -76,15 +76,23 @@ fn rounds(name: &str) -> usize {
     }
 }
 
+/// A number that a variable of the environment gives.
+fn number_from(variable: &str, otherwise: u64) -> u64 {
+    std::env::var(variable).map_or(otherwise, |text| text.parse().expect("a whole number"))
+}
+
+/// `PLIANT_FUZZ_TIMES` runs so many times the rounds, `PLIANT_FUZZ_SEED` draws other inputs.
 #[test]
 fn no_mutated_input_upsets_a_target() {
+    let times = number_from("PLIANT_FUZZ_TIMES", 1) as usize;
+    let seed = number_from("PLIANT_FUZZ_SEED", 0x706c_6961_6e74);
     std::thread::scope(|scope| {
         for (name, target) in TARGETS {
             scope.spawn(move || {
                 let inputs = inputs_of(name);
                 assert!(!inputs.is_empty(), "{name} has no inputs to begin with");
-                let mut draw = Draw(0x706c_6961_6e74);
-                for round in 0..rounds(name) {
+                let mut draw = Draw(seed);
+                for round in 0..times * rounds(name) {
                     let input = mutated(&inputs, &mut draw);
                     let outcome = catch_unwind(|| target(&input));
                     assert!(
@@ -93,6 +101,7 @@ fn no_mutated_input_upsets_a_target() {
                         input.escape_ascii().to_string().chars().take(4000).collect::<String>()
                     );
                 }
+                println!("{name}: {} executions", times * rounds(name));
             });
         }
     });
