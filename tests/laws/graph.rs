@@ -59,7 +59,7 @@ fn closed_shapes_get_connected_graphs_of_the_expected_size() {
 /// number.
 #[test]
 fn faces_as_long_as_the_shape_are_refused_before_they_cost_their_square() {
-    let sphere = shapes::sphere(5, 1.0);
+    let sphere = shapes::sphere(6, 1.0);
     let mesh = shapes::mesh(&sphere);
     // Each vertex takes the place of another one, by a step that has no divisor in common with their number.
     let count = mesh.positions.len();

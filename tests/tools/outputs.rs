@@ -466,7 +466,7 @@ fn an_edited_text_stl_keeps_its_solids() {
     let below = |line: &str| {
         line.split(' ')
             .nth(8)
-            .is_some_and(|y| y.parse::<f64>().is_ok_and(|y| y <= 0.0))
+            .is_some_and(|y| y.parse::<f64>().is_ok_and(|y| y <= 2.0))
     };
     let vertices =
         |solid: &'_ str| -> Vec<bool> { solid.lines().filter(|l| l.contains("vertex")).map(below).collect() };

@@ -73,7 +73,7 @@ impl Deformer {
         let patch = &planned.patch;
         let applied = apply_patch(&surface.own_surface(), patch, &surface.first_vertices())?;
         self.admit_size(&applied, exec)?;
-        let mut carried = self.carry(&applied, patch, &surface.seams, shape, order, exec)?;
+        let mut carried = self.carry(&applied, patch, &surface.seams, order, exec)?;
         let mut report = self.report_edit(before, &applied, &planned);
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
@@ -292,7 +292,6 @@ impl Deformer {
         applied: &PatchedSurface,
         patch: &SurfacePatch,
         seams: &Seams,
-        shape: &ModelShape,
         order: &EditCommand<'_>,
         exec: &Exec<'_>,
     ) -> Result<CarriedHandles, Error> {
@@ -307,15 +306,16 @@ impl Deformer {
             let held = vertices_in_region(&context, region, None);
             vertices.push(held.map_err(|e| e.with_place(InputPlace::RegionOfInterest))?);
         }
+        let at_rest = order.on == EditedShape::Rest;
         // What stands for a vertex that is held is held as well.
         vertices.iter_mut().for_each(|held| seams.spread(held));
         let held = HeldVertices {
             set,
             vertices,
             centroids: self.centroids(),
-            moved: (shape.positions != *self.rest()).then(|| self.handles.transforms(&order.poses.0)),
+            moved: (!at_rest && order.shape.positions != *self.rest()).then(|| self.handles.transforms(&order.poses.0)),
         };
-        let poses = (order.on == EditedShape::Rest).then_some(order.poses.0.as_slice());
+        let poses = at_rest.then_some(order.poses.0.as_slice());
         Ok(carry_handles(&held, poses, applied, patch))
     }
 }

@@ -1,6 +1,7 @@
 //! Why the deformer refuses something, with the place in the caller's input as a typed value.
 
 use super::edit_command::EditKind;
+use crate::progress::Cancelled;
 use crate::{asset, edit};
 use std::fmt;
 
@@ -177,6 +178,40 @@ impl From<asset::Error> for Error {
         match error {
             asset::Error::Cancelled => Self::Cancelled,
             error => Self::Asset(error),
+        }
+    }
+}
+
+/// Why a region cannot be taken.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum RegionError {
+    /// It does not fit the model.
+    Invalid {
+        /// The part of it that does not.
+        part: RegionPlace,
+        /// What was seen and what is allowed.
+        problem: String,
+    },
+    /// Nobody wants the result any more.
+    Cancelled,
+}
+
+impl From<Cancelled> for RegionError {
+    fn from(_: Cancelled) -> Self {
+        Self::Cancelled
+    }
+}
+
+impl RegionError {
+    pub fn new(part: RegionPlace, problem: String) -> Self {
+        Self::Invalid { part, problem }
+    }
+
+    /// Says which region of the input it is.
+    pub fn with_place(self, place: impl Fn(RegionPlace) -> InputPlace) -> Error {
+        match self {
+            Self::Invalid { part, problem } => Error::invalid(place(part), problem),
+            Self::Cancelled => Error::Cancelled,
         }
     }
 }

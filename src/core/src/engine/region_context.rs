@@ -1,6 +1,6 @@
 //! Which vertices and which graph nodes a region holds.
 
-use super::error::{Error, InputPlace, RegionPlace};
+use super::error::{RegionError, RegionPlace};
 use super::region::{Region, VertexRange};
 use super::tube_region::Tube;
 use crate::asset::Primitive;
@@ -10,7 +10,6 @@ use crate::graph::parallel::map;
 use crate::mesh::query::closest_point::closest_point_on_segment;
 use crate::mesh::query::{NearestPoints, QueryStop, VisitBudget};
 use crate::mesh::{Components, Mesh, NONE};
-use crate::progress::Cancelled;
 use glam::DVec3;
 use std::cell::OnceCell;
 
@@ -41,40 +40,6 @@ pub(super) struct RegionNodes {
     pub nodes: Vec<u32>,
     /// The weight of each of `nodes`, for regions that give weights.
     pub weights: Option<Vec<f64>>,
-}
-
-/// Why a region cannot be taken.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) enum RegionError {
-    /// It does not fit the model.
-    Invalid {
-        /// The part of it that does not.
-        part: RegionPlace,
-        /// What was seen and what is allowed.
-        problem: String,
-    },
-    /// Nobody wants the result any more.
-    Cancelled,
-}
-
-impl From<Cancelled> for RegionError {
-    fn from(_: Cancelled) -> Self {
-        Self::Cancelled
-    }
-}
-
-impl RegionError {
-    pub fn new(part: RegionPlace, problem: String) -> Self {
-        Self::Invalid { part, problem }
-    }
-
-    /// Says which region of the input it is.
-    pub fn with_place(self, place: impl Fn(RegionPlace) -> InputPlace) -> Error {
-        match self {
-            Self::Invalid { part, problem } => Error::invalid(place(part), problem),
-            Self::Cancelled => Error::Cancelled,
-        }
-    }
 }
 
 /// How a region tells its vertices.

@@ -1,7 +1,6 @@
 //! Which points lie within a distance of a polyline.
 
-use super::error::RegionPlace;
-use super::region_context::RegionError;
+use super::error::{RegionError, RegionPlace};
 use crate::exec::Exec;
 use crate::graph::parallel::map;
 use crate::mesh::query::closest_point::closest_point_on_segment;

@@ -317,20 +317,24 @@ fn deep_nodes(
             row += 1.0;
         }
     }
-    for (run, start) in runs.iter().zip(node_starts) {
-        for i in 0..run.count {
-            let node = start + i as usize;
-            let key = key([run.first + i, run.row, sheet / 2], sheet % 2 == 1);
-            let clearance = nearest[node].sqrt();
-            if clearance > depth {
-                nodes.keys.push(key);
-                nodes.clearance.push(clearance);
-            } else if faces[node] != NONE {
-                nodes.shallow.keys.push(key);
-                nodes.shallow.squares.push(nearest[node]);
-                nodes.shallow.triangles.push(faces[node]);
-            }
+    let starts = runs.iter().zip(node_starts);
+    starts.for_each(|(run, start)| part_by_depth(&mut nodes, run, sheet, (&nearest[start..], &faces[start..]), depth));
+    Ok(nodes)
+}
+
+/// Adds the nodes of a run to those that no face is nearer to than `depth`, or to the shallow ones; `near` has for each the square of
+/// the distance to the nearest face, and that face.
+fn part_by_depth(nodes: &mut LatticeNodes, run: &InsideRun, sheet: u32, near: (&[f64], &[u32]), depth: f64) {
+    for (i, (&square, &face)) in (0..run.count).zip(near.0.iter().zip(near.1)) {
+        let key = key([run.first + i, run.row, sheet / 2], sheet % 2 == 1);
+        let clearance = square.sqrt();
+        if clearance > depth {
+            nodes.keys.push(key);
+            nodes.clearance.push(clearance);
+        } else if face != NONE {
+            nodes.shallow.keys.push(key);
+            nodes.shallow.squares.push(square);
+            nodes.shallow.triangles.push(face);
         }
     }
-    Ok(nodes)
 }
