@@ -31,14 +31,18 @@ impl LongSide {
         }
     }
 
-    /// Sets a handle at each end.
-    pub fn hold_ends(&self, deformer: &mut Deformer, exec: &Exec<'_>) -> Result<(), Error> {
+    /// A handle at each end.
+    pub fn ends(&self) -> [Handle; 2] {
         let along = DVec3::AXES[self.axis];
-        let handles = [
+        [
             Handle::new("base", Region::half_space(-along, -(self.low + HELD * self.size))),
             Handle::new("top", Region::half_space(along, self.low + (1.0 - HELD) * self.size)),
-        ];
-        deformer.set_handles(handles, exec)
+        ]
+    }
+
+    /// Sets a handle at each end.
+    pub fn hold_ends(&self, deformer: &mut Deformer, exec: &Exec<'_>) -> Result<(), Error> {
+        deformer.set_handles(self.ends(), exec)
     }
 
     /// The top turned about another axis, radians.

@@ -5,18 +5,22 @@ use crate::models::{data_models, open_model, open_shape, open_surface};
 use glam::DVec3;
 use pliant_core::asset::shapes;
 use pliant_core::edit::SubdivisionScheme;
-use pliant_core::engine::{Deformer, Edit, EditCommand, EditedShape, HandlePose, Region, SolveMode, SolveSettings};
+use pliant_core::engine::{
+    Deformer, Edit, EditCommand, EditedShape, Handle, HandlePose, Region, SolveMode, SolveSettings,
+};
 use pliant_core::exec::Exec;
 use pliant_core::pool::Pool;
 use pliant_core::progress::Silent;
 use std::f64::consts::FRAC_PI_4;
 
 /// By how much vertices go elsewhere when the triangles of one half are cut into four, over the largest displacement. The top
-/// turns about the middle of what is held, whatever vertices there are.
+/// turns about the middle of what is held, whatever vertices there are. The ends are held by lists of vertices: a finer half has
+/// vertices nearer to the border of a half-space, and a half-space holds those as well.
 fn difference_of_density(deformer: &mut Deformer, exec: &Exec<'_>) -> Option<f64> {
     let rest = deformer.rest().clone();
     let side = LongSide::of(&rest);
-    side.hold_ends(deformer, exec).ok()?;
+    let listed = side.ends().map(|handle| list_vertices(handle, &rest));
+    deformer.set_handles(listed, exec).ok()?;
     let pose = HandlePose {
         pivot: Some(side.middle_of_top(&rest)),
         ..side.turn(FRAC_PI_4)
@@ -59,6 +63,22 @@ fn difference_of_density(deformer: &mut Deformer, exec: &Exec<'_>) -> Option<f64
         worst = pairs.map(|(p, q)| p.distance(*q)).fold(worst, f64::max);
     }
     Some(worst / farthest)
+}
+
+/// A handle of a half-space as one of the vertices that it holds.
+fn list_vertices(handle: Handle, rest: &[DVec3]) -> Handle {
+    let Region::HalfSpace(plane) = &handle.region else {
+        return handle;
+    };
+    let (normal, point) = plane.unit_normal_and_point();
+    let held = (0..).zip(rest).filter(|(_, p)| (**p - point).dot(normal) >= 0.0);
+    Handle {
+        region: Region::Vertices {
+            indices: held.map(|(vertex, _)| vertex).collect(),
+            ranges: Vec::new(),
+        },
+        ..handle
+    }
 }
 
 /// Shapes that are about as finely divided everywhere: name, shape.
