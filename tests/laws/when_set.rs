@@ -191,8 +191,11 @@ impl Story<'_> {
     }
 }
 
+/// The nodes that a handle holds hard, and those that it holds softly with the bits of their stiffness.
+type HeldNodes = (Vec<u32>, Vec<(u32, u64)>);
+
 /// Of each handle the nodes that it holds and pulls.
-fn held(deformer: &Deformer) -> Vec<(Vec<u32>, Vec<(u32, u64)>)> {
+fn held(deformer: &Deformer) -> Vec<HeldNodes> {
     let setup = deformer.rig().expect("handles").setup();
     let pulls = |pulls: &[(u32, f64)]| pulls.iter().map(|p| (p.0, p.1.to_bits())).collect();
     setup
