@@ -55,11 +55,10 @@ fn closed_shapes_get_connected_graphs_of_the_expected_size() {
     }
 }
 
-/// Every query sees every face where all are as long as the shape, so that finding an inside would cost the square of their
-/// number.
+/// Every query sees every face where all are as long as the shape, so that finding an inside costs the square of their number.
 #[test]
-fn faces_as_long_as_the_shape_are_refused_before_they_cost_their_square() {
-    let sphere = shapes::sphere(6, 1.0);
+fn work_on_faces_as_long_as_the_shape_can_be_given_up() {
+    let sphere = shapes::sphere(5, 1.0);
     let mesh = shapes::mesh(&sphere);
     // Each vertex takes the place of another one, by a step that has no divisor in common with their number.
     let count = mesh.positions.len();
@@ -67,10 +66,6 @@ fn faces_as_long_as_the_shape_are_refused_before_they_cost_their_square() {
     let long = Mesh::build(&shuffled, &mesh.triangles, Weld::Exact).expect("a mesh");
     assert_eq!(long.positions.len(), count, "no vertex is left out");
     let options = VolumeOptions::default();
-    for threads in [1, 3] {
-        let found = volume(&long, &options, &Exec::new(&pool(threads), &Silent));
-        assert!(matches!(found, Err(Error::FacesTooLong { .. })), "{threads} threads");
-    }
     let cancelled = CancelFlag::default();
     cancelled.cancel();
     let given_up = volume(&long, &options, &Exec::new(&pool(1), &cancelled));
