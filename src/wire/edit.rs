@@ -7,7 +7,9 @@ use super::handles::region;
 use super::{Error, pb};
 use crate::asset::{FileSet, Format};
 use crate::edit::{KeptSide, MOST_POINTS, SubdivisionScheme};
-use crate::engine::{CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, Region};
+use crate::engine::{
+    CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, Region, RemeshCommand,
+};
 use glam::{DMat3, DMat4, DVec3, DVec4};
 use pb::edit_request::{self as message, Operation};
 
@@ -99,6 +101,7 @@ pub fn edit_result(report: &EditReport) -> pb::EditResult {
             })
             .collect(),
         curve: report.curve.clone(),
+        deviation: report.deviation,
         digest: report.digest.clone(),
         repaired: report.repaired,
         ..Default::default()
@@ -157,7 +160,16 @@ fn remesh(remesh: &message::Remesh) -> Result<Edit, Error> {
         (false, 0.0) => return Err(Error::invalid(field, "is missing; give a length or set auto")),
         (false, length) => Some(positive(length, field)?),
     };
-    Ok(Edit::Remesh { region, edge_length })
+    let option = |value: f64, field: &str| match value {
+        0.0 => Ok(None),
+        given => positive(given, field).map(Some),
+    };
+    Ok(Edit::Remesh(RemeshCommand {
+        region,
+        edge_length,
+        max_deviation: option(remesh.max_deviation, "remesh.maxDeviation")?,
+        sharp_degrees: option(remesh.sharp_degrees, "remesh.sharpDegrees")?,
+    }))
 }
 
 fn merge(merge: &message::Merge, other: Option<&FileSet>) -> Result<ModelMerge, Error> {

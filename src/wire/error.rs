@@ -133,6 +133,8 @@ fn field_of_edit(subject: EditSubject) -> String {
         EditSubject::InsertedCurve => "insertCurve.points",
         EditSubject::DecimationRatio => "decimate.ratio",
         EditSubject::RemeshEdgeLength => "remesh.edgeLength",
+        EditSubject::RemeshDeviation => "remesh.maxDeviation",
+        EditSubject::RemeshSharpAngle => "remesh.sharpDegrees",
         EditSubject::RemeshRestShape => "remesh.auto",
         EditSubject::Region => "region",
         EditSubject::DeletedRegion => "delete.region",

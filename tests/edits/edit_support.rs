@@ -1,7 +1,7 @@
 //! Models for tests of edits: generated shapes, and the data meshes in a plain reading.
 #![allow(dead_code)]
 
-use crate::support::data::data_bytes;
+use crate::support::data::{data_bytes, data_path, tell_skipped};
 pub use crate::support::shapes;
 
 use glam::DVec3;
@@ -95,10 +95,26 @@ pub fn only_moved(model: &Model, patch: &pliant::edit::SurfacePatch) -> Model {
 /// Reads the vertices and faces of an OFF or OBJ file of the data folder; polygons become fans. `None`, with a line that
 /// says so, when the folder is missing.
 pub fn data(name: &str) -> Option<Model> {
-    let bytes = data_bytes(&format!("meshes/{name}"))?;
+    let bytes = match name.ends_with(".xz") {
+        true => unpacked(name)?,
+        false => data_bytes(&format!("meshes/{name}"))?,
+    };
     let text = String::from_utf8(bytes).expect("a text");
     let shape = if name.ends_with(".obj") { obj(&text) } else { off(&text) };
     Some(Model::of(shape))
+}
+
+/// The bytes in an xz file of the data folder; `None`, with a line that says so, when it or the program `xz` is missing.
+fn unpacked(name: &str) -> Option<Vec<u8>> {
+    let path = data_path(name, &format!("meshes/{name}"))?;
+    match std::process::Command::new("xz").arg("-dc").arg(&path).output() {
+        Ok(done) if done.status.success() => Some(done.stdout),
+        Ok(done) => panic!("{}: {}", path.display(), String::from_utf8_lossy(&done.stderr)),
+        Err(e) => {
+            tell_skipped(name, &format!("the program xz does not start: {e}"));
+            None
+        }
+    }
 }
 
 fn obj(text: &str) -> Shape {

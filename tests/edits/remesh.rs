@@ -3,6 +3,7 @@
 mod decimating;
 use super::edit_support;
 mod joining;
+mod keeping;
 mod measures;
 mod remeshing;
 mod sequences;

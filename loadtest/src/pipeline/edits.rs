@@ -254,7 +254,7 @@ fn open_edit_bench<'a>(
             region: region_of(),
             // About the mean edge of the region: its area is shared by twice as many triangles as vertices.
             edge_length: sphere.radius * (std::f64::consts::PI / (0.433 * 2.0 * region as f64)).sqrt(),
-            auto: false,
+            ..Remesh::default()
         }),
     };
     let stand = EditBench {

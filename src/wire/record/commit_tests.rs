@@ -90,6 +90,7 @@ fn commits() -> Vec<LoggedCommit> {
             report: Box::new(EditReport {
                 handles_kept: vec!["a".into()],
                 curve: vec![1, 2],
+                deviation: 0.25,
                 digest: "d".into(),
                 repaired: true,
                 ..EditReport::default()

@@ -35,10 +35,12 @@ pub(super) fn edit_message(edit: &Edit, on: EditedShape) -> pb::EditRequest {
         Edit::Fill { region } => Operation::Fill(message::Fill {
             region: optional(region.as_ref()),
         }),
-        Edit::Remesh { region, edge_length } => Operation::Remesh(message::Remesh {
-            region: optional(region.as_ref()),
-            edge_length: edge_length.unwrap_or(0.0),
-            auto: edge_length.is_none(),
+        Edit::Remesh(remesh) => Operation::Remesh(message::Remesh {
+            region: optional(remesh.region.as_ref()),
+            edge_length: remesh.edge_length.unwrap_or(0.0),
+            auto: remesh.edge_length.is_none(),
+            max_deviation: remesh.max_deviation.unwrap_or(0.0),
+            sharp_degrees: remesh.sharp_degrees.unwrap_or(0.0),
         }),
         Edit::Merge(merge) => Operation::Merge(merge_message(merge)),
         Edit::InsertCurve { points, closed } => Operation::InsertCurve(message::InsertCurve {
@@ -138,6 +140,7 @@ mod tests {
             r#"{"fill": {}}"#.into(),
             format!(r#"{{"remesh": {{"edgeLength": 0.1, "region": {region}}}}}"#),
             r#"{"remesh": {"auto": true}}"#.into(),
+            r#"{"remesh": {"auto": true, "maxDeviation": 0.01, "sharpDegrees": 25}}"#.into(),
             r#"{"merge": {"session": "x", "how": "LOOSE", "tolerance": 0.1, "format": "obj"}}"#.into(),
             r#"{"merge": {"session": "x", "how": "STITCH", "transform": [1,0,0,0, 0,2,0,0, 0,0,3,0, 4,5,6,1]}}"#.into(),
             r#"{"insertCurve": {"points": [0, 0, 0, 1, 0, 0], "closed": false}}"#.into(),

@@ -122,6 +122,7 @@ pub(super) fn recorded_report(message: Option<&pb::EditResult>) -> Result<EditRe
         warnings: recorded_warnings(&message.warnings),
         kept: runs.collect(),
         curve: message.curve.clone(),
+        deviation: message.deviation,
         digest: message.digest.clone(),
         repaired: message.repaired,
     })

@@ -76,9 +76,8 @@ fn remeshing_makes_edges_of_the_length_asked_for() {
     let outcome = edited(
         &mut bench,
         &request(Operation::Remesh(wire::Remesh {
-            region: None,
             edge_length: 0.1,
-            auto: false,
+            ..Default::default()
         })),
     );
     sound(&mut bench, &outcome);

@@ -4,11 +4,17 @@ use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
 use pliant::edit::{EditSubject, Error};
-use pliant::edit::{MENDED, RemeshTarget, remesh_region};
+use pliant::edit::{MENDED, RemeshOptions, RemeshTarget, SurfacePatch, remesh_region};
 use pliant::progress::{CancelFlag, Silent};
 
+fn patch_of(model: &Model, faces: &[u32], target: RemeshTarget<'_>) -> SurfacePatch {
+    let options = RemeshOptions::from(target);
+    let remeshed = remesh_region(&model.surface(), faces, &options, &Silent);
+    remeshed.expect("remeshes").patch
+}
+
 fn remeshed(model: &Model, faces: &[u32], length: f64) -> Model {
-    let patch = remesh_region(&model.surface(), faces, RemeshTarget::Length(length), &Silent).expect("remeshes");
+    let patch = patch_of(model, faces, RemeshTarget::Length(length));
     assert_outside_kept(model, faces, &patch);
     assert_blends(model, &patch);
     after(model, &patch)
@@ -77,8 +83,7 @@ fn seams_and_primitive_borders_stay_lines_with_their_own_vertices() {
             }
             side
         };
-        let patch =
-            remesh_region(&model.surface(), &all(&model), RemeshTarget::Length(0.12), &Silent).expect("remeshes");
+        let patch = patch_of(&model, &all(&model), RemeshTarget::Length(0.12));
         assert_blends(&model, &patch);
         let carried = carry(&model, &patch, &own);
         let now = after(&model, &patch);
@@ -127,7 +132,7 @@ fn seam_length(model: &Model) -> f64 {
 fn attributes_come_from_where_a_vertex_lies() {
     // An attribute that is the position itself must come out as the position.
     let model = Model::of(sheet(20, 20));
-    let patch = remesh_region(&model.surface(), &all(&model), RemeshTarget::Length(0.7), &Silent).expect("remeshes");
+    let patch = patch_of(&model, &all(&model), RemeshTarget::Length(0.7));
     let carried = carry(&model, &patch, &model.positions);
     let now = after(&model, &patch);
     for (v, p) in now.positions.iter().enumerate() {
@@ -196,13 +201,7 @@ fn auto_mends_what_is_stretched_and_leaves_the_rest() {
         let above = (p.z - 0.2).max(0.0);
         p.z += 4.5 * above * above;
     }
-    let patch = remesh_region(
-        &pulled.surface(),
-        &all(&pulled),
-        RemeshTarget::Auto { rest: &rest.positions },
-        &Silent,
-    )
-    .expect("remeshes");
+    let patch = patch_of(&pulled, &all(&pulled), RemeshTarget::Auto { rest: &rest.positions });
     let now = after(&pulled, &patch);
     assert!(topology(&now).is_closed() && topology(&now).euler == 2);
     assert!(worst_aspect(&now) < MENDED, "{}", worst_aspect(&now));
@@ -212,13 +211,7 @@ fn auto_mends_what_is_stretched_and_leaves_the_rest() {
     assert_eq!(low, 0, "the lower half was not stretched");
     assert!(now.triangles.len() > rest.triangles.len() + 1000);
     // At rest there is nothing to do, and it says so.
-    let nothing = remesh_region(
-        &rest.surface(),
-        &all(&rest),
-        RemeshTarget::Auto { rest: &rest.positions },
-        &Silent,
-    )
-    .expect("is fine");
+    let nothing = patch_of(&rest, &all(&rest), RemeshTarget::Auto { rest: &rest.positions });
     assert!(nothing.removed.is_empty() && nothing.warnings[0].code == "remesh-nothing");
 }
 
@@ -232,13 +225,7 @@ fn pulling_and_remeshing_in_turns_keeps_triangles_good() {
             p.z += 0.5 * (p.z / top).max(0.0).powi(2);
         }
         top += 0.5;
-        let patch = remesh_region(
-            &model.surface(),
-            &all(&model),
-            RemeshTarget::Auto { rest: &rest.positions },
-            &Silent,
-        )
-        .expect("remeshes");
+        let patch = patch_of(&model, &all(&model), RemeshTarget::Auto { rest: &rest.positions });
         model = after(&model, &patch);
         assert!(topology(&model).is_closed(), "round {round}");
         assert!(
@@ -266,8 +253,7 @@ fn data_meshes_keep_topology_and_get_good_triangles() {
         let Some(model) = data(name) else { continue };
         let before = topology(&model);
         let length = mean_length(&model);
-        let patch =
-            remesh_region(&model.surface(), &all(&model), RemeshTarget::Length(length), &Silent).expect("remeshes");
+        let patch = patch_of(&model, &all(&model), RemeshTarget::Length(length));
         assert_blends(&model, &patch);
         let now = after(&model, &patch);
         let t = topology(&now);
@@ -295,10 +281,11 @@ fn data_meshes_keep_topology_and_get_good_triangles() {
 fn refusals_name_the_argument_and_what_is_allowed() {
     let model = Model::of(sphere(2, 1.0));
     let faces = all(&model);
-    let subject = |faces: &[u32], target: RemeshTarget| match remesh_region(&model.surface(), faces, target, &Silent) {
-        Err(Error::Invalid { subject, .. }) => subject,
-        other => panic!("{other:?}"),
-    };
+    let subject =
+        |faces: &[u32], target: RemeshTarget| match remesh_region(&model.surface(), faces, &target.into(), &Silent) {
+            Err(Error::Invalid { subject, .. }) => subject,
+            other => panic!("{other:?}"),
+        };
     for length in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         assert_eq!(
             subject(&faces, RemeshTarget::Length(length)),
@@ -312,12 +299,12 @@ fn refusals_name_the_argument_and_what_is_allowed() {
     assert_eq!(subject(&[], RemeshTarget::Length(1.0)), EditSubject::Region);
     assert_eq!(subject(&[3, 3], RemeshTarget::Length(1.0)), EditSubject::Region);
     assert_eq!(subject(&[1_000_000], RemeshTarget::Length(1.0)), EditSubject::Region);
-    let tiny = remesh_region(&model.surface(), &faces, RemeshTarget::Length(1e-12), &Silent);
+    let tiny = remesh_region(&model.surface(), &faces, &RemeshTarget::Length(1e-12).into(), &Silent);
     assert!(matches!(tiny, Err(Error::TooLarge { .. })), "{tiny:?}");
     let flag = CancelFlag::default();
     flag.cancel();
     assert_eq!(
-        remesh_region(&model.surface(), &faces, RemeshTarget::Length(0.1), &flag),
+        remesh_region(&model.surface(), &faces, &RemeshTarget::Length(0.1).into(), &flag),
         Err(Error::Cancelled)
     );
 }

@@ -37,7 +37,10 @@ fn run(model: &Model, step: Step, faces: &[u32]) -> Result<SurfacePatch, Error> 
     match step {
         Step::Subdivide(scheme) => subdivide_region(&surface, faces, scheme, &Silent),
         Step::Decimate(ratio) => decimate_region(&surface, faces, ratio, &Silent),
-        Step::Remesh(factor) => remesh_region(&surface, faces, RemeshTarget::Length(length * factor), &Silent),
+        Step::Remesh(factor) => {
+            let options = RemeshTarget::Length(length * factor).into();
+            Ok(remesh_region(&surface, faces, &options, &Silent)?.patch)
+        }
         Step::Weld(factor) => weld_points(&surface, length * factor, &Silent),
     }
 }

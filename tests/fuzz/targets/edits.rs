@@ -8,7 +8,7 @@ use pliant::deform::VolumeMode;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, Handle, HandlePose, MergeJoin, ModelMerge, OpenOptions, Plane, Region,
-    SolveSettings, digest,
+    RemeshCommand, SolveSettings, digest,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -174,10 +174,12 @@ pub(super) fn edit(draw: &mut ByteDraw<'_>) -> Edit {
         7 => Edit::Fill {
             region: somewhere(draw),
         },
-        8 => Edit::Remesh {
+        8 => Edit::Remesh(RemeshCommand {
             region: somewhere(draw),
             edge_length: draw.flag().then(|| draw.number()),
-        },
+            max_deviation: draw.flag().then(|| draw.number()),
+            sharp_degrees: draw.flag().then(|| draw.number()),
+        }),
         9 => Edit::Merge(Box::new(merge(draw))),
         10 => Edit::InsertCurve {
             points: points(draw),

@@ -77,6 +77,10 @@ class Remesh(TypedDict, total=False):
     edge_length: float
     #: Only where stretch or aspect asks for it.
     auto: bool
+    #: How far the old and the new surface may be from each other, model units.
+    max_deviation: float
+    #: An edge stays an edge when the normals of its triangles differ by more, degrees.
+    sharp_degrees: float
 
 
 class Merge(TypedDict, total=False):

@@ -84,6 +84,10 @@ pub enum EditSubject {
     DecimationRatio,
     /// The edge length to remesh to.
     RemeshEdgeLength,
+    /// How far a remesh may go from the old surface.
+    RemeshDeviation,
+    /// The angle beyond which a remesh keeps edges.
+    RemeshSharpAngle,
     /// The rest shape that a remesh takes its lengths from.
     RemeshRestShape,
     /// The triangles to change.
@@ -111,6 +115,8 @@ impl fmt::Display for EditSubject {
             Self::InsertedCurve => "inserted curve",
             Self::DecimationRatio => "decimation ratio",
             Self::RemeshEdgeLength => "edge length of the remesh",
+            Self::RemeshDeviation => "largest deviation of the remesh",
+            Self::RemeshSharpAngle => "sharp angle of the remesh",
             Self::RemeshRestShape => "rest shape of the remesh",
             Self::Region => "region",
             Self::DeletedRegion => "deleted region",

@@ -40,7 +40,10 @@ pub use decimate::decimate_region;
 pub use error::{EditSubject, Error, ErrorPlace, shown_count};
 pub use fill::{delete_faces, fill_holes};
 pub use patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch, apply_patch};
-pub use remesh::{ASPECT, MENDED, MOST_TRIANGLES, RemeshTarget, STRETCH, expected_triangles, remesh_region};
+pub use remesh::{
+    ASPECT, DEVIATION, LENGTH_DEVIATION, MENDED, MOST_TRIANGLES, RemeshOptions, RemeshTarget, RemeshedRegion,
+    SHARP_DEGREES, STRETCH, expected_triangles, remesh_region,
+};
 pub use stitch::{LoopPair, stitch_boundaries};
 pub use subdivide::{EvennessTarget, FieldSample, SubdivisionScheme, subdivide_region, subdivide_until_even};
 pub use surface::SurfaceView;

@@ -54,6 +54,8 @@ impl Deformer {
             rest: &rest.positions,
             bend: self.rig().map(|handles| HandleBend {
                 handles,
+                mesh: &self.derived.mesh,
+                shape: &order.shape.positions,
                 turn: largest_turn(&self.handles, order.poses),
                 diagonal: self.diagonal(),
             }),
@@ -130,6 +132,7 @@ impl Deformer {
             after: mesh_counts(applied.positions.len(), applied.triangles.len() + riding),
             kept: kept_vertex_runs(applied, before.0),
             curve: planned.curve_vertices(applied),
+            deviation: planned.deviation,
             ..Default::default()
         };
         let noticed = planned.patch.warnings.iter();

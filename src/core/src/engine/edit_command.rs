@@ -54,12 +54,7 @@ pub enum Edit {
         region: Option<Region>,
     },
     /// Evens out triangles.
-    Remesh {
-        /// Where.
-        region: Option<Region>,
-        /// The edge length to reach; `None` takes it from the rest shape, where stretch or aspect asks for it.
-        edge_length: Option<f64>,
-    },
+    Remesh(RemeshCommand),
     /// Adds another model.
     Merge(Box<ModelMerge>),
     /// Inserts a polyline into the surface as edges.
@@ -74,6 +69,20 @@ pub enum Edit {
         /// The largest distance, in model units.
         tolerance: f64,
     },
+}
+
+/// How triangles are evened out.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RemeshCommand {
+    /// Where.
+    pub region: Option<Region>,
+    /// The edge length to reach; `None` takes it from the rest shape, where stretch or aspect asks for it.
+    pub edge_length: Option<f64>,
+    /// As [`RemeshOptions::max_deviation`](crate::edit::RemeshOptions::max_deviation).
+    pub max_deviation: Option<f64>,
+    /// As [`RemeshOptions::sharp_degrees`](crate::edit::RemeshOptions::sharp_degrees); `None`:
+    /// [`SHARP_DEGREES`](crate::edit::SHARP_DEGREES).
+    pub sharp_degrees: Option<f64>,
 }
 
 /// Where a cut goes.
@@ -194,6 +203,8 @@ pub struct EditReport {
     pub kept: Vec<KeptVertexRun>,
     /// Render vertices along an inserted curve, in order, one for each of its points.
     pub curve: Vec<u32>,
+    /// Of a remesh: the largest distance between the surface before and after.
+    pub deviation: f64,
     /// Digest of the positions after the edit.
     pub digest: String,
     /// Whether graph and hierarchy were repaired around the edit, not built anew.
@@ -220,7 +231,7 @@ impl Edit {
             Self::Decimate { .. } => EditKind::Decimate,
             Self::Delete { .. } => EditKind::Delete,
             Self::Fill { .. } => EditKind::Fill,
-            Self::Remesh { .. } => EditKind::Remesh,
+            Self::Remesh(_) => EditKind::Remesh,
             Self::Merge(_) => EditKind::Merge,
             Self::InsertCurve { .. } => EditKind::InsertCurve,
             Self::Weld { .. } => EditKind::Weld,

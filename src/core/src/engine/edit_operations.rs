@@ -12,7 +12,8 @@ use super::seams::Seams;
 use super::vertex_origins::VertexOrigins;
 use crate::asset::{self, Model};
 use crate::edit::{
-    self, CutOptions, CutPlane, KeptSide, LoopPair, PatchedSurface, RemeshTarget, SurfaceCurve, SurfacePatch,
+    self, CutOptions, CutPlane, KeptSide, LoopPair, PatchedSurface, RemeshOptions, RemeshTarget, SurfaceCurve,
+    SurfacePatch,
 };
 use crate::exec::Exec;
 use crate::mesh::{Adjacency, BoundingBox, Mesh, NONE, Weld, mean_edge_length};
@@ -46,6 +47,8 @@ pub(super) struct PlannedEdit {
     pub patch: SurfacePatch,
     /// Points along an inserted curve, in the numbers after the edit.
     pub curve: Vec<u32>,
+    /// The largest distance between the surface before and after, where that is known.
+    pub deviation: f64,
     /// Whether it may leave parts that touch and do not belong together.
     pub parts: bool,
 }
@@ -55,6 +58,7 @@ impl From<SurfacePatch> for PlannedEdit {
         Self {
             patch,
             curve: Vec::new(),
+            deviation: 0.0,
             parts: false,
         }
     }
@@ -120,18 +124,27 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
             };
             edit::fill_holes(&context.surface.surface(), faces.as_deref(), progress)?
         }
-        Edit::Remesh { region, edge_length } => {
-            let faces = context.faces_in_region(region.as_ref(), kind)?;
-            let target = match edge_length {
+        Edit::Remesh(remesh) => {
+            let faces = context.faces_in_region(remesh.region.as_ref(), kind)?;
+            let target = match remesh.edge_length {
                 None => RemeshTarget::Auto { rest: context.rest },
-                Some(length) => RemeshTarget::Length(*length),
+                Some(length) => RemeshTarget::Length(length),
             };
-            let expected = edit::expected_triangles(&context.surface.surface(), &faces, target)?;
+            let options = RemeshOptions {
+                target,
+                max_deviation: remesh.max_deviation,
+                sharp_degrees: remesh.sharp_degrees.unwrap_or(edit::SHARP_DEGREES),
+            };
+            let expected = edit::expected_triangles(&context.surface.surface(), &faces, &options)?;
             // What no surface may have is refused as such.
             if expected <= edit::MOST_TRIANGLES as f64 {
                 (context.admit_growth)(expected - faces.len() as f64)?;
             }
-            edit::remesh_region(&context.surface.surface(), &faces, target, progress)?
+            let remeshed = edit::remesh_region(&context.surface.surface(), &faces, &options, progress)?;
+            return Ok(PlannedEdit {
+                deviation: remeshed.deviation,
+                ..remeshed.patch.into()
+            });
         }
         Edit::Merge(merge) => plan_merge(context, merge, exec)?,
         Edit::InsertCurve { points, closed } => {

@@ -4,11 +4,14 @@ use super::facts::DeformerWarning;
 use super::pose::HandlePoses;
 use super::resolved_handles::ResolvedHandles;
 use crate::deform::{HandleSystem, exp_rotation, shares_difference};
-use crate::edit::{self, EvennessTarget, SurfacePatch, SurfaceView, subdivide_until_even};
+use crate::edit::{self, EvennessTarget, FieldSample, SurfacePatch, SurfaceView, subdivide_until_even};
 use crate::exec::Exec;
 use crate::mesh::Mesh;
+use crate::mesh::distortion::vertex_gradients;
+use crate::mesh::query::TriangleBvh;
 use crate::mesh::rotation::fit_rotation;
-use glam::{DMat3, DQuat};
+use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
 
 /// A face is too large when one of its edges goes more than this part of the way between handles.
 const LARGEST_WAY: f64 = 0.5;
@@ -20,6 +23,13 @@ const DIVIDED_WAY: [f64; 2] = [1.0 / 24.0, 0.25];
 const DIVIDED_TURN: f64 = std::f64::consts::PI / 12.0;
 /// Beyond this turn between the ends of an edge a bend is seen as a kink, radians: 30°.
 const LARGEST_TURN: f64 = std::f64::consts::PI / 6.0;
+/// How long an edge may be in a bend by a radian, as a part of how thick the body is there, and between which parts it stays
+/// for other turns: a bar of longer edges flattens where it bends.
+const BENT_PART: f64 = 0.3;
+/// The least and the largest part of the thickness.
+const THICKNESS_PARTS: [f64; 2] = [0.1, 0.5];
+/// The first of the nine numbers of a rotation among the fields that are sampled; handles have smaller ones.
+const TURNED: u32 = u32::MAX - 9;
 /// How many faces a warning names.
 const NAMED: usize = 8;
 
@@ -28,6 +38,10 @@ const NAMED: usize = 8;
 pub(super) struct HandleBend<'a> {
     /// The handles in force.
     pub handles: &'a HandleSystem,
+    /// The welded mesh, at rest.
+    pub mesh: &'a Mesh,
+    /// The current shape, one position per render vertex.
+    pub shape: &'a [DVec3],
     /// The largest angle by which their poses turn two of them against each other, radians.
     pub turn: f64,
     /// Length of the model's diagonal.
@@ -87,8 +101,8 @@ fn longest_way(mesh: &Mesh, triangle: &[u32; 3], shortest: f64, way: impl Fn(u32
     longest
 }
 
-/// Plans the division of those of `faces` that are too large for the handles and, where poses are given, for how far these
-/// turn handles against each other.
+/// Plans the division of those of `faces` that are too large for the handles, for how far poses turn these against each
+/// other, and for the turns that the current shape has: what [`count_kinked_faces`] counts is divided.
 pub(super) fn plan_division(
     surface: &SurfaceView<'_>,
     faces: &[u32],
@@ -97,17 +111,66 @@ pub(super) fn plan_division(
 ) -> Result<SurfacePatch, edit::Error> {
     let HandleBend {
         handles,
+        mesh,
+        shape,
         turn,
         diagonal,
     } = *bend;
+    let turn = turn.max(1e-9);
     let [least, most] = DIVIDED_WAY;
+    let way = (DIVIDED_TURN / turn).clamp(least, most);
+    let turns = vertex_turns(mesh, shape, exec);
+    let tree = TriangleBvh::build(surface.positions, surface.triangles, exec.pool);
+    let [least, most] = THICKNESS_PARTS;
+    let part = (BENT_PART / turn).clamp(least, most);
+    let shares = |sample: &FieldSample| sample.partition_point(|s| s.0 < TURNED);
     let target = EvennessTarget {
-        sample: &|point| handles.shares_at(point as usize),
-        difference: &shares_difference,
-        largest: (DIVIDED_TURN / turn.max(1e-9)).clamp(least, most),
-        shortest: 0.5 * SHORTEST * diagonal,
+        sample: &|point| {
+            let mut sample = handles.shares_at(point as usize);
+            sample.extend((TURNED..).zip(turns[point as usize]));
+            sample
+        },
+        difference: &|a, b| {
+            let ((a_shares, a_turn), (b_shares, b_turn)) = (a.split_at(shares(a)), b.split_at(shares(b)));
+            let apart: f32 = a_turn.iter().zip(b_turn).map(|(a, b)| (a.1 - b.1).powi(2)).sum();
+            // Rotations by an angle from each other are so far apart as matrices.
+            let divided = 8f64.sqrt() * libm::sin(0.5 * DIVIDED_TURN);
+            (shares_difference(a_shares, b_shares) / way).max(f64::from(apart).sqrt() / divided)
+        },
+        largest: 1.0,
+        shortest: SHORTEST * diagonal,
+        longest: &|t| part * thickness_at(surface, &tree, t, diagonal),
     };
     subdivide_until_even(surface, faces, &target, exec.progress)
+}
+
+/// How a shape turns the surface at each vertex of the mesh, as nine numbers.
+fn vertex_turns(mesh: &Mesh, shape: &[DVec3], exec: &Exec<'_>) -> Vec<[f32; 9]> {
+    let now = |p: u32| shape[mesh.render_vertices_of(p)[0] as usize];
+    let deformed: Vec<DVec3> = (0..mesh.positions.len() as u32).map(now).collect();
+    let turn = |gradient: &DMat3| {
+        DMat3::from_quat(fit_rotation(*gradient))
+            .to_cols_array()
+            .map(|x| x as f32)
+    };
+    exec.pool
+        .install(|| vertex_gradients(mesh, &deformed).par_iter().map(turn).collect())
+}
+
+/// How thick the body is behind triangle `t`: the shortest way in from some of its places to where the surface is met from
+/// inside; infinite when it is met nowhere.
+fn thickness_at(surface: &SurfaceView<'_>, tree: &TriangleBvh<'_>, t: u32, diagonal: f64) -> f64 {
+    let corners = |t: u32| surface.triangles[t as usize].map(|v| surface.positions[v as usize]);
+    let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).normalize_or_zero();
+    let own = corners(t);
+    let (inward, middle) = (-normal(own), (own[0] + own[1] + own[2]) / 3.0);
+    let start = 1e-6 * diagonal;
+    let places = [middle, own[0], own[1], own[2]].map(|corner| (middle + corner) * 0.5 + inward * start);
+    let ways = places.into_iter().filter_map(|place| {
+        let hit = tree.first_hit(place, place + inward * diagonal, None)?;
+        (normal(corners(hit.triangle)).dot(inward) > 0.0).then_some(start + hit.along * diagonal)
+    });
+    ways.fold(f64::INFINITY, f64::min)
 }
 
 /// The largest angle by which poses turn two handles against each other, radians; more than a half turn counts in full

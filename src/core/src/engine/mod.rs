@@ -76,6 +76,7 @@ pub use digest::digest;
 pub use drag::Drag;
 pub use edit_command::{
     CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun, MergeJoin, ModelMerge,
+    RemeshCommand,
 };
 pub use error::{Error, InputPlace, RegionPlace};
 pub use facts::{

@@ -5,7 +5,8 @@ use crate::models::open_shape;
 use glam::DVec3;
 use pliant_core::asset::shapes;
 use pliant_core::engine::{
-    Deformer, Edit, EditCommand, EditOutcome, EditedShape, Error, HandlePoses, SolveMode, SolveSettings, SolvedShape,
+    Deformer, Edit, EditCommand, EditOutcome, EditedShape, Error, HandlePoses, QualityReport, RemeshCommand, SolveMode,
+    SolveSettings, SolvedShape,
 };
 use pliant_core::exec::Exec;
 use pliant_core::pool::Pool;
@@ -28,8 +29,14 @@ struct BentBar {
 
 fn bend(shape: &shapes::Shape, angle: f64, exec: &Exec<'_>) -> BentBar {
     let mut deformer = open_shape(&shape.0, &shape.1, exec);
-    let side = LongSide::of(&shape.0);
-    side.hold_ends(&mut deformer, exec).expect("handles");
+    let (poses, shape) = hold_and_bend(&mut deformer, angle, exec);
+    BentBar { deformer, poses, shape }
+}
+
+/// Holds both ends of what is at rest and turns one.
+fn hold_and_bend(deformer: &mut Deformer, angle: f64, exec: &Exec<'_>) -> (HandlePoses, SolvedShape) {
+    let side = LongSide::of(deformer.rest());
+    side.hold_ends(deformer, exec).expect("handles");
     let poses = deformer
         .change_poses(&deformer.initial_poses(), [("top", side.turn(angle))])
         .expect("a pose");
@@ -38,18 +45,28 @@ fn bend(shape: &shapes::Shape, angle: f64, exec: &Exec<'_>) -> BentBar {
             true
         })
         .expect("the pose solves");
-    BentBar { deformer, poses, shape }
+    (poses, shape)
+}
+
+/// The quality of a bend with handles that hold what their regions hold now.
+fn quality_of_bend(deformer: &mut Deformer, angle: f64, exec: &Exec<'_>) -> QualityReport {
+    let (_, shape) = hold_and_bend(deformer, angle, exec);
+    deformer.quality(&shape.positions, exec.pool)
 }
 
 fn divide(bar: &mut BentBar, exec: &Exec<'_>) -> EditOutcome {
+    edit_at_rest(bar, &Edit::SubdivideForPose { region: None }, exec)
+}
+
+fn edit_at_rest(bar: &mut BentBar, edit: &Edit, exec: &Exec<'_>) -> EditOutcome {
     let command = EditCommand {
-        edit: &Edit::SubdivideForPose { region: None },
+        edit,
         on: EditedShape::Rest,
         shape: &bar.shape.shape(),
         poses: &bar.poses,
         settings: Some(&SolveSettings::default()),
     };
-    bar.deformer.edit(&command, exec).expect("the bar is divided")
+    bar.deformer.edit(&command, exec).expect("the bar is edited")
 }
 
 #[test]
@@ -104,6 +121,52 @@ fn faces_too_large_for_a_bend_are_told_before_and_after_and_divided_in_one_edit(
         "{first} then {}",
         again.report.after.faces
     );
+}
+
+/// A rod of 24 sides that go from end to end.
+fn bare_rod() -> shapes::Shape {
+    let sides = 24u32;
+    let at = |i: u32, z: f64| {
+        let angle = f64::from(i % sides) / f64::from(sides) * std::f64::consts::TAU;
+        DVec3::new(0.5 * angle.cos(), 0.5 * angle.sin(), z)
+    };
+    let mut positions: Vec<DVec3> = (0..sides).map(|i| at(i, 0.0)).collect();
+    positions.extend((0..sides).map(|i| at(i, 6.0)));
+    positions.extend([DVec3::ZERO, DVec3::Z * 6.0]);
+    let triangles = (0..sides).flat_map(|i| {
+        let (a, b) = (i, (i + 1) % sides);
+        let (c, d) = (a + sides, b + sides);
+        [[a, b, d], [a, d, c], [2 * sides, b, a], [2 * sides + 1, c, d]]
+    });
+    let triangles = triangles.collect();
+    (positions, triangles)
+}
+
+#[test]
+fn long_faces_lose_no_more_volume_in_a_bend_than_a_remesh_does() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    for shape in [bare_rod(), shapes::box_with_cells(DVec3::new(1.0, 1.0, 6.0), [1, 1, 1])] {
+        let mut bar = bend(&shape, 0.8, &exec);
+        let before = bar.deformer.quality(&bar.shape.positions, &pool);
+        divide(&mut bar, &exec);
+        let divided = quality_of_bend(&mut bar.deformer, 0.8, &exec);
+        assert_eq!(divided.faces_too_large, 0, "{divided:?}");
+
+        let mut bar = bend(&shape, 0.8, &exec);
+        let even = RemeshCommand {
+            edge_length: Some(0.2),
+            ..RemeshCommand::default()
+        };
+        edit_at_rest(&mut bar, &Edit::Remesh(even), &exec);
+        let remeshed = quality_of_bend(&mut bar.deformer, 0.8, &exec);
+        let [divided, remeshed] = [divided, remeshed].map(|q| q.volume_change);
+        assert!(
+            divided.abs() < remeshed.abs() + 0.01 && divided.abs() < 0.5 * before.volume_change.abs(),
+            "{divided} divided, {remeshed} remeshed, {} before",
+            before.volume_change
+        );
+    }
 }
 
 #[test]

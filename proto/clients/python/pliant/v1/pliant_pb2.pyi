@@ -943,14 +943,18 @@ class EditRequest(_message.Message):
         region: Region
         def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ...) -> None: ...
     class Remesh(_message.Message):
-        __slots__ = ("region", "edge_length", "auto")
+        __slots__ = ("region", "edge_length", "auto", "max_deviation", "sharp_degrees")
         REGION_FIELD_NUMBER: _ClassVar[int]
         EDGE_LENGTH_FIELD_NUMBER: _ClassVar[int]
         AUTO_FIELD_NUMBER: _ClassVar[int]
+        MAX_DEVIATION_FIELD_NUMBER: _ClassVar[int]
+        SHARP_DEGREES_FIELD_NUMBER: _ClassVar[int]
         region: Region
         edge_length: float
         auto: bool
-        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., edge_length: _Optional[float] = ..., auto: bool = ...) -> None: ...
+        max_deviation: float
+        sharp_degrees: float
+        def __init__(self, region: _Optional[_Union[Region, _Mapping]] = ..., edge_length: _Optional[float] = ..., auto: bool = ..., max_deviation: _Optional[float] = ..., sharp_degrees: _Optional[float] = ...) -> None: ...
     class Merge(_message.Message):
         __slots__ = ("model", "session", "file", "transform", "how", "tolerance", "format")
         class How(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
@@ -1013,7 +1017,7 @@ class EditRequest(_message.Message):
     def __init__(self, session_id: _Optional[str] = ..., on: _Optional[_Union[EditRequest.On, str]] = ..., cut: _Optional[_Union[EditRequest.Cut, _Mapping]] = ..., subdivide: _Optional[_Union[EditRequest.Subdivide, _Mapping]] = ..., decimate: _Optional[_Union[EditRequest.Decimate, _Mapping]] = ..., delete: _Optional[_Union[EditRequest.Delete, _Mapping]] = ..., fill: _Optional[_Union[EditRequest.Fill, _Mapping]] = ..., remesh: _Optional[_Union[EditRequest.Remesh, _Mapping]] = ..., merge: _Optional[_Union[EditRequest.Merge, _Mapping]] = ..., insert_curve: _Optional[_Union[EditRequest.InsertCurve, _Mapping]] = ..., weld: _Optional[_Union[EditRequest.Weld, _Mapping]] = ...) -> None: ...
 
 class EditResult(_message.Message):
-    __slots__ = ("revision", "before", "after", "handles_kept", "warnings", "ms", "kept", "curve", "digest", "repaired")
+    __slots__ = ("revision", "before", "after", "handles_kept", "warnings", "ms", "kept", "curve", "digest", "repaired", "deviation")
     class Counts(_message.Message):
         __slots__ = ("vertices", "faces")
         VERTICES_FIELD_NUMBER: _ClassVar[int]
@@ -1047,6 +1051,7 @@ class EditResult(_message.Message):
     CURVE_FIELD_NUMBER: _ClassVar[int]
     DIGEST_FIELD_NUMBER: _ClassVar[int]
     REPAIRED_FIELD_NUMBER: _ClassVar[int]
+    DEVIATION_FIELD_NUMBER: _ClassVar[int]
     revision: int
     before: EditResult.Counts
     after: EditResult.Counts
@@ -1057,7 +1062,8 @@ class EditResult(_message.Message):
     curve: _containers.RepeatedScalarFieldContainer[int]
     digest: str
     repaired: bool
-    def __init__(self, revision: _Optional[int] = ..., before: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., after: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., handles_kept: _Optional[_Iterable[str]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., ms: _Optional[_Mapping[str, float]] = ..., kept: _Optional[_Iterable[_Union[EditResult.Run, _Mapping]]] = ..., curve: _Optional[_Iterable[int]] = ..., digest: _Optional[str] = ..., repaired: bool = ...) -> None: ...
+    deviation: float
+    def __init__(self, revision: _Optional[int] = ..., before: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., after: _Optional[_Union[EditResult.Counts, _Mapping]] = ..., handles_kept: _Optional[_Iterable[str]] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., ms: _Optional[_Mapping[str, float]] = ..., kept: _Optional[_Iterable[_Union[EditResult.Run, _Mapping]]] = ..., curve: _Optional[_Iterable[int]] = ..., digest: _Optional[str] = ..., repaired: bool = ..., deviation: _Optional[float] = ...) -> None: ...
 
 class Commit(_message.Message):
     __slots__ = ("revision", "kind", "digest")

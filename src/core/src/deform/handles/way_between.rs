@@ -26,10 +26,10 @@ impl HandleSystem {
 
 /// Half the sum of the differences of two places' shares. Where handles have a say in one place alone, that is half of the
 /// way as well.
-pub fn shares_difference(a: &HandleShares, b: &HandleShares) -> f64 {
+pub fn shares_difference(a: &[(u32, f32)], b: &[(u32, f32)]) -> f64 {
     let (mut i, mut j, mut sum) = (0, 0, 0.0);
     while i < a.len() || j < b.len() {
-        let next = |list: &HandleShares, at: usize| list.get(at).map_or(u32::MAX, |s| s.0);
+        let next = |list: &[(u32, f32)], at: usize| list.get(at).map_or(u32::MAX, |s| s.0);
         let (ka, kb) = (next(a, i), next(b, j));
         let mut difference = 0.0;
         if ka <= kb {

@@ -218,16 +218,23 @@ impl RegionMesh {
             if kept(a, b) {
                 continue;
             }
-            let Some(pair) = self.flippable_pair(a, b) else {
-                continue;
-            };
-            let [a_at, b_at, p_at, q_at] = [a, b, pair[0].1, pair[1].1].map(|p| self.position(p));
-            let before = evenness([a_at, b_at, p_at]).min(evenness([a_at, b_at, q_at]));
-            let after = evenness([a_at, p_at, q_at]).min(evenness([b_at, p_at, q_at]));
-            if after > before * (1.0 + 1e-9) && self.flip_keeps_sides(a, b, pair) {
-                self.flip_edge(a, b, pair);
-            }
+            self.exchange_for_fairer(a, b);
         }
+    }
+
+    /// Exchanges the edge between `a` and `b`, inside a gathered face, where that makes the smallest angle larger. Answers the
+    /// ends of the edge that is there then.
+    pub fn exchange_for_fairer(&mut self, a: u32, b: u32) -> Option<(u32, u32)> {
+        let pair = self.flippable_pair(a, b)?;
+        let [p, q] = pair.map(|(_, tip)| tip);
+        let [a_at, b_at, p_at, q_at] = [a, b, p, q].map(|p| self.position(p));
+        let before = evenness([a_at, b_at, p_at]).min(evenness([a_at, b_at, q_at]));
+        let after = evenness([a_at, p_at, q_at]).min(evenness([b_at, p_at, q_at]));
+        if after <= before * (1.0 + 1e-9) || !self.flip_keeps_sides(a, b, pair) {
+            return None;
+        }
+        self.flip_edge(a, b, pair);
+        Some((p, q))
     }
 
     /// The points along a marked edge, both ends included, as it was split since.

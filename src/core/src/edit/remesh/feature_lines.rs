@@ -11,16 +11,13 @@ use crate::mesh::NONE;
 use glam::DVec3;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Normals on either side of a sharp edge differ by more than 40°: the cosine.
-const SHARP: f64 = 0.766_044_443_118_978;
-
 /// A line that turns by more than 45° at a point has a corner there: the cosine.
 const CORNER: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
 /// A sharp line that ends loosely and is not longer than so many target lengths is noise.
 const LOOSE: f64 = 4.0;
 
-/// Sharp edges that hang together, but not for so many target lengths, are noise.
+/// Sharp edges that hang together and end loosely, but not for so many target lengths, are noise.
 const NOISE: f64 = 6.0;
 
 /// What kind of line an edge is part of.
@@ -122,9 +119,14 @@ impl FeatureLines {
     }
 
     /// Finds all lines of a mesh. Says for each point whether it is inner to a chain, and where; points on lines that are
-    /// not are to be held. Sharp lines that end loosely and are shorter than a few target lengths are noise.
-    pub fn trace_lines(mesh: &RegionMesh, sizes: &[f64]) -> (Self, Vec<Option<ChainPoint>>, BTreeSet<u32>) {
-        let mut lines = LineEdges::find_line_edges(mesh);
+    /// not are to be held. Edges are sharp when the normals of their faces make an angle with a smaller cosine than
+    /// `sharp_cosine`; lines of them that end loosely and are shorter than a few target lengths are noise.
+    pub fn trace_lines(
+        mesh: &RegionMesh,
+        sizes: &[f64],
+        sharp_cosine: f64,
+    ) -> (Self, Vec<Option<ChainPoint>>, BTreeSet<u32>) {
+        let mut lines = LineEdges::find_line_edges(mesh, sharp_cosine);
         lines.drop_small(mesh, sizes);
         for _ in 0..4 {
             let chains = lines.list_chains(mesh);
@@ -202,7 +204,7 @@ struct LineEdges {
 }
 
 impl LineEdges {
-    fn find_line_edges(mesh: &RegionMesh) -> Self {
+    fn find_line_edges(mesh: &RegionMesh, sharp_cosine: f64) -> Self {
         let mut beside: BTreeMap<u32, Vec<(u32, LineKind)>> = BTreeMap::new();
         for (a, b) in mesh.edges() {
             let edge = mesh.edge_faces(a, b);
@@ -216,7 +218,7 @@ impl LineEdges {
             } else {
                 let faces = [edge.left, edge.right];
                 let [n, m] = faces.map(|f| mesh.area_normal(f));
-                let sharp = triangle::cosine(n, m).is_some_and(|c| c < SHARP);
+                let sharp = triangle::cosine(n, m).is_some_and(|c| c < sharp_cosine);
                 if !sharp || faces.iter().any(|&f| is_sliver(mesh, f)) {
                     continue;
                 }
@@ -228,7 +230,7 @@ impl LineEdges {
         Self { beside }
     }
 
-    /// Drops groups of sharp edges that hang together and are shorter in all than a few target lengths.
+    /// Drops groups of sharp edges that hang together, end loosely somewhere and are shorter in all than a few target lengths.
     fn drop_small(&mut self, mesh: &RegionMesh, sizes: &[f64]) {
         let sharp = |row: &[(u32, LineKind)]| -> Vec<u32> {
             row.iter().filter(|n| n.1 == LineKind::Sharp).map(|n| n.0).collect()
@@ -239,8 +241,9 @@ impl LineEdges {
             if !seen.insert(start) {
                 continue;
             }
-            let (mut group, mut length, mut next) = (Vec::new(), 0.0, vec![start]);
+            let (mut group, mut length, mut loose, mut next) = (Vec::new(), 0.0, false, vec![start]);
             while let Some(p) = next.pop() {
+                loose |= self.is_loose(mesh, p);
                 for q in self.beside.get(&p).map(|row| sharp(row)).unwrap_or_default() {
                     if p < q {
                         group.push((p, q));
@@ -251,7 +254,7 @@ impl LineEdges {
                     }
                 }
             }
-            if length < NOISE * sizes[start as usize] {
+            if loose && length < NOISE * sizes[start as usize] {
                 small.extend(group);
             }
         }

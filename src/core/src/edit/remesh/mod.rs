@@ -3,9 +3,12 @@
 //! After Botsch and Kobbelt, "A Remeshing Approach to Multiresolution Modeling" (2004). Every point knows where on the
 //! original surface it lies, so shape and attributes come from there and nothing drifts. Boundaries, seams, primitive
 //! borders and sharp edges are lines: their points slide along them, are added and taken away, but never leave them.
+//! No step is taken that would bring the old and the new surface farther apart than is allowed (`deviation`), so thin limbs
+//! stay what they are; target lengths are shorter where the surface is curved, so that few steps are refused.
 //! The rim of the region and edges with more than two faces stay as they are, so what lies outside does not notice;
 //! target lengths approach those of the rim towards it.
 
+mod deviation;
 mod feature_lines;
 mod original;
 mod passes;
@@ -14,15 +17,18 @@ mod sizing;
 mod stretched;
 mod target;
 
-pub use target::{ASPECT, MENDED, MOST_TRIANGLES, RemeshTarget, STRETCH};
+pub use target::{
+    ASPECT, DEVIATION, LENGTH_DEVIATION, MENDED, MOST_TRIANGLES, RemeshOptions, RemeshTarget, SHARP_DEGREES, STRETCH,
+};
 
 use super::error::{EditSubject, Error};
 use super::patch::{EditWarning, SurfacePatch};
 use super::region_mesh::RegionMesh;
 use super::surface::{SurfaceView, check_region};
 use super::triangle;
+use crate::mesh::BoundingBox;
 use crate::progress::Progress;
-use remesher::Remesher;
+use remesher::{RemeshPlan, Remesher};
 
 /// Rounds of split, collapse, turn, smooth.
 const ROUNDS: usize = 6;
@@ -33,29 +39,40 @@ const SETTLED: usize = 50;
 /// Rounds of mending at the end.
 const MENDING: usize = 6;
 
-/// Remeshes the triangles `region`, rising numbers. With [`RemeshTarget::Auto`] nothing changes where nothing is stretched;
-/// a patch that changes nothing comes with the warning `remesh-nothing`. Faces that stay worse than [`MENDED`] are counted
-/// in the warning `remesh-aspect`, those that stand against the surface beside them, because it is thinner there than the
-/// target length, in `remesh-thin`.
+/// A remeshed region.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RemeshedRegion {
+    /// What changes.
+    pub patch: SurfacePatch,
+    /// The largest distance between the old and the new surface.
+    pub deviation: f64,
+}
+
+/// Remeshes the triangles `region`, rising numbers. With [`RemeshTarget::Auto`] fair triangles stay unless an unfair one is
+/// beside them; a patch that changes nothing comes with the warning `remesh-nothing`. Faces that stay worse than [`MENDED`]
+/// are counted in the warning `remesh-aspect`, those that stand against the surface beside them, because it is thinner
+/// there than the target length, in `remesh-thin`.
 ///
 /// # Errors
-/// [`Error::Invalid`] for a length that is not positive, a rest shape of another size, or no region;
+/// [`Error::Invalid`] for a length, distance or angle out of range, a rest shape of another size, or no region;
 /// [`Error::TooLarge`] when the target is so short that more than [`MOST_TRIANGLES`] would come;
 /// [`Error::Cancelled`].
 pub fn remesh_region(
     surface: &SurfaceView,
     region: &[u32],
-    target: RemeshTarget,
+    options: &RemeshOptions,
     progress: &dyn Progress,
-) -> Result<SurfacePatch, Error> {
-    let Some((mesh, wanted)) = gather_region(surface, region, target)? else {
-        return Ok(SurfacePatch {
-            warnings: vec![nothing_to_remesh()],
-            ..SurfacePatch::default()
+) -> Result<RemeshedRegion, Error> {
+    let Some((mesh, plan)) = plan_remesh(surface, region, options)? else {
+        return Ok(RemeshedRegion {
+            patch: SurfacePatch {
+                warnings: vec![nothing_to_remesh()],
+                ..SurfacePatch::default()
+            },
+            deviation: 0.0,
         });
     };
-    let sizes = sizing::grade_lengths(&mesh, &wanted);
-    let expected = sizing::estimate_triangles(&mesh, &sizes);
+    let expected = sizing::estimate_triangles(&mesh, &plan.sizes);
     if expected.is_nan() || expected > MOST_TRIANGLES as f64 {
         return Err(Error::TooLarge {
             what: "triangles in the remeshed region",
@@ -63,7 +80,7 @@ pub fn remesh_region(
             limit: MOST_TRIANGLES,
         });
     }
-    let mut work = Remesher::new(mesh, sizes);
+    let mut work = Remesher::new(mesh, plan);
     run_passes(&mut work, expected, progress)?;
     let warnings = [
         warn_where(&work, "remesh-aspect", |work, f| {
@@ -71,12 +88,13 @@ pub fn remesh_region(
         }),
         warn_where(&work, "remesh-thin", Remesher::stands_against),
     ];
+    let deviation = work.measure_deviation();
     let (mut patch, _) = work.mesh.into_patch(surface);
     patch.warnings = warnings.into_iter().flatten().collect();
     if patch.removed.is_empty() && patch.triangles.is_empty() {
         patch.warnings.push(nothing_to_remesh());
     }
-    Ok(patch)
+    Ok(RemeshedRegion { patch, deviation })
 }
 
 /// About how many triangles [`remesh_region`] would make of the region, which now has `region.len()`, before anything is
@@ -84,30 +102,32 @@ pub fn remesh_region(
 ///
 /// # Errors
 /// [`Error::Invalid`] as of [`remesh_region`].
-pub fn expected_triangles(surface: &SurfaceView, region: &[u32], target: RemeshTarget) -> Result<f64, Error> {
-    let gathered = gather_region(surface, region, target)?;
-    Ok(gathered.map_or(0.0, |(mesh, wanted)| {
-        sizing::estimate_triangles(&mesh, &sizing::grade_lengths(&mesh, &wanted))
-    }))
+pub fn expected_triangles(surface: &SurfaceView, region: &[u32], options: &RemeshOptions) -> Result<f64, Error> {
+    let planned = plan_remesh(surface, region, options)?;
+    Ok(planned.map_or(0.0, |(mesh, plan)| sizing::estimate_triangles(&mesh, &plan.sizes)))
 }
 
 /// Checks the arguments and gathers what is to be remeshed with the target length at each point; `None` when no face of
 /// the region is stretched.
-fn gather_region(
+fn plan_remesh(
     surface: &SurfaceView,
     region: &[u32],
-    target: RemeshTarget,
-) -> Result<Option<(RegionMesh, Vec<f64>)>, Error> {
+    options: &RemeshOptions,
+) -> Result<Option<(RegionMesh, RemeshPlan)>, Error> {
     check_region(surface, region)?;
-    match target {
+    let positive = |value: f64, subject: EditSubject, what: &str| match value > 0.0 && value.is_finite() {
+        true => Ok(value),
+        false => Err(Error::invalid(
+            subject,
+            format!("{value} is no {what}, it must be finite and above 0"),
+        )),
+    };
+    let (mesh, mut wanted, unfair, own) = match options.target {
         RemeshTarget::Length(length) => {
-            if !(length > 0.0 && length.is_finite()) {
-                let problem = format!("{length} is no length, it must be finite and above 0");
-                return Err(Error::invalid(EditSubject::RemeshEdgeLength, problem));
-            }
+            positive(length, EditSubject::RemeshEdgeLength, "length")?;
             let mesh = RegionMesh::with_frozen_ring(surface, region)?;
             let wanted = vec![length; mesh.points.len()];
-            Ok(Some((mesh, wanted)))
+            (mesh, wanted, Vec::new(), LENGTH_DEVIATION * length)
         }
         RemeshTarget::Auto { rest } => {
             if rest.len() != surface.positions.len() {
@@ -121,9 +141,29 @@ fn gather_region(
             }
             let mesh = RegionMesh::with_frozen_ring(surface, &stretched)?;
             let wanted = stretched::rest_lengths(&mesh, rest);
-            Ok(Some((mesh, wanted)))
+            let unfair = mesh.triangles.iter().map(|&t| stretched::is_unfair(surface, t, rest));
+            let unfair = unfair.collect();
+            (mesh, wanted, unfair, 0.0)
         }
+    };
+    let max_deviation = match options.max_deviation {
+        Some(given) => positive(given, EditSubject::RemeshDeviation, "distance")?,
+        None => own.max(DEVIATION * BoundingBox::of(surface.positions).diagonal()),
+    };
+    let sharp = options.sharp_degrees;
+    if !(sharp > 0.0 && sharp <= 180.0) {
+        let problem = format!("{sharp} is no angle between two faces, it must be above 0 and at most 180 degrees");
+        return Err(Error::invalid(EditSubject::RemeshSharpAngle, problem));
     }
+    let sharp_cosine = libm::cos(sharp.to_radians());
+    sizing::shorten_for_curvature(&mesh, &mut wanted, max_deviation, sharp_cosine);
+    let plan = RemeshPlan {
+        sizes: sizing::grade_lengths(&mesh, &wanted),
+        max_deviation,
+        sharp_cosine,
+        unfair,
+    };
+    Ok(Some((mesh, plan)))
 }
 
 /// Runs rounds of the passes until little changes, then mends what is still badly shaped. About `expected` triangles will

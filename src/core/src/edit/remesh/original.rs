@@ -38,6 +38,8 @@ pub(super) struct OriginalSurface {
     sizes: Vec<f64>,
     seen: Vec<u32>,
     search: u32,
+    /// Faces that searches looked at since this was last asked for.
+    looked_at: usize,
 }
 
 impl OriginalSurface {
@@ -76,6 +78,7 @@ impl OriginalSurface {
             sizes,
             seen: vec![0; count as usize],
             search: 0,
+            looked_at: 0,
         }
     }
 
@@ -106,8 +109,22 @@ impl OriginalSurface {
         (0..3).map(|i| sizes[i] * spot.weights[i]).sum()
     }
 
+    /// Takes the count of faces that searches looked at since this was last called.
+    pub fn take_work(&mut self) -> usize {
+        std::mem::take(&mut self.looked_at)
+    }
+
     /// The nearest spot to `p` that is found by walking from `seeds` over faces, nearest first, never across a curve.
     pub fn find_nearest(&mut self, p: DVec3, seeds: &[u32]) -> OriginalPoint {
+        self.search(p, seeds, 0.0).1
+    }
+
+    /// The squared distance of the spot that the same search finds, or of the first that is not farther than `near`.
+    pub fn squared_distance(&mut self, p: DVec3, seeds: &[u32], near: f64) -> f64 {
+        self.search(p, seeds, near).0
+    }
+
+    fn search(&mut self, p: DVec3, seeds: &[u32], near: f64) -> (f64, OriginalPoint) {
         self.search += 1;
         let mut queue: BinaryHeap<Reverse<(u64, u32)>> = BinaryHeap::new();
         let mut best = (
@@ -122,6 +139,7 @@ impl OriginalSurface {
             if std::mem::replace(&mut this.seen[f as usize], this.search) == this.search {
                 return false;
             }
+            this.looked_at += 1;
             let (weights, distance) = closest_weights_on_triangle(p, this.corners[f as usize]);
             queue.push(Reverse((distance.to_bits(), f)));
             let better = distance < best.0;
@@ -132,8 +150,14 @@ impl OriginalSurface {
         };
         for &f in seeds {
             look(self, f, &mut queue, &mut best);
+            if best.0 <= near {
+                return best;
+            }
         }
         for _ in 0..LONGEST_SEARCH {
+            if best.0 <= near {
+                break;
+            }
             let Some(Reverse((_, f))) = queue.pop() else { break };
             let mut better = false;
             for g in self.beyond[f as usize] {
@@ -146,7 +170,7 @@ impl OriginalSurface {
                 break;
             }
         }
-        best.1
+        best
     }
 }
 

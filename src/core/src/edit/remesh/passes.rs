@@ -22,24 +22,37 @@ const FLAT: f64 = 0.85;
 /// A face this far from equilateral is still good enough to be made by turning or moving.
 const GOOD: f64 = 2.5;
 
+/// After distances to so many triangles a pass asks whether it shall go on: some milliseconds.
+const WORK: usize = 20_000;
+
+/// Asks whether to go on when enough has been done since this was asked last.
+fn check_work(work: &mut Remesher, done: &mut usize, progress: &dyn Progress) -> Result<(), Error> {
+    // A step without any distance is work as well.
+    *done += 20 + work.take_work();
+    if *done >= WORK {
+        *done = 0;
+        check(progress)?;
+    }
+    Ok(())
+}
+
 /// Splits edges that are too long, the longest first, until none is or `most` faces are there.
 pub(super) fn split_long_edges(work: &mut Remesher, most: usize, progress: &dyn Progress) -> Result<usize, Error> {
-    let mut count = 0;
+    let (mut count, mut done) = (0, 0);
     // Each round halves the longest edges, so a few do even for lengths that differ a thousandfold.
     for _ in 0..24 {
         let mut long: Vec<(u64, (u32, u32))> = Vec::new();
         for (a, b) in work.mesh.edges() {
             let relative = work.relative_length(a, b);
-            if relative > LONG {
+            if relative > LONG && work.may_change(work.mesh.edge_faces(a, b).faces()) {
                 long.push((relative.to_bits(), (a, b)));
             }
         }
         long.sort_unstable_by_key(|&(bits, edge)| (std::cmp::Reverse(bits), edge));
         let mut split = 0;
-        for (i, &(_, (a, b))) in long.iter().enumerate() {
-            if i % 1024 == 0 {
-                check(progress)?;
-            }
+        check(progress)?;
+        for &(_, (a, b)) in &long {
+            check_work(work, &mut done, progress)?;
             if work.mesh.faces.len() >= most {
                 return Ok(count + split);
             }
@@ -63,15 +76,17 @@ pub(super) fn collapse_short_edges(work: &mut Remesher, progress: &dyn Progress)
         }
     }
     short.sort_unstable();
-    let mut count = 0;
-    for (i, &(_, (a, b))) in short.iter().enumerate() {
-        if i % 1024 == 0 {
-            check(progress)?;
-        }
+    check(progress)?;
+    let (mut count, mut done) = (0, 0);
+    for &(_, (a, b)) in &short {
+        check_work(work, &mut done, progress)?;
         if work.mesh.edge_faces(a, b).faces().next().is_none() || work.relative_length(a, b) >= SHORT {
             continue;
         }
         for (from, to) in [(a, b), (b, a)] {
+            if !work.may_change(work.mesh.faces_around(from).iter().copied()) {
+                continue;
+            }
             let limit = LONG * 0.5 * (work.sizes[from as usize] + work.sizes[to as usize]);
             let before = work.worst_aspect(from, work.mesh.position(from));
             let done = work.collapse_edge(from, to, |_, after| {
@@ -107,13 +122,11 @@ fn valence_unevenness(work: &Remesher, points: [(u32, i64); 4]) -> i64 {
 
 /// Turns edges where that brings valences nearer to six (four on a boundary).
 pub(super) fn even_valences(work: &mut Remesher, progress: &dyn Progress) -> Result<usize, Error> {
-    let mut count = 0;
-    for (i, (a, b)) in work.mesh.edges().into_iter().enumerate() {
-        if i % 1024 == 0 {
-            check(progress)?;
-        }
+    let (mut count, mut done) = (0, 0);
+    for (a, b) in work.mesh.edges() {
+        check_work(work, &mut done, progress)?;
         let edge = work.mesh.edge_faces(a, b);
-        if !work.mesh.is_inside(edge, a, b) {
+        if !work.mesh.is_inside(edge, a, b) || !work.may_change(edge.faces()) {
             continue;
         }
         let (Some(c), Some(d)) = (
@@ -157,17 +170,15 @@ fn try_turn_edge(work: &mut Remesher, a: u32, b: u32, accept: impl Fn(f64, f64) 
     if !after.iter().all(|&t| work.is_faithful_nearby(edge.left, t)) {
         return false;
     }
-    work.mesh.turn_edge(edge, a, b);
-    true
+    work.turn_edge(edge, a, b, after)
 }
 
 /// Moves inner points towards the middle of their neighbours, along the surface, and points of lines along those.
 pub(super) fn smooth_points(work: &mut Remesher, progress: &dyn Progress) -> Result<(), Error> {
+    let mut done = 0;
     for p in 0..work.constraints.len() as u32 {
-        if p % 1024 == 0 {
-            check(progress)?;
-        }
-        if work.mesh.faces_around(p).is_empty() {
+        check_work(work, &mut done, progress)?;
+        if !work.may_change(work.mesh.faces_around(p).iter().copied()) || work.mesh.faces_around(p).is_empty() {
             continue;
         }
         let here = work.mesh.position(p);
@@ -218,8 +229,9 @@ pub(super) fn mend_faces(work: &mut Remesher, bound: f64, progress: &dyn Progres
         }
     }
     bad.sort_unstable_by_key(|&(bits, f)| (std::cmp::Reverse(bits), f));
-    let mut count = 0;
+    let (mut count, mut done) = (0, 0);
     for (_, f) in bad {
+        check_work(work, &mut done, progress)?;
         if !work.mesh.faces[f as usize].alive {
             continue;
         }

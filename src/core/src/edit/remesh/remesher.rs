@@ -1,5 +1,6 @@
 //! The mesh while it is remeshed, with what each of its points knows about the original surface.
 
+use super::deviation::{ChangedFaces, DeviationBound};
 use super::feature_lines::{Chain, ChainPoint, FeatureLines, LineKind};
 use super::original::{OriginalPoint, OriginalSurface, SLIVER};
 use crate::edit::region_mesh::{EdgeFaces, RegionMesh, Wedge};
@@ -33,12 +34,28 @@ pub(super) struct Remesher {
     pub constraints: Vec<PointConstraint>,
     /// Target length at each point.
     pub sizes: Vec<f64>,
+    deviation: DeviationBound,
+    /// Which of the gathered faces are not fair; empty when all may change.
+    unfair: Vec<bool>,
+}
+
+/// What a remesh is begun with, beside the mesh.
+pub(super) struct RemeshPlan {
+    /// Target length at each point.
+    pub sizes: Vec<f64>,
+    /// How far the old and the new surface may be from each other.
+    pub max_deviation: f64,
+    /// Cosine of the angle beyond which edges are sharp.
+    pub sharp_cosine: f64,
+    /// Which of the gathered faces are not fair; empty when all may change.
+    pub unfair: Vec<bool>,
 }
 
 impl Remesher {
-    /// Begins with target lengths `sizes` at the points of `mesh`.
-    pub fn new(mesh: RegionMesh, sizes: Vec<f64>) -> Self {
-        let (curves, on, held) = FeatureLines::trace_lines(&mesh, &sizes);
+    /// Begins with `mesh` before any change.
+    pub fn new(mesh: RegionMesh, plan: RemeshPlan) -> Self {
+        let sizes = plan.sizes;
+        let (curves, on, held) = FeatureLines::trace_lines(&mesh, &sizes, plan.sharp_cosine);
         let original = OriginalSurface::from_mesh(&mesh, sizes.clone(), |a, b| curves.chain_segment(a, b).is_none());
         let constraints = (0..mesh.points.len() as u32)
             .map(|p| {
@@ -53,12 +70,95 @@ impl Remesher {
             })
             .collect();
         Self {
+            deviation: DeviationBound::new(&mesh, &sizes, plan.max_deviation),
+            unfair: plan.unfair,
             mesh,
             original,
             curves,
             constraints,
             sizes,
         }
+    }
+
+    /// Takes the count of triangles that distances were computed to since this was last called.
+    pub fn take_work(&mut self) -> usize {
+        self.deviation.take_work(&mut self.original)
+    }
+
+    /// The largest distance between the old surface and the new one.
+    pub fn measure_deviation(&mut self) -> f64 {
+        let (mesh, constraints) = (&self.mesh, &self.constraints);
+        let seeds = |f| seeds_of_face(mesh, constraints, f);
+        self.deviation.measure(&mut self.original, mesh, seeds)
+    }
+
+    /// Whether some of these faces may change: one of them is not fair, or was changed before.
+    pub fn may_change(&self, mut faces: impl Iterator<Item = u32>) -> bool {
+        self.unfair.is_empty()
+            || faces.any(|f| !self.mesh.faces[f as usize].untouched || self.unfair.get(f as usize) == Some(&true))
+    }
+
+    /// Whether the new faces of a change stay near the old surface, and it near them; then it has to be carried out.
+    fn stays_near(&mut self, change: &ChangedFaces) -> bool {
+        let mut seeds: Vec<u32> = (change.before.iter())
+            .flat_map(|&f| seeds_of_face(&self.mesh, &self.constraints, f))
+            .collect();
+        seeds.sort_unstable();
+        seeds.dedup();
+        self.deviation.admit(&mut self.original, change, &seeds)
+    }
+
+    /// The faces around `p` before and after it moves.
+    fn faces_after_move(&self, p: u32, position: DVec3) -> ChangedFaces {
+        let faces = self.mesh.faces_around(p);
+        let at = |q: u32| if q == p { position } else { self.mesh.position(q) };
+        ChangedFaces {
+            before: faces.to_vec(),
+            after: faces.iter().map(|&f| (f, self.mesh.points_of(f).map(at))).collect(),
+            edges: (self.mesh.neighbours(p).into_iter())
+                .map(|q| [position, self.mesh.position(q)])
+                .collect(),
+        }
+    }
+
+    /// The faces at an edge before and after it is split at `position`: each is followed by its half at the end `b`, or `a`
+    /// to the right.
+    fn faces_after_split(&self, edge: EdgeFaces, a: u32, b: u32, position: DVec3) -> ChangedFaces {
+        let mut change = ChangedFaces {
+            before: edge.faces().collect(),
+            edges: vec![[self.mesh.position(a), position], [position, self.mesh.position(b)]],
+            ..ChangedFaces::default()
+        };
+        let mut new = self.mesh.faces.len() as u32;
+        for (f, from, to) in [(edge.left, a, b), (edge.right, b, a)] {
+            if f == NONE {
+                continue;
+            }
+            let half = |gone: u32| {
+                let points = self.mesh.points_of(f);
+                points.map(|p| if p == gone { position } else { self.mesh.position(p) })
+            };
+            change.after.extend([(f, half(to)), (new, half(from))]);
+            change
+                .edges
+                .extend((self.mesh.opposite_corner(f, a, b)).map(|tip| [position, self.mesh.position(tip)]));
+            new += 1;
+        }
+        change
+    }
+
+    /// Turns the edge if the pair after it stays near the old surface. [`RegionMesh::faces_after_turn`] must have given `after`.
+    pub fn turn_edge(&mut self, edge: EdgeFaces, a: u32, b: u32, after: [[DVec3; 3]; 2]) -> bool {
+        let change = ChangedFaces {
+            before: vec![edge.left, edge.right],
+            after: vec![(edge.left, after[0]), (edge.right, after[1])],
+            edges: vec![[after[0][1], after[0][2]]],
+        };
+        let near = self.stays_near(&change);
+        if near {
+            self.mesh.turn_edge(edge, a, b);
+        }
+        near
     }
 
     /// Length of an edge over the target length there.
@@ -81,21 +181,11 @@ impl Remesher {
     /// notices when a face would cut off a thin part of the surface.
     pub fn is_faithful_nearby(&mut self, f: u32, corners: [DVec3; 3]) -> bool {
         let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
-        let spot = self.original.find_nearest(middle, &self.seeds_of_face(f));
+        let spot = self
+            .original
+            .find_nearest(middle, &seeds_of_face(&self.mesh, &self.constraints, f));
         let there = self.original.face_normal(spot.face);
         triangle::cosine(triangle::area_normal(corners), there).is_none_or(|c| c >= FAITHFUL)
-    }
-
-    fn seeds_of_face(&self, f: u32) -> Vec<u32> {
-        let inside = |p: u32| match self.constraints[p as usize] {
-            PointConstraint::OnSurface(spot) => Some(spot.face),
-            _ => None,
-        };
-        let points = self.mesh.points_of(f).into_iter();
-        points
-            .filter_map(inside)
-            .chain([self.mesh.faces[f as usize].source])
-            .collect()
     }
 
     /// Faces of the original surface from which to look for a place near point `p`, on one side of all lines.
@@ -133,11 +223,7 @@ impl Remesher {
         let seeds = [edge.left, edge.right].map(|f| self.mesh.faces[f as usize].source);
         let spot = self.original.find_nearest(middle, &seeds);
         let on_surface = self.original.position_at(spot);
-        let position = if self.splits_well(edge, a, b, on_surface) {
-            on_surface
-        } else {
-            middle
-        };
+        let position = self.place_split(edge, a, b, on_surface);
         let m = self.mesh.add_point(position);
         let (of, weights) = self.original.blend_at(spot);
         let wedge = self.mesh.add_wedge(Wedge::from_blend(of, weights));
@@ -155,12 +241,8 @@ impl Remesher {
             return false;
         };
         let on_line = line.position_at(middle);
-        let position = if self.splits_well(edge, a, b, on_line) {
-            on_line
-        } else {
-            (self.mesh.position(a) + self.mesh.position(b)) * 0.5
-        };
         let (size, kind) = (line.target_length_at(middle), line.kind);
+        let position = self.place_split(edge, a, b, on_line);
         let m = self.mesh.add_point(position);
         let wedge = |mesh: &mut RegionMesh, f: u32, side: usize| {
             if f == NONE {
@@ -191,6 +273,17 @@ impl Remesher {
         }));
         self.sizes.push(size);
         true
+    }
+
+    /// Where an edge is split: at `wanted`, or in its middle, which changes no surface, where that would not do.
+    fn place_split(&mut self, edge: EdgeFaces, a: u32, b: u32, wanted: DVec3) -> DVec3 {
+        let change = self.faces_after_split(edge, a, b, wanted);
+        if self.splits_well(edge, a, b, wanted) && self.stays_near(&change) {
+            return wanted;
+        }
+        let middle = (self.mesh.position(a) + self.mesh.position(b)) * 0.5;
+        self.deviation.hand_over(&self.faces_after_split(edge, a, b, middle));
+        middle
     }
 
     /// Whether the four faces of a split at `position` look the way that the two did.
@@ -236,27 +329,43 @@ impl Remesher {
         if !(collapse.kept.iter().zip(&after)).all(|(&f, &corners)| self.is_faithful_nearby(f, corners)) {
             return false;
         }
-        if let PointConstraint::OnLine(on) = self.constraints[from as usize]
-            && !self.drop_from_chain(from, to, on)
+        let (place, around) = (self.mesh.position(to), self.mesh.neighbours(from));
+        let change = ChangedFaces {
+            before: self.mesh.faces_around(from).to_vec(),
+            after: collapse.kept.iter().copied().zip(after).collect(),
+            edges: (around.into_iter())
+                .filter(|&q| q != to && !self.mesh.has_edge(q, to))
+                .map(|q| [place, self.mesh.position(q)])
+                .collect(),
+        };
+        if matches!(self.constraints[from as usize], PointConstraint::OnLine(on) if !self.can_leave_chain(from, to, on))
+            || !self.stays_near(&change)
         {
             return false;
+        }
+        if let PointConstraint::OnLine(on) = self.constraints[from as usize] {
+            self.drop_from_chain(from, to, on);
         }
         self.mesh.apply_collapse(&collapse);
         true
     }
 
+    /// Whether `from` can be taken out of its chain in favour of its neighbour `to`.
+    fn can_leave_chain(&self, from: u32, to: u32, on: ChainPoint) -> bool {
+        let other = if on.beside[0] == to { on.beside[1] } else { on.beside[0] };
+        let pieces = [to, other].map(|q| self.curves.chain_segment(from, q));
+        other != to && pieces.iter().all(Option::is_some) && self.curves.chain_segment(to, other).is_none()
+    }
+
     /// Takes `from` out of its chain in favour of its neighbour `to`.
-    fn drop_from_chain(&mut self, from: u32, to: u32, on: ChainPoint) -> bool {
+    fn drop_from_chain(&mut self, from: u32, to: u32, on: ChainPoint) {
         let other = if on.beside[0] == to { on.beside[1] } else { on.beside[0] };
         let (Some(here), Some(there)) = (
             self.curves.chain_segment(from, to),
             self.curves.chain_segment(from, other),
         ) else {
-            return false;
+            return;
         };
-        if other == to || self.curves.chain_segment(to, other).is_some() {
-            return false;
-        }
         self.curves.remove_segment(from, to);
         self.curves.remove_segment(from, other);
         self.curves.set_segment(to, other, on.chain, [here.at[1], there.at[1]]);
@@ -267,7 +376,6 @@ impl Remesher {
                 });
             }
         }
-        true
     }
 
     /// Moves an inner point near `position`, onto the original surface, when no face turns over and `accept` says yes.
@@ -276,6 +384,9 @@ impl Remesher {
         let spot = self.original.find_nearest(position, &seeds);
         let position = self.original.position_at(spot);
         if !self.can_move(p, position) || !accept(self, position) {
+            return false;
+        }
+        if !self.stays_near(&self.faces_after_move(p, position)) {
             return false;
         }
         let blend = self.original.blend_at(spot);
@@ -306,6 +417,9 @@ impl Remesher {
         let [Some(start), Some(end)] = ends else { return false };
         let between = at > start && at < end;
         if !between || !self.can_move(p, position) || !accept(self, position) {
+            return false;
+        }
+        if !self.stays_near(&self.faces_after_move(p, position)) {
             return false;
         }
         let forward = self.mesh.edge_faces(p, on.beside[1]);
@@ -347,7 +461,7 @@ impl Remesher {
             .collect();
         for f in changed {
             let middle = self.mesh.corner_positions(f).iter().sum::<DVec3>() / 3.0;
-            let seeds = self.seeds_of_face(f);
+            let seeds = seeds_of_face(&self.mesh, &self.constraints, f);
             self.mesh.faces[f as usize].source = self.original.find_nearest(middle, &seeds).face;
         }
     }
@@ -362,6 +476,19 @@ impl Remesher {
             ))
         })
     }
+}
+
+/// Faces of the original surface from which to look for places near face `f`.
+fn seeds_of_face(mesh: &RegionMesh, constraints: &[PointConstraint], f: u32) -> Vec<u32> {
+    let inside = |p: u32| match constraints[p as usize] {
+        PointConstraint::OnSurface(spot) => Some(spot.face),
+        _ => None,
+    };
+    let points = mesh.points_of(f).into_iter();
+    points
+        .filter_map(inside)
+        .chain([mesh.faces[f as usize].source])
+        .collect()
 }
 
 /// What a point of a chain is made of on either side; a boundary has the same on both.

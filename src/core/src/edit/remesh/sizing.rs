@@ -7,6 +7,57 @@ use std::collections::BinaryHeap;
 /// By how much the target length may change over a unit of distance.
 const SLOPE: f64 = 0.5;
 
+/// A chord of this length times the root of what is allowed over the curvature keeps within three quarters of it.
+const CHORD: f64 = 6.0;
+
+/// Shortens `wanted` lengths to chords that keep within `max_deviation` of a surface curved as `mesh` is, but not below
+/// the shortest edges that are there: shorter ones would follow it no better. Edges with a smaller cosine than
+/// `sharp_cosine` between their faces are no curvature.
+///
+/// The curvature at a point is what edges turn by, over the area around it and around its neighbours.
+pub(super) fn shorten_for_curvature(mesh: &RegionMesh, wanted: &mut [f64], max_deviation: f64, sharp_cosine: f64) {
+    let edges = mesh.edges();
+    let mut shortest = vec![(0.0, 0.0); mesh.points.len()];
+    let mut around = vec![(0.0, 0.0); mesh.points.len()];
+    for f in mesh.living_faces() {
+        let [a, b, c] = mesh.points_of(f);
+        let area = 0.5 * mesh.area_normal(f).length();
+        let least = (mesh.edge_length(a, b))
+            .min(mesh.edge_length(b, c))
+            .min(mesh.edge_length(c, a));
+        for p in [a, b, c] {
+            shortest[p as usize].0 += least;
+            shortest[p as usize].1 += 1.0;
+            around[p as usize].1 += area / 3.0;
+        }
+    }
+    for &(a, b) in &edges {
+        let edge = mesh.edge_faces(a, b);
+        if edge.faces().count() != 2 {
+            continue;
+        }
+        let [n, m] = [edge.left, edge.right].map(|f| mesh.area_normal(f).normalize_or_zero());
+        if n.dot(m) >= sharp_cosine {
+            let turned = 0.5 * n.distance(m) * mesh.edge_length(a, b);
+            around[a as usize].0 += turned;
+            around[b as usize].0 += turned;
+        }
+    }
+    let mut wider = around.clone();
+    for &(a, b) in &edges {
+        for (p, q) in [(a as usize, b as usize), (b as usize, a as usize)] {
+            wider[p].0 += around[q].0;
+            wider[p].1 += around[q].1;
+        }
+    }
+    for ((length, (turned, area)), (sum, count)) in wanted.iter_mut().zip(wider).zip(shortest) {
+        let chord = (CHORD * max_deviation * area / turned).sqrt();
+        if chord.is_finite() && count > 0.0 {
+            *length = length.min(chord.max(sum / count));
+        }
+    }
+}
+
 /// Target lengths at the points of a mesh: `wanted` where nothing stands against it; at points that hold edges which
 /// cannot change, the length of those; in between no steeper than [`SLOPE`].
 pub(super) fn grade_lengths(mesh: &RegionMesh, wanted: &[f64]) -> Vec<f64> {

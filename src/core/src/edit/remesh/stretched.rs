@@ -4,25 +4,26 @@ use super::target::{ASPECT, STRETCH};
 use crate::edit::region_mesh::RegionMesh;
 use crate::edit::surface::{BitSet, SurfaceView};
 use crate::edit::triangle;
-
 use crate::mesh::NONE;
 use glam::DVec3;
 
 /// Rings of faces around stretched ones that are remeshed with them, so that lengths can change gently.
 const RINGS: usize = 2;
 
+/// Whether triangle `t` is stretched or thin.
+pub(super) fn is_unfair(surface: &SurfaceView, t: u32, rest: &[DVec3]) -> bool {
+    let now = surface.corner_positions(t);
+    let then = surface.triangles[t as usize].map(|v| rest[v as usize]);
+    let stretched = (0..3).any(|i| {
+        let before = then[i].distance(then[(i + 1) % 3]);
+        before > 0.0 && now[i].distance(now[(i + 1) % 3]) > STRETCH * before
+    });
+    stretched || triangle::aspect(now) > ASPECT
+}
+
 /// Those of `faces` that are stretched or thin, with the rings around them.
 pub(super) fn find_stretched_faces(surface: &SurfaceView, faces: &[u32], rest: &[DVec3]) -> Vec<u32> {
-    let needs = |&t: &u32| {
-        let corners = surface.triangles[t as usize];
-        let now = surface.corner_positions(t);
-        let then = corners.map(|v| rest[v as usize]);
-        let stretched = (0..3).any(|i| {
-            let before = then[i].distance(then[(i + 1) % 3]);
-            before > 0.0 && now[i].distance(now[(i + 1) % 3]) > STRETCH * before
-        });
-        stretched || triangle::aspect(now) > ASPECT
-    };
+    let needs = |&t: &u32| is_unfair(surface, t, rest);
     let mut points = BitSet::new(surface.points as usize);
     let mut any = false;
     for t in faces.iter().filter(|t| needs(t)) {

@@ -1,4 +1,4 @@
-//! Edges split until what is given at their ends differs little enough.
+//! Edges split until what is given at their ends differs little enough, and until they are short enough for it to show.
 
 use crate::edit::error::Error;
 use crate::edit::patch::{EditWarning, SurfacePatch};
@@ -8,6 +8,10 @@ use crate::edit::surface::{SurfaceView, check_region};
 use crate::progress::{Progress, check};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+
+/// Edges longer than this part of the longest are split together: more than half, so that halves wait until the edges beside
+/// them are as short.
+const LONGEST_PART: f64 = 0.6;
 
 /// Sparse values at a point: numbers of fields, rising, and their values.
 pub type FieldSample = Vec<(u32, f32)>;
@@ -22,11 +26,15 @@ pub struct EvennessTarget<'a> {
     pub largest: f64,
     /// Edges up to this length are left as they are, model units.
     pub shortest: f64,
+    /// How long edges may be in what becomes of a triangle of the surface that is divided for a difference, model units.
+    pub longest: &'a dyn Fn(u32) -> f64,
 }
 
-/// An edge that is to be split; those with the largest difference come first, then the longest, then the lowest number.
+/// An edge that is to be split; those inside a triangle of the surface come last, since they may be exchanged for others by
+/// then. The longest come first, which keeps triangles fair, then those with the largest difference, then the lowest number.
 #[derive(PartialEq)]
 struct OpenEdge {
+    inside: bool,
     difference: f64,
     length: f64,
     ends: (u32, u32),
@@ -42,15 +50,15 @@ impl PartialOrd for OpenEdge {
 
 impl Ord for OpenEdge {
     fn cmp(&self, other: &Self) -> Ordering {
-        let by_size = self
-            .difference
-            .total_cmp(&other.difference)
-            .then(self.length.total_cmp(&other.length));
+        let by_size = (other.inside.cmp(&self.inside))
+            .then(self.length.total_cmp(&other.length))
+            .then(self.difference.total_cmp(&other.difference));
         by_size.then(other.ends.cmp(&self.ends))
     }
 }
 
-/// Splits the edges of `faces`, rising triangle numbers, until the target is met. Old points stay where they are, new ones
+/// Splits the edges of `faces`, rising triangle numbers, until the target is met. Only triangles with an edge over which
+/// the fields differ too much are divided at all. Old points stay where they are, new ones
 /// lie on the old faces. A patch that changes nothing comes with the warning `subdivide-nothing`.
 ///
 /// # Errors
@@ -85,15 +93,26 @@ pub fn subdivide_until_even(
             ..SurfacePatch::default()
         });
     }
-    let mesh = RegionMesh::from_triangles(surface, uneven);
+    // Triangles beside them are split to fit.
+    let mesh = RegionMesh::with_ring(surface, &uneven);
+    let mut longest = Vec::with_capacity(mesh.triangles.len());
+    for &t in &mesh.triangles {
+        if longest.len().is_multiple_of(512) {
+            check(progress)?;
+        }
+        let divided = uneven.binary_search(&t).is_ok();
+        longest.push(divided.then(|| (target.longest)(t).max(target.shortest)));
+    }
     let samples = mesh.points.iter().map(|p| (target.sample)(p.old)).collect();
     let mut division = EvenDivision {
         mesh,
+        longest,
         samples,
         target,
         open: BinaryHeap::new(),
+        least: 0.0,
     };
-    division.run(progress)?;
+    while division.halve_longest(progress)? {}
     division.mesh.improve_split_faces(|_, _| false);
     let (patch, _) = division.mesh.into_finite_patch(surface, Vec::new())?;
     Ok(patch)
@@ -101,18 +120,45 @@ pub fn subdivide_until_even(
 
 struct EvenDivision<'a> {
     mesh: RegionMesh,
+    /// How long edges may be in what becomes of each gathered face; `None` in those that are only split to fit.
+    longest: Vec<Option<f64>>,
     samples: Vec<FieldSample>,
     target: &'a EvennessTarget<'a>,
     open: BinaryHeap<OpenEdge>,
+    /// Shorter edges wait for a later turn.
+    least: f64,
 }
 
 impl EvenDivision<'_> {
-    fn run(&mut self, progress: &dyn Progress) -> Result<(), Error> {
+    /// Splits the edges that are to be split and longer than [`LONGEST_PART`] of the longest of them. Says whether there was
+    /// any.
+    ///
+    /// Edges inside a triangle of the surface are exchanged for others where that makes fairer triangles, before they are
+    /// split: what splits leave along a narrow triangle is nearly as long as that, and would divide it lengthwise.
+    fn halve_longest(&mut self, progress: &dyn Progress) -> Result<bool, Error> {
+        check(progress)?;
+        self.least = 0.0;
         for (a, b) in self.mesh.edges() {
             self.consider(a, b);
         }
+        let longest = self.open.iter().fold(0.0f64, |most, edge| most.max(edge.length));
+        if self.open.is_empty() {
+            return Ok(false);
+        }
+        self.least = LONGEST_PART * longest;
         let mut splits = 0u64;
-        while let Some(OpenEdge { ends: (a, b), .. }) = self.open.pop() {
+        while let Some(OpenEdge {
+            ends: (a, b), length, ..
+        }) = self.open.pop()
+        {
+            // Exchanged meanwhile, or for a later turn.
+            if length <= self.least || !self.mesh.has_edge(a, b) {
+                continue;
+            }
+            if let Some((p, q)) = self.mesh.exchange_for_fairer(a, b) {
+                self.consider(p, q);
+                continue;
+            }
             splits += 1;
             if splits.is_multiple_of(4096) {
                 check(progress)?;
@@ -136,16 +182,24 @@ impl EvenDivision<'_> {
             around.dedup();
             around.into_iter().for_each(|p| self.consider(p, m));
         }
-        Ok(())
+        Ok(true)
     }
 
-    /// Puts an edge on the list if it is to be split. Each edge is considered once, when it comes to be.
+    /// Puts an edge on the list if it is to be split in this turn.
     fn consider(&mut self, a: u32, b: u32) {
+        let sources = (self.mesh.faces_along(a, b)).map(|f| self.mesh.faces[f as usize].source as usize);
+        let Some(longest) = sources.filter_map(|f| self.longest[f]).min_by(f64::total_cmp) else {
+            return;
+        };
         let length = self.mesh.position(a).distance(self.mesh.position(b));
+        if length <= self.least {
+            return;
+        }
         let difference = (self.target.difference)(&self.samples[a as usize], &self.samples[b as usize]);
-        if length > self.target.shortest && difference > self.target.largest {
+        if length > longest || (length > self.target.shortest && difference > self.target.largest) {
             let ends = edge_key(a, b);
             self.open.push(OpenEdge {
+                inside: self.mesh.flippable_pair(a, b).is_some(),
                 difference,
                 length,
                 ends,

@@ -1,0 +1,186 @@
+//! How far the new surface may come away from the old one, and how far it has.
+//!
+//! Both ways are looked at wherever a step changes faces. The new edges and the middles of the new faces must lie near the
+//! old surface; and each old point and place on an old edge, which always belongs to one of the new faces, must lie near a
+//! face that replaces its own.
+
+use super::original::OriginalSurface;
+use crate::edit::region_mesh::RegionMesh;
+use crate::edit::triangle;
+use crate::mesh::NONE;
+use crate::mesh::query::closest_point::closest_weights_on_triangle;
+use glam::DVec3;
+
+/// Three places of an edge see four fifths of the farthest that it is from a surface which it crosses once, and less of one
+/// that it crosses more often; this part is counted on.
+const SEEN: f64 = 2.0 / 3.0;
+
+/// At an edge with a larger cosine between its faces the surface is flat (about 5°).
+const FLAT: f64 = 0.996;
+
+/// Where on an edge its distance is looked at.
+const PLACES: [f64; 3] = [0.5, 0.25, 0.75];
+
+/// Faces that a step changes.
+#[derive(Debug, Default)]
+pub(super) struct ChangedFaces {
+    /// The faces that are there before it.
+    pub before: Vec<u32>,
+    /// Those that are there after it, with their corners.
+    pub after: Vec<(u32, [DVec3; 3])>,
+    /// The edges that it makes or moves.
+    pub edges: Vec<[DVec3; 2]>,
+}
+
+/// Places of the old surface, its points and places on its edges, by the new faces that they belong to.
+pub(super) struct DeviationBound {
+    /// The largest squared distance that may be seen.
+    limit: f64,
+    points: Vec<DVec3>,
+    /// The first place of each face, and the one after each.
+    first: Vec<u32>,
+    next: Vec<u32>,
+    /// Work done since it was last asked for.
+    work: usize,
+}
+
+impl DeviationBound {
+    /// Begins with the mesh before any change and the target lengths at its points.
+    pub fn new(mesh: &RegionMesh, sizes: &[f64], max_deviation: f64) -> Self {
+        let mut bound = Self {
+            limit: (SEEN * max_deviation).powi(2),
+            points: Vec::new(),
+            first: vec![NONE; mesh.faces.len()],
+            next: Vec::new(),
+            work: 0,
+        };
+        for point in &mesh.points {
+            // What is fixed stays a corner.
+            if let Some(&f) = point.faces.first().filter(|_| !point.fixed) {
+                bound.add(point.position, f);
+            }
+        }
+        for (a, b) in mesh.edges() {
+            let edge = mesh.edge_faces(a, b);
+            let [n, m] = [edge.left, edge.right].map(|f| if f == NONE { DVec3::ZERO } else { mesh.area_normal(f) });
+            if triangle::cosine(n, m).is_none_or(|c| c < FLAT)
+                && let Some(f) = edge.faces().find(|&f| !mesh.faces[f as usize].frozen)
+            {
+                let long = mesh.edge_length(a, b) > sizes[a as usize].min(sizes[b as usize]);
+                for &s in &PLACES[..if long { 3 } else { 1 }] {
+                    bound.add(mesh.position(a).lerp(mesh.position(b), s), f);
+                }
+            }
+        }
+        bound
+    }
+
+    /// Takes the count of triangles that distances were computed to since this was last called.
+    pub fn take_work(&mut self, original: &mut OriginalSurface) -> usize {
+        std::mem::take(&mut self.work) + original.take_work()
+    }
+
+    /// Checks both distances. When they are allowed, the old points belong to the faces after the change from now on.
+    pub fn admit(&mut self, original: &mut OriginalSurface, change: &ChangedFaces, seeds: &[u32]) -> bool {
+        let middles = change.after.iter().map(|(_, t)| (t[0] + t[1] + t[2]) / 3.0);
+        let along = PLACES
+            .iter()
+            .flat_map(|&s| change.edges.iter().map(move |[a, b]| a.lerp(*b, s)));
+        for place in along.chain(middles) {
+            if original.squared_distance(place, seeds, self.limit) > self.limit {
+                return false;
+            }
+        }
+        let mut moved: Vec<(u32, u32)> = Vec::new();
+        for &f in &change.before {
+            for p in self.points_of(f) {
+                let (square, face) = nearest_of(self.points[p as usize], &change.after);
+                if square > self.limit {
+                    return false;
+                }
+                moved.push((p, face));
+            }
+        }
+        self.work += moved.len() * change.after.len();
+        change.before.iter().for_each(|&f| self.detach(f));
+        moved.into_iter().for_each(|(p, f)| self.attach(p, f));
+        true
+    }
+
+    /// Gives the old points of changed faces to those after a change that leaves the surface as it is.
+    pub fn hand_over(&mut self, change: &ChangedFaces) {
+        for &f in &change.before {
+            let points: Vec<u32> = self.points_of(f).collect();
+            self.detach(f);
+            self.work += points.len() * change.after.len();
+            for p in points {
+                let (_, face) = nearest_of(self.points[p as usize], &change.after);
+                self.attach(p, face);
+            }
+        }
+    }
+
+    /// The largest distance between the old surface and the changed faces of the new one, either way; it is seen at places
+    /// that may miss a part of it, and the part that they see is taken to be [`SEEN`].
+    pub fn measure(&self, original: &mut OriginalSurface, mesh: &RegionMesh, seeds: impl Fn(u32) -> Vec<u32>) -> f64 {
+        let mut largest = 0.0f64;
+        for f in mesh.living_faces() {
+            let corners = mesh.corner_positions(f);
+            if !mesh.faces[f as usize].untouched {
+                let seeds = seeds(f);
+                let edges = [[0, 1], [1, 2], [2, 0]];
+                let along = edges
+                    .iter()
+                    .flat_map(|&[i, j]| PLACES.map(|s| corners[i].lerp(corners[j], s)));
+                for place in along.chain([(corners[0] + corners[1] + corners[2]) / 3.0]) {
+                    // A step was allowed that found the surface nearer from other faces.
+                    largest = largest.max(original.squared_distance(place, &seeds, 0.0).min(self.limit));
+                }
+            }
+            for p in self.points_of(f) {
+                largest = largest.max(
+                    closest_weights_on_triangle(self.points[p as usize], corners)
+                        .1
+                        .min(self.limit),
+                );
+            }
+        }
+        largest.sqrt() / SEEN
+    }
+
+    fn add(&mut self, place: DVec3, f: u32) {
+        self.points.push(place);
+        self.next.push(NONE);
+        self.attach(self.points.len() as u32 - 1, f);
+    }
+
+    fn detach(&mut self, f: u32) {
+        if let Some(first) = self.first.get_mut(f as usize) {
+            *first = NONE;
+        }
+    }
+
+    fn attach(&mut self, p: u32, f: u32) {
+        if self.first.len() <= f as usize {
+            self.first.resize(f as usize + 1, NONE);
+        }
+        self.next[p as usize] = std::mem::replace(&mut self.first[f as usize], p);
+    }
+
+    fn points_of(&self, f: u32) -> impl Iterator<Item = u32> {
+        let first = self.first.get(f as usize).copied().filter(|&p| p != NONE);
+        std::iter::successors(first, |&p| Some(self.next[p as usize]).filter(|&q| q != NONE))
+    }
+}
+
+/// The nearest of some faces to a place and its squared distance; of equally near ones the first.
+fn nearest_of(place: DVec3, faces: &[(u32, [DVec3; 3])]) -> (f64, u32) {
+    let mut best = (f64::INFINITY, NONE);
+    for (f, corners) in faces {
+        let square = closest_weights_on_triangle(place, *corners).1;
+        if square < best.0 {
+            best = (square, *f);
+        }
+    }
+    best
+}
