@@ -1,7 +1,7 @@
 //! Animations run in process: a model, a rig and a clip to frames and their report.
 
+use super::left_out::left_out_warnings;
 use super::rig::{MadeRig, RigOrder, make_rig};
-use super::unskinned::unskinned_warnings;
 use crate::asset::{Model, MovingScene};
 use crate::engine::{
     self, AnimatedFrame, Animation, AnimationSettings, Deformer, FrameSums, FrameTimes, QualityReport, digest,
@@ -72,7 +72,7 @@ pub fn moving_clip(
     exec: &Exec<'_>,
 ) -> Result<MovingClip, Error> {
     let is_own_clip = matches!(source, ClipSource::OfModel(_)) && rig.is_none();
-    let mut warnings = unskinned_warnings(deformer.model(), &deformer.geometry().primitives, is_own_clip)?;
+    let mut warnings = left_out_warnings(deformer.model(), &deformer.geometry().primitives, is_own_clip)?;
     let name = match source {
         ClipSource::Recorded(clip) => {
             let rig = match rig {

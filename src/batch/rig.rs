@@ -1,6 +1,6 @@
 //! Rigs made of models, in process.
 
-use super::unskinned::{primitive_names, unskinned_primitives};
+use super::left_out::{left_out_primitives, reasons};
 use crate::asset::Model;
 use crate::exec::Exec;
 use crate::motion::humanoid::{
@@ -45,8 +45,8 @@ struct BodySurface<'a> {
 
 impl<'a> BodySurface<'a> {
     fn of(model: &'a Model) -> Result<Self, Error> {
-        let unskinned = unskinned_primitives(model)?;
-        if unskinned.is_empty() {
+        let left_out = left_out_primitives(model)?;
+        if left_out.is_empty() {
             return Ok(Self {
                 positions: Cow::Borrowed(&model.positions),
                 triangles: Cow::Borrowed(&model.triangles),
@@ -56,7 +56,7 @@ impl<'a> BodySurface<'a> {
         let mut number_of = vec![None; model.positions.len()];
         for (_, primitive) in (0..)
             .zip(&model.primitives)
-            .filter(|(number, _)| !unskinned.contains(number))
+            .filter(|(number, _)| !left_out.contains(number))
         {
             for vertex in primitive.vertices() {
                 number_of[vertex] = Some(positions.len() as u32);
@@ -74,18 +74,12 @@ impl<'a> BodySurface<'a> {
     }
 }
 
-/// What [`make_rig`] leaves out of a model, in one line.
+/// What [`make_rig`] leaves out of a model, one line for each reason.
 ///
 /// # Errors
 /// Those of [`Model::moving_scene`].
-pub fn left_out_of_rig(model: &Model) -> Result<Option<String>, Error> {
-    let unskinned = unskinned_primitives(model)?;
-    let end = match unskinned.len() {
-        0 => return Ok(None),
-        1 => "has no skin, and is left out",
-        _ => "have no skin, and are left out",
-    };
-    Ok(Some(format!("{} {end}", primitive_names(model, &unskinned))))
+pub fn left_out_of_rig(model: &Model) -> Result<Vec<String>, Error> {
+    Ok(reasons(model, left_out_primitives(model)?, "left out"))
 }
 
 /// Makes a rig of a model: that of its own skin where neither a clip nor a preset asks for other names, else one of a body whose

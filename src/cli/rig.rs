@@ -8,7 +8,7 @@ use super::output_files::{OutputPermission, spare_companions};
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
 use crate::asset::{Limits, Model};
-use crate::batch::{MadeRig, RigOrder, left_out_of_rig, make_rig};
+use crate::batch::{MadeRig, RigOrder, left_out_of_rig, left_out_primitives, make_rig};
 use crate::exec::Exec;
 use crate::motion::bvh::{ClipLimits, read_bvh};
 use crate::motion::humanoid::BODY_JOINTS;
@@ -160,7 +160,15 @@ fn report(made: &MadeRig, output: &Path, picture: Option<&Path>) -> Value {
 
 /// The model as glass with the bones in it, from the front and from the side.
 fn draw_rig(model: &Model, made: &MadeRig, pool: &Pool) -> Result<Vec<u8>, CliFailure> {
-    let surface = ShadedSurface::new(&model.positions, &model.triangles, pool)?;
+    let left_out = left_out_primitives(model)?;
+    let mut is_drawn = vec![true; model.positions.len()];
+    for primitive in left_out.iter().filter_map(|p| model.primitives.get(*p)) {
+        is_drawn[primitive.vertices()].fill(false);
+    }
+    let triangles: Vec<[u32; 3]> = (model.triangles.iter().copied())
+        .filter(|[corner, ..]| is_drawn[*corner as usize])
+        .collect();
+    let surface = ShadedSurface::new(&model.positions, &triangles, pool)?;
     let views = [
         ViewDirection::new(0.0, 0.0, UpAxis::Y)?,
         ViewDirection::new(90.0, 0.0, UpAxis::Y)?,

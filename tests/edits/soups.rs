@@ -8,7 +8,7 @@ use pliant::deform::VolumeMode;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, EditReport, Handle, HandlePose, MergeJoin, ModelMerge, OpenOptions, Plane,
-    Region, SolveSettings,
+    Region, RemeshCommand, SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -219,9 +219,11 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
         fill,
     };
     let decimate = |region, ratio| Edit::Decimate { region, ratio };
-    let remesh = |length| Edit::Remesh {
-        region: None,
-        edge_length: Some(length),
+    let remesh = |length| {
+        Edit::Remesh(RemeshCommand {
+            edge_length: Some(length),
+            ..RemeshCommand::default()
+        })
     };
     let subdivide = |region, scheme| Edit::Subdivide { region, scheme };
     let delete = |fill| Edit::Delete { region: top(), fill };
@@ -440,10 +442,10 @@ fn facets_that_meet_at_an_edge_have_one() {
             region: None,
             ratio: 0.4,
         },
-        Edit::Remesh {
-            region: None,
+        Edit::Remesh(RemeshCommand {
             edge_length: Some(0.4),
-        },
+            ..RemeshCommand::default()
+        }),
     ] {
         edit(&mut deformer, &step).expect("edited");
         let report = deformer.report();
@@ -614,10 +616,10 @@ fn what_users_had_comes_out_right() {
             "{name}: {report:?}"
         );
         let mut deformer = open(FileSet::single(name, bytes.clone()));
-        let coarse = Edit::Remesh {
-            region: None,
+        let coarse = Edit::Remesh(RemeshCommand {
             edge_length: Some(0.3),
-        };
+            ..RemeshCommand::default()
+        });
         let report = edit(&mut deformer, &coarse).expect("remeshed");
         assert!(
             report.after.faces < 720 && deformer.report().closed,

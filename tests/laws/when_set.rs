@@ -7,7 +7,7 @@ use pliant::batch;
 use pliant::edit::{KeptSide, SubdivisionScheme};
 use pliant::engine::{
     CutLine, Deformer, DeformerLimits, Edit, EditCommand, EditOutcome, EditedShape, Handle, HandlePose, HandleSet,
-    MergeJoin, ModelMerge, ModelShape, Plane, Region, SolveSettings,
+    MergeJoin, ModelMerge, ModelShape, Plane, Region, RemeshCommand, SolveSettings,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -42,9 +42,12 @@ fn operations() -> Vec<(&'static str, Vec<Edit>)> {
         join: MergeJoin::Loose,
         tolerance: None,
     };
-    let remesh = |region, edge_length| Edit::Remesh {
-        region,
-        edge_length: Some(edge_length),
+    let remesh = |region, edge_length| {
+        Edit::Remesh(RemeshCommand {
+            region,
+            edge_length: Some(edge_length),
+            ..RemeshCommand::default()
+        })
     };
     let subdivide = |region, scheme| Edit::Subdivide { region, scheme };
     vec![

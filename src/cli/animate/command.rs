@@ -4,7 +4,7 @@ use super::frames_bar::FramesBar;
 use super::output::{AnimationOutputArgs, RootRule};
 use super::taken_frames::PlayedAnimation;
 use crate::asset::{FileSet, Model};
-use crate::batch::{AnimationOrder, ClipSource, frame_totals, moving_clip, play, prepare, unskinned_passengers};
+use crate::batch::{AnimationOrder, ClipSource, frame_totals, left_out_passengers, moving_clip, play, prepare};
 use crate::cli::deform::describe_change;
 use crate::cli::failure::CliFailure;
 use crate::cli::input_files::read_file;
@@ -230,7 +230,7 @@ impl AnimateArgs {
         exec.progress.report("read", 0.0);
         let model = Model::read(files, None, &limits.model).map_err(Error::from)?;
         let options = OpenOptions {
-            passengers: unskinned_passengers(&model)?,
+            passengers: left_out_passengers(&model)?,
             ..Default::default()
         };
         let opened = Deformer::of_model(model, &options, &limits, exec);

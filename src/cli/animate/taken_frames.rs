@@ -42,7 +42,7 @@ impl PlayedAnimation<'_> {
         }
     }
 
-    /// The vertices of what is solved; the others have no skin.
+    /// The vertices of what is solved; the others have no skin, or are coarser levels of detail.
     pub(super) fn solved_vertices(&self) -> Vec<usize> {
         let solved = self.deformer.geometry().primitives.iter().filter(|p| !p.is_passenger);
         solved.flat_map(Primitive::vertices).collect()

@@ -1,6 +1,6 @@
 //! An animation before its first frame: the clip read, the rig found, the handles set on the model's graph.
 
-use crate::batch::{AnimationOrder, ClipSource, moving_clip, prepare, unskinned_primitives, warnings_of};
+use crate::batch::{AnimationOrder, ClipSource, left_out_primitives, moving_clip, prepare, warnings_of};
 use crate::engine::{Animation, Deformer, Shader};
 use crate::exec::Exec;
 use crate::motion::MotionClip;
@@ -98,7 +98,7 @@ impl PreparedAnimation {
         };
         let animation = prepare(deformer, moving, order.scale, &batch, exec).map_err(of_rig)?;
         let beside = match own_clip {
-            Some(_) => unskinned_primitives(deformer.model())?,
+            Some(_) => left_out_primitives(deformer.model())?,
             None => Vec::new(),
         };
         Ok(Self {

@@ -96,8 +96,8 @@ fn names_vertices(edit: &Edit) -> bool {
         Edit::Subdivide { region, .. }
         | Edit::SubdivideForPose { region }
         | Edit::Decimate { region, .. }
-        | Edit::Fill { region }
-        | Edit::Remesh { region, .. } => region.as_ref(),
+        | Edit::Fill { region } => region.as_ref(),
+        Edit::Remesh(command) => command.region.as_ref(),
         _ => None,
     };
     matches!(region, Some(Region::Vertices { .. }))
