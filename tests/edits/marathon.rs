@@ -85,20 +85,19 @@ impl Run {
         what(&seen, &mut self.draw)
     }
 
-    /// Sets two handles, at rest.
+    /// Sets two handles in the rest pose, whose places they are drawn from.
     fn hold(&mut self) {
+        self.shape = self.bench.rest_shape();
         let handles = self.next(|seen, draw| seen.handles(draw));
         let request = message::<pb::SetHandlesRequest>(&serde_json::json!({"handles": handles}));
-        // A direction may be across the model such that one handle holds nothing but strays; others will do.
         self.bench
             .set_handles_message(&request, &Exec::new(&self.pool, &Silent))
             .expect("the handles fit");
         self.poses = self.bench.initial_poses();
-        self.shape = self.bench.rest_shape();
         self.posed = false;
     }
 
-    /// HandlePoses the last handle.
+    /// Poses the last handle.
     fn pose(&mut self) {
         let Some(id) = self.bench.handles_message().handles.last().map(|h| h.id.clone()) else {
             return self.hold();

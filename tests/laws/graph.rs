@@ -57,7 +57,7 @@ fn closed_shapes_get_connected_graphs_of_the_expected_size() {
 
 /// Every query sees every face where all are as long as the shape, so that finding an inside costs the square of their number.
 #[test]
-fn work_on_faces_as_long_as_the_shape_can_be_given_up() {
+fn work_on_faces_as_long_as_the_shape_has_a_bound_and_can_be_given_up() {
     let sphere = shapes::sphere(5, 1.0);
     let mesh = shapes::mesh(&sphere);
     // Each vertex takes the place of another one, by a step that has no divisor in common with their number.
@@ -66,6 +66,8 @@ fn work_on_faces_as_long_as_the_shape_can_be_given_up() {
     let long = Mesh::build(&shuffled, &mesh.triangles, Weld::Exact).expect("a mesh");
     assert_eq!(long.positions.len(), count, "no vertex is left out");
     let options = VolumeOptions::default();
+    let refused = volume(&long, &options, &Exec::new(&pool(2), &Silent));
+    assert!(matches!(refused, Err(Error::FacesTooLong { .. })), "{refused:?}");
     let cancelled = CancelFlag::default();
     cancelled.cancel();
     let given_up = volume(&long, &options, &Exec::new(&pool(1), &cancelled));

@@ -3,6 +3,8 @@
 use super::edit_support::*;
 use glam::DVec3;
 use pliant::edit::{SurfacePatch, SurfaceTopology};
+use pliant::graph::WindingTree;
+use pliant::pool::Pool;
 use std::collections::BTreeMap;
 
 /// All triangles.
@@ -227,38 +229,9 @@ pub fn distance_between(one: &Model, two: &Model) -> f64 {
 /// The farthest that a place on the triangles of `from` is from those of `to`.
 fn farthest_from(from: &Model, to: &Model) -> f64 {
     const STEPS: i32 = 6;
-    let low = to.positions.iter().fold(DVec3::INFINITY, |a, b| a.min(*b));
-    let high = to.positions.iter().fold(DVec3::NEG_INFINITY, |a, b| a.max(*b));
-    // Triangles by the cells of a grid that their boxes touch.
-    let side = high.distance(low) / 48.0;
-    let cell = |p: DVec3| ((p - low) / side).to_array().map(|x| x.floor() as i32);
-    let mut cells: BTreeMap<[i32; 3], Vec<u32>> = BTreeMap::new();
-    for t in all(to) {
-        let [a, b, c] = corners(to, t);
-        let (least, most) = (cell(a.min(b).min(c)), cell(a.max(b).max(c)));
-        for x in least[0]..=most[0] {
-            for y in least[1]..=most[1] {
-                for z in least[2]..=most[2] {
-                    cells.entry([x, y, z]).or_default().push(t);
-                }
-            }
-        }
-    }
-    let nearest = |p: DVec3| {
-        let [x, y, z] = cell(p);
-        let mut best = f64::INFINITY;
-        for reach in 0..50 {
-            for (i, j, k) in shell(reach) {
-                for &t in cells.get(&[x + i, y + j, z + k]).into_iter().flatten() {
-                    best = best.min(distance_to(p, corners(to, t)));
-                }
-            }
-            if best <= f64::from(reach) * side {
-                break;
-            }
-        }
-        best
-    };
+    let faces: Vec<[u32; 3]> = all(to).into_iter().map(|t| to.triangles[t as usize]).collect();
+    let tree = WindingTree::build(&to.positions, &faces, &Pool::new(2).expect("threads"));
+    let nearest = |p: DVec3| tree.bvh().closest_point(p).expect("a surface").distance;
     let mut farthest = 0.0f64;
     for t in all(from) {
         let [a, b, c] = corners(from, t);
@@ -270,12 +243,4 @@ fn farthest_from(from: &Model, to: &Model) -> f64 {
         }
     }
     farthest
-}
-
-/// The cells that are `reach` cells away from one, as steps.
-fn shell(reach: i32) -> impl Iterator<Item = (i32, i32, i32)> {
-    let along = move || -reach..=reach;
-    along()
-        .flat_map(move |i| along().flat_map(move |j| along().map(move |k| (i, j, k))))
-        .filter(move |&(i, j, k)| i.abs().max(j.abs()).max(k.abs()) == reach)
 }

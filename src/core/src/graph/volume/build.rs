@@ -60,9 +60,9 @@ const SAMPLES_ALONG: f64 = 32.0;
 /// The same for a hull, whose rows are measured by their length.
 const ROWS_ALONG: f64 = 64.0;
 
-/// What queries about one vertex and the interior nodes that belong to it may look at on average: some eighty microseconds. Where
-/// faces are of about one size they look at a hundredth of it.
-const VISITS_PER_VERTEX: u64 = 8192;
+/// What queries about one vertex and the interior nodes that belong to it may look at on average. Where faces are of about one size
+/// they look at a hundredth of it; engines and helmets of large flat faces look at up to half of it.
+const VISITS_PER_VERTEX: u64 = 4096;
 /// The same for any mesh.
 const LEAST_VISITS: u64 = 1 << 24;
 
