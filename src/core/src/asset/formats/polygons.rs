@@ -3,12 +3,15 @@
 //! Convex polygons become fans from their first corner. Concave ones are cut by ear clipping in their own plane, so that
 //! no triangle leaves the polygon.
 
+use crate::asset::Error;
 use crate::asset::edited::FaceOutlines;
 use glam::{DVec2, DVec3};
 
 /// How many point-in-ear tests one file may cost; polygons beyond it become fans. Far above what real files need, and
 /// reached within about a second by files made to be slow.
 const EAR_TESTS: u64 = 200_000_000;
+/// Tests after which it is asked whether to go on: some milliseconds.
+const TESTS_BETWEEN_CHECKS: u64 = 1 << 20;
 
 /// Faces of any number of corners.
 #[derive(Debug, Clone, Default)]
@@ -61,10 +64,18 @@ impl Polygons {
 
     /// Cuts every face into triangles, as places in `corners`, in face order. Also says how many faces were too costly
     /// to cut well. All corners must be indices into `positions`.
-    pub fn triangulate(&self, positions: &[DVec3]) -> (Vec<[u32; 3]>, usize) {
+    ///
+    /// # Errors
+    /// Those of `check`, which is called every few milliseconds.
+    pub fn triangulate(
+        &self,
+        positions: &[DVec3],
+        check: impl Fn() -> Result<(), Error>,
+    ) -> Result<(Vec<[u32; 3]>, usize), Error> {
         let mut triangles = Vec::with_capacity(self.triangle_count() as usize);
         let mut cutter = PolygonCutter {
             tests_left: EAR_TESTS,
+            unchecked: 0,
             points: Vec::new(),
             flat: Vec::new(),
             crude: 0,
@@ -77,24 +88,30 @@ impl Polygons {
             } else {
                 cutter.points.clear();
                 cutter.points.extend(face.iter().map(|&v| positions[v as usize]));
-                cutter.cut_polygon(&mut |t| triangles.push(t.map(|i| first + i)));
+                cutter.cut_polygon(&mut |t| triangles.push(t.map(|i| first + i)), &check)?;
             }
             first = end;
         }
-        (triangles, cutter.crude)
+        Ok((triangles, cutter.crude))
     }
 }
 
 /// Cuts one polygon after the other.
 struct PolygonCutter {
     tests_left: u64,
+    /// Tests since it was asked whether to go on.
+    unchecked: u64,
     points: Vec<DVec3>,
     flat: Vec<DVec2>,
     crude: usize,
 }
 
 impl PolygonCutter {
-    fn cut_polygon(&mut self, emit: &mut impl FnMut([u32; 3])) {
+    fn cut_polygon(
+        &mut self,
+        emit: &mut impl FnMut([u32; 3]),
+        check: &impl Fn() -> Result<(), Error>,
+    ) -> Result<(), Error> {
         let convex = !self.project_on_plane() || {
             let (n, p) = (self.flat.len(), &self.flat);
             (0..n).all(|i| is_corner(p[(i + n - 1) % n], p[i], p[(i + 1) % n]))
@@ -104,8 +121,9 @@ impl PolygonCutter {
                 emit([0, i - 1, i]);
             }
         } else {
-            self.clip_ears(emit);
+            self.clip_ears(emit, check)?;
         }
+        Ok(())
     }
 
     /// Projects the points on the plane in which the polygon is widest; false when it has none.
@@ -138,7 +156,11 @@ impl PolygonCutter {
         true
     }
 
-    fn clip_ears(&mut self, emit: &mut impl FnMut([u32; 3])) {
+    fn clip_ears(
+        &mut self,
+        emit: &mut impl FnMut([u32; 3]),
+        check: &impl Fn() -> Result<(), Error>,
+    ) -> Result<(), Error> {
         let points = &self.flat;
         let n = points.len();
         let mut next: Vec<usize> = (1..=n).map(|i| i % n).collect();
@@ -154,7 +176,13 @@ impl PolygonCutter {
             let corner = [points[a], points[at], points[b]];
             // When no ear is left the polygon crosses itself, and any cut is as good as another.
             if refused < left && self.tests_left > 0 {
-                self.tests_left = self.tests_left.saturating_sub(reflex.len() as u64 + 1);
+                let tests = reflex.len() as u64 + 1;
+                self.unchecked += tests;
+                if self.unchecked >= TESTS_BETWEEN_CHECKS {
+                    self.unchecked = 0;
+                    check()?;
+                }
+                self.tests_left = self.tests_left.saturating_sub(tests);
                 self.crude += usize::from(self.tests_left == 0);
                 let blocked = |&i: &usize| is_reflex[i] && ![a, at, b].contains(&i) && is_inside(points[i], corner);
                 if !is_corner(corner[0], corner[1], corner[2]) || reflex.iter().any(blocked) {
@@ -182,6 +210,7 @@ impl PolygonCutter {
             at = next[b];
         }
         emit([previous[at] as u32, at as u32, next[at] as u32]);
+        Ok(())
     }
 }
 
@@ -211,7 +240,7 @@ mod tests {
             ..Default::default()
         };
         polygons.end_face();
-        polygons.triangulate(points).0
+        polygons.triangulate(points, || Ok(())).expect("nobody ends it").0
     }
 
     fn area(points: &[DVec3], t: &[u32; 3]) -> DVec3 {
@@ -265,14 +294,34 @@ mod tests {
         assert!(cut(&points).iter().all(|t| area(&points, t).length() > 0.4));
     }
 
+    /// A polygon with so many teeth, whose corners between them all bend in.
+    fn comb(teeth: u32) -> Vec<DVec3> {
+        let end = f64::from(teeth);
+        (0..teeth)
+            .map(|i| DVec3::new(f64::from(i), if i % 2 == 0 { 1.0 } else { 1000.0 }, 0.0))
+            .chain([DVec3::new(end, -1.0, 0.0), DVec3::new(-1.0, -1.0, 0.0)])
+            .rev()
+            .collect()
+    }
+
     #[test]
     fn a_huge_comb_is_cut_in_bounded_time() {
-        let comb: Vec<_> = (0..400_000)
-            .map(|i| DVec3::new(f64::from(i), if i % 2 == 0 { 1.0 } else { 1000.0 }, 0.0))
-            .chain([DVec3::new(400_000.0, -1.0, 0.0), DVec3::new(-1.0, -1.0, 0.0)])
-            .rev()
-            .collect();
+        let comb = comb(400_000);
         assert_eq!(cut(&comb).len(), comb.len() - 2);
+    }
+
+    #[test]
+    fn a_huge_comb_that_nobody_waits_for_is_given_up() {
+        let points = comb(40_000);
+        let mut polygons = Polygons {
+            corners: (0..points.len() as u32).collect(),
+            ..Default::default()
+        };
+        polygons.end_face();
+        assert_eq!(
+            polygons.triangulate(&points, || Err(Error::Cancelled)),
+            Err(Error::Cancelled)
+        );
     }
 
     #[test]
@@ -284,8 +333,8 @@ mod tests {
         }
         assert_eq!(polygons.triangle_count(), 2);
         assert_eq!(
-            polygons.triangulate(&[DVec3::ZERO, DVec3::X, DVec3::Y]).0,
-            [[0, 1, 2], [3, 4, 5]]
+            polygons.triangulate(&[DVec3::ZERO, DVec3::X, DVec3::Y], || Ok(())),
+            Ok((vec![[0, 1, 2], [3, 4, 5]], 0))
         );
     }
 }

@@ -4,6 +4,7 @@
 //! values share one even where the file counts them apart.
 
 use super::super::polygons::Polygons;
+use crate::asset::Error;
 use glam::DVec3;
 use ufbx::{Mesh, MeshPart};
 
@@ -99,7 +100,15 @@ pub(super) fn triangle_count(mesh: &Mesh, part: &MeshPart) -> u64 {
 }
 
 /// Cuts the faces of a part into triangles and makes its vertices.
-pub(super) fn divide(mesh: &Mesh, part: &MeshPart, attributes: &FbxCornerAttributes<'_>) -> PartVertices {
+///
+/// # Errors
+/// Those of `check`, which is called every few milliseconds.
+pub(super) fn divide(
+    mesh: &Mesh,
+    part: &MeshPart,
+    attributes: &FbxCornerAttributes<'_>,
+    check: impl Fn() -> Result<(), Error>,
+) -> Result<PartVertices, Error> {
     let mut polygons = Polygons::default();
     let mut corners: Vec<u32> = Vec::new();
     for face in faces_of(mesh, part) {
@@ -111,7 +120,7 @@ pub(super) fn divide(mesh: &Mesh, part: &MeshPart, attributes: &FbxCornerAttribu
         }
     }
     let points: Vec<DVec3> = mesh.vertices.iter().map(|p| DVec3::new(p.x, p.y, p.z)).collect();
-    let (slots, crude) = polygons.triangulate(&points);
+    let (slots, crude) = polygons.triangulate(&points, check)?;
 
     let mut ids = polygons.corners.clone();
     split(&mut ids, corners.iter().map(|_| [0u32; 1]));
@@ -137,7 +146,7 @@ pub(super) fn divide(mesh: &Mesh, part: &MeshPart, attributes: &FbxCornerAttribu
             made.control_point.push(polygons.corners[slot]);
         }
     }
-    made
+    Ok(made)
 }
 
 /// Gives corners of one class with different values different numbers, counted by first use.

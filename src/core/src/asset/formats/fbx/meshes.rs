@@ -53,7 +53,7 @@ impl MeshSink<'_, '_, '_> {
             // Until it is known which corners are one vertex, each may be one.
             let working = triangles * 3 * BYTES_PER_CORNER + mesh.vertices.len() as u64 * BYTES_PER_POINT;
             self.watch.reserve(working)?;
-            let divided = corners::divide(mesh, part, &attributes);
+            let divided = corners::divide(mesh, part, &attributes, || self.watch.check())?;
             self.watch.release(working);
             if divided.triangles.is_empty() {
                 continue;

@@ -232,7 +232,7 @@ impl<'a> ObjReader<'a> {
                 return Err(malformed(line, format!("{what} index {seen}; the file has {count}")));
             }
         }
-        let (slots, crude) = self.faces.triangulate(&self.positions);
+        let (slots, crude) = self.faces.triangulate(&self.positions, || self.watch.check())?;
         let outlines = self.faces.find_outlines(&slots);
         let triangles: Vec<_> = slots
             .iter()

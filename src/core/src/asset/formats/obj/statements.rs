@@ -172,7 +172,9 @@ impl<'a> StatementReader<'a> {
         if !self.faces.corners.iter().all(known) {
             return self.out;
         }
-        let (slots, _) = self.faces.triangulate(positions);
+        let Ok((slots, _)) = self.faces.triangulate(positions, || Ok(())) else {
+            return self.out;
+        };
         let (textures, normals) = (self.out.textures.len() as u32, self.out.normals.len() as u32);
         for slot in slots.into_iter().flatten() {
             let [texture, normal] = self.corners[slot as usize];

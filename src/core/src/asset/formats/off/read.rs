@@ -85,7 +85,7 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Off
         watch.check_at(i as usize)?;
         read_face(&mut lexer, i, vertex_count, &mut faces, watch)?;
     }
-    let (slots, crude) = faces.triangulate(&positions);
+    let (slots, crude) = faces.triangulate(&positions, || watch.check())?;
     let outlines = faces.find_outlines(&slots);
     let triangles = slots.iter().map(|t| t.map(|s| faces.corners[s as usize])).collect();
     let mut geometry = Geometry::from_one_mesh(positions, normals, triangles);

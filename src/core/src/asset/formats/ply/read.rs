@@ -89,7 +89,7 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Ply
             _ => body.skip_rows(element)?,
         }
     }
-    let (slots, crude) = faces.triangulate(&positions);
+    let (slots, crude) = faces.triangulate(&positions, || watch.check())?;
     notes.outlines = faces.find_outlines(&slots);
     let triangles = slots.iter().map(|t| t.map(|s| faces.corners[s as usize])).collect();
     let mut geometry = Geometry::from_one_mesh(positions, normals, triangles);

@@ -80,7 +80,7 @@ pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Result<PlyTable<
     if faces.corners.iter().any(|&v| v as usize >= positions.len()) {
         return Ok(table);
     }
-    let (slots, _) = faces.triangulate(positions);
+    let (slots, _) = faces.triangulate(positions, || Ok(()))?;
     let mut starts = Vec::with_capacity(faces.corners.len());
     for &(row, corners) in &rows {
         starts.extend((0..corners).map(|place| (row, place)));
