@@ -11,6 +11,8 @@ use crate::progress::Cancelled;
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
+/// Vertices between two looks at the progress: each costs as much as all pairs of correctives.
+const RUN: usize = 64;
 /// A blend of rotations that shrinks space to less than this share has no way back that is worth following.
 const FLAT: f64 = 0.05;
 /// How much of space is kept then.
@@ -93,13 +95,12 @@ pub fn fit_correctives(
     let all = (skinned.rest.len() * posed.len()).max(1) as f64;
     let mut found = CorrectiveShapes::default();
     loop {
-        exec.check()?;
         let frames: Vec<CorrectedFrame> = exec.pool.install(|| {
             let frames = posed.par_iter().enumerate();
             frames
-                .map(|(frame, bones)| corrected(skinned, frame, bones, &found))
-                .collect()
-        });
+                .map(|(frame, bones)| corrected(skinned, frame, bones, &found, exec))
+                .collect::<Result<_, Cancelled>>()
+        })?;
         let square: f64 = frames.iter().map(|f| f.square).sum();
         let largest = frames.iter().map(|f| f.largest).fold(0.0, f64::max);
         let left = [(square / all).sqrt(), largest];
@@ -139,7 +140,8 @@ fn corrected(
     frame: usize,
     bones: &PosedBones,
     found: &CorrectiveShapes,
-) -> CorrectedFrame {
+    exec: &Exec<'_>,
+) -> Result<CorrectedFrame, Cancelled> {
     let shifts = &found.shifts;
     let count = shifts.len();
     let mut gram = vec![0.0; count * count];
@@ -148,6 +150,9 @@ fn corrected(
     let wanted = &skinned.wanted[frame];
     let off = |v: usize| wanted[v].as_dvec3() - bones.place(&skinned.influences[v], skinned.rest[v]);
     for v in 0..skinned.rest.len() {
+        if v % RUN == 0 {
+            exec.check()?;
+        }
         let (turn, off) = (bones.turn(&skinned.influences[v]), off(v));
         for (moved, shift) in moved.iter_mut().zip(shifts) {
             *moved = turn * shift[v];
@@ -164,16 +169,19 @@ fn corrected(
     let weights = weights_within_one(&mut gram, &pull, own.collect());
     let (mut square, mut largest) = (0.0, 0.0f64);
     for v in 0..skinned.rest.len() {
+        if v % RUN == 0 {
+            exec.check()?;
+        }
         let shift: DVec3 = weights.iter().zip(shifts).map(|(w, shift)| shift[v] * *w).sum();
         let left = (off(v) - bones.turn(&skinned.influences[v]) * shift).length_squared();
         square += left;
         largest = largest.max(left);
     }
-    CorrectedFrame {
+    Ok(CorrectedFrame {
         weights,
         square,
         largest: largest.sqrt(),
-    }
+    })
 }
 
 /// The least squares from 0 to 1, by sweeps over one weight after the other from where they are. The lower half of the matrix is

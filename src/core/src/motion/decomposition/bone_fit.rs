@@ -13,8 +13,8 @@ use crate::progress::Cancelled;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
-/// Frames that are fitted between two looks at the progress.
-const BLOCK: usize = 64;
+/// Vertices between two looks at the progress.
+const RUN: usize = 4096;
 /// A bone with less than this weight (the sum of squares) stays where it is.
 const LEAST_WEIGHT: f64 = 1e-9;
 /// Sweeps end when no bone moves by more than this, in units of the shape's size.
@@ -38,7 +38,7 @@ struct BoneMoments {
 }
 
 impl BoneMoments {
-    fn new(rest: &[DVec3], influences: &[BoneInfluences], bones: usize) -> Self {
+    fn new(rest: &[DVec3], influences: &[BoneInfluences], bones: usize, exec: &Exec<'_>) -> Result<Self, Cancelled> {
         let none = |other| PairMoments {
             other,
             square: DMat3::ZERO,
@@ -49,7 +49,10 @@ impl BoneMoments {
             own: (0..bones).map(none).collect(),
             shared: vec![Vec::new(); bones],
         };
-        for (p, vertex) in rest.iter().zip(influences) {
+        for (v, (p, vertex)) in rest.iter().zip(influences).enumerate() {
+            if v % RUN == 0 {
+                exec.check()?;
+            }
             let square = outer_product(*p, *p);
             for (j, a) in vertex.iter() {
                 for (k, b) in vertex.iter() {
@@ -72,7 +75,7 @@ impl BoneMoments {
                 }
             }
         }
-        all
+        Ok(all)
     }
 }
 
@@ -85,22 +88,20 @@ pub(super) fn fit_bones(
     exec: &Exec<'_>,
 ) -> Result<(), Cancelled> {
     let count = bones.bones();
-    let moments = BoneMoments::new(&samples.rest, influences, count);
+    let moments = BoneMoments::new(&samples.rest, influences, count, exec)?;
     let mut frames: Vec<(usize, &mut [f64])> = bones.frame_rows().enumerate().collect();
-    for block in frames.chunks_mut(BLOCK) {
-        exec.check()?;
-        exec.pool.install(|| {
-            block.par_iter_mut().for_each(|(frame, rows)| {
-                let pulls = gather_pulls(samples, influences, *frame, count);
-                for _ in 0..sweeps {
-                    if sweep(&moments, &pulls, rows) < STILL {
-                        break;
-                    }
+    exec.pool.install(|| {
+        frames.par_iter_mut().try_for_each(|(frame, rows)| {
+            let pulls = gather_pulls(samples, influences, *frame, count, exec)?;
+            for _ in 0..sweeps {
+                exec.check()?;
+                if sweep(&moments, &pulls, rows) < STILL {
+                    break;
                 }
-            });
-        });
-    }
-    Ok(())
+            }
+            Ok(())
+        })
+    })
 }
 
 /// By bone: Σ w v pᵀ and Σ w v in a frame.
@@ -109,10 +110,14 @@ fn gather_pulls(
     influences: &[BoneInfluences],
     frame: usize,
     bones: usize,
-) -> Vec<(DMat3, DVec3)> {
+    exec: &Exec<'_>,
+) -> Result<Vec<(DMat3, DVec3)>, Cancelled> {
     let mut pulls = vec![(DMat3::ZERO, DVec3::ZERO); bones];
     let places = samples.frame(frame).chunks_exact(3);
-    for ((place, p), vertex) in places.zip(&samples.rest).zip(influences) {
+    for (k, ((place, p), vertex)) in places.zip(&samples.rest).zip(influences).enumerate() {
+        if k % RUN == 0 {
+            exec.check()?;
+        }
         let v = DVec3::new(f64::from(place[0]), f64::from(place[1]), f64::from(place[2]));
         for (bone, w) in vertex.iter() {
             let to = &mut pulls[bone];
@@ -121,7 +126,7 @@ fn gather_pulls(
             to.1 += weighted;
         }
     }
-    pulls
+    Ok(pulls)
 }
 
 /// One bone after the other, there and back; answers by how much any one moved at most.

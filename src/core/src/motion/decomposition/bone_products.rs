@@ -2,6 +2,8 @@
 
 use super::bone_frames::BoneFrames;
 use super::sequence::ShapeSamples;
+use crate::exec::Exec;
+use crate::progress::Cancelled;
 use glam::DVec3;
 
 /// Added to the diagonal of Gram matrices, by frame: bones that move alike share a weight instead of dividing by nothing.
@@ -29,10 +31,11 @@ pub(super) struct VertexTargets<'a> {
 }
 
 impl BoneProducts {
-    pub(super) fn new(bones: &BoneFrames) -> Self {
+    pub(super) fn new(bones: &BoneFrames, exec: &Exec<'_>) -> Result<Self, Cancelled> {
         let size = 4 * bones.bones();
         let mut products = vec![0.0; size * size];
         for frame in 0..bones.frames() {
+            exec.check()?;
             for coordinate in 0..3 {
                 let row = bones.row(frame, coordinate);
                 for (a, to) in row.iter().zip(products.chunks_mut(size)) {
@@ -40,11 +43,11 @@ impl BoneProducts {
                 }
             }
         }
-        Self {
+        Ok(Self {
             bones: bones.bones(),
             frames: bones.frames(),
             products,
-        }
+        })
     }
 
     pub(super) fn bones(&self) -> usize {

@@ -9,6 +9,7 @@ use super::weight_fit::fit_influences;
 use crate::exec::Exec;
 use crate::motion::influences::BoneInfluences;
 use crate::motion::rig::RigidMotion;
+use crate::progress::Cancelled;
 use glam::{DMat3, DVec3};
 
 /// How an animation is decomposed.
@@ -137,7 +138,7 @@ pub fn decompose(
         }
     }
     let influences = influences.unwrap_or_default();
-    Ok(told(sequence, &bones, influences))
+    Ok(told(sequence, &bones, influences, exec)?)
 }
 
 /// Bones and weights in turn, with bones moved to where they are missed as long as that helps.
@@ -212,7 +213,7 @@ pub fn fit_weights(
         }
     }
     let (influences, _) = fit_influences(&sequence.samples, &bones, most, None, exec)?;
-    Ok(told(sequence, &bones, influences))
+    Ok(told(sequence, &bones, influences, exec)?)
 }
 
 /// At most `most` of `count` numbers, spread evenly but not regularly, in rising order.
@@ -248,7 +249,12 @@ fn unpick(bones: &BoneFrames, picked: &[usize], frames: usize) -> BoneFrames {
 }
 
 /// The result in model units.
-fn told(sequence: &ShapeSequence, bones: &BoneFrames, influences: Vec<BoneInfluences>) -> SkinDecomposition {
+fn told(
+    sequence: &ShapeSequence,
+    bones: &BoneFrames,
+    influences: Vec<BoneInfluences>,
+    exec: &Exec<'_>,
+) -> Result<SkinDecomposition, Cancelled> {
     let samples = &sequence.samples;
     let count = bones.bones();
     let mut sums = vec![(DVec3::ZERO, 0.0); count];
@@ -266,6 +272,7 @@ fn told(sequence: &ShapeSequence, bones: &BoneFrames, influences: Vec<BoneInflue
     let mut motions: Vec<Vec<RigidMotion>> = Vec::with_capacity(bones.frames());
     let (mut square, mut largest) = (0.0f64, 0.0f64);
     for (frame, carried) in sequence.carried.iter().enumerate() {
+        exec.check()?;
         let placed: Vec<_> = (0..count).map(|b| bones.get(frame, b)).collect();
         let before = motions.last();
         let moved = (0..count).map(|bone| {
@@ -293,11 +300,11 @@ fn told(sequence: &ShapeSequence, bones: &BoneFrames, influences: Vec<BoneInflue
         }
     }
     let all = (samples.vertices() * samples.frames()).max(1) as f64;
-    SkinDecomposition {
+    Ok(SkinDecomposition {
         centres: centres.into_iter().map(to_model).collect(),
         motions,
         influences,
         rms: (square / all).sqrt() * sequence.diagonal,
         max: largest.sqrt() * sequence.diagonal,
-    }
+    })
 }

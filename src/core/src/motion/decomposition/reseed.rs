@@ -39,11 +39,12 @@ impl FittedSkin {
 
 /// By bone: by how much the squared error would grow at most if it were not there. A vertex that leans on it has its
 /// weight shared out among its other bones.
-fn losses(samples: &ShapeSamples, skin: &FittedSkin) -> Vec<f64> {
+fn losses(samples: &ShapeSamples, skin: &FittedSkin, exec: &Exec<'_>) -> Result<Vec<f64>, Cancelled> {
     let count = skin.bones.bones();
     let mut losses = vec![0.0; count];
     // What a bone gives a vertex, seen from what all give it: Σ over frames of w² ‖x − mean‖² / (1 − w)².
     for frame in 0..skin.bones.frames() {
+        exec.check()?;
         let placed: Vec<_> = (0..count).map(|b| skin.bones.get(frame, b)).collect();
         for (p, vertex) in samples.rest.iter().zip(&skin.influences) {
             let place = |b: usize| placed[b].0 * *p + placed[b].1;
@@ -56,7 +57,7 @@ fn losses(samples: &ShapeSamples, skin: &FittedSkin) -> Vec<f64> {
             }
         }
     }
-    losses
+    Ok(losses)
 }
 
 /// Moves the bones that are missed least, `moves` of them, to where the error is largest. Their old vertices keep the other
@@ -69,7 +70,7 @@ pub(super) fn move_bones(
     exec: &Exec<'_>,
 ) -> Result<FittedSkin, Cancelled> {
     let count = skin.bones.bones();
-    let losses = losses(samples, skin);
+    let losses = losses(samples, skin, exec)?;
     let mut least: Vec<usize> = (0..count).collect();
     least.sort_by(|a, b| losses[*a].total_cmp(&losses[*b]).then(a.cmp(b)));
     least.truncate(moves);

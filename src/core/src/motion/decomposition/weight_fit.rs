@@ -15,8 +15,6 @@ use rayon::prelude::*;
 
 /// Vertices that are fitted together: what is gathered for them stays in cache.
 const RUN: usize = 16;
-/// Vertices between two looks at the progress.
-const BLOCK: usize = 1 << 13;
 /// Share of the error by which another set must be better.
 const GAIN: f64 = 1e-5;
 /// Changes of a set at most, and bones that are tried for each.
@@ -56,41 +54,39 @@ fn for_each_vertex(
     exec: &Exec<'_>,
     fit: impl Fn(&mut SetSearch<'_>, &VertexTargets<'_>, usize) -> (BoneInfluences, f64) + Sync + Send,
 ) -> Result<(Vec<BoneInfluences>, Vec<f64>), Cancelled> {
-    let products = BoneProducts::new(bones);
+    let products = BoneProducts::new(bones, exec)?;
     let vertices = samples.vertices();
     let mut influences = vec![BoneInfluences::default(); vertices];
     let mut errors = vec![0.0; vertices];
-    let blocks = influences.chunks_mut(BLOCK).zip(errors.chunks_mut(BLOCK));
-    for (block, (influences, errors)) in blocks.enumerate() {
-        exec.check()?;
-        exec.pool.install(|| {
-            let runs = influences
-                .par_chunks_mut(RUN)
-                .zip(errors.par_chunks_mut(RUN))
-                .enumerate();
-            runs.for_each_init(
-                || {
-                    (
-                        SetSearch::new(&products),
-                        vec![0.0; 4 * bones.bones() * RUN],
-                        [0.0; RUN],
-                    )
-                },
-                |(search, pulls, squares), (run, (influences, errors))| {
-                    let first = block * BLOCK + run * RUN;
-                    let count = influences.len();
-                    let pulls = &mut pulls[..4 * bones.bones() * count];
-                    gather_targets(samples, bones, first, pulls, &mut squares[..count]);
-                    for k in 0..count {
-                        let size = 4 * bones.bones();
-                        let own = &pulls[k * size..(k + 1) * size];
-                        let vertex = VertexTargets::new(samples.rest[first + k], own, squares[k]);
-                        (influences[k], errors[k]) = fit(search, &vertex, first + k);
-                    }
-                },
-            );
-        });
-    }
+    exec.pool.install(|| {
+        let runs = influences
+            .par_chunks_mut(RUN)
+            .zip(errors.par_chunks_mut(RUN))
+            .enumerate();
+        runs.try_for_each_init(
+            || {
+                (
+                    SetSearch::new(&products),
+                    vec![0.0; 4 * bones.bones() * RUN],
+                    [0.0; RUN],
+                )
+            },
+            |(search, pulls, squares), (run, (influences, errors))| {
+                exec.check()?;
+                let first = run * RUN;
+                let count = influences.len();
+                let pulls = &mut pulls[..4 * bones.bones() * count];
+                gather_targets(samples, bones, first, pulls, &mut squares[..count]);
+                for k in 0..count {
+                    let size = 4 * bones.bones();
+                    let own = &pulls[k * size..(k + 1) * size];
+                    let vertex = VertexTargets::new(samples.rest[first + k], own, squares[k]);
+                    (influences[k], errors[k]) = fit(search, &vertex, first + k);
+                }
+                Ok::<(), Cancelled>(())
+            },
+        )
+    })?;
     Ok((influences, errors))
 }
 

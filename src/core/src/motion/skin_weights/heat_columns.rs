@@ -84,6 +84,10 @@ const LOOSE: f64 = 0.01;
 const NEAREST: f64 = 0.5;
 /// Bones whose distances differ by less than this share are equally near and share the pull: those that meet in a joint.
 const EQUAL: f64 = 1e-6;
+/// Bones that share one pull at most, the first of them: more at one place are no joint, and each cell would list them all.
+const SHARING: usize = 32;
+/// Cells that one thread takes in a row.
+const RUN: usize = 256;
 
 /// Weights of all vertices for bones that run from one point to another. Each vertex follows at least one bone.
 ///
@@ -137,10 +141,12 @@ pub fn skin_weights(
     let mut workspace = Workspace::default();
     let all: Vec<usize> = (0..bones.len()).collect();
     for group in all.chunks(COLUMNS) {
+        exec.check()?;
         let columns = group.len();
+        let own = group[0]..group[0] + columns;
         let mut rhs = vec![0.0; nodes * columns];
         for (row, pull) in rhs.chunks_mut(columns).zip(&pulls) {
-            for bone in pull.bones.iter().filter(|b| group.contains(b)) {
+            for bone in pull.bones.iter().filter(|b| own.contains(*b)) {
                 row[bone - group[0]] = pull.stiffness / pull.bones.len() as f64;
             }
         }
@@ -156,12 +162,16 @@ pub fn skin_weights(
         let equations = system.equations(&hierarchy, columns, &rhs);
         equations.solve(&mut x, &solve, &mut workspace, exec, &mut |_| SolveControl::Continue)?;
         exec.pool.install(|| {
-            let rows = heaviest.par_iter_mut().zip(x.par_chunks(columns)).with_min_len(256);
-            rows.for_each(|(heaviest, row)| {
-                let weights = group.iter().zip(row);
-                weights.for_each(|(bone, weight)| heaviest.add(*bone as u16, *weight));
-            });
-        });
+            let runs = heaviest.par_chunks_mut(RUN).zip(x.par_chunks(RUN * columns));
+            runs.try_for_each(|(heaviest, rows)| {
+                exec.check()?;
+                for (heaviest, row) in heaviest.iter_mut().zip(rows.chunks(columns)) {
+                    let weights = group.iter().zip(row);
+                    weights.for_each(|(bone, weight)| heaviest.add(*bone as u16, *weight));
+                }
+                Ok::<(), Cancelled>(())
+            })
+        })?;
     }
     let cut = WeightCut {
         most: options.influences,
@@ -170,13 +180,14 @@ pub fn skin_weights(
     };
     exec.pool.install(|| {
         let of_cells = cut.smoothed(&cells, (&offsets, &neighbours), &heaviest, exec)?;
-        let all = positions.par_iter().with_min_len(256);
+        let all = positions.par_iter().with_min_len(RUN);
         let found = all.map(|p| {
+            exec.check()?;
             let (around, count) = cells.around_point(*p);
             let parts = around[..count].iter().map(|(node, w)| (&of_cells[*node as usize], *w));
-            cut.few(&HeaviestWeights::of_mixture(parts), *p)
+            Ok(cut.few(&HeaviestWeights::of_mixture(parts), *p))
         });
-        Ok(found.collect())
+        found.collect()
     })
 }
 
@@ -203,32 +214,33 @@ impl WeightCut<'_> {
         heaviest: &[HeaviestWeights],
         exec: &Exec<'_>,
     ) -> Result<Vec<BoneInfluences>, SkinWeightError> {
-        let few = |heaviest: &[HeaviestWeights]| -> Vec<BoneInfluences> {
-            let all = heaviest.par_iter().zip(&cells.places).with_min_len(256);
-            all.map(|(heaviest, p)| self.few(heaviest, *p)).collect()
-        };
         let taken = heaviest.iter().map(|h| h.share_cut(self.most));
         let loose: Vec<f64> = taken.map(|taken| (taken / LOOSE).min(1.0)).collect();
-        let mut of_cells = few(heaviest);
+        let all = heaviest.par_iter().zip(&cells.places).with_min_len(RUN);
+        let few = all.map(|(heaviest, p)| {
+            exec.check()?;
+            Ok(self.few(heaviest, *p))
+        });
+        let mut of_cells: Vec<BoneInfluences> = few.collect::<Result<_, Cancelled>>()?;
         if loose.iter().all(|l| *l == 0.0) {
             return Ok(of_cells);
         }
         for _ in 0..ROUNDS {
-            exec.check()?;
-            let all = (0..of_cells.len()).into_par_iter().with_min_len(256);
+            let all = (0..of_cells.len()).into_par_iter().with_min_len(RUN);
             of_cells = all
                 .map(|node| {
+                    exec.check()?;
                     let around = &neighbours[offsets[node] as usize..offsets[node + 1] as usize];
                     if loose[node] == 0.0 {
-                        return of_cells[node];
+                        return Ok(of_cells[node]);
                     }
                     let share = loose[node] / (around.len() as f64 + 1.0);
                     let own = 1.0 - share * around.len() as f64;
                     let parts = around.iter().map(|n| (&of_cells[*n as usize], share));
                     let mixed = HeaviestWeights::of_mixture(parts.chain([(&of_cells[node], own)]));
-                    self.few(&mixed, cells.places[node])
+                    Ok(self.few(&mixed, cells.places[node]))
                 })
-                .collect();
+                .collect::<Result<_, Cancelled>>()?;
         }
         Ok(of_cells)
     }
@@ -246,21 +258,22 @@ fn pulls(
     stiffness: f64,
     exec: &Exec<'_>,
 ) -> Result<Vec<CellPull>, Cancelled> {
-    exec.check()?;
-    Ok(exec.pool.install(|| {
-        let all = cells.places.par_iter().with_min_len(256);
+    exec.pool.install(|| {
+        let all = cells.places.par_iter().with_min_len(RUN);
         let found = all.map(|p| {
+            // All bones are looked at for each cell.
+            exec.check()?;
             let (_, square) = nearest(bones, *p);
             let reach = square * (1.0 + EQUAL) * (1.0 + EQUAL) + EQUAL * EQUAL * cells.side * cells.side;
             let near = (0..bones.len()).filter(|b| distance_squared(&bones[*b], *p) <= reach);
             let d = square / (cells.side * cells.side);
-            CellPull {
-                bones: near.collect(),
+            Ok(CellPull {
+                bones: near.take(SHARING).collect(),
                 stiffness: stiffness / d.max(NEAREST * NEAREST),
-            }
+            })
         });
         found.collect()
-    }))
+    })
 }
 
 fn distance_squared(bone: &SkinBone, p: DVec3) -> f64 {

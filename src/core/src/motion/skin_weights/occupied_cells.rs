@@ -101,11 +101,12 @@ impl OccupiedCells {
         }
         let tree = WindingTree::build(positions, triangles, exec.pool);
         for (z, layer) in occupied.chunks_mut(nx * ny).enumerate() {
-            exec.check()?;
             exec.pool.install(|| {
-                layer.par_chunks_mut(nx).enumerate().for_each(|(y, row)| {
+                layer.par_chunks_mut(nx).enumerate().try_for_each(|(y, row)| {
                     let mut known = None;
                     for (x, cell) in row.iter_mut().enumerate() {
+                        // Triangles as long as the mesh are near every cell.
+                        exec.check()?;
                         let middle = self.middle((z * ny + y) * nx + x);
                         if tree.bvh().has_triangle_within(middle, REACH * self.side) {
                             (*cell, known) = (true, None);
@@ -118,8 +119,9 @@ impl OccupiedCells {
                         *cell = inside;
                         known = Some((inside, since));
                     }
-                });
-            });
+                    Ok::<(), Cancelled>(())
+                })
+            })?;
         }
         Ok(occupied)
     }
