@@ -43,7 +43,7 @@ pub(super) fn draw_cutaway(
     };
     let exec = Exec::new(pool, &Silent);
     let deformer = Deformer::of_model(read, &options, &limits, &exec).map_err(|e| refuse(e.into()))?;
-    let held = deformer.nodes_of_rig(&bones, pool);
+    let held = deformer.nodes_of_rig(&bones, &exec);
     let held = held.map_err(|e| CliFailure::Input(format!("{}: {e}", rig.display())))?;
     let RigNodes { rotations, positions } = held;
 

@@ -165,6 +165,10 @@ fn limits_without_a_key_are_those_of_the_program() {
             pliant::engine::MOST_TUBE_POINTS.to_string(),
         ),
         (
+            "pairs of faces around one point, at all points of a model that is edited",
+            pliant::edit::MOST_FACE_PAIRS.to_string(),
+        ),
+        (
             "rows of one clip",
             pliant::motion::bvh::ClipLimits::default().frames.to_string(),
         ),

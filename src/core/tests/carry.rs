@@ -7,7 +7,7 @@ use pliant_core::mesh::carry::{CarriedFrame, CarriedPoints, CarrySurface, Surfac
 use pliant_core::mesh::query::closest_point::blend_corners;
 use pliant_core::mesh::rotation::exp_rotation;
 use pliant_core::pool::Pool;
-use pliant_core::progress::Silent;
+use pliant_core::progress::{CancelFlag, Cancelled, Silent};
 use proptest::prelude::*;
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -174,11 +174,22 @@ fn threads_and_binding_change_no_bit() {
         let pool = threads(count);
         let surface = CarrySurface::build(&rest, &faces, &pool);
         let motion = SurfaceMotion::between(&surface, &now, &pool);
-        let bound = CarriedPoints::bind(&surface, &points, &pool);
+        let bound = CarriedPoints::bind(&surface, &points, &Exec::new(&pool, &Silent)).expect("nobody ends it");
         assert_eq!(bound.carried_by(&motion, &pool), expected, "{count} threads");
         let carrier = SurfaceCarrier::new(&faces, &rest, &now, &pool);
         assert_eq!(carry(&carrier, &points, &pool), expected, "{count} threads");
     }
+}
+
+#[test]
+fn binding_that_nobody_waits_for_is_given_up() {
+    let (rest, faces) = shapes::icosphere(1.0, 2);
+    let pool = threads(2);
+    let surface = CarrySurface::build(&rest, &faces, &pool);
+    let flag = CancelFlag::default();
+    flag.cancel();
+    let bound = CarriedPoints::bind(&surface, &places(&rest, 5), &Exec::new(&pool, &flag));
+    assert_eq!(bound.map(|points| points.len()), Err(Cancelled));
 }
 
 #[test]

@@ -5,7 +5,8 @@ use super::measures::*;
 use glam::DVec3;
 use pliant::edit::{EditSubject, Error};
 use pliant::edit::{MENDED, RemeshOptions, RemeshTarget, SurfacePatch, remesh_region};
-use pliant::progress::{CancelFlag, Silent};
+use pliant::progress::{CancelFlag, Progress, Silent};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn patch_of(model: &Model, faces: &[u32], target: RemeshTarget<'_>) -> SurfacePatch {
     let options = RemeshOptions::from(target);
@@ -53,6 +54,51 @@ fn closed_shapes_stay_closed_and_keep_their_shape() {
             let agreement = least_agreement(&model, &now, |_| true);
             assert!(agreement > 0.5, "{name} × {factor}: {agreement}");
         }
+    }
+}
+
+/// Two cones whose faces all reach from the rim to a tip.
+fn double_cone(sides: u32) -> Shape {
+    let rim = (0..sides).map(|k| {
+        let (sin, cos) = (f64::from(k) / f64::from(sides) * std::f64::consts::TAU).sin_cos();
+        DVec3::new(cos, sin, 0.0)
+    });
+    let points = rim.chain([DVec3::Z * 0.5, DVec3::NEG_Z * 0.5]).collect();
+    let faces = (0..sides).flat_map(|k| {
+        let next = (k + 1) % sides;
+        [[k, next, sides], [next, k, sides + 1]]
+    });
+    (points, faces.collect())
+}
+
+#[test]
+fn very_many_faces_that_meet_at_one_point_are_remeshed() {
+    let model = Model::of(double_cone(700));
+    let now = remeshed(&model, &all(&model), 0.1);
+    let t = topology(&now);
+    assert!(t.is_closed() && t.euler == 2 && t.components == 1, "{t:?}");
+    let (v, w) = (volume(&model.surface()), volume(&now.surface()));
+    assert!((v - w).abs() <= 0.05 * v, "volume {v} became {w}");
+}
+
+/// Is no longer wanted once it was asked so often.
+struct GivenUpAfter(AtomicUsize);
+
+impl Progress for GivenUpAfter {
+    fn cancelled(&self) -> bool {
+        let left = |left: usize| Some(left.saturating_sub(1));
+        self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, left) == Ok(0)
+    }
+}
+
+#[test]
+fn a_remesh_of_faces_as_long_as_the_model_is_given_up_at_any_time() {
+    let model = Model::of(double_cone(300));
+    let options = RemeshOptions::from(RemeshTarget::Length(0.1));
+    for asked in [0, 2, 6] {
+        let watch = GivenUpAfter(AtomicUsize::new(asked));
+        let given_up = remesh_region(&model.surface(), &all(&model), &options, &watch);
+        assert_eq!(given_up, Err(Error::Cancelled), "after {asked}");
     }
 }
 

@@ -46,6 +46,6 @@ pub use remesh::{
 };
 pub use stitch::{LoopPair, stitch_boundaries};
 pub use subdivide::{EvennessTarget, FieldSample, SubdivisionScheme, subdivide_region, subdivide_until_even};
-pub use surface::SurfaceView;
+pub use surface::{MOST_FACE_PAIRS, SurfaceView, check_faces_at_points};
 pub use topology::{SurfaceTopology, verify_surface};
 pub use weld::{NOTHING_TO_WELD, weld_boundaries, weld_points};

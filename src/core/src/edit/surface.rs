@@ -88,6 +88,39 @@ impl BitSet {
     }
 }
 
+/// Pairs of faces around one point, at all points together, that an edit may have to look at: seconds, a minute at worst. Where six
+/// faces meet at each point there are 36 for each.
+pub const MOST_FACE_PAIRS: u64 = 1 << 30;
+
+/// Refuses a surface where so many faces meet at few points that edits, which look through all faces around a point for each that
+/// they change there, would take very long.
+///
+/// # Errors
+/// [`Error::Impossible`] with the point where most faces meet.
+pub fn check_faces_at_points(surface: &SurfaceView) -> Result<(), Error> {
+    let mut meeting = vec![0u64; surface.points as usize];
+    for v in surface.triangles.as_flattened() {
+        if let Some(count) = meeting.get_mut(surface.point_of[*v as usize] as usize) {
+            *count += 1;
+        }
+    }
+    let squares = meeting.iter().map(|n| n.saturating_mul(*n));
+    let pairs = squares.fold(0, u64::saturating_add);
+    if pairs <= MOST_FACE_PAIRS {
+        return Ok(());
+    }
+    let most = meeting.iter().copied().max().unwrap_or(0);
+    let is_there = |p: &u32| meeting.get(*p as usize) == Some(&most);
+    let vertex = surface.point_of.iter().position(is_there).unwrap_or(0);
+    Err(Error::impossible(
+        format!(
+            "{most} faces meet at one point, and an edit looks at all pairs of faces around a point: {pairs} in all, at most \
+             {MOST_FACE_PAIRS} are allowed; cut the model's flat faces into triangles that do not all meet at one point"
+        ),
+        format!("vertex {vertex}"),
+    ))
+}
+
 /// Refuses a region that is empty, not rising, or names triangles that are not there.
 pub(super) fn check_region(surface: &SurfaceView, triangles: &[u32]) -> Result<(), Error> {
     let invalid = |problem: String| Err(Error::invalid(EditSubject::Region, problem));
@@ -104,4 +137,29 @@ pub(super) fn check_region(surface: &SurfaceView, triangles: &[u32]) -> Result<(
         ));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_surface_whose_faces_all_meet_at_one_point_is_refused_beyond_a_bound() {
+        let checked = |count: u32| {
+            let positions: Vec<DVec3> = (0..=count).map(|k| DVec3::splat(f64::from(k))).collect();
+            let points: Vec<u32> = (0..=count).collect();
+            let triangles: Vec<[u32; 3]> = (1..count).map(|k| [k, k + 1, 0]).collect();
+            check_faces_at_points(&SurfaceView {
+                positions: &positions,
+                triangles: &triangles,
+                primitive_of: &vec![0; triangles.len()],
+                point_of: &points,
+                points: count + 1,
+            })
+        };
+        assert_eq!(checked(30_000), Ok(()));
+        let refused = checked(40_000).expect_err("too many meet").to_string();
+        assert!(refused.starts_with("39999 faces meet at one point"), "{refused}");
+        assert!(refused.ends_with("(vertex 0)"), "{refused}");
+    }
 }

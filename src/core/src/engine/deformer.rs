@@ -382,10 +382,11 @@ impl Deformer {
             true => None,
             false => Some(HandleSystem::build(body, rigging, exec)?),
         };
+        let large = match &rig {
+            Some(rig) => warn_of_large_faces(&self.derived.mesh, rig, body.diagonal, 0.0, exec)?,
+            None => None,
+        };
         self.handles = resolved;
-        let large = rig
-            .as_ref()
-            .and_then(|rig| warn_of_large_faces(&self.derived.mesh, rig, body.diagonal, 0.0));
         self.handles.warnings.extend(large);
         self.rig = rig;
         self.state.begin_anew();

@@ -40,8 +40,8 @@ pub(super) struct DerivedStructures {
     report: OnceLock<MeshReport>,
     /// The surface at rest, once something was carried along with it.
     carry: OnceLock<Arc<CarrySurface>>,
-    /// The vertices that ride along, once a shape was solved.
-    riders: OnceLock<RidingVertices>,
+    /// The vertices that ride along, once a shape was solved, or why they cannot.
+    riders: OnceLock<Result<RidingVertices, Error>>,
     ties: OnceLock<TieFacts>,
     /// What is around the surface's vertices, once faces of an animation turned over.
     pub surroundings: OnceLock<FaceSurroundings>,
@@ -216,17 +216,36 @@ impl DerivedStructures {
         (self.carry).get_or_init(|| Arc::new(CarrySurface::build(&self.mesh.positions, &self.mesh.triangles, pool)))
     }
 
-    /// The render vertices of passengers with what they follow; `None` where there are none.
-    pub fn riding_vertices(&self, pool: &Pool) -> Option<(&CarrySurface, &RidingVertices)> {
-        if !self.topology().has_passengers() {
-            return None;
+    /// Finds what the render vertices of passengers follow, if nobody has yet.
+    ///
+    /// # Errors
+    /// [`Error::Precondition`] when that looks at too much, [`Error::TooLarge`] when it takes more memory than allowed,
+    /// [`Error::Cancelled`].
+    pub fn bind_riders(&self, limits: &DeformerLimits, exec: &Exec<'_>) -> Result<(), Error> {
+        let topology = self.topology();
+        if !topology.has_passengers() {
+            return Ok(());
         }
-        let surface = self.carry_surface(pool);
-        let riders = (self.riders).get_or_init(|| {
-            let topology = self.topology();
-            RidingVertices::bind(surface, &topology.geometry().primitives, &topology.rest, pool)
-        });
-        Some((surface, riders))
+        let answer = |known: &Result<RidingVertices, Error>| known.as_ref().map(|_| ()).map_err(Error::clone);
+        if let Some(known) = self.riders.get() {
+            return answer(known);
+        }
+        let surface = self.carry_surface(exec.pool);
+        let held = self.byte_size();
+        let admit = |bytes: u64| admit_bytes(held + bytes, limits, exec);
+        let primitives = &topology.geometry().primitives;
+        match RidingVertices::bind(surface, primitives, &topology.rest, admit, exec) {
+            // Another time there may be memory, and somebody who waits.
+            Err(e @ (Error::TooLarge { .. } | Error::Cancelled)) => Err(e),
+            // Another thread may have found the same meanwhile.
+            found => answer(self.riders.get_or_init(|| found)),
+        }
+    }
+
+    /// The render vertices of passengers with what they follow; `None` where there are none, and before
+    /// [`DerivedStructures::bind_riders`].
+    pub fn riding_vertices(&self) -> Option<(&CarrySurface, &RidingVertices)> {
+        Some((self.carry.get()?, self.riders.get()?.as_ref().ok()?))
     }
 
     pub fn topology(&self) -> &Arc<ModelTopology> {
@@ -284,7 +303,10 @@ impl DerivedStructures {
             + self.thin.byte_size()
             + self.body.byte_size()
             + self.carry.get().map_or(0, |surface| surface.byte_size())
-            + self.riders.get().map_or(0, RidingVertices::byte_size)
+            + self
+                .riders
+                .get()
+                .map_or(0, |r| r.as_ref().map_or(0, RidingVertices::byte_size))
             + self.surroundings.get().map_or(0, FaceSurroundings::byte_size);
         model + past + parts as u64
     }

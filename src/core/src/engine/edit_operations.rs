@@ -85,6 +85,7 @@ impl PlannedEdit {
 pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<'_>) -> Result<PlannedEdit, Error> {
     let progress = exec.progress;
     let kind = edit.kind();
+    edit::check_faces_at_points(&context.surface.surface())?;
     let patch = match edit {
         Edit::Cut { along, keep, fill } => {
             return Ok(PlannedEdit {
@@ -261,6 +262,7 @@ fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>
     let affine = DAffine3::from_mat4(placement);
     context.origins.append(&model, affine, &mesh.source_triangle);
     let surface = context.surface.surface();
+    edit::check_faces_at_points(&surface)?;
     let tolerance = merge.tolerance.unwrap_or_else(|| {
         let edges = Adjacency::build(mesh.positions.len(), &mesh.triangles).edges;
         0.5 * mean_edge_length(&mesh.positions, &edges)

@@ -10,6 +10,7 @@ use crate::mesh::Mesh;
 use crate::mesh::distortion::vertex_gradients;
 use crate::mesh::query::TriangleBvh;
 use crate::mesh::rotation::fit_rotation;
+use crate::progress::Cancelled;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
@@ -30,6 +31,11 @@ const BENT_PART: f64 = 0.3;
 const THICKNESS_PARTS: [f64; 2] = [0.1, 0.5];
 /// The first of the nine numbers of a rotation among the fields that are sampled; handles have smaller ones.
 const TURNED: u32 = u32::MAX - 9;
+/// What finding how thick the body is behind one face may look at on average. Where faces are of about one size it looks at a
+/// tenth of it.
+const VISITS_PER_FACE: u64 = 8192;
+/// The same for any faces.
+const LEAST_VISITS: u64 = 1 << 28;
 /// How many faces a warning names.
 const NAMED: usize = 8;
 
@@ -49,16 +55,24 @@ pub(super) struct HandleBend<'a> {
 }
 
 /// The warning that faces are too large for these handles, if more than `least` of all faces are.
+///
+/// # Errors
+/// [`Cancelled`].
 pub(in crate::engine) fn warn_of_large_faces(
     mesh: &Mesh,
     handles: &HandleSystem,
     diagonal: f64,
     least: f64,
-) -> Option<DeformerWarning> {
+    exec: &Exec<'_>,
+) -> Result<Option<DeformerWarning>, Cancelled> {
     let shortest = SHORTEST * diagonal;
     let mut found: Vec<u32> = Vec::new();
     let (mut count, mut worst) = (0usize, 0.0f64);
     for (t, triangle) in mesh.triangles.iter().enumerate() {
+        // All handles may have a say at each corner.
+        if t.is_multiple_of(64) {
+            exec.check()?;
+        }
         let way = longest_way(mesh, triangle, shortest, |a, b| {
             handles.way_between(a as usize, b as usize)
         });
@@ -71,7 +85,7 @@ pub(in crate::engine) fn warn_of_large_faces(
         }
     }
     if count as f64 <= least * mesh.triangles.len() as f64 {
-        return None;
+        return Ok(None);
     }
     let finer = (worst / DIVIDED_WAY[1]).ceil();
     let message = format!(
@@ -87,7 +101,7 @@ pub(in crate::engine) fn warn_of_large_faces(
         String::new()
     };
     let place = format!("triangles {}{rest}", named.join(", "));
-    Some(DeformerWarning::new("faces-too-large", message, place))
+    Ok(Some(DeformerWarning::new("faces-too-large", message, place)))
 }
 
 /// The largest part of the way between handles that an edge of a triangle goes, of those longer than `shortest`.
@@ -121,6 +135,7 @@ pub(super) fn plan_division(
     let way = (DIVIDED_TURN / turn).clamp(least, most);
     let turns = vertex_turns(mesh, shape, exec);
     let tree = TriangleBvh::build(surface.positions, surface.triangles, exec.pool);
+    let most_visits = LEAST_VISITS + VISITS_PER_FACE * faces.len() as u64;
     let [least, most] = THICKNESS_PARTS;
     let part = (BENT_PART / turn).clamp(least, most);
     let shares = |sample: &FieldSample| sample.partition_point(|s| s.0 < TURNED);
@@ -139,7 +154,16 @@ pub(super) fn plan_division(
         },
         largest: 1.0,
         shortest: SHORTEST * diagonal,
-        longest: &|t| part * thickness_at(surface, &tree, t, diagonal),
+        longest: &|t| match tree.visits.total() > most_visits {
+            true => Err(edit::Error::Impossible {
+                problem: format!(
+                    "finding how thick the body is takes more than {most_visits} comparisons, because faces are as long as the \
+                     model; remesh it first, which gives it faces of about one size"
+                ),
+                place: edit::ErrorPlace::Described(format!("triangle {t}")),
+            }),
+            false => Ok(part * thickness_at(surface, &tree, t, diagonal)),
+        },
     };
     subdivide_until_even(surface, faces, &target, exec.progress)
 }

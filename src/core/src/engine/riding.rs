@@ -3,9 +3,18 @@
 use super::error::{Error, InputPlace};
 use super::passenger::{Passenger, PassengerKind};
 use crate::asset::Primitive;
+use crate::exec::Exec;
 use crate::mesh::carry::{CarriedPoints, CarrySurface, SurfaceMotion};
 use crate::pool::Pool;
 use glam::DVec3;
+
+/// What finding what one vertex of a passenger follows may look at on average: some tens of microseconds. Where faces are of about
+/// one size it looks at a hundredth of it.
+const VISITS_PER_VERTEX: u64 = 8192;
+/// The same for any passengers: some seconds.
+const LEAST_VISITS: u64 = 1 << 31;
+/// Vertices after which what was looked at and what is held are counted.
+const BLOCK: usize = 512;
 
 /// Marks the primitives that ride along.
 ///
@@ -73,15 +82,37 @@ pub(super) struct RidingVertices {
 }
 
 impl RidingVertices {
-    /// Finds what every vertex of a passenger follows.
-    pub fn bind(surface: &CarrySurface, primitives: &[Primitive], rest: &[DVec3], pool: &Pool) -> Self {
+    /// Finds what every vertex of a passenger follows. `admit` says whether so many bytes may be held.
+    ///
+    /// # Errors
+    /// [`Error::Precondition`] when that looks at too much, [`Error::Cancelled`], and those of `admit`.
+    pub fn bind(
+        surface: &CarrySurface,
+        primitives: &[Primitive],
+        rest: &[DVec3],
+        admit: impl Fn(u64) -> Result<(), Error>,
+        exec: &Exec<'_>,
+    ) -> Result<Self, Error> {
         let passengers = primitives.iter().filter(|p| p.is_passenger);
         let vertices: Vec<u32> = passengers.flat_map(|p| p.vertices()).map(|v| v as u32).collect();
-        let places: Vec<DVec3> = vertices.iter().map(|&v| rest[v as usize]).collect();
-        Self {
-            points: CarriedPoints::bind(surface, &places, pool),
+        let mut riders = Self {
+            points: CarriedPoints::default(),
             vertices,
+        };
+        let limit = LEAST_VISITS + VISITS_PER_VERTEX * riders.vertices.len() as u64;
+        let mut visits = 0;
+        for block in riders.vertices.chunks(BLOCK) {
+            let places: Vec<DVec3> = block.iter().map(|&v| rest[v as usize]).collect();
+            visits += riders.points.bind_more(surface, &places, exec)?;
+            if visits > limit {
+                return Err(Error::Precondition(format!(
+                    "finding what the vertices of passengers follow takes more than {limit} comparisons, because faces are as \
+                     long as the model; remesh the model to give it faces of about one size, or open it without these passengers"
+                )));
+            }
+            admit(riders.points.byte_size() as u64)?;
         }
+        Ok(riders)
     }
 
     /// Writes where they are when the surface is at `current`, among the positions of all render vertices.

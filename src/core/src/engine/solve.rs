@@ -112,6 +112,7 @@ impl Deformer {
         watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<SolvedShape, Error> {
         let transforms = self.transforms(poses)?;
+        self.derived.bind_riders(&self.room_limits(), exec)?;
         let Self {
             rig: Some(rig),
             state,
@@ -151,7 +152,7 @@ impl Deformer {
             mesh: &derived.mesh,
             rest: &derived.topology().rest,
             strays: &handles.strays,
-            riders: derived.riding_vertices(exec.pool),
+            riders: derived.riding_vertices(),
             pool: exec.pool,
         };
         let mut on_cycle = |cycle: &CycleReport<'_>| {

@@ -5,7 +5,9 @@ use super::curve::KeyedCurve;
 use super::of_scene::{NodeOrder, interpolation_of};
 use super::rig::RigidMotion;
 use crate::asset::{ChannelValues, MovingScene, PrimitiveShapes, SceneClip};
+use crate::exec::Exec;
 use crate::mesh::local_turns::local_turns;
+use crate::progress::Cancelled;
 use glam::{DAffine3, DVec3};
 use std::ops::Range;
 use std::sync::Arc;
@@ -34,7 +36,7 @@ struct ScenePart {
 
 impl ScenePart {
     /// By how much morph targets move each vertex at a time; `None` where they do not.
-    fn shifts(&self, seconds: f64) -> Option<Vec<DVec3>> {
+    fn shifts(&self, seconds: f64, exec: &Exec<'_>) -> Result<Option<Vec<DVec3>>, Cancelled> {
         let mut shifts = vec![DVec3::ZERO; self.vertices.len()];
         let mut is_moved = false;
         for (curve, target) in self.weights.iter().zip(&self.shapes.targets) {
@@ -42,12 +44,13 @@ impl ScenePart {
             if weight == 0.0 || target.is_empty() {
                 continue;
             }
+            exec.check()?;
             is_moved = true;
             for (shift, own) in shifts.iter_mut().zip(target) {
                 *shift += own.as_dvec3() * weight;
             }
         }
-        is_moved.then_some(shifts)
+        Ok(is_moved.then_some(shifts))
     }
 }
 
@@ -87,16 +90,21 @@ impl SceneMotion {
 
     /// Puts the vertices that move beside a skin where they are at a time in seconds. `positions`, one per render vertex, are as
     /// the root bone sees them that does `root`; `rest` and `triangles` are the model's.
+    ///
+    /// # Errors
+    /// [`Cancelled`], with some of them placed.
     pub fn place(
         &self,
         seconds: f64,
         root: &RigidMotion,
         (rest, triangles): (&[DVec3], &[[u32; 3]]),
         positions: &mut [DVec3],
-    ) {
-        let skinned = self.parts.iter().filter(|part| part.has_skin);
-        let morphed: Vec<(&ScenePart, Vec<DVec3>)> =
-            skinned.filter_map(|part| Some((part, part.shifts(seconds)?))).collect();
+        exec: &Exec<'_>,
+    ) -> Result<(), Cancelled> {
+        let mut morphed: Vec<(&ScenePart, Vec<DVec3>)> = Vec::new();
+        for part in self.parts.iter().filter(|part| part.has_skin) {
+            morphed.extend(part.shifts(seconds, exec)?.map(|shifts| (part, shifts)));
+        }
         if !morphed.is_empty() {
             let turns = local_turns(rest, positions, triangles);
             for (part, shifts) in morphed {
@@ -113,13 +121,14 @@ impl SceneMotion {
             world.push(above * fixed.unwrap_or_else(|| own.transform()));
         }
         for part in self.parts.iter().filter(|part| !part.has_skin) {
-            let shifts = part.shifts(seconds);
+            let shifts = part.shifts(seconds, exec)?;
             for (number, (vertex, own)) in part.vertices.clone().zip(&part.shapes.positions).enumerate() {
                 let shift = shifts.as_ref().map_or(DVec3::ZERO, |shifts| shifts[number]);
                 let place = world[part.joint].transform_point3(own.as_dvec3() + shift);
                 positions[vertex] = root.place_back(place);
             }
         }
+        Ok(())
     }
 }
 
@@ -145,6 +154,8 @@ mod tests {
     use super::*;
     use crate::asset::{ChannelInterpolation, SceneChannel, SceneNode, ScenePrimitive};
     use crate::motion::clip_of_scene;
+    use crate::pool::Pool;
+    use crate::progress::Silent;
     use glam::{DQuat, Vec3};
 
     fn node(name: &str, parent: Option<usize>) -> SceneNode {
@@ -222,7 +233,15 @@ mod tests {
             from: DVec3::X,
             to: DVec3::ONE,
         };
-        beside.place(1.0, &root, (&rest, &[[1, 2, 3]]), &mut positions);
+        let pool = Pool::new(1).expect("a thread");
+        let placed = beside.place(
+            1.0,
+            &root,
+            (&rest, &[[1, 2, 3]]),
+            &mut positions,
+            &Exec::new(&pool, &Silent),
+        );
+        assert_eq!(placed, Ok(()));
         assert!(root.place(positions[0]).distance(DVec3::new(3.0, 1.0, 0.0)) < 1e-12);
         for (now, at_rest) in positions.iter().zip(&rest).skip(1) {
             assert!(now.distance(turned(*at_rest + DVec3::Z * 0.5)) < 1e-9, "{now}");

@@ -261,7 +261,7 @@ fn try_to_draw(
         whole_chain.extend_from_slice(&mesh.points_along_mark(pair[0], pair[1])[1..]);
     }
     let marked = mesh.marked.clone();
-    mesh.improve_split_faces(|a, b| marked.contains(&edge_key(a, b)));
+    mesh.improve_split_faces(|a, b| marked.contains(&edge_key(a, b)), progress)?;
     Ok(Ok(DrawnCurve {
         mesh,
         chain: whole_chain,

@@ -107,7 +107,8 @@ impl CutBand<'_> {
         let mut crossing = self.mesh.edges();
         crossing.retain(|&(a, b)| self.sign[a as usize] * self.sign[b as usize] < 0);
         for (done, (a, b)) in crossing.into_iter().enumerate() {
-            if done % 1024 == 0 {
+            // Each looks through all faces around its ends.
+            if done % 128 == 0 {
                 check(progress)?;
             }
             let (ha, hb) = (self.height[a as usize], self.height[b as usize]);
@@ -117,9 +118,8 @@ impl CutBand<'_> {
             self.sign.push(0);
         }
         let sign = &self.sign;
-        self.mesh
-            .improve_split_faces(|a, b| sign[a as usize] == 0 && sign[b as usize] == 0);
-        Ok(())
+        let on_plane = |a, b| [a, b].iter().all(|&p: &u32| sign[p as usize] == 0);
+        Ok(self.mesh.improve_split_faces(on_plane, progress)?)
     }
 
     /// Opens the edges where both sides meet and takes out the side that does not stay. Answers those edges.

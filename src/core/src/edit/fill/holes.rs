@@ -39,7 +39,13 @@ pub fn delete_faces(
     let doomed: Vec<u32> = (0..mesh.triangles.len() as u32)
         .filter(|&f| faces.binary_search(&mesh.triangles[f as usize]).is_ok())
         .collect();
-    doomed.iter().for_each(|&f| mesh.remove_face(f));
+    for (k, &f) in doomed.iter().enumerate() {
+        // Each looks through all faces around its corners.
+        if k.is_multiple_of(64) {
+            check(progress)?;
+        }
+        mesh.remove_face(f);
+    }
     if fill {
         let (closed, open) = split_into_loops(&edges_left_open(&mesh, &doomed));
         for trail in open {

@@ -36,11 +36,10 @@ impl RegionMesh {
             return None;
         }
         let around = self.neighbours(from);
-        let beyond = self.neighbours(to);
-        let common = around.iter().filter(|q| beyond.binary_search(q).is_ok());
+        let common = around.into_iter().filter(|&q| q != to && self.has_edge(q, to));
         let mut shared = 0;
         for q in common {
-            if !across.contains(q) {
+            if !across.contains(&q) {
                 return None;
             }
             shared += 1;

@@ -10,6 +10,10 @@ use std::collections::{BTreeMap, BTreeSet};
 /// In [`RegionFace::source`]: the face is new and closes a hole.
 pub(in crate::edit) const CAP: u32 = u32::MAX;
 
+/// An edge at a point with more faces than this is looked for at its other end, if that has fewer: at a point where very many
+/// meet, looking through all of them for each of its edges would cost the square of their number.
+const MANY_FACES: usize = 64;
+
 /// A point of a region mesh and the faces around it.
 #[derive(Debug, Clone)]
 pub(in crate::edit) struct RegionPoint {
@@ -187,10 +191,20 @@ impl RegionMesh {
         self.triangles.binary_search(&triangle).ok().map(|f| f as u32)
     }
 
+    /// The faces around an end of an edge: `a`, but for one with very many faces.
+    fn faces_at_an_end(&self, a: u32, b: u32) -> &[u32] {
+        let [at_a, at_b] = [a, b].map(|p| self.faces_around(p));
+        if at_a.len() > MANY_FACES && at_b.len() < at_a.len() {
+            at_b
+        } else {
+            at_a
+        }
+    }
+
     /// Living faces along the edge between two points, however many.
     pub fn faces_along(&self, a: u32, b: u32) -> impl Iterator<Item = u32> + '_ {
-        let faces = self.faces_around(a).iter().copied();
-        faces.filter(move |&f| self.faces[f as usize].corner_of(b).is_some())
+        let faces = self.faces_at_an_end(a, b).iter().copied();
+        faces.filter(move |&f| [a, b].iter().all(|&p| self.faces[f as usize].corner_of(p).is_some()))
     }
 
     /// Whether two points are joined by an edge.
@@ -205,7 +219,7 @@ impl RegionMesh {
             right: NONE,
             tangled: false,
         };
-        for &f in self.faces_around(a) {
+        for &f in self.faces_at_an_end(a, b) {
             let p = self.points_of(f);
             for i in 0..3 {
                 let side = if p[i] == a && p[(i + 1) % 3] == b {
@@ -254,25 +268,22 @@ impl RegionMesh {
     /// Points that share an edge with `p`, rising.
     pub fn neighbours(&self, p: u32) -> Vec<u32> {
         let faces = self.faces_around(p);
-        let mut around: Vec<u32> = Vec::with_capacity(faces.len() + 4);
+        let mut around: Vec<u32> = Vec::with_capacity(2 * faces.len());
         for &f in faces {
-            for q in self.points_of(f) {
-                if q != p && !around.contains(&q) {
-                    around.push(q);
-                }
-            }
+            around.extend(self.points_of(f).into_iter().filter(|&q| q != p));
         }
         around.sort_unstable();
+        around.dedup();
         around
     }
 
     /// How many points share an edge with `p`, and how many faces are there: equal in the inside of a surface.
     pub fn valence(&self, p: u32) -> (usize, usize) {
-        let links = self.fan_links(p);
+        let mut links = self.fan_links(p);
+        links.sort_unstable();
         // In a fan each neighbour is the next corner of one face, but the last of an open one.
-        let ends = links
-            .iter()
-            .filter(|(_, last)| !links.iter().any(|(next, _)| next == last));
+        let is_next = |q: &u32| links.binary_search_by_key(q, |(next, _)| *next).is_ok();
+        let ends = links.iter().filter(|(_, last)| !is_next(last));
         (links.len() + ends.count(), links.len())
     }
 
@@ -334,5 +345,40 @@ impl RegionMesh {
             }
         }
         sides
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::edit::surface::SurfaceView;
+
+    #[test]
+    fn a_point_where_very_many_faces_meet_has_the_edges_and_neighbours_that_others_have() {
+        let count = 3 * MANY_FACES as u32;
+        let positions: Vec<DVec3> = (0..=count).map(|k| DVec3::splat(f64::from(k))).collect();
+        let ring: Vec<[u32; 3]> = (0..count).map(|k| [0, 1 + k, 1 + (k + 1) % count]).collect();
+        let points: Vec<u32> = (0..=count).collect();
+        for (faces, ends) in [(&ring[..], 0), (&ring[1..], 1)] {
+            let surface = SurfaceView {
+                positions: &positions,
+                triangles: faces,
+                primitive_of: &vec![0; faces.len()],
+                point_of: &points,
+                points: count + 1,
+            };
+            let mesh = RegionMesh::from_triangles(&surface, (0..faces.len() as u32).collect());
+            assert_eq!(mesh.neighbours(0), points[1..]);
+            assert_eq!(mesh.valence(0), (faces.len() + ends, faces.len()));
+            let mut sides = 0;
+            for &spoke in &points[1..] {
+                let (out, back) = (mesh.edge_faces(0, spoke), mesh.edge_faces(spoke, 0));
+                assert_eq!((out.left, out.right), (back.right, back.left));
+                assert!(mesh.faces_along(0, spoke).eq(mesh.faces_along(spoke, 0)));
+                sides += mesh.faces_along(0, spoke).count();
+            }
+            assert_eq!(sides, 2 * faces.len());
+            assert!(mesh.has_edge(3, 0) && !mesh.has_edge(1, 3));
+        }
     }
 }

@@ -4,6 +4,7 @@
 use super::mesh::{CAP, RegionFace, RegionMesh, RegionPoint, Wedge, edge_key};
 use crate::edit::triangle::evenness;
 use crate::mesh::NONE;
+use crate::progress::{Cancelled, Progress, check};
 use glam::DVec3;
 
 impl RegionMesh {
@@ -213,13 +214,24 @@ impl RegionMesh {
 
     /// Exchanges edges inside gathered faces where that makes the smallest angle larger: splitting an edge joins the new
     /// point to whatever corner is opposite.
-    pub fn improve_split_faces(&mut self, kept: impl Fn(u32, u32) -> bool) {
-        for (a, b) in self.edges_from(self.triangles.len(), |f| f.source != CAP) {
-            if kept(a, b) {
-                continue;
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn improve_split_faces(
+        &mut self,
+        kept: impl Fn(u32, u32) -> bool,
+        progress: &dyn Progress,
+    ) -> Result<(), Cancelled> {
+        let edges = self.edges_from(self.triangles.len(), |f| f.source != CAP);
+        for (k, (a, b)) in edges.into_iter().enumerate() {
+            if k.is_multiple_of(512) {
+                check(progress)?;
             }
-            self.exchange_for_fairer(a, b);
+            if !kept(a, b) {
+                self.exchange_for_fairer(a, b);
+            }
         }
+        Ok(())
     }
 
     /// Exchanges the edge between `a` and `b`, inside a gathered face, where that makes the smallest angle larger. Answers the

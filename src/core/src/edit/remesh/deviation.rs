@@ -5,11 +5,16 @@
 //! face that replaces its own.
 
 use super::original::OriginalSurface;
+use crate::edit::error::Error;
 use crate::edit::region_mesh::RegionMesh;
 use crate::edit::triangle;
 use crate::mesh::NONE;
 use crate::mesh::query::closest_point::closest_weights_on_triangle;
+use crate::progress::{Progress, check};
 use glam::DVec3;
+
+/// After distances to so many triangles work asks whether it shall go on: some milliseconds.
+pub(super) const WORK: usize = 20_000;
 
 /// Three places of an edge see four fifths of the farthest that it is from a surface which it crosses once, and less of one
 /// that it crosses more often; this part is counted on.
@@ -33,7 +38,9 @@ pub(super) struct ChangedFaces {
 }
 
 /// Places of the old surface, its points and places on its edges, by the new faces that they belong to.
-pub(super) struct DeviationBound {
+pub(super) struct DeviationBound<'a> {
+    /// Asked within steps that compare much: they are refused once nobody wants them, and the pass ends.
+    progress: &'a dyn Progress,
     /// The largest squared distance that may be seen.
     limit: f64,
     points: Vec<DVec3>,
@@ -44,10 +51,11 @@ pub(super) struct DeviationBound {
     work: usize,
 }
 
-impl DeviationBound {
+impl<'a> DeviationBound<'a> {
     /// Begins with the mesh before any change and the target lengths at its points.
-    pub fn new(mesh: &RegionMesh, sizes: &[f64], max_deviation: f64) -> Self {
+    pub fn new(mesh: &RegionMesh, sizes: &[f64], max_deviation: f64, progress: &'a dyn Progress) -> Self {
         let mut bound = Self {
+            progress,
             limit: (SEEN * max_deviation).powi(2),
             points: Vec::new(),
             first: vec![NONE; mesh.faces.len()],
@@ -92,8 +100,12 @@ impl DeviationBound {
             }
         }
         let mut moved: Vec<(u32, u32)> = Vec::new();
+        let between_checks = WORK / change.after.len().max(1) + 1;
         for &f in &change.before {
             for p in self.points_of(f) {
+                if moved.len() % between_checks == between_checks - 1 && self.progress.cancelled() {
+                    return false;
+                }
                 let (square, face) = nearest_of(self.points[p as usize], &change.after);
                 if square > self.limit {
                     return false;
@@ -122,8 +134,18 @@ impl DeviationBound {
 
     /// The largest distance between the old surface and the changed faces of the new one, either way; it is seen at places
     /// that may miss a part of it, and the part that they see is taken to be [`SEEN`].
-    pub fn measure(&self, original: &mut OriginalSurface, mesh: &RegionMesh, seeds: impl Fn(u32) -> Vec<u32>) -> f64 {
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`].
+    pub fn measure(
+        &self,
+        original: &mut OriginalSurface,
+        mesh: &RegionMesh,
+        seeds: impl Fn(u32) -> Vec<u32>,
+        progress: &dyn Progress,
+    ) -> Result<f64, Error> {
         let mut largest = 0.0f64;
+        let mut done = 0;
         for f in mesh.living_faces() {
             let corners = mesh.corner_positions(f);
             if !mesh.faces[f as usize].untouched {
@@ -138,14 +160,20 @@ impl DeviationBound {
                 }
             }
             for p in self.points_of(f) {
+                done += 1;
                 largest = largest.max(
                     closest_weights_on_triangle(self.points[p as usize], corners)
                         .1
                         .min(self.limit),
                 );
             }
+            done += 1 + original.take_work();
+            if done >= WORK {
+                done = 0;
+                check(progress)?;
+            }
         }
-        largest.sqrt() / SEEN
+        Ok(largest.sqrt() / SEEN)
     }
 
     fn add(&mut self, place: DVec3, f: u32) {

@@ -198,7 +198,7 @@ impl FeatureLines {
     }
 }
 
-/// The edges that are part of lines, from each of their ends.
+/// The edges that are part of lines, from each of their ends; the other ends rise.
 struct LineEdges {
     beside: BTreeMap<u32, Vec<(u32, LineKind)>>,
 }
@@ -262,13 +262,16 @@ impl LineEdges {
     }
 
     fn line_kind(&self, a: u32, b: u32) -> Option<LineKind> {
-        self.beside.get(&a)?.iter().find(|n| n.0 == b).map(|n| n.1)
+        let row = self.beside.get(&a)?;
+        row.binary_search_by_key(&b, |n| n.0).ok().map(|k| row[k].1)
     }
 
     fn remove(&mut self, a: u32, b: u32) {
         for (p, q) in [(a, b), (b, a)] {
             if let Some(row) = self.beside.get_mut(&p) {
-                row.retain(|n| n.0 != q);
+                if let Ok(k) = row.binary_search_by_key(&q, |n| n.0) {
+                    row.remove(k);
+                }
                 if row.is_empty() {
                     self.beside.remove(&p);
                 }

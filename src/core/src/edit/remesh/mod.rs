@@ -80,7 +80,7 @@ pub fn remesh_region(
             limit: MOST_TRIANGLES,
         });
     }
-    let mut work = Remesher::new(mesh, plan);
+    let mut work = Remesher::new(mesh, plan, progress);
     run_passes(&mut work, expected, progress)?;
     let warnings = [
         warn_where(&work, "remesh-aspect", |work, f| {
@@ -88,7 +88,7 @@ pub fn remesh_region(
         }),
         warn_where(&work, "remesh-thin", Remesher::stands_against),
     ];
-    let deviation = work.measure_deviation();
+    let deviation = work.measure_deviation(progress)?;
     let (mut patch, _) = work.mesh.into_patch(surface);
     patch.warnings = warnings.into_iter().flatten().collect();
     if patch.removed.is_empty() && patch.triangles.is_empty() {
@@ -168,7 +168,7 @@ fn plan_remesh(
 
 /// Runs rounds of the passes until little changes, then mends what is still badly shaped. About `expected` triangles will
 /// come.
-fn run_passes(work: &mut Remesher, expected: f64, progress: &dyn Progress) -> Result<(), Error> {
+fn run_passes(work: &mut Remesher<'_>, expected: f64, progress: &dyn Progress) -> Result<(), Error> {
     let start = work.mesh.faces.len();
     // Twice what equilateral triangles would be, and the faces that splits and collapses leave behind.
     let most = start + 4 * expected as usize + 4096;
@@ -193,12 +193,11 @@ fn run_passes(work: &mut Remesher, expected: f64, progress: &dyn Progress) -> Re
         passes::even_valences(work, progress)?;
         passes::smooth_points(work, progress)?;
     }
-    work.refresh_sources();
-    Ok(())
+    work.refresh_sources(progress)
 }
 
 /// Warns of the faces for which `holds` is true: how many they are and where the first one is.
-fn warn_where(work: &Remesher, code: &str, holds: impl Fn(&Remesher, u32) -> bool) -> Option<EditWarning> {
+fn warn_where<'a>(work: &Remesher<'a>, code: &str, holds: impl Fn(&Remesher<'a>, u32) -> bool) -> Option<EditWarning> {
     let mut found = work.mesh.living_faces().filter(|&f| holds(work, f));
     let place = work.mesh.corner_positions(found.next()?)[0];
     let count = 1 + found.count();

@@ -1,6 +1,7 @@
 //! The passes of Botsch and Kobbelt (2004): split long edges, collapse short ones, turn edges towards even valences,
 //! even out.
 
+use super::deviation::WORK;
 use super::remesher::{PointConstraint, Remesher};
 use crate::edit::error::Error;
 use crate::edit::triangle;
@@ -22,13 +23,14 @@ const FLAT: f64 = 0.85;
 /// A face this far from equilateral is still good enough to be made by turning or moving.
 const GOOD: f64 = 2.5;
 
-/// After distances to so many triangles a pass asks whether it shall go on: some milliseconds.
-const WORK: usize = 20_000;
+/// A point with more faces than this is far from even, however it lies.
+const MANY_FACES: usize = 64;
 
-/// Asks whether to go on when enough has been done since this was asked last.
-fn check_work(work: &mut Remesher, done: &mut usize, progress: &dyn Progress) -> Result<(), Error> {
+/// Asks whether to go on when enough has been done since this was asked last. Now `points` come, whose faces are looked at.
+fn check_work(work: &mut Remesher, points: &[u32], done: &mut usize, progress: &dyn Progress) -> Result<(), Error> {
+    let around: usize = points.iter().map(|&p| work.mesh.faces_around(p).len()).sum();
     // A step without any distance is work as well.
-    *done += 20 + work.take_work();
+    *done += 20 + around + work.take_work();
     if *done >= WORK {
         *done = 0;
         check(progress)?;
@@ -52,7 +54,7 @@ pub(super) fn split_long_edges(work: &mut Remesher, most: usize, progress: &dyn 
         let mut split = 0;
         check(progress)?;
         for &(_, (a, b)) in &long {
-            check_work(work, &mut done, progress)?;
+            check_work(work, &[a, b], &mut done, progress)?;
             if work.mesh.faces.len() >= most {
                 return Ok(count + split);
             }
@@ -79,7 +81,7 @@ pub(super) fn collapse_short_edges(work: &mut Remesher, progress: &dyn Progress)
     check(progress)?;
     let (mut count, mut done) = (0, 0);
     for &(_, (a, b)) in &short {
-        check_work(work, &mut done, progress)?;
+        check_work(work, &[a, b], &mut done, progress)?;
         if work.mesh.edge_faces(a, b).faces().next().is_none() || work.relative_length(a, b) >= SHORT {
             continue;
         }
@@ -107,11 +109,11 @@ pub(super) fn collapse_short_edges(work: &mut Remesher, progress: &dyn Progress)
 /// How far the valences of some points are from the best, each changed by one.
 fn valence_unevenness(work: &Remesher, points: [(u32, i64); 4]) -> i64 {
     let of = |(p, change): (u32, i64)| {
+        let faces = work.mesh.faces_around(p).len();
         let (neighbours, faces) = match work.constraints[p as usize] {
-            PointConstraint::OnSurface(_) => {
-                let faces = work.mesh.faces_around(p).len();
-                (faces, faces)
-            }
+            PointConstraint::OnSurface(_) => (faces, faces),
+            // One neighbour more or less does not matter then, and would be looked for at each edge.
+            _ if faces > MANY_FACES => (faces, faces),
             _ => work.mesh.valence(p),
         };
         let best = if neighbours > faces { 4 } else { 6 };
@@ -124,7 +126,7 @@ fn valence_unevenness(work: &Remesher, points: [(u32, i64); 4]) -> i64 {
 pub(super) fn even_valences(work: &mut Remesher, progress: &dyn Progress) -> Result<usize, Error> {
     let (mut count, mut done) = (0, 0);
     for (a, b) in work.mesh.edges() {
-        check_work(work, &mut done, progress)?;
+        check_work(work, &[a, b], &mut done, progress)?;
         let edge = work.mesh.edge_faces(a, b);
         if !work.mesh.is_inside(edge, a, b) || !work.may_change(edge.faces()) {
             continue;
@@ -177,7 +179,7 @@ fn try_turn_edge(work: &mut Remesher, a: u32, b: u32, accept: impl Fn(f64, f64) 
 pub(super) fn smooth_points(work: &mut Remesher, progress: &dyn Progress) -> Result<(), Error> {
     let mut done = 0;
     for p in 0..work.constraints.len() as u32 {
-        check_work(work, &mut done, progress)?;
+        check_work(work, &[p], &mut done, progress)?;
         if !work.may_change(work.mesh.faces_around(p).iter().copied()) || work.mesh.faces_around(p).is_empty() {
             continue;
         }
@@ -213,8 +215,7 @@ pub(super) fn smooth_points(work: &mut Remesher, progress: &dyn Progress) -> Res
             }
         }
     }
-    work.refresh_sources();
-    Ok(())
+    work.refresh_sources(progress)
 }
 
 /// Mends faces worse than `bound` by turning their longest edge, else by collapsing their shortest, and faces that stand
@@ -231,7 +232,8 @@ pub(super) fn mend_faces(work: &mut Remesher, bound: f64, progress: &dyn Progres
     bad.sort_unstable_by_key(|&(bits, f)| (std::cmp::Reverse(bits), f));
     let (mut count, mut done) = (0, 0);
     for (_, f) in bad {
-        check_work(work, &mut done, progress)?;
+        let corners = work.mesh.points_of(f);
+        check_work(work, &corners, &mut done, progress)?;
         if !work.mesh.faces[f as usize].alive {
             continue;
         }

@@ -1,15 +1,20 @@
 //! The mesh while it is remeshed, with what each of its points knows about the original surface.
 
-use super::deviation::{ChangedFaces, DeviationBound};
+use super::deviation::{ChangedFaces, DeviationBound, WORK};
 use super::feature_lines::{Chain, ChainPoint, FeatureLines, LineKind};
 use super::original::{OriginalPoint, OriginalSurface, SLIVER};
+use crate::edit::error::Error;
 use crate::edit::region_mesh::{EdgeFaces, RegionMesh, Wedge};
 use crate::edit::triangle;
 use crate::mesh::NONE;
+use crate::progress::{Progress, check};
 use glam::DVec3;
 
 /// No face turns by more than the angle with this cosine (60°) in one step.
 const LEAST_COSINE: f64 = 0.5;
+
+/// No step changes more faces than this: it would compare each with what all others lay on, and take long.
+const MOST_CHANGED: usize = 256;
 
 /// Cosine of the largest angle between a face and the original one beside it (about 78°).
 const FAITHFUL: f64 = 0.2;
@@ -26,7 +31,7 @@ pub(super) enum PointConstraint {
 }
 
 /// A region mesh while it is remeshed, with what each of its points knows about the original surface.
-pub(super) struct Remesher {
+pub(super) struct Remesher<'a> {
     pub mesh: RegionMesh,
     pub original: OriginalSurface,
     pub curves: FeatureLines,
@@ -34,7 +39,7 @@ pub(super) struct Remesher {
     pub constraints: Vec<PointConstraint>,
     /// Target length at each point.
     pub sizes: Vec<f64>,
-    deviation: DeviationBound,
+    deviation: DeviationBound<'a>,
     /// Which of the gathered faces are not fair; empty when all may change.
     unfair: Vec<bool>,
 }
@@ -51,9 +56,9 @@ pub(super) struct RemeshPlan {
     pub unfair: Vec<bool>,
 }
 
-impl Remesher {
+impl<'a> Remesher<'a> {
     /// Begins with `mesh` before any change.
-    pub fn new(mesh: RegionMesh, plan: RemeshPlan) -> Self {
+    pub fn new(mesh: RegionMesh, plan: RemeshPlan, progress: &'a dyn Progress) -> Self {
         let sizes = plan.sizes;
         let (curves, on, held) = FeatureLines::trace_lines(&mesh, &sizes, plan.sharp_cosine);
         let original = OriginalSurface::from_mesh(&mesh, sizes.clone(), |a, b| curves.chain_segment(a, b).is_none());
@@ -70,7 +75,7 @@ impl Remesher {
             })
             .collect();
         Self {
-            deviation: DeviationBound::new(&mesh, &sizes, plan.max_deviation),
+            deviation: DeviationBound::new(&mesh, &sizes, plan.max_deviation, progress),
             unfair: plan.unfair,
             mesh,
             original,
@@ -86,10 +91,10 @@ impl Remesher {
     }
 
     /// The largest distance between the old surface and the new one.
-    pub fn measure_deviation(&mut self) -> f64 {
+    pub fn measure_deviation(&mut self, progress: &dyn Progress) -> Result<f64, Error> {
         let (mesh, constraints) = (&self.mesh, &self.constraints);
         let seeds = |f| seeds_of_face(mesh, constraints, f);
-        self.deviation.measure(&mut self.original, mesh, seeds)
+        self.deviation.measure(&mut self.original, mesh, seeds, progress)
     }
 
     /// Whether some of these faces may change: one of them is not fair, or was changed before.
@@ -100,6 +105,9 @@ impl Remesher {
 
     /// Whether the new faces of a change stay near the old surface, and it near them; then it has to be carried out.
     fn stays_near(&mut self, change: &ChangedFaces) -> bool {
+        if change.before.len() > MOST_CHANGED {
+            return false;
+        }
         let mut seeds: Vec<u32> = (change.before.iter())
             .flat_map(|&f| seeds_of_face(&self.mesh, &self.constraints, f))
             .collect();
@@ -455,15 +463,22 @@ impl Remesher {
     }
 
     /// Looks again which original face each changed one lies beside.
-    pub fn refresh_sources(&mut self) {
+    pub fn refresh_sources(&mut self, progress: &dyn Progress) -> Result<(), Error> {
+        let mut done = 0;
         let changed: Vec<u32> = (self.mesh.living_faces())
             .filter(|&f| !self.mesh.faces[f as usize].untouched)
             .collect();
         for f in changed {
+            done += 20 + self.take_work();
+            if done >= WORK {
+                done = 0;
+                check(progress)?;
+            }
             let middle = self.mesh.corner_positions(f).iter().sum::<DVec3>() / 3.0;
             let seeds = seeds_of_face(&self.mesh, &self.constraints, f);
             self.mesh.faces[f as usize].source = self.original.find_nearest(middle, &seeds).face;
         }
+        Ok(())
     }
 
     /// The worst aspect of the faces around `p`, were it at `position`.

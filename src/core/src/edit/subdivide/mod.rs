@@ -55,36 +55,41 @@ pub fn subdivide_region(
         let problem = "it holds no triangle with three different points";
         return Err(Error::invalid(EditSubject::Region, problem));
     }
-    check(progress)?;
-    let middle = |&(a, b): &(u32, u32)| match scheme {
-        SubdivisionScheme::Midpoint => masks::edge_middle(&mesh, a, b),
-        SubdivisionScheme::Loop => masks::place_new_point(&mesh, a, b),
+    let check_at = |k: usize| match k.is_multiple_of(4096) {
+        true => check(progress),
+        false => Ok(()),
     };
+    let mut middles = Vec::with_capacity(edges.len());
+    for (k, &(a, b)) in edges.iter().enumerate() {
+        check_at(k)?;
+        middles.push(match scheme {
+            SubdivisionScheme::Midpoint => masks::edge_middle(&mesh, a, b),
+            SubdivisionScheme::Loop => masks::place_new_point(&mesh, a, b),
+        });
+    }
     let mut division = Subdivision {
         surface,
         mesh: &mesh,
-        middles: edges.iter().map(middle).collect(),
+        middles,
         edges: &edges,
         points: vec![NONE; edges.len()],
         vertices: BTreeMap::new(),
         patch: SurfacePatch::default(),
         next_point: surface.points,
     };
-    check(progress)?;
     for f in 0..mesh.faces.len() as u32 {
-        if f % 65536 == 0 {
-            check(progress)?;
-        }
+        check_at(f as usize)?;
         division.divide_face(f);
     }
     let mut patch = division.patch;
     patch.removed.sort_unstable();
     if scheme == SubdivisionScheme::Loop {
-        let moved = (0..mesh.points.len() as u32).filter_map(|p| {
-            let to = masks::place_old_point(&mesh, p)?;
-            (to != mesh.position(p)).then_some((mesh.points[p as usize].old, to))
-        });
-        patch.moved = moved.collect();
+        for (p, point) in (0u32..).zip(&mesh.points) {
+            check_at(p as usize)?;
+            if let Some(to) = masks::place_old_point(&mesh, p).filter(|to| *to != point.position) {
+                patch.moved.push((point.old, to));
+            }
+        }
         patch.moved.sort_unstable_by_key(|m| m.0);
     }
     Ok(patch)

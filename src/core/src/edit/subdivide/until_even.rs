@@ -13,6 +13,9 @@ use std::collections::BinaryHeap;
 /// them are as short.
 const LONGEST_PART: f64 = 0.6;
 
+/// Faces that are looked at between two looks at the progress.
+const CHECKED: usize = 4096;
+
 /// Sparse values at a point: numbers of fields, rising, and their values.
 pub type FieldSample = Vec<(u32, f32)>;
 
@@ -26,8 +29,9 @@ pub struct EvennessTarget<'a> {
     pub largest: f64,
     /// Edges up to this length are left as they are, model units.
     pub shortest: f64,
-    /// How long edges may be in what becomes of a triangle of the surface that is divided for a difference, model units.
-    pub longest: &'a dyn Fn(u32) -> f64,
+    /// How long edges may be in what becomes of a triangle of the surface that is divided for a difference, model units; or why
+    /// that cannot be found out.
+    pub longest: &'a dyn Fn(u32) -> Result<f64, Error>,
 }
 
 /// An edge that is to be split; those inside a triangle of the surface come last, since they may be exchanged for others by
@@ -63,7 +67,7 @@ impl Ord for OpenEdge {
 ///
 /// # Errors
 /// [`Error::Invalid`] when `faces` is no region; [`Error::TooLarge`] when more than [`MOST_TRIANGLES`] would come;
-/// [`Error::Cancelled`].
+/// [`Error::Cancelled`]; those of the target.
 pub fn subdivide_until_even(
     surface: &SurfaceView<'_>,
     faces: &[u32],
@@ -81,11 +85,15 @@ pub fn subdivide_until_even(
                 && (target.difference)(&(target.sample)(ends[0]), &(target.sample)(ends[1])) > target.largest
         })
     };
-    let uneven: Vec<u32> = faces
-        .iter()
-        .copied()
-        .filter(|t| surface.proper_points(*t).is_some() && sizes(t))
-        .collect();
+    let mut uneven: Vec<u32> = Vec::new();
+    for (k, &t) in faces.iter().enumerate() {
+        if k.is_multiple_of(512) {
+            check(progress)?;
+        }
+        if surface.proper_points(t).is_some() && sizes(&t) {
+            uneven.push(t);
+        }
+    }
     if uneven.is_empty() {
         let message = "no triangle of the region reaches over more than its share of the way between handles";
         return Ok(SurfacePatch {
@@ -97,11 +105,11 @@ pub fn subdivide_until_even(
     let mesh = RegionMesh::with_ring(surface, &uneven);
     let mut longest = Vec::with_capacity(mesh.triangles.len());
     for &t in &mesh.triangles {
-        if longest.len().is_multiple_of(512) {
-            check(progress)?;
-        }
-        let divided = uneven.binary_search(&t).is_ok();
-        longest.push(divided.then(|| (target.longest)(t).max(target.shortest)));
+        check(progress)?;
+        longest.push(match uneven.binary_search(&t) {
+            Ok(_) => Some((target.longest)(t)?.max(target.shortest)),
+            Err(_) => None,
+        });
     }
     let samples = mesh.points.iter().map(|p| (target.sample)(p.old)).collect();
     let mut division = EvenDivision {
@@ -113,7 +121,7 @@ pub fn subdivide_until_even(
         least: 0.0,
     };
     while division.halve_longest(progress)? {}
-    division.mesh.improve_split_faces(|_, _| false);
+    division.mesh.improve_split_faces(|_, _| false, progress)?;
     let (patch, _) = division.mesh.into_finite_patch(surface, Vec::new())?;
     Ok(patch)
 }
@@ -138,7 +146,10 @@ impl EvenDivision<'_> {
     fn halve_longest(&mut self, progress: &dyn Progress) -> Result<bool, Error> {
         check(progress)?;
         self.least = 0.0;
-        for (a, b) in self.mesh.edges() {
+        for (k, (a, b)) in self.mesh.edges().into_iter().enumerate() {
+            if k.is_multiple_of(512) {
+                check(progress)?;
+            }
             self.consider(a, b);
         }
         let longest = self.open.iter().fold(0.0f64, |most, edge| most.max(edge.length));
@@ -146,7 +157,7 @@ impl EvenDivision<'_> {
             return Ok(false);
         }
         self.least = LONGEST_PART * longest;
-        let mut splits = 0u64;
+        let mut looked_at = 0;
         while let Some(OpenEdge {
             ends: (a, b), length, ..
         }) = self.open.pop()
@@ -155,13 +166,15 @@ impl EvenDivision<'_> {
             if length <= self.least || !self.mesh.has_edge(a, b) {
                 continue;
             }
+            // A step looks at all faces around its points.
+            looked_at += 1 + self.mesh.faces_around(a).len() + self.mesh.faces_around(b).len();
+            if looked_at > CHECKED {
+                looked_at = 0;
+                check(progress)?;
+            }
             if let Some((p, q)) = self.mesh.exchange_for_fairer(a, b) {
                 self.consider(p, q);
                 continue;
-            }
-            splits += 1;
-            if splits.is_multiple_of(4096) {
-                check(progress)?;
             }
             if self.mesh.faces.len() as u64 > MOST_TRIANGLES {
                 return Err(Error::TooLarge {

@@ -236,7 +236,7 @@ impl Animation {
             cursor.state = SolveState::default();
         }
         let posed = self.solve_pose(index, index == cursor.begin(), &mut cursor.state, exec)?;
-        Ok(cursor.advance().then(|| self.finish(index, posed, exec)))
+        cursor.advance().then(|| self.finish(index, posed, exec)).transpose()
     }
 
     fn solve_pose(
@@ -284,7 +284,7 @@ impl Animation {
     }
 
     /// Makes a frame of where its nodes are: thin parts and folds are settled, quality measured, vertices placed.
-    fn finish(&self, index: usize, posed: SolvedPose, exec: &Exec<'_>) -> AnimatedFrame {
+    fn finish(&self, index: usize, posed: SolvedPose, exec: &Exec<'_>) -> Result<AnimatedFrame, Error> {
         let SolvedPose {
             root,
             transforms,
@@ -304,16 +304,16 @@ impl Animation {
             mesh: &derived.mesh,
             rest: &derived.topology().rest,
             strays: &[],
-            riders: derived.riding_vertices(exec.pool),
+            riders: derived.riding_vertices(),
             pool: exec.pool,
         };
         let mut positions = shape.render(&solution.positions, &solution.frames, &transforms);
         if let Some(beside) = &self.beside {
             let topology = derived.topology();
             let at_rest = (&topology.rest[..], &topology.geometry().triangles[..]);
-            beside.place(seconds, &root, at_rest, &mut positions);
+            beside.place(seconds, &root, at_rest, &mut positions, exec)?;
         }
-        AnimatedFrame {
+        Ok(AnimatedFrame {
             index,
             seconds,
             root,
@@ -322,7 +322,7 @@ impl Animation {
             residual: solution.residual,
             max_error: solution.max_error,
             quality,
-        }
+        })
     }
 }
 

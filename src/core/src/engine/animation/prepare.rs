@@ -60,9 +60,9 @@ impl Deformer {
                 limit: self.limits.handles as u64,
             });
         }
-        let (constraints, facts) = held_by_rig(&handles, &body.graph, exec.pool)?;
-        let field_bytes = (constraints.len() as u64 + 1) * body.nodes() as u64 * 12;
+        let field_bytes = (handles.len() as u64 + 1) * body.nodes() as u64 * 12;
         admit_bytes(self.byte_size() + field_bytes, &self.limits, exec)?;
+        let (constraints, facts) = held_by_rig(&handles, &body.graph, exec)?;
         let setup = HandleSetup {
             handles: constraints,
             policy: self.options.policy,
@@ -71,8 +71,8 @@ impl Deformer {
         let system = HandleSystem::build(body, setup, exec)?;
         // Blocks that run at the same time find ready what the first one to ask would make.
         system.prepare_shares(exec.pool);
-        self.derived.riding_vertices(exec.pool);
-        let large_faces = warn_of_large_faces(self.mesh(), &system, body.diagonal, SOME_FACES);
+        self.derived.bind_riders(&self.limits, exec)?;
+        let large_faces = warn_of_large_faces(self.mesh(), &system, body.diagonal, SOME_FACES, exec)?;
         Ok(Animation {
             derived: Arc::clone(&self.derived),
             system,
@@ -90,10 +90,10 @@ impl Deformer {
     /// Which nodes the handles of a rig hold in an animation.
     ///
     /// # Errors
-    /// [`Error::Precondition`] when bones lie in no part of the model.
-    pub fn nodes_of_rig(&self, rig: &MotionRig, pool: &Pool) -> Result<RigNodes, Error> {
+    /// [`Error::Precondition`] when bones lie in no part of the model, [`Error::Cancelled`].
+    pub fn nodes_of_rig(&self, rig: &MotionRig, exec: &Exec<'_>) -> Result<RigNodes, Error> {
         let graph = &self.body().graph;
-        let (constraints, _) = held_by_rig(&rig_handles(rig), graph, pool)?;
+        let (constraints, _) = held_by_rig(&rig_handles(rig), graph, exec)?;
         let mut found = RigNodes::default();
         for constraint in constraints {
             let kind = if constraint.position {
@@ -112,9 +112,9 @@ impl Deformer {
 fn held_by_rig(
     handles: &[RigHandle],
     graph: &MeshGraph,
-    pool: &Pool,
+    exec: &Exec<'_>,
 ) -> Result<(Vec<HandleConstraint>, Vec<RigHandleFacts>), Error> {
-    let (constraints, facts) = hold_nodes(handles, graph, pool);
+    let (constraints, facts) = hold_nodes(handles, graph, exec)?;
     let empty = facts.iter().filter(|f| f.nodes == 0);
     if 2 * empty.clone().count() > facts.len() {
         let name = empty.map(|f| f.name.as_str()).next().unwrap_or_default();

@@ -27,28 +27,50 @@ pub struct CarriedPoints {
 }
 
 impl CarriedPoints {
-    /// Finds what each of `points` follows on `surface`, in about `log n` time each.
-    pub fn bind(surface: &CarrySurface, points: &[DVec3], pool: &Pool) -> Self {
-        let batches: Vec<Self> = pool.install(|| {
-            let batches = points.par_chunks(BATCH);
-            batches.map(|batch| Self::bind_batch(surface, batch)).collect()
-        });
-        let mut all = Self {
-            first: vec![0],
-            ..Self::default()
-        };
-        for batch in batches {
-            let begin = all.samples.len();
-            all.points.extend(batch.points);
-            all.levers.extend(batch.levers);
-            all.first.extend(batch.first.iter().skip(1).map(|end| begin + end));
-            all.samples.extend(batch.samples);
-            all.weights.extend(batch.weights);
-        }
-        all
+    /// Finds what each of `points` follows on `surface`, in about `log n` time each; where triangles are as long as the surface it
+    /// may look at each of them, and each point may follow all.
+    ///
+    /// # Errors
+    /// [`Cancelled`], one point after the work was given up.
+    pub fn bind(surface: &CarrySurface, points: &[DVec3], exec: &Exec<'_>) -> Result<Self, Cancelled> {
+        let mut all = Self::default();
+        all.bind_more(surface, points, exec)?;
+        Ok(all)
     }
 
-    fn bind_batch(surface: &CarrySurface, points: &[DVec3]) -> Self {
+    /// Adds points, as [`CarriedPoints::bind`] finds what they follow. Answers how many parts of the surface it looked at.
+    ///
+    /// # Errors
+    /// As there; nothing is added then.
+    pub(crate) fn bind_more(
+        &mut self,
+        surface: &CarrySurface,
+        points: &[DVec3],
+        exec: &Exec<'_>,
+    ) -> Result<u64, Cancelled> {
+        let batches: Vec<(Self, u64)> = exec.pool.install(|| {
+            let batches = points.par_chunks(BATCH);
+            batches
+                .map(|batch| Self::bind_batch(surface, batch, exec))
+                .collect::<Result<_, _>>()
+        })?;
+        if self.first.is_empty() {
+            self.first.push(0);
+        }
+        let mut visits = 0;
+        for (batch, own_visits) in batches {
+            let begin = self.samples.len();
+            self.points.extend(batch.points);
+            self.levers.extend(batch.levers);
+            self.first.extend(batch.first.iter().skip(1).map(|end| begin + end));
+            self.samples.extend(batch.samples);
+            self.weights.extend(batch.weights);
+            visits += own_visits;
+        }
+        Ok(visits)
+    }
+
+    fn bind_batch(surface: &CarrySurface, points: &[DVec3], exec: &Exec<'_>) -> Result<(Self, u64), Cancelled> {
         let mut bound = Self {
             points: points.to_vec(),
             first: vec![0],
@@ -56,13 +78,14 @@ impl CarriedPoints {
         };
         let mut around = Neighbourhood::default();
         for &point in points {
+            exec.check()?;
             around.gather(surface, point);
             bound.levers.push(lever(surface, &around, point));
             bound.samples.extend(around.samples.iter().map(|s| s.0));
             bound.weights.extend(around.samples.iter().map(|s| s.1));
             bound.first.push(bound.samples.len());
         }
-        bound
+        Ok((bound, around.visits))
     }
 
     /// Number of points.

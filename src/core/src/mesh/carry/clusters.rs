@@ -166,8 +166,9 @@ impl CarrySurface {
         node.finished()
     }
 
-    /// Finds the place closest to `point`, of equally near triangles the first; `None` without triangles.
-    pub(super) fn find_nearest(&self, point: DVec3) -> Option<NearestPlace> {
+    /// Finds the place closest to `point`, of equally near triangles the first; `None` without triangles. Adds to `visits` how
+    /// many nodes it looked at.
+    pub(super) fn find_nearest(&self, point: DVec3, visits: &mut u64) -> Option<NearestPlace> {
         let root = self.nodes.len().checked_sub(1)?;
         let mut best = (f64::INFINITY, u32::MAX, [1.0, 0.0, 0.0]);
         // Sixteen levels, four children each, one of them taken off.
@@ -175,6 +176,7 @@ impl CarrySurface {
         let mut len = 1;
         while len > 0 {
             len -= 1;
+            *visits += 1;
             let (square, index) = waiting[len];
             if square > best.0 {
                 continue;

@@ -21,6 +21,8 @@ const WRONG_SIDE: f64 = 0.01;
 pub(super) struct Neighbourhood {
     /// Samples in rising order, with weights that add to 1; empty without a surface.
     pub(super) samples: Vec<(u32, f64)>,
+    /// Parts of surfaces that were looked at, for all points so far.
+    pub(super) visits: u64,
     near: Vec<NearPart>,
     waiting: Vec<(u32, f64)>,
 }
@@ -47,7 +49,7 @@ impl Neighbourhood {
     pub(super) fn gather(&mut self, surface: &CarrySurface, point: DVec3) {
         self.samples.clear();
         self.near.clear();
-        let Some(nearest) = surface.find_nearest(point) else {
+        let Some(nearest) = surface.find_nearest(point, &mut self.visits) else {
             return;
         };
         if nearest.distance <= ON_SURFACE * surface.diagonal || !nearest.distance.is_finite() {
@@ -65,6 +67,7 @@ impl Neighbourhood {
         self.waiting.clear();
         self.waiting.push((surface.nodes.len() as u32 - 1, 1.0));
         while let Some((index, share)) = self.waiting.pop() {
+            self.visits += 1;
             let node = &surface.nodes[index as usize];
             let distance = node.distance_squared(point).sqrt();
             if distance >= reach {
