@@ -177,9 +177,10 @@ async fn work_of_every_kind_has_its_own_name_below_the_call_that_asked_for_it() 
     let (solve, pose) = (path("solve"), turn_json(0.4));
     let (status, _) = server.call_with_key("POST", &solve, Some(&pose), Some("once")).await;
     assert_eq!(status, 200, "{}", server.log());
-    // A server that starts again has the shape of at most one of the first two at hand: undo goes to both.
-    for angle in [0.3, 0.2, 0.1] {
-        server.done("POST", &solve, Some(&turn_json(angle))).await;
+    // Once in sixteen solves the newest shape is stored. A server that starts again has at hand what was solved after it.
+    for step in 0..17 {
+        let turned = turn_json(0.02 * f64::from(step));
+        server.done("POST", &solve, Some(&turned)).await;
     }
     server.done("GET", &path("model"), None).await;
     server
@@ -210,7 +211,7 @@ async fn work_of_every_kind_has_its_own_name_below_the_call_that_asked_for_it() 
     server = ServedProgram::start(&data, &arguments);
     let (status, _) = server.call_with_key("POST", &solve, Some(&pose), Some("once")).await;
     assert_eq!(status, 200, "{}", server.log());
-    for _ in 0..2 {
+    for _ in 0..4 {
         server.done("POST", &path("undo"), None).await;
     }
     let edit = json!({"subdivide": {"scheme": "MIDPOINT"}});

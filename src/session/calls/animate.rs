@@ -15,6 +15,7 @@ use crate::wire::AnimateOrder;
 use crate::wire::frames::FrameOutput;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
+use tracing::Instrument;
 
 impl Manager {
     /// Drives a session's model by a clip. The animation is of the rest shape as it is now; handles, shape and history have no part
@@ -59,7 +60,8 @@ impl Manager {
             outbox,
             running,
         };
-        tokio::spawn(task.run_animation(order));
+        // Its work is part of the call.
+        tokio::spawn(task.run_animation(order).in_current_span());
         Ok(ends)
     }
 
