@@ -65,19 +65,18 @@ pub(super) fn left_out_warnings(
         numbers.partition(|number| primitives.get(*number).is_some_and(|p| p.is_passenger));
     let mut lines = match is_own_clip {
         true => Vec::new(),
-        false => reasons(model, riding, "not solved"),
+        false => reasons(model, riding, ["not solved"; 2]),
     };
-    let end = match solved.len() {
-        0 => return Ok(lines),
-        1 => "is solved with the body; a session that has it as a passenger leaves it out",
-        _ => "are solved with the body; a session that has them as passengers leaves them out",
-    };
-    lines.push(format!("{} {end}", primitive_names(model, &solved)));
+    let consequences = [
+        "solved with the body; a session that has it as a passenger leaves it out",
+        "solved with the body; a session that has them as passengers leaves them out",
+    ];
+    lines.extend(reasons(model, solved, consequences));
     Ok(lines)
 }
 
-/// Why primitives are left out, one line for each reason, and what that means for them.
-pub(super) fn reasons(model: &Model, numbers: Vec<usize>, consequence: &str) -> Vec<String> {
+/// Why primitives are left out, one line for each reason, and what that means for one and for several.
+pub(super) fn reasons(model: &Model, numbers: Vec<usize>, consequences: [&str; 2]) -> Vec<String> {
     let (coarser, unskinned): (Vec<usize>, Vec<usize>) = numbers
         .into_iter()
         .partition(|number| is_coarser_level(&model.primitives[*number]));
@@ -94,7 +93,10 @@ pub(super) fn reasons(model: &Model, numbers: Vec<usize>, consequence: &str) -> 
     let lines = reasons.into_iter().filter(|(numbers, _)| !numbers.is_empty());
     lines
         .map(|(numbers, [of_one, of_many])| {
-            let reason = if numbers.len() == 1 { of_one } else { of_many };
+            let (reason, consequence) = match numbers.len() {
+                1 => (of_one, consequences[0]),
+                _ => (of_many, consequences[1]),
+            };
             format!("{} {reason} {consequence}", primitive_names(model, &numbers))
         })
         .collect()

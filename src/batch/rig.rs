@@ -79,7 +79,7 @@ impl<'a> BodySurface<'a> {
 /// # Errors
 /// Those of [`Model::moving_scene`].
 pub fn left_out_of_rig(model: &Model) -> Result<Vec<String>, Error> {
-    Ok(reasons(model, left_out_primitives(model)?, "left out"))
+    Ok(reasons(model, left_out_primitives(model)?, ["left out"; 2]))
 }
 
 /// Makes a rig of a model: that of its own skin where neither a clip nor a preset asks for other names, else one of a body whose

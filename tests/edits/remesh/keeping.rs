@@ -141,8 +141,7 @@ fn sharp_edges_stay_edges_and_the_angle_says_which_are_sharp() {
             sharp_degrees,
             ..RemeshTarget::Length(0.25).into()
         };
-        let kept = sharp_length(&remeshed(&model, &options).0) / sharp_length(&model);
-        kept
+        sharp_length(&remeshed(&model, &options).0) / sharp_length(&model)
     };
     let (edges, curvature) = (with(40.0), with(60.0));
     assert!(edges > 0.9 && curvature < 0.8 * edges, "{edges} {curvature}");

@@ -138,12 +138,12 @@ async function ownClip({ browser, url, server, log, folder }) {
   await other.close();
 }
 
-/** The figure without its hull, which has no skin: a page's session solves it with the rest, `pliant animate` leaves it out. */
-function withoutHull(glb) {
+/** The figure's body alone: a page's session solves hull and coarser levels of detail too, `pliant animate` leaves them out. */
+function bodyAlone(glb) {
   const length = glb.readUInt32LE(12);
   const document = JSON.parse(glb.subarray(20, 20 + length));
-  const hull = document.nodes.findIndex(({ name }) => name === "hull");
-  document.scenes[0].nodes = document.scenes[0].nodes.filter((node) => node !== hull);
+  const isLeftOut = (node) => ["hull", "lod1", "lod2"].includes(document.nodes[node].name);
+  document.scenes[0].nodes = document.scenes[0].nodes.filter((node) => !isLeftOut(node));
   const text = Buffer.from(JSON.stringify(document));
   const padded = Buffer.concat([text, Buffer.alloc(-text.length & 3, " ")]);
   const head = Buffer.from(glb.subarray(0, 20));
@@ -155,7 +155,7 @@ function withoutHull(glb) {
 /** Recordings: on a figure without a rig, on the creature with one; cancelled and gone on with. */
 async function recordings({ browser, url, folder }) {
   const sheet = await Sheet.open(browser, url());
-  const figure = withoutHull(readFileSync(path.join(folder, "figure.glb")));
+  const figure = bodyAlone(readFileSync(path.join(folder, "figure.glb")));
   writeFileSync(path.join(folder, "bare.glb"), figure);
   await sheet.pick({ name: "bare.glb", mimeType: "model/gltf-binary", buffer: figure });
   await sheet.until("the figure is open", ({ clips, busy, link }) => clips > 0 && !busy && link === "open");
