@@ -174,7 +174,7 @@ fn threads_and_binding_change_no_bit() {
         let pool = threads(count);
         let surface = CarrySurface::build(&rest, &faces, &pool);
         let motion = SurfaceMotion::between(&surface, &now, &pool);
-        let bound = CarriedPoints::bind(&surface, &points, &Exec::new(&pool, &Silent)).expect("nobody ends it");
+        let bound = CarriedPoints::bind(&surface, &points, &Exec::new(&pool, &Silent)).expect("it is not cancelled");
         assert_eq!(bound.carried_by(&motion, &pool), expected, "{count} threads");
         let carrier = SurfaceCarrier::new(&faces, &rest, &now, &pool);
         assert_eq!(carry(&carrier, &points, &pool), expected, "{count} threads");
@@ -182,7 +182,7 @@ fn threads_and_binding_change_no_bit() {
 }
 
 #[test]
-fn binding_that_nobody_waits_for_is_given_up() {
+fn binding_ends_when_it_is_cancelled() {
     let (rest, faces) = shapes::icosphere(1.0, 2);
     let pool = threads(2);
     let surface = CarrySurface::build(&rest, &faces, &pool);

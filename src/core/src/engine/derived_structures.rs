@@ -216,7 +216,7 @@ impl DerivedStructures {
         (self.carry).get_or_init(|| Arc::new(CarrySurface::build(&self.mesh.positions, &self.mesh.triangles, pool)))
     }
 
-    /// Finds what the render vertices of passengers follow, if nobody has yet.
+    /// Finds what the render vertices of passengers follow, where that is not known yet.
     ///
     /// # Errors
     /// [`Error::Precondition`] when that looks at too much, [`Error::TooLarge`] when it takes more memory than allowed,
@@ -235,7 +235,7 @@ impl DerivedStructures {
         let admit = |bytes: u64| admit_bytes(held + bytes, limits, exec);
         let primitives = &topology.geometry().primitives;
         match RidingVertices::bind(surface, primitives, &topology.rest, admit, exec) {
-            // Another time there may be memory, and somebody who waits.
+            // A later call may have more memory, and is not cancelled.
             Err(e @ (Error::TooLarge { .. } | Error::Cancelled)) => Err(e),
             // Another thread may have found the same meanwhile.
             found => answer(self.riders.get_or_init(|| found)),

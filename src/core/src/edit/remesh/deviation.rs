@@ -39,7 +39,7 @@ pub(super) struct ChangedFaces {
 
 /// Places of the old surface, its points and places on its edges, by the new faces that they belong to.
 pub(super) struct DeviationBound<'a> {
-    /// Asked within steps that compare much: they are refused once nobody wants them, and the pass ends.
+    /// Asked within steps that compare much: they are refused once the work is cancelled, and the pass ends.
     progress: &'a dyn Progress,
     /// The largest squared distance that may be seen.
     limit: f64,

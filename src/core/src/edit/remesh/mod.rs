@@ -119,7 +119,7 @@ fn plan_remesh(
         true => Ok(value),
         false => Err(Error::invalid(
             subject,
-            format!("{value} is no {what}, it must be finite and above 0"),
+            format!("{value} is not a {what}, it must be finite and above 0"),
         )),
     };
     let (mesh, mut wanted, unfair, own) = match options.target {
@@ -152,7 +152,7 @@ fn plan_remesh(
     };
     let sharp = options.sharp_degrees;
     if !(sharp > 0.0 && sharp <= 180.0) {
-        let problem = format!("{sharp} is no angle between two faces, it must be above 0 and at most 180 degrees");
+        let problem = format!("{sharp} is not an angle between two faces, it must be above 0 and at most 180 degrees");
         return Err(Error::invalid(EditSubject::RemeshSharpAngle, problem));
     }
     let sharp_cosine = libm::cos(sharp.to_radians());

@@ -61,7 +61,7 @@ const SAMPLES_ALONG: f64 = 32.0;
 const ROWS_ALONG: f64 = 64.0;
 
 /// What queries about one vertex and the interior nodes that belong to it may look at on average. Where faces are of about one size
-/// they look at a hundredth of it; engines and helmets of large flat faces look at up to half of it.
+/// they look at a small part of it; where large flat faces lie between small ones, as in machines, at much more.
 const VISITS_PER_VERTEX: u64 = 4096;
 /// The same for any mesh.
 const LEAST_VISITS: u64 = 1 << 24;

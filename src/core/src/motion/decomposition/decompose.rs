@@ -138,7 +138,7 @@ pub fn decompose(
         }
     }
     let influences = influences.unwrap_or_default();
-    Ok(told(sequence, &bones, influences, exec)?)
+    Ok(in_model_units(sequence, &bones, influences, exec)?)
 }
 
 /// Bones and weights in turn, with bones moved to where they are missed as long as that helps.
@@ -213,7 +213,7 @@ pub fn fit_weights(
         }
     }
     let (influences, _) = fit_influences(&sequence.samples, &bones, most, None, exec)?;
-    Ok(told(sequence, &bones, influences, exec)?)
+    Ok(in_model_units(sequence, &bones, influences, exec)?)
 }
 
 /// At most `most` of `count` numbers, spread evenly but not regularly, in rising order.
@@ -249,7 +249,7 @@ fn unpick(bones: &BoneFrames, picked: &[usize], frames: usize) -> BoneFrames {
 }
 
 /// The result in model units.
-fn told(
+fn in_model_units(
     sequence: &ShapeSequence,
     bones: &BoneFrames,
     influences: Vec<BoneInfluences>,
