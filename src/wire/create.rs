@@ -9,7 +9,7 @@ use super::{Error, pb};
 use crate::asset::Format;
 use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, TieOptions, VolumeMode};
 use crate::engine::{KeptApart, OpenOptions};
-use crate::graph::VolumeOptions;
+use crate::graph::{InteriorKind, VolumeOptions};
 use crate::mesh::Weld;
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -109,6 +109,10 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         pb::create_options::volume_graph::Mode::Off => VolumeMode::Off,
         pb::create_options::volume_graph::Mode::Required => VolumeMode::Required,
     };
+    let kind = match enumerated(volume.kind, "volumeGraph.kind")? {
+        pb::create_options::volume_graph::Kind::Shape => InteriorKind::Shape,
+        pb::create_options::volume_graph::Kind::Paper => InteriorKind::Paper,
+    };
     let valence = match volume.valence {
         0 | 14 => 14,
         8 => 8,
@@ -130,6 +134,7 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         }
     };
     let graph = VolumeOptions {
+        kind,
         interval: length(volume.interval, "volumeGraph.interval")?,
         valence,
         shell_offset: length(volume.shell_offset, "volumeGraph.shellOffset")?,

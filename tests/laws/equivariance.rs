@@ -1,8 +1,7 @@
 //! Laws of symmetry: what is done to the whole scene is done to the result, and what says nothing new changes nothing.
 //!
 //! A scene is a mesh with handles and their transforms. Each law deforms it twice, as it is and changed, and compares
-//! the mesh's vertices. Without interior nodes the two may differ by what solving leaves; with them by more, because
-//! the lattice stands elsewhere in a model that is turned.
+//! the mesh's vertices. Both may differ by what solving leaves, and with interior nodes by what rounding does to their places.
 
 use glam::{DMat3, DQuat, DVec3};
 use pliant::deform::{
@@ -19,8 +18,8 @@ use crate::support::shapes;
 
 /// Largest difference on the mesh's own graph, as a fraction of the diagonal.
 const SURFACE: f64 = 1e-5;
-/// The same with interior nodes, whose lattice is sampled anew: the root of the mean square.
-const VOLUME: f64 = 1e-3;
+/// The same with interior nodes, whose lattice moves with the shape.
+const VOLUME: f64 = 1e-4;
 
 /// A region in the coordinates of the unmoved scene, and what its handle does there.
 #[derive(Clone, Copy)]
@@ -221,14 +220,8 @@ fn same_at(places: &[Place]) {
             let there = deformed(&rod, &ends, place, volume, refine);
             let (seen, mean) = (largest(&home, &there), root_mean_square(&home, &there));
             println!("{volume:?}, refine {refine}, place {k}: largest {seen:.1e}, root mean square {mean:.1e}");
-            // A lattice that is sampled anew also stops elsewhere at the rims of handles, which shows beside them.
-            let most = if volume == VolumeMode::Off {
-                allowed
-            } else {
-                allowed * 10.0
-            };
             assert!(
-                mean <= allowed && seen <= most,
+                seen <= allowed,
                 "{volume:?}, refine {refine}, place {k}: {seen:e}, {mean:e}"
             );
         }

@@ -3,7 +3,7 @@
 use crate::support::data::data_bytes;
 use glam::DVec3;
 use pliant::exec::Exec;
-use pliant::graph::{VolumeOptions, volume};
+use pliant::graph::volume;
 use pliant::mesh::{Adjacency, mean_edge_length};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -42,7 +42,7 @@ fn real_meshes_get_the_node_counts_of_the_paper() {
     let mesh = shapes::mesh(&shape);
     let graph = volume(
         &mesh,
-        &VolumeOptions::default(),
+        &shapes::paper_graph(),
         &Exec::new(&Pool::new(2).expect("threads start"), &Silent),
     )
     .expect("valid options")

@@ -271,7 +271,7 @@ fn weights_near_the_edit_are_found_again() {
     let ball = ball();
     let options = VolumeOptions {
         weights: EdgeWeights::Cotangent,
-        ..VolumeOptions::default()
+        ..shapes::paper_graph()
     };
     let mesh = mesh_of(&ball);
     for graph in [
@@ -354,7 +354,7 @@ fn a_deformed_lattice_is_filled_up() {
         let same = VolumeOptions {
             interval: Some(graph.stats.interval),
             shell_offset: Some(graph.stats.shell_offset),
-            ..VolumeOptions::default()
+            ..shapes::paper_graph()
         };
         let fresh = volume(&mesh_of(&edited.surface), &same, &Exec::new(&pool(2), &Silent))
             .expect("valid")
@@ -459,7 +459,7 @@ fn two_hundred_edits_in_sequence_keep_what_a_graph_promises() {
         &VolumeOptions {
             interval: Some(graph.stats.interval),
             shell_offset: Some(graph.stats.shell_offset),
-            ..VolumeOptions::default()
+            ..shapes::paper_graph()
         },
         &Exec::new(&pool(2), &Silent),
     )
@@ -490,7 +490,7 @@ fn edits_of_a_real_mesh_are_followed() {
     let same = VolumeOptions {
         interval: Some(graph.stats.interval),
         shell_offset: Some(graph.stats.shell_offset),
-        ..VolumeOptions::default()
+        ..shapes::paper_graph()
     };
     let edge = model.mean_edge();
     let below = model.points.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);

@@ -1,10 +1,18 @@
 //! Shapes generated for tests, wound counter-clockwise seen from outside.
 
 use glam::DVec3;
-use pliant::graph::MeshGraph;
+use pliant::graph::{InteriorKind, MeshGraph, VolumeOptions};
 use pliant::mesh::{Adjacency, Mesh, MeshReport, Weld, inspect};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
+
+/// The options of the paper's graph.
+pub fn paper_graph() -> VolumeOptions {
+    VolumeOptions {
+        kind: InteriorKind::Paper,
+        ..VolumeOptions::default()
+    }
+}
 
 /// Points and triangles.
 pub type Shape = (Vec<DVec3>, Vec<[u32; 3]>);

@@ -5,6 +5,7 @@ use super::messages::ModelMessage;
 use crate::asset::{BoneLengthRule, Following, Format, MorphTargetRule, RigRule};
 use crate::deform::{CoarseOperators, EdgeWeights, FreePartPolicy, VolumeMode};
 use crate::engine::{OpenOptions, Passenger, PassengerKind};
+use crate::graph::InteriorKind;
 use crate::mesh::Weld;
 use crate::wire::{Error, open_options, pb};
 use pb::create_options as message;
@@ -77,6 +78,11 @@ fn create_message(options: &OpenOptions) -> Result<pb::CreateOptions, Error> {
             interval: body.graph.interval.unwrap_or(0.0),
             valence: body.graph.valence,
             shell_offset: body.graph.shell_offset.unwrap_or(0.0),
+            kind: match body.graph.kind {
+                InteriorKind::Shape => message::volume_graph::Kind::Shape,
+                InteriorKind::Paper => message::volume_graph::Kind::Paper,
+            }
+            .into(),
         }),
         components: match options.policy {
             FreePartPolicy::Follow => message::Components::Follow,
@@ -184,7 +190,7 @@ mod tests {
         for text in [
             r#"{"format": "glb", "weld": {"tolerance": 0.25}, "components": "HOLD", "parts": "SEPARATE"}"#,
             r#"{"components": "FREE", "weights": "COTANGENT", "operators": "PAPER", "tieDistance": 0.1}"#,
-            r#"{"volumeGraph": {"mode": "REQUIRED", "interval": 0.1, "valence": 8, "shellOffset": 0.3}}"#,
+            r#"{"volumeGraph": {"mode": "REQUIRED", "interval": 0.1, "valence": 8, "shellOffset": 0.3, "kind": "PAPER"}}"#,
             r#"{"volumeGraph": {"mode": "OFF"}, "keepApart": {"primitives": [1], "components": [2, 3]}}"#,
             r#"{"morphTargets": "KEEP", "rig": "KEEP"}"#,
             r#"{"boneLengths": "KEEP"}"#,

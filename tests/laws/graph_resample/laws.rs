@@ -21,13 +21,9 @@ pub fn mesh_of(surface: &Surface) -> Mesh {
 }
 
 pub fn volume_of(surface: &Surface) -> MeshGraph {
-    volume(
-        &mesh_of(surface),
-        &VolumeOptions::default(),
-        &Exec::new(&pool(2), &Silent),
-    )
-    .expect("valid options")
-    .expect("an inside")
+    volume(&mesh_of(surface), &shapes::paper_graph(), &Exec::new(&pool(2), &Silent))
+        .expect("valid options")
+        .expect("an inside")
 }
 
 pub fn follow(graph: &MeshGraph, edited: &Edited) -> ResampledGraph {
@@ -173,7 +169,7 @@ pub fn try_edit(name: &str, before: &Surface, graph: &MeshGraph, plan: &Plan) ->
     let same = VolumeOptions {
         interval: Some(graph.stats.interval),
         shell_offset: Some(graph.stats.shell_offset),
-        ..VolumeOptions::default()
+        ..shapes::paper_graph()
     };
     let fresh = volume(&mesh_of(&edited.surface), &same, &Exec::new(&pool(2), &Silent))
         .expect("valid")

@@ -77,11 +77,13 @@ class VolumeGraph(TypedDict, total=False):
 
     #: Whether they are built: where the model has an inside, never, or always.
     mode: Literal["auto", "off", "required"]
+    #: What interior nodes follow: the shape, or the triangles as in the paper.
+    kind: Literal["shape", "paper"]
     #: Lattice interval in model units.
     interval: float
     #: Lattice neighbours of an interior node.
     valence: Literal[8, 14]
-    #: Depth of the inner shell in model units.
+    #: Depth of the copies of vertices in model units.
     shell_offset: float
 
 
@@ -202,7 +204,9 @@ def _volume_graph(fields: VolumeGraph, message: pb.CreateOptions.VolumeGraph) ->
     for name, value in mapping("volume_graph", fields, "auto, off, required or a dict").items():
         if name == "mode":
             message.mode = enum(name, pb.CreateOptions.VolumeGraph.Mode, value)
+        elif name == "kind":
+            message.kind = enum(name, pb.CreateOptions.VolumeGraph.Kind, value)
         elif name in ("interval", "valence", "shell_offset"):
             put(message, name, value)
         else:
-            raise TypeError(f"volume_graph: {name}: allowed are mode, interval, valence and shell_offset")
+            raise TypeError(f"volume_graph: {name}: allowed are mode, kind, interval, valence and shell_offset")

@@ -76,9 +76,9 @@ impl DerivedStructures {
         let surface = mesh.positions.len();
         let nodes = match options.body.volume {
             VolumeMode::Off => surface,
-            VolumeMode::Required => estimate_nodes(&mesh),
+            VolumeMode::Required => estimate_nodes(&mesh, options.body.graph.kind),
             // Without a wish for interior nodes they are what is left out where they do not fit.
-            VolumeMode::Auto => estimate_nodes(&mesh)
+            VolumeMode::Auto => estimate_nodes(&mesh, options.body.graph.kind)
                 .min(most_nodes(beside_graph(&topology), limits))
                 .max(surface),
         };

@@ -32,7 +32,7 @@ pub(super) fn interior_warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<
         let message = format!("{reason}; the model deforms as a surface");
         return vec![warning("volume-graph-too-large", message, String::new())];
     }
-    if graph.surface == body.nodes() {
+    if graph.surface == body.nodes() && stats.struts == 0 {
         let message = "the model encloses no volume, so it deforms as a surface";
         return vec![warning("no-volume-graph", message.into(), String::new())];
     }
@@ -90,11 +90,16 @@ mod tests {
     use crate::engine::Deformer;
     use crate::engine::{Error, OpenOptions};
     use crate::exec::Exec;
+    use crate::graph::InteriorKind;
     use crate::pool::Pool;
     use crate::progress::Silent;
 
     /// A cube of 1,538 vertices, with an open square beside it when asked for.
     fn open(memory_bytes: u64, mode: VolumeMode, sheet: bool) -> Result<Deformer, Error> {
+        open_as(InteriorKind::Shape, memory_bytes, mode, sheet)
+    }
+
+    fn open_as(kind: InteriorKind, memory_bytes: u64, mode: VolumeMode, sheet: bool) -> Result<Deformer, Error> {
         let (positions, triangles) = shapes::box_with_cells(DVec3::ONE, [16; 3]);
         let mut text = String::new();
         positions
@@ -108,6 +113,7 @@ mod tests {
         }
         let mut options = OpenOptions::default();
         options.body.volume = mode;
+        options.body.graph.kind = kind;
         let limits = DeformerLimits {
             memory_bytes,
             ..Default::default()
@@ -129,12 +135,17 @@ mod tests {
     fn what_does_not_fit_gets_a_wider_lattice_then_none_and_says_so() {
         let whole = open(1 << 30, VolumeMode::Auto, false).unwrap();
         assert!(codes(&whole).is_empty(), "{:?}", codes(&whole));
+        let open = |bytes: u64, mode: VolumeMode, sheet: bool| open_as(InteriorKind::Paper, bytes, mode, sheet);
         let surface = whole.body().graph.surface as u64;
         // What files, vertices and so many nodes take.
         let room = |nodes: u64| {
             let beside = whole.estimate() - whole.body().nodes() as u64 * BYTES_PER_NODE;
             beside + nodes * BYTES_PER_NODE / 4 * 5
         };
+        let coarse = open_as(InteriorKind::Shape, room(surface * 3 / 2), VolumeMode::Auto, false).unwrap();
+        assert_eq!(codes(&coarse), ["volume-graph-coarse"]);
+        assert!(coarse.body().nodes() < whole.body().nodes() && coarse.body().graph.stats.lattice_nodes > 0);
+        let whole = open(1 << 30, VolumeMode::Auto, false).unwrap();
         let coarse = open(room(surface * 5 / 2), VolumeMode::Auto, false).unwrap();
         assert_eq!(codes(&coarse), ["volume-graph-coarse"]);
         assert!(coarse.body().nodes() < whole.body().nodes() && coarse.body().graph.stats.lattice_nodes > 0);

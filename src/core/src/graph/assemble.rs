@@ -6,6 +6,7 @@
 use crate::graph::mesh_graph::{GraphStats, MeshGraph};
 use crate::graph::recipe::GraphRecipe;
 use crate::graph::volume::neighbours::{LatticeRow, NONE};
+use crate::graph::volume::struts::Strut;
 use crate::graph::weights;
 use crate::graph::weights::EdgeWeights;
 use crate::mesh::{Adjacency, Components, Lists, Mesh};
@@ -29,10 +30,35 @@ pub(super) struct InteriorNodes {
     pub(super) lattice: Vec<LatticeRow>,
     /// Lattice node, counted from the first one, and the surface or shell node that it is tied to; rising, each once.
     pub(super) ties: Vec<[u32; 2]>,
+    /// What they weigh; empty where all ties and edges of the lattice weigh 1.
+    pub(super) tie_weights: Vec<f32>,
+    /// Edges between vertices that are none of the mesh; rising, each once.
+    pub(super) struts: Vec<Strut>,
+    /// For each lattice node what its edges within the lattice weigh, the same for all that are joined; empty as `tie_weights`.
+    pub(super) lattice_weights: Vec<f32>,
     /// What edits need to know of how these nodes were placed.
     pub(super) recipe: GraphRecipe,
     /// Facts about them; [`assemble`] adds which components have any.
     pub(super) stats: GraphStats,
+}
+
+impl InteriorNodes {
+    /// Nodes of the shell alone, numbered after the `surface` vertices.
+    pub(super) fn with_copies(surface: u32, shell: &[Option<DVec3>]) -> Self {
+        let mut inner = Self {
+            shell: vec![NONE; shell.len()],
+            ..Self::default()
+        };
+        for (v, copy) in (0u32..).zip(shell) {
+            if let Some(p) = copy {
+                inner.shell[v as usize] = surface + inner.positions.len() as u32;
+                inner.positions.push(*p);
+                inner.nearest_surface.push(v);
+            }
+        }
+        inner.copies = inner.positions.len();
+        inner
+    }
 }
 
 /// Rows handled in one go.
@@ -47,9 +73,11 @@ struct GraphRows<'a> {
     first_lattice: usize,
     /// For each neighbour of each vertex on the mesh, whether the vertex is joined to the copy of that neighbour.
     diagonals: Vec<bool>,
-    /// Ties by lattice node and by what they are tied to.
+    /// The numbers of ties by lattice node and by what they are tied to.
     from_lattice: Lists,
     to_lattice: Lists,
+    /// The numbers of struts by vertex, in the order of their other ends.
+    struts: Lists,
 }
 
 impl GraphRows<'_> {
@@ -78,7 +106,8 @@ impl GraphRows<'_> {
         let row = if node < self.surface {
             let v = node as u32;
             let joined = self.around(v).filter(|w| w.1).count();
-            self.adjacency.neighbours.of(v).len() + joined + usize::from(self.shell_of(v).is_some())
+            let own = self.adjacency.neighbours.of(v).len() + self.struts.of(v).len();
+            own + joined + usize::from(self.shell_of(v).is_some())
         } else {
             let v = self.inner.nearest_surface[node - self.surface];
             let joined = self
@@ -89,42 +118,105 @@ impl GraphRows<'_> {
         (row + ties) as u32
     }
 
-    /// Calls `put` for the neighbours of `node`, rising.
-    fn each(&self, node: usize, mut put: impl FnMut(u32)) {
+    /// Calls `put` for the neighbours of `node`, rising, each with what the edge weighs where the mesh's edges weigh 1.
+    fn each(&self, node: usize, mut put: impl FnMut(u32, f32)) {
         let put = &mut put;
         let first = self.first_lattice as u32;
         if node < self.surface {
             let v = node as u32;
-            self.adjacency.neighbours.of(v).iter().for_each(|&w| put(w));
+            let mut struts = self.struts_of(v).peekable();
+            for &w in self.adjacency.neighbours.of(v) {
+                while let Some((to, weight)) = struts.next_if(|s| s.0 < w) {
+                    put(to, weight);
+                }
+                put(w, 1.0);
+            }
+            struts.for_each(|(to, weight)| put(to, weight));
             let mut own = self.shell_of(v);
             for (w, _) in self.around(v).filter(|w| w.1) {
                 if w > v {
-                    own.take().into_iter().for_each(&mut *put);
+                    own.take().into_iter().for_each(|s| put(s, 1.0));
                 }
-                self.shell_of(w).into_iter().for_each(&mut *put);
+                self.shell_of(w).into_iter().for_each(|s| put(s, 1.0));
             }
-            own.into_iter().for_each(&mut *put);
-            self.to_lattice.of(v).iter().for_each(|&n| put(first + n));
+            own.into_iter().for_each(|s| put(s, 1.0));
+            self.ties_of(self.to_lattice.of(v))
+                .for_each(|([n, _], w)| put(first + n, w));
         } else if node < self.first_lattice {
             let v = self.inner.nearest_surface[node - self.surface];
             let mut own = Some(v);
             for (w, _) in self.around(v).filter(|w| !w.1) {
                 if w > v {
-                    own.take().into_iter().for_each(&mut *put);
+                    own.take().into_iter().for_each(|v| put(v, 1.0));
                 }
-                put(w);
+                put(w, 1.0);
             }
-            own.into_iter().for_each(&mut *put);
+            own.into_iter().for_each(|v| put(v, 1.0));
             let around = self.adjacency.neighbours.of(v).iter();
-            around.filter_map(|&w| self.shell_of(w)).for_each(&mut *put);
-            self.to_lattice.of(node as u32).iter().for_each(|&n| put(first + n));
+            around.filter_map(|&w| self.shell_of(w)).for_each(|s| put(s, 1.0));
+            self.ties_of(self.to_lattice.of(node as u32))
+                .for_each(|([n, _], w)| put(first + n, w));
         } else {
             let n = node - self.first_lattice;
-            self.from_lattice.of(n as u32).iter().for_each(|&to| put(to));
+            self.ties_of(self.from_lattice.of(n as u32))
+                .for_each(|([_, to], w)| put(to, w));
+            let weight = self.inner.lattice_weights.get(n).copied().unwrap_or(1.0);
             let row = self.inner.lattice[n].iter();
-            row.take_while(|&&n| n != NONE).for_each(|&n| put(first + n));
+            row.take_while(|&&n| n != NONE).for_each(|&n| put(first + n, weight));
         }
     }
+
+    /// Some ties with their weights.
+    fn ties_of(&self, numbers: &[u32]) -> impl Iterator<Item = ([u32; 2], f32)> {
+        let tie = |&tie: &u32| {
+            let weight = self.inner.tie_weights.get(tie as usize).copied();
+            (self.inner.ties[tie as usize], weight.unwrap_or(1.0))
+        };
+        numbers.iter().map(tie)
+    }
+
+    /// The other ends of a vertex's struts, rising, with their weights.
+    fn struts_of(&self, v: u32) -> impl Iterator<Item = (u32, f32)> {
+        let numbers = self.struts.of(v).iter();
+        numbers.map(move |&strut| {
+            let ([a, b], weight) = self.inner.struts[strut as usize];
+            (if a == v { b } else { a }, weight)
+        })
+    }
+
+    /// The weights of all rows, where edges of the mesh weigh 1.
+    fn weigh_rows(&self, offsets: &[u32], nodes: usize) -> Vec<f32> {
+        let mut weights = vec![1f32; offsets[nodes] as usize];
+        write_rows(offsets, &mut weights, |node, row| {
+            let mut slots = row.iter_mut();
+            self.each(node, |_, weight| {
+                slots.next().into_iter().for_each(|slot| *slot = weight)
+            });
+        });
+        weights
+    }
+}
+
+/// Writes the entries of all rows, many rows at a time.
+fn write_rows<T: Send>(offsets: &[u32], entries: &mut [T], write: impl Fn(usize, &mut [T]) + Sync) {
+    let nodes = offsets.len() - 1;
+    let mut blocks = Vec::with_capacity(nodes.div_ceil(BLOCK));
+    let mut rest = entries;
+    for from in (0..nodes).step_by(BLOCK) {
+        let to = (from + BLOCK).min(nodes);
+        let (block, after) = rest.split_at_mut((offsets[to] - offsets[from]) as usize);
+        blocks.push((from..to, block));
+        rest = after;
+    }
+    blocks.into_par_iter().for_each(|(range, block)| {
+        let start = offsets[range.start];
+        for node in range {
+            write(
+                node,
+                &mut block[(offsets[node] - start) as usize..(offsets[node + 1] - start) as usize],
+            );
+        }
+    });
 }
 
 /// Puts mesh, shell and lattice together, on the caller's thread without a pool.
@@ -153,8 +245,13 @@ pub(super) fn assemble(
         surface,
         first_lattice,
         diagonals,
-        from_lattice: Lists::gather(inner.lattice.len(), || inner.ties.iter().map(|&[n, to]| (n, to))),
-        to_lattice: Lists::gather(first_lattice, || inner.ties.iter().map(|&[n, to]| (to, n))),
+        from_lattice: Lists::gather(inner.lattice.len(), || {
+            (0u32..).zip(&inner.ties).map(|(tie, t)| (t[0], tie))
+        }),
+        to_lattice: Lists::gather(first_lattice, || (0u32..).zip(&inner.ties).map(|(tie, t)| (t[1], tie))),
+        struts: Lists::gather(surface, || {
+            (0u32..).zip(&inner.struts).flat_map(|(k, s)| s.0.map(|v| (v, k)))
+        }),
     };
 
     let (offsets, neighbours) = match pool {
@@ -166,14 +263,28 @@ pub(super) fn assemble(
     components.of_vertex[surface..]
         .iter()
         .for_each(|&c| stats.component_has_volume[c as usize] = true);
-    let weights = match weighting {
+    for ([v, _], _) in &inner.struts {
+        stats.component_has_volume[components.of_vertex[*v as usize] as usize] = true;
+    }
+    let cotangents = match weighting {
         EdgeWeights::Uniform => None,
         EdgeWeights::Cotangent => {
             let (of_edge, scale) = weights::cotangents(&mesh.positions, &mesh.triangles, adjacency);
             recipe.cotangent_scale = scale;
-            Some(spread_weights(&offsets, &neighbours, adjacency, &of_edge))
+            Some(of_edge)
         }
     };
+    let is_weighted = cotangents.is_some() || !inner.lattice_weights.is_empty() || !inner.struts.is_empty();
+    let weights = is_weighted.then(|| {
+        let mut weights = match pool {
+            Some(pool) => pool.install(|| rows.weigh_rows(&offsets, nodes)),
+            None => vec![1.0; neighbours.len()],
+        };
+        if let Some(of_edge) = cotangents {
+            spread_weights((&offsets, &neighbours), adjacency, &of_edge, &mut weights);
+        }
+        weights
+    });
     let mut nearest_surface: Vec<u32> = (0..surface as u32).collect();
     nearest_surface.extend_from_slice(&inner.nearest_surface);
     MeshGraph {
@@ -224,23 +335,11 @@ fn fill_rows(nodes: usize, rows: &GraphRows) -> (Vec<u32>, Vec<u32>) {
         offsets[i + 1] += offsets[i];
     }
     let mut neighbours = vec![0u32; offsets[nodes] as usize];
-    let mut blocks = Vec::with_capacity(nodes.div_ceil(BLOCK));
-    let mut rest = neighbours.as_mut_slice();
-    for from in (0..nodes).step_by(BLOCK) {
-        let to = (from + BLOCK).min(nodes);
-        let (block, after) = rest.split_at_mut((offsets[to] - offsets[from]) as usize);
-        blocks.push((from..to, block));
-        rest = after;
-    }
-    blocks.into_par_iter().for_each(|(range, block)| {
-        let mut slots = block.iter_mut();
-        for node in range {
-            rows.each(node, |neighbour| {
-                if let Some(slot) = slots.next() {
-                    *slot = neighbour;
-                }
-            });
-        }
+    write_rows(&offsets, &mut neighbours, |node, row| {
+        let mut slots = row.iter_mut();
+        rows.each(node, |neighbour, _| {
+            slots.next().into_iter().for_each(|slot| *slot = neighbour)
+        });
     });
     (offsets, neighbours)
 }
@@ -251,7 +350,7 @@ fn filled_alone(nodes: usize, rows: &GraphRows) -> (Vec<u32>, Vec<u32>) {
     offsets.push(0);
     let mut neighbours = Vec::new();
     for node in 0..nodes {
-        rows.each(node, |neighbour| neighbours.push(neighbour));
+        rows.each(node, |neighbour, _| neighbours.push(neighbour));
         offsets.push(neighbours.len() as u32);
     }
     neighbours.shrink_to_fit();
@@ -284,9 +383,13 @@ fn components(inner: &InteriorNodes, parts: &Components, surface: usize) -> Comp
     }
 }
 
-/// Weights of mesh edges brought to both of their entries; all other entries are 1.
-fn spread_weights(offsets: &[u32], neighbours: &[u32], adjacency: &Adjacency, of_edge: &[f32]) -> Vec<f32> {
-    let mut weights = vec![1.0; neighbours.len()];
+/// Brings weights of mesh edges to both of their entries.
+fn spread_weights(
+    (offsets, neighbours): (&[u32], &[u32]),
+    adjacency: &Adjacency,
+    of_edge: &[f32],
+    weights: &mut [f32],
+) {
     for (e, &w) in adjacency.edges.iter().zip(of_edge) {
         let [a, b] = e.vertices;
         for (from, to) in [(a, b), (b, a)] {
@@ -296,5 +399,4 @@ fn spread_weights(offsets: &[u32], neighbours: &[u32], adjacency: &Adjacency, of
             }
         }
     }
-    weights
 }

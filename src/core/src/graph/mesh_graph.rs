@@ -42,6 +42,8 @@ pub struct GraphStats {
     pub shell_nodes: usize,
     /// Nodes of the lattice.
     pub lattice_nodes: usize,
+    /// Edges across places that are too thin for a lattice.
+    pub struts: usize,
     /// Side of a lattice cell; 0 without a volume graph.
     pub interval: f64,
     /// The side that would have been used without a limit of nodes.
@@ -50,7 +52,7 @@ pub struct GraphStats {
     pub shell_offset: f64,
     /// Volume of the inside, measured or (for open or nested parts) sampled; 0 without a volume graph.
     pub enclosed_volume: f64,
-    /// For each component, whether it has shell or lattice nodes.
+    /// For each component, whether it has shell or lattice nodes, or struts.
     pub component_has_volume: Vec<bool>,
 }
 

@@ -27,6 +27,6 @@ pub use recipe::GraphRecipe;
 pub use resample::{MeshChange, ResampledGraph, resample};
 pub use surface::surface;
 pub use ties::{LOOSE, PartTies, TieAnchor, TieFamilies, TieOptions, resample_tied, tie_parts};
-pub use volume::{VolumeOptions, estimate_nodes, volume, volume_apart};
+pub use volume::{InteriorKind, VolumeOptions, estimate_nodes, volume, volume_apart};
 pub use weights::EdgeWeights;
 pub use winding::WindingTree;

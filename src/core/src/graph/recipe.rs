@@ -7,7 +7,7 @@ use glam::DVec3;
 pub struct GraphRecipe {
     /// What raw cotangents of mesh edges were multiplied by; 0 with uniform weights.
     pub(super) cotangent_scale: f64,
-    /// How interior nodes were placed; `None` for the graph of a surface alone.
+    /// How interior nodes of the paper's kind were placed; `None` where there are none.
     pub(super) inside: Option<InteriorRecipe>,
 }
 

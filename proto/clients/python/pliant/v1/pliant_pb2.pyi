@@ -52,7 +52,7 @@ class CreateOptions(_message.Message):
     FINITE_VOLUME: CreateOptions.Operators
     PAPER: CreateOptions.Operators
     class VolumeGraph(_message.Message):
-        __slots__ = ("mode", "interval", "valence", "shell_offset")
+        __slots__ = ("mode", "interval", "valence", "shell_offset", "kind")
         class Mode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
             __slots__ = ()
             AUTO: _ClassVar[CreateOptions.VolumeGraph.Mode]
@@ -61,15 +61,23 @@ class CreateOptions(_message.Message):
         AUTO: CreateOptions.VolumeGraph.Mode
         OFF: CreateOptions.VolumeGraph.Mode
         REQUIRED: CreateOptions.VolumeGraph.Mode
+        class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+            __slots__ = ()
+            SHAPE: _ClassVar[CreateOptions.VolumeGraph.Kind]
+            PAPER: _ClassVar[CreateOptions.VolumeGraph.Kind]
+        SHAPE: CreateOptions.VolumeGraph.Kind
+        PAPER: CreateOptions.VolumeGraph.Kind
         MODE_FIELD_NUMBER: _ClassVar[int]
         INTERVAL_FIELD_NUMBER: _ClassVar[int]
         VALENCE_FIELD_NUMBER: _ClassVar[int]
         SHELL_OFFSET_FIELD_NUMBER: _ClassVar[int]
+        KIND_FIELD_NUMBER: _ClassVar[int]
         mode: CreateOptions.VolumeGraph.Mode
         interval: float
         valence: int
         shell_offset: float
-        def __init__(self, mode: _Optional[_Union[CreateOptions.VolumeGraph.Mode, str]] = ..., interval: _Optional[float] = ..., valence: _Optional[int] = ..., shell_offset: _Optional[float] = ...) -> None: ...
+        kind: CreateOptions.VolumeGraph.Kind
+        def __init__(self, mode: _Optional[_Union[CreateOptions.VolumeGraph.Mode, str]] = ..., interval: _Optional[float] = ..., valence: _Optional[int] = ..., shell_offset: _Optional[float] = ..., kind: _Optional[_Union[CreateOptions.VolumeGraph.Kind, str]] = ...) -> None: ...
     class KeepApart(_message.Message):
         __slots__ = ("primitives", "components")
         PRIMITIVES_FIELD_NUMBER: _ClassVar[int]

@@ -39,7 +39,8 @@ use crate::graph::resample::interior::{EditedShell, InteriorChange};
 use crate::graph::resample::local::{LocalFaces, LocalMesh};
 use crate::graph::resample::zone::{ChangeZone, SpreadLengths};
 
-/// The graph after `change` from the graph before; `None` where a new graph has to be built: when the edit changes more than a
+/// The graph after `change` from the graph before; `None` where a new graph has to be built: when interior nodes follow the shape
+/// ([`InteriorKind::Shape`](crate::graph::InteriorKind)), when the edit changes more than a
 /// quarter of the points, opens a part widely, joins what encloses space with what does not, or touches a mesh so torn
 /// that all of it is needed to tell what lies inside.
 ///
@@ -65,8 +66,8 @@ pub fn resample(
         return Ok(None);
     };
     match &old.recipe.inside {
-        // The graph of parts that are told apart does not know how each was made.
-        None if old.surface < old.nodes() => Ok(None),
+        // A graph that follows the shape, or of parts that are told apart, is not changed in one place alone.
+        None if old.surface < old.nodes() || old.stats.struts > 0 => Ok(None),
         None => resample_surface(old, change, &points, exec.pool).map(Some),
         Some(inside) if inside.soups => Ok(None),
         Some(inside) => match resample_volume(old, inside, change, &points, exec) {

@@ -135,6 +135,7 @@ fn total_stats(graphs: &[(Vec<u32>, MeshGraph)]) -> GraphStats {
         let s = &g.stats;
         all.shell_nodes += s.shell_nodes;
         all.lattice_nodes += s.lattice_nodes;
+        all.struts += s.struts;
         all.interval = all.interval.max(s.interval);
         all.wanted_interval = all.wanted_interval.max(s.wanted_interval);
         all.shell_offset = all.shell_offset.max(s.shell_offset);

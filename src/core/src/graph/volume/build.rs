@@ -8,9 +8,12 @@ use crate::graph::mesh_graph::{GraphStats, MeshGraph};
 use crate::graph::volume::caps::{ClosedHull, HullFaces};
 use crate::graph::volume::inward::inward_directions;
 use crate::graph::volume::lattice;
+use crate::graph::volume::lattice::LatticeBody;
 use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeNodes};
 use crate::graph::volume::near_surface::NearSurface;
 use crate::graph::volume::placed::{PlacedNodes, interior_nodes};
+use crate::graph::volume::principal_axes::PrincipalAxes;
+use crate::graph::volume::shape::{most_lattice_nodes, shape_interior};
 use crate::graph::volume::shell::{InsideHull, VolumeSite, shell};
 use crate::graph::volume::solid::{ClassifiedParts, PartKind};
 use crate::graph::volume::{octree, scan};
@@ -18,17 +21,33 @@ use crate::graph::weights::EdgeWeights;
 use crate::graph::winding::tree::WindingTree;
 use crate::mesh::query::{VisitBudget, VisitCount};
 use crate::mesh::{Adjacency, Mesh, mean_edge_length, signed_volume};
+use glam::DVec3;
 use std::sync::OnceLock;
+
+/// What interior nodes follow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum InteriorKind {
+    /// The shape: a lattice whose interval follows the thickness of each part, whatever its triangles, along the principal
+    /// axes of the mesh. Places too thin for it have struts across.
+    #[default]
+    Shape,
+    /// The triangles, as in the paper: a copy of each vertex, and a lattice about as dense as the mesh, along the axes of the
+    /// file.
+    Paper,
+}
 
 /// How a volume graph is built.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VolumeOptions {
-    /// Side of a lattice cell; by default the mean edge length or what gives 1.2 lattice nodes for each vertex,
-    /// whichever is larger. Widened when the graph would have more than `max_nodes` nodes.
+    /// What interior nodes follow.
+    pub kind: InteriorKind,
+    /// Side of a lattice cell. By default, of kind [`InteriorKind::Shape`], half of volume ÷ area of each part; of kind
+    /// [`InteriorKind::Paper`] the mean edge length or what gives 1.2 lattice nodes for each vertex, whichever is larger.
+    /// Widened when the graph would have more than `max_nodes` nodes.
     pub interval: Option<f64>,
     /// Neighbours of a lattice node: 14 (default), or 8 in the other of the two cubic grids only.
     pub valence: u32,
-    /// How far the shell is moved inwards; by default the mean edge length, of the mesh or of the part, whichever is
+    /// Of kind [`InteriorKind::Paper`], how far the shell is moved inwards; by default the mean edge length, of the mesh or of the part, whichever is
     /// less. Less where there is less room.
     pub shell_offset: Option<f64>,
     /// Weights of the mesh's edges.
@@ -40,6 +59,7 @@ pub struct VolumeOptions {
 impl Default for VolumeOptions {
     fn default() -> Self {
         Self {
+            kind: InteriorKind::Shape,
             interval: None,
             valence: 14,
             shell_offset: None,
@@ -71,10 +91,13 @@ pub(in crate::graph) fn most_visits(vertices: usize) -> u64 {
     LEAST_VISITS + VISITS_PER_VERTEX * vertices as u64
 }
 
-/// About how many nodes the volume graph of `mesh` will have, without building anything.
-pub fn estimate_nodes(mesh: &Mesh) -> usize {
+/// About how many nodes the volume graph of `mesh` will have at most, without building anything.
+pub fn estimate_nodes(mesh: &Mesh, kind: InteriorKind) -> usize {
     let vertices = mesh.positions.len();
-    2 * vertices + (LATTICE_PER_VERTEX * vertices as f64).ceil() as usize
+    match kind {
+        InteriorKind::Shape => vertices + most_lattice_nodes(vertices) as usize,
+        InteriorKind::Paper => 2 * vertices + (LATTICE_PER_VERTEX * vertices as f64).ceil() as usize,
+    }
 }
 
 /// Builds the volume graph of `mesh`; `None` when it encloses nothing, and a surface graph is all there is.
@@ -97,7 +120,7 @@ pub fn estimate_nodes(mesh: &Mesh) -> usize {
 /// let pool = Pool::new(1).expect("a thread");
 /// let graph = volume(&mesh, &VolumeOptions::default(), &Exec::new(&pool, &Silent))?.expect("a box has an inside");
 /// assert_eq!(graph.surface, mesh.positions.len());
-/// assert!(graph.stats.shell_nodes > 0 && graph.nodes() > graph.surface);
+/// assert!(graph.stats.lattice_nodes > 0 && graph.nodes() > graph.surface);
 /// # Ok::<(), pliant_core::graph::Error>(())
 /// ```
 ///
@@ -106,19 +129,69 @@ pub fn estimate_nodes(mesh: &Mesh) -> usize {
 /// given up.
 pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<Option<MeshGraph>, Error> {
     check_options(options)?;
-    let surface = mesh.positions.len();
-    let limit = options.max_nodes.min(u32::MAX as usize / 32);
-    let room_beyond = |nodes: usize| {
-        limit.checked_sub(nodes).ok_or(Error::TooManyNodes {
-            nodes,
-            limit: options.max_nodes,
-            surface,
-        })
-    };
-    room_beyond(surface)?;
+    let room = NodeRoom::of(mesh, options);
+    room.beyond(mesh.positions.len())?;
     exec.check()?;
-
     exec.progress.report("graph", 0.0);
+    match options.kind {
+        InteriorKind::Paper => on_site(mesh, options, exec, |site, found| {
+            paper_interior(site, found, options, &room)
+        }),
+        InteriorKind::Shape => {
+            let axes = PrincipalAxes::of_surface(mesh);
+            let turned = axes.turn_mesh(mesh);
+            let place = |site: &VolumeSite, found: SiteFacts| shape_interior(site, found, options, &room);
+            let graph = on_site(turned.as_ref().unwrap_or(mesh), options, exec, place)?;
+            Ok(graph.map(|graph| axes.turn_back(graph, mesh)))
+        }
+    }
+}
+
+/// How many nodes there may be.
+pub(in crate::graph) struct NodeRoom {
+    limit: usize,
+    wanted: usize,
+    surface: usize,
+}
+
+impl NodeRoom {
+    fn of(mesh: &Mesh, options: &VolumeOptions) -> Self {
+        Self {
+            limit: options.max_nodes.min(u32::MAX as usize / 32),
+            wanted: options.max_nodes,
+            surface: mesh.positions.len(),
+        }
+    }
+
+    /// How many more there may be than `nodes`.
+    pub(in crate::graph) fn beyond(&self, nodes: usize) -> Result<usize, Error> {
+        self.limit.checked_sub(nodes).ok_or(Error::TooManyNodes {
+            nodes,
+            limit: self.wanted,
+            surface: self.surface,
+        })
+    }
+}
+
+/// What is known of a mesh before interior nodes are placed.
+pub(in crate::graph) struct SiteFacts {
+    pub(in crate::graph) mean_edge: f64,
+    /// All vertices in the order in which they are best looked at.
+    pub(in crate::graph) order: Vec<u32>,
+    /// For each vertex which way leads inwards.
+    pub(in crate::graph) inward: Vec<DVec3>,
+    /// For each part 1, −1 when its normals were turned, or 0 when it has no inside.
+    pub(in crate::graph) turns: Vec<f64>,
+}
+
+/// Finds out what of a mesh encloses space, and has `place` place nodes there. `None` when nothing does.
+fn on_site(
+    mesh: &Mesh,
+    options: &VolumeOptions,
+    exec: &Exec<'_>,
+    place: impl FnOnce(&VolumeSite, SiteFacts) -> Result<Option<MeshGraph>, Error>,
+) -> Result<Option<MeshGraph>, Error> {
+    let surface = mesh.positions.len();
     let (adjacency, mut near) = exec.pool.install(|| {
         let adjacency = || Adjacency::build(surface, &mesh.triangles);
         rayon::join(adjacency, || NearSurface::sort(mesh, exec.pool))
@@ -180,24 +253,48 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
     let order = site.vertices_in_space_order();
     let (inward, turns) = inward_directions(&site, &order, step)?;
 
-    exec.progress.report("graph", 0.2);
-    let offsets = shell_offsets(&site, options.shell_offset, mean_edge);
-    let shell = shell(&site, order, &inward, &offsets)?;
-    let shell_nodes = shell.iter().flatten().count();
-    let room = room_beyond(surface + shell_nodes)?;
+    let facts = SiteFacts {
+        mean_edge,
+        order,
+        inward,
+        turns,
+    };
+    place(&site, facts)
+}
 
-    exec.progress.report("graph", 0.5);
-    let volume = enclosed_volume(&site)?;
+/// Places a copy of each vertex and a lattice as dense as the mesh.
+fn paper_interior(
+    site: &VolumeSite,
+    facts: SiteFacts,
+    options: &VolumeOptions,
+    room: &NodeRoom,
+) -> Result<Option<MeshGraph>, Error> {
+    let surface = site.mesh.positions.len();
+    let SiteFacts { mean_edge, turns, .. } = facts;
+    let offset = options.shell_offset.unwrap_or(mean_edge);
+    site.exec.progress.report("graph", 0.2);
+    let offsets = shell_offsets(site, options.shell_offset, mean_edge);
+    let shell = shell(site, facts.order, &facts.inward, &offsets)?;
+    let shell_nodes = shell.iter().flatten().count();
+    let room = room.beyond(surface + shell_nodes)?;
+
+    site.exec.progress.report("graph", 0.5);
+    let volume = enclosed_volume(site)?.whole;
     if shell_nodes == 0 && volume == 0.0 {
         return Ok(None);
     }
     let calibrated = libm::cbrt(2.0 * volume / (LATTICE_PER_VERTEX * surface as f64));
     let wanted = options.interval.unwrap_or(mean_edge.max(calibrated));
-    let (grid, nodes) = fitting_lattice(&site, wanted, DEPTH * offset, volume, room)?;
+    let body = LatticeBody {
+        hull: site.hull,
+        soup: site.large_soup(),
+        bounds: site.mesh.bounds(),
+    };
+    let deep = |_: f64| DEPTH * offset;
+    let (grid, nodes) = fitting_lattice(site, body, wanted, deep, [volume, room as f64])?;
     if shell_nodes == 0 && nodes.keys.is_empty() {
         return Ok(None);
     }
-
     let stats = GraphStats {
         lattice_nodes: nodes.keys.len(),
         interval: grid.interval,
@@ -215,16 +312,17 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
         depth: DEPTH * offset,
         stats,
     };
-    join_nodes(&site, placed, options)
+    let inner = interior_nodes(site, placed, options.valence)?;
+    inner.map_or(Ok(None), |inner| join_nodes(site, inner, options).map(Some))
 }
 
-/// Joins the nodes that have been placed to a graph; `None` when none are left.
-fn join_nodes(site: &VolumeSite, placed: PlacedNodes, options: &VolumeOptions) -> Result<Option<MeshGraph>, Error> {
+/// Joins the nodes that have been placed to a graph.
+pub(in crate::graph) fn join_nodes(
+    site: &VolumeSite,
+    inner: InteriorNodes,
+    options: &VolumeOptions,
+) -> Result<MeshGraph, Error> {
     let exec = site.exec;
-    exec.progress.report("graph", 0.7);
-    let Some(inner) = interior_nodes(site, placed, options.valence)? else {
-        return Ok(None);
-    };
     check_edge_count(site.adjacency, &inner)?;
     exec.progress.report("graph", 0.9);
     let parts = &site.parts.components;
@@ -238,7 +336,7 @@ fn join_nodes(site: &VolumeSite, placed: PlacedNodes, options: &VolumeOptions) -
     );
     exec.check()?;
     exec.progress.report("graph", 1.0);
-    Ok(Some(graph))
+    Ok(graph)
 }
 
 /// Refuses options that make no sense.
@@ -256,7 +354,8 @@ fn check_options(options: &VolumeOptions) -> Result<(), Error> {
 
 /// Refuses more edges than can be numbered.
 fn check_edge_count(adjacency: &Adjacency, inner: &InteriorNodes) -> Result<(), Error> {
-    let edges = 3 * adjacency.edges.len() + inner.copies + 7 * inner.lattice.len() + inner.ties.len();
+    let edges =
+        3 * adjacency.edges.len() + inner.copies + 7 * inner.lattice.len() + inner.ties.len() + inner.struts.len();
     let limit = u32::MAX as usize / 2;
     match edges > limit {
         true => Err(Error::TooManyEdges { edges, limit }),
@@ -266,7 +365,7 @@ fn check_edge_count(adjacency: &Adjacency, inner: &InteriorNodes) -> Result<(), 
 
 /// How far the copies of each part are moved: as wanted, or by the mean edge length of the mesh. Parts of a finer mesh
 /// than the rest have no room for that, and a finer shell.
-fn shell_offsets(site: &VolumeSite, wanted: Option<f64>, mean_edge: f64) -> Vec<f64> {
+pub(in crate::graph) fn shell_offsets(site: &VolumeSite, wanted: Option<f64>, mean_edge: f64) -> Vec<f64> {
     let components = &site.parts.components;
     let Some(wanted) = wanted else {
         let mut sums = vec![(0.0f64, 0usize); components.count];
@@ -285,8 +384,14 @@ fn shell_offsets(site: &VolumeSite, wanted: Option<f64>, mean_edge: f64) -> Vec<
     vec![wanted; components.count]
 }
 
+/// Volumes of the inside.
+pub(in crate::graph) struct EnclosedVolume {
+    pub(in crate::graph) whole: f64,
+    pub(in crate::graph) by_soups: f64,
+}
+
 /// Volume of the inside: measured for one part, else sampled, because parts may overlap or nest.
-fn enclosed_volume(site: &VolumeSite) -> Result<f64, Error> {
+pub(in crate::graph) fn enclosed_volume(site: &VolumeSite) -> Result<EnclosedVolume, Error> {
     let mesh = site.mesh;
     let mut volume = 0.0;
     if let Some(hull) = site.hull {
@@ -299,17 +404,20 @@ fn enclosed_volume(site: &VolumeSite) -> Result<f64, Error> {
             volume = if measured_fits { measured } else { sampled };
         }
     }
+    let mut by_soups = 0.0;
     if let Some(soup) = site.large_soup() {
         let interval = longest_side(mesh) / SAMPLES_ALONG;
-        let Some(grid) = LatticeGrid::around(&mesh.bounds(), interval) else {
-            return Ok(volume);
-        };
-        // The limit is beyond what a grid of this size holds.
-        if let Ok(nodes) = octree::nodes(site, soup, &grid, 0.0, 1 << 20)? {
-            volume += nodes.keys.len() as f64 * (interval * interval * interval) * 0.5;
+        if let Some(grid) = LatticeGrid::around(&mesh.bounds(), interval) {
+            // The limit is beyond what a grid of this size holds.
+            if let Ok(nodes) = octree::nodes(site, soup, &grid, 0.0, 1 << 20)? {
+                by_soups = nodes.keys.len() as f64 * (interval * interval * interval) * 0.5;
+            }
         }
     }
-    Ok(volume)
+    Ok(EnclosedVolume {
+        whole: volume + by_soups,
+        by_soups,
+    })
 }
 
 /// The longest side of the box around a mesh.
@@ -317,23 +425,24 @@ fn longest_side(mesh: &Mesh) -> f64 {
     mesh.bounds().size().max_element()
 }
 
-/// The lattice of the wanted interval, or of the narrowest wider one tried that has at most `room` nodes.
-fn fitting_lattice(
+/// The lattice inside `body` of the wanted interval, or of the narrowest wider one tried that has at most `room` nodes. Its nodes
+/// lie deeper than `depth` of the interval.
+pub(in crate::graph) fn fitting_lattice(
     site: &VolumeSite,
+    body: LatticeBody,
     wanted: f64,
-    depth: f64,
-    volume: f64,
-    room: usize,
+    depth: impl Fn(f64) -> f64,
+    [volume, room]: [f64; 2],
 ) -> Result<(LatticeGrid, LatticeNodes), Error> {
-    let bounds = site.mesh.bounds();
-    let longest = longest_side(site.mesh);
+    let bounds = &body.bounds;
+    let longest = bounds.size().max_element();
     // Half of what the volume would hold: nodes near the surface are left out.
-    let by_count = libm::cbrt(volume / room.max(1) as f64);
+    let by_count = libm::cbrt(volume / room.max(1.0));
     let mut interval = wanted.max(longest * 1e-6).max(by_count);
     // Beyond the box's size there is nothing to place.
     while interval < 2.0 * longest {
-        let factor = match LatticeGrid::around(&bounds, interval) {
-            Some(grid) => match lattice::nodes(site, &grid, depth, room)? {
+        let factor = match LatticeGrid::around(bounds, interval) {
+            Some(grid) => match lattice::nodes(site, body, &grid, depth(interval), room as usize)? {
                 Ok(nodes) => return Ok((grid, nodes)),
                 Err(too_fine) => too_fine.factor,
             },
@@ -341,7 +450,7 @@ fn fitting_lattice(
         };
         interval *= factor * 1.02;
     }
-    let grid = LatticeGrid::around(&bounds, interval).ok_or(Error::Length {
+    let grid = LatticeGrid::around(bounds, interval).ok_or(Error::Length {
         option: "interval",
         seen: interval,
     })?;

@@ -2,35 +2,51 @@
 
 use crate::graph::error::Error;
 use crate::graph::parallel::{map, map_along};
+use crate::graph::volume::caps::HullFaces;
 use crate::graph::volume::lattice_grid::{CERTAIN, LatticeGrid, LatticeNodes, TooFine};
 use crate::graph::volume::near_surface::RoomQueries;
 use crate::graph::volume::neighbours;
 use crate::graph::volume::neighbours::{LatticeKey, LatticeRow, NONE, directions, toward};
 use crate::graph::volume::shell::VolumeSite;
 use crate::graph::volume::{octree, scan};
+use crate::graph::winding::tree::WindingTree;
+use crate::mesh::BoundingBox;
 use crate::mesh::query::closest_point::closest_point_on_triangle;
 use crate::mesh::query::{SurfacePoint, corner_near};
+use glam::DVec3;
 use rayon::prelude::*;
 
 /// Nodes whose ties are found in one go.
 const NODES: usize = 32;
 
-/// All nodes of `grid` that lie inside, deeper than `depth`: inside the hull, or inside soups. At most `limit`
-/// of them, else `Err(TooFine)` inside.
+/// What lattice nodes lie inside of.
+#[derive(Clone, Copy)]
+pub(in crate::graph) struct LatticeBody<'a> {
+    /// A closed surface, if there is one.
+    pub(in crate::graph) hull: Option<HullFaces<'a>>,
+    /// Soups, if there are any.
+    pub(in crate::graph) soup: Option<&'a WindingTree<'a>>,
+    /// The box around both.
+    pub(in crate::graph) bounds: BoundingBox,
+}
+
+/// All nodes of `grid` that lie inside `body`, deeper than `depth` below the whole surface. At most `limit` of them, else
+/// `Err(TooFine)` inside.
 pub(in crate::graph) fn nodes(
     site: &VolumeSite,
+    body: LatticeBody,
     grid: &LatticeGrid,
     depth: f64,
     limit: usize,
 ) -> Result<Result<LatticeNodes, TooFine>, Error> {
-    let mut nodes = match site.hull {
+    let mut nodes = match body.hull {
         None => LatticeNodes::default(),
         Some(hull) => match scan::nodes(site, hull, grid, depth, limit)? {
             Ok(nodes) => nodes,
             Err(too_fine) => return Ok(Err(too_fine)),
         },
     };
-    if let Some(soup) = site.large_soup() {
+    if let Some(soup) = body.soup {
         match octree::nodes(site, soup, grid, depth, limit)? {
             Ok(more) => nodes = merged(nodes, more),
             Err(too_fine) => return Ok(Err(too_fine)),
@@ -74,16 +90,26 @@ fn merged(a: LatticeNodes, b: LatticeNodes) -> LatticeNodes {
     }
 }
 
+/// Where an edge of the grid leaves the lattice.
+#[derive(Clone, Copy)]
+pub(in crate::graph) struct LatticeExit {
+    pub(in crate::graph) node: u32,
+    /// The place on the surface where the edge goes through it, or the nearest one to where it leaves, and its triangle.
+    pub(in crate::graph) point: DVec3,
+    pub(in crate::graph) triangle: u32,
+    /// The mesh vertex nearest to that place.
+    pub(in crate::graph) vertex: u32,
+}
+
 /// Edges of the lattice.
 pub(in crate::graph) struct LatticeEdges {
     /// For each node its neighbours in the lattice.
     pub(in crate::graph) rows: Vec<LatticeRow>,
-    /// Lattice node and the mesh vertex whose shell copy it is tied to. Each connected part of the lattice has some.
-    pub(in crate::graph) ties: Vec<[u32; 2]>,
+    /// Where others leave; each connected part of the lattice has some.
+    pub(in crate::graph) exits: Vec<LatticeExit>,
 }
 
-/// Joins neighbours that see each other. Where a lattice edge leads out of the lattice or through the surface, the node
-/// is tied to the vertex nearest to the place where the edge leaves.
+/// Joins neighbours that see each other, and finds where edges lead out of the lattice or through the surface.
 pub(in crate::graph) fn edges(
     site: &VolumeSite,
     grid: &LatticeGrid,
@@ -114,69 +140,75 @@ pub(in crate::graph) fn edges(
     let starts: Vec<u32> = (0..rows.len() as u32).step_by(NODES).collect();
     let found = map(&starts, site.budget, |&first| {
         let last = (first + NODES as u32).min(rows.len() as u32);
-        let mut found = LatticeTies::default();
+        let mut found = FoundExits::default();
         let mut hints = [0; 14];
         for i in first..last {
-            let from = found.ties.len();
             for d in directions(valence).filter(|&d| rows[i as usize][d] == NONE) {
                 let end = toward(nodes.keys[i as usize], d);
                 let near = nodes.shallow.find_key(end, &mut hints[d]);
                 match left_at(site, grid, nodes, (i, end), near) {
-                    Some(vertex) => found.ties.push([i, vertex]),
+                    Some(exit) => found.exits.push(exit),
                     None => found.unmet.push((i, end)),
                 }
             }
-            found.ties[from..].sort_unstable();
         }
-        found.ties.dedup();
         found
     })?;
-    let mut ties = Vec::with_capacity(found.iter().map(|f| f.ties.len()).sum());
-    found.iter().for_each(|f| ties.extend_from_slice(&f.ties));
+    let mut exits = Vec::with_capacity(found.iter().map(|f| f.exits.len()).sum());
+    found.iter().for_each(|f| exits.extend_from_slice(&f.exits));
     let unmet: Vec<(u32, LatticeKey)> = found.into_iter().flat_map(|f| f.unmet).collect();
     if !unmet.is_empty() {
-        ties.extend(tied_to_nearest(site, grid, &unmet)?);
-        site.exec.pool.install(|| ties.par_sort_unstable());
-        ties.dedup();
+        exits.extend(nearest_exits(site, grid, &unmet)?);
     }
-    Ok(LatticeEdges { rows, ties })
+    Ok(LatticeEdges { rows, exits })
 }
 
-/// Ties of some nodes, sorted, and edges for which no place was found where they leave.
+/// Where edges of some nodes leave, and edges for which no place was found where they do.
 #[derive(Default)]
-struct LatticeTies {
-    ties: Vec<[u32; 2]>,
+struct FoundExits {
+    exits: Vec<LatticeExit>,
     unmet: Vec<(u32, LatticeKey)>,
 }
 
-/// The vertex nearest to the place where the edge from a node to the grid's node `end`, which stands at `near` among those
-/// near to the surface, leaves the lattice or goes through the surface.
+/// Where the edge from a node to the grid's node `end`, which stands at `near` among those near to the surface, leaves the
+/// lattice or goes through the surface.
 fn left_at(
     site: &VolumeSite,
     grid: &LatticeGrid,
     nodes: &LatticeNodes,
     (node, end): (u32, LatticeKey),
     near: Option<usize>,
-) -> Option<u32> {
+) -> Option<LatticeExit> {
     let (p, q) = (grid.position(nodes.keys[node as usize]), grid.position(end));
     let (length, clear) = (p.distance(q), nodes.clearance[node as usize] * CERTAIN);
+    let exit = |vertex: u32, point: DVec3, triangle: u32| LatticeExit {
+        node,
+        point,
+        triangle,
+        vertex: site.walk(vertex, point),
+    };
     // No triangle reaches into the clear balls around both ends. Where they overlap none is crossed; else the way to look at
     // begins where the first one ends.
     let joined = near.is_some_and(|k| clear + nodes.shallow.squares[k].sqrt() * CERTAIN > length);
     if !joined {
         let start = p + (q - p) * (clear / length).min(1.0);
         if let Some(hit) = site.surface.first_hit(start, q) {
-            return Some(site.walk(hit.vertex, hit.point));
+            return Some(exit(hit.vertex, hit.point, hit.triangle));
         }
     }
-    let face = site.mesh.triangles[nodes.shallow.triangles[near?] as usize];
+    let triangle = nodes.shallow.triangles[near?];
+    let face = site.mesh.triangles[triangle as usize];
     let corners = face.map(|v| site.mesh.positions[v as usize]);
     let vertex = corner_near(&site.mesh.positions, face, q);
-    Some(site.walk(vertex, closest_point_on_triangle(q, corners)))
+    Some(exit(vertex, closest_point_on_triangle(q, corners), triangle))
 }
 
-/// Ties of edges that leave the lattice for a place of which nothing is known: to the vertex nearest to it.
-fn tied_to_nearest(site: &VolumeSite, grid: &LatticeGrid, unmet: &[(u32, LatticeKey)]) -> Result<Vec<[u32; 2]>, Error> {
+/// Exits of edges that leave the lattice for a place of which nothing is known: at the point of the surface nearest to it.
+fn nearest_exits(
+    site: &VolumeSite,
+    grid: &LatticeGrid,
+    unmet: &[(u32, LatticeKey)],
+) -> Result<Vec<LatticeExit>, Error> {
     // Several edges lead to the same place; its nearest point is looked up once.
     let mut ends: Vec<LatticeKey> = unmet.iter().map(|e| e.1).collect();
     site.exec.pool.install(|| ends.par_sort_unstable());
@@ -190,9 +222,14 @@ fn tied_to_nearest(site: &VolumeSite, grid: &LatticeGrid, unmet: &[(u32, Lattice
             .map_or(f64::INFINITY, |b| b.point.distance(p) * (1.0 + 1e-9));
         surface.closest_point_within(p, within)
     })?;
-    let vertex = |end: LatticeKey| {
+    let exit = |&(node, end): &(u32, LatticeKey)| {
         let near = ends.binary_search(&end).ok().and_then(|at| nearest[at])?;
-        Some(site.walk(near.vertex, near.point))
+        Some(LatticeExit {
+            node,
+            point: near.point,
+            triangle: near.triangle,
+            vertex: site.walk(near.vertex, near.point),
+        })
     };
-    Ok(unmet.iter().filter_map(|&(i, end)| Some([i, vertex(end)?])).collect())
+    Ok(unmet.iter().filter_map(exit).collect())
 }

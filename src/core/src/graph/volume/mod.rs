@@ -1,8 +1,10 @@
 //! The volume graph of a mesh: surface, shell and lattice (Zhou et al. 2005).
 //!
 //! `build` goes through the stages in order: `solid` tells which parts enclose space, `caps` closes their holes, `inward`
-//! and `shell` move a copy of each vertex inwards, `lattice` (by `scan` or `octree`) fills the inside with nodes and joins them,
-//! `nearest` gives each of them its vertex, and `placed` puts it all together. They ask the surface by `near_surface`.
+//! and `shell` move copies of vertices inwards, `lattice` (by `scan` or `octree`) fills the inside with nodes and joins them,
+//! and `nearest` gives each of them its vertex. They ask the surface by `near_surface`. `placed` puts the paper's graph
+//! together, `shape` the one that follows the shape: `principal_axes` tells how its lattice stands, `thickness` how wide it is,
+//! `spread` ties the surface to it, and `struts` joins what is too thin for it.
 //! `apart` builds one graph for each part.
 
 mod angle;
@@ -18,9 +20,14 @@ mod nearest;
 pub(super) mod neighbours;
 mod octree;
 mod placed;
+mod principal_axes;
 mod scan;
+mod shape;
 pub(super) mod shell;
 pub(super) mod solid;
+mod spread;
+pub(super) mod struts;
+mod thickness;
 
 pub use apart::volume_apart;
-pub use build::{VolumeOptions, estimate_nodes, volume};
+pub use build::{InteriorKind, VolumeOptions, estimate_nodes, volume};

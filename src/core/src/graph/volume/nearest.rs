@@ -7,7 +7,7 @@
 
 use crate::graph::error::Error;
 use crate::graph::parallel::map;
-use crate::graph::volume::lattice::LatticeEdges;
+use crate::graph::volume::lattice::{LatticeEdges, LatticeExit};
 use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeNodes};
 use crate::graph::volume::neighbours::{LatticeRow, NONE};
 use crate::graph::volume::shell::VolumeSite;
@@ -28,7 +28,7 @@ pub(in crate::graph) fn nearest_vertices(
     let at = |node: u32| grid.position(nodes.keys[node as usize]);
     let mut nearest = vec![UNKNOWN; nodes.keys.len()];
     let distance = |node: u32, v: u32| site.mesh.positions[v as usize].distance_squared(at(node));
-    for &[node, vertex] in &edges.ties {
+    for &LatticeExit { node, vertex, .. } in &edges.exits {
         let best = &mut nearest[node as usize];
         if *best == UNKNOWN || distance(node, vertex) < distance(node, *best) {
             *best = vertex;

@@ -8,9 +8,10 @@ use crate::graph::volume::caps::missing;
 use crate::graph::volume::lattice;
 use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeNodes};
 use crate::graph::volume::nearest::nearest_vertices;
-use crate::graph::volume::neighbours::{NONE, in_b, rising};
+use crate::graph::volume::neighbours::{LatticeKey, LatticeRow, NONE, in_b, rising};
 use crate::graph::volume::shell::{ShellNodes, VolumeSite};
 use crate::graph::volume::solid::PartKind;
+use crate::pool::Pool;
 use rayon::prelude::*;
 
 /// Shell and lattice before anything joins them.
@@ -39,24 +40,16 @@ pub(in crate::graph) fn interior_nodes(
     } = placed;
     let surface = site.mesh.positions.len() as u32;
     let edges = lattice::edges(site, &grid, &nodes, valence)?;
-    let keeps = leave_out_thin(site, &mut shell, &placed.offsets, &edges.ties);
-    let mut inner = InteriorNodes {
-        shell: vec![NONE; shell.len()],
-        ..InteriorNodes::default()
-    };
-    for (v, copy) in (0u32..).zip(&shell) {
-        if let Some(p) = copy {
-            inner.shell[v as usize] = surface + inner.positions.len() as u32;
-            inner.positions.push(*p);
-            inner.nearest_surface.push(v);
-        }
-    }
-    inner.copies = inner.positions.len();
+    let mut ties: Vec<[u32; 2]> = edges.exits.iter().map(|e| [e.node, e.vertex]).collect();
+    site.exec.pool.install(|| ties.par_sort_unstable());
+    ties.dedup();
+    let keeps = leave_out_thin(site, &mut shell, &placed.offsets, ties.iter().map(|t| t[1]));
+    let mut inner = InteriorNodes::with_copies(surface, &shell);
     inner.positions.extend(nodes.keys.iter().map(|&k| grid.position(k)));
     inner
         .nearest_surface
         .extend(nearest_vertices(site, &grid, &nodes, &edges)?);
-    inner.ties = edges.ties;
+    inner.ties = ties;
     for [_, to] in &mut inner.ties {
         let copy = inner.shell[*to as usize];
         *to = if copy == NONE { *to } else { copy };
@@ -66,19 +59,7 @@ pub(in crate::graph) fn interior_nodes(
         site.exec.pool.install(|| inner.ties.par_sort_unstable());
     }
     inner.lattice = edges.rows;
-    let order = rising();
-    site.exec.pool.install(|| {
-        let rows = inner.lattice.par_iter_mut().zip(&nodes.keys).with_min_len(1024);
-        rows.for_each(|(row, &key)| {
-            let mut sorted = [NONE; 14];
-            let there = order[usize::from(in_b(key))]
-                .iter()
-                .map(|&d| row[d])
-                .filter(|&n| n != NONE);
-            sorted.iter_mut().zip(there).for_each(|(slot, n)| *slot = n);
-            *row = sorted;
-        });
-    });
+    sort_rows(&mut inner.lattice, &nodes.keys, site.exec.pool);
     if inner.positions.is_empty() {
         return Ok(None);
     }
@@ -91,11 +72,34 @@ pub(in crate::graph) fn interior_nodes(
     Ok(Some(inner))
 }
 
+/// Brings the neighbours of each node to the front of its row, rising.
+pub(in crate::graph) fn sort_rows(rows: &mut [LatticeRow], keys: &[LatticeKey], pool: &Pool) {
+    let order = rising();
+    pool.install(|| {
+        let rows = rows.par_iter_mut().zip(keys).with_min_len(1024);
+        rows.for_each(|(row, &key)| {
+            let mut sorted = [NONE; 14];
+            let there = order[usize::from(in_b(key))]
+                .iter()
+                .map(|&d| row[d])
+                .filter(|&n| n != NONE);
+            sorted.iter_mut().zip(there).for_each(|(slot, n)| *slot = n);
+            *row = sorted;
+        });
+    });
+}
+
 /// Takes the copies away from parts without lattice in which most vertices have no room for a copy at a quarter of the
 /// offset or more: copies so near to the surface keep nothing from collapsing, and the part is no more than a sheet.
-///
 /// Answers which parts keep theirs.
-fn leave_out_thin(site: &VolumeSite, shell: &mut ShellNodes, offsets: &[f64], ties: &[[u32; 2]]) -> Vec<bool> {
+///
+/// `tied` are the vertices with ties to it.
+pub(in crate::graph) fn leave_out_thin(
+    site: &VolumeSite,
+    shell: &mut ShellNodes,
+    offsets: &[f64],
+    tied: impl Iterator<Item = u32>,
+) -> Vec<bool> {
     let components = &site.parts.components;
     let part = |v: u32| components.of_vertex[v as usize] as usize;
     // By part: vertices, and those with room.
@@ -106,7 +110,7 @@ fn leave_out_thin(site: &VolumeSite, shell: &mut ShellNodes, offsets: &[f64], ti
         count[part(v)].1 += usize::from(roomy);
     }
     let mut keeps: Vec<bool> = count.into_iter().map(|(all, roomy)| roomy * 2 >= all).collect();
-    ties.iter().for_each(|t| keeps[part(t[1])] = true);
+    tied.for_each(|v| keeps[part(v)] = true);
     for (v, copy) in (0u32..).zip(shell.iter_mut()) {
         if !keeps[part(v)] {
             *copy = None;

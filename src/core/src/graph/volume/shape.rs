@@ -1,0 +1,182 @@
+//! The interior that follows the shape: a lattice as wide as parts are thick, whatever their triangles.
+//!
+//! A uniform lattice of interval a and weight w is an energy of the volume of weight w ÷ a. Weights are in proportion to the
+//! interval, so that this is a constant of each part, and its volume is as stiff beside its surface whatever the interval.
+
+use crate::graph::assemble::InteriorNodes;
+use crate::graph::error::Error;
+use crate::graph::mesh_graph::{GraphStats, MeshGraph};
+use crate::graph::volume::build::{NodeRoom, SiteFacts, VolumeOptions, enclosed_volume, fitting_lattice, join_nodes};
+use crate::graph::volume::caps::HullFaces;
+use crate::graph::volume::lattice;
+use crate::graph::volume::lattice::LatticeBody;
+use crate::graph::volume::nearest::nearest_vertices;
+use crate::graph::volume::neighbours::NONE;
+use crate::graph::volume::placed::sort_rows;
+use crate::graph::volume::shell::VolumeSite;
+use crate::graph::volume::spread::{SurfaceTie, spread_ties, vertex_areas};
+use crate::graph::volume::struts::{ThinPlaces, struts};
+use crate::graph::volume::thickness::{LatticeClass, lattice_classes};
+
+/// The interval in thicknesses (volume ÷ area): a long round bar has eight cells across.
+const INTERVAL: f64 = 0.5;
+/// Lattice nodes lie deeper than this many intervals.
+const DEPTH: f64 = 0.6;
+/// What an edge of the lattice weighs that is as long as the part is thick; edges of the surface weigh 1.
+const STIFFNESS: f64 = 2.5;
+/// What a tie weighs beside an edge of the lattice.
+const TIE: f64 = 0.5;
+/// Struts are no longer than this many intervals.
+const ACROSS: f64 = 4.0;
+/// About the part of a volume that lies deep enough for lattice nodes.
+const DEEP: f64 = 0.7;
+
+/// Lattice nodes for each vertex that a mesh may have: many for the few vertices of a coarse mesh, few for a scan.
+const MOST_PER_VERTEX: [(f64, f64); 2] = [(5_000.0, 3.0), (40_000.0, 0.2)];
+
+/// The most lattice nodes that a mesh with so many vertices gets.
+pub(in crate::graph) fn most_lattice_nodes(vertices: usize) -> f64 {
+    let [(few, most), (many, least)] = MOST_PER_VERTEX;
+    let n = vertices as f64;
+    let along = (libm::log(n / few) / libm::log(many / few)).clamp(0.0, 1.0);
+    n * most * libm::pow(least / most, along)
+}
+
+/// A lattice and its nodes, joined.
+#[derive(Default)]
+struct JoinedLattices {
+    inner: InteriorNodes,
+    ties: Vec<SurfaceTie>,
+    /// By class.
+    intervals: Vec<f64>,
+    stats: GraphStats,
+}
+
+/// Places a lattice in each part, and copies of vertices where a part is too thin for it.
+pub(in crate::graph) fn shape_interior(
+    site: &VolumeSite,
+    facts: SiteFacts,
+    options: &VolumeOptions,
+    room: &NodeRoom,
+) -> Result<Option<MeshGraph>, Error> {
+    let surface = site.mesh.positions.len();
+    site.exec.progress.report("graph", 0.2);
+    let volume = enclosed_volume(site)?;
+    let parts = lattice_classes(site, &facts.turns, volume.by_soups);
+    let intervals = wanted_intervals(&parts.classes, options, surface);
+    let mut lattices = JoinedLattices::default();
+    for (class, wanted) in parts.classes.iter().zip(intervals) {
+        let left = room.beyond(surface + lattices.inner.positions.len())?;
+        lattices.add_class(site, class, wanted, options, left)?;
+    }
+    let areas = vertex_areas(site);
+    let spread = spread_ties(site, &lattices.ties, &lattices.inner.positions, &areas)?;
+    site.exec.progress.report("graph", 0.6);
+    let reach: Vec<f64> = parts
+        .of_part
+        .iter()
+        .map(|class| class.map_or(0.0, |c| ACROSS * lattices.intervals[c]))
+        .collect();
+    let vertices = (0..surface as u32).filter(|&v| !spread.reached[v as usize]);
+    let thin = ThinPlaces {
+        vertices: vertices.collect(),
+        inward: &facts.inward,
+        reach: &reach,
+        areas: &areas,
+    };
+    let JoinedLattices { mut inner, stats, .. } = lattices;
+    inner.struts = struts(site, &thin)?;
+    inner.ties = spread.ties;
+    inner.tie_weights = spread.weights;
+    if inner.positions.is_empty() && inner.struts.is_empty() {
+        return Ok(None);
+    }
+    inner.stats = GraphStats {
+        lattice_nodes: inner.lattice.len(),
+        struts: inner.struts.len(),
+        enclosed_volume: volume.whole,
+        ..stats
+    };
+    join_nodes(site, inner, options).map(Some)
+}
+
+/// The interval of each class: what its thickness asks for, wider where the mesh would get too many nodes.
+fn wanted_intervals(classes: &[LatticeClass], options: &VolumeOptions, vertices: usize) -> Vec<f64> {
+    if let Some(interval) = options.interval {
+        return vec![interval; classes.len()];
+    }
+    let count = |class: &LatticeClass, interval: f64| 2.0 * DEEP * class.volume / (interval * interval * interval);
+    let mut counts: Vec<f64> = classes.iter().map(|c| count(c, INTERVAL * c.thickness)).collect();
+    counts.sort_by(f64::total_cmp);
+    // The classes with the most nodes share what the others leave.
+    let (mut left, mut most) = (most_lattice_nodes(vertices), f64::INFINITY);
+    for (k, &own) in counts.iter().enumerate() {
+        let share = left / (counts.len() - k) as f64;
+        if own > share {
+            most = share;
+            break;
+        }
+        left -= own;
+    }
+    let interval = |c: &LatticeClass| (INTERVAL * c.thickness).max(libm::cbrt(2.0 * DEEP * c.volume / most));
+    classes.iter().map(interval).collect()
+}
+
+impl JoinedLattices {
+    /// Adds the lattice of a class, of at most `room` nodes.
+    fn add_class(
+        &mut self,
+        site: &VolumeSite,
+        class: &LatticeClass,
+        wanted: f64,
+        options: &VolumeOptions,
+        room: usize,
+    ) -> Result<(), Error> {
+        let body = LatticeBody {
+            hull: site.hull.filter(|_| !class.faces.is_empty()).map(|hull| HullFaces {
+                faces: if class.faces.len() == hull.faces.len() {
+                    hull.faces
+                } else {
+                    &class.faces
+                },
+                ..hull
+            }),
+            soup: site.large_soup().filter(|_| class.soup),
+            bounds: class.bounds,
+        };
+        let deep = |interval: f64| DEPTH * interval;
+        let (grid, nodes) = fitting_lattice(site, body, wanted, deep, [class.volume, room as f64])?;
+        let mut edges = lattice::edges(site, &grid, &nodes, options.valence)?;
+        let inner = &mut self.inner;
+        inner
+            .nearest_surface
+            .extend(nearest_vertices(site, &grid, &nodes, &edges)?);
+        let first = inner.positions.len() as u32;
+        inner.positions.extend(nodes.keys.iter().map(|&k| grid.position(k)));
+        sort_rows(&mut edges.rows, &nodes.keys, site.exec.pool);
+        for row in &mut edges.rows {
+            row.iter_mut().filter(|n| **n != NONE).for_each(|n| *n += first);
+        }
+        inner.lattice.append(&mut edges.rows);
+        // A lattice without edges along the axes has half the energy.
+        let share = if options.valence == 8 { 2.0 } else { 1.0 };
+        let weight = STIFFNESS * share * grid.interval / class.thickness;
+        inner.lattice_weights.resize(inner.positions.len(), weight as f32);
+        self.intervals.push(grid.interval);
+        self.ties.extend(edges.exits.into_iter().map(|mut exit| {
+            exit.node += first;
+            SurfaceTie {
+                exit,
+                weight: TIE * weight,
+                interval: grid.interval,
+            }
+        }));
+        // Of several lattices the one is told that was widened most.
+        let widened = |interval: f64, wanted: f64| if wanted > 0.0 { interval / wanted } else { 0.0 };
+        if widened(grid.interval, wanted) > widened(self.stats.interval, self.stats.wanted_interval) {
+            self.stats.interval = grid.interval;
+            self.stats.wanted_interval = wanted;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,222 @@
+//! Ties between surface and lattice, spread over the surface.
+//!
+//! Where an edge of the grid leaves the lattice, its node is tied to the place where the edge meets the surface. Where triangles
+//! are smaller than cells, the vertices nearest to that place share the tie, each by its area, so that none is pulled
+//! alone; where they are larger, the corners of the triangle do.
+
+use crate::graph::error::Error;
+use crate::graph::parallel::map;
+use crate::graph::volume::lattice::LatticeExit;
+use crate::graph::volume::neighbours::NONE;
+use crate::graph::volume::shell::VolumeSite;
+use crate::graph::volume::solid::PartKind;
+use crate::mesh::query::NearestPoints;
+use glam::DVec3;
+use rayon::prelude::*;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// Triangles whose edges are all shorter than this many intervals are tied by their nearest corner.
+const SMALL: f64 = 0.5;
+/// Vertices further than this many intervals from any place with a tie have none.
+const REACH: f64 = 2.0;
+
+/// Corners that have less than this share in a place are not tied to it.
+const LEAST: f64 = 0.05;
+/// Vertices looked at between two looks at the progress.
+const CHECKED: usize = 1 << 14;
+
+/// An exit whose node is tied to the surface.
+pub(in crate::graph) struct SurfaceTie {
+    pub(in crate::graph) exit: LatticeExit,
+    pub(in crate::graph) weight: f64,
+    /// Side of a cell of its lattice.
+    pub(in crate::graph) interval: f64,
+}
+
+/// Ties of single vertices.
+pub(in crate::graph) struct SpreadTies {
+    /// Lattice node and vertex; rising, each once.
+    pub(in crate::graph) ties: Vec<[u32; 2]>,
+    pub(in crate::graph) weights: Vec<f32>,
+    /// For each vertex whether a tie is near.
+    pub(in crate::graph) reached: Vec<bool>,
+}
+
+/// A vertex that ties begin from: some lattice nodes with the weights of their ties.
+struct TieSeed {
+    vertex: u32,
+    reach: f64,
+    nodes: std::ops::Range<usize>,
+}
+
+/// What one lattice node is tied to one seed with.
+struct SeedTie {
+    seed: u32,
+    node: u32,
+    weight: f64,
+    interval: f64,
+    /// Of the vertices that share it.
+    area: f64,
+}
+
+/// Spreads ties over the vertices around the places where they meet the surface. `nodes` are the places of lattice nodes, and
+/// `areas` the area around each vertex.
+pub(in crate::graph) fn spread_ties(
+    site: &VolumeSite,
+    exits: &[SurfaceTie],
+    nodes: &[DVec3],
+    areas: &[f64],
+) -> Result<SpreadTies, Error> {
+    let mut seed_ties: Vec<SeedTie> = exits.iter().flat_map(|tie| tied_corners(site, tie)).collect();
+    site.exec
+        .pool
+        .install(|| seed_ties.par_sort_by_key(|t| (t.seed, t.node)));
+    seed_ties.dedup_by(|next, kept| {
+        let same = (next.seed, next.node) == (kept.seed, kept.node);
+        if same {
+            kept.weight += next.weight;
+        }
+        same
+    });
+    let mut seeds: Vec<TieSeed> = Vec::new();
+    for (k, tie) in seed_ties.iter().enumerate() {
+        let reach = REACH * tie.interval;
+        match seeds.last_mut() {
+            Some(seed) if seed.vertex == tie.seed => {
+                seed.nodes.end = k + 1;
+                seed.reach = seed.reach.max(reach);
+            }
+            _ => seeds.push(TieSeed {
+                vertex: tie.seed,
+                reach,
+                nodes: k..k + 1,
+            }),
+        }
+    }
+    let seed_of = nearest_seeds(site, &seeds)?;
+    // Of the nodes of its seed each vertex is tied to the nearest one.
+    let positions = &site.mesh.positions;
+    let tie_of = |v: usize| {
+        let seed = seeds.get(seed_of[v] as usize)?;
+        let way = |k: usize| nodes[seed_ties[k].node as usize].distance_squared(positions[v]);
+        seed.nodes.clone().min_by(|&a, &b| way(a).total_cmp(&way(b)))
+    };
+    let tie_of: Vec<Option<usize>> = site.exec.pool.install(|| {
+        let vertices = (0..positions.len()).into_par_iter().with_min_len(1024);
+        vertices.map(tie_of).collect()
+    });
+    for (v, tie) in tie_of.iter().enumerate() {
+        tie.iter().for_each(|&k| seed_ties[k].area += areas[v]);
+    }
+    let mut ties: Vec<([u32; 2], f32)> = Vec::with_capacity(tie_of.len());
+    for (v, k) in (0u32..).zip(&tie_of) {
+        let shared = k.map(|k| &seed_ties[k]).filter(|tie| tie.area > 0.0);
+        let share = |tie: &SeedTie| (tie.weight * (areas[v as usize] / tie.area)) as f32;
+        ties.extend(shared.map(|tie| ([tie.node, v], share(tie))));
+    }
+    // A node that is the nearest one of no vertex is tied to the seed.
+    let alone = seed_ties.iter().filter(|tie| tie.area <= 0.0);
+    ties.extend(alone.map(|tie| ([tie.node, tie.seed], tie.weight as f32)));
+    ties.retain(|t| t.1 > 0.0);
+    site.exec.pool.install(|| ties.par_sort_unstable_by_key(|t| t.0));
+    let (ties, weights) = ties.into_iter().unzip();
+    Ok(SpreadTies {
+        ties,
+        weights,
+        reached: seed_of.iter().map(|&s| s != NONE).collect(),
+    })
+}
+
+/// The vertices that an exit is tied to before ties are spread.
+fn tied_corners(site: &VolumeSite, tie: &SurfaceTie) -> impl Iterator<Item = SeedTie> + use<> {
+    let SurfaceTie { exit, weight, interval } = *tie;
+    let face = site.mesh.triangles[exit.triangle as usize];
+    let [a, b, c] = face.map(|v| site.mesh.positions[v as usize]);
+    let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+    let shares = if longest < SMALL * interval {
+        [(exit.vertex, 1.0), (NONE, 0.0), (NONE, 0.0)]
+    } else {
+        let [x, y, z] = barycentric([a, b, c], exit.point);
+        [(face[0], x), (face[1], y), (face[2], z)]
+    };
+    // A place on an edge has nothing of the third corner, whatever rounding says.
+    let some = shares.into_iter().filter(|s| s.1 > LEAST);
+    let sum: f64 = some.clone().map(|s| s.1).sum();
+    some.map(move |(seed, share)| SeedTie {
+        seed,
+        node: exit.node,
+        weight: weight * share / sum,
+        interval,
+        area: 0.0,
+    })
+}
+
+/// What each corner of a triangle has in a point of it: not below 0, and 1 in all.
+pub(in crate::graph) fn barycentric([a, b, c]: [DVec3; 3], p: DVec3) -> [f64; 3] {
+    let normal = (b - a).cross(c - a);
+    let square = normal.length_squared();
+    if square <= 0.0 {
+        return [1.0 / 3.0; 3];
+    }
+    let share = |from: DVec3, to: DVec3| ((to - from).cross(p - from).dot(normal) / square).max(0.0);
+    let [x, y, z] = [share(b, c), share(c, a), share(a, b)];
+    let sum = x + y + z;
+    [x / sum, y / sum, z / sum]
+}
+
+/// For each vertex the nearest seed by ways along edges, within the seed's reach; or [`NONE`]. Faces of soups do not hang
+/// together, and have the nearest one in space.
+fn nearest_seeds(site: &VolumeSite, seeds: &[TieSeed]) -> Result<Vec<u32>, Error> {
+    let positions = &site.mesh.positions;
+    // Lengths are not negative, so their bits are in the same order.
+    let mut nearest = vec![(u64::MAX, NONE); positions.len()];
+    let mut waiting = BinaryHeap::new();
+    for (k, seed) in (0u32..).zip(seeds) {
+        nearest[seed.vertex as usize] = (0, k);
+        waiting.push(Reverse((0u64, k, seed.vertex)));
+    }
+    let mut looked = 0usize;
+    while let Some(Reverse((way, number, v))) = waiting.pop() {
+        looked += 1;
+        if looked.is_multiple_of(CHECKED) {
+            site.exec.check()?;
+        }
+        if (way, number) != nearest[v as usize] {
+            continue;
+        }
+        for &other in site.adjacency.neighbours.of(v) {
+            let edge = positions[other as usize].distance(positions[v as usize]);
+            let way = f64::from_bits(way) + edge;
+            if way <= seeds[number as usize].reach && (way.to_bits(), number) < nearest[other as usize] {
+                nearest[other as usize] = (way.to_bits(), number);
+                waiting.push(Reverse((way.to_bits(), number, other)));
+            }
+        }
+    }
+    let mut seed_of: Vec<u32> = nearest.into_iter().map(|n| n.1).collect();
+    let is_loose = |v: &u32| seed_of[*v as usize] == NONE && site.parts.kind(*v) == PartKind::Soup;
+    let loose: Vec<u32> = (0..positions.len() as u32).filter(is_loose).collect();
+    if !loose.is_empty() {
+        let points = NearestPoints::new((0u32..).zip(seeds).map(|(k, s)| (positions[s.vertex as usize], k)));
+        let reach = seeds.iter().map(|s| s.reach).fold(0.0, f64::max);
+        let found = map(&loose, site.budget, |&v| {
+            points.nearest_within(positions[v as usize], reach * reach)
+        })?;
+        for (v, (seed, _)) in loose.into_iter().zip(found).filter_map(|(v, f)| Some((v, f?))) {
+            seed_of[v as usize] = seed;
+        }
+    }
+    Ok(seed_of)
+}
+
+/// A third of the area of the triangles around each vertex.
+pub(in crate::graph) fn vertex_areas(site: &VolumeSite) -> Vec<f64> {
+    let mut areas = vec![0.0; site.mesh.positions.len()];
+    for t in &site.mesh.triangles {
+        let [a, b, c] = t.map(|v| site.mesh.positions[v as usize]);
+        let third = (b - a).cross(c - a).length() / 6.0;
+        t.iter().for_each(|&v| areas[v as usize] += third);
+    }
+    areas
+}
