@@ -7,8 +7,8 @@ use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphStats, MeshGraph};
 use crate::graph::recipe::GraphRecipe;
 use crate::graph::surface::surface;
-use crate::graph::volume::build::VolumeOptions;
 use crate::graph::volume::build::volume;
+use crate::graph::volume::options::VolumeOptions;
 use crate::mesh::{Components, Mesh};
 
 /// As [`volume`], with nothing that ties one connected part of the mesh to another. Parts without an inside have the edges of

@@ -2,72 +2,23 @@
 //! node counts in the paper's tables).
 
 use crate::exec::Exec;
-use crate::graph::assemble::{InteriorNodes, assemble};
 use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphStats, MeshGraph};
 use crate::graph::volume::caps::{ClosedHull, HullFaces};
 use crate::graph::volume::inward::inward_directions;
-use crate::graph::volume::lattice;
 use crate::graph::volume::lattice::LatticeBody;
-use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeNodes};
 use crate::graph::volume::near_surface::NearSurface;
+use crate::graph::volume::options::{InteriorKind, VolumeOptions};
 use crate::graph::volume::placed::{PlacedNodes, interior_nodes};
+use crate::graph::volume::placing::{NodeRoom, SiteFacts, enclosed_volume, fitting_lattice, join_nodes};
 use crate::graph::volume::principal_axes::PrincipalAxes;
 use crate::graph::volume::shape::{most_lattice_nodes, shape_interior};
 use crate::graph::volume::shell::{InsideHull, VolumeSite, shell};
 use crate::graph::volume::solid::{ClassifiedParts, PartKind};
-use crate::graph::volume::{octree, scan};
-use crate::graph::weights::EdgeWeights;
 use crate::graph::winding::tree::WindingTree;
 use crate::mesh::query::{VisitBudget, VisitCount};
-use crate::mesh::{Adjacency, Mesh, mean_edge_length, signed_volume};
-use glam::DVec3;
+use crate::mesh::{Adjacency, Mesh, mean_edge_length};
 use std::sync::OnceLock;
-
-/// What interior nodes follow.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum InteriorKind {
-    /// The shape: a lattice whose interval follows the thickness of each part, whatever its triangles, along the principal
-    /// axes of the mesh. Places too thin for it have struts across.
-    #[default]
-    Shape,
-    /// The triangles, as in the paper: a copy of each vertex, and a lattice about as dense as the mesh, along the axes of the
-    /// file.
-    Paper,
-}
-
-/// How a volume graph is built.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct VolumeOptions {
-    /// What interior nodes follow.
-    pub kind: InteriorKind,
-    /// Side of a lattice cell. By default, of kind [`InteriorKind::Shape`], half of volume ÷ area of each part; of kind
-    /// [`InteriorKind::Paper`] the mean edge length or what gives 1.2 lattice nodes for each vertex, whichever is larger.
-    /// Widened when the graph would have more than `max_nodes` nodes.
-    pub interval: Option<f64>,
-    /// Neighbours of a lattice node: 14 (default), or 8 in the other of the two cubic grids only.
-    pub valence: u32,
-    /// Of kind [`InteriorKind::Paper`], how far the shell is moved inwards; by default the mean edge length, of the mesh or of the part, whichever is
-    /// less. Less where there is less room.
-    pub shell_offset: Option<f64>,
-    /// Weights of the mesh's edges.
-    pub weights: EdgeWeights,
-    /// Most nodes that the graph may have.
-    pub max_nodes: usize,
-}
-
-impl Default for VolumeOptions {
-    fn default() -> Self {
-        Self {
-            kind: InteriorKind::Shape,
-            interval: None,
-            valence: 14,
-            shell_offset: None,
-            weights: EdgeWeights::Uniform,
-            max_nodes: 50_000_000,
-        }
-    }
-}
 
 /// Lattice nodes wanted for each vertex; with the shell this makes 3.1 nodes per vertex, as in the paper's tables.
 const LATTICE_PER_VERTEX: f64 = 1.2;
@@ -75,10 +26,6 @@ const LATTICE_PER_VERTEX: f64 = 1.2;
 const DEPTH: f64 = 1.25;
 /// Winding numbers are asked this many mean edge lengths beside the surface.
 const BESIDE: f64 = 1.0 / 64.0;
-/// Cells along the longest side of the box when the volume has to be sampled.
-const SAMPLES_ALONG: f64 = 32.0;
-/// The same for a hull, whose rows are measured by their length.
-const ROWS_ALONG: f64 = 64.0;
 
 /// What queries about one vertex and the interior nodes that belong to it may look at on average. Where faces are of about one size
 /// they look at a small part of it; where large flat faces lie between small ones, as in machines, at much more.
@@ -128,7 +75,7 @@ pub fn estimate_nodes(mesh: &Mesh, kind: InteriorKind) -> usize {
 /// [`Error`] when an option makes no sense, when surface and shell alone exceed `max_nodes`, or when the work was
 /// given up.
 pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<Option<MeshGraph>, Error> {
-    check_options(options)?;
+    options.check()?;
     let room = NodeRoom::of(mesh, options);
     room.beyond(mesh.positions.len())?;
     exec.check()?;
@@ -145,43 +92,6 @@ pub fn volume(mesh: &Mesh, options: &VolumeOptions, exec: &Exec<'_>) -> Result<O
             Ok(graph.map(|graph| axes.turn_back(graph, mesh)))
         }
     }
-}
-
-/// How many nodes there may be.
-pub(in crate::graph) struct NodeRoom {
-    limit: usize,
-    wanted: usize,
-    surface: usize,
-}
-
-impl NodeRoom {
-    fn of(mesh: &Mesh, options: &VolumeOptions) -> Self {
-        Self {
-            limit: options.max_nodes.min(u32::MAX as usize / 32),
-            wanted: options.max_nodes,
-            surface: mesh.positions.len(),
-        }
-    }
-
-    /// How many more there may be than `nodes`.
-    pub(in crate::graph) fn beyond(&self, nodes: usize) -> Result<usize, Error> {
-        self.limit.checked_sub(nodes).ok_or(Error::TooManyNodes {
-            nodes,
-            limit: self.wanted,
-            surface: self.surface,
-        })
-    }
-}
-
-/// What is known of a mesh before interior nodes are placed.
-pub(in crate::graph) struct SiteFacts {
-    pub(in crate::graph) mean_edge: f64,
-    /// All vertices in the order in which they are best looked at.
-    pub(in crate::graph) order: Vec<u32>,
-    /// For each vertex which way leads inwards.
-    pub(in crate::graph) inward: Vec<DVec3>,
-    /// For each part 1, −1 when its normals were turned, or 0 when it has no inside.
-    pub(in crate::graph) turns: Vec<f64>,
 }
 
 /// Finds out what of a mesh encloses space, and has `place` place nodes there. `None` when nothing does.
@@ -316,56 +226,9 @@ fn paper_interior(
     inner.map_or(Ok(None), |inner| join_nodes(site, inner, options).map(Some))
 }
 
-/// Joins the nodes that have been placed to a graph.
-pub(in crate::graph) fn join_nodes(
-    site: &VolumeSite,
-    inner: InteriorNodes,
-    options: &VolumeOptions,
-) -> Result<MeshGraph, Error> {
-    let exec = site.exec;
-    check_edge_count(site.adjacency, &inner)?;
-    exec.progress.report("graph", 0.9);
-    let parts = &site.parts.components;
-    let graph = assemble(
-        site.mesh,
-        site.adjacency,
-        parts,
-        inner,
-        options.weights,
-        Some(exec.pool),
-    );
-    exec.check()?;
-    exec.progress.report("graph", 1.0);
-    Ok(graph)
-}
-
-/// Refuses options that make no sense.
-fn check_options(options: &VolumeOptions) -> Result<(), Error> {
-    for (option, value) in [("interval", options.interval), ("shell offset", options.shell_offset)] {
-        if let Some(seen) = value.filter(|v| !(*v > 0.0 && v.is_finite())) {
-            return Err(Error::Length { option, seen });
-        }
-    }
-    if !matches!(options.valence, 8 | 14) {
-        return Err(Error::Valence { seen: options.valence });
-    }
-    Ok(())
-}
-
-/// Refuses more edges than can be numbered.
-fn check_edge_count(adjacency: &Adjacency, inner: &InteriorNodes) -> Result<(), Error> {
-    let edges =
-        3 * adjacency.edges.len() + inner.copies + 7 * inner.lattice.len() + inner.ties.len() + inner.struts.len();
-    let limit = u32::MAX as usize / 2;
-    match edges > limit {
-        true => Err(Error::TooManyEdges { edges, limit }),
-        false => Ok(()),
-    }
-}
-
 /// How far the copies of each part are moved: as wanted, or by the mean edge length of the mesh. Parts of a finer mesh
 /// than the rest have no room for that, and a finer shell.
-pub(in crate::graph) fn shell_offsets(site: &VolumeSite, wanted: Option<f64>, mean_edge: f64) -> Vec<f64> {
+fn shell_offsets(site: &VolumeSite, wanted: Option<f64>, mean_edge: f64) -> Vec<f64> {
     let components = &site.parts.components;
     let Some(wanted) = wanted else {
         let mut sums = vec![(0.0f64, 0usize); components.count];
@@ -382,77 +245,4 @@ pub(in crate::graph) fn shell_offsets(site: &VolumeSite, wanted: Option<f64>, me
         };
     };
     vec![wanted; components.count]
-}
-
-/// Volumes of the inside.
-pub(in crate::graph) struct EnclosedVolume {
-    pub(in crate::graph) whole: f64,
-    pub(in crate::graph) by_soups: f64,
-}
-
-/// Volume of the inside: measured for one part, else sampled, because parts may overlap or nest.
-pub(in crate::graph) fn enclosed_volume(site: &VolumeSite) -> Result<EnclosedVolume, Error> {
-    let mesh = site.mesh;
-    let mut volume = 0.0;
-    if let Some(hull) = site.hull {
-        let measured = signed_volume(hull.positions, hull.faces).abs();
-        if site.parts.components.count == 1 {
-            volume = measured;
-        } else if let Some(grid) = LatticeGrid::around(&mesh.bounds(), longest_side(mesh) / ROWS_ALONG) {
-            let sampled = scan::volume(site, hull, &grid)?.unwrap_or(0.0);
-            let measured_fits = sampled == 0.0 || (measured - sampled).abs() <= 0.1 * measured;
-            volume = if measured_fits { measured } else { sampled };
-        }
-    }
-    let mut by_soups = 0.0;
-    if let Some(soup) = site.large_soup() {
-        let interval = longest_side(mesh) / SAMPLES_ALONG;
-        if let Some(grid) = LatticeGrid::around(&mesh.bounds(), interval) {
-            // The limit is beyond what a grid of this size holds.
-            if let Ok(nodes) = octree::nodes(site, soup, &grid, 0.0, 1 << 20)? {
-                by_soups = nodes.keys.len() as f64 * (interval * interval * interval) * 0.5;
-            }
-        }
-    }
-    Ok(EnclosedVolume {
-        whole: volume + by_soups,
-        by_soups,
-    })
-}
-
-/// The longest side of the box around a mesh.
-fn longest_side(mesh: &Mesh) -> f64 {
-    mesh.bounds().size().max_element()
-}
-
-/// The lattice inside `body` of the wanted interval, or of the narrowest wider one tried that has at most `room` nodes. Its nodes
-/// lie deeper than `depth` of the interval.
-pub(in crate::graph) fn fitting_lattice(
-    site: &VolumeSite,
-    body: LatticeBody,
-    wanted: f64,
-    depth: impl Fn(f64) -> f64,
-    [volume, room]: [f64; 2],
-) -> Result<(LatticeGrid, LatticeNodes), Error> {
-    let bounds = &body.bounds;
-    let longest = bounds.size().max_element();
-    // Half of what the volume would hold: nodes near the surface are left out.
-    let by_count = libm::cbrt(volume / room.max(1.0));
-    let mut interval = wanted.max(longest * 1e-6).max(by_count);
-    // Beyond the box's size there is nothing to place.
-    while interval < 2.0 * longest {
-        let factor = match LatticeGrid::around(bounds, interval) {
-            Some(grid) => match lattice::nodes(site, body, &grid, depth(interval), room as usize)? {
-                Ok(nodes) => return Ok((grid, nodes)),
-                Err(too_fine) => too_fine.factor,
-            },
-            None => 1.25,
-        };
-        interval *= factor * 1.02;
-    }
-    let grid = LatticeGrid::around(bounds, interval).ok_or(Error::Length {
-        option: "interval",
-        seen: interval,
-    })?;
-    Ok((grid, LatticeNodes::default()))
 }

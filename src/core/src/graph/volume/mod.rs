@@ -19,7 +19,9 @@ mod near_surface;
 mod nearest;
 pub(super) mod neighbours;
 mod octree;
+mod options;
 mod placed;
+mod placing;
 mod principal_axes;
 mod scan;
 mod shape;
@@ -30,4 +32,5 @@ pub(super) mod struts;
 mod thickness;
 
 pub use apart::volume_apart;
-pub use build::{InteriorKind, VolumeOptions, estimate_nodes, volume};
+pub use build::{estimate_nodes, volume};
+pub use options::{InteriorKind, VolumeOptions};

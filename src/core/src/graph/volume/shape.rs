@@ -6,13 +6,14 @@
 use crate::graph::assemble::InteriorNodes;
 use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphStats, MeshGraph};
-use crate::graph::volume::build::{NodeRoom, SiteFacts, VolumeOptions, enclosed_volume, fitting_lattice, join_nodes};
 use crate::graph::volume::caps::HullFaces;
 use crate::graph::volume::lattice;
 use crate::graph::volume::lattice::LatticeBody;
 use crate::graph::volume::nearest::nearest_vertices;
 use crate::graph::volume::neighbours::NONE;
+use crate::graph::volume::options::VolumeOptions;
 use crate::graph::volume::placed::sort_rows;
+use crate::graph::volume::placing::{NodeRoom, SiteFacts, enclosed_volume, fitting_lattice, join_nodes};
 use crate::graph::volume::shell::VolumeSite;
 use crate::graph::volume::spread::{SurfaceTie, spread_ties, vertex_areas};
 use crate::graph::volume::struts::{ThinPlaces, struts};
@@ -31,15 +32,15 @@ const ACROSS: f64 = 4.0;
 /// About the part of a volume that lies deep enough for lattice nodes.
 const DEEP: f64 = 0.7;
 
-/// Lattice nodes for each vertex that a mesh may have: many for the few vertices of a coarse mesh, few for a scan.
-const MOST_PER_VERTEX: [(f64, f64); 2] = [(5_000.0, 3.0), (40_000.0, 0.2)];
+/// Lattice nodes for each vertex that a coarse mesh has at most, and that any mesh may have.
+const MOST_PER_VERTEX: [f64; 2] = [2.5, 0.2];
+/// Meshes between the two have at most so many.
+const PLENTY: f64 = 8400.0;
 
-/// The most lattice nodes that a mesh with so many vertices gets.
+/// The most lattice nodes that a mesh with so many vertices gets; no fewer for more vertices.
 pub(in crate::graph) fn most_lattice_nodes(vertices: usize) -> f64 {
-    let [(few, most), (many, least)] = MOST_PER_VERTEX;
-    let n = vertices as f64;
-    let along = (libm::log(n / few) / libm::log(many / few)).clamp(0.0, 1.0);
-    n * most * libm::pow(least / most, along)
+    let [coarse, any] = MOST_PER_VERTEX.map(|share| share * vertices as f64);
+    coarse.min(PLENTY.max(any))
 }
 
 /// A lattice and its nodes, joined.

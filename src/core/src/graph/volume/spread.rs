@@ -198,7 +198,9 @@ fn nearest_seeds(site: &VolumeSite, seeds: &[TieSeed]) -> Result<Vec<u32>, Error
     let is_loose = |v: &u32| seed_of[*v as usize] == NONE && site.parts.kind(*v) == PartKind::Soup;
     let loose: Vec<u32> = (0..positions.len() as u32).filter(is_loose).collect();
     if !loose.is_empty() {
-        let points = NearestPoints::new((0u32..).zip(seeds).map(|(k, s)| (positions[s.vertex as usize], k)));
+        let in_soup = |s: &(u32, &TieSeed)| site.parts.kind(s.1.vertex) == PartKind::Soup;
+        let in_soup = (0u32..).zip(seeds).filter(in_soup);
+        let points = NearestPoints::new(in_soup.map(|(k, s)| (positions[s.vertex as usize], k)));
         let reach = seeds.iter().map(|s| s.reach).fold(0.0, f64::max);
         let found = map(&loose, site.budget, |&v| {
             points.nearest_within(positions[v as usize], reach * reach)

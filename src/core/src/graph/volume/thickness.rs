@@ -32,12 +32,12 @@ pub(in crate::graph) struct LatticeClass {
 
 /// Parts that belong together: a solid and its hollows.
 #[derive(Clone, Copy, Default)]
-struct Body {
+struct MeasuredBody {
     volume: f64,
     area: f64,
 }
 
-impl Body {
+impl MeasuredBody {
     fn thickness(&self) -> f64 {
         if self.volume > 0.0 && self.area > 0.0 {
             self.volume / self.area
@@ -59,9 +59,9 @@ pub(in crate::graph) struct PartClasses {
 /// `turns` has for each part 1, −1 when its normals were turned, or 0 when it has no inside; `soup_volume` is what soups enclose.
 pub(in crate::graph) fn lattice_classes(site: &VolumeSite, turns: &[f64], soup_volume: f64) -> PartClasses {
     let count = site.parts.components.count;
-    let mut bodies = vec![Body::default(); count + 1];
+    let mut bodies = vec![MeasuredBody::default(); count + 1];
     let part = |t: &[u32; 3]| site.parts.components.of_vertex[t[0] as usize] as usize;
-    let mut measured = vec![Body::default(); count];
+    let mut measured = vec![MeasuredBody::default(); count];
     let nothing = BoundingBox {
         min: DVec3::INFINITY,
         max: DVec3::NEG_INFINITY,
@@ -90,7 +90,7 @@ pub(in crate::graph) fn lattice_classes(site: &VolumeSite, turns: &[f64], soup_v
             let [a, b, c] = t.map(|v| site.mesh.positions[v as usize]);
             0.5 * (b - a).cross(c - a).length()
         };
-        bodies[count] = Body {
+        bodies[count] = MeasuredBody {
             volume: soup_volume,
             area: soup.bvh().triangles().iter().map(area).sum(),
         };
@@ -106,7 +106,7 @@ pub(in crate::graph) fn lattice_classes(site: &VolumeSite, turns: &[f64], soup_v
             of_part: vec![None; count],
         };
     }
-    let step = |body: &Body| match body.thickness() {
+    let step = |body: &MeasuredBody| match body.thickness() {
         0.0 => 0,
         own => (libm::log2(whole / own) / libm::log2(ALIKE))
             .round()
@@ -154,7 +154,7 @@ fn widened(around: BoundingBox, p: DVec3) -> BoundingBox {
 
 /// For each part the one that it belongs to: a hollow, whose normals lead out of it, to the smallest solid around it; any other to
 /// itself.
-fn solids_of_hollows(measured: &[Body], boxes: &[BoundingBox]) -> Vec<usize> {
+fn solids_of_hollows(measured: &[MeasuredBody], boxes: &[BoundingBox]) -> Vec<usize> {
     let mut solids: Vec<usize> = (0..measured.len()).filter(|&p| measured[p].volume > 0.0).collect();
     solids.sort_by(|&a, &b| measured[b].volume.total_cmp(&measured[a].volume).then(a.cmp(&b)));
     solids.truncate(MOST_SOLIDS);
