@@ -33,7 +33,7 @@ const ACROSS: f64 = 4.0;
 const DEEP: f64 = 0.7;
 
 /// Lattice nodes for each vertex that a coarse mesh has at most, and that any mesh may have.
-const MOST_PER_VERTEX: [f64; 2] = [2.5, 0.2];
+const MOST_PER_VERTEX: [f64; 2] = [3.0, 0.2];
 /// Meshes between the two have at most so many.
 const PLENTY: f64 = 8400.0;
 
