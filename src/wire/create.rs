@@ -9,7 +9,7 @@ use super::{Error, pb};
 use crate::asset::Format;
 use crate::deform::{BodyOptions, CoarseOperators, EdgeWeights, FreePartPolicy, TieOptions, VolumeMode};
 use crate::engine::{KeptApart, OpenOptions};
-use crate::graph::{InteriorKind, VolumeOptions};
+use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 use std::ops::RangeInclusive;
 use std::time::Duration;
@@ -95,10 +95,6 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         pb::create_options::Components::Hold => FreePartPolicy::Hold,
         pb::create_options::Components::Free => FreePartPolicy::Free,
     };
-    let weights = match enumerated(create.weights, "weights")? {
-        pb::create_options::Weights::Uniform => EdgeWeights::Uniform,
-        pb::create_options::Weights::Cotangent => EdgeWeights::Cotangent,
-    };
     let operators = match enumerated(create.operators, "operators")? {
         pb::create_options::Operators::FiniteVolume => CoarseOperators::FiniteVolume,
         pb::create_options::Operators::Paper => CoarseOperators::Paper,
@@ -109,9 +105,14 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         pb::create_options::volume_graph::Mode::Off => VolumeMode::Off,
         pb::create_options::volume_graph::Mode::Required => VolumeMode::Required,
     };
-    let kind = match enumerated(volume.kind, "volumeGraph.kind")? {
-        pb::create_options::volume_graph::Kind::Shape => InteriorKind::Shape,
-        pb::create_options::volume_graph::Kind::Paper => InteriorKind::Paper,
+    let of_kind = match enumerated(volume.kind, "volumeGraph.kind")? {
+        pb::create_options::volume_graph::Kind::Shape => VolumeOptions::default(),
+        pb::create_options::volume_graph::Kind::Paper => VolumeOptions::paper(),
+    };
+    let weights = match create.weights.map(|w| enumerated(w, "weights")).transpose()? {
+        None => of_kind.weights,
+        Some(pb::create_options::Weights::Uniform) => EdgeWeights::Uniform,
+        Some(pb::create_options::Weights::Cotangent) => EdgeWeights::Cotangent,
     };
     let valence = match volume.valence {
         0 | 14 => 14,
@@ -134,12 +135,11 @@ pub fn open_options(create: &pb::CreateOptions) -> Result<OpenOptions, Error> {
         }
     };
     let graph = VolumeOptions {
-        kind,
         interval: length(volume.interval, "volumeGraph.interval")?,
         valence,
         shell_offset: length(volume.shell_offset, "volumeGraph.shellOffset")?,
         weights,
-        ..Default::default()
+        ..of_kind
     };
     Ok(OpenOptions {
         format,

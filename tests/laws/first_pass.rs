@@ -82,9 +82,11 @@ fn diffusion_comes_to_rest_where_the_blend_has_not() {
         let q: Vec<DQuat> = frames.iter().map(rotation_in).collect();
         let graph = &scene.body.graph;
         let off = |i: usize| {
-            let row = graph.row(i as u32).iter().map(|&j| q[j as usize]);
-            let sum = row
-                .map(|r| if r.dot(q[i]) < 0.0 { -r } else { r })
+            let entries = graph.offsets[i] as usize..graph.offsets[i + 1] as usize;
+            let weight = |e: usize| f64::from(graph.weights.as_ref().map_or(1.0, |w| w[e]));
+            let sum = entries
+                .map(|e| (q[graph.neighbours[e] as usize], weight(e)))
+                .map(|(r, w)| if r.dot(q[i]) < 0.0 { r * -w } else { r * w })
                 .fold(q[i] * 0.0, |s, r| s + r);
             // How far a relaxation by equation (2) would still turn it.
             2.0 * (sum.normalize() - q[i] * sum.normalize().dot(q[i])).length()

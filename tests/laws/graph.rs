@@ -56,7 +56,7 @@ fn closed_shapes_get_connected_graphs_of_the_expected_size() {
             let degree = graph.neighbours.len() as f64 / graph.nodes() as f64;
             let (shell, ratios, degrees) = match kind {
                 InteriorKind::Paper => (graph.surface, 2.6..3.2, 10.5..12.5),
-                InteriorKind::Shape => (0, 1.2..4.0, 6.0..15.0),
+                InteriorKind::Shape => (0, 1.05..4.0, 6.0..15.0),
             };
             assert!(ratios.contains(&ratio), "{name}: {ratio} nodes per vertex");
             assert!(degrees.contains(&degree), "{name}: {degree} neighbours per node");
@@ -112,7 +112,7 @@ fn what_is_too_thin_for_a_lattice_has_struts_across() {
 /// Every query sees every face where all are as long as the shape, so that finding an inside costs the square of their number.
 #[test]
 fn work_on_faces_as_long_as_the_shape_has_a_bound_and_can_be_given_up() {
-    let mut long = shapes::mesh(&shapes::torus(120, 60, 2.0, 0.4));
+    let mut long = shapes::mesh(&shapes::torus(200, 100, 2.0, 0.4));
     let mut state = 0u64;
     for last in (1..long.positions.len()).rev() {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
@@ -344,7 +344,8 @@ fn soups_have_an_inside() {
         }
         let graph = volume_of(&soup, kind).expect("an inside");
         shapes::check_graph(&graph, &shapes::mesh(&soup));
-        assert!(graph.stats.lattice_nodes > 500, "{:?}", graph.stats);
+        let least = [200, 500][usize::from(kind == Paper)];
+        assert!(graph.stats.lattice_nodes > least, "{:?}", graph.stats);
         let ball = 4.0 / 3.0 * std::f64::consts::PI;
         assert!(
             (0.8..1.1).contains(&(graph.stats.enclosed_volume / ball)),

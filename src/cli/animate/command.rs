@@ -13,6 +13,7 @@ use crate::cli::model_files::{in_file, read_model};
 use crate::cli::stage_spinner::StageSpinner;
 use crate::cli::stop_signals::raised_on_stop;
 use crate::cli::threads::ThreadArgs;
+use crate::deform::EdgeWeights;
 use crate::engine::{
     AnimatedFrame, AnimationRefinement, AnimationSettings, Deformer, DeformerLimits, FrameChoice, FrameTimes,
     OpenOptions,
@@ -67,6 +68,9 @@ pub struct AnimateArgs {
     /// Relative residual to reach
     #[arg(long)]
     tolerance: Option<f64>,
+    /// Weights of the edges of the surface
+    #[arg(long, value_enum, default_value_t = SurfaceWeights::Cotangent)]
+    weights: SurfaceWeights,
     /// Print a report as JSON on stdout
     #[arg(long)]
     json: bool,
@@ -83,6 +87,15 @@ enum SkipFirst {
     Yes,
     /// Never.
     No,
+}
+
+/// Weights of the edges of the surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum SurfaceWeights {
+    /// By the angles opposite to the edge.
+    Cotangent,
+    /// All the same, as in the paper.
+    Uniform,
 }
 
 /// What an animation is made of, as files say it.
@@ -229,9 +242,13 @@ impl AnimateArgs {
         let limits = DeformerLimits::default();
         exec.progress.report("read", 0.0);
         let model = Model::read(files, None, &limits.model).map_err(Error::from)?;
-        let options = OpenOptions {
+        let mut options = OpenOptions {
             passengers: left_out_passengers(&model)?,
             ..Default::default()
+        };
+        options.body.graph.weights = match self.weights {
+            SurfaceWeights::Cotangent => EdgeWeights::Cotangent,
+            SurfaceWeights::Uniform => EdgeWeights::Uniform,
         };
         let opened = Deformer::of_model(model, &options, &limits, exec);
         Ok(opened.map_err(Error::from)?)
@@ -240,6 +257,9 @@ impl AnimateArgs {
     /// Reads the files that are named.
     fn sources(&self) -> Result<AnimationSources, CliFailure> {
         let mut identity = format!("pliant {}\n", env!("CARGO_PKG_VERSION"));
+        if self.weights == SurfaceWeights::Uniform {
+            identity += "weights uniform\n";
+        }
         let mut rig = None;
         if let Some(path) = &self.rig {
             let text = read_file(path)?;

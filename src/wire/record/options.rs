@@ -51,9 +51,17 @@ impl RecordedModel {
         let files = message
             .files
             .ok_or_else(|| Error::invalid("model.files", "is missing"))?;
+        let mut options = message.options.unwrap_or_default();
+        // Records have named the weights since the interior belongs to the shape; those from before had the paper's graph.
+        if options.weights.is_none() {
+            options
+                .volume_graph
+                .get_or_insert_default()
+                .set_kind(message::volume_graph::Kind::Paper);
+        }
         Ok(Self {
             files: FileReferences::from_message(files),
-            options: open_options(&message.options.unwrap_or_default())?,
+            options: open_options(&options)?,
             label: message.label,
             format: Format::from_name(&message.format).ok_or_else(|| Error::invalid("model.format", "is no format"))?,
             graph_bytes: message.graph_bytes,
@@ -90,11 +98,13 @@ fn create_message(options: &OpenOptions) -> Result<pb::CreateOptions, Error> {
             FreePartPolicy::Free => message::Components::Free,
         }
         .into(),
-        weights: match body.graph.weights {
-            EdgeWeights::Uniform => message::Weights::Uniform,
-            EdgeWeights::Cotangent => message::Weights::Cotangent,
-        }
-        .into(),
+        weights: Some(
+            match body.graph.weights {
+                EdgeWeights::Uniform => message::Weights::Uniform,
+                EdgeWeights::Cotangent => message::Weights::Cotangent,
+            }
+            .into(),
+        ),
         weld: match options.weld {
             Weld::Rounding => None,
             Weld::Exact => Some(message::Weld { tolerance: 0.0 }),

@@ -4,6 +4,7 @@ use super::*;
 use crate::support::messages::{DeformerMessages, EditMessage};
 use pliant::engine::{ModelShape, SolveMode};
 use pliant::exec::Exec;
+use pliant::pool::Pool;
 
 /// A bar of a few thousand vertices, so that a few of them are little.
 fn fine_bar() -> bench::Shape {
@@ -21,6 +22,18 @@ fn ball(center: [f64; 3], radius: f64) -> pb::Region {
     }
 }
 
+/// A graph that follows edits: of kind PAPER.
+fn paper_bench(shape: &bench::Shape, pool: &Pool) -> Deformer {
+    let create = pb::CreateOptions {
+        volume_graph: Some(pb::create_options::VolumeGraph {
+            kind: pb::create_options::volume_graph::Kind::Paper.into(),
+            ..Default::default()
+        }),
+        ..Default::default()
+    };
+    bench_with(shape, &create, pool)
+}
+
 fn handles() -> Vec<pb::Handle> {
     vec![handle("base", below(0.5)), handle("top", above(3.5))]
 }
@@ -34,10 +47,10 @@ fn remesh(region: pb::Region, edge_length: f64) -> pb::EditRequest {
     }))
 }
 
-/// The same model, opened anew, with the same handles.
-fn fresh(bench: &Deformer) -> Deformer {
+/// The same model, just opened, with the same handles.
+fn fresh(bench: &Deformer, open: impl Fn(&bench::Shape) -> Deformer) -> Deformer {
     let geometry = bench.geometry();
-    let mut fresh = super::bench::bench(&(bench.rest().to_vec(), geometry.triangles.clone()));
+    let mut fresh = open(&(bench.rest().to_vec(), geometry.triangles.clone()));
     fresh
         .set_handles_message(&bench.handles_message(), &Exec::new(&pool(2), &Silent))
         .expect("the handles fit");
@@ -50,7 +63,7 @@ fn bend() -> Vec<(&'static str, pb::HandlePose)> {
 
 #[test]
 fn edits_are_followed_and_the_next_pose_is_that_of_a_model_opened_anew() {
-    let mut bench = bench(&fine_bar());
+    let mut bench = paper_bench(&fine_bar(), &pool(2));
     set(&mut bench, handles());
     for (k, request) in [
         delete(ball([0.5, 0.0, 2.0], 0.2), true),
@@ -64,7 +77,7 @@ fn edits_are_followed_and_the_next_pose_is_that_of_a_model_opened_anew() {
         let outcome = edited(&mut bench, request);
         assert!(outcome.result.repaired, "edit {k} is followed");
         let here = solve(&mut bench, &bend(), 1e-6);
-        let mut fresh = fresh(&bench);
+        let mut fresh = fresh(&bench, |shape| paper_bench(shape, &pool(2)));
         let there = solve(&mut fresh, &bend(), 1e-6);
         let apart = largest_distance(&here.positions, &there.positions) / bench.diagonal();
         assert!(apart < 0.01, "edit {k}: {apart} of the diagonal apart");
@@ -78,9 +91,27 @@ fn edits_are_followed_and_the_next_pose_is_that_of_a_model_opened_anew() {
 }
 
 #[test]
+fn an_interior_of_the_shape_is_that_of_the_edited_model_opened() {
+    let mut bench = bench(&fine_bar());
+    set(&mut bench, handles());
+    for (k, request) in [
+        delete(ball([0.5, 0.0, 2.0], 0.2), true),
+        midpoint(Some(ball([-0.5, 0.1, 1.5], 0.25))),
+    ]
+    .iter()
+    .enumerate()
+    {
+        edited(&mut bench, request);
+        let here = solve(&mut bench, &bend(), 1e-6);
+        let there = solve(&mut fresh(&bench, super::bench::bench), &bend(), 1e-6);
+        assert!(here.positions == there.positions, "edit {k}");
+    }
+}
+
+#[test]
 fn a_deformed_shape_is_followed_like_one_that_is_built_anew() {
     let shaped = || {
-        let mut bench = bench(&fine_bar());
+        let mut bench = paper_bench(&fine_bar(), &pool(2));
         set(&mut bench, handles());
         let shape = solve(&mut bench, &bend(), 1e-6).shape();
         (bench, shape)
@@ -102,7 +133,7 @@ fn a_deformed_shape_is_followed_like_one_that_is_built_anew() {
 
 #[test]
 fn fields_after_an_edit_are_those_of_handles_that_are_set_then() {
-    let mut bench = bench(&fine_bar());
+    let mut bench = paper_bench(&fine_bar(), &pool(2));
     set(&mut bench, handles());
     edited(&mut bench, &delete(ball([0.5, 0.0, 2.0], 0.2), true));
     let (body, rig) = (bench.body(), bench.rig().expect("handles"));
@@ -118,7 +149,7 @@ fn fields_after_an_edit_are_those_of_handles_that_are_set_then() {
 
 #[test]
 fn handles_hold_what_is_inside_of_them_after_an_edit() {
-    let mut bench = bench(&fine_bar());
+    let mut bench = paper_bench(&fine_bar(), &pool(2));
     set(&mut bench, handles());
     let inside = |bench: &Deformer| {
         let surface = bench.body().graph.surface as u32;
@@ -139,7 +170,7 @@ fn handles_hold_what_is_inside_of_them_after_an_edit() {
 
 #[test]
 fn large_edits_and_shapes_of_unknown_origin_are_built_anew() {
-    let mut bench = bench(&fine_bar());
+    let mut bench = paper_bench(&fine_bar(), &pool(2));
     set(&mut bench, handles());
     assert!(!edited(&mut bench, &midpoint(None)).result.repaired);
     let shape = ModelShape::from_positions(Arc::new(bench.rest().iter().map(|p| *p * 1.1).collect()));
@@ -193,7 +224,7 @@ fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
 
 #[test]
 fn the_way_back_and_forth_gives_the_same_bits_however_far() {
-    let mut bench = bench(&fine_bar());
+    let mut bench = paper_bench(&fine_bar(), &pool(2));
     set(&mut bench, handles());
     let start = (bench.topology_state(), bench.handles_message());
     let mut states = vec![start];
@@ -227,7 +258,7 @@ fn bent(bench: &mut Deformer) -> String {
 #[test]
 fn edits_that_are_followed_give_the_same_bits_for_any_number_of_threads() {
     let run = |threads| {
-        let mut bench = bench_with(&fine_bar(), &pb::CreateOptions::default(), &pool(threads));
+        let mut bench = paper_bench(&fine_bar(), &pool(threads));
         set(&mut bench, handles());
         story(&mut bench, threads)
     };
@@ -239,7 +270,7 @@ fn edits_that_are_followed_give_the_same_bits_for_any_number_of_threads() {
 
 #[test]
 fn a_refused_edit_leaves_everything_as_it_was() {
-    let mut bench = bench(&fine_bar());
+    let mut bench = paper_bench(&fine_bar(), &pool(2));
     set(&mut bench, handles());
     edited(&mut bench, &delete(ball([0.5, 0.0, 2.0], 0.2), true));
     let (before, bytes) = (bent(&mut bench), bench.byte_size());

@@ -22,7 +22,7 @@ async fn seen(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
 /// A bar of 3,170 vertices, whose volume graph does not fit whole.
 async fn dense_session(server: &ServedProgram) -> Result<String, Value> {
     let opened = crate::support::server::http()
-        .post(format!("{}/v1/sessions", server.url))
+        .post(format!("{}/v1/sessions?volumeGraph.kind=PAPER", server.url))
         .body(bar([12, 12, 60]))
         .send()
         .await

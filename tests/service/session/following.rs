@@ -8,6 +8,7 @@ use glam::DVec3;
 use pliant::asset::shapes;
 use pliant::edit::SubdivisionScheme;
 use pliant::engine::{Edit, EditedShape, Handle, HandlePose, HandleSet, Region};
+use pliant::graph::VolumeOptions;
 use pliant::session::MemoryUse;
 use pliant::session::{Manager, SessionConfig};
 use pliant::wire::SessionEdit;
@@ -15,7 +16,10 @@ use pliant::wire::SessionEdit;
 /// A session with a bar of some thousand vertices, held at its ends.
 async fn bar(manager: &Manager) -> String {
     let files = obj(&shapes::box_with_cells(DVec3::new(1.0, 1.0, 3.0), [12, 12, 36]));
-    let made = manager.create(tenant(), files, options(), None).await;
+    // A graph of kind PAPER follows edits.
+    let mut options = options();
+    options.open.body.graph = VolumeOptions::paper();
+    let made = manager.create(tenant(), files, options, None).await;
     let id = made.expect("a bar").value.id;
     let handles = HandleSet::from([
         Handle::new("base", Region::half_space([0.0, 0.0, -1.0], -0.4)),

@@ -111,7 +111,7 @@ class CreateFields(TypedDict, total=False):
     volume_graph: Union[Literal["auto", "off", "required"], VolumeGraph]
     #: What happens to parts in which no handle lies.
     components: Literal["follow", "hold", "free"]
-    #: Edge weights of the surface graph.
+    #: Weights of the edges of the surface, by default "cotangent", with the volume graph of kind "paper" "uniform".
     weights: Literal["uniform", "cotangent"]
     #: Free text for people.
     label: str

@@ -142,7 +142,7 @@ mod tests {
             let beside = whole.estimate() - whole.body().nodes() as u64 * BYTES_PER_NODE;
             beside + nodes * BYTES_PER_NODE / 4 * 5
         };
-        let coarse = open_as(InteriorKind::Shape, room(surface * 3 / 2), VolumeMode::Auto, false).unwrap();
+        let coarse = open_as(InteriorKind::Shape, room(surface * 5 / 4), VolumeMode::Auto, false).unwrap();
         assert_eq!(codes(&coarse), ["volume-graph-coarse"]);
         assert!(coarse.body().nodes() < whole.body().nodes() && coarse.body().graph.stats.lattice_nodes > 0);
         let whole = open(1 << 30, VolumeMode::Auto, false).unwrap();

@@ -2,9 +2,7 @@
 
 use super::passenger::Passenger;
 use crate::asset::{Following, Format};
-use crate::deform::{
-    BodyOptions, CoarseOperators, EdgeWeights, FirstPass, FitOrder, FreePartPolicy, TieOptions, VolumeMode,
-};
+use crate::deform::{BodyOptions, CoarseOperators, FirstPass, FitOrder, FreePartPolicy, TieOptions, VolumeMode};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
 
@@ -49,11 +47,7 @@ impl Default for OpenOptions {
             policy: FreePartPolicy::Follow,
             body: BodyOptions {
                 volume: VolumeMode::Auto,
-                graph: VolumeOptions {
-                    valence: 14,
-                    weights: EdgeWeights::Uniform,
-                    ..Default::default()
-                },
+                graph: VolumeOptions::default(),
                 operators: CoarseOperators::FiniteVolume,
                 apart: false,
                 ties: Some(TieOptions::default()),

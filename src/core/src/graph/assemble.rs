@@ -229,7 +229,10 @@ pub(super) fn assemble(
     pool: Option<&Pool>,
 ) -> MeshGraph {
     let surface = mesh.positions.len();
-    let mut recipe = std::mem::take(&mut inner.recipe);
+    let recipe = GraphRecipe {
+        weights: weighting,
+        ..std::mem::take(&mut inner.recipe)
+    };
     let mut stats = std::mem::take(&mut inner.stats);
     let nodes = surface + inner.positions.len();
     let mut positions = Vec::with_capacity(nodes);
@@ -268,11 +271,7 @@ pub(super) fn assemble(
     }
     let cotangents = match weighting {
         EdgeWeights::Uniform => None,
-        EdgeWeights::Cotangent => {
-            let (of_edge, scale) = weights::cotangents(&mesh.positions, &mesh.triangles, adjacency);
-            recipe.cotangent_scale = scale;
-            Some(of_edge)
-        }
+        EdgeWeights::Cotangent => Some(weights::cotangents(&mesh.positions, &mesh.triangles, adjacency)),
     };
     let is_weighted = cotangents.is_some() || !inner.lattice_weights.is_empty() || !inner.struts.is_empty();
     let weights = is_weighted.then(|| {

@@ -1,12 +1,13 @@
 //! How the nodes and weights of a graph were made, as far as an edit of the mesh needs to know.
 
+use crate::graph::weights::EdgeWeights;
 use glam::DVec3;
 
 /// What [`super::resample`] needs beside nodes and edges.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct GraphRecipe {
-    /// What raw cotangents of mesh edges were multiplied by; 0 with uniform weights.
-    pub(super) cotangent_scale: f64,
+    /// Weights of the mesh's edges.
+    pub(super) weights: EdgeWeights,
     /// How interior nodes of the paper's kind were placed; `None` where there are none.
     pub(super) inside: Option<InteriorRecipe>,
 }

@@ -5,6 +5,7 @@ use pliant_core::asset::{FileSet, Format};
 use pliant_core::deform::VolumeMode;
 use pliant_core::engine::{Deformer, DeformerLimits, OpenOptions};
 use pliant_core::exec::Exec;
+use pliant_core::graph::EdgeWeights;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -58,9 +59,10 @@ pub fn open_shape(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Exec<'_>) 
 }
 
 /// The same without interior nodes.
-pub fn open_surface(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Exec<'_>) -> Deformer {
+pub fn open_surface(positions: &[DVec3], triangles: &[[u32; 3]], weights: EdgeWeights, exec: &Exec<'_>) -> Deformer {
     let mut options = OpenOptions::default();
     options.body.volume = VolumeMode::Off;
+    options.body.graph.weights = weights;
     open_with(positions, triangles, &options, exec)
 }
 

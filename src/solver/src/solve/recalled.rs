@@ -24,21 +24,20 @@ pub(crate) struct RecalledSteps {
     present: usize,
     /// (d_i, A d_j), columns apart.
     products: [[WideLanes; PLACES]; PLACES],
-    /// The largest distance that a vertex was moved by iterations, for a relative residual of 1 before them.
-    error_of_residual: Option<f64>,
 }
 
 #[derive(Debug, Default)]
 struct RecalledStep {
     d: Vec<Lanes>,
     product: Vec<Lanes>,
+    /// The largest distance that a vertex was moved by iterations, for a relative residual of 1 before them.
+    error_of_residual: Option<f64>,
 }
 
 impl RecalledSteps {
     /// Forgets all of them, as another matrix needs.
     pub(crate) fn forget(&mut self) {
         self.known = [false; PLACES];
-        self.error_of_residual = None;
     }
 
     pub(crate) fn byte_size(&self) -> usize {
@@ -143,7 +142,7 @@ impl RecalledSteps {
         (out, partials): (&mut [Lanes], &mut Vec<LaneDots>),
         scale: WideLanes,
     ) -> [WideLanes; 2] {
-        let RecalledStep { d, product: before } = &self.steps[self.present];
+        let RecalledStep { d, product: before, .. } = &self.steps[self.present];
         let out = SharedRows::new(out);
         let scale_by = Lanes::from_wide(scale);
         let [squares, lengths, _] = grid.sum_over_blocks(partials, |rows| {
@@ -166,9 +165,12 @@ impl RecalledSteps {
         [squares, lengths]
     }
 
-    /// The error that a pose is expected to have whose relative residual is this before any iteration.
+    /// The error that a pose is expected to have whose relative residual is this before any iteration: the largest that those of
+    /// the known steps would have had. Residuals of one norm differ much in how far vertices are off.
     pub(crate) fn expected_error(&self, relative: f64) -> Option<f64> {
-        self.error_of_residual.map(|error| error * relative * CAUTION)
+        let known = self.steps.iter().zip(self.known).filter(|step| step.1);
+        let errors = known.filter_map(|(step, _)| step.error_of_residual);
+        errors.reduce(f64::max).map(|error| error * relative * CAUTION)
     }
 
     /// Ends the present pose, whose residual is now r / scale: its step is known from here on, and the oldest one is not.
@@ -181,6 +183,7 @@ impl RecalledSteps {
     ) {
         let inverse = Lanes::from_wide(per_lane(|c| 1.0 / scale[c]));
         let present = self.present;
+        self.steps[present].error_of_residual = (relative > 0.0).then(|| moved / relative);
         self.known[present] = true;
         let known = self.known;
         let mut product = std::mem::take(&mut self.steps[present].product);
@@ -206,7 +209,6 @@ impl RecalledSteps {
         }
         self.present = (present + 1) % PLACES;
         self.known[self.present] = false;
-        self.error_of_residual = (relative > 0.0).then(|| moved / relative);
     }
 }
 

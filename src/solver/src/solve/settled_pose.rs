@@ -14,7 +14,7 @@ use crate::solve::workspace::Workspace;
 
 /// A pose is worth an iteration between frames from this part of what its solve allowed on: with less, iterations would come more
 /// often than frames need them; with more, a frame would often need one before it can go out.
-const WORTH_SETTLING: f64 = 0.5;
+const WORTH_SETTLING: f64 = 0.3;
 
 impl PoseRows {
     /// Whether the last solve, which needed no iteration, left enough for [`LinearSystem::settle_pose`] to be worth its time.

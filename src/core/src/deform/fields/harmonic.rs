@@ -35,8 +35,9 @@ impl HarmonicFields {
 const SMALL: f64 = 1.0 / 256.0;
 /// How much of its component all handles together spread over when each is as small as can be.
 const SPREAD: f64 = 1.0 / 8.0;
-/// The field's value down to which a small handle may spread.
-const LOWEST: f32 = 0.5;
+/// The field's value down to which a small handle may spread; where the interior follows the shape, its lattice holds the surface
+/// around a vertex, and a field falls to half as much in the first ring.
+const LOWEST: [f32; 2] = [0.5, 0.25];
 
 impl HarmonicFields {
     /// The fields with the surroundings of small handles made parts of them, where rotations are blended; `None` when no
@@ -106,6 +107,8 @@ impl HarmonicFields {
             *own += 1;
             *of = (*of).max(sizes[body.graph.component[node] as usize]);
         }
+        let stats = &body.graph.stats;
+        let lowest = LOWEST[usize::from(stats.lattice_nodes > 0 && stats.shell_nodes == 0)];
         let active = self.fields.iter().filter(|f| !f.is_empty()).count().max(1);
         let mut levels = vec![1.0f32; self.fields.len()];
         for (k, &(own, of)) in holders.iter().enumerate() {
@@ -118,7 +121,7 @@ impl HarmonicFields {
             let rank = (own + more as usize).min(self.fields[k].len() - 1);
             let mut values = self.fields[k].clone();
             let (_, level, _) = values.select_nth_unstable_by(rank, |a, b| b.total_cmp(a));
-            levels[k] = level.clamp(LOWEST, 1.0);
+            levels[k] = level.clamp(lowest, 1.0);
         }
         levels.iter().any(|l| *l < 1.0).then_some(levels)
     }

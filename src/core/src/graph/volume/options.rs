@@ -20,7 +20,7 @@ pub enum InteriorKind {
 pub struct VolumeOptions {
     /// What interior nodes follow.
     pub kind: InteriorKind,
-    /// Side of a lattice cell. By default, of kind [`InteriorKind::Shape`], half of volume ÷ area of each part; of kind
+    /// Side of a lattice cell. By default, of kind [`InteriorKind::Shape`], ¾ of volume ÷ area of each part; of kind
     /// [`InteriorKind::Paper`] the mean edge length or what gives 1.2 lattice nodes for each vertex, whichever is larger.
     /// Widened when the graph would have more than `max_nodes` nodes.
     pub interval: Option<f64>,
@@ -42,13 +42,22 @@ impl Default for VolumeOptions {
             interval: None,
             valence: 14,
             shell_offset: None,
-            weights: EdgeWeights::Uniform,
+            weights: EdgeWeights::default(),
             max_nodes: 50_000_000,
         }
     }
 }
 
 impl VolumeOptions {
+    /// The paper's graph with the paper's weights.
+    pub fn paper() -> Self {
+        Self {
+            kind: InteriorKind::Paper,
+            weights: EdgeWeights::Uniform,
+            ..Self::default()
+        }
+    }
+
     /// Refuses options that make no sense.
     pub(in crate::graph) fn check(&self) -> Result<(), Error> {
         for (option, value) in [("interval", self.interval), ("shell offset", self.shell_offset)] {

@@ -8,9 +8,11 @@ use crate::graph::mesh_graph::MeshGraph;
 use crate::mesh::Mesh;
 use glam::{DMat3, DVec3};
 
-/// Moments closer than this to each other, in shares of their sum, are equal, and their plane keeps the axes that it has. Wider
-/// than what single precision does to the moments of a symmetric body.
+/// Moments closer than this to each other, in shares of their sum, are equal. Wider than what single precision does to the moments
+/// of a symmetric body.
 const EQUAL: f64 = 1e-6;
+/// Normals that prefer no direction by more than this share of the area have none to tell.
+const PREFERENCE: f64 = 1e-4;
 /// Products of inertia below this share of the moments are rounding.
 const ROUNDING: f64 = 1e-13;
 /// Jacobi's method needs about five rounds.
@@ -45,8 +47,12 @@ impl PrincipalAxes {
                 }
             }
         }
+        let (axes, moments) = eigenvectors(moments);
+        let axes = settle_ties(axes, moments, mesh);
+        // The grid is the same with its axes exchanged or reversed, and a mesh that is not turned keeps its bits.
+        let of_file = [axes.x_axis, axes.y_axis, axes.z_axis].map(|axis| axis.abs().max_element() > 1.0 - 1e-12);
         Self {
-            axes: eigenvectors(moments),
+            axes: if of_file == [true; 3] { DMat3::IDENTITY } else { axes },
         }
     }
 
@@ -71,13 +77,13 @@ impl PrincipalAxes {
     }
 }
 
-/// The eigenvectors of a symmetric matrix, by Jacobi's rotations. Planes with equal moments, and axes that are eigenvectors
-/// already, stay as they are.
-fn eigenvectors(mut m: [[f64; 3]; 3]) -> DMat3 {
+/// The eigenvectors of a symmetric matrix, by Jacobi's rotations, and the eigenvalues in shares of their sum. Planes with equal
+/// moments, and axes that are eigenvectors already, stay as they are.
+fn eigenvectors(mut m: [[f64; 3]; 3]) -> (DMat3, [f64; 3]) {
     let mut axes = DMat3::IDENTITY;
     let trace = m[0][0] + m[1][1] + m[2][2];
     if !(trace > 0.0 && trace.is_finite()) {
-        return axes;
+        return (axes, [0.0, 1.0, 2.0]);
     }
     for _ in 0..ROUNDS {
         let mut turned = false;
@@ -107,7 +113,103 @@ fn eigenvectors(mut m: [[f64; 3]; 3]) -> DMat3 {
             break;
         }
     }
-    axes
+    (axes, [0, 1, 2].map(|k| m[k][k] / trace))
+}
+
+/// Turns axes of equal moments to where the normals of the surface lie: those of a box to its sides, those of a prism to its faces.
+/// They stay where normals prefer no direction, as those of a ball or of a round bar.
+fn settle_ties(axes: DMat3, moments: [f64; 3], mesh: &Mesh) -> DMat3 {
+    let is_tied = |a: usize, b: usize| (moments[a] - moments[b]).abs() <= EQUAL;
+    let single = match [is_tied(1, 2), is_tied(0, 2), is_tied(0, 1)] {
+        [false, false, false] => return axes,
+        [true, true, _] | [true, _, true] | [_, true, true] => None,
+        [true, ..] => Some(0),
+        [_, true, _] => Some(1),
+        [.., true] => Some(2),
+    };
+    let normal = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
+        (b - a).cross(c - a)
+    };
+    let normals: Vec<DVec3> = mesh.triangles.iter().map(normal).collect();
+    let axis = match single {
+        Some(k) => Some(axes.col(k)),
+        None => commonest_normal(&normals),
+    };
+    axis.and_then(|axis| around_axis(axis, &normals)).unwrap_or(axes)
+}
+
+/// The normal that most of the surface stands along or across, by the sum of A (n·d)⁴; `None` where none stands out.
+fn commonest_normal(normals: &[DVec3]) -> Option<DVec3> {
+    // The sum is a form of degree 4 in d; its 15 coefficients are summed once.
+    let powers = |d: DVec3| {
+        let (x, y, z) = (d.x, d.y, d.z);
+        let (xx, yy, zz) = (x * x, y * y, z * z);
+        [
+            xx * xx,
+            yy * yy,
+            zz * zz,
+            xx * x * y,
+            xx * x * z,
+            yy * y * x,
+            yy * y * z,
+            zz * z * x,
+            zz * z * y,
+            xx * yy,
+            xx * zz,
+            yy * zz,
+            xx * y * z,
+            yy * x * z,
+            zz * x * y,
+        ]
+    };
+    const TIMES: [f64; 15] = [1., 1., 1., 4., 4., 4., 4., 4., 4., 6., 6., 6., 12., 12., 12.];
+    let mut form = [0.0f64; 15];
+    let mut area = 0.0;
+    for n in normals {
+        let own = n.length();
+        area += own;
+        let each = powers(n.normalize_or_zero());
+        form.iter_mut().zip(each).for_each(|(sum, p)| *sum += own * p);
+    }
+    let value = |d: DVec3| -> f64 {
+        let terms = powers(d).into_iter().zip(TIMES).zip(&form);
+        terms.map(|((p, times), sum)| p * times * sum).sum()
+    };
+    let mut best = (0.0, None);
+    for d in normals.iter().filter_map(|n| n.try_normalize()) {
+        let own = value(d);
+        if own > best.0 {
+            best = (own, Some(d));
+        }
+    }
+    // Of directions without preference the mean is a fifth.
+    best.1.filter(|_| best.0 > (0.2 + PREFERENCE) * area)
+}
+
+/// Axes with the given one among them, the others along or across normals: by the phase of the sum of A (n·(u + i v))^m, of
+/// the first m for which there is one, 4 for boxes, 3 for three-sided prisms.
+fn around_axis(axis: DVec3, normals: &[DVec3]) -> Option<DMat3> {
+    let (u, v) = axis.any_orthonormal_pair();
+    let area: f64 = normals.iter().map(|n| n.length()).sum();
+    let phase = |m: i32| {
+        let (mut real, mut imaginary) = (0.0, 0.0);
+        for n in normals {
+            let own = n.length();
+            let [x, y] = [n.dot(u), n.dot(v)].map(|part| if own > 0.0 { part / own } else { 0.0 });
+            let (mut power, mut other) = (1.0, 0.0);
+            for _ in 0..m {
+                (power, other) = (power * x - other * y, power * y + other * x);
+            }
+            real += own * power;
+            imaginary += own * other;
+        }
+        let stands_out = libm::hypot(real, imaginary) > PREFERENCE * area;
+        stands_out.then(|| libm::atan2(imaginary, real) / f64::from(m))
+    };
+    let angle = [4, 3, 5].into_iter().find_map(phase)?;
+    let (sine, cosine) = (libm::sin(angle), libm::cos(angle));
+    Some(DMat3::from_cols(axis, u * cosine + v * sine, v * cosine - u * sine))
 }
 
 #[cfg(test)]
@@ -116,7 +218,7 @@ mod tests {
     use crate::asset::shapes::box_with_cells;
     use crate::mesh::Weld;
 
-    fn axes_of(turn: DMat3, cells: [u32; 3]) -> DMat3 {
+    fn axes_of(turn: DMat3, cells: [usize; 3]) -> DMat3 {
         let (positions, triangles) = box_with_cells(DVec3::new(1.0, 2.0, 5.0), cells);
         let positions: Vec<DVec3> = positions.iter().map(|p| turn * *p).collect();
         let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a box");
@@ -138,11 +240,16 @@ mod tests {
     }
 
     #[test]
-    fn a_cube_keeps_the_axes_of_the_file() {
-        let (positions, triangles) = box_with_cells(DVec3::ONE, [3; 3]);
-        let turn = DMat3::from_rotation_z(0.4);
-        let positions: Vec<DVec3> = positions.iter().map(|p| turn * *p).collect();
-        let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a cube");
-        assert_eq!(PrincipalAxes::of_surface(&mesh).axes, DMat3::IDENTITY);
+    fn where_moments_are_equal_axes_are_those_of_the_sides() {
+        let turn = DMat3::from_rotation_z(0.4) * DMat3::from_rotation_x(0.7);
+        for size in [DVec3::ONE, DVec3::new(1.0, 1.0, 4.0)] {
+            let (positions, triangles) = box_with_cells(size, [3, 4, 5]);
+            let positions: Vec<DVec3> = positions.iter().map(|p| turn * *p).collect();
+            let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a box");
+            let along = turn.transpose() * PrincipalAxes::of_surface(&mesh).axes;
+            for axis in [along.x_axis, along.y_axis, along.z_axis] {
+                assert!((axis.abs().max_element() - 1.0).abs() < 1e-9, "{along}");
+            }
+        }
     }
 }

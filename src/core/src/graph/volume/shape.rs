@@ -19,14 +19,14 @@ use crate::graph::volume::spread::{SurfaceTie, spread_ties, vertex_areas};
 use crate::graph::volume::struts::{ThinPlaces, struts};
 use crate::graph::volume::thickness::{LatticeClass, lattice_classes};
 
-/// The interval in thicknesses (volume ÷ area): a long round bar has eight cells across.
-const INTERVAL: f64 = 0.5;
+/// The interval in thicknesses (volume ÷ area): a long round bar has more than five cells across.
+const INTERVAL: f64 = 0.75;
 /// Lattice nodes lie deeper than this many intervals.
 const DEPTH: f64 = 0.6;
 /// What an edge of the lattice weighs that is as long as the part is thick; edges of the surface weigh 1.
-const STIFFNESS: f64 = 2.5;
+const STIFFNESS: f64 = 3.0;
 /// What a tie weighs beside an edge of the lattice.
-const TIE: f64 = 0.5;
+const TIE: f64 = 0.3;
 /// Struts are no longer than this many intervals.
 const ACROSS: f64 = 4.0;
 /// About the part of a volume that lies deep enough for lattice nodes.
@@ -63,7 +63,7 @@ pub(in crate::graph) fn shape_interior(
     let surface = site.mesh.positions.len();
     site.exec.progress.report("graph", 0.2);
     let volume = enclosed_volume(site)?;
-    let parts = lattice_classes(site, &facts.turns, volume.by_soups);
+    let parts = lattice_classes(site, &facts, volume.by_soups);
     let intervals = wanted_intervals(&parts.classes, options, surface);
     let mut lattices = JoinedLattices::default();
     for (class, wanted) in parts.classes.iter().zip(intervals) {

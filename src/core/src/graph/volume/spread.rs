@@ -119,7 +119,15 @@ pub(in crate::graph) fn spread_ties(
     let alone = seed_ties.iter().filter(|tie| tie.area <= 0.0);
     ties.extend(alone.map(|tie| ([tie.node, tie.seed], tie.weight as f32)));
     ties.retain(|t| t.1 > 0.0);
-    site.exec.pool.install(|| ties.par_sort_unstable_by_key(|t| t.0));
+    site.exec.pool.install(|| ties.par_sort_by_key(|t| t.0));
+    // A seed that coincides with another one shares in the other's ties, and its own are left to it.
+    ties.dedup_by(|next, kept| {
+        let same = next.0 == kept.0;
+        if same {
+            kept.1 += next.1;
+        }
+        same
+    });
     let (ties, weights) = ties.into_iter().unzip();
     Ok(SpreadTies {
         ties,

@@ -4,6 +4,7 @@
 //! share a lattice, and thinner ones have a finer one.
 
 use crate::graph::volume::caps::HullFaces;
+use crate::graph::volume::placing::SiteFacts;
 use crate::graph::volume::shell::VolumeSite;
 use crate::graph::volume::solid::PartKind;
 use crate::mesh::BoundingBox;
@@ -56,8 +57,9 @@ pub(in crate::graph) struct PartClasses {
 }
 
 /// The classes of all parts that enclose space, from that of the part with the most volume to thinner and to thicker ones.
-/// `turns` has for each part 1, −1 when its normals were turned, or 0 when it has no inside; `soup_volume` is what soups enclose.
-pub(in crate::graph) fn lattice_classes(site: &VolumeSite, turns: &[f64], soup_volume: f64) -> PartClasses {
+/// `soup_volume` is what soups enclose.
+pub(in crate::graph) fn lattice_classes(site: &VolumeSite, facts: &SiteFacts, soup_volume: f64) -> PartClasses {
+    let turns = &facts.turns;
     let count = site.parts.components.count;
     let mut bodies = vec![MeasuredBody::default(); count + 1];
     let part = |t: &[u32; 3]| site.parts.components.of_vertex[t[0] as usize] as usize;
@@ -92,7 +94,8 @@ pub(in crate::graph) fn lattice_classes(site: &VolumeSite, turns: &[f64], soup_v
         };
         bodies[count] = MeasuredBody {
             volume: soup_volume,
-            area: soup.bvh().triangles().iter().map(area).sum(),
+            // Soups are no thinner than their faces are long: more area than that lies inside of them.
+            area: (soup.bvh().triangles().iter().map(area).sum::<f64>()).min(soup_volume / facts.mean_edge),
         };
     }
     let largest = bodies
