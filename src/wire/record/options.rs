@@ -38,6 +38,7 @@ impl RecordedModel {
             label: self.label.clone(),
             format: self.format.name().into(),
             graph_bytes: self.graph_bytes,
+            of_today: self.options.body.graph.weights != EdgeWeights::CotangentOfMean,
         };
         Ok(message.encode_to_vec())
     }
@@ -51,17 +52,19 @@ impl RecordedModel {
         let files = message
             .files
             .ok_or_else(|| Error::invalid("model.files", "is missing"))?;
-        let mut options = message.options.unwrap_or_default();
-        // Records have named the weights since the interior belongs to the shape; those from before had the paper's graph.
-        if options.weights.is_none() {
-            options
-                .volume_graph
-                .get_or_insert_default()
-                .set_kind(message::volume_graph::Kind::Paper);
+        let create = message.options.unwrap_or_default();
+        let mut options = open_options(&create)?;
+        if !message.of_today {
+            let graph = &mut options.body.graph;
+            graph.kind = InteriorKind::Paper;
+            graph.weights = match create.weights() {
+                message::Weights::Uniform => EdgeWeights::Uniform,
+                message::Weights::Cotangent => EdgeWeights::CotangentOfMean,
+            };
         }
         Ok(Self {
             files: FileReferences::from_message(files),
-            options: open_options(&options)?,
+            options,
             label: message.label,
             format: Format::from_name(&message.format).ok_or_else(|| Error::invalid("model.format", "is no format"))?,
             graph_bytes: message.graph_bytes,
@@ -101,7 +104,7 @@ fn create_message(options: &OpenOptions) -> Result<pb::CreateOptions, Error> {
         weights: Some(
             match body.graph.weights {
                 EdgeWeights::Uniform => message::Weights::Uniform,
-                EdgeWeights::Cotangent => message::Weights::Cotangent,
+                EdgeWeights::Cotangent | EdgeWeights::CotangentOfMean => message::Weights::Cotangent,
             }
             .into(),
         ),

@@ -229,10 +229,7 @@ pub(super) fn assemble(
     pool: Option<&Pool>,
 ) -> MeshGraph {
     let surface = mesh.positions.len();
-    let recipe = GraphRecipe {
-        weights: weighting,
-        ..std::mem::take(&mut inner.recipe)
-    };
+    let mut recipe = std::mem::take(&mut inner.recipe);
     let mut stats = std::mem::take(&mut inner.stats);
     let nodes = surface + inner.positions.len();
     let mut positions = Vec::with_capacity(nodes);
@@ -269,10 +266,9 @@ pub(super) fn assemble(
     for ([v, _], _) in &inner.struts {
         stats.component_has_volume[components.of_vertex[*v as usize] as usize] = true;
     }
-    let cotangents = match weighting {
-        EdgeWeights::Uniform => None,
-        EdgeWeights::Cotangent => Some(weights::cotangents(&mesh.positions, &mesh.triangles, adjacency)),
-    };
+    let found = weights::cotangents(weighting, &mesh.positions, &mesh.triangles, adjacency);
+    let (cotangents, scale) = found.unzip();
+    recipe.cotangents = scale;
     let is_weighted = cotangents.is_some() || !inner.lattice_weights.is_empty() || !inner.struts.is_empty();
     let weights = is_weighted.then(|| {
         let mut weights = match pool {

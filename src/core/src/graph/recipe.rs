@@ -1,13 +1,13 @@
 //! How the nodes and weights of a graph were made, as far as an edit of the mesh needs to know.
 
-use crate::graph::weights::EdgeWeights;
+use crate::graph::weights::CotangentScale;
 use glam::DVec3;
 
 /// What [`super::resample`] needs beside nodes and edges.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct GraphRecipe {
-    /// Weights of the mesh's edges.
-    pub(super) weights: EdgeWeights,
+    /// How cotangents of mesh edges are weighed; `None` with uniform weights.
+    pub(super) cotangents: Option<CotangentScale>,
     /// How interior nodes of the paper's kind were placed; `None` where there are none.
     pub(super) inside: Option<InteriorRecipe>,
 }

@@ -12,6 +12,8 @@ pub enum EdgeWeights {
     /// triangles, and at least 0.9. So the surface is as stiff whatever its triangles, and harmonic fields keep within their bounds.
     #[default]
     Cotangent,
+    /// The same sum divided by its mean over the mesh, and limited to 0.001 … 1000: what sessions have that were stored before.
+    CotangentOfMean,
 }
 
 /// Half the sum of the two cotangents of 60°, those of an edge between equilateral triangles.
@@ -21,31 +23,70 @@ const LEAST: f64 = 0.9;
 /// Cotangents beyond this, of angles under 0.6°, say nothing but that a face is thin.
 const STEEPEST: f64 = 100.0;
 
-/// The cotangent weight of each edge of `adjacency`.
-pub(super) fn cotangents(positions: &[DVec3], triangles: &[[u32; 3]], adjacency: &Adjacency) -> Vec<f32> {
-    let edges = adjacency.edges.iter();
-    edges
-        .map(|e| cotangent_of(positions, triangles, adjacency, e.vertices))
-        .collect()
+/// What half sums of cotangents are multiplied by, and the least and the most that comes of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct CotangentScale {
+    factor: f64,
+    limits: [f64; 2],
 }
 
-/// The cotangent weight of the edge from `a` to `b`.
-pub(super) fn cotangent_of(
+/// The cotangent weight of each edge of `adjacency`, with their scale; `None` where all weights are 1.
+pub(super) fn cotangents(
+    weights: EdgeWeights,
     positions: &[DVec3],
     triangles: &[[u32; 3]],
     adjacency: &Adjacency,
-    [a, b]: [u32; 2],
-) -> f32 {
+) -> Option<(Vec<f32>, CotangentScale)> {
+    let edges = adjacency.edges.iter();
+    let half_sums = edges.map(|e| half_cotangent_sum(positions, triangles, adjacency, e.vertices));
+    let half_sums: Vec<f64> = match weights {
+        EdgeWeights::Uniform => return None,
+        EdgeWeights::Cotangent | EdgeWeights::CotangentOfMean => half_sums.collect(),
+    };
+    let scale = if weights == EdgeWeights::Cotangent {
+        CotangentScale {
+            factor: 1.0 / EQUILATERAL,
+            limits: [LEAST, f64::INFINITY],
+        }
+    } else {
+        let mean = half_sums.iter().map(|w| w.max(0.0)).sum::<f64>() / half_sums.len().max(1) as f64;
+        CotangentScale {
+            // Only a mesh without any acute angle opposite to an edge has no positive mean, and then no cotangent helps.
+            factor: if mean > 0.0 { 1.0 / mean } else { 0.0 },
+            limits: [1e-3, 1e3],
+        }
+    };
+    Some((half_sums.iter().map(|&sum| scale.weight_of(sum)).collect(), scale))
+}
+
+impl CotangentScale {
+    fn weight_of(self, half_sum: f64) -> f32 {
+        (half_sum * self.factor).clamp(self.limits[0], self.limits[1]) as f32
+    }
+
+    /// The weight of one edge, the smaller end first.
+    pub(super) fn of_edge(
+        self,
+        positions: &[DVec3],
+        triangles: &[[u32; 3]],
+        adjacency: &Adjacency,
+        edge: [u32; 2],
+    ) -> f32 {
+        self.weight_of(half_cotangent_sum(positions, triangles, adjacency, edge))
+    }
+}
+
+/// Half the sum of the cotangents of the angles opposite to the edge from `a` to `b`.
+fn half_cotangent_sum(positions: &[DVec3], triangles: &[[u32; 3]], adjacency: &Adjacency, [a, b]: [u32; 2]) -> f64 {
     let opposite = adjacency.faces.of(a).iter().filter_map(|&f| {
         let t = triangles[f as usize];
         t.contains(&b)
             .then(|| t.into_iter().find(|&v| v != a && v != b))
             .flatten()
     });
-    let half_sum: f64 = opposite
+    opposite
         .map(|c| 0.5 * cotangent([a, b, c].map(|v| positions[v as usize])))
-        .sum();
-    (half_sum / EQUILATERAL).max(LEAST) as f32
+        .sum()
 }
 
 /// Cotangent of the angle at the last corner; 0 for a face without area.
@@ -70,7 +111,7 @@ mod tests {
         let p = [[0., 0.], [1., 0.], [0.5, h], [1.5, h], [3., 0.001]].map(|[x, y]| DVec3::new(x, y, 0.0));
         let faces = [[0, 1, 2], [2, 1, 3], [1, 4, 3]];
         let adjacency = Adjacency::build(5, &faces);
-        let w = cotangents(&p, &faces, &adjacency);
+        let (w, _) = cotangents(EdgeWeights::Cotangent, &p, &faces, &adjacency).expect("cotangents");
         let of = |a: u32, b: u32| {
             w[adjacency
                 .edges

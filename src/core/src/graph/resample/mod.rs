@@ -90,7 +90,7 @@ fn resample_surface(
     let numbers = NodeNumbers::from_change(old, change, points);
     let copies = places::without_copies(&local);
     let name = |v: u32| numbers.point_number(change, local.points[v as usize]);
-    let links = copies.find_links(&local, name, old.recipe.weights);
+    let links = copies.find_links(&local, name, old.recipe.cotangents);
     let edit = GraphEdit {
         old,
         change,
@@ -269,7 +269,7 @@ fn collect_changes<'a>(
         old_shell,
     } = *edited;
     let name = |v: u32| numbers.point_number(change, local.points[v as usize]);
-    let mut links = copies.find_links(local, name, old.recipe.weights);
+    let mut links = copies.find_links(local, name, old.recipe.cotangents);
     links.extend_from_slice(&interior.links);
     let mut gone = points.gone.clone();
     gone.extend(

@@ -10,7 +10,7 @@ use crate::graph::resample::zone::{ChangeZone, NEAR};
 use crate::graph::volume::columns::FaceColumns;
 use crate::graph::volume::shell::{copy, has_room};
 use crate::graph::volume::solid::{normal, sample, turn};
-use crate::graph::weights::{EdgeWeights, cotangent_of};
+use crate::graph::weights::CotangentScale;
 use crate::mesh::NONE;
 use crate::mesh::query::{TriangleBvh, VisitBudget, VisitCount};
 use glam::DVec3;
@@ -164,7 +164,7 @@ impl ShellCopies {
         &self,
         local: &LocalMesh,
         name: impl Fn(u32) -> u32,
-        weights: EdgeWeights,
+        cotangents: Option<CotangentScale>,
     ) -> Vec<NewEdge> {
         let mut links = Vec::new();
         let copy = |v: u32| self.node[v as usize];
@@ -178,12 +178,9 @@ impl ShellCopies {
                     continue;
                 }
                 let (a, b) = (v.min(w), v.max(w));
-                let weight = match weights {
-                    EdgeWeights::Uniform => 1.0,
-                    EdgeWeights::Cotangent => {
-                        cotangent_of(&local.positions, &local.triangles, &local.adjacency, [a, b])
-                    }
-                };
+                let weight = cotangents.map_or(1.0, |scale| {
+                    scale.of_edge(&local.positions, &local.triangles, &local.adjacency, [a, b])
+                });
                 links.push(NewEdge {
                     ends: [name(a), name(b)],
                     weight,
