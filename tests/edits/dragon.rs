@@ -13,8 +13,8 @@ use serde_json::json;
 use std::sync::Arc;
 
 /// Longest side over shortest height of the worst triangle that was pulled, 1.15 at best. One triangle beside the longest edges
-/// comes to 28.5, where their corners are averaged with those around them.
-const WORST: f64 = 29.0;
+/// comes to 27.8, where their corners are averaged with those around them.
+const WORST: f64 = 28.0;
 
 /// The same for ninety-nine of a hundred.
 const MOST: f64 = 6.0;

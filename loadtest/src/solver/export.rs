@@ -272,7 +272,8 @@ pub(super) mod tests {
                 }
                 let soft = all.stiffness.as_ref().map_or(0.0, |s| s[i]);
                 let row = all.offsets[i] as usize..all.offsets[i + 1] as usize;
-                let sum: DVec3 = row.map(|e| x[i] - x[all.neighbours[e] as usize]).sum();
+                let weight = |e: usize| all.weights.as_ref().map_or(1.0, |w| f64::from(w[e]));
+                let sum: DVec3 = row.map(|e| weight(e) * (x[i] - x[all.neighbours[e] as usize])).sum();
                 (sum + soft * x[i]).distance(DVec3::from_array(all.poses[k].rhs[i]))
             };
             let most = (0..x.len()).map(far).fold(0.0, f64::max);

@@ -66,7 +66,7 @@ pub fn resample(
         return Ok(None);
     };
     match &old.recipe.inside {
-        // A graph that follows the shape, or of parts that are told apart, is not changed in one place alone.
+        // A graph that follows the shape, or of parts that are kept apart, is not changed in one place alone.
         None if old.surface < old.nodes() || old.stats.struts > 0 => Ok(None),
         None => resample_surface(old, change, &points, exec.pool).map(Some),
         Some(inside) if inside.soups => Ok(None),

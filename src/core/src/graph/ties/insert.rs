@@ -45,7 +45,7 @@ pub fn tie_parts(graph: MeshGraph, mesh: &Mesh, options: &TieOptions, exec: &Exe
     if anchors.is_empty() {
         return Ok(graph);
     }
-    let edges = TieEdges::from_anchors(&anchors, graph.surface, exec.pool).beside_edges_of(&graph);
+    let edges = TieEdges::from_anchors(&anchors, graph.surface, exec.pool);
     Ok(insert_ties(graph, anchors, &edges, reach, exec.pool))
 }
 
@@ -78,24 +78,6 @@ impl TieEdges {
             offsets,
             entries: edges.into_iter().map(|(_, to, weight)| (to, weight)).collect(),
         }
-    }
-
-    /// Those between vertices that no edge of the graph joins.
-    fn beside_edges_of(self, graph: &MeshGraph) -> Self {
-        let mut kept = Self {
-            offsets: vec![0],
-            entries: Vec::with_capacity(self.entries.len()),
-        };
-        for node in 0..graph.surface {
-            let row = graph.row(node as u32);
-            let apart = self
-                .tie_row(node)
-                .iter()
-                .filter(|tie| row.binary_search(&tie.0).is_err());
-            kept.entries.extend(apart);
-            kept.offsets.push(kept.entries.len() as u32);
-        }
-        kept
     }
 
     /// The ties of a node.

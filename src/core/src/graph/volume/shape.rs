@@ -53,7 +53,7 @@ struct JoinedLattices {
     stats: GraphStats,
 }
 
-/// Places a lattice in each part, and copies of vertices where a part is too thin for it.
+/// Places a lattice in each part, and struts where a part is too thin for it.
 pub(in crate::graph) fn shape_interior(
     site: &VolumeSite,
     facts: SiteFacts,
@@ -172,7 +172,7 @@ impl JoinedLattices {
                 interval: grid.interval,
             }
         }));
-        // Of several lattices the one is told that was widened most.
+        // The facts name the lattice that was widened most.
         let widened = |interval: f64, wanted: f64| if wanted > 0.0 { interval / wanted } else { 0.0 };
         if widened(grid.interval, wanted) > widened(self.stats.interval, self.stats.wanted_interval) {
             self.stats.interval = grid.interval;
