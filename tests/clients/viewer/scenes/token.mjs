@@ -41,7 +41,8 @@ export async function play({ browser, folder }) {
 
     // Another tab knows nothing, and one that gives no token is told why it gets none.
     const other = await Sheet.open(browser, proxy.url);
-    const cancel = other.page.getByRole("button", { name: "Cancel" });
+    // The upload that waits for the token has a button of this name as well.
+    const cancel = other.page.getByRole("dialog").getByRole("button", { name: "Cancel" });
     await cancel.click();
     await other.page.getByRole("button", { name: "Open the sample creature" }).click();
     await cancel.click();

@@ -580,7 +580,7 @@ export enum CreateOptions_Weights {
 
   /**
    * Half the sum of the cotangents of the two angles opposite to an edge, in terms of what it is among equilateral triangles, and
-   * at least 0.85.
+   * at least 0.87.
    *
    * @generated from enum value: COTANGENT = 1;
    */
