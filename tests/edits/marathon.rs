@@ -10,8 +10,11 @@ use crate::support::messages::{DeformerMessages, EditMessage};
 use checks::Before;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
-use pliant::engine::{Deformer, DeformerLimits, HandlePoses, ModelShape, SolveMode, SolveSettings, digest};
+use pliant::engine::{
+    Deformer, DeformerLimits, HandlePoses, ModelShape, OpenOptions, SolveMode, SolveSettings, digest,
+};
 use pliant::exec::Exec;
+use pliant::graph::VolumeOptions;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::wire::{DeformOptions, json, pb};
@@ -41,15 +44,12 @@ struct Run {
 }
 
 impl Run {
-    fn new(files: FileSet, seed: u64, threads: usize, most: usize) -> Self {
+    fn new(files: FileSet, volume: VolumeOptions, seed: u64, threads: usize, most: usize) -> Self {
         let pool = Pool::new(threads).expect("threads start");
-        let bench = Deformer::open(
-            files,
-            &Default::default(),
-            &DeformerLimits::default(),
-            &Exec::new(&pool, &Silent),
-        )
-        .expect("opens");
+        let mut options = OpenOptions::default();
+        options.body.graph = volume;
+        let bench =
+            Deformer::open(files, &options, &DeformerLimits::default(), &Exec::new(&pool, &Silent)).expect("opens");
         let options = pb::Options {
             tolerance: 1e-5,
             ..Default::default()
@@ -200,13 +200,20 @@ fn obj((points, faces): &shapes::Shape) -> FileSet {
     FileSet::single("shape.obj", text)
 }
 
-/// The same run on one thread and on two, and back to the beginning.
+/// The same run on one thread and on two, and back to the beginning: on a graph that is built again after edits, and on one that
+/// follows them.
 fn marathon(name: &str, files: &FileSet, seed: u64, most: usize) {
+    for volume in [VolumeOptions::default(), VolumeOptions::paper()] {
+        marathon_of(name, files, volume, seed, most);
+    }
+}
+
+fn marathon_of(name: &str, files: &FileSet, volume: VolumeOptions, seed: u64, most: usize) {
     let [one, two] = std::thread::scope(|scope| {
         [1, 2]
             .map(|threads| {
                 scope.spawn(move || {
-                    let mut run = Run::new(files.clone(), seed, threads, most);
+                    let mut run = Run::new(files.clone(), volume, seed, threads, most);
                     let start = (digest(run.bench.rest()), run.bench.topology_state());
                     run.bench
                         .set_handles_message(&Default::default(), &Exec::new(&run.pool, &Silent))
@@ -229,7 +236,10 @@ fn marathon(name: &str, files: &FileSet, seed: u64, most: usize) {
     });
     assert_eq!(one, two, "{name}: the same bits on one thread and on two");
     let [done, refused] = one.1;
-    println!("{name}: {done} edits done, {refused} refused");
+    println!(
+        "{name}, interior of kind {:?}: {done} edits done, {refused} refused",
+        volume.kind
+    );
     assert!(done > EDITS / 2, "{done} of {EDITS} edits were possible");
 }
 

@@ -231,5 +231,10 @@ fn ring() -> Rung {
         .iter()
         .for_each(|f| off += &format!("3 {} {} {}\n", f[0], f[1], f[2]));
     let job = json::from_json(JOB.as_bytes()).unwrap();
-    Rung::open("generated ring", FileSet::single("ring.off", off.into_bytes()), &job, Kind::Paper)
+    Rung::open(
+        "generated ring",
+        FileSet::single("ring.off", off.into_bytes()),
+        &job,
+        Kind::Paper,
+    )
 }

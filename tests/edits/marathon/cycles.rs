@@ -42,7 +42,10 @@ fn cycles(bench: &mut Deformer, diagonal: f64, run: &Run) -> Vec<u32> {
 }
 
 fn as_fresh(name: &str, shape: &shapes::Shape, seed: u64, edits: usize) {
-    let mut run = Run::new(obj(shape), seed, 2, 2500);
+    // A graph of kind PAPER follows edits; the other kind is built again.
+    let mut options = OpenOptions::default();
+    options.body.graph = VolumeOptions::paper();
+    let mut run = Run::new(obj(shape), options.body.graph, seed, 2, 2500);
     // A bench opened anew would weld parts that touch.
     run.apart = false;
     let mut seen = Vec::new();
@@ -54,7 +57,7 @@ fn as_fresh(name: &str, shape: &shapes::Shape, seed: u64, edits: usize) {
         let files = FileSet::single("edited.obj", written.main);
         let mut fresh = Deformer::open(
             files,
-            &Default::default(),
+            &options,
             &DeformerLimits::default(),
             &Exec::new(&run.pool, &Silent),
         )
