@@ -37,7 +37,7 @@ fn build() -> Result<Value, Error> {
             "title": "pliant",
             "version": env!("CARGO_PKG_VERSION"),
             "description": "Headless mesh deformation. JSON bodies are the canonical proto-JSON form of pliant.v1: 64-bit \
-                numbers are strings, bytes are base64, unknown fields are refused with their path.",
+                numbers are strings, bytes are base64, the server rejects unknown fields and names their path.",
         },
         "paths": paths,
         "components": {"schemas": components(&schemas), "responses": {"Problem": problem_response(), "SentOn": sent_on_response()}},
@@ -79,7 +79,7 @@ fn components(schemas: &Schemas) -> Value {
 
 fn problem_response() -> Value {
     json!({
-        "description": "It was refused or failed; nothing has changed.",
+        "description": "The server rejected the call, or the call failed; nothing has changed.",
         "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
     })
 }
@@ -87,11 +87,11 @@ fn problem_response() -> Value {
 fn sent_on_response() -> Value {
     let header = |text: &str| json!({"description": text, "required": true, "schema": {"type": "string"}});
     json!({
-        "description": "Of several nodes another one has the session, or more room for a new one. The same call is answered there.",
+        "description": "Another node has the session, or more room for a new one. Repeat the call there.",
         "headers": {
             "Location": header("Where to repeat the call, as it was."),
             "x-pliant-owner": header("The address of the node that has the session."),
-            "x-pliant-node": header("The name of that node, which a proxy before all nodes chooses by."),
+            "x-pliant-node": header("The name of that node, for a proxy that routes by it."),
         },
         "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
     })
@@ -190,7 +190,7 @@ fn request_body(route: &Route) -> Option<Value> {
         content.insert(
             "multipart/form-data".into(),
             json!({"schema": {"type": "object", "required": ["model"], "properties": {
-                "model": {"type": "string", "format": "binary", "description": "The model; its file name may tell the format."},
+                "model": {"type": "string", "format": "binary", "description": "The model; its file name may give the format."},
                 "options": {"$ref": "#/components/schemas/CreateOptions"},
             }, "additionalProperties": {"type": "string", "format": "binary", "description": "A companion file; its file name is the URI by which the model names it."}}}),
         );
@@ -298,7 +298,7 @@ mod tests {
         );
     }
 
-    /// What opens a session by single parameters: every field that is no list, and the lists by name in the text of `options`.
+    /// Every field that is not a list is a parameter; the text of `options` names the lists.
     #[test]
     fn every_create_option_is_a_parameter_or_told_of() {
         let document = build().unwrap();
@@ -345,7 +345,7 @@ mod tests {
         }
         for route in &ROUTES {
             if let Some(rpc) = route.rpc {
-                assert!(service.methods().any(|m| m.name() == rpc), "{rpc} is no rpc");
+                assert!(service.methods().any(|m| m.name() == rpc), "{rpc} is not an rpc");
             }
         }
     }

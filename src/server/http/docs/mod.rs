@@ -20,7 +20,7 @@ const SCRIPT: &str = include_str!("page.js");
 
 static PAGE: LazyLock<Result<String, Error>> = LazyLock::new(|| {
     let document: Value = serde_json::from_str(&openapi::document()?)
-        .map_err(|_| Error::new(crate::session::ErrorCode::Internal, "the API description is no JSON"))?;
+        .map_err(|_| Error::new(crate::session::ErrorCode::Internal, "the API description is not JSON"))?;
     Ok(render(&document))
 });
 
