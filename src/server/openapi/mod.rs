@@ -9,7 +9,7 @@ use crate::asset::Format;
 
 use crate::session::Error;
 use crate::wire;
-use examples::{body_example, parameter_example};
+use examples::{body_example, code_samples, parameter_example};
 use schemas::Schemas;
 use serde_json::{Map, Value, json};
 use std::sync::LazyLock;
@@ -145,6 +145,8 @@ fn operation(route: &Route, schemas: &Schemas) -> Value {
         responses.insert(status.to_string(), json!({"$ref": "#/components/responses/Problem"}));
     }
     operation.insert("responses".into(), responses.into());
+    let samples = code_samples(route, &operation_id(route));
+    operation.insert("x-codeSamples".into(), samples.into());
     operation.into()
 }
 
@@ -328,6 +330,30 @@ mod tests {
         let count = ids.len();
         ids.dedup();
         assert_eq!(ids.len(), count, "{ids:?}");
+    }
+
+    #[test]
+    fn every_call_has_a_sample_in_curl_and_every_part_of_the_program_in_python_is_one() {
+        let document = build().unwrap();
+        let mut in_python = 0;
+        for route in &ROUTES {
+            let samples = &document["paths"][route.path][route.method]["x-codeSamples"];
+            let curl = samples[0]["source"].as_str().unwrap();
+            let path = route.path.replace("{id}", "$id").replace("{handleId}", "head");
+            let names_both = curl.contains(&path.replace("$id/animations", "$figure/animations"))
+                && (route.method == "get" || curl.contains(&format!("-X {}", route.method.to_uppercase())));
+            assert!(
+                samples[0]["lang"] == "curl" && names_both,
+                "{} {path}: {curl}",
+                route.method
+            );
+            in_python += usize::from(samples[1]["lang"] == "Python");
+        }
+        assert_eq!(
+            in_python,
+            examples::python_parts().count(),
+            "a part of samples.py has the name of no call"
+        );
     }
 
     #[test]
