@@ -9,6 +9,7 @@ use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::solver::{Constraints, Hierarchy, LinearSystem, WeightedGraph};
+use pliant::wire::pb::create_options::volume_graph::Kind;
 use pliant::wire::{self, json, pb};
 use std::path::{Path, PathBuf};
 
@@ -39,10 +40,11 @@ pub struct Rung {
 }
 
 impl Rung {
-    /// Opens a model with a job's handles, as a session does.
-    fn open(name: &'static str, files: FileSet, job: &pb::Job) -> Rung {
+    /// Opens a model with a job's handles and an interior of this kind, as a session does.
+    fn open(name: &'static str, files: FileSet, job: &pb::Job, kind: Kind) -> Rung {
         let pool = Pool::new(2).unwrap();
-        let create = job.create.clone().unwrap_or_default();
+        let mut create = job.create.clone().unwrap_or_default();
+        create.volume_graph.get_or_insert_default().set_kind(kind);
         let mut bench = Deformer::open(
             files,
             &wire::open_options(&create).unwrap(),
@@ -187,19 +189,19 @@ fn data() -> PathBuf {
     )
 }
 
-/// The systems of three models and their handles; of a generated one where models are missing.
+/// The systems of three models and their handles; of a generated one where models are missing. The paper's graph is large on
+/// small models too.
 pub fn rungs() -> Vec<Rung> {
+    let (paper, shape) = (Kind::Paper, Kind::Shape);
+    let tiny = "armadillo-tiny.json";
     let models = [
-        ("arm, both ends", "arm.obj", "arm.json"),
-        ("camel head, both ends", "camelhead.off", "camelhead.json"),
-        (
-            "armadillo, two handles of 3 vertices",
-            "armadillo.obj",
-            "armadillo-tiny.json",
-        ),
+        ("arm, both ends", "arm.obj", "arm.json", paper),
+        ("camel head, both ends", "camelhead.off", "camelhead.json", paper),
+        ("armadillo, two handles of 3 vertices", "armadillo.obj", tiny, paper),
+        ("armadillo, interior of the shape", "armadillo.obj", tiny, shape),
     ];
     let mut rungs = Vec::new();
-    for (name, model, job) in models {
+    for (name, model, job, kind) in models {
         let path = data().join("meshes").join(model);
         let Ok(bytes) = std::fs::read(&path) else {
             println!("skipped: {name}: {} is missing; set PLIANT_DATA", path.display());
@@ -207,7 +209,7 @@ pub fn rungs() -> Vec<Rung> {
         };
         let jobs = Path::new(env!("CARGO_MANIFEST_DIR")).join("loadtest/jobs");
         let job: pb::Job = json::from_json(&std::fs::read(jobs.join(job)).unwrap()).unwrap();
-        rungs.push(Rung::open(name, FileSet::single(model, bytes), &job));
+        rungs.push(Rung::open(name, FileSet::single(model, bytes), &job, kind));
     }
     if rungs.len() < models.len() {
         println!("a generated ring takes the place of what was skipped");
@@ -229,5 +231,5 @@ fn ring() -> Rung {
         .iter()
         .for_each(|f| off += &format!("3 {} {} {}\n", f[0], f[1], f[2]));
     let job = json::from_json(JOB.as_bytes()).unwrap();
-    Rung::open("generated ring", FileSet::single("ring.off", off.into_bytes()), &job)
+    Rung::open("generated ring", FileSet::single("ring.off", off.into_bytes()), &job, Kind::Paper)
 }

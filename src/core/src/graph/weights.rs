@@ -9,7 +9,7 @@ pub enum EdgeWeights {
     /// All the same, which the paper found sufficient (section 2.2).
     Uniform,
     /// Half the sum of the cotangents of the angles opposite to the edge, in terms of what it is among equilateral
-    /// triangles, and at least 0.85. So the surface is as stiff whatever its triangles, and harmonic fields keep within their bounds.
+    /// triangles, and at least 0.87. So the surface is as stiff whatever its triangles, and harmonic fields keep within their bounds.
     #[default]
     Cotangent,
     /// The same sum divided by its mean over the mesh, and limited to 0.001 … 1000: what sessions have that were stored before.
@@ -19,7 +19,7 @@ pub enum EdgeWeights {
 /// Half the sum of the two cotangents of 60°, those of an edge between equilateral triangles.
 const EQUILATERAL: f64 = 0.577_350_269_189_625_8;
 /// The least weight, in terms of that. Edges opposite to obtuse angles would weigh little or less than nothing, and stretch most.
-const LEAST: f64 = 0.85;
+const LEAST: f64 = 0.87;
 /// Cotangents beyond this, of angles under 0.6°, say nothing but that a face is thin.
 const STEEPEST: f64 = 100.0;
 
@@ -105,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cotangents_are_those_of_equilateral_triangles_or_0_85_of_them_at_least() {
+    fn cotangents_are_those_of_equilateral_triangles_or_0_87_of_them_at_least() {
         // An equilateral pair beside a very obtuse face.
         let h = 0.75f64.sqrt();
         let p = [[0., 0.], [1., 0.], [0.5, h], [1.5, h], [3., 0.001]].map(|[x, y]| DVec3::new(x, y, 0.0));
@@ -120,7 +120,7 @@ mod tests {
                 .expect("an edge")]
         };
         assert!((of(1, 2) - 1.0).abs() < 1e-6, "an edge between equal triangles");
-        assert!((of(0, 1) - 0.85).abs() < 1e-6, "an open edge has one angle opposite");
-        assert!(w.iter().all(|&w| (0.85..=174.0).contains(&w)));
+        assert!((of(0, 1) - 0.87).abs() < 1e-6, "an open edge has one angle opposite");
+        assert!(w.iter().all(|&w| (0.87..=174.0).contains(&w)));
     }
 }

@@ -64,11 +64,29 @@ pub(in crate::graph) fn shape_interior(
     site.exec.progress.report("graph", 0.2);
     let volume = enclosed_volume(site)?;
     let parts = lattice_classes(site, &facts, volume.by_soups);
-    let intervals = wanted_intervals(&parts.classes, options, surface);
+    let mut vertices = vec![0usize; parts.classes.len()];
+    for &part in &site.parts.components.of_vertex {
+        if let Some(class) = parts.of_part[part as usize] {
+            vertices[class] += 1;
+        }
+    }
+    let intervals = wanted_intervals(&parts.classes, &vertices, options);
     let mut lattices = JoinedLattices::default();
-    for (class, wanted) in parts.classes.iter().zip(intervals) {
+    for ((class, wanted), &vertices) in parts.classes.iter().zip(intervals).zip(&vertices) {
         let left = room.beyond(surface + lattices.inner.positions.len())?;
-        lattices.add_class(site, class, wanted, options, left)?;
+        let most = match options.interval {
+            None => most_lattice_nodes(vertices) as usize,
+            Some(_) => usize::MAX,
+        };
+        let interval = lattices.add_class(site, class, wanted, options, left.min(most))?;
+        // Warnings name the lattice that lack of room widened most.
+        let stats = &mut lattices.stats;
+        let widened = |interval: f64, wanted: f64| if wanted > 0.0 { interval / wanted } else { 0.0 };
+        let wanted = if left < most { wanted } else { interval };
+        if widened(interval, wanted) > widened(stats.interval, stats.wanted_interval) {
+            stats.interval = interval;
+            stats.wanted_interval = wanted;
+        }
     }
     let areas = vertex_areas(site);
     let spread = spread_ties(site, &lattices.ties, &lattices.inner.positions, &areas)?;
@@ -101,16 +119,22 @@ pub(in crate::graph) fn shape_interior(
     join_nodes(site, inner, options).map(Some)
 }
 
-/// The interval of each class: what its thickness asks for, wider where the mesh would get too many nodes.
-fn wanted_intervals(classes: &[LatticeClass], options: &VolumeOptions, vertices: usize) -> Vec<f64> {
+/// The interval of each class: what its thickness asks for, wider where it would get too many nodes for its `vertices`, or the mesh
+/// for its own.
+fn wanted_intervals(classes: &[LatticeClass], vertices: &[usize], options: &VolumeOptions) -> Vec<f64> {
     if let Some(interval) = options.interval {
         return vec![interval; classes.len()];
     }
-    let count = |class: &LatticeClass, interval: f64| 2.0 * DEEP * class.volume / (interval * interval * interval);
-    let mut counts: Vec<f64> = classes.iter().map(|c| count(c, INTERVAL * c.thickness)).collect();
+    let wanted = classes.iter().zip(vertices).map(|(class, &vertices)| {
+        let interval = INTERVAL * class.thickness;
+        let count = 2.0 * DEEP * class.volume / (interval * interval * interval);
+        count.min(most_lattice_nodes(vertices))
+    });
+    let wanted: Vec<f64> = wanted.collect();
+    let mut counts = wanted.clone();
     counts.sort_by(f64::total_cmp);
     // The classes with the most nodes share what the others leave.
-    let (mut left, mut most) = (most_lattice_nodes(vertices), f64::INFINITY);
+    let (mut left, mut most) = (most_lattice_nodes(vertices.iter().sum()), f64::INFINITY);
     for (k, &own) in counts.iter().enumerate() {
         let share = left / (counts.len() - k) as f64;
         if own > share {
@@ -119,12 +143,14 @@ fn wanted_intervals(classes: &[LatticeClass], options: &VolumeOptions, vertices:
         }
         left -= own;
     }
-    let interval = |c: &LatticeClass| (INTERVAL * c.thickness).max(libm::cbrt(2.0 * DEEP * c.volume / most));
-    classes.iter().map(interval).collect()
+    let interval = |(c, wanted): (&LatticeClass, &f64)| {
+        (INTERVAL * c.thickness).max(libm::cbrt(2.0 * DEEP * c.volume / wanted.min(most)))
+    };
+    classes.iter().zip(&wanted).map(interval).collect()
 }
 
 impl JoinedLattices {
-    /// Adds the lattice of a class, of at most `room` nodes.
+    /// Adds the lattice of a class, of at most `room` nodes; its interval.
     fn add_class(
         &mut self,
         site: &VolumeSite,
@@ -132,7 +158,7 @@ impl JoinedLattices {
         wanted: f64,
         options: &VolumeOptions,
         room: usize,
-    ) -> Result<(), Error> {
+    ) -> Result<f64, Error> {
         let body = LatticeBody {
             hull: site.hull.filter(|_| !class.faces.is_empty()).map(|hull| HullFaces {
                 faces: if class.faces.len() == hull.faces.len() {
@@ -172,12 +198,6 @@ impl JoinedLattices {
                 interval: grid.interval,
             }
         }));
-        // The facts name the lattice that was widened most.
-        let widened = |interval: f64, wanted: f64| if wanted > 0.0 { interval / wanted } else { 0.0 };
-        if widened(grid.interval, wanted) > widened(self.stats.interval, self.stats.wanted_interval) {
-            self.stats.interval = grid.interval;
-            self.stats.wanted_interval = wanted;
-        }
-        Ok(())
+        Ok(grid.interval)
     }
 }
