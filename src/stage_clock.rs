@@ -30,8 +30,8 @@ impl StageTimes {
 }
 
 impl<'a> StageClock<'a> {
-    /// Creates a clock on which no stage runs. `now_ms` tells milliseconds since any fixed moment; `watcher` hears of
-    /// everything that this clock hears of.
+    /// Creates an idle clock. `now_ms` returns milliseconds since any fixed moment; `watcher` receives every report
+    /// too.
     pub fn new(now_ms: impl Fn() -> f64 + Send + Sync + 'a, watcher: &'a dyn Progress) -> Self {
         Self {
             now_ms: Box::new(now_ms),

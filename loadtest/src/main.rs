@@ -35,29 +35,29 @@ enum LoadtestCommand {
     Stream(load::StreamArgs),
     /// Commit and drag on servers that keep sessions in memory, in SQLite and in PostgreSQL, side by side
     Commits(commits::CommitsArgs),
-    /// Open, drag, edit and close sessions over and over, and look whether the server grows
+    /// Open, drag, edit and close sessions repeatedly, and check whether the server's memory grows
     Soak(load::soak::SoakArgs),
     #[command(name = load::process::SERVER_COMMAND, hide = true)]
     OwnServer(load::process::OwnServerArgs),
     /// Write the second-pass system of a pose as files that any solver can read
     ExportSystem(solver::export::ExportArgs),
-    /// Solve an exported system and say what it took
+    /// Solve an exported system and report the times
     Solver(solver::command::SolverArgs),
     /// Time every stage from a model's file to the first frame
     Pipeline(pipeline::first_frame::PipelineArgs),
-    /// Tell what re-fits of rotations bring, and what they take
+    /// Measure the gain and the cost of rotation refinements
     Energy(pipeline::fit_energies::EnergyArgs),
-    /// Follow one frame of a drag through, pass by pass
+    /// Measure one frame of a drag, pass by pass
     Frame(pipeline::frame::FrameArgs),
-    /// Tell what frames take from positions to the bytes of messages, encoding by encoding
+    /// Measure frames from positions to message bytes, per encoding
     Wire(pipeline::wire::WireArgs),
-    /// Edit a region of a model and time everything up to the next frame, repaired and built anew
+    /// Edit a region of a model and time everything up to the next frame, repaired and rebuilt
     Edits(pipeline::edits::EditsArgs),
-    /// Measure clips on models, row by row, beside what they must reach
+    /// Measure clips on models, row by row, against their targets
     Motion(motion::command::MotionArgs),
-    /// Deform every model of a folder and draw them all on one picture
+    /// Deform every model of a folder and draw them in one picture
     Sheet(sheets::contact_sheet::SheetArgs),
-    /// Make the paper's figures 2 and 3: every first pass, and the deformation of space, side by side
+    /// Draw the paper's figures 2 and 3: every first pass, and the deformation of space, side by side
     Figures(sheets::paper_figures::FiguresArgs),
 }
 

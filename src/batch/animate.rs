@@ -35,7 +35,7 @@ pub struct MovingClip {
     pub own: Option<usize>,
     /// What it moves beside that skin.
     beside: Option<SceneMotion>,
-    /// What speaks against it, one line each.
+    /// Its warnings, one line each.
     warnings: Vec<String>,
 }
 
@@ -120,7 +120,7 @@ pub fn moving_clip(
         } else {
             listed.join(", ")
         };
-        let problem = format!("\"{name}\" is no clip of the model; there are {there}");
+        let problem = format!("\"{name}\" is not a clip of the model; there are {there}");
         return Err(Error::invalid("clip", problem));
     };
     let stored = model.scene_clip(index)?;
@@ -250,8 +250,8 @@ fn check_reach(rig: &MotionRig, driver: &RigDriver, order: &AnimationOrder) -> R
     Ok(())
 }
 
-/// Warns of bones of a given rig that say little about the model: such as lie outside of its box, as where the rig is of another
-/// model, and such as have no length.
+/// Warns of bones of a given rig that do not fit the model: those outside of its box, as in a rig of another model, and
+/// those without length.
 fn warn_of_misfits(rig: &MotionRig, rest: &[DVec3], driver: &mut RigDriver) {
     let space = BoundingBox::of(rest);
     let is_outside = |bone: &&RigBone| {
@@ -290,11 +290,11 @@ fn warn_of_misfits(rig: &MotionRig, rest: &[DVec3], driver: &mut RigDriver) {
     }
 }
 
-/// Solves the frames of an order, gives each to `take` with what is told of it as soon as it is there, in any order, and tells of
-/// all. `millis` is a clock.
+/// Solves the frames of an order. Passes each frame with its report to `take` once it is solved, in any order. Returns
+/// the report of all. `millis` is a clock.
 ///
 /// # Errors
-/// Those of [`Animation::solve`], and what `take` refuses with.
+/// Those of [`Animation::solve`] and of `take`.
 pub fn play<E: From<Error>>(
     animation: &Animation,
     order: &AnimationOrder,
@@ -329,7 +329,7 @@ pub fn play<E: From<Error>>(
     Ok(report)
 }
 
-/// What is to be said of an animation before its first frame, one line each.
+/// The warnings of an animation before its first frame, one line each.
 pub fn warnings_of(animation: &Animation) -> Vec<String> {
     let mut warnings = animation.driver().warnings().to_vec();
     let empty = animation.handle_facts().iter().filter(|h| h.nodes == 0);

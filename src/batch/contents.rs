@@ -34,7 +34,7 @@ pub struct ModelContents {
     pub images: Vec<String>,
 }
 
-/// The lists of a glTF document, as far as they are told.
+/// The lists of a glTF document that are reported.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 struct GltfLists {
@@ -95,7 +95,7 @@ pub fn contents_of(model: &Model) -> Option<ModelContents> {
     })
 }
 
-/// The JSON of a GLB, or of a glTF, which is nothing else.
+/// The JSON of a GLB, or of a glTF, which is all JSON.
 fn document_text(main: &[u8]) -> &[u8] {
     if !main.starts_with(b"glTF") {
         return main;

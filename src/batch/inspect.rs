@@ -1,4 +1,4 @@
-//! Tells what a model is and what the solver would see of it, without solving anything.
+//! Reports what a model is and what the solver would use of it, without solving.
 
 use super::contents::{ModelContents, contents_of};
 use crate::asset::{FileSet, ModelNode};
@@ -19,7 +19,7 @@ fn node_message((index, node): (u32, &ModelNode)) -> pb::ModelNode {
     }
 }
 
-/// Reads a model and tells what the solver would see, without solving anything.
+/// Reads a model and reports what the solver would use, without solving.
 ///
 /// # Errors
 /// As [`Deformer::open`].

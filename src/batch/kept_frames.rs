@@ -24,7 +24,7 @@ pub trait KeptFrames {
     fn positions(&mut self, frame: usize) -> Result<Vec<Vec3>, Self::Failure>;
 }
 
-/// How far what is written is off from the frames that were solved, and a line that says it.
+/// The error of the written frames against the solved ones, and a line that reports it.
 pub type WrittenOff = (WrittenError, String);
 
 /// The model that frames are of, and how they are played.
@@ -32,9 +32,9 @@ pub type WrittenOff = (WrittenError, String);
 pub struct PlayedModel<'a> {
     /// The model.
     pub model: &'a Model,
-    /// Its positions at rest, one per render vertex.
+    /// Its rest positions, one per render vertex.
     pub rest: &'a [DVec3],
-    /// The vertices that are played; the others go on as the model's own clip moves them.
+    /// The vertices that are played; the model's own clip moves the others.
     pub vertices: &'a [usize],
     /// Length of its bounding box's diagonal.
     pub diagonal: f64,
@@ -74,14 +74,14 @@ impl PlayedModel<'_> {
         }
     }
 
-    /// The model's own clip, to go on beside what is played of it. `around`: what all that goes on does on top.
+    /// The model's own clip, which plays beside the frames. `around`: keys that apply to all that it moves.
     pub(super) fn beside<'k>(&self, around: Option<NodeKeys<'k>>) -> Option<ClipBeside<'k>> {
         let seconds = self.seconds;
         self.own.map(|clip| ClipBeside { clip, seconds, around })
     }
 }
 
-/// Where the root has carried the model in each frame, and what takes it back.
+/// Where the root has moved the model in each frame, and the inverse motions.
 pub(super) struct RootPlaces {
     places: Vec<NodePlace>,
     back: Vec<NodePlace>,
@@ -100,12 +100,12 @@ impl RootPlaces {
         (moves && is_wanted).then_some(NodeKeys { times, places })
     }
 
-    /// The keys of the node above everything; `None` when it never moves.
+    /// The keys of the root node; `None` when it never moves.
     pub(super) fn keys_of_node<'k>(&'k self, played: &PlayedModel<'_>, times: &'k [f64]) -> Option<NodeKeys<'k>> {
         self.keys(played.has_root, &self.places, times)
     }
 
-    /// Without such a node, the keys that take back what goes on beside.
+    /// Without such a node, the inverse keys for what plays beside.
     pub(super) fn keys_around<'k>(&'k self, played: &PlayedModel<'_>, times: &'k [f64]) -> Option<NodeKeys<'k>> {
         self.keys(!played.has_root, &self.back, times)
     }
@@ -119,7 +119,7 @@ pub fn node_place(root: &RigidMotion) -> NodePlace {
     }
 }
 
-/// What takes what a node moves back to where it was.
+/// The inverse of a node's motion.
 fn back_from(place: &NodePlace) -> NodePlace {
     let rotation = place.rotation.inverse();
     NodePlace {

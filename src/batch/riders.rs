@@ -1,4 +1,4 @@
-//! What rides along with the model of a job and is no part of its mesh: nodes of its file, points and other models.
+//! What a job carries along with its model outside of the mesh: nodes of its file, points and other models.
 
 use crate::asset::{Format, Limits, Model, WrittenFiles};
 use crate::engine::{CarriedNode, Deformer, Passenger, PassengerKind};
@@ -16,8 +16,8 @@ pub struct CarriedFile {
     pub written: WrittenFiles,
 }
 
-/// Nodes, points and other models that ride along; of points and models where they are in the rest pose that is in force: an
-/// edit of the current shape makes that shape the rest pose.
+/// Nodes, points and other models that are carried along. Points and models are in the current rest pose: an edit of
+/// the current shape makes that shape the rest pose.
 pub(super) struct Riders(Vec<Rider>);
 
 struct Rider {
@@ -38,10 +38,10 @@ enum RiderKind {
 }
 
 impl Riders {
-    /// Reads those of `passengers` that are no part of the model.
+    /// Reads those of `passengers` that are not in the mesh.
     ///
     /// # Errors
-    /// [`Error::Invalid`] with the passenger for a file that is no model, or one path for two files.
+    /// [`Error::Invalid`] with the passenger for a file that is not a model, or a repeated path.
     pub fn read(passengers: &[Passenger], limits: &Limits) -> Result<Self, Error> {
         let mut riders: Vec<Rider> = Vec::new();
         for (k, passenger) in passengers.iter().enumerate() {
@@ -115,8 +115,8 @@ impl Riders {
         Ok(())
     }
 
-    /// What is told of all, and the files of those that are models. `nodes` are those of the model's file in its final shape, in
-    /// the order of passengers.
+    /// Returns the reports of all, and the files of the models. `nodes` are those of the model's file in its final
+    /// shape, in the order of passengers.
     ///
     /// # Errors
     /// [`Error::Invalid`] with the passenger that cannot be written.

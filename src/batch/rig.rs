@@ -33,7 +33,7 @@ pub struct MadeRig {
     pub joints: Vec<PlacedJoint>,
     /// Where joints come from: `skin`, `names of the skin` or `shape`.
     pub source: &'static str,
-    /// What speaks against it, one line each.
+    /// Its warnings, one line each.
     pub warnings: Vec<String>,
 }
 
@@ -109,7 +109,7 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
         Ok(bones) => bones,
         Err(unknown) => {
             let guessed = bones_of_shape(skeleton).ok_or(unknown)?;
-            warnings.push("no joint's name is known; bones are told by how the clip's skeleton branches".into());
+            warnings.push("no joint's name is known; bones are found by how the clip's skeleton branches".into());
             guessed
         }
     };
@@ -168,7 +168,7 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
 /// Where a turn takes a point.
 type PointTurn = fn(DVec3) -> DVec3;
 
-/// Quarter turns, each with its words, that a figure may need which was made for other axes.
+/// Quarter turns, each with its name in words, for figures that were made for other axes.
 const TURNS: [(&str, PointTurn); 4] = [
     ("90 degrees about y", |p| DVec3::new(p.z, p.y, -p.x)),
     ("-90 degrees about y", |p| DVec3::new(-p.z, p.y, p.x)),
@@ -193,7 +193,7 @@ fn turn_to_a_figure(
 
 fn not_upright(doubts: &[String], turned: Option<&str>) -> Error {
     let turned = turned.map_or_else(String::new, |turn| {
-        format!("turned by {turn} it does: turn the model in the program that it comes from, or ")
+        format!("a turn by {turn} corrects that: turn the model in the program that it comes from, or ")
     });
     let problem = format!(
         "it does not look like a figure that stands upright and faces along z ({}); {turned}give joints with --at NAME=x,y,z or \
@@ -204,7 +204,7 @@ fn not_upright(doubts: &[String], turned: Option<&str>) -> Error {
     Error::invalid("model", problem)
 }
 
-/// The rig of a model's skin, and its skeleton at rest; `None` without a skin.
+/// The rig of a model's skin and its rest skeleton; `None` without a skin.
 fn own_skeleton(model: &Model) -> Result<Option<(MotionRig, MotionClip)>, Error> {
     let Some(scene) = model.moving_scene()? else {
         return Ok(None);

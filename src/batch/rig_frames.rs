@@ -13,7 +13,7 @@ use crate::motion::rig::{RigSkeleton, RigidMotion, moved_joints};
 use crate::wire::Error;
 use glam::{DVec3, Vec3};
 
-/// Bones that a vertex follows at most, but where the model's own weights say otherwise.
+/// The most bones that a vertex follows, unless the model's own weights have more.
 const INFLUENCES: usize = 4;
 
 /// What moved the bones of frames.
@@ -21,12 +21,12 @@ const INFLUENCES: usize = 4;
 pub struct DrivenFrames<'a> {
     /// The animation.
     pub animation: &'a Animation,
-    /// Its frame that is the first of those that are kept.
+    /// The number of the first kept frame.
     pub first: usize,
 }
 
 impl DrivenFrames<'_> {
-    /// By frame what the joints of a rig do with what lies at rest, as positions are kept.
+    /// For each frame, how joints move points of the rest pose, as positions are kept.
     fn motions_of(&self, skeleton: &RigSkeleton, frames: &impl KeptFrames) -> Vec<Vec<RigidMotion>> {
         let of_frame = |frame: usize| {
             let seconds = self.animation.times().at(self.first + frame);

@@ -30,7 +30,7 @@ pub struct BatchOutcome {
     pub constraint_error: f64,
     /// The model in its final shape, in the format asked for.
     pub written: WrittenFiles,
-    /// Other models that rode along.
+    /// Other models, carried along.
     pub carried: Vec<CarriedFile>,
     /// Expectations of the job that do not hold, one sentence each.
     pub unmet: Vec<String>,
@@ -38,7 +38,7 @@ pub struct BatchOutcome {
     pub unchecked: Vec<&'static str>,
 }
 
-/// Takes the model as it is after a step, told by its number; `false` ends the job there.
+/// Takes the number of a step and the model after it; `false` ends the job there.
 pub type StepTaker<'a> = dyn FnMut(usize, &WrittenFiles) -> bool + 'a;
 
 /// What a job writes.
@@ -46,7 +46,7 @@ pub type StepTaker<'a> = dyn FnMut(usize, &WrittenFiles) -> bool + 'a;
 pub struct BatchOutput<'a> {
     /// As what; as the model's own format when `None`.
     pub format: Option<Format>,
-    /// Who takes the model after every step, when not only the last one is wanted.
+    /// Takes the model after every step, when not only the last one is wanted.
     pub each_step: Option<&'a mut StepTaker<'a>>,
 }
 
@@ -72,7 +72,7 @@ pub fn run(
 /// As [`run`], with more to say about what is written.
 ///
 /// # Errors
-/// Those of [`run`]; [`Error::Cancelled`] when who takes the steps has had enough.
+/// Those of [`run`]; [`Error::Cancelled`] when `each_step` returns `false`.
 pub fn run_and_write(
     files: FileSet,
     job: &pb::Job,
@@ -181,11 +181,11 @@ struct BatchRun<'a> {
     /// The poses in force.
     poses: HandlePoses,
     shape: ModelShape,
-    /// Whether it was solved, and is not at rest.
+    /// Whether it is solved, not the rest shape.
     is_solved: bool,
     /// What edits warned of.
     warned: Vec<String>,
-    /// What rides along beside the model.
+    /// What is carried with the model.
     riders: Riders,
     /// Handles that a step posed while they held nothing.
     idle: BTreeSet<String>,
@@ -378,8 +378,8 @@ fn large_faces_warning(quality: &pb::Quality) -> Option<pb::Warning> {
     })
 }
 
-/// What of the expectations does not hold for a report's quality and digest, one sentence each, and what only a stored
-/// result can tell.
+/// The expectations that a report's quality and digest do not meet, one sentence each, and those that need a stored
+/// result.
 pub fn unmet_expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (Vec<String>, Vec<&'static str>) {
     let Some(expect) = expect else {
         return Default::default();

@@ -63,7 +63,7 @@ pub fn influences_of_skin(model: &Model, rig: &MotionRig) -> Result<Vec<BoneInfl
     Ok((0..model.positions.len()).map(of_vertex).collect())
 }
 
-/// What a vertex follows, as a file is told.
+/// The joints of a vertex, as a file lists them.
 pub fn carrying_joints(own: &BoneInfluences) -> CarryingJoints {
     let mut carrying = CarryingJoints::default();
     for (slot, (bone, weight)) in carrying.iter_mut().zip(own.iter()) {

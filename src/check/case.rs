@@ -135,7 +135,7 @@ impl SuiteCase {
         let up = match read.up.as_deref() {
             None | Some("y") => UpAxis::Y,
             Some("z") => UpAxis::Z,
-            Some(other) => return Err(refuse("up", format!("\"{other}\" is no axis, allowed are y and z"))),
+            Some(other) => return Err(refuse("up", format!("\"{other}\" is not an axis, allowed are y and z"))),
         };
         let view = read
             .view
@@ -172,7 +172,9 @@ impl ModelSource {
         };
         match stays_below(path) {
             true => Ok(source(path.to_owned())),
-            false => Err(format!("\"{text}\" is no path that stays below its folder; {allowed}")),
+            false => Err(format!(
+                "\"{text}\" is not a path that stays below its folder; {allowed}"
+            )),
         }
     }
 }
@@ -196,7 +198,7 @@ impl JobSource {
                 true => Ok(Self::File(path)),
                 false => Err((
                     "job".into(),
-                    format!("\"{path}\" is no path that stays below the suite's folder"),
+                    format!("\"{path}\" is not a path that stays below the suite's folder"),
                 )),
             };
         }
@@ -228,7 +230,7 @@ impl AnimationCase {
         let create = wire::json::from_json(&text(fields.create)).map_err(|e| below("create", e))?;
         let options = wire::animate_options_from_json(&text(fields.options)).map_err(|e| below("options", e))?;
         if let Some(path) = fields.bvh.as_ref().filter(|path| !stays_below(path)) {
-            let problem = format!("\"{path}\" is no path that stays below the suite's folder");
+            let problem = format!("\"{path}\" is not a path that stays below the suite's folder");
             return Err(("animate.bvh".into(), problem));
         }
         Ok(JobSource::Animation(Box::new(Self {
@@ -249,11 +251,12 @@ impl AnimationCase {
     }
 }
 
-/// Refuses what is no name of a case.
+/// Rejects an invalid case name.
 pub(super) fn check_case_name(name: &str) -> Result<(), String> {
     let plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
     if name.is_empty() || name.starts_with('.') || name.len() > 100 || !name.chars().all(plain) {
-        let problem = "is no name of a case; letters, digits, \".\", \"_\" and \"-\" are allowed, 100 of them at most";
+        let problem =
+            "is not the name of a case; letters, digits, \".\", \"_\" and \"-\" are allowed, 100 of them at most";
         return Err(format!("\"{name}\" {problem}"));
     }
     Ok(())
@@ -359,7 +362,7 @@ mod tests {
             SuiteCase::from_file("a b.case.json", b"{}")
                 .expect_err("a space")
                 .to_string()
-                .contains("no name of a case")
+                .contains("not the name of a case")
         );
     }
 

@@ -6,15 +6,15 @@ use super::golden::Golden;
 use super::metric::Metric;
 use std::collections::BTreeMap;
 
-/// Cycles of the solver that opening a model costs as much as: reading, welding, graph, hierarchy and fields. A guess.
+/// Assumed cost of opening a model, in solver cycles: reading, welding, graph, hierarchy and fields.
 const OPENING: u64 = 30;
-/// Cycles of a step or a frame whose cycles nobody counted. A guess.
+/// Assumed cycles of a step or a frame without a count.
 const ROUND: u64 = 10;
-/// Frames of an animation that nobody has run. A guess.
+/// Assumed frames of an animation without a count.
 const FRAMES: u64 = 100;
-/// Bytes of a model's file for each vertex. A guess, between those of binary and of text.
+/// Assumed bytes of a model's file per vertex, between binary and text.
 const VERTEX_BYTES: u64 = 40;
-/// Vertices of a model that is not the suite's own, and that no golden tells of. A guess.
+/// Assumed vertices of a model that has no golden and is not in the suite.
 const VERTICES: u64 = 50_000;
 
 /// Case work is what is known of a case before it is run.
@@ -22,7 +22,7 @@ const VERTICES: u64 = 50_000;
 pub struct CaseWork<'a> {
     /// Its golden, which holds what was measured when it was stored.
     pub golden: Option<&'a Golden>,
-    /// Bytes of its model's file, where the suite holds it. A file that not every machine has tells nothing.
+    /// Bytes of its model's file in the suite; `None` for other files, which some machines lack.
     pub model_bytes: Option<u64>,
     /// Steps of its job, or frames of its animation; `None` where the clip says how many.
     pub rounds: Option<usize>,

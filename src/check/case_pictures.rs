@@ -87,7 +87,7 @@ pub fn draw_case_pictures(
     let mut pictures = vec![
         encode_case_picture(
             "before",
-            "the model at rest".into(),
+            "the model in the rest pose".into(),
             draw_surface(&before, &camera, pool),
         )?,
         encode_case_picture("after", "the result".into(), draw_surface(&after, &camera, pool))?,

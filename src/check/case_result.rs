@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use xxhash_rust::xxh3::Xxh3;
 
-/// A case result is the shape that a case's job came to, with what the engine told of it.
+/// A case result is the shape that a case's job produced, with the engine's numbers.
 #[derive(Debug, Clone, Default)]
 pub struct CaseResult {
     /// One per render vertex, model space.
@@ -20,18 +20,17 @@ pub struct CaseResult {
     pub frames: Vec<String>,
     /// Whether `positions` are rounded to 32 bits, as they come from a server.
     pub rounded: bool,
-    /// Numbers that the engine tells of it; one that the way it was run does not tell is absent, as is the volume of an
-    /// open surface.
+    /// Numbers of the engine. A server omits some; an open surface has no volume.
     pub numbers: BTreeMap<Metric, f64>,
     /// Whether the surface is open, so that it encloses no volume that could change.
     pub open_surface: bool,
-    /// Expectations of the job that can be told without a golden and do not hold.
+    /// Expectations of the job that need no golden and do not hold.
     pub unmet: Vec<String>,
     /// The shape before, as the model's file has it.
     pub before: (Vec<DVec3>, Vec<[u32; 3]>),
 }
 
-/// Topology digests tell how many vertices and triangles a shape has, and by digests which.
+/// Topology digests count a shape's vertices and triangles, and digest the triangles.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TopologyDigests {
@@ -68,7 +67,7 @@ impl TopologyDigests {
 }
 
 impl CaseResult {
-    /// Takes the numbers of a report's quality. Distances of constraints are told apart, in model units.
+    /// Takes the numbers of a report's quality, except constraint errors, which are in model units.
     pub fn take_quality(&mut self, quality: &pb::Quality) {
         self.open_surface = quality.open_surface;
         self.numbers.extend([
@@ -82,12 +81,12 @@ impl CaseResult {
         }
     }
 
-    /// Whether the metric means anything for this shape, told or not.
+    /// Whether the metric applies to this shape, known or not.
     pub fn has_metric(&self, metric: Metric) -> bool {
         metric != Metric::VolumeChange || !self.open_surface
     }
 
-    /// Tells in words what is not finite; `None` when everything is.
+    /// Describes what is not finite; `None` when all is finite.
     pub fn describe_not_finite(&self) -> Option<String> {
         let bad: Vec<usize> = (0..self.positions.len())
             .filter(|&v| !self.positions[v].is_finite())

@@ -9,17 +9,17 @@ use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Worst places that are told apart.
+/// Worst places that are listed.
 const WORST: usize = 3;
 /// Worst places are at least this share of the diagonal apart.
 const APART: f64 = 0.06;
 /// Relative rounding of a 32-bit float, with room for one step more.
 const ROUNDED: f64 = 2.4e-7;
 
-/// A comparison tells how far a result is from its golden.
+/// A comparison measures a result against its golden.
 #[derive(Debug, Clone, Default)]
 pub struct GoldenComparison {
-    /// The stored shape as near to the result as its file can tell. Empty when the vertices are others.
+    /// The stored shape, moved towards the result within its precision.
     pub stored: Vec<DVec3>,
     /// Its triangles; `None` when they are not known.
     pub triangles: Option<Vec<[u32; 3]>>,
@@ -33,7 +33,7 @@ pub struct GoldenComparison {
     pub largest_angle: f64,
 }
 
-/// Compares a finite result with its golden. With another topology only the distance of the surfaces can be told.
+/// Compares a finite result with its golden. With another topology it measures only the distance of the surfaces.
 pub fn compare_with_golden(found: &CaseResult, golden: &Golden, pool: &Pool) -> GoldenComparison {
     let same = TopologyDigests::from_triangles(found.positions.len(), &found.triangles) == golden.topology;
     let slack = if found.rounded { ROUNDED } else { 0.0 };
@@ -157,7 +157,7 @@ impl GoldenComparison {
         });
     }
 
-    /// `resolution` is how far a stored position may be from the true one: shorter edges tell no ratio.
+    /// `resolution` is the largest error of a stored position. Edges count as at least twice that long.
     fn measure_edges(&mut self, found: &CaseResult, resolution: f64, pool: &Pool) {
         let change = |a: u32, b: u32| {
             let length = |shape: &[DVec3]| shape[a as usize].distance(shape[b as usize]);

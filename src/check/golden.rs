@@ -21,7 +21,7 @@ pub struct Golden {
     pub digest: String,
     /// Its counts and connections.
     pub topology: TopologyDigests,
-    /// What the engine told of it.
+    /// The engine's numbers.
     pub numbers: BTreeMap<Metric, f64>,
     /// Its positions, up to the cells of a grid.
     pub positions: QuantizedPositions,
@@ -108,7 +108,7 @@ impl Golden {
         let mut numbers = BTreeMap::new();
         for (name, value) in read.metrics {
             let Some(metric) = Metric::from_name(&name) else {
-                return Err(refuse("metrics", format!("\"{name}\" is no metric of this version")));
+                return Err(refuse("metrics", format!("\"{name}\" is not a metric of this version")));
             };
             numbers.insert(metric, value);
         }
@@ -125,7 +125,7 @@ impl Golden {
         })
     }
 
-    /// Tells in words why the golden belongs to another case than this one; `None` when it belongs to this one.
+    /// Describes why the golden belongs to another case; `None` when it belongs to this one.
     pub fn stale_reason(&self, inputs: &InputHashes) -> Option<String> {
         let changed: Vec<&str> = [
             ("model", self.inputs.model != inputs.model),
@@ -134,10 +134,11 @@ impl Golden {
         .into_iter()
         .filter_map(|(name, changed)| changed.then_some(name))
         .collect();
-        let problem = "has changed since the golden was stored; look at the result and bless it";
+        let have = if changed.len() > 1 { "have" } else { "has" };
+        let problem = "changed since the golden was stored; look at the result and bless it";
         (!changed.is_empty()).then(|| {
             format!(
-                "the golden is stale: the case's {} {problem}",
+                "the golden is stale: the case's {} {have} {problem}",
                 changed.join(" and its ")
             )
         })

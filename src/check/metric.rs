@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-/// A metric is one number that tells how far a result is from its golden.
+/// A metric is one measure of how far a result is from its golden.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Metric {
     /// Largest distance of a vertex from its stored place.
@@ -76,7 +76,7 @@ pub enum MetricKind {
 }
 
 impl Metric {
-    /// All metrics, in the order in which they are told.
+    /// All metrics, in the order of reports.
     pub const ALL: [Self; 16] = [
         Self::MaxDisplacement,
         Self::MeanDisplacement,

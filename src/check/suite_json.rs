@@ -1,4 +1,4 @@
-//! The JSON of cases and goldens, read so that what is wrong is told with its place.
+//! Reads the JSON of cases and goldens; an error names its place.
 
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
@@ -8,7 +8,7 @@ use std::marker::PhantomData;
 /// What some editors put before UTF-8.
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
-/// A suite error tells what a suite says that it must not.
+/// A suite error is a mistake in a suite's file.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{file}: {problem}")]
 pub struct SuiteError {

@@ -54,7 +54,7 @@ impl Tolerances {
                 let Some(metric) = Metric::from_name(name) else {
                     return Err((
                         place,
-                        format!("\"{name}\" is no metric, allowed are {}", metric_names()),
+                        format!("\"{name}\" is not a metric, allowed are {}", metric_names()),
                     ));
                 };
                 let tolerance = Tolerance {
@@ -70,8 +70,8 @@ impl Tolerances {
         Ok(Self(all))
     }
 
-    /// Tells what is allowed of a metric. Mean, root mean square and Hausdorff distance are never larger than the largest
-    /// displacement, so what is allowed of that one is allowed of them.
+    /// Returns a metric's tolerance. Mean, root mean square and Hausdorff distance never exceed the largest
+    /// displacement, so they inherit its tolerance.
     pub fn for_metric(&self, metric: Metric) -> Tolerance {
         if let Some(own) = self.0.get(&metric) {
             return own.clone();

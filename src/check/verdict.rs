@@ -11,9 +11,9 @@ use crate::wire::pb;
 /// How a case ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CaseStatus {
-    /// It is the stored result to the bit, or within its tolerances.
+    /// It equals the stored result bit for bit, or within tolerances.
     Passed,
-    /// It is not.
+    /// It does not pass.
     Failed,
     /// It could not be run here.
     Skipped,
@@ -54,7 +54,7 @@ pub struct MetricDifference {
     pub metric: Metric,
     /// Whether the shape has such a number at all; an open surface has no volume.
     pub applies: bool,
-    /// Now; `None` when it could not be told.
+    /// Of the result; `None` when unknown.
     pub value: Option<f64>,
     /// In the golden; `None` for what is measured against the stored positions.
     pub stored: Option<f64>,
@@ -91,7 +91,7 @@ impl MetricDifference {
 
     /// What stands for people where there is no number.
     pub fn absent_word(&self) -> &'static str {
-        if self.applies { "not told" } else { "n/a" }
+        if self.applies { "not reported" } else { "n/a" }
     }
 
     /// Writes the difference and what is allowed, for people.
@@ -115,7 +115,7 @@ impl MetricDifference {
             format!(", {}", self.place)
         };
         format!(
-            "{name} {} of {} allowed{more}{place}",
+            "{name} {}, limit {}{more}{place}",
             self.metric.format_value(difference),
             self.metric.format_value(self.allowed)
         )
@@ -129,7 +129,7 @@ pub struct CaseVerdict {
     pub status: CaseStatus,
     /// What is wrong, most basic first; for a skipped case, why.
     pub reasons: Vec<VerdictReason>,
-    /// Whether the positions are the stored ones to the bit.
+    /// Whether positions are bit-identical to the golden's.
     pub identical: bool,
     /// All numbers; empty when there was nothing to compare.
     pub measures: Vec<MetricDifference>,
@@ -182,7 +182,7 @@ pub fn judge_result(
             );
         }
         Some(Err(text)) => {
-            let text = format!("{text}; look at the result and bless it anew");
+            let text = format!("{text}; look at the result and bless it again");
             return failed("broken-golden", text);
         }
         Some(Ok(golden)) => golden,
@@ -259,7 +259,8 @@ fn digest_reason(found: &CaseResult, golden: &Golden, too_small: bool) -> Verdic
     );
     if too_small {
         let resolution = format_short(golden.positions.resolution());
-        text += &format!("; no vertex has moved by more than the golden can tell, {resolution} of the diagonal");
+        text +=
+            &format!("; no vertex has moved by more than the resolution of the golden, {resolution} of the diagonal");
     }
     VerdictReason { code: "digest", text }
 }
@@ -269,7 +270,7 @@ fn topology_reasons(found: &CaseResult, golden: &Golden) -> Vec<VerdictReason> {
     let stored = &golden.topology;
     let (code, text) = if (now.vertices, now.triangles) != (stored.vertices, stored.triangles) {
         let text = format!(
-            "the topology is another: {} -> {} vertices, {} -> {} triangles",
+            "the topology differs: {} -> {} vertices, {} -> {} triangles",
             stored.vertices, now.vertices, stored.triangles, now.triangles
         );
         ("topology", text)
@@ -283,11 +284,11 @@ fn topology_reasons(found: &CaseResult, golden: &Golden) -> Vec<VerdictReason> {
         let many = flips.map_or("some".into(), |n| n.to_string());
         (
             "winding",
-            format!("the topology is another: {many} triangles are wound differently"),
+            format!("the topology differs: {many} triangles are wound differently"),
         )
     } else {
         let text = format!(
-            "the topology is another: {} vertices and {} triangles as stored, but joined differently",
+            "the topology differs: {} vertices and {} triangles as stored, but joined differently",
             now.vertices, now.triangles
         );
         ("topology", text)
@@ -428,7 +429,7 @@ mod tests {
         let tiny = judged(&moved(1e-13), &Tolerances::default(), None);
         assert_eq!(codes(&tiny), ["digest"]);
         assert!(
-            tiny.reasons[0].text.contains("more than the golden can tell"),
+            tiny.reasons[0].text.contains("more than the resolution of the golden"),
             "{}",
             tiny.reasons[0].text
         );
@@ -462,7 +463,7 @@ mod tests {
         assert_eq!(judged(&other, &most(shape, 1e-5), None).status, CaseStatus::Passed);
         other.numbers.insert(Metric::Cycles, 6.0);
         let more = judged(&other, &most(shape, 1e-5), None);
-        assert!(more.reasons.len() == 1 && more.reasons[0].text.starts_with("cycles 1 of 0 allowed (5 -> 6)"));
+        assert!(more.reasons.len() == 1 && more.reasons[0].text.starts_with("cycles 1, limit 0 (5 -> 6)"));
         other
             .numbers
             .extend([(Metric::Cycles, 5.0), (Metric::VolumeChange, -0.02)]);

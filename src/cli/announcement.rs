@@ -1,13 +1,13 @@
-//! What `pliant serve` tells whoever started it: where it listens, in the one line of stdout, and what to try with the sample.
+//! What `pliant serve` prints at its start: its address, in the one line of stdout, and what to try with the sample.
 //!
-//! With `log_format = "json"` both are lines of the log's form, so that what collects them meets no other.
+//! With `log_format = "json"` both are JSON lines like the log's, for log collectors.
 
 use crate::server::config::LogFormat;
 use std::io::{IsTerminal as _, Write as _};
 use std::time::SystemTime;
 
-/// Writes to stdout where the server listens. Whoever started this process may wait for the line; that nobody reads it is no
-/// reason to stop.
+/// Writes to stdout where the server listens; a parent process may wait for this line. A write error does not stop the
+/// server.
 pub(super) fn tell_listening(url: &str, format: LogFormat) {
     let words = format!("listening on {url}");
     let line = match format {
@@ -24,7 +24,7 @@ pub(super) fn tell_listening(url: &str, format: LogFormat) {
     let _ = writeln!(out, "{line}").and_then(|()| out.flush());
 }
 
-/// Tells what to try with the sample session: as a text to copy from where a person looks on, else as lines of the log.
+/// Prints what to try with the sample session: a text to copy on a terminal, else lines of the log.
 pub(super) fn tell_sample(base: &str, id: &str, format: LogFormat) {
     let session = format!("{base}/v1/sessions/{id}");
     let body = r#"{"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, -0.8, 0.4]}}]}}"#;
@@ -45,7 +45,7 @@ pub(super) fn tell_sample(base: &str, id: &str, format: LogFormat) {
     }
     let listed: String = tries.iter().map(|line| format!("  {line}\n")).collect();
     let text = format!(
-        "\nA creature stands ready, its feet held and its head movable. Open {base}/ to see it, or try:\n\n{listed}\n"
+        "\nA sample session is open: a creature with fixed feet and a movable head. Open {base}/ to see it, or try:\n\n{listed}\n"
     );
     let _ = err.write_all(text.as_bytes());
 }

@@ -1,4 +1,4 @@
-//! `pliant audit`: who opened, changed and took away what, as the store of a server tells it.
+//! `pliant audit`: prints the audit trail in a server's store.
 
 use super::failure::CliFailure;
 use crate::server::config::{ConfigKeys, KeyValue, stored_in};
@@ -15,19 +15,19 @@ pub struct AuditArgs {
     /// Configuration file of the server (TOML)
     #[arg(long, value_name = "FILE", env = "PLIANT_CONFIG")]
     config: Option<PathBuf>,
-    /// The folder that the server was given as data_dir
+    /// Data folder of the server
     #[arg(long, value_name = "FOLDER", env = "PLIANT_DATA_DIR")]
     data_dir: Option<PathBuf>,
-    /// The database that the server was given instead, postgres://USER:PASSWORD@HOST/DATABASE
+    /// Database of the server, postgres://USER:PASSWORD@HOST/DATABASE
     #[arg(long, value_name = "URL", env = "PLIANT_DATABASE", hide_env_values = true)]
     database: Option<String>,
-    /// What concerns this tenant alone
+    /// Show only this tenant
     #[arg(long)]
     tenant: Option<String>,
-    /// What concerns this session alone
+    /// Show only this session
     #[arg(long, value_name = "ID")]
     session: Option<String>,
-    /// From then on, such as 2026-11-23T08:00:00Z, or so long ago, such as 12h
+    /// Start time, such as 2026-11-23T08:00:00Z, or an age, such as 12h
     #[arg(long, value_name = "TIME", value_parser = parse_since)]
     since: Option<SystemTime>,
 }

@@ -24,7 +24,7 @@ pub(super) fn choose_primitives(primitives: &[Primitive], names: &[String]) -> R
             let listed: Vec<String> = listed.map(|(k, p)| format!("{k} \"{}\"", p.name)).collect();
             let more = match primitives.len().saturating_sub(LISTED) {
                 0 => String::new(),
-                more => format!(" and {more} more, which pliant inspect --json tells"),
+                more => format!(" and {more} more, which pliant inspect --json lists"),
             };
             let there = format!("there are {}{more}", listed.join(", "));
             return Err(refuse(name, format!("no primitive is named so; {there}")));

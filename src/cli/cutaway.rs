@@ -25,7 +25,7 @@ const POSITION_BALL: f64 = 0.008;
 /// Pictures smaller than this have no words.
 const WORDS: u32 = 160;
 
-/// Draws a model and what a rig holds in it, and tells how many nodes that are.
+/// Draws a model and the nodes that a rig holds in it; the text counts them.
 pub(super) fn draw_cutaway(
     model: &Path,
     rig: &Path,

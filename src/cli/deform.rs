@@ -21,15 +21,15 @@ use std::time::Instant;
 /// Arguments of `pliant deform`.
 #[derive(Debug, Args)]
 pub struct DeformArgs {
-    /// The model: glb, gltf, obj, ply, off, stl or fbx
+    /// Model file: glb, gltf, obj, ply, off, stl or fbx
     model: PathBuf,
-    /// The job: handles, steps and options as JSON
+    /// Job file: handles, steps and options as JSON
     #[arg(long)]
     job: PathBuf,
-    /// Where to write the result; the extension says the format
+    /// Output file; its extension selects the format
     #[arg(short, long)]
     output: PathBuf,
-    /// Write the model as it is after every step into this folder too, numbered
+    /// Folder for the model after each step, as numbered files
     #[arg(long, value_name = "FOLDER")]
     steps: Option<PathBuf>,
     #[command(flatten)]
@@ -171,7 +171,7 @@ fn print_summary(report: &pb::Report, followed: &FollowedCounts, millis: f64) {
             continue;
         }
         eprintln!(
-            "step {k}: {} cycles, residual {:.1e}, missing at most {:.1e} of the diagonal, {:.0} ms",
+            "step {k}: {} cycles, residual {:.1e}, error at most {:.1e} of the diagonal, {:.0} ms",
             step.cycles,
             step.residual,
             step.max_error,

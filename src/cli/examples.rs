@@ -4,17 +4,17 @@
 pub(super) const PLIANT: &str = "\
 Examples:
   pliant sample -o creature.glb                       a model to try things with
-  pliant inspect creature.glb                         what the solver sees in it
+  pliant inspect creature.glb                         its statistics and warnings
   pliant serve                                        a server; its viewer is at http://127.0.0.1:7411
   pliant deform model.glb --job job.json -o bent.glb   a model deformed without a server";
 
 /// `pliant serve --help`.
 pub(super) const SERVE: &str = "\
 Examples:
-  pliant serve                                        for this machine alone, sessions in memory
+  pliant serve                                        for this machine only, sessions in memory
   pliant serve --listen 0.0.0.0:7411 --config pliant.toml
   pliant serve --data-dir sessions                    sessions outlive the server
-  PLIANT_MEMORY_BYTES=2GiB pliant serve               any key by the environment";
+  PLIANT_MEMORY_BYTES=2GiB pliant serve               any key as an environment variable";
 
 /// `pliant deform --help`.
 pub(super) const DEFORM: &str = "\
@@ -34,17 +34,17 @@ pub(super) const CHECK: &str = "\
 Examples:
   pliant check suite                                  compare every case with its golden
   pliant check suite --html report.html --junit report.xml
-  pliant check suite --bless                          store what comes out now as goldens
-  pliant check suite --case bend --case 'twist*'      these cases alone; --bless stores these alone
+  pliant check suite --bless                          store the results as goldens
+  pliant check suite --case bend --case 'twist*'      only these cases
   pliant check suite --shard 3/8 --report shards/3.json
-  pliant check --merge shards --html report.html      what one run of all shards would say
+  pliant check --merge shards --html report.html      the report of one run of all shards
   pliant check suite --server https://pliant.example.com --token SECRET";
 
 /// `pliant animate --help`.
 pub(super) const ANIMATE: &str = "\
 Examples:
-  pliant animate figure.glb --clip 0 -o walk.glb      a clip of the model's own
-  pliant animate figure.glb --bvh walk.bvh -o walk.glb      a recording, on the rig that `pliant rig` makes
+  pliant animate figure.glb --clip 0 -o walk.glb      a clip of the model file
+  pliant animate figure.glb --bvh walk.bvh -o walk.glb      a BVH recording, with an automatic rig
   pliant animate model.obj --bvh walk.bvh --rig rig.json -o walk.glb
   pliant animate model.obj --bvh walk.bvh --rig rig.json -o frames --frames 0:120 --fps 30";
 
@@ -93,7 +93,7 @@ Examples:
 pub(super) const HEALTH: &str = "\
 Examples:
   pliant health                                       the server of this machine
-  pliant health --config pliant.toml                  where that configuration listens
+  pliant health --config pliant.toml                  the server with this configuration
   pliant health https://pliant.example.com --live";
 
 /// `pliant audit --help`.
@@ -101,14 +101,14 @@ pub(super) const AUDIT: &str = "\
 Examples:
   pliant audit --data-dir sessions --since 12h
   pliant audit --data-dir sessions --tenant studio
-  pliant audit --config pliant.toml                   where that configuration keeps it";
+  pliant audit --config pliant.toml                   the server with this configuration";
 
 #[cfg(test)]
 mod tests {
     use crate::cli::PliantArgs;
     use clap::{CommandFactory as _, Parser as _};
 
-    /// The command of an example: without assignments before it and what is told beside it.
+    /// The command of an example, without assignments before it and the text beside it.
     fn words(line: &str) -> Vec<&str> {
         let line = line.trim();
         let command = line.split_once("   ").map_or(line, |(command, _)| command);

@@ -14,7 +14,7 @@ pub enum CliFailure {
     Internal(String),
     /// A signal asked the command to stop: exit code 130, as shells have it for SIGINT.
     Stopped(String),
-    /// One that the log has told, with its exit code.
+    /// Logged already; with its exit code.
     Logged(u8),
 }
 
@@ -47,7 +47,7 @@ impl CliFailure {
         ExitCode::from(self.exit_code())
     }
 
-    /// The same failure, told with the place of what is wrong in what was given.
+    /// The same failure, with the place of the mistake in the input.
     pub(super) fn in_place(self, place: impl std::fmt::Display) -> Self {
         match self {
             Self::Input(text) => Self::Input(format!("{place}: {text}")),

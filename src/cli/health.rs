@@ -28,15 +28,15 @@ const LONGEST: usize = 64 << 10;
 /// Without a URL it asks the server that `pliant serve` would be with the same configuration and environment, on this machine.
 #[derive(Debug, Args)]
 pub struct HealthArgs {
-    /// Where the server is, such as https://pliant.example.com [default: where it listens by its configuration]
+    /// URL of the server, such as https://pliant.example.com [default: the address in the configuration]
     url: Option<String>,
     /// Configuration file of the server (TOML)
     #[arg(long, value_name = "FILE", env = "PLIANT_CONFIG")]
     config: Option<PathBuf>,
-    /// Ask only whether the process lives, not whether it takes new sessions
+    /// Check only that the process runs, not that it takes new sessions
     #[arg(long)]
     live: bool,
-    /// Authorities (PEM) that may have signed its certificate, in place of the machine's
+    /// CA certificates (PEM) to trust instead of the system's
     #[arg(long, value_name = "FILE")]
     ca: Option<PathBuf>,
 }
@@ -55,7 +55,7 @@ pub(super) fn run_health(args: &HealthArgs) -> Result<(), CliFailure> {
         .filter(|uri| matches!(uri.scheme_str(), Some("http" | "https")) && uri.host().is_some_and(|h| !h.is_empty()))
         .ok_or_else(|| {
             CliFailure::Input(format!(
-                "\"{base}\" is no URL of a server, such as http://127.0.0.1:7411"
+                "\"{base}\" is not the URL of a server, such as http://127.0.0.1:7411"
             ))
         })?;
     let connector = connector.map_err(CliFailure::Input)?;

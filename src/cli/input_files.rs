@@ -14,10 +14,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Largest file that the command line reads, and most bytes of all files that a model or a job names.
 pub(super) const LARGEST: u64 = 4 << 30;
 
-/// The folders that a command was told to allow beside those that it takes files from anyway.
+/// The folders of `--allow`, beside those that a command reads anyway.
 #[derive(Debug, Clone, Default, Args)]
 pub(super) struct AllowedFolders {
-    /// Let files that jobs name lie below this folder too; may be given more than once
+    /// Folder that jobs may read files from, too; repeatable
     #[arg(long = "allow", value_name = "FOLDER")]
     pub folders: Vec<PathBuf>,
 }
@@ -34,7 +34,7 @@ pub(super) enum UnreadFile {
     #[error("{} is a folder, a file is needed", .0.display())]
     Folder(PathBuf),
     /// A pipe, a socket or a device: reading it may never end.
-    #[error("{} is no regular file, a file is needed", .0.display())]
+    #[error("{} is not a regular file, a file is needed", .0.display())]
     Irregular(PathBuf),
     #[error("{} has {bytes} bytes or more, at most {most} are allowed", path.display())]
     TooLarge { path: PathBuf, bytes: u64, most: u64 },
@@ -145,7 +145,7 @@ impl NamedFiles {
         let unreadable = |e: io::Error| CliFailure::Input(format!("cannot read {}: {e}", folder.display()));
         let mut allowed = vec![folder.canonicalize().map_err(unreadable)?];
         for more in &more.folders {
-            let refuse = || CliFailure::Input(format!("--allow is {}, which is no folder", more.display()));
+            let refuse = || CliFailure::Input(format!("--allow is {}, which is not a folder", more.display()));
             let real = more.canonicalize().ok().filter(|real| real.is_dir());
             allowed.push(real.ok_or_else(refuse)?);
         }

@@ -15,17 +15,17 @@ use serde_json::Value;
 use std::io::Write as _;
 use std::path::PathBuf;
 
-/// Primitives that are told for people.
+/// Primitives that the text lists.
 const NAMED_PRIMITIVES: usize = 32;
-/// Clips, skins, materials and images that are told for people, of each.
+/// Clips, skins, materials and images that the text lists, of each.
 const NAMED_CONTENTS: usize = 16;
 
 /// Arguments of `pliant inspect`.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
-    /// The model: glb, gltf, obj, ply, off, stl or fbx
+    /// Model file: glb, gltf, obj, ply, off, stl or fbx
     model: PathBuf,
-    /// Print everything as JSON on stdout
+    /// Print the statistics as JSON on stdout
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -111,7 +111,7 @@ fn describe_contents(contents: &ModelContents) -> Vec<(&'static str, String)> {
         let shown = list.len().min(NAMED_CONTENTS);
         let more = match list.len() - shown {
             0 => String::new(),
-            more => format!(" and {more} more, which --json tells"),
+            more => format!(" and {more} more, which --json lists"),
         };
         let colon = if list.is_empty() { "" } else { ": " };
         let told = list[..shown].join(", ");
@@ -155,7 +155,7 @@ fn describe_inspection(found: &pb::Inspection, contents: Vec<(&str, String)>) ->
     named.for_each(|(k, primitive)| line(&format!("primitive {k}"), describe_primitive(primitive)));
     if found.primitives.len() > NAMED_PRIMITIVES {
         let more = grouped_count((found.primitives.len() - NAMED_PRIMITIVES) as u64);
-        line("", format!("and {more} more, which --json tells"));
+        line("", format!("and {more} more, which --json lists"));
     }
     contents.into_iter().for_each(|(name, told)| line(name, told));
     line("solver vertices", count(solver.solver_vertices));

@@ -83,7 +83,7 @@ impl NamedModels<'_> {
     }
 }
 
-/// Largest file that a job or a suite names: what a server takes as one upload, unless it is told otherwise.
+/// Largest file that a job or a suite names: a server's default limit of one upload.
 pub(super) fn largest_named() -> u64 {
     SessionConfig::default().upload_bytes
 }

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Whether this process has printed its document, or a part of it.
 static IS_PRINTED: AtomicBool = AtomicBool::new(false);
 
-/// Prints one JSON document on stdout. A reader that went away is no failure of ours to report twice.
+/// Prints one JSON document on stdout.
 pub(super) fn print_json<M: prost::Message + prost::Name>(message: &M) -> Result<(), CliFailure> {
     print_value(&wire::json::to_json(message)?)
 }
@@ -33,8 +33,8 @@ pub(super) fn print_text(text: &str) -> Result<(), CliFailure> {
     written.map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
 }
 
-/// Prints why a command failed as its one document, where `--json` asks for one and none was printed: a command whose check did not
-/// hold has told more already.
+/// Prints a command's failure as its JSON document, with `--json` and where none was printed; a failed check has
+/// printed one.
 pub(super) fn print_failure(failure: &CliFailure) {
     let is_asked = std::env::args_os().skip(1).any(|argument| argument == "--json");
     if !is_asked || IS_PRINTED.load(Ordering::Relaxed) {

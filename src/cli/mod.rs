@@ -35,7 +35,7 @@ use clap::{Parser, Subcommand};
 use failure::CliFailure;
 use std::process::ExitCode;
 
-/// Bends large meshes: a headless deformation service, and the same engine in process.
+/// Deforms large meshes: a headless service, and the same engine in process.
 #[derive(Debug, Parser)]
 #[command(name = "pliant", version, about, propagate_version = true, after_help = examples::PLIANT)]
 struct PliantArgs {
@@ -48,40 +48,40 @@ enum PliantCommand {
     /// Run the server
     #[command(after_help = examples::SERVE)]
     Serve(serve::ServeArgs),
-    /// Deform a model with a job file, in process
+    /// Deform a model with a job file, without a server
     #[command(after_help = examples::DEFORM)]
     Deform(deform::DeformArgs),
-    /// Tell what the solver sees in a model
+    /// Show model statistics and mesh warnings
     #[command(after_help = examples::INSPECT)]
     Inspect(inspect::InspectArgs),
-    /// Run a suite of jobs and compare each result with the one that was stored
+    /// Run a suite of jobs and compare each result with its golden
     #[command(after_help = examples::CHECK)]
     Check(check::CheckArgs),
-    /// Play a clip on a model, every frame solved
+    /// Play a clip on a model and solve every frame
     #[command(after_help = examples::ANIMATE)]
     Animate(Box<animate::AnimateArgs>),
-    /// Find where the bones of a model lie, and which joints of a clip turn them
+    /// Find the bones of a model and map the joints of a clip to them
     #[command(after_help = examples::RIG)]
     Rig(rig::RigArgs),
     /// Bind a model to the bones of a rig
     #[command(after_help = examples::SKIN)]
     Skin(skin::SkinArgs),
-    /// Draw a model, maybe beside what it was, as a png
+    /// Draw a model as a PNG picture, optionally beside an earlier state
     #[command(after_help = examples::RENDER)]
     Render(render::RenderArgs),
-    /// Write a built-in model to a file
+    /// Write a built-in model or recording to a file
     #[command(after_help = examples::SAMPLE)]
     Sample(sample::SampleArgs),
-    /// Make a token by which a server knows who asks
+    /// Create an access token
     #[command(after_help = examples::TOKEN)]
     Token(token::TokenArgs),
-    /// Check, list, export and prune sessions that a server kept
+    /// Check, list, export and prune stored sessions
     #[command(after_help = examples::STORE)]
     Store(store::StoreArgs),
-    /// Ask a server whether it takes new sessions
+    /// Check whether a server is ready
     #[command(after_help = examples::HEALTH)]
     Health(health::HealthArgs),
-    /// Tell who opened, changed and took away what on a server
+    /// Show the audit log of a server
     #[command(after_help = examples::AUDIT)]
     Audit(audit::AuditArgs),
 }

@@ -67,11 +67,11 @@ pub(super) fn stays_inside(uri: &str) -> bool {
     !uri.contains(['\\', ':', '\0']) && Path::new(uri).components().all(|c| matches!(c, Component::Normal(_)))
 }
 
-/// Tells the format that an output path asks for.
+/// Determines the format of an output path.
 pub(super) fn output_format(path: &Path) -> Result<Format, CliFailure> {
     let format = Format::from_file_name(&path.to_string_lossy()).ok_or_else(|| {
         let problem = format!("its extension must be one of {}", Format::name_list("and"));
-        CliFailure::Input(format!("cannot tell the format of {}: {problem}", path.display()))
+        CliFailure::Input(format!("cannot determine the format of {}: {problem}", path.display()))
     })?;
     match format.refusal_to_write() {
         Some(problem) => Err(CliFailure::Input(format!("cannot write {}: {problem}", path.display()))),

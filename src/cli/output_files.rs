@@ -1,7 +1,7 @@
 //! Files that a command writes: nothing is replaced without `--force`, no folder is made without `--parents`.
 //!
-//! Everything that stands in the way is told before anything is written, and where it can be known, before any work is
-//! done. Files are written beside their places and renamed, so a command that is stopped leaves no half file.
+//! Every obstacle is reported before anything is written, and where possible before any work. Files are written beside
+//! their places and renamed, so a stopped command leaves no partial file.
 
 use super::failure::CliFailure;
 use super::input_files::{folder_of, read_regular_file};
@@ -20,10 +20,10 @@ const RANDOM_LETTERS: usize = 12;
 /// What a command may do to the folder that it writes into.
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub(super) struct OutputPermission {
-    /// Replace files that are there
+    /// Replace existing files
     #[arg(long)]
     pub force: bool,
-    /// Make folders that are missing
+    /// Create missing folders
     #[arg(long)]
     pub parents: bool,
 }
@@ -37,13 +37,13 @@ impl OutputPermission {
         }
         match fs::metadata(path) {
             Ok(facts) if facts.is_dir() => return refuse("it is a folder"),
-            Ok(facts) if !facts.is_file() => return refuse("it is no regular file"),
+            Ok(facts) if !facts.is_file() => return refuse("it is not a regular file"),
             Ok(_) if !self.force => return refuse("it exists; --force replaces it"),
             _ => {}
         }
         let folder = folder_of(path);
         match fs::metadata(folder) {
-            Ok(facts) if !facts.is_dir() => refuse(&format!("{} is no folder", folder.display())),
+            Ok(facts) if !facts.is_dir() => refuse(&format!("{} is not a folder", folder.display())),
             Err(_) if !self.parents => refuse(&format!(
                 "the folder {} does not exist; --parents makes it",
                 folder.display()
@@ -210,7 +210,7 @@ fn write_beside(target: &Path, bytes: &[u8]) -> std::io::Result<TempPath> {
 
 /// Writes a temporary file beside a place, which goes away unless it is renamed.
 ///
-/// Its name cannot be foretold and is made anew, so nobody who may write into the folder can put a link or a pipe there first.
+/// Its name is random and new, so another user of the folder cannot put a link or a pipe there first.
 fn fill_beside(
     target: &Path,
     fill: &mut dyn FnMut(&mut dyn Write) -> std::io::Result<()>,
@@ -232,7 +232,7 @@ fn fill_beside(
     Ok(file.into_temp_path())
 }
 
-/// What went wrong, without the name of a file that nobody asked for.
+/// The error, without the temporary file's name.
 fn without_temporary_name(error: std::io::Error) -> std::io::Error {
     match error.kind() {
         std::io::ErrorKind::Other => error,

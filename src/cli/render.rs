@@ -22,47 +22,47 @@ const APART: f64 = 0.06;
 /// Arguments of `pliant render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// The model: glb, gltf, obj, ply, off, stl or fbx
+    /// Model file: glb, gltf, obj, ply, off, stl or fbx
     model: PathBuf,
-    /// Where to write the picture, a png file
+    /// Output picture (.png)
     #[arg(short, long, value_name = "PICTURE")]
     output: PathBuf,
     #[command(flatten)]
     permission: OutputPermission,
-    /// The model as it was before: drawn beside, by the same camera
+    /// Earlier state of the model, drawn beside it by the same camera
     #[arg(long, value_name = "REST")]
     before: Option<PathBuf>,
-    /// Draw this primitive alone, by its name or the number that `pliant inspect` gives it; given again, that one too
+    /// Draw only this primitive, by name or by its number in `pliant inspect`; repeatable
     #[arg(long, value_name = "NAME", conflicts_with = "rig")]
     primitive: Vec<String>,
-    /// What colours show [default: distortion with --before where the vertices agree, else material for a model that has
-    /// base colours, else plain]
+    /// Meaning of the colours [default: distortion with --before if the vertices match, else material if the model has base
+    /// colours, else plain]
     #[arg(long, value_enum, alias = "colour")]
     color: Option<ColourChoice>,
-    /// Pixels of one view, 16 to 8192 each way
+    /// Size of one view in pixels, 16 to 8192 each way
     #[arg(long, value_name = "WxH", default_value = "800x600", value_parser = parse_size)]
     size: PictureSize,
-    /// Degrees around the up axis and above the horizon
+    /// View: degrees around the up axis and above the horizon, or a name such as front
     #[arg(long, value_name = "AZIMUTH,ELEVATION", default_value = "30,20", value_parser = parse_angles)]
     #[arg(allow_hyphen_values = true)]
     view: [f64; 2],
-    /// The axis of the model that points up
+    /// Up axis of the model
     #[arg(long, value_enum, default_value_t = UpAxisChoice::Y)]
     up: UpAxisChoice,
-    /// A strip of N views, once around the up axis
+    /// Number of views, in a strip, once around the up axis
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=64))]
     turntable: Option<u32>,
-    /// Draw the edges of the triangles too, over any colours
+    /// Draw the triangle edges too
     #[arg(long)]
     wire: bool,
-    /// The distance (difference) or factor (distortion) at the end of the colours, so that pictures can be compared
+    /// Distance (difference) or factor (distortion) at the end of the colour scale; use one value to compare pictures
     /// [default: the largest distance; 1.5]
     #[arg(long, value_name = "NUMBER", value_parser = parse_above_zero)]
     range: Option<f64>,
-    /// A rig: draw the model open towards the eye, with the nodes that the rig holds in it, rotations green and positions orange
+    /// Rig file: draw a cut-away with the nodes that the rig drives, rotations green and positions orange
     #[arg(long, value_name = "RIG", conflicts_with_all = ["before", "color", "turntable", "wire", "range", "marks"])]
     rig: Option<PathBuf>,
-    /// Rings around the N places that differ most
+    /// Number of rings around the places that differ most
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=9))]
     marks: u32,
     #[command(flatten)]
@@ -74,11 +74,11 @@ pub struct RenderArgs {
 enum ColourChoice {
     /// Edges longer (red) or shorter (blue) than before
     Distortion,
-    /// How far vertices lie from where they were before
+    /// Distance of each vertex from its place before
     Difference,
     /// The model's own base colours: materials, textures, vertex colours
     Material,
-    /// Nothing but the shape
+    /// The shape only
     Plain,
     /// The shape and its triangles
     Wire,
@@ -213,7 +213,7 @@ impl<'a> ModelToDraw<'a> {
 pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
     let is_png = args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
     if !is_png {
-        let problem = "a picture is written as png, its extension must say so";
+        let problem = "a picture is written as png; use a .png file name";
         return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
     }
     args.permission.check_target(&args.output)?;
@@ -290,7 +290,7 @@ impl RenderArgs {
         Ok(ViewDirection::new(self.view[0], self.view[1], up)?)
     }
 
-    /// Writes the picture and tells of it.
+    /// Writes and reports the picture.
     fn write_picture(&self, picture: &Picture, more: &str) -> Result<(), CliFailure> {
         self.permission.write_file(&self.output, &picture.encode_png()?)?;
         eprintln!(

@@ -28,27 +28,27 @@ const VIEW: (u32, u32) = (640, 800);
 /// Arguments of `pliant rig`.
 #[derive(Debug, Args)]
 pub struct RigArgs {
-    /// The model: glb, gltf, obj, ply, off, stl or fbx
+    /// Model file: glb, gltf, obj, ply, off, stl or fbx
     model: PathBuf,
-    /// The clip that is to drive it, a BVH file: its joints' names tell which bones they turn
+    /// Clip that will drive the model, a BVH file; its joint names select the bones
     #[arg(long, conflicts_with = "preset")]
     bvh: Option<PathBuf>,
-    /// Whose names the clips' joints have, where no clip is at hand: cmu or mixamo
+    /// Joint names of the clips, if you have no clip yet: cmu or mixamo
     #[arg(long)]
     preset: Option<String>,
-    /// Where a joint lies in the model; any number of these
+    /// Position of a joint in the model; repeatable
     #[arg(long, value_name = "NAME=X,Y,Z", allow_hyphen_values = true)]
     at: Vec<String>,
-    /// A JSON file of joints, {"lElbow": [x, y, z], …}, or a rig whose joints have these names
+    /// JSON file of joint positions, {"lElbow": [x, y, z], …}, or a rig with these joint names
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
-    /// Where to write the rig, a JSON file
+    /// Output file of the rig (.json)
     #[arg(short, long, value_name = "RIG")]
     output: PathBuf,
-    /// Where to draw where the joints lie, a png file [default: beside the rig]
+    /// Output picture of the joints (.png) [default: beside the rig]
     #[arg(long, value_name = "PICTURE", conflicts_with = "no_picture")]
     picture: Option<PathBuf>,
-    /// Draw nothing
+    /// Write no picture
     #[arg(long)]
     no_picture: bool,
     #[command(flatten)]
@@ -70,7 +70,7 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
     ] {
         let Some(path) = path else { continue };
         if !path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending)) {
-            let problem = format!("{what} is written as {ending}, its extension must say so");
+            let problem = format!("{what} is written as {ending}; use a .{ending} file name");
             return Err(CliFailure::Input(format!("{}: {problem}", path.display())));
         }
         args.permission.check_target(path)?;
@@ -195,7 +195,7 @@ impl RigArgs {
             let Some(known) = BODY_JOINTS.iter().find(|n| **n == name) else {
                 let allowed = BODY_JOINTS.join(", ");
                 return Err(CliFailure::Input(format!(
-                    "{from}: \"{name}\" is no joint of a body; there are {allowed}"
+                    "{from}: \"{name}\" is not a joint of a body; there are {allowed}"
                 )));
             };
             let Some(place) = place.filter(|p| p.is_finite()) else {

@@ -10,10 +10,10 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 pub struct SampleArgs {
     /// creature: one closed mesh; figure: a person with a skeleton, clips, levels of detail, a hull and sockets; body: the figure's
-    /// body alone; boxing, ballet, twist: recordings that drive models, twist that of a hand that turns over
+    /// body only; boxing, ballet, twist: BVH recordings, twist of a hand that turns over
     #[arg(default_value = "creature", value_parser = parse_name)]
     name: BuiltInFile,
-    /// Where to write it, a glb file, or a bvh file for a recording
+    /// Output file: .glb for a model, .bvh for a recording
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
@@ -36,8 +36,8 @@ fn parse_name(text: &str) -> Result<BuiltInFile, String> {
     model.or(body).or(recording).ok_or_else(|| {
         let recordings = BuiltInRecording::ALL.map(BuiltInRecording::recording_name).join(", ");
         format!(
-            "there is {}, body, and as recordings {recordings}",
-            BuiltInModel::name_list()
+            "expected one of: {}, body, {recordings}",
+            BuiltInModel::ALL.map(BuiltInModel::name).join(", ")
         )
     })
 }
@@ -49,7 +49,7 @@ pub(super) fn run_sample(args: &SampleArgs) -> Result<(), CliFailure> {
         BuiltInFile::Recording(_) => ("bvh", "recording"),
     };
     if !args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending)) {
-        let problem = format!("a built-in {what} is written as {ending}, its extension must say so");
+        let problem = format!("a built-in {what} is written as {ending}; use a .{ending} file name");
         return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
     }
     let bytes = match args.name {

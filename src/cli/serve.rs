@@ -105,7 +105,7 @@ pub(super) fn run_serve(args: ServeArgs) -> Result<(), CliFailure> {
 /// JSON, a line of its form with these words as the message.
 ///
 /// # Errors
-/// When the configuration, the port or the services cannot be had. A drain that met its deadline is no error.
+/// When the configuration, the port or the services fail. A drain that reaches its deadline is not an error.
 pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     let settings = ServeSettings::load(args.config.as_deref(), &args.keys)?;
     let endpoint = settings.otlp_endpoint.as_deref();
@@ -128,7 +128,7 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
             (manager, Some(store))
         }
         None => {
-            tracing::info!("sessions are in memory alone and end with this process; --data-dir keeps them");
+            tracing::info!("sessions are in memory only and end with this process; --data-dir stores them");
             (Manager::new(settings.session)?, None)
         }
     };
@@ -158,7 +158,7 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
         signals.next().await;
         tokio::spawn(async move {
             signals.next().await;
-            tracing::warn!("asked again: giving up what still runs");
+            tracing::warn!("second signal: aborting all running work");
             hurried.abort();
         });
     };
@@ -199,7 +199,7 @@ async fn open_sample(manager: &Manager) -> Result<String, session::Error> {
         solve.residual = frame.header.residual,
         solve.duration_ms = frame.header.solve_ms,
         duration_ms = started.elapsed().as_millis() as u64,
-        "opened the sample session `{id}`, held its feet and turned its head"
+        "opened the sample session `{id}`: its feet are fixed, its head is turned"
     );
     Ok(id)
 }

@@ -19,17 +19,17 @@ use std::time::Instant;
 /// Arguments of `pliant skin`.
 #[derive(Debug, Args)]
 pub struct SkinArgs {
-    /// The model: glb, gltf, obj, ply, off, stl or fbx
+    /// Model file: glb, gltf, obj, ply, off, stl or fbx
     model: PathBuf,
-    /// The bones, as `pliant rig` writes them
+    /// Rig file of `pliant rig`
     #[arg(long)]
     rig: PathBuf,
-    /// Where to write the skinned model, a glb file
+    /// Output file of the skinned model (.glb)
     #[arg(short, long, value_name = "MODEL")]
     output: PathBuf,
     #[command(flatten)]
     permission: OutputPermission,
-    /// Bones that a vertex follows at most, 1 to 8; many engines take four
+    /// Maximum bone influences per vertex, 1 to 8; many engines take 4
     #[arg(long, value_name = "COUNT", default_value_t = 4)]
     influences: usize,
     /// Print a report as JSON on stdout
@@ -42,7 +42,7 @@ pub struct SkinArgs {
 /// Runs the command.
 pub(super) fn run_skin(args: &SkinArgs) -> Result<(), CliFailure> {
     if !args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb")) {
-        let problem = "a skinned model is written as glb, its extension must say so";
+        let problem = "a skinned model is written as glb; use a .glb file name";
         return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
     }
     args.permission.check_target(&args.output)?;

@@ -4,7 +4,7 @@ use crate::progress::Progress;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::time::Duration;
 
-/// Between two pictures of the spinner, which turns whether the work has anything to tell or not.
+/// Time between two frames of the spinner, which turns without progress too.
 const TICK: Duration = Duration::from_millis(100);
 
 /// Shows the stage under way on stderr when that is a terminal; silent otherwise.
@@ -46,7 +46,7 @@ impl Progress for StageSpinner {
     }
 }
 
-/// A stage as people are told, with how much of it is done as soon as some is.
+/// A stage's text, with its percentage once that is above 0.
 fn stage_text(stage: &str, fraction: f32) -> String {
     let percent = (f64::from(fraction).clamp(0.0, 1.0) * 100.0) as u32;
     match percent {

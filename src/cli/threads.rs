@@ -7,7 +7,7 @@ use clap::Args;
 /// The thread budget of commands that compute in process.
 #[derive(Debug, Args)]
 pub(super) struct ThreadArgs {
-    /// Compute threads; 0 = one for each core
+    /// Compute threads; 0 means one per core
     #[arg(long, env = "PLIANT_THREADS", default_value_t = 0)]
     threads: usize,
 }

@@ -13,16 +13,16 @@ use std::time::SystemTime;
 /// The server keeps only what the token hashes to. The text is shown once and stored nowhere; give it to its bearer.
 #[derive(Debug, Args)]
 pub struct TokenArgs {
-    /// Whose sessions its bearer sees
+    /// Tenant: the token gives access to its sessions
     #[arg(value_parser = parse_name)]
     tenant: String,
-    /// What its bearer is called in logs [default: as the tenant]
+    /// Name of the caller in logs [default: the tenant]
     #[arg(long, value_name = "NAME", value_parser = parse_name)]
     name: Option<String>,
-    /// From when on it is refused, such as 2027-01-31
+    /// Time at which the token expires, such as 2027-01-31
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     expires: Option<String>,
-    /// Its bearer may also read /metrics, which counts for all tenants
+    /// Allow reading /metrics too, which counts for all tenants
     #[arg(long)]
     metrics: bool,
 }
@@ -37,7 +37,7 @@ fn parse_name(text: &str) -> Result<String, String> {
 fn parse_time(text: &str) -> Result<String, String> {
     let expiry = parse_expiry(text)?;
     if expiry <= SystemTime::now() {
-        return Err("that time has passed, the token would be refused from its first call on; name a later one".into());
+        return Err("that time has passed, so the server would reject the token; give a later one".into());
     }
     Ok(humantime::format_rfc3339_seconds(expiry).to_string())
 }
@@ -45,7 +45,7 @@ fn parse_time(text: &str) -> Result<String, String> {
 /// Runs the command.
 pub(super) fn run_token(args: &TokenArgs) -> Result<(), CliFailure> {
     let mut secret = [0u8; 32];
-    getrandom::fill(&mut secret).map_err(|e| CliFailure::Internal(format!("no random bytes can be had: {e}")))?;
+    getrandom::fill(&mut secret).map_err(|e| CliFailure::Internal(format!("cannot get random bytes: {e}")))?;
     let token = format!("pliant_{}", URL_SAFE_NO_PAD.encode(secret));
     let sha256: String = token_digest(&token).iter().map(|b| format!("{b:02x}")).collect();
     // TOML's basic strings are JSON's, as far as names go that hold no control characters.

@@ -9,7 +9,7 @@ use crate::wire::{pb, stage_frame, summary_frame};
 #[derive(Debug)]
 pub(super) struct AnimationFrames {
     output: AnimationReader,
-    /// The frame that is being sent, and what differences of the next one are told from.
+    /// The frame being sent, and the reference for differences of the next one.
     parts: PartsToSend,
     last_seq: u64,
 }

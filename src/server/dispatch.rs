@@ -81,7 +81,7 @@ impl Dispatch {
         }
     }
 
-    /// Tells health watchers that no more work is taken.
+    /// Reports to health watchers: not serving.
     pub async fn stop_serving(&self) {
         self.sides.grpc.stop_serving().await;
     }
@@ -97,7 +97,7 @@ impl Dispatch {
     }
 }
 
-/// Has browsers take an answer for what it says it is, and keep it from pages of other origins that only embed it.
+/// Forbids browsers to guess the type of an answer, and pages of other origins to embed it.
 fn guarded(mut response: Response<Body>) -> Response<Body> {
     let headers = response.headers_mut();
     for (name, value) in [
@@ -125,8 +125,8 @@ impl Service<Request<Body>> for Sides {
         std::task::Poll::Ready(Ok(()))
     }
 
-    /// Who asks is looked at here, inside of what pages are told about who may call: they must be able to read that they are not
-    /// known, and their browser asks first without saying who they are.
+    /// Authenticates inside the CORS layer: pages must be able to read a 401, and preflight requests carry no
+    /// credentials.
     fn call(&mut self, mut request: Request<Body>) -> Self::Future {
         let Self { grpc, http, gatekeeper } = self.clone();
         Box::pin(async move {
@@ -152,7 +152,7 @@ impl Service<Request<Body>> for Sides {
     }
 }
 
-/// What browsers are told about who may call and read which headers.
+/// CORS: which pages may call, and which headers they may read.
 fn cors(config: &ServerConfig) -> CorsLayer {
     let origins: Origins = config.origins.clone();
     let allowed = AllowOrigin::predicate(move |origin: &HeaderValue, request: &::http::request::Parts| {

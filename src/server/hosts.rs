@@ -1,7 +1,7 @@
 //! Under which names the server may be addressed: the `Host` of a request against the configured list.
 //!
 //! A web page can let its own name point at this machine and then call the server here as if it were its own (DNS
-//! rebinding). Its requests carry that name, and nothing else tells them from good ones. So a server that listens on this
+//! rebinding). Only that name in its requests distinguishes them from valid ones. So a server that listens on this
 //! machine alone answers to this machine's names alone.
 
 use crate::session::{Error, ErrorCode};
@@ -62,11 +62,11 @@ impl Hosts {
         Ok(hosts)
     }
 
-    /// Whether a request says to whom it goes, and names this server.
+    /// Checks that a request names this server.
     ///
     /// # Errors
-    /// [`ErrorCode::InvalidArgument`] where it says nothing, two things, or something that is no host;
-    /// [`ErrorCode::PermissionDenied`] for a name that is not the server's.
+    /// [`ErrorCode::InvalidArgument`] for no `Host`, for two, or for an invalid one; [`ErrorCode::PermissionDenied`]
+    /// for a name that is not the server's.
     pub fn check<B>(&self, request: &Request<B>) -> Result<(), Error> {
         let mut named = request.headers().get_all(header::HOST).iter();
         let from_header = match (named.next(), named.next()) {
@@ -74,7 +74,7 @@ impl Hosts {
             (Some(host), None) => {
                 let text = host.to_str().ok().filter(|text| !text.contains('@'));
                 let read = text.and_then(|text| text.parse::<Authority>().ok());
-                Some(read.ok_or_else(|| Error::malformed("the Host header is no host with or without a port"))?)
+                Some(read.ok_or_else(|| Error::malformed("the Host header is not a host with or without a port"))?)
             }
             (None, _) => None,
         };

@@ -1,5 +1,5 @@
-//! Sockets that are read on for a while after their end. A peer that is still sending when its connection is closed gets a reset, which
-//! takes along what it was told last; so what it sends is read and forgotten until it has heard.
+//! Sockets that are read for a while after their end. A peer that still sends when its connection is closed gets a
+//! reset, which discards the last answer; so what it sends is read and dropped until it has the answer.
 
 use std::io;
 use std::pin::Pin;

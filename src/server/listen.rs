@@ -1,9 +1,9 @@
 //! Connections: accepting, bounding, and ending them.
 //!
 //! The life of a server, in order: accept until asked to stop; then refuse new work but keep accepting, so that health
-//! checks see it; when no work is left, close connections politely; at the deadline, drop what is still there. Nothing in
-//! the protocol libraries is trusted to end in time: a connection that never sent a byte, or a stream that nobody reads,
-//! would hold them for ever.
+//! checks see it; when no work is left, close connections politely; at the deadline, drop what is still there. The
+//! protocol libraries may not end in time: a connection that never sends a byte, or a stream without a reader, would
+//! hold them permanently.
 
 use super::config::ServerConfig;
 use super::connection_facts::ConnectionFacts;
@@ -41,13 +41,13 @@ use tokio_util::task::TaskTracker;
 /// How long an idle connection may take to notice that it is being closed.
 const IDLE_CLOSE: Duration = Duration::from_millis(300);
 
-/// Connections that are told at the same time that there are too many.
+/// Connections beyond the limit that are rejected at a time.
 const REFUSALS: usize = 64;
 
-/// How long such a connection may take to hear it.
+/// How long such a rejection may take.
 const REFUSAL: Duration = Duration::from_secs(1);
 
-/// How long it may take to ask how the server is, which is answered even then.
+/// How long its health request may take, which is answered even then.
 const HEALTH_QUESTION: Duration = Duration::from_millis(200);
 
 /// Serves connections of `listener` until `shutdown` and the drain after it.
@@ -160,7 +160,7 @@ struct Doors {
 }
 
 impl Doors {
-    /// Accepts connections for ever.
+    /// Accepts connections in a loop.
     async fn accept(&self, listener: &TcpListener) {
         loop {
             match listener.accept().await {
@@ -343,8 +343,8 @@ fn is_watch(request: &Request<Incoming>) -> bool {
     path.starts_with("/grpc.health.") || path.starts_with("/grpc.reflection.")
 }
 
-/// Tells a connection beyond the limit to come back later; but who only asks for the server's health is answered, or a crowd of
-/// idle clients would look like a server that is ill.
+/// Answers 503 to a connection beyond the limit. A health request is answered, so that many idle clients do not look
+/// like a failing server.
 async fn turn_away(mut socket: TcpStream, dispatch: Dispatch) {
     let mut head = [0u8; 16];
     let asked = tokio::time::timeout(HEALTH_QUESTION, socket.peek(&mut head)).await;
@@ -372,7 +372,7 @@ async fn turn_away_encrypted(socket: TcpStream, door: TlsDoor, dispatch: Dispatc
     }
 }
 
-/// What a connection beyond the limit is told.
+/// The answer beyond the limit.
 const FULL: &str = r#"{"type":"urn:pliant:problem:unavailable","title":"unavailable","status":503,"detail":"too many connections are open","code":"UNAVAILABLE"}"#;
 
 /// Answers one request, if it asks for the server's health.

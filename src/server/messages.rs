@@ -64,7 +64,7 @@ pub(super) fn carried_message(carried: CarriedAlong) -> pb::CarryResponse {
     }
 }
 
-/// Writes the limits that clients are told.
+/// Writes the limits for clients.
 pub(super) fn limits_message(config: &SessionConfig) -> pb::Limits {
     let narrow = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
     pb::Limits {

@@ -51,8 +51,8 @@ use crate::session::Manager;
 use std::future::Future;
 use tokio::net::TcpListener;
 
-/// Serves the sessions of `manager` on `listener` until `shutdown` resolves, then drains: new work is refused, streams
-/// are told, what runs may finish until [`ServerConfig::drain_deadline`], and then everything is dropped.
+/// Serves the sessions of `manager` on `listener` until `shutdown` resolves, then drains: new work is rejected, streams
+/// are notified, calls may finish until [`ServerConfig::drain_deadline`], then all is dropped.
 ///
 /// # Errors
 /// When the services cannot be put together; nothing was served then.

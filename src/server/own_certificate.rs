@@ -1,4 +1,4 @@
-//! Trust in one certificate that lies on this machine, for a program that asks the server beside it how it is.
+//! Trust in one certificate on this machine, for a health check of the server beside it.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use tokio_rustls::rustls::pki_types::pem::PemObject as _;
 use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName, UnixTime};
 use tokio_rustls::rustls::{CertificateError, DigitallySignedStruct, Error, SignatureScheme};
 
-/// Accepts the server that has the private key of one certificate, whatever name it is called by and whoever signed it.
+/// Accepts the server that has the private key of one certificate, under any name and with any issuer.
 #[derive(Debug)]
 pub(super) struct OwnCertificate {
     certificate: CertificateDer<'static>,

@@ -1,7 +1,7 @@
 //! How a caller is sent to the node that has the session.
 //!
-//! The node's address is told in a header, and its name beside it: where a proxy stands before all nodes, the address is the proxy's, and
-//! the caller repeats the call there with the name, by which the proxy chooses.
+//! Headers name the node's address and its name. Where a proxy stands before all nodes, the address is the proxy's; the
+//! caller repeats the call there with the name, by which the proxy chooses.
 
 use crate::session::OwnerAddress;
 use http::{HeaderMap, Uri};
@@ -10,13 +10,13 @@ use http::{HeaderMap, Uri};
 pub(super) const OWNER: &str = "x-pliant-owner";
 /// The header with its name; callers send it back.
 pub(super) const NODE: &str = "x-pliant-node";
-/// The header of callers that go there by themselves: how often they were sent already. They are told the owner in an answer that no
-/// library follows without them, which would leave their token behind.
+/// The header of callers that follow to the owner themselves: how often they were sent already. They get no redirect,
+/// which an HTTP library would follow without their token.
 pub(super) const HOPS: &str = "x-pliant-hops";
 /// The name in a query, for callers that follow a location and send no header of their own.
 pub(super) const NODE_QUERY: &str = "pliant-node";
 
-/// Whether a caller goes to the owner by itself.
+/// Whether a caller follows to the owner itself.
 pub(super) fn follows_by_itself(headers: &HeaderMap) -> bool {
     headers.contains_key(HOPS)
 }

@@ -1,7 +1,7 @@
 //! Files that are followed while the server runs: its tokens, the keys that tokens are checked with, and its certificates.
 //!
-//! They are looked at every now and then, by content: an editor that replaces a file, a link that points elsewhere and a renewed
-//! certificate are all seen. What cannot be read changes nothing, and is told once.
+//! Their content is checked every second: a replaced file, a link that points elsewhere and a renewed certificate are
+//! all noticed. An unreadable file changes nothing, and is logged once.
 
 use super::config::{FileKeys, changed_keys, keys_of_file, tokens_of_file};
 use super::state::State;
@@ -10,7 +10,7 @@ use std::time::Duration;
 /// How long a change may go unseen.
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// Follows the files for ever.
+/// Follows changes of files.
 pub(super) async fn follow_files(state: State) {
     let mut told = Told {
         keys: state.config.auth.file.as_deref().and_then(keys_of_file),
@@ -68,7 +68,7 @@ struct Told {
 }
 
 impl Told {
-    /// Says which keys have changed that nobody follows.
+    /// Logs which keys have changed beside the tokens.
     fn tell_of_keys(&mut self, keys: Option<FileKeys>) {
         let Some(now) = keys else { return };
         let changed = changed_keys(self.keys.get_or_insert_with(|| now.clone()), &now);

@@ -85,7 +85,7 @@ fn no_upgrade(rejection: WebSocketUpgradeRejection) -> Problem {
 struct Ending {
     code: u16,
     reason: String,
-    /// Told to the client as an Error message before the close frame.
+    /// Sent to the client as an Error message before the close frame.
     error: Option<Error>,
 }
 
@@ -130,7 +130,7 @@ async fn serve(state: &State, id: &str, (socket, linger): (WebSocket, Option<Lin
                 ending
             }
             ending = &mut write => ending,
-            () = silence(state, &seen) => Some(Ending::new(1001, "no sign of life")),
+            () = silence(state, &seen) => Some(Ending::new(1001, "no answer to a keep-alive ping")),
             () = state.closing.cancelled() => Some(Ending::going_away()),
         }
     };
@@ -159,7 +159,8 @@ async fn read(input: &RequestEnd, mut source: SplitStream<WebSocket>, id: &str, 
         let request = match pb::DeformRequest::decode(bytes) {
             Ok(request) => request,
             Err(error) => {
-                let mut ending = Ending::failed(Error::malformed(format!("the message is no DeformRequest: {error}")));
+                let mut ending =
+                    Ending::failed(Error::malformed(format!("the message is not a DeformRequest: {error}")));
                 ending.code = 1007;
                 return Some(ending);
             }
@@ -180,8 +181,8 @@ async fn read(input: &RequestEnd, mut source: SplitStream<WebSocket>, id: &str, 
     }
 }
 
-/// A message above the limit and a broken rule of the protocol are worth telling (RFC 6455, 7.4.1); anything else means that nobody
-/// is there to be told.
+/// A message above the limit and a violation of the protocol have a close code (RFC 6455, 7.4.1); other errors mean
+/// that the client is gone.
 fn broken(error: &axum::Error) -> Option<Ending> {
     let text = error.to_string();
     let rule = text.strip_prefix("WebSocket protocol error: ");
@@ -189,7 +190,7 @@ fn broken(error: &axum::Error) -> Option<Ending> {
         _ if text.contains("Space limit exceeded") => {
             Some(Ending::new(1009, "the message is larger than Limits.messageBytes"))
         }
-        _ if text.starts_with("UTF-8 encoding error") => Some(Ending::new(1007, "a text that is no UTF-8")),
+        _ if text.starts_with("UTF-8 encoding error") => Some(Ending::new(1007, "a text that is not UTF-8")),
         Some(rule) if !rule.contains("without closing handshake") => Some(Ending::new(1002, rule)),
         _ => None,
     }

@@ -20,7 +20,7 @@ pub(super) struct RequestEnd {
 #[derive(Debug)]
 pub(super) struct ResponseEnd {
     output: StreamOutput,
-    /// The frame that is being sent, and what differences of the next one are told from.
+    /// The frame being sent, and the reference for differences of the next one.
     parts: PartsToSend,
     /// A frame could not be encoded: nothing follows that.
     is_broken: bool,
@@ -96,7 +96,7 @@ impl ResponseEnd {
     }
 }
 
-/// Writes an error as a stream tells it; 0 as number of the pose says that the stream ends.
+/// Writes an error for a stream; 0 as the pose's number means that the stream ends.
 pub(super) fn failure_message(error: &Error, seq: u64) -> pb::Error {
     pb::Error {
         code: u32::try_from(error.grpc_code()).unwrap_or(2),

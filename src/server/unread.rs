@@ -1,9 +1,9 @@
-//! Answers that are on their way: counted while they wait to be read, sent in pieces, and given up when nobody reads them.
+//! Answers under way: counted while they wait to be read, sent in pieces, and dropped when the client does not read.
 //!
 //! A protocol library takes a body as fast as its peer reads, but a body that exists whole costs its whole size until then, and
-//! nothing in the library ends a peer that stops reading. So every answer passes through here: what is left of it counts in the
-//! ledger, the library is handed copies of small pieces, and when it has come for no further piece within the deadline the rest is
-//! dropped, whether or not the library ever asks again.
+//! nothing in the library ends a peer that stops reading. So every answer passes through here. Its rest counts in the
+//! ledger, and the library gets copies of small pieces. When the library takes no further piece within the deadline,
+//! the rest is dropped.
 
 use crate::session::{Error, MemoryLedger, MemoryReservation, MemoryUse, TenantAccount};
 use axum::body::Body;
@@ -23,7 +23,7 @@ const PIECE: usize = 64 << 10;
 /// Answers up to this size are neither counted nor watched: libraries hold more for every call.
 const SMALL: u64 = 16 << 10;
 
-/// A body that is counted while it waits, and given up when nobody reads it.
+/// A body that is counted while it waits, and dropped when it is not read.
 pub(super) struct UnreadAnswer(Reading);
 
 enum Reading {
@@ -106,7 +106,7 @@ async fn give_up_late(answer: Arc<Mutex<WaitingAnswer>>, deadline: Duration, sta
             drop(dropped);
             tracing::info!(
                 deadline_ms = deadline.as_millis() as u64,
-                "an answer was given up: nobody read it"
+                "an answer was aborted: the client did not read it"
             );
             stalled.cancel();
             return;
@@ -139,7 +139,7 @@ impl WaitingAnswer {
 
     fn poll_piece(&mut self, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
         if self.is_given_up {
-            let late = std::io::Error::new(std::io::ErrorKind::TimedOut, "nobody read the answer");
+            let late = std::io::Error::new(std::io::ErrorKind::TimedOut, "the client did not read the answer");
             return Poll::Ready(Some(Err(axum::Error::new(late))));
         }
         // It is here again, so it reads; from now on it is the answer that makes it wait.
@@ -255,7 +255,10 @@ mod tests {
         tokio::time::sleep(Duration::from_millis(200)).await;
         assert_eq!(ledger.used(), 0);
         let late = answer.frame().await.expect("an end").expect_err("given up");
-        assert!(late.to_string().contains("nobody read the answer"), "{late}");
+        assert!(
+            late.to_string().contains("the client did not read the answer"),
+            "{late}"
+        );
     }
 
     #[tokio::test]

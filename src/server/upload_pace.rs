@@ -31,7 +31,7 @@ impl UploadPace {
         }
     }
 
-    /// Hears of bytes that came.
+    /// Counts bytes that came.
     pub fn take(&mut self, bytes: usize) {
         self.heard = Instant::now();
         self.bytes = self.bytes.saturating_add(bytes as u64);
@@ -44,7 +44,7 @@ impl UploadPace {
             .min(self.begun + self.whole)
     }
 
-    /// What is told when nothing more came in time.
+    /// The error when nothing more came in time.
     pub fn late(&self) -> Error {
         let silent_at = self.heard + self.silence;
         let text = if self.due() == silent_at {

@@ -12,7 +12,7 @@ pub(super) struct Budget {
     total: u64,
     each: u64,
     ledger: Arc<MemoryLedger>,
-    /// Calls that were refused for want of capacity.
+    /// Calls rejected for lack of capacity.
     refused: Counter,
 }
 

@@ -10,7 +10,7 @@ use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Who asks. Sessions of one tenant do not exist for another.
+/// A tenant. Its sessions do not exist for another.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Tenant(pub Arc<str>);
 
@@ -25,11 +25,11 @@ impl Default for Tenant {
 pub struct KeyedAnswer<T> {
     /// The answer.
     pub value: T,
-    /// True when an earlier call with the same idempotency key got it first and nothing was done now.
+    /// True when an earlier call with the same idempotency key got it and this call did nothing.
     pub repeated: bool,
 }
 
-/// The idempotency key of a call, and the request in bytes that tell it from others: the same key with other bytes is refused.
+/// The idempotency key of a call, and the bytes of its request: the server rejects the same key with other bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CallKey {
     /// The key.
@@ -45,7 +45,7 @@ pub struct SessionFacts {
     pub id: String,
     /// Number of the newest change.
     pub revision: u64,
-    /// What its deformer tells about model, solver and handles.
+    /// The facts of model, solver and handles.
     pub deformer: Arc<DeformerFacts>,
     /// The poses of the handles in force.
     pub poses: HandlePoses,
@@ -110,7 +110,7 @@ pub struct CommittedPose {
     pub digest: String,
 }
 
-/// What a deform stream says.
+/// An answer of a deform stream.
 #[derive(Debug, Clone)]
 pub enum StreamAnswer {
     /// A frame, not encoded yet.
@@ -128,14 +128,14 @@ pub enum StreamAnswer {
         code: &'static str,
         /// What it is, for people.
         message: &'static str,
-        /// The session to go on with.
+        /// The session to continue.
         session: String,
     },
     /// The answer to a ping with this number.
     Pong(u64),
 }
 
-/// What an animation says.
+/// An answer of an animation.
 #[derive(Debug, Clone)]
 pub enum AnimationAnswer {
     /// What is under way before the first frame.
@@ -156,7 +156,7 @@ pub enum AnimationAnswer {
 pub struct AnimatedModel {
     /// The GLB.
     pub model: Bytes,
-    /// What is told of its frames.
+    /// The summary of its frames.
     pub summary: AnimationSummary,
 }
 

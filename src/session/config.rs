@@ -38,7 +38,7 @@ pub struct SessionConfig {
     pub default_ttl: Duration,
     /// Longest time to live that a session may ask for.
     pub max_ttl: Duration,
-    /// How long a session that is kept in a store stays in memory when nobody uses it.
+    /// How long an unused session that is kept in a store stays in memory.
     pub idle: Duration,
     /// Commits that can be undone.
     pub history: usize,

@@ -1,18 +1,18 @@
-//! Sessions that nobody finds any more and whose memory is not free yet: who needs room waits for them before anything is refused.
+//! Removed sessions whose memory is not free yet: a call that needs room waits for them before it is rejected.
 
 use crate::session::answers::Tenant;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio_util::sync::CancellationToken;
 
-/// Sessions on their way out.
+/// Removed sessions.
 #[derive(Debug, Default)]
 pub(super) struct DepartingSessions(Mutex<Departures>);
 
 #[derive(Debug, Default)]
 struct Departures {
-    /// Whose each is, and what is raised when its memory is free.
+    /// Tenant of each, and the token of its free memory.
     under_way: Vec<(Tenant, CancellationToken)>,
-    /// Whether one has ended since somebody asked.
+    /// Whether one has ended since the last query.
     ended: bool,
 }
 
@@ -29,7 +29,7 @@ impl DepartingSessions {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A session goes; `ended` is raised when its memory is free.
+    /// Adds one; `ended` is raised when its memory is free.
     pub fn add(&self, tenant: Tenant, ended: CancellationToken) {
         let mut departures = self.lock();
         departures.settle();
@@ -43,7 +43,7 @@ impl DepartingSessions {
         std::mem::take(&mut departures.ended)
     }
 
-    /// The ends of those that are still on their way, of one tenant where it is named.
+    /// The tokens of those that have not ended, of one tenant where it is named.
     pub fn under_way(&self, tenant: Option<&Tenant>) -> Vec<CancellationToken> {
         let departures = self.lock();
         let own = departures

@@ -1,7 +1,7 @@
-//! What a session needs of the thing that deforms its model.
+//! What a session needs of the engine of its model.
 //!
-//! The one real engine is [`Deformer`]; the seam exists so that the rules of sessions and streams can be tested with
-//! an engine whose every cycle the test controls.
+//! The one real engine is [`Deformer`]; the trait exists so that tests of sessions and streams can use an engine whose
+//! every cycle they control.
 
 use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::engine::{
@@ -20,7 +20,7 @@ use glam::DVec3;
 /// The contract is that of [`Deformer`]: a call that fails changes nothing, and a [`SolveMode::Commit`] solve depends on
 /// nothing but model, handles, poses and settings.
 pub trait Engine: Send + 'static {
-    /// What a session tells about model, solver and handles.
+    /// The facts of model, solver and handles.
     fn facts(&self) -> DeformerFacts;
     /// The rest shape.
     fn rest_shape(&self) -> ModelShape;
@@ -28,7 +28,7 @@ pub trait Engine: Send + 'static {
     fn diagonal(&self) -> f64;
     /// Bytes held.
     fn byte_size(&self) -> u64;
-    /// Bytes that the engine may hold after what is asked of it next.
+    /// Sets the bytes that the engine may hold after the next call.
     fn limit_memory(&mut self, _bytes: u64) {}
     /// Bytes of what [`Engine::release_memory`] drops.
     fn spare_bytes(&self) -> u64 {
@@ -83,7 +83,7 @@ pub trait Engine: Send + 'static {
     fn restore_topology(&mut self, _state: &TopologyState, _exec: &Exec<'_>) -> Result<(), Error> {
         Ok(())
     }
-    /// Whether all is known of a shape that an edit needs; if not, a commit that makes it again tells.
+    /// Whether the engine has all that an edit needs of a shape; if not, it is solved again.
     fn remembers(&self, _shape: ShapeId) -> bool {
         true
     }

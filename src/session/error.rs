@@ -1,4 +1,4 @@
-//! What a caller is told when a call fails, and the one table from failures to status codes of every transport.
+//! The errors of calls, and the one table from failures to status codes of every transport.
 
 use crate::session::owner_address::OwnerAddress;
 use crate::{asset, engine, motion, wire};
@@ -18,7 +18,7 @@ pub enum ErrorCode {
     AlreadyExists,
     /// It collides with a call that is under way.
     Aborted,
-    /// Nobody knows who asks.
+    /// The caller is unknown.
     Unauthenticated,
     /// The caller may not.
     PermissionDenied,
@@ -172,7 +172,8 @@ impl Error {
 
     /// Another node has taken the session.
     pub fn moved() -> Self {
-        let text = "another node has taken the session; nothing has changed, ask again and you are told where it is";
+        let text =
+            "another node has taken the session; nothing has changed; repeat the call, and the answer names that node";
         Self {
             retry_after_s: Some(1),
             ..Self::new(ErrorCode::Unavailable, text)
@@ -230,7 +231,7 @@ impl From<wire::Error> for Error {
     }
 }
 
-/// What the engine refuses is told as `wire` tells it, with the field of the request that the value came from.
+/// Errors of the engine read as in `wire`, with the field of the request that the value came from.
 impl From<engine::Error> for Error {
     fn from(error: engine::Error) -> Self {
         wire::Error::from(error).into()

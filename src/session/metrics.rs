@@ -64,7 +64,7 @@ pub struct Metrics {
     pub poses_solved: Counter,
     /// Poses skipped because a newer one came.
     pub poses_superseded: Counter,
-    /// Poses refused.
+    /// Poses rejected.
     pub poses_refused: Counter,
     /// Commits stored, those of calls and of streams.
     pub commits: Counter,
@@ -88,9 +88,9 @@ pub struct Metrics {
     pub pool_busy: Gauge,
     /// Pieces of work waiting for a compute slot.
     pub pool_waiting: Gauge,
-    /// Calls refused for want of capacity.
+    /// Calls rejected because capacity ran out.
     pub refused: Counter,
-    /// Work given up because its caller had gone or its time was over.
+    /// Work aborted because its caller disconnected or its time ran out.
     pub cancelled: Counter,
 }
 
@@ -186,15 +186,15 @@ impl Metrics {
                 "Poses skipped because a newer one came",
                 &self.poses_superseded,
             ),
-            ("poses_refused", "Poses refused", &self.poses_refused),
+            ("poses_refused", "Poses rejected", &self.poses_refused),
             ("commits", "Commits stored", &self.commits),
             ("frames_sent", "Frames handed to a transport", &self.frames_sent),
             ("frame_bytes", "Bytes of the data of frames", &self.frame_bytes),
             ("solver_cycles", "Solver cycles", &self.cycles),
-            ("refused", "Calls refused for want of capacity", &self.refused),
+            ("refused", "Calls rejected because capacity ran out", &self.refused),
             (
                 "cancelled",
-                "Work given up because its caller had gone or its time was over",
+                "Work aborted because its caller disconnected or its time ran out",
                 &self.cancelled,
             ),
         ]

@@ -1,4 +1,4 @@
-//! The sessions of this process, and what of a session anybody may touch.
+//! The sessions of this process, and what all tasks may use of each.
 //!
 //! Lookups hand out clones of `Arc`s; no guard of the map leaves this file.
 
@@ -44,7 +44,7 @@ pub(super) struct SessionView {
 #[derive(Debug)]
 pub(super) struct OpenSession {
     pub id: String,
-    /// The session as what it is kept in knows it.
+    /// The session as its store knows it.
     pub held: HeldSession,
     pub tenant: Tenant,
     /// Sessions are numbered in the order of their creation.
@@ -55,7 +55,7 @@ pub(super) struct OpenSession {
     pub format: Format,
     pub lease: SessionLease,
     pub commands: mpsc::Sender<SessionCommand>,
-    /// Who waits for an answer to them.
+    /// The calls that wait for answers.
     pub line: CallLine,
     pub streams: OpenStreams,
     pub animations: OpenAnimations,
@@ -69,9 +69,9 @@ pub(super) struct OpenSession {
     pub ended: CancellationToken,
     pub view: RwLock<Arc<SessionView>>,
     pub why: OnceLock<Error>,
-    /// Raised when the session is to leave memory if nobody uses it.
+    /// Raised when the session is to leave memory once unused.
     pub leave: AtomicBool,
-    /// Raised when it has left memory and is in its store alone: whoever comes late finds it there.
+    /// Raised when it has left memory and is in its store alone: late calls find it there.
     pub unloaded: AtomicBool,
     /// Whether its task works.
     pub busy: AtomicBool,
@@ -242,7 +242,7 @@ impl SessionRegistry {
         self.sessions.get(id).map(|entry| Arc::clone(entry.value()))
     }
 
-    /// How long it takes until one of the tenant's sessions in memory ends by itself, if nobody uses it.
+    /// How long it takes until the first of the tenant's sessions in memory expires without use.
     pub fn soonest_end(&self, tenant: &Tenant) -> Duration {
         let own = self.all().into_iter().filter(|session| session.tenant == *tenant);
         let soonest = own.map(|session| session.lease.end()).min();

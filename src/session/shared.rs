@@ -35,16 +35,16 @@ pub(super) struct SharedResources {
     pub registry: SessionRegistry,
     /// Where sessions are kept; without it they end with the process.
     pub store: Option<Arc<dyn SessionStore>>,
-    /// When this node, of several, had a word with the store.
+    /// When this node, of several, renewed its lease.
     pub lease_watch: LeaseWatch,
-    /// Held by who brings a session into memory or out of it.
+    /// Held while a session moves into memory or out.
     pub locks: SessionLocks,
     pub idempotency: IdempotencyKeys<StoredAnswer>,
     pub opener: Box<dyn EngineOpener>,
     pub gate: CallGate,
     pub numbers: AtomicU64,
-    /// When this server began, in milliseconds since 1970: of the time that an idle session lives none passes while no server runs,
-    /// so that neither a stop nor a backup's age ends it.
+    /// When this server began, in milliseconds since 1970. The time to live does not pass while no server runs, so that
+    /// neither a stop nor a backup's age ends a session.
     pub started_ms: u64,
     pub draining: AtomicBool,
     /// Raised by `abort`.
@@ -53,7 +53,7 @@ pub(super) struct SharedResources {
 }
 
 impl SharedResources {
-    /// Another node has a session: nobody finds it here any more.
+    /// Removes a session that another node has.
     pub fn lose(&self, session: &Arc<OpenSession>) {
         // A write that is refused and a heartbeat may both find out: the first of them counts.
         let is_news = self.registry.remove_this(session);

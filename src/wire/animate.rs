@@ -1,4 +1,4 @@
-//! How a clip drives a session's model, and what is told of the frames.
+//! How a clip drives a session's model, and the summary of the frames.
 
 use super::check::{enumerated, number, optional_within};
 use super::frames::FrameOutput;
@@ -214,7 +214,7 @@ fn played_form(options: &pb::AnimateOptions) -> Result<PlayedForm, Error> {
     })
 }
 
-/// What is wrong with a rig, told as a part of the options.
+/// An error of a rig, with its field of the options.
 pub fn of_rig(error: Error) -> Error {
     renamed(error, |field| match field {
         "rig" | "clip" => field.into(),
@@ -232,7 +232,7 @@ fn renamed(error: Error, name: impl Fn(&str) -> String) -> Error {
     }
 }
 
-/// What is told of an animation once all its frames have come.
+/// The summary of an animation after its last frame.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct AnimationSummary {
     /// Sums over the frames.
@@ -249,7 +249,7 @@ pub struct AnimationSummary {
     pub build_ms: BTreeMap<String, f64>,
 }
 
-/// The frame that tells of a stage before the first frame.
+/// The message of a stage before the first frame.
 pub fn stage_frame(stage: &str, fraction: f64) -> pb::Frame {
     let animated = pb::Animated {
         stage: stage.into(),
@@ -262,7 +262,7 @@ pub fn stage_frame(stage: &str, fraction: f64) -> pb::Frame {
     }
 }
 
-/// The frame that tells that all frames have come; with `seq`, that of the last one.
+/// The message after all frames; `seq` is that of the last one.
 pub fn summary_frame(summary: &AnimationSummary, seq: u64) -> pb::Frame {
     let report = pb::AnimationReport {
         totals: Some(animation_totals(&summary.sums, summary.ms)),

@@ -11,7 +11,7 @@ use pb::edit_request::{Operation, merge::Source};
 /// A pose to be solved and committed. Made by [`pose_commit`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseCommit {
-    /// The number that its frame bears.
+    /// The number of its frame.
     pub seq: u64,
     /// The handles that move, and where they go.
     pub changes: Vec<(String, HandlePose)>,
@@ -91,7 +91,7 @@ pub fn session_page(request: &pb::ListSessionsRequest) -> Result<SessionPage, Er
     let after = match request.page_token.as_str() {
         "" => 0,
         token => u64::from_str_radix(token, 16)
-            .map_err(|_| Error::invalid("pageToken", "is no token that an earlier page gave"))?,
+            .map_err(|_| Error::invalid("pageToken", "is not a token that an earlier page gave"))?,
     };
     Ok(SessionPage { size, after })
 }

@@ -71,7 +71,7 @@ pub(super) fn plain_text(text: &str, field: &str) -> Result<(), Error> {
 
 /// A known enum value.
 pub(super) fn enumerated<E: TryFrom<i32>>(value: i32, field: &str) -> Result<E, Error> {
-    E::try_from(value).map_err(|_| Error::invalid(field, format!("is {value}, no value of this enum")))
+    E::try_from(value).map_err(|_| Error::invalid(field, format!("is {value}, which is not a value of this enum")))
 }
 
 /// A plane whose normal is a direction.

@@ -56,7 +56,7 @@ fn time_to_live(text: &str, allowed: RangeInclusive<Duration>) -> Result<Option<
     }
     let shown: String = text.chars().take(64).collect();
     let ttl = humantime::parse_duration(text).map_err(|e| {
-        let problem = format!("\"{shown}\" is no duration such as \"15m\" or \"1h 30m\": {e}");
+        let problem = format!("\"{shown}\" is not a duration such as \"15m\" or \"1h 30m\": {e}");
         Error::invalid("ttl", problem)
     })?;
     if !allowed.contains(&ttl) {

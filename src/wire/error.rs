@@ -46,7 +46,7 @@ pub enum Error {
         /// The size allowed.
         limit: u64,
     },
-    /// Nobody wants the result any more.
+    /// The caller gave up.
     #[error("cancelled")]
     Cancelled,
     /// A defect of the server.

@@ -23,7 +23,7 @@ impl pb::Expect {
         }
         if !(self.digest.is_empty() || can_be_digest(&self.digest)) {
             let problem = format!(
-                "is {:?}, \"xxh3:\" and 16 hexadecimal digits in small letters are needed, as reports tell it",
+                "is {:?}, \"xxh3:\" and 16 hexadecimal digits in small letters are needed, as reports print it",
                 self.digest
             );
             return Err(Error::invalid(format!("{place}.digest"), problem));

@@ -5,7 +5,7 @@ use super::poses::handle_pose_message;
 use crate::asset::Primitive;
 use crate::engine::{DeformerFacts, DeformerWarning, HandlePose, HandlePoses, LoosePart, QualityReport, WarningPlace};
 
-/// Writes what is told of a session about model, solver and handles; id, revision, times and limits are the caller's.
+/// Writes the facts of a session's model, solver and handles; the caller adds id, revision, times and limits.
 pub fn session_message(facts: &DeformerFacts) -> pb::Session {
     let (model, solver) = (&facts.model, &facts.solver);
     pb::Session {
@@ -44,7 +44,7 @@ pub fn session_message(facts: &DeformerFacts) -> pb::Session {
     }
 }
 
-/// Adds their poses to the handles of a session; one at rest has none.
+/// Adds poses to the handles of a session; one in the rest pose has none.
 pub fn handle_poses_message(handles: &mut [pb::HandleFacts], poses: &HandlePoses) {
     for (handle, pose) in handles.iter_mut().zip(poses.0.iter()) {
         handle.pose = (*pose != HandlePose::default()).then(|| handle_pose_message(pose));

@@ -1,4 +1,4 @@
-//! What of a model's file follows its shape: the rules, checked, and what is told of it.
+//! What of a model's file follows its shape: the checked rules, and the report.
 
 use super::check::enumerated;
 use super::{Error, pb};

@@ -54,7 +54,7 @@ pub struct FrameRequest {
     pub part_bytes: usize,
 }
 
-/// Vertices from which on compressing a frame takes longer than who serves connections may be away.
+/// Vertices from which on compressing a frame would block a connection's thread too long.
 const MANY_TO_COMPRESS: usize = 4096;
 
 impl FrameRequest {
@@ -97,15 +97,16 @@ impl FrameRequest {
     }
 }
 
-/// Prepares a frame that stands for itself; the iterator makes its parts one by one. Who asked for differences gets a key frame.
+/// Prepares a frame that stands for itself; the iterator makes its parts one by one. With differences it is a key
+/// frame.
 ///
 /// There is always at least one part. Attributes follow one another: positions, then normals, then tangents.
 pub fn encode(request: FrameRequest) -> FrameParts {
     prepare(request, None)
 }
 
-/// Prepares the next frame of a stream whose reader holds what `sent` says, and who will hold what [`FrameParts::into_sent`] says
-/// when all its parts are sent.
+/// Prepares the next frame of a stream. The reader holds `sent`, and [`FrameParts::into_sent`] when all its parts are
+/// sent.
 pub fn encode_next(request: FrameRequest, sent: SentSteps) -> FrameParts {
     prepare(request, Some(sent))
 }
@@ -197,7 +198,7 @@ pub struct FrameParts {
     vertices: Arc<FrameVertices>,
     encoding: frame::Encoding,
     blocks: [FrameBlock; 3],
-    /// What the numbers are told from.
+    /// What the numbers refer to.
     telling: FrameTelling,
     /// What meshopt is given.
     scratch: Vec<[u16; 4]>,
@@ -211,12 +212,12 @@ impl FrameParts {
         self.next < self.parts
     }
 
-    /// What the reader holds when it was sent all parts. Before that it is no base for another frame.
+    /// What the reader holds after all parts. Before that it is not a base for another frame.
     pub fn into_sent(self) -> SentSteps {
         self.telling.into_sent()
     }
 
-    /// The next part, for who sends its bytes; as an iterator this gives messages.
+    /// The next part, to send its bytes; as an iterator this gives messages.
     pub fn next_part(&mut self) -> Option<FramePart> {
         let part = self.next;
         let block = self

@@ -18,7 +18,7 @@ pub struct HandlePatch {
     pub stiffness: Option<Option<f64>>,
     /// Whether the region keeps its shape.
     pub rigid: Option<bool>,
-    /// Where the handle is; the inner `None` is at rest.
+    /// The pose; the inner `None` is the rest pose.
     pub pose: Option<Option<HandlePose>>,
     /// How it fades out; the inner `None` is not at all.
     pub falloff: Option<Option<Falloff>>,

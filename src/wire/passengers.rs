@@ -1,4 +1,4 @@
-//! What rides along: passengers of a model, and points and models to be carried once.
+//! Passengers of a model, and points and models that are carried once.
 
 use super::check::{number, points};
 use super::{Error, pb};
@@ -18,9 +18,9 @@ const UNIT: f64 = 0.01;
 /// What one call carries along with a session's shape. Made by [`carry_order`].
 #[derive(Debug, Clone)]
 pub struct CarryOrder {
-    /// Points at rest.
+    /// Points of the rest pose.
     pub points: Vec<DVec3>,
-    /// How the axes at the points are turned at rest, one for each.
+    /// The rest rotations of axes at the points, one for each.
     pub rotations: Vec<DQuat>,
     /// Another model that stands in the rest space.
     pub model: Option<CarriedModel>,

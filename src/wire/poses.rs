@@ -23,12 +23,12 @@ pub fn pose_changes(change: &pb::Pose) -> Result<Vec<(String, HandlePose)>, Erro
     pose_entries(change).into_iter().map(PoseEntry::into_change).collect()
 }
 
-/// A handle that a pose names, and where it goes; or what is wrong with that, for those who tell it later.
+/// A handle that a pose names, and where it goes, or an error to be reported later.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseEntry {
     /// The name of the handle.
     pub id: String,
-    /// Its pose; one that is not given is at rest.
+    /// Its pose; the default is the rest pose.
     pub pose: Result<HandlePose, Error>,
 }
 
@@ -42,7 +42,7 @@ impl PoseEntry {
     }
 }
 
-/// Reads the entries of a pose, each with what is wrong with it. One that names a handle again is wrong: which of them is meant?
+/// Reads the entries of a pose, each with its error. An entry that names a handle again is an error.
 pub(super) fn pose_entries(pose: &pb::Pose) -> Vec<PoseEntry> {
     let mut named: BTreeMap<&str, usize> = BTreeMap::new();
     let mut entries = Vec::with_capacity(pose.handles.len());

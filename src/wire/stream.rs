@@ -5,7 +5,7 @@ use super::poses::{PoseEntry, check_pose_size, pose_entries};
 use super::{Error, pb};
 use prost::Message as _;
 
-/// One request of a deform stream. What is wrong with it is a part of it: the stream tells it when its turn comes.
+/// One request of a deform stream. It contains its error: the stream reports it when its turn comes.
 #[derive(Debug, Clone, PartialEq)]
 pub enum StreamRequest {
     /// The options from now on.
@@ -14,7 +14,7 @@ pub enum StreamRequest {
     Pose(StreamPose),
     /// The client has the frames up to this number.
     Ack(u64),
-    /// A question whether anybody is there; the answer bears the same number.
+    /// A ping; the answer has the same number.
     Ping(u64),
 }
 
@@ -25,7 +25,7 @@ pub struct StreamPose {
     pub seq: u64,
     /// Whether it is to be committed.
     pub commit: bool,
-    /// What tells a commit that is sent again from a new one.
+    /// Identifies a commit that is sent again.
     pub key: Option<PoseKey>,
     /// The handles that it names.
     pub entries: Result<Vec<PoseEntry>, Error>,
@@ -87,7 +87,7 @@ fn pose_key(pose: &pb::Pose) -> Result<Option<PoseKey>, Error> {
         return wrong("stands on a pose that is not committed; only a commit has a key");
     }
     if key.len() > KEY_BYTES || !key.bytes().all(|b| b.is_ascii_graphic()) {
-        return wrong("is no key; 1 to 255 visible ASCII characters are allowed");
+        return wrong("is not a key; 1 to 255 visible ASCII characters are allowed");
     }
     let handles = pb::Pose {
         handles: pose.handles.clone(),

@@ -84,7 +84,10 @@ fn joints_hang_on_each_other_as_the_bones_do_and_stand_where_the_model_is() {
         .collect();
     let (rest, _) = shapes::box_with_cells(DVec3::new(6.0, 1.0, 1.0), [24, 4, 4]);
     for p in &drawn {
-        assert!(rest.iter().any(|q| q.distance(*p) < 1e-5), "{p} is no place of the bar");
+        assert!(
+            rest.iter().any(|q| q.distance(*p) < 1e-5),
+            "{p} is not a place of the bar"
+        );
     }
     assert_valid(&folder.join("bar.glb"));
 }
@@ -152,7 +155,7 @@ fn what_cannot_be_bound_is_refused_and_nothing_is_written() {
     );
     refused(
         &["bar.obj", "--rig", "rig.json", "-o", "bar.obj"],
-        "its extension must say so",
+        "use a .glb file name",
     );
     refused(
         &["bar.obj", "--rig", "none.json", "-o", "bar.glb"],
@@ -167,10 +170,7 @@ fn what_cannot_be_bound_is_refused_and_nothing_is_written() {
         RIG.replace(r#""id": "trunk", "#, r#""id": "trunk", "parent": "hand", "#),
     )
     .expect("written");
-    refused(
-        &["bar.obj", "--rig", "cycle.json", "-o", "bar.glb"],
-        "hang on each other in a circle",
-    );
+    refused(&["bar.obj", "--rig", "cycle.json", "-o", "bar.glb"], "form a cycle");
     assert!(!folder.join("bar.glb").exists());
     let done = skin(
         folder,

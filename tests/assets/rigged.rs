@@ -298,11 +298,11 @@ fn what_cannot_be_is_refused_with_what_can() {
         (&["--bvh", "pipe.bvh"], "such as \"hips\""),
         (
             &["--at", "tail=0,0,0"],
-            "\"tail\" is no joint of a body; there are hips",
+            "\"tail\" is not a joint of a body; there are hips",
         ),
         (&["--at", "lElbow=0,0"], "needs three finite numbers"),
         (&["--landmarks", "marks.json"], "needs three finite numbers"),
-        (&["--picture", "a.jpg"], "its extension must say so"),
+        (&["--picture", "a.jpg"], "use a .png file name"),
     ] {
         let all: Vec<&str> = ["rig", "figure.glb", "-o", "rig.json"]
             .iter()

@@ -353,7 +353,7 @@ fn a_moved_model_differs_in_geometry_only() {
         for (b, (old, new)) in before.buffers.iter().zip(&after.buffers).enumerate() {
             assert!(new.len() >= old.len(), "{name}: buffer {b} only ever grows");
             let changed = (0..old.len()).find(|&i| old[i] != new[i] && !mask[b][i]);
-            assert_eq!(changed, None, "{name}: a byte of buffer {b} that is no geometry");
+            assert_eq!(changed, None, "{name}: a byte of buffer {b} that is not geometry");
         }
         for (uri, bytes) in &model.files.companions {
             let is_buffer = before.json["buffers"]

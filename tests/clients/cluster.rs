@@ -212,7 +212,7 @@ async fn probes_and_variables_name_what_the_server_has() {
     for variable in variables {
         assert!(
             setting(&reference, &variable.to_lowercase()).is_some(),
-            "{variable} is no key"
+            "{variable} is not a key"
         );
     }
     assert!(setting(&reference, "advertised").is_none(), "the check can fail");
@@ -343,7 +343,7 @@ fn the_proxy_of_the_cluster_does_what_the_tested_one_does() {
     assert!(done.status.success(), "{}", said(&done));
     assert!(
         !checked(None).expect("haproxy runs").status.success(),
-        "names are no names without it"
+        "names are not names without it"
     );
     assert!(manifest(PROXY).contains("- name: POD_NAMESPACE"), "the pod has it");
 }

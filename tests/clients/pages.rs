@@ -15,7 +15,7 @@ use std::path::Path;
 use std::process::Command;
 
 /// Every page for users that has no test of its own.
-const PAGES: [&str; 23] = [
+const PAGES: [&str; 25] = [
     "README.md",
     "CONTRIBUTING.md",
     "deploy/README.md",
@@ -30,7 +30,9 @@ const PAGES: [&str; 23] = [
     "deploy/docs/glossary.md",
     "deploy/docs/quality.md",
     "deploy/docs/security.md",
+    "deploy/docs/README.md",
     "deploy/docs/speed.md",
+    "deploy/docs/tour.md",
     "deploy/docs/cookbook-assets.md",
     "deploy/docs/cookbook-ci.md",
     "deploy/docs/cookbook-motion.md",
@@ -106,6 +108,11 @@ fn play(page: &str) -> Checkout {
 #[test]
 fn readme() {
     play("README.md");
+}
+
+#[test]
+fn tour() {
+    play("deploy/docs/tour.md");
 }
 
 #[test]
@@ -306,9 +313,11 @@ fn no_page_is_left_out() {
             continue;
         }
         let name = entry.file_name();
-        let page = format!("deploy/docs/{}", name.to_string_lossy());
-        assert!(PAGES.contains(&page.as_str()), "{page} is tested by nobody");
-        let linked = read("README.md").contains(&page);
-        assert!(linked, "README.md does not link to {page}");
+        let name = name.to_string_lossy();
+        let page = format!("deploy/docs/{name}");
+        assert!(PAGES.contains(&page.as_str()), "no test plays {page}");
+        let index = "deploy/docs/README.md";
+        let linked = page == index || read(index).contains(&format!("]({name})"));
+        assert!(linked, "{index} does not link to {page}");
     }
 }

@@ -50,7 +50,7 @@ def floats(data):
 def glb_positions(data):
     """The positions of a GLB with one primitive under an identity node, from its accessor; also its JSON."""
     magic, version, length = struct.unpack_from("<4sII", data)
-    check((magic, version, length) == (b"glTF", 2, len(data)), "the export is no GLB of the length that its header says")
+    check((magic, version, length) == (b"glTF", 2, len(data)), "the export is not a GLB of the length that its header says")
     json_length, kind = struct.unpack_from("<I4s", data, 12)
     check(kind == b"JSON", "the first chunk of the export is not JSON")
     asset = json.loads(data[20:20 + json_length])

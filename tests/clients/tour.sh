@@ -21,7 +21,7 @@ curl -sSf "$server/v1/sessions/$id/solve" -H "$json" -H 'accept: model/gltf-bina
   "pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, 0.8, 0], "translation": [0, 0.1, 0]}}]},
   "options": {"tolerance": 1e-6}}'
 
-# Back and forth; every commit can be undone, and returns to the bit.
+# Undo and redo. Both restore every bit.
 curl -sSf -X POST "$server/v1/sessions/$id/undo" -o /dev/null
 curl -sSf -X POST "$server/v1/sessions/$id/redo" -o /dev/null
 

@@ -298,7 +298,7 @@ fn check_curve(whole: &Model, drawn: &[DVec3], closed: bool) -> Vec<DVec3> {
     }
     let next = points.iter().skip(1).chain(closed.then(|| &points[0]));
     for (a, b) in points.iter().zip(next) {
-        assert!(edges.contains(&(*a, *b)), "{a} – {b} of the curve is no edge");
+        assert!(edges.contains(&(*a, *b)), "{a} – {b} of the curve is not an edge");
     }
     points.iter().map(|&p| place[p as usize]).collect()
 }

@@ -32,7 +32,7 @@ fn every_folder_of_found_inputs_belongs_to_a_target() {
         let name = entry.expect("a readable entry").file_name();
         assert!(
             TARGETS.iter().any(|(target, _)| name == *target),
-            "{} is no target",
+            "{} is not a target",
             name.display()
         );
     }

@@ -230,7 +230,7 @@ pub fn http() -> reqwest::Client {
 pub fn text(value: &Value) -> String {
     value
         .as_str()
-        .unwrap_or_else(|| panic!("{value} is no string"))
+        .unwrap_or_else(|| panic!("{value} is not a string"))
         .to_owned()
 }
 

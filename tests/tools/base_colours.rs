@@ -196,7 +196,7 @@ fn a_picture_that_cannot_be_drawn_is_told_and_its_plain_colour_shown() {
     let whole = row_png(&[[255, 0, 0, 255]]);
     let cases = [
         ("nowhere.png".to_owned(), "is missing"),
-        (data_uri("image/png", &whole[..whole.len() - 20]), "no whole PNG"),
+        (data_uri("image/png", &whole[..whole.len() - 20]), "not a complete PNG"),
         (data_uri("image/png", &endless_png()), "20000 x 20000"),
         (data_uri("image/png", b"GIF89a and so on"), "neither PNG nor JPEG"),
         (data_uri("image/jpeg", &[0xff, 0xd8, 0xff, 0xe0, 0, 16]), "JPEG"),

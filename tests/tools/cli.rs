@@ -529,7 +529,7 @@ fn a_variable_that_is_called_as_a_key_and_is_none_stops_the_server() {
     assert_eq!(code, Some(2), "{last}");
     assert!(
         last.contains(
-            "environment variable PLIANT_MEMRY_BYTES is no key of the configuration; did you mean PLIANT_MEMORY_BYTES?"
+            "environment variable PLIANT_MEMRY_BYTES is not a key of the configuration; did you mean PLIANT_MEMORY_BYTES?"
         ),
         "{last}"
     );

@@ -106,5 +106,5 @@ fn one_of_a_thing_is_told_as_one() {
     let (code, text, _) = pliant(folder.path(), &["inspect", "square.obj"]);
     assert_eq!(code, Some(0));
     assert!(text.contains("4 in 1 primitive\n"), "{text}");
-    assert!(text.contains("1 hole or open rim, "), "{text}");
+    assert!(text.contains("1 hole, "), "{text}");
 }

@@ -79,7 +79,7 @@ fn refused_names(folder: &Path) -> Vec<(String, &'static str)> {
         ("other/secret.obj", "which does not lie in"),
         ("/dev/zero", "which does not lie in"),
         ("zero.obj", "which does not lie in"),
-        ("pipe.obj", "pipe.obj is no regular file, a file is needed"),
+        ("pipe.obj", "pipe.obj is not a regular file, a file is needed"),
         ("inside", "inside is a folder, a file is needed"),
         ("", "is a folder, a file is needed"),
         (
@@ -153,17 +153,21 @@ fn folders_can_be_allowed_and_what_is_no_file_in_them_is_refused_all_the_same() 
             &["--allow", "elsewhere"][..],
             "does not lie in",
         ),
-        ("../elsewhere/pipe.obj", &["--allow", "elsewhere"], "is no regular file"),
-        ("/dev/zero", &["--allow", "/dev"], "is no regular file"),
+        (
+            "../elsewhere/pipe.obj",
+            &["--allow", "elsewhere"],
+            "is not a regular file",
+        ),
+        ("/dev/zero", &["--allow", "/dev"], "is not a regular file"),
         (
             "near.obj",
             &["--allow", "nowhere"],
-            "--allow is nowhere, which is no folder",
+            "--allow is nowhere, which is not a folder",
         ),
         (
             "near.obj",
             &["--allow", "job/bar.obj"],
-            "--allow is job/bar.obj, which is no folder",
+            "--allow is job/bar.obj, which is not a folder",
         ),
     ] {
         let (code, err) = deform(name, allowed);
@@ -250,8 +254,8 @@ fn a_path_that_was_typed_leads_anywhere_and_to_regular_files_alone() {
     let (code, err) = pliant(folder.path(), &["inspect", "job/way_out.obj"]);
     assert_eq!(code, Some(0), "{err}");
     for (path, told) in [
-        ("job/pipe.obj", "is no regular file, a file is needed"),
-        ("/dev/zero", "is no regular file, a file is needed"),
+        ("job/pipe.obj", "is not a regular file, a file is needed"),
+        ("/dev/zero", "is not a regular file, a file is needed"),
         ("job", "is a folder, a file is needed"),
     ] {
         for arguments in [
@@ -279,7 +283,7 @@ fn a_companion_that_is_a_pipe_is_refused_and_not_waited_for() {
     pipe(&folder.path().join("job/model.bin"));
     let (code, err) = pliant(folder.path(), &["inspect", "job/model.gltf"]);
     assert_eq!(code, Some(2), "{err}");
-    let told = "job/model.gltf: job/model.bin is no regular file, a file is needed";
+    let told = "job/model.gltf: job/model.bin is not a regular file, a file is needed";
     assert!(last(&err).contains(told), "{err}");
 }
 
@@ -326,5 +330,5 @@ fn no_link_under_the_name_of_a_temporary_file_is_written_through() {
     let resumed = [&animate[..], &["--resume"]].concat();
     let (code, err) = pliant(folder.path(), &resumed);
     assert_eq!(code, Some(2), "{err}");
-    assert!(last(&err).contains("walk.glb.part is no regular file"), "{err}");
+    assert!(last(&err).contains("walk.glb.part is not a regular file"), "{err}");
 }

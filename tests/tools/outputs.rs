@@ -211,7 +211,7 @@ fn nothing_is_replaced_without_force_and_no_folder_made_without_parents() {
         (with(&deform, &["folder.obj", "--force", "--parents"]), "it is a folder"),
         (
             with(&deform, &["precious.png/out.obj", "--parents"]),
-            "precious.png is no folder",
+            "precious.png is not a folder",
         ),
         (
             vec!["check", "suite", "--junit", "precious.obj"],
@@ -249,7 +249,7 @@ fn a_link_stays_a_link_and_a_device_is_never_replaced() {
             .expect("there")
             .starts_with(b"# pliant")
     );
-    refused(path, &to("null.obj"), "it is no regular file");
+    refused(path, &to("null.obj"), "it is not a regular file");
 }
 
 #[test]

@@ -182,7 +182,7 @@ fn try_model(path: &Path, work: &Path) -> Result<String, String> {
         Some(code) => return Err(format!("exit code {code}: {reason}")),
     }
     let model = model.ok_or("deformed, but cannot be read")?;
-    let report: serde_json::Value = serde_json::from_str(&stdout).map_err(|e| format!("stdout is no JSON: {e}"))?;
+    let report: serde_json::Value = serde_json::from_str(&stdout).map_err(|e| format!("stdout is not JSON: {e}"))?;
     let written = read(&out).ok_or("the output cannot be read again")?;
     // Not triangle by triangle: a quad that has bent may be cut along its other diagonal when it is read again.
     if written.positions.len() != model.positions.len() || written.triangles.len() != model.triangles.len() {

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Draws deploy/docs/pictures/figure.png: the built-in figure before and after its job, at rest and at times of its clips.
+"""Draws deploy/docs/pictures/figure.png: the built-in figure before and after its job, in the rest pose and at times of its clips.
 
 usage: figure.py PLIANT BEFORE.glb AFTER.glb OUT.png      (needs Pillow; the models are those of cookbook-assets.md)
 

@@ -1,23 +1,23 @@
-//! What became of the solves that clients asked for.
+//! Outcomes of the solves that clients request.
 
 use super::times::Times;
 use std::time::Duration;
 use tonic::{Code, Status};
 
-/// What became of unary solves.
+/// Outcomes of unary solves.
 #[derive(Debug, Default, Clone)]
 pub(crate) struct AnswerTally {
     /// Solves that were answered.
     pub solved: u64,
     /// From request to the last part of the answer.
     pub latency: Times,
-    /// From request to being told that there is no room.
+    /// From request to the rejection for lack of room.
     pub refusal: Times,
     /// Other errors.
     pub failed: u64,
     /// One of them.
     pub failure: Option<String>,
-    /// How long solves were asked for.
+    /// How long solves were requested.
     pub elapsed: Duration,
 }
 

@@ -7,34 +7,34 @@ use std::time::Duration;
 /// Arguments of `loadtest stream`.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct StreamArgs {
-    /// Server to load, such as http://127.0.0.1:7411; loopback only. Without it, a server in this process
+    /// URL of the server to load, loopback only, such as http://127.0.0.1:7411 [default: a server in this process]
     #[arg(long, value_name = "URL")]
     pub server: Option<String>,
-    /// Model that every client opens a session with; without it, the built-in creature
+    /// Model file of every session [default: the built-in creature]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Poses that every client sends
+    /// Poses of every client
     #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub poses: u32,
-    /// Poses a second of every client
+    /// Poses per second of every client
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub hz: u32,
     /// Clients, each with a session of its own
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
     pub clients: u32,
-    /// Rows of a table instead of one report: so many sessions at once in each, such as 1,4,16,64,256. The server is then a process
-    /// of its own, whose memory is told
+    /// Numbers of sessions, one table row each, such as 1,4,16,64,256, instead of one report. The server is then a
+    /// separate process, whose memory the table lists
     #[arg(long, value_name = "N,N", value_delimiter = ',', num_args = 1..=8, conflicts_with_all = ["clients", "server"],
         value_parser = clap::value_parser!(u32).range(1..=256))]
     pub sessions: Vec<u32>,
-    /// Drag twice, alone and beside so many more clients that solve without pause. The server is then a process of its own
+    /// Number of clients that solve without pause beside a second drag. The server is then a separate process
     #[arg(long, value_name = "N", conflicts_with_all = ["sessions", "server"],
         value_parser = clap::value_parser!(u32).range(1..=192))]
     pub beside: Option<u32>,
-    /// Pieces of work that may wait to be computed on the server of `--beside`; its own choice without it
+    /// Length of the compute queue of the server of `--beside` [default: the server's]
     #[arg(long, value_name = "N", requires = "beside", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub queue: Option<u32>,
-    /// Stop sending after this many seconds, even when poses are left
+    /// Maximum seconds of sending, even if poses are left
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=600))]
     pub seconds: u32,
     /// Unacknowledged frames in flight
@@ -43,10 +43,10 @@ pub(crate) struct StreamArgs {
     /// Relative residual to reach
     #[arg(long, default_value_t = 1e-4)]
     pub tolerance: f64,
-    /// Ask for better and better frames of one pose
+    /// Request progressive frames
     #[arg(long)]
     pub progressive: bool,
-    /// How frames are packed
+    /// Encoding of frames
     #[arg(long, value_enum, default_value_t = EncodingChoice::F32)]
     pub encoding: EncodingChoice,
     /// Print one JSON document on stdout

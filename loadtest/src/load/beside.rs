@@ -94,7 +94,7 @@ async fn drag_all(
     Ok((clients, total))
 }
 
-/// Clients that solve until they are told to stop.
+/// Clients that solve until `stop` is set.
 struct SolvingClients {
     stop: Arc<AtomicBool>,
     tasks: JoinSet<(LoadClient, AnswerTally)>,
@@ -109,7 +109,7 @@ impl SolvingClients {
         Self { stop, tasks }
     }
 
-    /// Waits for those under way; what is answered from now on counts no more.
+    /// Stops the clients and waits for them. Later answers do not count.
     async fn stop(mut self) -> Result<(Vec<LoadClient>, AnswerTally), LoadtestFailure> {
         self.stop.store(true, Ordering::Release);
         let (mut clients, mut total) = (Vec::new(), AnswerTally::default());
@@ -122,7 +122,7 @@ impl SolvingClients {
     }
 }
 
-/// Solves one pose after the other. Who is refused comes again when the server said.
+/// Solves one pose after the other. After a rejection it waits as the server requires.
 async fn solve_without_pause(
     mut client: LoadClient,
     scene: DragScene,
@@ -144,7 +144,7 @@ async fn solve_without_pause(
     (client, tally)
 }
 
-/// How long the server says to wait; a second when it does not.
+/// The `retry-after` of a rejection; a second without one.
 fn told_delay(status: &Status) -> Duration {
     let told = status.metadata().get("retry-after").and_then(|v| v.to_str().ok());
     Duration::from_secs(told.and_then(|text| text.parse().ok()).unwrap_or(1))

@@ -20,7 +20,7 @@ pub(crate) struct BesideReport {
 }
 
 impl BesideReport {
-    /// Tells everything that should not be.
+    /// Lists everything that went wrong.
     pub fn problems(&self) -> Vec<String> {
         let mut problems = self.drags_alone.problems();
         problems.extend(self.drags_beside.problems());

@@ -128,7 +128,7 @@ impl PoseLedger {
         self.broken.extend(other.broken);
     }
 
-    /// Tells everything that does not add up.
+    /// Lists every inconsistency.
     pub fn problems(&self) -> Vec<String> {
         let mut problems = self.broken.clone();
         let answered = self.finals + self.refused + self.superseded;

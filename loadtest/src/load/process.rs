@@ -49,7 +49,7 @@ pub(crate) fn run_own_server(args: &OwnServerArgs) -> Result<(), LoadtestFailure
     })
 }
 
-/// What a process holds.
+/// What a process uses.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ProcessUse {
     /// Resident bytes.
@@ -109,7 +109,7 @@ impl ServerProcess {
         connected.map_err(|e| LoadtestFailure::Server(format!("cannot connect to {}: {e}", self.url)))
     }
 
-    /// What the process holds now; zeros where the system does not tell.
+    /// What the process uses now; zeros where the system has no figures.
     pub fn now_used(&self) -> ProcessUse {
         let Some(id) = self.child.id() else {
             return ProcessUse::default();
@@ -130,7 +130,7 @@ impl ServerProcess {
         }
     }
 
-    /// Asks it to end, and waits for that.
+    /// Stops it, and waits for its end.
     pub async fn stop(mut self) -> Result<(), LoadtestFailure> {
         drop(self.child.stdin.take());
         match tokio::time::timeout(PATIENCE, self.child.wait()).await {

@@ -7,7 +7,7 @@ use crate::shared::drag_scene::DragScene;
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 
-/// The shares that are told.
+/// The reported quantiles.
 const SHARES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("max", 1.0)];
 
 fn times(ledger: &PoseLedger) -> [(&'static str, &Times); 3] {

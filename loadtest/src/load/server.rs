@@ -93,7 +93,7 @@ async fn resolve_loopback(url: &str) -> Result<SocketAddr, LoadtestFailure> {
         |problem: &str| LoadtestFailure::Usage(format!("--server {url}: {problem}, such as http://127.0.0.1:7411"));
     let uri: Uri = url
         .parse()
-        .map_err(|_| refuse("is no URL; allowed is http:// with a loopback address"))?;
+        .map_err(|_| refuse("is not a URL; allowed is http:// with a loopback address"))?;
     if uri.scheme_str() != Some("http") {
         return Err(refuse("allowed is http:// with a loopback address"));
     }

@@ -17,10 +17,10 @@ pub(crate) struct SoakArgs {
     /// Rounds: open, drag, commit, edit, undo, close
     #[arg(long, default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(10..=1_000_000))]
     pub rounds: u32,
-    /// Rounds under way at the same time
+    /// Rounds at the same time
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=32))]
     pub at_once: u32,
-    /// The largest growth of the server's memory after the first tenth of the rounds, as a fraction
+    /// Maximum growth of the server's memory after the first tenth of the rounds, as a fraction
     #[arg(long, default_value_t = 0.05)]
     pub growth: f64,
 }

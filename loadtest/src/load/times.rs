@@ -1,9 +1,9 @@
-//! Many times in little room.
+//! Many times in little memory.
 
 use hdrhistogram::Histogram;
 use std::time::Duration;
 
-/// The longest time that is told apart from longer ones, in microseconds.
+/// The longest time, in microseconds; longer ones count as this one.
 const LONGEST: u64 = 3_600_000_000;
 
 /// Times by how often they occurred, to three digits.
@@ -24,7 +24,7 @@ impl Times {
         self.0.saturating_record(micros.max(1));
     }
 
-    /// Enters a time in milliseconds; one that is no time counts as none.
+    /// Enters a time in milliseconds; an invalid one counts as 0.
     pub fn enter_ms(&mut self, ms: f64) {
         self.enter(Duration::try_from_secs_f64(ms / 1e3).unwrap_or_default());
     }

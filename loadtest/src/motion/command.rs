@@ -18,16 +18,16 @@ pub(crate) struct MotionArgs {
     /// Folder of the rigs: rig_armadillo_cmu.json, rig_doorman_cmu.json, rig_horse_boxing.json
     #[arg(long, value_name = "DIR")]
     rigs: PathBuf,
-    /// Folder of models and clips: meshes, bvh and gltf lie in it
+    /// Folder of models and clips, with the folders meshes, bvh and gltf
     #[arg(long, value_name = "DIR", env = "PLIANT_DATA")]
     data: PathBuf,
-    /// Rows to measure, such as 1,2; all unless given
+    /// Rows to measure, such as 1,2 [default: all]
     #[arg(long, value_delimiter = ',', value_name = "ROWS")]
     only: Vec<u8>,
-    /// Most frames of each animation
+    /// Maximum frames of each animation
     #[arg(long, default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..))]
     frames: u32,
-    /// Threads, but for rows that say how many; 0 means one for each core
+    /// Threads of rows that do not set them; 0 means one per core
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
     threads: u16,
     /// Print one JSON document on stdout

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Frames of the whole, and the range that is solved by itself.
+/// Frames of the whole, and the range that is solved alone.
 const WHOLE: usize = 200;
 const PART: Range<usize> = 64..128;
 /// Frames of the run that is killed, and how many of them it must have written before.
@@ -47,7 +47,7 @@ pub(super) fn measure_equality(folders: &MotionFolders<'_>, most: usize) -> Resu
         let off = differ(&part, &one[PART.start..]);
         figures.push(MotionFigure::below(
             7,
-            "64:64 by itself: frames that differ",
+            "64:64 alone: frames that differ",
             (off, ""),
             [Some(0.0), None],
         ));

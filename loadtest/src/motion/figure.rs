@@ -16,7 +16,7 @@ pub(super) struct MotionFigure {
 }
 
 impl MotionFigure {
-    /// A number that may be so far from 0 at most.
+    /// A number with upper bounds on its magnitude.
     pub fn below(
         row: u8,
         what: impl Into<String>,
@@ -33,7 +33,7 @@ impl MotionFigure {
         }
     }
 
-    /// A number that must be so much at least.
+    /// A number with lower bounds.
     pub fn above(row: u8, what: impl Into<String>, value: (f64, &'static str), bounds: [Option<f64>; 2]) -> Self {
         Self {
             is_floor: true,
@@ -41,7 +41,7 @@ impl MotionFigure {
         }
     }
 
-    /// A number that is told to compare others with.
+    /// A number without bounds, for comparison.
     pub fn told(row: u8, what: impl Into<String>, value: (f64, &'static str)) -> Self {
         Self::below(row, what, value, [None, None])
     }

@@ -68,7 +68,7 @@ pub(super) fn measure_recorded(
     ])
 }
 
-/// What triangles enclose, told also where they are not closed: signed, seen from the middle of their corners.
+/// Six times the signed volume between triangles and the mean of all positions; works for open surfaces too.
 fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     let middle = positions.iter().sum::<DVec3>() / positions.len().max(1) as f64;
     let at = |v: u32| positions[v as usize] - middle;

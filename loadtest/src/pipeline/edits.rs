@@ -1,5 +1,5 @@
-//! `loadtest edits`: from an edit of a few hundred vertices to the first frame after it, where graph and hierarchy follow
-//! the edit, and where they are built anew.
+//! `loadtest edits`: from an edit of a few hundred vertices to the first frame after it, with graph and hierarchy
+//! repaired, and with both rebuilt.
 
 use crate::failure::LoadtestFailure;
 use crate::pipeline::pass_clock::PassClock;
@@ -40,24 +40,24 @@ const STAGES: [(&str, &str); 8] = [
 /// Arguments of `loadtest edits`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct EditsArgs {
-    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
     model: PathBuf,
-    /// Cut every triangle into four this many times first, which is not timed
+    /// Number of subdivisions of every triangle into four beforehand, not timed
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
     subdivide: u8,
-    /// Vertices of the region that is edited, about
+    /// Approximate number of vertices of the edited region
     #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u32).range(10..=1_000_000))]
     region: u32,
-    /// What is done to the region
+    /// Edit of the region
     #[arg(long, value_enum, default_value = "delete-fill")]
     operation: BenchedEdit,
-    /// Edit the shape at rest, not a committed pose
+    /// Edit the rest pose, not a committed pose
     #[arg(long)]
     at_rest: bool,
-    /// Threads; 0 means one for each core
+    /// Threads; 0 means one per core
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
     threads: u16,
-    /// Most runs of each; the one with the least total is told
+    /// Maximum runs of each; the report shows the fastest
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
     repeat: u32,
     /// Print one JSON document on stdout

@@ -39,18 +39,18 @@ const STAGES: [(&str, &str); 9] = [
 /// Arguments of `loadtest pipeline`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct PipelineArgs {
-    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
     model: PathBuf,
-    /// The job; without it the ends of the model's longest side are held and one of them turned
+    /// Job file [default: fix one end of the model's longest side and turn the other]
     #[arg(long, value_name = "FILE")]
     job: Option<PathBuf>,
-    /// Cut every triangle into four this many times first, which is not timed
+    /// Number of subdivisions of every triangle into four beforehand, not timed
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
     subdivide: u8,
-    /// Threads; 0 means one for each core
+    /// Threads; 0 means one per core
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
     threads: u16,
-    /// Most runs of the whole; the one with the least total is told. No further one begins after 4 s
+    /// Maximum runs, none begins after 4 s; the report shows the fastest
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     repeat: u32,
     /// Print one JSON document on stdout
@@ -256,7 +256,7 @@ fn run_table(run: &FirstFrameRun, model: &Path, pool: &Pool) -> String {
     }
     text += &format!("{:<10} {:>9.1} ms\n", "total", run.total_seconds() * 1e3);
     text + &format!(
-        "{} cycles, residual {:.1e}, missing at most {:.1e} of the diagonal; {:.1} MB held, {:.1} MB a frame\n",
+        "{} cycles, residual {:.1e}, error at most {:.1e} of the diagonal; {:.1} MB held, {:.1} MB a frame\n",
         run.cycles,
         run.residual,
         run.max_error,

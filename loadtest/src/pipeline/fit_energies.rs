@@ -17,21 +17,21 @@ use std::time::Instant;
 /// Arguments of `loadtest energy`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct EnergyArgs {
-    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
     model: PathBuf,
-    /// The job; without it the ends of the model's longest side are held and one of them turned
+    /// Job file [default: fix one end of the model's longest side and turn the other]
     #[arg(long, value_name = "FILE")]
     job: Option<PathBuf>,
-    /// Cut every triangle into four this many times first
+    /// Number of subdivisions of every triangle into four beforehand
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
     subdivide: u8,
-    /// Threads; 0 means one for each core
+    /// Threads; 0 means one per core
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
     threads: u16,
-    /// Re-fits of each row
+    /// Refinements of each row
     #[arg(long, value_delimiter = ',', default_value = "0,1,2,4,8")]
     refine: Vec<u32>,
-    /// Re-fits that the energies are compared with
+    /// Refinements of the reference
     #[arg(long, default_value_t = 300)]
     least: u32,
 }

@@ -43,21 +43,21 @@ const PASSES: [(&str, &str); 12] = [
 /// Arguments of `loadtest frame`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct FrameArgs {
-    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
     model: PathBuf,
-    /// Cut every triangle into four this many times first
+    /// Number of subdivisions of every triangle into four beforehand
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
     subdivide: u8,
-    /// Threads; 0 means one for each core
+    /// Threads; 0 means one per core
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
     threads: u16,
-    /// Frames that are measured; a swing there and back is 120
+    /// Frames to measure; a swing there and back is 120
     #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     frames: u64,
     /// Relative residual to reach
     #[arg(long, value_name = "TOLERANCE")]
     tolerance: Option<f64>,
-    /// Largest missing displacement to reach, fraction of the diagonal
+    /// Largest error to reach, as a fraction of the diagonal
     #[arg(long, value_name = "ERROR")]
     max_error: Option<f64>,
     /// Print one JSON document on stdout

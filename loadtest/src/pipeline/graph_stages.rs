@@ -31,7 +31,7 @@ struct GraphStageTimes {
 }
 
 impl<'a> GraphStageClock<'a> {
-    /// Creates a clock on which nothing runs; `now_ms` tells milliseconds since any fixed moment.
+    /// Creates an idle clock; `now_ms` returns milliseconds since any fixed moment.
     pub(crate) fn new(now_ms: impl Fn() -> f64 + Send + Sync + 'a) -> Self {
         Self {
             now_ms: Box::new(now_ms),

@@ -34,12 +34,12 @@ const ENCODINGS: [(&str, FrameEncoding); 4] = [
 /// Arguments of `loadtest wire`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct WireArgs {
-    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
     model: PathBuf,
-    /// Frames that are measured; a swing there and back is 120
+    /// Frames to measure; a swing there and back is 120
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     frames: u64,
-    /// Vertices that moved no further than this fraction of the diagonal are left out of frames with changes only
+    /// Fraction of the diagonal: frames with changes only leave out vertices that moved less
     #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
     changed: f64,
     /// Print one JSON document on stdout
@@ -151,16 +151,16 @@ fn send(request: FrameRequest, sent: SentSteps) -> (usize, bool, SentSteps) {
 /// A place in steps of a box that stays the same over a drag.
 type StepPlaces = Vec<[i32; 3]>;
 
-/// What a number is expected to be, from what it was in the last two frames.
+/// Predicts a number from its values in the last two frames.
 type Prediction = fn([i32; 2]) -> i32;
 
-/// What else the steps of a frame could be told against than the one before: the one before that, or where the two lead.
+/// Predictions other than the last frame: the frame before it, or the linear extrapolation of the two.
 const PREDICTIONS: [(&str, Prediction); 2] = [
     ("MESHOPT minus earlier", |[earlier, _]| earlier),
     ("MESHOPT minus led to", |[earlier, last]| 2 * last - earlier),
 ];
 
-/// What frames would take, coded as MESHOPT frames are, of which each tells what differs from a prediction. No server sends them.
+/// What frames would take if MESHOPT coded their differences from a prediction. No server sends them.
 fn predicted(name: &str, shapes: &[(Arc<Vec<DVec3>>, Arc<Shading>)], prediction: fn([i32; 2]) -> i32) -> WireRow {
     let points = || shapes.iter().flat_map(|(positions, _)| positions.iter());
     let low = points().fold(DVec3::INFINITY, |a, &b| a.min(b));

@@ -12,7 +12,7 @@ impl Measurements {
         self.0.insert(key.into(), value.into());
     }
 
-    /// Sets a measured number, six digits of it; what is no number is left out.
+    /// Sets a measured number, rounded to six digits; null if not finite.
     pub fn set_number(&mut self, key: &str, value: f64) {
         if let Ok(rounded) = format!("{value:.5e}").parse::<f64>() {
             // JSON has no infinities; they become null.

@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 /// Most times that a model is subdivided: 4¹⁰ is a million triangles from one.
 pub(crate) const MOST_SUBDIVISIONS: u8 = 10;
 
-/// The model with its triangles cut `times` times, as a file of its own. Its vertices come first, so that they keep
-/// their numbers; those of edges follow. Midpoints of vertices that lie on each other lie on each other to the bit.
+/// The model with its triangles cut `times` times, as a file of its own. Its vertices come first and keep their
+/// numbers; midpoints of edges follow. Edges whose ends coincide have bit-identical midpoints.
 pub(crate) fn subdivide_model(files: FileSet, times: u8) -> Result<FileSet, LoadtestFailure> {
     if times == 0 {
         return Ok(files);

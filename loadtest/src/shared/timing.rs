@@ -5,7 +5,7 @@ use std::time::Instant;
 /// No further run begins once all before it took this many seconds.
 const PATIENCE: f64 = 4.0;
 
-/// Run times tell how many seconds the runs of one piece of work took.
+/// Run times are how many seconds the runs of one piece of work took.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct RunTimes {
     /// The fastest.
@@ -38,7 +38,7 @@ impl RunTimes {
     }
 }
 
-/// Runs `work` and tells what it took.
+/// Runs `work` and times it in seconds.
 pub(crate) fn time_once<T>(work: impl FnOnce() -> T) -> (T, f64) {
     let start = Instant::now();
     let result = work();

@@ -38,24 +38,24 @@ const ALARM: Rgb = [190, 20, 30];
 /// Arguments of `loadtest sheet`.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct SheetArgs {
-    /// Folder with models; folders in it are looked into
+    /// Folder with models, searched recursively
     folder: PathBuf,
-    /// Where to write the picture, a png file
+    /// Output picture (.png)
     #[arg(short, long, value_name = "PICTURE")]
     output: PathBuf,
-    /// Also models with more than 200000 triangles
+    /// Include models with more than 200000 triangles
     #[arg(long)]
     all: bool,
-    /// Models in a row
+    /// Models per row
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=16))]
     columns: u32,
-    /// Pixels of a tile, each way
+    /// Size of a tile in pixels, each way
     #[arg(long, default_value_t = 220, value_parser = clap::value_parser!(u32).range(64..=1024))]
     tile: u32,
-    /// Rotation re-fits of each solve; without it, as many as a commit makes
+    /// Rotation refinements of each solve [default: as for a commit]
     #[arg(long)]
     refine: Option<u32>,
-    /// Compute threads; 0 = one for each core
+    /// Compute threads; 0 means one per core
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=1024))]
     threads: u32,
 }

@@ -32,10 +32,10 @@ const TWIST: f64 = 0.75 * std::f64::consts::PI;
 /// Arguments of `loadtest figures`.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct FiguresArgs {
-    /// Folder to write meshes (obj) and pictures (png) to; made when missing
+    /// Output folder for meshes (obj) and pictures (png), created if missing
     #[arg(short, long, value_name = "FOLDER")]
     output: PathBuf,
-    /// Compute threads; 0 = one for each core
+    /// Compute threads; 0 means one per core
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=1024))]
     threads: u32,
 }

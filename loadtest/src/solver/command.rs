@@ -13,19 +13,19 @@ use std::path::PathBuf;
 /// Arguments of `loadtest solver`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct SolverArgs {
-    /// The problem file; a companion of the same name with the extension aux is used when it is there
+    /// Problem file; loadtest also reads a companion with the extension aux if it exists
     problem: PathBuf,
-    /// Threads that the solver may use; 0 means one for each core
+    /// Threads of the solver; 0 means one per core
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(0..=1024))]
     threads: u16,
-    /// Most runs of everything that is timed; no further one begins after 4 s
+    /// Maximum runs of everything that is timed; none begins after 4 s
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     repeat: u32,
-    /// Leave out the solutions to the last digit, and with them all errors
+    /// Skip the exact solutions, and with them all errors
     #[arg(long)]
     fast: bool,
-    /// Instead of all else: residual and error of every iteration after full multigrid, with these operators and with
-    /// the default ones; needs the companion
+    /// Report only the residual and error of every iteration after full multigrid, with these operators and with the
+    /// default ones; needs the companion
     #[arg(long, value_parser = ["paper"])]
     operators: Option<String>,
     /// Print one JSON document on stdout

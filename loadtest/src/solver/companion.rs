@@ -1,5 +1,5 @@
-//! The file beside a problem file, with what the matrix alone does not tell: the graph with its given nodes, the frames,
-//! and a second pose one step on.
+//! The file beside a problem file, with what the matrix lacks: the graph with its given nodes, the frames, and a second
+//! pose one step on.
 //!
 //! Little-endian, in this order: magic u64, version u64, nodes n u64, entries e u64, flags u64 (1: weights, 2: stiffness),
 //! diagonal f64; row starts u32 × (n + 1), neighbours u32 × e, weights f32 × e (with flag 1), given u8 × n,
@@ -23,12 +23,12 @@ const WEIGHTS: u64 = 1;
 /// Flag: nodes have a stiffness.
 const STIFFNESS: u64 = 2;
 
-/// A pose system is what one pose asks for, node by node.
+/// A pose system is the input of one pose, node by node.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct PoseSystem {
     /// Right-hand side, before given neighbours are moved into it.
     pub rhs: Vec<[f64; 3]>,
-    /// Given nodes where they are held, all others at rest.
+    /// Given positions, and rest positions of other nodes.
     pub given: Vec<[f64; 3]>,
 }
 
@@ -49,7 +49,7 @@ pub(crate) struct CompanionFile {
     pub stiffness: Option<Vec<f64>>,
     /// By node: the linear map of the first pose.
     pub frames: Vec<[f32; 9]>,
-    /// By node: where it is at rest.
+    /// By node: its rest position.
     pub rest: Vec<[f64; 3]>,
     /// The pose of the problem file, and one a step on.
     pub poses: [PoseSystem; 2],
@@ -76,7 +76,7 @@ impl CompanionFile {
         let mut file = NumberReader::open(path)?;
         let (magic, version): (u64, u64) = (file.read_number()?, file.read_number()?);
         if (magic, version) != (MAGIC, VERSION) {
-            let problem = format!("is no companion of version {VERSION}; export the system again");
+            let problem = format!("is not a companion of version {VERSION}; export the system again");
             return Err(file.file_error(problem));
         }
         let (n, e, flags): (u64, u64, u64) = (file.read_number()?, file.read_number()?, file.read_number()?);

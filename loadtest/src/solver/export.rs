@@ -22,15 +22,15 @@ const STEP: f64 = 0.01;
 /// Arguments of `loadtest export-system`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ExportArgs {
-    /// The model: glb or gltf with embedded buffers, obj, ply, off or stl
+    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
     model: PathBuf,
-    /// The job: how the session is built, handles, and the pose after its last step
+    /// Job file: session options, handles, and the pose after its last step
     #[arg(long, value_name = "FILE")]
     job: PathBuf,
-    /// Where to write the problem file; its companion goes beside it, with the extension aux
+    /// Output problem file; its companion is written beside it with the extension aux
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Cut every triangle into four this many times first; the model's vertices keep their numbers
+    /// Number of subdivisions of every triangle into four beforehand; the model's vertices keep their numbers
     #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
     subdivide: u8,
 }

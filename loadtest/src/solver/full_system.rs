@@ -163,14 +163,14 @@ fn follow_field(
     Ok((field, DAffine3::from_mat3_translation(linear, shift)))
 }
 
-/// Puts the given nodes of a solution where `pose` holds them.
+/// Puts the given nodes of a solution where `pose` has them.
 fn place_given_nodes(all: &CompanionFile, pose: &PoseSystem, x: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let rows = x.iter().zip(&pose.given).zip(&all.fixed);
     rows.map(|((x, given), fixed)| if *fixed { *given } else { *x })
         .collect()
 }
 
-/// Solves on from `x` to a residual, and tells the residual reached.
+/// Solves from `x` on; returns the solution and its residual.
 fn solve_on(
     ready: &ReadySystem,
     pose: &PoseSystem,

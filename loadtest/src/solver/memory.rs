@@ -18,7 +18,7 @@ pub(super) fn peak_bytes() -> u64 {
     process_status("VmHWM:")
 }
 
-/// Begins counting the peak anew; false where the system does not allow it.
+/// Resets the peak; false where the system does not allow it.
 pub(super) fn reset_peak() -> bool {
     std::fs::write("/proc/self/clear_refs", "5").is_ok()
 }

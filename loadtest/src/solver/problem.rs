@@ -1,4 +1,4 @@
-//! The peers' problem file: a sparse symmetric matrix, three right-hand sides, and where its vertices are at rest.
+//! The peers' problem file: a sparse symmetric matrix, three right-hand sides, and rest positions of its vertices.
 //!
 //! Little-endian: magic u64, n u64, nnz u64, row starts i64 × (n + 1), columns i32 × nnz, values f64 × nnz, right-hand
 //! sides f64 × 3 n by row, rest positions f64 × 3 n by row. The matrix is whole, with its diagonal.

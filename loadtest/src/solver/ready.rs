@@ -43,7 +43,7 @@ impl ReadySystem {
         logged.map(|(stats, _)| stats)
     }
 
-    /// Solves for three columns, and tells the residual of every iteration too.
+    /// Solves for three columns; also returns the residual of each iteration.
     pub fn solve_logged(
         &self,
         rhs: &[[f64; 3]],
@@ -66,7 +66,7 @@ impl ReadySystem {
         Ok((solved.map_err(solver_failure)?, residuals))
     }
 
-    /// Solves several times, each from what `start` makes, and tells the last result and what one solve took.
+    /// Solves several times, each time from what `start` makes. Returns the last result and the times.
     pub fn solve_and_time(
         &self,
         rhs: &[[f64; 3]],
@@ -84,7 +84,7 @@ impl ReadySystem {
     }
 }
 
-/// Turns what the solver said when it could not solve into a failure of the command.
+/// Turns an error of the solver into a failure of the command.
 pub(super) fn solver_failure(e: pliant::solver::Error) -> LoadtestFailure {
     LoadtestFailure::Server(format!("the solver failed: {e}"))
 }

@@ -71,7 +71,7 @@ struct ReasonEntry {
     text: String,
 }
 
-/// One metric. Numbers that could not be told are absent.
+/// One metric. Unknown numbers are absent.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct MetricEntry {
@@ -88,7 +88,7 @@ struct MetricEntry {
     #[serde(default, skip_serializing_if = "String::is_empty")]
     place: String,
     holds: bool,
-    /// Told where it is not so.
+    /// Absent when true.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     applies: bool,
 }
@@ -251,7 +251,7 @@ fn metric_entry(difference: &MetricDifference) -> MetricEntry {
 fn read_case(entry: CaseEntry) -> Result<CaseReport, (String, String)> {
     check_case_name(&entry.name).map_err(|problem| ("name".to_owned(), problem))?;
     let Some(status) = CaseStatus::from_name(&entry.status) else {
-        let problem = format!("\"{}\" is no status of a case", entry.status);
+        let problem = format!("\"{}\" is not a status of a case", entry.status);
         return Err(("status".into(), problem));
     };
     if let Some(took) = entry.milliseconds.filter(|t| !(t.is_finite() && *t >= 0.0)) {
@@ -264,7 +264,7 @@ fn read_case(entry: CaseEntry) -> Result<CaseReport, (String, String)> {
         Some(code) => Ok(VerdictReason { code, text: entry.text }),
         None => Err((
             format!("reasons[{k}].code"),
-            format!("\"{}\" is no reason of this version", entry.code),
+            format!("\"{}\" is not a reason of this version", entry.code),
         )),
     };
     let metric = |(k, entry): (usize, MetricEntry)| match Metric::from_name(&entry.name) {
@@ -280,7 +280,7 @@ fn read_case(entry: CaseEntry) -> Result<CaseReport, (String, String)> {
         }),
         None => Err((
             format!("metrics[{k}].name"),
-            format!("\"{}\" is no metric of this version", entry.name),
+            format!("\"{}\" is not a metric of this version", entry.name),
         )),
     };
     let picture = |(k, entry): (usize, PictureEntry)| {
@@ -324,14 +324,14 @@ fn read_picture(entry: PictureEntry) -> Result<CasePicture, (&'static str, Strin
     let Some(caption) = CasePicture::known_caption(&entry.caption) else {
         return Err((
             "caption",
-            format!("\"{}\" is no caption of this version", entry.caption),
+            format!("\"{}\" is not a caption of this version", entry.caption),
         ));
     };
     let png = STANDARD
         .decode(&entry.png)
-        .map_err(|e| ("png", format!("is no base64: {e}")))?;
+        .map_err(|e| ("png", format!("is not base64: {e}")))?;
     if !png.starts_with(PNG) {
-        return Err(("png", "is no PNG file".into()));
+        return Err(("png", "is not a PNG file".into()));
     }
     Ok(CasePicture {
         caption,
@@ -399,7 +399,7 @@ mod tests {
             (
                 "\"name\":\"a-passed\"",
                 "\"name\":\"a passed\"",
-                "cases[0].name: \"a passed\" is no name of a case",
+                "cases[0].name: \"a passed\" is not the name of a case",
             ),
             (
                 "\"status\":\"passed\"",
@@ -424,12 +424,12 @@ mod tests {
             (
                 "\"png\":\"iVBO",
                 "\"png\":\"AAAA",
-                "cases[3].pictures[0].png: is no PNG file",
+                "cases[3].pictures[0].png: is not a PNG file",
             ),
             (
                 "\"png\":\"iVBO",
                 "\"png\":\"####",
-                "cases[3].pictures[0].png: is no base64",
+                "cases[3].pictures[0].png: is not base64",
             ),
             (
                 "\"milliseconds\":1.5",

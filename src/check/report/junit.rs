@@ -55,7 +55,7 @@ fn seconds(milliseconds: f64) -> String {
     format!("{:.6}", milliseconds / 1000.0)
 }
 
-/// Tells a case that could not be run from one whose result is wrong.
+/// Whether a case failed because it could not be run.
 fn is_error(case: &CaseReport) -> bool {
     case.verdict.status == CaseStatus::Failed && case.verdict.reasons.first().is_some_and(|r| r.code == "not-run")
 }

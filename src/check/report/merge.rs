@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 /// Most shards that are named where they are missing.
 const NAMED: usize = 8;
 
-/// Characters of a digest that are told.
+/// Digest characters that errors show.
 const DIGEST: usize = 19;
 
 /// A named report is a report with the name of its file.
@@ -102,7 +102,7 @@ fn check_same(
     Ok(())
 }
 
-/// As much of a digest as tells it from another one.
+/// The start of a digest, enough to distinguish it.
 fn clipped(digest: &str) -> String {
     digest.chars().take(DIGEST).collect()
 }

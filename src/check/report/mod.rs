@@ -1,7 +1,7 @@
-//! What is told of a suite: lines for people, JSON, JUnit XML, and a page with pictures.
+//! Reports of a suite: lines for people, JSON, JUnit XML, and a page with pictures.
 //!
-//! All of it is a pure function of the cases' results: no thread count is in it, and no time unless it is asked for, so two runs that
-//! find the same say the same. The JSON document holds everything: the reports of shards are read and joined from it.
+//! Reports depend only on the cases' results. They contain no thread count, and times only on request, so equal results
+//! give equal reports. The JSON document holds everything; shards are joined from it.
 
 mod html;
 mod json;

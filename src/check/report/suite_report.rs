@@ -6,7 +6,7 @@ use super::super::golden::InputHashes;
 use super::super::shard::Shard;
 use super::super::verdict::{CaseStatus, CaseVerdict};
 
-/// A case report tells of a case that was run, or could not be.
+/// A case report is the outcome of a case, run or not.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CaseReport {
     /// Its name.
@@ -27,11 +27,11 @@ pub struct CaseReport {
     pub pictures: Vec<CasePicture>,
     /// What someone should know beside, such as why there is no picture.
     pub notes: Vec<String>,
-    /// How long it took, side by side with others; `None` where that is not told.
+    /// How long it took, run beside others; `None` unless requested.
     pub milliseconds: Option<f64>,
 }
 
-/// A suite report tells of a suite that was run, or of a shard of it.
+/// A suite report is the outcome of a suite or of a shard of it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SuiteReport {
     /// The name of its folder.

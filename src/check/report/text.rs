@@ -47,7 +47,7 @@ pub(super) fn verdict_line(verdict: &CaseVerdict) -> String {
     parts.join("; ")
 }
 
-/// Of numbers that are over their bounds the one to tell: what turned over, before how far it is over.
+/// The number over its bound to report: turned triangles, else the largest share of its bound.
 fn worst_difference<'a>(over: &[&'a MetricDifference]) -> Option<&'a MetricDifference> {
     let turned = |m: &&&MetricDifference| matches!(m.metric, Metric::FlippedTriangles | Metric::FoldedTriangles);
     if let Some(m) = over.iter().find(turned) {
@@ -158,13 +158,13 @@ mod tests {
         let lines: Vec<String> = suite.cases.iter().map(|c| case_line(c, 10)).collect();
         assert_eq!(lines[0], "passed   a-passed    identical");
         assert!(
-            lines[1].contains("within tolerance: maxDisplacement 5.00e-7 of 1.00e-6 allowed"),
+            lines[1].contains("within tolerance: maxDisplacement 5.00e-7, limit 1.00e-6"),
             "{}",
             lines[1]
         );
         assert!(lines[2].starts_with("skipped  c-skipped") && lines[2].contains("data:arm.off"));
         assert!(
-            lines[3].starts_with("FAILED   d-failed    flippedTriangles 2 of 0 allowed"),
+            lines[3].starts_with("FAILED   d-failed    flippedTriangles 2, limit 0"),
             "{}",
             lines[3]
         );
@@ -182,16 +182,16 @@ mod tests {
         let told = case_line(&other, 10);
         assert!(
             told.starts_with(
-                "FAILED   d-failed    digest: the digest is xxh3:1, stored is xxh3:2; flippedTriangles 2 of 0"
+                "FAILED   d-failed    digest: the digest is xxh3:1, stored is xxh3:2; flippedTriangles 2, limit 0"
             ),
-            "what is told first is the first reason: {told}"
+            "the first line has the first reason: {told}"
         );
         assert!(told.ends_with("; also maxDisplacement; expectation: flippedTriangles is 2, at most 0 expected"));
         other.verdict.reasons.retain(|r| r.code == "expectation");
         assert_eq!(
             verdict_line(&other.verdict),
             "expectation: flippedTriangles is 2, at most 0 expected",
-            "numbers that are no reason are not told"
+            "numbers that are not a reason are not reported"
         );
         assert_eq!(
             summary_line(&suite),

@@ -37,29 +37,29 @@ const MOST_FRAMES: usize = 1_000_000;
 /// Arguments of `pliant animate`.
 #[derive(Debug, Args)]
 pub struct AnimateArgs {
-    /// The model: glb, gltf, obj, ply, off, stl or fbx
+    /// Model file: glb, gltf, obj, ply, off, stl or fbx
     model: PathBuf,
-    /// The clip, a BVH file
+    /// Clip file (BVH)
     #[arg(long, conflicts_with = "clip")]
     bvh: Option<PathBuf>,
-    /// A clip of the model itself, by name or by number from 0
+    /// Clip of the model file, by name or by number from 0
     #[arg(long)]
     clip: Option<String>,
-    /// Which bones of the model the clip's joints drive [default: the model's own skin for --clip, what `pliant rig` makes for --bvh]
+    /// Rig file: the bones that the clip's joints drive [default: the model's skin for --clip, the result of `pliant rig` for --bvh]
     #[arg(long)]
     rig: Option<PathBuf>,
     #[command(flatten)]
     output: AnimationOutputArgs,
-    /// Frames a second; the clip's own unless given
+    /// Frames per second [default: the clip's]
     #[arg(long)]
     fps: Option<f64>,
-    /// Which frames, as FIRST:COUNT
+    /// Frames to solve
     #[arg(long, value_name = "FIRST:COUNT")]
     frames: Option<String>,
-    /// Whether the first frame, often a T-pose, is left out
+    /// Skip the first frame, often a T-pose
     #[arg(long, value_enum, default_value_t = SkipFirst::Auto)]
     skip_first: SkipFirst,
-    /// How often rotations are fitted in a frame: carried, or 0 to 32
+    /// Rotation refinements of each frame: carried, or 0 to 32
     #[arg(long, default_value = "carried")]
     refine: String,
     /// Model units for one unit of the clip: auto, or a number
@@ -68,7 +68,7 @@ pub struct AnimateArgs {
     /// Relative residual to reach
     #[arg(long)]
     tolerance: Option<f64>,
-    /// Weights of the edges of the surface
+    /// Edge weights of the surface
     #[arg(long, value_enum, default_value_t = SurfaceWeights::Cotangent)]
     weights: SurfaceWeights,
     /// Print a report as JSON on stdout
@@ -81,7 +81,7 @@ pub struct AnimateArgs {
 /// Whether the first frame is left out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum SkipFirst {
-    /// Where it is far from the second.
+    /// Skip it if it is far from the second.
     Auto,
     /// Always.
     Yes,
@@ -92,9 +92,9 @@ enum SkipFirst {
 /// Weights of the edges of the surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum SurfaceWeights {
-    /// By the angles opposite to the edge.
+    /// From the angles opposite the edge.
     Cotangent,
-    /// All the same, as in the paper.
+    /// All equal, as in the paper.
     Uniform,
 }
 
@@ -104,7 +104,7 @@ struct AnimationSources {
     rig: Option<MotionRig>,
     /// A recorded clip.
     recorded: Option<MotionClip>,
-    /// What tells these sources from all others: lines of a name and a value.
+    /// What identifies these sources: lines of a name and a value.
     identity: String,
 }
 
@@ -216,7 +216,7 @@ fn print_summary(report: &pb::AnimationReport, is_open: bool) {
     );
 }
 
-/// What tells the frames that are wanted from others: a line of a name and a value.
+/// What identifies the requested frames: a line of a name and a value.
 fn identity_of_frames(range: &Range<usize>, times: &FrameTimes) -> String {
     let (start, count) = (range.start, range.len());
     format!(
@@ -225,7 +225,7 @@ fn identity_of_frames(range: &Range<usize>, times: &FrameTimes) -> String {
     )
 }
 
-/// A text that tells parts from other parts.
+/// Digests parts to a hexadecimal text.
 fn digest_of<'a>(parts: impl IntoIterator<Item = &'a [u8]>) -> String {
     let mut hasher = Sha256::new();
     for part in parts {

@@ -92,7 +92,7 @@ impl FramesFile {
         let mut head = vec![0; MARK.len() + 4];
         let other = |problem: &str| {
             let place = path.display();
-            CliFailure::Input(format!("cannot go on with {place}: {problem}"))
+            CliFailure::Input(format!("cannot continue {place}: {problem}"))
         };
         if file.read_exact(&mut head).is_err() || !head.starts_with(MARK) {
             return Err(other("it holds no frames of pliant"));

@@ -42,7 +42,7 @@ pub(super) struct GatheredFrames<'a> {
     has_root: bool,
     played: PlayedAnimation<'a>,
     frames: FramesFile,
-    /// What is told of the frames that an earlier run solved.
+    /// Reports of the frames that an earlier run solved.
     before: Vec<FrameReport>,
 }
 
@@ -99,7 +99,7 @@ impl<'a> GatheredFrames<'a> {
             })
     }
 
-    /// Writes a GLB that plays the frames, and tells what there is to say of it.
+    /// Writes a GLB that plays the frames; returns its errors, if measured.
     fn write_glb(&mut self, animation: &Animation, exec: &Exec<'_>) -> Result<Option<WrittenOff>, CliFailure> {
         let played = &self.played;
         let Range { start, end } = played.range;

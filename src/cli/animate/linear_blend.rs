@@ -33,7 +33,7 @@ impl LinearBlendSkin {
         }))
     }
 
-    /// Where the vertices are that lie at `rest`.
+    /// Poses the vertices whose rest is `rest`.
     pub(super) fn place_vertices(&self, rest: &[DVec3], motions: &[RigidMotion]) -> Vec<DVec3> {
         let place = |(p, own): (&DVec3, &BoneInfluences)| own.blend(|bone| motions[bone].place(*p));
         rest.par_iter().zip(&self.0).map(place).collect()

@@ -1,9 +1,9 @@
 //! `pliant animate`: a clip drives a model, frame by frame.
 //!
-//! [`command`] reads arguments and runs, [`output`] tells where frames go. Numbered models are written as they come
-//! ([`numbered`]); what becomes one file is kept in a partial file beside it first ([`frames_file`], [`gathered`]), so that a
-//! stopped animation can go on, and then written as a point cache or as a GLB ([`crate::batch`] makes it).
-//! Some become a picture ([`picture_args`], [`pictures`]), with another method's shapes beside them ([`linear_blend`]).
+//! [`command`] reads arguments and runs; [`output`] names the outputs. [`numbered`] writes each frame as a model. For
+//! one file, [`gathered`] collects frames in a partial file ([`frames_file`]), so that a stopped animation can go on,
+//! and then writes a point cache or a GLB ([`crate::batch`] makes it). [`pictures`] draws frames ([`picture_args`]),
+//! with another method's shapes beside them ([`linear_blend`]).
 
 mod command;
 mod frames_bar;

@@ -49,7 +49,7 @@ impl<'a> NumberedFrames<'a> {
         if resumes && !frames.played.permission.force && frames.played.range.clone().any(|f| is_there(&f)) {
             let refuse = |problem: &str| {
                 let folder = frames.folder.display();
-                Err(CliFailure::Input(format!("cannot go on in {folder}: {problem}")))
+                Err(CliFailure::Input(format!("cannot continue in {folder}: {problem}")))
             };
             match read_file(&mark) {
                 Err(_) => return refuse("there is no frames.part that says what its frames are of"),

@@ -17,47 +17,47 @@ const ALLOWED_OUTPUTS: &str = "allowed are .glb, .usda, .pc2, .mdd, .png, .apng 
 
 /// Most morph targets of a file.
 const MOST_TARGETS: usize = 4096;
-/// Morph targets of a file unless told otherwise: what game engines take (bevy: 64).
+/// Default morph targets of a file: what game engines take (bevy: 64).
 const USUAL_TARGETS: usize = 64;
 
-/// Most correctives of a file, and those unless told otherwise.
+/// Most correctives of a file, and the default.
 const MOST_POSES: usize = 256;
 const USUAL_POSES: usize = 8;
-/// Bones of a skin unless told otherwise.
+/// Default bones of a skin.
 const USUAL_BONES: usize = 40;
 
 /// Where the frames of an animation go.
 #[derive(Debug, Args)]
 pub(super) struct AnimationOutputArgs {
-    /// Where to write: a .glb, a .usda, a point cache (.pc2 or .mdd), a picture (.png side by side, .apng moving), or a folder
-    /// of numbered models when it ends in a slash
+    /// Output: a .glb, a .usda, a point cache (.pc2 or .mdd), a picture (.png side by side, .apng moving), or a folder of
+    /// numbered models (ends in a slash)
     #[arg(short, long)]
     output: Option<PathBuf>,
-    /// Format of numbered models: obj unless given
+    /// Format of numbered models [default: obj]
     #[arg(long)]
     format: Option<String>,
-    /// How a .glb holds the frames
+    /// How a .glb stores the frames
     #[arg(long = "as", value_enum)]
     played_as: Option<PlayedAs>,
-    /// Most morph targets of a .glb; with more frames, the shapes between chosen ones are blended [default: 64]
+    /// Maximum morph targets of a .glb; with more frames, pliant blends between selected shapes [default: 64]
     #[arg(long, value_name = "COUNT")]
     max_targets: Option<usize>,
-    /// What the bones of a .glb that is written --as skin are [default: free]
+    /// Kind of bones for --as skin [default: free]
     #[arg(long, value_enum)]
     skeleton: Option<SkeletonKind>,
-    /// Most correctives of a .glb that is written --as correctives, 1 to 256 [default: 8]
+    /// Maximum correctives for --as correctives, 1 to 256 [default: 8]
     #[arg(long, value_name = "COUNT")]
     poses: Option<usize>,
-    /// Bones of a .glb that is written --as skin, 1 to 256 [default: 40]
+    /// Number of bones for --as skin, 1 to 256 [default: 40]
     #[arg(long, value_name = "COUNT")]
     bones: Option<usize>,
-    /// Where the motion of the root bone goes: node (a node above everything, the default for .glb and .usda), baked (into the
-    /// positions, the default for all others) or none (left out)
+    /// Motion of the root bone: node (keys of a root node, default for .glb and .usda), baked (into the positions, default for
+    /// the others) or none (left out)
     #[arg(long, value_enum)]
     root: Option<RootRule>,
     #[command(flatten)]
     pictures: FramePictureArgs,
-    /// Continue an animation with the same output and options that was stopped
+    /// Continue a stopped run with the same output and options
     #[arg(long)]
     resume: bool,
     #[command(flatten)]
@@ -67,33 +67,33 @@ pub(super) struct AnimationOutputArgs {
 /// How a GLB holds frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum PlayedAs {
-    /// As morph targets and an animation of their weights.
+    /// Morph targets, and an animation of their weights.
     Morph,
-    /// As a skin of rigid bones, four a vertex, which any engine plays.
+    /// Skin of rigid bones, four per vertex; any engine plays it.
     Skin,
-    /// As a skin of the rig's bones, with morph targets for what these do not play.
+    /// Skin of the rig's bones, and morph targets for the remainder.
     Correctives,
 }
 
 /// What the bones of a skin are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum SkeletonKind {
-    /// Found for the frames; they lie side by side below one root.
+    /// Bones fitted to the frames, side by side below one root.
     Free,
-    /// Those of the rig, with weights fitted to the frames.
+    /// Bones of the rig, with weights fitted to the frames.
     Rig,
-    /// Those of the rig and three more along each limb, among which its twist is spread.
+    /// Bones of the rig, and three more along each limb to spread its twist.
     Twist,
 }
 
 /// Where the motion of the root bone goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum RootRule {
-    /// Keys of a node above everything.
+    /// Keys of a root node.
     Node,
     /// Into the positions.
     Baked,
-    /// Nowhere.
+    /// Left out.
     None,
 }
 
@@ -216,7 +216,7 @@ impl AnimationOutputArgs {
             }
             None => {
                 return Err(CliFailure::Input(format!(
-                    "cannot tell what to write into {text}: {ALLOWED_OUTPUTS}"
+                    "cannot determine what to write into {text}: {ALLOWED_OUTPUTS}"
                 )));
             }
         }

@@ -7,31 +7,31 @@ use std::path::{Path, PathBuf};
 
 /// Most frames of a sheet.
 pub(super) const MOST_TILES: usize = 256;
-/// Frames of a sheet unless told otherwise.
+/// Default frames of a sheet.
 const USUAL_TILES: usize = 16;
 
 /// How frames are drawn.
 #[derive(Debug, Clone, Args)]
 pub(super) struct FramePictureArgs {
-    /// Frames that a .png shows side by side, 1 to 256 [default: 16]
+    /// Number of frames in a .png, side by side, 1 to 256 [default: 16]
     #[arg(long, value_name = "COUNT")]
     tiles: Option<usize>,
-    /// Begin a .png with the model at rest
+    /// Begin a .png with the rest pose
     #[arg(long)]
     rest: bool,
-    /// Pixels of one frame of a picture [default: 240x320]
+    /// Size of one frame in pixels [default: 240x320]
     #[arg(long, value_name = "WxH", value_parser = crate::cli::render::parse_size)]
     tile: Option<PictureSize>,
-    /// From where pictures show the model: degrees around the up axis and above the horizon [default: 30,10]
+    /// View: degrees around the up axis and above the horizon [default: 30,10]
     #[arg(long, value_name = "AZIMUTH,ELEVATION", value_parser = crate::cli::render::parse_angles, allow_hyphen_values = true)]
     view: Option<[f64; 2]>,
-    /// What the colours of pictures show [default: plain]
+    /// Meaning of the colours [default: plain]
     #[arg(long, value_enum, alias = "colour")]
     color: Option<FrameColour>,
-    /// Draw beside each frame what another method makes of the same bones
+    /// Draw the result of another method beside each frame
     #[arg(long, value_enum, value_name = "METHOD")]
     beside: Option<BesideMethod>,
-    /// Show only what is so near to where a bone of the rig begins, in model units
+    /// Show only the surroundings of a bone of the rig; the radius is in model units
     #[arg(long, value_name = "BONE,RADIUS", value_parser = parse_close_up)]
     close_up: Option<CloseUp>,
 }
@@ -39,9 +39,9 @@ pub(super) struct FramePictureArgs {
 /// What the colours of frames show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum FrameColour {
-    /// Nothing but the shape
+    /// The shape only
     Plain,
-    /// Edges longer (red) or shorter (blue) than at rest; also called stretch
+    /// Edges longer (red) or shorter (blue) than in the rest pose; also called stretch
     #[value(alias = "stretch")]
     Distortion,
 }
@@ -49,7 +49,7 @@ pub(super) enum FrameColour {
 /// What frames are compared with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(super) enum BesideMethod {
-    /// Linear blend skinning: by the model's own weights where the clip is its own, else by those of `pliant skin`
+    /// Linear blend skinning, with the model's weights for its own clip, else with those of `pliant skin`
     Lbs,
 }
 

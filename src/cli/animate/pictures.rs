@@ -24,9 +24,9 @@ const WORDS: u32 = 96;
 
 /// A shape that is drawn, and what linear blend skinning makes of the same pose.
 struct ShownShape {
-    /// The frame; `None` for the shape at rest, which comes first.
+    /// The frame; `None` for the rest shape, which comes first.
     frame: Option<usize>,
-    /// By bone of the rig, what it does with what lies at rest.
+    /// By bone of the rig, its motion from the rest pose.
     motions: Vec<RigidMotion>,
     solved: Vec<DVec3>,
     skinned: Option<Vec<DVec3>>,
@@ -187,7 +187,11 @@ fn bone_named(rig: &MotionRig, wanted: &CloseUp) -> Result<(usize, f64), CliFail
     let found = rig.bones.iter().position(is_it).map(|bone| (bone, wanted.radius));
     found.ok_or_else(|| {
         let names: Vec<&str> = rig.bones.iter().map(|bone| bone.id.as_str()).collect();
-        let problem = format!("\"{}\" is no bone of the rig; it has {}", wanted.bone, names.join(", "));
+        let problem = format!(
+            "\"{}\" is not a bone of the rig; it has {}",
+            wanted.bone,
+            names.join(", ")
+        );
         CliFailure::Input(format!("--close-up: {problem}"))
     })
 }

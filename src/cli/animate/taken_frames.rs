@@ -1,4 +1,4 @@
-//! What takes the frames of an animation as they are solved, and what it is told of them all.
+//! The consumers of an animation's frames, and what they know of the animation.
 
 use crate::asset::{FileSet, Primitive};
 use crate::cli::failure::CliFailure;
@@ -22,7 +22,7 @@ pub(super) struct PlayedAnimation<'a> {
     pub(super) own: Option<usize>,
     pub(super) times: FrameTimes,
     pub(super) range: Range<usize>,
-    /// What tells it from every other: lines of a name and a value.
+    /// What identifies it: lines of a name and a value.
     pub(super) identity: &'a str,
     pub(super) permission: OutputPermission,
     pub(super) exec: Exec<'a>,
@@ -60,7 +60,7 @@ pub(super) trait FrameTaker {
     /// Ends before all frames are there; says what is kept, and how to continue.
     fn stop(&mut self) -> String;
 
-    /// Ends the output after the last frame, and tells of it.
+    /// Ends the output after the last frame, and reports it.
     fn finish(
         &mut self,
         report: &mut pb::AnimationReport,

@@ -38,7 +38,7 @@ impl ServerAddress {
             ))
         };
         let Ok(uri) = url.parse::<Uri>() else {
-            return wrong("is no URL; it must be one");
+            return wrong("it is not a URL; give one");
         };
         match uri.scheme_str() {
             Some("http" | "https") => {}
@@ -197,7 +197,7 @@ mod tests {
         refused("ftp://example.org", "https://");
         refused("127.0.0.1:7411", "http://");
         refused("http://me:secret@host", "host, port");
-        refused("http://a b", "no URL");
+        refused("http://a b", "not a URL");
         assert!(
             ServerAddress::new("http://host", Some("a b"), None)
                 .expect_err("a space")

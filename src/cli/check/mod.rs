@@ -28,22 +28,22 @@ use told::ReportArgs;
 /// Arguments of `pliant check`.
 #[derive(Debug, Args)]
 pub struct CheckArgs {
-    /// The suite: a folder of *.case.json files
+    /// Suite: a folder of *.case.json files
     #[arg(required_unless_present = "merge")]
     suite: Option<PathBuf>,
-    /// Store the results as goldens instead of comparing with them, and print what that changes
+    /// Store the results as the new goldens and print the changes
     #[arg(long, conflicts_with = "server")]
     bless: bool,
-    /// Run this case alone, with --bless store its golden alone; given again, those too. A * stands for any letters
+    /// Run only this case, and with --bless store only its golden; repeatable, * stands for any letters
     #[arg(long = "case", value_name = "NAME", conflicts_with = "shard")]
     chosen: Vec<String>,
-    /// Run this part of the suite alone, such as 3/8; where K begins at 0, write K+1/N
+    /// Run only this part of the suite, such as 3/8; if K begins at 0, write K+1/N
     #[arg(long, value_name = "K/N", conflicts_with = "bless")]
     shard: Option<Shard>,
-    /// Split by the times in this report of a former run with --times, not by what goldens and models tell
+    /// Split by the times in this report of an earlier run with --times, not by the sizes of goldens and models
     #[arg(long, value_name = "REPORT", requires = "shard")]
     costs: Option<PathBuf>,
-    /// Join the reports of all shards, or those in a folder, and tell what a run of the whole suite would have told
+    /// Join the reports of all shards, or those in a folder, into the report of the whole suite
     #[arg(
         long,
         value_name = "REPORT",
@@ -51,19 +51,19 @@ pub struct CheckArgs {
         conflicts_with_all = ["suite", "bless", "chosen", "shard", "costs", "server", "no_skip", "folders"]
     )]
     merge: Vec<PathBuf>,
-    /// Run the cases on this server instead of in process, such as http://127.0.0.1:7411
+    /// URL of a server to run the cases on, such as http://127.0.0.1:7411 [default: in process]
     #[arg(long, value_name = "URL")]
     server: Option<String>,
-    /// Sent to the server as a bearer token
+    /// Access token for the server
     #[arg(long, value_name = "TOKEN", env = "PLIANT_TOKEN", hide_env_values = true)]
     token: Option<String>,
-    /// Authorities that may sign the server's certificate, in PEM, in place of the machine's
+    /// CA certificates (PEM) to trust instead of the system's
     #[arg(long, value_name = "FILE", requires = "server")]
     ca: Option<PathBuf>,
-    /// A case whose data is absent fails instead of being skipped
+    /// Fail a case without its data instead of skipping it
     #[arg(long)]
     no_skip: bool,
-    /// The folder of the models that cases name as data:
+    /// Folder of the models that cases name as data:
     #[arg(long, value_name = "FOLDER", env = "PLIANT_DATA")]
     data: Option<PathBuf>,
     #[command(flatten)]
@@ -93,7 +93,7 @@ fn join_shards(args: &CheckArgs) -> Result<(), CliFailure> {
     let bare = |c: &&CaseReport| !c.digest.is_empty() && c.pictures.is_empty() && c.notes.is_empty();
     let bare = report.cases.iter().filter(bare).count();
     if args.told.wants_pictures() && bare > 0 {
-        eprintln!("note: {bare} cases come without pictures; shards that are run with --pictures tell them");
+        eprintln!("note: {bare} cases have no pictures; run the shards with --pictures to include them");
     }
     args.told.tell(&report, |_| Ok(Vec::new()))
 }

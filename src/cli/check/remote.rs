@@ -24,8 +24,8 @@ pub(super) fn ask_limits(client: &HttpClient) -> Result<(), String> {
     get_document(client, "/v1/limits", "/v1/limits", JSON).map(drop)
 }
 
-/// Runs a job on a model. The shape before, and the triangles where no step edits, are the caller's to add. What a
-/// server does not tell, cycles, bytes and constraints, is not among the numbers.
+/// Runs a job on a model. The caller adds the shape before, and the triangles where no step edits. The numbers lack
+/// cycles, bytes and constraint errors, which no server reports.
 ///
 /// # Errors
 /// Why it cannot be run, with the server's words.
@@ -307,7 +307,7 @@ fn get_document(client: &HttpClient, path: &str, name: &str, accept: &str) -> Re
 }
 
 fn parse_document(answer: &HttpAnswer) -> Result<Value, String> {
-    serde_json::from_slice(&answer.body).map_err(|e| format!("the answer is no JSON: {e}"))
+    serde_json::from_slice(&answer.body).map_err(|e| format!("the answer is not JSON: {e}"))
 }
 
 fn header_number(headers: &HeaderMap, name: &str) -> Option<f64> {
@@ -332,7 +332,7 @@ fn positions_from_floats(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
     let (vertices, rest) = bytes.as_chunks::<12>();
     if !rest.is_empty() {
         return Err(format!(
-            "{} bytes of positions are no whole number of vertices",
+            "{} bytes of positions are not a whole number of vertices",
             bytes.len()
         ));
     }

@@ -26,13 +26,13 @@ pub(super) struct CheckPlan<'a> {
     pub skip_fails: bool,
     /// Draw pictures.
     pub pictures: bool,
-    /// Tell how long each case took.
+    /// Time each case.
     pub times: bool,
 }
 
 /// A checked case is a case that was run, or could not be.
 pub(super) struct CheckedCase {
-    /// What is told of it.
+    /// Its report.
     pub report: CaseReport,
     /// The golden's new text, where it is to be written.
     pub golden: Option<String>,

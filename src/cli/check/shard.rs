@@ -26,7 +26,8 @@ pub(super) fn take_shard(
         None => estimates,
         Some(path) => {
             let measured = measured_costs(&estimates, &timed_cases(path)?).ok_or_else(|| {
-                let problem = "holds the time of no case of this suite; a run with --times tells times in its report";
+                let problem =
+                    "holds the time of no case of this suite; a run with --times writes times into its report";
                 CliFailure::Input(format!("--costs {} {problem}", path.display()))
             })?;
             estimates.iter().map(|(name, _)| *name).zip(measured).collect()

@@ -91,7 +91,7 @@ pub(super) fn load_suite(
             cases.insert(name);
         } else if name.to_ascii_lowercase().ends_with(CASE_SUFFIX) {
             let path = entry.path();
-            let problem = format!("is no name of a case; one ends with {CASE_SUFFIX}, in small letters");
+            let problem = format!("is not the name of a case; one ends with {CASE_SUFFIX}, in small letters");
             return Err(CliFailure::Input(format!("{} {problem}", path.display())));
         } else if let Some(of) = name.strip_suffix(GOLDEN_SUFFIX) {
             goldens.insert(of.to_owned());
@@ -214,7 +214,7 @@ fn load_case(file: &str, folders: &SuiteFolders<'_>) -> Result<LoadedCase, CliFa
     })
 }
 
-/// Tells what a result depends on beside the model.
+/// Hashes what a result depends on beside the model.
 fn hash_of(job: &pb::Job, animation: Option<&AnimationCase>) -> String {
     match animation {
         Some(animation) => animation.input_hash(),
@@ -222,7 +222,8 @@ fn hash_of(job: &pb::Job, animation: Option<&AnimationCase>) -> String {
     }
 }
 
-/// Finds a case's model, and opens it once: what is no file is told before any case is run. Of a file of the suite its bytes are told.
+/// Finds a case's model and opens it once: a missing file fails before any case runs. Returns the size of a file in the
+/// suite.
 fn find_model(model: &ModelSource, folders: &SuiteFolders<'_>) -> Result<(CaseModel, Option<u64>), CliFailure> {
     let found = match model {
         ModelSource::Sample => Ok(CaseModel::Sample),
@@ -250,7 +251,7 @@ fn find_model(model: &ModelSource, folders: &SuiteFolders<'_>) -> Result<(CaseMo
             ))),
             // A folder that was named and is not there is a slip, not data that this machine does not have.
             Some(data) if !data.is_dir() => {
-                let problem = format!("--data (or PLIANT_DATA) is {}, which is no folder", data.display());
+                let problem = format!("--data (or PLIANT_DATA) is {}, which is not a folder", data.display());
                 Err(CliFailure::Input(problem))
             }
             Some(data) => {
@@ -284,12 +285,12 @@ fn load_animation(animation: &AnimationCase, files: &NamedFiles) -> Result<Anima
 }
 
 impl LoadedCase {
-    /// Tells what its result depends on beside the model.
+    /// Hashes what its result depends on beside the model.
     pub fn job_hash(&self) -> String {
         hash_of(&self.job, self.animation.as_ref())
     }
 
-    /// Tells what is known of the work that it is. It follows from the suite alone: what only this machine has tells nothing.
+    /// Returns what is known of its work, from the suite alone: other files, which some machines lack, do not count.
     pub fn work(&self) -> CaseWork<'_> {
         let frames = |animation: &AnimationCase| Some(animation.options.count as usize).filter(|n| *n > 0);
         CaseWork {
@@ -302,7 +303,7 @@ impl LoadedCase {
         }
     }
 
-    /// Tells why the case cannot be run here; `None` when it can.
+    /// Why the case cannot be run here; `None` when it can.
     pub fn absent_reason(&self) -> Option<&str> {
         match &self.model {
             CaseModel::Absent(why) => Some(why),

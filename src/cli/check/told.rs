@@ -1,4 +1,4 @@
-//! What is told of a suite, a shard of it, or the whole that shards make: the same lines, files and exit code.
+//! The output for a suite, a shard, or merged shards: the same lines, files and exit code.
 
 use crate::check::CaseStatus;
 use crate::check::report::{self, SuiteReport};
@@ -27,13 +27,13 @@ pub(super) struct ReportArgs {
     /// Write the report as a page with pictures
     #[arg(long, value_name = "FILE")]
     pub html: Option<PathBuf>,
-    /// Put the page's pictures into the JSON report too, so that --merge --html has them
+    /// Put the page's pictures into the JSON report too, for --merge --html
     #[arg(long, requires = "document")]
     pub pictures: bool,
-    /// Tell in JSON and JUnit how long each case took
+    /// Write the time of each case into JSON and JUnit
     #[arg(long)]
     pub times: bool,
-    /// End with 0 though cases failed, where whoever reads the report says what that means
+    /// Exit with code 0 even if cases failed; for tools that read the report
     #[arg(long)]
     pub exit_zero: bool,
     #[command(flatten)]
@@ -65,7 +65,8 @@ impl ReportArgs {
         self.pictures || self.html.is_some()
     }
 
-    /// Tells of a report: a line for each case, before which `before_case` does what it has to and answers lines that follow it, and files.
+    /// Prints a line for each case of a report, and writes its files. `before_case` runs before each line and returns
+    /// lines to add after it.
     ///
     /// # Errors
     /// A file that cannot be written; that cases failed.

@@ -22,7 +22,7 @@ const BETWEEN_TRIES: Duration = Duration::from_millis(100);
 pub(super) struct StoreCheckArgs {
     #[command(flatten)]
     place: StorePlaceArgs,
-    /// Open every session too, and compare its shapes with what was recorded
+    /// Also open every session and compare its shapes with the recorded ones
     #[arg(long)]
     replay: bool,
     /// Print one JSON document on stdout

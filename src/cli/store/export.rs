@@ -14,9 +14,9 @@ use std::sync::Arc;
 pub(super) struct StoreExportArgs {
     #[command(flatten)]
     place: StorePlaceArgs,
-    /// Id of the session
+    /// Session id
     session: String,
-    /// File to write; its extension is its format
+    /// Output file; its extension selects the format
     output: PathBuf,
     #[command(flatten)]
     permission: OutputPermission,

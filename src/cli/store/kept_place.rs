@@ -1,4 +1,4 @@
-//! Where sessions are kept, as the commands are told, and what all of them do with it.
+//! Where sessions are kept, by flags or configuration, and how commands open it.
 
 use super::super::failure::CliFailure;
 use crate::server::config::{ConfigKeys, KeyValue, stored_in};
@@ -14,24 +14,24 @@ pub(super) struct StorePlaceArgs {
     /// Configuration file of the server (TOML)
     #[arg(long, value_name = "FILE", env = "PLIANT_CONFIG")]
     config: Option<PathBuf>,
-    /// Folder where sessions are kept
+    /// Folder of the stored sessions
     #[arg(long, value_name = "FOLDER")]
     data_dir: Option<KeyValue<String>>,
-    /// Database of the sessions, postgres://USER:PASSWORD@HOST/DATABASE
+    /// Database of the stored sessions, postgres://USER:PASSWORD@HOST/DATABASE
     #[arg(long, value_name = "URL")]
     database: Option<KeyValue<String>>,
-    /// Place of models and shapes, s3://BUCKET/PREFIX
+    /// Object store of models and shapes, s3://BUCKET/PREFIX
     #[arg(long, value_name = "URL")]
     objects: Option<KeyValue<String>>,
 }
 
 impl StorePlaceArgs {
-    /// Opens the store to look at it. Nothing is made or changed, and a server may hold it meanwhile.
+    /// Opens the store read-only; a server may hold it meanwhile.
     pub async fn look(&self) -> Result<ReadOnlyStore, CliFailure> {
         ReadOnlyStore::open(&self.location()?).await.map_err(store_failure)
     }
 
-    /// Opens the store to change it, which needs it for itself. One that is not there is not made.
+    /// Opens the store exclusively, to change it. It does not create one.
     pub async fn take(&self) -> Result<DatabaseStore, CliFailure> {
         DatabaseStore::open_existing(&self.location()?)
             .await

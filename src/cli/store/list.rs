@@ -13,7 +13,7 @@ use std::time::{Duration, UNIX_EPOCH};
 pub(super) struct StoreListArgs {
     #[command(flatten)]
     place: StorePlaceArgs,
-    /// Those of this tenant alone
+    /// List only this tenant
     #[arg(long, value_name = "NAME")]
     tenant: Option<String>,
     /// Print one JSON document on stdout

@@ -9,9 +9,9 @@ mod prune;
 use super::failure::CliFailure;
 use clap::{Args, Subcommand};
 
-/// Looks after kept sessions while no server holds them: checks, lists, exports and prunes them.
+/// Check, list, export and prune stored sessions.
 ///
-/// Where they are kept is told as to `pliant serve`: by flags, the environment (PLIANT_DATA_DIR, …) or the configuration file.
+/// Name their place as for `pliant serve`: by flags, the environment (PLIANT_DATA_DIR, …) or the configuration file.
 #[derive(Debug, Args)]
 pub struct StoreArgs {
     #[command(subcommand)]
@@ -20,13 +20,13 @@ pub struct StoreArgs {
 
 #[derive(Debug, Subcommand)]
 enum StoreCommand {
-    /// Compare everything that is kept with its checksums
+    /// Compare everything stored with its checksums
     Check(check::StoreCheckArgs),
     /// List the sessions of all tenants
     List(list::StoreListArgs),
     /// Write the model of a session in its current shape
     Export(export::StoreExportArgs),
-    /// Remove sessions whose time is over, and objects that no session names
+    /// Remove unused sessions and unreferenced objects
     Prune(prune::StorePruneArgs),
 }
 

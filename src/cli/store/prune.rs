@@ -1,4 +1,4 @@
-//! `pliant store prune`: what nobody needs any more goes.
+//! `pliant store prune`: removes what is unused.
 
 use super::super::failure::CliFailure;
 use super::kept_place::{StorePlaceArgs, store_failure};
@@ -7,24 +7,24 @@ use crate::session::{AuditEntry, AuditedAction};
 use clap::Args;
 use std::time::Duration;
 
-/// Removes objects that no session names, and when asked sessions that nobody used for long.
+/// Remove objects that no session names, and with --unused-for unused sessions.
 ///
-/// One line for each, and one for the whole. Objects that no session names are left where a process ended in the middle of a call.
-/// Sessions whose time to live is over are ended by a server alone: that time passes only while one runs.
+/// Prints a line for each, and a total. A process that ends during a call leaves such objects. Only a server ends
+/// expired sessions: their time to live passes only while one runs.
 #[derive(Debug, Args)]
 pub(super) struct StorePruneArgs {
     #[command(flatten)]
     place: StorePlaceArgs,
-    /// Sessions that nobody used for this time, such as 30d
+    /// Remove sessions not used for this time, such as 30d
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     unused_for: Option<Duration>,
-    /// Sessions of this tenant alone
+    /// Remove only sessions of this tenant
     #[arg(long, value_name = "NAME")]
     tenant: Option<String>,
-    /// Also what the audit trail says of longer ago than this, such as 365d
+    /// Also remove audit entries older than this, such as 365d
     #[arg(long, value_name = "TIME", value_parser = parse_time)]
     audit_older_than: Option<Duration>,
-    /// Tell what would go; nothing is removed
+    /// Print what would be removed; remove nothing
     #[arg(long)]
     dry_run: bool,
 }
@@ -78,7 +78,7 @@ pub(super) async fn run_store_prune(args: &StorePruneArgs) -> Result<(), CliFail
         store.forget_audit(before).await.map_err(store_failure)?;
     }
     let (done, counts) = (
-        if args.dry_run { "would go" } else { "are gone" },
+        if args.dry_run { "would be removed" } else { "removed" },
         (sessions.len(), unused.len()),
     );
     println!("{} sessions and {} objects {done}", counts.0, counts.1);

@@ -23,7 +23,7 @@ pub fn parse_expiry(text: &str) -> Result<SystemTime, String> {
     let day = format!("{text}T00:00:00Z");
     let whole = if text.len() == 10 { &day } else { text };
     humantime::parse_rfc3339_weak(whole)
-        .map_err(|_| format!("\"{text}\" is no time; allowed are 2027-01-31, 2027-01-31T12:00:00Z and the like"))
+        .map_err(|_| format!("\"{text}\" is not a time; allowed are 2027-01-31, 2027-01-31T12:00:00Z and the like"))
 }
 
 impl AuthConfig {

@@ -52,11 +52,11 @@ impl Gatekeeper {
         self.0.tokens.store(Arc::new(tokens));
     }
 
-    /// Notes on a request who asks. `shown` is who the connection's certificate says it is; a token counts before it.
+    /// Records the caller in a request. `shown` comes from the connection's certificate; a token takes precedence.
     ///
     /// # Errors
-    /// `UNAUTHENTICATED` where nobody knows, or what was shown does not hold. Pages that belong to nobody are let in unasked.
-    /// `UNAVAILABLE` where it cannot be checked now.
+    /// `UNAUTHENTICATED` without credentials or with invalid ones, except for public pages. `UNAVAILABLE` where they
+    /// cannot be checked now.
     pub async fn admit<B>(&self, request: &mut Request<B>, shown: Option<&Principal>) -> Result<(), Error> {
         if !self.0.asks.load(Ordering::Relaxed) {
             request.extensions_mut().insert(Principal::anyone());
@@ -77,8 +77,8 @@ impl Gatekeeper {
     }
 }
 
-/// Whether a path is the same for everybody: health, the pages for people with their files, and the description of the API. The
-/// page at `/` asks for a token by itself. All others are closed, those that do not exist among them.
+/// Whether a path is public: health, the pages for people with their files, and the description of the API. The page at
+/// `/` asks for a token itself. All other paths are closed, also those that do not exist.
 fn is_open(path: &str) -> bool {
     const PAGES: [&str; 7] = [
         "/healthz",

@@ -1,6 +1,6 @@
-//! Who asks: told by a bearer token or a client's certificate, and looked at before anything else of a request.
+//! The caller of a request: read from a bearer token or a client's certificate, before anything else.
 //!
-//! A caller is known by what it proves alone. No header, path or message names a tenant.
+//! Only this proof identifies a caller. No other header, path or message names a tenant.
 
 mod auth_config;
 mod gatekeeper;

@@ -4,7 +4,7 @@ use crate::session::{Error, ErrorCode, Tenant};
 use http::Extensions;
 use std::sync::Arc;
 
-/// A caller that has proved who it is, or whom nobody asked because the server is open. Travels with the request.
+/// An authenticated caller, or any caller of a server without authentication. Travels with the request.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(in crate::server) struct Principal {
     /// Whose sessions it sees.
@@ -16,7 +16,7 @@ pub(in crate::server) struct Principal {
 }
 
 impl Principal {
-    /// The caller of a server that asks nobody.
+    /// Any caller of an open server.
     pub fn anyone() -> Self {
         Self {
             tenant: Tenant::default(),
@@ -29,15 +29,15 @@ impl Principal {
 /// The caller of a request.
 ///
 /// # Errors
-/// `UNAUTHENTICATED` where the door let the request in without one, as it does for pages that belong to nobody.
+/// `UNAUTHENTICATED` where the gatekeeper admitted the request without one, as it does for public pages.
 pub(in crate::server) fn principal(extensions: &Extensions) -> Result<&Principal, Error> {
     extensions.get::<Principal>().ok_or_else(unknown_caller)
 }
 
-/// The refusal of a request that proves nothing.
+/// Rejects a request without credentials.
 pub(super) fn unknown_caller() -> Error {
     Error::new(
         ErrorCode::Unauthenticated,
-        "this server must know who asks; send a token in the header Authorization: Bearer TOKEN",
+        "this server needs a token; send it in the header Authorization: Bearer TOKEN",
     )
 }

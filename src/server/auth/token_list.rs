@@ -7,14 +7,14 @@ use sha2::{Digest as _, Sha256};
 use std::time::SystemTime;
 use subtle::ConstantTimeEq as _;
 
-/// What a token is kept as: SHA-256 of its text. Tokens are long and random, so a hash that is slow to make would guard nothing.
+/// The stored form of a token: SHA-256 of its text. Tokens are long and random, so a slow hash would add no protection.
 pub fn token_digest(token: &str) -> [u8; 32] {
     Sha256::digest(token.as_bytes()).into()
 }
 
 /// The bearer of a token.
 ///
-/// Every entry is compared, each in the same time wherever it differs, so that answers tell nothing of what is in the list.
+/// Every entry is compared, each in constant time, so that answers reveal nothing of the list.
 ///
 /// # Errors
 /// `UNAUTHENTICATED` for a token that is not in the list, or has expired.

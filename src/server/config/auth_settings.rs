@@ -35,7 +35,7 @@ pub(super) fn auth_from_keys(merged: &MergedKeys, file: Option<&Path>) -> Result
         if let Some(other) = tokens.iter().position(|t| t.sha256 == entry.sha256) {
             return Err(refuse(
                 "sha256",
-                format!("is that of auth.tokens[{other}], too; a token has one bearer"),
+                format!("is also that of auth.tokens[{other}]; a token belongs to one caller"),
             ));
         }
         tokens.push(entry);
@@ -49,7 +49,7 @@ pub(super) fn auth_from_keys(merged: &MergedKeys, file: Option<&Path>) -> Result
     })
 }
 
-/// Reads the tokens of a file anew.
+/// Rereads the tokens of a file.
 ///
 /// # Errors
 /// What is wrong with the file; its other keys are checked as well.
@@ -63,13 +63,13 @@ fn read_token(told: TokenTable, refuse: &dyn Fn(&str, String) -> Error) -> Resul
     for (field, text) in [("tenant", &told.tenant), ("name", &name)] {
         if text.is_empty() || text.len() > LONGEST_NAME || text.chars().any(char::is_control) {
             let allowed = format!("1 to {LONGEST_NAME} bytes without control characters are allowed");
-            return Err(refuse(field, format!("{text:?} is no name; {allowed}")));
+            return Err(refuse(field, format!("{text:?} is not a name; {allowed}")));
         }
     }
     // What stands there may be the token itself, by mistake: it is not repeated.
     let sha256 = from_hex(&told.sha256).ok_or_else(|| {
         let allowed = "64 hexadecimal digits are allowed, as `pliant token` prints them";
-        refuse("sha256", format!("is no SHA-256; {allowed}"))
+        refuse("sha256", format!("is not a SHA-256; {allowed}"))
     })?;
     let expires = told
         .expires
@@ -105,13 +105,16 @@ fn read_jwt(told: JwtTable, refuse: &dyn Fn(&str, String) -> Error) -> Result<Jw
             Some((_, algorithm)) => algorithms.push(*algorithm),
             None => {
                 let known: Vec<&str> = JwtConfig::ALGORITHMS.iter().map(|(name, _)| *name).collect();
-                let problem = format!("\"{name}\" is not believed here; allowed are {}", known.join(", "));
+                let problem = format!("\"{name}\" is not accepted here; allowed are {}", known.join(", "));
                 return Err(refuse("algorithms", problem));
             }
         }
     }
     if algorithms.is_empty() {
-        return Err(refuse("algorithms", "is empty, so no token could be believed".into()));
+        return Err(refuse(
+            "algorithms",
+            "is empty, so the server would accept no token".into(),
+        ));
     }
     let span = |field: &str, told: Option<TimeSpan>, default: u64, from: u64, to: u64| {
         let seconds = told.map_or(Duration::from_secs(default), |span| span.0);
@@ -132,8 +135,7 @@ fn read_jwt(told: JwtTable, refuse: &dyn Fn(&str, String) -> Error) -> Result<Jw
     })
 }
 
-/// An address begins with a scheme; whoever can change what it answers decides who may call, so it is encrypted, but on this
-/// machine.
+/// An address begins with a scheme. Its answer decides who may call, so it must be encrypted, except on this machine.
 fn key_source(jwks: &str, ca: Option<String>, refuse: &dyn Fn(&str, String) -> Error) -> Result<KeySource, Error> {
     if !jwks.contains("://") {
         return Ok(KeySource::File(jwks.into()));
@@ -146,7 +148,7 @@ fn key_source(jwks: &str, ca: Option<String>, refuse: &dyn Fn(&str, String) -> E
     });
     if !guarded {
         let allowed = "allowed are a file, https://…, and http://… of this machine";
-        return Err(refuse("jwks", format!("\"{jwks}\" is not taken; {allowed}")));
+        return Err(refuse("jwks", format!("\"{jwks}\" is not accepted; {allowed}")));
     }
     Ok(KeySource::Url(jwks.to_owned(), ca.map(PathBuf::from)))
 }

@@ -12,7 +12,7 @@ pub enum Error {
         problem: String,
     },
     /// An environment variable is called as keys are, and there is no such key.
-    #[error("environment variable {name} is no key of the configuration; {hint}")]
+    #[error("environment variable {name} is not a key of the configuration; {hint}")]
     Variable {
         /// Its name.
         name: String,

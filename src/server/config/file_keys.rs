@@ -1,5 +1,5 @@
-//! What a file of the configuration says beside the tokens, which the server follows while it runs: all of that counts from the next
-//! start on.
+//! The keys of a configuration file beside the tokens. The server follows the tokens while it runs; other keys count
+//! from its next start on.
 
 use figment::Figment;
 use figment::providers::{Format as _, Toml};
@@ -7,10 +7,10 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The keys of a file with their values, those of `auth` each for itself and without the tokens.
+/// The keys of a file with their values; those of `auth` are flattened, without the tokens.
 pub(in crate::server) type FileKeys = BTreeMap<String, Value>;
 
-/// Reads them; `None` where the file cannot be read, which whoever follows its tokens tells.
+/// Reads them; `None` where the file cannot be read, which `tokens_of_file` reports.
 pub(in crate::server) fn keys_of_file(file: &Path) -> Option<FileKeys> {
     let text = std::fs::read_to_string(file).ok()?;
     let mut keys: FileKeys = Figment::from(Toml::string(&text)).extract().ok()?;

@@ -1,4 +1,4 @@
-//! What the server is told before it starts: the keys of file, environment and flags, checked once into typed values.
+//! The server's configuration: the keys of file, environment and flags, checked once into typed values.
 //!
 //! Precedence: defaults < file < environment (`PLIANT_` and the key in capitals) < flags. An unknown key of a file is an
 //! error; every error names the key, where its value came from, and what is allowed.

@@ -22,13 +22,13 @@ pub(super) fn node_identity(merged: &MergedKeys) -> Result<Option<NodeIdentity>,
     };
     let authority = authority_of(&address).ok_or_else(|| {
         let problem =
-            format!("\"{address}\" is no address of a node; allowed is http:// or https:// with a host and a port, such as http://10.0.0.5:7411");
+            format!("\"{address}\" is not the address of a node; allowed is http:// or https:// with a host and a port, such as http://10.0.0.5:7411");
         merged.refuse("advertise", problem)
     })?;
     let name = KeyValue::read(&keys.node).unwrap_or(authority);
     let is_name = |c: char| c.is_ascii_alphanumeric() || "._:-[]".contains(c);
     if name.is_empty() || name.len() > 100 || !name.chars().all(is_name) {
-        let problem = format!("\"{name}\" is no name; allowed are 1 to 100 letters, digits, dots, colons, _ and -");
+        let problem = format!("\"{name}\" is not a name; allowed are 1 to 100 letters, digits, dots, colons, _ and -");
         return Err(merged.refuse("node", problem));
     }
     let time = |key: &str, value: &Option<KeyValue<TimeSpan>>, default: Duration, range: (Duration, Duration)| {

@@ -2,7 +2,7 @@
 
 use figment::error::{Actual, Kind, OneOf};
 
-/// The port that a server listens on unless it is told another one.
+/// The default port of a server.
 const PORT: u16 = 7411;
 
 /// Why a value cannot be read.
@@ -20,10 +20,10 @@ pub(super) fn unreadable(key: &str, kind: &Kind) -> String {
     }
 }
 
-/// That a text is no address to listen on, and which address it may have meant.
+/// Reports an invalid listen address, and which one it may have meant.
 pub(super) fn no_address(text: &str) -> String {
     let meant = meant_address(text).unwrap_or_else(|| format!("127.0.0.1:{PORT} or [::]:{PORT}"));
-    format!("{text} is no address; write an IP address and a port: {meant}")
+    format!("{text} is not an address; write an IP address and a port: {meant}")
 }
 
 fn meant_address(text: &str) -> Option<String> {
@@ -100,7 +100,7 @@ mod tests {
         ] {
             let told = no_address(text);
             assert!(
-                told.starts_with(&format!("{text} is no address")) && told.contains(meant),
+                told.starts_with(&format!("{text} is not an address")) && told.contains(meant),
                 "{told}"
             );
         }

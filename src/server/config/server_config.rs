@@ -17,9 +17,9 @@ use std::time::Duration;
 /// This says how connections are treated. It is read by [`run`](crate::server::run); sessions have a configuration of their own.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ServerConfig {
-    /// Connections held at a time; one more is told to come back later.
+    /// Most connections at a time; further ones get 503.
     pub connections: u32,
-    /// Connections of one address at a time; one more is told to come back later.
+    /// Most connections of one address at a time; further ones get 503.
     pub connections_per_peer: u32,
     /// HTTP/2 streams of one connection at a time.
     pub requests_per_connection: u32,
@@ -49,7 +49,7 @@ pub struct ServerConfig {
     pub auth: AuthConfig,
     /// TLS, where the server speaks it.
     pub tls: Option<TlsConfig>,
-    /// Whether to serve whoever reaches the port, also where that is not this machine alone.
+    /// Whether to serve every client that reaches the port, also beyond this machine.
     pub insecure_open: bool,
 }
 
@@ -97,8 +97,8 @@ impl ServerConfig {
             return Ok(());
         }
         Err(format!(
-            "{listen} can be reached from elsewhere, and anybody could use the server; say who may call by tokens ([[auth.tokens]] \
-             in the file, `pliant token` makes one, or [auth.jwt]) or by certificates of clients (tls_client_ca), or let in everybody with \
+            "{listen} can be reached from other machines, and anyone could use the server; require tokens ([[auth.tokens]] \
+             in the file, `pliant token` makes one, or [auth.jwt]) or client certificates (tls_client_ca), or serve everyone with \
              --insecure-open"
         ))
     }

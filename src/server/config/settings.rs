@@ -1,4 +1,4 @@
-//! Everything that `pliant serve` is told before it starts.
+//! The checked settings of `pliant serve`.
 
 use super::Error;
 use super::keys::{ConfigKeys, KeyValue};
@@ -121,7 +121,7 @@ fn otlp_endpoint(merged: &MergedKeys) -> Result<Option<String>, Error> {
         return Ok(Some(url));
     }
     let problem = format!(
-        "\"{url}\" is no address of a collector; allowed is http:// with a host and a port, such as http://127.0.0.1:4317"
+        "\"{url}\" is not the address of a collector; allowed is http:// with a host and a port, such as http://127.0.0.1:4317"
     );
     Err(merged.refuse("otlp_endpoint", problem))
 }
@@ -218,12 +218,12 @@ mod tests {
             (
                 "",
                 &[("listen", "7412")],
-                &["listen: 7412 is no address; write", "127.0.0.1:7412", "--listen"],
+                &["listen: 7412 is not an address; write", "127.0.0.1:7412", "--listen"],
             ),
             (
                 "listen = 7412",
                 &[],
-                &["listen: 7412 is no address; write", "127.0.0.1:7412", "file "],
+                &["listen: 7412 is not an address; write", "127.0.0.1:7412", "file "],
             ),
             (
                 "",
@@ -252,7 +252,7 @@ mod tests {
             (
                 "",
                 &[("listen", "localhost")],
-                &["listen", "localhost is no address", "127.0.0.1:7411", "--listen"],
+                &["listen", "localhost is not an address", "127.0.0.1:7411", "--listen"],
             ),
             (
                 "",

@@ -230,8 +230,8 @@ fn is_unknown_variable(name: &str, value: &str, keys: &[String]) -> bool {
     !OTHERS.contains(&name) && !keys.contains(&key) && !is_service_link(name, value)
 }
 
-/// Whether a variable is one of those by which Kubernetes and Docker tell every container where a service is, here one whose name
-/// begins with `pliant`.
+/// Whether a variable is a service address that Kubernetes or Docker sets in every container, here of a service whose
+/// name begins with `pliant`.
 fn is_service_link(name: &str, value: &str) -> bool {
     let is_address = ["tcp://", "udp://", "sctp://"]
         .iter()

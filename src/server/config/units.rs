@@ -27,7 +27,7 @@ const UNITS: [(&str, u64); 9] = [
     ("GB", 1_000_000_000),
 ];
 
-/// Reads a number of bytes; the problem is told without the key.
+/// Reads a number of bytes; the problem does not name the key.
 pub(super) fn parse_byte_size(text: &str) -> Result<u64, String> {
     let text = text.trim();
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
@@ -44,7 +44,7 @@ pub(super) fn parse_byte_size(text: &str) -> Result<u64, String> {
         .ok_or_else(|| format!("\"{text}\" is more than 2^64 bytes"))
 }
 
-/// Reads a span of time; the problem is told without the key.
+/// Reads a span of time; the problem does not name the key.
 pub(super) fn parse_time_span(text: &str) -> Result<Duration, String> {
     humantime::parse_duration(text).map_err(|_| {
         format!("\"{text}\" is not a span of time; allowed are numbers with units, such as 250ms, 10s or 1h 30m")

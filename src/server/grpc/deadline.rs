@@ -154,7 +154,7 @@ fn broken() -> tonic::Status {
     ))
 }
 
-/// Reads `grpc-timeout`: up to 8 digits and a unit. Anything else is no deadline.
+/// Reads `grpc-timeout`: up to 8 digits and a unit; ignores anything else.
 fn timeout(headers: &HeaderMap) -> Option<Duration> {
     let text = headers.get("grpc-timeout")?.to_str().ok()?;
     let (digits, unit) = text.split_at_checked(text.len().checked_sub(1)?)?;

@@ -101,14 +101,14 @@ impl Grpc {
         }
     }
 
-    /// Tells those who watch this server's health that it takes no more work.
+    /// Reports to health watchers: not serving.
     pub async fn stop_serving(&self) {
         self.health.set_service_status(SERVICE, ServingStatus::NotServing).await;
         self.health.set_service_status("", ServingStatus::NotServing).await;
     }
 }
 
-/// Tells those who watch this server's health what `/readyz` tells, until the server stops.
+/// Reports the state of `/readyz` to health watchers, until the server stops.
 async fn report_health(health: tonic_health::server::HealthReporter, state: State) {
     let mut was_ready = true;
     while !state.draining.is_cancelled() {

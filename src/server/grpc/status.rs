@@ -44,8 +44,8 @@ pub(super) fn status(error: Error) -> Status {
     Status::with_error_details_and_metadata(code, message, details, metadata)
 }
 
-/// The next message of a client. What is no frame of gRPC is its sender's fault, and one that is too
-/// large exhausts a limit; the library calls them INTERNAL and OUT_OF_RANGE.
+/// The next message of a client. An invalid gRPC frame is the sender's fault, and a too large one exhausts a limit; the
+/// library calls them INTERNAL and OUT_OF_RANGE.
 ///
 /// # Cancel safety
 /// As [`Streaming::message`].

@@ -123,7 +123,7 @@ impl Open {
         }
     }
 
-    /// Why the stream is over: a failure that was told, the server's leaving, or that all is said.
+    /// How the stream ends: with a failure already sent, with the server's shutdown, or normally.
     fn end(&mut self) -> Option<Result<OutgoingResponse, Status>> {
         if let Some(failure) = self.failure.take() {
             return Some(Err(failure));

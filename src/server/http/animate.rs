@@ -58,7 +58,7 @@ pub(super) async fn animate(
     // What is wrong with clip or rig is known before the first frame, and has a status of its own.
     let first = loop {
         match frames.next_message().await {
-            None => return Err(Problem::internal("an animation ended without a word")),
+            None => return Err(Problem::internal("an animation ended without a result")),
             Some(Err(error)) => return Err(error.into()),
             Some(Ok(frame)) if frame.parts == 0 && frame.animated.as_ref().is_some_and(|a| a.report.is_none()) => {}
             Some(Ok(frame)) => break frame,
@@ -130,7 +130,7 @@ async fn received_form(state: &State, request: Request) -> Result<AnimationForm,
     Ok(parts)
 }
 
-/// A GLB, with what is told of its frames as headers.
+/// A GLB, with the facts of its frames as headers.
 fn model_answer(played: AnimatedModel) -> Response {
     let mut response = Response::new(Body::from(played.model));
     let totals = wire::animation_totals(&played.summary.sums, played.summary.ms);

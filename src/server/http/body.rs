@@ -1,4 +1,4 @@
-//! Request bodies: JSON of a bounded size, and what becomes of bytes that nobody wants.
+//! Request bodies: JSON of a bounded size, and the rest of bodies that are not read.
 
 use super::problem::Problem;
 

@@ -28,7 +28,7 @@ use options::Options;
 use prost::Message as _;
 use received::Received;
 
-/// Types that say nothing about the format, among them what clients send when nobody tells them.
+/// Types that say nothing about the format, among them the defaults of clients.
 const GENERAL: [&str; 6] = [
     "",
     "application/octet-stream",

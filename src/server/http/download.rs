@@ -122,7 +122,7 @@ fn disposition(name: &str) -> String {
     format!("attachment; filename=\"{plain}\"")
 }
 
-/// Reads a `Range` header. What is no single byte range is ignored, as the standard allows.
+/// Reads a `Range` header. It ignores all but a single byte range, as the standard allows.
 fn span(range: &str, total: u64) -> Span {
     let Some(spec) = range.strip_prefix("bytes=").map(str::trim).filter(|s| !s.contains(',')) else {
         return Span::Whole;

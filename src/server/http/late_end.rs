@@ -24,11 +24,11 @@ const PAUSE: Duration = Duration::from_millis(250);
 /// Answers of the whole program whose end waits at a time. What is refused beyond these ends at once.
 static WAITING: LazyLock<Arc<Semaphore>> = LazyLock::new(|| Arc::new(Semaphore::new(256)));
 
-/// What is left of a request's body once nobody reads it any more.
+/// The unread rest of a request's body.
 pub(super) struct UnreadRest(oneshot::Receiver<Body>);
 
 impl UnreadRest {
-    /// Wraps the body of a request. What is left of it when it is dropped can be had from the second.
+    /// Wraps the body of a request. The second value receives what is left when it is dropped.
     pub fn of(body: Body) -> (Body, Self) {
         let (leave, rest) = oneshot::channel();
         let body = super::body::leave_rest(body, move |rest| {

@@ -10,7 +10,7 @@ use serde_json::json;
 /// The media type of a problem document.
 pub(crate) const PROBLEM_JSON: &str = "application/problem+json";
 
-/// What went wrong, ready to be told.
+/// A failure, ready to be sent.
 #[derive(Debug, Clone)]
 pub(crate) struct Problem {
     status: StatusCode,
@@ -51,7 +51,7 @@ impl Problem {
             format!("the content type is missing; allowed are {allowed}")
         } else {
             format!(
-                "the content type \"{}\" is not taken here; allowed are {allowed}",
+                "the content type \"{}\" is not accepted here; allowed are {allowed}",
                 clip(seen)
             )
         };
@@ -64,7 +64,7 @@ impl Problem {
         self
     }
 
-    /// Sends whoever asked for `uri` to the node that has the session, unless they go there by themselves.
+    /// Redirects a call of `uri` to the node that has the session, unless the client goes there itself.
     pub fn send_to_owner(&mut self, uri: &Uri, headers: &HeaderMap) {
         let Some(owner) = &self.owner else { return };
         if !redirect::follows_by_itself(headers) {
@@ -73,7 +73,7 @@ impl Problem {
         }
     }
 
-    /// Whether it tells of what is damaged in the store, and not of the server.
+    /// Whether it reports damage in the store, not a failure of the server.
     pub fn is_data_loss(&self) -> bool {
         self.code == session::ErrorCode::DataLoss.name()
     }

@@ -16,7 +16,7 @@ pub(super) fn parameters(uri: &Uri, allowed: &[&str]) -> Result<BTreeMap<String,
     // What is no UTF-8 would become other text in silence.
     let is_text = |query| percent_decode_str(query).decode_utf8().is_ok();
     if !uri.query().is_none_or(is_text) {
-        return Err(Error::malformed("the query is no UTF-8").into());
+        return Err(Error::malformed("the query is not UTF-8").into());
     }
     let Ok(Query(pairs)) = Query::<Vec<(String, String)>>::try_from_uri(uri) else {
         return Err(Error::malformed("the query is not readable").into());

@@ -28,7 +28,7 @@ impl Caller {
         state.manager.on_behalf_of(&self.name)
     }
 
-    /// The idempotency key. A broken one is refused here and not earlier, so that a missing session is told first.
+    /// The idempotency key. An invalid one fails here, not earlier, so that a missing session is reported first.
     pub fn key(&self) -> Result<Option<&str>, Error> {
         match &self.key {
             None => Ok(None),
@@ -37,7 +37,7 @@ impl Caller {
         }
     }
 
-    /// The idempotency key together with what tells the request from others.
+    /// The idempotency key together with what identifies the request.
     pub fn call_key(&self, request: impl FnOnce() -> Vec<u8>) -> Result<Option<CallKey>, Error> {
         let with_request = |key: &str| CallKey {
             key: key.to_owned(),

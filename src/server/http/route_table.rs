@@ -1,6 +1,6 @@
-//! Every path and method with what the API description tells of it; a test holds it and the router together.
+//! Every path and method with its API description; a test compares it with the router.
 
-/// A route as the API description tells it.
+/// A route as the API description has it.
 pub(in crate::server) struct Route {
     pub method: &'static str,
     pub path: &'static str,
@@ -16,7 +16,7 @@ pub(in crate::server) struct Route {
     pub status: u16,
     /// Query parameters and what they mean.
     pub query: &'static [(&'static str, &'static str)],
-    /// Whether it heeds an idempotency key.
+    /// Whether it takes an idempotency key.
     pub keyed: bool,
 }
 

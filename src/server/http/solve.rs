@@ -118,7 +118,7 @@ fn facts(solved: &CommittedPose) -> HeaderMap {
     headers
 }
 
-/// All parts of a frame, encoded where that holds up nobody.
+/// All parts of a frame, encoded on a blocking thread.
 async fn frame_parts(frame: FrameRequest) -> Result<Vec<pb::Frame>, Problem> {
     let encoded = tokio::task::spawn_blocking(move || encode(frame).collect()).await;
     encoded.map_err(|_| Error::new(ErrorCode::Internal, "the frame cannot be encoded").into())

@@ -14,7 +14,7 @@ use http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 struct File {
     /// Its path below `/`.
     path: &'static str,
-    /// Tells one build of it from another.
+    /// Distinguishes its builds.
     tag: &'static str,
     plain: &'static [u8],
     /// The same compressed, where that pays.
@@ -99,7 +99,7 @@ fn respond(file: &File, request: &HeaderMap) -> Response {
     guarded(response, media_type(file.path), POLICY)
 }
 
-/// Adds what every page for people carries: its type, its policy, and that neither is to be guessed or told.
+/// Adds the headers of every page for people: its type, its policy, no referrer, no shared window.
 pub(super) fn guarded(mut response: Response, media_type: &'static str, policy: &'static str) -> Response {
     let headers = response.headers_mut();
     let mut set = |name: HeaderName, value: &'static str| headers.insert(name, HeaderValue::from_static(value));

@@ -9,7 +9,7 @@ use crate::asset::Format;
 
 use crate::session::Error;
 use crate::wire;
-use examples::{body_example, parameter_example};
+use examples::{body_example, code_samples, parameter_example};
 use schemas::Schemas;
 use serde_json::{Map, Value, json};
 use std::sync::LazyLock;
@@ -37,7 +37,7 @@ fn build() -> Result<Value, Error> {
             "title": "pliant",
             "version": env!("CARGO_PKG_VERSION"),
             "description": "Headless mesh deformation. JSON bodies are the canonical proto-JSON form of pliant.v1: 64-bit \
-                numbers are strings, bytes are base64, unknown fields are refused with their path.",
+                numbers are strings, bytes are base64, the server rejects unknown fields and names their path.",
         },
         "paths": paths,
         "components": {"schemas": components(&schemas), "responses": {"Problem": problem_response(), "SentOn": sent_on_response()}},
@@ -79,7 +79,7 @@ fn components(schemas: &Schemas) -> Value {
 
 fn problem_response() -> Value {
     json!({
-        "description": "It was refused or failed; nothing has changed.",
+        "description": "The server rejected the call, or the call failed; nothing has changed.",
         "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
     })
 }
@@ -87,11 +87,11 @@ fn problem_response() -> Value {
 fn sent_on_response() -> Value {
     let header = |text: &str| json!({"description": text, "required": true, "schema": {"type": "string"}});
     json!({
-        "description": "Of several nodes another one has the session, or more room for a new one. The same call is answered there.",
+        "description": "Another node has the session, or more room for a new one. Repeat the call there.",
         "headers": {
             "Location": header("Where to repeat the call, as it was."),
             "x-pliant-owner": header("The address of the node that has the session."),
-            "x-pliant-node": header("The name of that node, which a proxy before all nodes chooses by."),
+            "x-pliant-node": header("The name of that node, for a proxy that routes by it."),
         },
         "content": {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}},
     })
@@ -145,6 +145,8 @@ fn operation(route: &Route, schemas: &Schemas) -> Value {
         responses.insert(status.to_string(), json!({"$ref": "#/components/responses/Problem"}));
     }
     operation.insert("responses".into(), responses.into());
+    let samples = code_samples(route, &operation_id(route));
+    operation.insert("x-codeSamples".into(), samples.into());
     operation.into()
 }
 
@@ -190,7 +192,7 @@ fn request_body(route: &Route) -> Option<Value> {
         content.insert(
             "multipart/form-data".into(),
             json!({"schema": {"type": "object", "required": ["model"], "properties": {
-                "model": {"type": "string", "format": "binary", "description": "The model; its file name may tell the format."},
+                "model": {"type": "string", "format": "binary", "description": "The model; its file name may give the format."},
                 "options": {"$ref": "#/components/schemas/CreateOptions"},
             }, "additionalProperties": {"type": "string", "format": "binary", "description": "A companion file; its file name is the URI by which the model names it."}}}),
         );
@@ -298,7 +300,7 @@ mod tests {
         );
     }
 
-    /// What opens a session by single parameters: every field that is no list, and the lists by name in the text of `options`.
+    /// Every field that is not a list is a parameter; the text of `options` names the lists.
     #[test]
     fn every_create_option_is_a_parameter_or_told_of() {
         let document = build().unwrap();
@@ -331,6 +333,30 @@ mod tests {
     }
 
     #[test]
+    fn every_call_has_a_sample_in_curl_and_every_part_of_the_program_in_python_is_one() {
+        let document = build().unwrap();
+        let mut in_python = 0;
+        for route in &ROUTES {
+            let samples = &document["paths"][route.path][route.method]["x-codeSamples"];
+            let curl = samples[0]["source"].as_str().unwrap();
+            let path = route.path.replace("{id}", "$id").replace("{handleId}", "head");
+            let names_both = curl.contains(&path.replace("$id/animations", "$figure/animations"))
+                && (route.method == "get" || curl.contains(&format!("-X {}", route.method.to_uppercase())));
+            assert!(
+                samples[0]["lang"] == "curl" && names_both,
+                "{} {path}: {curl}",
+                route.method
+            );
+            in_python += usize::from(samples[1]["lang"] == "Python");
+        }
+        assert_eq!(
+            in_python,
+            examples::python_parts().count(),
+            "a part of samples.py has the name of no call"
+        );
+    }
+
+    #[test]
     fn every_rpc_with_a_message_form_has_a_route() {
         let service = wire::json::descriptors()
             .unwrap()
@@ -345,7 +371,7 @@ mod tests {
         }
         for route in &ROUTES {
             if let Some(rpc) = route.rpc {
-                assert!(service.methods().any(|m| m.name() == rpc), "{rpc} is no rpc");
+                assert!(service.methods().any(|m| m.name() == rpc), "{rpc} is not an rpc");
             }
         }
     }

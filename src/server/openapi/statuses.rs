@@ -3,8 +3,8 @@
 use crate::server::http::Route;
 use std::collections::BTreeSet;
 
-/// What every operation may answer: a head that is no request, nobody or somebody who may not, a page of another origin, a head
-/// that is too large, too much asked of the server, a defect, a server that is stopping or has no room, too little time.
+/// What every operation may answer: a malformed head, missing or insufficient credentials, a page of another origin, a
+/// too large head, an exhausted quota, a defect, a server that stops or has no room, a deadline.
 const EVERYWHERE: [u16; 9] = [400, 401, 403, 404, 429, 431, 500, 503, 504];
 
 /// Successes beside the usual one: what was made before, a part of an answer, and one that the caller has already.

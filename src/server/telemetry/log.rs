@@ -64,7 +64,7 @@ pub fn is_json() -> bool {
     FORMAT.get() == Some(&LogFormat::Json)
 }
 
-/// Has panics told in the log's form, as one line; where the log takes none, they are told as before.
+/// Logs each panic as one line; where the log takes no errors, panics print as before.
 fn log_panics() {
     let plainly = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {

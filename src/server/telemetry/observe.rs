@@ -19,7 +19,7 @@ const ACCESS: &str = "pliant::access";
 /// Longest path that is logged, in characters.
 const LONGEST_PATH: usize = 256;
 
-/// What a line of the access log tells of a request.
+/// A request's facts in a line of the access log.
 struct AccessFacts {
     caller: Option<Principal>,
     method: Method,

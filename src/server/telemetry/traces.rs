@@ -1,4 +1,4 @@
-//! Spans for whoever collects them: calls and their pieces of work, sent by OTLP where an address is given.
+//! Spans of calls and their pieces of work, sent by OTLP where an address is given.
 
 use crate::session::SPANS;
 use http::HeaderMap;

@@ -112,8 +112,8 @@ impl TlsDoor {
         (Some(problem), usable)
     }
 
-    /// Makes the handshake of a connection, and tells the tenant that the client's certificate names. A certificate of another
-    /// authority ends it.
+    /// Negotiates TLS on a connection, and returns the tenant that the client's certificate names. A certificate of
+    /// another authority ends it.
     pub async fn shake_hands(&self, socket: TcpStream) -> io::Result<(TlsStream<TcpStream>, Option<String>)> {
         let stream = TlsAcceptor::from(self.0.now.load_full()).accept(socket).await?;
         let (_, facts) = stream.get_ref();

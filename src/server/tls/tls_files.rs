@@ -12,7 +12,7 @@ use tokio_rustls::rustls::{RootCertStore, ServerConfig};
 /// Largest of these files, bytes.
 pub const LARGEST_TLS_FILE: u64 = 1 << 20;
 
-/// The bytes of the files, which tell one state of them from another.
+/// The bytes of the files, to detect changes.
 #[derive(Clone, PartialEq, Eq)]
 pub(super) struct TlsFiles {
     /// The server's certificate and its key, which go together.
@@ -61,7 +61,7 @@ impl TlsFiles {
         let provider = Arc::new(ring::default_provider());
         let chain = certificates("certificate", &self.pair[0], &paths.certificate)?;
         let key = PrivateKeyDer::from_pem_slice(&self.pair[1])
-            .map_err(|e| format!("the TLS key {} is no private key in PEM: {e}", paths.key.display()))?;
+            .map_err(|e| format!("the TLS key {} is not a private key in PEM: {e}", paths.key.display()))?;
         let builder = ServerConfig::builder_with_provider(Arc::clone(&provider))
             .with_safe_default_protocol_versions()
             .map_err(|e| e.to_string())?;

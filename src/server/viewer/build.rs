@@ -14,7 +14,7 @@ use std::{env, fs};
 /// Where the page's sources are.
 const SOURCES: &str = "src/server/viewer";
 
-/// What the page is made from; a change builds it anew.
+/// What the page is made from; a change rebuilds it.
 const INPUTS: [&str; 9] = [
     "src/server/viewer/src",
     "src/server/viewer/public",
@@ -164,7 +164,7 @@ fn listing(page: Option<&Path>, files: &[String]) -> Result<String, Box<dyn Erro
     Ok(text)
 }
 
-/// FNV-1a, 64 bits: tells one build of a file from another.
+/// FNV-1a, 64 bits: distinguishes builds of a file.
 fn fingerprint(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)

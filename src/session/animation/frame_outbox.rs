@@ -130,7 +130,7 @@ impl FrameOutbox {
 
     // The task's side.
 
-    /// Tells what is under way; only the newest stage waits for the reader.
+    /// Reports what is under way; only the newest stage waits for the reader.
     pub fn tell_stage(&self, stage: &'static str, fraction: f32) {
         self.lock_state().stage = Some((stage, fraction));
         self.reader.notify_one();
@@ -187,7 +187,7 @@ impl FrameOutbox {
         self.reader.notify_one();
     }
 
-    /// Ends the animation before its last frame; frames that wait are void. Without an error nobody reads any more.
+    /// Ends the animation before its last frame and drops frames that wait. Without an error the reader has left.
     pub fn end_early(&self, error: Option<Error>) {
         let mut state = self.lock_state();
         if state.ending.is_none() {
@@ -201,7 +201,7 @@ impl FrameOutbox {
     }
 }
 
-/// Tells the reader of an animation which stage a piece of work is at.
+/// Reports the stage of a piece of work to the reader of an animation.
 pub(in crate::session) struct StageTeller<'a> {
     pub outbox: &'a FrameOutbox,
     pub watch: &'a dyn Progress,
@@ -270,7 +270,7 @@ mod tests {
         outbox.send_frame(frame(3));
         assert!(!has_room(&outbox).await);
         outbox.finish_input();
-        assert!(has_room(&outbox).await, "nobody is left to acknowledge");
+        assert!(has_room(&outbox).await, "no one is left to acknowledge");
     }
 
     #[tokio::test]

@@ -73,7 +73,7 @@ pub(in crate::session) async fn gather_clip(
             }
             Some(Ok(AnimationAnswer::Summary(summary))) => break *summary,
             Some(Err(error)) => return Err(error),
-            None => return Err(Error::new(ErrorCode::Internal, "an animation ended without a word")),
+            None => return Err(Error::new(ErrorCode::Internal, "an animation ended without a result")),
         }
     };
     let gone = || Error::new(ErrorCode::Internal, "an animation has frames and was never prepared");

@@ -5,7 +5,7 @@ use crate::wire::record::LoggedCommit;
 use std::fmt;
 use std::sync::Arc;
 
-/// What somebody did with a session.
+/// An action on a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AuditedAction {
     /// It was opened on a model.
@@ -16,13 +16,13 @@ pub enum AuditedAction {
     Pose,
     /// Its topology was edited.
     Edit,
-    /// A commit was taken back.
+    /// A commit was undone.
     Undo,
-    /// A commit that was taken back came again.
+    /// An undone commit was redone.
     Redo,
     /// A stream was opened on it.
     Stream,
-    /// Its model or its positions were taken away.
+    /// Its model or its positions were exported.
     Export,
     /// Something was carried along with it.
     Carry,
@@ -30,7 +30,7 @@ pub enum AuditedAction {
     Animate,
     /// It was deleted.
     Delete,
-    /// Its time was over.
+    /// It expired.
     Expire,
 }
 
@@ -53,7 +53,7 @@ impl AuditedAction {
         }
     }
 
-    /// What a commit is in the trail.
+    /// The action of a commit.
     pub(in crate::session) const fn of_commit(commit: &LoggedCommit) -> Self {
         match commit {
             LoggedCommit::Create { .. } => Self::Create,
@@ -77,7 +77,7 @@ impl fmt::Display for AuditedAction {
 pub struct AuditEntry {
     /// The tenant concerned.
     pub tenant: Tenant,
-    /// Who asked, as authentication names them; "pliant" where nobody did.
+    /// The caller, as authentication names it; "pliant" without one.
     pub who: Arc<str>,
     /// What was done.
     pub what: AuditedAction,
@@ -86,7 +86,7 @@ pub struct AuditEntry {
 }
 
 impl AuditEntry {
-    /// What nobody asked for.
+    /// An entry without a caller.
     pub(in crate::session) fn by_itself(tenant: &Tenant, what: AuditedAction, session: &str) -> Self {
         Self {
             tenant: tenant.clone(),
@@ -123,7 +123,7 @@ pub struct StoredAuditEntry {
     pub at_ms: u64,
     /// The tenant concerned.
     pub tenant: String,
-    /// Who asked.
+    /// The caller.
     pub caller: String,
     /// What was done: the name of an [`AuditedAction`], or one of a later version.
     pub action: String,

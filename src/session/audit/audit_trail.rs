@@ -1,9 +1,9 @@
-//! Notes what is no commit: streams, exports, what goes away without a store.
+//! Records what is not a commit: streams, exports, ends without a store.
 
 use crate::session::audit::audit_entry::AuditEntry;
 use crate::session::shared::SharedResources;
 
-/// Notes what somebody did. A store that does not answer stops nobody who reads: the entry goes to the log as an error then.
+/// Records an action. When the store does not answer, the call continues and the entry goes to the log as an error.
 pub(in crate::session) async fn note(shared: &SharedResources, entry: AuditEntry) {
     let Some(store) = &shared.store else { return entry.log() };
     if let Err(error) = store.audit(entry.clone()).await {

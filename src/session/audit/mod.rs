@@ -1,4 +1,5 @@
-//! Who opened, changed and took away what. With a store it is a row, on disk with the change that it tells of; without one a line of the log.
+//! The audit trail: who opened, changed and exported what. With a store an entry is a row, written with its change;
+//! without one, a log line.
 
 pub(in crate::session) mod audit_entry;
 pub(in crate::session) mod audit_trail;

@@ -18,8 +18,8 @@ use std::sync::atomic::Ordering::SeqCst;
 use tracing::Instrument;
 
 impl Manager {
-    /// Drives a session's model by a clip. The animation is of the rest shape as it is now; handles, shape and history have no part
-    /// in it, and may change meanwhile. What is wrong with the clip or the rig is told on the output.
+    /// Drives a session's model by a clip. The animation uses the rest shape as it is now; handles, shape and history
+    /// do not affect it, and may change meanwhile. The output reports errors of the clip or the rig.
     ///
     /// # Errors
     /// `NOT_FOUND`, `RESOURCE_EXHAUSTED` when as many animations are under way as allowed, `UNAVAILABLE` while draining.

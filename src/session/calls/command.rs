@@ -26,16 +26,16 @@ pub(in crate::session) enum SessionCommand {
     /// One commit forward or back.
     Step(HistoryDirection, PendingCall<SessionFacts>),
     Edit(Box<SessionEdit>, PendingCall<CommittedEdit>),
-    /// The answer of a pose that was committed with this revision; `None` when it cannot be gone to any more.
+    /// The answer of a pose that was committed with this revision; `None` when the history has lost it.
     Recall(u64, Box<AnsweredFrame>, PendingCall<Option<CommittedPose>>),
     Export(Option<Format>, PendingCall<ExportedModel>),
     Carry(Box<CarryOrder>, PendingCall<CarriedAlong>),
-    /// Prepares an animation, whose reader hears of the stages.
+    /// Prepares an animation and reports stages to its reader.
     Animate(Box<AnimateOrder>, Arc<FrameOutbox>, PendingCall<ReadyAnimation>),
 }
 
 impl SessionCommand {
-    /// Who asks, for the audit trail, and what is raised when nobody waits any more.
+    /// The caller, for the audit trail, and its flag: raised when it no longer waits.
     pub fn caller(&self) -> (&Arc<str>, &CancelFlag) {
         match self {
             Self::SetHandles(_, PendingCall { who, cancel, .. })
@@ -57,13 +57,13 @@ pub(in crate::session) enum HistoryDirection {
     Redo,
 }
 
-/// Somebody who waits for an answer.
+/// A caller that waits for an answer.
 #[derive(Debug)]
 pub(in crate::session) struct PendingCall<T> {
-    /// Who asks, for the audit trail.
+    /// The caller, for the audit trail.
     pub who: Arc<str>,
     pub reply: oneshot::Sender<Result<T, Error>>,
-    /// Raised when nobody waits any more.
+    /// Raised when the caller has left.
     pub cancel: Arc<CancelFlag>,
     /// When it was asked for: waiting counts against the time it may take.
     pub arrived: Instant,
@@ -91,7 +91,7 @@ impl<T> PendingCall<T> {
 pub(in crate::session) struct WorkOrder {
     /// What operators call it.
     pub kind: WorkKind,
-    /// The span of whoever asked for it.
+    /// The span of the call.
     pub call: Span,
     pub lane: WorkLane,
     /// Stops it.

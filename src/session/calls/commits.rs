@@ -103,7 +103,7 @@ impl Manager {
             .await
     }
 
-    /// Goes back by one commit; positions are restored to the bit.
+    /// Goes back by one commit and restores positions exactly.
     ///
     /// # Cancel safety
     /// Dropping the future leaves the session in the old or in the new state.

@@ -1,4 +1,4 @@
-//! How a server stops: nothing new, a word to those inside, then wait, then an end.
+//! How a server stops: reject new work, notify open streams, wait, then end.
 
 use crate::session::calls::manager::Manager;
 use crate::session::error::Error;
@@ -7,27 +7,27 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
 
-/// Between two looks whether all sessions are given back.
+/// Between two checks whether all sessions are released.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(10);
 
-/// What a stream is told when its server stops.
+/// The notice to streams when the server stops.
 const GOING_AWAY: &str = "the server is shutting down; commits are still stored. Close this stream and open it again, with the resume token as \
-                          the session's id: a server with the same sessions goes on where it was";
+                          the session's id: a server with the same sessions continues there";
 
 impl Manager {
-    /// Whether new sessions are welcome: not draining, and memory below the high-water mark.
+    /// Whether new sessions are accepted: not draining, memory below the high-water mark.
     pub fn admits(&self) -> bool {
         let ledger = &self.shared.ledger;
         let mark = ledger.total() as f64 * self.shared.config.high_water;
         !self.shared.draining.load(SeqCst) && ledger.used() as f64 <= mark
     }
 
-    /// Whether what clients change can be kept: false from a write to the store that failed until one works again.
+    /// Whether changes can be stored: false from a failed write to the store until one works again.
     pub fn takes_writes(&self) -> bool {
         self.shared.store.as_ref().is_none_or(|store| store.takes_writes())
     }
 
-    /// Takes no new sessions and streams from now on, tells the open streams, and has what they committed stored.
+    /// Rejects new sessions and streams from now on, notifies the open streams, and stores what they committed.
     pub fn start_drain(&self) {
         if self.shared.draining.swap(true, SeqCst) {
             return;

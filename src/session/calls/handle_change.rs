@@ -7,11 +7,11 @@ use crate::wire::HandlePatch;
 /// A change of the handles.
 #[derive(Debug)]
 pub(in crate::session) enum HandleChange {
-    /// All are replaced; those without a pose are at rest.
+    /// All are replaced; without a pose: the rest pose.
     Replace(HandleSet),
     /// The named fields of one handle are replaced, or it is added. Everything else stays where it is.
     Put(Box<HandlePatch>),
-    /// One handle goes. The others stay where they are.
+    /// One is removed. The others stay where they are.
     Remove(String),
 }
 

@@ -20,12 +20,12 @@ const TENANT_SHARE: u64 = 8;
 /// Tenants whose keys are kept.
 const TENANTS: usize = 10_000;
 
-/// What tells two requests apart.
+/// The hash of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::session) struct RequestFingerprint(u128);
 
 impl RequestFingerprint {
-    /// Of an operation and everything that it was given.
+    /// The hash of an operation and its arguments.
     pub fn of(operation: &str, parts: &[&[u8]]) -> Self {
         let mut hasher = Xxh3::new();
         for part in [operation.as_bytes()].iter().chain(parts) {
@@ -55,7 +55,7 @@ pub(in crate::session) struct IdempotencyKeys<A> {
 #[derive(Debug)]
 struct TenantKeys<A> {
     entries: BTreeMap<Arc<str>, KeyEntry<A>>,
-    /// Keys of finished calls, oldest first; a number tells a key from its later reuse.
+    /// Keys of finished calls, oldest first; each use of a key has another number.
     finished: VecDeque<(Instant, u64, Arc<str>)>,
     bytes: u64,
 }
@@ -105,7 +105,7 @@ pub(in crate::session) struct KeyClaim<A> {
     open: bool,
 }
 
-/// The key is kept with an answer of another kind, which the fingerprint of the request rules out.
+/// The key has an answer of another kind, which the fingerprint of the request rules out.
 pub(in crate::session) fn answer_of_another_call() -> Error {
     Error::new(ErrorCode::Internal, "the kept answer is of another call")
 }
@@ -153,7 +153,7 @@ impl<A: Clone> IdempotencyKeys<A> {
     /// Claims `key` for a request.
     ///
     /// # Errors
-    /// `INVALID_ARGUMENT` for a key that is no key or was used for another request, `ABORTED` while the first call runs,
+    /// `INVALID_ARGUMENT` for a malformed key or one of another request, `ABORTED` while the first call runs,
     /// `RESOURCE_EXHAUSTED` when all keys are taken by calls that run.
     pub fn claim(&self, tenant: &Tenant, key: &str, fingerprint: RequestFingerprint) -> Result<ClaimOutcome<A>, Error> {
         if key.is_empty() || key.len() > 255 || !key.bytes().all(|b| b.is_ascii_graphic()) {

@@ -1,4 +1,4 @@
-//! Which node takes what nobody has yet: new sessions go where there is room, and who comes to a node that is about to stop is sent to
+//! Which node takes a new session: it goes where there is room, and a node that is about to stop sends clients to
 //! another one.
 
 use crate::session::calls::manager::Manager;
@@ -8,11 +8,11 @@ use crate::session::owner_address::OwnerAddress;
 use crate::session::store::NodeLoad;
 use std::sync::atomic::Ordering::SeqCst;
 
-/// A new session goes elsewhere where so much more is free there, as a share of what may be held.
+/// A new session goes to a node whose share in use is lower by this much.
 const WORTH_THE_WAY: f64 = 0.2;
 
 impl NodeLoad {
-    /// How much of what it may hold a node holds: memory or sessions, whichever is more.
+    /// The share of a node's limit in use: of memory or sessions, whichever is more.
     fn share(&self) -> f64 {
         let share = |used: u64, most: u64| used as f64 / most.max(1) as f64;
         share(self.memory_used, self.memory_total).max(share(self.sessions, self.most_sessions))
@@ -20,7 +20,7 @@ impl NodeLoad {
 }
 
 impl Manager {
-    /// Why a call is refused while this server is about to stop: with another node, where there is one.
+    /// The error of a call while this server is about to stop; names another node, where there is one.
     ///
     /// # Cancel safety
     /// Dropping the future has no effect.
@@ -32,8 +32,8 @@ impl Manager {
         }
     }
 
-    /// Sends a new session to another node where that has clearly more room: the better one of this node and another, chosen by chance. Whom
-    /// a node has sent already stays.
+    /// Sends a new session to another node, chosen at random, if that has clearly more room. A session that a node has
+    /// sent stays.
     ///
     /// # Errors
     /// `UNAVAILABLE` with that node.
@@ -53,7 +53,7 @@ impl Manager {
         }
     }
 
-    /// Another node that takes sessions, chosen by chance; `None` where there is none, or the store does not say.
+    /// Another node that takes sessions, chosen at random; `None` without one, or when the store fails.
     async fn other_node(&self) -> Option<(OwnerAddress, NodeLoad)> {
         let ownership = self.shared.store.as_ref()?.ownership()?;
         let mut others = ownership.nodes().await.ok()?;

@@ -1,4 +1,4 @@
-//! Who is still inside, so that a server that stops can wait for the last one.
+//! Counts open calls, so that a server that stops can wait for the last one.
 
 use tokio::sync::watch;
 
@@ -15,13 +15,13 @@ impl CallGate {
         Self(watch::Sender::new(0))
     }
 
-    /// One more is inside until the guard is dropped.
+    /// Counts one more until the guard is dropped.
     pub fn enter(&self) -> CallGuard {
         self.0.send_modify(|n| *n += 1);
         CallGuard(self.0.clone())
     }
 
-    /// Waits until nobody is inside.
+    /// Waits until none is open.
     ///
     /// # Cancel safety
     /// Dropping the future has no effect.

@@ -1,10 +1,11 @@
 //! Process-wide compute slots: async callers on one side, the thread pools on the other.
 //!
-//! A slot is asked for before anything is moved to a pool, so that a refused caller loses nothing. Slots and threads of their own
-//! have what somebody waits for, so that it never stands behind a long build (poses, commits and what reads a shape), and what
-//! builds, edits and animates, whose threads the operating system serves last. Of the former, drags come first and have slots that
-//! nothing else gets. In a lane tenants take turns, in a tenant its sessions, and work that would wait longer than it may is refused
-//! before it waits. A build may take minutes: while one tenant has all slots for builds, there is one more for another tenant.
+//! A caller takes a slot before it moves anything to a pool, so a rejected caller loses nothing. Interactive work
+//! (poses, commits and reads of a shape) has its own slots and threads, so it never waits for a long build. Builds,
+//! edits and animations have others, whose threads the operating system serves last. Interactive drags come first and
+//! have slots that nothing else gets. In a lane tenants take turns, in a tenant its sessions. Work that would wait
+//! longer than it may is rejected at once. A build may take minutes: while one tenant has all slots for builds, there
+//! is one more for another tenant.
 
 use crate::pool::Pool;
 use crate::session::capacity::fair_line::{FairLine, LinePermit, LinePlace, LineRefusal, LineSlots, TurnClass};
@@ -31,34 +32,34 @@ const PACKING_THREADS: usize = 2;
 /// Answers that may wait to be packed.
 const PACKING_QUEUE: usize = 256;
 
-/// Which line work waits in.
+/// The lane of waiting work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::session) enum WorkLane {
-    /// A pose that somebody drags: before all that is interactive.
+    /// A dragged pose: before other interactive work.
     Drags,
-    /// Somebody waits for a commit or a shape.
+    /// Commits and reads of a shape.
     Interactive,
     /// Builds, edits and frames of animations.
     Builds,
 }
 
-/// Threads, and who may use them now.
+/// Threads, and the line for them.
 #[derive(Debug, Clone)]
 struct ComputeLane {
     pool: Pool,
-    /// What carries the work while too much is under way for a share of two threads each.
+    /// Runs work while the pool has less than two threads for each piece.
     alone: LoneThreads,
-    /// What carries the work of another tenant than the one that has all slots, and maybe all threads of the pool.
+    /// Runs work of another tenant while one has all slots, and maybe all threads of the pool.
     for_another: LoneThreads,
     line: Arc<FairLine>,
 }
 
-/// The thread pools and who may use them now.
+/// The thread pools and the lines for them.
 #[derive(Debug, Clone)]
 pub(in crate::session) struct ComputeSlots {
     interactive: ComputeLane,
     builds: ComputeLane,
-    /// For what needs no slot, where it waits for no solve.
+    /// Runs work without a slot, apart from solves.
     packing: Pool,
     packing_seats: Arc<Semaphore>,
     wait: Duration,
@@ -245,7 +246,7 @@ impl ComputeSlots {
         ))
     }
 
-    /// Tells a call that it cannot be served in time.
+    /// The error of a call that cannot run in time.
     fn refuse(&self, why: LineRefusal, left: Duration) -> Error {
         self.metrics.refused.inc();
         match why {
@@ -326,7 +327,7 @@ impl ComputeSlots {
     }
 }
 
-/// Lets the operating system serve this thread after those that somebody waits for.
+/// Lets the operating system serve this thread after interactive ones.
 fn give_way() {
     #[cfg(target_os = "linux")]
     {
@@ -400,7 +401,7 @@ mod tests {
         ComputeSlots::new(&config, Arc::default()).expect("threads start")
     }
 
-    /// A slot for somebody who may wait for long.
+    /// A slot for a call that may wait long.
     async fn asked(slots: &ComputeSlots) -> Result<ComputeSlot, Error> {
         let owner = WorkOwner {
             tenant: Tenant::default(),

@@ -1,12 +1,11 @@
-//! Who computes next: a line in which drags come before what else is asked for, and in both tenants take turns, in a tenant its
-//! sessions, and in a session whoever came first.
+//! Which work computes next: a line in which drags come before other work. In both classes tenants take turns, in a
+//! tenant its sessions, and in a session the oldest work is first.
 //!
-//! A tenant that asks for much waits behind itself and not before others: whoever comes new waits for one piece of work of each
-//! tenant at most. Somebody looks at a drag and waits for its next frame, and it is asked for anew as soon as that is there. So drags
-//! have slots that nothing else gets, and of the others as many turns as come to [`DRAGS_TIME`] times the time of one turn of the
-//! rest: however much there is to solve, drags go on, and however many drag, what is solved goes on. Work may take minutes, and then
-//! turns are no help: while one tenant has all slots, one more is there for the others. Nothing here depends on time but what is
-//! expected of it.
+//! A tenant that asks for much delays only itself: new work of another tenant waits for one piece of work of each
+//! tenant at most. A user watches a drag, and its client asks for the next frame as soon as one is there. So drags have
+//! slots that nothing else gets, and on the others they get as many turns as take [`DRAGS_TIME`] times as long as one
+//! turn of the rest: neither drags nor the rest ever stop. Work may take minutes, and then turns do not help: while one
+//! tenant has all slots, there is one more for the others. Only the expected durations depend on time.
 
 use crate::session::answers::Tenant;
 use crate::session::capacity::turn_queue::{QueuedTurn, TurnQueue};
@@ -26,7 +25,7 @@ const DRAGS_BETWEEN: (u32, u32) = (3, 32);
 /// What kind of work waits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum TurnClass {
-    /// A pose that somebody drags.
+    /// A dragged pose.
     Drag,
     /// Everything else.
     Other,
@@ -35,9 +34,9 @@ pub(super) enum TurnClass {
 /// Why there is no place in the line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum LineRefusal {
-    /// As many wait as may.
+    /// No more may wait.
     Full,
-    /// It would wait so long, which is longer than it may.
+    /// It would wait this long, which is too long.
     TooLong(Duration),
 }
 
@@ -65,11 +64,11 @@ pub(super) struct LineSlots {
     pub all: usize,
     /// How many more when there are drags among them.
     pub for_drags: usize,
-    /// Whether one more does, which is no drag, while a single other tenant has all slots.
+    /// Whether there is one more, not for drags, while one other tenant has all slots.
     pub one_for_another_tenant: bool,
 }
 
-/// Who waits, and where the turn is told.
+/// A waiting tenant, and where its turn goes.
 type TurnWaiter = (Tenant, TurnSender);
 
 /// A place in the line. Given up when dropped.
@@ -97,9 +96,9 @@ pub(super) struct FairLine {
 struct LineState {
     drags: ClassState,
     others: ClassState,
-    /// Whose pieces of work that are no drags compute, on a slot that any tenant gets.
+    /// The tenants of work other than drags, on slots that any tenant gets.
     holders: Vec<Tenant>,
-    /// Who computes on the slot for another tenant.
+    /// The tenant on the slot for another tenant.
     reserve_holder: Option<Tenant>,
     next_ticket: u64,
     /// Turns of drags since the last turn of the rest, as far as these waited meanwhile.
@@ -118,7 +117,7 @@ struct ClassState {
 }
 
 impl FairLine {
-    /// Nobody waits; `most` of each class may.
+    /// An empty line for `most` of each class.
     pub fn new(slots: LineSlots, most: usize) -> Arc<Self> {
         Arc::new(Self {
             slots,
@@ -131,8 +130,8 @@ impl FairLine {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a place for work that may wait as long as `patience`, for ever without one. When as many wait as may, whoever of them
-    /// came last of the tenant that has most makes way for one that has fewer.
+    /// Takes a place for work that may wait as long as `patience`, without limit for `None`. In a full line the last
+    /// work of the tenant that has most makes way for a tenant that has fewer.
     pub fn enter(
         self: &Arc<Self>,
         class: TurnClass,
@@ -199,7 +198,7 @@ impl FairLine {
         is_below && (class == TurnClass::Drag || state.others.busy < all)
     }
 
-    /// The seconds that one that comes now is expected to wait: its own class's turns up to its own, and those of the other class
+    /// The expected wait of new work in seconds: the turns of its class up to its own, and those of the other class
     /// between them.
     fn expected_wait(&self, state: &LineState, class: TurnClass, owner: &WorkOwner) -> f64 {
         let LineState { drags, others, .. } = state;
@@ -221,7 +220,7 @@ impl FairLine {
         turns / slots.max(1) as f64
     }
 
-    /// Somebody is done: whoever is next may compute.
+    /// Ends a turn and starts the next one.
     fn release(self: &Arc<Self>, permit: &LinePermit, took: Option<Duration>) {
         let mut state = self.lock();
         state.end_turn(permit.class, &permit.tenant);
@@ -253,7 +252,7 @@ impl FairLine {
         }
     }
 
-    /// Which class gets the next turn; `None` when nobody who waits may compute.
+    /// Which class gets the next turn; `None` when no waiting work may compute.
     fn next_class(&self, state: &LineState) -> Option<TurnClass> {
         let may = |class: TurnClass, of: &ClassState| !of.waiting.is_empty() && self.has_room(state, class);
         let may_drag = may(TurnClass::Drag, &state.drags);
@@ -289,7 +288,7 @@ impl LineState {
         ((DRAGS_TIME * self.others.mean / self.drags.mean) as u32).clamp(least, most)
     }
 
-    /// Somebody of a class computes from now on.
+    /// Counts a turn of a class that begins.
     fn note_turn(&mut self, (class, tenant): (TurnClass, &Tenant), slots: usize) {
         match class {
             // On a slot that others may not have it holds none of them up.

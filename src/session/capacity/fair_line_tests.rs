@@ -49,7 +49,7 @@ fn wait_of(line: &Arc<FairLine>, class: TurnClass, tenant: &str, session: &str) 
     }
 }
 
-/// Passes a permit on, and says in which order those who wait get it.
+/// Passes a permit on and returns the order in which places get it.
 fn served<T: Copy>(permit: LinePermit, waiting: Vec<(T, WaitingPlace)>) -> Vec<T> {
     let mut order = Vec::new();
     let mut waiting: Vec<_> = waiting.into_iter().map(Some).collect();
@@ -189,7 +189,7 @@ fn who_gives_up_leaves_no_trace() {
     assert!(line.lock().others.waiting.is_empty());
 }
 
-/// Serves as many turns as are asked for while drags and the rest ask anew as soon as they had theirs; who got them.
+/// Serves that many turns while drags and the rest ask again after each turn; returns their classes.
 fn turns_of_asking_anew(line: &Arc<FairLine>, mut permit: LinePermit, turns: usize) -> Vec<TurnClass> {
     let mut waiting: Vec<_> = [DRAG, OTHER]
         .into_iter()
@@ -308,7 +308,7 @@ fn what_is_expected_counts_the_drags_between_solves() {
     drop(permit);
 }
 
-/// Lets a drag ask anew until a solve has had its turn.
+/// Repeats drags until a solve has had its turn.
 fn turns_until_a_solve(line: &Arc<FairLine>, mut permit: LinePermit) -> LinePermit {
     let waits = |class| match line.enter(class, &owner("a", "1"), None) {
         Ok(LinePlace::Waiting(place)) => place,
@@ -326,7 +326,7 @@ fn turns_until_a_solve(line: &Arc<FairLine>, mut permit: LinePermit) -> LinePerm
 }
 
 proptest! {
-    /// What is told of a place in the line is how many are served before it.
+    /// The rank of a place in the line is how many are served before it.
     #[test]
     fn the_rank_is_how_many_come_before(asked in prop::collection::vec((0usize..4, 0usize..3), 0..30), served_first in 0usize..10) {
         let names = ["a", "b", "c", "d"];

@@ -1,8 +1,8 @@
-//! Threads that each carry one piece of work alone.
+//! Threads that each run one piece of work alone.
 //!
-//! A solve that is spread over the threads of a pool meets after every colour and every pass. That makes one solve faster and many
-//! slower: when every slot is taken, the threads would only steal pieces of each other's solves, and lose on each the time of a
-//! meeting and what their caches held. Results are the same bits for any number of threads, so that nobody sees which it was.
+//! A solve on the threads of a pool synchronises after every colour and every pass. That makes one solve faster and
+//! many slower: when every slot is taken, the threads only steal pieces of each other's solves, and pay for each with a
+//! synchronisation and cold caches. Results are bit-identical for any number of threads.
 
 use crate::pool::{Pool, PoolError};
 use std::sync::{Arc, Mutex, PoisonError};

@@ -1,21 +1,22 @@
-//! Those who wait, in the order of their turns: tenants take turns, in a tenant its sessions, and in a session whoever came first.
+//! Waiting work in the order of turns: tenants take turns, in a tenant its sessions, and in a session the oldest is
+//! first.
 
 use crate::session::answers::Tenant;
 use crate::session::capacity::work_owner::WorkOwner;
 use std::collections::VecDeque;
 
-/// Who waits. `W` is what is kept of each.
+/// Waiting work. `W` is stored for each.
 #[derive(Debug)]
 pub(super) struct TurnQueue<W> {
     /// In the order of their turns.
     tenants: VecDeque<TenantQueue<W>>,
 }
 
-/// One who waits.
+/// Waiting work.
 #[derive(Debug)]
 pub(super) struct QueuedTurn<W> {
     pub ticket: u64,
-    /// Whether it counts among those that may wait, and may be told that there are too many.
+    /// Whether it counts against the limit and may be rejected when that is reached.
     pub refusable: bool,
     pub waiter: W,
 }
@@ -47,17 +48,17 @@ impl<W> TurnQueue<W> {
         self.tenants.iter().map(TenantQueue::len).sum()
     }
 
-    /// Whether nobody waits.
+    /// Whether none waits.
     pub fn is_empty(&self) -> bool {
         self.tenants.is_empty()
     }
 
-    /// How many of them count among those that may wait.
+    /// How many of them count against the limit.
     pub fn refusable(&self) -> usize {
         self.tenants.iter().map(TenantQueue::refusable).sum()
     }
 
-    /// How many get their turn before one that comes now, if nobody else comes.
+    /// How many turns come before that of new work, if no more comes.
     pub fn rank(&self, owner: &WorkOwner) -> usize {
         let at = self.tenants.iter().position(|t| t.tenant == owner.tenant);
         let own = at.map_or(0, |at| {
@@ -71,7 +72,7 @@ impl<W> TurnQueue<W> {
         turns_before(&lengths, at, own)
     }
 
-    /// Somebody waits from now on.
+    /// Adds waiting work.
     pub fn push(&mut self, owner: &WorkOwner, turn: QueuedTurn<W>) {
         let at = self.tenants.iter().position(|t| t.tenant == owner.tenant);
         let at = at.unwrap_or_else(|| {
@@ -91,12 +92,12 @@ impl<W> TurnQueue<W> {
         }
     }
 
-    /// Takes whoever is next. Its tenant, and in it its session, goes behind the others.
+    /// Takes the next. Its tenant, and in it its session, goes behind the others.
     pub fn pop(&mut self) -> Option<QueuedTurn<W>> {
         self.pop_at(0)
     }
 
-    /// As [`TurnQueue::pop`], of those who are not of that tenant.
+    /// As [`TurnQueue::pop`], but of other tenants.
     pub fn pop_other_than(&mut self, tenant: &Tenant) -> Option<QueuedTurn<W>> {
         self.pop_at(self.tenants.iter().position(|queue| queue.tenant != *tenant)?)
     }
@@ -128,8 +129,8 @@ impl<W> TurnQueue<W> {
         removed
     }
 
-    /// Takes out whoever makes way for one of a tenant that has fewer waiting than another: the last of the longest session of the
-    /// tenant that has most.
+    /// Removes one that makes way for a tenant that has fewer: the last of the longest session of the tenant that has
+    /// most.
     pub fn displace_for(&mut self, tenant: &Tenant) -> Option<W> {
         let own = self.tenants.iter().find(|t| t.tenant == *tenant);
         let own = own.map_or(0, TenantQueue::refusable);
@@ -153,8 +154,8 @@ impl<W> TenantQueue<W> {
     }
 }
 
-/// How many turns there are before turn number `own`, from 0, of the one at `at` among some that take turns in their order and have so
-/// many each; without `at` it is behind them all. Its own turns before that one count as well.
+/// How many turns come before turn `own`, from 0, of queue `at`. Queues of these `lengths` take turns in their order;
+/// without `at` the queue is behind them all. Its own earlier turns count as well.
 fn turns_before(lengths: &[usize], at: Option<usize>, own: usize) -> usize {
     let at = at.unwrap_or(lengths.len());
     let others = lengths.iter().enumerate().filter(|(k, _)| *k != at);

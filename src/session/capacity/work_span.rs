@@ -1,4 +1,4 @@
-//! Spans of pieces of work, for those who follow a call through the server.
+//! Spans of pieces of work, to trace a call through the server.
 
 use tracing::Span;
 use tracing::field::Empty;
@@ -64,12 +64,12 @@ work_kinds! {
 pub(in crate::session) struct WorkSpan {
     /// What it is called and counted under.
     pub kind: WorkKind,
-    /// From its asking for a slot to its result.
+    /// From its request for a slot to its result.
     pub span: Span,
 }
 
 impl WorkSpan {
-    /// Of work of a kind, for a session, if it has an id yet; part of `call`, the span of whoever asked for it.
+    /// A span of work of a kind for a session, if it has an id yet; a child of `call`.
     pub fn new(kind: WorkKind, session: &str, call: &Span) -> Self {
         let span = tracing::info_span!(
             target: SPANS,
@@ -86,7 +86,7 @@ impl WorkSpan {
     }
 }
 
-/// Tells the span of the work under way what a solve came to.
+/// Records the result of a solve in the current span.
 pub(in crate::session) fn tell_solve(cycles: u32, residual: f64, vertices: usize) {
     let span = Span::current();
     // Collectors know no unsigned numbers.
@@ -95,7 +95,7 @@ pub(in crate::session) fn tell_solve(cycles: u32, residual: f64, vertices: usize
     tell_vertices(vertices);
 }
 
-/// Tells the span of the work under way how large the model is.
+/// Records the size of the model in the current span.
 pub(in crate::session) fn tell_vertices(vertices: usize) {
     Span::current().record("vertices", i64::try_from(vertices).unwrap_or(i64::MAX));
 }

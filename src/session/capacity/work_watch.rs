@@ -1,4 +1,4 @@
-//! Why a piece of work should stop, and what it said while it ran.
+//! Why a piece of work should stop, and what it reported.
 
 use crate::progress::{CancelFlag, Progress, Silent};
 use crate::session::capacity::memory_ledger::MemoryReservation;
@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Raises its flag when dropped: held by whoever waits for the work, so that work nobody waits for stops.
+/// Raises its flag when dropped. The caller holds it, so that work stops when the caller leaves.
 #[derive(Debug, Default)]
 pub(in crate::session) struct CancelOnDrop(pub Arc<CancelFlag>);
 
@@ -59,7 +59,7 @@ impl WorkWatch {
         }
     }
 
-    /// Whether somebody gave the work up.
+    /// Whether the work was given up.
     pub fn abandoned(&self) -> bool {
         self.flags.iter().any(|flag| flag.cancelled())
     }

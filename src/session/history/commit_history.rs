@@ -1,8 +1,8 @@
 //! The ordered commits of a session: what makes undo, redo and replay possible.
 //!
-//! A session's state is a pure function of its model and the commits up to the current one. Shapes are kept as snapshots while
-//! they fit a budget of bytes; an older one is solved again from its recipe, which gives the same bits. Knows no
-//! engine and no task: it is told what was solved.
+//! A session's state is a pure function of its model and the commits up to the current one. Shapes are kept as
+//! snapshots while they fit a budget of bytes; an older one is solved again from its recipe, bit for bit. The history
+//! has no engine and no task: callers pass it solutions.
 
 use crate::engine::{DeformerFacts, DeformerWarning, HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
 use crate::session::answers::CommitFacts;
@@ -83,8 +83,8 @@ pub(in crate::session) struct CommitHistory {
 }
 
 impl CommitHistory {
-    /// The history of a session just created, at rest, on an engine in the state `opened`. At most `limit` commits can be
-    /// undone.
+    /// The history of a new session in the rest pose, on an engine in the state `opened`. At most `limit` commits can
+    /// be undone.
     pub fn new(opened: EditedState, rest: ModelShape, limit: usize, snapshot_bytes: u64) -> Self {
         let (shape, topology) = (RecordedShapeId(0), opened.topology.clone());
         let state = SessionState {

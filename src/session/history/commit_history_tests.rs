@@ -87,7 +87,7 @@ fn the_oldest_commits_are_folded() {
     assert_eq!(history.shapes.len(), 3);
 }
 
-/// Bytes of handles and poses, counted anew.
+/// Bytes of handles and poses, recounted.
 fn counted_log_bytes(history: &CommitHistory) -> u64 {
     let mut last = None;
     let each = history.records.iter().map(|record| {

@@ -1,5 +1,5 @@
-//! The commits as they are told, in pieces that are shared: a change of the session shows its history to everybody, and must not
-//! copy ten thousand commits for one.
+//! The list of commits, in shared pieces: each change of the session publishes its history, and must not copy ten
+//! thousand commits for one.
 
 use crate::session::answers::CommitFacts;
 use std::collections::VecDeque;
@@ -45,7 +45,7 @@ impl CommitList {
         }
     }
 
-    /// Tells another digest of the commit at `index`.
+    /// Replaces the digest of the commit at `index`.
     pub(super) fn set_digest(&mut self, index: usize, digest: &str) {
         let mut at = index + self.gone;
         for piece in &mut self.pieces {

@@ -42,7 +42,7 @@ pub(in crate::session) struct EditStart<'a> {
 pub(in crate::session) struct LoadedDeformer {
     /// The engine.
     pub engine: Box<dyn Engine>,
-    /// The handles that the engine has; `None` when nobody else knows them, so that whatever comes next loads its own.
+    /// The handles that the engine has; `None` when they have no id, so that the next work loads its own.
     loaded: Option<HandleSetId>,
     shader: Option<Arc<Shader>>,
 }
@@ -174,7 +174,7 @@ impl LoadedDeformer {
         self.shader = None;
     }
 
-    /// Drops the handles, and all that can be made again: whatever comes next loads its own.
+    /// Drops the handles and all that can be rebuilt: the next work loads its own.
     fn release_memory(&mut self) {
         self.engine.release_memory();
         self.forget_derived();
@@ -214,7 +214,7 @@ impl LoadedDeformer {
         Ok((self.engine.initial_poses(), self.engine.facts()))
     }
 
-    /// Tells which set the handles of the last [`LoadedDeformer::replace_handles`] or edit became.
+    /// Sets the id of the handles of the last [`LoadedDeformer::replace_handles`] or edit.
     pub fn adopt_handles(&mut self, handles: HandleSetId) {
         self.loaded = Some(handles);
     }

@@ -11,7 +11,7 @@ pub(in crate::session) struct RecordedShapeId(pub u64);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::session) struct HandleSetId(pub u64);
 
-/// The handles that a commit has set, with the number by which they are told from others.
+/// The handles that a commit has set, with their number.
 #[derive(Debug)]
 pub(in crate::session) struct CommittedHandles {
     pub id: HandleSetId,

@@ -1,7 +1,8 @@
-//! A node of several says that it is there, and finds out what it has lost.
+//! A node of several renews its lease and finds sessions that it lost.
 //!
-//! A node that was stopped for longer than its lease does not know what happened meanwhile. It looks at its own clock before it serves a
-//! call: when its last word to the database may be older than its lease, it speaks first, and lets go of what others have taken.
+//! A node that was stopped for longer than its lease does not know what happened meanwhile. It checks its own clock
+//! before it serves a call: when its last renewal may be older than its lease, it renews first, and closes sessions
+//! that others have taken.
 
 use crate::session::shared::SharedResources;
 use crate::session::store::{NodeLoad, SessionOwnership, StoreError};
@@ -9,10 +10,10 @@ use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
-/// How long a call waits for a word from the database where the lease may have run out. Who is alone with what it has in memory goes on.
+/// How long a call waits for the database where the lease may have run out. After that the sessions in memory continue.
 const PATIENCE: Duration = Duration::from_millis(500);
 
-/// Says that this node is there, for as long as there are sessions.
+/// Renews the lease of this node until `shared` is dropped.
 pub(in crate::session) async fn beat_for_ever(shared: Weak<SharedResources>) {
     let mut was_away = false;
     loop {
@@ -26,13 +27,13 @@ pub(in crate::session) async fn beat_for_ever(shared: Weak<SharedResources>) {
         let Some(shared) = shared.upgrade() else { return };
         let beaten = beat(&shared).await;
         if let (Err(error), false) = (&beaten, was_away) {
-            tracing::warn!("the lease of this node cannot be renewed; what is in memory goes on: {error}");
+            tracing::warn!("the lease of this node cannot be renewed; the sessions in memory continue: {error}");
         }
         was_away = beaten.is_err();
     }
 }
 
-/// Says once that this node is there. Sessions that others have taken are let go.
+/// Renews the lease once, and closes sessions that others have taken.
 pub(in crate::session) async fn beat(shared: &SharedResources) -> Result<(), StoreError> {
     let Some(store) = shared.store.clone() else {
         return Ok(());
@@ -52,7 +53,7 @@ pub(in crate::session) async fn beat(shared: &SharedResources) -> Result<(), Sto
     settled
 }
 
-/// What this node tells of itself.
+/// The load of this node.
 pub(in crate::session) fn load_of(shared: &SharedResources) -> NodeLoad {
     NodeLoad {
         sessions: shared.registry.all().len() as u64,
@@ -84,8 +85,8 @@ async fn let_go_of_lost(shared: &SharedResources, ownership: &dyn SessionOwnersh
     Ok(())
 }
 
-/// Before a call is served: whether what this node has may have been taken by others, and if so, a word with the database. Where that is
-/// away, what is in memory is served as it is; nothing can be written then.
+/// Renews the lease before a call when others may have taken sessions of this node. Without the database, sessions in
+/// memory are served as they are; nothing can be written then.
 pub(in crate::session) async fn be_sure_of_lease(shared: &Arc<SharedResources>) {
     let Some(store) = shared.store.clone() else { return };
     let Some(node) = store.ownership().map(|ownership| ownership.node().clone()) else {

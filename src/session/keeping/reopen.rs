@@ -28,14 +28,14 @@ use tracing::Span;
 
 /// How long a node that is about to stop may take to give a session back.
 const GIVEN_BACK_WITHIN: Duration = Duration::from_secs(3);
-/// Between two looks whether it has.
+/// Between two checks of that.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
 
-/// Opens a stored session, or finds it when somebody else has opened it meanwhile.
+/// Opens a stored session, or finds it when another call has opened it.
 ///
 /// # Errors
-/// `NOT_FOUND`; `UNAVAILABLE` when the store does not answer, `DATA_LOSS` when what it holds is damaged; what hinders the opening of any
-/// session.
+/// `NOT_FOUND`; `UNAVAILABLE` when the store does not answer, `DATA_LOSS` when what it holds is damaged; errors of
+/// opening any session.
 pub(in crate::session) async fn reopen_session(
     shared: &Arc<SharedResources>,
     store: &Arc<dyn SessionStore>,
@@ -214,7 +214,7 @@ async fn read_merged(
     Ok(merged)
 }
 
-/// The newest kept shape. It saves solving and no more: one that is damaged is solved again, and compared with its digest.
+/// The newest kept shape. It only saves solving: one that is damaged is solved again, and compared with its digest.
 async fn read_snapshot(store: &Arc<dyn SessionStore>, stored: &StoredSession) -> Option<(u64, Arc<Vec<glam::DVec3>>)> {
     let snapshot = stored.snapshot.as_ref()?;
     let read = match store.object(snapshot.object.clone()).await {
@@ -234,7 +234,7 @@ async fn read_snapshot(store: &Arc<dyn SessionStore>, stored: &StoredSession) ->
 
 type Replayed = (OpenedModel, KeptSession, Vec<(u64, String)>);
 
-/// Follows the log on the compute pool.
+/// Replays the log on the compute pool.
 async fn replay_log(
     shared: &Arc<SharedResources>,
     store: &Arc<dyn SessionStore>,

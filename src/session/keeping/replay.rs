@@ -1,8 +1,8 @@
-//! A session made again from its log, on a compute thread.
+//! A session rebuilt from its log, on a compute thread.
 //!
-//! Handles and poses are put back as they were recorded; edits are done again, and what was solved after the newest kept shape is solved
-//! again, and both are compared with what was recorded. On the build and processor that recorded them the digests must be the same;
-//! on another one the shapes must be close, and the digests are recorded anew.
+//! Handles and poses are put back as they were recorded. Edits, and solves after the newest kept shape, are done again
+//! and compared with what was recorded. On the build and processor that recorded them the digests must be the same; on
+//! another one the shapes must be close, and the new digests are recorded.
 
 use crate::asset::FileSet;
 use crate::engine::{self, ModelShape, digest};
@@ -23,7 +23,7 @@ use std::sync::Arc;
 /// meet the default tolerance may be from each other, with room.
 pub(in crate::session) const OTHER_BUILD: f64 = 1e-3;
 
-/// Why a log cannot be followed.
+/// Why a replay fails.
 #[derive(Debug)]
 pub(in crate::session) enum ReplayError {
     Engine(engine::Error),
@@ -46,7 +46,7 @@ fn damaged(problem: impl Into<String>) -> ReplayError {
     ReplayError::Store(StoreError::Damaged(problem.into()))
 }
 
-/// What a session is made of again.
+/// What a session is rebuilt from.
 pub(in crate::session) struct ReplayedLog {
     pub commits: Vec<StoredCommit>,
     /// The files of merges, by the number of the commit.
@@ -55,7 +55,7 @@ pub(in crate::session) struct ReplayedLog {
     pub snapshot: Option<(u64, Arc<Vec<DVec3>>)>,
 }
 
-/// A session being made again.
+/// A session being rebuilt.
 pub(in crate::session) struct Replay<'a> {
     pub deformer: &'a mut LoadedDeformer,
     pub history: &'a mut CommitHistory,
@@ -63,7 +63,7 @@ pub(in crate::session) struct Replay<'a> {
     /// Bytes that the engine may hold.
     pub room: u64,
     pub exec: &'a Exec<'a>,
-    /// Digests to be recorded anew.
+    /// New digests to be recorded.
     pub anew: Vec<(u64, String)>,
 }
 
@@ -258,7 +258,7 @@ impl Replay<'_> {
         Ok(now)
     }
 
-    /// Whether a digest is another build's and to be recorded anew.
+    /// Whether another build's digest is to be replaced.
     fn is_new(&self, stored: &StoredCommit, now: &str, is_close: impl FnOnce() -> bool) -> Result<bool, ReplayError> {
         let is_own = stored.build == self.kept.build;
         check_digest(stored, now, is_own, is_close).map_err(ReplayError::Store)?;
@@ -266,7 +266,7 @@ impl Replay<'_> {
     }
 }
 
-/// Whether a shape that was made again may stand for the recorded one.
+/// Whether a rebuilt shape may stand for the recorded one.
 pub(in crate::session) fn check_digest(
     stored: &StoredCommit,
     now: &str,

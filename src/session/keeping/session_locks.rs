@@ -4,7 +4,7 @@ use dashmap::DashMap;
 use std::sync::Arc;
 use tokio::sync::{Mutex, OwnedMutexGuard};
 
-/// The locks, by the ids of sessions. One that nobody holds or waits for does not exist.
+/// The locks, by the ids of sessions. One exists only while a task holds it or waits.
 #[derive(Debug, Default)]
 pub(in crate::session) struct SessionLocks(Arc<DashMap<String, Arc<Mutex<()>>>>);
 

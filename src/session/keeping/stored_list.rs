@@ -1,4 +1,4 @@
-//! Sessions as lists tell them, from the store alone: nothing is opened for it.
+//! Listed sessions, from the store alone: no session is opened.
 
 use crate::engine::{DeformerFacts, HandlePoses};
 use crate::session::answers::SessionFacts;
@@ -26,7 +26,7 @@ pub(in crate::session) fn listed_facts(session: &ListedSession, started_ms: u64)
     })
 }
 
-/// What is told of a state, from the commits that brought its facts and its poses.
+/// The facts and poses of a state, from the commits that recorded them.
 pub(in crate::session) fn state_facts(
     facts: &LoggedCommit,
     poses: &LoggedCommit,

@@ -25,11 +25,11 @@ pub struct TenantAccount {
     settled: AtomicU64,
     uploads: Option<TokenBucket>,
     work: Option<TokenBucket>,
-    /// Calls that were refused for want of capacity, of all tenants.
+    /// Calls that exceeded the capacity, of all tenants.
     refused: Counter,
 }
 
-/// One quota as its tenant is told.
+/// A quota as its tenant sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct QuotaUse {
     /// What is allowed.
@@ -38,7 +38,7 @@ pub struct QuotaUse {
     pub left: f64,
 }
 
-/// What a tenant is told of its quotas; absent where it has none.
+/// The quotas of a tenant; absent where it has none.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct QuotaReport {
     /// Sessions held at a time.
@@ -83,7 +83,7 @@ impl TenantAccount {
         &self.quota
     }
 
-    /// What the tenant is told, whose sessions hold `stored` bytes in the store.
+    /// The quotas of the tenant, with `stored` bytes in the store.
     pub fn report(&self, stored: u64) -> QuotaReport {
         let now = Instant::now();
         let count = |allowed: Option<u64>, used: &AtomicU64| {
@@ -108,7 +108,7 @@ impl TenantAccount {
         }
     }
 
-    /// Whether it can be forgotten and made anew without anybody noticing, as far as it knows.
+    /// Whether it counts no use, so that dropping and rebuilding it has no effect.
     pub(super) fn is_idle(&self) -> bool {
         let now = Instant::now();
         let is_full = |bucket: &Option<TokenBucket>| bucket.as_ref().is_none_or(|b| b.left(now) >= b.a_minute());
@@ -152,7 +152,7 @@ impl TenantAccount {
         self.sessions.fetch_add(sessions, Relaxed);
     }
 
-    /// So many sessions are in the store, by now.
+    /// Sets how many sessions are in the store.
     pub(in crate::session) fn recount(&self, sessions: u64) {
         self.sessions.store(sessions, Relaxed);
     }

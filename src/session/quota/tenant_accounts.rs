@@ -16,12 +16,12 @@ pub const MOST_TENANTS: usize = 100_000;
 pub(in crate::session) struct TenantAccounts {
     quotas: TenantQuotas,
     open: Mutex<BTreeMap<Tenant, Arc<TenantAccount>>>,
-    /// Calls that were refused for want of capacity.
+    /// Calls that exceeded the capacity.
     refused: Counter,
 }
 
 impl TenantAccounts {
-    /// Nobody uses anything yet.
+    /// Accounts without use.
     pub fn new(quotas: TenantQuotas, refused: Counter) -> Self {
         Self {
             quotas,

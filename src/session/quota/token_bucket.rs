@@ -39,7 +39,7 @@ impl TokenBucket {
         self.change(now, |_| {})
     }
 
-    /// Takes an amount that nobody can refuse any more.
+    /// Takes an amount that is already used.
     pub fn charge(&self, amount: f64, now: Instant) {
         self.change(now, |left| *left -= amount);
     }
@@ -99,7 +99,11 @@ mod tests {
             Err(Duration::from_secs(40)),
             "80 are missing, 2 a second come"
         );
-        assert_eq!(bucket.take(100.0, after(40)), Ok(()), "what was told is true");
+        assert_eq!(
+            bucket.take(100.0, after(40)),
+            Ok(()),
+            "the wait that it named is enough"
+        );
         assert_eq!(bucket.left(after(4000)), 120.0);
     }
 

@@ -18,7 +18,7 @@ const RETRIES: usize = 3;
 /// `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`, `AWS_ENDPOINT`, `AWS_ALLOW_HTTP`.
 pub(super) fn open_bucket(url: &str) -> Result<Arc<dyn ObjectStore>, StoreError> {
     let refused = || {
-        let text = format!("\"{url}\" is no place of objects; allowed is s3://BUCKET or s3://BUCKET/PREFIX");
+        let text = format!("\"{url}\" is not a place of objects; allowed is s3://BUCKET or s3://BUCKET/PREFIX");
         StoreError::Refused(text)
     };
     let place = url.strip_prefix("s3://").ok_or_else(refused)?;

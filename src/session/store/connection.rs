@@ -21,7 +21,7 @@ const FIRST_WAIT: Duration = Duration::from_secs(10);
 const LOCKED: Duration = Duration::from_secs(4);
 /// How long a call waits once one call has waited in vain: the connection goes on being made meanwhile.
 const IMPATIENCE: Duration = Duration::from_millis(500);
-/// Between two tries to become the one that writes.
+/// Between two tries to take the writer's lock.
 const BETWEEN_TRIES: Duration = Duration::from_millis(50);
 
 /// What a path must not have in a URL.
@@ -40,7 +40,7 @@ const PATH: &AsciiSet = &CONTROLS
 pub(super) struct DatabaseAddress {
     url: String,
     dialect: Dialect,
-    /// As people are told: without a password.
+    /// For messages: without a password.
     shown: String,
     /// Which of several nodes connects; `None` where one process has the database for itself.
     shared_by: Option<SharingNode>,
@@ -51,7 +51,7 @@ pub(super) struct DatabaseAddress {
 pub(super) struct SharingNode {
     /// A number that no other process has.
     pub key: i64,
-    /// How long it may leave a transaction open without a word.
+    /// How long it may leave a transaction open and idle.
     pub patience: Duration,
 }
 
@@ -62,7 +62,7 @@ impl std::fmt::Debug for DatabaseAddress {
 }
 
 impl DatabaseAddress {
-    /// A file of SQLite that is there, to be read and written. One that has gone since is not made anew.
+    /// An existing file of SQLite, to be read and written. If it has gone since, it is not created.
     pub fn file(file: &Path) -> Result<Self, StoreError> {
         Self::file_opened(file, "rw")
     }
@@ -72,7 +72,8 @@ impl DatabaseAddress {
         Self::file_opened(file, "ro")
     }
 
-    /// A file of SQLite that nobody writes while it is read: nothing is made beside it, and a log beside it is not looked at.
+    /// A file of SQLite that no process writes while it is read: no file is created beside it, and a log beside it is
+    /// not read.
     pub fn file_at_rest(file: &Path) -> Result<Self, StoreError> {
         Self::file_opened(file, "ro&immutable=true")
     }
@@ -81,7 +82,7 @@ impl DatabaseAddress {
         let shown = file.display().to_string();
         let text = file
             .to_str()
-            .ok_or_else(|| StoreError::Refused(format!("{shown} is no UTF-8 path")))?;
+            .ok_or_else(|| StoreError::Refused(format!("{shown} is not a UTF-8 path")))?;
         Ok(Self {
             url: format!("sqlite://{}?mode={mode}", utf8_percent_encode(text, PATH)),
             dialect: Dialect::Sqlite,
@@ -121,7 +122,7 @@ impl DatabaseAddress {
         StoreError::Unavailable(format!("{}: {error}", self.shown))
     }
 
-    /// That it is no store.
+    /// Error: it is not a store.
     pub fn no_tables(&self) -> StoreError {
         StoreError::Refused(format!(
             "there is no store of sessions in {}: it has no tables of one",
@@ -129,7 +130,7 @@ impl DatabaseAddress {
         ))
     }
 
-    /// That the objects are there without it.
+    /// Error: the objects belong to another.
     pub fn objects_of_another(&self) -> StoreError {
         StoreError::Refused(format!(
             "{} has no sessions, and the objects there belong to another database; restore that one, or name another place",
@@ -143,7 +144,7 @@ impl DatabaseAddress {
         self.pool_of(READERS).await
     }
 
-    /// One connection of a node that says that it is there.
+    /// The connection that renews a node's lease.
     pub async fn heart(&self) -> Result<AnyPool, StoreError> {
         install_default_drivers();
         self.pool_of(1).await
@@ -172,7 +173,7 @@ impl DatabaseAddress {
         options.connect(&self.url).await.map_err(|e| self.unavailable(e))
     }
 
-    /// Waits until no other node is about to open the store, and is the one that is until what this returns is closed.
+    /// Waits until no other node opens the store, and keeps others out until the connection is closed.
     pub async fn door(&self) -> Result<AnyConnection, StoreError> {
         let mut connection = self.connect().await?;
         let wait = sqlx::query("SELECT pg_advisory_lock(1886153058, hashtext(current_schema()))");
@@ -194,7 +195,7 @@ impl DatabaseAddress {
     }
 }
 
-/// A URL without what only its owner may know.
+/// A URL without its password.
 fn without_password(url: &str) -> String {
     let (scheme, rest) = url.split_once("://").unwrap_or(("", url));
     let place = rest.split(['?', '#']).next().unwrap_or_default();
@@ -341,7 +342,7 @@ async fn connect_to_write(address: DatabaseAddress) -> Result<AnyConnection, Loc
     Ok(connection)
 }
 
-/// Becomes the one that writes, once nobody else is.
+/// Takes the lock of the writer once it is free.
 async fn lock(address: &DatabaseAddress, connection: &mut AnyConnection) -> Result<(), LockedOut> {
     let until = Instant::now() + LOCKED;
     loop {

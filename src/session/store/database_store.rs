@@ -48,7 +48,7 @@ impl DatabaseStore {
         }
     }
 
-    /// Notes the sizes of objects that a version wrote which did not. One that is missing has none; whoever reads it is told.
+    /// Records the sizes of objects that an older version wrote. A missing object has size 0; reading it is an error.
     pub(super) async fn measure_objects(&self) -> Result<(), StoreError> {
         let mut objects = Vec::new();
         for name in reading::unmeasured_objects(&self.pool).await? {
@@ -70,7 +70,7 @@ impl DatabaseStore {
         self.health.note(self.objects.put(bytes).await)
     }
 
-    /// The node that has what is created here; empty where there is one alone.
+    /// The node that has what is created here; empty for a single node.
     fn owner(&self) -> String {
         self.shared
             .as_ref()
@@ -117,7 +117,7 @@ impl DatabaseStore {
         Ok((names, objects))
     }
 
-    /// Writes an order and removes the objects that have no name after it. That a removal fails is no reason to fail: `prune`
+    /// Writes an order and removes the objects that have no name after it. A failed removal is not an error: `prune`
     /// finds them.
     pub(super) async fn write(&self, order: WriteOrder) -> Result<(), StoreError> {
         let unnamed = self.writer.write(order).await?;

@@ -1,4 +1,4 @@
-//! A database that is looked at: nothing is made or changed where it lies, whether a server writes it meanwhile or nobody does.
+//! A database that is only read: nothing is created or changed where it lies, whether or not a server writes it.
 
 use super::connection::{DatabaseAddress, WritingConnection};
 use super::data_folder::{FolderHold, existing_database};
@@ -15,14 +15,14 @@ use std::path::{Path, PathBuf};
 /// What a crash leaves beside a database of SQLite, which belongs to it.
 const LOGS: [&str; 2] = ["-wal", "-journal"];
 
-/// A database that is looked at.
+/// A database that is only read.
 #[derive(Debug)]
 pub(super) struct DatabaseToRead {
     pub pool: AnyPool,
     pub dialect: Dialect,
     /// Whether another process may be writing it.
     pub is_written: bool,
-    /// Where it is, as people are told.
+    /// Where it is.
     pub address: DatabaseAddress,
     _hold: Option<FolderHold>,
 }

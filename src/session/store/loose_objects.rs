@@ -1,7 +1,8 @@
-//! Objects that no session names, where several nodes share a store: one node's lock says nothing of what another is about to name.
+//! Objects that no session names, where several nodes share a store: the lock of one node does not cover what another
+//! names.
 //!
-//! Who is about to name an object says so first, who names it takes that back in the same transaction, and who takes the last name away
-//! says so too. What has been said for longer than [`GRACE`] of an object that nobody uses is over, and the object goes.
+//! A node writes a row for an object before it names it, removes the row in the transaction that names it, and writes
+//! one when it removes a name. An unused object whose row is older than [`GRACE`] is removed.
 
 use super::node_lease::DATABASE_NOW;
 use super::objects::Objects;
@@ -29,7 +30,7 @@ fn note_statement() -> String {
     )
 }
 
-/// Says that an object is about to be written and named. Waits for whoever is just removing it.
+/// Announces an object that is about to be written and named. Waits while a node removes it.
 pub(super) async fn announce(pool: &AnyPool, object: &str) -> Result<(), StoreError> {
     let done = sqlx::query(AssertSqlSafe(note_statement()))
         .bind(object)
@@ -38,7 +39,7 @@ pub(super) async fn announce(pool: &AnyPool, object: &str) -> Result<(), StoreEr
     done.map(drop).map_err(unreadable)
 }
 
-/// Says that an object has lost a name.
+/// Notes that an object lost a name.
 pub(super) async fn note_loose(object: &str, on: &mut AnyConnection) -> Result<(), StoreError> {
     let done = sqlx::query(AssertSqlSafe(note_statement()))
         .bind(object)
@@ -47,7 +48,7 @@ pub(super) async fn note_loose(object: &str, on: &mut AnyConnection) -> Result<(
     done.map(drop).map_err(unreadable)
 }
 
-/// Removes what nobody uses and nobody has spoken of for long.
+/// Removes unused objects with a row older than [`GRACE`].
 pub(super) async fn remove_loose(pool: &AnyPool, objects: &Objects) -> Result<(), StoreError> {
     let find =
         format!("SELECT object FROM loose_objects WHERE since_ms < {DATABASE_NOW} - $1 ORDER BY since_ms LIMIT {MOST}");

@@ -34,7 +34,7 @@ struct Note {
     identity: String,
     /// The newest transaction that was acknowledged.
     number: u32,
-    /// Acknowledged transactions that were found missing, and that nobody has dealt with.
+    /// Acknowledged transactions that are missing and not dealt with yet.
     lost: u32,
 }
 
@@ -90,8 +90,8 @@ impl NewestWrite {
         }
     }
 
-    /// Notes a transaction that is on disk. That the note cannot be written is no reason to refuse what is: the next loss may go
-    /// unseen, which the log says.
+    /// Notes a transaction that is on disk. A failed note does not reject the transaction: the log warns that the next
+    /// loss may go unseen.
     pub fn note(&mut self, number: u32) {
         self.note.number = number;
         let written = self.write();
@@ -109,7 +109,7 @@ impl NewestWrite {
     }
 }
 
-/// Says what a database lacks that is only looked at; `None` where nothing is known to be missing.
+/// Returns what a database lacks that is only read; `None` where nothing is known to be missing.
 ///
 /// # Errors
 /// [`StoreError::Unavailable`] where note or database cannot be read.

@@ -17,7 +17,7 @@ const FORGOTTEN_MS: i64 = 24 * 3600 * 1000;
 #[derive(Debug)]
 pub(super) struct NodeLease {
     pub node: NodeIdentity,
-    /// What tells this process from all others, before and after it.
+    /// An id that no other process has had or will have.
     pub id: String,
     /// The connection that renews it is used for nothing else, so that nothing holds it up.
     pool: AnyPool,

@@ -102,7 +102,7 @@ impl Objects {
         if let Some(folder) = self.folder.clone() {
             let told = move || {
                 let read = folder.read_identity();
-                read.map_err(|e| StoreError::Unavailable(format!("whose objects these are cannot be told: {e}")))
+                read.map_err(|e| StoreError::Unavailable(format!("cannot determine whose objects these are: {e}")))
             };
             return self.apart(told).await;
         }
@@ -204,7 +204,7 @@ impl Objects {
             .collect())
     }
 
-    /// Removes an object; one that is gone already is no error.
+    /// Removes an object; a missing one is not an error.
     pub async fn remove(&self, name: &str) -> Result<(), StoreError> {
         match self.store.delete(&object_path(name)?).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),

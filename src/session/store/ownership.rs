@@ -1,10 +1,10 @@
 //! Which of the nodes that share a store has a session.
 //!
-//! A session's row names the node that has it, and the number of that ownership: its generation, which grows each time that the session
-//! changes hands. Everything that is written of a session is written where the row still has the generation of the writer, so a node that
-//! has lost it cannot write, whatever it believes. A node has what it has for as long as its lease: one row for the whole node, renewed by
-//! one statement, with times of the database's clock alone. A session whose node has no lease any more, or that was given back, is taken
-//! by the next node that is asked for it.
+//! A session's row names the node that has it, and the number of that ownership: its generation, which grows each time
+//! that another node takes it. A write of a session succeeds only while the row has the generation of the writer, so a
+//! node that has lost the session cannot write. A node has its sessions for as long as its lease: one row for the whole
+//! node, renewed by one statement, with times of the database's clock alone. When a node has no lease any more, or has
+//! given a session back, the next node that gets a call for the session takes it.
 
 use super::store_error::Stored;
 use crate::session::answers::Tenant;
@@ -16,7 +16,7 @@ use std::time::Duration;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Generation(pub u64);
 
-/// A session in the hands of this node.
+/// A session that this node has.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HeldSession {
     /// Its id.
@@ -28,17 +28,17 @@ pub struct HeldSession {
 /// One of several nodes that share a store.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NodeIdentity {
-    /// Its name, by which a proxy tells nodes apart.
+    /// Its name, by which a proxy selects it.
     pub name: String,
     /// The address that clients call.
     pub address: String,
-    /// How long it has its sessions without a word to the database.
+    /// How long it has its sessions without a heartbeat.
     pub lease: Duration,
-    /// How often it says one.
+    /// How often it sends one.
     pub heartbeat: Duration,
 }
 
-/// What a node tells of itself with each heartbeat.
+/// The load that a node sends in each heartbeat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct NodeLoad {
     /// Sessions in memory.
@@ -71,7 +71,7 @@ pub enum SessionClaim {
     Missing,
 }
 
-/// What a node of several does to have sessions.
+/// How a node of several takes sessions.
 pub trait SessionOwnership: Send + Sync + std::fmt::Debug {
     /// This node.
     fn node(&self) -> &NodeIdentity;
@@ -79,9 +79,9 @@ pub trait SessionOwnership: Send + Sync + std::fmt::Debug {
     fn beat(&self, load: NodeLoad) -> Stored<'_, bool>;
     /// The sessions that are this node's.
     fn held(&self) -> Stored<'_, BTreeMap<String, Generation>>;
-    /// Takes a session that nobody has; whose it is otherwise.
+    /// Takes a free session, or returns who has it.
     fn claim(&self, tenant: Tenant, id: String) -> Stored<'_, SessionClaim>;
-    /// Takes a session whose time is over still; `None` where it is not, or another node has it.
+    /// Takes an expired session; `None` where it is not expired, or another node has it.
     fn claim_expired(&self, tenant: Tenant, id: String, times: (u64, u64)) -> Stored<'_, Option<Generation>>;
     /// Gives a session back, last used at `used_ms`.
     fn release(&self, session: HeldSession, used_ms: u64) -> Stored<'_, ()>;

@@ -1,4 +1,4 @@
-//! A store that is looked at: nothing is made, noted or changed, whether a server holds it or nobody does.
+//! A store that is only read: nothing is created, noted or changed, whether or not a server holds it.
 
 use super::build_identity::build_identity;
 use super::database_to_read::DatabaseToRead;
@@ -16,7 +16,7 @@ use crate::session::audit::audit_entry::AuditEntry;
 use bytes::Bytes;
 use std::path::PathBuf;
 
-/// A store that is looked at.
+/// A store that is only read.
 #[derive(Debug)]
 pub struct ReadOnlyStore {
     pub(super) database: DatabaseToRead,
@@ -65,7 +65,7 @@ fn not_noted<'a>() -> Stored<'a, ()> {
     Box::pin(async { Ok(()) })
 }
 
-/// Whoever looks is told why it cannot be read: it is no client of a server.
+/// Shows why the store cannot be read, which a server hides from clients.
 fn told<T>(error: Result<T, StoreError>) -> Result<T, StoreError> {
     error.map_err(|error| match error {
         StoreError::Unavailable(problem) => StoreError::Refused(problem),

@@ -162,7 +162,7 @@ async fn one_commit(pool: &AnyPool, session: &str, sequence: u64) -> Result<Stor
     }
 }
 
-/// A page of a tenant's sessions. One that is damaged is left out: whoever asks for it is told.
+/// A page of a tenant's sessions. A damaged one has only its number: opening it fails.
 pub(super) async fn listed(
     pool: &AnyPool,
     tenant: &str,
@@ -213,7 +213,7 @@ async fn listed_session(pool: &AnyPool, row: &AnyRow) -> Result<ListedSession, S
     })
 }
 
-/// The sessions whose time is over, and whose they are; of it none has passed before `since_ms`.
+/// The expired sessions, with their tenants; time counts from `since_ms` at the earliest.
 pub(super) async fn expired(pool: &AnyPool, since_ms: u64, now_ms: u64) -> Result<Vec<(Tenant, String)>, StoreError> {
     let query =
         "SELECT tenant, id FROM sessions WHERE used_ms < $1 - ttl_ms AND ttl_ms < $1 - $2 ORDER BY number LIMIT 1000";
@@ -224,7 +224,7 @@ pub(super) async fn expired(pool: &AnyPool, since_ms: u64, now_ms: u64) -> Resul
         .collect()
 }
 
-/// Whether the time of a session is over, as [`expired`] says.
+/// Whether a session is expired, as in [`expired`].
 pub(super) async fn is_expired(pool: &AnyPool, id: &str, (since_ms, now_ms): (u64, u64)) -> Result<bool, StoreError> {
     let query = "SELECT id FROM sessions WHERE id = $3 AND used_ms < $1 - ttl_ms AND ttl_ms < $1 - $2";
     let query = sqlx::query(query).bind(signed(now_ms)).bind(signed(since_ms));
@@ -269,7 +269,7 @@ pub(super) fn tenant_of(row: &AnyRow, index: usize) -> Result<Tenant, StoreError
     Ok(Tenant(Arc::from(tenant)))
 }
 
-/// Objects whose size was not noted, by a version that did not.
+/// Objects whose size an older version did not record.
 pub(super) async fn unmeasured_objects(pool: &AnyPool) -> Result<Vec<String>, StoreError> {
     let query = sqlx::query("SELECT DISTINCT object FROM object_uses WHERE bytes < 0");
     let rows = query.fetch_all(pool).await.map_err(unreadable)?;

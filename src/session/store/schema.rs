@@ -4,7 +4,7 @@ use super::session_store::StoreError;
 use sqlx::Row as _;
 use sqlx::{AnyConnection, AssertSqlSafe};
 
-/// The databases that are spoken.
+/// The supported databases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Dialect {
     Sqlite,
@@ -71,7 +71,7 @@ const FIRST: &[&str] = &[
     )",
 ];
 
-/// What sessions hold is counted. Of objects whose size nobody noted it is -1, until the store is opened.
+/// Counts the bytes of sessions. Objects of unknown size have -1 until the store is opened.
 const MEASURED: &[&str] = &[
     "ALTER TABLE sessions ADD COLUMN record_bytes BIGINT NOT NULL DEFAULT 0",
     "UPDATE sessions SET record_bytes = LENGTH(model)
@@ -80,10 +80,10 @@ const MEASURED: &[&str] = &[
     "ALTER TABLE object_uses ADD COLUMN bytes BIGINT NOT NULL DEFAULT -1",
 ];
 
-/// What tells this database from others.
+/// The identity of this database.
 const IDENTIFIED: &[&str] = &["CREATE TABLE store_identity (id TEXT PRIMARY KEY)"];
 
-/// The trail tells which commit an entry is of, or -1, so that a commit which was refused takes its entry along.
+/// An audit entry has the number of its commit, or -1, so that a refused commit removes its entry.
 const AUDITED: &[&str] = &[
     "ALTER TABLE audit ADD COLUMN sequence BIGINT NOT NULL DEFAULT -1",
     "CREATE INDEX audit_of_tenant ON audit (tenant, at_ms)",
@@ -183,7 +183,7 @@ pub(super) async fn migrate(connection: &mut AnyConnection, dialect: Dialect) ->
     steps.commit().await.map_err(failed)
 }
 
-/// What tells this database from others, where it was ever asked for.
+/// The identity of this database, if it has one yet.
 pub(super) async fn known_identity(connection: &mut AnyConnection) -> Result<Option<String>, StoreError> {
     let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
     let row = sqlx::query("SELECT id FROM store_identity")
@@ -207,7 +207,7 @@ pub(super) async fn any_object(connection: &mut AnyConnection) -> Result<Option<
         .map_err(failed)
 }
 
-/// What tells this database from others: made when it is asked for the first time.
+/// The identity of this database, created on first use.
 pub(super) async fn identity(connection: &mut AnyConnection) -> Result<String, StoreError> {
     let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
     if let Some(known) = known_identity(connection).await? {

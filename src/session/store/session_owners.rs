@@ -67,7 +67,7 @@ pub(super) async fn claim(
             return Ok(SessionClaim::Here(Generation(unsigned(generation)?)));
         }
     }
-    Err(StoreError::Unavailable("the session changes hands all the time".into()))
+    Err(StoreError::Unavailable("the session keeps moving between nodes".into()))
 }
 
 /// Takes a session as it was seen; `None` where it has changed hands since, or its node has come back to life.

@@ -16,7 +16,7 @@ pub struct LoggedKey {
     pub tenant: Tenant,
     /// The key.
     pub key: String,
-    /// What tells the request from others.
+    /// The hash of the request.
     pub fingerprint: u128,
     /// The session that answered.
     pub session: String,
@@ -52,7 +52,7 @@ pub struct NewSession {
 pub struct NewCommit {
     /// Its session.
     pub session: String,
-    /// Whose hands it is in.
+    /// The current ownership.
     pub generation: Generation,
     /// Commits of a session are numbered from 0, undo and redo among them.
     pub sequence: u64,
@@ -127,7 +127,7 @@ pub struct StoredSession {
     pub snapshot: Option<StoredSnapshot>,
 }
 
-/// A session as a list tells it.
+/// A session as a list shows it.
 #[derive(Debug, Clone)]
 pub struct ListedSession {
     /// As in [`NewSession`].
@@ -178,7 +178,7 @@ pub struct UsedSession {
 pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
     /// Which build and processor makes results now.
     fn build(&self) -> String;
-    /// What nodes that share it do to have sessions; `None` where one process has it for itself.
+    /// How nodes that share it take sessions; `None` where one process has it for itself.
     fn ownership(&self) -> Option<&dyn SessionOwnership> {
         None
     }
@@ -190,7 +190,7 @@ pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
     fn append(&self, commit: NewCommit) -> Stored<'_, ()>;
     /// Keeps a shape as the newest of a session.
     fn keep_shape(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()>;
-    /// Records digests anew, of commits by their numbers, as `build` makes them.
+    /// Replaces digests, by the numbers of commits, by those of `build`.
     fn adopt(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()>;
     /// Reads a session with all its commits; `None` when the tenant has none of that id.
     fn load(&self, tenant: Tenant, id: String) -> Stored<'_, Option<StoredSession>>;
@@ -206,7 +206,7 @@ pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
     fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()>;
     /// Notes when sessions were used.
     fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()>;
-    /// The sessions whose time is over at `now_ms`, and whose they are.
+    /// The sessions that are expired at `now_ms`, with their tenants.
     fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>>;
     /// How many sessions each tenant has.
     fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>>;

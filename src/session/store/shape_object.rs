@@ -1,4 +1,4 @@
-//! A shape as an object: a mark, a version, and the coordinates of its vertices to the bit.
+//! A shape as an object: a mark, a version, and the exact coordinates of its vertices.
 
 use super::session_store::StoreError;
 use bytes::Bytes;
@@ -21,7 +21,7 @@ pub(in crate::session) fn write_shape(positions: &[DVec3]) -> Bytes {
 
 /// Reads the positions of a shape.
 pub(in crate::session) fn read_shape(bytes: &[u8]) -> Result<Vec<DVec3>, StoreError> {
-    let damaged = || StoreError::Damaged("a stored shape is no shape".into());
+    let damaged = || StoreError::Damaged("a stored shape is not a shape".into());
     let (head, body) = bytes.split_at_checked(HEAD).ok_or_else(damaged)?;
     if &head[..4] != MARK || head[4..] != VERSION.to_le_bytes() || !body.len().is_multiple_of(24) {
         return Err(damaged());

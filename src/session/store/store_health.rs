@@ -1,6 +1,5 @@
-//! Whether a store takes what is to be written. A write that failed says that it does not, a small one that works says that it does
-//! again; beside that the files are looked at from time to time, since a folder that was moved away goes on taking writes which nobody
-//! would find again.
+//! Whether a store takes writes. It does not after a failed write, until a small one works. Beside that the files are
+//! checked from time to time, since a folder that was moved away still takes writes, which are then lost.
 
 use super::session_store::StoreError;
 use std::io;
@@ -8,7 +7,7 @@ use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Whether a store takes what is to be written.
+/// Whether a store takes writes.
 #[derive(Debug)]
 pub(super) struct StoreHealth {
     /// Files and folders of the store, and which they are: device and number.

@@ -27,7 +27,7 @@ impl StoreLocation {
         }
     }
 
-    /// The same, for a node that listens on `port` and was told to take a free one.
+    /// The same, for a node that was to take a free port and got `port`.
     pub fn on_port(&self, port: u16) -> Self {
         let mut there = self.clone();
         if let Some(node) = &mut there.node {

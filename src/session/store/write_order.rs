@@ -23,7 +23,7 @@ pub(super) enum WriteOrder {
         session: Box<NewSession>,
         model: Vec<u8>,
         objects: Vec<StoredObject>,
-        /// The node that has it, of several; empty where there is one alone.
+        /// The node that has it, of several; empty for a single node.
         owner: String,
     },
     /// A commit.
@@ -42,7 +42,7 @@ pub(super) enum WriteOrder {
         session: HeldSession,
         commits: Vec<CommitRow>,
     },
-    /// A session goes.
+    /// A session ends.
     Delete { audit: AuditEntry, generation: Generation },
     /// Sessions were used.
     NoteUse { sessions: Vec<UsedSession> },
@@ -174,7 +174,7 @@ pub(super) fn first_generation(owner: &str) -> Generation {
     Generation(u64::from(!owner.is_empty()))
 }
 
-/// Whether a session is there and still in the same hands, which it is then until the transaction ends.
+/// Whether a session still has the same owner, which then holds until the transaction ends.
 async fn still_has(session: &HeldSession, on: &mut AnyConnection) -> Result<bool, StoreError> {
     let touch = "UPDATE sessions SET newest = newest WHERE id = $1 AND ($2 = 0 OR generation = $2)";
     let touch = sqlx::query(touch).bind(&session.id).bind(signed(session.generation.0));
@@ -215,7 +215,8 @@ pub(super) fn session_checksum(id: &str, tenant: &str, model: &[u8], numbers: [i
     )
 }
 
-/// Refuses the creation of a session whose call was carried out at another node in the same moment. One node alone knows that by itself.
+/// Refuses the creation of a session whose call another node carried out at the same time. A single node knows its own
+/// calls.
 async fn refuse_repeated(first: &NewCommit, owner: &str, on: &mut AnyConnection) -> Result<(), StoreError> {
     let Some((tenant, key, _)) = first.key.as_ref().filter(|_| !owner.is_empty()) else {
         return Ok(());

@@ -1,8 +1,8 @@
-//! The one task that writes: what comes while a transaction is synced goes into the next one together, so that commits of several
-//! sessions share the price of a sync.
+//! The one task that writes: orders that come while a transaction is synced go into the next one together, so that
+//! commits of several sessions share a sync.
 //!
-//! A transaction whose end is not known, because the database went away, may be on disk or not. Its caller was told that nothing
-//! changed, so what it may have left is removed with the next transaction, before anything of its session is read.
+//! A transaction whose end is unknown, because the database went away, may be on disk or not. Its caller got an error,
+//! so what it may have left is removed with the next transaction, before anything of its session is read.
 
 use super::connection::WritingConnection;
 use super::loose_objects::note_loose;

@@ -26,8 +26,7 @@ pub struct StreamInput {
     mailbox: Arc<Mailbox>,
 }
 
-/// Where responses come out. Dropping it means that nobody listens any more: the stream's solve stops, and what was
-/// dragged and not committed is gone.
+/// Where responses come out. Dropping it stops the stream's solve; what was dragged and not committed is lost.
 #[derive(Debug)]
 pub struct StreamOutput {
     mailbox: Arc<Mailbox>,
@@ -71,8 +70,8 @@ impl DeformStream {
 }
 
 impl StreamInput {
-    /// Takes a request. Never waits and never queues without bound: newer poses replace waiting ones. What is wrong
-    /// with a request is told on the output.
+    /// Takes a request. Never waits and never queues without bound: newer poses replace waiting ones. The output
+    /// reports errors of a request.
     ///
     /// # Errors
     /// `CANCELLED` when the stream has ended; the output says why.
@@ -93,8 +92,8 @@ impl Drop for StreamInput {
 }
 
 impl StreamOutput {
-    /// The next answer, or `None` when the stream has ended. What of a frame is sent is chosen only here, and its parts are
-    /// encoded when they are sent, so a transport that does not ask holds up nothing and nobody.
+    /// The next answer, or `None` when the stream has ended. What of a frame is sent is chosen only here, and its parts
+    /// are encoded when they are sent, so a transport that does not read delays nothing.
     ///
     /// # Cancel safety
     /// Dropping the future loses no answer.
@@ -116,8 +115,8 @@ impl StreamOutput {
         }
     }
 
-    /// Says how many bytes who sends the frames holds for the differences of the next one. They are counted even where they are more
-    /// than there is room for: they are little beside what the session holds, and what is sent depends on no other session.
+    /// Sets how many bytes the sender of frames holds for the differences of the next one. They count even beyond the
+    /// memory limit: they are few beside those of the session, and what is sent depends on no other session.
     pub fn hold_bytes(&self, bytes: u64) {
         let _ = self.held.resize(bytes);
     }

@@ -55,7 +55,7 @@ pub(in crate::session) struct Mailbox {
     task: Arc<Notify>,
     /// Stops the solve of this stream.
     pub cancel: Arc<CancelFlag>,
-    /// Of the call that the stream is.
+    /// The span of the stream's call.
     pub span: Span,
     metrics: Arc<Metrics>,
     max_commits: usize,
@@ -91,7 +91,7 @@ impl Mailbox {
 
     // The client's side.
 
-    /// Takes a request. What is wrong with it is told on the stream.
+    /// Takes a request. The stream reports its errors.
     ///
     /// # Errors
     /// When the stream has ended.
@@ -231,7 +231,7 @@ impl Mailbox {
         self.lock_state().acknowledged
     }
 
-    /// Nobody reads any more: stops the solve and forgets everything.
+    /// The reader has left: stops the solve and drops everything.
     pub fn abandon(&self) {
         let mut state = self.lock_state();
         state.end(None);
@@ -270,7 +270,7 @@ impl Mailbox {
         state.ended.is_none() && (room >= 2 || (window == 1 && room == 1))
     }
 
-    /// Tells what became of the poses that are not solved: refused, or skipped because a newer one came.
+    /// Records the poses that are not solved: refused, or skipped because a newer one came.
     pub fn settle_unsolved(&self, refused: Vec<(u64, Error)>, superseded: u32) {
         let mut state = self.lock_state();
         state.superseded = state.superseded.saturating_add(superseded);
@@ -312,8 +312,8 @@ impl Mailbox {
         self.lock_state().dragged.clear();
     }
 
-    /// The server is going: tells the client so, with what it gives to go on elsewhere, and has the commits that wait stored,
-    /// whether or not their frames are read.
+    /// The server stops: sends the client a notice with the session to continue elsewhere, and stores the commits that
+    /// wait, whether or not their frames are read.
     pub fn leave(&self, message: &'static str) {
         let mut state = self.lock_state();
         state.leaving = true;

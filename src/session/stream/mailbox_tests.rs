@@ -250,7 +250,7 @@ fn errors_that_nobody_reads_end_the_stream() {
 fn wrong_options_end_the_stream() {
     let mailbox = mailbox(&SessionConfig::default());
     let wrong = StreamRequest::Options(Err(WireError::invalid("options.tolerance", "is NaN")));
-    mailbox.push(wrong).expect("told on the stream");
+    mailbox.push(wrong).expect("reported on the stream");
     let Some(OutboundItem::Words(StreamAnswer::Failure { error, seq })) = mailbox.next_item() else {
         panic!("an error was expected")
     };
@@ -374,8 +374,8 @@ proptest! {
         prop_assert!(ended, "the stream comes to its end");
         let balance = finals.len() as u32 + errors.len() as u32 + superseded;
         let refused_last = errors.last().is_some_and(|&e| finals.last().is_none_or(|&f| e >= f));
-        // What was skipped for a pose that then failed, with no frame after it, is told by no frame.
-        prop_assert!(balance == sent || (refused_last && balance <= sent), "{} of {} poses told", balance, sent);
+        // No frame reports what was skipped for a pose that then failed, with no frame after it.
+        prop_assert!(balance == sent || (refused_last && balance <= sent), "{} of {} poses reported", balance, sent);
         prop_assert!(finals.is_sorted());
         for commit in commits {
             prop_assert!(finals.contains(&commit) || errors.contains(&commit), "commit {} was skipped", commit);

@@ -9,7 +9,7 @@ use glam::DVec3;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A frame of which it is not known yet what the reader holds.
+/// A frame before it is known what the reader holds.
 #[derive(Debug, Clone)]
 pub(in crate::session) struct OutboundFrame {
     pub header: FrameHeader,
@@ -63,7 +63,7 @@ pub(in crate::session) struct FrameShape {
 }
 
 impl FrameContext {
-    /// A frame that tells `shape`, `solve_time` after the solve began.
+    /// A frame of `shape`, `solve_time` after the solve began.
     pub fn build_frame(&self, seq: u64, output: FrameOutput, shape: FrameShape, solve_time: Duration) -> OutboundFrame {
         let header = FrameHeader {
             seq,

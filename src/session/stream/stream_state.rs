@@ -32,9 +32,9 @@ pub(in crate::session) struct StreamState {
     pub pongs: VecDeque<u64>,
     /// No more requests will come.
     pub finished: bool,
-    /// The server is going: commits that wait are stored now, also behind frames that nobody takes.
+    /// The server stops: commits that wait are stored now, also behind frames that are not read.
     pub leaving: bool,
-    /// Nothing more is computed; an error to say, then the end.
+    /// Nothing more is computed; an error to send, then the end.
     pub ended: Option<Option<Error>>,
 }
 
@@ -61,8 +61,8 @@ impl StreamState {
         }
     }
 
-    /// Puts options in force for the poses that follow. Their frames tell no differences from those before, also where both are
-    /// the same: a client that lacks what it would need sends its options again.
+    /// Puts options in force for the poses that follow. Their frames have no differences from those before, even if
+    /// both are the same: a client that lost a frame sends its options again.
     pub fn take_options(&mut self, mut settings: DeformOptions) {
         self.asked += 1;
         settings.output.asked = self.asked;

@@ -1,4 +1,4 @@
-//! Poses that wait on a stream: which are let in, and how many become few.
+//! Poses that wait on a stream, and how they are merged.
 
 use crate::engine::HandlePose;
 use crate::wire::{DeformOptions, PoseEntry, PoseKey};
@@ -15,7 +15,7 @@ pub(in crate::session) type DraggedPoses = BTreeMap<String, HandlePose>;
 #[derive(Debug, Clone)]
 pub(in crate::session) struct WaitingPose {
     pub seq: u64,
-    /// Each with what is wrong with it, which is told when the pose's turn comes, as that it names no handle is.
+    /// Each with its error, which the stream reports at the pose's turn, as that of an unknown handle.
     pub entries: Vec<PoseEntry>,
     pub commit: bool,
     /// Of a commit that may be sent again.
@@ -26,7 +26,7 @@ pub(in crate::session) struct WaitingPose {
     pub poses: u32,
 }
 
-/// Merges the oldest neighbouring drags while too much waits. Which of them was wrong, if any, is then not told.
+/// Merges the oldest neighbouring drags while too much waits. Errors then do not name the drag.
 pub(in crate::session) fn merge_waiting_drags(waiting: &mut VecDeque<WaitingPose>, max_entries: usize) {
     let most = 2 * max_entries + WAITING_DRAGS;
     loop {

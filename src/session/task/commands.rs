@@ -25,8 +25,8 @@ use glam::DVec3;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Points times triangles up to which carrying points along is a moment's work also where each point looks at each triangle, as where
-/// triangles are as long as the model.
+/// Points times triangles up to which carrying points along takes a moment even if each point is compared with each
+/// triangle, as where triangles are as long as the model.
 const FEW_COMPARISONS: u64 = 100_000_000;
 /// What [`HandleSet::cost`] is at most where setting handles is a moment's work: sixteen half-spaces on a surface of 125,000
 /// vertices.
@@ -53,7 +53,7 @@ fn lane_of_cost(cost: u64) -> WorkLane {
 }
 
 impl SessionTask {
-    /// Serves a call, unless nobody waits for its answer any more.
+    /// Serves a call, unless its caller no longer waits.
     pub async fn serve_command(&mut self, command: SessionCommand) {
         self.session.line.begin();
         let (who, cancel) = command.caller();
@@ -339,7 +339,7 @@ fn carry_order_along(
     Ok((frames, model))
 }
 
-/// Keeps the answer for the call's idempotency key and gives it to whoever waits.
+/// Keeps the answer for the call's idempotency key and sends it to the caller.
 fn send_answer<T>(call: PendingCall<T>, result: Result<T, Error>, store: impl FnOnce(&T) -> Option<StoredAnswer>) {
     let PendingCall { reply, claim, .. } = call;
     if let (Some(claim), Ok(value)) = (claim, &result)

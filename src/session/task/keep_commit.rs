@@ -60,7 +60,7 @@ impl SessionTask {
         self.keep(commit, solution.digest.clone(), None, claim).await
     }
 
-    /// Keeps an edit: what was asked for, the state after it, its shape and what is told of it.
+    /// Keeps an edit: the request, the state after it, its shape and its report.
     pub async fn keep_edit(
         &mut self,
         asked: Option<SessionEdit>,
@@ -212,8 +212,8 @@ impl SessionTask {
         Ok(())
     }
 
-    /// A shape that was solved again has another digest than its commit. That is damage where this build and processor recorded it; what
-    /// another one recorded must be close, and is recorded anew.
+    /// A shape that was solved again has another digest than its commit. That is damage where this build and processor
+    /// recorded it; a shape of another one must be close, and its digest is replaced.
     pub async fn check_solved_again(
         &mut self,
         index: usize,

@@ -29,7 +29,7 @@ impl SessionTask {
     /// The frame that a commit was answered with, as the answer to the pose of number `seq`.
     ///
     /// # Errors
-    /// `ALREADY_EXISTS` when it was recorded and cannot be gone to any more; what hinders the store.
+    /// `ALREADY_EXISTS` when it was recorded and cannot be gone to any more; errors of the store.
     pub async fn recall_answer(
         &mut self,
         answer: StoredAnswer,

@@ -47,7 +47,7 @@ pub(in crate::session) struct SessionTask {
     /// What is known of the log in the store, if the session is kept.
     pub kept: Option<KeptSession>,
     pub residence: Residence,
-    /// Who asked for what is being done, for the audit trail.
+    /// The caller of the work under way, for the audit trail.
     pub acting: Arc<str>,
 }
 
@@ -104,7 +104,7 @@ impl SessionTask {
         self.keep_shape_in_time();
     }
 
-    /// The time of the session is over. If its store does not answer, the session goes from there later.
+    /// Ends the expired session. If its store does not answer, it is deleted there later.
     async fn expire(&mut self) {
         let id = self.session.id.clone();
         let shared = Arc::clone(&self.shared);
@@ -220,7 +220,7 @@ impl SessionTask {
         }
     }
 
-    /// Records a solved pose as a commit, shows it to everybody and counts it.
+    /// Records a solved pose as a commit, publishes it and counts it.
     pub fn commit_solution(&mut self, solution: &CommitSolution, settings: SolveSettings) {
         let (poses, shape) = (solution.poses.clone(), solution.solved.shape());
         let warnings = solution.warnings.clone();
@@ -259,7 +259,7 @@ impl SessionTask {
         }
     }
 
-    /// Shows the state to everybody.
+    /// Publishes the state.
     pub fn publish_view(&mut self) {
         let state = self.history.current();
         // The current shape is always at hand; `go_to_commit` and the commits see to it.
@@ -279,7 +279,7 @@ impl SessionTask {
         self.count_memory();
     }
 
-    /// Tells the ledger what the session holds.
+    /// Counts in the ledger what it holds.
     pub fn count_memory(&self) {
         let engine = self.deformer.as_ref().map_or(0, LoadedDeformer::byte_size);
         let bytes = engine.saturating_add(self.history.byte_size());
@@ -288,7 +288,7 @@ impl SessionTask {
     }
 }
 
-/// What is told of a state: that of model, solver and handles, and what was noticed of the poses.
+/// The facts of a state: those of model, solver and handles, and the warnings of the poses.
 fn facts_of(state: &SessionState) -> Arc<DeformerFacts> {
     if state.pose_warnings.is_empty() {
         return Arc::clone(&state.facts);

@@ -1,4 +1,4 @@
-//! A session that nobody uses leaves memory: first what is derived and made again in no time, later all of it.
+//! An unused session leaves memory: first what is derived and quickly rebuilt, later all of it.
 
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::residence::Residence;
@@ -27,8 +27,8 @@ impl SessionTask {
         !self.session.streams.all().is_empty() || self.session.animations.is_any()
     }
 
-    /// Takes the next step out of memory if it is due, or all of them when somebody else needs the place. Returns whether the session
-    /// is to end here.
+    /// Takes the next step out of memory if it is due, or all of them when another session needs room. Returns whether
+    /// the session is to end here.
     pub async fn step_out(&mut self) -> bool {
         let is_asked = self.session.leave.load(SeqCst) || self.is_to_be_given_back();
         if self.kept.is_none() || self.is_pinned() {
@@ -61,7 +61,7 @@ impl SessionTask {
         self.count_memory();
     }
 
-    /// Keeps the newest shape, so that the session comes back soon, and closes the door. Calls that came before are served.
+    /// Keeps the newest shape, so that the session reopens fast, and takes no more calls. Earlier calls are served.
     async fn leave_memory(&mut self) -> bool {
         if let Err(error) = self.keep_shape_now().await {
             tracing::warn!(session.id = %self.session.id, "an idle session stays in memory: {error}");

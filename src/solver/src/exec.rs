@@ -1,10 +1,10 @@
-//! Where a piece of work runs and who watches it, handed down as one argument.
+//! Threads and progress of a piece of work, passed as one argument.
 
 use crate::pool::Pool;
 use crate::progress::{Cancelled, Progress, check};
 
 /// The threads that a piece of work may use, and the watcher that can cancel it. Every function that computes for longer than
-/// a moment takes one, so that no engine reaches for global threads or runs on after nobody wants its result.
+/// a moment takes one, so that no engine uses global threads or runs on after a cancellation.
 ///
 /// ```
 /// use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
@@ -18,7 +18,7 @@ use crate::progress::{Cancelled, Progress, check};
 pub struct Exec<'a> {
     /// Threads that parallel parts run on.
     pub pool: &'a Pool,
-    /// Told how far the work is, and asked whether it is still wanted.
+    /// Receives the progress of the work and can cancel it.
     pub progress: &'a dyn Progress,
 }
 

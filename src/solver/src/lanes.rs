@@ -196,7 +196,7 @@ impl<'a, T: Copy> SharedRows<'a, T> {
     /// If `range` leaves the slice.
     ///
     /// # Safety
-    /// Nobody else uses these elements while the slice lives.
+    /// Nothing else uses these elements while the slice lives.
     #[inline(always)]
     #[allow(clippy::mut_from_ref)]
     pub(crate) unsafe fn rows(self, range: Range<usize>) -> &'a mut [T] {

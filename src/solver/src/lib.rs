@@ -43,8 +43,8 @@
 //!
 //! # Topology may change
 //!
-//! [`Hierarchy::repair`] follows a graph whose vertices come and go, at the price of the edit: rows that change move to
-//! the end of their level, aggregates that lost a member are formed anew by the rule that built them, old seeds first,
+//! [`Hierarchy::repair`] follows a graph whose vertices come and go, at a cost in proportion to the edit: rows that
+//! change move to the end of their level, aggregates that lost a member are rebuilt by the same rule, old seeds first,
 //! and so on level by level. All other aggregates stay. It converges as a fresh build does, within an iteration, also
 //! after hundreds of edits.
 //!
@@ -77,7 +77,7 @@
 //! | repair | [`Hierarchy::repair`] | vertices or edges come and go | in proportion to the change |
 //!
 //! A [`Workspace`] carries all vectors from solve to solve. An [`Exec`](exec::Exec) joins the [`Pool`](pool::Pool) that parallel
-//! loops run on with the [`Progress`](progress::Progress) that is told how far the work is and can cancel it: there are no
+//! loops run on with the [`Progress`](progress::Progress) that receives reports and can cancel the work: there are no
 //! hidden threads, no clock and no global state. [`CholeskyFactor`] solves dense systems.
 //!
 //! # How rows are stored

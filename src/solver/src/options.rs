@@ -1,4 +1,4 @@
-//! What the caller chooses and what it gets told: options, constraints, iterations, statistics.
+//! Inputs and outputs of solves: options, constraints, iterations, statistics.
 
 /// Which coarse equations a hierarchy uses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -1,40 +1,40 @@
-//! How long work reports where it is, and how it learns that nobody wants it any more.
+//! Progress reports and cancellation of long work.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Watches one piece of work. Implementations must be cheap: kernels ask `cancelled` between sweeps.
+/// Watches one piece of work. Implementations must be cheap: kernels call `cancelled` between sweeps.
 pub trait Progress: Sync {
-    /// True once the result is no longer wanted; the work then stops at its next check and returns `Cancelled`.
+    /// True to cancel the work, which then stops at its next check and returns `Cancelled`.
     fn cancelled(&self) -> bool {
         false
     }
 
-    /// Asked before something large is allocated: whether the work may hold `bytes` in all, what it was given included.
-    /// Where the answer is no, the work ends with an error that names the size.
+    /// Whether the work may hold `bytes` in all, its input included; called before large allocations. If false, the
+    /// work ends with an error that contains the size.
     fn may_hold(&self, bytes: u64) -> bool {
         let _ = bytes;
         true
     }
 
-    /// Tells that `fraction` (0 to 1) of `stage` is done. Called rarely, from the thread that started the work.
+    /// Reports that `fraction` (0 to 1) of `stage` is done. Called rarely, from the thread that started the work.
     fn report(&self, stage: &'static str, fraction: f32) {
         let _ = (stage, fraction);
     }
 
-    /// Tells that a pass over the rows of one frame begins, by its name. For those who measure frames; called some ten times a
+    /// Reports the name of a pass over the rows of one frame that begins, for measurements. Called some ten times a
     /// frame, from one thread at a time.
     fn begin_pass(&self, pass: &'static str) {
         let _ = pass;
     }
 }
 
-/// Work that nobody watches or cancels.
+/// Work without reports or cancellation.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Silent;
 
 impl Progress for Silent {}
 
-/// The work was given up because its [`Progress`] said so.
+/// Its [`Progress`] cancelled the work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("cancelled")]
 pub struct Cancelled;

@@ -1,4 +1,4 @@
-//! Numbers that every room shares about how rows are stored, and how vectors get their memory.
+//! Constants of row storage, and how vectors get their memory.
 
 use bytemuck::{Zeroable, zeroed_vec};
 
@@ -11,10 +11,10 @@ pub(crate) const SLICE_ROWS: usize = 4;
 /// One part in this many of a vector is kept as room for more.
 pub(crate) const SLACK: usize = 16;
 
-/// Sets the length of `v`, whose contents are of no use any more: old ones, or zeros. Where it needs new memory nobody has touched that
-/// yet, so that whoever writes it first does, on all threads, which for large vectors takes longer than what is written.
+/// Sets the length of `v`; its contents are then unspecified, old values or zeros. New memory is not touched yet: its
+/// first writers do that, on all threads, which for large vectors takes longer than the writing.
 ///
-/// What has to grow will grow again, as it does from edit to edit: it gets some room more, which costs nothing until it is touched.
+/// A vector that grows gets some spare room, as edits let it grow again; room costs nothing until it is touched.
 pub(crate) fn resize_untouched<T: Zeroable + Clone>(v: &mut Vec<T>, n: usize) {
     if v.capacity() < n {
         let room = if v.capacity() > 0 { n / SLACK } else { 0 };
@@ -26,8 +26,8 @@ pub(crate) fn resize_untouched<T: Zeroable + Clone>(v: &mut Vec<T>, n: usize) {
     }
 }
 
-/// Lengthens `v`. There is always some room left, so that repairs rarely move what they add to; one that is empty is
-/// made anew, which leaves it to those who write it first to touch its memory.
+/// Lengthens `v`, with some spare room, so that repairs rarely move it. An empty one is reallocated, so that its first
+/// writers touch its memory.
 pub(crate) fn grow<T: Clone>(v: &mut Vec<T>, more: usize, value: T) {
     if v.is_empty() {
         *v = vec![value; more + more / SLACK];

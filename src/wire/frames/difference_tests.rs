@@ -1,4 +1,4 @@
-//! Whatever shapes follow one another, a reader of differences holds the very steps of the box that the key frame told.
+//! Whatever shapes follow one another, a reader of differences holds exactly the steps in the key frame's box.
 
 use super::*;
 use crate::engine::TopologyId;

@@ -1,4 +1,4 @@
-//! What a frame tells beside its numbers.
+//! The header of a frame.
 
 use super::pb;
 use crate::engine::{QualityReport, TopologyId};
@@ -6,14 +6,15 @@ use crate::motion::rig::RigidMotion;
 use crate::wire::facts::quality_message;
 use glam::DVec3;
 
-/// What a frame tells beside its numbers. All its parts repeat it.
+/// A frame without its numbers. All its parts repeat it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FrameHeader {
     /// The number of the pose that it shows.
     pub seq: u64,
     /// The session's revision.
     pub revision: u64,
-    /// The state of the model that its vertices belong to. It is not told; no frame tells what differs from one of another state.
+    /// The state of the model that its vertices belong to. It is not sent; no frame is a difference from one of another
+    /// state.
     pub topology: Option<TopologyId>,
     /// Whether it ends the work on its pose.
     pub is_final: bool,
@@ -33,7 +34,7 @@ pub struct FrameHeader {
     pub animated: Option<Box<AnimatedHeader>>,
 }
 
-/// What a frame of an animation tells beside.
+/// What a frame of an animation adds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AnimatedHeader {
     /// Its number.
@@ -42,7 +43,7 @@ pub struct AnimatedHeader {
     pub count: usize,
     /// When it is, in seconds of the clip.
     pub seconds: f64,
-    /// Where the root bone has carried the model, when that is not in the positions.
+    /// Where the root bone has moved the model, when that is not in the positions.
     pub root: RigidMotion,
     /// Digest of the positions as the root bone sees them.
     pub digest: String,

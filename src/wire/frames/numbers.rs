@@ -167,8 +167,8 @@ impl<const N: usize> Steps<N> {
     }
 }
 
-/// The nearest of 65536 steps from `low` over `span`, the upper of two that are as near; what is no number is step 0. `f64::round`
-/// says the same after a call for each number.
+/// The nearest of 65536 steps from `low` over `span`, the upper of two that are as near; NaN is step 0. `f64::round`
+/// gives the same with a call for each number.
 fn nearest_step(value: f64, low: f64, span: f64) -> u16 {
     let place = (value - low) / span * 65535.0;
     let place = if place > 0.0 { place } else { 0.0 };

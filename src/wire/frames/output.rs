@@ -15,8 +15,8 @@ pub struct FrameOutput {
     pub encoding: FrameEncoding,
     /// Whether the triangles that cross are counted on commit.
     pub self_intersections: bool,
-    /// Which options of their stream these were asked for by, from 1; 0 is no stream's. No frame tells what differs from one that
-    /// was asked for by others.
+    /// The number of these options on their stream, from 1; 0 without a stream. No frame is a difference from one of
+    /// other options.
     pub asked: u64,
 }
 
@@ -30,7 +30,7 @@ pub enum FrameEncoding {
     U16,
     /// The same, compressed by meshopt.
     Meshopt,
-    /// The same, where it can be what differs from the frame before.
+    /// The same, as differences from the frame before if possible.
     Delta,
 }
 

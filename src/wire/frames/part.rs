@@ -69,12 +69,12 @@ pub struct FramePart {
 enum PartData {
     /// To be written from these vertices.
     Of(Arc<FrameVertices>, Range<usize>),
-    /// Coded already: how long it is is not known before.
+    /// Encoded already: the length is not known before.
     Coded(Vec<u8>),
 }
 
 impl FramePart {
-    /// The vertices in `range`, told by `head`. What meshopt codes is coded here, by way of `scratch`; of a stream that asked for
+    /// The vertices in `range`, with header `head`. Meshopt data is encoded here, by way of `scratch`; on a stream with
     /// differences, `held` is what its reader has of these vertices.
     pub(super) fn new(
         mut head: pb::Frame,

@@ -1,7 +1,7 @@
 //! Frames as a client reads them: parts in, vertex buffers out.
 //!
-//! For clients in Rust, and for those who measure and test what is sent. Nothing in a part is believed: what does not fit is an
-//! error, and then nothing is read but a frame that stands for itself.
+//! For clients in Rust, and for measurements and tests. Nothing in a part is trusted: what does not fit is an error,
+//! and then nothing is read but a frame that stands for itself.
 
 use super::pb::{self, frame};
 use crate::wire::Error;
@@ -24,7 +24,7 @@ pub struct FrameReader {
 struct ReadAttribute {
     /// Three or four numbers a vertex; empty where none came.
     numbers: Vec<f32>,
-    /// Of streams that tell differences: four steps a vertex.
+    /// On streams with differences: four steps a vertex.
     steps: Vec<[u16; 4]>,
 }
 
@@ -68,7 +68,7 @@ impl FrameReader {
         &self.attributes[attribute as usize].numbers
     }
 
-    /// Steps of an attribute, four a vertex, on streams that tell differences.
+    /// Steps of an attribute, four a vertex, on streams with differences.
     pub fn steps(&self, attribute: frame::Attribute) -> &[[u16; 4]] {
         &self.attributes[attribute as usize].steps
     }
@@ -130,7 +130,7 @@ impl FrameReader {
             _ if count == 0 => Vec::new(),
             _ => {
                 let coded = meshopt::decode_vertex_buffer::<[u16; 4]>(data, count)
-                    .map_err(|e| Error::invalid("frame.data", format!("is no code of {count} vertices: {e}")))?;
+                    .map_err(|e| Error::invalid("frame.data", format!("is not a code of {count} vertices: {e}")))?;
                 coded.into_iter().map(|vertex| vertex.map(u16::from_le)).collect()
             }
         };
@@ -177,7 +177,7 @@ impl FrameReader {
                 return wrong("frame.indices", format!("name vertex {far}"));
             }
             if part.number > 0 {
-                return wrong("frame.indices", "stand where differences are told".to_owned());
+                return wrong("frame.indices", "stand where differences are listed".to_owned());
             }
             return Ok(0..count);
         }
@@ -188,7 +188,7 @@ impl FrameReader {
         }
     }
 
-    /// The steps from which differences are told.
+    /// The steps that differences refer to.
     fn base(
         &self,
         part: &pb::Frame,
@@ -198,8 +198,8 @@ impl FrameReader {
     ) -> Result<&[[u16; 4]], Error> {
         if part.number == 0 || base != part.number.checked_sub(1) {
             let problem = format!(
-                "is {}, which tells what differs from the frame before, and that is not here; options that are sent again bring a \
-                 whole one",
+                "is {}, which lists what differs from the frame before, and that is not here; send the options again to get a \
+                 whole frame",
                 part.number
             );
             return Err(Error::invalid("frame.number", problem));
@@ -244,7 +244,7 @@ fn corners(part: &pb::Frame, attribute: frame::Attribute) -> Result<[Vec<f64>; 2
         return Ok([vec![-1.0; 4], vec![1.0; 4]]);
     }
     if part.box_min.len() != 3 || part.box_max.len() != 3 {
-        return Err(Error::invalid("frame.boxMin", "and boxMax are no corners of a box"));
+        return Err(Error::invalid("frame.boxMin", "and boxMax are not corners of a box"));
     }
     Ok([part.box_min.clone(), part.box_max.clone()])
 }

@@ -1,7 +1,7 @@
-//! What the reader of a stream holds, as its sending end remembers it: the steps of the frame that it was sent last.
+//! What the reader of a stream holds, as its sender knows it: the steps of the last sent frame.
 //!
-//! Frames that tell differences are formed of it when they are sent, so that a frame which never went out leaves no gap. Steps
-//! are whole numbers and differences wrap, so nothing adds up: a reader that adds every difference has the bits of the steps.
+//! Differences are formed from it when a frame is sent, so that a frame which was never sent leaves no gap. Steps are
+//! whole numbers and differences wrap, so no error adds up: a reader that adds every difference has the exact steps.
 
 use super::output::{FrameEncoding, FrameOutput};
 use super::part::{FrameVertices, bounds};
@@ -22,7 +22,7 @@ pub(super) const KEPT_BYTES: usize = size_of::<[u16; 4]>();
 /// What the reader of a stream holds after the frames that it was sent. Of streams that ask for no differences it holds nothing.
 #[derive(Debug, Default)]
 pub struct SentSteps {
-    /// How many frames of the stream were begun that differences may be told from.
+    /// How many frames of the stream were begun that differences may refer to.
     number: u64,
     last: Option<LastFrame>,
 }
@@ -37,7 +37,7 @@ struct LastFrame {
     steps: [Vec<[u16; 4]>; 3],
 }
 
-/// Frames of one kind can be told by what differs.
+/// Frames of one kind can be sent as differences.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct FrameKind {
     /// What was asked for, and by which options.
@@ -49,11 +49,11 @@ pub(super) struct FrameKind {
     pub vertices: usize,
 }
 
-/// What the numbers of a frame on its way are told from.
+/// What the numbers of a frame under way refer to.
 #[derive(Debug)]
 pub(super) struct FrameTelling {
     encoding: frame::Encoding,
-    /// Which frame of the stream it is, of those that differences may be told from; 0 is none.
+    /// Its number among the stream's frames that differences may refer to; 0 is none.
     number: u64,
     /// What the reader holds: of the frame before where the next parts go, of this one where they went.
     reader: SentSteps,
@@ -85,7 +85,7 @@ impl SentSteps {
 }
 
 impl FrameTelling {
-    /// Tells a frame by itself, without keeping anything of it.
+    /// Writes a frame that stands for itself; keeps nothing.
     pub fn of_itself(asked: FrameEncoding, sent: Option<SentSteps>, vertices: &mut FrameVertices) -> Self {
         let encoding = match asked {
             FrameEncoding::Delta => frame::Encoding::Meshopt,
@@ -104,8 +104,8 @@ impl FrameTelling {
         }
     }
 
-    /// Tells what differs, where the reader holds what that is told from and the shape keeps to the box of its key frame; else
-    /// begins anew with a key frame. `vertices` get the box in which their steps are. Without `sent` no frame follows.
+    /// Writes differences, where the reader holds the frame before and the shape stays in the box of its key frame;
+    /// else writes a key frame. `vertices` get the box in which their steps are. Without `sent` no frame follows.
     pub fn of_difference(kind: FrameKind, sent: Option<SentSteps>, vertices: &mut FrameVertices) -> Self {
         let shape = bounds(&vertices.positions, None);
         let Some(SentSteps { number, last }) = sent else {
@@ -132,12 +132,12 @@ impl FrameTelling {
         }
     }
 
-    /// What its parts say, those that can be compressed.
+    /// The encoding of parts that can be compressed.
     pub fn encoding(&self) -> frame::Encoding {
         self.encoding
     }
 
-    /// Which frame of the stream it is, of those that differences may be told from; 0 is none.
+    /// Its number among the stream's frames that differences may refer to; 0 is none.
     pub fn number(&self) -> u64 {
         self.number
     }

@@ -56,7 +56,7 @@ fn decode(parts: &[pb::Frame], attribute: frame::Attribute) -> Vec<(u32, Vec<f64
                     .collect()
             }
             frame::Encoding::Meshopt if count == 0 => Vec::new(),
-            frame::Encoding::Delta => panic!("frames that stand for themselves tell no differences"),
+            frame::Encoding::Delta => panic!("frames that stand for themselves have no differences"),
             frame::Encoding::Meshopt => {
                 let coded: Vec<[u16; 4]> = meshopt::decode_vertex_buffer(&part.data, count).expect("decodes");
                 coded.iter().map(|v| unpack(part, &v[..n])).collect()
@@ -97,7 +97,7 @@ fn check_parts(parts: &[pb::Frame], part_bytes: usize) {
     }
 }
 
-/// Readers in other languages are told so: another version is another encoding.
+/// Readers in other languages need it: another version is another encoding.
 #[test]
 fn the_vertex_codec_is_of_version_1() {
     let positions: Vec<DVec3> = (0..300).map(|i| DVec3::splat(f64::from(i))).collect();
@@ -219,7 +219,7 @@ fn only_selected_vertices_are_sent() {
 
     request.selected = Some((0..100).collect());
     let all: Vec<u32> = encode(request).flat_map(|p| p.indices).collect();
-    assert_eq!(all, (0..100).collect::<Vec<u32>>(), "indices are told with every part");
+    assert_eq!(all, (0..100).collect::<Vec<u32>>(), "every part has indices");
 }
 
 /// What a transport sends of a frame, part by part.

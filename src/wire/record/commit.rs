@@ -57,8 +57,8 @@ impl FileReferences {
     }
 }
 
-/// A few places of a shape: enough to tell whether another build or processor, whose results differ in late digits, has made
-/// the same shape.
+/// A few places of a shape: enough to check whether another build or processor, whose results differ in late digits,
+/// made the same shape.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ShapeProbe {
     /// Render vertices of the shape.
@@ -92,7 +92,7 @@ impl ShapeProbe {
 /// The frame that answered a pose, but for its vertices.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AnsweredFrame {
-    /// What it told; its revision is that of the commit.
+    /// Its header; the revision is that of the commit.
     pub header: FrameHeader,
     /// What it carried.
     pub output: FrameOutput,
@@ -103,7 +103,7 @@ pub struct AnsweredFrame {
 pub enum LoggedCommit {
     /// The session was opened.
     Create {
-        /// What its deformer told.
+        /// The deformer's facts.
         facts: DeformerFacts,
     },
     /// Handles were set.
@@ -112,7 +112,7 @@ pub enum LoggedCommit {
         set: HandleSet,
         /// The poses that they came with.
         poses: HandlePoses,
-        /// What the deformer told then.
+        /// The deformer's facts then.
         facts: DeformerFacts,
     },
     /// A pose was solved.
@@ -136,11 +136,11 @@ pub enum LoggedCommit {
         on: EditedShape,
         /// Where the files of a merge are.
         files: Option<FileReferences>,
-        /// What it came to.
+        /// What it did.
         report: Box<EditReport>,
         /// The poses after it.
         poses: HandlePoses,
-        /// What the deformer told after it.
+        /// The deformer's facts after it.
         facts: Box<DeformerFacts>,
         /// The shape after it.
         probe: ShapeProbe,
@@ -348,7 +348,7 @@ fn frame_message(frame: &AnsweredFrame) -> FrameMessage {
 fn recorded_frame(message: &FrameMessage) -> Result<AnsweredFrame, Error> {
     let output = message.output.unwrap_or_default();
     let encoding = pb::frame::Encoding::try_from(output.encoding)
-        .map_err(|_| Error::invalid("frame.output.encoding", "is no encoding"))?;
+        .map_err(|_| Error::invalid("frame.output.encoding", "is not an encoding"))?;
     Ok(AnsweredFrame {
         header: FrameHeader {
             seq: message.seq,

@@ -1,5 +1,5 @@
-//! Facts, warnings and reports, read from the messages that tell them. What is read is told as it was before; a place in words stands
-//! for handles that a warning is about.
+//! Facts, warnings and reports, read from their messages. Written again they give the same messages; a place in words
+//! stands for the handles of a warning.
 
 use crate::asset::{Format, Primitive};
 use crate::engine::{
@@ -9,7 +9,7 @@ use crate::engine::{
 use crate::wire::{Error, pb};
 use glam::DVec3;
 
-/// Reads what was told of a session.
+/// Reads the facts of a session.
 pub(super) fn recorded_facts(message: Option<&pb::Session>) -> Result<DeformerFacts, Error> {
     let message = message.ok_or_else(|| Error::invalid("facts", "is missing"))?;
     let model = message.model.clone().unwrap_or_default();
@@ -17,7 +17,7 @@ pub(super) fn recorded_facts(message: Option<&pb::Session>) -> Result<DeformerFa
     Ok(DeformerFacts {
         model: ModelFacts {
             format: Format::from_name(&model.format)
-                .ok_or_else(|| Error::invalid("facts.model.format", "is no format"))?,
+                .ok_or_else(|| Error::invalid("facts.model.format", "is not a format"))?,
             file_bytes: model.bytes,
             sha256: model.sha256,
             counts: MeshCounts {
@@ -71,7 +71,7 @@ fn recorded_solver(solver: &pb::SolverFacts) -> SolverFacts {
 
 fn recorded_handle(handle: &pb::HandleFacts) -> Result<HandleFacts, Error> {
     let centroid = <[f64; 3]>::try_from(handle.centroid.as_slice())
-        .map_err(|_| Error::invalid("facts.handles.centroid", "is no vector"))?;
+        .map_err(|_| Error::invalid("facts.handles.centroid", "is not a vector"))?;
     Ok(HandleFacts {
         id: handle.id.clone(),
         vertices: handle.vertices,
@@ -214,7 +214,7 @@ mod tests {
             ],
         };
         let told = session_message(&facts);
-        let again = recorded_facts(Some(&told)).expect("it was told");
+        let again = recorded_facts(Some(&told)).expect("it was recorded");
         assert_eq!(session_message(&again), told);
         assert_eq!(again.solver, facts.solver);
         assert_eq!(again.warnings[1..3], facts.warnings[1..3]);

@@ -66,7 +66,8 @@ impl RecordedModel {
             files: FileReferences::from_message(files),
             options,
             label: message.label,
-            format: Format::from_name(&message.format).ok_or_else(|| Error::invalid("model.format", "is no format"))?,
+            format: Format::from_name(&message.format)
+                .ok_or_else(|| Error::invalid("model.format", "is not a format"))?,
             graph_bytes: message.graph_bytes,
         })
     }
@@ -167,7 +168,7 @@ fn passenger_message(passenger: &Passenger, k: usize) -> Result<pb::Passenger, E
         PassengerKind::NodesNamed(name) => Kind::NodesNamed(name.clone()),
         PassengerKind::Points { .. } | PassengerKind::Model(_) => {
             return Err(Error::Unimplemented(format!(
-                "keeping passengers[{k}], which is no part of the model"
+                "keeping passengers[{k}], which is not a part of the model"
             )));
         }
     };

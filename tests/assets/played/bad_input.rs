@@ -115,7 +115,7 @@ fn rigs_that_cannot_be_are_refused_with_the_bone() {
         (
             r#""id": "low","#,
             r#""id": "low", "parent": "high","#,
-            &["bones: \"low\", \"high\" hang on each other in a circle"],
+            &["bones: the parents of \"low\", \"high\" form a cycle"],
         ),
         (
             high,
@@ -234,7 +234,7 @@ fn skins_and_clips_of_a_model_that_name_what_is_not_there_are_refused() {
     refused(
         folder,
         &["scene.gltf", "--clip", "sing"],
-        &["clip: \"sing\" is no clip of the model; there are 0 \"act\""],
+        &["clip: \"sing\" is not a clip of the model; there are 0 \"act\""],
     );
     // Of a joint's matrix that shears, the nearest rotation is taken, with a warning.
     change(

@@ -127,7 +127,7 @@ fn what_a_rig_says_that_cannot_be_meant_is_told() {
     let (code, last) = refuse(folder, &["-o", "out.pc2"]);
     assert_eq!(code, Some(2), "{last}");
     assert!(
-        last.contains("rig.json: bones[0].rest: is 99, no value of this enum"),
+        last.contains("rig.json: bones[0].rest: is 99, which is not a value of this enum"),
         "{last}"
     );
 

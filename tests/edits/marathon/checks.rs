@@ -189,7 +189,7 @@ fn curve(bench: &Deformer, curve: &[u32]) {
     }
     for pair in curve.windows(2) {
         let (a, b) = (key(pair[0]), key(pair[1]));
-        assert!(edges.contains(&(a.min(b), a.max(b))), "{pair:?} is no edge");
+        assert!(edges.contains(&(a.min(b), a.max(b))), "{pair:?} is not an edge");
     }
 }
 

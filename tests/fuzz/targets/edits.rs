@@ -80,7 +80,7 @@ fn check(deformer: &Deformer) {
     let vertices = deformer.rest().len();
     assert!(
         deformer.rest().iter().all(|p| p.is_finite()),
-        "a position that is no number"
+        "a position that is not a number"
     );
     assert!(!deformer.geometry().triangles.is_empty(), "no triangle is left");
     let inside = |v: &u32| (*v as usize) < vertices;
@@ -107,7 +107,7 @@ fn pose(deformer: &mut Deformer, draw: &mut ByteDraw<'_>, exec: &Exec<'_>) {
     if let Ok(shape) = deformer.commit([("b", moved)], &settings, exec) {
         assert!(
             shape.positions.iter().all(|p| p.is_finite()),
-            "a pose leads to what is no number"
+            "a pose leads to what is not a number"
         );
     }
 }

@@ -69,7 +69,7 @@ fn read_and_write(bytes: &[u8], format: Option<Format>) {
     assert!(model.positions.len() as u64 <= LIMITS.vertices && model.triangles.len() as u64 <= LIMITS.triangles);
     assert!(
         model.positions.iter().all(|p| p.is_finite()),
-        "a position that is no number"
+        "a position that is not a number"
     );
     let vertices = model.positions.len();
     assert!(

@@ -17,7 +17,7 @@ pub fn bvh(bytes: &[u8]) {
             for pose in clip.pose_at(clip.duration * 0.5) {
                 assert!(
                     pose.rotation.is_finite() && pose.translation.is_finite(),
-                    "a pose that is no number"
+                    "a pose that is not a number"
                 );
             }
         }

@@ -97,12 +97,12 @@ async fn wrong_rigs_and_values_are_refused_with_their_field() {
         (
             changed("/rig/bones/1/joint", json!("tail")),
             "rig.joint",
-            "no joint of the clip",
+            "not a joint of the clip",
         ),
         (
             changed("/rig/bones/1/parent", json!("high")),
             "rig.bones",
-            "in a circle",
+            "form a cycle",
         ),
         (
             changed("/rig/bones/1/to", json!("nowhere")),

@@ -63,14 +63,14 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
         .await;
     let kept = place.store(&["prune", "--dry-run"]);
     assert!(
-        kept.out.contains("0 sessions and 1 objects would go"),
+        kept.out.contains("0 sessions and 1 objects would be removed"),
         "{} {}",
         kept.out,
         kept.err
     );
     let planned = place.store(&["prune", "--unused-for", "1d", "--dry-run"]);
     assert!(
-        planned.out.contains("1 sessions and 1 objects would go"),
+        planned.out.contains("1 sessions and 1 objects would be removed"),
         "{} {}",
         planned.out,
         planned.err
@@ -78,7 +78,7 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
     assert_eq!(place.store(&["list"]).out.lines().count(), 2);
     let pruned = place.store(&["prune", "--unused-for", "1d"]);
     assert!(
-        pruned.out.contains("1 sessions and 1 objects are gone"),
+        pruned.out.contains("1 sessions and 1 objects removed"),
         "{} {}",
         pruned.out,
         pruned.err

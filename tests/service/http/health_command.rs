@@ -92,8 +92,8 @@ async fn a_server_with_tls_is_known_by_its_own_certificate() {
 #[test]
 fn what_is_no_server_s_address_is_refused() {
     for (arguments, words) in [
-        (["127.0.0.1:7411"].as_slice(), "is no URL of a server"),
-        (&["ftp://host"], "is no URL of a server"),
+        (["127.0.0.1:7411"].as_slice(), "is not the URL of a server"),
+        (&["ftp://host"], "is not the URL of a server"),
         (&["--config", "/nowhere.toml"], "/nowhere.toml"),
         (&["http://127.0.0.1:1", "--ca", "/nowhere.pem"], "/nowhere.pem"),
     ] {

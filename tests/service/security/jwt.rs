@@ -185,7 +185,7 @@ async fn a_token_that_does_not_hold_is_nobodys() {
         ),
         ("no end", changed("exp", Value::Null), "lacks the claim \"exp\""),
         (
-            "an end that is no time",
+            "an end that is not a time",
             changed("exp", json!("tomorrow")),
             "lacks the claim \"exp\"",
         ),
@@ -196,7 +196,7 @@ async fn a_token_that_does_not_hold_is_nobodys() {
         ),
         ("no tenant", changed("studio", Value::Null), "does not name a tenant"),
         (
-            "a tenant that is no text",
+            "a tenant that is not a text",
             changed("studio", json!(7)),
             "does not name a tenant",
         ),

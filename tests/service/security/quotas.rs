@@ -155,7 +155,7 @@ async fn uploads_are_counted_by_the_minute() {
     assert_eq!(
         server.manager.metrics().refused.get(),
         2,
-        "too large is no want of capacity"
+        "too large is not a lack of capacity"
     );
 }
 

@@ -117,7 +117,7 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
         ("missing", "missing-golden", "there is no golden"),
         ("stale-model", "stale-golden", "the case's model has changed"),
         ("stale-job", "stale-golden", "the case's job has changed"),
-        ("broken", "broken-golden", "look at the result and bless it anew"),
+        ("broken", "broken-golden", "look at the result and bless it again"),
         ("refused", "not-run", "line 1"),
     ];
     for (name, code, words) in expected {

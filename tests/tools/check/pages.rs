@@ -61,7 +61,7 @@ fn the_page_lists_every_metric_and_its_example_is_a_case() {
     }
     for word in page.split_whitespace().filter(|w| w.starts_with("`--")) {
         let option = word.trim_matches(|c: char| "`,;.:|".contains(c));
-        assert!(help.contains(option), "{option} is no option");
+        assert!(help.contains(option), "{option} is not an option");
     }
 }
 

@@ -159,12 +159,12 @@ fn what_is_no_file_is_refused_and_never_waited_for() {
     refused(
         &|f| pipe(f, "f.case.json"),
         &[],
-        &["f.case.json is no regular file", "a file is needed"],
+        &["f.case.json is not a regular file", "a file is needed"],
     );
     refused(
         &|f| pipe(f, "bar.golden.json"),
         &["--bless"],
-        &["bar.golden.json is no regular file"],
+        &["bar.golden.json is not a regular file"],
     );
     let folder_there = |f: &Suite| fs::create_dir(f.path().join("bar.golden.json")).expect("a folder");
     for arguments in [&[][..], &["--bless"]] {
@@ -186,7 +186,7 @@ fn what_is_no_file_is_refused_and_never_waited_for() {
     refused(
         &shared,
         &["--data", "nowhere"],
-        &["arm.case.json: model: ", "nowhere, which is no folder"],
+        &["arm.case.json: model: ", "nowhere, which is not a folder"],
     );
 }
 

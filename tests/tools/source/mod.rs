@@ -7,5 +7,6 @@ mod functions;
 mod guards;
 mod imports;
 mod modules;
+mod plain_english;
 pub mod tokens;
 mod types;

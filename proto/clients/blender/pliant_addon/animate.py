@@ -102,7 +102,7 @@ class Run:
         return True
 
     def finish(self) -> list[str]:
-        """Writes the cache and shows it; answers what there is to tell."""
+        """Writes the cache and shows it; returns the lines to show."""
         report = self._frames.report
         self._writer.finish()
         self._close()
@@ -162,7 +162,7 @@ class PLIANT_OT_animate(bpy.types.Operator):
     )
     refine: bpy.props.IntProperty(
         name="Refine",
-        description="How often rotations are fitted in a frame; -1: once, going on from the frame before",
+        description="Rotation refinements of each frame; -1: once, starting from the frame before",
         default=-1,
         min=-1,
         max=32,

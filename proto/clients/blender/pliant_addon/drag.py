@@ -14,7 +14,7 @@ from . import chosen, handles, link, mesh, results
 
 _BEAT = 1 / 60
 _HELP = "Pliant: move the controls; Enter keeps, Escape cancels"
-_LOST = "Pliant: the server is away and looked for; the mesh follows again when it is back. Escape cancels"
+_LOST = "Pliant: no connection, trying again; the mesh follows when the server is back. Escape cancels"
 
 
 class Drag:

@@ -129,7 +129,7 @@ def rest_matrix(handle: PliantHandle) -> Matrix:
 
 
 def to_rest(object: bpy.types.Object) -> None:
-    """Puts every control back to where its handle is at rest."""
+    """Puts every control back to the rest pose of its handle."""
     for handle in object.pliant.handles:
         if handle.control is not None:
             handle.control.matrix_world = object.matrix_world @ rest_matrix(handle)
@@ -147,7 +147,7 @@ def regions(object: bpy.types.Object) -> dict[str, tuple[np.ndarray, float]]:
 
 
 def declare(session: Any, named: dict[str, tuple[np.ndarray, float]]) -> None:
-    """Tells a session the handles."""
+    """Sends the handles to a session."""
     session.clear_handles()
     for group, (weights, stiffness) in named.items():
         if stiffness > 0:

@@ -73,7 +73,7 @@ def session(object: bpy.types.Object) -> Any:
 
 
 def opened(object: bpy.types.Object, model: bytes) -> Link:
-    """A session of its own with a model file, for whoever closes it."""
+    """A session of its own with a model file; the caller closes it."""
     return _opened(object, model, ())
 
 
@@ -151,7 +151,7 @@ def words(error: Exception) -> str:
 
 
 def is_failure(error: Exception) -> bool:
-    """Whether an exception is one that people are told of, rather than a defect of this add-on."""
+    """Whether an exception is one to show to people, rather than a defect of this add-on."""
     return isinstance(error, (mesh.Refusal, ValueError, OSError)) or (
         pliant is not None and isinstance(error, pliant.PliantError)
     )
@@ -160,7 +160,7 @@ def is_failure(error: Exception) -> bool:
 def result(object: bpy.types.Object, frame: Any) -> None:
     """Notes what a result was like, for the panel."""
     quality = frame.quality
-    object.pliant.told = f"{frame.solve_ms:.0f} ms, missing at most {100 * frame.max_error:.2g} % of the size"
+    object.pliant.told = f"{frame.solve_ms:.0f} ms, error at most {100 * frame.max_error:.2g} % of the size"
     if quality is not None:
         volume = "n/a" if quality.open_surface else f"{100 * quality.volume_change:+.1f} %"
         object.pliant.told += f"; volume {volume}, {quality.flipped_triangles} flipped"

@@ -21,7 +21,7 @@ def check(object: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph) -> No
     if object is None or object.type != "MESH":
         raise Refusal("select a mesh object")
     if object.mode == "EDIT":
-        raise Refusal("leave Edit Mode first: the mesh is taken as it is in Object Mode")
+        raise Refusal("leave Edit Mode first: Pliant uses the mesh of Object Mode")
     if not object.data.polygons:
         raise Refusal(f'"{object.name}" has no faces')
     mine = len(object.data.vertices)

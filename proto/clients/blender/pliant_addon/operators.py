@@ -139,7 +139,7 @@ class PLIANT_OT_solve(_OnMesh, bpy.types.Operator):
 
 
 class PLIANT_OT_rest(_OnMesh, bpy.types.Operator):
-    """Put all controls back to where their groups are at rest"""
+    """Put all controls back to the rest pose of their groups"""
 
     bl_idname = "pliant.rest"
     bl_label = "Controls to Rest"

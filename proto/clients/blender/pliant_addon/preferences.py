@@ -17,7 +17,7 @@ class PliantPreferences(bpy.types.AddonPreferences):
     token: bpy.props.StringProperty(name="Token", description="Sent to the server with every call", subtype="PASSWORD")
     program: bpy.props.StringProperty(
         name="Program",
-        description="The program to start; empty looks in PLIANT_BIN, takes the one that came along, or looks in PATH",
+        description="The program to start; if empty: PLIANT_BIN, the program of this add-on, or PATH",
         subtype="FILE_PATH",
     )
 

@@ -1,6 +1,6 @@
 """A mesh that an armature deforms, and what its bones do over some frames, as a skinned GLB in the mesh's own space.
 
-The server then solves the clip anew from the bones' rest and their weights: what the armature modifier would do by
+The server then solves the clip again from the bones' rest pose and their weights: what the armature modifier would do by
 linear blend skinning. Axes stay Blender's, so that what comes back needs no turning.
 """
 
@@ -105,7 +105,7 @@ def _heaviest(
 
 
 def sample(object: bpy.types.Object, skin: Skin, scene: bpy.types.Scene, frames: Sequence[int]) -> np.ndarray:
-    """Where each bone is at each frame, (frames, bones, 4, 4), in the mesh's space: the first is at rest.
+    """Where each bone is at each frame, (frames, bones, 4, 4), in the mesh's space: the first is the rest pose.
 
     What constraints, drivers, parents and other actions do to the bones counts. The scene comes back to its frame.
     """
@@ -132,7 +132,7 @@ def sample(object: bpy.types.Object, skin: Skin, scene: bpy.types.Scene, frames:
 
 
 def glb(object: bpy.types.Object, skin: Skin, matrices: np.ndarray, rate: float) -> bytes:
-    """The mesh at rest with its skin, and one clip of `matrices` (see :func:`sample`), `rate` frames a second."""
+    """The mesh in the rest pose with its skin, and one clip of `matrices` (see :func:`sample`), `rate` frames a second."""
     out = _Writer()
     points = mesh.rest(object)
     attributes = {"POSITION": out.accessor(points, _FLOAT, "VEC3", bounds=True)}

@@ -108,7 +108,7 @@ def test_a_solve_makes_a_shape_key_that_matches_the_command_line(bar: bpy.types.
     assert farthest(mesh.shape(keys["Pliant"]), wanted) < 1e-5
     assert farthest(wanted, rest) > 0.5
     assert np.array_equal(mesh.rest(bar), rest) and np.array_equal(mesh.triangles(bar), faces)
-    assert "missing at most" in bar.pliant.told
+    assert "error at most" in bar.pliant.told
     shown = bar.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     flat = np.empty(3 * len(shown.vertices), np.float32)
     shown.vertices.foreach_get("co", flat)

@@ -125,7 +125,7 @@ def test_every_frame_of_an_action_is_solved_and_shown(arm: bpy.types.Object, tmp
 def test_bones_follow_exactly_wherever_the_objects_are(arm: bpy.types.Object) -> None:
     rig = skin.modifier(arm).object
     bound = skin.skin(arm, rig)
-    assert (bound.bones, bound.parents) == (["low", "high"], [-1, 0]), "what does not deform is no joint"
+    assert (bound.bones, bound.parents) == (["low", "high"], [-1, 0]), "what does not deform is not a joint"
     assert np.allclose(bound.weights.sum(axis=1), 1), "shares sum to one, whatever the groups say"
     # The objects move, too: what the modifier does counts, not where the world is.
     for frame, x in ((1, 5.0), (11, 9.0)):

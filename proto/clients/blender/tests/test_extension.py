@@ -71,4 +71,4 @@ def test_it_bends_a_bar_with_the_program_that_it_brought(archive: Path, tmp_path
     done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     carried, words = json.loads(done.stdout.split("TOLD ")[1].splitlines()[0])
-    assert carried and "missing at most" in words
+    assert carried and "error at most" in words

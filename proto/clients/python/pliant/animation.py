@@ -80,7 +80,7 @@ class AnimatedFrame(Frame):
     root_translation: npt.NDArray[np.float64]
     #: How it has turned it, a unit quaternion x, y, z, w.
     root_rotation: npt.NDArray[np.float64]
-    #: Digest of the positions as the root bone sees them, the same as ``pliant animate --json`` tells.
+    #: Digest of the positions as the root bone sees them, the same as in ``pliant animate --json``.
     digest: str
 
     def placed(self) -> Floats:
@@ -95,7 +95,7 @@ class AnimatedFrame(Frame):
 
 
 class Playing:
-    """The books of one animation: what is asked for, what has come, where it goes on after a lost connection."""
+    """The books of one animation: what is asked for, what has come, where it continues after a lost connection."""
 
     def __init__(self, session: str, vertices: int, order: pb.AnimateOptions, clip: bytes | None) -> None:
         self._order = pb.AnimateOptions()

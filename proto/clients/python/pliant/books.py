@@ -183,10 +183,10 @@ def as_entries(poses: Poses | Mapping[str, pb.HandlePose] | None) -> dict[str, p
 
 
 class Traffic:
-    """What goes over one stream, and what has to be said again when it is opened anew.
+    """What goes over one stream, and what has to be sent again when it is opened again.
 
     Poses on a stream are never commits: those go by Solve with an idempotency key, so that a lost connection cannot
-    commit anything twice. Opening the stream anew therefore repeats the newest unanswered pose and nothing else.
+    commit anything twice. Opening the stream again therefore repeats the newest unanswered pose and nothing else.
     """
 
     def __init__(self, session_id: str, vertices: int, options: pb.Options) -> None:

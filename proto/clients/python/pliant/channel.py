@@ -151,7 +151,7 @@ CLOSED = "the connection is closed: close() was called on its client, or on the 
 
 
 def is_lost(error: errors.PliantError) -> bool:
-    """Whether whoever was asked went away, or is about to."""
+    """Whether the server went away, or is about to."""
     return isinstance(error, errors.Unavailable) or any(words in error.message for words in _LOST)
 
 
@@ -211,6 +211,6 @@ class Attempts:
 def of_session(error: errors.PliantError) -> errors.PliantError:
     """The same error, as what it means to somebody who holds a session."""
     if isinstance(error, errors.NotFound) and error.message.startswith("no session"):
-        hint = "a server without data_dir forgets its sessions when it is restarted. Open the model again"
+        hint = "a server without data_dir loses its sessions when it restarts. Open the model again"
         return errors.SessionLost(f"{error.message}; {hint}", code=error.code)
     return error

@@ -142,7 +142,7 @@ def open(
 
     `companions` are files that the model refers to, by URI; those of a .gltf, buffers and images, are found beside it. The session is
     deleted when it is closed, unless `keep` is given. Its label is the file's name, unless `label` says another. `progress` is True for
-    a bar, or a callable that is told bytes; both are told the stages ``read``, ``upload`` and ``build``, a callable by its method
+    a bar, or a callable that gets bytes; both get the stages ``read``, ``upload`` and ``build``, a callable by its method
     ``stage`` if it has one. `create` says how the session is built: ``volume_graph``,
     ``components``, ``parts``, ``tie_distance``, ``keep_apart``, ``weights``, ``weld``, ``operators``,
     ``morph_targets``, ``rig``, ``bone_lengths``, ``rigid_chains``, ``passengers``, ``ttl``, ``label``, ``format``. `server` and

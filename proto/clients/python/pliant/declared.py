@@ -1,4 +1,4 @@
-"""What a session notes down before it tells the server: handles, symmetry, the region of interest.
+"""What a session notes down before it sends it to the server: handles, symmetry, the region of interest.
 
 The part that the synchronous and the asyncio session have in common.
 """
@@ -20,7 +20,7 @@ from .v1 import pliant_pb2 as pb
 #: Which poses of a drag are recorded: none, every one, or the last.
 CommitWish = Union[bool, Literal["last"]]
 
-#: Seconds for which a lost connection is looked for to close a session, which expires by itself otherwise.
+#: Seconds for which a lost connection is looked for to close a session, which expires otherwise.
 CLOSE_SECONDS = 2.0
 
 #: What closing a session may meet in peace: it is gone, or goes when its time is over. The client was closed before it
@@ -84,7 +84,7 @@ class Declared:
         """Adds a handle, or replaces the one of that id.
 
         The region is one of ``vertices``, ``half_space``, ``sphere``, ``box``, ``capsule``, ``tube``, ``component``,
-        ``primitive`` and ``weights``. Without a pose the handle is an anchor at rest. Where regions overlap, the handle
+        ``primitive`` and ``weights``. Without a pose the handle is an anchor in the rest pose. Where regions overlap, the handle
         that was added later wins.
         """
         with about(f"handle {text('handle', id, 'an id, which is text,')!r}"):
@@ -113,7 +113,7 @@ class Declared:
         self._books.limit(symmetry_plane=regions.plane((normal, offset)))
 
     def region_of_interest(self, **region: Unpack[RegionFields]) -> None:
-        """Keeps everything outside the region fixed to the bit."""
+        """Keeps everything outside the region fixed bit for bit."""
         self._books.limit(region_of_interest=regions.region(region, self.vertices))
 
     def _check_open(self) -> None:

@@ -93,7 +93,7 @@ class Merge(TypedDict, total=False):
     how: Literal["weld", "stitch", "loose"]
     #: Largest distance of boundary vertices that are welded, in model units.
     tolerance: float
-    #: Format of the model, where its bytes do not tell.
+    #: Format of the model, where its bytes do not show it.
     format: str
 
 

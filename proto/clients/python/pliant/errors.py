@@ -16,7 +16,7 @@ from google.rpc import error_details_pb2, status_pb2
 
 
 class PliantError(Exception):
-    """A failure that the server, or the way to it, told of."""
+    """A failure that the server reported, or of the connection to it."""
 
     code = "UNKNOWN"
 
@@ -138,7 +138,7 @@ class Unreadable(Internal):
 
 
 class LocalServerError(PliantError):
-    """A server of one's own cannot be started, or ended by itself."""
+    """A local server cannot be started, or ended unexpectedly."""
 
     code = "UNAVAILABLE"
 
@@ -204,7 +204,7 @@ def of_rpc(error: grpc.RpcError) -> PliantError:
             info = error_details_pb2.ErrorInfo()
             detail.Unpack(info)
             reason = info.reason
-    text = call.details() or "the call failed without a word"
+    text = call.details() or "the call failed without a message"
     failed = make(call.code().name, text, field=field, retry_after=retry_after, reason=reason)
     told = {key: value for key, value in call.trailing_metadata() or () if isinstance(value, str)}
     failed.owner, failed.node = told.get("x-pliant-owner"), told.get("x-pliant-node")

@@ -15,7 +15,7 @@ from .vertex_codec import Steps, decode_steps
 Floats = npt.NDArray[np.float32]
 
 #: What is behind frames that have another number of vertices.
-_EDITED = "after an edit, its undo or redo, a stream has to be opened anew"
+_EDITED = "after an edit, its undo or redo, open a new stream"
 
 _NUMBERS = {pb.Frame.POSITION: 3, pb.Frame.NORMAL: 3, pb.Frame.TANGENT: 4}
 
@@ -64,7 +64,7 @@ class SolvedFrame(Frame):
 def solved(frame: Frame) -> SolvedFrame:
     """A frame of a pose that was recorded."""
     if frame.quality is None:
-        raise Internal(f"frame {frame.seq} of a recorded pose says nothing of its quality")
+        raise Internal(f"frame {frame.seq} of a recorded pose has no quality")
     return SolvedFrame(**frame.__dict__)
 
 
@@ -72,7 +72,7 @@ class Assembler:
     """Puts the parts of one stream's frames together.
 
     With ``changed_only`` it holds the buffers to which the changes apply; they stay valid when the stream is opened
-    anew, since a new stream begins with all vertices. With ``encoding="delta"`` it holds the steps of the frame before, which are
+    again, since a new stream begins with all vertices. With ``encoding="delta"`` it holds the steps of the frame before, which are
     those of one connection.
     """
 
@@ -91,7 +91,7 @@ class Assembler:
         self._next_box: list[float] = []
 
     def restart(self) -> None:
-        """Forgets a frame of which not all parts came, and what a connection that is lost told differences from."""
+        """Forgets an incomplete frame, and the base of the differences of a lost connection."""
         self._before = None
         self._changed = []
         self._number = None
@@ -137,7 +137,7 @@ class Assembler:
         if max(part.first_vertex, come) + count > self._vertices:
             raise Internal(f"frame {part.seq} has more than the model's {self._vertices} vertices; {_EDITED}")
         if not self._sparse and not part.indices and part.first_vertex != come:
-            raise Internal(f"frame {part.seq} goes on at vertex {part.first_vertex} where {come} was due")
+            raise Internal(f"frame {part.seq} continues at vertex {part.first_vertex} where {come} was due")
         values = self._added(part, count, width, base) if part.number else _decode(part, count, width)
         buffer = self._held.get(part.attribute)
         if buffer is None:
@@ -154,10 +154,10 @@ class Assembler:
         self._carried[part.attribute] = come + count
 
     def _added(self, part: pb.Frame, count: int, width: int, base: int | None) -> npt.NDArray[Any]:
-        """The numbers of a part of which differences may be told, or which is told by them."""
+        """The numbers of a part that later frames may refer to, or that is itself coded as differences."""
         attribute, first, box = part.attribute, part.first_vertex, [*part.box_min, *part.box_max]
         if self._sparse or part.indices or part.encoding == pb.Frame.F32:
-            raise Internal(f"frame {part.seq} is none of which differences are told")
+            raise Internal(f"frame {part.seq} cannot be one that later frames refer to")
         if attribute == pb.Frame.POSITION:
             if attribute in self._carried and box != self._next_box:
                 raise Internal(f"frame {part.seq} says in its parts that its numbers lie in several boxes")
@@ -168,8 +168,8 @@ class Assembler:
             is_there = base == part.number - 1 and held is not None
             if held is None or not is_there or (attribute == pb.Frame.POSITION and box != self._box):
                 raise Internal(
-                    f"frame {part.seq} tells what differs from the frame before, which is not here; "
-                    "a stream that is opened anew begins with a whole one"
+                    f"frame {part.seq} lists what differs from the frame before, which is not here; "
+                    "open a new stream, which begins with a whole frame"
                 )
             steps = steps + held[first : first + count, :width]
         held = self._steps.get(attribute)
@@ -221,7 +221,7 @@ def _decode(part: pb.Frame, count: int, width: int) -> npt.NDArray[Any]:
     if part.encoding == pb.Frame.F32:
         return _values(part, "<f4", count, width)
     if part.encoding == pb.Frame.DELTA:
-        raise Internal(f"frame {part.seq} tells what differs from a frame that it does not name")
+        raise Internal(f"frame {part.seq} lists what differs from a frame that it does not name")
     return _scaled(part, _steps(part, count, width), width)
 
 

@@ -50,7 +50,7 @@ class Upload:
 
     main: bytes
     companions: dict[str, bytes] = field(default_factory=dict)
-    #: The format, where the bytes alone do not tell it.
+    #: The format, where the bytes alone do not show it.
     format: str = ""
     #: What people call it: the name of its file.
     label: str = ""
@@ -58,7 +58,7 @@ class Upload:
     def requests(
         self, options: pb.CreateOptions, message_bytes: int, progress: Progress
     ) -> Iterator[pb.CreateSessionRequest]:
-        """The messages of the upload, none larger than the server takes; tells how many bytes went out."""
+        """The messages of the upload, none larger than the server accepts; reports how many bytes went out."""
         size = max(1, min(_PIECE, message_bytes - _FRAMING))
         yield pb.CreateSessionRequest(options=options)
         done = 0

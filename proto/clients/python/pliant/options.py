@@ -97,7 +97,7 @@ class KeepApart(TypedDict, total=False):
 
 
 class NodePassenger(TypedDict):
-    """A node of a glTF that rides along: a socket, a camera, a light, and what hangs on it."""
+    """A node of a glTF that rides along: a socket, a camera, a light, and its children."""
 
     #: Its index in the file, or its name, which then stands for all nodes of that name. No joint of a skin.
     node: Union[int, str]
@@ -106,7 +106,7 @@ class NodePassenger(TypedDict):
 class CreateFields(TypedDict, total=False):
     """How a session is built from its model, all optional."""
 
-    #: "glb", "gltf", "obj", "ply", "off", "stl" or "fbx"; absent = told by the first bytes.
+    #: "glb", "gltf", "obj", "ply", "off", "stl" or "fbx"; absent = recognised by the first bytes.
     format: str
     volume_graph: Union[Literal["auto", "off", "required"], VolumeGraph]
     #: What happens to parts in which no handle lies.

@@ -21,7 +21,7 @@ _Outgoing = SimpleQueue[Union[pb.AnimateRequest, None]]
 class Animation(Iterator[AnimatedFrame]):
     """The frames of an animation, in order and none left out. Made by :meth:`Session.animate`.
 
-    The server solves at most a window of frames ahead. Where the connection is lost, it goes on with the frame after the
+    The server solves at most a window of frames ahead. Where the connection is lost, it continues with the frame after the
     last one. Closing it, or the end of a ``with`` block, stops the server's work.
     """
 
@@ -34,7 +34,7 @@ class Animation(Iterator[AnimatedFrame]):
         self._call: Any = None
         self._taken = 0
         self._closed = False
-        #: How often a lost connection was opened anew.
+        #: How often a lost connection was opened again.
         self.reconnects = 0
         self._open()
         self._frames = self._run()

@@ -33,7 +33,7 @@ class PoseFields(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a handle is; absent fields leave it as at rest."""
+    """Where a handle is; absent fields leave it as in the rest pose."""
 
     #: x, y, z in model units.
     translation: Vector | None = None
@@ -43,7 +43,7 @@ class Pose:
     rotation_vector: Vector | None = None
     #: One number or three, each above 0.
     scale: float | Vector | None = None
-    #: x, y, z; default: the centroid of the region at rest.
+    #: x, y, z; default: the centroid of the region in the rest pose.
     pivot: Vector | None = None
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""Progress: told to a callable, or shown as a bar of tqdm."""
+"""Progress: reported to a callable, or shown as a bar of tqdm."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any, TypeAlias, Union
 
 
 #: Called with what is done and what there is to do in all; the latter is 0 where it is not known. One that has a method
-#: ``stage`` is told with it what is under way, such as "upload", and "build" while the server builds the solver.
+#: ``stage`` gets the name of the current stage, such as "upload", and "build" while the server builds the solver.
 Progress: TypeAlias = Callable[[int, int], None]
 ProgressLike: TypeAlias = Union[bool, Progress]
 
 
 class Meter(AbstractContextManager["Meter"]):
-    """What is done, told to whoever wants to know. Calling it tells."""
+    """Reports what is done to a callable or a bar, when it is called."""
 
     def __init__(self, wish: ProgressLike, what: str, *, bytes: bool = False) -> None:
         self._tell: Progress | None = wish if callable(wish) else None
@@ -33,7 +33,7 @@ class Meter(AbstractContextManager["Meter"]):
         self.stage(what)
 
     def stage(self, what: str) -> None:
-        """Tells what is under way."""
+        """Reports the current stage."""
         tell = getattr(self._tell, "stage", None)
         if what != self._stage and callable(tell):
             tell(what)
@@ -57,7 +57,7 @@ class Meter(AbstractContextManager["Meter"]):
 
 
 class _Line:
-    """What there is of tqdm's bar without tqdm: one line on stderr, written anew; without a terminal, one for each stage."""
+    """What there is of tqdm's bar without tqdm: one line on stderr, rewritten; without a terminal, one for each stage."""
 
     def __init__(self, what: str) -> None:
         self.total, self.n = 0, 0
@@ -90,7 +90,7 @@ class _Line:
 
 
 def uploading(meter: Meter) -> Progress:
-    """Tells of an upload, and then that the server builds: nothing is told of how far it is, only that it does."""
+    """Reports an upload, and then that the server builds, without how far it is."""
 
     def tell(done: int, total: int) -> None:
         meter.stage("upload")

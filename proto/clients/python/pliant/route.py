@@ -10,7 +10,7 @@ from dataclasses import replace
 from . import errors
 from .channel import Settings, is_lost
 
-#: Seconds for which a node that another one named is waited for, before the way is asked for anew.
+#: Seconds for which a node that another one named is waited for, before the way is asked for again.
 AWAY_SECONDS = 1.0
 
 
@@ -61,7 +61,7 @@ class Route:
             self.go_on()
 
     def go_on(self) -> None:
-        """Whoever was asked does not answer: back to a named server, and from there to the next of them."""
+        """The server does not answer: goes back to a named server, and from there to the next of them."""
         if self.url == self._homes[self._turn]:
             self._turn = (self._turn + 1) % len(self._homes)
         self.go_home()

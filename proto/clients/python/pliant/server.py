@@ -36,7 +36,7 @@ def find_binary() -> str:
     named = os.environ.get("PLIANT_BIN")
     if named:
         if not os.access(named, os.X_OK):
-            raise LocalServerError(f"PLIANT_BIN is {named!r}, which is no program that can be run")
+            raise LocalServerError(f"PLIANT_BIN is {named!r}, which is not a program that can be run")
         return named
     found = _installed() or shutil.which("pliant") or next(_built(), None)
     if found is None:
@@ -110,7 +110,7 @@ class LocalServer:
         return line.removeprefix("listening on ")
 
     def _words(self) -> str:
-        """Why the server ended, or where it does not tell, the last of what it wrote."""
+        """Why the server ended, or if it does not say, the last of what it wrote."""
         try:
             self._process.wait(timeout=5)
         except subprocess.TimeoutExpired:

@@ -143,7 +143,7 @@ class Session(Declared):
         return Animation(self._calls, playing, self.info.limits.message_bytes, progress)
 
     def positions(self) -> Floats:
-        """The current shape, (render vertices, 3): at rest before anything was solved."""
+        """The current shape, (render vertices, 3): the rest pose before anything was solved."""
         values = np.frombuffer(self._calls.get(f"/v1/sessions/{self.id}/positions"), "<f4")
         return values.reshape(-1, 3).astype(np.float32)
 
@@ -196,7 +196,7 @@ class Session(Declared):
         """Changes the topology: one of ``cut``, ``subdivide``, ``decimate``, ``delete``, ``fill``, ``remesh``,
         ``merge``, ``insert_curve`` and ``weld``.
 
-        Afterwards ``vertices`` and ``info`` are new, and streams have to be opened anew.
+        Afterwards ``vertices`` and ``info`` are new, and streams have to be opened again.
         """
         request = edits.request(self.id, on, operation, self.vertices)
         self.apply()
@@ -205,7 +205,7 @@ class Session(Declared):
         return done
 
     def undo(self) -> pb.Session:
-        """Goes back by one commit; positions return to the bit."""
+        """Goes back by one commit; positions return bit for bit."""
         return self._travel("Undo")
 
     def redo(self) -> pb.Session:

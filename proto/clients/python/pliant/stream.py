@@ -1,4 +1,4 @@
-"""A stream of poses and frames: the newest pose wins, and a lost connection is opened anew."""
+"""A stream of poses and frames: the newest pose wins, and a lost connection is opened again."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Stream:
         self._finished = False
         self._outgoing: _Outgoing = SimpleQueue()
         self._call: grpc.Call | None = None
-        #: How often a lost connection was opened anew.
+        #: How often a lost connection was opened again.
         self.reconnects = 0
         #: Whether the connection is lost at the moment and looked for; poses wait, the newest goes out when it is back.
         self.lost = False
@@ -57,7 +57,7 @@ class Stream:
     def receive(self, timeout: float | None = None) -> Frame:
         """Waits for the next frame and takes it.
 
-        Raises what the server said when it refused a pose (the stream goes on), DeadlineExceeded after `timeout`
+        Raises what the server said when it rejected a pose (the stream continues), DeadlineExceeded after `timeout`
         seconds.
         """
         with self._news:
@@ -70,7 +70,7 @@ class Stream:
     def latest(self) -> Frame | None:
         """The newest frame that has come since the last call, without waiting; None when there is none.
 
-        With ``changed_only`` the frames in between are applied to it; only ``changed`` tells less than all of them.
+        With ``changed_only`` the frames in between are applied to it; only ``changed`` lists less than all of them.
         """
         with self._news:
             if not self._frames:
@@ -170,7 +170,7 @@ class Stream:
                 self._news.notify_all()
 
     def _read(self) -> None:
-        """Reads one connection after the other until the stream is closed or cannot go on."""
+        """Reads one connection after the other until the stream is closed or cannot continue."""
         attempts = channel.Attempts(self._calls.settings.patience)
         while True:
             outgoing: _Outgoing = SimpleQueue()

@@ -1,7 +1,7 @@
 """meshoptimizer's vertex codec, versions 0 and 1, for vertices of four 16-bit numbers: how MESHOPT and DELTA frames are packed.
 
 The format is that of meshoptimizer's ``meshopt_decodeVertexBuffer``, which EXT_meshopt_compression and KHR_meshopt_compression
-describe. Where each group of bytes begins is told by the bytes before it, so that is looked for one by one; all else is numpy's.
+describe. The bytes before each group of bytes say where it begins, so the groups are found one by one; all else is numpy's.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _SHIFTS = {1: np.arange(8), 2: np.array([6, 4, 2, 0]), 4: np.array([4, 0])}
 
 
 class _Broken(Exception):
-    """Bytes that are no such code."""
+    """Bytes that are not such a code."""
 
 
 def decode_steps(data: bytes, count: int) -> Steps:
@@ -47,7 +47,7 @@ def decode_steps(data: bytes, count: int) -> Steps:
     try:
         return _decode(data, count)
     except (_Broken, IndexError) as broken:
-        raise Internal(f"a part of a frame is no code of {count} vertices") from broken
+        raise Internal(f"a part of a frame is not a code of {count} vertices") from broken
 
 
 def _decode(data: bytes, count: int) -> Steps:
@@ -137,7 +137,7 @@ def _group(source: _Bytes, begins: npt.NDArray[np.intp], width: int) -> _Bytes:
 
 
 def _pair(planes: _Bytes, before: _Bytes, channel: int, out: Steps) -> None:
-    """Two numbers of each vertex, from their four planes and what the first vertex is told from."""
+    """Two numbers of each vertex, from their four planes and the start values of the first vertex."""
     kind = channel & 3
     if kind == 0:
         bytes_ = _unzigzag(planes)

@@ -407,7 +407,7 @@ def test_a_recipe_of_the_page_works(recipe: str, creature: Path, tmp_path: Path)
         pytest.skip(f"{needed} is not installed: pip install {needed}")
     page = ROOT / "deploy/docs/batches.md"
     if not page.is_file():
-        pytest.skip("the pages are not here: this is no checkout")
+        pytest.skip("the pages are not here: this is not a checkout")
     blocks = re.findall(r"^```python[^\n]*\n(.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
     (block,) = [text for text in blocks if " ".join(text.split()[:3]) == begins]
     (tmp_path / "batch_jobs.py").write_text(blocks[0])

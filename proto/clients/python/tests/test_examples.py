@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import pliant
-from conftest import PACKAGE
+from conftest import PACKAGE, ROOT
 
 EXAMPLES = sorted((PACKAGE / "examples").glob("*.py"))
 #: What examples import beside the package; trimesh looks for scipy when it is asked for normals, and does not require it.
@@ -34,6 +34,15 @@ def test_it_runs(example: Path, server: pliant.LocalServer, tmp_path: Path) -> N
         assert files[0].read_bytes() == pliant.connect(server).sample(), "the first pose is at rest"
         # The head nods back through the angles it came by, so that about half of the shapes come twice.
         assert len({path.read_bytes() for path in files}) > 50
+
+
+def test_the_samples_of_the_reference_page_run(server: pliant.LocalServer, tmp_path: Path) -> None:
+    samples = ROOT / "src/server/openapi/samples.py"
+    if not samples.is_file():
+        pytest.skip("this is not a checkout")
+    script = samples.read_text().replace("http://127.0.0.1:7411", server.url)
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_extra_for_examples_has_what_they_need() -> None:

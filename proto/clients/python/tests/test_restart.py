@@ -191,7 +191,7 @@ def test_a_server_that_does_not_come_back_is_told_with_how_long_it_was_looked_fo
 def test_pauses_grow_and_heed_the_server() -> None:
     gone, busy = errors.Unavailable("gone"), errors.ResourceExhausted("full", retry_after=0.1)
     attempts = Attempts(60)
-    assert attempts.left == 60, "waiting for an answer is no failure"
+    assert attempts.left == 60, "waiting for an answer is not a failure"
     pauses = [attempts.again(gone) or 0 for _ in range(12)]
     assert 0 < pauses[0] <= 0.05 and all(0.5 <= pause <= 1 for pause in pauses[6:])
     assert (attempts.again(errors.Unavailable("later", retry_after=7)) or 0) >= 7

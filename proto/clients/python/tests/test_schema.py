@@ -24,7 +24,7 @@ def _fields(message: Any) -> Iterator[Any]:
 
 def test_the_stubs_were_made_from_the_schema(tmp_path: Path) -> None:
     if not (ROOT / "proto/pliant/v1/pliant.proto").is_file():
-        pytest.skip("this is no checkout")
+        pytest.skip("this is not a checkout")
     out = tmp_path / "set.bin"
     command = [
         sys.executable,

@@ -258,7 +258,7 @@ def test_a_stream_that_was_open_before_an_edit_says_so(
             except pliant.Unimplemented as refusal:
                 pytest.skip(f"this server does not edit: {refusal}")
             stream.send(moved)
-            with pytest.raises(pliant.Internal, match="vertices; after an edit.*opened anew"):
+            with pytest.raises(pliant.Internal, match="vertices; after an edit.*open a new stream"):
                 stream.wait(timeout=60)
         with session.stream(encoding=encoding) as stream:
             stream.send(moved)

@@ -38,7 +38,7 @@ export async function whileAlive<T>({ call, sign, mayAsk, signal }: Watched<T>, 
   };
   const look = async (): Promise<void> => {
     if (!mayAsk()) return listen();
-    const silent = new PliantError("UNREACHABLE", `the server gave no sign of life for ${signMs / 1000} s`);
+    const silent = new PliantError("UNREACHABLE", `the server did not answer for ${signMs / 1000} s`);
     silence = setTimeout(() => gone.abort(silent), signMs);
     try {
       await sign(gone.signal);

@@ -41,7 +41,7 @@ export interface AnimatedFrame {
   readonly frame: Frame;
 }
 
-/** How often a lost connection is opened anew before a frame has come, and for how many milliseconds it waits at first. */
+/** How often a lost connection is reopened before a frame arrives, and the first wait in milliseconds. */
 const ATTEMPTS = 6;
 const PAUSE = 100;
 
@@ -50,7 +50,7 @@ export type AnimationRoute = (form: FormData, call: CallOptions) => Promise<Resp
 
 /**
  * The frames of an animation, in order and none left out: `for await (const frame of session.animate(…))`. The server works only a
- * little ahead of the reader; leaving the loop stops it. A lost connection is opened anew at the next frame.
+ * little ahead of the reader; leaving the loop stops it. A lost connection is reopened at the next frame.
  */
 export class Animation implements AsyncIterable<AnimatedFrame> {
   private told: AnimationReport | undefined;
@@ -67,7 +67,7 @@ export class Animation implements AsyncIterable<AnimatedFrame> {
     return this.told;
   }
 
-  /** How often a lost connection was opened anew. */
+  /** How often a lost connection was reopened. */
   get reconnects(): number {
     return this.again;
   }

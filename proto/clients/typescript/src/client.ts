@@ -21,7 +21,7 @@ export interface OpenOptions extends CallOptions {
   create?: CreateOptions;
   /** Files that the model refers to, by the name it gives them (buffers and images of a `.gltf`, libraries of an `.obj`); `companionsOf` finds them. */
   companions?: ReadonlyMap<string, Blob>;
-  /** Told how much of the upload has gone out. */
+  /** Called with the uploaded fraction. */
   onProgress?: Progress;
 }
 

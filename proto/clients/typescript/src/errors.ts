@@ -51,7 +51,7 @@ export class PliantError extends Error {
     return this.code === "UNIMPLEMENTED";
   }
 
-  /** Whether the server is away or stopping, or still works on the same call: asking again is no mistake. */
+  /** Whether the server is away or stopping, or still works on the same call; the call may be repeated. */
   get isAway(): boolean {
     const runs = this.code === "ABORTED" && this.retryAfter !== undefined;
     return this.code === "UNREACHABLE" || this.code === "UNAVAILABLE" || runs;

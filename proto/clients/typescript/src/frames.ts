@@ -47,7 +47,7 @@ export class Frame implements FrameFacts {
   /** Whether it carries only some vertices and thus needs the frames before it. */
   readonly isPartial: boolean;
 
-  /** `steps` are those of a frame of a stream that tells differences, four a vertex, by attribute. */
+  /** `steps` are those of a frame of a stream with differences, four a vertex, by attribute. */
   constructor(
     private readonly parts: readonly Part[],
     private readonly steps?: ReadonlyMap<Attribute, Uint16Array>,
@@ -125,11 +125,11 @@ function writePart(part: Part, size: 3 | 4, target: Float32Array, held: Uint16Ar
     if (vertexCount > 0) decodeSteps(part.data, vertexCount, steps);
     unpackSteps(steps, 4, indices, firstVertex, size, scale(part, size), target);
   } else {
-    throw new RangeError("a frame tells what differs from the one before, which is not here");
+    throw new RangeError("a frame lists what differs from the one before, which is not here");
   }
 }
 
-/** How many vertices a byte of the vertex codec tells at most: a block of 256 takes two bytes where all of it is nothing. */
+/** Most vertices in a byte of the vertex codec: a block of 256 takes two bytes where all of it is zero. */
 const VERTICES_A_BYTE = 128;
 
 /**
@@ -156,7 +156,7 @@ function checkPart({ attribute, encoding, data, vertexCount, indices, boxMin, bo
     throw new RangeError(`the frame is packed in a way (number ${encoding}) that this client does not know`);
   }
   if (encoding === Encoding.DELTA && number === 0n) {
-    throw new RangeError("a frame tells what differs from one that it does not name, which is not here");
+    throw new RangeError("a frame lists what differs from one that it does not name, which is not here");
   }
   if (encoding !== Encoding.F32 && attribute === Attribute.POSITION && (boxMin.length !== 3 || boxMax.length !== 3)) {
     throw new RangeError("a frame of steps says which box its numbers lie in; this one does not");
@@ -223,21 +223,21 @@ function plainSteps({ data, vertexCount }: Part, size: 3 | 4): Uint16Array {
 const LITTLE_ENDIAN = new Uint8Array(new Uint16Array([1]).buffer)[0] === 1;
 
 /**
- * Puts the parts of one connection together. Holds the parts of one frame at most and, of a stream that tells differences, the steps
+ * Joins the parts of one connection. Holds the parts of one frame at most and, in a stream with differences, the steps
  * of the frame before.
  */
 export class Assembler {
   private parts: Part[] = [];
-  /** What the next frame may be told from. */
+  /** The reference for the next frame. */
   private held: HeldFrame | undefined;
 
-  /** `vertices` tells how many vertices the model has at a revision, where that is known. */
+  /** `vertices` returns how many vertices the model has at a revision, if known. */
   constructor(private readonly vertices: (revision: number) => number | undefined = () => undefined) {}
 
   /**
    * Takes a part; answers the frame that it completes.
    *
-   * @throws RangeError for parts that are no frame.
+   * @throws RangeError for parts of an invalid frame.
    */
   push(part: Part): Frame | undefined {
     if (part.part === 0) {
@@ -269,8 +269,8 @@ export class Assembler {
 }
 
 /**
- * How many vertices a frame carries of each attribute, once nothing is wrong with its parts: no more than `most`, and where
- * differences may be told of them, one after the other without holes, under one number and in one box.
+ * Checks the parts of a frame and counts its vertices by attribute: no more than `most`, and where later frames may
+ * refer to it, one after the other without holes, under one number and in one box.
  */
 function sizesOf(parts: readonly Part[], most = Number.POSITIVE_INFINITY): Map<Attribute, number> {
   const sizes = new Map<Attribute, number>();
@@ -286,7 +286,7 @@ function sizesOf(parts: readonly Part[], most = Number.POSITIVE_INFINITY): Map<A
       throw new RangeError(`frame ${seq} says in one part that its number is ${number}, in another ${part.number}`);
     }
     if (number !== 0n && (indices.length > 0 || firstVertex !== before)) {
-      throw new RangeError(`frame ${seq} does not carry every vertex, as frames of which differences are told do`);
+      throw new RangeError(`frame ${seq} does not carry every vertex, so later frames cannot refer to it`);
     }
     if (number !== 0n && !hasBox(part, parts.find((one) => one.attribute === attribute))) {
       throw new RangeError(`frame ${seq} says in its parts that its numbers lie in several boxes`);
@@ -296,7 +296,7 @@ function sizesOf(parts: readonly Part[], most = Number.POSITIVE_INFINITY): Map<A
   return sizes;
 }
 
-/** A frame that differences may be told from. */
+/** A frame that differences may refer to. */
 interface HeldFrame {
   readonly number: bigint;
   readonly parts: readonly Part[];
@@ -316,7 +316,7 @@ function readSteps(part: Part, all: Uint16Array, before: HeldFrame | undefined):
     return;
   }
   if (part.encoding !== Encoding.MESHOPT && part.encoding !== Encoding.DELTA) {
-    throw new RangeError(`frame ${part.seq} is packed in a way (number ${part.encoding}) in which no differences are told`);
+    throw new RangeError(`frame ${part.seq} is packed in a way (number ${part.encoding}) that does not allow differences`);
   }
   if (vertexCount > 0) decodeSteps(part.data, vertexCount, now);
   if (part.encoding === Encoding.MESHOPT) return;
@@ -324,8 +324,8 @@ function readSteps(part: Part, all: Uint16Array, before: HeldFrame | undefined):
   const box = before?.parts.find((one) => one.attribute === attribute);
   if (before === undefined || base === undefined || before.number !== number - 1n || base.length !== all.length || !hasBox(part, box)) {
     throw new RangeError(
-      `frame ${part.seq} tells what differs from the frame before, which is not here; a stream that is opened anew, or whose ` +
-        "options are sent again, begins with a whole one",
+      `frame ${part.seq} lists what differs from the frame before, which is not here; open a new stream, or send the ` +
+        "options again, to get a whole frame",
     );
   }
   // A Uint16Array keeps sums modulo 65536.

@@ -43,7 +43,7 @@ export class Pending {
   private readonly commits: Commit[] = [];
   /** Where handles were dragged since the last commit. */
   private readonly moved = new Map<string, PoseEntry>();
-  /** Whether the socket that is open has not been told of them yet. */
+  /** Whether the open socket has not received them yet. */
   private untold = false;
 
   /** `patience`: seconds for which a commit that cannot be recorded is tried again. */
@@ -72,7 +72,7 @@ export class Pending {
     this.moved.clear();
   }
 
-  /** A socket was opened, which has been told nothing. */
+  /** A socket was opened; it has received nothing. */
   opened(): void {
     this.untold = true;
     for (const commit of this.commits) commit.sent = commit.held = false;
@@ -129,8 +129,8 @@ export class Pending {
   }
 
   /**
-   * The server cannot record a commit now: it waits for the next socket, and with it those behind it. Milliseconds after which that
-   * is to be opened; undefined when it is no commit, or was tried for long enough.
+   * The server cannot record a commit now: it waits for the next socket, with those behind it. Milliseconds until that
+   * is to be opened; undefined when it is not a commit, or was tried for long enough.
    */
   hold(seq: number, error: PliantError): number | undefined {
     const commit = this.commits.find((each) => each.seq === seq);

@@ -12,10 +12,10 @@ export interface Place {
 /** Sessions whose places are remembered; the one that was learned first is forgotten first. */
 const REMEMBERED = 1000;
 
-/** So often a call goes where it is sent; who is sent around waits, and asks anew. */
+/** Most redirects that a call follows; after them it waits and starts again. */
 export const MOST_HOPS = 4;
 
-/** Where sessions are, as far as servers have told. */
+/** Where sessions are, from the servers' answers. */
 export class Places {
   private readonly known = new Map<string, Place>();
 
@@ -26,7 +26,7 @@ export class Places {
     return this.known.get(sessionOf(path)) ?? { url: this.home };
   }
 
-  /** Where an answer sends its call; nothing when it sends it nowhere, or into the open what was to be encrypted. */
+  /** Where an answer redirects its call; undefined without a redirect, or for one from https to http. */
   told(status: number, header: (name: string) => string | null): Place | undefined {
     const url = status === 503 ? header("x-pliant-owner") : null;
     if (url === null || (this.home.startsWith("https:") && !url.startsWith("https:"))) return undefined;
@@ -47,7 +47,7 @@ export class Places {
     }
   }
 
-  /** Whoever was asked does not answer: the way is asked for anew. */
+  /** The place does not answer: the next call starts at `home`. */
   forget(path: string): void {
     this.known.delete(sessionOf(path));
   }

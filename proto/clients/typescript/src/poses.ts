@@ -1,4 +1,4 @@
-/** Poses as they are given, looked through before they are sent: what is wrong is told with its handle and field. */
+/** Checks poses before they are sent; an error names its handle and field. */
 
 import { PliantError } from "./errors.js";
 
@@ -23,7 +23,7 @@ export function checkPoses(entries: readonly unknown[]): void {
     for (const [field, value] of Object.entries(pose as object)) {
       if (field.startsWith("$") || value === undefined) continue;
       const counts = Object.hasOwn(FIELDS, field) ? FIELDS[field] : undefined;
-      if (counts === undefined) refuse(`: ${field} is no field of it; allowed are ${Object.keys(FIELDS).join(", ")}`);
+      if (counts === undefined) refuse(`: ${field} is not a field of it; allowed are ${Object.keys(FIELDS).join(", ")}`);
       else if (!isNumbers(value, [0, ...counts])) {
         refuse(`.${field} is ${written(value)}, a list of ${counts.join(" or ")} numbers is allowed`);
       }

@@ -80,7 +80,7 @@ function checkKeys(kind: keyof RegionKinds, value: unknown): void {
   const allowed = Object.entries(keys).map(([key, takes]) => `${key} (${takes})`).join(" and ");
   if (typeof value !== "object" || value === null) throw new Error(`is ${shown(value)}, an object with ${allowed} is allowed`);
   const stray = Object.keys(value).find((key) => !Object.hasOwn(keys, key));
-  if (stray !== undefined) throw new Error(`${stray} is no key of it; allowed are ${allowed}`);
+  if (stray !== undefined) throw new Error(`${stray} is not a key of it; allowed are ${allowed}`);
   for (const [key, takes] of Object.entries(keys)) {
     const given = (value as Record<string, unknown>)[key];
     // Vectors of other libraries are lists as well; points in a row may be flat.

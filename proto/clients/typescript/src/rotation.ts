@@ -45,7 +45,7 @@ export function nearestRotationVector(rotation: Quaternion, previous: Vector): V
   return [axis[0] * angle, axis[1] * angle, axis[2] * angle];
 }
 
-/** A rotation vector told in whole turns and the rest in degrees, both with the sign of `sign`. */
+/** An angle in whole turns and the rest in degrees, both with its sign. */
 export function turnsOf(angle: number): { turns: number; degrees: number } {
   const degrees = (angle * 180) / Math.PI;
   // A hair below a whole turn is a whole turn to people.

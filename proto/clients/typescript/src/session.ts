@@ -32,7 +32,7 @@ export type PoseEntry = MessageInitShape<typeof Pose_EntrySchema>;
 /** All handles of a session. */
 export type SetHandles = Omit<MessageInitShape<typeof SetHandlesRequestSchema>, "sessionId" | "$typeName" | "handles" | "regionOfInterest"> & {
   handles?: readonly Handle[];
-  /** Everything outside of it stays fixed to the bit. */
+  /** Everything outside of it stays bit-identical. */
   regionOfInterest?: RegionLike;
 };
 export type Edit = Omit<MessageInitShape<typeof EditRequestSchema>, "sessionId" | "$typeName">;
@@ -68,9 +68,9 @@ export interface Carried {
   readonly revision: number;
 }
 
-/** A session that is open on the server. Every method asks the server; `facts` is what it said last. */
+/** A session that is open on the server. Every method calls the server; `facts` is its last answer. */
 export class Session {
-  /** The newest revision that a call was told of. */
+  /** The newest revision that a call returned. */
   private known: number;
 
   constructor(
@@ -85,7 +85,7 @@ export class Session {
     return this.facts.id;
   }
 
-  /** Asks anew, which also renews the session's expiry. */
+  /** Updates `facts`, and renews the session's expiry. */
   refresh(call: CallOptions = {}): Promise<Facts> {
     return this.told(this.transport.message(SessionSchema, "GET", this.path(""), call));
   }

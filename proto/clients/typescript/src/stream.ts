@@ -5,10 +5,10 @@
  * is replaced there. A frame counts as read when `take` has written it into the caller's buffer, so a page that paints
  * slowly gets fewer frames, never older ones.
  *
- * A socket that is lost, whose server says that it stops or cannot record a commit now, is opened again: options, commits without an answer and the newest
- * pose go out anew. A commit carries a key, so that one which was stored before its answer was lost is answered and not made twice,
- * also by a server that was started again. The stream ends when the server no longer knows the session (`gone`), or is not found
- * again in time (`closed`).
+ * The stream reopens a socket that is lost, or whose server stops or cannot record a commit now. It sends options,
+ * commits without an answer and the newest pose again. A commit carries a key, so that one which was stored before its
+ * answer was lost is answered and not made twice, also by a server that was started again. The stream ends when the
+ * server no longer knows the session (`gone`), or is not found again in time (`closed`).
  */
 
 import { create, fromBinary, toBinary } from "@bufbuild/protobuf";
@@ -29,7 +29,7 @@ import type { PoseEntry, SolveOptions } from "./session.js";
  */
 export type StreamState = "connecting" | "open" | "lost" | "gone" | "closed";
 
-/** What a stream tells. */
+/** Events of a stream. */
 export interface StreamEvents {
   /** The state changed; `reason` is the last failure. */
   onState?: (state: StreamState, reason?: PliantError) => void;
@@ -37,7 +37,7 @@ export interface StreamEvents {
   onFrame?: (frame: FrameFacts) => void;
   /** A pose was refused. */
   onPoseError?: (error: PliantError, seq: number) => void;
-  /** Something worth telling a user, such as `going-away`. */
+  /** Something to show to a user, such as `going-away`. */
   onNotice?: (code: string, message: string) => void;
 }
 
@@ -53,15 +53,15 @@ export interface StreamTotals {
 /** How a stream reaches its session. */
 export interface StreamRoute {
   connect: () => WebSocket;
-  /** Asks whether the session is there, without the socket, and fails where nobody is. */
+  /** Reads the session, without the socket, and fails where no server answers. */
   probe: () => Promise<Facts>;
-  /** The newest revision that calls beside the stream were told of. */
+  /** The newest revision that calls beside the stream returned. */
   known: () => number;
   /** How many vertices the model has at a revision, where that is known. */
   vertices?: (revision: number) => number | undefined;
 }
 
-/** Between two looks at the silence. */
+/** Between checks of the silence. */
 const BEAT_MS = 1_000;
 /** Bytes in the socket above which poses wait here, where they can still be replaced. */
 const BACKLOG = 64 << 10;
@@ -74,10 +74,10 @@ export class Stream {
   private current: StreamState = "connecting";
   private revision: number;
   private readonly pending: Pending;
-  /** Whole frames that wait to be taken; those of a socket that is lost are shown, and nobody is told. */
+  /** Whole frames that wait to be taken; those of a lost socket are shown, but not acknowledged. */
   private frames: Frame[] = [];
   private fresh = new WeakSet<Frame>();
-  /** The options that the socket was told last. */
+  /** The options that the socket got last. */
   private told: SolveOptions | undefined;
   private readonly attempts: Attempts;
   /** Whether the server on the other end has said that it stops. */
@@ -148,8 +148,8 @@ export class Stream {
   }
 
   /**
-   * Writes the newest shape into `positions` (and `normals`, when frames carry them) and tells the server that it was
-   * read. Answers what was written last, or nothing when there was nothing new.
+   * Writes the newest shape into `positions` (and `normals`, when frames carry them) and acknowledges it to the server.
+   * Answers what was written last, or nothing when there was nothing new.
    */
   take(positions: Float32Array, normals?: Float32Array): Frame | undefined {
     const waiting = this.frames;
@@ -375,7 +375,10 @@ export class Stream {
     this.events.onPoseError?.(error, seq);
   }
 
-  /** Leaves a server that could not record a commit, and looks for the session anew: numbers grow along a socket, so it needs another. */
+  /**
+   * Leaves a server that could not record a commit, and finds the session again by another socket: numbers grow along
+   * one.
+   */
   private renew(socket: WebSocket | undefined, reason: PliantError): void {
     if (socket === undefined || socket !== this.socket || this.isOver || this.leaving !== undefined) return;
     this.socket = undefined;
@@ -402,7 +405,7 @@ export class Stream {
     if (value !== undefined) this.send({ case: "pose", value });
   }
 
-  /** Tells the server the options of the poses that follow, unless it knows them. */
+  /** Sends the options of the poses that follow, unless the server has them. */
   private sayOptions(options: SolveOptions): void {
     if (options === this.told) return;
     this.told = options;
@@ -434,7 +437,7 @@ export class Stream {
       // The closing handshake of a dead connection takes long, and one that never opened fails at once: neither is waited for.
       this.socket = undefined;
       socket.close();
-      this.lose(new PliantError("UNREACHABLE", "the connection gives no sign of life"));
+      this.lose(new PliantError("UNREACHABLE", "the server does not answer on this connection"));
     } else if (socket.readyState !== socket.OPEN) {
       return;
     } else if (this.askedAt === 0 && now - this.heardAt > SILENCE_MS) {

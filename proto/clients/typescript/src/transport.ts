@@ -15,10 +15,10 @@ import { MOST_HOPS, type Place, Places } from "./places.js";
 export interface TransportOptions {
   /** Where the server is, such as `https://mesh.example.org`. Default: where the page came from, else 127.0.0.1:7411. */
   url?: string;
-  /** Tells the server who asks, with every call and WebSocket. Default: the environment variable `PLIANT_TOKEN`, where there is one. */
+  /** The token of every call and WebSocket. Default: the environment variable `PLIANT_TOKEN`, where there is one. */
   token?: string;
   /**
-   * Asked for a token when the server does not know who asks, and told whether one was refused. The call is made again with the
+   * Called for a token when the server requires one; `refused`: it rejected the last one. The call is repeated with the
    * token; without one it fails.
    */
   askToken?: (refused: boolean) => Promise<string | undefined>;
@@ -50,13 +50,13 @@ export interface CallOptions {
   timeout?: number;
 }
 
-/** Who is asked for a sign of life while a call is under way. */
+/** The server that must give a sign of life during a call. */
 interface Asked {
   url: string;
   headers: Record<string, string>;
 }
 
-/** What a call sends along, and what it tells of where it went. */
+/** What a call sends, and where it went. */
 type Sent = CallOptions & { body?: BodyInit; json?: unknown; asked?: Asked };
 
 /** Calls under way, as many as a page may have to one server by HTTP/1.1, less the one that asks for a sign of life. */
@@ -152,7 +152,7 @@ export class Transport {
     }
   }
 
-  /** Deletes something. That it is gone is no failure where an earlier try may have done it. */
+  /** Deletes something. That it is gone is a success where an earlier try may have done it. */
   async remove(path: string, call: CallOptions = {}): Promise<void> {
     await this.repeat(call, async (again) => {
       try {
@@ -163,7 +163,7 @@ export class Transport {
     });
   }
 
-  /** An upload that tells how far it is, where the platform can tell. */
+  /** An upload that reports its progress, where the platform can. */
   async upload<D extends DescMessage>(
     answer: D,
     path: string,
@@ -342,11 +342,11 @@ function addressOf(url: string): string {
     throw new PliantError("INVALID_ARGUMENT", `url: ${JSON.stringify(url)} ${problem}, such as http://127.0.0.1:7411`);
   };
   if (!/^https?:\/\//i.test(url)) refuse("does not begin with http:// or https://; write both, scheme and host");
-  if (!URL.canParse(url)) refuse("is no address; write scheme, host and port");
+  if (!URL.canParse(url)) refuse("is not an address; write scheme, host and port");
   return url.replace(/\/+$/, "");
 }
 
-/** Headers with which a sign of life is asked for: those of the call, without what tells of its body and its key. */
+/** Headers of a request for a sign of life: those of the call, without those of its body and its key. */
 function signHeaders(headers: Record<string, string>): Record<string, string> {
   const { "content-type": _type, "idempotency-key": _key, ...rest } = headers;
   return rest;
@@ -359,7 +359,7 @@ function secondsOf(name: string, given: number): number {
   throw new PliantError("INVALID_ARGUMENT", `${name}: ${given}, a number of seconds from 0 (without end) to 2000000 is allowed`);
 }
 
-/** Tells a proxy which node is meant, and the server that its caller goes where it is sent by itself. */
+/** Sets the headers of the node, for a proxy, and of the hops, for the server. */
 function point(headers: Record<string, string>, { node }: Place, hops: number): void {
   headers["x-pliant-hops"] = String(hops);
   if (node === undefined) delete headers["x-pliant-node"];
@@ -402,7 +402,7 @@ function unreachable(what: string, error: unknown): unknown {
   return new PliantError("UNREACHABLE", `${what} does not answer${hintFor(what)}`);
 }
 
-/** A browser does not tell a page whether a server of another origin is away or does not let the page ask. */
+/** A browser hides from a page whether a server of another origin is away or rejects the page. */
 function hintFor(url: string): string {
   const { window: page } = globalThis as { window?: { location?: { origin?: string } } };
   const origin = page?.location?.origin;

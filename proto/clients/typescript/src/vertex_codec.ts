@@ -24,7 +24,7 @@ const BITS_V1 = [
  */
 export function decodeSteps(source: Uint8Array, count: number, out: Uint16Array): void {
   const version = (source[0] ?? 0) - 0xa0;
-  if (version !== 0 && version !== 1) throw broken("begins with no version that is known");
+  if (version !== 0 && version !== 1) throw broken("begins with an unknown version");
   // Behind the blocks: what differences of the first vertex are told from, and in version 1 how each pair of numbers is told.
   const tail = version === 0 ? STRIDE : STRIDE + STRIDE / 4;
   const end = source.length - Math.max(tail, version === 0 ? 32 : 24);
@@ -115,7 +115,7 @@ function writePair(planes: Uint8Array, plane: number, vertices: number, channel:
       low ^= turned & 0xffff;
       high ^= turned >>> 16;
     } else {
-      throw broken("tells its numbers in a way that is not known");
+      throw broken("codes its numbers in an unknown way");
     }
     low &= 0xffff;
     high &= 0xffff;

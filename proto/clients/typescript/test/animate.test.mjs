@@ -96,7 +96,7 @@ test("what is wrong is said", { skip }, async () => {
     assert.rejects(all(session.animate(options)), (error) => error instanceof PliantError && error.message.includes(told));
   await refused({ bvh: "no clip", rig: RIG }, "line 1: a BVH file begins with HIERARCHY");
   await refused({ bvh: nod(3) }, "rig");
-  await refused({ clip: "dance" }, '"dance" is no clip');
+  await refused({ clip: "dance" }, '"dance" is not a clip');
   await session.close();
 });
 

@@ -17,12 +17,12 @@ test("an address without its scheme is refused", () => {
   for (const url of ["127.0.0.1:7431", "localhost:7411", "ftp://host", ""]) {
     assert.throws(() => new Client({ url }), says(/^url: ".*" does not begin with http:\/\/ or https:\/\/.*such as http:\/\/127\.0\.0\.1:7411$/));
   }
-  assert.throws(() => new Client({ url: "http://" }), says(/"http:\/\/" is no address/));
+  assert.throws(() => new Client({ url: "http://" }), says(/"http:\/\/" is not an address/));
   assert.equal(new Client({ url: "HTTP://host:1//" }).transport.url, "HTTP://host:1");
 });
 
 test("a key that is misspelt is named, with those that are allowed", () => {
-  assert.throws(() => regionFrom({ sphere: { centre: [0, 1, 0], radius: 1 } }), says(/^region: sphere: centre is no key of it; allowed are center \(three numbers\) and radius \(a number\)$/));
+  assert.throws(() => regionFrom({ sphere: { centre: [0, 1, 0], radius: 1 } }), says(/^region: sphere: centre is not a key of it; allowed are center \(three numbers\) and radius \(a number\)$/));
   assert.throws(() => regionFrom({ sphere: { center: [0, 1, 0] } }), says(/sphere: radius is missing/));
   assert.throws(() => regionFrom({ box: { min: [0, 1], max: [1, 1, 1] } }), says(/box: min is \[0,1\], it takes three numbers/));
   assert.throws(() => regionFrom({ halfSpace: { normal: [0, 1, 0], offset: "0" } }), says(/offset is "0", it takes a number/));
@@ -43,7 +43,7 @@ test("a pose that is none is told with its handle and field", async () => {
     [{ translation: "up" }, /^handle "head": pose\.translation is "up", a list of 3 numbers is allowed$/],
     [{ rotation: [0, 0, 1] }, /pose\.rotation is \[0,0,1\], a list of 4 numbers/],
     [{ scale: [1, 2] }, /pose\.scale is \[1,2\], a list of 1 or 3 numbers/],
-    [{ translate: [0, 0, 1] }, /translate is no field of it; allowed are translation, rotation, rotationVector, scale, pivot/],
+    [{ translate: [0, 0, 1] }, /translate is not a field of it; allowed are translation, rotation, rotationVector, scale, pivot/],
     ["up", /pose is "up", an object/],
   ];
   for (const [pose, pattern] of wrong) {

@@ -213,7 +213,7 @@ test("a frame without its facts is never handed out, and one that does not fit a
   stage.stream.close();
 });
 
-test("what a page does with a frame is no failure of the socket", () => {
+test("what a page does with a frame is not a failure of the socket", () => {
   const stage = staged({
     onFrame: () => {
       throw new Error("the page's own");

@@ -25,7 +25,7 @@ pub(super) fn share_notes<N: FileNotes>((geometry, notes): (Geometry, N)) -> Rea
     (geometry, Arc::new(notes))
 }
 
-/// Patches a model that is one text file: `patch` is given the text, the notes, the mesh at rest and the new positions.
+/// Patches a model that is one text file: `patch` gets the text, the notes, the rest mesh and the new positions.
 pub(super) fn patch_text_file<N: FileNotes>(
     model: &Model,
     positions: &[DVec3],
@@ -46,10 +46,10 @@ pub(super) fn patch_text_file<N: FileNotes>(
 
 /// Reads and writes one format, or the forms of one (GLB and glTF).
 pub(super) trait FormatCodec: Sync {
-    /// Tells whether a model that was read as `source` is written by patching its files; others are built anew.
+    /// Whether a model that was read as `source` is written by patching its files; others are rebuilt.
     fn patches_files_of(&self, source: Format) -> bool;
 
-    /// Reads a model, of which `format` is the form. What it returns is checked by [`Geometry::check`].
+    /// Reads a model in the form `format`. The caller checks it with [`Geometry::check`].
     fn read(&self, files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error>;
 
     /// The names of the files that a model's main file and its companions so far name, relative to the main file's
@@ -60,7 +60,7 @@ pub(super) trait FormatCodec: Sync {
     }
 
     /// Writes the files of a model of this codec with its vertices at `positions`, one for each vertex and finite.
-    /// Every byte that the deformation does not change, nor what follows it, stays as it was uploaded.
+    /// Bytes that neither the deformation nor its followers change stay as uploaded.
     fn patch_positions(
         &self,
         model: &Model,
@@ -69,7 +69,7 @@ pub(super) trait FormatCodec: Sync {
         followers: &ShapeFollowers<'_>,
     ) -> Result<WrittenFiles, Error>;
 
-    /// What is told of a model of this codec that comes back as it was read: what could follow its shape.
+    /// The counts of a model of this codec that is returned unchanged: what could follow its shape.
     fn nothing_followed(&self, model: &Model) -> Result<FollowedCounts, Error> {
         let _ = model;
         Ok(FollowedCounts::default())
@@ -133,8 +133,8 @@ pub(super) trait FormatCodec: Sync {
         Ok(None)
     }
 
-    /// Writes a model that this codec has read, at rest, with a clip that plays on it. `vertices`: for each of its vertices
-    /// the one of the clip that it is or is a copy of. Counts and times have been checked.
+    /// Writes the rest pose of a model that this codec has read, with a clip. `vertices`: for each of its vertices the
+    /// one of the clip that it is or copies. Counts and times have been checked.
     fn write_played(&self, rest: &Model, vertices: &[u32], clip: &PlayedClip<'_>) -> Result<WrittenFiles, Error> {
         let _ = (vertices, clip);
         Err(Error::unwritable(rest.format, "it holds no clips"))
@@ -165,8 +165,8 @@ pub(super) trait FormatCodec: Sync {
         Ok(None)
     }
 
-    /// Hands out what the files of a model that this codec has read give to its vertices, beside positions, normals and
-    /// tangents, or to the faces around them: equal where nobody could tell two vertices apart.
+    /// Adds to `keys` what a model's files give to each vertex or to the faces around it, beside positions, normals and
+    /// tangents. Vertices that no reader can distinguish get equal keys.
     fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
         let _ = (model, keys);
         Ok(())

@@ -45,7 +45,7 @@ pub enum Error {
         /// The size allowed.
         limit: u64,
     },
-    /// Nobody wants the model any more.
+    /// The work was cancelled.
     #[error("cancelled")]
     Cancelled,
     /// No triangle was found.

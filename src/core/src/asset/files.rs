@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 /// libraries of an OBJ and their pictures. Nothing outside this set is ever read.
 #[derive(Debug, Clone, Default)]
 pub struct FileSet {
-    /// Name of the main file; only used in texts and to tell the format.
+    /// Name of the main file, for messages and to find the format.
     pub name: String,
     /// The main file.
     pub main: Bytes,
@@ -131,7 +131,7 @@ impl<'a> ReadWatch<'a> {
         }
     }
 
-    /// Stops the read when nobody wants it any more.
+    /// Stops the read once it is cancelled.
     pub(super) fn check(&self) -> Result<(), Error> {
         progress::check(self.progress).map_err(|_| Error::Cancelled)
     }

@@ -2,7 +2,7 @@
 
 use super::NodeMotions;
 
-/// How many joints are told of by name.
+/// How many joints are listed by name.
 const MOST_TOLD: usize = 8;
 
 /// What there is in a written file that can follow its model's shape, and how much of it did. All zeros for files that hold

@@ -22,10 +22,10 @@ pub enum RigRule {
 
 /// What becomes of the lengths of bones: of the distances between joints and the nearest joints above them, in the rest pose.
 ///
-/// A joint of which the length stays is put in the direction in which it would have gone, seen from where the joint above is
-/// now, and turned as it would have been. Joints with none above are free. Translations of its clips turn with the bone, so
-/// that it is at every time as long as it was then, unless a node that is no joint or a stretched parent stands between.
-/// Lengths are kept to the rounding of 32-bit numbers: to a millionth of themselves and of the model's diagonal.
+/// A joint whose bone keeps its length is put in the direction in which it would have gone, seen from the new place of
+/// the joint above, and turned as it would have been. Joints with none above are free. Translations of its clips turn
+/// with the bone: at every time the bone is as long as before, unless a non-joint node or a stretched parent lies
+/// between. Lengths stay within the rounding of 32-bit numbers: a millionth of themselves and of the model's diagonal.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum BoneLengthRule {
     /// They follow the body.

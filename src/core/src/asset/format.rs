@@ -13,7 +13,7 @@ use std::hash::{Hash, Hasher};
 ///
 /// assert_eq!(Format::from_file_name("chair.PLY"), Some(Format::PLY));
 /// assert_eq!(Format::from_media_type("model/obj; charset=utf-8"), Some(Format::OBJ));
-/// // The content tells a format without any name.
+/// // The content identifies the format.
 /// assert_eq!(Format::from_bytes(b"OFF\n3 1 0\n"), Some(Format::OFF));
 /// assert_eq!(Format::from_bytes(b"<html>"), None);
 /// assert_eq!(Format::GLB.media_type(), "model/gltf-binary");
@@ -31,7 +31,7 @@ pub(super) struct FormatDetails {
     pub recognise: fn(&[u8]) -> Recognition,
 }
 
-/// How surely the content of a file tells its format. The surest format is taken.
+/// How surely a file's content identifies its format. The surest format is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Recognition {
     /// The content does not look like the format.

@@ -26,7 +26,7 @@ pub struct Primitive {
     pub has_normals: bool,
     /// Whether the model gives tangents for it.
     pub has_tangents: bool,
-    /// Whether it is no part of what is solved and rides along with the surface that is.
+    /// Whether it is not solved, but follows the solved surface.
     pub is_passenger: bool,
 }
 
@@ -79,7 +79,7 @@ impl Geometry {
         self.warnings.push((code.into(), message.into(), place.into()));
     }
 
-    /// Tells of polygons that were cut into a plain fan although they are concave.
+    /// Warns of concave polygons that were cut into a plain fan.
     pub(super) fn warn_about_crude_polygons(&mut self, count: usize) {
         if count > 0 {
             self.warn(

@@ -66,7 +66,7 @@ pub(super) enum AlphaCoverage {
     Blend,
 }
 
-/// A name in a file that names another as a relative path; `None` when it leads out of the model's folder or is no path.
+/// A file's reference to another as a relative path; `None` when it leads out of the model's folder or is not a path.
 /// Backslashes, which some programs write, stand for slashes.
 pub(super) fn inside_folder(name: &str) -> Option<String> {
     let name = name.trim().replace('\\', "/");

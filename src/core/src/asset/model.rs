@@ -1,4 +1,4 @@
-//! A model as the rest of the house sees it: the mesh at rest, and the files that it came from.
+//! A model for the other modules: the rest mesh, and the files that it came from.
 
 use super::{Error, FileSet, Format, Geometry, VertexAttributes};
 use glam::DVec3;
@@ -13,13 +13,13 @@ use std::sync::{Arc, OnceLock};
 pub struct Model {
     /// The format it came in.
     pub format: Format,
-    /// The mesh that the files describe, at rest.
+    /// The rest mesh that the files describe.
     pub geometry: Geometry,
     /// The files, kept byte for byte.
     pub files: FileSet,
     /// What the writers of its format have to remember beyond the files and the geometry.
     pub(super) notes: Arc<dyn FileNotes>,
-    /// What tells its vertices apart, once it was asked for.
+    /// What distinguishes its vertices, once computed.
     pub(super) attributes: OnceLock<VertexAttributes>,
 }
 
@@ -63,7 +63,7 @@ impl Model {
     }
 }
 
-/// Whether all positions are equal to the bit.
+/// Whether all positions are bit-identical.
 pub(super) fn is_same(a: &[DVec3], b: &[DVec3]) -> bool {
     a.iter().zip(b).all(|(p, q)| position_bits(*p) == position_bits(*q))
 }

@@ -5,12 +5,12 @@ use super::look::SurfaceLook;
 use super::{Error, FileSet, Format, Limits, Model};
 
 impl Model {
-    /// What the model looks like, with the model that this is said of: for a format that numbers corners apart it is the
-    /// GLB that would be written, whose vertices are divided at seams. `None` when the model says nothing of looks.
+    /// The look of the model, and the model that it describes: for a format that indexes attributes by corner, the GLB
+    /// that would be written, with vertices divided at seams. `None` when the model has no look.
     ///
     /// # Errors
-    /// [`Error`] when attributes that are there cannot be read. What is wrong with a picture is no error, but said in its
-    /// place in [`SurfaceLook::images`].
+    /// [`Error`] when attributes that are there cannot be read. A problem of a picture is in its place in
+    /// [`SurfaceLook::images`] instead.
     ///
     /// # Example
     /// ```

@@ -15,7 +15,7 @@ const UNLIMITED: Limits = Limits {
 };
 
 impl Model {
-    /// Writes the model at rest as a GLB, with a morph target for each shape of a clip and an animation of their weights.
+    /// Writes the rest pose as a GLB, with a morph target for each shape of a clip and an animation of their weights.
     ///
     /// Materials, textures and whatever else the model has stay. Meshes that a skin placed are drawn in model space without
     /// it; morph targets that were there go; and so do clips that moved those joints or targets.
@@ -51,7 +51,8 @@ impl Model {
         self.write_played(&PlayedClip::Morphs(*clip))
     }
 
-    /// Writes the model at rest as a GLB in which joints carry every vertex, with an animation of them where there are frames.
+    /// Writes the rest pose as a GLB in which joints move every vertex, with an animation of the joints if there are
+    /// frames.
     ///
     /// Materials, textures and whatever else the model has stay; skins, morph targets and the clips that moved them do not.
     ///
@@ -70,7 +71,7 @@ impl Model {
         let above = |(at, joint): (usize, &PlayedJoint)| joint.parent.is_some_and(|p| p >= at);
         if let Some(joint) = clip.joints.iter().enumerate().position(above) {
             return refuse(format!(
-                "joint {joint} hangs on one that does not come before it; parents come first"
+                "the parent of joint {joint} does not come before it; parents come first"
             ));
         }
         if let Some(frame) = clip.frames.iter().find(|f| f.len() != joints) {

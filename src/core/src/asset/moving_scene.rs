@@ -56,13 +56,14 @@ pub struct SceneNode {
     pub name: String,
     /// The node above, by number.
     pub parent: Option<usize>,
-    /// Where it is at rest.
+    /// Rest translation.
     pub translation: DVec3,
-    /// How it is turned at rest, of unit length.
+    /// Rest rotation, of unit length.
     pub rotation: DQuat,
-    /// How it is scaled at rest. A matrix that shears has the nearest rotation, and the lengths of its columns here.
+    /// Rest scale. For a matrix that shears, the rotation is the nearest one, and the scale is the lengths of its
+    /// columns.
     pub scale: DVec3,
-    /// The transform at rest as the file says it, where that is a matrix.
+    /// The rest transform in the file, where that is a matrix.
     pub matrix: Option<DAffine3>,
 }
 
@@ -82,8 +83,8 @@ pub struct ScenePrimitive {
 pub struct PrimitiveShapes {
     /// One per vertex, in the space of its node; none for a primitive with a skin.
     pub positions: Vec<Vec3>,
-    /// For each morph target by how much it moves each vertex; none for one that moves no positions. In the space of the node,
-    /// and with a skin in that of the model at rest.
+    /// For each morph target by how much it moves each vertex; none for one that moves no positions. In the space of
+    /// the node, and with a skin in that of the rest model.
     pub targets: Vec<Vec<Vec3>>,
 }
 

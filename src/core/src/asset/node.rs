@@ -1,4 +1,4 @@
-//! Nodes of a model's file as the rest of the house sees them, and what follows one shape into a file.
+//! Nodes of a model's file, and what follows one shape into a file.
 
 use super::Following;
 use glam::DAffine3;
@@ -18,11 +18,11 @@ pub struct ModelNode {
 /// How nodes move in world space, by their index in the file; `None` for one that stays where it is, whatever its parent does.
 pub type NodeMotions = BTreeMap<usize, Option<DAffine3>>;
 
-/// No node goes anywhere by itself.
+/// No node moves.
 static NO_MOTIONS: NodeMotions = NodeMotions::new();
 
-/// What follows one shape of a model into its file: by rule, and nodes by motions of their own. Formats without nodes take no
-/// notice of them.
+/// What follows one shape of a model into its file: by rule, and nodes by motions of their own. Formats without nodes
+/// ignore them.
 ///
 /// ```
 /// use pliant_core::asset::{Following, ShapeFollowers};
@@ -33,7 +33,7 @@ static NO_MOTIONS: NodeMotions = NodeMotions::new();
 pub struct ShapeFollowers<'a> {
     /// What becomes of morph targets and skeletons.
     pub rules: Following,
-    /// Rigid motions of nodes of the first base's file, none of them a joint. What hangs on them rides along.
+    /// Rigid motions of nodes of the first base's file, none of them a joint. Their children move with them.
     pub nodes: &'a NodeMotions,
 }
 

@@ -60,19 +60,19 @@ pub struct MorphClip<'a> {
 pub struct PlayedJoint {
     /// Its name.
     pub name: String,
-    /// Number of the joint that it hangs on, which is lower than its own; `None`: it hangs on the root of all.
+    /// Number of its parent, which is lower than its own; `None`: the root of all is its parent.
     pub parent: Option<usize>,
-    /// Where it is at rest, in model space.
+    /// Its rest place, in model space.
     pub rest: NodePlace,
 }
 
 /// The joints that carry a vertex and how much; those with a weight of 0 do not.
 pub type CarryingJoints = [(u32, f32); 8];
 
-/// Shapes at rest that correct what joints make of the rest shape, by as much as they weigh in a frame.
+/// Rest shapes that correct the result of the joints, by their weights in a frame.
 #[derive(Debug, Clone, Copy)]
 pub struct PlayedCorrectives<'a> {
-    /// For each where the render vertices are at rest, in model space.
+    /// For each the rest positions of render vertices, in model space.
     pub shapes: &'a [Vec<Vec3>],
     /// For each frame the weight of each.
     pub weights: &'a [Vec<f64>],

@@ -1,12 +1,12 @@
-//! Refuses to write what nobody could open again: positions that lose every triangle in the precision of a format.
+//! Rejects models that could not be opened again: every triangle collapses in the precision of a format.
 
 use super::error::Error;
 use super::format::Format;
 use super::formats::codec_of;
 use glam::DVec3;
 
-/// Refuses a model of which every triangle collapses in the format's positions; one triangle that survives makes a model that
-/// opens. What had no triangle before is not for the format to refuse.
+/// Rejects a model whose every triangle collapses in the format's positions. One remaining triangle makes a model that
+/// opens. A model that had no triangle before is not rejected here.
 pub(super) fn check_precision(format: Format, positions: &[DVec3], triangles: &[[u32; 3]]) -> Result<(), Error> {
     if !codec_of(format).rounds_to_single() || triangles.is_empty() {
         return Ok(());

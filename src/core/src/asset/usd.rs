@@ -35,7 +35,7 @@ pub struct UsdClip<'a> {
 /// A mesh on its way into USD.
 struct UsdMesh {
     name: String,
-    /// The name in the model, where it is no identifier.
+    /// The name in the model, if not an identifier.
     shown: Option<String>,
     vertices: Range<usize>,
     /// Faces, texture coordinates and what else does not change with time.

@@ -1,8 +1,8 @@
-//! What a file gives to render vertices beside their positions, to tell where several at one place are alike.
+//! What a file gives to render vertices beside positions, to find those at one place that are alike.
 //!
 //! Many files repeat a vertex for every triangle around it. Such copies are one vertex to an edit, unless an attribute
-//! differs: there the file has a seam. Values are compared by hashes of 64 bits; that two differ and their hashes do not is
-//! as good as impossible.
+//! differs: there the file has a seam. Values are compared by hashes of 64 bits; equal hashes of different values are
+//! practically impossible.
 
 use super::{Error, Geometry};
 use crate::mesh::mix_bits;

@@ -120,7 +120,7 @@ impl Model {
     /// let written = model.write(&positions, Format::OBJ)?;
     /// assert_eq!(written.main, b"v 0 0 0\nv 1 0 0.5\nv 0 1 0\nf 1 2 3 # a face\n");
     ///
-    /// // Another format is built anew.
+    /// // Another format is rebuilt.
     /// let written = model.write(&positions, Format::OFF)?;
     /// assert_eq!(written.main, b"OFF\n3 1 0\n0 0 0\n1 0 0.5\n0 1 0\n3 0 1 2\n");
     /// # Ok::<(), pliant_core::asset::Error>(())
@@ -210,8 +210,8 @@ impl Model {
 
 /// The names of files that a model refers to and that are not in the set: buffers and images of a glTF,
 /// material libraries of an OBJ and their pictures, pictures of an FBX. They are
-/// relative to the folder of the main file and never lead out of it. Files that come with the set may name more, so whoever
-/// gathers files asks until nothing new is named.
+/// relative to the folder of the main file and never lead out of it. Companions may name more files: call this again
+/// until it returns no new name.
 ///
 /// # Example
 /// ```

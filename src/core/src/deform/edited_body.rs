@@ -1,5 +1,5 @@
-//! A body after an edit of its mesh, at the price of the edit: the graph is sampled anew around the change, the hierarchy
-//! repaired.
+//! A body after an edit of its mesh, in time proportional to the edit: the graph is resampled around the change, the
+//! hierarchy is repaired.
 
 use crate::deform::body::{DeformableBody, place};
 use crate::deform::error::Error;
@@ -16,20 +16,21 @@ const LENGTHS: RangeInclusive<f64> = 0.125..=8.0;
 /// and its middle within so many units of their origin.
 const FARTHEST: f64 = 8.0;
 
-/// Lattice edges that a deformation has stretched or squeezed beyond this share of their length at rest are strained.
+/// Lattice edges that a deformation has stretched or squeezed beyond this share of their rest length are strained.
 const STRAIN: RangeInclusive<f64> = 0.6..=1.6;
 /// A lattice with more than this part of its edges strained is not worth keeping.
 const MOST_STRAINED: f64 = 0.05;
-/// Every so manieth lattice node is asked.
+/// One of so many lattice nodes is tested.
 const SAMPLE: usize = 8;
 
 impl DeformableBody {
-    /// The body of the mesh after `change`; `None` where a new one is to be built: where [`graph::resample`] says so, when the
-    /// mesh has grown or moved out of the solving coordinates, or when a deformation has strained the lattice.
+    /// The body of the mesh after `change`; `None` where a new one has to be built: where [`graph::resample`] says so,
+    /// when the mesh has grown or moved out of the solving coordinates, or when a deformation has strained the lattice.
     ///
     /// `moved` has all nodes, in model space, where a deformation that has become the rest shape left them; `None` when
-    /// the shape at rest was edited. `ties` are those of the body, with the families of the vertices after the edit. Edges keep their weights but around the change. The result depends on the arguments alone.
-    /// Reports the stages "graph" and "hierarchy".
+    /// the rest shape was edited. `ties` are those of the body, with the families of the vertices after the edit. Edges
+    /// keep their weights but around the change. The result depends on the arguments alone. Reports the stages "graph"
+    /// and "hierarchy".
     ///
     /// # Errors
     /// [`Error::Cancelled`].

@@ -28,7 +28,7 @@ pub enum Error {
     /// A choice that this version does not have.
     #[error("{0}")]
     Unsupported(String),
-    /// Nobody wants the result any more.
+    /// The caller cancelled the work.
     #[error("cancelled")]
     Cancelled,
 }

@@ -38,7 +38,7 @@ impl Transform {
         pivot: DVec3::ZERO,
     };
 
-    /// Whether every point stays where it is, to the bit. A full turn is not the identity: it twists what lies between.
+    /// Whether every point keeps its bits. A full turn is not the identity: it twists what lies between.
     pub fn is_identity(&self) -> bool {
         self.translation == DVec3::ZERO && self.rotation == DVec3::ZERO && self.log_scale == DMat3::ZERO
     }

@@ -31,15 +31,15 @@ pub enum Error {
         /// How many are allowed.
         limit: u64,
     },
-    /// The caller gave up.
+    /// The caller cancelled.
     #[error("cancelled")]
     Cancelled,
 }
 
-/// Counts above this are told as more than this.
+/// Counts above this are shown as more than this.
 const COUNTED: u64 = 1_000_000_000_000;
 
-/// A count as people are told: no digits that nobody can use.
+/// A count as people read it, without digits that are of no use.
 pub fn shown_count(seen: u64) -> String {
     match seen {
         COUNTED.. => format!("more than {COUNTED}"),
@@ -54,7 +54,7 @@ impl Error {
         Self::Invalid { subject, problem }
     }
 
-    /// Makes the error that the surface does not allow what was asked for, at a place told in words or coordinates.
+    /// Makes the error that the surface does not allow an operation, at a place given in words or coordinates.
     pub(super) fn impossible(problem: impl Into<String>, place: impl Into<String>) -> Self {
         Self::Impossible {
             problem: problem.into(),

@@ -1,14 +1,14 @@
-//! Topology operations: from a surface and what is asked for to the smallest patch that does it.
+//! Topology operations: each makes the smallest patch of a surface that does what the caller asked for.
 //!
-//! An operation never touches the session's arrays. It reads a [`SurfaceView`] and answers a [`SurfacePatch`]: which
-//! triangles go, which vertices and triangles come, what the new vertices are made of. [`apply_patch`] turns surface and
+//! An operation never changes the session's arrays. It reads a [`SurfaceView`] and returns a [`SurfacePatch`]: removed
+//! triangles, added vertices and triangles, and what the new vertices are made of. [`apply_patch`] turns surface and
 //! patch into the next surface with the maps between both, so that attributes, handles, graph and hierarchy can follow.
-//! What is far from the edit keeps its order and its bits. The room knows no format, no request, no handle and no solver.
+//! What is far from the edit keeps its order and its bits. Formats, requests, handles and the solver are unknown here.
 //!
-//! Topology is that of *points* (welded vertices): a seam in texture coordinates is no gap. A cut that keeps both sides
-//! leaves two points at one place, so points are told apart by number, never by position.
+//! Topology is that of *points* (welded vertices): a seam in texture coordinates is not a gap. A cut that keeps both
+//! sides leaves two points at one place, so a number identifies a point, never its position.
 //!
-//! | room | what it does |
+//! | module | what it does |
 //! |---|---|
 //! | `patch` | the patch, and applying it |
 //! | `region_mesh` | the one structure that operations change faces in |
@@ -17,7 +17,7 @@
 //! | `remesh`, `decimate`, `subdivide` | other triangles for the same shape |
 //! | `stitch`, `weld` | joining boundaries and points |
 //!
-//! Beside them stand the surface that is read (`surface`), its boundary (`boundary`), its counts (`topology`), measures of
+//! Other modules: the surface that is read (`surface`), its boundary (`boundary`), its counts (`topology`), measures of
 //! a triangle (`triangle`) and errors (`error`).
 
 mod boundary;

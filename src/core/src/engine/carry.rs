@@ -38,7 +38,7 @@ impl Deformer {
         Ok(self.carrier(positions, exec)?.carry_points(points, exec)?)
     }
 
-    /// Tells where a shape of this model carries the nodes of its file that ride along, in the order of
+    /// Returns where a shape of this model carries the nodes of its file that follow it, in the order of
     /// [`OpenOptions::passengers`](super::OpenOptions::passengers).
     ///
     /// # Errors

@@ -34,7 +34,7 @@ pub(super) struct HeldVertices<'a> {
     pub moved: Option<Vec<Transform>>,
 }
 
-/// Carries handles over. With `poses` they keep them, turning about the same points as before; without they are at rest.
+/// Carries handles over. With `poses` they keep their poses and pivots; without, they have their rest poses.
 pub(super) fn carry_handles(
     held: &HeldVertices<'_>,
     poses: Option<&[HandlePose]>,

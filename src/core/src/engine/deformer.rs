@@ -243,7 +243,7 @@ impl Deformer {
         self.rig.as_ref()
     }
 
-    /// Positions at rest, one per render vertex.
+    /// Rest positions, one per render vertex.
     pub fn rest(&self) -> &Arc<Vec<DVec3>> {
         &self.topology().rest
     }
@@ -287,7 +287,7 @@ impl Deformer {
         self.derived.estimate()
     }
 
-    /// Returns what is to be told about model, solver and handles.
+    /// Returns the facts about model, solver and handles.
     pub fn facts(&self) -> DeformerFacts {
         let DerivedStructures { mesh, parts, body, .. } = self.derived.as_ref();
         let levels = body.hierarchy.level_sizes();

@@ -38,7 +38,7 @@ pub(super) struct DerivedStructures {
     pub thin: NeedlesAndCaps,
     volume: VolumeMode,
     report: OnceLock<MeshReport>,
-    /// The surface at rest, once something was carried along with it.
+    /// The rest surface, once points were carried along with it.
     carry: OnceLock<Arc<CarrySurface>>,
     /// The vertices that ride along, once a shape was solved, or why they cannot.
     riders: OnceLock<Result<RidingVertices, Error>>,
@@ -211,7 +211,7 @@ impl DerivedStructures {
         self.mesh.inexact_vertices.is_empty() && self.thin.is_empty()
     }
 
-    /// The surface at rest, ready to carry points; built when first asked for.
+    /// The rest surface, ready to carry points; built on the first call.
     pub fn carry_surface(&self, pool: &Pool) -> &Arc<CarrySurface> {
         (self.carry).get_or_init(|| Arc::new(CarrySurface::build(&self.mesh.positions, &self.mesh.triangles, pool)))
     }
@@ -372,7 +372,7 @@ fn estimate(vertices: u64, nodes: u64) -> u64 {
     vertices * BYTES_PER_VERTEX + nodes * BYTES_PER_NODE
 }
 
-/// Refuses work that would hold more bytes in all than the limits, or whoever watches it, allow.
+/// Refuses work that needs more bytes in total than the limits or its [`Progress`](crate::progress::Progress) allow.
 pub(super) fn admit_bytes(bytes: u64, limits: &DeformerLimits, exec: &Exec<'_>) -> Result<(), Error> {
     if bytes <= limits.memory_bytes && exec.progress.may_hold(bytes) {
         return Ok(());

@@ -1,4 +1,4 @@
-//! A short text that tells whether two shapes have the same bits.
+//! A short text that is equal for two shapes with the same bits.
 
 use glam::DVec3;
 

@@ -31,7 +31,7 @@ impl Drag<'_> {
         (self.deformer).solve(&self.poses, &self.settings, mode, exec, &mut |_| true)
     }
 
-    /// Works ahead while nobody waits, so that the next pose is solved sooner; see [`Deformer::settle`].
+    /// Works ahead in idle time, so that the next pose is solved sooner; see [`Deformer::settle`].
     ///
     /// # Errors
     /// Those of [`Deformer::settle`].

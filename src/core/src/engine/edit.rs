@@ -1,8 +1,8 @@
 //! Edits of the topology of a deformer: the operation on the surface, then everything that follows from it.
 //!
-//! An edit works on the current shape or on the rest shape. On the current shape what the user sees becomes the rest shape,
-//! and all handles are at rest; on the rest shape poses stay, and the result is solved with them. The deformer changes only
-//! when everything has succeeded.
+//! An edit works on the current shape or on the rest shape. An edit of the current shape makes it the rest shape, and
+//! all handles get their rest poses. An edit of the rest shape keeps poses, and the result is solved with them. The
+//! deformer changes only when everything has succeeded.
 
 use super::carry_handles::{CarriedHandles, HeldVertices, carry_handles, kept_vertex_runs};
 use super::derived_structures::{DerivedStructures, TopologyChange};
@@ -156,7 +156,7 @@ impl Deformer {
         !has_vertex && nodes().map_or(true, |held| held.nodes.is_empty())
     }
 
-    /// The shape after an edit, and all that is told of it; with `settings` the poses are solved for.
+    /// The shape after an edit, with its report; `settings` solve for the poses.
     fn shape_after_edit(
         &mut self,
         carried: CarriedHandles,

@@ -113,7 +113,7 @@ pub struct ModelMerge {
     pub files: FileSet,
     /// Whether the other model is that of a session, for the words of errors alone.
     pub from_session: bool,
-    /// Its format; `None`: told by its first bytes.
+    /// Its format; `None`: detected by its first bytes.
     pub format: Option<Format>,
     /// Where the other model is placed.
     pub own_from_other: DMat4,
@@ -152,7 +152,7 @@ pub enum EditKind {
 /// The shape on which an edit works.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EditedShape {
-    /// The current shape, which becomes the rest shape; all handles are at rest then.
+    /// The current shape, which becomes the rest shape; all handles get rest poses.
     Current,
     /// The rest shape; poses stay, and the result is solved with them.
     Rest,
@@ -207,7 +207,7 @@ pub struct EditReport {
     pub deviation: f64,
     /// Digest of the positions after the edit.
     pub digest: String,
-    /// Whether graph and hierarchy were repaired around the edit, not built anew.
+    /// Whether graph and hierarchy were repaired around the edit, not rebuilt.
     pub repaired: bool,
 }
 

@@ -20,7 +20,7 @@ use crate::mesh::{Adjacency, BoundingBox, Mesh, NONE, Weld, mean_edge_length};
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 use std::sync::Arc;
 
-/// How many times as large as the smaller of two merged models both together may be: 32-bit positions tell 1e7 apart.
+/// How many times as large as the smaller of two merged models both together may be: 32-bit positions have 1e7 steps.
 const LARGEST: f64 = 1e6;
 
 /// What an operation is planned on. A merge appends to surface and origins.
@@ -220,7 +220,7 @@ fn plan_cut(
                 path.push(point.filter(|p| *p != NONE).ok_or_else(|| {
                     let count = surface.positions.len();
                     let problem =
-                        format!("is {vertex}, no vertex of a triangle; the model has {count} vertices, counted from 0");
+                        format!("is {vertex}, which no triangle uses; the model has {count} vertices, counted from 0");
                     Error::invalid(InputPlace::CutPathVertex(k), problem)
                 })?);
             }

@@ -6,7 +6,7 @@ use crate::edit::SurfaceView;
 use crate::mesh::{Mesh, NONE};
 use glam::{DVec3, Vec3, Vec4};
 
-/// The surface, with what goes along.
+/// The surface, with its attributes.
 #[derive(Debug, Clone, Default)]
 pub(super) struct EditSurface {
     /// Render vertices in the shape that is edited.

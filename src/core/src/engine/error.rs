@@ -38,7 +38,7 @@ pub enum Error {
         /// The size allowed.
         limit: u64,
     },
-    /// Nobody wants the result any more.
+    /// The caller cancelled the work.
     #[error("cancelled")]
     Cancelled,
     /// The deformer has a defect.
@@ -192,7 +192,7 @@ pub(super) enum RegionError {
         /// What was seen and what is allowed.
         problem: String,
     },
-    /// Nobody wants the result any more.
+    /// The caller cancelled the work.
     Cancelled,
 }
 

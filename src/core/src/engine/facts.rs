@@ -1,9 +1,9 @@
-//! What a deformer tells about its model, its solver, its handles and its shapes.
+//! What a deformer reports about its model, solver, handles and shapes.
 
 use crate::asset::{Format, Primitive};
 use glam::DVec3;
 
-/// What a deformer tells about model, solver and handles.
+/// What a deformer reports about model, solver and handles.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DeformerFacts {
     /// The model as it was read, and its sizes now.
@@ -92,7 +92,7 @@ pub struct HandleFacts {
     pub vertices: u32,
     /// Nodes inside the model that it holds, likewise.
     pub interior_nodes: u32,
-    /// The default pivot: the mean of its solver vertices at rest; of its nodes inside when it holds no vertex.
+    /// The default pivot: the mean rest position of its solver vertices; of its inside nodes when it holds no vertex.
     pub centroid: DVec3,
 }
 
@@ -119,7 +119,7 @@ pub enum WarningPlace {
         /// A render vertex at each place, in their order.
         vertices: Vec<u32>,
     },
-    /// Places in model space, at rest.
+    /// Places on the rest shape, model space.
     Points {
         /// The places in words.
         text: String,
@@ -155,7 +155,7 @@ pub struct QualityReport {
 }
 
 impl DeformerWarning {
-    /// Makes a warning about a place that is told in words.
+    /// Makes a warning about a place described in words.
     pub fn new(code: impl Into<String>, message: impl Into<String>, place: impl Into<String>) -> Self {
         Self {
             code: code.into(),

@@ -22,7 +22,7 @@ pub struct Handle {
     pub stiffness: Option<f64>,
     /// Whether the region keeps its shape whatever moves it.
     pub rigid: bool,
-    /// Where the handle is when it is set; `None` is at rest.
+    /// Where the handle is when it is set; `None`: its rest pose.
     pub pose: Option<HandlePose>,
     /// How a soft handle fades out around its region.
     pub falloff: Option<Falloff>,
@@ -64,7 +64,7 @@ pub struct HandleSet {
     pub handles: Vec<Handle>,
     /// A plane that mirrors every handle.
     pub symmetry_plane: Option<Plane>,
-    /// A region outside of which everything stays fixed to the bit.
+    /// A region outside of which all positions keep their bits.
     pub region_of_interest: Option<Region>,
 }
 
@@ -78,7 +78,7 @@ impl HandleConstrains {
 }
 
 impl Handle {
-    /// Makes a hard handle at rest that fixes position, rotation and scale.
+    /// Makes a hard handle in its rest pose that fixes position, rotation and scale.
     pub fn new(id: impl Into<String>, region: Region) -> Self {
         Self {
             id: id.into(),

@@ -1,4 +1,4 @@
-//! Faces too large to show the bend that handles ask for: told before and after a pose, and divided on request.
+//! Faces too large to show the bend between handles: reported before and after a pose, and divided on request.
 
 use super::facts::DeformerWarning;
 use super::pose::HandlePoses;
@@ -44,7 +44,7 @@ const NAMED: usize = 8;
 pub(super) struct HandleBend<'a> {
     /// The handles in force.
     pub handles: &'a HandleSystem,
-    /// The welded mesh, at rest.
+    /// The welded rest mesh.
     pub mesh: &'a Mesh,
     /// The current shape, one position per render vertex.
     pub shape: &'a [DVec3],

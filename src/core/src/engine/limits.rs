@@ -13,9 +13,9 @@ pub struct DeformerLimits {
     pub model: asset::Limits,
     /// Bytes that the deformer may hold; checked by estimate before anything large is allocated.
     pub memory_bytes: u64,
-    /// Bytes that volume graphs are fitted into: what would hold more gets a wider lattice, or none. `None`: `memory_bytes`.
-    /// Shapes depend on it, unlike on `memory_bytes`, which may be what happens to be free: whoever opens a model again for
-    /// the same bits names what it was fitted into before.
+    /// Bytes for volume graphs: a graph that needs more gets a wider lattice, or none. `None`: `memory_bytes`. Shapes
+    /// depend on it; they do not depend on `memory_bytes`, which may be the free memory of the moment. To get the same
+    /// bits again, open a model with the same number.
     pub graph_bytes: Option<u64>,
     /// Handles of one request.
     pub handles: usize,

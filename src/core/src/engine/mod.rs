@@ -24,7 +24,7 @@
 //! ```
 //!
 //! This module knows no message, no connection and no clock: `wire` turns messages into its types and back, and checks them
-//! on the way. What only the model can tell is checked here; an [`Error`] names the place in the input by an [`InputPlace`].
+//! on the way. What depends on the model is checked here; an [`Error`] names the input by an [`InputPlace`].
 
 mod animation;
 mod carry;

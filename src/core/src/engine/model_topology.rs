@@ -56,7 +56,7 @@ impl ModelTopology {
         }
     }
 
-    /// Of a model that others hold too; nobody asks for its digest.
+    /// Of a shared model, without its digest.
     pub fn from_shared_model(model: Arc<Model>) -> Self {
         Self {
             rest: Arc::new(model.positions.clone()),
@@ -164,7 +164,7 @@ impl ModelTopology {
     }
 
     /// The topology after an edit of `before`, whose vertices are made of `origins`, and the maps that are left of
-    /// `applied`. `families` are those of the surface after it; `parts` tells that it may have made parts that touch.
+    /// `applied`. `families` are those of the surface after it; `parts`: the edit may have made parts that touch.
     pub fn after_edit(
         &self,
         before: &EditSurface,

@@ -3,7 +3,7 @@
 use crate::asset::{FileSet, Format};
 use glam::{DQuat, DVec3};
 
-/// Something in the rest space of a model that is no part of what is solved and follows the surface and volume around it.
+/// Something in the rest space of a model that is not solved, but follows the surface and volume around it.
 #[derive(Debug, Clone)]
 pub struct Passenger {
     /// What reports call it.
@@ -12,8 +12,8 @@ pub struct Passenger {
     pub kind: PassengerKind,
 }
 
-/// The kinds of passengers. Primitives and nodes of the model itself are the deformer's; points and other models are carried by whoever asks
-/// for them, with [`crate::engine::Deformer::carry_points`] and [`crate::engine::Deformer::carry_model`].
+/// The kinds of passengers. The deformer carries primitives and nodes of the model itself. The caller carries points
+/// and other models, with [`crate::engine::Deformer::carry_points`] and [`crate::engine::Deformer::carry_model`].
 #[derive(Debug, Clone)]
 pub enum PassengerKind {
     /// The primitive with this index.
@@ -26,9 +26,9 @@ pub enum PassengerKind {
     NodesNamed(String),
     /// Points with axes.
     Points {
-        /// Where they are at rest.
+        /// Their rest positions.
         positions: Vec<DVec3>,
-        /// How their axes are turned at rest, one for each.
+        /// The rest rotation of the axes, one for each.
         rotations: Vec<DQuat>,
     },
     /// Another model that stands in the rest space.
@@ -40,7 +40,7 @@ pub enum PassengerKind {
 pub struct CarriedModel {
     /// Its files.
     pub files: FileSet,
-    /// The format that they are in; `None`: told by their first bytes.
+    /// The format that they are in; `None`: detected by their first bytes.
     pub format: Option<Format>,
     /// The format to write it in; `None`: its own.
     pub output: Option<Format>,

@@ -4,7 +4,7 @@ use crate::deform::{Transform, log_rotation};
 use glam::{DMat3, DQuat, DVec3};
 use std::sync::Arc;
 
-/// Where a handle is: scaled, then rotated about the pivot, then translated. What is `None` leaves it as at rest.
+/// Where a handle is: scaled, then rotated about the pivot, then translated. `None` leaves it as in the rest pose.
 ///
 /// ```
 /// use pliant_core::engine::HandlePose;
@@ -19,7 +19,7 @@ pub struct HandlePose {
     pub rotation: Option<HandleRotation>,
     /// How the handle is scaled.
     pub scale: Option<HandleScale>,
-    /// The point that it is turned and scaled about; `None` is the centroid of the region's solver vertices at rest.
+    /// The point that it is turned and scaled about; `None`: the rest centroid of the region's solver vertices.
     pub pivot: Option<DVec3>,
 }
 
@@ -77,7 +77,7 @@ impl HandlePose {
         }
     }
 
-    /// Tells whether the pose may move anything. A pivot alone does not.
+    /// Returns whether the pose may move anything. A pivot alone does not.
     pub fn moves(&self) -> bool {
         self.translation.is_some() || self.rotation.is_some() || self.scale.is_some()
     }

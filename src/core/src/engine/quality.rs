@@ -72,7 +72,7 @@ fn change([before, now]: [f64; 2]) -> f64 {
     if before != 0.0 { now / before - 1.0 } else { 0.0 }
 }
 
-/// What is added up over triangles; pairs are at rest and deformed.
+/// Sums over triangles; pairs are of the rest shape and the deformed one.
 #[derive(Default)]
 struct QualitySums {
     squares: f64,

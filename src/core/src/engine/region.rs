@@ -1,4 +1,4 @@
-//! A region: a set of vertices, told by where they are, by number or by weight.
+//! A region: a set of vertices, given by place, by number or by weight.
 
 use crate::deform::{Transform, exp_rotation};
 use glam::DVec3;
@@ -141,7 +141,7 @@ impl Region {
         Self::Capsule { from, to, radius }
     }
 
-    /// Whether it is told by where points are, so that it may hold nodes inside a model and no vertex.
+    /// Whether it is given by place, so that it may contain nodes inside a model and no vertex.
     pub fn is_solid(&self) -> bool {
         match self {
             Self::HalfSpace { .. }
@@ -154,7 +154,7 @@ impl Region {
     }
 
     /// Returns the region moved with a handle. Spheres, capsules and tubes grow with it; a box stays along the axes and keeps
-    /// its size. What is not told by where points are stays as it is.
+    /// its size. A region that is not given by place stays as it is.
     pub(super) fn moved(&self, by: &Transform) -> Self {
         let map = by.map();
         let grown = |radius: f64| {

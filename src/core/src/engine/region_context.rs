@@ -42,7 +42,7 @@ pub(super) struct RegionNodes {
     pub weights: Option<Vec<f64>>,
 }
 
-/// How a region tells its vertices.
+/// How a region gives its vertices.
 enum Membership<'a> {
     /// By number: the render vertices.
     Listed(Vec<bool>),
@@ -77,8 +77,8 @@ pub(super) fn vertices_in_region(
     Ok(vertices)
 }
 
-/// Returns for each render vertex whether a handle's region holds it. One that is told by where it is may hold none, and nodes
-/// inside alone.
+/// Returns for each render vertex whether a handle's region contains it. A region given by place may contain only
+/// inside nodes.
 ///
 /// # Errors
 /// When the region does not fit the model, or lists no vertex.
@@ -103,7 +103,7 @@ pub(super) fn holds_nothing(context: &RegionContext<'_>) -> RegionError {
     RegionError::new(RegionPlace::Whole, problem)
 }
 
-/// A point as people read it: as many digits as tell places of a box with this diagonal apart.
+/// A point as people read it: with enough digits for places of a box with this diagonal.
 fn rounded_point(point: DVec3, diagonal: f64) -> String {
     let magnitude = if diagonal > 0.0 {
         libm::floor(libm::log10(diagonal))
@@ -222,8 +222,8 @@ fn numbers_of(marks: &[bool]) -> Vec<u32> {
     marked.map(|(n, _)| n).collect()
 }
 
-/// The mean of a region's solver vertices at rest; that of its render vertices when none of them is in a face, and that of its
-/// nodes inside when there are none either.
+/// The mean rest position of a region's solver vertices; of its render vertices when none of them is in a face; of its
+/// inside nodes when it has no vertices.
 pub(super) fn region_centroid(
     context: &RegionContext<'_>,
     graph: &MeshGraph,

@@ -267,7 +267,7 @@ fn stray_vertices(context: &RegionContext<'_>, vertices: &[bool], hold: u32) -> 
         .collect()
 }
 
-/// What each handle holds in the end; the frozen surroundings are nobody's, and nodes that several pull at are each one's.
+/// What each handle holds in the end. Frozen nodes count for none; a node that several handles pull counts for each.
 fn count_held(
     context: &RegionContext<'_>,
     body: &DeformableBody,

@@ -3,11 +3,11 @@
 use super::error::{Error, InputPlace};
 use crate::asset::{BoneLengthRule, Model};
 
-/// How many joints and characters a refusal tells.
+/// How many joints and characters an error lists.
 const MOST_SHOWN: usize = 8;
 const LONGEST_SHOWN: usize = 64;
 
-/// Refuses a name that no joint of the model bears.
+/// Refuses a name that no joint of the model has.
 ///
 /// # Errors
 /// [`Error::Invalid`] with the name's index, and those of [`Model::joint_names`].

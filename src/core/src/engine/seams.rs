@@ -30,8 +30,7 @@ pub(super) struct Seams {
 }
 
 impl Seams {
-    /// Finds the seams of a model, of which `rest` are the positions and `mesh` is the mesh; `origins` tell what its vertices
-    /// are made of.
+    /// Finds the seams of a model. `rest` are its positions, `mesh` is its mesh; `origins` gives vertex origins.
     pub fn find(
         (geometry, rest): (&Geometry, &[DVec3]),
         mesh: &Mesh,
@@ -289,7 +288,7 @@ impl<'a> Comparison<'a> {
         facet_normal(t.map(|v| self.rest[v as usize]))
     }
 
-    /// Stands for what a vertex is made of, each part told by `part`.
+    /// A key of what a vertex is made of; `part` gives the key of each part.
     fn blended_key(&self, vertex: u32, part: impl Fn(u32) -> u64) -> u64 {
         let entries = match self.origins.blend(vertex) {
             Some(VertexBlend::Blend(entries)) => entries,

@@ -13,14 +13,14 @@ pub const COMMIT_REFINE: u32 = 4;
 /// that touch.
 #[derive(Debug, Clone)]
 pub struct OpenOptions {
-    /// The format of the model; `None`: told by its first bytes.
+    /// The format of the model; `None`: detected by its first bytes.
     pub format: Option<Format>,
     /// How render vertices become solver vertices.
     pub weld: Weld,
     /// What happens to connected parts in which no handle lies.
     pub policy: FreePartPolicy,
-    /// How graph and hierarchy are built, and whether parts are tied to each other. Which parts may be is told by
-    /// `kept_apart`.
+    /// How graph and hierarchy are built, and whether parts are tied to each other. `kept_apart` lists parts without
+    /// ties.
     pub body: BodyOptions,
     /// Parts that get no ties.
     pub kept_apart: KeptApart,
@@ -84,7 +84,7 @@ pub struct SolveSettings {
     pub spatial_rbf: bool,
 }
 
-/// How poses are solved for after an edit where none was solved before it. Records of edits do not tell it: it stays as it is.
+/// How poses are solved for after an edit where none was solved before it. Records of edits lack it: never change it.
 pub(super) const EDITED_AT_REST: SolveSettings = SolveSettings {
     tolerance: Some(1e-4),
     max_error: None,
@@ -114,6 +114,6 @@ impl Default for SolveSettings {
 pub enum SolveMode {
     /// Starts from the last result, for the sake of speed.
     Drag,
-    /// Depends on nothing but model, handles, poses and settings, so that it can be repeated to the bit.
+    /// Depends on model, handles, poses and settings alone, so that repeated results are bit-identical.
     Commit,
 }

@@ -152,7 +152,7 @@ mod tests {
         assert_eq!(
             (still.normals[0], still.normals[4]),
             (bent, Vec3::Z),
-            "at rest the authored bits stay"
+            "in the rest pose the authored bits stay"
         );
         // A quarter turn about x takes y to z.
         let turned: Vec<DVec3> = rest.iter().map(|p| DVec3::new(p.x, -p.z, p.y)).collect();

@@ -8,9 +8,9 @@ use crate::graph::TieAnchor;
 use crate::mesh::{Components, Mesh};
 use glam::DVec3;
 
-/// How many loose parts are told.
+/// How many loose parts are listed.
 const MOST_TOLD: usize = 16;
-/// Held places of two parts further apart than at rest by this part of the diagonal are pulled apart.
+/// Parts are pulled apart where two handles take one place further apart than this part of the diagonal.
 const PULLED: f64 = 0.01;
 /// How many pairs of handles one warning is made for.
 const MOST_PAIRS: usize = 8;

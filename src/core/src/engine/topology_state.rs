@@ -1,8 +1,8 @@
-//! How the bodies of edited models came about, to the bit: from a model on, edit after edit.
+//! How the bodies of edited models came about: from a model on, edit after edit.
 //!
-//! A body after an edit is that before, repaired; so it depends on all edits since a body was last built from nothing. Of
-//! each of them the change of the mesh is kept, and where a deformation had moved the graph's nodes. Following them again
-//! gives the same bits; solving is no part of it.
+//! A body after an edit is that before, repaired; so it depends on all edits since a body was last built from nothing.
+//! For each edit the change of the mesh is stored, and the graph's nodes where a deformation had moved them. Repeating
+//! the edits gives the same bits, without solving.
 
 use super::error::Error;
 use super::mesh_delta::MeshDelta;

@@ -72,11 +72,11 @@ impl<'a> Tube<'a> {
         Ok(tube)
     }
 
-    /// Returns for each point whether it is no further away than the radius, as by its distances from all segments.
+    /// Returns for each point whether it is within the radius, as by its distances from all segments.
     ///
     /// # Errors
     /// When most points lie so near to the surface of the tube that its pieces have to be compared one by one, and
-    /// when the work was given up.
+    /// when the caller cancels.
     pub fn find_inside(
         &self,
         points: &[DVec3],

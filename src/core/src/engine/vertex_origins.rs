@@ -96,12 +96,12 @@ impl VertexOrigins {
         self.triangles.get(triangle).copied().unwrap_or(NONE)
     }
 
-    /// Says anew which triangle of its base each triangle was.
+    /// Sets which triangle of its base each triangle was.
     pub fn set_triangles(&mut self, was: Vec<u32>) {
         self.triangles = was;
     }
 
-    /// What the vertices are made of after an edit. `bare` tells of new vertices whether their surface is the edit's own.
+    /// What the vertices are made of after an edit. `bare`: whether a new vertex is on a surface that the edit made.
     pub fn after_edit(&self, applied: &PatchedSurface, patch: &SurfacePatch, bare: impl Fn(usize) -> bool) -> Self {
         let old = self.blends.len();
         let mut blends = VertexBlends::default();

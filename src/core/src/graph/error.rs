@@ -6,7 +6,7 @@ use crate::progress::Cancelled;
 /// Why a volume graph cannot be built as asked.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
-    /// A length among the options is no positive number.
+    /// A length among the options is not a positive number.
     #[error("{option} is {seen}, it must be a positive finite length")]
     Length {
         /// The option's name.

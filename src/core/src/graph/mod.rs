@@ -1,13 +1,13 @@
 //! The weighted graph that deformation is solved on (paper section 2): the mesh's own edges, and inside closed parts a
 //! volume graph after Zhou et al. 2005, which keeps them from collapsing.
 //!
-//! Owns nodes, edges, weights, components, and the winding number that building them needs. Knows nothing of handles,
-//! constraints or solving.
+//! Owns nodes, edges, weights, components, and the winding number that building them needs. Handles, constraints and
+//! solving are elsewhere.
 //!
 //! A volume graph has three kinds of nodes, in this order: the solver vertices of the mesh; the *shell*, a copy of each
-//! vertex moved inwards; and the *lattice*, a body-centred cubic grid further inside. Room `volume` builds it, room
-//! `resample` follows an edit of the mesh, and room `winding` tells what lies inside. Room `ties` joins parts of the mesh
-//! that touch.
+//! vertex moved inwards; and the *lattice*, a body-centred cubic grid further inside. Module `volume` builds it,
+//! `resample` follows an edit of the mesh, and `winding` finds what lies inside. `ties` joins parts of the mesh that
+//! touch.
 
 mod assemble;
 mod error;

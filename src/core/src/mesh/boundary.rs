@@ -17,7 +17,7 @@ pub struct BoundaryLoop {
     pub closed: bool,
 }
 
-/// All rims in the order of the first edge found on each. Where rims touch at a vertex they are told apart, so that
+/// All rims in the order of the first edge found on each. Where rims touch at a vertex they are separate, so that
 /// each loop passes a vertex at most once.
 ///
 /// # Panics

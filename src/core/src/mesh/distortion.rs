@@ -40,7 +40,7 @@ pub fn is_turned_over(p: [DVec3; 3], q: [DVec3; 3], cofactors: [&DMat3; 3]) -> b
     carried.dot(normal(q)) < 0.0
 }
 
-/// The larger singular value of the map between two triangles; `None` for one without area at rest.
+/// The larger singular value of the map between two triangles; `None` for one without rest area.
 pub fn largest_stretch(p: [DVec3; 3], q: [DVec3; 3]) -> Option<f64> {
     let (e, f) = (p[1] - p[0], p[2] - p[0]);
     let x = e.try_normalize()?;

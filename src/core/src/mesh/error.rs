@@ -21,7 +21,7 @@ pub enum Error {
         /// How many vertices there are.
         vertices: usize,
     },
-    /// The weld tolerance is no length.
+    /// The weld tolerance is not a length.
     #[error("weld tolerance is {seen}, it must be finite and at least 0")]
     Tolerance {
         /// The value given.

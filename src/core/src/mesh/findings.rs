@@ -1,4 +1,4 @@
-//! What is unusual about a mesh, place by place, and how it is told.
+//! What is unusual about a mesh, place by place, and how it is reported.
 
 use crate::mesh::adjacency::{Adjacency, MeshEdge};
 use crate::mesh::boundary::{BoundaryLoop, boundary_loops};
@@ -79,7 +79,7 @@ pub(super) fn describe_findings(mesh: &Mesh, found: &MeshFindings, parts: &[(u32
         (format!("{} {of}, {place}", grouped_count(count as u64)), corner)
     };
     let mut words = FindingWords::default();
-    let kind = ["boundary-loop", "hole or open rim", "holes or open rims"];
+    let kind = ["boundary-loop", "hole", "holes"];
     words.add_kind(kind, &found.loops, |l| counted(l.edges, "edges long", l.vertex));
     let kind = [
         "crack",

@@ -263,7 +263,7 @@ mod tests {
         let w = &r.warnings[0];
         assert!(
             w.message
-                .starts_with("30 holes or open rims, first 3 edges long, at render vertex 0"),
+                .starts_with("30 holes, first 3 edges long, at render vertex 0"),
             "{}",
             w.message
         );

@@ -141,7 +141,7 @@ mod tests {
     }
 
     fn count(positions: &[DVec3], triangles: &[[u32; 3]]) -> u64 {
-        self_intersections(positions, triangles, &Exec::new(&pool(), &Silent)).expect("nobody cancels")
+        self_intersections(positions, triangles, &Exec::new(&pool(), &Silent)).expect("no cancel")
     }
 
     fn points(p: &[[f64; 3]]) -> Vec<DVec3> {
@@ -234,7 +234,7 @@ mod tests {
         assert_eq!(count(&nan, &[[0, 1, 2], [1, 2, 3], [0, 2, 3]]), 0);
         let heap = vec![DVec3::ONE; 300];
         let triangles: Vec<[u32; 3]> = (0..100).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
-        assert_eq!(count(&heap, &triangles), 0, "points are no surface");
+        assert_eq!(count(&heap, &triangles), 0, "points are not a surface");
     }
 
     #[test]

@@ -220,7 +220,7 @@ mod tests {
         now[3].z = 0.01;
         assert!(
             local_turns(&rest, &now, &triangles)[1].is_none(),
-            "a vertex that has parted tells nothing"
+            "a vertex that has parted says nothing"
         );
     }
 

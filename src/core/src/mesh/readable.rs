@@ -7,8 +7,8 @@ use glam::DVec3;
 /// ```
 /// use pliant_core::mesh::brief_number;
 ///
-/// let told = [0.1565576, -203.39247, 0.0, 12345.6, 2.0, 1.5e-7].map(brief_number);
-/// assert_eq!(told, ["0.157", "-203", "0", "12,346", "2", "1.50e-7"]);
+/// let brief = [0.1565576, -203.39247, 0.0, 12345.6, 2.0, 1.5e-7].map(brief_number);
+/// assert_eq!(brief, ["0.157", "-203", "0", "12,346", "2", "1.50e-7"]);
 /// ```
 #[must_use]
 pub fn brief_number(x: f64) -> String {

@@ -11,7 +11,7 @@ use glam::{DMat3, DVec3, Vec3, Vec4};
 ///
 /// `triangles` index `rest` and `deformed`; `corners` has the same shape and says which shading vertex each corner is
 /// (the same slice twice when every vertex shades on its own, as in glTF). The result is `None` where every triangle
-/// around the shading vertex kept its positions to the bit, or where there is none: such a vertex keeps its normal.
+/// around the shading vertex kept its exact positions, or where there is none: such a vertex keeps its normal.
 ///
 /// # Panics
 /// When an index is out of range or the two slices differ in length; readers guarantee neither happens.

@@ -1,8 +1,8 @@
 //! Which vertices are one point: welding by equal coordinates, up to rounding, or within a distance.
 //!
 //! Seams in a model's shading split one point into several render vertices; the solver must see one. Every way gives
-//! each vertex the smallest index of its class, or of the class member that it was found close to, and depend on
-//! nothing but the order of the input.
+//! each vertex the smallest index of its class, or of the class member that it was found close to. The result
+//! depends on the order of the input alone.
 
 use crate::mesh::error::Error;
 use glam::DVec3;
@@ -10,7 +10,7 @@ use glam::DVec3;
 /// How render vertices are joined into solver vertices.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Weld {
-    /// Vertices with the same coordinates to the bit are one (-0 and 0 are the same).
+    /// Vertices with exactly the same coordinates are one (-0 and 0 are the same).
     Exact,
     /// As [`Weld::Exact`]; vertices on open edges that differ by rounding are one as well. They are no further apart than
     /// 1e-7 of the bounding box's diagonal, and than a thousandth of the edges there. So a surface without open edges is
@@ -29,7 +29,7 @@ const ROUNDING: f64 = 1e-7;
 const OF_EDGE: f64 = 1e-3;
 
 /// The representative (an index into `positions`, at most the vertex's own) of each vertex; representatives represent
-/// themselves. Vertices for which `used` is false represent themselves and nobody else.
+/// themselves. Vertices for which `used` is false represent only themselves.
 ///
 /// # Errors
 /// [`Error::Tolerance`] when the tolerance is negative or not finite.

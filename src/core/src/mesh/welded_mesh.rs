@@ -52,7 +52,7 @@ impl Mesh {
     ///
     /// # Errors
     /// [`Error`] when an index is out of range, a used position is not finite or outside the range of `f32`, the
-    /// tolerance is no length, there are more than 32-bit indices can name, or no face is left.
+    /// tolerance is not a length, there are more than 32-bit indices can name, or no face is left.
     pub fn build(positions: &[DVec3], triangles: &[[u32; 3]], weld: Weld) -> Result<Self, Error> {
         // Six list entries a triangle (both directions of each edge) must be countable with 32 bits.
         let limit = (NONE / 6) as usize;

@@ -4,7 +4,7 @@ use super::curve::KeyedCurve;
 use super::skeleton::{JointPose, Skeleton};
 use glam::{DQuat, DVec3};
 
-/// What a clip moves of a joint; what it does not move stays at rest.
+/// What a clip moves of a joint; what it does not move stays in the rest pose.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct JointCurves {
     /// Relative to the joint above, in units of the clip.

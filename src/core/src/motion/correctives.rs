@@ -1,8 +1,8 @@
-//! Correctives: shapes at rest that make linear blend skinning play what was solved (pose space deformation, Lewis et al. 2000).
+//! Correctives: rest shapes with which skinning plays solved frames (pose space deformation, Lewis et al. 2000).
 //!
-//! For chosen frames, the difference between what was solved and what bones and weights alone make of the rest shape is taken back to
-//! rest, vertex by vertex, so that skinning the corrected rest shape gives the frame. Frames in between blend correctives by weights
-//! from 0 to 1 that come nearest to what was solved.
+//! For chosen frames, the difference between the solved frame and the rest shape skinned by bones and weights alone is
+//! mapped back to the rest pose, vertex by vertex, so that skinning the corrected rest shape gives the frame. Frames in
+//! between blend correctives by weights from 0 to 1 that come nearest to the solved frame.
 
 use crate::exec::Exec;
 use crate::motion::influences::BoneInfluences;
@@ -27,7 +27,7 @@ pub struct SkinnedFrames<'a> {
     pub rest: &'a [DVec3],
     /// By vertex, the bones that it follows.
     pub influences: &'a [BoneInfluences],
-    /// By frame and bone, where the bone takes what lies at rest.
+    /// By frame and bone, the motion from the rest pose.
     pub motions: &'a [Vec<RigidMotion>],
     /// By frame and vertex, where it ought to be.
     pub wanted: &'a [Vec<Vec3>],
@@ -38,7 +38,7 @@ pub struct SkinnedFrames<'a> {
 pub struct CorrectiveShapes {
     /// The frames whose difference each corrective is.
     pub frames: Vec<usize>,
-    /// By corrective, how far each vertex is moved at rest.
+    /// By corrective, how far it moves each rest position.
     pub shifts: Vec<Vec<DVec3>>,
     /// By frame and corrective, 0 to 1.
     pub weights: Vec<Vec<f64>>,
@@ -77,13 +77,13 @@ struct CorrectedFrame {
     largest: f64,
 }
 
-/// Finds up to `most` correctives, one after the other at the frame that is farthest off by then.
+/// Finds up to `most` correctives, each at the frame with the largest error left.
 ///
 /// # Errors
-/// [`Cancelled`] when nobody wants the result any more.
+/// [`Cancelled`] when the caller cancels.
 ///
 /// # Panics
-/// When frames or vertices of `skinned` are not as many.
+/// When the fields of `skinned` differ in the number of frames or vertices.
 pub fn fit_correctives(
     skinned: &SkinnedFrames<'_>,
     most: usize,
@@ -119,7 +119,7 @@ pub fn fit_correctives(
     }
 }
 
-/// How far each vertex has to be moved at rest to be where it ought to be in a frame.
+/// How far each rest position has to move so that the vertex is at its wanted position in a frame.
 fn shift_at_rest(skinned: &SkinnedFrames<'_>, frame: usize, bones: &PosedBones) -> Vec<DVec3> {
     let vertices = skinned.rest.iter().zip(skinned.influences).zip(&skinned.wanted[frame]);
     vertices

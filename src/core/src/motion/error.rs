@@ -3,7 +3,7 @@
 /// Why a clip cannot be read. Lines count from 1.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Error {
-    /// The text is no clip of this format.
+    /// The text is not a clip of this format.
     #[error("line {line}: {problem}")]
     Malformed {
         /// Where.

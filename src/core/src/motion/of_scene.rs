@@ -78,7 +78,7 @@ pub fn clip_of_scene(scene: &MovingScene, order: &NodeOrder, clip: Option<&Scene
     motion
 }
 
-/// Tells of joints, or what they hang on, with matrices that shear: a skeleton turns, shifts and scales alone.
+/// Warns of joints, or nodes above them, with matrices that shear: a skeleton only turns, shifts and scales.
 fn shear_warning(scene: &MovingScene, order: &NodeOrder) -> Option<String> {
     let mut carries = scene.is_joint.clone();
     for &node in order.nodes.iter().rev() {

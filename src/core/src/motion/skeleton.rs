@@ -9,7 +9,7 @@ pub struct SkeletonJoint {
     pub name: String,
     /// Number of the joint that it hangs on, which is smaller than its own; `None` for a root.
     pub parent: Option<usize>,
-    /// Where it is at rest, relative to the joint above.
+    /// Its rest pose, relative to the joint above.
     pub rest: JointPose,
 }
 
@@ -53,7 +53,7 @@ impl Skeleton {
         self.joints.iter().position(|joint| joint.name == name)
     }
 
-    /// The pose at rest, one per joint.
+    /// The rest pose, one per joint.
     pub fn rest_pose(&self) -> Vec<JointPose> {
         self.joints.iter().map(|joint| joint.rest).collect()
     }

@@ -129,7 +129,7 @@ impl ViewDirection {
     }
 }
 
-/// A camera is a view direction with a scale and a middle: it tells which point of the model falls on which pixel.
+/// A camera is a view direction with a scale and a middle: it maps points of the model to pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Camera {
     axes: [DVec3; 3],

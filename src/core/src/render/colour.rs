@@ -22,7 +22,7 @@ pub(super) fn linear_from_hex(hex: u32) -> Vec3 {
     Vec3::new(channel(16), channel(8), channel(0))
 }
 
-/// Steps of linear light that a [`SrgbTable`] tells apart.
+/// Steps of linear light that a [`SrgbTable`] resolves.
 const STEPS: usize = 8192;
 
 /// A table that turns linear light into sRGB bytes.

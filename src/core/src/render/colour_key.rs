@@ -4,7 +4,7 @@ use super::colour::{ColourRamp, SrgbTable, linear_from_hex};
 use super::font;
 use super::picture::{INK, Picture};
 
-/// A key tells what the colours of a picture mean.
+/// A key shows what the colours of a picture mean.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColourKey {
     ramp: ColourRamp,

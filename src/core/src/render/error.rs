@@ -34,7 +34,7 @@ pub enum Error {
         /// Most in all.
         most: u64,
     },
-    /// A direction of view is no direction.
+    /// A direction of view is out of range.
     #[error("the view is {azimuth},{elevation}; the azimuth must be -360 to 360 degrees, the elevation -90 to 90")]
     View {
         /// Degrees around the up axis.

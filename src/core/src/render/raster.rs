@@ -274,7 +274,7 @@ fn shade_matt(normal: Vec3) -> f32 {
     0.42 + 0.58 * received_light(normal)
 }
 
-/// Shades base colours: they stay what they are in full light, and shapes are still told.
+/// Shades base colours: they are unchanged in full light, and shapes are still visible.
 fn shade_dressed(normal: Vec3) -> f32 {
     (0.22 + 0.74 * received_light(normal)).min(1.0)
 }

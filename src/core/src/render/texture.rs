@@ -156,7 +156,11 @@ fn check_size(width: usize, height: usize) -> Result<(), String> {
 }
 
 fn decode_png(bytes: &[u8]) -> Result<TextureLevel, String> {
-    let failed = |e: png::DecodingError| format!("it is no whole PNG: {e}").to_lowercase().replace("png", "PNG");
+    let failed = |e: png::DecodingError| {
+        format!("it is not a complete PNG: {e}")
+            .to_lowercase()
+            .replace("png", "PNG")
+    };
     let mut decoder = png::Decoder::new_with_limits(
         std::io::Cursor::new(bytes),
         png::Limits {
@@ -182,7 +186,7 @@ fn decode_png(bytes: &[u8]) -> Result<TextureLevel, String> {
 }
 
 fn decode_jpeg(bytes: &[u8]) -> Result<TextureLevel, String> {
-    let failed = |e: zune_jpeg::errors::DecodeErrors| format!("it is no whole JPEG: {e}");
+    let failed = |e: zune_jpeg::errors::DecodeErrors| format!("it is not a complete JPEG: {e}");
     let options = DecoderOptions::default()
         .set_max_width(LONGEST_SIDE)
         .set_max_height(LONGEST_SIDE)
@@ -190,7 +194,7 @@ fn decode_jpeg(bytes: &[u8]) -> Result<TextureLevel, String> {
         .jpeg_set_out_colorspace(ColorSpace::RGB);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(failed)?;
-    let (width, height) = decoder.dimensions().ok_or("it says no size")?;
+    let (width, height) = decoder.dimensions().ok_or("it declares no size")?;
     check_size(width, height)?;
     let samples = decoder.decode().map_err(failed)?;
     let texels = match decoder.output_colorspace() {

@@ -8,12 +8,12 @@ use glam::DVec3;
 pub const STRETCH_RANGE: f64 = 1.5;
 
 /// Computes how much longer the edges around each vertex have become: the mean of the logarithms of length over rest length, to
-/// the base [`STRETCH_RANGE`], each edge counting by its rest length. 0 = as at rest, 1 = half as long again, -1 = two
+/// the base [`STRETCH_RANGE`], each edge counting by its rest length. 0 = rest length, 1 = half as long again, -1 = two
 /// thirds. 0 too for a vertex without edges.
 ///
 /// # Errors
-/// [`Error::Empty`] or [`Error::Surface`] when rest shape and triangles are no surface, [`Error::Count`] when there are
-/// more or fewer deformed positions than rest positions.
+/// [`Error::Empty`] or [`Error::Surface`] when rest shape and triangles are not a surface, [`Error::Count`] when there
+/// are more or fewer deformed positions than rest positions.
 pub fn edge_stretch(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Result<Vec<f64>, Error> {
     same_count(rest, deformed)?;
     // Seams are closed, so that both sides of one get the same number.

@@ -79,7 +79,7 @@ fn a_joint_that_the_clip_lacks_is_refused_with_those_that_it_has() {
     rig.bones[1].joint = "LeftForeArm".into();
     let told = refused(&rig).expect_err("refused").to_string();
     let expected =
-        "joint: \"LeftForeArm\" of bone \"fore\" is no joint of the clip; it has \"upper\", \"fore\", \"hand\"";
+        "joint: \"LeftForeArm\" of bone \"fore\" is not a joint of the clip; it has \"upper\", \"fore\", \"hand\"";
     assert!(told.starts_with(expected), "{told}");
     rig = arm_rig(1);
     rig.reference = pliant_core::motion::rig::ReferencePose::Frame(3);

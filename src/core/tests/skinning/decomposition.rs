@@ -200,7 +200,7 @@ fn what_cannot_be_is_refused_with_what_may() {
     );
     assert_eq!(
         told(ShapeSequence::new(&[DVec3::ZERO, DVec3::NAN]).expect_err("refused")),
-        "the rest shape: position 1 is no point of finite numbers"
+        "the rest shape: position 1 is not a point of finite numbers"
     );
     let mut sequence = ShapeSequence::new(&[DVec3::ZERO; 3]).expect("points");
     assert_eq!(
@@ -211,7 +211,7 @@ fn what_cannot_be_is_refused_with_what_may() {
     let infinite = [DVec3::ZERO, DVec3::ZERO, DVec3::INFINITY];
     assert_eq!(
         told(sequence.push(&infinite).expect_err("refused")),
-        "frame 1: position 2 is no point of finite numbers"
+        "frame 1: position 2 is not a point of finite numbers"
     );
     let pool = Pool::new(1).expect("a thread");
     let exec = Exec::new(&pool, &Silent);

@@ -174,7 +174,7 @@ fn what_cannot_be_is_refused_with_what_may() {
     );
     assert_eq!(
         refused(&[DVec3::ZERO, DVec3::NAN], &[], &bones, &usual),
-        "vertex 1: is no point of finite numbers"
+        "vertex 1: is not a point of finite numbers"
     );
     assert_eq!(
         refused(&[DVec3::ZERO], &[[0, 0, 1]], &bones, &usual),
@@ -187,7 +187,7 @@ fn what_cannot_be_is_refused_with_what_may() {
     let nowhere = chain([[DVec3::ZERO, DVec3::INFINITY]]);
     assert_eq!(
         refused(&positions, &triangles, &nowhere, &usual),
-        "bone 0: has an end that is no point of finite numbers"
+        "bone 0: has an end that is not a point of finite numbers"
     );
     let circle = [SkinBone {
         parent: Some(0),
@@ -195,7 +195,7 @@ fn what_cannot_be_is_refused_with_what_may() {
     }];
     assert_eq!(
         refused(&positions, &triangles, &circle, &usual),
-        "bone 0: hangs on a bone that does not come before it; parents come first"
+        "bone 0: has a parent that does not come before it; parents come first"
     );
     let with = |change: fn(&mut SkinWeightOptions)| {
         let mut options = coarse();

@@ -150,7 +150,7 @@ impl JwtVerifier {
                 retry_after_s: Some(u32::try_from(pause).unwrap_or(u32::MAX)),
                 ..Error::new(
                     ErrorCode::Unavailable,
-                    "the keys that tokens are checked with cannot be had now; the server's log says why",
+                    "the keys to check tokens with are not available now; the server's log says why",
                 )
             });
         }
@@ -166,7 +166,7 @@ impl JwtVerifier {
         self.fetch(every).await;
     }
 
-    /// Fetches the keys unless that was tried within `pause`. What cannot be had leaves those that are there, and is told once.
+    /// Fetches the keys unless that was tried within `pause`. A failure keeps the present keys, and is logged once.
     async fn fetch(&self, pause: Duration) {
         let mut fetched = self.0.fetched.lock().await;
         if fetched.tried.is_some_and(|tried| tried.elapsed() < pause) {

@@ -32,7 +32,7 @@ impl KeySet {
     /// What is wrong with it; also a set without any key that can be used.
     pub fn read(text: &[u8], allowed: &[Algorithm]) -> Result<Self, String> {
         let document: Document =
-            serde_json::from_slice(text).map_err(|e| format!("they are no JSON Web Key Set: {e}"))?;
+            serde_json::from_slice(text).map_err(|e| format!("they are not a JSON Web Key Set: {e}"))?;
         let keys = document.keys.into_iter().take(MOST_KEYS);
         let usable: Vec<SigningKey> = keys.filter_map(|key| signing_key(key, allowed)).collect();
         if usable.is_empty() {

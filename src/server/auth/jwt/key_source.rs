@@ -52,7 +52,7 @@ pub(super) fn read_keys(path: &Path) -> Result<Bytes, String> {
 
 /// Follows no redirections: the address that was configured is the one that is trusted.
 async fn fetch_url(url: &str, ca: Option<&Path>) -> Result<Bytes, String> {
-    let uri: Uri = url.parse().map_err(|_| "it is no address".to_owned())?;
+    let uri: Uri = url.parse().map_err(|_| "it is not an address".to_owned())?;
     let client = Client::builder(TokioExecutor::new()).build::<_, Empty<Bytes>>(https_connector(ca)?);
     let answer = client.get(uri).await.map_err(|e| error_chain(&e))?;
     if answer.status() != StatusCode::OK {

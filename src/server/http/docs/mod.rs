@@ -20,7 +20,7 @@ const SCRIPT: &str = include_str!("page.js");
 
 static PAGE: LazyLock<Result<String, Error>> = LazyLock::new(|| {
     let document: Value = serde_json::from_str(&openapi::document()?)
-        .map_err(|_| Error::new(crate::session::ErrorCode::Internal, "the API description is no JSON"))?;
+        .map_err(|_| Error::new(crate::session::ErrorCode::Internal, "the API description is not JSON"))?;
     Ok(render(&document))
 });
 
@@ -78,8 +78,8 @@ fn render(document: &Value) -> String {
          <p>The same calls answer over gRPC and gRPC-Web on this port, as <code>pliant.v1.Deformer</code>. \
          <a href=\"/openapi.json\">/openapi.json</a> is this page for programs, \
          <a href=\"/v1/limits\">/v1/limits</a> what this server allows.</p>\n\
-         <p>Examples fit a session with a built-in model: open one first (<code>sample=creature</code>), whose <code>id</code> the next calls \
-         take.</p>\n\
+         <p>Examples fit a session with a built-in model. Open it first, as <code>createSession</code> shows: the other calls use its \
+         <code>$id</code> in curl and its <code>session</code> in Python, which needs the package of <code>proto/clients/python</code>.</p>\n\
          <noscript><p>Without scripts this page neither searches nor calls.</p></noscript>\n\
          <label>Token, where the server asks for one <input id=\"token\" type=\"password\" autocomplete=\"off\"></label>\n\
          <p id=\"nothing\" hidden>Nothing fits.</p>\n\
@@ -133,40 +133,22 @@ fn call(page: &mut String, method: &str, path: &str, operation: &Value, shared: 
     body(&mut rows, "body", &operation["requestBody"]["content"]);
     answers(&mut rows, operation, shared);
     table(page, &rows);
-    example(page, method, path, operation);
+    samples(page, method, path, operation);
     page.push_str("</section>\n");
 }
 
-/// A command line that makes the call, and what the script makes it from.
-fn example(page: &mut String, method: &str, path: &str, operation: &Value) {
+/// The samples of a call, and what the script makes it from.
+fn samples(page: &mut String, method: &str, path: &str, operation: &Value) {
+    for sample in operation["x-codeSamples"].as_array().into_iter().flatten() {
+        let [lang, source] = ["lang", "source"].map(|key| escape(word(&sample[key])));
+        let _ = writeln!(page, "<h4>{lang}</h4>\n<pre tabindex=\"0\"><code>{source}</code></pre>");
+    }
     if operation["responses"]["101"].is_object() {
-        // Nothing that a command line or a form can do.
+        // Nothing that a form can do.
         return;
     }
     let content = &operation["requestBody"]["content"];
     let json = &content["application/json"]["example"];
-    let parameters = || operation["parameters"].as_array().into_iter().flatten();
-    let mut address = path.to_owned();
-    let mut query = Vec::new();
-    for parameter in parameters() {
-        let (name, value) = (word(&parameter["name"]), word(&parameter["example"]));
-        match word(&parameter["in"]) {
-            "path" if !value.is_empty() => address = address.replace(&format!("{{{name}}}"), value),
-            "path" => address = address.replace(&format!("{{{name}}}"), &format!("${}", name.to_uppercase())),
-            "query" if !value.is_empty() => query.push(format!("{name}={value}")),
-            _ => {}
-        }
-    }
-    if !query.is_empty() {
-        address = format!("{address}?{}", query.join("&"));
-    }
-    let mut line = match method {
-        "GET" => format!("curl \"$SERVER{address}\""),
-        method => format!("curl -X {method} \"$SERVER{address}\""),
-    };
-    if json.is_object() {
-        let _ = write!(line, " \\\n  -H 'content-type: application/json' \\\n  -d '{json}'");
-    }
     let call = serde_json::json!({
         "method": method,
         "path": path,
@@ -174,12 +156,7 @@ fn example(page: &mut String, method: &str, path: &str, operation: &Value) {
         "json": json.is_object().then_some(json),
         "file": content.is_object() && !json.is_object(),
     });
-    let _ = writeln!(
-        page,
-        "<pre tabindex=\"0\"><code>{}</code></pre>\n<div data-call=\"{}\"></div>",
-        escape(&line),
-        escape(&call.to_string())
-    );
+    let _ = writeln!(page, "<div data-call=\"{}\"></div>", escape(&call.to_string()));
 }
 
 /// A row for what a body may be.
@@ -307,6 +284,12 @@ mod tests {
         for (path, methods) in entries(&document["paths"]) {
             for (method, operation) in entries(methods) {
                 assert!(places.contains(word(&operation["operationId"])), "{method} {path}");
+                for sample in operation["x-codeSamples"].as_array().unwrap() {
+                    assert!(
+                        page.contains(&escape(word(&sample["source"]))),
+                        "{method} {path}: {sample}"
+                    );
+                }
             }
         }
         for (name, schema) in entries(&document["components"]["schemas"]) {
@@ -350,12 +333,14 @@ mod tests {
             (&["/docs.js"][..], 1)
         );
         assert!(!SCRIPT.contains("://") && !SCRIPT.contains("innerHTML"));
-        let place = page.find("://");
+        // Samples call the server at its usual address.
+        let rest = page.replace("http://127.0.0.1:7411", "");
+        let place = rest.find("://");
         assert_eq!(
             place,
             None,
             "an address of elsewhere: {:?}",
-            place.map(|at| &page[at - 20..at + 20])
+            place.map(|at| &rest[at - 20..at + 20])
         );
     }
 

@@ -106,9 +106,9 @@ fn reach2(draft: &LevelDraft, ratio: f64) -> f32 {
 /// neighbours).
 ///
 /// In sweep order, a row becomes a seed unless a seed before it is a (not weak) neighbour within δ. Each row joins the
-/// adjacent seed with the least (squared distance) / weight, ties to the earlier one. Seeds tell their neighbours of
-/// both, so that only the rows of seeds are read. The outcome does not depend on who tells first: a block hears of
-/// seeds in blocks of other colours before or after it is swept, never while, and joining takes a minimum.
+/// adjacent seed with the least (squared distance) / weight, ties to the earlier one. Seeds write both to their
+/// neighbours, so that only the rows of seeds are read. The order of writes does not matter: seeds in blocks of other
+/// colours write to a block before or after its sweep, never during it, and joining takes a minimum.
 fn nearest_seeds(draft: &LevelDraft, blocks: &RowBlocks, reach2: f32, threads: Parallelism) -> Vec<u32> {
     let n = draft.rows();
     let placed = !draft.positions.is_empty();
@@ -145,7 +145,7 @@ fn nearest_seeds(draft: &LevelDraft, blocks: &RowBlocks, reach2: f32, threads: P
     offers.into_iter().map(|offer| offer.into_inner() as u32).collect()
 }
 
-/// What rows have heard from seeds.
+/// What seeds wrote to rows.
 struct ToldNeighbours {
     /// Whether a seed is near.
     covered: Vec<AtomicBool>,
@@ -157,7 +157,7 @@ struct ToldNeighbours {
 }
 
 impl ToldNeighbours {
-    /// Makes row `i` a seed, which tells its neighbours.
+    /// Makes row `i` a seed and updates its neighbours.
     #[inline(always)]
     fn take_seed<const WEIGHTED: bool, const PLACED: bool>(&self, draft: &LevelDraft, i: usize, threads: Parallelism) {
         self.offers[i].store(i as u64, Ordering::Relaxed);
@@ -308,7 +308,7 @@ mod tests {
         let groups = choose_aggregates(&level, &RowBlocks::new(&level, 64, threads()), 0.1, threads());
         assert_eq!(groups.len(), 1);
         let lone = groups.of_row.iter().filter(|&&g| g == NO_ROW).count();
-        assert_eq!(lone, 1, "the lone row needs no coarse row");
+        assert_eq!(lone, 1, "the single row needs no coarse row");
         assert_eq!(groups.members_of(0).len(), 101);
     }
 

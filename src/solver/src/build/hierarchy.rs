@@ -50,7 +50,7 @@ pub struct Hierarchy {
     pub(crate) thin: bool,
     /// What the hierarchy was built with.
     pub(crate) options: BuildOptions,
-    /// Tells systems of this hierarchy from those of others.
+    /// Identifies the systems of this hierarchy.
     pub(crate) token: Arc<()>,
     /// With the paper's operators: the graph itself, to be cut by constraints and then coarsened.
     pub(crate) paper: Option<UncutGraph>,
@@ -281,7 +281,7 @@ fn is_thin(level: &HierarchyLevel) -> bool {
     level.entries < VALENCE * level.occupied()
 }
 
-/// The largest power of two that is at most `v`, kept within 2^±1000; 1 for 0 and for what is no number.
+/// The largest power of two that is at most `v`, kept within 2^±1000; 1 unless `v` is positive and finite.
 pub(crate) fn power_of_two_below(v: f64) -> f64 {
     if !(v > 0.0 && v.is_finite()) {
         return 1.0;

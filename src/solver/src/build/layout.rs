@@ -30,7 +30,7 @@ pub(crate) fn arrange_rows(draft: &LevelDraft, blocks: &RowBlocks, threads: Para
 /// Puts the rows of `draft` behind all that `level` has, in blocks and colours of their own. Returns the row that each
 /// has become, and from [`RowBlocks::padded`] on the rows of `foreign`, which the draft's foreign neighbours stand for.
 ///
-/// The rows of `foreign` are not told of their new neighbours, and new rows have no aggregates.
+/// The rows of `foreign` do not get their new neighbours, and new rows have no aggregates.
 pub(crate) fn append_rows(
     level: &mut HierarchyLevel,
     draft: &LevelDraft,

@@ -119,8 +119,8 @@ impl HierarchyLevel {
             .map(|(j, w)| (j as usize, w))
     }
 
-    /// Neighbours that passes read a little after those of bundle `k`: whoever reads much of a row asks memory for it now. Nearer
-    /// ones would not come in time, and much further ones would be gone again.
+    /// Neighbours that passes read a little after those of bundle `k`, to prefetch their rows now. Nearer ones would
+    /// come too late, and much further ones would be evicted.
     #[inline(always)]
     pub(crate) fn later_neighbours(&self, k: usize) -> impl Iterator<Item = usize> + '_ {
         /// Entries: two bundles or so.
@@ -179,8 +179,8 @@ impl HierarchyLevel {
         4 * (words + self.weights.as_ref().map_or(0, Vec::len)) + 16 * self.positions.len()
     }
 
-    /// Stores which row of the next level each row belongs to. `ranks` and `coarse_ranks` tell which rows the rows of
-    /// the two drafts have become; `coarse_rows` is the number of rows of the next level, filling included.
+    /// Stores which row of the next level each row belongs to. `ranks` and `coarse_ranks` are the rows that the rows of
+    /// the two drafts became; `coarse_rows` is the number of rows of the next level, filling included.
     pub(crate) fn set_aggregates(
         &mut self,
         groups: &Aggregates,

@@ -28,7 +28,7 @@ const STEPS: (usize, f64) = (2, 1e-5);
 
 /// Iterates on `outer.workspace.x` from the values it holds, or from full multigrid.
 ///
-/// Unlike the rest of the solver it allocates its vectors anew.
+/// Unlike the rest of the solver it allocates new vectors.
 pub(crate) fn solve(
     outer: &mut GroupSolve<'_, '_>,
     paper: &PaperHierarchy,

@@ -23,17 +23,17 @@ pub struct GraphChange<'a> {
     /// For each vertex of the old graph its number in the new one, `u32::MAX` if it is gone. No two have the same.
     pub new_from_old: &'a [u32],
     /// Vertices of the new graph, rising: all that are new, and all whose neighbours, weights or position are not what
-    /// they were. A neighbour that merely has another number is no change. Positions of other vertices are not read.
+    /// they were. A new number of a neighbour is not a change. Positions of other vertices are not read.
     pub touched: &'a [u32],
 }
 
 /// What a repair did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RepairReport {
-    /// True if the hierarchy was built anew: more than a quarter of the vertices was touched or is gone, or the graph
-    /// is small, or it changed in a way that cannot be followed.
+    /// True if the hierarchy was rebuilt: more than a quarter of the vertices was touched or deleted, or the graph is
+    /// small, or its change cannot be followed.
     pub rebuilt: bool,
-    /// Vertices of all levels that were given new places, those of levels that were built anew not counted.
+    /// Vertices with new places, on all levels that were not rebuilt.
     pub moved: usize,
 }
 
@@ -66,7 +66,7 @@ pub(super) struct RepairPlan {
     pub(super) order: Vec<u32>,
 }
 
-/// Reads `change`. `None`: so much changes, or in such a way, that building anew is better.
+/// Reads `change`. `None` if a rebuild is better than a repair.
 ///
 /// # Errors
 /// [`Error::Invalid`] if the parts that are read contradict each other.
@@ -433,11 +433,11 @@ fn renumber_rows(
     (next, found)
 }
 
-/// Makes sure that vertices that are not touched have the edges that they had: those that the rows which leave their
-/// places have had with them are those that the touched vertices have.
+/// Checks that untouched vertices keep their edges: their edges with rows that leave their places must be those that
+/// the touched vertices have.
 ///
-/// `gone` are the rows whose vertices are gone, `origins` those that the touched vertices have had, `present` the
-/// neighbours of each touched vertex that are not touched, as (row, weight); `order` tells new numbers.
+/// `gone` are the rows of deleted vertices, `origins` those that the touched vertices had, `present` the untouched
+/// neighbours of each touched vertex, as (row, weight); `order` has the new numbers.
 fn check_border(
     level: &HierarchyLevel,
     touched: &[u32],

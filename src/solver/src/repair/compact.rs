@@ -1,4 +1,4 @@
-//! Levels without gaps: what repairs leave behind is arranged anew, aggregates and all.
+//! Levels without gaps: rearranges what repairs leave behind, aggregates included.
 
 use crate::build::draft::{LevelDraft, RowBlocks, UnorderedRows};
 use crate::build::layout::arrange_rows;
@@ -7,8 +7,8 @@ use crate::build::order::{along_curve, breadth_first};
 use crate::storage::NO_ROW;
 use crate::threads::Parallelism;
 
-/// The graph of a level in an order that keeps neighbours close, and the row of the level that each of its rows is.
-/// `lives` tells which rows are not filling.
+/// The graph of a level in an order that keeps neighbours close, and the row of the level for each of its rows. `lives`
+/// is true for rows that are not filling.
 pub(super) fn draft_of(
     level: &HierarchyLevel,
     lives: impl Fn(usize) -> bool,
@@ -52,8 +52,8 @@ pub(super) fn draft_of(
     (draft, rows)
 }
 
-/// Arranges `level` as if it had just been built; its aggregates stay what they are. `lives` tells which rows are not
-/// filling. Returns what each row has become, [`NO_ROW`] for filling.
+/// Arranges `level` as if it had just been built; its aggregates stay the same. `lives` is true for rows that are not
+/// filling. Returns the new row of each row, [`NO_ROW`] for filling.
 pub(super) fn rearrange_level(
     level: &mut HierarchyLevel,
     lives: impl Fn(usize) -> bool,
@@ -81,7 +81,7 @@ pub(super) fn rearrange_level(
     rank_of
 }
 
-/// Tells `level` that the rows of the next one, `rows` in all, have become what `rank_of` says.
+/// Renumbers the aggregates of `level` by `rank_of`, for a next level of `rows` rows.
 pub(super) fn renumber_aggregates(level: &mut HierarchyLevel, rank_of: &[u32], rows: usize) {
     let mut ranges = vec![[0; 2]; rows];
     for (&rank, range) in rank_of.iter().zip(&level.ranges).filter(|(rank, _)| **rank != NO_ROW) {

@@ -17,9 +17,9 @@ use crate::repair::rows::coarse_rows;
 use crate::storage::{NO_ROW, grow};
 use crate::threads::Parallelism;
 
-/// Levels above the first one with at most this many vertices are built anew rather than repaired.
+/// Levels above the first one with at most this many vertices are rebuilt, not repaired.
 const SMALL: usize = 4096;
-/// A level is arranged anew once it holds this many times as many rows or entries as it uses,
+/// A level is rearranged once it holds this many times as many rows or entries as it uses,
 const WASTE: usize = 2;
 /// and this many more.
 const WASTE_AT_LEAST: usize = 512;
@@ -48,7 +48,7 @@ impl Hierarchy {
     /// let shorter = WeightedGraph { offsets: &[0, 1, 3, 5, 6], neighbours: &[1, 0, 2, 1, 3, 2], ..chain };
     /// let change = GraphChange { new_from_old: &[0, 1, 2, 3, u32::MAX], touched: &[3] };
     /// let report = hierarchy.repair(&shorter, &change, &exec)?;
-    /// assert!(report.rebuilt, "so small a graph is built anew");
+    /// assert!(report.rebuilt, "so small a graph is rebuilt");
     /// assert_eq!(hierarchy.vertices(), 4);
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
@@ -65,7 +65,7 @@ impl Hierarchy {
         self.repair_above(SMALL, graph, change, exec)
     }
 
-    /// The same where `small` is the number of vertices up to which levels are built anew.
+    /// The same, with `small` in place of [`SMALL`].
     pub(super) fn repair_above(
         &mut self,
         small: usize,
@@ -96,8 +96,8 @@ impl Hierarchy {
 
     /// True once repairs have left so much behind that a build pays off, because solves take about a quarter longer than
     /// after one: an eighth of the finest level's rows stands in blocks that were appended, a fifth is empty, or it holds
-    /// a quarter as many unused entries as used ones. The number of iterations does not suffer, and repairs go on to
-    /// work: where more than half of a level lies waste, they arrange it anew.
+    /// a quarter as many unused entries as used ones. The number of iterations does not rise, and repairs still work:
+    /// they rearrange a level of which more than half is unused.
     pub fn is_worn(&self) -> bool {
         let level = &self.levels[0];
         let (filling, rows, vertices) = (level.filling() as usize, level.rows(), level.occupied());
@@ -151,7 +151,7 @@ impl Hierarchy {
         moved
     }
 
-    /// Arranges level `l` anew where most of it lies waste.
+    /// Rearranges level `l` where most of it is unused.
     fn rearrange_if_wasteful(&mut self, l: usize, threads: Parallelism) {
         let level = &self.levels[l];
         let much = |all: usize, used: usize| all > WASTE * used + WASTE_AT_LEAST;
@@ -178,7 +178,7 @@ impl Hierarchy {
         }
     }
 
-    /// Tells new rows of the finest level their vertices.
+    /// Sets the vertices of new rows of the finest level.
     fn name_vertices(&mut self, vertices: &[u32], placed: &PlacedRows) {
         let level = &self.levels[0];
         let more = level.rows() - self.order.len();
@@ -190,7 +190,7 @@ impl Hierarchy {
         }
     }
 
-    /// Tells the members of new groups of level `l` the rows that these have become, in the order of `sequence`.
+    /// Sets the rows of new groups of level `l` in their members. Groups are in the order of `sequence`.
     fn adopt_members(&mut self, l: usize, groups: &NewAggregates, sequence: &[u32], placed: &PlacedRows) {
         let rows = self.levels[l + 1].rows();
         let level = &mut self.levels[l];
@@ -211,7 +211,7 @@ impl Hierarchy {
         }
     }
 
-    /// Builds all levels above level `l` anew.
+    /// Rebuilds all levels above level `l`.
     fn coarsen_anew(&mut self, l: usize, threads: Parallelism) {
         self.levels.truncate(l + 1);
         let (finer, last) = self.levels.split_at_mut(l);

@@ -135,7 +135,7 @@ fn graphs_without_order_keep_the_promises_through_builds_and_repairs_on_several_
             check_levels(&hierarchy, &after.view());
             before = after;
         }
-        assert!(repaired >= 4, "{repaired} of 6 were repaired, not built anew");
+        assert!(repaired >= 4, "{repaired} of 6 were repaired, not rebuilt");
         sweeps_agree(&hierarchy, &before, &pools);
     }
 }

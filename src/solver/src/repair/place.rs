@@ -1,4 +1,4 @@
-//! Moving rows of a level: touched ones to new blocks at its end, and their old neighbours informed.
+//! Moving rows of a level: touched ones to new blocks at its end, with updates of old neighbours.
 
 use crate::build::draft::RowBlocks;
 use crate::build::layout::append_rows;
@@ -24,8 +24,8 @@ pub(super) struct PlacedRows {
 
 /// Takes the rows that leave out of `level` and appends the touched ones.
 ///
-/// A new row is swept after all old ones, and new blocks are not adjacent to others of their colour. Rows that border on
-/// those that move stay where they are; only their entries are written anew.
+/// A new row is swept after all old ones, and new blocks are not adjacent to others of their colour. Rows that border
+/// on those that move stay where they are; only their entries are rewritten.
 pub(super) fn place_rows(
     level: &mut HierarchyLevel,
     touched: TouchedRows,
@@ -128,8 +128,8 @@ fn clear_rows(level: &mut HierarchyLevel, dead: &[u32]) {
     level.occupied_rows -= dead.len();
 }
 
-/// Writes the entries of the rows of `border` anew, without those that lead to rows that are filling now, and with
-/// those of `added`: row, neighbour, weight. Both rise.
+/// Rewrites the entries of the rows of `border`, without those to rows that are now filling, and with those of `added`:
+/// row, neighbour, weight. Both are sorted.
 fn add_to_border(level: &mut HierarchyLevel, border: &[u32], added: &[(u32, u32, f32)]) {
     let filling = level.filling();
     let mut added = added.iter().copied().peekable();

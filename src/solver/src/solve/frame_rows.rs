@@ -39,7 +39,8 @@ impl PoseRow {
         1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0,
     ]);
 
-    /// Replaces M (paper equation (8)'s s R), told column by column. What else depends on it is right again once positions are shown.
+    /// Replaces M (paper equation (8)'s s R), given column by column. What depends on it is valid again after the next
+    /// positions.
     #[inline(always)]
     pub fn set_map(&mut self, map: &[f32; 9]) {
         for (out, column) in self.0.chunks_exact_mut(4).zip(map.as_chunks::<3>().0) {
@@ -74,7 +75,7 @@ impl PoseRow {
         }
     }
 
-    /// Replaces the columns of M, told with four numbers each, as [`PoseRow::set_map`].
+    /// Replaces the columns of M, given as four numbers each, as [`PoseRow::set_map`].
     #[inline(always)]
     pub fn set_map_columns(&mut self, columns: &MapColumns) {
         for (out, column) in self.0.as_chunks_mut::<4>().0.iter_mut().zip(columns) {

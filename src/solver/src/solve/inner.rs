@@ -20,7 +20,7 @@ const ROUNDING_DEEP: f64 = 6e-8;
 const SPOILT: f64 = 0.03;
 /// Tolerances below this one are worth an exact first step.
 const DEEP: f64 = 1e-4;
-/// An estimate that rounding may have spoilt is believed if it is this many times below what is asked for.
+/// An estimate that rounding may have falsified is accepted if it is this many times below the tolerance.
 const AMPLE: f64 = 4.0;
 /// The same where only the residual matters.
 const LOST: f64 = 0.3;
@@ -309,9 +309,9 @@ impl InnerState {
 /// Distance to the solution after a step, from the largest row of the step.
 ///
 /// Summing what later steps will move, each ρ times the one before, gives step · ρ / (1 − ρ). ρ is the mean reduction
-/// of the residual, or the last one if that was slower, without the first one, which removes what is rough and tells
-/// nothing about the smooth error that is left. Steps see that error better but fall less evenly, so where their last
-/// `shrinkage` says that it fell faster, it has a part in ρ only. The error falls unevenly too, hence a floor: on volume graphs, a step is followed
+/// of the residual, or the last one if that was slower, without the first one, which removes rough error and does not
+/// measure the smooth error that is left. Steps see that error better but fall less evenly, so a last `shrinkage` that
+/// is faster only contributes to ρ. The error falls unevenly too, hence a floor: on volume graphs, a step is followed
 /// by 0.1 to 0.5 times its length. Where rounding makes up a large `share` of the residual, its smooth part keeps the
 /// error from falling with it.
 fn estimate_error(history: &[f64], step: f64, shrinkage: Option<f64>, share: f64) -> f64 {

@@ -58,7 +58,7 @@ impl LinearEquations<'_> {
     /// side is projected to sum zero, and the mean of its start is kept (with starts other than `Given`: 0).
     ///
     /// If the criteria are not reached (`max_iterations`, or rounding) the best solution is in `x` and
-    /// [`SolveStats::converged`] is false: that is no error.
+    /// [`SolveStats::converged`] is false, without an error.
     ///
     /// # Errors
     /// [`Error::Invalid`] for lengths that do not fit, numbers that are not finite, or another hierarchy's system;

@@ -27,7 +27,7 @@ pub(super) struct OuterState {
     pub(super) resting: WideLanes,
     /// Error estimate of those.
     pub(super) resting_error: f64,
-    /// False if rounding may have spoilt the last error estimate.
+    /// False if rounding may have falsified the error estimate.
     pub(super) sound: bool,
     /// Stretches in a row that failed to halve the true residual.
     pub(super) poor: usize,

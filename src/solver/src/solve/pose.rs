@@ -24,13 +24,13 @@ const PIECE: usize = 256;
 
 /// One pose on the rows of a hierarchy, and what a drag carries from one to the next.
 ///
-/// Rows stand in the solver's own order ([`Hierarchy::row_vertices`]): whoever fills them reads and writes memory in the order in
-/// which the solver does, and nothing is brought from one order into another.
+/// Rows have the solver's order ([`Hierarchy::row_vertices`]): callers that fill them use memory in the order of the
+/// solver, and nothing is reordered.
 #[derive(Debug, Default)]
 pub struct PoseRows {
     /// The linear map of each row, beside what the solver puts there.
     pub rows: Vec<PoseRow>,
-    /// The position of each row at rest, p.
+    /// The rest position of each row, p.
     pub(super) rest: Vec<Lanes>,
     /// Σ w (p_i − p_j) of each row.
     pub(super) laplacians: Vec<Lanes>,
@@ -85,7 +85,7 @@ impl Hierarchy {
 }
 
 impl PoseRows {
-    /// Takes over rest positions and those to begin from, told by vertex, and sizes everything else; nothing of earlier poses is
+    /// Sets rest positions and start positions, given by vertex, and sizes everything else; nothing of earlier poses is
     /// left. All maps are the identity.
     pub fn begin(
         &mut self,
@@ -339,7 +339,7 @@ impl LinearSystem {
             && (pose.more.is_empty() || pose.more.len() == n);
         match self.can_solve_poses() && fits && (pose.open.is_empty() || pose.open.len() == n) {
             true => Ok(()),
-            false => Err(Error::Invalid("these rows are no pose of this system".into())),
+            false => Err(Error::Invalid("these rows are not a pose of this system".into())),
         }
     }
 }

@@ -212,7 +212,7 @@ impl RecalledSteps {
     }
 }
 
-/// Solves a small symmetric system in the unknowns that `known` tells; directions that others hold already get 0.
+/// Solves a small symmetric system in the unknowns of `known`; directions that depend on others get 0.
 fn solve_small(known: [bool; PLACES], matrix: &dyn Fn(usize, usize) -> f64, right: &[f64; PLACES]) -> [f64; PLACES] {
     /// A pivot below this part of its diagonal is rounding.
     const DEPENDENT: f64 = 1e-4;

@@ -522,7 +522,7 @@ impl RowVector for SharedRows<'_, Lanes> {
     }
 }
 
-/// A vector that nobody writes.
+/// A read-only vector.
 #[derive(Clone, Copy)]
 struct ReadOnlyRows<'a>(&'a [Lanes]);
 

@@ -20,7 +20,7 @@ pub struct Workspace {
     pub(crate) history: Vec<f64>,
     /// Vectors in double precision for the direct method and the fallback.
     pub(crate) wide: [Vec<WideLanes>; 3],
-    /// Solves so far: tells whether a residual that one of them has left is still here.
+    /// Solves so far, to detect whether the residual of an earlier one was overwritten.
     pub(crate) solves: u64,
 }
 

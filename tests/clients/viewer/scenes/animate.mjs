@@ -172,7 +172,7 @@ async function recordings({ browser, url, folder }) {
   const cache = cacheOf(folder, model, "--bvh", bvh, "--rig", rig);
   assert.equal(cache.frames, 12);
   assert.ok(farthest(gone, cache.of(11)) < 2e-6, "it is what pliant rig and pliant animate make of them");
-  await sheet.page.getByRole("button", { name: "Go where the clip goes" }).click();
+  await sheet.page.getByRole("button", { name: "Root motion" }).click();
   const stayed = await sheet.positions();
   assert.ok(farthest(gone, stayed) > 0.02, "in its place it is elsewhere");
 
@@ -185,7 +185,7 @@ async function recordings({ browser, url, folder }) {
   const held = (await sheet.until("cancelled", (state) => !state.animation.coming)).animation;
   assert.ok(held.kept < 2000);
   await frame(sheet, held.kept - 1);
-  await sheet.page.getByRole("button", { name: "Go on" }).click();
+  await sheet.page.getByRole("button", { name: "Resume" }).click();
   await sheet.until("more frames", (state) => state.animation.kept > held.kept);
 
   // A recording that is none: one line, and what is shown stays.

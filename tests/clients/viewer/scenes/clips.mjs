@@ -39,7 +39,7 @@ export async function play({ browser, url, server }) {
   // Hermite's polynomial: the tangent out of the first key adds an eighth of it times the two seconds.
   near(tip(await seek(sheet, 1)), [1.25, 4, 0], "half-way along the curve", 0.01);
   await choose("broken (moves nothing)");
-  assert.deepEqual(tip(await sheet.positions()), tip(rest), "a clip with times that are no numbers moves nothing");
+  assert.deepEqual(tip(await sheet.positions()), tip(rest), "a clip with times that are not numbers moves nothing");
   await sheet.page.getByText("1 of 1 channels have broken times").waitFor();
   await choose("empty (moves nothing)");
   assert.deepEqual(await sheet.positions(), rest);

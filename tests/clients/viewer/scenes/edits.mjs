@@ -39,7 +39,7 @@ export async function play({ browser, url, server, log }) {
   log(`remesh brush: ${opened.triangles} → ${brushed.triangles} triangles`);
   assert.notEqual(brushed.triangles, opened.triangles);
   assert.ok(brushed.triangles < opened.triangles * 3, "the rest of the creature keeps its triangles");
-  assert.equal((await sheet.ask("state")).selected, 0, "the stroke is no selection");
+  assert.equal((await sheet.ask("state")).selected, 0, "the stroke is not a selection");
   const undone = await step("the brush undone", () => sheet.key("Control+z"));
   assert.deepEqual(undone.positions, opened.positions);
   const redone = await step("the brush redone", () => sheet.key("Control+y"));
@@ -68,7 +68,7 @@ export async function play({ browser, url, server, log }) {
 
   // What an edit made is the rest shape; going back across it, the former rest shape and the poses are back.
   await sheet.key("k");
-  await sheet.page.getByText("as at rest").waitFor();
+  await sheet.page.getByText("as in the rest pose").waitFor();
   await sheet.picture("cut-stretch");
   const whole = await step("the cut undone", () => sheet.key("Control+z"));
   assert.deepEqual(whole.positions, dragged.positions);

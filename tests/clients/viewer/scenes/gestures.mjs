@@ -87,10 +87,10 @@ async function undoFollowsTheHand(sheet, server) {
   assert.equal(await told(), 2);
   assert.equal(await selectedOf(sheet), first, "what the handle was made of is selected again");
 
-  await travels(sheet, "Control+y", `Done again: ${made} made`);
-  await travels(sheet, "Control+y", "Done again: Selection by lasso");
+  await travels(sheet, "Control+y", `Redone: ${made} made`);
+  await travels(sheet, "Control+y", "Redone: Selection by lasso");
   assert.equal(await selectedOf(sheet), lassoed);
-  await travels(sheet, "Control+y", "Done again: Brush stroke");
+  await travels(sheet, "Control+y", "Redone: Brush stroke");
   assert.equal(await selectedOf(sheet), painted);
   assert.deepEqual(await named(), ["Feet", "Head", made]);
   for (const says of ["Undone: Brush stroke", "Undone: Selection by lasso", `Undone: ${made} made`]) await travels(sheet, "Control+z", says);
@@ -198,10 +198,10 @@ async function buttonsAreTheSame(sheet, log) {
   const hint = (words) => page.getByText(words).first().waitFor();
   await sheet.key("f");
   await checks("middle", "right");
-  await hint("The middle button looks around; with Shift, or with the right button, it pans; the wheel zooms.");
+  await hint("The middle button orbits; with Shift, or with the right button, it pans; the wheel zooms.");
   await page.getByRole("radio", { name: "right button" }).click();
   await checks("right", "middle");
-  await hint("The right button looks around; with Shift, or with the middle button, it pans; the wheel zooms.");
+  await hint("The right button orbits; with Shift, or with the middle button, it pans; the wheel zooms.");
   const after = await sheet.ask("state");
   assert.deepEqual([after.selected, after.revision], [0, revision], "looking around selects and records nothing");
   log("9 tools, 2 habits: every button does the same");

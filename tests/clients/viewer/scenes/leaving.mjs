@@ -50,7 +50,7 @@ export async function play({ browser, url, server }) {
   await opened("the other model opens");
   assert.ok(await isOpen(bent), "the bent one is still on the server");
   await page.getByRole("button", { name: "Close the model" }).click();
-  await page.getByRole("region", { name: "Open on this server" }).getByRole("button", { name: "Go on" }).first().click();
+  await page.getByRole("region", { name: "Open on this server" }).getByRole("button", { name: "Resume" }).first().click();
   await opened("the bent one is taken up again");
   assert.equal(await sheet.ask("session"), bent);
   assert.equal((await sheet.ask("handles")).find(({ name }) => name === "Head").pose.translation[1], 0.2);

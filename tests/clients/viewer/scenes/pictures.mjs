@@ -15,7 +15,7 @@ export async function play({ browser, url }) {
     await sheet.picture(`empty-${scheme}`);
 
     await sheet.pick({ name: "notes.txt", mimeType: "text/plain", buffer: Buffer.from("no model") });
-    await sheet.page.getByText("That is no model").waitFor();
+    await sheet.page.getByText("Not a model").waitFor();
     await sheet.pick({ name: "broken.glb", mimeType: "model/gltf-binary", buffer: Buffer.from("glTF, but not really") });
     await sheet.page.getByText("Opening broken.glb failed").waitFor();
     await sheet.picture(`error-${scheme}`);
@@ -36,7 +36,7 @@ export async function play({ browser, url }) {
     const [, head] = await sheet.ask("handles");
     await dragGrip(sheet, head, [{ x: 110, y: -30 }]);
     await sheet.key("k");
-    await sheet.page.getByText("as at rest").waitFor();
+    await sheet.page.getByText("as in the rest pose").waitFor();
     await sheet.picture(`stretch-${scheme}`);
     await sheet.key("k");
     const plain = await sheet.picture(`handles-${scheme}`);

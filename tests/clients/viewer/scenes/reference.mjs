@@ -26,6 +26,12 @@ export async function play({ browser, server }) {
   await page.getByRole("searchbox").fill("");
   assert.equal(await sections.filter({ visible: true }).count(), all);
 
+  // Each call shows how to make it with curl and, where the package has it, with Python.
+  const samples = await page.locator("section#solve pre").allInnerTexts();
+  assert.equal(samples.length, 2);
+  assert.match(samples[0], /^curl -X POST "http:.*\/v1\/sessions\/\$id\/solve"/);
+  assert.match(samples[1], /session\.solve\(/);
+
   // A call opens a session; the next ones know which.
   const call = (words) => {
     const section = sections.filter({ has: page.locator("h3", { hasText: words }) }).first();

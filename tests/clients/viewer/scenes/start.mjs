@@ -40,7 +40,7 @@ export async function play({ browser, folder }) {
     const [unnamed, ...rest] = await names();
     assert.match(unnamed, /^GLB [0-9a-f]{8}$/, "a model without a name goes by its format");
     assert.deepEqual(rest, Array.from({ length: MANY }, (_, k) => `dog-${MANY - k}.glb`), "all of them, the newest first");
-    for (const line of await list.locator("small").allInnerTexts()) assert.match(line, /^opened (just now|\d+ minutes? ago), 8\D?628 vertices, 0 handles; revision 1, ends in \d+ (minute|hour|day)s? unless used$/);
+    for (const line of await list.locator("small").allInnerTexts()) assert.match(line, /^opened (just now|\d+ minutes? ago), 8\D?628 vertices, 0 handles; revision 1, expires in \d+ (min|h|d) if unused$/);
     // What others open meanwhile is listed when the window is looked at again.
     await open(ours[0], "later.glb");
     await sheet.page.evaluate(() => dispatchEvent(new Event("focus")));

@@ -24,10 +24,10 @@ export async function play({ browser, folder }) {
     await field.waitFor();
     await field.fill("pliant_of-another-server");
     await field.press("Enter");
-    await page.getByText("does not know that token").waitFor();
+    await page.getByText("rejects that token").waitFor();
     await sheet.picture("token");
     await field.fill(token);
-    await page.getByRole("button", { name: "Go on" }).click();
+    await page.getByRole("button", { name: "Continue" }).click();
     await page.getByRole("button", { name: "Open the sample creature" }).click();
     await sheet.until("the creature opens, and its stream", ({ link, busy, revision }) => link === "open" && !busy && revision === "2");
     const id = await sheet.ask("session");
@@ -46,7 +46,7 @@ export async function play({ browser, folder }) {
     await cancel.click();
     await other.page.getByRole("button", { name: "Open the sample creature" }).click();
     await cancel.click();
-    await other.page.getByText("must know who asks").waitFor();
+    await other.page.getByText("this server needs a token").waitFor();
     await other.page.close();
     assert.deepEqual(sheet.complaints.filter((text) => !/401/.test(text)), []);
   } finally {

@@ -15,7 +15,7 @@ export async function play({ browser, url, server }) {
   await second.page.goto(url());
   await second.ready();
   const list = second.page.getByRole("region", { name: "Open on this server" });
-  await list.locator(".session").first().getByRole("button", { name: "Go on" }).click();
+  await list.locator(".session").first().getByRole("button", { name: "Resume" }).click();
   await second.until("the second window takes the session up", ({ link, busy }) => link === "open" && !busy);
   assert.equal(await second.ask("session"), id);
 

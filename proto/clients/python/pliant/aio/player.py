@@ -30,7 +30,7 @@ class Animation:
         self._call: Any = None
         self._taken = 0
         self._closed = False
-        #: How often a lost connection was opened anew.
+        #: How often a lost connection was opened again.
         self.reconnects = 0
         self._open()
         self._frames = self._run()

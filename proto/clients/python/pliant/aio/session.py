@@ -124,7 +124,7 @@ class Session(Declared):
         return Animation(self._calls, playing, self.info.limits.message_bytes, progress)
 
     async def positions(self) -> Floats:
-        """The current shape, (render vertices, 3): at rest before anything was solved."""
+        """The current shape, (render vertices, 3): the rest pose before anything was solved."""
         values = np.frombuffer(await self._calls.get(f"/v1/sessions/{self.id}/positions"), "<f4")
         return values.reshape(-1, 3).astype(np.float32)
 
@@ -160,7 +160,7 @@ class Session(Declared):
         return done
 
     async def undo(self) -> pb.Session:
-        """Goes back by one commit; positions return to the bit."""
+        """Goes back by one commit; positions return bit for bit."""
         return await self._travel("Undo")
 
     async def redo(self) -> pb.Session:

@@ -35,7 +35,7 @@ class Stream:
         self._closed = False
         self._finished = False
         self._outgoing: _Outgoing = asyncio.Queue()
-        #: How often a lost connection was opened anew.
+        #: How often a lost connection was opened again.
         self.reconnects = 0
         #: Whether the connection is lost at the moment and looked for; poses wait, the newest goes out when it is back.
         self.lost = False
@@ -139,7 +139,7 @@ class Stream:
             self._news.set()
 
     async def _read(self) -> None:
-        """Reads one connection after the other until the stream is closed or cannot go on."""
+        """Reads one connection after the other until the stream is closed or cannot continue."""
         attempts = channel.Attempts(self._calls.settings.patience)
         while True:
             outgoing: _Outgoing = asyncio.Queue()

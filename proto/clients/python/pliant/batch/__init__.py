@@ -8,7 +8,7 @@
         print(report)
 
 Every worker starts a server of its own, or uses the one that ``server=`` names. Results come as they are done; a worker that
-dies costs nothing but time; a batch that was broken off goes on where it was.
+dies costs nothing but time; an interrupted batch continues where it was.
 """
 
 from .jobs import Job

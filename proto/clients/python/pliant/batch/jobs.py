@@ -101,7 +101,7 @@ def task(job: Job, version: str) -> Task:
     own = upload.format or ("glb" if upload.main[:4] == b"glTF" else "ply" if upload.main[:3] == b"ply" else "")
     format = job.format or ("glb" if own == "fbx" else own)
     if not format:
-        untold = f"the model's bytes do not tell what to write; one of {', '.join(FORMATS)} is allowed"
+        untold = f"the model's bytes do not show which format to write; one of {', '.join(FORMATS)} is allowed"
         raise Unready("format", untold)
     refused = refusal(message, format)
     if refused is not None:
@@ -176,7 +176,7 @@ def _named_models(message: pb.Job) -> Iterator[tuple[str, Any]]:
 def _beside(folder: Path | None, name: str) -> bytes:
     if folder is None:
         raise ValueError(
-            f"{name!r} is named by a job that is no file; the model's bytes, or the path of a job file, are allowed"
+            f"{name!r} is named by a job that is not a file; the model's bytes, or the path of a job file, are allowed"
         )
     path = (folder / name).resolve()
     if not path.is_relative_to(folder.resolve()):
@@ -186,7 +186,7 @@ def _beside(folder: Path | None, name: str) -> bytes:
 
 def _read(path: Path) -> bytes:
     if path.exists() and not path.is_file():
-        raise ValueError(f"{path} is no regular file")
+        raise ValueError(f"{path} is not a regular file")
     size = path.stat().st_size
     if size > _LARGEST:
         raise ValueError(f"{path} has {size} bytes, at most {_LARGEST} are allowed")

@@ -31,12 +31,12 @@ class RayExecutor(Executor):
         self._closed = False
 
     def submit(self, fn: Callable[..., _T], /, *args: Any, **kwargs: Any) -> Future[_T]:
-        """Gives a call to Ray; its future tells when it is done."""
+        """Gives a call to Ray; its future reports when it is done."""
         if self._closed:
             raise RuntimeError("this executor was shut down")
         made: Future[_T] = self._remote.remote(fn, args, kwargs).future()
         return made
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Takes no more calls. Ray itself goes on, as it may have other work."""
+        """Takes no more calls. Ray itself continues, as it may have other work."""
         self._closed = True

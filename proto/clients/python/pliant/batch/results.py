@@ -24,7 +24,7 @@ class JobError(PliantError):
 
 
 class BatchFailed(PliantError):
-    """Some jobs of a batch have no result, or one that is not as expected; ``report`` tells of all."""
+    """Some jobs of a batch have no result, or one that is not as expected; ``report`` lists all."""
 
     code = "ABORTED"
 
@@ -133,7 +133,7 @@ class BatchReport:
 
 
 def judged(job: pb.Job, digest: str, quality: pb.Quality | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What the job expects and does not hold, and what nobody checked."""
+    """What the job expects and does not hold, and what was not checked."""
     expect = job.expect
     broken, unchecked = [], []
     stored = {"maxDistance": "max_distance", "meanDistance": "mean_distance", "normalDegrees": "normal_degrees"}

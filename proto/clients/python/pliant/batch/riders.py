@@ -1,4 +1,4 @@
-"""What rides along with a job's model and is no part of it: points, and other models.
+"""What rides along with a job's model and is not a part of it: points, and other models.
 
 A session holds none of them, so that the worker carries them by calls, whenever an edit makes the current shape the rest pose
 and in the end, as ``pliant deform`` does.
@@ -12,7 +12,7 @@ from typing import Any
 
 from ..v1 import pliant_pb2 as pb
 
-#: How a glTF in one file and a PLY begin; other formats do not tell themselves for certain.
+#: How a glTF in one file and a PLY begin; other formats cannot be recognised for certain.
 _MAGIC = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}
 _KINDS = ("points", "file")
 
@@ -61,7 +61,7 @@ class Riders:
         return {rider.message.output: rider.file.model for rider in self._riders if rider.message.output}
 
     def told(self) -> list[pb.Report.Passenger]:
-        """What is told of all, in the order of the job."""
+        """The reports of all, in the order of the job."""
         return [rider.message for rider in self._riders]
 
 

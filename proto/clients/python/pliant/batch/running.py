@@ -132,7 +132,7 @@ class Batch(Iterator[JobResult]):
         return next(self._each)
 
     def report(self) -> BatchReport:
-        """Waits for what is still to come, and tells of all that came, in the order of the jobs."""
+        """Waits for what is still to come, and reports all that came, in the order of the jobs."""
         for _ in self:
             pass
         order = {job.name: k for k, job in enumerate(self._jobs)}
@@ -172,7 +172,7 @@ class Batch(Iterator[JobResult]):
             self._workers.close(at_once=not finished)
 
     def _fill(self) -> None:
-        """Hands jobs over while there is room, and until there is something to tell."""
+        """Hands jobs over while there is room, and until there is something to report."""
         while self._waiting and len(self._running) < self._window and not self._ready:
             self._begin(self._waiting.popleft())
         if not self._waiting and not self._running and self._alone:

@@ -50,7 +50,7 @@ class Outcome:
     quality: bytes | None = None
     #: The files by name.
     files: dict[str, bytes] = field(default_factory=dict)
-    #: A ``pb.Report.Passenger`` for each of what rode along and is no part of the model.
+    #: A ``pb.Report.Passenger`` for each of what rode along and is not a part of the model.
     passengers: tuple[bytes, ...] = ()
     #: Where it failed, the code, the words, and the field to blame.
     failure: tuple[str, str, str, str | None] | None = None
@@ -69,12 +69,12 @@ def version(place: Place) -> str:
     try:
         done = subprocess.run([program, "--version"], capture_output=True, text=True, timeout=60, check=True)
     except (OSError, subprocess.SubprocessError) as problem:
-        raise errors.LocalServerError(f"{program} does not tell its version: {problem}") from None
+        raise errors.LocalServerError(f"{program} does not report its version: {problem}") from None
     return done.stdout.strip().removeprefix("pliant ")
 
 
 def probe(place: Place) -> tuple[str, str, str]:
-    """Whether a worker can work: its name, its server's version, and what hinders it, or nothing."""
+    """Whether a worker can work: its name, its server's version, and what prevents it, or nothing."""
     try:
         return _name(), _connected(place)[1], ""
     except errors.PliantError as problem:
@@ -180,7 +180,7 @@ def _step(calls: Any, session: str, step: pb.Step, options: pb.Options) -> bytes
 
 
 def _untold(done: int, total: int) -> None:
-    """Nobody is told of an upload."""
+    """Reports no upload."""
 
 
 def _may_pass(error: errors.PliantError) -> bool:

@@ -1,4 +1,4 @@
-"""The executor of a batch: made, watched, and made anew where its processes died."""
+"""The executor of a batch: made, watched, and made again where its processes died."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Workers:
         self._now: Executor | None = None
         #: The version of the server of the worker that was asked first.
         self.version = ""
-        #: Counts the executors: what is told of one that is gone does not end its successor.
+        #: Counts the executors: a report of one that is gone does not end its successor.
         self.generation = 0
 
     def _processes(self) -> Executor:
@@ -107,7 +107,7 @@ class Workers:
             gone.shutdown(wait=False, cancel_futures=True)
 
     def close(self, *, at_once: bool) -> None:
-        """Ends what was started here, and leaves an executor that was given to whoever gave it."""
+        """Ends what was started here, and leaves an executor that the caller gave."""
         gone, self._now = self._now, None
         if gone is None or self._make is None:
             return

@@ -26,7 +26,7 @@ if _version_not_supported:
 
 
 class DeformerStub(object):
-    """Holds models in sessions and bends them.
+    """Opens models as sessions and deforms them.
     """
 
     def __init__(self, channel):
@@ -113,19 +113,19 @@ class DeformerStub(object):
 
 
 class DeformerServicer(object):
-    """Holds models in sessions and bends them.
+    """Opens models as sessions and deforms them.
     """
 
     def CreateSession(self, request_iterator, context):
-        """Opens a session: the first message holds the options, the others the model's bytes in order. Larger models may
-        take several seconds; nothing exists until the answer comes.
+        """Opens a session. The first message holds the options, the others the model's bytes in order. A large model can take
+        several seconds. No session exists before the response.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def GetSession(self, request, context):
-        """Describes a session and renews its expiry.
+        """Returns a session and renews its expiry.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -139,70 +139,70 @@ class DeformerServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DeleteSession(self, request, context):
-        """Closes a session at once and frees what it held. Streams on it end with an error.
+        """Closes a session at once and frees what it used. Open streams on it end with an error.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def SetHandles(self, request, context):
-        """Replaces all handles. Recomputes the first-pass fields, never the hierarchy's topology. One commit.
+        """Replaces all handles, as one commit. Recomputes the first-pass fields, not the hierarchy's topology.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Deform(self, request_iterator, context):
-        """Interactive deformation: poses in, frames out, the latest pose wins.
+        """Deforms interactively: poses in, frames out. A newer pose replaces those that wait.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Solve(self, request, context):
-        """One pose, solved to the tolerance asked for and committed; answers the frame in parts.
+        """Solves one pose to the requested tolerance and commits it. Returns the frame in parts.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Edit(self, request, context):
-        """A topology-changing operation. One commit.
+        """Changes the topology, as one commit.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Undo(self, request, context):
-        """Goes back by one commit; restores positions to the bit.
+        """Undoes one commit. The positions are restored bit for bit.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Redo(self, request, context):
-        """Goes forward again by one undone commit.
+        """Redoes one undone commit.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def History(self, request, context):
-        """The commits of the session, oldest first.
+        """Returns the commits of the session, oldest first.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Export(self, request, context):
-        """The model in its current shape, in chunks of at most 1 MiB.
+        """Returns the model in its current shape, in chunks of at most 1 MiB.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Carry(self, request, context):
-        """Carries points, and a model, along with the current shape: what lies in the rest space on the model, in it or around it
+        """Moves points, and a model, with the current shape: what lies on the model, in it or around it in the rest pose
         follows its surface and volume. Changes nothing.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -210,16 +210,16 @@ class DeformerServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Animate(self, request_iterator, context):
-        """Drives the model by a clip, and answers its frames in order, one or more parts each. Stages of the preparation come before
-        them, a report of them all comes last. No frame is left out: a client that does not read holds the solver up. The
-        session's handles, shape and history have no part in it and do not change.
+        """Drives the model by a clip and returns all frames in order, each in one or more parts. Reports on the preparation
+        come first, a report on all frames comes last. The server waits for a client that reads slowly. The session's
+        handles, shape and history are not used and do not change.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def GetLimits(self, request, context):
-        """The limits that this server enforces.
+        """Returns the limits that this server enforces.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -312,7 +312,7 @@ def add_DeformerServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class Deformer(object):
-    """Holds models in sessions and bends them.
+    """Opens models as sessions and deforms them.
     """
 
     @staticmethod

@@ -21,7 +21,7 @@ pub(in crate::asset) struct TriangleOrigins<'a> {
     of: Vec<u32>,
 }
 
-/// How many triangles are looked at for a vertex that is no corner of the origin.
+/// Most triangles searched for a vertex that is not a corner of the origin.
 const MOST_VISITED: usize = 256;
 
 impl<'a> TriangleOrigins<'a> {

@@ -26,9 +26,9 @@
 //!    [`text`] reads and patches words and numbers, [`polygons`] cuts faces into triangles, and
 //!    [`CarriedAttributes`](super::edited::CarriedAttributes) and
 //!    [`TriangleOrigins`](super::edited::TriangleOrigins) carry what an edit moves.
-//! 4. Add the row to the table. The tests of `tests/` that walk over [`Format::ALL`] take it from there. A file is told by
-//!    its first bytes before its name ([`Format::from_file`]), and the first row that recognises them wins: a text format
-//!    must be told from the others by its content alone.
+//! 4. Add the row to the table. The tests of `tests/` that walk over [`Format::ALL`] take it from there.
+//!    [`Format::from_file`] tries the first bytes before the name, and among equally sure rows the first one is taken:
+//!    content alone must distinguish a text format from others.
 //! 5. Say it where people and other languages read: the comments of `format` in `proto/pliant/v1/pliant.proto` (then
 //!    `proto/clients/python/generate` and `npm run generate` in `proto/clients/typescript`), `deploy/docs/formats.md`,
 //!    `proto/clients/python/pliant/model.py` (extensions), the help of `src/cli`, and the viewer's `src/app/opening.ts` and
@@ -152,13 +152,13 @@ impl Format {
         Self::from_bytes(bytes).or_else(|| Self::from_file_name(name))
     }
 
-    /// The format that a file name's extension says.
+    /// The format of a file name's extension.
     pub fn from_file_name(name: &str) -> Option<Self> {
         name.rsplit_once('.')
             .and_then(|(_, extension)| Self::from_name(extension))
     }
 
-    /// The format that the content of a file says. OBJ has no mark of its own and is told by its first keyword.
+    /// The format of a file's content. OBJ has no signature; its first keyword identifies it.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let sureness = |f: &Self| (f.details().recognise)(bytes);

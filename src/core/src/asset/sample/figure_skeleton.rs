@@ -3,10 +3,10 @@
 
 use glam::DVec3;
 
-/// A joint at rest: its axes are the world's.
+/// A rest joint; its axes are the world's.
 pub(super) struct FigureJoint {
     pub name: String,
-    /// Number of the joint that it hangs on.
+    /// Number of its parent.
     pub parent: Option<usize>,
     /// Where it is, in the world.
     pub place: DVec3,

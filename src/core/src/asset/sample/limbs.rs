@@ -4,8 +4,7 @@ use crate::asset::Geometry;
 use crate::asset::surface_nets::{Lattice, gradient, polygonise, relax};
 use glam::{DVec2, DVec3};
 
-/// A bent bone: a curve from the first point to the last that the middle one pulls toward itself (a quadratic Bézier),
-/// with a radius that goes along in the same way.
+/// A bent bone: a quadratic Bézier curve of three points, with a radius that varies in the same way.
 pub(super) struct Bone {
     points: [[f64; 3]; 3],
     radii: [f64; 3],

@@ -47,7 +47,7 @@ impl BuiltInModel {
         Self::ALL.map(Self::name).join(" or ")
     }
 
-    /// Its GLB file, made anew. The same bytes every time.
+    /// Builds its GLB file; the same bytes every time.
     pub fn glb(self) -> Vec<u8> {
         match self {
             Self::Creature => creature_glb(),

@@ -1,7 +1,7 @@
-//! The poses of the built-in recordings, told by where limbs point.
+//! The poses of the built-in recordings, as directions of limbs.
 //!
-//! Directions are those of the left side, as the chest sees arms and the hips see legs: x to its own side, y up, z ahead. The right
-//! side mirrors x.
+//! Directions are those of the left side, of arms relative to the chest and of legs to the hips: x outward, y up, z
+//! ahead. The right side mirrors x.
 
 /// Where a limb points: above its elbow or knee, and below.
 #[derive(Debug, Clone, Copy, PartialEq)]

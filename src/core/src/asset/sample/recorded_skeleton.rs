@@ -6,11 +6,11 @@ use glam::{DQuat, DVec3};
 /// A joint as a BVH file lists it.
 pub(super) struct RecordedJoint {
     pub name: &'static str,
-    /// Number of the joint that it hangs on, which comes before it.
+    /// Number of its parent, which comes before it.
     pub parent: Option<usize>,
-    /// From there, at rest.
+    /// Its rest offset.
     pub offset: [f64; 3],
-    /// The end of one on which none hangs.
+    /// The end of one without children.
     pub end: Option<[f64; 3]>,
 }
 
@@ -74,7 +74,7 @@ const HEAD: usize = 4;
 const ARMS: [usize; 2] = [6, 10];
 const LEGS: [usize; 2] = [13, 17];
 
-/// How high above the ground ankles and toes are, at rest.
+/// Rest heights of ankles and toes above the ground.
 const ANKLE: f64 = 9.0;
 const TOE: f64 = 3.0;
 
@@ -111,7 +111,7 @@ fn bend_leg(rotations: &mut [DQuat], upper: usize, leg: &LimbPose, points: f64, 
     rotations[upper + 2] = turned_by([60.0 * points, 0.0, 0.0]);
 }
 
-/// A direction that is told for the left side.
+/// A direction that is given for the left side.
 fn limb_direction(told: [f64; 3], mirror: f64, rest: DVec3) -> DVec3 {
     (DVec3::from_array(told) * DVec3::new(mirror, 1.0, 1.0)).normalize_or(rest)
 }

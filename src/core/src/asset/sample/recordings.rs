@@ -44,7 +44,7 @@ impl BuiltInRecording {
             .find(|recording| recording.recording_name() == name)
     }
 
-    /// Its BVH file, made anew. The same bytes every time.
+    /// Builds its BVH file; the same bytes every time.
     pub fn bvh_text(self) -> String {
         let frames = match self {
             Self::Boxing => frames_of_keys(&boxing_keys()),

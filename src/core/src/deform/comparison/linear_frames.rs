@@ -1,10 +1,10 @@
 //! Linear frames (Lipman et al. 2005), for comparison with the paper's first pass (its figure 2).
 //!
-//! They ask for frames B_i that change along every edge as the rest frames do: Σ w ‖B_j − (I + Γ_ij) B_i‖² is to be least,
-//! with the handles' frames given. Written as B_i = M_i B_i⁰ this is Σ w ‖M_j − M_i‖², so each of the nine entries of M is
-//! harmonic between the handles' rotations. The bounded fields are what harmonic functions between the same handles are
-//! made of, hence M_i = Σ_k u_k(i) R_k, and nothing has to be solved. M is no rotation: half-way through a turn by θ it has
-//! shrunk to cos(θ/2) across the axis. The nearest rotation takes its place.
+//! The frames B_i change along every edge as the rest frames do: they minimise Σ w ‖B_j − (I + Γ_ij) B_i‖² with the
+//! handles' frames given. Written as B_i = M_i B_i⁰ this is Σ w ‖M_j − M_i‖², so each of the nine entries of M is
+//! harmonic between the handles' rotations. The bounded fields u_k span the harmonic functions between the same
+//! handles, hence M_i = Σ_k u_k(i) R_k, without a solve. M is not a rotation: half-way through a turn by θ it shrinks
+//! to cos(θ/2) across the axis. The nearest rotation replaces it.
 
 use crate::deform::first_pass::blend::PoseBlend;
 use crate::deform::first_pass::frame::{LocalRotation, pack_rotation};

@@ -1,10 +1,10 @@
 //! Orientation diffusion (paper equation 2): a field of unit quaternions in which each is the mean of its neighbours'.
 //!
-//! At rest q_i is parallel to Σ w_ij q_j: a discrete harmonic map into the unit sphere. Local relaxation gets there too
-//! slowly on real meshes, so it is begun at the blend by harmonic fields, which is the exact answer where all turns share
-//! one axis, and each step is global: with the tangential part r_i of Σ w (q_j − q_i), L c = r is solved on the graph's
-//! hierarchy, and q_i becomes (q_i + c_i) / |q_i + c_i|. A step that does not lower Σ w |q_i − q_j|² is not taken. Signs are
-//! those of the blend: each handle has one, and it is the same wherever the handle has a say.
+//! In the steady state q_i is parallel to Σ w_ij q_j: a discrete harmonic map into the unit sphere. Local relaxation is
+//! too slow on real meshes. So the iteration starts from the blend by harmonic fields, which is exact where all turns
+//! share one axis, and each step is global: with the tangential part r_i of Σ w (q_j − q_i), L c = r is solved on the
+//! graph's hierarchy, and q_i becomes (q_i + c_i) / |q_i + c_i|. A step that does not lower Σ w |q_i − q_j|² is
+//! discarded. Signs are those of the blend: each handle has one, the same wherever its field is not 0.
 
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
@@ -31,7 +31,7 @@ const STEP_ITERATIONS: usize = 20;
 /// Longest correction of a unit quaternion in one step.
 const LONGEST: f64 = 0.5;
 
-/// Up to the first angle between handles the field at rest is taken whole, from the second on not at all.
+/// Up to the first angle between handles the steady state is taken whole, from the second on not at all.
 const WINDS: [f64; 2] = [1.5 * PI, TAU];
 
 /// The rotations of all nodes.

@@ -53,7 +53,7 @@ pub(in crate::deform) struct RbfSpace {
     factor: CholeskyFactor,
 }
 
-/// The linear functions 1, a₁·(x − o), …: as many as the centres tell apart.
+/// The linear functions 1, a₁·(x − o), …: one axis for each dimension of the centres.
 #[derive(Debug, Clone, Default)]
 struct LinearFunctions {
     origin: DVec3,

@@ -22,8 +22,8 @@ pub enum FirstPass {
     /// Blended with bounded harmonic fields (the paper's choice, after Zayer et al. 2005). Any number of turns.
     #[default]
     Harmonic,
-    /// The state at rest of the paper's orientation diffusion, equation (2), begun at the blend. Unit quaternions do not
-    /// tell one full turn from two: where a handle has turned further than that, the blend stays as it is.
+    /// The steady state of the paper's orientation diffusion, equation (2), begun at the blend. Unit quaternions are
+    /// equal for one full turn and two: where a handle has turned further than that, the blend stays as it is.
     Diffusion,
     /// The linear frames of Lipman et al. 2005, made orthogonal afterwards, for comparison: they pile turns up half-way
     /// between handles and know none beyond half a circle.

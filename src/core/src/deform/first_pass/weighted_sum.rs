@@ -1,8 +1,8 @@
-//! Rotations blended without trigonometry, for poses that come many a second.
+//! Rotations blended without trigonometry, for many poses a second.
 //!
-//! At each node the quaternions of the few handles with a say there are turned to the side of the one with the most, weighted,
-//! summed and normalised. It costs some multiplications a node, and is as good as the mean on the sphere where handles differ
-//! by less than half a turn there; whole turns are not told apart.
+//! At each node the quaternions of the few handles with a weight there get the sign of the heaviest one, are weighted,
+//! summed and normalised. It costs some multiplications a node, and is as good as the mean on the sphere where handles
+//! differ by less than half a turn there; whole turns are lost.
 
 use crate::deform::first_pass::frame::LocalRotation;
 use crate::deform::handles::system::HandleSystem;

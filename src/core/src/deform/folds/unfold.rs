@@ -18,10 +18,10 @@ const RINGS: [usize; 3] = [2, 4, 8];
 /// No vertex is moved further than this part of the diagonal.
 const FARTHEST: f64 = 0.01;
 
-/// A shape with more folds than one in so many faces is one that was asked for.
+/// A shape with more folds than one in so many faces is folded on purpose.
 const FEW: usize = 16;
 
-/// Brings faces back that turned over or were stretched beyond measure, and tells what the shape does to every face. What
+/// Brings faces back that turned over or were stretched too far, and returns what the shape does to every face. What
 /// handles hold and the rims of patches stay; so does everything where there are no such faces. `positions` are by node,
 /// vertices first.
 ///
@@ -72,7 +72,7 @@ fn unfold_vertices(
     changes
 }
 
-/// Relaxes a patch; undone when it is no better, or moves further than `farthest`. Whether it was kept.
+/// Relaxes a patch; undone when it is not better, or moves further than `farthest`. Whether it was kept.
 fn relax_if_better(surface: &FoldedSurface<'_>, patch: &FoldPatch, farthest: f64, now: &mut [DVec3]) -> bool {
     let before: Vec<DVec3> = patch.vertices.iter().map(|&v| now[v as usize]).collect();
     let was = surface.badness(patch, now);
@@ -167,7 +167,7 @@ mod tests {
         FaceChanges::find(sheet, now, &pool).folds(sheet, now)
     }
 
-    /// Unfolds, and sees to it that what is told of faces is true of the shape.
+    /// Unfolds, and checks that the returned face changes match the shape.
     fn unfold(sheet: &Mesh, held: &[bool], now: &mut [DVec3], threads: usize) {
         let pool = Pool::new(threads).expect("threads");
         let told = unfold_vertices(sheet, &OnceLock::new(), held, now, &pool);

@@ -15,7 +15,7 @@ pub enum FreePartPolicy {
     /// The part moves rigidly with the nodes nearest to it of parts that have one.
     #[default]
     Follow,
-    /// The part stays at rest.
+    /// The part stays in the rest pose.
     Hold,
     /// Such a part is refused.
     Free,

@@ -1,7 +1,7 @@
-//! The start of a drag: the last solution, carried along by what the handles did since.
+//! The start of a drag: the last solution, moved by what the handles did since.
 //!
-//! A harmonic field tells how much each node follows a handle. Moving every node by its share of each handle's motion
-//! gives, for translations, the very solution of the second pass where the fields' handles are those that hold
+//! A harmonic field is how much each node follows a handle. Every node moves by its share of each handle's motion. For
+//! translations this is exactly the solution of the second pass, where the fields' handles are those that hold
 //! positions; for small rotations it leaves an error of second order. It costs one pass over the nodes.
 
 use crate::deform::body::DeformableBody;

@@ -4,20 +4,20 @@ use crate::deform::body::DeformableBody;
 use crate::deform::handles::setup::{HandleConstraint, HandleSetup};
 use std::sync::Arc;
 
-/// In an owner list: nobody holds the node.
+/// In an owner list: a node without an owner.
 pub(in crate::deform) const NOBODY: u32 = u32::MAX;
 
-/// Who constrains one kind of quantity, node by node.
+/// The handles that constrain one kind of quantity, by node.
 #[derive(Debug, Clone, Default)]
 pub(in crate::deform) struct NodeOwnership {
-    /// By node: the hard holder, or [`NOBODY`].
+    /// By node: the hard holder, or `u32::MAX`.
     pub hard: Arc<Vec<u32>>,
     /// Soft pulls (node, hold, stiffness) on nodes without a hard holder, by node then hold.
     pub soft: Arc<Vec<(u32, u32, f64)>>,
 }
 
 impl NodeOwnership {
-    /// Settles overlaps for the holds that `constrains` says: of those whose region contains a node the last one has it, hard
+    /// Settles overlaps for the holds that `constrains` accepts: the last one whose region contains a node has it, hard
     /// or soft. Pulls of soft holds add up, from the last hard one on; falloff never takes a node from a hard holder.
     pub(in crate::deform) fn settle(
         setup: &HandleSetup,

@@ -1,4 +1,4 @@
-//! From the solver's coordinates to positions: what nobody moved keeps its bits, what is held is where it is held, loose
+//! From the solver's coordinates to positions: unmoved nodes keep their bits, handles set the nodes they hold, loose
 //! parts are placed, rigid regions keep their shape.
 
 use crate::deform::body::DeformableBody;
@@ -55,8 +55,8 @@ impl HandleSystem {
         moved
     }
 
-    /// Model-space positions of all nodes from solving coordinates around `center`: parts that nothing moved and nodes
-    /// held by handles are set to the bit, loose parts are placed.
+    /// Model-space positions of all nodes from solving coordinates around `center`: nodes of unmoved parts and
+    /// nodes held by handles are exact, loose parts are placed.
     pub(in crate::deform) fn place(
         &self,
         body: &DeformableBody,

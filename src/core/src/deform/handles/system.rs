@@ -179,7 +179,7 @@ impl HandleSystem {
     }
 
     /// Largest distance of a surface node that is held hard from where its handle puts it (or from rest, where nothing may
-    /// move). `now` tells where a surface node is; `transforms` has one for each hold.
+    /// move). `now` returns where a surface node is; `transforms` has one for each hold.
     pub fn largest_misplacement(
         &self,
         body: &DeformableBody,

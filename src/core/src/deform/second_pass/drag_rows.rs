@@ -16,7 +16,7 @@ pub(super) const NO_NODE: u32 = u32::MAX;
 struct HeldNodes {
     hold: usize,
     count: f64,
-    /// Their mean at rest, model space.
+    /// Their mean rest position, model space.
     mean: DVec3,
 }
 

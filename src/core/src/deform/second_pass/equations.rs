@@ -21,7 +21,7 @@ use rayon::prelude::*;
 pub struct SecondPassEquations {
     /// Right-hand side by node, with the soft pulls and before given neighbours are moved into it; 0 on given nodes.
     pub rhs: Vec<[f64; 3]>,
-    /// Positions by node: of given nodes where they are held, of all others at rest.
+    /// Positions by node: held positions of given nodes, rest positions of others.
     pub given: Vec<[f64; 3]>,
     /// The first-pass frames by node.
     pub frames: Vec<LocalFrame>,
@@ -109,7 +109,7 @@ impl HandleSystem {
     }
 
     /// What is added to right-hand sides at some nodes that are not given: offsets of ties, and pulls of soft handles around
-    /// the centre. `frame` tells a node's.
+    /// the centre. `frame` returns a node's.
     pub(in crate::deform) fn add_scattered(
         &self,
         body: &DeformableBody,

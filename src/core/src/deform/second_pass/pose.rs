@@ -31,11 +31,11 @@ pub struct PoseRequest<'a> {
     pub first_pass: FirstPass,
     /// Fitting rotations after the second pass.
     pub refinement: Refinement,
-    /// Which nodes the solution tells.
+    /// Which nodes the solution has.
     pub extent: SolutionExtent,
 }
 
-/// Which nodes a solution tells the positions and frames of.
+/// Which nodes a solution has positions and frames of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SolutionExtent {
     /// All.
@@ -64,8 +64,9 @@ pub struct CycleReport<'a> {
 /// A solved pose.
 #[derive(Debug, Clone)]
 pub struct PoseSolution {
-    /// Positions of all graph nodes, or with an [`SolutionExtent`] that is less of the first ones at least, model space; the first
-    /// `graph.surface` are the mesh's vertices. Parts in which no handle has moved keep their rest positions to the bit.
+    /// Positions of all graph nodes, or of at least the first ones with a smaller [`SolutionExtent`], model space; the
+    /// first `graph.surface` are the mesh's vertices. Parts in which no handle has moved keep the bits of their rest
+    /// positions.
     pub positions: Vec<DVec3>,
     /// Frames of the same nodes, of the first pass or as refined; empty when nothing moved, and where [`SolutionExtent::Positions`] does
     /// without them.

@@ -10,7 +10,7 @@ pub(in crate::deform) struct SingleRest {
 }
 
 impl SingleRest {
-    /// `position` and `laplacian` tell those of a node.
+    /// `position` and `laplacian` return those of a node.
     pub(in crate::deform) fn of(
         nodes: usize,
         position: impl Fn(usize) -> DVec3,

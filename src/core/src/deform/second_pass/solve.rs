@@ -300,7 +300,7 @@ impl PoseSolve<'_> {
         Ok(stats)
     }
 
-    /// Tells who watches of an iteration after `before` others, and notes whether that is enough.
+    /// Reports an iteration after `before` others to the watcher, and notes whether to stop.
     pub(super) fn tell_cycle(&self, done: &solver::IterationReport<'_>, before: usize, tally: &mut SolveTally<'_>) {
         let Self { rig, body, request, .. } = *self;
         let positions = || {

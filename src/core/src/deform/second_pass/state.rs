@@ -39,7 +39,7 @@ impl SolveState {
             + self.space.as_ref().map_or(0, |space| space.byte_size())
     }
 
-    /// Where there is no last solution the rest shape is one, with all handles at rest.
+    /// Where there is no last solution the rest shape is one, with all handles in the rest pose.
     pub(in crate::deform) fn begin(&mut self, body: &DeformableBody, holds: usize) {
         self.rows.hand_over(body, &mut self.x);
         if self.x.len() != body.nodes() * 3 {
@@ -65,7 +65,7 @@ impl SolveState {
         self.rows.is_newest() && self.rows.pose.is_worth_settling()
     }
 
-    /// Takes back positions and frames of a pose that nobody needs any more, as memory for those of the next one.
+    /// Takes back positions and frames of a pose that is not needed any more, as memory for the next one.
     pub fn recycle(&mut self, positions: Vec<DVec3>, frames: Vec<LocalFrame>) {
         self.spare = (positions, frames);
     }
@@ -77,7 +77,7 @@ impl SolveState {
         self.rows.release();
     }
 
-    /// Lets go of what refinement had added to the first pass's rotations, so that the next solve fits them anew.
+    /// Drops what refinement had added to the first pass's rotations, so that the next solve fits them again.
     pub fn forget_fits(&mut self) {
         self.extra.clear();
     }
@@ -87,7 +87,7 @@ impl SolveState {
         self.byte_size() == 0
     }
 
-    /// Lets go of all but memory, as other handles need.
+    /// Drops all but memory, as other handles need.
     pub fn begin_anew(&mut self) {
         self.forget();
         self.transforms.clear();

@@ -1,11 +1,11 @@
 //! Thin faces: edges and faces far smaller than what is around them follow it, instead of opening.
 //!
-//! The second pass weighs every edge alike, so what it cannot satisfy it spreads over edges evenly, whatever their
-//! lengths. A stray of a tenth of an edge is nothing to a face of ordinary size and ten times the height of a thin one.
+//! The second pass weighs every edge alike, so it spreads its error over edges evenly, whatever their lengths. An error
+//! of a tenth of an edge is harmless to a face of ordinary size, but ten times the height of a thin one.
 //! Faces are thin in two ways (Botsch and Kobbelt 2001, "A robust procedure to eliminate degenerate faces"): a needle has
 //! an edge far shorter than the others, a cap has a corner close to its longest edge. Vertices on short edges take the
-//! mean motion of those around them, corners of caps go along with the edge that they lie on. Even meshes have neither, and
-//! not a bit of theirs changes.
+//! mean motion of those around them, corners of caps follow the edge that they lie on. Even meshes have neither and
+//! keep all their bits.
 
 mod find;
 mod settle;

@@ -29,7 +29,7 @@ pub(super) struct PlaneSides {
 }
 
 impl PlaneSides {
-    /// Tells on which side of `plane` each point of `surface` is.
+    /// Finds on which side of `plane` each point of `surface` is.
     ///
     /// # Errors
     /// As [`must_part`](Self::must_part).

@@ -1,13 +1,11 @@
 //! Fewer triangles: edges collapse into one of their ends, the cheapest first.
 //!
 //! The cost is the distance to the planes of the faces that were there (Garland and Heckbert 1997), so flat places thin
-//! out first. Vertices that remain are old ones with all their attributes; none is made. The rim of the region stays;
-//! boundaries, seams and primitive borders thin out along themselves and keep their corners by planes that stand on
-//! them.
+//! out first. The vertices that remain are old ones with all their attributes. The rim of the region stays. Boundaries,
+//! seams and primitive borders thin out along themselves; planes perpendicular to their faces keep their corners.
 //!
-//! Every collapse is checked by itself: no edge gets a third face, no face turns over. Simplifiers that work on buffers
-//! tell points apart by position, so they would zip up a cut whose sides lie at one place, and they leave edges with
-//! three faces behind.
+//! Every collapse is checked: no edge gets a third face, no face turns over. Simplifiers that work on buffers identify
+//! points by position, so they close a cut whose sides lie at one place, and leave edges with three faces behind.
 
 mod quadric;
 
@@ -38,7 +36,7 @@ const EVENNESS: f64 = 1e-5;
 /// warns with `decimate-short` when more than a tenth too many are left.
 ///
 /// # Errors
-/// [`Error::Invalid`] when `ratio` is not between 0 and 1 or `faces` is no region; [`Error::Cancelled`].
+/// [`Error::Invalid`] when `ratio` is not between 0 and 1 or `faces` is not a region; [`Error::Cancelled`].
 pub fn decimate_region(
     surface: &SurfaceView,
     faces: &[u32],

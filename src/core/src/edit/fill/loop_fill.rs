@@ -72,7 +72,7 @@ pub(in crate::edit) fn triangulate_loop(
 #[derive(Clone, Copy, PartialEq, PartialOrd)]
 struct BendCost(u32, f64);
 
-/// Bends are told apart in steps, so that rounding does not decide between triangulations of a flat hole.
+/// Bends are compared in steps, so that rounding does not decide between triangulations of a flat hole.
 const STEPS: f64 = 1e4;
 
 fn bend_steps(one: DVec3, two: DVec3) -> u32 {

@@ -108,7 +108,7 @@ impl ResolvedPatch {
                 ));
             }
             if !v.position.is_finite() {
-                return refuse(format!("lies at {}, which is no place", v.position));
+                return refuse(format!("lies at {}, which is not a finite place", v.position));
             }
             if v.point > next {
                 return refuse(format!("names point {} where {next} is the next new one", v.point));

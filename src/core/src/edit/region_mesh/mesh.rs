@@ -212,7 +212,7 @@ impl RegionMesh {
         self.faces_along(a, b).next().is_some()
     }
 
-    /// The faces at the edge from `a` to `b`, told apart by side.
+    /// The faces at the edge from `a` to `b`, by side.
     pub fn edge_faces(&self, a: u32, b: u32) -> EdgeFaces {
         let mut edge = EdgeFaces {
             left: NONE,

@@ -160,8 +160,8 @@ impl RegionMesh {
         m
     }
 
-    /// The two faces along an edge with the corners opposite to it, when the edge may be exchanged for the one between those:
-    /// it is no marked one, its faces have one origin and share their wedges, and there is no such edge yet.
+    /// The two faces along an edge with the corners opposite to it, when the edge can be flipped to join these corners:
+    /// it is not marked, its faces have one origin and share their wedges, and the corners have no edge yet.
     pub fn flippable_pair(&self, a: u32, b: u32) -> Option<[(u32, u32); 2]> {
         if !self.is_inside(self.edge_faces(a, b), a, b) || self.marked.contains(&edge_key(a, b)) {
             return None;

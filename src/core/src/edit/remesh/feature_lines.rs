@@ -1,8 +1,8 @@
-//! LineEdges that a remeshed surface must keep: boundaries, seams, primitive borders and sharp edges.
+//! Lines that a remeshed surface must keep: boundaries, seams, primitive borders and sharp edges.
 //!
-//! A chain runs from one held point to the next. Points in between may slide along it, be added and taken away; where
-//! they are is told by the length from the chain's start, so they are always on the original line, and what they are
-//! made of is told by the segment, on either side.
+//! A chain runs from one held point to the next. Points in between may slide along it, be added and removed. The length
+//! from the chain's start gives their positions, so they are always on the original line. The segment gives what they
+//! are made of, on either side.
 
 use super::original::is_sliver;
 use crate::edit::region_mesh::RegionMesh;

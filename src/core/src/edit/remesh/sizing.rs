@@ -89,7 +89,7 @@ pub(super) fn grade_lengths(mesh: &RegionMesh, wanted: &[f64]) -> Vec<f64> {
     ceiling.iter().zip(wanted).map(|(c, &w)| c.unwrap_or(w)).collect()
 }
 
-/// The least of all `values` after each has risen by [`SLOPE`] with the distance along edges. `None` is no value.
+/// The least of all `values` after each has risen by [`SLOPE`] with the distance along edges. `None`: without a value.
 fn limit_slope(rows: &[Vec<(u32, f64)>], mut values: Vec<Option<f64>>) -> Vec<Option<f64>> {
     // Order numbers of either sign by their bits.
     let key = |x: f64| {

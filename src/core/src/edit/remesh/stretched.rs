@@ -1,4 +1,4 @@
-//! Where a deformed surface is stretched, and how fine it was at rest.
+//! Where a deformed surface is stretched, and how fine its rest shape is.
 
 use super::target::{ASPECT, STRETCH};
 use crate::edit::region_mesh::RegionMesh;

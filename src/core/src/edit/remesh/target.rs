@@ -8,7 +8,7 @@ pub enum RemeshTarget<'a> {
     /// Edges of this length everywhere.
     Length(f64),
     /// Only around faces with an edge longer than [`STRETCH`] times its rest length, or an aspect over [`ASPECT`]; there
-    /// edges as long as they are at rest.
+    /// edges get their rest length.
     Auto {
         /// The rest shape: one position per render vertex.
         rest: &'a [DVec3],

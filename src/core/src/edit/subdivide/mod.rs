@@ -31,8 +31,8 @@ pub enum SubdivisionScheme {
 /// Divides `faces`, rising triangle numbers. Attributes of a new vertex are half and half those at the ends of its edge.
 ///
 /// # Errors
-/// [`Error::Invalid`] when `faces` is no region or holds no triangle with three points; [`Error::TooLarge`] beyond what
-/// 32-bit numbers count; [`Error::Cancelled`].
+/// [`Error::Invalid`] when `faces` is not a region or has no triangle with three points; [`Error::TooLarge`] beyond
+/// what 32-bit numbers count; [`Error::Cancelled`].
 pub fn subdivide_region(
     surface: &SurfaceView,
     faces: &[u32],

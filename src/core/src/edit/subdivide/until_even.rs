@@ -62,11 +62,11 @@ impl Ord for OpenEdge {
 }
 
 /// Splits the edges of `faces`, rising triangle numbers, until the target is met. Only triangles with an edge over which
-/// the fields differ too much are divided at all. Old points stay where they are, new ones
-/// lie on the old faces. A patch that changes nothing comes with the warning `subdivide-nothing`.
+/// the fields differ too much are divided. Old points stay where they are, new ones lie on the old faces. A patch that
+/// changes nothing comes with the warning `subdivide-nothing`.
 ///
 /// # Errors
-/// [`Error::Invalid`] when `faces` is no region; [`Error::TooLarge`] when more than [`MOST_TRIANGLES`] would come;
+/// [`Error::Invalid`] when `faces` is not a region; [`Error::TooLarge`] for more than [`MOST_TRIANGLES`] triangles;
 /// [`Error::Cancelled`]; those of the target.
 pub fn subdivide_until_even(
     surface: &SurfaceView<'_>,

@@ -6,7 +6,7 @@ use crate::mesh::query::fan::group_fans;
 use glam::DVec3;
 use std::collections::BTreeSet;
 
-/// No more points become one: nobody wants it, and looking through all of them for each would take long.
+/// At most this many points become one: more are of no use, and comparing all of them takes long.
 const MOST_MEMBERS: usize = 64;
 
 /// The faces around the points of some pairs, with the joins made so far. A point that another joins joins none.

@@ -111,7 +111,7 @@ fn check_tolerance(tolerance: f64, subject: EditSubject) -> Result<(), Error> {
     if tolerance >= 0.0 && tolerance.is_finite() {
         return Ok(());
     }
-    let problem = format!("{tolerance} is no distance, it must be finite and at least 0");
+    let problem = format!("{tolerance} is not a distance, it must be finite and at least 0");
     Err(Error::invalid(subject, problem))
 }
 

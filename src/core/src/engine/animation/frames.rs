@@ -118,13 +118,13 @@ impl FrameCursor {
 }
 
 impl Animation {
-    /// Solves the frames of some ranges, some blocks at the same time, and gives each to `take` as soon as it is there, with the
-    /// milliseconds that it took by the clock `millis`; `false` ends it. The frames of a block come in their order, those of blocks
-    /// that are solved at the same time in any. Progress is told as the stage `frames`, with frames counted that only lead to others.
-    /// To be called from outside of the pool.
+    /// Solves the frames of some ranges, some blocks in parallel. Each solved frame goes to `take` at once, with the
+    /// milliseconds that it took by the clock `millis`; `take` returns `false` to stop. Frames of a block come in
+    /// order, those of parallel blocks in any order. Progress is reported as the stage `frames`; it counts frames that
+    /// only lead to others as well. Call it from outside the pool.
     ///
     /// # Errors
-    /// [`Error::Cancelled`], after all frames that were solved until then were given; [`Error::Internal`] for a defect.
+    /// [`Error::Cancelled`], after `take` got all frames solved until then; [`Error::Internal`] for a defect.
     pub fn solve(
         &self,
         ranges: &[Range<usize>],

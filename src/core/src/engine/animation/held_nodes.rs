@@ -150,7 +150,7 @@ fn nearest_nodes(
     Ok(near)
 }
 
-/// Widens a handle with too few nodes until it has enough of those that nobody holds; answers by how much.
+/// Widens a handle with too few nodes until it has enough free nodes; returns by how much.
 fn widen(
     handle: usize,
     reach: &Reach,

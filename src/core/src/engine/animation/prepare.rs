@@ -126,7 +126,7 @@ fn held_by_rig(
     Ok((constraints, facts))
 }
 
-/// The graph's nodes that the handles of a rig hold, where they are at rest.
+/// The rest positions of the graph nodes that the handles of a rig hold.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RigNodes {
     /// Those whose rotations are set, in cylinders along bones.
@@ -136,8 +136,8 @@ pub struct RigNodes {
 }
 
 impl Animation {
-    /// Lets what moves in the scene of the model's file beside its skins move along with the clip. An edited model has other
-    /// vertices than its file, and no such thing.
+    /// Moves along with the clip what moves in the scene of the model's file beside its skins. Does nothing for an
+    /// edited model, which has other vertices than its file.
     #[must_use]
     pub fn with_beside(mut self, beside: Option<SceneMotion>) -> Self {
         self.beside = beside.filter(|_| self.derived.topology().edited.is_none());
@@ -171,7 +171,7 @@ impl Animation {
         self.derived.body.diagonal
     }
 
-    /// The model, and its positions at rest, one per render vertex.
+    /// The model, and its rest positions, one per render vertex.
     pub fn model(&self) -> (&Arc<Model>, &Arc<Vec<DVec3>>) {
         let topology = self.derived.topology();
         (&topology.model, &topology.rest)

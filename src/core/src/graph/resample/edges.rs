@@ -140,8 +140,8 @@ impl EdgeFinder<'_> {
         ))
     }
 
-    /// The vertex of `local` nearest to `end`, if it is no further than that of an end that was left out for being too
-    /// near to the surface can be.
+    /// The vertex of `local` nearest to `end`, if it is as near as that of an end left out as too near to the surface
+    /// can be.
     pub(super) fn vertex_beside(&self, local: &LocalMesh, end: DVec3) -> Option<u32> {
         let near = self
             .surface

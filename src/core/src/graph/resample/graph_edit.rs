@@ -21,7 +21,7 @@ pub(super) struct GraphEdit<'a> {
     pub(super) lattice: Vec<u32>,
     /// Old lattice nodes that lose their ties.
     pub(super) untied: Vec<u32>,
-    /// Edges that come, or come back.
+    /// Edges that are added, or added back.
     pub(super) links: Vec<NewEdge>,
     /// Places of shell and lattice nodes that are new or moved.
     pub(super) placed: Vec<(u32, DVec3)>,
@@ -29,7 +29,7 @@ pub(super) struct GraphEdit<'a> {
     pub(super) nearest: Vec<(u32, u32)>,
 }
 
-/// Rows that are written anew, by rising node.
+/// Rows that are rewritten, by rising node.
 pub(super) struct FreshRows {
     /// Nodes after the edit.
     pub(super) nodes: Vec<u32>,

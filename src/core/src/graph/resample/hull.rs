@@ -12,8 +12,8 @@ use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Caps of new holes may be as large as this part of their surface; with more of it open, whether it still encloses
-/// anything is a question for the whole.
+/// Caps of new holes may be as large as this part of their surface; with more of it open, the whole surface decides
+/// whether it still encloses anything.
 const LARGEST_CAP: f64 = 0.15;
 /// Winding numbers are asked this part of an offset beside a face.
 pub(super) const BESIDE: f64 = 1.0 / 64.0;
@@ -40,7 +40,7 @@ pub(super) fn fan_over_loop(ring: &[u32], at: impl Fn(u32) -> DVec3) -> (DVec3, 
     (middle, ring.iter().zip(next).map(|(&a, &b)| [a, b]))
 }
 
-/// Follows an edit. `None` when only the whole surface tells what it encloses now.
+/// Follows an edit. `None` when only the whole surface shows what it encloses now.
 pub(super) fn follow_hull(
     old: &GraphBefore<'_>,
     inside: &InteriorRecipe,
@@ -162,7 +162,7 @@ fn assign_reach(
     Some((assigned, fresh.into_iter().flatten().collect()))
 }
 
-/// The mean edge length of a new part when it encloses space, else 0; `None` when only its winding number tells.
+/// The mean edge length of a new part when it encloses space, else 0; `None` when only its winding number shows it.
 fn enclosing_edge_length(change: &MeshChange, part: &NewPart, pool: &Pool) -> Option<f64> {
     let at = |v: u32| change.positions[v as usize];
     let mut length = 0.0;

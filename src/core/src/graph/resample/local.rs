@@ -1,4 +1,4 @@
-//! The faces around an edit, as a small mesh of their own, and those that tell what lies inside there.
+//! The faces around an edit, as a small mesh of their own, and those that decide what lies inside there.
 
 use crate::graph::resample::change::GraphBefore;
 use crate::graph::resample::change::{ChangedPoints, MeshChange};
@@ -235,7 +235,7 @@ impl LocalFaces {
         })
     }
 
-    /// Sorted to tell what lies inside, along the given axis or the best one.
+    /// Sorted to find what lies inside, along the given axis.
     pub(super) fn sort_columns(&self, along: usize, pool: &Pool) -> FaceColumns<'_> {
         FaceColumns::along(along, &self.positions, &self.triangles, pool)
     }

@@ -2,8 +2,8 @@
 //!
 //! Vertices follow the mesh. Copies of vertices whose faces are as they were stay where they are, as long as they have
 //! room there. Lattice nodes stay unless they are outside now, or too near to a new face; places of the grid that became
-//! deep enough inside get nodes. What lies inside is told as for a new graph, by the faces beyond a place along one axis.
-//! All rows that no changed face is near to are copied, with nodes renumbered.
+//! deep enough inside get nodes. What lies inside is found as for a new graph, by the faces beyond a place along one
+//! axis. Rows without a changed face nearby are copied, with nodes renumbered.
 //!
 //! Nodes may have been moved since they were placed, as by a deformation that has become the rest shape. Moved lattice
 //! nodes keep their edges to each other, and new ones fill the gaps between them on the grid of old.
@@ -42,10 +42,10 @@ use crate::graph::resample::zone::{ChangeZone, SpreadLengths};
 /// The graph after `change` from the graph before; `None` where a new graph has to be built: when interior nodes follow the shape
 /// ([`InteriorKind::Shape`](crate::graph::InteriorKind)), when the edit changes more than a
 /// quarter of the points, opens a part widely, joins what encloses space with what does not, or touches a mesh so torn
-/// that all of it is needed to tell what lies inside.
+/// that all of it is needed to find what lies inside.
 ///
-/// Parts that were surfaces only stay so. `positions` has all nodes of `old` where they are by now: at rest as it was built, or
-/// as a deformation left them; points that `change` does not name must lie there. Edges keep their weights but where faces
+/// Parts that were surfaces only stay so. `positions` has all nodes of `old` where they are now: as built, or as a
+/// deformation left them; points that `change` does not name must lie there. Edges keep their weights but where faces
 /// changed. Flat passes over all nodes, edges and triangles, and work in proportion to the edit.
 ///
 /// # Errors

@@ -64,7 +64,7 @@ pub(super) fn orient_parts(site: &ShellSite, parts: &[Vec<u32>], reach: &mut [f3
     }
 }
 
-/// Keeps copies that the edit leaves room, places the others anew.
+/// Keeps copies that still have room, places the others again.
 pub(super) fn place_copies(
     site: &ShellSite,
     old: &GraphBefore<'_>,

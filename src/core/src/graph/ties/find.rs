@@ -27,7 +27,7 @@ const RUN: usize = 1024;
 /// The surface that ties are looked for on.
 #[derive(Clone, Copy)]
 pub(super) struct TieSite<'a> {
-    /// The graph without ties. Its first rows tell the lengths of edges.
+    /// The graph without ties. Its first rows have the lengths of edges.
     pub(super) graph: &'a MeshGraph,
     /// Triangles that ties may lead to.
     pub(super) triangles: &'a [[u32; 3]],

@@ -14,7 +14,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 /// As [`resample`], for a graph with or without ties. Ties of vertices whose surroundings the edit leaves alone stay as they
-/// are; those of others are found anew. `None` also where an edit brings the first ties into a graph without any.
+/// are; those of others are found again. `None` also where an edit brings the first ties into a graph without any.
 ///
 /// `options` are those that the graph was tied with, with the families of the vertices after the edit; `None` for a graph
 /// whose parts are never tied.

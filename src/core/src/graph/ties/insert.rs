@@ -14,10 +14,10 @@ use rayon::prelude::*;
 const BLOCK: usize = 1 << 12;
 
 /// Ties the parts of `mesh` to each other in its graph, which has no ties yet. Meshes of one part, and of parts out of each
-/// other's reach, keep their graph to the bit.
+/// other's reach, keep the bits of their graph.
 ///
-/// Each vertex looks at up to three other families and compares a bounded number of triangles, so that time and memory stay in
-/// proportion to the mesh whatever lies in one place. The result depends on the arguments alone.
+/// Each vertex searches up to three other families and compares a bounded number of triangles, so that time and memory
+/// stay in proportion to the mesh whatever lies in one place. The result depends on the arguments alone.
 ///
 /// # Errors
 /// [`Error::Length`] for a distance that is none, [`Error::Cancelled`].

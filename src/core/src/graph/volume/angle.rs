@@ -39,7 +39,7 @@ const ODD: [f64; 5] = [
 ];
 const PI_LOW: f64 = 1.224_646_799_147_353_2e-16;
 
-/// The angle of (`x`, `y`) for `y` above 0: to the bit what `libm::atan2` says, by the same steps without their branches,
+/// The angle of (`x`, `y`) for `y` above 0: bit-identical to `libm::atan2`, by the same steps without their branches,
 /// which angles of a mesh take at random.
 #[inline]
 pub(in crate::graph) fn upper_angle(y: f64, x: f64) -> f64 {

@@ -1,8 +1,8 @@
 //! Whether places lie inside a closed hull, by counting the faces beyond them along one axis.
 //!
 //! A line along an axis enters and leaves a closed hull equally often, so the faces that it crosses on one side of a
-//! place tell the winding number there, a whole number. Faces are sorted into the columns of a grid across that axis,
-//! and a place looks at the faces of its own column only.
+//! place give the winding number there, a whole number. Faces are sorted into the columns of a grid across that axis;
+//! a place needs the faces of its own column only.
 
 use crate::mesh::BoundingBox;
 use crate::mesh::query::box_grid::{BoxGrid, GridLimits};

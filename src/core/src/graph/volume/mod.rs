@@ -1,11 +1,11 @@
 //! The volume graph of a mesh: surface, shell and lattice (Zhou et al. 2005).
 //!
-//! `build` goes through the stages in order: `solid` tells which parts enclose space, `caps` closes their holes, `inward`
-//! and `shell` move copies of vertices inwards, `lattice` (by `scan` or `octree`) fills the inside with nodes and joins them,
-//! and `nearest` gives each of them its vertex. They ask the surface by `near_surface`. `placed` puts the paper's graph
-//! together, `shape` the one that follows the shape: `principal_axes` tells how its lattice stands, `thickness` how wide it is,
-//! `spread` ties the surface to it, and `struts` joins what is too thin for it.
-//! `apart` builds one graph for each part.
+//! `build` runs the stages in order: `solid` finds which parts enclose space, `caps` closes their holes, `inward` and
+//! `shell` move copies of vertices inwards, `lattice` (by `scan` or `octree`) fills the inside with nodes and joins
+//! them, and `nearest` gives each of them its vertex. They query the surface by `near_surface`. `placed` makes the
+//! paper's graph, `shape` the one that follows the shape: `principal_axes` gives the axes of its lattice, `thickness`
+//! its width, `spread` ties the surface to it, and `struts` joins what is too thin for it. `apart` builds one graph for
+//! each part.
 
 mod angle;
 mod apart;

@@ -1,4 +1,4 @@
-//! Nodes of a grid inside soups, where only the winding number tells what is inside.
+//! Nodes of a grid inside soups, where only the winding number shows what is inside.
 //!
 //! Space is searched as an octree over grid cells, coarse to fine. A block far from the surface is decided as a whole;
 //! only blocks near the surface are split, so the work grows with the surface, not with the box around it.

@@ -11,7 +11,7 @@ use glam::{DMat3, DVec3};
 /// Moments closer than this to each other, in shares of their sum, are equal. Wider than what single precision does to the moments
 /// of a symmetric body.
 const EQUAL: f64 = 1e-6;
-/// Normals that prefer no direction by more than this share of the area have none to tell.
+/// Normals that prefer no direction by more than this share of the area give no axes.
 const PREFERENCE: f64 = 1e-4;
 /// Products of inertia below this share of the moments are rounding.
 const ROUNDING: f64 = 1e-13;

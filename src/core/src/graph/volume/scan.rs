@@ -1,6 +1,6 @@
 //! Nodes of a grid inside a closed hull, found row by row.
 //!
-//! A row of the grid enters and leaves a closed hull equally often, so walking along it and counting faces tells the
+//! A row of the grid enters and leaves a closed hull equally often, so walking along it and counting faces gives the
 //! winding number of every node, a whole number. Nodes too near to the surface are then taken away face by face. Both
 //! touch each face for the few nodes around it, so the work grows with the number of faces and of nodes, not with the
 //! box around them, and nothing is searched. Sheets (all nodes of one height) are independent of each other.
@@ -151,8 +151,8 @@ fn height(grid: &LatticeGrid, sheet: u32) -> (f64, f64) {
     (grid.origin.z + (f64::from(sheet / 2) + shift) * grid.interval, shift)
 }
 
-/// Where the rows of a sheet cross faces of `hull`. Each edge is cut by the sheet in one way whichever face asks, so the
-/// turns of a row add up to zero, to the bit and without special cases.
+/// Where the rows of a sheet cross faces of `hull`. The sheet cuts each edge in the same way for both faces, so the
+/// turns of a row add up to exactly zero, without special cases.
 fn crossings(
     site: &VolumeSite,
     hull: HullFaces,

@@ -32,7 +32,7 @@ pub(in crate::graph) struct VolumeSite<'a> {
     pub(in crate::graph) parts: &'a ClassifiedParts,
     /// Closed parts and those whose holes have been closed, if there are any.
     pub(in crate::graph) hull: Option<HullFaces<'a>>,
-    /// The same, to be asked what lies inside.
+    /// The same, to test what lies inside.
     pub(in crate::graph) inside_hull: &'a InsideHull<'a>,
     /// Soups that enclose space, if there are any.
     pub(in crate::graph) soup: Option<&'a WindingTree<'a>>,
@@ -43,7 +43,7 @@ pub(in crate::graph) struct VolumeSite<'a> {
     pub(in crate::graph) looked: &'a VisitCount,
 }
 
-/// Who tells what lies inside a hull.
+/// What decides whether a place is inside a hull.
 pub(in crate::graph) enum InsideHull<'a> {
     /// There is no hull.
     Nothing,

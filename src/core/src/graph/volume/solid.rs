@@ -38,7 +38,7 @@ pub(in crate::graph) enum PartKind {
     Closed,
     /// Space, with holes that faces can close.
     Holed,
-    /// Space, with so many holes that only its winding number tells what is inside.
+    /// Space, with so many holes that only its winding number shows what is inside.
     Soup,
     /// Nothing.
     Sheet,
@@ -51,7 +51,7 @@ pub(in crate::graph) struct ClassifiedParts {
 }
 
 impl ClassifiedParts {
-    /// Tells solids from sheets. `step` is a small length beside an edge.
+    /// Separates solids from sheets. `step` is a small length beside an edge.
     pub(in crate::graph) fn sort(
         mesh: &Mesh,
         adjacency: &Adjacency,

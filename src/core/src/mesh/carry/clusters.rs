@@ -1,4 +1,4 @@
-//! The surface at rest: a tree whose nodes stand for the triangles below them when seen from far away.
+//! The rest surface: a tree whose nodes stand for the triangles below them when seen from far away.
 
 use crate::mesh::measure::BoundingBox;
 use crate::mesh::query::TriangleBvh;
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 /// What a triangle without area weighs, as a fraction of the squared diagonal: a surface of nothing else has samples too.
 const LEAST_AREA: f64 = 1e-12;
 
-/// A surface at rest, ready to carry points. It owns what it needs, about 150 bytes per triangle, and depends on the
+/// A rest surface, ready to carry points. It owns what it needs, about 150 bytes per triangle, and depends on the
 /// triangles alone.
 ///
 /// Its *samples* are the vertices, numbered as given, and after them the clusters: nodes of a bounding-volume hierarchy that
@@ -118,7 +118,7 @@ impl CarrySurface {
             + size_of_val(self.nodes.as_slice())
     }
 
-    /// Where a sample is at rest.
+    /// The rest place of a sample.
     pub(super) fn sample_place(&self, sample: u32) -> DVec3 {
         match self.rest.get(sample as usize) {
             Some(&vertex) => vertex,

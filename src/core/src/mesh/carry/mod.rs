@@ -1,4 +1,4 @@
-//! Carries points of rest space along with a deformed surface: what is no part of a model's solve rides with it.
+//! Carries points of rest space along with a deformed surface: what is not a part of a model's solve follows it.
 //!
 //! A point on the surface goes where its place on the surface goes. A point beside it, inside or outside, takes the blended
 //! motion of the surface around it: the mean displacement of the places near by, and about their mean the mean rotation and
@@ -12,7 +12,7 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `clusters` | [`CarrySurface`]: the surface at rest as a tree of clusters |
+//! | `clusters` | [`CarrySurface`]: the rest surface as a tree of clusters |
 //! | `neighbourhood` | which samples of it a point follows, and how much |
 //! | `motion` | [`SurfaceMotion`]: how every sample has moved, turned and grown in a deformed shape |
 //! | `carried_points` | [`CarriedPoints`]: points with their neighbourhoods, for many shapes; [`SurfaceCarrier`] for one |

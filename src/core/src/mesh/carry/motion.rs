@@ -17,7 +17,7 @@ const CONTRADICTION: [f64; 2] = [0.7, 0.5];
 pub struct CarriedFrame {
     /// Where the point is now.
     pub position: DVec3,
-    /// How the space around it has turned: a direction `d` at rest is now `rotation * d`. A unit quaternion.
+    /// How the space around it has turned: a rest direction `d` is now `rotation * d`. A unit quaternion.
     pub rotation: DQuat,
     /// How many times as large lengths around it are now, above 0.
     pub scale: f64,
@@ -86,7 +86,7 @@ impl SurfaceMotion {
         })
     }
 
-    /// Carries a point that follows `samples` with weights that add to 1 and whose mean place at rest `lever` leads away from.
+    /// Carries a point that follows `samples` with weights that add to 1; `lever`: from their mean rest place to it.
     pub(super) fn carry_along(
         &self,
         point: DVec3,
@@ -230,7 +230,7 @@ fn turning_part(gradient: DMat3, guess: DQuat) -> DQuat {
 
 /// The gradient of the similarity-like map that takes one triangle to another, times the first one's area: in its plane the
 /// affine map, across it the normal, grown by the root of the ratio of areas. Nothing is divided by the height of a thin
-/// triangle. `None` for a triangle without area at rest.
+/// triangle. `None` for a triangle without rest area.
 fn weighted_gradient(rest: [DVec3; 3], now: [DVec3; 3]) -> Option<DMat3> {
     let (e1, e2) = (rest[1] - rest[0], rest[2] - rest[0]);
     let (f1, f2) = (now[1] - now[0], now[2] - now[0]);

@@ -10,10 +10,10 @@ use std::ops::Range;
 /// Marks of an entry: the cell is the box's first along x, y or z. The number of the box is below them.
 const FIRST: [u32; 3] = [1 << 29, 1 << 30, 1 << 31];
 const NUMBER: u32 = FIRST[0] - 1;
-/// Cells along an axis, at most: numbers that single precision tells apart.
+/// Cells along an axis, at most: single precision must resolve their numbers.
 const LONGEST: f64 = 1e6;
 
-/// Boxes sorted into cells, told apart by their number. Boxes and cells are in single precision, rounded so that nothing is
+/// Boxes sorted into cells, identified by number. Boxes and cells are in single precision, rounded so that nothing is
 /// missed: what overlaps also overlaps here.
 #[derive(Debug)]
 pub(crate) struct BoxGrid {

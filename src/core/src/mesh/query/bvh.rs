@@ -37,7 +37,7 @@ pub struct TriangleBvh<'a> {
     /// Leaves first, then each level above; the root is last.
     pub(super) nodes: Vec<BvhNode>,
     pub(super) leaves: usize,
-    /// Boxes around the children of each node that is no leaf.
+    /// Boxes around the children of each inner node.
     pub(super) boxes: Vec<ChildBoxes>,
     /// What long queries have looked at.
     pub(crate) visits: VisitCount,
@@ -157,7 +157,7 @@ impl<'a> TriangleBvh<'a> {
         self.leaves
     }
 
-    /// The box around a node that is no leaf.
+    /// The box around an inner node.
     pub(crate) fn inner_bounds(&self, node: usize) -> BoundingBox {
         let boxes = &self.boxes[node - self.leaves];
         let corner = |of: &[[f64; FAN]; 3], child: usize| DVec3::from_array([0, 1, 2].map(|axis| of[axis][child]));

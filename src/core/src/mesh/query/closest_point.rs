@@ -1,11 +1,11 @@
 //! The closest point of one segment or one triangle.
 //!
-//! The triangle is answered in three forms. Two of them differ in rounding only, and results of edits keep the form that
-//! they were first computed with, to the bit.
+//! The triangle has three forms. Two of them differ in rounding only; results of edits keep the form that they were
+//! first computed with, so that they are bit-identical.
 
 use glam::DVec3;
 
-/// Tells where on the way from `a` to `b` the point closest to `p` lies: 0 at `a`, 1 at `b`, and 0 when both are one point.
+/// Finds where between `a` and `b` the point closest to `p` lies: 0 at `a`, 1 at `b`, and 0 when both are one point.
 pub fn closest_parameter_on_segment(p: DVec3, a: DVec3, b: DVec3) -> f64 {
     let along = b - a;
     let t = (p - a).dot(along) / along.length_squared();
@@ -41,7 +41,7 @@ pub fn closest_point_on_triangle(p: DVec3, corners: [DVec3; 3]) -> DVec3 {
     PreparedTriangle::new(corners).closest_point(p)
 }
 
-/// A triangle that many places are asked about.
+/// A triangle prepared for many queries.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PreparedTriangle {
     corners: [DVec3; 3],

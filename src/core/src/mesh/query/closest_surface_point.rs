@@ -18,7 +18,7 @@ pub struct SurfacePoint {
     pub vertex: u32,
 }
 
-/// Who is shown the triangles near a point, nearest boxes first.
+/// Visits the triangles near a point, nearest boxes first.
 pub(crate) trait NearVisitor {
     /// Whether nothing below a node of the tree is wanted, whatever else is found.
     fn ignores_node(&self, _node: usize) -> bool {
@@ -30,8 +30,8 @@ pub(crate) trait NearVisitor {
         false
     }
 
-    /// Looks at the triangles of a leaf, told as places in the order of the leaves; may lower the squared distance that the
-    /// search goes to.
+    /// Visits the triangles of a leaf, given as places in the order of the leaves; may lower the squared distance that
+    /// the search goes to.
     fn see_leaf(&mut self, leaf: usize, places: Range<usize>, limit: &mut f64);
 }
 
@@ -66,7 +66,7 @@ impl TriangleBvh<'_> {
         })
     }
 
-    /// Tells whether any triangle is nearer than `radius`.
+    /// Returns whether any triangle is nearer than `radius`.
     pub fn has_triangle_within(&self, point: DVec3, radius: f64) -> bool {
         let mut found = false;
         self.visit_near(point, radius * radius, &mut |place: usize, limit: &mut f64| {
@@ -85,7 +85,7 @@ impl TriangleBvh<'_> {
     /// not change the answer.
     ///
     /// # Panics
-    /// When `near` is no vertex.
+    /// When `near` is not a vertex.
     pub fn closest_vertex(&self, point: DVec3, near: Option<u32>) -> Option<u32> {
         let mut best = near.map(|v| (self.positions[v as usize].distance_squared(point), v));
         self.visit_near(

@@ -23,8 +23,8 @@ pub fn group_fans(faces: usize, spokes: impl IntoIterator<Item = (u32, u32)>) ->
     (fans.of_vertex, fans.count)
 }
 
-/// Tells whether directed links make one path or one ring. Each face around a vertex gives one link, from its corner after
-/// the vertex to its corner before it; so the faces make one fan, open or closed, that turns one way. Sorts the links.
+/// Returns whether directed links make one path or one ring. Each face around a vertex gives one link, from its corner
+/// after the vertex to its corner before it; so the faces make one fan, open or closed, of one winding. Sorts links.
 pub fn is_single_oriented_fan(links: &mut [(u32, u32)]) -> bool {
     links.sort_unstable();
     if links.is_empty() || links.windows(2).any(|l| l[0].0 == l[1].0) {

@@ -85,7 +85,7 @@ impl<'a> TriangleCells<'a> {
         self.side
     }
 
-    /// Tells whether any triangle is nearer than `radius`. The work grows with the cells that the ball overlaps.
+    /// Returns whether any triangle is nearer than `radius`. The work grows with the cells that the ball overlaps.
     pub fn has_triangle_within(&self, point: DVec3, radius: f64) -> bool {
         let reach = DVec3::splat(radius);
         let square = radius * radius;
@@ -94,7 +94,7 @@ impl<'a> TriangleCells<'a> {
         })
     }
 
-    /// Tells whether the segment crosses or touches any triangle, but for those with the corner `except`.
+    /// Returns whether the segment crosses or touches any triangle, but for those with the corner `except`.
     pub fn is_crossed(&self, from: DVec3, to: DVec3, except: Option<u32>) -> bool {
         let direction = to - from;
         self.find_along(from, to, |triangle, _| {

@@ -43,7 +43,7 @@ impl Clone for VisitCount {
 /// Why queries under a budget end early.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum QueryStop {
-    /// Nobody wants the answers any more.
+    /// The caller cancelled.
     Cancelled,
     /// They look at more than so much together.
     TooMany {
@@ -60,7 +60,7 @@ impl From<Cancelled> for QueryStop {
 
 /// What many queries may look at together, on whatever threads they run.
 pub(crate) struct VisitBudget<'a> {
-    /// The threads, and who may give the work up.
+    /// The threads, and the way to cancel.
     pub(crate) exec: &'a Exec<'a>,
     limit: u64,
     /// What all structures that are asked have counted.
@@ -76,7 +76,7 @@ impl<'a> VisitBudget<'a> {
     /// Asks `ask` about each item in order, on the thread of the caller.
     ///
     /// # Errors
-    /// [`QueryStop`], soon after the work is given up or the budget is spent.
+    /// [`QueryStop`], soon after a cancel or when the budget is spent.
     pub(crate) fn ask_each<T, R>(
         &self,
         items: impl ExactSizeIterator<Item = T>,
@@ -94,7 +94,7 @@ impl<'a> VisitBudget<'a> {
         Ok(answers)
     }
 
-    /// Ends work that has looked at more than is allowed, or that nobody wants; returns what has been looked at.
+    /// Ends work that has visited more than is allowed, or is cancelled; returns the visits so far.
     ///
     /// # Errors
     /// As [`VisitBudget::ask_each`].

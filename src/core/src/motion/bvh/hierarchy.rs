@@ -1,4 +1,4 @@
-//! The first half of a BVH file: joints, where they are at rest, and what moves them.
+//! The first half of a BVH file: joints, their rest places, and what moves them.
 
 use super::clip_limits::{ClipLimits, check_count};
 use super::lines::{ClipLine, ClipLines, shown};
@@ -216,7 +216,7 @@ impl TreeReader {
             channels.push(channel);
         }
         if channels.len() != count {
-            return Err(line.refuse(format!("{count} channels are told, {} are named", channels.len())));
+            return Err(line.refuse(format!("{count} channels are declared, {} are named", channels.len())));
         }
         self.tree.channels[joint] = channels;
         Ok(())

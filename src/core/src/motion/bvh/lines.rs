@@ -89,10 +89,10 @@ impl<'a> ClipLine<'a> {
             ))),
             Some(_) => Err(self.refuse(format!("\"{}\" is not finite", shown(word)))),
             None if word.contains(&b',') => Err(self.refuse(format!(
-                "\"{}\" is no number; decimals need a point, not a comma",
+                "\"{}\" is not a number; decimals need a point, not a comma",
                 shown(word)
             ))),
-            None => Err(self.refuse(format!("\"{}\" is no number", shown(word)))),
+            None => Err(self.refuse(format!("\"{}\" is not a number", shown(word)))),
         }
     }
 }

@@ -29,7 +29,7 @@ use lines::ClipLines;
 /// ```
 ///
 /// # Errors
-/// [`Error`] with the line where the text is no clip, or where there is more than `limits` allow.
+/// [`Error`] with the line where the text is not a clip, or where there is more than `limits` allow.
 pub fn read_bvh(bytes: &[u8], limits: &ClipLimits) -> Result<MotionClip, Error> {
     let seen = bytes.len() as u64;
     if seen > limits.bytes {

@@ -1,4 +1,4 @@
-//! Clips as tools write them, and as nobody should.
+//! Clips as tools write them, and malformed ones.
 
 use super::*;
 use glam::{DQuat, DVec3};
@@ -130,7 +130,7 @@ fn what_is_no_clip_is_refused_with_its_line() {
             "10 numbers, the joints have 9",
         ),
         (with("Xposition", "Wposition"), 5, "Xposition"),
-        (with("6 Xposition", "5 Xposition"), 5, "5 channels are told, 6"),
+        (with("6 Xposition", "5 Xposition"), 5, "5 channels are declared, 6"),
         (with("Yposition", "Xposition"), 5, "twice"),
         (with("OFFSET 1 2 3", "OFFSET 1 2"), 4, "three numbers"),
         (

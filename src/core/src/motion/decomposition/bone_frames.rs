@@ -12,7 +12,7 @@ pub(super) struct BoneFrames {
 }
 
 impl BoneFrames {
-    /// Bones that stay at rest.
+    /// Bones that stay in the rest pose.
     pub(super) fn at_rest(bones: usize, frames: usize) -> Self {
         let mut all = Self {
             bones,
@@ -61,7 +61,7 @@ impl BoneFrames {
         DQuat::from_mat3(&self.get(frame, bone).0).normalize()
     }
 
-    /// The same with more bones at the end, which stay at rest.
+    /// The same with more bones at the end, in the rest pose.
     pub(super) fn with_bones(&self, bones: usize) -> Self {
         let mut all = Self::at_rest(bones, self.frames);
         for frame in 0..self.frames {

@@ -57,9 +57,9 @@ impl DecompositionOptions {
 /// Bones, their motions and weights that play an animation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SkinDecomposition {
-    /// By bone: where its vertices are at rest, on the average by weight. It turns about this point.
+    /// By bone: the mean rest position of its vertices by weight. It turns about this point.
     pub centres: Vec<DVec3>,
-    /// By frame and bone: where the bone takes what lies at rest.
+    /// By frame and bone: the motion from the rest pose.
     pub motions: Vec<Vec<RigidMotion>>,
     /// By vertex.
     pub influences: Vec<BoneInfluences>,
@@ -84,7 +84,7 @@ const MOVE_EVERY: usize = 5;
 /// Finds bones and weights together.
 ///
 /// # Errors
-/// [`DecompositionError`] for options out of range, a sequence without a frame, and when nobody wants the result any more.
+/// [`DecompositionError`] for options out of range, a sequence without a frame, and when the caller cancels.
 pub fn decompose(
     sequence: &ShapeSequence,
     options: &DecompositionOptions,
@@ -176,7 +176,7 @@ fn improve(
 /// Fits weights where the bones' motions are given: by frame and bone, in model units. At most `most` bones a vertex.
 ///
 /// # Errors
-/// [`DecompositionError`] for options out of range, frames without all bones, and when nobody wants the result any more.
+/// [`DecompositionError`] for options out of range, frames without all bones, and when the caller cancels.
 pub fn fit_weights(
     sequence: &ShapeSequence,
     motions: &[Vec<RigidMotion>],

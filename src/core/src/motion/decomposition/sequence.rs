@@ -26,7 +26,7 @@ pub enum DecompositionError {
         /// What it may be.
         allowed: String,
     },
-    /// Nobody wants the result any more.
+    /// The caller cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
@@ -49,7 +49,7 @@ pub struct ShapeSequence {
 /// Some vertices in some frames.
 #[derive(Debug, Clone, Default)]
 pub(super) struct ShapeSamples {
-    /// By vertex, at rest.
+    /// Rest positions by vertex.
     pub(super) rest: Vec<DVec3>,
     /// Frame after frame, vertex after vertex: x, y, z.
     places: Vec<f32>,
@@ -180,7 +180,7 @@ fn check(what: &str, positions: &[DVec3]) -> Result<(), DecompositionError> {
     match positions.iter().position(|p| !p.is_finite()) {
         Some(vertex) => Err(refused(
             what,
-            format!("position {vertex} is no point of finite numbers"),
+            format!("position {vertex} is not a point of finite numbers"),
         )),
         None => Ok(()),
     }

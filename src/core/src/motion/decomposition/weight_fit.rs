@@ -1,8 +1,8 @@
 //! Weights of each vertex, where the motions of the bones are known.
 //!
-//! The paper fits weights of all bones and cuts them down to four, which is not the best set of four. Here a set grows: the
-//! bone that promises most is taken in, weights are fitted anew (`simplex_fit`), and once there are five the one that is
-//! missed least goes, as long as the error falls.
+//! The paper fits weights of all bones and cuts them down to four, which is not the best set of four. Here a set grows:
+//! each step adds the most promising bone and fits weights again (`simplex_fit`). From five bones on it removes the
+//! least useful one, as long as the error falls.
 
 use super::bone_frames::BoneFrames;
 use super::bone_products::{BoneProducts, VertexTargets, gather_targets};

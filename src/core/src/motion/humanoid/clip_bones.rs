@@ -51,10 +51,10 @@ fn side_and_name(name: &str) -> (char, String) {
     (' ', plain(&small))
 }
 
-/// Tells bones by names, as those of CMU, Mixamo, Blender's Rigify, 3ds Max and others.
+/// Finds bones by names, such as those of CMU, Mixamo, Blender's Rigify, 3ds Max and others.
 ///
 /// # Errors
-/// [`RigError`] when no joint is called as a bone that is needed, with what was looked for and what there is.
+/// [`RigError`] when no joint has the name of a needed bone, with the known names and those of the clip.
 pub fn bones_of_names(skeleton: &Skeleton) -> Result<ClipBones, RigError> {
     let named: Vec<(char, String)> = skeleton.joints.iter().map(|joint| side_and_name(&joint.name)).collect();
     let first_of = |side: char, names: &[&str], taken: Option<usize>| {
@@ -113,7 +113,7 @@ pub fn bones_of_names(skeleton: &Skeleton) -> Result<ClipBones, RigError> {
     Ok(bones)
 }
 
-/// Tells the bones between hips and head by how they hang on each other. `head`: the joint of the head, where one is known.
+/// Finds the bones between hips and head by their parents. `head`: the joint of the head, where one is known.
 pub(super) fn add_trunk(skeleton: &Skeleton, head: Option<usize>, bones: &mut ClipBones) {
     let Some(&hips) = bones.get("pelvis") else { return };
     let above = |joint: usize| {

@@ -13,12 +13,12 @@ const GROWTH: f64 = 2.0;
 /// Where a wrist and an elbow are on the way from a finger's tip to the shoulder, and a knee on that from ankle to hip.
 const WRIST: f64 = 0.25;
 const ELBOW: f64 = 0.64;
-/// What is between legs, over how deep these are: of legs apart, and of such as touch.
+/// The gap between legs over their depth: of legs apart, and of legs that touch.
 const CLEAR: f64 = 0.25;
 const THIN: f64 = 0.6;
 /// Where a person's legs part, over the height.
 const PERSON: f64 = 0.46;
-/// How far off the straight way a joint has to be to tell where the limb bends, over its length.
+/// How far off the straight way a joint has to be to show where the limb bends, over its length.
 const BEND: f64 = 0.04;
 
 /// What was found of a body.
@@ -58,7 +58,7 @@ const SIDES: [SideNames; 2] = [
 /// Looks for all joints of a body.
 ///
 /// # Errors
-/// [`Cancelled`] when nobody wants the result any more.
+/// [`Cancelled`] when the caller cancels.
 pub fn find_body(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Exec<'_>) -> Result<FoundBody, Cancelled> {
     let lattice = BodyLattice::of_mesh(positions, triangles, exec)?;
     let search = BodySearch::of_lattice(lattice);

@@ -1,10 +1,10 @@
 //! Rigs of upright figures: where the joints of a body lie in a mesh, and which joints of a clip turn its bones.
 //!
-//! A body has the joints of [`BODY_JOINTS`] and the bones of [`BODY_BONES`]. [`bones_of_names`] tells from the names of a clip's joints which
-//! of them turn which bone, [`bones_of_shape`] from how the skeleton branches. [`find_body`] looks for the joints in a mesh that
-//! stands upright and faces along z, in a lattice of the cells that it occupies: hands are the ends that lie farthest along it,
-//! arms what lies between them and the trunk, legs what a gap parts. [`rig_of_body`] brings both together; joints of limbs are
-//! brought to the middle of what is around them, and bones are as thick as that is.
+//! A body has the joints of [`BODY_JOINTS`] and the bones of [`BODY_BONES`]. [`bones_of_names`] finds which joints of a
+//! clip turn which bone by their names, [`bones_of_shape`] by how the skeleton branches. [`find_body`] finds the joints
+//! in a mesh that stands upright and faces along z, in a lattice of the cells that it occupies: hands are the ends
+//! farthest along it, arms are between them and the trunk, a gap separates the legs. [`rig_of_body`] combines both: it
+//! moves joints of limbs to the middle of what is around them, and makes bones as thick as that is.
 
 mod body_lattice;
 mod body_table;

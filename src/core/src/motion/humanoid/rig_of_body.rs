@@ -10,7 +10,7 @@ use crate::pool::Pool;
 use glam::DVec3;
 use std::collections::BTreeMap;
 
-/// A bone's radius over its length where nothing tells it, and at least.
+/// A bone's radius over its length where it is unknown, and at least.
 const UNKNOWN: f64 = 0.25;
 const LEAST: f64 = 0.03;
 
@@ -23,9 +23,9 @@ pub struct BodyRig {
     pub joints: Vec<PlacedJoint>,
 }
 
-/// Makes a rig of a body's joints, given by name: those of limbs come to the middle of what is around them, but for those in
-/// `fixed`. `clip` tells which joints of `skeleton` turn bones; bones without one are left out, and their neighbours reach as far as
-/// they would.
+/// Makes a rig of a body's joints, given by name: joints of limbs not in `fixed` move to the middle of what is around
+/// them. `clip` lists the joints of `skeleton` that turn bones; bones without one are left out, and their neighbours
+/// extend over them.
 ///
 /// # Errors
 /// [`RigError`] for joints of a body that are missing.

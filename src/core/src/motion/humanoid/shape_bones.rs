@@ -4,8 +4,8 @@ use super::clip_bones::{ClipBones, add_trunk};
 use crate::motion::skeleton::Skeleton;
 use glam::DVec3;
 
-/// Tells bones by shape alone: legs are the two branches that reach lowest, the head is what reaches highest, arms are what
-/// reaches farthest to both sides. Left is where x rises. `None` where there are no such branches.
+/// Finds bones by shape alone: legs are the two branches that reach lowest, the head the one that reaches highest, arms
+/// those that reach farthest to both sides. Left is where x rises. `None` where there are no such branches.
 pub fn bones_of_shape(skeleton: &Skeleton) -> Option<ClipBones> {
     let world = skeleton.world_transforms(&skeleton.rest_pose());
     let places: Vec<DVec3> = world.iter().map(|w| w.translation).collect();

@@ -8,13 +8,13 @@ use glam::{DQuat, DVec3};
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BonePair {
     pub model: [DVec3; 2],
-    /// The end is `None` for a joint that nothing tells the end of.
+    /// The end is `None` for a joint whose end is unknown.
     pub clip: (DVec3, Option<DVec3>),
 }
 
 /// The turn about the vertical that lets a clip face as the model does: of all such turns the one that brings the clip's joints
-/// nearest to the model's, both about their means. It is nothing where both are as good as on one vertical line. A clip that lies
-/// along z, as those whose vertical is z, is stood up before, where that brings it nearer.
+/// nearest to the model's, both about their means. It is nothing where both are almost on one vertical line. A clip
+/// that lies along z, such as one whose vertical is z, is turned upright before, where that brings it nearer.
 pub(super) fn heading(pairs: &[BonePair]) -> Heading {
     let upright = turn_about_vertical(pairs.iter().flat_map(points_of).collect());
     let clip = || pairs.iter().flat_map(points_of).map(|p| p[1]);

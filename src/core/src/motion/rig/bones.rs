@@ -34,7 +34,7 @@ pub struct RigBone {
     pub id: String,
     /// Number of the bone that it hangs on; `None` for the root.
     pub parent: Option<usize>,
-    /// Where it begins, in model space at rest: it turns about this point.
+    /// Where it begins in the rest pose, model space: it turns about this point.
     pub from: DVec3,
     /// Where it ends.
     pub to: DVec3,
@@ -57,7 +57,7 @@ pub struct RigBone {
 }
 
 impl RigBone {
-    /// The direction in which it points at rest, of unit length; `None` for a bone without length.
+    /// Its direction in the rest pose, of unit length; `None` for a bone without length.
     pub fn direction(&self) -> Option<DVec3> {
         (self.to - self.from).try_normalize()
     }
@@ -218,7 +218,7 @@ fn check_bone(bone: usize, own: &RigBone) -> Result<(), RigError> {
     }
     for (field, point) in [("from", own.from), ("to", own.to)] {
         if !point.is_finite() {
-            return refuse(field, "is no point of finite numbers".into());
+            return refuse(field, "is not a point of finite numbers".into());
         }
         if point.abs().max_element() > MotionRig::FARTHEST {
             let most = MotionRig::FARTHEST;
@@ -286,7 +286,7 @@ fn parents_first(bones: &[RigBone], above: &[Option<usize>]) -> Result<Vec<usize
     order.iter().for_each(|&bone| reached[bone] = true);
     let caught = (0..bones.len()).filter(|&b| !reached[b]);
     let names = listed_names(caught.map(|b| bones[b].id.as_str()));
-    Err(whole("bones", format!("{names} hang on each other in a circle")))
+    Err(whole("bones", format!("the parents of {names} form a cycle")))
 }
 
 #[cfg(test)]
@@ -333,7 +333,7 @@ mod tests {
         let told = refused(vec![bone("a"), bone("b")], &[None, None]);
         assert_eq!(told, "bones: \"a\", \"b\" have no parent; all but one bone need one");
         let told = refused(vec![bone("a"), bone("b"), bone("c")], &[None, Some("c"), Some("b")]);
-        assert_eq!(told, "bones: \"b\", \"c\" hang on each other in a circle");
+        assert_eq!(told, "bones: the parents of \"b\", \"c\" form a cycle");
         let told = refused(vec![bone("a")], &[Some("x")]);
         assert_eq!(
             told,
@@ -351,7 +351,7 @@ mod tests {
         );
         assert_eq!(
             wrong(&|b| b.to.x = f64::NAN),
-            "bones[0].to: is no point of finite numbers"
+            "bones[0].to: is not a point of finite numbers"
         );
         assert!(wrong(&|b| b.span = [0.9, 0.1]).starts_with("bones[0].span: is [0.9, 0.1]"));
         assert!(wrong(&|b| b.slices = 0).starts_with("bones[0].slices: is 0"));

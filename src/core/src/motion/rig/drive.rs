@@ -14,8 +14,8 @@ pub struct DriveOptions {
     pub scale: Option<f64>,
     /// What the bones are fitted to, in place of the rig's.
     pub reference: Option<ReferencePose>,
-    /// When the motion starts, in seconds: where the root is then, is where it is in the model. How high it stands is told by the
-    /// reference frame, so that who begins crouched stays so.
+    /// When the motion starts, in seconds: the root's place then is its place in the model. The reference frame gives
+    /// its height, so that a crouched start stays crouched.
     pub start: f64,
 }
 
@@ -35,9 +35,9 @@ pub struct RigDriver {
     bones: Vec<DrivenBone>,
     heading: DQuat,
     scale: f64,
-    /// Where the root's joint is when the model's is where it is at rest.
+    /// Where the root's joint is when the model's has its rest place.
     root_origin: DVec3,
-    /// For a skin's own clip: by joint, back from where it is at rest. Its joints are the bones', so nothing is fitted.
+    /// For a skin's own clip: by joint, the inverse of its rest pose. Its joints are the bones', so nothing is fitted.
     back_from_rest: Option<Vec<DAffine3>>,
     warnings: Vec<String>,
 }
@@ -180,7 +180,7 @@ impl RigDriver {
         Ok(driver)
     }
 
-    /// What joints do to what they held at rest.
+    /// The motions of joints from the rest pose.
     fn joint_motions(&self, seconds: f64) -> Vec<DAffine3> {
         let world = self.clip.skeleton.world_transforms(&self.clip.pose_at(seconds));
         let back = self.back_from_rest.iter().flatten();
@@ -200,7 +200,7 @@ impl RigDriver {
         self.bones.iter().map(motion).collect()
     }
 
-    /// How a bone of the model stands when the clip is in its reference pose, from how it stands at rest.
+    /// The turn of a bone of the model from its rest pose to the clip's reference pose.
     fn base_attitude(&mut self, bone: &RigBone, pair: &BonePair, above: DQuat) -> DQuat {
         match bone.rest {
             RestAttitude::Orientation => DQuat::IDENTITY,
@@ -247,8 +247,8 @@ impl RigDriver {
         self.scale
     }
 
-    /// By bone how it is turned against its parent, from how it is in the reference pose, in the axes of the model at rest; `None`
-    /// for the root.
+    /// By bone how it is turned against its parent, relative to the reference pose, in the axes of the model's rest
+    /// pose; `None` for the root.
     pub(super) fn turns_from_reference(&self, seconds: f64) -> Vec<Option<DQuat>> {
         let motions = self.world_motions(seconds);
         let turn = |(own, motion): (&DrivenBone, &RigidMotion)| {
@@ -351,7 +351,7 @@ fn joint_named(clip: &MotionClip, name: &str, bone: &RigBone, field: &'static st
         let joints = clip.skeleton.joints.iter();
         let names = listed_names(joints.map(|j| j.name.as_str()).filter(|n| !n.is_empty()));
         let problem = format!(
-            "\"{name}\" of bone \"{}\" is no joint of the clip; it has {names}",
+            "\"{name}\" of bone \"{}\" is not a joint of the clip; it has {names}",
             bone.id
         );
         whole(field, problem)

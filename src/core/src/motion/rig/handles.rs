@@ -137,7 +137,7 @@ fn add_cylinders(rig: &MotionRig, number: usize, bone: &RigBone, handles: &mut V
 }
 
 impl RigHandle {
-    /// The bone along which it is one of several slices, and where it lies; `None` for what is no slice.
+    /// The bone along which it is one of several slices, and where it lies; `None` for what is not a slice.
     pub fn sliced_bone(&self) -> Option<(usize, DVec3)> {
         match (self.follows, self.shape) {
             (Follows::Slice { bone, .. }, RigHandleShape::Cylinder { from, to, .. }) => {

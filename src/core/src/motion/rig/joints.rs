@@ -8,7 +8,7 @@ use crate::asset::{NodePlace, PlayedJoint};
 use crate::motion::skin_weights::SkinBone;
 use glam::{DMat3, DQuat, DVec3};
 
-/// How nearly a bone may point along z for that axis to tell how it is turned about itself.
+/// How nearly a bone may point along z where that axis defines its turn about itself.
 const ALONG: f64 = 0.9;
 
 /// The bones as vertices can follow them.
@@ -68,7 +68,7 @@ impl RigSkeleton {
         Self { joints, slices }
     }
 
-    /// What each joint does with what lies at rest in a pose, as something sees it that moves as `frame`.
+    /// The motion of each joint from its rest pose to `pose`, relative to the motion `frame`.
     pub fn motions_in(&self, rig: &MotionRig, pose: &RigPose, frame: &RigidMotion) -> Vec<RigidMotion> {
         let slices = self.slices.iter().map(|slice| slice.motion(rig, pose));
         let all = pose.bones.iter().copied().chain(slices);

@@ -1,4 +1,4 @@
-//! The rig of a skinned model: its joints are the rig's, and their vertices tell how thick limbs are.
+//! The rig of a skinned model: its joints are the rig's, and their vertices give the thickness of limbs.
 
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, whole};
 use crate::asset::MovingScene;
@@ -14,7 +14,7 @@ const SLENDER: f64 = 3.0;
 /// Into how many.
 const SLICES: usize = 3;
 
-/// Makes the rig of a skinned model. `rest` has one position per render vertex, at rest; `skeleton` is what
+/// Makes the rig of a skinned model. `rest` has one rest position per render vertex; `skeleton` is what
 /// [`crate::motion::clip_of_scene`] made of the same scene in the same order.
 ///
 /// # Errors

@@ -1,9 +1,9 @@
-//! Turns parted into a twist about an axis and a swing of that axis.
+//! Turns split into a twist about an axis and a swing of that axis.
 
 use glam::{DQuat, DVec3};
 
 /// The angle in −π … π by which `rotation` twists about a unit axis: it is a swing of the axis after that twist. 0 where the
-/// axis is turned around, so that the twist is not told.
+/// axis is reversed, so that the twist is undefined.
 pub(super) fn twist_angle(rotation: DQuat, axis: DVec3) -> f64 {
     let (along, w) = (rotation.xyz().dot(axis), rotation.w);
     if along * along + w * w < 1e-12 {

@@ -4,11 +4,11 @@ use super::bones::MotionRig;
 use super::drive::RigDriver;
 use super::swing_twist::twist_angle;
 
-/// From how many degrees on a twist is told of: near half a turn, the next frame may turn the other way round.
+/// From how many degrees on a twist is reported: near half a turn, the next frame may turn the other way round.
 const LARGEST_TWIST: f64 = 170.0;
-/// Of a bone that swings by more than 160 degrees, the twist says little: the square of the cosine of half of that.
+/// The twist of a bone that swings by more than 160 degrees is ignored: the square of the cosine of half of that.
 const LEAST_TOLD: f64 = 0.03;
-/// How many bones are told of.
+/// How many bones are reported.
 const MOST_TOLD: usize = 8;
 
 impl RigDriver {

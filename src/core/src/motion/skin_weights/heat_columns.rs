@@ -53,7 +53,7 @@ pub enum SkinWeightError {
         /// What is wrong, and what is allowed.
         problem: String,
     },
-    /// Nobody wants the result any more.
+    /// The caller cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
     /// The system of the lattice cannot be solved.
@@ -109,7 +109,7 @@ const RUN: usize = 256;
 ///
 /// # Errors
 /// [`SkinWeightError`] for no vertex or bone or too many bones, numbers that are not finite or not in their range, a triangle
-/// of vertices that are not there, and when nobody wants the result any more.
+/// of vertices that do not exist, and when the caller cancels.
 pub fn skin_weights(
     positions: &[DVec3],
     triangles: &[[u32; 3]],
@@ -307,7 +307,7 @@ fn check(
         return refuse("the mesh", "has no vertex, at least one is needed".into());
     }
     if let Some(at) = positions.iter().position(|p| !p.is_finite()) {
-        return refuse(&format!("vertex {at}"), "is no point of finite numbers".into());
+        return refuse(&format!("vertex {at}"), "is not a point of finite numbers".into());
     }
     let missing = |t: &[u32; 3]| t.iter().any(|v| *v as usize >= positions.len());
     if let Some(at) = triangles.iter().position(missing) {
@@ -320,12 +320,12 @@ fn check(
     if let Some(at) = bones.iter().position(|b| !b.ends.iter().all(|p| p.is_finite())) {
         return refuse(
             &format!("bone {at}"),
-            "has an end that is no point of finite numbers".into(),
+            "has an end that is not a point of finite numbers".into(),
         );
     }
     let above = |(at, bone): (usize, &SkinBone)| bone.parent.is_some_and(|p| p >= at);
     if let Some(at) = bones.iter().enumerate().position(above) {
-        let problem = "hangs on a bone that does not come before it; parents come first".into();
+        let problem = "has a parent that does not come before it; parents come first".into();
         return refuse(&format!("bone {at}"), problem);
     }
     if !(1..=BoneInfluences::MOST).contains(&options.influences) {

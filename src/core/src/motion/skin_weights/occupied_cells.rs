@@ -9,8 +9,8 @@ use rayon::prelude::*;
 /// A cell is passed by a triangle that comes this near to its centre, in cells. From √3/2 on no triangle passes unseen; less
 /// keeps parts that nearly touch apart.
 const REACH: f64 = 0.75;
-/// Cells in a row, all without a triangle, after which being inside is asked anew. Between them it cannot change where the
-/// surface is closed, and changes slowly where it is not.
+/// Cells in a row, all without a triangle, after which the test for inside is repeated. In between the answer cannot
+/// change where the surface is closed, and changes slowly where it is not.
 const ASK_EVERY: usize = 8;
 /// Cells along the longest side at most.
 const LONGEST: f64 = 256.0;

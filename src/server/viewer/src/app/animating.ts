@@ -1,6 +1,6 @@
 /**
- * Animations: the server solves every frame of a clip for the model at rest, the page keeps the frames and plays them. Handles,
- * shape and history of the session have no part in it.
+ * Animations: the server solves every frame of a clip for the rest shape; the page keeps the frames and plays them.
+ * Handles, shape and history of the session have no part in it.
  */
 
 import { computed, effect, signal } from "@preact/signals";
@@ -100,7 +100,7 @@ const USUAL_RATE = 30;
 export async function animate(source: ClipSource, options: ClipOptions = clipOptions.peek()): Promise<void> {
   const { surface } = view().stage;
   if (s.doc.peek() === undefined || surface === undefined) {
-    s.note("error", "No model is open", "A clip moves a model: open one first.");
+    s.note("error", "No model is open", "Open a model first, then the clip.");
     return;
   }
   abort?.abort();
@@ -172,7 +172,7 @@ async function receive(source: ClipSource, options: ClipOptions, into: Film): Pr
     if (film === into) animationReport.value = animation.report;
   } catch (error) {
     // Another model has taken the place of the one that was to move: nobody waits for its clip.
-    if (!signal.aborted && s.doc.peek()?.session === open.session) s.fail(into.frames.length === 0 ? "The clip does not play" : "No more frames came", error);
+    if (!signal.aborted && s.doc.peek()?.session === open.session) s.fail(into.frames.length === 0 ? "The clip cannot be played" : "No more frames arrived", error);
   }
 }
 
@@ -348,6 +348,6 @@ export async function rigOf(file: Blob): Promise<unknown> {
   try {
     return JSON.parse(await file.text());
   } catch (error) {
-    throw new PliantError("INVALID_ARGUMENT", `the rig is no JSON: ${error instanceof Error ? error.message : String(error)}`);
+    throw new PliantError("INVALID_ARGUMENT", `the rig is not JSON: ${error instanceof Error ? error.message : String(error)}`);
   }
 }

@@ -20,7 +20,10 @@ let puppet: Puppet | undefined;
 let clip = 0;
 let beside: Surface | undefined;
 
-/** Gets the model at rest with its skin, where the animation is of a clip that moves it, unless it is no longer wanted then. */
+/**
+ * Gets the model in the rest pose with its skin, where the animation plays a clip of it; nothing if cancelled
+ * meanwhile.
+ */
 export async function prepareComparison(own: number | undefined, isWanted: () => boolean): Promise<void> {
   dropComparison();
   const open = s.doc.peek();
@@ -40,7 +43,7 @@ export async function prepareComparison(own: number | undefined, isWanted: () =>
   }
 }
 
-/** The model at rest: as the server writes it while nothing is bent, else as it was uploaded. */
+/** The model in the rest pose: as the server writes it while nothing is bent, else as uploaded. */
 async function atRest(): Promise<Exported | undefined> {
   const open = s.doc.peek();
   const shown = documentNow();

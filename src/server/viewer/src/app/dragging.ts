@@ -1,4 +1,4 @@
-/** The live drag: poses to the stream, frames into the surface, and what they tell into the meters. */
+/** The live drag: poses to the stream, frames into the surface, and their facts into the meters. */
 
 import { type FrameFacts, type PoseEntry, type Session, type SolveOptions, type Stream, schema } from "pliant-client";
 import { type HandlePose, entryOf } from "../model/handles.ts";
@@ -12,7 +12,7 @@ import * as s from "./signals.ts";
 import { allAnswered, committing } from "./steps.ts";
 import { view } from "./view.ts";
 
-/** What the server does by itself when `refine` is absent. */
+/** The server's defaults of `refine`. */
 const USUAL_REFINE = { dragging: 0, commit: 4 };
 
 /** Milliseconds of a painted frame that stretch colours may take while dragging, on average. */
@@ -64,7 +64,7 @@ export function startStream(session: Session): void {
       if (state === "gone") s.dismissErrors();
     },
     onFrame: () => stage.request(),
-    onPoseError: (error) => s.fail("The pose was refused", error),
+    onPoseError: (error) => s.fail("The server rejected the pose", error),
     onNotice: (code, message) => code !== "going-away" && s.note("info", message),
     // What was dragged waits on the page for as long as the page is open; the user sees that, and may try at once.
   }, { patience: Number.POSITIVE_INFINITY });
@@ -101,7 +101,10 @@ export function dragTo(id: string, pose: HandlePose): void {
   view().stage.request();
 }
 
-/** Gives a drag up: the handle goes back to where it was, nothing is recorded, and the shape is that of the last commit to the bit. */
+/**
+ * Cancels a drag: the handle goes back to where it was, nothing is recorded, and the shape equals the last commit bit
+ * for bit.
+ */
 export async function giveUpDrag(id: string, pose: HandlePose): Promise<void> {
   const current = stream;
   const open = s.doc.peek();

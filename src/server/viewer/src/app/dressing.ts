@@ -63,7 +63,7 @@ export async function dress(surface: Surface, session: Session, companions: Read
     const clips = isScene(session) ? clipsOf(file) : [];
     const canvas = canvasOf(file, tree, surface.topology, session.facts.primitives);
     const appearance = canvas && appearanceOf(file, tree, canvas);
-    const faults = canvas === undefined ? ["the exported model lies otherwise over its vertices, so its colours are not shown"] : [];
+    const faults = canvas === undefined ? ["the vertices of the exported model are in another order, so the page does not show its colours"] : [];
     if (appearance === undefined) {
       wardrobe.value = { dressed: false, clips, faults };
       return;
@@ -79,7 +79,7 @@ export async function dress(surface: Surface, session: Session, companions: Read
     showLooks();
   } catch (error) {
     // The shape is on the screen, and can be bent: no reason to fail.
-    if (isShown()) wardrobe.value = { ...NOTHING, faults: [`the model's colours cannot be had: ${error instanceof Error ? error.message : String(error)}`] };
+    if (isShown()) wardrobe.value = { ...NOTHING, faults: [`the model's colours cannot be loaded: ${error instanceof Error ? error.message : String(error)}`] };
   }
 }
 

@@ -85,7 +85,7 @@ async function carryOut(open: s.Document, what: string, operation: Edit): Promis
     repaint();
     void keepDocument();
     const { before, after } = result;
-    s.note("info", `${what}: done`, `${before?.faces.toLocaleString()} → ${after?.faces.toLocaleString()} triangles`);
+    s.note("info", `${what}: done`, `${before?.faces.toLocaleString("en")} → ${after?.faces.toLocaleString("en")} triangles`);
     for (const warning of result.warnings) s.note("info", warning.message, otherPlaces(warning));
   } catch (error) {
     if (error instanceof PliantError && error.isUnimplemented) s.editsRefused.value = error.message;

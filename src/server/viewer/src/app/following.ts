@@ -8,7 +8,7 @@ import { arrive, learnPast } from "./past.ts";
 import * as s from "./signals.ts";
 import { allAnswered, awaitedNow, beginHere } from "./steps.ts";
 
-/** The revision of the session if nobody else changes something: it grows by one with every change, whoever makes it. */
+/** The session's revision without changes from elsewhere. Every change adds one, also those from elsewhere. */
 let expected = { revision: 0n };
 let looking: Promise<boolean> | undefined;
 
@@ -33,7 +33,7 @@ export function changedElsewhere(): Promise<boolean> {
 /** As `changedElsewhere`, for what was asked for and is not done then: it says so. */
 export async function isStale(what: string): Promise<boolean> {
   if (!(await changedElsewhere())) return false;
-  s.note("info", `Not done: ${what}`, "This page shows the changed model now. Do it again if it is still wanted.");
+  s.note("info", `Not done: ${what}`, "This page shows the changed model now. Repeat it if you still want it.");
   return true;
 }
 
@@ -65,9 +65,9 @@ export async function takeOver(): Promise<void> {
     learnPast(record?.past, record?.names);
     await arrive();
     beginHere();
-    s.note("info", "Changed in another window", "The model is shown as it is now.");
+    s.note("info", "Changed in another window", "The page shows the model as it is now.");
   } catch (error) {
-    s.fail("The model was changed in another window, and cannot be shown as it is now", error);
+    s.fail("The model was changed in another window, and the page cannot show the new state", error);
   }
 }
 

@@ -110,7 +110,7 @@ export async function poseHandle(id: string, pose: HandleState["pose"]): Promise
   await commitPoses([id]);
 }
 
-/** Takes the handles and poses that the server tells of; what else the page knows of them is kept. */
+/** Takes the handles and poses that the server reports; keeps what else the page knows of them. */
 export function adoptHandles(facts: Facts, known: readonly HandleState[] = []): void {
   const told = (handle: HandleState): HandleState => {
     const its = facts.handles.find(({ id }) => id === handle.id);
@@ -171,7 +171,7 @@ async function changing(what: string, failure: string, change: () => Promise<voi
   }
 }
 
-/** The server's list of handles, with what `known` says about each; poses of the others are as the server tells. */
+/** Merges the server's handles with what `known` says about each; the others have the server's poses. */
 function merge(facts: Facts, known: readonly HandleState[]): void {
   s.facts.value = facts;
   s.handles.value = facts.handles.map((told, k) => ({

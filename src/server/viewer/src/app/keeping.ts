@@ -1,7 +1,7 @@
 /**
  * What outlives a reload of the page: the last models with their handles, in the browser's own database, one record for
- * each session, so that tabs do not write over each other's. Sessions live on the server; this is what is needed to take
- * one up again, or to open the same model anew after the server forgot it.
+ * each session, so that tabs do not write over each other's. Sessions live on the server; this is what it takes to
+ * resume one, or to reopen the same model after the server forgot it.
  */
 
 import type { CreateOptions } from "pliant-client";
@@ -16,7 +16,7 @@ export interface Kept {
   readonly companions: ReadonlyMap<string, Blob>;
   readonly sample: boolean;
   readonly create: CreateOptions;
-  /** x, y, z at rest. */
+  /** Rest positions. */
   readonly rest: Float32Array<ArrayBuffer>;
   /** Handles as they are now, and by revision. */
   readonly handles: readonly HandleState[];
@@ -42,12 +42,12 @@ const MOST = 8;
 /** Larger models are not kept: the browser may refuse, and the user would not notice why the page is slow. */
 const LARGEST = 256 << 20;
 
-/** Whether something can be opened anew from what was kept. */
+/** Whether a record suffices to reopen its model. */
 export function canReopen(kept: Kept): boolean {
   return kept.sample || kept.model !== undefined;
 }
 
-/** What stands for whoever has this token: of the token itself it tells nothing. */
+/** An identifier of the token's owner, which reveals nothing of the token. */
 export async function markOf(token: string | undefined): Promise<string> {
   if (token === undefined) return NOBODY;
   const { subtle } = globalThis.crypto as Partial<Crypto>;
@@ -57,7 +57,7 @@ export async function markOf(token: string | undefined): Promise<string> {
   return Array.from(new Uint8Array(digest), (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
-/** Remembers a model. Failing to is no failure of the page. */
+/** Stores a model. The page ignores a failure. */
 export async function keep(kept: Kept): Promise<void> {
   const tooLarge = (kept.model?.size ?? 0) > LARGEST;
   const record = { ...kept, [BY_TIME]: Date.now(), ...(tooLarge ? { model: undefined } : {}) };

@@ -14,7 +14,7 @@ export interface LeavingQuestion {
 
 export const leavingQuestion = signal<LeavingQuestion | undefined>(undefined);
 
-/** The commit of handles that opening makes by itself. */
+/** The commit of handles that opening makes. */
 export const OPENING_DEED = "Handles set";
 
 /** Asks what becomes of the session that is open; one in which nothing was done needs no question. */

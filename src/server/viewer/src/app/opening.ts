@@ -74,11 +74,11 @@ export async function openFiles(files: readonly PlacedFile[]): Promise<void> {
   if (model === undefined) {
     s.dismissErrors();
     const seen = files.slice(0, 20).map(nameOf).join(", ") || "nothing";
-    s.note("error", "That is no model", `${seen}: the server reads ${EXTENSIONS.join(", ")}.`);
+    s.note("error", "Not a model", `${seen}: the server reads ${EXTENSIONS.join(", ")}.`);
     return;
   }
   if (models.length > 1) {
-    s.note("info", `Opened ${nameOf(model)}`, "Several models were given; a session holds one.");
+    s.note("info", `Opened ${nameOf(model)}`, "You gave several models; a session takes one.");
   }
   const leaving = await askLeaving();
   if (leaving === "stay") return;
@@ -108,7 +108,7 @@ export async function reopen(last: Kept): Promise<void> {
   if (now !== undefined && now !== last.session) await forget(last.session);
 }
 
-/** Opens the model on the screen anew, as it is now: the server may have gone before it was told of the last pose. */
+/** Reopens the model on the screen, as it is now: the server may have gone before it received the last pose. */
 export async function reopenShown(): Promise<void> {
   const shown = documentNow();
   if (shown === undefined) return;
@@ -121,7 +121,7 @@ export async function reopenShown(): Promise<void> {
 export async function resume(id: string): Promise<boolean> {
   const known = await kept(id);
   let found = false;
-  await busily("Taking up the session", async (signal) => {
+  await busily("Opening the session", async (signal) => {
     const session = await client.session(id, { signal }).catch((error: unknown) => {
       // Gone is no failure: the start page offers to open the same model again.
       if (error instanceof PliantError && error.isGone) return undefined;
@@ -165,7 +165,7 @@ export async function keepDocument(): Promise<void> {
   if (now !== undefined) await keep({ ...now, owner: await markOf(keptToken()) });
 }
 
-/** The open model as it is now, with what it takes to open it anew. */
+/** The open model as it is now, with what it takes to reopen it. */
 export function documentNow(): Kept | undefined {
   const open = s.doc.peek();
   if (open === undefined || source === undefined) return undefined;
@@ -199,7 +199,7 @@ async function open(from: Source, restored?: readonly HandleState[], leaving: Le
     if (from.sample) {
       session = await client.sample({ create: options, signal });
     } else if (from.model === undefined) {
-      throw new PliantError("NOT_FOUND", "the file is no longer at hand; open it again from where it is");
+      throw new PliantError("NOT_FOUND", "the page no longer has the file; open it again from your disk");
     } else {
       const onProgress = (fraction: number): void =>
         fraction < 1 ? tell("Uploading", fraction) : tell("The server builds the solver");
@@ -302,7 +302,7 @@ export function leave(): void {
 
 type Tell = (detail: string, fraction?: number) => void;
 
-/** Runs something under the busy sign; failures are told. */
+/** Runs something under the busy sign; shows failures. */
 async function busily(title: string, work: (signal: AbortSignal, tell: Tell) => Promise<void>): Promise<void> {
   const abort = new AbortController();
   const cancel = (): void => abort.abort();

@@ -8,7 +8,7 @@ import { view } from "./view.ts";
 
 const SELECTED = [255, 176, 46, 235] as const;
 
-/** Paints what is shown anew. Regions are left out of the stretch picture, the selection never is. */
+/** Repaints what is shown. The stretch picture omits regions, but never the selection. */
 export function repaint(): void {
   const { stage } = view();
   for (const surface of stage.surfaces()) paint(surface);

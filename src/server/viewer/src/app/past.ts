@@ -14,7 +14,7 @@ import { allAnswered, arrivedBy, nextSteps, stepBack, stepForth } from "./steps.
 import { view } from "./view.ts";
 
 const snapshots = new Map<string, readonly HandleState[]>();
-/** What made each revision, in words; of what others made the server tells the kind. */
+/** What made each revision, in words; those of others have the server's kind. */
 const deeds = new Map<string, string>();
 
 const KINDS: Record<string, string> = { create: "Opened", handles: "Handles", pose: "Pose", edit: "Edit" };
@@ -73,7 +73,7 @@ export async function refreshHistory(): Promise<void> {
       s.currentRevision.value = current;
     });
   } catch (error) {
-    if (s.link.peek().state === "open") s.fail("The history cannot be had", error);
+    if (s.link.peek().state === "open") s.fail("The history cannot be loaded", error);
   }
 }
 
@@ -105,7 +105,7 @@ async function travel(way: -1 | 1): Promise<void> {
     const local = way < 0 ? stepBack() : stepForth();
     const what = local ?? commitTo(way);
     if (what === undefined || (local === undefined && !(await step(way)))) return;
-    s.noteTravel(way < 0 ? "Undone" : "Done again", what);
+    s.noteTravel(way < 0 ? "Undone" : "Redone", what);
   } finally {
     travelling = false;
   }

@@ -1,4 +1,4 @@
-/** Places that the server told of, shown: the camera goes there, a ring says where. */
+/** Shows places that the server names: the camera goes there, a ring marks them. */
 
 import { Vector3 } from "three";
 import type { Place } from "../model/warnings.ts";

@@ -14,7 +14,7 @@ export interface Document {
   readonly session: Session;
   readonly topology: Topology;
   readonly report: SurfaceReport;
-  /** x, y, z of every render vertex at rest. */
+  /** Rest x, y, z of every render vertex. */
   readonly rest: Float32Array<ArrayBuffer>;
 }
 
@@ -27,7 +27,7 @@ export interface Busy {
   readonly cancel?: () => void;
 }
 
-/** Something to tell. */
+/** A message. */
 export interface Note {
   readonly id: number;
   readonly kind: "error" | "info";
@@ -167,7 +167,7 @@ export const canRedo = computed(() => commits.value.length > 0 && commits.value.
 
 let notesMade = 0;
 
-/** Tells something, for as long as `Notes` shows it. */
+/** Adds a message, for as long as `Notes` shows it. */
 export function note(kind: Note["kind"], title: string, detail?: string): void {
   const id = ++notesMade;
   const told: Note = { id, kind, title, ...(detail === undefined ? {} : { detail }) };
@@ -177,8 +177,8 @@ export function note(kind: Note["kind"], title: string, detail?: string): void {
 /** The note that says what was undone or done again: there is one, of the last. */
 let travelled = 0;
 
-/** Tells what undo took back or redo did again. */
-export function noteTravel(way: "Undone" | "Done again", what: string): void {
+/** Shows what was undone or redone. */
+export function noteTravel(way: "Undone" | "Redone", what: string): void {
   dismiss(travelled);
   note("info", `${way}: ${what}`);
   travelled = notesMade;
@@ -193,7 +193,7 @@ export function dismissErrors(): void {
   notes.value = notes.peek().filter(({ kind }) => kind !== "error");
 }
 
-/** Tells why something failed, in the server's words where they mean something here. */
+/** Shows why something failed, in the server's words where they apply here. */
 export function fail(what: string, error: unknown): void {
   if (error instanceof Error && error.name === "AbortError") return;
   note("error", what, forPeople(error instanceof Error ? error.message : String(error)));

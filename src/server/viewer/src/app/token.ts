@@ -1,4 +1,4 @@
-/** The token that tells the server who asks: asked for when the server wants one, kept until the tab is closed. */
+/** The token of the caller: requested when the server requires one, kept until the tab is closed. */
 
 import { signal } from "@preact/signals";
 import { recall, store } from "./storage.ts";

@@ -31,7 +31,7 @@ interface Place {
   readonly y: number;
 }
 
-/** How far the pointer has gone since it was pressed, and where it is: a way that comes back to its start is no click. */
+/** How far the pointer has gone since it was pressed, and where it is: a way back to its start is not a click. */
 interface Way {
   length: number;
   at: Place;

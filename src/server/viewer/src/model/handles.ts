@@ -2,7 +2,7 @@
 
 import { type Handle, type PoseEntry, type Quaternion, type Vector, nearestRotationVector, quaternionOf, regionOf, schema } from "pliant-client";
 
-/** How a handle holds: dragged by the gizmo, kept at rest, or pulling with a finite strength. */
+/** How a handle acts: dragged by the gizmo, fixed, or pulling with a finite strength. */
 export type Hold = "grip" | "pin" | "soft";
 
 /** Where a handle is. */
@@ -64,7 +64,7 @@ export function colourOf({ hold, hue }: Pick<HandleState, "hold" | "hue">): read
   return hold === "pin" ? PIN_COLOUR : (PALETTE[hue % PALETTE.length] ?? PIN_COLOUR);
 }
 
-/** The handle in the schema's words. Without a known region only its other fields are told. */
+/** The handle as a schema message. Without a known region it has only the other fields. */
 export function messageOf(handle: HandleState): Handle & { id: string } {
   const { position, rotation, scale } = handle.constrains;
   const all = position && rotation && scale;
@@ -96,8 +96,8 @@ function poseMessage({ translation, rotation, scale }: HandlePose): NonNullable<
 }
 
 /**
- * A pose that the server tells, about the handle's centroid as the page has it. What the server leaves out is at rest. Of
- * rotations that look alike, it is the one nearest to `before`, so that turns are not forgotten.
+ * A pose from the server, about the handle's centroid as the page has it. Fields that the server omits have rest
+ * values. Of equivalent rotations, it is the one nearest to `before`, so that turns are kept.
  */
 export function poseOf(told: schema.HandlePose | undefined, centroid: Vector, before: HandlePose = AT_REST): HandlePose {
   if (told === undefined) return AT_REST;
@@ -146,9 +146,9 @@ function carried(vertices: Uint32Array, runs: readonly schema.EditResult_Run[]):
 }
 
 /**
- * What a handle holds after an edit: the vertices that are left of it, and the new ones between them. A new vertex takes
- * after its neighbours: it is held where none of those that are decided is free. This is what is painted; what counts is
- * the server's own list, which it does not tell.
+ * The vertices of a handle after an edit: those that are left of it, and the new ones between them. A new vertex
+ * follows its neighbours: it is held where no decided neighbour is free. The page paints this; the server has its own
+ * list, which it does not return.
  */
 export function heldAfter(vertices: Uint32Array, runs: readonly schema.EditResult_Run[], indices: Uint32Array, count: number): Uint32Array {
   const [UNKNOWN, FREE, HELD] = [0, 1, 2];

@@ -1,6 +1,6 @@
 /**
- * Normals of a moving surface. Copies of a vertex at a texture seam are shaded as one; copies at a hard edge, which the
- * model tells by giving them different normals, are not.
+ * Normals of a moving surface. Copies of a vertex at a texture seam are shaded as one; copies at a hard edge, where the
+ * model has different normals, are not.
  */
 
 import type { SurfaceReport } from "./report.ts";
@@ -12,7 +12,7 @@ export interface Smoothing {
   readonly sums: Float32Array<ArrayBuffer>;
 }
 
-/** Forms the groups: the same place, and at rest nearly the same normal. */
+/** Forms the groups: the same place, and nearly the same rest normal. */
 export function smoothingOf({ normals }: Topology, { placeOf, places }: SurfaceReport): Smoothing {
   if (normals === undefined) {
     return { groupOf: placeOf, sums: new Float32Array(places * 3) };

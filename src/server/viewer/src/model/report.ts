@@ -17,13 +17,13 @@ export interface SurfaceReport {
   readonly holes: number;
   /** Edges with more than two triangles. */
   readonly crowdedEdges: number;
-  /** Lowest and highest corner at rest. */
+  /** Lowest and highest rest corner. */
   readonly box: { readonly min: readonly [number, number, number]; readonly max: readonly [number, number, number] };
   /** Length of the box's diagonal. */
   readonly diagonal: number;
 }
 
-/** Looks at a surface once, after it was opened or its topology changed. */
+/** Inspects a surface once, after it was opened or its topology changed. */
 export function reportOf({ positions, indices }: Topology): SurfaceReport {
   const vertices = positions.length / 3;
   const { placeOf, places } = placesOf(positions);

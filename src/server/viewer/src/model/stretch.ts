@@ -1,4 +1,4 @@
-/** How far edges are from their length at rest, as colours: blue where they are shorter, orange where they are longer. */
+/** How far edges are from their rest length, as colours: blue where they are shorter, orange where they are longer. */
 
 import type { SurfaceReport } from "./report.ts";
 

@@ -26,7 +26,7 @@ export async function loadTopology(session: Session, signal?: AbortSignal): Prom
   const told = session.facts.model?.vertices ?? 0;
   const seen = topology.positions.length / 3;
   if (seen !== told) {
-    throw new Error(`the server tells of ${told} vertices but sent ${seen}`);
+    throw new Error(`the server reports ${told} vertices but sent ${seen}`);
   }
   return topology;
 }
@@ -75,7 +75,7 @@ export function readPly(bytes: ArrayBuffer): Topology {
   const indices = new Uint32Array(faces * 3);
   let at = vertices * stride;
   for (let f = 0; f < faces; f++) {
-    if (view.getUint8(at) !== 3) throw new Error("the server sent a face that is no triangle");
+    if (view.getUint8(at) !== 3) throw new Error("the server sent a face that is not a triangle");
     indices[f * 3] = view.getUint32(at + 1, true);
     indices[f * 3 + 1] = view.getUint32(at + 5, true);
     indices[f * 3 + 2] = view.getUint32(at + 9, true);
@@ -99,7 +99,7 @@ interface Document {
 /** Reads the GLB that the server writes afresh: tightly packed floats and indices in one buffer. */
 export function readGlb(bytes: ArrayBuffer): Topology {
   const view = new DataView(bytes);
-  if (view.getUint32(0, true) !== 0x46546c67) throw new Error("the server sent no GLB file");
+  if (view.getUint32(0, true) !== 0x46546c67) throw new Error("the server did not send a GLB file");
   const jsonLength = view.getUint32(12, true);
   const document = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 20, jsonLength))) as Document;
   const binary = 20 + jsonLength + 8;

@@ -17,10 +17,10 @@ export function otherPlaces({ message, where }: Pick<schema.Warning, "message" |
   return others.length === 0 ? undefined : others.join("; ");
 }
 
-/** A place that can be looked at: a render vertex, or a point at rest. */
+/** A place to show: a render vertex, or a point of the rest shape. */
 export type Place = { readonly vertex: number } | { readonly point: readonly [number, number, number] };
 
-/** The places of a warning that can be looked at. */
+/** The places of a warning that can be shown. */
 export function placesOf({ vertices, position }: Pick<schema.Warning, "vertices" | "position">): readonly Place[] {
   const points = Array.from({ length: Math.floor(position.length / 3) }, (_, k) => ({
     point: [position[k * 3] as number, position[k * 3 + 1] as number, position[k * 3 + 2] as number] as const,

@@ -34,7 +34,7 @@ export class Stage {
     this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
     this.canvas = this.renderer.domElement;
     this.canvas.setAttribute("role", "img");
-    this.canvas.setAttribute("aria-label", "The model; arrow keys look around it");
+    this.canvas.setAttribute("aria-label", "The model; arrow keys orbit it");
     host.append(this.canvas);
     this.lamp.position.set(-0.6, 0.9, 1.2);
     this.camera.add(this.lamp);

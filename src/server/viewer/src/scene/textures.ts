@@ -33,7 +33,7 @@ interface Source {
   readonly facts: PictureFacts;
 }
 
-/** Decodes the pictures of these looks. Those that cannot be are left out, and told. */
+/** Decodes the pictures of these looks. Failed ones are left out, and listed. */
 export async function loadTextures(file: GltfFile, looks: readonly Look[], longest: number): Promise<Textures> {
   const faults: string[] = [];
   const sources = new Map<number, Source>();
@@ -66,7 +66,7 @@ async function sourceOf(file: GltfFile, index: number): Promise<Source | string>
   const name = uri === undefined || uri.startsWith("data:") ? `image ${index}` : `“${uri.slice(0, 80)}”`;
   if (bytes === undefined) return `${name} is missing`;
   const facts = pictureFacts(bytes);
-  if (facts === undefined) return `${name} is no PNG, JPEG or WebP`;
+  if (facts === undefined) return `${name} is not a PNG, JPEG or WebP`;
   const { width, height } = facts;
   if (width === 0 || height === 0 || width * height > MOST_DECODED) {
     const [w, h] = [width.toLocaleString("en"), height.toLocaleString("en")];

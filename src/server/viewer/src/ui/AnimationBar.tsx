@@ -42,11 +42,11 @@ export function AnimationBar(): JSX.Element | null {
         <Button bare icon="close" label="Back to editing" keys="Escape" onClick={a.closeAnimation} />
       </div>
       <div class="row">
-        <Button bare icon="loop" label="Play again and again" pressed={a.loops.value} onClick={() => (a.loops.value = !a.loops.peek())} />
+        <Button bare icon="loop" label="Loop" pressed={a.loops.value} onClick={() => (a.loops.value = !a.loops.peek())} />
         <Button
           bare
           icon="walk"
-          label="Go where the clip goes"
+          label="Root motion"
           pressed={a.followsRoot.value}
           onClick={() => (a.followsRoot.value = !a.followsRoot.peek())}
         />
@@ -83,7 +83,7 @@ function Progress({ kept, wanted }: { kept: number; wanted: number }): JSX.Eleme
         <span class="coming" role="status">
           {count(kept)} of {things(wanted, "frame")}
         </span>
-        <Button label="Go on" onClick={() => void a.goOn()} />
+        <Button label="Resume" onClick={() => void a.goOn()} />
       </>
     );
   }
@@ -92,7 +92,7 @@ function Progress({ kept, wanted }: { kept: number; wanted: number }): JSX.Eleme
   return (
     <>
       <span class="coming" role="status">
-        <progress value={kept / wanted} aria-label="Frames that have come" />
+        <progress value={kept / wanted} aria-label="Received frames" />
         <span>
           frame {count(kept)} of {count(wanted)}
           <span class="whole">{left}</span>
@@ -118,7 +118,7 @@ function TooLong({ source, frames, bytes, ways }: a.TooLong): JSX.Element {
         {ways.map(({ says, options }) => (
           <Button label={says} onClick={() => void a.animate(source, options)} />
         ))}
-        <Button bare icon="close" label="Leave it" onClick={() => (a.tooLong.value = undefined)} />
+        <Button bare icon="close" label="Cancel" onClick={() => (a.tooLong.value = undefined)} />
       </div>
     </div>
   );

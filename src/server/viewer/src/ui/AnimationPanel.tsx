@@ -22,7 +22,7 @@ export function AnimationPanel(): JSX.Element {
   return (
     <Section title="Animation" note={animating.value?.source.title ?? ""} open={false}>
       {clip === undefined ? (
-        <p class="hint">Drop a BVH file on the page: the model moves as it does, if it is an upright figure or a rig comes along.</p>
+        <p class="hint">Drop a BVH file on the page to animate the model. A model that is not an upright figure needs a rig (JSON) too.</p>
       ) : (
         <div class="row">
           <Select
@@ -37,7 +37,7 @@ export function AnimationPanel(): JSX.Element {
         </div>
       )}
       {clip === undefined && <Button icon="open" label="BVH…" onClick={pickRecording} />}
-      <Field label="Rate" hint="Frames a second that are solved">
+      <Field label="Rate" hint="Frames to solve for each second of the clip">
         <Select
           label="Rate"
           value={(RATES.find((rate) => Number(rate) === fps) ?? "0")}
@@ -48,12 +48,12 @@ export function AnimationPanel(): JSX.Element {
       <Field label="First frame">
         <NumberInput label="First frame" value={first} step={1} min={0} digits={0} onValue={(value) => set({ first: Math.round(value) })} />
       </Field>
-      <Field label="Frames" hint="How many are solved; 0: all that follow">
+      <Field label="Frames" hint="How many frames to solve; 0: all from the first frame">
         <NumberInput label="Frames" value={wanted} step={1} min={0} digits={0} onValue={(value) => set({ count: Math.round(value) })} />
       </Field>
-      <Field label="Fits" hint="How often rotations are fitted in a frame">
+      <Field label="Refinements" hint="How often the server fits rotations in each frame">
         <Select
-          label="Fits"
+          label="Refinements"
           value={FITS.find((fit) => Number(fit) === refine) ?? "-1"}
           options={FITS.map((fit) => [fit, fit === "-1" ? "carried" : fit] as const)}
           onValue={(value) => set({ refine: Number(value) })}
@@ -78,7 +78,7 @@ function Told(): JSX.Element | null {
       <Facts
         rows={[
           ["Frames", `${count(totals.frames)}, ${totals.framesPerSecond.toPrecision(2)} a second`, "As the server solved them"],
-          ["Volume", `${percent(totals.volumeChangeMean)}, worst ${percent(totals.volumeChangeWorst)}`, "Mean over all frames, and the frame farthest from rest"],
+          ["Volume", `${percent(totals.volumeChangeMean)}, worst ${percent(totals.volumeChangeWorst)}`, "Mean over all frames, and the frame farthest from the rest pose"],
           ["Edge change", percent(totals.edgeRmsMean), "Root of the mean square of relative edge length change, mean over frames"],
           ["Largest stretch", `× ${totals.maxStretch.toFixed(2)}`],
           ["Flipped triangles", count(totals.flippedTrianglesWorst), "In the worst frame"],

@@ -43,8 +43,8 @@ function Lost(): JSX.Element {
     <div class="banner" role="status">
       <span class="dot lost" />
       <span>
-        <strong>Reconnecting.</strong> {reason?.message ?? "The connection was lost"}. What you drag stays on this page and
-        is sent when the server is back.
+        <strong>Reconnecting.</strong> {reason?.message ?? "The connection was lost"}. The page keeps what you drag and
+        sends it when the server is back.
       </span>
       <Button label="Try now" onClick={retryNow} />
     </div>
@@ -58,7 +58,7 @@ function Gone(): JSX.Element {
   return (
     <div class="card" role="alertdialog" aria-labelledby="gone-title">
       <h2 id="gone-title">The server no longer has this session</h2>
-      <p>It was restarted, or the session expired. What is on the screen is the last shape that was sent.</p>
+      <p>It was restarted, or the session expired. The screen shows the last shape that the server sent.</p>
       {possible ? (
         <p>
           This page still has <strong>{shown.name}</strong> and its{" "}
@@ -67,7 +67,7 @@ function Gone(): JSX.Element {
             : `${things(shown.beforeEdits.length, "handle")} with poses, as they were before the first edit; edits are not repeated.`}
         </p>
       ) : (
-        <p>This page does not have the model's file, so it must be opened again from where it is.</p>
+        <p>This page does not have the model's file, so open it again from your disk.</p>
       )}
       <div class="row">
         {possible && <Button kind="main" label="Open it again" onClick={() => void reopenShown()} />}

@@ -139,7 +139,7 @@ function Remesh({ disabled }: { disabled: boolean }): JSX.Element {
     <fieldset disabled={disabled}>
       <legend>Remesh</legend>
       <div class="row">
-        <Field label="Edge length" hint="In model units; 0 evens out only where stretch asks for it">
+        <Field label="Edge length" hint="In model units; 0 remeshes only where the surface is stretched">
           <NumberInput label="Edge length" value={remeshLength} min={0} digits={5} step={0.01} onValue={(length) => s.choose({ remeshLength: length })} />
         </Field>
         <span class="gap" />

@@ -62,7 +62,7 @@ function Details({ handle }: { handle: HandleState }): JSX.Element {
         ]}
         onValue={(value) => change(value === "pin" ? { hold: value, pose: AT_REST } : { hold: value })}
       />
-      {foreign && <p class="hint">Set elsewhere: its region is not known to this page, its pose is.</p>}
+      {foreign && <p class="hint">Set elsewhere: this page knows its pose, not its region.</p>}
       {hold === "soft" && (
         <>
           <Field label="Stiffness" hint="How strongly it pulls, in units of edge weights">
@@ -143,10 +143,10 @@ function Pose({ handle: { id, pose } }: { handle: HandleState }): JSX.Element {
       {row("Scale", pose.scale, 0.05, 3, 0.01, (scale) => set({ scale }))}
       <div class="row">
         <span class="hint">
-          {Math.round(angle * DEGREES)}° in all <TurnCount angle={angle} />
+          total turn {Math.round(angle * DEGREES)}° <TurnCount angle={angle} />
         </span>
         <span class="gap" />
-        <Button icon="reset" label="To rest" disabled={isAtRest(pose)} onClick={() => set(AT_REST)} />
+        <Button icon="reset" label="Reset" disabled={isAtRest(pose)} onClick={() => set(AT_REST)} />
       </div>
     </>
   );

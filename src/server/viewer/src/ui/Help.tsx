@@ -27,21 +27,21 @@ export function Help(): JSX.Element {
           <b>Open</b> a model, or the sample creature.
         </li>
         <li>
-          <b>Select</b> places with the brush, box, lasso or a {hasFingers() ? "tap" : "click"} on a part.{" "}
+          <b>Select</b> regions with the brush, box, lasso or a {hasFingers() ? "tap" : "click"} on a part.{" "}
           {selectingMeans(s.settings.value.looksWith)}
         </li>
         <li>
           <b>Pin</b> what stays, <b>grip</b> what moves. A <b>soft</b> handle pulls instead of holding.
         </li>
         <li>
-          <b>Drag</b> the gizmo. The newest pose always wins; letting go records it, Escape gives it up. Undo goes back to the bit, and over
-          selections, in the order in which you did things.
+          <b>Drag</b> the gizmo. The newest pose always wins; releasing the button records it, Escape cancels it. Undo restores the exact shape;
+          it also covers selections, in the order of your actions.
         </li>
         <li>
-          <b>Edit</b> the triangles: cut by a plane, subdivide, or remesh what the remesh brush paints. Undo crosses that, too.
+          <b>Edit</b> the triangles: cut by a plane, subdivide, or remesh what the remesh brush paints. Undo covers that, too.
         </li>
         <li>
-          <b>Export</b> the model: unless it was edited, everything but positions, normals and tangents is as it came.
+          <b>Export</b> the model: unless it was edited, everything but positions, normals and tangents stays as it was in the file.
         </li>
         <li>
           <b>Write</b> the same as a script: <a href="/docs">every call of this server</a>.

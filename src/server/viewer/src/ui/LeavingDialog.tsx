@@ -14,10 +14,10 @@ export function LeavingDialog(): JSX.Element {
   }, [question]);
   return (
     <dialog class="help token" ref={sheet} role="alertdialog" aria-labelledby="leaving-title" onCancel={() => question?.answer("stay")}>
-      <h1 id="leaving-title">Keep what was done to {question?.name}?</h1>
+      <h1 id="leaving-title">Keep your changes to {question?.name}?</h1>
       <p>
-        A session that is kept stays on this server as it is: the start page lists it under “Open on this server” until it has not been used
-        for a while. One that is discarded is gone, with its history.
+        “Keep” leaves the session on this server: the start page lists it under “Open on this server” until it expires unused. “Discard”
+        deletes the session and its history.
       </p>
       <div class="row">
         <Button kind="main" label="Keep" onClick={() => question?.answer("keep")} />

@@ -15,7 +15,7 @@ export function SelectionPanel(): JSX.Element {
     <Section title="Selection" note={none ? "nothing" : count(selected)}>
       {none && (
         <p class="hint">
-          Paint, box or lasso the places to hold. {selectingMeans(s.settings.value.looksWith)}
+          Paint, box or lasso the places for a handle. {selectingMeans(s.settings.value.looksWith)}
         </p>
       )}
       <div class="row">

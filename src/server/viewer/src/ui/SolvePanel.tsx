@@ -33,7 +33,7 @@ export function SolvePanel(): JSX.Element {
             onValue={(value) => choose({ tolerance: Number(value) })}
           />
         </Field>
-        <Field label="Stop at error" hint="In place of the tolerance: the displacement that may be missing, of the box's diagonal">
+        <Field label="Stop at error" hint="Instead of the tolerance: the largest error, as a share of the box's diagonal">
           <Select
             label="Stop at error"
             value={String(chosen.maxError)}
@@ -69,7 +69,7 @@ export function SolvePanel(): JSX.Element {
             onValue={(method) => choose({ method })}
           />
         </Field>
-        <Field label="Frames" hint="16-bit frames are half as large, what differs is smaller still; exact to 1/65535 of the box">
+        <Field label="Frames" hint="16-bit frames are half as large, differences are smaller still; exact to 1/65535 of the box">
           <Choice
             label="Frame encoding"
             value={chosen.encoding}
@@ -82,13 +82,13 @@ export function SolvePanel(): JSX.Element {
             onValue={(encoding) => choose({ encoding })}
           />
         </Field>
-        <Field label="Window" hint="Frames that may be on their way before one was shown">
+        <Field label="Window" hint="Unacknowledged frames that the server may send">
           <NumberInput label="Window" value={chosen.window} min={1} max={s.facts.value?.limits?.window ?? 8} step={1} digits={0} onValue={(window) => choose({ window })} />
         </Field>
-        <Check label="Show rough frames first" checked={chosen.progressive} onValue={(progressive) => choose({ progressive })} />
+        <Check label="Progressive" checked={chosen.progressive} onValue={(progressive) => choose({ progressive })} />
       </Section>
       <Section title="Volume and parts" open={false}>
-        <Field label="Inner nodes" hint="Keep the volume of what encloses some">
+        <Field label="Inner nodes" hint="Nodes inside closed parts that keep the volume">
           <Choice
             label="Volume graph"
             value={chosen.volumeMode}
@@ -103,19 +103,19 @@ export function SolvePanel(): JSX.Element {
         <Field label="Interval" hint="Lattice interval in model units; 0 lets the server choose">
           <NumberInput label="Lattice interval" value={chosen.volumeInterval} min={0} step={0.01} digits={5} onValue={(volumeInterval) => choose({ volumeInterval })} />
         </Field>
-        <Field label="Free parts" hint="What parts without a handle do">
+        <Field label="Loose parts" hint="What the server does with parts without a handle">
           <Select
             label="Parts without a handle"
             value={chosen.components}
             options={[
               ["FOLLOW", "follow the nearest"],
               ["HOLD", "stay"],
-              ["FREE", "are refused"],
+              ["FREE", "reject"],
             ]}
             onValue={(components) => choose({ components })}
           />
         </Field>
-        <p class="hint">These hold when a model is opened. {canRebuild() ? "" : "This session was opened elsewhere."}</p>
+        <p class="hint">These apply when you open a model. {canRebuild() ? "" : "This session was opened elsewhere."}</p>
         <div class="row">
           <Button label="Build again" disabled={!canRebuild()} onClick={() => void rebuild()} />
           <span class="gap" />

@@ -54,8 +54,8 @@ export function Start(): JSX.Element {
     <div class="card start">
       <h1>Bend a model</h1>
       <p>
-        Drop a file or a folder anywhere on this page: {EXTENSIONS.slice(0, -1).join(", ")} or {EXTENSIONS.at(-1)}. It is sent to this
-        server and to nowhere else.
+        Drop a file or a folder anywhere on this page: {EXTENSIONS.slice(0, -1).join(", ")} or {EXTENSIONS.at(-1)}. The page sends it
+        to this server only.
       </p>
       <div class="row">
         <Button kind="main" icon="open" label="Open a model…" keys="Ctrl+O" onClick={pickFiles} />
@@ -86,7 +86,7 @@ export function Start(): JSX.Element {
               happened="used"
               vertices={record.rest.length / 3}
               handles={record.handles.length}
-              more={sessions !== undefined ? "the server no longer holds it" : undefined}
+              more={sessions !== undefined ? "the server no longer has it" : undefined}
             >
               <Button
                 label="Open again with its handles"
@@ -106,11 +106,11 @@ function OpenSession({ session, known }: { session: schema.Session; known: KeptM
   // The browser knows when it used a session itself; of others' use the server tells by when the session ends without more of it.
   const used = ageOf(known?.keptAt ?? Number.NaN);
   const ends = timeTo(Date.parse(expiresAt));
-  const life = used !== undefined ? `, used here ${used}` : ends !== undefined ? `, ends ${ends} unless used` : "";
+  const life = used !== undefined ? `, used here ${used}` : ends !== undefined ? `, expires ${ends} if unused` : "";
   const name = label || known?.name || `${(model?.format || "model").toUpperCase()} ${id.slice(0, 8)}`;
   return (
     <Entry name={name} at={Date.parse(createdAt)} happened="opened" vertices={model?.vertices ?? 0} handles={handles.length} more={`revision ${revision}${life}`}>
-      <Button label="Go on" onClick={() => void resume(id)} />
+      <Button label="Resume" onClick={() => void resume(id)} />
     </Entry>
   );
 }

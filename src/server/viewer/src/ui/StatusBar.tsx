@@ -31,9 +31,9 @@ export function StatusBar(): JSX.Element {
       {meters !== undefined && (
         <>
           <Meter name="solve" value={time(meters.solveMs)} hint="Milliseconds that the last frame took to solve" />
-          <Meter name="wait" value={time(meters.queueMs)} hint="Milliseconds before it was begun" />
-          <Meter name="error" value={errorText(meters.maxError)} hint="Displacement believed to be missing, of the box's diagonal" />
-          <Meter name="superseded" value={count(s.superseded.value)} hint="Poses that a newer one replaced before they were solved" />
+          <Meter name="wait" value={time(meters.queueMs)} hint="Milliseconds before the solve began" />
+          <Meter name="error" value={errorText(meters.maxError)} hint="Estimated error, as a share of the box's diagonal" />
+          <Meter name="skipped" value={count(s.superseded.value)} hint="Poses that a newer one replaced before they were solved" />
           <Meter name="shapes/s" value={meters.fps.toFixed(0)} hint="Shapes painted in the last second of dragging" />
           <Meter name="frame" value={bytes(meters.bytes)} hint="Bytes of the last frame" />
         </>

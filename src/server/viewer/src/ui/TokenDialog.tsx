@@ -26,14 +26,14 @@ export function TokenDialog(): JSX.Element {
           answer();
         }}
       >
-        <h1 id="token-title">Who asks?</h1>
+        <h1 id="token-title">Token needed</h1>
         <p>
-          {question?.refused === true ? "This server does not know that token, or no longer." : "This server wants to know."}{" "}
-          Whoever runs it has tokens. It is kept until this tab is closed.
+          {question?.refused === true ? "The server rejects that token." : "This server needs an access token."} Ask its operator for one. This
+          tab keeps the token until you close it.
         </p>
         <div class="row">
           <input ref={field} type="password" aria-label="Token" autocomplete="off" autofocus />
-          <Button kind="main" label="Go on" onClick={answer} />
+          <Button kind="main" label="Continue" onClick={answer} />
           <Button label="Cancel" onClick={() => question?.answer(undefined)} />
         </div>
       </form>

@@ -7,7 +7,7 @@ import { Button } from "./parts.tsx";
 
 /** Tools with their names and keys, in the order in which work goes. */
 export const TOOLS: readonly { tool: s.Tool & IconName; name: string; key: string }[] = [
-  { tool: "orbit", name: "Look around", key: "V" },
+  { tool: "orbit", name: "Orbit", key: "V" },
   { tool: "brush", name: "Paint a region", key: "B" },
   { tool: "box", name: "Select by box", key: "X" },
   { tool: "lasso", name: "Select by lasso", key: "L" },

@@ -26,18 +26,18 @@ export function ViewPanel(): JSX.Element {
         />
       </Field>
       {colouring === "stretch" && (
-        <div class="legend" aria-label="Blue: edges are shorter than at rest; orange: longer">
+        <div class="legend" aria-label="Blue: edges are shorter than in the rest pose; orange: longer">
           <span class="ramp" />
           <div>
             <span>÷ {FULL_STRETCH}</span>
-            <span>as at rest</span>
+            <span>as in the rest pose</span>
             <span>× {FULL_STRETCH}</span>
           </div>
         </div>
       )}
-      <Field label="Look with" hint={buttonsMean(looksWith)}>
+      <Field label="Orbit with" hint={buttonsMean(looksWith)}>
         <Choice
-          label="The button that looks around"
+          label="The button that orbits"
           value={looksWith}
           options={[
             ["middle", "middle button"],

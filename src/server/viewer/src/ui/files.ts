@@ -38,14 +38,14 @@ async function playRecording(files: readonly PlacedFile[]): Promise<void> {
   const clip = files.find(({ path }) => endsWith(path, "bvh"));
   const rig = files.find(({ path }) => endsWith(path, "json"));
   if (clip === undefined) {
-    s.note("error", "That is no clip", "A BVH file is needed, and a rig (JSON) if the model is no upright figure.");
+    s.note("error", "Not a clip", "Drop a BVH file, and a rig (JSON) if the model is not an upright figure.");
     return;
   }
   try {
     const source: ClipSource = { title: clip.path.split("/").at(-1) ?? clip.path, bvh: clip.file };
     await animate(rig === undefined ? source : { ...source, rig: await rigOf(rig.file) });
   } catch (error) {
-    s.fail("The clip does not play", error);
+    s.fail("The clip cannot be played", error);
   }
 }
 

@@ -1,4 +1,4 @@
-/** Keyboard shortcuts. The help sheet shows this list, so that it cannot tell of others. */
+/** Keyboard shortcuts. The help sheet shows this list, so that both agree. */
 
 import { animating, seekFrame } from "../app/animating.ts";
 import { makeHandle, removeHandle } from "../app/handling.ts";
@@ -81,7 +81,7 @@ export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] 
       { keys: "T", what: "Select through the model", act: () => s.choose({ throughSelect: !s.settings.peek().throughSelect }) },
       { keys: "N", what: "Next handle", act: step(1) },
       { keys: "Delete", what: "Remove the active handle", act: removeActive },
-      { keys: "Escape", what: "Give up the drag or the stroke, clear the selection, close the sheet", act: escape, always: true },
+      { keys: "Escape", what: "Cancel the drag or the stroke, clear the selection, close the sheet", act: escape, always: true },
     ],
   },
   {
@@ -96,12 +96,12 @@ export const SHORTCUTS: readonly { title: string; list: readonly Shortcut[] }[] 
   {
     title: "View",
     list: [
-      { keys: "ArrowLeft", what: "Look from further left; a frame back", act: aside(-1) },
-      { keys: "ArrowRight", what: "Look from further right; a frame on", act: aside(1) },
-      { keys: "ArrowUp", what: "Look from further above", act: () => view().stage.circle(0, -AROUND, 1) },
-      { keys: "ArrowDown", what: "Look from further below", act: () => view().stage.circle(0, AROUND, 1) },
-      { keys: "+", what: "Nearer", act: () => view().stage.circle(0, 0, 1 / NEARER) },
-      { keys: "-", what: "Further away", act: () => view().stage.circle(0, 0, NEARER) },
+      { keys: "ArrowLeft", what: "Orbit left; previous frame", act: aside(-1) },
+      { keys: "ArrowRight", what: "Orbit right; next frame", act: aside(1) },
+      { keys: "ArrowUp", what: "Orbit up", act: () => view().stage.circle(0, -AROUND, 1) },
+      { keys: "ArrowDown", what: "Orbit down", act: () => view().stage.circle(0, AROUND, 1) },
+      { keys: "+", what: "Zoom in", act: () => view().stage.circle(0, 0, 1 / NEARER) },
+      { keys: "-", what: "Zoom out", act: () => view().stage.circle(0, 0, NEARER) },
       { keys: "Space", what: "Play or pause the clip or the animation", act: togglePlay },
       { keys: "F", what: "Frame the model", act: () => view().stage.frame() },
       { keys: "U", what: "Materials or clay", act: () => s.choose({ materials: !s.settings.peek().materials }) },

@@ -1,4 +1,4 @@
-/** What the mouse does, in words: the panels and the help sheet tell the same. */
+/** What the mouse does, in words, for the panels and the help sheet. */
 
 import type { LooksWith } from "../app/signals.ts";
 
@@ -9,12 +9,12 @@ export function hasFingers(): boolean {
 
 /** How a selection is drawn and the model looked at, with what the user has. */
 export function selectingMeans(looksWith: LooksWith): string {
-  if (hasFingers()) return "One finger selects; two pan, and zoom by pinching. With the tool “Look around” one finger turns the model.";
+  if (hasFingers()) return "One finger selects; two pan, and zoom by pinching. With the tool “Orbit” one finger turns the model.";
   return `Shift adds, Alt takes away. ${buttonsMean(looksWith)}`;
 }
 
 /** What the buttons mean whatever the tool; `armTool` makes it so. */
 export function buttonsMean(looksWith: LooksWith): string {
   const [looks, pans] = looksWith === "middle" ? ["middle", "right"] : ["right", "middle"];
-  return `The ${looks} button looks around; with Shift, or with the ${pans} button, it pans; the wheel zooms.`;
+  return `The ${looks} button orbits; with Shift, or with the ${pans} button, it pans; the wheel zooms.`;
 }

@@ -157,9 +157,9 @@ export function things(n: number, one: string): string {
   return `${count(n)} ${one}${n === 1 ? "" : "s"}`;
 }
 
-/** Whole numbers with thin gaps. */
+/** Whole numbers with commas, as the server writes them. */
 export function count(n: number | bigint | undefined): string {
-  return (n ?? 0).toLocaleString("en").replaceAll(",", "\u2009");
+  return (n ?? 0).toLocaleString("en");
 }
 
 /** A time in a clip. */

@@ -19,7 +19,7 @@ pub(super) struct AddedClips {
 }
 
 impl AddedClips {
-    /// Samples every animation stack that moves something. What cannot be sampled is told and left out.
+    /// Samples every animation stack that moves something. Failed ones are left out with a warning.
     pub(super) fn build(
         scene: &Scene,
         nodes: &SceneNodes,

@@ -1,12 +1,12 @@
 //! Autodesk FBX, read and not written: a file becomes a GLB, which is a model like any other.
 //!
-//! What a rest pose, a morph target or a clip is to the rest of the house is said once, by [`gltf`](super::gltf). So an
-//! FBX is made into the GLB that says the same, in metres and with Y up, and what comes back of it is a GLB. The bytes are
-//! taken apart by `ufbx` (one C file, under limits of memory); everything that is handed on is checked here.
+//! Only [`gltf`](super::gltf) defines rest poses, morph targets and clips for other modules. So an FBX is translated to
+//! an equivalent GLB, in metres and with Y up, and is written as GLB. `ufbx` (one C file, under limits of memory)
+//! parses the bytes; this module checks all its output.
 //!
 //! [`scene`] opens the file, [`corners`] makes vertices of the corners of polygons, [`meshes`] primitives of them with
 //! [`morphs`] and [`skins`], [`materials`] base colours and pictures, [`nodes`] places them, [`clips`] samples animation
-//! stacks, [`buffer`] holds the numbers, and [`notes`] what a caller is told.
+//! stacks, [`buffer`] holds the numbers, and [`notes`] the warnings.
 
 mod buffer;
 mod clips;

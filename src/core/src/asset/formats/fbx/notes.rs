@@ -1,11 +1,11 @@
-//! What a caller is told about a translation.
+//! Warnings about a translation.
 
 /// Warnings, gathered while a file is translated.
 #[derive(Default)]
 pub(super) struct TranslationNotes {
     /// (code, message, place).
     pub warnings: Vec<(String, String, String)>,
-    /// What the file says and glTF does not, or that is not made use of, each once.
+    /// What the file has and glTF cannot express, or is not used, each once.
     left_out: Vec<&'static str>,
 }
 

@@ -105,7 +105,7 @@ fn fault_of(error: &ufbx::Error, files: &FileSet) -> Error {
             "decoding takes more pieces of memory than are allowed".into(),
             "divide the model",
         ),
-        ErrorType::NodeDepthLimit => refuse("nodes", format!("hang more than {DEEPEST} deep below each other")),
+        ErrorType::NodeDepthLimit => refuse("nodes", format!("are nested more than {DEEPEST} levels deep")),
         ErrorType::UnsupportedVersion => unsupported(
             "is of a version of FBX that is not read".into(),
             "export it as FBX 2014 or newer, or as glb",
@@ -129,7 +129,7 @@ fn fault_of(error: &ufbx::Error, files: &FileSet) -> Error {
     }
 }
 
-/// Tells of what the reader had to mend, in one warning.
+/// Reports all repairs by the reader in one warning.
 pub(super) fn tell_of_repairs(scene: &ufbx::Scene, notes: &mut TranslationNotes) {
     let list = &scene.metadata.warnings;
     let texts: Vec<String> = list
@@ -147,7 +147,7 @@ pub(super) fn tell_of_repairs(scene: &ufbx::Scene, notes: &mut TranslationNotes)
         } else {
             String::new()
         };
-        let message = format!("mended while reading: {}{rest}", texts.join("; "));
+        let message = format!("repaired while reading: {}{rest}", texts.join("; "));
         notes.warn("fbx-mended", message, "file");
     }
 }
@@ -175,8 +175,8 @@ pub(super) fn embedded_bytes(texture: &ufbx::Texture) -> Option<&[u8]> {
     (!bytes.is_empty()).then_some(bytes)
 }
 
-/// The names of the files that textures are kept in beside the model, each once. None where the file cannot be read:
-/// whoever reads it says why.
+/// The names of the texture files beside the model, each once. None where the file cannot be read: its reader reports
+/// why.
 pub(super) fn texture_names(files: &FileSet) -> Vec<String> {
     let limits = Limits::default();
     let watch = ReadWatch::new(&limits, &Silent, files.total_bytes());

@@ -1,7 +1,7 @@
 //! The files that a document names: external buffers and images.
 //!
-//! A buffer that is missing is an error of [`buffers`](super::buffers): it holds the shape. An image that is missing is
-//! told as a warning: nothing is computed from it, and a model without its pictures is still a model.
+//! A missing buffer is an error of [`buffers`](super::buffers): it holds the shape. A missing image is a warning:
+//! nothing is computed from it.
 
 use super::container;
 use super::document::{GLB_FORMAT, GltfDocument};
@@ -14,8 +14,8 @@ use crate::asset::{FileSet, Format};
 /// How many names a warning lists.
 const MOST_LISTED: usize = 5;
 
-/// The names of the files that buffers and images of a document are kept in, each once, in document order. None when the
-/// document cannot be taken apart: whoever reads it says why.
+/// The names of the files of buffers and images of a document, each once, in document order. None when the document
+/// cannot be parsed: its reader reports why.
 pub(super) fn companion_names(files: &FileSet, format: Format) -> Vec<String> {
     let bytes = if format == GLB_FORMAT {
         match container::split(&files.main, GltfFault(format)) {
@@ -42,7 +42,7 @@ pub(super) fn companion_names(files: &FileSet, format: Format) -> Vec<String> {
     names
 }
 
-/// Tells of images whose files are not among those that were given.
+/// Warns of images whose files are not among those given.
 pub(super) fn warn_of_missing(doc: &GltfDocument<'_>, files: &FileSet, warnings: &mut Warnings) {
     let (mut missing, mut outside) = (Vec::new(), Vec::new());
     for (i, item) in items_of(doc.text, "images").into_iter().enumerate() {

@@ -18,7 +18,7 @@ pub(super) fn followable<'t>(doc: &GltfDocument<'_>, clips: impl IntoIterator<It
     }
 }
 
-/// What is told of a document that comes back as it was read.
+/// The counts of a document that is returned unchanged.
 pub(super) fn nothing_followed(doc: &GltfDocument<'_>, notes: &GltfNotes) -> FollowedCounts {
     let mut tally = TargetTally::default();
     for row in &notes.rows {

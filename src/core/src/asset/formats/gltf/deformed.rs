@@ -15,7 +15,7 @@ use crate::mesh::shading;
 use glam::{DMat3, DVec3, Vec3, Vec4};
 use std::collections::BTreeSet;
 
-/// A shape that a model has been given, and what goes along with it.
+/// A new shape of a model, and what follows it.
 pub(super) struct NewShape<'a> {
     pub(super) rest: &'a Geometry,
     /// One finite one per vertex.

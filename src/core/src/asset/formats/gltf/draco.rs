@@ -132,7 +132,7 @@ struct DracoUncompressor<'d, 'a> {
     /// New data, and the views over it; offsets count from where the data will begin.
     data: Vec<u8>,
     views: Vec<(usize, usize, String)>,
-    /// How often each view of the document is named by what stays; empty when that cannot be told.
+    /// How often what stays names each view of the document; empty when that is unknown.
     uses_left: Vec<usize>,
     /// Views of decoded streams that nothing names any more.
     unused: Vec<usize>,

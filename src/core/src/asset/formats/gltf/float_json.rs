@@ -13,7 +13,7 @@ pub(super) fn bounds(values: &[f32], lanes: usize) -> (String, String) {
     (json_floats(&least), json_floats(&most))
 }
 
-/// As doubles: whoever reads doubles and whoever reads floats sees the same number.
+/// As doubles: readers of doubles and of floats get the same number.
 pub(super) fn json_floats(values: &[f32]) -> String {
     let texts: Vec<String> = values.iter().map(|&v| format!("{:?}", f64::from(v))).collect();
     format!("[{}]", texts.join(","))

@@ -136,7 +136,7 @@ fn read_set(doc: &GltfDocument<'_>, buffers: &BufferBytes, accessor: usize, name
     let described = doc.accessors.get(accessor);
     let layout = described.and_then(|a| AccessorLayout::of(a, &doc.views.values));
     let (Some(described), Some(layout)) = (described, layout.filter(|l| l.lanes == 4)) else {
-        return Err(format!("{name} is no VEC4"));
+        return Err(format!("{name} is not a VEC4"));
     };
     let is_joints = name.starts_with("JOINTS");
     let allowed = match layout.component {

@@ -347,7 +347,7 @@ fn image_bytes(
         let decoded = payload.and_then(|payload| STANDARD.decode(payload.trim()).ok());
         return decoded
             .map(Bytes::from)
-            .ok_or_else(|| format!("image {index} is no base64 data"));
+            .ok_or_else(|| format!("image {index} is not base64 data"));
     }
     match uri::resolve(&uri, &format!("images/{index}/uri"), doc.fault, &mut |_| Ok(())) {
         Ok(UriTarget::Companion(name)) => match model.files.companions.get(&name) {

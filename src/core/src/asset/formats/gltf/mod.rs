@@ -4,15 +4,16 @@
 //! binary data outside the changed attributes, unknown extensions, extras, custom attributes, animations, skins. Existing indices never change; what is new is appended.
 //!
 //! Displacements of morph targets turn and grow with the surface around their vertices ([`targets`]), and skeletons follow
-//! the body ([`rig`]), unless they are to stay; so do other [`nodes`] that are to. What of it was done is counted ([`counts`]).
+//! the body ([`rig`]), unless they are to stay. Other [`nodes`] follow on request. [`counts`] counts what followed.
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
-//! [`text`], [`check`] checks references and ranges, [`companions`] tells which files it names, [`buffers`] finds bytes
-//! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`draco`] does away with Draco and [`reclaimed`] with its bytes, [`scene`] places meshes,
-//! [`skin`], [`influences`] and [`placement`] their vertices, [`read`] puts triangles together. Writing: [`deformed`] computes
-//! what each attribute should become, [`sharing`] decides which copies must part, [`patch`] edits text and bytes,
-//! [`package`] makes the files, and [`self_contained`] puts those that lie beside a .gltf into a GLB. [`fresh`] makes an asset from other formats' geometry. After edits of the topology,
-//! [`edited`] writes primitives anew.
+//! [`text`], [`check`] checks references and ranges, [`companions`] lists the files it names, [`buffers`] finds bytes
+//! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`draco`] decodes Draco, [`reclaimed`] removes its
+//! bytes, [`scene`] places meshes, [`skin`], [`influences`] and [`placement`] their vertices, [`read`] puts triangles
+//! together. Writing: [`deformed`] computes what each attribute should become, [`sharing`] decides what must be copied,
+//! [`patch`] edits text and bytes, [`package`] makes the files, and [`self_contained`] puts files beside a .gltf into a
+//! GLB. [`fresh`] makes an asset from other formats' geometry. After edits of the topology, [`edited`] rewrites
+//! primitives.
 //!
 //! # Conventions
 //! - Positions are in world space; a skinned mesh stands where its joints put it in the rest pose of the scene, its node's
@@ -20,25 +21,25 @@
 //! - Triangles of a mesh that is mirrored into the world (negative determinant) are wound the other way round than the
 //!   file's indices, so that the outside is outside. The file's indices are never changed.
 //! - Quantised and sparse attributes that change come back as plain floats in an accessor of their own.
-//! - A vertex whose world position is equal to the rest pose's to the bit keeps its stored bytes.
+//! - A vertex whose world position is bit-identical in the rest pose keeps its stored bytes.
 //!
 //! # What is taken of the `gltf` crate
 //! Only its component types. Its document types would read files that this module must read otherwise:
 //! - Transforms are 32-bit floats there. Placed positions are computed in 64 bits here, and would change.
 //! - A document is read whole, so a wrong value in an animation is an error of the whole file, and an attribute name
-//!   that is neither the standard's nor begins with `_` is lost. Here, what geometry does not need is never looked at.
+//!   that is neither the standard's nor begins with `_` is lost. Here, what geometry does not need is never read.
 //! - Numbers such as `3.0` are refused where an index is meant; exporters write them, and here they are read.
-//! - Extensions that it does not know become maps of values, whose numbers are written anew (`1e-05` as `1e-5`); only
-//!   `extras` keep their text. Nothing tells where in the text a value stood, which patching needs.
+//! - Extensions that it does not know become maps of values, whose numbers are reformatted (`1e-05` as `1e-5`); only
+//!   `extras` keep their text. Positions in the text, which patching needs, are lost.
 //! - Its errors name a path but not what is allowed, and `meshopt` compression and fallback buffers are unknown to it.
 //!
 //! # Why edits splice text as well
-//! An edited document is packed anew, but its nodes, materials and whatever else the edit leaves alone keep their text
-//! to the byte: `serde_json::Value` would round-trip numbers (`0.10`, `1e-05`), escapes and white space differently, and
+//! An edited document is repacked, but nodes, materials and all that the edit does not change keep their text to the
+//! byte: `serde_json::Value` would round-trip numbers (`0.10`, `1e-05`), escapes and white space differently, and
 //! refuses values more than 128 levels deep, which `extras` may be.
 //!
 //! # Clips of solved frames
-//! [`played`] puts them into a GLB at rest: as morph targets, or as joints that carry every vertex.
+//! [`played`] adds them to a rest GLB: as morph targets, or as joints that move every vertex.
 //!
 //! Must not: open files, fetch URIs, know of solving.
 

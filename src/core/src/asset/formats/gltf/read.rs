@@ -503,7 +503,7 @@ impl GltfReader<'_, '_> {
         Ok(true)
     }
 
-    /// Tells of texture coordinates that are no numbers. They stay in files that are only patched.
+    /// Warns of texture coordinates that are not finite. They stay in patched files.
     fn check_coordinates(&mut self, accessors: &[usize], place: &str) {
         let mut odd = 0;
         for &index in accessors {
@@ -514,7 +514,7 @@ impl GltfReader<'_, '_> {
             odd += values.filter(|pair| !pair.iter().all(|v| v.is_finite())).count();
         }
         if odd > 0 {
-            let message = format!("{odd} texture coordinates are not finite; where they are written anew they are 0");
+            let message = format!("{odd} texture coordinates are not finite; where they are rewritten they become 0");
             self.warn("bad-texture-coordinate", message, place);
         }
     }
@@ -571,7 +571,7 @@ fn to_triangles(corners: &[u32], mode: u64) -> Vec<[u32; 3]> {
     }
 }
 
-/// Tells of a primitive whose Draco copy is not looked at, because the file also holds it uncompressed.
+/// Warns of a primitive whose Draco copy is not read, because the file also holds it uncompressed.
 fn warn_of_draco(primitive: &MeshPrimitive, place: String, warnings: &mut Warnings) {
     if primitive.has_draco() {
         let message = "the uncompressed copy is used; where it is deformed, the Draco copy is dropped";

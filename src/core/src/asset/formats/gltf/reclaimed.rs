@@ -10,8 +10,7 @@ use std::ops::Range;
 /// Places that stay multiples of this stay aligned for every type of number that a view may hold.
 const ALIGNMENT: usize = 8;
 
-/// How often each buffer view is named anywhere in a document, extensions that are not known here included; `None` when
-/// that cannot be told.
+/// How often a document names each buffer view, unknown extensions included; `None` when that cannot be determined.
 pub(super) fn count_view_uses(doc: &GltfDocument<'_>) -> Option<Vec<usize>> {
     let mut uses = vec![0; doc.views.len()];
     let counter = ViewUseCounter {

@@ -17,7 +17,7 @@ const ROUNDING: f64 = 1e-6;
 
 impl SkinSeams {
     /// Moves vertices to where an earlier vertex with the same stored position is, when that is the same but for rounding.
-    /// `skin` tells skins apart; `placed` are the world positions of the vertices that are stored as `stored`.
+    /// `skin` identifies the skin; `placed` are the world positions of the vertices that are stored as `stored`.
     pub(super) fn close(&mut self, skin: usize, stored: &[f32], placed: &mut [DVec3]) {
         let largest = placed.iter().fold(0.0, |most: f64, p| most.max(p.abs().max_element()));
         for (stored, place) in stored.as_chunks::<3>().0.iter().zip(placed) {

@@ -226,7 +226,7 @@ mod tests {
             companion("d.bin", &[7; 4]),
             companion("i.png", b"\x89PNG\r\n\x1a\n!"),
             companion("odd.xyz", b"?"),
-            companion("nobody's.txt", b"text"),
+            companion("no-media.txt", b"text"),
         ]);
         let written = embed_companions(
             WrittenFiles {
@@ -238,7 +238,7 @@ mod tests {
         )
         .expect("fits");
         let left: Vec<&String> = written.companions.keys().collect();
-        assert_eq!(left, ["nobody's.txt", "odd.xyz"]);
+        assert_eq!(left, ["no-media.txt", "odd.xyz"]);
         let parts = container::split(&written.main, fault).expect("valid");
         let document: serde_json::Value = serde_json::from_slice(parts.json).expect("JSON");
         let bin = parts.bin.expect("a chunk");

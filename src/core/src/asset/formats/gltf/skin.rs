@@ -72,7 +72,7 @@ pub(super) fn inverse_bind_matrices(
         described.ok_or_else(|| format!("the inverse bind matrices name accessor {accessor}, which does not exist"))?;
     let layout = AccessorLayout::of(described, &doc.views.values)
         .filter(|l| l.component == ComponentType::F32 && described.shape == "MAT4")
-        .ok_or("the inverse bind matrices are no MAT4 of floats")?;
+        .ok_or("the inverse bind matrices are not a MAT4 of floats")?;
     let count = described.count.index();
     if count < joints {
         return Err(format!(
@@ -89,7 +89,7 @@ pub(super) fn inverse_bind_matrices(
         .take(joints)
         .enumerate()
         .map(|(i, m)| {
-            affine_of(m).ok_or_else(|| format!("inverse bind matrix {i} is {m:?}, which is no affine transform"))
+            affine_of(m).ok_or_else(|| format!("inverse bind matrix {i} is {m:?}, which is not an affine transform"))
         })
         .collect()
 }

@@ -48,7 +48,7 @@ impl TargetTally {
         }
     }
 
-    /// Adds what was met and carried to what is told of a file.
+    /// Adds what was met and carried to the counts of a file.
     pub(super) fn count_into(&self, counts: &mut FollowedCounts) {
         let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         counts.morph_targets = number(self.carried.values().flatten().count());
@@ -103,7 +103,7 @@ impl TargetCarrier<'_> {
         Ok(changes)
     }
 
-    /// Displacements after the turn; those of vertices that did not turn, and zeros, to the bit as they are.
+    /// Displacements after the turn; zeros and those of vertices that did not turn stay bit for bit.
     fn carried(&self, role: ShapeAttribute, stored: &[f32]) -> Vec<f32> {
         let mut values = stored.to_vec();
         for (i, (place, turn)) in values.as_chunks_mut::<3>().0.iter_mut().zip(self.turns).enumerate() {

@@ -125,7 +125,7 @@ pub(super) enum RelativeName {
     NoName(&'static str),
 }
 
-/// Tells what a URI names.
+/// Returns what a URI names.
 pub(super) fn relative_name(uri: &str) -> RelativeName {
     let Ok(name) = percent_decode_str(uri).decode_utf8() else {
         return RelativeName::NoName("is not UTF-8");

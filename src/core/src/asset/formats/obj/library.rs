@@ -62,7 +62,8 @@ fn picture_names(text: &[u8], add: &mut impl FnMut(String)) {
     });
 }
 
-/// Tells of libraries and pictures whose files are not among those that were given, and of pictures of heights, which no other format has.
+/// Warns of libraries and pictures whose files are not among those given, and of height maps, which no other format
+/// has.
 pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
     let (mut libraries, mut pictures, mut heights) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
     for names in library_lines(files).map(library_names) {
@@ -105,7 +106,7 @@ pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
     warn(
         "bump-map",
         &heights,
-        "pictures of heights (bump, map_Bump), which stay with the OBJ and go into no other format; one that holds normals goes along as norm",
+        "pictures of heights (bump, map_Bump), which stay with the OBJ and go into no other format; one that holds normals is included as norm",
         "mtllib",
     );
     warn(

@@ -34,7 +34,7 @@ impl FileNotes for ObjNotes {
     }
 }
 
-/// OBJ has no mark of its own and is told by its first keyword.
+/// OBJ has no signature; its first keyword identifies it.
 fn recognise(bytes: &[u8]) -> Recognition {
     const KEYWORDS: [&[u8]; 9] = [b"v", b"vn", b"vt", b"f", b"o", b"g", b"s", b"mtllib", b"usemtl"];
     let first_word = bytes
@@ -151,7 +151,7 @@ impl<'a> ObjReader<'a> {
         })
     }
 
-    /// A normal that is no number is common in exports of degenerate faces; it is kept in the file and not used.
+    /// Exports of degenerate faces often have non-finite normals; these stay in the file and are not used.
     fn read_normal(&mut self, keyword: TextToken) -> Result<Vec3, Error> {
         let words = self.read_triple(keyword)?;
         let mut normal = DVec3::ZERO;
@@ -178,7 +178,7 @@ impl<'a> ObjReader<'a> {
                 let seen = shown(self.lexer.text(word));
                 return Err(malformed(
                     word.line,
-                    format!("{seen} is no corner; allowed are v, v/vt, v//vn and v/vt/vn"),
+                    format!("{seen} is not a corner; allowed are v, v/vt, v//vn and v/vt/vn"),
                 ));
             };
             let counts = [
@@ -263,7 +263,7 @@ impl<'a> ObjReader<'a> {
         warn(
             "bad-texture-coordinate",
             self.bad_coordinates,
-            "texture coordinates are not finite; where they are written anew they are 0",
+            "texture coordinates are not finite; where they are rewritten they become 0",
         );
         geometry.warn_about_crude_polygons(crude);
         Ok((geometry, ObjNotes { normals, outlines }))

@@ -77,11 +77,11 @@ fn what_is_wrong_is_named_with_its_line() {
         ("f 1 2 4", 4, "vertex index 4; the file has 3"),
         ("f 1 2 -4", 4, "vertex index -4"),
         ("f 1 2 9999999999999", 4, "9999999999999"),
-        ("f 1 2 99999999999999999999999", 4, "is no corner"),
+        ("f 1 2 99999999999999999999999", 4, "is not a corner"),
         ("f 1/1 2/1 3/1", 4, "texture coordinate index 1; the file has 0"),
         ("vn 0 0 1\nf 1//1 2//2 3//1", 5, "normal index 2; the file has 1"),
-        ("f 1/2/3/4 2 3", 4, "`1/2/3/4` is no corner"),
-        ("f a b c", 4, "`a` is no corner"),
+        ("f 1/2/3/4 2 3", 4, "`1/2/3/4` is not a corner"),
+        ("f a b c", 4, "`a` is not a corner"),
         ("\nv 1 2\nf 1 2 3", 5, "`v` with 2 numbers"),
         ("v nan 0 0\nf 1 2 3", 4, "`nan` is not finite"),
         ("v 0 1e999 0\nf 1 2 3", 4, "`1e999` is not finite"),
@@ -142,7 +142,7 @@ fn normals_are_given_by_vertex_only_where_they_are_unique() {
     assert_eq!(
         unique.warnings.len(),
         1,
-        "the normal that is no number is reported: {:?}",
+        "the normal that is not a number is reported: {:?}",
         unique.warnings
     );
     for faces in [

@@ -79,7 +79,7 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
     let EditedOutput { edited, positions, .. } = *output;
     let of_bases = edited.read_bases(read_attributes)?;
     let Some(Some(first)) = of_bases.first() else {
-        return Err(Error::unwritable(FORMAT, "the first base is no OFF"));
+        return Err(Error::unwritable(FORMAT, "the first base is not OFF"));
     };
     let mut out = first.head.to_vec();
     if out.is_empty() {

@@ -36,7 +36,7 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
     let tables = edited.read_bases(|model, _: &PlyNotes| read(&model.files.main, &model.positions))?;
     let notes = edited.bases.first().and_then(|base| base.model.notes::<PlyNotes>());
     let (Some(Some(first)), Some(notes)) = (tables.first(), notes) else {
-        return Err(Error::unwritable(FORMAT, "the first base is no PLY"));
+        return Err(Error::unwritable(FORMAT, "the first base is not PLY"));
     };
     let mut writer = EditedPlyWriter {
         output,

@@ -1,8 +1,8 @@
 //! Stereolithography (STL), binary and text.
 //!
-//! Facets share no vertices: there are three render vertices for each facet, in file order. Welding is the solver's
-//! affair. The facet normal is redundant; it is computed anew for facets that moved. An edited text stays a text with its
-//! solids, an edited binary file keeps its header and the attributes of its facets.
+//! Facets share no vertices: there are three render vertices for each facet, in file order. The solver welds them. The
+//! facet normal is redundant; it is recomputed for facets that moved. An edited text file stays text with its solids;
+//! an edited binary file keeps its header and facet attributes.
 
 #[cfg(test)]
 mod tests;

@@ -11,7 +11,7 @@ import type { Canvas } from "./appearance.ts";
 import { type GltfFile, member } from "./file.ts";
 import type { SceneTree } from "./scene.ts";
 
-/** A run of render vertices as the server tells of it. */
+/** A run of render vertices as the server lists it. */
 export interface Run {
   readonly vertexCount: number;
   readonly indexCount: number;

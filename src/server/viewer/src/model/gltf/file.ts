@@ -32,7 +32,7 @@ export async function openGltf(blob: Blob, companions: ReadonlyMap<string, Blob>
   const bytes = new Uint8Array(await blob.arrayBuffer());
   const { json, bin } = chunksOf(bytes);
   const parsed: unknown = JSON.parse(new TextDecoder().decode(json));
-  if (!isItem(parsed)) throw new Error("the server sent a glTF document that is no object");
+  if (!isItem(parsed)) throw new Error("the server sent a glTF document that is not an object");
   const buffers: (Uint8Array<ArrayBuffer> | undefined)[] = [];
   for (const [index, buffer] of items(parsed["buffers"]).entries()) {
     const uri = buffer["uri"];

@@ -142,8 +142,8 @@ pub(super) fn unparsed_items<'a>(doc: &GltfDocument<'a>, key: &str) -> Vec<&'a s
     value_of(doc.text, key).and_then(|s| items(s).ok()).unwrap_or_default()
 }
 
-/// Which extensions are used no more: compression, when everything is packed anew, and quantisation, when every
-/// attribute is stored as the core of the format has it.
+/// Which extensions are no longer used: compression, when everything is repacked, and quantisation, when every
+/// attribute has a type of the core format.
 pub(super) fn unneeded_extensions(doc: &GltfDocument<'_>, meshes: &[Option<String>]) -> Vec<&'static str> {
     let mut unneeded = MESHOPT.to_vec();
     let parsed: Vec<GltfMesh> = meshes

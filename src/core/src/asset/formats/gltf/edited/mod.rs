@@ -55,7 +55,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let fault = GltfFault(output.format);
     let first = edited.bases.first().map(|base| base.model);
     let Some((model, notes)) = first.and_then(|model| Some((model, model.notes::<GltfNotes>()?))) else {
-        return Err(fault.unwritable("the first base is no glTF"));
+        return Err(fault.unwritable("the first base is not glTF"));
     };
     let (doc, mut buffers) = reopen(model, notes)?;
     let mut tree = None;

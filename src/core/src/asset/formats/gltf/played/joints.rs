@@ -70,13 +70,13 @@ pub(super) fn add_clip(
 struct NewSkeleton {
     /// By joint its node.
     nodes: Vec<usize>,
-    /// By joint where it is at rest in model space, as its node and those above say it.
+    /// By joint: its rest place in model space, from its node and those above.
     stands: Vec<NodePlace>,
-    /// What they all hang on in the end.
+    /// The root of all.
     root: usize,
 }
 
-/// Adds a node for each joint, below the one that it hangs on.
+/// Adds a node for each joint, below that of its parent.
 fn add_skeleton(played: &mut PlayedDocument<'_, '_>, clip: &SkinnedClip<'_>) -> NewSkeleton {
     let mut own: Vec<NodePlace> = Vec::with_capacity(clip.joints.len());
     let mut stands: Vec<NodePlace> = Vec::with_capacity(clip.joints.len());

@@ -1,15 +1,15 @@
-//! Clips of solved frames in a GLB: as morph targets ([`morphs`]), or as joints that carry every vertex ([`joints`]).
+//! Clips of solved frames in a GLB: as morph targets ([`morphs`]), or as joints that move every vertex ([`joints`]).
 //!
-//! The file at rest stays as it is but for what is played: [`document`] keeps track of nodes and meshes that change and
-//! puts the files together, [`primitives`] tells where vertices are at rest in their own space and rewrites primitives,
-//! [`scene`] puts nodes into scenes and tells which clips stay, [`channels`] writes the new clip.
+//! The rest file stays as it is except for what is played: [`document`] tracks nodes and meshes that change and makes
+//! the files, [`primitives`] computes rest positions in their own space and rewrites primitives, [`scene`] puts nodes
+//! into scenes and decides which clips stay, [`channels`] writes the new clip.
 //!
 //! # Decisions
 //! - A mesh that a skin placed is drawn in model space by a node of its own at the top of the scene. Its old node stays
-//!   where it was, without the mesh. Joints stay as plain nodes: other things may hang on them.
+//!   where it was, without the mesh. Joints stay as plain nodes: they may have other children.
 //! - A mesh that several nodes draw becomes one for each of them.
-//! - Morph targets that were there go. So do clips that move joints of a skin that no longer places anything, what such
-//!   joints hang on, or weights of morph targets that went; all other clips stay.
+//! - Morph targets that were there go. So do clips that move joints of an unused skin, parents of such joints, or
+//!   weights of removed morph targets; all other clips stay.
 //! - Where the frames are of a clip of the file, nodes without a skin are not played: the new clip moves them, and what joints
 //!   carry, as that clip did. Its keys are cut to the frames' time.
 //! - Primitives without triangles in a mesh that is played keep their place in their own space; their targets are zero,
@@ -30,7 +30,7 @@ use crate::asset::played_clip::PlayedClip;
 use crate::asset::{Error, Model, WrittenFiles};
 use document::PlayedDocument;
 
-/// Writes a model at rest with a clip. `vertices`: for each vertex of the model the one of the clip.
+/// Writes a model's rest pose with a clip. `vertices`: for each vertex of the model that of the clip.
 pub(super) fn write(
     rest: &Model,
     notes: &GltfNotes,

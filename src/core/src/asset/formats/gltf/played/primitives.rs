@@ -1,4 +1,4 @@
-//! Where the vertices of primitives are at rest, and the texts of primitives that are played.
+//! Rest positions of primitives, and the texts of primitives that are played.
 
 use super::super::accessors::ShapeAttribute;
 use super::super::edited::{NewAccessorKind, places};
@@ -37,7 +37,7 @@ pub(super) fn played_nodes<'n>(notes: &'n GltfNotes, beside: Option<&ClipBeside<
     by_node.into_values().collect()
 }
 
-/// A primitive at rest in the space in which it will be drawn.
+/// A primitive's rest shape, in the space where it is drawn.
 pub(super) struct RestPrimitive {
     /// Three numbers a vertex.
     positions: Vec<f32>,

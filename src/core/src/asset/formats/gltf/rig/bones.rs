@@ -13,7 +13,7 @@ use crate::asset::BoneLengthRule;
 use glam::{DAffine3, DQuat, DVec3};
 use std::collections::BTreeMap;
 
-/// Two ends nearer to each other than this share of the bone's length tell no direction.
+/// Ends nearer to each other than this share of the bone's length have no direction.
 const NO_DIRECTION: f64 = 1e-6;
 
 /// Bones that keep their lengths, by the node of the joint at the lower end.
@@ -23,7 +23,7 @@ pub(super) struct RigidBones(BTreeMap<usize, RigidBone>);
 pub(super) struct RigidBone {
     /// The node of the joint at the upper end.
     above: usize,
-    /// From the upper end to the lower one, at rest in the uploaded file.
+    /// From the upper end to the lower one in the uploaded rest pose.
     along: DVec3,
 }
 
@@ -64,8 +64,8 @@ impl RigidBones {
 }
 
 impl RigidBone {
-    /// The motion of the joint at the lower end, at `rest` before, that would have been `free`, now that other nodes are where
-    /// `world_from_node` has them.
+    /// The motion of the joint at the lower end, whose rest place is `rest`. Without the bone it would be `free`.
+    /// `world_from_node` has the other nodes.
     pub(super) fn hold(
         &self,
         free: &DAffine3,

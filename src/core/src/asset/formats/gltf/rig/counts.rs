@@ -6,7 +6,7 @@ use super::{FollowedNodeTree, ROUNDING};
 use crate::asset::{FollowedCounts, JointTravel};
 
 impl FollowedNodeTree {
-    /// Adds the joints that moved to what is told of a file.
+    /// Adds the joints that moved to the counts of a file.
     pub(in super::super) fn count_into(&self, doc: &GltfDocument<'_>, counts: &mut FollowedCounts) {
         let joints = joint_nodes(doc);
         let moved = joints.into_iter().filter(|&joint| self.has_moved(joint));

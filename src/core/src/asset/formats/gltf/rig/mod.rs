@@ -1,20 +1,19 @@
-//! Nodes follow the body: joints move and turn with what they hold, others as they are told, and clips play on the new rest
-//! pose.
+//! Nodes follow the body: joints move and turn with their vertices, other nodes by given motions. Clips play on the new
+//! rest pose.
 //!
-//! When the rest shape of a skinned model changes, each joint gets the rigid motion of the vertices that it holds
-//! ([`motions`], by sums of [`moments`]). Nodes get new local transforms, from parents to children ([`nodes`]), and skins
-//! new inverse bind matrices, so that joint times inverse bind matrix is what it was: at rest every vertex is drawn where it was
-//! put, and the bind shape is the new one. Clips are rewritten relative to the new rest pose ([`clips`]): where a clip equals
-//! the old rest pose it equals the new one, and it turns joints about their own new axes. [`rewrite`] does it to files that
-//! were written as if nothing had moved, whether they were patched or made after an edit.
+//! When the rest shape of a skinned model changes, each joint gets the rigid motion of its vertices ([`motions`], by
+//! sums of [`moments`]). Nodes get new local transforms, from parents to children ([`nodes`]), and skins new inverse
+//! bind matrices, so that joint times inverse bind matrix does not change: the rest pose draws every vertex in its new
+//! place, and the bind shape is the new one. Clips are rewritten relative to the new rest pose ([`clips`]): where a
+//! clip equals the old rest pose it equals the new one, and it turns joints about their own new axes. [`rewrite`]
+//! changes files that were written as if no node had moved, by patches or after an edit.
 //!
-//! Bones may keep their lengths ([`bones`]); the matrices then make up for joints that are not where the body would have them.
-//! What followed is counted for reports ([`counts`]).
-//! Nodes that are no joints move only when they ride along by themselves: where is told by whoever writes
-//! ([`ShapeFollowers`]). What hangs on a moved node rides rigidly, but for meshes that are part of the shape: their vertices
-//! are drawn where the shape has them. Joints that are to stay do so also under a node that goes.
+//! Bones may keep their lengths ([`bones`]); the matrices then compensate for joints that the body would put elsewhere.
+//! What followed is counted for reports ([`counts`]). Nodes that are not joints move only by the motions in
+//! [`ShapeFollowers`]. Children of a moved node move rigidly with it, except meshes that are part of the shape: their
+//! vertices are drawn where the shape has them. Joints that are to stay do so even under a node that moves.
 //!
-//! A joint whose motion is none within rounding keeps every byte: its node, its matrix, its clips.
+//! A joint that moves no further than rounding keeps every byte: its node, its matrix, its clips.
 
 mod bones;
 mod clips;
@@ -43,8 +42,8 @@ use nodes::{MovedNodes, move_nodes};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// What rounding of matrices to 32 bits may do to a vertex that has not moved, relative to the model's diagonal, before it
-/// is written anew.
+/// How far rounding of matrices to 32 bits may move an unmoved vertex, relative to the model's diagonal, before it is
+/// rewritten.
 const ROUNDING: f64 = 5e-7;
 
 /// New inverse bind matrices by the number of the joint in its skin.
@@ -55,19 +54,19 @@ pub(super) struct FollowedNodeTree {
     nodes: MovedNodes,
     /// By skin.
     binds: BTreeMap<usize, BindChanges>,
-    /// The skins at rest, before and after.
+    /// Rest poses of skins, before and after.
     poses: BTreeMap<usize, [Arc<SkinPose>; 2]>,
     world_from_node: Vec<DAffine3>,
     size: f64,
 }
 
-/// Whether a shape may move nodes at all: joints that hold primitives, or nodes that ride along by themselves.
+/// Whether a shape may move nodes at all: joints of primitives, or nodes with motions of their own.
 pub(super) fn may_move_nodes(notes: &GltfNotes, followers: &ShapeFollowers<'_>) -> bool {
     let has_rig = || notes.rows.iter().any(|row| row.follows_joints);
     !followers.nodes.is_empty() || (followers.rules.rig == RigRule::Follow && has_rig())
 }
 
-/// The vertices of a model as its file has them, and which joints hold them.
+/// The vertices of a model as its file has them, and their joints.
 pub(super) fn shape_of_rows<'a>(
     doc: &GltfDocument<'_>,
     buffers: &mut BufferBytes,

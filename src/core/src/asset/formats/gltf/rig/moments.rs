@@ -1,4 +1,4 @@
-//! Weighted sums over vertices that tell how a neighbourhood has moved: its rotation, and where it takes a place.
+//! Weighted sums over vertices that give the motion of a neighbourhood: its rotation, and where it moves a place.
 
 use crate::mesh::rotation::{fit_rotation, outer_product};
 use glam::{DMat3, DQuat, DVec3};
@@ -15,9 +15,9 @@ const STIFFNESS: f64 = 1e-2;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MotionMoments {
     weight: f64,
-    /// From the place to the first vertex at rest, and how that has moved.
+    /// The first vertex: rest offset from the place, and displacement.
     first: [DVec3; 2],
-    /// Sum of offsets at rest.
+    /// Sum of rest offsets.
     offset: DVec3,
     /// Sum of displacements.
     shift: DVec3,

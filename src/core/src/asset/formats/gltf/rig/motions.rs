@@ -1,8 +1,8 @@
 //! How joints move with the body.
 //!
-//! A joint goes and turns as the surface around it does: the vertices that it and the joint above it hold, each by its weight
-//! and the nearer the more, so that what hinges on the joint still hinges there. A joint that holds nothing follows all of
-//! the surface around it in the same way. A joint keeps its scale. One of which nothing has moved stays to the bit.
+//! A joint moves and turns as the surface around it: the vertices of it and of the joint above it, weighted by
+//! influence and nearness, so that the joint stays the hinge between them. A joint without vertices follows all of the
+//! surface around it in the same way. A joint keeps its scale. One whose vertices have not moved stays bit for bit.
 
 use super::super::influences::VertexInfluences;
 use super::super::placement::Placement;
@@ -16,7 +16,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// A shape that a model was given, and which vertices joints hold.
+/// A new shape of a model, and the vertices of joints.
 pub(in super::super) struct SkinnedShape<'a> {
     /// Where vertices were.
     pub(in super::super) before: &'a [DVec3],

@@ -35,7 +35,7 @@ pub(super) struct MovedNode {
 pub(super) struct MovedNodes {
     /// Those whose local transforms have changed.
     pub(super) moved: BTreeMap<usize, MovedNode>,
-    /// Where every node is now; to the bit where it was for those that did not move.
+    /// Where every node is now; bit-identical for those that did not move.
     pub(super) world_from_node: Vec<DAffine3>,
     /// Whether a node is somewhere else.
     pub(super) is_elsewhere: Vec<bool>,

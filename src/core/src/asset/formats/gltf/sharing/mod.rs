@@ -1,8 +1,8 @@
-//! Which places of a file are used by several, and so must part when they are to become different.
+//! Which parts of a file are shared, and so must be copied before they become different.
 //!
-//! A mesh under several nodes parts when the nodes want different shapes: the first node keeps it, the others get
-//! copies. An accessor is overwritten only when everyone who uses it, and everyone whose bytes it touches, wants the
-//! same; else the changed users get an accessor of their own.
+//! When several nodes of one mesh get different shapes, the first node keeps the mesh and the others get copies. An
+//! accessor is overwritten only when all attributes that use it or share its bytes become the same; else the changed
+//! ones get an accessor of their own.
 
 use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, sparse_indices};
 use super::buffers::BufferBytes;
@@ -50,7 +50,7 @@ pub(super) struct SharingPlan {
     pub(super) overwrites: Vec<AccessorOverwrite>,
     pub(super) appends: Vec<AppendedAccessor>,
     pub(super) copies: Vec<MeshCopy>,
-    /// Primitives whose compressed twin no longer tells the truth.
+    /// Primitives whose Draco copy is stale.
     pub(super) stale_draco: BTreeSet<(MeshRef, usize)>,
 }
 
@@ -72,13 +72,13 @@ struct AttributeChange {
 /// Changes that agree wherever they are looked at.
 struct ChangeGroup {
     channel: ChangedAttribute,
-    /// Vertices on whose value a member insists; empty when nobody else uses the accessor.
+    /// Vertices whose value a member needs; empty when nothing else uses the accessor.
     claimed: Vec<bool>,
     /// At least one.
     users: Vec<AttributeUser>,
 }
 
-/// Decides what is overwritten and what parts.
+/// Decides what is overwritten and copied.
 pub(super) fn plan_overwrites(
     doc: &GltfDocument<'_>,
     buffers: &BufferBytes,

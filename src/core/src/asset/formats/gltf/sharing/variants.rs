@@ -21,12 +21,12 @@ pub(super) struct MeshVariants {
     pub(super) changed_rows: Vec<(MeshRef, usize)>,
     /// Rows that stand for the shapes of each (mesh, primitive): one per shape.
     pub(super) rows_of: BTreeMap<(usize, usize), Vec<usize>>,
-    /// Rows that stand for a shape at rest although nodes of the scene want it changed.
+    /// Rows that also stand for the rest shape, which nodes outside the scene draw.
     staying: BTreeSet<usize>,
 }
 
 impl MeshVariants {
-    /// Whether a row also stands for nodes that want it unchanged.
+    /// Whether a row also stands for nodes with the rest shape.
     pub(super) fn is_also_unchanged(&self, row: usize) -> bool {
         self.staying.contains(&row)
     }

@@ -98,7 +98,7 @@ fn strips_and_fans_become_triangles_of_the_same_side() {
     assert_eq!(
         corners,
         [6, 6, 6],
-        "lines and points are no rows, stitches are no triangles"
+        "lines and points are not rows, stitches are not triangles"
     );
 }
 

@@ -75,7 +75,7 @@ fn vertices_stand_where_their_joints_put_them() {
     assert_eq!(
         model.positions[0],
         DVec3::new(0.0, 0.0, 5.0),
-        "the node's own transform is no part of it"
+        "the node's own transform is not a part of it"
     );
     assert_eq!(model.positions[1], DVec3::new(1.0, 0.0, 5.0), "weights are scaled");
     let low = DAffine3::from_translation(DVec3::Z * 5.0);
@@ -128,7 +128,7 @@ fn a_skin_that_is_bound_at_rest_is_one_transform() {
         .iter()
         .map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into()))
         .collect();
-    assert_eq!(model.positions, stored, "rounding is no pose");
+    assert_eq!(model.positions, stored, "rounding is not a pose");
     assert!(model.warnings.is_empty());
 }
 
@@ -176,8 +176,8 @@ fn what_a_skin_cannot_say_is_told_and_bind_coordinates_are_taken() {
             },
             "vertex 2 follows joint 2",
         ),
-        (with_bind(0, f32::NAN), "no affine transform"),
-        (with_bind(3, 0.5), "no affine transform"),
+        (with_bind(0, f32::NAN), "not an affine transform"),
+        (with_bind(3, 0.5), "not an affine transform"),
         (with_bind(0, -1.0), "mirror"),
         (with_bind(5, 0.0), "a line or a point"),
         (with_bind(0, 1e-6), "a line or a point"),
