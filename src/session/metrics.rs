@@ -52,7 +52,9 @@ pub struct Metrics {
     pub store_failures: Counter,
     /// Sessions lost to a defect.
     pub sessions_failed: Counter,
-    /// Bytes held and reserved, by what they are held for, in the order of [`MemoryUse::ALL`].
+    /// Bytes held and reserved, by what they are held for.
+    bytes_by_use: Family<[(&'static str, &'static str); 1], Gauge>,
+    /// The gauges of that family, in the order of [`MemoryUse::ALL`].
     bytes: [Gauge; MemoryUse::ALL.len()],
     /// Streams open.
     pub streams: Gauge,
@@ -96,7 +98,10 @@ pub struct Metrics {
 
 impl Default for Metrics {
     fn default() -> Self {
+        let bytes_by_use = Family::<[(&str, &str); 1], Gauge>::default();
         Self {
+            bytes: MemoryUse::ALL.map(|what| bytes_by_use.get_or_create_owned(&[("use", what.name())])),
+            bytes_by_use,
             sessions: Gauge::default(),
             sessions_created: Counter::default(),
             sessions_expired: Counter::default(),
@@ -105,7 +110,6 @@ impl Default for Metrics {
             sessions_lost: Counter::default(),
             store_failures: Counter::default(),
             sessions_failed: Counter::default(),
-            bytes: Default::default(),
             streams: Gauge::default(),
             animations: Gauge::default(),
             poses_received: Counter::default(),
@@ -229,11 +233,7 @@ impl Metrics {
         for (name, help, gauge) in gauges {
             registry.register(name, help, gauge.clone());
         }
-        for what in MemoryUse::ALL {
-            let label = ("use".into(), what.name().into());
-            let labelled = registry.sub_registry_with_label(label);
-            labelled.register("memory_bytes", "Bytes held, by use", self.held_bytes(what).clone());
-        }
+        registry.register("memory_bytes", "Bytes held, by use", self.bytes_by_use.clone());
         for (name, help, counter) in self.counters() {
             registry.register(name, help, counter.clone());
         }

@@ -122,7 +122,13 @@ async fn every_metric_and_label_that_is_asked_for_is_exported() {
         .send()
         .await
         .expect("an answer");
-    let exported = Exported::of(&text.text().await.expect("text"));
+    let text = text.text().await.expect("text");
+    let mut described: Vec<&str> = text.lines().filter(|line| line.starts_with("# ")).collect();
+    described.sort_unstable();
+    let count = described.len();
+    described.dedup();
+    assert_eq!(described.len(), count, "each metric is described once: {described:?}");
+    let exported = Exported::of(&text);
     let mut queries = queries_of_dashboard();
     let keys = ["expr:", "seriesQuery:", "metricsQuery:"];
     for name in [

@@ -110,7 +110,8 @@ impl HttpClient {
             match again {
                 Some(seconds) if busy => {
                     let wait = Duration::from_secs(seconds.clamp(1, LONGEST_WAIT));
-                    self.runtime.block_on(tokio::time::sleep(wait));
+                    // The timer is made where the runtime runs.
+                    self.runtime.block_on(async { tokio::time::sleep(wait).await });
                 }
                 _ if status.is_success() => return Ok(answer),
                 _ => return Err(named(server_problem(status, &answer.body))),
@@ -203,6 +204,40 @@ mod tests {
                 .expect_err("a space")
                 .contains("--token")
         );
+    }
+
+    #[test]
+    fn a_busy_server_is_asked_again() {
+        use std::io::{Read as _, Write as _};
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+        let url = format!("http://{}", listener.local_addr().expect("an address"));
+        let server = std::thread::spawn(move || {
+            for answer in ["429 Too Many Requests\r\nretry-after: 1", "200 OK"] {
+                let (mut socket, _) = listener.accept().expect("a connection");
+                let mut request = Vec::new();
+                while !request.ends_with(b"\r\n\r\n") {
+                    let mut byte = [0];
+                    socket.read_exact(&mut byte).expect("a request");
+                    request.extend(byte);
+                }
+                let answer = format!("HTTP/1.1 {answer}\r\ncontent-length: 2\r\nconnection: close\r\n\r\nok");
+                socket.write_all(answer.as_bytes()).expect("an answer");
+            }
+        });
+        let client = HttpClient::new(&ServerAddress::new(&url, None, None).expect("an address")).expect("a client");
+        let call = HttpCall {
+            method: Method::GET,
+            path: "/v1/sessions",
+            name: "the sessions",
+            content_type: "",
+            accept: "",
+            body: Bytes::new(),
+        };
+        assert_eq!(
+            client.send(&call).map(|answer| answer.body),
+            Ok(Bytes::from_static(b"ok"))
+        );
+        server.join().expect("both calls came");
     }
 
     #[test]

@@ -63,6 +63,11 @@ class Books:
         """The handles that this client has set or will set."""
         return list(self._now.handles)
 
+    @property
+    def shown_ids(self) -> list[str]:
+        """The handles in force: those of this client, or those that only the server knows, as after an edit."""
+        return self.handle_ids or ([handle.id for handle in self.info.handles] if self._foreign else [])
+
     def put(self, handle: pb.Handle) -> None:
         """Adds a handle, or replaces the one of the same id in its place."""
         self._own()

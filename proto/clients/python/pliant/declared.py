@@ -60,11 +60,12 @@ class Declared:
         name = f" {info.label!r}" if info.label else ""
         end = ", closed" if self._closed else ""
         kind = f"{type(self).__module__.rpartition('.')[0]}.{type(self).__name__}"
-        held = f"handles {self.handles}" if self.handles else "no handles"
+        ids = self._books.shown_ids
+        held = f"handles {ids}" if ids else "no handles"
         return f"<{kind}{name}: {self.vertices} vertices, {held}, revision {info.revision}, id {info.id}{end}>"
 
     def _repr_html_(self) -> str:
-        return preview.card(self._books.info, self.handles, None)
+        return preview.card(self._books.info, self._books.shown_ids, None)
 
     def handle(
         self,

@@ -284,6 +284,9 @@ def test_an_edit_is_done_or_refused_by_name(server: pliant.LocalServer) -> None:
         session.handle("top", half_space=((0, 0, 1), 1.9))
         moved = session.solve({"top": {"translation": (0.2, 0, 0)}})
         assert moved.shape == below.shape
+        session.edit(subdivide={"scheme": "loop"})
+        assert "'base', 'top'" in repr(session), "the edit carries both handles"
+        session.undo()
         session.undo()
         session.undo()
         session.undo()
