@@ -202,8 +202,8 @@ mod tests {
                 other => panic!("byte {at} = {value}: {other:?}"),
             }
         };
-        assert!(with(0, 1).contains("no companion"));
-        assert!(with(8, 2).contains("no companion"));
+        assert!(with(0, 1).contains("is not a companion"));
+        assert!(with(8, 2).contains("is not a companion"));
         for huge in [5, 1 << 50, u64::MAX] {
             assert!(with(16, huge).contains("promises"));
             assert!(with(24, huge).contains("promises"));
