@@ -78,7 +78,7 @@ export async function play({ browser, folder }) {
 
 /** Gives the token that is asked for. */
 async function tell(sheet, token) {
-  const field = sheet.page.getByLabel("Token");
+  const field = sheet.page.getByLabel("Token", { exact: true });
   await field.waitFor();
   await field.fill(token);
   await field.press("Enter");

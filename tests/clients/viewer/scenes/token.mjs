@@ -20,7 +20,7 @@ export async function play({ browser, folder }) {
   try {
     const sheet = await Sheet.open(browser, proxy.url);
     const { page } = sheet;
-    const field = page.getByLabel("Token");
+    const field = page.getByLabel("Token", { exact: true });
     await field.waitFor();
     await field.fill("pliant_of-another-server");
     await field.press("Enter");
