@@ -24,14 +24,14 @@ fn a_sample_is_written_where_it_may_be() {
     assert_eq!((again.0, again.2.as_str()), (Some(0), ""), "the same bytes are there");
     assert_eq!(written(), before, "and are left alone");
     for (arguments, told) in [
-        (["sample", "dragon", "-o", "dragon.glb"], "creature or figure"),
+        (
+            ["sample", "dragon", "-o", "dragon.glb"],
+            "expected one of: creature, figure, body",
+        ),
         (["sample", "body", "-o", "figure.glb"], "--force"),
         (["sample", "figure", "-o", "figure.obj"], "written as glb"),
         (["sample", "boxing", "-o", "boxing.glb"], "written as bvh"),
-        (
-            ["sample", "dragon", "-o", "dragon.bvh"],
-            "recordings boxing, ballet, twist",
-        ),
+        (["sample", "dragon", "-o", "dragon.bvh"], "body, boxing, ballet, twist"),
     ] {
         let (code, _, last) = pliant(folder.path(), &arguments);
         assert_eq!(code, Some(2), "{arguments:?}");

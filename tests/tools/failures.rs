@@ -73,12 +73,12 @@ fn a_figure_that_was_made_for_other_axes_is_told_its_turn() {
         (
             "aside.stl",
             (|[x, y, z]| [-z, y, x]) as fn([f64; 3]) -> [f64; 3],
-            "turned by 90 degrees about y it does",
+            "a turn by 90 degrees about y corrects that",
         ),
         (
             "lying.stl",
             |[x, y, z]| [x, -z, y],
-            "turned by -90 degrees about x it does",
+            "a turn by -90 degrees about x corrects that",
         ),
     ] {
         let (code, _, last) = rig(name, turned);
@@ -88,5 +88,5 @@ fn a_figure_that_was_made_for_other_axes_is_told_its_turn() {
         let length = (x * x + y * y + z * z).sqrt().max(1e-6);
         [x / length, y / length, z / length]
     });
-    assert!(code == Some(2) && !last.contains("turned by"), "{last}");
+    assert!(code == Some(2) && !last.contains("a turn by"), "{last}");
 }

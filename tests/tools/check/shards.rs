@@ -161,7 +161,7 @@ fn a_suite_that_passes_passes_joined_and_shards_hold_times_and_pictures_when_tol
     // A page without pictures says so.
     let bare = merge(&beside, &["shards", "--html", "bare.html"]);
     assert!(
-        bare.code == Some(0) && bare.err.contains("3 cases come without pictures"),
+        bare.code == Some(0) && bare.err.contains("3 cases have no pictures"),
         "{}",
         bare.err
     );
