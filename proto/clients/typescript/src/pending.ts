@@ -41,8 +41,10 @@ export class Pending {
   private newest: { seq: number; entries: PoseEntry[]; sent: boolean } | undefined;
   /** In the order in which they were made. */
   private readonly commits: Commit[] = [];
-  /** Where handles were dragged since the last commit. */
-  private readonly moved = new Map<string, PoseEntry>();
+  /** Where handles were dragged since the last commit, and by which pose. */
+  private readonly moved = new Map<string, { seq: number; entry: PoseEntry }>();
+  /** Where the server last accepted them. */
+  private readonly accepted = new Map<string, PoseEntry>();
   /** Whether the open socket has not received them yet. */
   private untold = false;
 
@@ -51,18 +53,19 @@ export class Pending {
 
   /** A pose to show. Answers its number. */
   drag(entries: readonly PoseEntry[]): number {
-    for (const entry of entries) this.moved.set(entry.id ?? "", entry);
     // One that never went out is part of the one that replaces it.
-    const unsent = this.newest?.sent === false ? this.newest.entries : [];
-    this.newest = { seq: ++this.seq, entries: merged(unsent, entries), sent: false };
-    return this.seq;
+    const all = merged(this.newest?.sent === false ? this.newest.entries : [], entries);
+    const seq = ++this.seq;
+    for (const entry of all) this.moved.set(entry.id ?? "", { seq, entry });
+    this.newest = { seq, entries: all, sent: false };
+    return seq;
   }
 
   /** A pose to record, with all that was dragged before. */
   commit(entries: readonly PoseEntry[], options: SolveOptions, whose: Caller): void {
-    const all = merged([...this.moved.values()], entries);
+    const all = merged(this.dragged, entries);
     // What was dragged before is part of the commit, or has no meaning after it.
-    this.moved.clear();
+    this.forget();
     this.newest = undefined;
     this.commits.push({ seq: ++this.seq, entries: all, options, key: newKey(), sent: false, held: false, attempts: new Attempts(this.patience), whose });
   }
@@ -70,6 +73,11 @@ export class Pending {
   /** What was dragged is void: others have changed the session. */
   forget(): void {
     this.moved.clear();
+    this.accepted.clear();
+  }
+
+  private get dragged(): PoseEntry[] {
+    return [...this.moved.values()].map(({ entry }) => entry);
   }
 
   /** A socket was opened; it has received nothing. */
@@ -104,7 +112,7 @@ export class Pending {
   nextDrag(): Pose | undefined {
     const { newest } = this;
     if (newest === undefined || !this.hasDrag) return undefined;
-    if (this.untold) newest.entries = merged([...this.moved.values()], newest.entries);
+    if (this.untold) newest.entries = merged(this.dragged, newest.entries);
     this.untold = false;
     newest.sent = true;
     // What is held will be recorded before it: the shape that is shown meanwhile has it too.
@@ -149,6 +157,14 @@ export class Pending {
   /** A final frame, or a refusal, answers a pose; if it is a commit's, who waits for it. */
   answered(seq: number, refused = false): Caller | undefined {
     const { newest } = this;
+    for (const [id, { seq: by, entry }] of this.moved) {
+      if (!refused && by <= seq) this.accepted.set(id, entry);
+      if (!refused || by !== seq) continue;
+      // What the server refused is not part of the next commit.
+      const before = this.accepted.get(id);
+      if (before === undefined) this.moved.delete(id);
+      else this.moved.set(id, { seq: 0, entry: before });
+    }
     if (newest !== undefined && (refused ? seq === newest.seq : seq >= newest.seq)) this.newest = undefined;
     const at = this.commits.findIndex((commit) => commit.seq === seq);
     return at < 0 ? undefined : this.commits.splice(at, 1)[0]?.whose;

@@ -113,6 +113,21 @@ test("a refused pose is told, a refused commit rejects, and the stream goes on",
   stream.close();
 });
 
+test("what a refused pose moved is not part of the next commit, and what was accepted before is", async () => {
+  const { stream, sockets } = staged();
+  sockets[0].open();
+  stream.pose([at("a", 1)]);
+  sockets[0].say(frame(1, [0, 0, 0]));
+  stream.pose([at("a", 2), at("nose", 1)]);
+  sockets[0].say({ case: "error", value: { code: 3, message: "no handle nose", seq: 2n } });
+  stream.pose([at("b", 3)]);
+  sockets[0].say(frame(3, [0, 0, 0]));
+  stream.commit([at("c", 4)]).catch(() => {});
+  const commit = sockets[0].of("pose").find(({ commit }) => commit);
+  assert.deepEqual(placed(commit), ["a 1", "b 3", "c 4"]);
+  stream.close();
+});
+
 test("a lost socket is opened again with options and the newest pose", async () => {
   const stage = staged();
   stage.sockets[0].open();
