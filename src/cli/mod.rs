@@ -113,7 +113,7 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Answers arguments that begin no command: prints what was asked for, or what would be allowed and, in the last line, what is wrong.
+/// Answers arguments that begin no command: with what was asked for, or with what is wrong and where the arguments are listed.
 fn answer_usage(problem: &clap::Error) -> ExitCode {
     if !problem.use_stderr() {
         // Help and version are answers, not failures.
@@ -124,16 +124,11 @@ fn answer_usage(problem: &clap::Error) -> ExitCode {
         let _ = problem.print();
         return tell_and_exit(&CliFailure::Input("no command is named; see above".into()));
     }
-    let (mut reason, usage) = usage_reason(&problem.to_string());
-    if let Some(ContextValue::String(argument)) = problem.get(ContextKind::InvalidArg)
-        && let Some(hint) = hint_for(argument)
-    {
-        reason = format!("{reason}; {hint}");
-    }
-    if !usage.is_empty() {
-        eprintln!("{usage}\n");
-    }
-    tell_and_exit(&CliFailure::Input(reason))
+    let hint = match problem.get(ContextKind::InvalidArg) {
+        Some(ContextValue::String(argument)) => hint_for(argument),
+        _ => None,
+    };
+    tell_and_exit(&CliFailure::Input(usage_reason(&problem.to_string(), hint)))
 }
 
 /// Says why a command has failed: on stdout too where `--json` asks for a document, and in the last line of stderr.
@@ -142,18 +137,24 @@ fn tell_and_exit(failure: &CliFailure) -> ExitCode {
     failure.report_and_exit()
 }
 
-/// What is wrong with the arguments and what may have been meant, in one line, which are the first paragraph of the parser's message
-/// and its tips, and its other paragraphs.
-fn usage_reason(message: &str) -> (String, String) {
-    let mut paragraphs = message.split("\n\n").map(str::trim_end);
-    let in_one_line = |text: &str| text.lines().map(str::trim).collect::<Vec<&str>>().join(" ");
-    let first = in_one_line(paragraphs.next().unwrap_or_default());
-    let mut reason = first.trim_start_matches("error: ").trim().to_owned();
-    let (tips, rest): (Vec<&str>, Vec<&str>) = paragraphs.partition(|text| text.trim_start().starts_with("tip: "));
-    for tip in tips.iter().flat_map(|text| text.lines()) {
-        reason += &format!("; {}", tip.trim().trim_start_matches("tip: "));
+/// The parser's message in one line: what is wrong, what may have been meant, and the command that lists the arguments.
+fn usage_reason(message: &str, hint: Option<&str>) -> String {
+    let mut paragraphs = message.split("\n\n").map(str::trim);
+    let first = paragraphs.next().unwrap_or_default().trim_start_matches("error: ");
+    let mut parts = vec![first.lines().map(str::trim).collect::<Vec<&str>>().join(" ")];
+    let mut see = None;
+    for paragraph in paragraphs {
+        if let Some(usage) = paragraph.strip_prefix("Usage: ") {
+            let is_name = |word: &&str| word.starts_with(|c: char| c.is_ascii_lowercase());
+            let command: Vec<&str> = usage.split_whitespace().take_while(is_name).collect();
+            see = Some(format!("see {} --help", command.join(" ")));
+        }
+        let tips = paragraph.lines().filter_map(|line| line.trim().strip_prefix("tip: "));
+        parts.extend(tips.map(str::to_owned));
     }
-    (reason, rest.join("\n\n"))
+    parts.extend(hint.map(str::to_owned));
+    parts.extend(see);
+    parts.join("; ")
 }
 
 /// What an argument means here that other programs take.
@@ -177,13 +178,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tips_stand_with_the_reason_and_usage_apart() {
+    fn a_reason_has_the_tip_the_hint_and_the_command() {
         let message = "error: unrecognized subcommand 'defrom'\n\n  tip: a similar subcommand exists: 'deform'\n\nUsage: pliant <COMMAND>\n\nFor more";
-        let (reason, usage) = usage_reason(message);
         assert_eq!(
-            reason,
-            "unrecognized subcommand 'defrom'; a similar subcommand exists: 'deform'"
+            usage_reason(message, Some("try it")),
+            "unrecognized subcommand 'defrom'; a similar subcommand exists: 'deform'; try it; see pliant --help"
         );
-        assert_eq!(usage, "Usage: pliant <COMMAND>\n\nFor more");
     }
 }

@@ -39,6 +39,9 @@ pub(super) fn parameter_example(route: &Route, name: &str) -> Option<&'static st
 /// The server that samples call.
 const SERVER: &str = "http://127.0.0.1:7411";
 
+/// No progress bar; a refusal is printed and ends curl with an error.
+const QUIET: &str = "-sS --fail-with-body";
+
 /// What samples do with an answer that opens a session.
 const READ_ID: &str = "jq -r .id";
 
@@ -71,7 +74,7 @@ fn curl_sample(route: &Route) -> String {
         method => format!("-X {} ", method.to_uppercase()),
     };
     let mark = if query.is_empty() { "" } else { "?" };
-    let mut line = format!("curl {method}\"{SERVER}{path}{mark}{}\"", query.join("&"));
+    let mut line = format!("curl {QUIET} {method}\"{SERVER}{path}{mark}{}\"", query.join("&"));
     if let Some(body) = body_example(route) {
         line += &format!(" \\\n  -H 'content-type: application/json' \\\n  -d '{body}'");
     }
@@ -93,7 +96,7 @@ fn curl_sample(route: &Route) -> String {
             format!("# Your own model: --data-binary @model.glb in place of sample=creature\nid=$({line} | {READ_ID})")
         }
         Some("Animate") => {
-            let opened = format!("figure=$(curl -X POST \"{SERVER}/v1/sessions?sample=figure\" | {READ_ID})");
+            let opened = format!("figure=$(curl {QUIET} -X POST \"{SERVER}/v1/sessions?sample=figure\" | {READ_ID})");
             format!("{opened}\n{}", line.replace("$id", "$figure"))
         }
         _ => line,

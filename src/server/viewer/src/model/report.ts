@@ -1,4 +1,4 @@
-/** What there is to know about a surface before holding it: seams, parts, holes, edges with too many triangles. */
+/** Facts of a surface that the page finds itself: places, seams, parts, box. */
 
 import type { Topology } from "./topology.ts";
 
@@ -13,10 +13,6 @@ export interface SurfaceReport {
   readonly parts: readonly number[];
   /** Render vertices that share their place with another. */
   readonly seamVertices: number;
-  /** Loops of edges that have one triangle only. */
-  readonly holes: number;
-  /** Edges with more than two triangles. */
-  readonly crowdedEdges: number;
   /** Lowest and highest rest corner. */
   readonly box: { readonly min: readonly [number, number, number]; readonly max: readonly [number, number, number] };
   /** Length of the box's diagonal. */
@@ -51,8 +47,7 @@ export function reportOf({ positions, indices }: Topology): SurfaceReport {
   for (const place of placeOf) copies[place] = (copies[place] as number) + 1;
   let seamVertices = 0;
   for (const place of placeOf) if ((copies[place] as number) > 1) seamVertices += 1;
-  const { holes, crowdedEdges } = edgesOf(indices, placeOf, places);
-  return { placeOf, places, partOf, parts, seamVertices, holes, crowdedEdges, ...boxOf(positions) };
+  return { placeOf, places, partOf, parts, seamVertices, ...boxOf(positions) };
 }
 
 /** The box around all vertices. */
@@ -100,39 +95,6 @@ export function placesOf(positions: Float32Array): { placeOf: Uint32Array<ArrayB
     }
   }
   return { placeOf, places: firstOf.length };
-}
-
-/** Counts edges by the number of their triangles, and the loops that those with one triangle form. */
-function edgesOf(indices: Uint32Array, placeOf: Uint32Array, places: number): { holes: number; crowdedEdges: number } {
-  const keys = new Float64Array(indices.length);
-  for (let k = 0; k < indices.length; k++) {
-    const next = k % 3 === 2 ? k - 2 : k + 1;
-    const a = placeOf[indices[k] as number] as number;
-    const b = placeOf[indices[next] as number] as number;
-    // A degenerate edge is no edge; its key sorts to the front and is passed over.
-    keys[k] = a === b ? -1 : Math.min(a, b) * places + Math.max(a, b);
-  }
-  keys.sort();
-  const loops = new Sets(places);
-  const onBoundary = new Set<number>();
-  let crowdedEdges = 0;
-  for (let k = 0; k < keys.length; ) {
-    const key = keys[k] as number;
-    let same = 1;
-    while (k + same < keys.length && keys[k + same] === key) same += 1;
-    k += same;
-    if (key < 0) continue;
-    if (same > 2) crowdedEdges += 1;
-    if (same === 1) {
-      const a = Math.floor(key / places);
-      const b = key - a * places;
-      loops.join(a, b);
-      onBoundary.add(a).add(b);
-    }
-  }
-  const roots = new Set<number>();
-  for (const place of onBoundary) roots.add(loops.find(place));
-  return { holes: roots.size, crowdedEdges };
 }
 
 /** Sets that merge (union-find with path halving). */

@@ -45,8 +45,6 @@ export function ModelPanel(): JSX.Element | null {
           ["Seam vertices", count(report.seamVertices), "Vertices at the same place as another; the solver takes them as one"],
           ["Parts", count(report.parts.length), "Connected pieces"],
           ...partRows(report.parts.length, solver),
-          ["Holes", count(report.holes), "Loops of edges with one triangle"],
-          ["Non-manifold edges", count(report.crowdedEdges), "Edges with more than two triangles"],
           ["Inner nodes", inner > 0 ? count(inner) : "none", "Nodes inside that keep the volume"],
           ["Graph", `${count(solver?.graphVertices)} · ${count(solver?.graphEdges)}`, "Vertices and edges that the solver works on"],
           ["Levels", (solver?.levels ?? []).map(({ vertices }) => count(vertices)).join(" › "), "The multigrid hierarchy"],
