@@ -249,12 +249,16 @@ fn cookbook_for_the_web() {
     let arrows = checkout.path("target/arrows.png");
     for (driver, page) in [
         ("page.mjs", page),
-        ("grip.mjs", checkout.path("target/dragger/dist")),
-        ("player.mjs", checkout.path("target/player/dist")),
+        ("grip.mjs", checkout.path("target/examples/dragger/dist")),
+        ("player.mjs", checkout.path("target/examples/player/dist")),
+        ("model.mjs", checkout.path("target/examples/model/dist")),
     ] {
         let driver = root().join("tests/clients/viewer").join(driver);
         let mut node = Command::new("node");
-        let done = node.arg(driver).arg(&page).arg(&arrows).output().expect("node runs");
+        node.arg(driver).arg(&page).arg(&arrows);
+        // The examples are files of the checkout, in which the usual address stands.
+        node.envs(checkout.server().map(|server| ("PLIANT_SERVER", server)));
+        let done = node.output().expect("node runs");
         let said = [done.stdout, done.stderr]
             .map(|b| String::from_utf8_lossy(&b).into_owned())
             .concat();

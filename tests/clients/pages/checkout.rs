@@ -70,6 +70,11 @@ impl Checkout {
         self.folder.path().join(name)
     }
 
+    /// The URL of the server started last.
+    pub fn server(&self) -> Option<String> {
+        self.address.as_ref().map(|address| format!("http://{address}"))
+    }
+
     /// Plays one block.
     pub fn play(&mut self, block: &Block) -> Played {
         for program in block

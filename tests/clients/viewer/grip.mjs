@@ -1,32 +1,11 @@
 /**
  * The cookbook's page with three.js in a browser: grip.mjs FOLDER [PICTURE]. Serves the built page, pulls the green arrow up, and then turns by a
- * ring. The server that it talks to is written in it.
+ * ring.
  */
 
-import { onBuiltPage, PATIENCE_MS } from "./built_page.mjs";
+import { onBuiltPage, PATIENCE_MS, places } from "./built_page.mjs";
 
 const [folder, picture] = process.argv.slice(2);
-
-/** Where pixels of a picture are of a colour: three ranges. */
-async function places(page, ranges) {
-  const shot = (await page.locator("canvas").screenshot()).toString("base64");
-  return page.evaluate(
-    async ([text, wanted]) => {
-      const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-      const bitmap = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
-      const paint = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
-      paint.drawImage(bitmap, 0, 0);
-      const { data } = paint.getImageData(0, 0, bitmap.width, bitmap.height);
-      const found = [];
-      for (let k = 0; k < data.length; k += 4) {
-        const fits = wanted.every(([low, high], c) => data[k + c] >= low && data[k + c] <= high);
-        if (fits) found.push({ x: (k / 4) % bitmap.width, y: Math.floor(k / 4 / bitmap.width) });
-      }
-      return found;
-    },
-    [shot, ranges],
-  );
-}
 
 const GREEN = [[0, 90], [200, 255], [0, 90]];
 const CREATURE = [[60, 175], [70, 190], [110, 255]];

@@ -1,6 +1,5 @@
 /**
- * The cookbook's page of an animation in a browser: player.mjs FOLDER. Serves the built page, and waits until every frame is there. The
- * server that it talks to is written in it.
+ * The cookbook's page of an animation in a browser: player.mjs FOLDER. Serves the built page, and waits until every frame is there.
  */
 
 import assert from "node:assert/strict";
