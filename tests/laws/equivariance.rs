@@ -4,6 +4,7 @@
 //! the mesh's vertices. Both may differ by what solving leaves, and with interior nodes by what rounding does to their places.
 
 use glam::{DMat3, DQuat, DVec3};
+use pliant::asset::shapes::box_with_cells;
 use pliant::deform::{
     BodyOptions, DeformableBody, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, Refinement, SolveStart,
     SolveState, Transform, VolumeMode, exp_rotation, log_rotation,
@@ -13,6 +14,7 @@ use pliant::mesh::Mesh;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use shapes::Shape;
+use std::collections::BTreeMap;
 
 use crate::support::shapes;
 
@@ -278,6 +280,47 @@ fn a_mirrored_scene_gives_the_mirrored_result() {
         Place::mirrored(DVec3::X),
         Place::mirrored(DVec3::new(2.0, -1.0, 2.0) / 3.0),
     ]);
+}
+
+/// A brick around the origin that is its own mirror image in x and in z: its squares are split by both diagonals. Places are of single
+/// precision, as those of most files.
+fn mirrored_brick() -> Shape {
+    let size = DVec3::new(1.0, 2.0, 0.6);
+    let (points, faces) = box_with_cells(size, [12, 12, 12]);
+    let mut points: Vec<DVec3> = points.iter().map(|p| (*p - size * 0.5).as_vec3().as_dvec3()).collect();
+    let mut split = Vec::new();
+    for pair in faces.chunks_exact(2) {
+        let [a, b, c, d] = [pair[0][0], pair[0][1], pair[0][2], pair[1][2]];
+        let middle = points.len() as u32;
+        points.push([a, b, c, d].iter().map(|&v| points[v as usize]).sum::<DVec3>() * 0.25);
+        split.extend([[a, b, middle], [b, c, middle], [c, d, middle], [d, a, middle]]);
+    }
+    (points, split)
+}
+
+#[test]
+fn a_body_that_is_its_own_mirror_image_keeps_it() {
+    let brick = mirrored_brick();
+    let handle = |region, translation| Handle {
+        region,
+        transform: Transform {
+            translation,
+            ..Transform::IDENTITY
+        },
+    };
+    let ends = [
+        handle(|p| p.y < -0.8, DVec3::ZERO),
+        handle(|p| p.y > 0.8, DVec3::new(0.0, 0.8, 0.0)),
+    ];
+    let key = |p: DVec3| (p * 1e4).round().to_array().map(|x| x as i64);
+    let number: BTreeMap<[i64; 3], usize> = brick.0.iter().map(|p| key(*p)).zip(0..).collect();
+    let shape = deformed(&brick, &ends, &HOME, VolumeMode::Required, 4);
+    for mirror in [DVec3::new(-1.0, 1.0, 1.0), DVec3::new(1.0, 1.0, -1.0)] {
+        let image = |p: &DVec3| shape[number[&key(*p * mirror)]] * mirror;
+        let image: Vec<DVec3> = brick.0.iter().map(image).collect();
+        let seen = largest(&shape, &image);
+        assert!(seen <= SURFACE, "{mirror}: {seen:e}");
+    }
 }
 
 #[test]

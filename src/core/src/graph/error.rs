@@ -38,10 +38,11 @@ pub enum Error {
         /// How many can be numbered.
         limit: usize,
     },
-    /// Finding interior nodes compares too many faces, because faces are as long as the mesh or lie on top of each other.
+    /// Finding interior nodes compares too many faces: the interval is narrow, or faces are as long as the mesh or lie on top of
+    /// each other.
     #[error(
-        "finding interior nodes takes more than {limit} comparisons, because faces are as long as the model or lie on top of each \
-         other; remesh the model to give it faces of about one size"
+        "finding interior nodes takes more than {limit} comparisons, because the interval is too narrow, or because faces are as \
+         long as the model or lie on top of each other; set a wider interval, or remesh the model to give it faces of about one size"
     )]
     FacesTooLong {
         /// How many comparisons are allowed.

@@ -15,6 +15,8 @@ const EQUAL: f64 = 1e-6;
 const PREFERENCE: f64 = 1e-4;
 /// Products of inertia below this share of the moments are rounding.
 const ROUNDING: f64 = 1e-13;
+/// Steps to the direction that stands out; a weak preference needs thousands.
+const CLIMBS: usize = 20_000;
 /// Jacobi's method needs about five rounds.
 const ROUNDS: usize = 16;
 
@@ -134,13 +136,13 @@ fn settle_ties(axes: DMat3, moments: [f64; 3], mesh: &Mesh) -> DMat3 {
     let normals: Vec<DVec3> = mesh.triangles.iter().map(normal).collect();
     let axis = match single {
         Some(k) => Some(axes.col(k)),
-        None => commonest_normal(&normals),
+        None => outstanding_direction(&normals),
     };
     axis.and_then(|axis| around_axis(axis, &normals)).unwrap_or(axes)
 }
 
-/// The normal that most of the surface stands along or across, by the sum of A (n·d)⁴; `None` where none stands out.
-fn commonest_normal(normals: &[DVec3]) -> Option<DVec3> {
+/// The direction that the surface's normals prefer or avoid most, by the sum of A (n·d)⁴; `None` where none stands out.
+fn outstanding_direction(normals: &[DVec3]) -> Option<DVec3> {
     // The sum is a form of degree 4 in d; its 15 coefficients are summed once.
     let powers = |d: DVec3| {
         let (x, y, z) = (d.x, d.y, d.z);
@@ -176,15 +178,78 @@ fn commonest_normal(normals: &[DVec3]) -> Option<DVec3> {
         let terms = powers(d).into_iter().zip(TIMES).zip(&form);
         terms.map(|((p, times), sum)| p * times * sum).sum()
     };
-    let mut best = (0.0, None);
+    // Of directions without preference the mean is a fifth. A body with the symmetry of a cube differs most from it along the cube's
+    // axes, be it above or below.
+    let mean = 0.2 * area;
+    let mut best = (0.0f64, None);
     for d in normals.iter().filter_map(|n| n.try_normalize()) {
-        let own = value(d);
-        if own > best.0 {
+        let own = value(d) - mean;
+        if own.abs() > best.0.abs() {
             best = (own, Some(d));
         }
     }
-    // Of directions without preference the mean is a fifth.
-    best.1.filter(|_| best.0 > (0.2 + PREFERENCE) * area)
+    let mut axis = best.1.filter(|_| best.0.abs() > PREFERENCE * area)?;
+    // The best normal of a round body lies beside the direction that stands out. The gradient of a convex form leads there: the
+    // form is one, and so are 3 A |d|⁴ less the form.
+    for _ in 0..CLIMBS {
+        let along = gradient(&form, axis);
+        let next = if best.0 > 0.0 {
+            along
+        } else {
+            axis * (3.0 * area) - along
+        };
+        let next = next.normalize();
+        let moved = next.distance(axis);
+        axis = next;
+        if moved < 1e-15 {
+            break;
+        }
+    }
+    Some(axis)
+}
+
+/// A quarter of the gradient of a form of degree 4, whose coefficients are those of the powers in [`outstanding_direction`].
+fn gradient(form: &[f64; 15], d: DVec3) -> DVec3 {
+    let (x, y, z) = (d.x, d.y, d.z);
+    let [
+        x4,
+        y4,
+        z4,
+        x3y,
+        x3z,
+        y3x,
+        y3z,
+        z3x,
+        z3y,
+        xxyy,
+        xxzz,
+        yyzz,
+        xxyz,
+        yyxz,
+        zzxy,
+    ] = *form;
+    let along_x = x4 * x * x * x
+        + 3.0 * x * x * (x3y * y + x3z * z)
+        + y3x * y * y * y
+        + z3x * z * z * z
+        + 3.0 * x * (xxyy * y * y + xxzz * z * z)
+        + 6.0 * x * xxyz * y * z
+        + 3.0 * y * z * (yyxz * y + zzxy * z);
+    let along_y = y4 * y * y * y
+        + 3.0 * y * y * (y3x * x + y3z * z)
+        + x3y * x * x * x
+        + z3y * z * z * z
+        + 3.0 * y * (xxyy * x * x + yyzz * z * z)
+        + 6.0 * y * yyxz * x * z
+        + 3.0 * x * z * (xxyz * x + zzxy * z);
+    let along_z = z4 * z * z * z
+        + 3.0 * z * z * (z3x * x + z3y * y)
+        + x3z * x * x * x
+        + y3z * y * y * y
+        + 3.0 * z * (xxzz * x * x + yyzz * y * y)
+        + 6.0 * z * zzxy * x * y
+        + 3.0 * x * y * (xxyz * x + yyxz * y);
+    DVec3::new(along_x, along_y, along_z)
 }
 
 /// Axes with the given one among them, the others along or across normals: by the phase of the sum of A (n·(u + i v))^m, of

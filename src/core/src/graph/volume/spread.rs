@@ -23,6 +23,11 @@ const REACH: f64 = 2.0;
 
 /// Corners that have less than this share in a place are not tied to it.
 const LEAST: f64 = 0.05;
+/// Lengths that differ by less than this share are equal: what lies between two places is shared by both, so that a symmetric
+/// shape has symmetric ties. Wider than what single precision does to the places of vertices.
+const EQUAL: f64 = 1e-5;
+/// Of equal places at most so many share a vertex.
+const MOST_EQUAL: usize = 8;
 /// Vertices looked at between two looks at the progress.
 const CHECKED: usize = 1 << 14;
 
@@ -60,6 +65,33 @@ struct SeedTie {
     area: f64,
 }
 
+/// The nearest of some places: several where they are equally near.
+#[derive(Clone, Copy, Default)]
+struct EqualPlaces {
+    places: [u32; MOST_EQUAL],
+    count: usize,
+}
+
+impl EqualPlaces {
+    fn one(place: u32) -> Self {
+        let mut own = Self::default();
+        own.add(place);
+        own
+    }
+
+    /// Takes a place, once, while there is room.
+    fn add(&mut self, place: u32) {
+        if self.count < MOST_EQUAL && !self.places[..self.count].contains(&place) {
+            self.places[self.count] = place;
+            self.count += 1;
+        }
+    }
+
+    fn all(&self) -> impl Iterator<Item = u32> + Clone {
+        self.places.into_iter().take(self.count)
+    }
+}
+
 /// Spreads ties over the vertices around the places where they meet the surface. `nodes` are the places of lattice nodes, and
 /// `areas` the area around each vertex.
 pub(in crate::graph) fn spread_ties(
@@ -94,25 +126,35 @@ pub(in crate::graph) fn spread_ties(
             }),
         }
     }
-    let seed_of = nearest_seeds(site, &seeds)?;
-    // Of the nodes of its seed each vertex is tied to the nearest one.
+    let seeds_of = nearest_seeds(site, &seeds)?;
+    // Of the nodes of its seeds each vertex is tied to the nearest one.
     let positions = &site.mesh.positions;
-    let tie_of = |v: usize| {
-        let seed = seeds.get(seed_of[v] as usize)?;
-        let way = |k: usize| nodes[seed_ties[k].node as usize].distance_squared(positions[v]);
-        seed.nodes.clone().min_by(|&a, &b| way(a).total_cmp(&way(b)))
+    let ties_of = |v: usize| {
+        let ways = seeds_of[v]
+            .all()
+            .flat_map(|s| seeds[s as usize].nodes.clone())
+            .map(|k| {
+                let way = nodes[seed_ties[k].node as usize].distance_squared(positions[v]);
+                (way, k as u32)
+            });
+        let least = ways.clone().map(|w| w.0).fold(f64::INFINITY, f64::min);
+        let mut nearest = EqualPlaces::default();
+        let equal = ways.filter(|w| w.0 <= least * (1.0 + 2.0 * EQUAL));
+        equal.for_each(|w| nearest.add(w.1));
+        nearest
     };
-    let tie_of: Vec<Option<usize>> = site.exec.pool.install(|| {
+    let ties_of: Vec<EqualPlaces> = site.exec.pool.install(|| {
         let vertices = (0..positions.len()).into_par_iter().with_min_len(1024);
-        vertices.map(tie_of).collect()
+        vertices.map(ties_of).collect()
     });
-    for (v, tie) in tie_of.iter().enumerate() {
-        tie.iter().for_each(|&k| seed_ties[k].area += areas[v]);
+    let share_of = |v: usize| areas[v] / ties_of[v].count.max(1) as f64;
+    for (v, ties) in ties_of.iter().enumerate() {
+        ties.all().for_each(|k| seed_ties[k as usize].area += share_of(v));
     }
-    let mut ties: Vec<([u32; 2], f32)> = Vec::with_capacity(tie_of.len());
-    for (v, k) in (0u32..).zip(&tie_of) {
-        let shared = k.map(|k| &seed_ties[k]).filter(|tie| tie.area > 0.0);
-        let share = |tie: &SeedTie| (tie.weight * (areas[v as usize] / tie.area)) as f32;
+    let mut ties: Vec<([u32; 2], f32)> = Vec::with_capacity(ties_of.len());
+    for (v, own) in (0u32..).zip(&ties_of) {
+        let shared = own.all().map(|k| &seed_ties[k as usize]).filter(|tie| tie.area > 0.0);
+        let share = |tie: &SeedTie| (tie.weight * (share_of(v as usize) / tie.area)) as f32;
         ties.extend(shared.map(|tie| ([tie.node, v], share(tie))));
     }
     // A node that is the nearest one of no vertex is tied to the seed.
@@ -132,7 +174,7 @@ pub(in crate::graph) fn spread_ties(
     Ok(SpreadTies {
         ties,
         weights,
-        reached: seed_of.iter().map(|&s| s != NONE).collect(),
+        reached: seeds_of.iter().map(|s| s.count > 0).collect(),
     })
 }
 
@@ -143,10 +185,10 @@ fn tied_corners(site: &VolumeSite, tie: &SurfaceTie) -> impl Iterator<Item = See
     let [a, b, c] = face.map(|v| site.mesh.positions[v as usize]);
     let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
     let shares = if longest < SMALL * interval {
-        [(exit.vertex, 1.0), (NONE, 0.0), (NONE, 0.0)]
+        nearest_vertices(site, exit.vertex, exit.point)
     } else {
         let [x, y, z] = barycentric([a, b, c], exit.point);
-        [(face[0], x), (face[1], y), (face[2], z)]
+        [(face[0], x), (face[1], y), (face[2], z), (NONE, 0.0)]
     };
     // A place on an edge has nothing of the third corner, whatever rounding says.
     let some = shares.into_iter().filter(|s| s.1 > LEAST);
@@ -158,6 +200,21 @@ fn tied_corners(site: &VolumeSite, tie: &SurfaceTie) -> impl Iterator<Item = See
         interval,
         area: 0.0,
     })
+}
+
+/// The vertex nearest to a point, and those of its neighbours that are as near; each with an equal share.
+fn nearest_vertices(site: &VolumeSite, vertex: u32, point: DVec3) -> [(u32, f64); 4] {
+    let way = |v: u32| site.mesh.positions[v as usize].distance(point);
+    let within = way(vertex) * (1.0 + EQUAL);
+    let equal = site
+        .adjacency
+        .neighbours
+        .of(vertex)
+        .iter()
+        .filter(|&&v| way(v) <= within);
+    let mut nearest = [(vertex, 1.0), (NONE, 0.0), (NONE, 0.0), (NONE, 0.0)];
+    nearest[1..].iter_mut().zip(equal).for_each(|(to, &v)| *to = (v, 1.0));
+    nearest
 }
 
 /// What each corner of a triangle has in a point of it: not below 0, and 1 in all.
@@ -173,9 +230,9 @@ pub(in crate::graph) fn barycentric([a, b, c]: [DVec3; 3], p: DVec3) -> [f64; 3]
     [x / sum, y / sum, z / sum]
 }
 
-/// For each vertex the nearest seed by ways along edges, within the seed's reach; or [`NONE`]. Faces of soups do not hang
-/// together, and have the nearest one in space.
-fn nearest_seeds(site: &VolumeSite, seeds: &[TieSeed]) -> Result<Vec<u32>, Error> {
+/// For each vertex the nearest seed by ways along edges, within the seed's reach; several where they are equally near, and none
+/// where all are further. Faces of soups do not hang together, and have the nearest one in space.
+fn nearest_seeds(site: &VolumeSite, seeds: &[TieSeed]) -> Result<Vec<EqualPlaces>, Error> {
     let positions = &site.mesh.positions;
     // Lengths are not negative, so their bits are in the same order.
     let mut nearest = vec![(u64::MAX, NONE); positions.len()];
@@ -184,26 +241,37 @@ fn nearest_seeds(site: &VolumeSite, seeds: &[TieSeed]) -> Result<Vec<u32>, Error
         nearest[seed.vertex as usize] = (0, k);
         waiting.push(Reverse((0u64, k, seed.vertex)));
     }
+    let mut seeds_of = vec![EqualPlaces::default(); positions.len()];
     let mut looked = 0usize;
-    while let Some(Reverse((way, number, v))) = waiting.pop() {
+    while let Some(Reverse((bits, number, v))) = waiting.pop() {
         looked += 1;
         if looked.is_multiple_of(CHECKED) {
             site.exec.check()?;
         }
-        if (way, number) != nearest[v as usize] {
+        if (bits, number) != nearest[v as usize] {
             continue;
         }
+        let way = f64::from_bits(bits);
+        let mut own = EqualPlaces::one(number);
         for &other in site.adjacency.neighbours.of(v) {
             let edge = positions[other as usize].distance(positions[v as usize]);
-            let way = f64::from_bits(way) + edge;
+            let there = f64::from_bits(nearest[other as usize].0);
+            // Ways that end here are all known: they came by vertices that are nearer.
+            if there + edge <= way * (1.0 + EQUAL) {
+                let equal = seeds_of[other as usize]
+                    .all()
+                    .filter(|&s| way <= seeds[s as usize].reach);
+                equal.for_each(|s| own.add(s));
+            }
+            let way = way + edge;
             if way <= seeds[number as usize].reach && (way.to_bits(), number) < nearest[other as usize] {
                 nearest[other as usize] = (way.to_bits(), number);
                 waiting.push(Reverse((way.to_bits(), number, other)));
             }
         }
+        seeds_of[v as usize] = own;
     }
-    let mut seed_of: Vec<u32> = nearest.into_iter().map(|n| n.1).collect();
-    let is_loose = |v: &u32| seed_of[*v as usize] == NONE && site.parts.kind(*v) == PartKind::Soup;
+    let is_loose = |v: &u32| seeds_of[*v as usize].count == 0 && site.parts.kind(*v) == PartKind::Soup;
     let loose: Vec<u32> = (0..positions.len() as u32).filter(is_loose).collect();
     if !loose.is_empty() {
         let in_soup = |s: &(u32, &TieSeed)| site.parts.kind(s.1.vertex) == PartKind::Soup;
@@ -214,10 +282,10 @@ fn nearest_seeds(site: &VolumeSite, seeds: &[TieSeed]) -> Result<Vec<u32>, Error
             points.nearest_within(positions[v as usize], reach * reach)
         })?;
         for (v, (seed, _)) in loose.into_iter().zip(found).filter_map(|(v, f)| Some((v, f?))) {
-            seed_of[v as usize] = seed;
+            seeds_of[v as usize] = EqualPlaces::one(seed);
         }
     }
-    Ok(seed_of)
+    Ok(seeds_of)
 }
 
 /// A third of the area of the triangles around each vertex.

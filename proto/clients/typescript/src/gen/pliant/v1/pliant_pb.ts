@@ -247,7 +247,7 @@ export type CreateOptions_VolumeGraph = Message<"pliant.v1.CreateOptions.VolumeG
   valence: number;
 
   /**
-   * Depth of the copies of vertices in model units. 0 = the mean edge length.
+   * For kind PAPER: depth of the copies of vertices in model units. 0 = the mean edge length.
    *
    * @generated from field: double shell_offset = 4;
    */
@@ -289,7 +289,7 @@ export enum CreateOptions_VolumeGraph_Mode {
   OFF = 1,
 
   /**
-   * Always. The server rejects a model without an inside.
+   * Always. The server rejects a model without an inside. For kind SHAPE edges straight across thin parts suffice.
    *
    * @generated from enum value: REQUIRED = 2;
    */
