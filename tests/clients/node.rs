@@ -108,6 +108,7 @@ fn npm(package: &str, script: &str) -> String {
 }
 
 #[test]
+#[ignore = "takes minutes; .ci/run runs it"]
 fn the_typescript_client_keeps_its_types_and_tests() {
     let package = "proto/clients/typescript";
     let _held = super::hold_typescript_package();
@@ -138,6 +139,7 @@ fn the_viewer_keeps_its_types() {
 }
 
 #[test]
+#[ignore = "takes minutes; .ci/run runs it"]
 fn the_viewer_in_a_browser() {
     let driver = "tests/clients/viewer";
     if let Err(reason) = install(driver) {

@@ -46,6 +46,7 @@ fn release(out: &Path) -> Option<()> {
 }
 
 #[test]
+#[ignore = "takes minutes; .ci/run runs it"]
 fn packages_work_where_nothing_else_is() {
     let place = tempfile::tempdir().expect("a folder");
     let out = place.path().join("files");

@@ -230,6 +230,7 @@ fn size_of_png(path: &Path) -> [u32; 2] {
 }
 
 #[test]
+#[ignore = "takes minutes; .ci/run runs it"]
 fn cookbook_for_the_web() {
     let _held = super::hold_typescript_package();
     let checkout = play("deploy/docs/cookbook-web.md");

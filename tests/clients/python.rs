@@ -254,6 +254,7 @@ fn a_pipeline_script_over_grpc() {
 
 /// Its own virtual environment, types, every test and example; two hundred poses of the armadillo beside the command line.
 #[test]
+#[ignore = "takes minutes; .ci/run runs it"]
 fn the_python_package_passes_its_own_tests() {
     let mut tests = Command::new("sh");
     tests

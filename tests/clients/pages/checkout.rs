@@ -182,6 +182,7 @@ impl Checkout {
             .spawn()
             .expect("the server starts");
         let mut stdout = BufReader::new(server.stdout.take().expect("piped"));
+        self.servers.push(server);
         let mut line = String::new();
         stdout.read_line(&mut line).expect("the server says where it listens");
         let address = line.trim().strip_prefix("listening on ");
@@ -191,7 +192,6 @@ impl Checkout {
                 .unwrap_or_else(|| panic!("the server said {line:?} first"))
                 .to_owned(),
         );
-        self.servers.push(server);
         // What it writes later is read, so that it never waits.
         std::thread::spawn(move || stdout.read_to_end(&mut Vec::new()));
         self.copy_clients();

@@ -187,6 +187,7 @@ fn stays_near(shape: usize, length: f64, allowed: f64, sharp: f64) -> Result<(),
 fn facets_that_a_new_edge_crosses_several_of_stay_near() {
     // A face between old edges that no place on the new ones saw.
     stays_near(2, 0.1, 0.003_672_000_748_226_951_7, 114.753_927_659_822_28).expect("near");
+    stays_near(2, 0.1, 0.002_900_957_396_689_065, 89.936_156_658_208_38).expect("near");
 }
 
 proptest! {

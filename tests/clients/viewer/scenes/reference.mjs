@@ -29,7 +29,7 @@ export async function play({ browser, server }) {
   // Each call shows how to make it with curl and, where the package has it, with Python.
   const samples = await page.locator("section#solve pre").allInnerTexts();
   assert.equal(samples.length, 2);
-  assert.match(samples[0], /^curl -X POST "http:.*\/v1\/sessions\/\$id\/solve"/);
+  assert.match(samples[0], /^curl -sS --fail-with-body -X POST "http:.*\/v1\/sessions\/\$id\/solve"/);
   assert.match(samples[1], /session\.solve\(/);
 
   // A call opens a session; the next ones know which.

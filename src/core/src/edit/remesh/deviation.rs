@@ -18,7 +18,7 @@ pub(super) const WORK: usize = 20_000;
 
 /// Three places of an edge see four fifths of the farthest that it is from a surface which it crosses once, and less of one
 /// that it crosses more often; this part is counted on.
-const SEEN: f64 = 0.6;
+const SEEN: f64 = 0.55;
 
 /// At an edge with a larger cosine between its faces the surface is flat (about 5°).
 const FLAT: f64 = 0.996;
