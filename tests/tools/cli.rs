@@ -450,7 +450,7 @@ fn help_and_version_are_answers() {
 
 #[test]
 fn wrong_usage_has_one_reason_in_one_line() {
-    for (arguments, told, listed_by) in [
+    for (arguments, reason, listed_by) in [
         (
             &["deform", "creature.glb", "--jobb", "job.json"][..],
             "'--jobb'",
@@ -470,8 +470,8 @@ fn wrong_usage_has_one_reason_in_one_line() {
         assert_eq!((done.status.code(), done.stdout.len()), (Some(2), 0), "{arguments:?}");
         let err = String::from_utf8_lossy(&done.stderr).into_owned();
         let last = err.trim_end().lines().last().unwrap_or_default();
-        assert!(last.starts_with("pliant: ") && last.contains(told), "{err}");
-        assert_eq!(err.matches(told).count(), 1, "{err}");
+        assert!(last.starts_with("pliant: ") && last.contains(reason), "{err}");
+        assert_eq!(err.matches(reason).count(), 1, "{err}");
         assert!(err.contains(listed_by), "{err}");
         assert!(listed_by.starts_with("Usage") || err.lines().count() == 1, "{err}");
     }
