@@ -170,12 +170,8 @@ impl Replay<'_> {
                 self.history
                     .commit_pose((poses.clone(), warnings.clone()), settings.clone(), shape, now);
             }
-            LoggedCommit::Edit { edit, on, probe, .. } => {
-                let mut edit = SessionEdit {
-                    edit: (**edit).clone(),
-                    on: *on,
-                    merged_session: None,
-                };
+            LoggedCommit::Edit { edit, probe, .. } => {
+                let mut edit = (**edit).clone();
                 if let (engine::Edit::Merge(merge), Some(files)) = (&mut edit.edit, files.get(&stored.sequence)) {
                     merge.files = files.clone();
                 }

@@ -68,18 +68,16 @@ impl SessionTask {
         (shape, report): (&ModelShape, &EditReport),
         claim: Option<&Claim>,
     ) -> Result<(), Error> {
-        let (Some(asked), Some(_)) = (asked, &self.kept) else {
+        let (Some(mut asked), Some(_)) = (asked, &self.kept) else {
             self.log_change(AuditedAction::Edit);
             return Ok(());
         };
-        let SessionEdit { mut edit, on, .. } = asked;
-        let files: Option<FileSet> = match &mut edit {
+        let files: Option<FileSet> = match &mut asked.edit {
             Edit::Merge(merge) => Some(std::mem::take(&mut merge.files)),
             _ => None,
         };
         let commit = LoggedCommit::Edit {
-            edit: Box::new(edit),
-            on,
+            edit: Box::new(asked),
             files: None,
             report: Box::new(report.clone()),
             poses: edited.poses.clone(),
