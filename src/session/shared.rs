@@ -14,7 +14,7 @@ use crate::session::keeping::session_locks::SessionLocks;
 use crate::session::metrics::Metrics;
 use crate::session::quota::tenant_accounts::TenantAccounts;
 use crate::session::registry::{OpenSession, SessionRegistry};
-use crate::session::store::SessionStore;
+use crate::session::store::ReadSessions;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use tokio::sync::Semaphore;
@@ -34,7 +34,7 @@ pub(super) struct SharedResources {
     pub animations: Arc<Semaphore>,
     pub registry: SessionRegistry,
     /// Where sessions are kept; without it they end with the process.
-    pub store: Option<Arc<dyn SessionStore>>,
+    pub store: Option<Arc<dyn ReadSessions>>,
     /// When this node, of several, renewed its lease.
     pub lease_watch: LeaseWatch,
     /// Held while a session moves into memory or out.

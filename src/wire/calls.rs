@@ -40,6 +40,8 @@ pub fn pose_commit(request: &pb::SolveRequest, max_window: u32) -> Result<PoseCo
 /// An edit of a session's model. Made by [`session_edit`].
 #[derive(Debug, Clone)]
 pub struct SessionEdit {
+    /// The request as a store records it: without the session's id and without the model of a merge.
+    pub request: pb::EditRequest,
     /// What is to be done. The files of a merge with another session are empty until that session is asked for them.
     pub edit: Edit,
     /// The shape that it works on.
@@ -62,7 +64,15 @@ pub fn session_edit(request: &pb::EditRequest) -> Result<SessionEdit, Error> {
         _ => None,
     };
     let (edit, on) = edit(request, Some(&FileSet::default()))?;
+    let mut request = pb::EditRequest {
+        session_id: String::new(),
+        ..request.clone()
+    };
+    if let Some(Operation::Merge(merge)) = &mut request.operation {
+        merge.source = Some(Source::Session(String::new()));
+    }
     Ok(SessionEdit {
+        request,
         edit,
         on,
         merged_session,

@@ -8,15 +8,13 @@ use crate::targets::jobs::{LIMITS, box_file};
 use crate::targets::{self, TARGETS};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model, sample};
-use pliant::engine::{
-    Deformer, Edit, EditedShape, Handle, HandlePose, HandlePoses, HandleSet, OpenOptions, Region, SolveSettings,
-};
+use pliant::engine::{Deformer, Handle, HandlePose, HandlePoses, HandleSet, OpenOptions, Region, SolveSettings};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::wire::frames::{FrameEncoding, FrameHeader, FrameOutput, FrameRequest, SentSteps, encode_next};
 use pliant::wire::record::{FileReferences, LoggedCommit, RecordedModel, ShapeProbe};
-use pliant::wire::{json, pb, rig_from_json, rig_message};
+use pliant::wire::{json, pb, rig_from_json, rig_message, session_edit};
 use prost::Message;
 use std::path::Path;
 use std::sync::Arc;
@@ -297,6 +295,7 @@ fn commits() -> Vec<Vec<u8>> {
     let facts = opened.expect("the box opens").facts();
     let poses = HandlePoses(vec![HandlePose::rotation([0.1, 0.2, 0.3])].into());
     let probe = ShapeProbe::of(&[DVec3::ONE; 4]);
+    let weld = json::from_json(br#"{"on": "REST", "weld": {"tolerance": 0.1}}"#).expect("a request");
     let commits = [
         LoggedCommit::Create { facts: facts.clone() },
         LoggedCommit::Handles {
@@ -312,8 +311,7 @@ fn commits() -> Vec<Vec<u8>> {
             frame: None,
         },
         LoggedCommit::Edit {
-            edit: Box::new(Edit::Weld { tolerance: 0.1 }),
-            on: EditedShape::Rest,
+            edit: Box::new(session_edit(&weld).expect("an edit")),
             files: Some(FileReferences::default()),
             report: Box::default(),
             poses,

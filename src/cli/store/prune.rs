@@ -2,7 +2,7 @@
 
 use super::super::failure::CliFailure;
 use super::kept_place::{StorePlaceArgs, store_failure};
-use crate::session::store::{Generation, SessionStore as _, StoredFacts, now_ms};
+use crate::session::store::{Generation, KeepSessions as _, StoredFacts, now_ms};
 use crate::session::{AuditEntry, AuditedAction};
 use clap::Args;
 use std::time::Duration;

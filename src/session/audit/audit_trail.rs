@@ -6,6 +6,8 @@ use crate::session::shared::SharedResources;
 /// Records an action. When the store does not answer, the call continues and the entry goes to the log as an error.
 pub(in crate::session) async fn note(shared: &SharedResources, entry: AuditEntry) {
     let Some(store) = &shared.store else { return entry.log() };
+    // A store that is only read records nothing.
+    let Ok(store) = store.writable() else { return };
     if let Err(error) = store.audit(entry.clone()).await {
         shared.metrics.store_failures.inc();
         let AuditEntry {

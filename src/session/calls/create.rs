@@ -18,7 +18,7 @@ use crate::session::keeping::kept_session::KeptSession;
 use crate::session::keeping::residence::Residence;
 use crate::session::registry::{OpenSession, OpenStreams, SessionView};
 use crate::session::shared::SharedResources;
-use crate::session::store::{Generation, HeldSession, NewCommit, NewSession, now_ms};
+use crate::session::store::{Commit, Generation, HeldSession, NewCommit, NewSession, now_ms};
 use crate::session::task::session_task::SessionTask;
 use crate::wire::SessionOptions;
 use crate::wire::record::{FileReferences, LoggedCommit, RecordedModel};
@@ -88,10 +88,14 @@ pub(in crate::session) async fn create_session(
             let key = claim.as_ref().map(KeyClaim::logged);
             let new = new_session(&owner, (files, open), &opened, (key, audit));
             let kept = KeptSession::new(Arc::clone(store));
-            generation = store.create(kept.first_of(new)).await.inspect_err(|error| {
-                shared.metrics.store_failures.inc();
-                tracing::error!("a session could not be stored: {error}");
-            })?;
+            generation = store
+                .writable()?
+                .create(kept.first_of(new))
+                .await
+                .inspect_err(|error| {
+                    shared.metrics.store_failures.inc();
+                    tracing::error!("a session could not be stored: {error}");
+                })?;
             places.of_tenant.outlive();
             Some(kept)
         }
@@ -189,16 +193,20 @@ fn new_session(
         },
         files,
         first: NewCommit {
-            session: owner.id.clone(),
-            sequence: 0,
-            revision: opened.history.revision(),
-            digest: state.digest.clone(),
-            generation: Generation::default(),
-            build: String::new(),
-            facts_at: 0,
-            poses_at: 0,
-            commit: LoggedCommit::Create {
-                facts: (*state.facts).clone(),
+            session: HeldSession {
+                id: owner.id.clone(),
+                generation: Generation::default(),
+            },
+            commit: Commit {
+                sequence: 0,
+                revision: opened.history.revision(),
+                digest: state.digest.clone(),
+                build: String::new(),
+                facts_at: 0,
+                poses_at: 0,
+                record: LoggedCommit::Create {
+                    facts: (*state.facts).clone(),
+                },
             },
             files: None,
             key,

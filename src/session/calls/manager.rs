@@ -33,8 +33,8 @@ use crate::session::metrics::Metrics;
 use crate::session::quota::tenant_accounts::TenantAccounts;
 use crate::session::registry::{OpenSession, SessionRegistry};
 use crate::session::shared::SharedResources;
-use crate::session::store::session_store::now_ms;
-use crate::session::store::{SessionStore, StoreError};
+use crate::session::store::now_ms;
+use crate::session::store::{ReadSessions, StoreError};
 use crate::wire::{SessionOptions, SessionPage};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
@@ -76,10 +76,13 @@ impl Manager {
     pub async fn with_store(
         config: SessionConfig,
         opener: impl EngineOpener,
-        store: Arc<dyn SessionStore>,
+        store: Arc<dyn ReadSessions>,
     ) -> Result<Self, Error> {
         let first = store.highest_number().await?.saturating_add(1);
-        let kept_keys = store.keys().await?;
+        let kept_keys = match store.writable() {
+            Ok(store) => store.keys().await?,
+            Err(_) => Vec::new(),
+        };
         let stored = store.sessions_by_tenant().await?;
         let manager = Self::put_together(config, opener, Some(store), first)?;
         let shared = &manager.shared;
@@ -110,7 +113,7 @@ impl Manager {
     fn put_together(
         config: SessionConfig,
         opener: impl EngineOpener,
-        store: Option<Arc<dyn SessionStore>>,
+        store: Option<Arc<dyn ReadSessions>>,
         first_number: u64,
     ) -> Result<Self, Error> {
         config.validate()?;
@@ -225,7 +228,7 @@ impl Manager {
 
     async fn list_stored(
         &self,
-        store: &Arc<dyn SessionStore>,
+        store: &Arc<dyn ReadSessions>,
         tenant: &Tenant,
         page: SessionPage,
     ) -> Result<SessionList, Error> {
@@ -267,7 +270,7 @@ impl Manager {
                     Err(_) => claim_session(&self.shared, store, tenant, id).await?,
                 };
                 let audit = self.audit_entry(tenant, AuditedAction::Delete, id);
-                let deleted = store.delete(audit, generation).await;
+                let deleted = store.writable()?.delete(audit, generation).await;
                 if let (Err(StoreError::Moved), Ok(session)) = (&deleted, &session) {
                     self.shared.lose(session);
                 }

@@ -7,7 +7,7 @@ use crate::session::calls::idempotency::answer_of_another_call;
 use crate::session::calls::manager::Manager;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::stored_list::state_facts;
-use crate::session::store::{SessionStore, StoredCommit};
+use crate::session::store::{Commit, ReadSessions};
 use crate::wire::record::LoggedCommit;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -28,7 +28,7 @@ impl Manager {
             Error::new(ErrorCode::AlreadyExists, text)
         };
         let stored = store.commit(session.clone(), sequence).await?.ok_or_else(gone)?;
-        match &stored.commit {
+        match &stored.record {
             LoggedCommit::Edit { report, .. } => Ok(StoredAnswer::Edited(Box::new(CommittedEdit {
                 report: (**report).clone(),
                 revision: stored.revision,
@@ -56,15 +56,15 @@ impl Manager {
     /// A session as it was after a commit.
     async fn state_then(
         &self,
-        store: &Arc<dyn SessionStore>,
-        stored: &StoredCommit,
+        store: &Arc<dyn ReadSessions>,
+        stored: &Commit,
         now: SessionFacts,
     ) -> Result<SessionFacts, Error> {
         let missing = || Error::new(ErrorCode::DataLoss, "a commit that a later one names is missing");
         let mut parts = Vec::with_capacity(2);
         for sequence in [stored.facts_at, stored.poses_at] {
             let part = store.commit(now.id.clone(), sequence).await?.ok_or_else(missing)?;
-            parts.push(part.commit);
+            parts.push(part.record);
         }
         let (deformer, poses) = state_facts(&parts[0], &parts[1])?;
         Ok(SessionFacts {

@@ -1,6 +1,6 @@
 //! What a session's task knows of the log that it keeps.
 
-use crate::session::store::{NewSession, SessionStore};
+use crate::session::store::{NewSession, ReadSessions};
 use crate::wire::record::LoggedCommit;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ pub(in crate::session) struct CommitPlace {
 /// What a session's task knows of its log.
 #[derive(Debug)]
 pub(in crate::session) struct KeptSession {
-    pub store: Arc<dyn SessionStore>,
+    pub store: Arc<dyn ReadSessions>,
     /// Build and processor of this process.
     pub build: String,
     /// Number of the newest commit.
@@ -31,7 +31,7 @@ pub(in crate::session) struct KeptSession {
 
 impl KeptSession {
     /// The log of a session that was just created.
-    pub fn new(store: Arc<dyn SessionStore>) -> Self {
+    pub fn new(store: Arc<dyn ReadSessions>) -> Self {
         Self {
             build: store.build(),
             store,
@@ -44,7 +44,7 @@ impl KeptSession {
 
     /// A new session with what the log knows of its first commit.
     pub fn first_of(&self, mut session: NewSession) -> NewSession {
-        session.first.build.clone_from(&self.build);
+        session.first.commit.build.clone_from(&self.build);
         session
     }
 

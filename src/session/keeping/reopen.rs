@@ -16,9 +16,9 @@ use crate::session::keeping::made_room::make_room;
 use crate::session::keeping::replay::{Replay, ReplayError, ReplayedLog};
 use crate::session::registry::OpenSession;
 use crate::session::shared::SharedResources;
-use crate::session::store::session_store::now_ms;
-use crate::session::store::shape_object::read_shape;
-use crate::session::store::{Generation, HeldSession, SessionClaim, SessionStore, StoreError, StoredSession};
+use crate::session::store::{
+    Generation, HeldSession, ReadSessions, SessionClaim, StoreError, StoredSession, now_ms, read_shape,
+};
 use crate::wire::record::{FileReferences, LoggedCommit};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -38,7 +38,7 @@ const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
 /// opening any session.
 pub(in crate::session) async fn reopen_session(
     shared: &Arc<SharedResources>,
-    store: &Arc<dyn SessionStore>,
+    store: &Arc<dyn ReadSessions>,
     tenant: &Tenant,
     id: &str,
 ) -> Result<Arc<OpenSession>, Error> {
@@ -69,7 +69,7 @@ pub(in crate::session) async fn reopen_session(
 /// `NOT_FOUND`; `UNAVAILABLE` with the node that has it, or when the store does not answer.
 pub(in crate::session) async fn claim_session(
     shared: &SharedResources,
-    store: &Arc<dyn SessionStore>,
+    store: &Arc<dyn ReadSessions>,
     tenant: &Tenant,
     id: &str,
 ) -> Result<Generation, Error> {
@@ -96,7 +96,7 @@ pub(in crate::session) async fn claim_session(
 }
 
 /// Gives back a session that this node does not need.
-pub(in crate::session) async fn give_back(store: &Arc<dyn SessionStore>, id: &str, generation: Generation) {
+pub(in crate::session) async fn give_back(store: &Arc<dyn ReadSessions>, id: &str, generation: Generation) {
     let session = HeldSession {
         id: id.to_owned(),
         generation,
@@ -111,7 +111,7 @@ pub(in crate::session) async fn give_back(store: &Arc<dyn SessionStore>, id: &st
 /// Opens a stored session that is this node's.
 async fn open_claimed(
     shared: &Arc<SharedResources>,
-    store: &Arc<dyn SessionStore>,
+    store: &Arc<dyn ReadSessions>,
     (tenant, id): (&Tenant, &str),
     generation: Generation,
 ) -> Result<Arc<OpenSession>, Error> {
@@ -132,7 +132,7 @@ async fn open_claimed(
 
 async fn open_stored(
     shared: &Arc<SharedResources>,
-    store: &Arc<dyn SessionStore>,
+    store: &Arc<dyn ReadSessions>,
     stored: StoredSession,
     generation: Generation,
 ) -> Result<Arc<OpenSession>, Error> {
@@ -183,7 +183,9 @@ async fn open_stored(
             id: owner.id.clone(),
             generation,
         };
-        store.adopt(session, kept.build.clone(), anew).await?;
+        if let Ok(store) = store.writable() {
+            store.rerecord_digests(session, kept.build.clone(), anew).await?;
+        }
     }
     let session = start_session(shared, (owner, generation), opened, places, Some(kept));
     shared.metrics.sessions_reopened.inc();
@@ -191,7 +193,7 @@ async fn open_stored(
     Ok(session)
 }
 
-async fn read_files(store: &Arc<dyn SessionStore>, names: &FileReferences) -> Result<FileSet, StoreError> {
+async fn read_files(store: &Arc<dyn ReadSessions>, names: &FileReferences) -> Result<FileSet, StoreError> {
     let mut files = FileSet::single(names.name.clone(), store.object(names.main.clone()).await?);
     for (uri, object) in &names.companions {
         files
@@ -202,12 +204,12 @@ async fn read_files(store: &Arc<dyn SessionStore>, names: &FileReferences) -> Re
 }
 
 async fn read_merged(
-    store: &Arc<dyn SessionStore>,
+    store: &Arc<dyn ReadSessions>,
     stored: &StoredSession,
 ) -> Result<BTreeMap<u64, FileSet>, StoreError> {
     let mut merged = BTreeMap::new();
     for commit in &stored.commits {
-        if let LoggedCommit::Edit { files: Some(names), .. } = &commit.commit {
+        if let LoggedCommit::Edit { files: Some(names), .. } = &commit.record {
             merged.insert(commit.sequence, read_files(store, names).await?);
         }
     }
@@ -215,7 +217,7 @@ async fn read_merged(
 }
 
 /// The newest kept shape. It only saves solving: one that is damaged is solved again, and compared with its digest.
-async fn read_snapshot(store: &Arc<dyn SessionStore>, stored: &StoredSession) -> Option<(u64, Arc<Vec<glam::DVec3>>)> {
+async fn read_snapshot(store: &Arc<dyn ReadSessions>, stored: &StoredSession) -> Option<(u64, Arc<Vec<glam::DVec3>>)> {
     let snapshot = stored.snapshot.as_ref()?;
     let read = match store.object(snapshot.object.clone()).await {
         Ok(bytes) => read_shape(&bytes),
@@ -237,7 +239,7 @@ type Replayed = (OpenedModel, KeptSession, Vec<(u64, String)>);
 /// Replays the log on the compute pool.
 async fn replay_log(
     shared: &Arc<SharedResources>,
-    store: &Arc<dyn SessionStore>,
+    store: &Arc<dyn ReadSessions>,
     (opened, log): (OpenedModel, Arc<ReplayedLog>),
     SessionPlaces { memory, of_tenant, .. }: &SessionPlaces,
     guard: &CancelOnDrop,

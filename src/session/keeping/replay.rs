@@ -12,7 +12,7 @@ use crate::session::history::commit_history::CommitHistory;
 use crate::session::history::loaded_deformer::{EditStart, LoadedDeformer};
 use crate::session::history::session_state::ShapeRecipe;
 use crate::session::keeping::kept_session::KeptSession;
-use crate::session::store::{StoreError, StoredCommit};
+use crate::session::store::{Commit, StoreError};
 use crate::wire::SessionEdit;
 use crate::wire::record::{LoggedCommit, ShapeProbe};
 use glam::DVec3;
@@ -48,7 +48,7 @@ fn damaged(problem: impl Into<String>) -> ReplayError {
 
 /// What a session is rebuilt from.
 pub(in crate::session) struct ReplayedLog {
-    pub commits: Vec<StoredCommit>,
+    pub commits: Vec<Commit>,
     /// The files of merges, by the number of the commit.
     pub files: BTreeMap<u64, FileSet>,
     /// The newest shape that is kept, after the commit of this number.
@@ -73,10 +73,10 @@ struct ReachableCommits {
     depth: usize,
 }
 
-fn reachable(commits: &[StoredCommit], limit: usize) -> Result<ReachableCommits, ReplayError> {
+fn reachable(commits: &[Commit], limit: usize) -> Result<ReachableCommits, ReplayError> {
     let (mut list, mut at, mut depth): (Vec<(u64, u64)>, usize, usize) = (Vec::new(), 0, 0);
     for commit in commits {
-        match commit.commit {
+        match commit.record {
             LoggedCommit::Step { target, .. } => {
                 at = (list.iter().rposition(|(_, revision)| *revision == target))
                     .ok_or_else(|| damaged(format!("commit {} goes to one that is not there", commit.sequence)))?;
@@ -100,7 +100,7 @@ impl Replay<'_> {
         let Some((first, others)) = log.commits.split_first() else {
             return Err(damaged("the session has no commit"));
         };
-        let LoggedCommit::Create { .. } = first.commit else {
+        let LoggedCommit::Create { .. } = first.record else {
             return Err(damaged("the session does not begin with its creation"));
         };
         let rest = self.history.current().digest.clone();
@@ -128,14 +128,14 @@ impl Replay<'_> {
 
     fn follow_commit(
         &mut self,
-        stored: &StoredCommit,
+        stored: &Commit,
         files: &BTreeMap<u64, FileSet>,
         is_solved: bool,
     ) -> Result<(), ReplayError> {
         self.exec.check()?;
         let from = self.history.current_revision();
-        let place = self.kept.place_after(&stored.commit, from, stored.sequence);
-        match &stored.commit {
+        let place = self.kept.place_after(&stored.record, from, stored.sequence);
+        match &stored.record {
             LoggedCommit::Create { .. } => return Err(damaged("the session was created twice")),
             LoggedCommit::Handles { set, poses, facts } => {
                 self.history.commit_handles(set.clone(), poses.clone(), facts.clone());
@@ -170,12 +170,8 @@ impl Replay<'_> {
                 self.history
                     .commit_pose((poses.clone(), warnings.clone()), settings.clone(), shape, now);
             }
-            LoggedCommit::Edit { edit, on, probe, .. } => {
-                let mut edit = SessionEdit {
-                    edit: (**edit).clone(),
-                    on: *on,
-                    merged_session: None,
-                };
+            LoggedCommit::Edit { edit, probe, .. } => {
+                let mut edit = (**edit).clone();
                 if let (engine::Edit::Merge(merge), Some(files)) = (&mut edit.edit, files.get(&stored.sequence)) {
                     merge.files = files.clone();
                 }
@@ -192,12 +188,7 @@ impl Replay<'_> {
         Ok(())
     }
 
-    fn follow_edit(
-        &mut self,
-        stored: &StoredCommit,
-        edit: &SessionEdit,
-        probe: &ShapeProbe,
-    ) -> Result<(), ReplayError> {
+    fn follow_edit(&mut self, stored: &Commit, edit: &SessionEdit, probe: &ShapeProbe) -> Result<(), ReplayError> {
         let state = self.history.current().clone();
         let recipe = self.history.recipe(state.shape);
         let start = EditStart {
@@ -229,7 +220,7 @@ impl Replay<'_> {
         let at = self.kept.place(self.history.current_revision()).shape_at;
         let stored = log.commits.iter().find(|c| c.sequence == at);
         if let Some(stored) = stored {
-            let probe = match &stored.commit {
+            let probe = match &stored.record {
                 LoggedCommit::Pose { probe, .. } | LoggedCommit::Edit { probe, .. } => probe.clone(),
                 _ => ShapeProbe::of(&shape.positions),
             };
@@ -245,7 +236,7 @@ impl Replay<'_> {
     /// Compares a shape with what was recorded of it; its digest.
     fn compare(
         &mut self,
-        stored: &StoredCommit,
+        stored: &Commit,
         probe: &ShapeProbe,
         positions: &[DVec3],
         diagonal: f64,
@@ -259,7 +250,7 @@ impl Replay<'_> {
     }
 
     /// Whether another build's digest is to be replaced.
-    fn is_new(&self, stored: &StoredCommit, now: &str, is_close: impl FnOnce() -> bool) -> Result<bool, ReplayError> {
+    fn is_new(&self, stored: &Commit, now: &str, is_close: impl FnOnce() -> bool) -> Result<bool, ReplayError> {
         let is_own = stored.build == self.kept.build;
         check_digest(stored, now, is_own, is_close).map_err(ReplayError::Store)?;
         Ok(!is_own)
@@ -268,7 +259,7 @@ impl Replay<'_> {
 
 /// Whether a rebuilt shape may stand for the recorded one.
 pub(in crate::session) fn check_digest(
-    stored: &StoredCommit,
+    stored: &Commit,
     now: &str,
     is_own: bool,
     is_close: impl FnOnce() -> bool,
@@ -295,7 +286,7 @@ pub(in crate::session) fn check_digest(
 mod tests {
     use super::*;
 
-    fn commit(sequence: u64, target: Option<u64>) -> StoredCommit {
+    fn commit(sequence: u64, target: Option<u64>) -> Commit {
         let pose = LoggedCommit::Pose {
             poses: Default::default(),
             settings: Default::default(),
@@ -303,14 +294,14 @@ mod tests {
             probe: ShapeProbe::default(),
             frame: None,
         };
-        StoredCommit {
+        Commit {
             sequence,
             revision: sequence + 1,
             digest: String::new(),
             build: String::new(),
             facts_at: 0,
             poses_at: 0,
-            commit: target.map_or(pose, |target| LoggedCommit::Step { target, forward: false }),
+            record: target.map_or(pose, |target| LoggedCommit::Step { target, forward: false }),
         }
     }
 

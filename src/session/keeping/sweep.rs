@@ -2,10 +2,9 @@
 
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::shared::SharedResources;
-use crate::session::store::session_store::now_ms;
-use crate::session::store::{Generation, HeldSession, SessionStore, StoreError, UsedSession};
+use crate::session::store::{Generation, HeldSession, KeepSessions, StoreError, UsedSession, now_ms};
 use std::collections::BTreeMap;
-use std::sync::{Arc, Weak};
+use std::sync::Weak;
 use std::time::Duration;
 
 /// Between two sweeps.
@@ -26,7 +25,9 @@ pub(in crate::session) async fn sweep_for_ever(shared: Weak<SharedResources>) {
     loop {
         tokio::time::sleep(PERIOD).await;
         let Some(shared) = shared.upgrade() else { return };
-        let Some(store) = &shared.store else { return };
+        let Some(Ok(store)) = shared.store.as_ref().map(|store| store.writable()) else {
+            return;
+        };
         if shared.aborted.is_cancelled() {
             return;
         }
@@ -42,7 +43,7 @@ pub(in crate::session) async fn sweep_for_ever(shared: Weak<SharedResources>) {
 
 async fn sweep(
     shared: &SharedResources,
-    store: &Arc<dyn SessionStore>,
+    store: &dyn KeepSessions,
     noted: &mut BTreeMap<String, u64>,
     round: u32,
 ) -> Result<(), StoreError> {
@@ -90,7 +91,7 @@ async fn sweep(
 }
 
 /// Forgets what was noted of tenants longer ago than is kept of them.
-async fn forget_audit(shared: &SharedResources, store: &Arc<dyn SessionStore>) -> Result<(), StoreError> {
+async fn forget_audit(shared: &SharedResources, store: &dyn KeepSessions) -> Result<(), StoreError> {
     for tenant in store.audited_tenants().await? {
         let kept = shared.config.quotas.of(&tenant).audit_age.unwrap_or(AUDIT_AGE);
         let kept_ms = u64::try_from(kept.as_millis()).unwrap_or(u64::MAX);
@@ -102,7 +103,7 @@ async fn forget_audit(shared: &SharedResources, store: &Arc<dyn SessionStore>) -
 /// Notes when the sessions in memory were used last, where that has changed.
 pub(in crate::session) async fn note_uses(
     shared: &SharedResources,
-    store: &Arc<dyn SessionStore>,
+    store: &dyn KeepSessions,
     noted: &mut BTreeMap<String, u64>,
 ) -> Result<(), StoreError> {
     let now = now_ms();

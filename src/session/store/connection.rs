@@ -145,7 +145,7 @@ impl DatabaseAddress {
     }
 
     /// The connection that renews a node's lease.
-    pub async fn heart(&self) -> Result<AnyPool, StoreError> {
+    pub async fn heartbeat_pool(&self) -> Result<AnyPool, StoreError> {
         install_default_drivers();
         self.pool_of(1).await
     }
@@ -174,7 +174,7 @@ impl DatabaseAddress {
     }
 
     /// Waits until no other node opens the store, and keeps others out until the connection is closed.
-    pub async fn door(&self) -> Result<AnyConnection, StoreError> {
+    pub async fn open_lock(&self) -> Result<AnyConnection, StoreError> {
         let mut connection = self.connect().await?;
         let wait = sqlx::query("SELECT pg_advisory_lock(1886153058, hashtext(current_schema()))");
         wait.execute(&mut connection).await.map_err(|e| self.unavailable(e))?;
@@ -264,7 +264,9 @@ impl WritingConnection {
         };
         match made.get().await {
             Ok(_) => Ok(made),
-            Err(LockedOut::Elsewhere) => Err(StoreError::Refused(format!("{address:?} is in use by another process"))),
+            Err(LockedOut::HeldByOther) => {
+                Err(StoreError::Refused(format!("{address:?} is in use by another process")))
+            }
             Err(LockedOut::Error(error)) => Err(error),
         }
     }
@@ -361,22 +363,22 @@ async fn lock(address: &DatabaseAddress, connection: &mut AnyConnection) -> Resu
             return Ok(());
         }
         if Instant::now() > until {
-            return Err(LockedOut::Elsewhere);
+            return Err(LockedOut::HeldByOther);
         }
         tokio::time::sleep(BETWEEN_TRIES).await;
     }
 }
 
-/// Whether no other node has the database open; none can open it then until [`let_others_in`].
-pub(super) async fn is_alone(connection: &mut AnyConnection) -> Result<bool, StoreError> {
+/// Whether no other node has the database open; none can open it then until [`release_exclusive`].
+pub(super) async fn take_exclusive(connection: &mut AnyConnection) -> Result<bool, StoreError> {
     let ask = "SELECT pg_try_advisory_lock(1886153057, hashtext(current_schema()))";
     let row = sqlx::query(ask).fetch_one(connection).await;
     let is_alone = row.and_then(|row| row.try_get(0));
     is_alone.map_err(|e| StoreError::Unavailable(e.to_string()))
 }
 
-/// Ends what [`is_alone`] began.
-pub(super) async fn let_others_in(connection: &mut AnyConnection) -> Result<(), StoreError> {
+/// Ends what [`take_exclusive`] began.
+pub(super) async fn release_exclusive(connection: &mut AnyConnection) -> Result<(), StoreError> {
     let unlock = "SELECT pg_advisory_unlock(1886153057, hashtext(current_schema()))";
     let done = sqlx::query(unlock).execute(connection).await;
     done.map(drop).map_err(|e| StoreError::Unavailable(e.to_string()))
@@ -386,7 +388,7 @@ pub(super) async fn let_others_in(connection: &mut AnyConnection) -> Result<(), 
 #[derive(Debug, Clone)]
 pub(super) enum LockedOut {
     /// Another process, or what is left of a lost connection, holds the lock.
-    Elsewhere,
+    HeldByOther,
     Error(StoreError),
 }
 
@@ -399,7 +401,7 @@ impl From<StoreError> for LockedOut {
 impl From<LockedOut> for StoreError {
     fn from(reason: LockedOut) -> Self {
         match reason {
-            LockedOut::Elsewhere => Self::Unavailable("another process writes to the database".into()),
+            LockedOut::HeldByOther => Self::Unavailable("another process writes to the database".into()),
             LockedOut::Error(error) => error,
         }
     }

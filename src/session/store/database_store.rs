@@ -1,19 +1,16 @@
 //! The store on a database and a folder of objects.
 
-use super::audit_reading;
-use super::data_folder::FolderHold;
+use super::location::FolderHold;
 use super::loose_objects::{NAMED_WITHIN, announce};
 use super::objects::Objects;
-use super::ownership::{Generation, HeldSession, SessionOwnership};
 use super::reading;
 use super::session_store::{
-    ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError, Stored, StoredCommit, StoredSession,
-    UsedSession,
+    Commit, Generation, HeldSession, KeepSessions, ListedSession, LoggedKey, NewCommit, NewSession, ReadSessions,
+    SessionOwnership, StoreError, Stored, StoredFacts, StoredSession, UsedSession,
 };
 use super::shared_store::SharedStore;
-use super::store_health::StoreHealth;
 use super::write_order::{StoredObject, WriteOrder, first_generation};
-use super::writer::Writer;
+use super::writer::{StoreHealth, Writer};
 use crate::asset::FileSet;
 use crate::session::answers::Tenant;
 use crate::session::audit::audit_entry::AuditEntry;
@@ -59,6 +56,48 @@ impl DatabaseStore {
             self.write(WriteOrder::Measure { objects }).await?;
         }
         Ok(())
+    }
+
+    /// The sessions of all tenants, in the order of their creation.
+    ///
+    /// # Errors
+    /// When the database does not answer.
+    pub async fn all_sessions(&self) -> Result<Vec<StoredFacts>, StoreError> {
+        reading::all_sessions(&self.pool).await
+    }
+
+    /// The objects that no session names.
+    ///
+    /// # Errors
+    /// When database or objects do not answer.
+    pub async fn unused_objects(&self) -> Result<Vec<String>, StoreError> {
+        self.objects.unused(reading::used_objects(&self.pool).await?).await
+    }
+
+    /// Removes objects that no session names.
+    ///
+    /// # Errors
+    /// When database or objects do not answer.
+    pub async fn remove_unused(&self, names: &[String]) -> Result<(), StoreError> {
+        let _alone = self.objects.naming.write().await;
+        for name in names {
+            if !reading::is_used(&self.pool, name).await? {
+                self.objects.remove(name).await?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Forgets what the audit trail says of before `before_ms`.
+    ///
+    /// # Errors
+    /// When the database does not answer.
+    pub async fn forget_audit(&self, before_ms: u64) -> Result<(), StoreError> {
+        self.write(WriteOrder::ForgetAudit {
+            tenant: None,
+            before_ms,
+        })
+        .await
     }
 
     async fn put_object(&self, bytes: Bytes) -> Result<String, StoreError> {
@@ -141,7 +180,7 @@ impl DatabaseStore {
     async fn create_session(&self, mut session: NewSession) -> Result<Generation, StoreError> {
         let (begun, owner) = (Instant::now(), self.owner());
         let generation = first_generation(&owner);
-        session.first.generation = generation;
+        session.first.session.generation = generation;
         let naming = self.objects.naming.read().await;
         let (names, objects) = self.put_files(&session.files).await?;
         session.model.files = names;
@@ -166,7 +205,7 @@ impl DatabaseStore {
         let begun = Instant::now();
         let naming = self.objects.naming.read().await;
         let mut objects = Vec::new();
-        if let (Some(given), LoggedCommit::Edit { files, .. }) = (commit.files.take(), &mut commit.commit) {
+        if let (Some(given), LoggedCommit::Edit { files, .. }) = (commit.files.take(), &mut commit.commit.record) {
             let (names, merged) = self.put_files(&given).await?;
             objects = merged;
             *files = Some(names);
@@ -178,12 +217,12 @@ impl DatabaseStore {
         written.map(drop)
     }
 
-    async fn keep_newest_shape(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Result<(), StoreError> {
+    async fn write_snapshot(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Result<(), StoreError> {
         let begun = Instant::now();
         let naming = self.objects.naming.read().await;
         let bytes = shape.len() as u64;
         let name = self.put_object(shape).await?;
-        let order = WriteOrder::KeepShape {
+        let order = WriteOrder::SaveSnapshot {
             session,
             sequence,
             shape: StoredObject { name, bytes },
@@ -200,7 +239,7 @@ impl DatabaseStore {
         Ok(())
     }
 
-    async fn adopt_digests(
+    async fn write_digests(
         &self,
         session: HeldSession,
         build: String,
@@ -216,11 +255,11 @@ impl DatabaseStore {
             row.build.clone_from(&build);
             commits.push(row);
         }
-        self.write(WriteOrder::Adopt { session, commits }).await
+        self.write(WriteOrder::RerecordDigests { session, commits }).await
     }
 }
 
-impl SessionStore for DatabaseStore {
+impl ReadSessions for DatabaseStore {
     fn build(&self) -> String {
         self.build.clone()
     }
@@ -234,32 +273,20 @@ impl SessionStore for DatabaseStore {
         self.health.note(self.health.check_places()).is_ok() && self.health.takes_writes()
     }
 
-    fn create(&self, session: NewSession) -> Stored<'_, Generation> {
-        Box::pin(self.create_session(session))
-    }
-
-    fn append(&self, commit: NewCommit) -> Stored<'_, ()> {
-        Box::pin(self.append_commit(commit))
-    }
-
-    fn keep_shape(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()> {
-        Box::pin(self.keep_newest_shape(session, sequence, shape))
-    }
-
-    fn adopt(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()> {
-        Box::pin(self.adopt_digests(session, build, digests))
+    fn writable(&self) -> Result<&dyn KeepSessions, StoreError> {
+        Ok(self)
     }
 
     fn load(&self, tenant: Tenant, id: String) -> Stored<'_, Option<StoredSession>> {
         Box::pin(async move {
-            self.writer.settle().await?;
+            self.writer.undo_uncertain_commits().await?;
             reading::whole_session(&self.pool, &tenant, &id).await
         })
     }
 
-    fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<StoredCommit>> {
+    fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<Commit>> {
         Box::pin(async move {
-            self.writer.settle().await?;
+            self.writer.undo_uncertain_commits().await?;
             let row = reading::commit_row(&self.pool, &session, sequence).await?;
             row.map(|row| row.into_commit()).transpose()
         })
@@ -285,18 +312,6 @@ impl SessionStore for DatabaseStore {
         Box::pin(self.get_object(name))
     }
 
-    fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()> {
-        Box::pin(self.write(WriteOrder::Delete { audit, generation }))
-    }
-
-    fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()> {
-        Box::pin(self.write(WriteOrder::NoteUse { sessions }))
-    }
-
-    fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>> {
-        Box::pin(reading::expired(&self.pool, since_ms, now_ms))
-    }
-
     fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>> {
         Box::pin(reading::sessions_by_tenant(&self.pool))
     }
@@ -309,10 +324,44 @@ impl SessionStore for DatabaseStore {
         Box::pin(async move { reading::count_sessions(&self.pool, &tenant.0).await })
     }
 
+    fn highest_number(&self) -> Stored<'_, u64> {
+        Box::pin(reading::highest_number(&self.pool))
+    }
+}
+
+impl KeepSessions for DatabaseStore {
+    fn create(&self, session: NewSession) -> Stored<'_, Generation> {
+        Box::pin(self.create_session(session))
+    }
+
+    fn append(&self, commit: NewCommit) -> Stored<'_, ()> {
+        Box::pin(self.append_commit(commit))
+    }
+
+    fn save_snapshot(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()> {
+        Box::pin(self.write_snapshot(session, sequence, shape))
+    }
+
+    fn rerecord_digests(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()> {
+        Box::pin(self.write_digests(session, build, digests))
+    }
+
+    fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()> {
+        Box::pin(self.write(WriteOrder::Delete { audit, generation }))
+    }
+
+    fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()> {
+        Box::pin(self.write(WriteOrder::NoteUse { sessions }))
+    }
+
+    fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>> {
+        Box::pin(reading::expired(&self.pool, since_ms, now_ms))
+    }
+
     fn key(&self, tenant: Tenant, key: String) -> Stored<'_, Option<LoggedKey>> {
         Box::pin(async move {
             // One whose commit was refused goes with it: nobody is to be told that it was carried out.
-            self.writer.settle().await?;
+            self.writer.undo_uncertain_commits().await?;
             reading::one_key(&self.pool, &tenant.0, &key).await
         })
     }
@@ -325,16 +374,12 @@ impl SessionStore for DatabaseStore {
         Box::pin(self.write(WriteOrder::ForgetKeys { before_ms }))
     }
 
-    fn highest_number(&self) -> Stored<'_, u64> {
-        Box::pin(reading::highest_number(&self.pool))
-    }
-
     fn audit(&self, entry: AuditEntry) -> Stored<'_, ()> {
         Box::pin(self.write(WriteOrder::Audit { entry }))
     }
 
     fn audited_tenants(&self) -> Stored<'_, Vec<Tenant>> {
-        Box::pin(audit_reading::audited_tenants(&self.pool))
+        Box::pin(reading::audited_tenants(&self.pool))
     }
 
     fn forget_audit_of(&self, tenant: Tenant, before_ms: u64) -> Stored<'_, ()> {

@@ -4,10 +4,10 @@
 //! A node writes a row for an object before it names it, removes the row in the transaction that names it, and writes
 //! one when it removes a name. An unused object whose row is older than [`GRACE`] is removed.
 
-use super::node_lease::DATABASE_NOW;
 use super::objects::Objects;
 use super::reading::{is_used_on, unreadable};
 use super::rows::column;
+use super::schema::DATABASE_NOW;
 use super::session_store::StoreError;
 use sqlx::{AnyConnection, AnyPool, AssertSqlSafe};
 use std::time::Duration;

@@ -8,7 +8,7 @@
 //! The note is written after the transaction was synced and is not synced itself: it costs a few microseconds, survives the end
 //! of the process, and after a loss of power it may name an earlier transaction, never a later one than the disk has.
 
-use super::private_files::make_private_file;
+use super::location::make_private_file;
 use super::schema::{identity, known_identity};
 use super::session_store::StoreError;
 use sha2::{Digest as _, Sha256};

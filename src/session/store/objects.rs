@@ -1,18 +1,25 @@
-//! What is large, by content: an object's name is the SHA-256 of its bytes, so it is written once and never changes, and what is read
-//! can be compared with its name.
+//! Large data, by content: an object's name is the SHA-256 of its bytes, so it is written once and never changes, and
+//! what is read is compared with its name. The shapes of sessions are such objects.
+//!
+//! `object_store` writes local files without syncing. Here a file is written under another name, synced, renamed, and
+//! its folder synced, so that it is whole on disk before a row names it.
 
 use super::bucket::open_bucket;
-use super::object_folder::ObjectFolder;
+use super::location::{make_private_folder, sync_folder};
 use super::session_store::StoreError;
 use bytes::Bytes;
 use futures::TryStreamExt as _;
+use glam::DVec3;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
 use sha2::{Digest as _, Sha256};
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
-use std::path::Path;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::{fs, io};
 use tokio::sync::{RwLock, Semaphore};
 
 /// Objects that are hashed or written at a time.
@@ -204,6 +211,15 @@ impl Objects {
             .collect())
     }
 
+    /// The names of objects that are not among `used`, in order.
+    pub async fn unused(&self, used: Vec<String>) -> Result<Vec<String>, StoreError> {
+        let used: BTreeSet<String> = used.into_iter().collect();
+        let mut unused = self.names().await?;
+        unused.retain(|name| !used.contains(name));
+        unused.sort();
+        Ok(unused)
+    }
+
     /// Removes an object; a missing one is not an error.
     pub async fn remove(&self, name: &str) -> Result<(), StoreError> {
         match self.store.delete(&object_path(name)?).await {
@@ -251,6 +267,130 @@ fn object_path(name: &str) -> Result<ObjectPath, StoreError> {
     Ok(ObjectPath::from(format!("{}/{name}", &name[..2])))
 }
 
+/// Bytes that are written to see whether there is room again: one block of a file system, since a commit may need no more.
+const TRIED_BYTES: usize = 4096;
+
+/// A local folder of objects.
+#[derive(Debug)]
+pub(super) struct ObjectFolder {
+    /// Where objects lie, on shelves named by the first two letters of theirs.
+    pub objects: PathBuf,
+    unfinished: PathBuf,
+    /// Which store this is, beside the objects.
+    identity: PathBuf,
+}
+
+impl ObjectFolder {
+    /// The objects below a folder, made if it is missing.
+    pub fn open(folder: &Path) -> Result<Self, StoreError> {
+        let objects = folder.join("objects");
+        let unfinished = folder.join("unfinished");
+        let failed = |path: &Path, e: io::Error| StoreError::Unavailable(format!("{}: {e}", path.display()));
+        // What a crash left there has no name yet.
+        if unfinished.exists() {
+            fs::remove_dir_all(&unfinished).map_err(|e| failed(&unfinished, e))?;
+        }
+        for made in [&objects, &unfinished] {
+            make_private_folder(made).map_err(|e| failed(made, e))?;
+        }
+        sync_folder(folder).map_err(|e| failed(folder, e))?;
+        Ok(Self::at(folder))
+    }
+
+    /// The objects below a folder, to be read alone: nothing is made or removed.
+    pub fn to_read(folder: &Path) -> Result<Self, StoreError> {
+        let found = Self::at(folder);
+        match found.objects.is_dir() {
+            true => Ok(found),
+            false => Err(StoreError::Refused(format!(
+                "{} is missing, where the models of the sessions lie; restore it from the backup of the database",
+                found.objects.display()
+            ))),
+        }
+    }
+
+    fn at(folder: &Path) -> Self {
+        Self {
+            objects: folder.join("objects"),
+            unfinished: folder.join("unfinished"),
+            identity: folder.join("store"),
+        }
+    }
+
+    /// Writes an object; it is on disk when this returns.
+    pub fn write(&self, name: &str, bytes: &[u8]) -> io::Result<()> {
+        let shelf = self.objects.join(&name[..2]);
+        let path = shelf.join(name);
+        // What is there and whole is not written again; what was damaged is mended.
+        if fs::read(&path).is_ok_and(|there| there == bytes) {
+            return sync_folder(&shelf);
+        }
+        if !shelf.exists() {
+            make_private_folder(&shelf)?;
+            sync_folder(&self.objects)?;
+        }
+        self.write_beside(bytes, &path)?;
+        sync_folder(&shelf)
+    }
+
+    /// The identity that stands beside the objects, where there is one.
+    pub fn read_identity(&self) -> io::Result<Option<Vec<u8>>> {
+        match fs::read(&self.identity) {
+            Ok(there) => Ok(Some(there)),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Puts an identity beside the objects.
+    pub fn write_identity(&self, identity: &[u8]) -> io::Result<()> {
+        self.write_beside(identity, &self.identity)?;
+        self.identity.parent().map_or(Ok(()), sync_folder)
+    }
+
+    /// Writes a small file, and removes it.
+    pub fn try_writing(&self) -> io::Result<()> {
+        let mut file = tempfile::NamedTempFile::new_in(&self.unfinished)?;
+        file.write_all(&vec![0; TRIED_BYTES])?;
+        file.as_file().sync_all()
+    }
+
+    fn write_beside(&self, bytes: &[u8], path: &Path) -> io::Result<()> {
+        let mut file = tempfile::NamedTempFile::new_in(&self.unfinished)?;
+        file.write_all(bytes)?;
+        file.as_file().sync_all()?;
+        let (_, beside) = file.keep().map_err(|e| e.error)?;
+        fs::rename(beside, path)
+    }
+}
+
+const MARK: &[u8; 4] = b"PLSH";
+const VERSION: u32 = 1;
+const HEAD: usize = 8;
+
+/// Writes the positions of a shape.
+pub(in crate::session) fn write_shape(positions: &[DVec3]) -> Bytes {
+    let mut bytes = Vec::with_capacity(HEAD + positions.len() * 24);
+    bytes.extend_from_slice(MARK);
+    bytes.extend_from_slice(&VERSION.to_le_bytes());
+    for number in positions.iter().flat_map(|p| p.to_array()) {
+        bytes.extend_from_slice(&number.to_le_bytes());
+    }
+    bytes.into()
+}
+
+/// Reads the positions of a shape.
+pub(in crate::session) fn read_shape(bytes: &[u8]) -> Result<Vec<DVec3>, StoreError> {
+    let damaged = || StoreError::Damaged("a stored shape is not a shape".into());
+    let (head, body) = bytes.split_at_checked(HEAD).ok_or_else(damaged)?;
+    if &head[..4] != MARK || head[4..] != VERSION.to_le_bytes() || !body.len().is_multiple_of(24) {
+        return Err(damaged());
+    }
+    let number = |b: &[u8]| b.try_into().map(f64::from_le_bytes).unwrap_or(f64::NAN);
+    let vertex = |v: &[u8]| DVec3::new(number(&v[..8]), number(&v[8..16]), number(&v[16..]));
+    Ok(body.chunks_exact(24).map(vertex).collect())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -284,5 +424,27 @@ mod tests {
         assert_eq!(objects.belong_to("this").await, Ok(()));
         assert_eq!(objects.belong_to("this").await, Ok(()));
         assert!(matches!(objects.belong_to("that").await, Err(StoreError::Refused(_))));
+    }
+
+    #[test]
+    fn a_shape_comes_back_to_the_bit_and_nothing_else_is_one() {
+        let shape = [DVec3::new(0.1, -0.0, 1e-310), DVec3::new(f64::MAX, 1.0 / 3.0, 2.0)];
+        let bytes = write_shape(&shape);
+        let again = read_shape(&bytes).expect("a shape");
+        assert!(
+            shape
+                .iter()
+                .zip(&again)
+                .all(|(a, b)| { a.to_array().map(f64::to_bits) == b.to_array().map(f64::to_bits) })
+        );
+        for wrong in [
+            &bytes[..7],
+            &bytes[..bytes.len() - 1],
+            b"PLSH\x02\0\0\0",
+            b"XXXX\x01\0\0\0",
+            b"",
+        ] {
+            assert!(read_shape(wrong).is_err());
+        }
     }
 }

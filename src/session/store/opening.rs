@@ -1,24 +1,22 @@
 //! How a store is opened: by one process that has it for itself, or by one of several nodes that share it.
 
-use super::build_identity::build_identity;
-use super::connection::{DatabaseAddress, SharingNode, WritingConnection, is_alone, let_others_in};
-use super::data_folder::{DATABASE_FILE, FolderHold, existing_database, refuse_objects_alone};
+use super::build_identity;
+use super::connection::{DatabaseAddress, SharingNode, WritingConnection, release_exclusive, take_exclusive};
 use super::database_store::DatabaseStore;
+use super::location::{
+    DATABASE_FILE, FolderHold, StoreLocation, existing_database, make_private_file, refuse_objects_alone,
+};
 use super::newest_write::NewestWrite;
-use super::node_lease::NodeLease;
 use super::objects::Objects;
-use super::ownership::{NodeIdentity, NodeLoad};
-use super::private_files::make_private_file;
 use super::schema::{Dialect, TABLES, any_object, identity, migrate, version};
-use super::session_store::StoreError;
-use super::shared_store::SharedStore;
-use super::store_health::StoreHealth;
-use super::store_location::StoreLocation;
-use super::store_watch::watch_store;
-use super::writer::Writer;
+use super::session_store::{NodeIdentity, NodeLoad, StoreError};
+use super::shared_store::{NodeLease, SharedStore};
+use super::write_order::WriteOrder;
+use super::writer::{StoreHealth, Writer};
 use sqlx::AnyConnection;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
+use std::time::Duration;
 
 impl DatabaseStore {
     /// Opens a store, makes or brings up to date what is missing.
@@ -113,14 +111,14 @@ impl DatabaseStore {
         };
         let address = DatabaseAddress::server(database)?.shared_by(sharing);
         let objects = Objects::in_bucket(objects)?;
-        let door = address.door().await?;
+        let open_lock = address.open_lock().await?;
         let mut writing = WritingConnection::open(&address).await?;
         let connection = writing.get().await?;
         prepare_tables(connection, &address, &objects).await?;
         mark_objects(connection, (&address, &objects), location).await?;
-        drop(door);
+        drop(open_lock);
         let id = random.map(|byte| format!("{byte:02x}")).concat();
-        let lease = NodeLease::new(node.clone(), id, address.heart().await?);
+        let lease = NodeLease::new(node.clone(), id, address.heartbeat_pool().await?);
         lease.renew(NodeLoad::default()).await?;
         let health = Arc::new(StoreHealth::of_places([])?);
         let shared = SharedStore {
@@ -174,7 +172,7 @@ async fn prepare_tables(
     if there.is_some_and(|version| usize::try_from(version) == Ok(TABLES)) {
         return Ok(());
     }
-    if !is_alone(connection).await? {
+    if !take_exclusive(connection).await? {
         let text = format!("{address:?} has tables of another version and nodes that use them; stop those nodes first");
         return Err(StoreError::Refused(text));
     }
@@ -182,7 +180,7 @@ async fn prepare_tables(
         return Err(address.objects_of_another());
     }
     migrate(connection, address.dialect()).await?;
-    let_others_in(connection).await
+    release_exclusive(connection).await
 }
 
 /// Makes sure that a database and the place of its objects belong together. A place that knows no database is marked with this one,
@@ -207,4 +205,26 @@ async fn mark_objects(
         )));
     }
     objects.belong_to(&identity).await
+}
+
+/// Between two looks.
+const PERIOD: Duration = Duration::from_secs(1);
+
+/// Looks after the health of a store for as long as it is open.
+pub(super) async fn watch_store(health: Arc<StoreHealth>, writer: Weak<Writer>, objects: Weak<Objects>) {
+    loop {
+        tokio::time::sleep(PERIOD).await;
+        let (Some(writer), Some(objects)) = (writer.upgrade(), objects.upgrade()) else {
+            return;
+        };
+        if health.note(health.check_places()).is_ok() && !health.takes_writes() && try_writing(&writer, &objects).await
+        {
+            health.recover();
+        }
+    }
+}
+
+/// Whether both a row and an object can be written.
+async fn try_writing(writer: &Writer, objects: &Objects) -> bool {
+    objects.try_writing().await.is_ok() && writer.write(WriteOrder::Touch).await.is_ok()
 }

@@ -2,9 +2,7 @@
 
 use super::rows::{COMMIT_COLUMNS, CommitRow, check_format, column, signed, unsigned};
 use super::schema::Dialect;
-use super::session_store::{
-    ListedSession, LoggedKey, StoreError, StoredCommit, StoredFacts, StoredSession, StoredSnapshot,
-};
+use super::session_store::{Commit, ListedSession, LoggedKey, StoreError, StoredFacts, StoredSession, StoredSnapshot};
 use super::write_order::session_checksum;
 use crate::session::answers::Tenant;
 use crate::wire::record::RecordedModel;
@@ -12,6 +10,9 @@ use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, AnyPool, AssertSqlSafe};
 use std::sync::Arc;
 use std::time::Duration;
+
+/// Sessions read at a time.
+const PAGE: usize = 500;
 
 const SESSION_COLUMNS: &str = "id, tenant, number, ttl_ms, used_ms, newest, format, model, checksum";
 
@@ -104,7 +105,7 @@ pub(super) async fn whole_session(
         .fetch_all(pool)
         .await
         .map_err(unreadable)?;
-    let commits: Vec<StoredCommit> = (rows.iter())
+    let commits: Vec<Commit> = (rows.iter())
         .map(|row| CommitRow::read(row)?.into_commit())
         .collect::<Result<_, _>>()?;
     let newest = unsigned(row.newest)?;
@@ -155,7 +156,7 @@ pub(super) async fn commit_row(pool: &AnyPool, session: &str, sequence: u64) -> 
     found.as_ref().map(CommitRow::read).transpose()
 }
 
-async fn one_commit(pool: &AnyPool, session: &str, sequence: u64) -> Result<StoredCommit, StoreError> {
+async fn one_commit(pool: &AnyPool, session: &str, sequence: u64) -> Result<Commit, StoreError> {
     match commit_row(pool, session, sequence).await? {
         Some(row) => row.into_commit(),
         None => Err(StoreError::Damaged(format!("commit {sequence} is missing"))),
@@ -199,8 +200,8 @@ pub(super) async fn listed(
 async fn listed_session(pool: &AnyPool, row: &AnyRow) -> Result<ListedSession, StoreError> {
     let row = SessionRow::read(row)?;
     let newest = one_commit(pool, &row.id, unsigned(row.newest)?).await?;
-    let facts = one_commit(pool, &row.id, newest.facts_at).await?.commit;
-    let poses = one_commit(pool, &row.id, newest.poses_at).await?.commit;
+    let facts = one_commit(pool, &row.id, newest.facts_at).await?.record;
+    let poses = one_commit(pool, &row.id, newest.poses_at).await?.record;
     Ok(ListedSession {
         created_ms: created_ms(pool, &row.id).await?,
         ttl: Duration::from_millis(unsigned(row.ttl_ms)?),
@@ -377,4 +378,24 @@ pub(super) async fn integrity(pool: &AnyPool, dialect: Dialect) -> Result<(), St
         true => Ok(()),
         false => Err(StoreError::Damaged(told)),
     }
+}
+
+/// The sessions of all tenants, in the order of their creation.
+pub(super) async fn all_sessions(pool: &AnyPool) -> Result<Vec<StoredFacts>, StoreError> {
+    let mut all: Vec<StoredFacts> = Vec::new();
+    loop {
+        let after = all.last().map_or(0, |s| s.number);
+        let page = stored_facts(pool, after, PAGE).await?;
+        if page.is_empty() {
+            return Ok(all);
+        }
+        all.extend(page);
+    }
+}
+
+/// The tenants of whom anything is noted.
+pub(super) async fn audited_tenants(pool: &AnyPool) -> Result<Vec<Tenant>, StoreError> {
+    let query = sqlx::query("SELECT DISTINCT tenant FROM audit ORDER BY tenant");
+    let rows = query.fetch_all(pool).await.map_err(unreadable)?;
+    rows.iter().map(|row| tenant_of(row, 0)).collect()
 }

@@ -1,6 +1,6 @@
 //! Rows with their checksums.
 
-use super::session_store::{NewCommit, StoreError, StoredCommit};
+use super::session_store::{Commit, NewCommit, StoreError};
 use crate::wire::record::LoggedCommit;
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
@@ -9,7 +9,7 @@ use xxhash_rust::xxh3::Xxh3;
 /// The version of the records that this program writes; it reads this one and all before.
 pub(super) const RECORD_FORMAT: i64 = 1;
 
-/// The columns of a commit, as `commit_from_row` reads them.
+/// The columns of a commit, as [`CommitRow::read`] expects them.
 pub(super) const COMMIT_COLUMNS: &str =
     "session, sequence, revision, kind, digest, build, facts_at, poses_at, format, payload, checksum";
 
@@ -29,18 +29,19 @@ pub(super) struct CommitRow {
 }
 
 impl CommitRow {
-    pub fn of(commit: &NewCommit) -> Self {
+    pub fn of(new: &NewCommit) -> Self {
+        let commit = &new.commit;
         Self {
-            session: commit.session.clone(),
+            session: new.session.id.clone(),
             sequence: signed(commit.sequence),
             revision: signed(commit.revision),
-            kind: commit.commit.kind().into(),
+            kind: commit.record.kind().into(),
             digest: commit.digest.clone(),
             build: commit.build.clone(),
             facts_at: signed(commit.facts_at),
             poses_at: signed(commit.poses_at),
             format: RECORD_FORMAT,
-            payload: commit.commit.write(),
+            payload: commit.record.write(),
         }
     }
 
@@ -83,17 +84,17 @@ impl CommitRow {
         Ok(read)
     }
 
-    pub fn into_commit(self) -> Result<StoredCommit, StoreError> {
-        let commit = LoggedCommit::read(&self.payload)
+    pub fn into_commit(self) -> Result<Commit, StoreError> {
+        let record = LoggedCommit::read(&self.payload)
             .map_err(|e| StoreError::Damaged(format!("commit {} cannot be read: {e}", self.sequence)))?;
-        Ok(StoredCommit {
+        Ok(Commit {
             sequence: unsigned(self.sequence)?,
             revision: unsigned(self.revision)?,
             digest: self.digest,
             build: self.build,
             facts_at: unsigned(self.facts_at)?,
             poses_at: unsigned(self.poses_at)?,
-            commit,
+            record,
         })
     }
 }

@@ -1,8 +1,7 @@
 //! The tables, and how an older database becomes a newer one.
 
 use super::session_store::StoreError;
-use sqlx::Row as _;
-use sqlx::{AnyConnection, AssertSqlSafe};
+use sqlx::{AnyConnection, AssertSqlSafe, Row as _};
 
 /// The supported databases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -112,6 +111,9 @@ const SHARED: &[&str] = &[
     "INSERT INTO session_numbers (newest) VALUES (0)",
     "CREATE TABLE loose_objects (object TEXT PRIMARY KEY, since_ms BIGINT NOT NULL)",
 ];
+
+/// The expression for milliseconds since 1970 by the clock of PostgreSQL.
+pub(super) const DATABASE_NOW: &str = "CAST(EXTRACT(EPOCH FROM clock_timestamp()) * 1000 AS BIGINT)";
 
 /// The version of the tables that this program writes.
 pub(super) const TABLES: usize = STEPS.len();

@@ -1,13 +1,154 @@
-//! What sessions need of a store.
+//! The traits through which sessions use a store, with their values and errors.
+//!
+//! Several nodes may share a store. A session's row names the node that has it, and the number of that ownership: its
+//! generation, which grows each time that another node takes the session. A write of a session succeeds only while the
+//! row has the generation of the writer, so a node that has lost the session cannot write. A node has its sessions for
+//! as long as its lease: one row for the whole node, renewed by one statement, with times of the database's clock
+//! alone. When a node has no lease any more, or has given a session back, the next node that gets a call for the
+//! session takes it.
 
-use super::ownership::{Generation, HeldSession, SessionOwnership};
-pub use super::store_error::{StoreError, Stored};
 use crate::asset::FileSet;
 use crate::session::answers::Tenant;
 use crate::session::audit::audit_entry::AuditEntry;
+use crate::session::error::{Error, ErrorCode};
+use crate::session::owner_address::OwnerAddress;
 use crate::wire::record::{LoggedCommit, RecordedModel};
 use bytes::Bytes;
+use futures::future::BoxFuture;
+use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// Why a store did not do what was asked.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum StoreError {
+    /// It cannot be reached or written: a full disk, a lost permission, a database that is down. Later it may work.
+    #[error("{0}")]
+    Unavailable(String),
+    /// What it holds is not what was written.
+    #[error("{0}")]
+    Damaged(String),
+    /// It cannot be used as it is: written by a later version, or used by another process.
+    #[error("{0}")]
+    Refused(String),
+    /// Another node has the session now. Nothing was written.
+    #[error("another node has the session now")]
+    Moved,
+    /// Another call with the same idempotency key was faster, at another node. Nothing was written.
+    #[error("another call with this idempotency key was carried out meanwhile")]
+    Repeated,
+}
+
+impl From<StoreError> for Error {
+    fn from(error: StoreError) -> Self {
+        match error {
+            // Paths and what a database says are the operator's alone.
+            StoreError::Unavailable(problem) => {
+                tracing::warn!("the store of sessions: {problem}");
+                let text =
+                    "the store of sessions cannot be read or written at present; nothing has changed, try again later";
+                Self {
+                    retry_after_s: Some(1),
+                    ..Self::new(ErrorCode::Unavailable, text)
+                }
+            }
+            StoreError::Damaged(problem) => {
+                tracing::error!("what is stored of a session is damaged: {problem}");
+                let text = format!("what is stored of the session is damaged and is not served: {problem}");
+                Self::new(ErrorCode::DataLoss, text)
+            }
+            StoreError::Refused(problem) => Self::new(ErrorCode::FailedPrecondition, problem),
+            StoreError::Moved => Self::moved(),
+            StoreError::Repeated => Self {
+                retry_after_s: Some(1),
+                ..Self::new(ErrorCode::Aborted, StoreError::Repeated.to_string())
+            },
+        }
+    }
+}
+
+/// The answer of a store, to come.
+pub type Stored<'a, T> = BoxFuture<'a, Result<T, StoreError>>;
+
+/// The number of an ownership. 0 where one process has the store for itself: nothing is compared then.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub struct Generation(pub u64);
+
+/// A session that this node has.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HeldSession {
+    /// Its id.
+    pub id: String,
+    /// The ownership.
+    pub generation: Generation,
+}
+
+/// One of several nodes that share a store.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NodeIdentity {
+    /// Its name, by which a proxy selects it.
+    pub name: String,
+    /// The address that clients call.
+    pub address: String,
+    /// How long it has its sessions without a heartbeat.
+    pub lease: Duration,
+    /// How often it sends one.
+    pub heartbeat: Duration,
+}
+
+/// The load that a node sends in each heartbeat.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct NodeLoad {
+    /// Sessions in memory.
+    pub sessions: u64,
+    /// How many it may have.
+    pub most_sessions: u64,
+    /// Bytes that it holds.
+    pub memory_used: u64,
+    /// Bytes that it may hold.
+    pub memory_total: u64,
+    /// Pieces of work that run or wait.
+    pub work: u64,
+    /// Whether it is about to stop and gives its sessions back.
+    pub is_leaving: bool,
+}
+
+/// Whose a session is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum SessionClaim {
+    /// This node's, from now on.
+    Here(Generation),
+    /// Another node's; with `is_leaving` it is about to be given back.
+    Elsewhere {
+        /// That node.
+        owner: OwnerAddress,
+        /// Whether that node is about to stop.
+        is_leaving: bool,
+    },
+    /// The tenant has none of that id.
+    Missing,
+}
+
+/// How a node of several takes sessions.
+pub trait SessionOwnership: Send + Sync + std::fmt::Debug {
+    /// This node.
+    fn node(&self) -> &NodeIdentity;
+    /// Renews the lease. False when it had run out before: others may have taken sessions meanwhile.
+    fn beat(&self, load: NodeLoad) -> Stored<'_, bool>;
+    /// The sessions that are this node's.
+    fn held(&self) -> Stored<'_, BTreeMap<String, Generation>>;
+    /// Takes a free session, or returns who has it.
+    fn claim(&self, tenant: Tenant, id: String) -> Stored<'_, SessionClaim>;
+    /// Takes an expired session; `None` where it is not expired, or another node has it.
+    fn claim_expired(&self, tenant: Tenant, id: String, times: (u64, u64)) -> Stored<'_, Option<Generation>>;
+    /// Gives a session back, last used at `used_ms`.
+    fn release(&self, session: HeldSession, used_ms: u64) -> Stored<'_, ()>;
+    /// The number of the next session to be created.
+    fn next_number(&self) -> Stored<'_, u64>;
+    /// The nodes with a lease that take sessions, by their names.
+    fn nodes(&self) -> Stored<'_, Vec<(OwnerAddress, NodeLoad)>>;
+    /// Removes objects that no session has named for a long time.
+    fn remove_loose_objects(&self) -> Stored<'_, ()>;
+}
 
 /// An idempotency key whose answer is a commit's.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -47,13 +188,9 @@ pub struct NewSession {
     pub first: NewCommit,
 }
 
-/// A commit to be kept.
+/// A commit of a session.
 #[derive(Debug, Clone)]
-pub struct NewCommit {
-    /// Its session.
-    pub session: String,
-    /// The current ownership.
-    pub generation: Generation,
+pub struct Commit {
     /// Commits of a session are numbered from 0, undo and redo among them.
     pub sequence: u64,
     /// The session's revision after it.
@@ -66,33 +203,23 @@ pub struct NewCommit {
     pub facts_at: u64,
     /// The commit whose poses hold after it.
     pub poses_at: u64,
-    /// What it was; the store fills in the names of the files.
-    pub commit: LoggedCommit,
+    /// What it was.
+    pub record: LoggedCommit,
+}
+
+/// A commit to be stored.
+#[derive(Debug, Clone)]
+pub struct NewCommit {
+    /// Its session, with the current ownership.
+    pub session: HeldSession,
+    /// The commit; the store fills in the names of the files.
+    pub commit: Commit,
     /// The files of a merge.
     pub files: Option<FileSet>,
     /// The key of the call, whose answer it is.
     pub key: Option<(Tenant, String, u128)>,
     /// Who made it.
     pub audit: AuditEntry,
-}
-
-/// A commit that was kept.
-#[derive(Debug, Clone)]
-pub struct StoredCommit {
-    /// As in [`NewCommit`].
-    pub sequence: u64,
-    /// As in [`NewCommit`].
-    pub revision: u64,
-    /// As in [`NewCommit`].
-    pub digest: String,
-    /// As in [`NewCommit`].
-    pub build: String,
-    /// As in [`NewCommit`].
-    pub facts_at: u64,
-    /// As in [`NewCommit`].
-    pub poses_at: u64,
-    /// What it was.
-    pub commit: LoggedCommit,
 }
 
 /// The newest shape that is kept of a session.
@@ -122,7 +249,7 @@ pub struct StoredSession {
     /// As in [`NewSession`].
     pub model: RecordedModel,
     /// Its commits, in order.
-    pub commits: Vec<StoredCommit>,
+    pub commits: Vec<Commit>,
     /// Its newest shape.
     pub snapshot: Option<StoredSnapshot>,
 }
@@ -141,7 +268,7 @@ pub struct ListedSession {
     /// Its label.
     pub label: String,
     /// Its newest commit.
-    pub newest: StoredCommit,
+    pub newest: Commit,
     /// The commit whose facts hold.
     pub facts: LoggedCommit,
     /// The commit whose poses hold.
@@ -174,54 +301,67 @@ pub struct UsedSession {
     pub used_ms: u64,
 }
 
-/// Where sessions are kept. What returns `Ok` is on disk; what returns an error has changed nothing that is ever read again.
-pub trait SessionStore: Send + Sync + std::fmt::Debug + 'static {
+/// Stored sessions, to be read.
+pub trait ReadSessions: Send + Sync + std::fmt::Debug + 'static {
     /// Which build and processor makes results now.
     fn build(&self) -> String;
-    /// How nodes that share it take sessions; `None` where one process has it for itself.
+    /// How nodes that share the store take sessions; `None` where one process has it for itself.
     fn ownership(&self) -> Option<&dyn SessionOwnership> {
         None
     }
-    /// Whether what is written is taken: false from a write that failed until one works again.
-    fn takes_writes(&self) -> bool;
-    /// Keeps a new session, which is this process's then.
-    fn create(&self, session: NewSession) -> Stored<'_, Generation>;
-    /// Keeps a commit.
-    fn append(&self, commit: NewCommit) -> Stored<'_, ()>;
-    /// Keeps a shape as the newest of a session.
-    fn keep_shape(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()>;
-    /// Replaces digests, by the numbers of commits, by those of `build`.
-    fn adopt(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()>;
+    /// Whether the store takes writes: false from a write that failed until one works again.
+    fn takes_writes(&self) -> bool {
+        false
+    }
+    /// The same store, to be written.
+    ///
+    /// # Errors
+    /// [`StoreError::Refused`] for a store that is open to be read only.
+    fn writable(&self) -> Result<&dyn KeepSessions, StoreError> {
+        Err(StoreError::Refused("the store is only looked at".into()))
+    }
     /// Reads a session with all its commits; `None` when the tenant has none of that id.
     fn load(&self, tenant: Tenant, id: String) -> Stored<'_, Option<StoredSession>>;
     /// Reads one commit.
-    fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<StoredCommit>>;
+    fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<Commit>>;
     /// Whether the tenant has a session of that id.
     fn holds(&self, tenant: Tenant, id: String) -> Stored<'_, bool>;
     /// Lists a tenant's sessions by rising number, above `after`, at most `most`; of one that is damaged the number alone.
     fn list(&self, tenant: Tenant, after: u64, most: usize) -> Stored<'_, Vec<(u64, Option<ListedSession>)>>;
     /// Reads an object.
     fn object(&self, name: String) -> Stored<'_, Bytes>;
-    /// Deletes a session and what only it used, and notes who did.
-    fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()>;
-    /// Notes when sessions were used.
-    fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()>;
-    /// The sessions that are expired at `now_ms`, with their tenants.
-    fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>>;
     /// How many sessions each tenant has.
     fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>>;
     /// Bytes that a tenant's sessions hold: their records and the objects that they name, one that several name for each of them.
     fn stored_bytes(&self, tenant: Tenant) -> Stored<'_, u64>;
     /// How many sessions a tenant has.
     fn count_sessions(&self, tenant: Tenant) -> Stored<'_, u64>;
+    /// The highest number of any session.
+    fn highest_number(&self) -> Stored<'_, u64>;
+}
+
+/// Stored sessions, to be written too. What returns `Ok` is on disk; what returns an error has changed nothing that is ever read again.
+pub trait KeepSessions: ReadSessions {
+    /// Keeps a new session, which is this process's then.
+    fn create(&self, session: NewSession) -> Stored<'_, Generation>;
+    /// Keeps a commit.
+    fn append(&self, commit: NewCommit) -> Stored<'_, ()>;
+    /// Keeps a shape as the newest of a session.
+    fn save_snapshot(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()>;
+    /// Replaces digests, by the numbers of commits, by those of `build`.
+    fn rerecord_digests(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()>;
+    /// Deletes a session and what only it used, and notes who did.
+    fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()>;
+    /// Notes when sessions were used.
+    fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()>;
+    /// The sessions that are expired at `now_ms`, with their tenants.
+    fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>>;
     /// A key that is kept.
     fn key(&self, tenant: Tenant, key: String) -> Stored<'_, Option<LoggedKey>>;
     /// The keys that are kept, oldest first.
     fn keys(&self) -> Stored<'_, Vec<LoggedKey>>;
     /// Forgets keys from before `before_ms`.
     fn forget_keys(&self, before_ms: u64) -> Stored<'_, ()>;
-    /// The highest number of any session.
-    fn highest_number(&self) -> Stored<'_, u64>;
     /// Notes who did what.
     fn audit(&self, entry: AuditEntry) -> Stored<'_, ()>;
     /// The tenants of whom anything is noted.

@@ -1,8 +1,7 @@
 //! What is written, statement by statement. The writer decides what goes into one transaction.
 
-use super::ownership::{Generation, HeldSession};
 use super::rows::{CommitRow, RECORD_FORMAT, checksum, column, signed};
-use super::session_store::{NewCommit, NewSession, StoreError, UsedSession, now_ms};
+use super::session_store::{Generation, HeldSession, NewCommit, NewSession, StoreError, UsedSession, now_ms};
 use crate::session::answers::Tenant;
 use crate::session::audit::audit_entry::AuditEntry;
 use sqlx::AnyConnection;
@@ -32,13 +31,13 @@ pub(super) enum WriteOrder {
         objects: Vec<StoredObject>,
     },
     /// The newest shape of a session.
-    KeepShape {
+    SaveSnapshot {
         session: HeldSession,
         sequence: u64,
         shape: StoredObject,
     },
     /// Digests of another build.
-    Adopt {
+    RerecordDigests {
         session: HeldSession,
         commits: Vec<CommitRow>,
     },
@@ -55,7 +54,7 @@ pub(super) enum WriteOrder {
     /// The sizes of objects that an older version wrote.
     Measure { objects: Vec<StoredObject> },
     /// Nothing but what was left undone.
-    Settle,
+    UndoUncertain,
     /// A row is written as it is, to see whether rows can be written.
     Touch,
 }
@@ -77,17 +76,13 @@ async fn objects_of(statement: Statement<'_>, on: &mut AnyConnection) -> Result<
 
 impl WriteOrder {
     /// The commit that may be on disk though it was refused. With 0 it is the session.
-    pub fn doubtful(&self) -> Option<DoubtfulCommit> {
-        let (session, generation, sequence) = match self {
-            Self::Create { session, owner, .. } => (&session.id, first_generation(owner), 0),
-            Self::Append { commit, .. } => (&commit.session, commit.generation, commit.sequence),
+    pub fn uncertain_commit(&self) -> Option<UncertainCommit> {
+        let (session, sequence) = match self {
+            Self::Create { session, .. } => (session.first.session.clone(), 0),
+            Self::Append { commit, .. } => (commit.session.clone(), commit.commit.sequence),
             _ => return None,
         };
-        let session = HeldSession {
-            id: session.clone(),
-            generation,
-        };
-        Some(DoubtfulCommit { session, sequence })
+        Some(UncertainCommit { session, sequence })
     }
 
     /// Writes it. Returns objects that may have no name any more.
@@ -104,18 +99,18 @@ impl WriteOrder {
                 append_commit(&session.first, objects, session.created_ms, on).await?;
             }
             Self::Append { commit, objects } => append_commit(commit, objects, now_ms(), on).await?,
-            Self::KeepShape {
+            Self::SaveSnapshot {
                 session,
                 sequence,
                 shape,
-            } => return keep_shape(session, *sequence, shape, on).await,
+            } => return save_snapshot(session, *sequence, shape, on).await,
             Self::Measure { objects } => {
                 for object in objects {
                     let update = sqlx::query("UPDATE object_uses SET bytes = $2 WHERE object = $1 AND bytes < 0");
                     execute(update.bind(&object.name).bind(signed(object.bytes)), on).await?;
                 }
             }
-            Self::Adopt { session, commits } => {
+            Self::RerecordDigests { session, commits } => {
                 if !still_has(session, on).await? {
                     return Err(StoreError::Moved);
                 }
@@ -155,7 +150,7 @@ impl WriteOrder {
                 let tenant = tenant.as_ref().map_or("", |tenant| &*tenant.0);
                 execute(delete.bind(signed(*before_ms)).bind(tenant), on).await?;
             }
-            Self::Settle => {}
+            Self::UndoUncertain => {}
             Self::Touch => drop(execute(sqlx::query("UPDATE store_identity SET id = id"), on).await?),
         }
         Ok(Vec::new())
@@ -164,7 +159,7 @@ impl WriteOrder {
 
 /// A commit that was refused and may have been written all the same.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct DoubtfulCommit {
+pub(super) struct UncertainCommit {
     pub session: HeldSession,
     pub sequence: u64,
 }
@@ -181,9 +176,9 @@ async fn still_has(session: &HeldSession, on: &mut AnyConnection) -> Result<bool
     Ok(execute(touch, on).await? == 1)
 }
 
-/// Removes what was refused and may have been written all the same: commits from the doubtful one on, with 0 the session. What another
+/// Removes what was refused and may have been written all the same: commits from the uncertain one on, with 0 the session. What another
 /// node has by now stays as that node has found it.
-pub(super) async fn undo_doubtful(doubt: &DoubtfulCommit, on: &mut AnyConnection) -> Result<(), StoreError> {
+pub(super) async fn undo_uncertain(doubt: &UncertainCommit, on: &mut AnyConnection) -> Result<(), StoreError> {
     let (session, sequence) = (&doubt.session.id, doubt.sequence);
     if doubt.session.generation != Generation::default() && !still_has(&doubt.session, on).await? {
         return Ok(());
@@ -224,7 +219,7 @@ async fn refuse_repeated(first: &NewCommit, owner: &str, on: &mut AnyConnection)
     // Whoever comes second waits here for the first, and adds nothing then.
     let insert = "INSERT INTO call_keys (tenant, call_key, fingerprint, session, sequence, at_ms)
         VALUES ($1, $2, '', $3, 0, 0) ON CONFLICT (tenant, call_key) DO NOTHING";
-    let insert = sqlx::query(insert).bind(&*tenant.0).bind(key).bind(&first.session);
+    let insert = sqlx::query(insert).bind(&*tenant.0).bind(key).bind(&first.session.id);
     match execute(insert, on).await? {
         1 => Ok(()),
         _ => Err(StoreError::Repeated),
@@ -276,8 +271,8 @@ async fn append_commit(
         WHERE id = $1 AND ($5 = 0 OR generation = $5)";
     let newest = sqlx::query(newest).bind(&row.session).bind(row.sequence).bind(now);
     let newest = newest.bind(signed(row.payload.len() as u64));
-    if execute(newest.bind(signed(commit.generation.0)), on).await? != 1 {
-        return Err(match commit.generation {
+    if execute(newest.bind(signed(commit.session.generation.0)), on).await? != 1 {
+        return Err(match commit.session.generation {
             Generation(0) => StoreError::Damaged("the session's row is gone".into()),
             _ => StoreError::Moved,
         });
@@ -334,7 +329,7 @@ async fn use_object(session: &str, object: &StoredObject, on: &mut AnyConnection
     execute(named, on).await.map(drop)
 }
 
-async fn keep_shape(
+async fn save_snapshot(
     held: &HeldSession,
     sequence: u64,
     shape: &StoredObject,

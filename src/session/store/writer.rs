@@ -3,19 +3,106 @@
 //!
 //! A transaction whose end is unknown, because the database went away, may be on disk or not. Its caller got an error,
 //! so what it may have left is removed with the next transaction, before anything of its session is read.
+//!
+//! After a failed write the store counts as unable to take writes until a small one works. The task also checks that
+//! the files are those that were opened: a folder that was moved away still takes writes, which are then lost.
 
 use super::connection::WritingConnection;
 use super::loose_objects::note_loose;
 use super::newest_write::{NewestWrite, number_transaction};
 use super::session_store::StoreError;
-use super::store_health::StoreHealth;
-use super::write_order::{DoubtfulCommit, WriteOrder, undo_doubtful};
+use super::write_order::{UncertainCommit, WriteOrder, undo_uncertain};
 use sqlx::{AnyConnection, Connection as _};
 use std::collections::BTreeMap;
+use std::io;
+use std::os::unix::fs::MetadataExt as _;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use tokio_util::sync::{CancellationToken, DropGuard};
+
+/// Whether a store takes writes.
+#[derive(Debug)]
+pub(super) struct StoreHealth {
+    /// Files and folders of the store, and which they are: device and number.
+    places: Vec<(PathBuf, (u64, u64))>,
+    /// What the last write failed for.
+    problem: Mutex<Option<String>>,
+}
+
+fn number_of(path: &Path) -> io::Result<(u64, u64)> {
+    let facts = std::fs::metadata(path)?;
+    Ok((facts.dev(), facts.ino()))
+}
+
+impl StoreHealth {
+    /// The health of a store that lies in these files and folders, all of which are there.
+    ///
+    /// # Errors
+    /// [`StoreError::Unavailable`] for one that is not.
+    pub fn of_places(paths: impl IntoIterator<Item = PathBuf>) -> Result<Self, StoreError> {
+        let place = |path: PathBuf| match number_of(&path) {
+            Ok(number) => Ok((path, number)),
+            Err(error) => Err(StoreError::Unavailable(format!("{}: {error}", path.display()))),
+        };
+        Ok(Self {
+            places: paths.into_iter().map(place).collect::<Result<_, _>>()?,
+            problem: Mutex::default(),
+        })
+    }
+
+    /// Whether files and folders are still those that were opened.
+    ///
+    /// # Errors
+    /// [`StoreError::Unavailable`] for the first that is not.
+    pub fn check_places(&self) -> Result<(), StoreError> {
+        for (path, number) in &self.places {
+            let shown = path.display();
+            match number_of(path) {
+                Ok(now) if now == *number => {}
+                Ok(_) => {
+                    let text = format!(
+                        "{shown} is another one than was opened; put the first one back, or restart the server"
+                    );
+                    return Err(StoreError::Unavailable(text));
+                }
+                Err(error) => {
+                    let text = format!("{shown} is not there any more ({error}); put it back, or restart the server");
+                    return Err(StoreError::Unavailable(text));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Remembers that a write failed, and passes its result on.
+    pub fn note<T>(&self, result: Result<T, StoreError>) -> Result<T, StoreError> {
+        if let Err(StoreError::Unavailable(problem)) = &result {
+            let before = self.problem().replace(problem.clone());
+            if before.as_ref() != Some(problem) {
+                tracing::error!("the store of sessions cannot be written: {problem}");
+            }
+        }
+        result
+    }
+
+    /// Whether the last write worked.
+    pub fn takes_writes(&self) -> bool {
+        self.problem().is_none()
+    }
+
+    fn problem(&self) -> MutexGuard<'_, Option<String>> {
+        self.problem.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Remembers that a write worked again.
+    pub fn recover(&self) {
+        if self.problem().take().is_some() {
+            tracing::info!("the store of sessions can be written again");
+        }
+    }
+}
 
 /// Orders that may wait; one more waits outside.
 const QUEUE: usize = 256;
@@ -26,7 +113,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 
 type Written = Result<Vec<String>, StoreError>;
 /// Commits that were refused and may be on disk, the first one of each session.
-type Doubts = BTreeMap<String, DoubtfulCommit>;
+type UncertainCommits = BTreeMap<String, UncertainCommit>;
 
 #[derive(Debug)]
 struct WaitingOrder {
@@ -38,7 +125,7 @@ struct WaitingOrder {
 #[derive(Debug)]
 pub(super) struct Writer {
     orders: mpsc::Sender<WaitingOrder>,
-    doubtful: Arc<Mutex<Doubts>>,
+    uncertain: Arc<Mutex<UncertainCommits>>,
     /// Raised when nothing is to be written any more.
     closing: CancellationToken,
     /// Raised when everything is written and the connection closed.
@@ -50,20 +137,20 @@ impl Writer {
     pub fn start(connection: WritingConnection, health: Arc<StoreHealth>, newest: Option<NewestWrite>) -> Self {
         let is_shared = connection.is_shared();
         let (orders, waiting) = mpsc::channel(QUEUE);
-        let doubtful = Arc::default();
+        let uncertain = Arc::default();
         let task = WritingTask {
             connection,
             health,
             newest,
             waiting,
-            doubtful: Arc::clone(&doubtful),
+            uncertain: Arc::clone(&uncertain),
             is_shared,
         };
         let (closing, closed) = (CancellationToken::new(), CancellationToken::new());
         tokio::spawn(task.run(closing.clone(), closed.clone().drop_guard()));
         Self {
             orders,
-            doubtful,
+            uncertain,
             closing,
             closed,
         }
@@ -88,17 +175,19 @@ impl Writer {
     }
 
     /// Removes what was refused and may have been written; to be called before commits are read.
-    pub async fn settle(&self) -> Result<(), StoreError> {
-        let is_settled = doubts(&self.doubtful).is_empty();
-        if !is_settled {
-            self.write(WriteOrder::Settle).await?;
+    pub async fn undo_uncertain_commits(&self) -> Result<(), StoreError> {
+        let is_certain = uncertain_commits(&self.uncertain).is_empty();
+        if !is_certain {
+            self.write(WriteOrder::UndoUncertain).await?;
         }
         Ok(())
     }
 
     /// Whether the creation of a session was refused and may have been written.
     pub fn refused_creation(&self, session: &str) -> bool {
-        doubts(&self.doubtful).get(session).is_some_and(|d| d.sequence == 0)
+        uncertain_commits(&self.uncertain)
+            .get(session)
+            .is_some_and(|d| d.sequence == 0)
     }
 }
 
@@ -108,13 +197,13 @@ struct WritingTask {
     /// How far a file has been written.
     newest: Option<NewestWrite>,
     waiting: mpsc::Receiver<WaitingOrder>,
-    doubtful: Arc<Mutex<Doubts>>,
+    uncertain: Arc<Mutex<UncertainCommits>>,
     /// Whether other nodes write too.
     is_shared: bool,
 }
 
-fn doubts(doubtful: &Mutex<Doubts>) -> MutexGuard<'_, Doubts> {
-    doubtful.lock().unwrap_or_else(PoisonError::into_inner)
+fn uncertain_commits(uncertain: &Mutex<UncertainCommits>) -> MutexGuard<'_, UncertainCommits> {
+    uncertain.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl WritingTask {
@@ -147,12 +236,12 @@ impl WritingTask {
             }
             // One of them may be at fault: each for itself.
             Err(Failure::Transaction(_)) if group.len() > 1 => {
-                self.note_doubts(&group);
+                self.note_uncertain(&group);
                 self.carry_out_each(group).await;
             }
             Err(failure) => {
                 if let Failure::Transaction(_) = failure {
-                    self.note_doubts(&group);
+                    self.note_uncertain(&group);
                 }
                 refuse_all(group, &failure);
             }
@@ -167,7 +256,7 @@ impl WritingTask {
                     let _ = next.done.send(answers.pop().unwrap_or_else(|| Ok(Vec::new())));
                 }
                 Err(failure @ Failure::Transaction(_)) => {
-                    self.note_doubts(std::slice::from_ref(&next));
+                    self.note_uncertain(std::slice::from_ref(&next));
                     refuse_all([next], &failure);
                 }
                 // The others would only wait for it too.
@@ -178,10 +267,10 @@ impl WritingTask {
         }
     }
 
-    fn note_doubts(&mut self, orders: &[WaitingOrder]) {
-        let mut doubtful = doubts(&self.doubtful);
-        for doubt in orders.iter().filter_map(|w| w.order.doubtful()) {
-            let first = doubtful
+    fn note_uncertain(&mut self, orders: &[WaitingOrder]) {
+        let mut uncertain = uncertain_commits(&self.uncertain);
+        for doubt in orders.iter().filter_map(|w| w.order.uncertain_commit()) {
+            let first = uncertain
                 .entry(doubt.session.id.clone())
                 .or_insert_with(|| doubt.clone());
             // What was begun under an earlier ownership is another's by now.
@@ -192,14 +281,14 @@ impl WritingTask {
     }
 
     async fn carry_out(&mut self, orders: &[&WriteOrder]) -> Result<Vec<Written>, Failure> {
-        let doubtful = doubts(&self.doubtful).clone();
+        let uncertain = uncertain_commits(&self.uncertain).clone();
         self.health
             .note(self.health.check_places())
             .map_err(Failure::NoConnection)?;
         let connection = self.connection.get().await.map_err(StoreError::from);
         let connection = self.health.note(connection).map_err(Failure::NoConnection)?;
         let number = self.newest.as_ref().map(NewestWrite::next);
-        let transaction = write_together(connection, (&doubtful, number), orders, self.is_shared);
+        let transaction = write_together(connection, (&uncertain, number), orders, self.is_shared);
         let written = match tokio::time::timeout(PATIENCE, transaction).await {
             Ok(written) => written,
             Err(_) => Err(StoreError::Unavailable(format!("it took longer than {PATIENCE:?}"))),
@@ -207,7 +296,7 @@ impl WritingTask {
         match written {
             Ok(answers) => {
                 // This task alone adds to them.
-                doubts(&self.doubtful).clear();
+                uncertain_commits(&self.uncertain).clear();
                 if let (Some(newest), Some(number)) = (&mut self.newest, number) {
                     newest.note(number);
                 }
@@ -240,14 +329,14 @@ fn refuse_all(orders: impl IntoIterator<Item = WaitingOrder>, failure: &Failure)
 /// Writes orders in one transaction, after what is to be removed, and its number.
 async fn write_together(
     connection: &mut AnyConnection,
-    (doubtful, number): (&Doubts, Option<u32>),
+    (uncertain, number): (&UncertainCommits, Option<u32>),
     orders: &[&WriteOrder],
     is_shared: bool,
 ) -> Result<Vec<Written>, StoreError> {
     let failed = |e: sqlx::Error| StoreError::Unavailable(e.to_string());
     let mut transaction = connection.begin().await.map_err(failed)?;
-    for doubt in doubtful.values() {
-        undo_doubtful(doubt, &mut transaction).await?;
+    for doubt in uncertain.values() {
+        undo_uncertain(doubt, &mut transaction).await?;
     }
     let mut answers = Vec::with_capacity(orders.len());
     for order in orders {

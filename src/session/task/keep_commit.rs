@@ -11,8 +11,7 @@ use crate::session::error::{Error, ErrorCode};
 use crate::session::history::loaded_deformer::CommitSolution;
 use crate::session::history::session_state::EditedState;
 use crate::session::keeping::replay::{OTHER_BUILD, check_digest};
-use crate::session::store::shape_object::write_shape;
-use crate::session::store::{NewCommit, StoreError};
+use crate::session::store::{Commit, NewCommit, StoreError, write_shape};
 use crate::session::task::session_task::SessionTask;
 use crate::wire::SessionEdit;
 use crate::wire::record::{AnsweredFrame, LoggedCommit, ShapeProbe};
@@ -68,18 +67,16 @@ impl SessionTask {
         (shape, report): (&ModelShape, &EditReport),
         claim: Option<&Claim>,
     ) -> Result<(), Error> {
-        let (Some(asked), Some(_)) = (asked, &self.kept) else {
+        let (Some(mut asked), Some(_)) = (asked, &self.kept) else {
             self.log_change(AuditedAction::Edit);
             return Ok(());
         };
-        let SessionEdit { mut edit, on, .. } = asked;
-        let files: Option<FileSet> = match &mut edit {
+        let files: Option<FileSet> = match &mut asked.edit {
             Edit::Merge(merge) => Some(std::mem::take(&mut merge.files)),
             _ => None,
         };
         let commit = LoggedCommit::Edit {
-            edit: Box::new(edit),
-            on,
+            edit: Box::new(asked),
             files: None,
             report: Box::new(report.clone()),
             poses: edited.poses.clone(),
@@ -143,20 +140,25 @@ impl SessionTask {
         let is_step = matches!(commit, LoggedCommit::Step { .. });
         let is_solved = matches!(commit, LoggedCommit::Pose { .. });
         let new = NewCommit {
-            session: self.session.id.clone(),
-            generation: self.session.held.generation,
-            sequence,
-            revision,
-            digest,
-            build: kept.build.clone(),
-            facts_at: place.facts_at,
-            poses_at: place.poses_at,
-            commit,
+            session: self.session.held.clone(),
+            commit: Commit {
+                sequence,
+                revision,
+                digest,
+                build: kept.build.clone(),
+                facts_at: place.facts_at,
+                poses_at: place.poses_at,
+                record: commit,
+            },
             files,
             key: claim.map(KeyClaim::logged),
             audit,
         };
-        if let Err(error) = kept.store.append(new).await {
+        let stored = match kept.store.writable() {
+            Ok(store) => store.append(new).await,
+            Err(error) => Err(error),
+        };
+        if let Err(error) = stored {
             self.shared.metrics.store_failures.inc();
             tracing::error!(session.id = %self.session.id, "a commit could not be stored: {error}");
             if error == StoreError::Moved {
@@ -190,7 +192,9 @@ impl SessionTask {
             let Ok(shape) = shared.compute.offload(move || write_shape(&positions)).await else {
                 return;
             };
-            if let Err(error) = store.keep_shape(held, at, shape).await {
+            if let Ok(store) = store.writable()
+                && let Err(error) = store.save_snapshot(held, at, shape).await
+            {
                 tracing::warn!("a shape could not be stored, its commits can: {error}");
             }
         });
@@ -206,7 +210,9 @@ impl SessionTask {
         let positions = Arc::clone(&self.session.view().positions);
         let shape = self.shared.compute.offload(move || write_shape(&positions)).await?;
         let store = Arc::clone(&kept.store);
-        store.keep_shape(self.session.held.clone(), at, shape).await?;
+        if let Ok(store) = store.writable() {
+            store.save_snapshot(self.session.held.clone(), at, shape).await?;
+        }
         kept.shape_at = at;
         kept.solved_since = 0;
         Ok(())
@@ -230,16 +236,19 @@ impl SessionTask {
         let at = kept.place(revision).shape_at;
         let (store, id, build) = (Arc::clone(&kept.store), self.session.id.clone(), kept.build.clone());
         let stored = store.commit(id, at).await?.ok_or_else(damaged)?;
-        let is_close = || match &stored.commit {
+        let is_close = || match &stored.record {
             LoggedCommit::Pose { probe, .. } | LoggedCommit::Edit { probe, .. } => {
                 probe.is_close_to(&shape.positions, OTHER_BUILD * diagonal)
             }
             _ => true,
         };
         check_digest(&stored, now, stored.build == build, is_close)?;
-        store
-            .adopt(self.session.held.clone(), build, vec![(at, now.to_owned())])
-            .await?;
+        if let Ok(store) = store.writable() {
+            let digests = vec![(at, now.to_owned())];
+            store
+                .rerecord_digests(self.session.held.clone(), build, digests)
+                .await?;
+        }
         self.history.record_digest(index, now);
         Ok(())
     }

@@ -46,7 +46,7 @@ impl SessionTask {
                 let kept = self.kept.as_ref().ok_or_else(answer_of_another_call)?;
                 let store = Arc::clone(&kept.store);
                 let stored = store.commit(session, sequence).await?.ok_or_else(gone)?;
-                let LoggedCommit::Pose { frame: Some(frame), .. } = stored.commit else {
+                let LoggedCommit::Pose { frame: Some(frame), .. } = stored.record else {
                     return Err(answer_of_another_call());
                 };
                 let recalled = self.recall(stored.revision, *frame, order).await?;

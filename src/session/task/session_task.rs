@@ -112,7 +112,11 @@ impl SessionTask {
         self.session.close(Error::no_session(&id));
         shared.registry.remove(&id);
         if let Some(store) = &shared.store {
-            match store.delete(self.expiry(), self.session.held.generation).await {
+            let deleted = match store.writable() {
+                Ok(store) => store.delete(self.expiry(), self.session.held.generation).await,
+                Err(error) => Err(error),
+            };
+            match deleted {
                 Ok(()) => self.place.account().uncount_session(),
                 Err(error) => tracing::warn!(session.id = %id, "an expired session is still in the store: {error}"),
             }

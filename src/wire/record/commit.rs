@@ -1,20 +1,18 @@
 //! Commits as a store keeps them.
 
-use super::edit::edit_message;
 use super::facts::{recorded_facts, recorded_quality, recorded_report, recorded_warnings};
 use super::messages::{
     CommitKindMessage, CommitMessage, CreationMessage, EditMessage, FilesMessage, FrameMessage, HandlesMessage,
     PoseMessage, ProbeMessage, SettingsMessage, StepMessage,
 };
-use crate::asset::FileSet;
 use crate::deform::{FirstPass, FitOrder};
 use crate::engine::{
-    DeformerFacts, DeformerWarning, Edit, EditReport, EditedShape, HandlePose, HandlePoses, HandleSet, SolveSettings,
+    DeformerFacts, DeformerWarning, Edit, EditReport, HandlePose, HandlePoses, HandleSet, SolveSettings,
 };
 use crate::wire::frames::{FrameEncoding, FrameHeader, FrameOutput};
 use crate::wire::{
-    Error, edit, edit_result, handle_pose, handle_pose_message, handle_set, handle_set_message, pb, quality_message,
-    session_message, warning_message,
+    Error, SessionEdit, edit_result, handle_pose, handle_pose_message, handle_set, handle_set_message, pb,
+    quality_message, session_edit, session_message, warning_message,
 };
 use glam::DVec3;
 use prost::Message as _;
@@ -131,9 +129,7 @@ pub enum LoggedCommit {
     /// The model was edited.
     Edit {
         /// What was done. The files of a merge are empty once it was read from a record.
-        edit: Box<Edit>,
-        /// On which shape.
-        on: EditedShape,
+        edit: Box<SessionEdit>,
         /// Where the files of a merge are.
         files: Option<FileReferences>,
         /// What it did.
@@ -193,16 +189,15 @@ impl LoggedCommit {
             }),
             Self::Edit {
                 edit,
-                on,
                 files,
                 report,
                 poses,
                 facts,
                 probe,
             } => CommitKindMessage::Edit(EditMessage {
-                request: Some(edit_message(edit, *on)),
+                request: Some(edit.request.clone()),
                 files: files.as_ref().map(FileReferences::to_message),
-                from_session: matches!(&**edit, Edit::Merge(merge) if merge.from_session),
+                from_session: matches!(&edit.edit, Edit::Merge(merge) if merge.from_session),
                 report: Some(edit_result(report)),
                 poses: pose_messages(poses),
                 facts: Some(session_message(facts)),
@@ -237,13 +232,13 @@ impl LoggedCommit {
             },
             CommitKindMessage::Edit(message) => {
                 let request = message.request.ok_or_else(|| missing("edit"))?;
-                let (mut edit, on) = edit(&request, Some(&FileSet::default()))?;
-                if let Edit::Merge(merge) = &mut edit {
+                let mut edit = session_edit(&request)?;
+                edit.merged_session = None;
+                if let Edit::Merge(merge) = &mut edit.edit {
                     merge.from_session = message.from_session;
                 }
                 Self::Edit {
                     edit: Box::new(edit),
-                    on,
                     files: message.files.map(FileReferences::from_message),
                     report: Box::new(recorded_report(message.report.as_ref())?),
                     poses: recorded_poses(&message.poses)?,

@@ -30,7 +30,13 @@ fn commits() -> Vec<LoggedCommit> {
     };
     let poses = HandlePoses(vec![pose, HandlePose::default()].into());
     let probe = ShapeProbe::of(&[DVec3::splat(third); 40]);
-    let weld = Edit::Weld { tolerance: third };
+    let weld = pb::EditRequest {
+        on: pb::edit_request::On::Rest.into(),
+        operation: Some(pb::edit_request::Operation::Weld(pb::edit_request::Weld {
+            tolerance: third,
+        })),
+        ..Default::default()
+    };
     vec![
         LoggedCommit::Create { facts: facts() },
         LoggedCommit::Handles {
@@ -80,8 +86,7 @@ fn commits() -> Vec<LoggedCommit> {
             frame: None,
         },
         LoggedCommit::Edit {
-            edit: Box::new(weld),
-            on: EditedShape::Rest,
+            edit: Box::new(session_edit(&weld).expect("an edit")),
             files: Some(FileReferences {
                 name: "x".into(),
                 main: "y".into(),
@@ -111,6 +116,45 @@ fn every_kind_of_commit_comes_back_as_it_was_written() {
     for commit in commits() {
         let again = LoggedCommit::read(&commit.write()).expect("it was written");
         assert_eq!(format!("{again:?}"), format!("{commit:?}"));
+    }
+}
+
+#[test]
+fn every_edit_comes_back_as_it_was_asked_for() {
+    let region = r#"{"sphere": {"center": [1, 2, 3], "radius": 0.25}}"#;
+    let texts = [
+        r#"{"cut": {"plane": {"normal": [0, 0, 1], "offset": 0.5}, "keep": "ABOVE", "fill": true}}"#.to_owned(),
+        r#"{"on": "REST", "cut": {"polyline": [0, 0, 0, 1, 0, 0, 1, 1, 0], "closed": true, "keep": "BELOW"}}"#.into(),
+        r#"{"cut": {"path": [4, 5, 9]}}"#.into(),
+        format!(r#"{{"subdivide": {{"region": {region}, "scheme": "MIDPOINT"}}}}"#),
+        r#"{"subdivide": {}}"#.into(),
+        r#"{"subdivide": {"auto": true}}"#.into(),
+        format!(r#"{{"decimate": {{"ratio": 0.3, "region": {region}}}}}"#),
+        format!(r#"{{"delete": {{"fill": true, "region": {region}}}}}"#),
+        format!(r#"{{"fill": {{"region": {region}}}}}"#),
+        r#"{"fill": {}}"#.into(),
+        format!(r#"{{"remesh": {{"edgeLength": 0.1, "region": {region}}}}}"#),
+        r#"{"remesh": {"auto": true}}"#.into(),
+        r#"{"remesh": {"auto": true, "maxDeviation": 0.01, "sharpDegrees": 25}}"#.into(),
+        r#"{"merge": {"session": "x", "how": "LOOSE", "tolerance": 0.1, "format": "obj"}}"#.into(),
+        r#"{"merge": {"session": "x", "how": "STITCH", "transform": [1,0,0,0, 0,2,0,0, 0,0,3,0, 4,5,6,1]}}"#.into(),
+        r#"{"insertCurve": {"points": [0, 0, 0, 1, 0, 0], "closed": false}}"#.into(),
+        r#"{"weld": {"tolerance": 0.001}}"#.into(),
+    ];
+    for text in texts {
+        let request: pb::EditRequest = crate::wire::json::from_json(text.as_bytes()).expect(&text);
+        let mut edit = session_edit(&request).expect(&text);
+        edit.merged_session = None;
+        let commit = LoggedCommit::Edit {
+            edit: Box::new(edit),
+            files: None,
+            report: Box::default(),
+            poses: HandlePoses::default(),
+            facts: Box::new(facts()),
+            probe: ShapeProbe::default(),
+        };
+        let again = LoggedCommit::read(&commit.write()).expect(&text);
+        assert_eq!(format!("{again:?}"), format!("{commit:?}"), "{text}");
     }
 }
 

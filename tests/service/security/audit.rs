@@ -4,7 +4,7 @@ use super::{config_file, token_table};
 use crate::support::postgres::PostgresServer;
 use crate::support::program::ServedProgram;
 use crate::support::server::*;
-use pliant::session::store::{AuditFilter, DatabaseStore, SessionStore as _, StoreLocation, read_audit};
+use pliant::session::store::{AuditFilter, DatabaseStore, KeepSessions as _, StoreLocation, read_audit};
 use pliant::session::{AuditEntry, AuditedAction, Tenant};
 use pliant::wire::pb::deform_request;
 use reqwest::Method;

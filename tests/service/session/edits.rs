@@ -2,45 +2,26 @@
 
 use super::fake::*;
 use super::real::{bent, turned, turning};
-use glam::{DMat4, DVec3};
-use pliant::asset::FileSet;
-use pliant::edit::KeptSide;
-use pliant::engine::{CutLine, Edit, EditedShape, MergeJoin, ModelMerge, Plane};
 use pliant::session::{ErrorCode, Manager, SessionConfig};
 use pliant::wire::frames::FrameOutput;
-use pliant::wire::{DeformOptions, SessionEdit};
+use pliant::wire::{DeformOptions, SessionEdit, json, session_edit};
 
-/// An edit of the shape as it is.
-pub fn edit_of_current(edit: Edit) -> SessionEdit {
-    SessionEdit {
-        edit,
-        on: EditedShape::Current,
-        merged_session: None,
-    }
+/// An edit, as a request in JSON asks for it.
+pub fn edit_of(request: &str) -> SessionEdit {
+    session_edit(&json::from_json(request.as_bytes()).expect(request)).expect(request)
 }
 
-fn cut(height: f64, keep: KeptSide) -> SessionEdit {
-    edit_of_current(Edit::Cut {
-        along: CutLine::Plane(Plane::new([0.0, 0.0, 1.0], height)),
-        keep,
-        fill: true,
-    })
+fn cut(height: f64, keep: &str) -> SessionEdit {
+    edit_of(&format!(
+        r#"{{"cut": {{"plane": {{"normal": [0, 0, 1], "offset": {height:?}}}, "keep": "{keep}", "fill": true}}}}"#
+    ))
 }
 
 /// Puts another session's model `by` beside this one.
 fn merge(other: &str, by: f64) -> SessionEdit {
-    let merge = ModelMerge {
-        files: FileSet::default(),
-        from_session: true,
-        format: None,
-        own_from_other: DMat4::from_translation(DVec3::new(by, 0.0, 0.0)),
-        join: MergeJoin::Loose,
-        tolerance: None,
-    };
-    SessionEdit {
-        merged_session: Some(other.into()),
-        ..edit_of_current(Edit::Merge(Box::new(merge)))
-    }
+    edit_of(&format!(
+        r#"{{"merge": {{"session": "{other}", "how": "LOOSE", "transform": [1,0,0,0, 0,1,0,0, 0,0,1,0, {by:?},0,0,1]}}}}"#
+    ))
 }
 
 async fn digest_now(manager: &Manager, id: &str) -> String {
@@ -64,7 +45,7 @@ async fn edits_are_undone_and_redone_to_the_bit_and_go_on_alike() {
         digests.push(bent.digest);
         for height in [0.75, 1.4] {
             let result = manager
-                .edit(tenant(), &id, cut(height, KeptSide::Above), None)
+                .edit(tenant(), &id, cut(height, "ABOVE"), None)
                 .await
                 .expect("cut");
             assert!(result.report.after.vertices != result.report.before.vertices);
@@ -112,7 +93,7 @@ async fn a_refused_edit_changes_nothing() {
         digest_now(&manager, &id).await,
     );
     let missed = manager
-        .edit(tenant(), &id, cut(99.0, KeptSide::Both), None)
+        .edit(tenant(), &id, cut(99.0, "BOTH"), None)
         .await
         .expect_err("misses");
     assert_eq!(missed.code, ErrorCode::FailedPrecondition);
@@ -132,7 +113,7 @@ async fn a_refused_edit_changes_nothing() {
 async fn an_edit_repeated_under_its_key_is_done_once() {
     let manager = Manager::new(small()).expect("valid");
     let (id, _) = bent(&manager).await;
-    let request = cut(1.4, KeptSide::Below);
+    let request = cut(1.4, "BELOW");
     let first = manager
         .edit(tenant(), &id, request.clone(), key("k", ""))
         .await
@@ -183,10 +164,7 @@ async fn a_stream_goes_on_across_an_edit() {
         sizes.push(frame.selected.expect("changes only").len() as u32);
         client.ack(seq);
         if seq == 2 {
-            manager
-                .edit(tenant(), &id, cut(1.4, KeptSide::Above), None)
-                .await
-                .expect("cut");
+            manager.edit(tenant(), &id, cut(1.4, "ABOVE"), None).await.expect("cut");
         }
     }
     let left = manager

@@ -2,8 +2,8 @@
 
 use bytes::Bytes;
 use pliant::session::store::{
-    DatabaseStore, Generation, HeldSession, ListedSession, LoggedKey, NewCommit, NewSession, SessionStore, StoreError,
-    Stored, StoredCommit, StoredSession, UsedSession,
+    Commit, DatabaseStore, Generation, HeldSession, KeepSessions, ListedSession, LoggedKey, NewCommit, NewSession,
+    ReadSessions, StoreError, Stored, StoredSession, UsedSession,
 };
 use pliant::session::{AuditEntry, Tenant};
 use std::sync::Arc;
@@ -60,7 +60,7 @@ impl FaultyStore {
     }
 }
 
-impl SessionStore for FaultyStore {
+impl ReadSessions for FaultyStore {
     fn build(&self) -> String {
         self.inner.build()
     }
@@ -69,27 +69,15 @@ impl SessionStore for FaultyStore {
         self.inner.takes_writes()
     }
 
-    fn create(&self, session: NewSession) -> Stored<'_, Generation> {
-        self.held(self.inner.create(session))
-    }
-
-    fn append(&self, commit: NewCommit) -> Stored<'_, ()> {
-        self.held(self.inner.append(commit))
-    }
-
-    fn keep_shape(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()> {
-        self.faulty(self.inner.keep_shape(session, sequence, shape))
-    }
-
-    fn adopt(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()> {
-        self.faulty(self.inner.adopt(session, build, digests))
+    fn writable(&self) -> Result<&dyn KeepSessions, StoreError> {
+        Ok(self)
     }
 
     fn load(&self, tenant: Tenant, id: String) -> Stored<'_, Option<StoredSession>> {
         self.faulty(self.inner.load(tenant, id))
     }
 
-    fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<StoredCommit>> {
+    fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<Commit>> {
         self.faulty(self.inner.commit(session, sequence))
     }
 
@@ -105,18 +93,6 @@ impl SessionStore for FaultyStore {
         self.faulty(self.inner.object(name))
     }
 
-    fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()> {
-        self.faulty(self.inner.delete(audit, generation))
-    }
-
-    fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()> {
-        self.inner.note_use(sessions)
-    }
-
-    fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>> {
-        self.inner.expired(since_ms, now_ms)
-    }
-
     fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>> {
         self.inner.sessions_by_tenant()
     }
@@ -129,6 +105,40 @@ impl SessionStore for FaultyStore {
         self.inner.count_sessions(tenant)
     }
 
+    fn highest_number(&self) -> Stored<'_, u64> {
+        self.inner.highest_number()
+    }
+}
+
+impl KeepSessions for FaultyStore {
+    fn create(&self, session: NewSession) -> Stored<'_, Generation> {
+        self.held(self.inner.create(session))
+    }
+
+    fn append(&self, commit: NewCommit) -> Stored<'_, ()> {
+        self.held(self.inner.append(commit))
+    }
+
+    fn save_snapshot(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Stored<'_, ()> {
+        self.faulty(self.inner.save_snapshot(session, sequence, shape))
+    }
+
+    fn rerecord_digests(&self, session: HeldSession, build: String, digests: Vec<(u64, String)>) -> Stored<'_, ()> {
+        self.faulty(self.inner.rerecord_digests(session, build, digests))
+    }
+
+    fn delete(&self, audit: AuditEntry, generation: Generation) -> Stored<'_, ()> {
+        self.faulty(self.inner.delete(audit, generation))
+    }
+
+    fn note_use(&self, sessions: Vec<UsedSession>) -> Stored<'_, ()> {
+        self.inner.note_use(sessions)
+    }
+
+    fn expired(&self, since_ms: u64, now_ms: u64) -> Stored<'_, Vec<(Tenant, String)>> {
+        self.inner.expired(since_ms, now_ms)
+    }
+
     fn key(&self, tenant: Tenant, key: String) -> Stored<'_, Option<LoggedKey>> {
         self.inner.key(tenant, key)
     }
@@ -139,10 +149,6 @@ impl SessionStore for FaultyStore {
 
     fn forget_keys(&self, before_ms: u64) -> Stored<'_, ()> {
         self.inner.forget_keys(before_ms)
-    }
-
-    fn highest_number(&self) -> Stored<'_, u64> {
-        self.inner.highest_number()
     }
 
     fn audit(&self, entry: AuditEntry) -> Stored<'_, ()> {

@@ -1,13 +1,12 @@
 //! Sessions whose engine follows edits: going back gives the same bits as having stayed.
 
 use super::bench::obj;
-use super::edits::edit_of_current;
+use super::edits::edit_of;
 use super::fake::*;
 use super::real::turned;
 use glam::DVec3;
 use pliant::asset::shapes;
-use pliant::edit::SubdivisionScheme;
-use pliant::engine::{Edit, EditedShape, Handle, HandlePose, HandleSet, Region};
+use pliant::engine::{Handle, HandlePose, HandleSet, Region};
 use pliant::graph::VolumeOptions;
 use pliant::session::MemoryUse;
 use pliant::session::{Manager, SessionConfig};
@@ -31,10 +30,9 @@ async fn bar(manager: &Manager) -> String {
 }
 
 fn delete(height: f64) -> SessionEdit {
-    edit_of_current(Edit::Delete {
-        region: Region::sphere([1.0, 0.5, height], 0.25),
-        fill: true,
-    })
+    edit_of(&format!(
+        r#"{{"delete": {{"region": {{"sphere": {{"center": [1, 0.5, {height:?}], "radius": 0.25}}}}, "fill": true}}}}"#
+    ))
 }
 
 #[tokio::test]
@@ -70,10 +68,7 @@ async fn a_pose_after_going_back_has_the_bits_that_it_had_before() {
 
 /// An edit on the rest shape that changes nothing.
 fn idle() -> SessionEdit {
-    SessionEdit {
-        on: EditedShape::Rest,
-        ..edit_of_current(Edit::Weld { tolerance: 1e-6 })
-    }
+    edit_of(r#"{"on": "REST", "weld": {"tolerance": 1e-6}}"#)
 }
 
 #[tokio::test]
@@ -113,12 +108,7 @@ async fn an_edit_is_held_to_the_memory_that_other_sessions_leave() {
     let open = Manager::new(small()).expect("valid");
     let id = bar(&open).await;
     let one = open.metrics().held_bytes(MemoryUse::Sessions).get() as u64;
-    let twice = || {
-        edit_of_current(Edit::Subdivide {
-            region: None,
-            scheme: SubdivisionScheme::Loop,
-        })
-    };
+    let twice = || edit_of(r#"{"subdivide": {"scheme": "LOOP"}}"#);
     open.edit(tenant(), &id, twice(), None).await.expect("there is room");
 
     let manager = Manager::new(SessionConfig {

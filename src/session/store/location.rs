@@ -1,12 +1,67 @@
-//! The data folder of a store: making it, having it to oneself, and looking at it without a trace.
+//! Where a store is, and its data folder: how it is created, locked, and read without leaving a trace.
 
-use super::private_files::{make_private_file, make_private_folder, sync_folder};
-use super::session_store::StoreError;
+use super::session_store::{NodeIdentity, StoreError};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
-use std::fs::File;
+use std::fs::{DirBuilder, File};
 use std::io;
+use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
+
+/// Where a store is.
+#[derive(Clone, Default, PartialEq, Eq)]
+pub struct StoreLocation {
+    /// The folder of what has no place of its own; made if it is missing.
+    pub data_dir: Option<PathBuf>,
+    /// The URL of the database, `postgres://USER:PASSWORD@HOST/DATABASE`; `None`: SQLite in the folder.
+    pub database: Option<String>,
+    /// The URL of the objects, `s3://BUCKET/PREFIX`; `None`: in the folder.
+    pub objects: Option<String>,
+    /// Which build and processor makes results; `None`: this one.
+    pub build: Option<String>,
+    /// Which of several nodes opens it; `None`: one process has it for itself.
+    pub node: Option<NodeIdentity>,
+}
+
+impl StoreLocation {
+    /// Everything in a folder.
+    pub fn in_folder(folder: impl Into<PathBuf>) -> Self {
+        Self {
+            data_dir: Some(folder.into()),
+            ..Self::default()
+        }
+    }
+
+    /// The same, for a node that was to take a free port and got `port`.
+    pub fn on_port(&self, port: u16) -> Self {
+        let mut there = self.clone();
+        if let Some(node) = &mut there.node {
+            for told in [&mut node.address, &mut node.name] {
+                if let Some(host) = told.strip_suffix(":0") {
+                    *told = format!("{host}:{port}");
+                }
+            }
+        }
+        there
+    }
+}
+
+impl std::fmt::Display for StoreLocation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let folder = self.data_dir.as_ref().map(|d| d.display().to_string());
+        // A URL may hold a password.
+        let database = self.database.as_ref().map(|_| "PostgreSQL".to_owned());
+        let places = [&database, &self.objects, &folder];
+        let shown: Vec<&str> = places.into_iter().flatten().map(String::as_str).collect();
+        f.write_str(&shown.join(", "))
+    }
+}
+
+impl std::fmt::Debug for StoreLocation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        std::fmt::Display::fmt(self, f)
+    }
+}
 
 /// The file of the database in a data folder.
 pub(super) const DATABASE_FILE: &str = "sessions.sqlite";
@@ -147,4 +202,20 @@ fn holds_objects(folder: &Path) -> bool {
         .flatten();
     let mut files = shelves.flat_map(|shelf| std::fs::read_dir(shelf.path()).into_iter().flatten());
     folder.join("store").exists() || files.next().is_some()
+}
+
+/// Makes a folder that only its owner can enter, where it is missing.
+pub(super) fn make_private_folder(folder: &Path) -> io::Result<()> {
+    DirBuilder::new().recursive(true).mode(0o700).create(folder)
+}
+
+/// Makes a file that only its owner can read, where it is missing.
+pub(super) fn make_private_file(file: &Path) -> io::Result<File> {
+    let mut options = File::options();
+    options.create(true).truncate(false).write(true).mode(0o600).open(file)
+}
+
+/// A name is on disk only when the folder that holds it is.
+pub(super) fn sync_folder(folder: &Path) -> io::Result<()> {
+    File::open(folder)?.sync_all()
 }
