@@ -14,7 +14,7 @@ use pliant::engine::{
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::frames::{FrameEncoding, FrameHeader, FrameOutput, FrameRequest, SentSteps, encode_next};
+use pliant::wire::frames::{Frame, FrameEncoding, FrameHeader, FrameOutput, SentSteps, encode_next};
 use pliant::wire::record::{FileReferences, LoggedCommit, RecordedModel, ShapeProbe};
 use pliant::wire::{json, pb, rig_from_json, rig_message};
 use prost::Message;
@@ -108,7 +108,7 @@ fn frames() -> Vec<Vec<u8>> {
                 encoding,
                 ..FrameOutput::default()
             };
-            let request = FrameRequest {
+            let request = Frame {
                 header: FrameHeader::default(),
                 positions: Arc::new(positions),
                 shading: None,
