@@ -3,9 +3,7 @@
 use counting_allocator::{CountingAllocator, counted};
 use glam::{DVec3, Vec3, Vec4};
 use pliant::engine::Shading;
-use pliant::wire::frames::{
-    FrameEncoding, FrameHeader, FrameOutput, FrameRequest, OutgoingResponse, SentSteps, encode_next,
-};
+use pliant::wire::frames::{Frame, FrameEncoding, FrameHeader, FrameOutput, OutgoingResponse, SentSteps, encode_next};
 use prost::Message as _;
 use std::sync::Arc;
 
@@ -45,7 +43,7 @@ fn frames_ask_for_the_bytes_that_are_sent() {
             let tells_differences = encoding == FrameEncoding::Delta;
             let mut held = SentSteps::default();
             for changed_only in [None, if tells_differences { None } else { Some(0.0) }] {
-                let request = FrameRequest {
+                let request = Frame {
                     header: FrameHeader::default(),
                     positions: Arc::clone(&positions),
                     shading: Some(Arc::clone(&shading)),

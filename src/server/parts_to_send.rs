@@ -4,7 +4,7 @@
 //! while the one before is sent.
 
 use crate::session::{Error, ErrorCode};
-use crate::wire::frames::{FramePart, FrameParts, FrameRequest, SentSteps, encode_next};
+use crate::wire::frames::{Frame, FramePart, FrameParts, SentSteps, encode_next};
 use tokio::task::JoinHandle;
 
 /// The frames of one stream, one after the other, each in parts.
@@ -28,7 +28,7 @@ enum PartsInTheMaking {
 
 impl PartsToSend {
     /// Begins a frame; all parts of the one before have been taken.
-    pub fn begin(&mut self, frame: FrameRequest) {
+    pub fn begin(&mut self, frame: Frame) {
         let sent = std::mem::take(&mut self.sent);
         self.making = if frame.is_slow_to_encode() {
             PartsInTheMaking::Slow(tokio::task::spawn_blocking(move || {
@@ -89,9 +89,9 @@ mod tests {
     use prost::Message as _;
     use std::sync::Arc;
 
-    fn frame(vertices: usize, phase: f64) -> FrameRequest {
+    fn frame(vertices: usize, phase: f64) -> Frame {
         let place = |v: usize| DVec3::new(v as f64 * 1e-3, libm::sin(v as f64 * 0.01 + phase), phase);
-        FrameRequest {
+        Frame {
             header: FrameHeader::default(),
             positions: Arc::new((0..vertices).map(place).collect()),
             shading: None,

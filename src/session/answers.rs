@@ -5,7 +5,7 @@ use crate::engine::{DeformerFacts, EditReport, HandlePoses};
 use crate::mesh::carry::CarriedFrame;
 use crate::session::error::Error;
 use crate::wire::AnimationSummary;
-use crate::wire::frames::FrameRequest;
+use crate::wire::frames::Frame;
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -103,7 +103,7 @@ pub struct CommittedEdit {
 #[derive(Debug, Clone)]
 pub struct CommittedPose {
     /// Its frame, not encoded yet.
-    pub frame: FrameRequest,
+    pub frame: Frame,
     /// The session's revision.
     pub revision: u64,
     /// Digest of the positions.
@@ -114,7 +114,7 @@ pub struct CommittedPose {
 #[derive(Debug, Clone)]
 pub enum StreamAnswer {
     /// A frame, not encoded yet.
-    Frame(Box<FrameRequest>),
+    Frame(Box<Frame>),
     /// What is wrong with the pose of this number; with 0, why the stream ends.
     Failure {
         /// What is wrong.
@@ -146,7 +146,7 @@ pub enum AnimationAnswer {
         fraction: f32,
     },
     /// A frame, not encoded yet.
-    Frame(Box<FrameRequest>),
+    Frame(Box<Frame>),
     /// All frames have come.
     Summary(Box<AnimationSummary>),
 }

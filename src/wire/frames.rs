@@ -22,8 +22,8 @@ pub use sent_steps::SentSteps;
 
 use self::header::header_message;
 use self::numbers::{PickedVertices, put_floats};
-use self::part::{FrameVertices, bytes_a_vertex};
-use self::sent_steps::{FrameKind, FrameTelling, KEPT_BYTES};
+use self::part::{FrameRun, bytes_a_vertex};
+use self::sent_steps::{FrameKind, FrameReference, KEPT_BYTES};
 use super::pb::{self, frame};
 use crate::engine::Shading;
 use bytes::Bytes;
@@ -37,9 +37,9 @@ pub fn f32_bytes(positions: &[DVec3]) -> Bytes {
     data.into()
 }
 
-/// A frame to encode.
+/// A frame: its header, the shape that it shows, and how that is encoded.
 #[derive(Debug, Clone)]
-pub struct FrameRequest {
+pub struct Frame {
     /// Everything but the numbers.
     pub header: FrameHeader,
     /// One per render vertex.
@@ -57,17 +57,29 @@ pub struct FrameRequest {
 /// Vertices from which on compressing a frame would block a connection's thread too long.
 const MANY_TO_COMPRESS: usize = 4096;
 
-impl FrameRequest {
-    /// Whether making its parts holds up a thread for long.
-    pub fn is_slow_to_encode(&self) -> bool {
-        let vertices = self.selected.as_ref().map_or(self.positions.len(), Vec::len);
-        let is_coded = matches!(self.output.encoding, FrameEncoding::Meshopt | FrameEncoding::Delta);
-        is_coded && vertices > MANY_TO_COMPRESS
+impl Frame {
+    /// The frame for a reader that holds nothing: a frame of changes carries all vertices.
+    #[must_use]
+    pub fn for_new_reader(mut self) -> Self {
+        let is_listed = self.output.changed_only.is_some();
+        self.selected = is_listed.then(|| (0..self.positions.len()).map(|v| v as u32).collect());
+        self
     }
 
-    /// Bytes that its stream holds beside it, for the differences of the next frame.
+    /// How many vertices are sent.
+    fn count(&self) -> usize {
+        self.selected.as_ref().map_or(self.positions.len(), Vec::len)
+    }
+
+    /// Whether making its parts holds up a thread for long.
+    pub fn is_slow_to_encode(&self) -> bool {
+        let is_coded = matches!(self.output.encoding, FrameEncoding::Meshopt | FrameEncoding::Delta);
+        is_coded && self.count() > MANY_TO_COMPRESS
+    }
+
+    /// Bytes that its stream holds in addition, for the differences of the next frame.
     pub fn kept_bytes(&self) -> u64 {
-        if !self.tells_differences() {
+        if !self.has_differences() {
             return 0;
         }
         let attributes = self.carries().into_iter().filter(|&is_carried| is_carried).count();
@@ -78,14 +90,14 @@ impl FrameRequest {
     fn carries(&self) -> [bool; 3] {
         let count = self.positions.len();
         let fits = |s: &Arc<Shading>| s.normals.len() == count && s.tangents.len() == count;
-        // An empty change is told by one empty part.
+        // One empty part stands for an empty change.
         let is_empty = count == 0 || self.selected.as_ref().is_some_and(Vec::is_empty);
         let shades = self.shading.as_ref().is_some_and(fits) && !is_empty;
         [true, shades && self.output.normals, shades && self.output.tangents]
     }
 
-    fn tells_differences(&self) -> bool {
-        // Those who ask for some of the vertices are refused differences before.
+    fn has_differences(&self) -> bool {
+        // `DeformOptions` rejects differences of some of the vertices.
         self.output.encoding == FrameEncoding::Delta && self.selected.is_none()
     }
 
@@ -101,54 +113,38 @@ impl FrameRequest {
 /// frame.
 ///
 /// There is always at least one part. Attributes follow one another: positions, then normals, then tangents.
-pub fn encode(request: FrameRequest) -> FrameParts {
+pub fn encode(request: Frame) -> FrameParts {
     prepare(request, None)
 }
 
 /// Prepares the next frame of a stream. The reader holds `sent`, and [`FrameParts::into_sent`] when all its parts are
 /// sent.
-pub fn encode_next(request: FrameRequest, sent: SentSteps) -> FrameParts {
+pub fn encode_next(request: Frame, sent: SentSteps) -> FrameParts {
     prepare(request, Some(sent))
 }
 
-fn prepare(request: FrameRequest, sent: Option<SentSteps>) -> FrameParts {
-    let (tells_differences, carries) = (request.tells_differences(), request.carries());
-    let FrameRequest {
-        header,
-        positions,
-        shading,
-        output,
-        selected,
-        part_bytes,
-    } = request;
-    let mut vertices = FrameVertices {
-        positions,
-        shading,
-        selected,
-        bounds: None,
-    };
+fn prepare(request: Frame, sent: Option<SentSteps>) -> FrameParts {
     let kind = FrameKind {
-        output,
-        topology: header.topology,
-        carries,
-        vertices: vertices.count(),
+        output: request.output,
+        topology: request.header.topology,
+        carries: request.carries(),
+        vertices: request.count(),
     };
-    let telling = if tells_differences {
-        FrameTelling::of_difference(kind, sent, &mut vertices)
+    let reference = if request.has_differences() {
+        FrameReference::of_difference(kind, sent, &request)
     } else {
-        FrameTelling::of_itself(output.encoding, sent, &mut vertices)
+        FrameReference::of_itself(sent, &request)
     };
-    let encoding = telling.encoding();
-    let (blocks, parts) = blocks(&kind, encoding, vertices.selected.is_some(), part_bytes);
+    let is_listed = request.selected.is_some();
+    let (blocks, parts) = blocks(&kind, reference.encoding, is_listed, request.part_bytes);
     FrameParts {
         header: pb::Frame {
-            number: telling.number(),
-            ..header_message(&header)
+            number: reference.number,
+            ..header_message(&request.header)
         },
-        vertices: Arc::new(vertices),
-        encoding,
+        frame: Arc::new(request),
         blocks,
-        telling,
+        reference,
         scratch: Vec::new(),
         next: 0,
         parts,
@@ -195,12 +191,11 @@ struct FrameBlock {
 #[derive(Debug)]
 pub struct FrameParts {
     header: pb::Frame,
-    vertices: Arc<FrameVertices>,
-    encoding: frame::Encoding,
+    frame: Arc<Frame>,
     blocks: [FrameBlock; 3],
     /// What the numbers refer to.
-    telling: FrameTelling,
-    /// What meshopt is given.
+    reference: FrameReference,
+    /// The input of meshopt.
     scratch: Vec<[u16; 4]>,
     next: u32,
     parts: u32,
@@ -214,7 +209,7 @@ impl FrameParts {
 
     /// What the reader holds after all parts. Before that it is not a base for another frame.
     pub fn into_sent(self) -> SentSteps {
-        self.telling.into_sent()
+        self.reference.into_sent()
     }
 
     /// The next part, to send its bytes; as an iterator this gives messages.
@@ -225,9 +220,10 @@ impl FrameParts {
             .iter()
             .find(|b| (b.first_part..b.end_part).contains(&part))?;
         let first = (part - block.first_part) as usize * block.run;
-        let end = first.saturating_add(block.run).min(self.vertices.count());
-        let indices = self.vertices.selected.as_ref().map(|s| s[first..end].to_vec());
-        let corners = self.vertices.bounds.map(|bounds| match block.attribute {
+        let end = first.saturating_add(block.run).min(self.frame.count());
+        let indices = self.frame.selected.as_ref().map(|s| s[first..end].to_vec());
+        let bounds = self.reference.bounds;
+        let corners = bounds.map(|bounds| match block.attribute {
             frame::Attribute::Position => bounds,
             _ => [DVec3::NEG_ONE, DVec3::ONE],
         });
@@ -242,7 +238,7 @@ impl FrameParts {
             first_vertex,
             vertex_count: u32::try_from(end - first).unwrap_or(u32::MAX),
             indices: indices.unwrap_or_default(),
-            encoding: self.encoding.into(),
+            encoding: self.reference.encoding.into(),
             attribute: block.attribute.into(),
             box_min: corner(0),
             box_max: corner(1),
@@ -250,14 +246,18 @@ impl FrameParts {
         };
         self.next += 1;
         let held = self
-            .telling
+            .reference
             .held(block.attribute)
             .and_then(|held| held.get_mut(first..end));
         Some(FramePart::new(
             head,
-            &self.vertices,
-            first..end,
-            (&mut self.scratch, held),
+            FrameRun {
+                frame: Arc::clone(&self.frame),
+                range: first..end,
+                corners: bounds.unwrap_or([DVec3::NEG_ONE, DVec3::ONE]),
+            },
+            &mut self.scratch,
+            held,
         ))
     }
 }

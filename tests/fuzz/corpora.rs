@@ -12,7 +12,7 @@ use pliant::engine::{Deformer, Handle, HandlePose, HandlePoses, HandleSet, OpenO
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::frames::{FrameEncoding, FrameHeader, FrameOutput, FrameRequest, SentSteps, encode_next};
+use pliant::wire::frames::{Frame, FrameEncoding, FrameHeader, FrameOutput, SentSteps, encode_next};
 use pliant::wire::record::{FileReferences, LoggedCommit, RecordedModel, ShapeProbe};
 use pliant::wire::{json, pb, rig_from_json, rig_message, session_edit};
 use prost::Message;
@@ -106,7 +106,7 @@ fn frames() -> Vec<Vec<u8>> {
                 encoding,
                 ..FrameOutput::default()
             };
-            let request = FrameRequest {
+            let request = Frame {
                 header: FrameHeader::default(),
                 positions: Arc::new(positions),
                 shading: None,

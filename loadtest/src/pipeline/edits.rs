@@ -17,7 +17,7 @@ use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::stage_clock::StageClock;
-use pliant::wire::frames::{FrameHeader, FrameOutput, FrameRequest, encode};
+use pliant::wire::frames::{Frame, FrameHeader, FrameOutput, encode};
 use pliant::wire::pb::edit_request::{Delete, Operation, Remesh};
 use pliant::wire::{self, Error, pb};
 use std::collections::BTreeMap;
@@ -337,7 +337,7 @@ impl EditBench<'_> {
         let solved = bench.solve(&poses, &settings, SolveMode::Drag, &exec, &mut |_| true)?;
         let passes = clock.take();
         stages.begin_stage("encode");
-        let parts = encode(FrameRequest {
+        let parts = encode(Frame {
             header: FrameHeader::default(),
             positions: solved.positions,
             shading: None,

@@ -14,7 +14,7 @@ use pliant::engine::{Deformer, DeformerLimits, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::stage_clock::StageClock;
-use pliant::wire::frames::{FrameHeader, FrameOutput, FrameRequest, encode};
+use pliant::wire::frames::{Frame, FrameHeader, FrameOutput, encode};
 use pliant::wire::{self, DeformOptions, pb};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -177,7 +177,7 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
     )?;
     let solve_passes = clock.take();
     stages.begin_stage("encode");
-    let parts = encode(FrameRequest {
+    let parts = encode(Frame {
         header: FrameHeader::default(),
         positions: solved.positions,
         shading: None,

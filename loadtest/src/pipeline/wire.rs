@@ -10,9 +10,7 @@ use pliant::engine::{Deformer, DeformerLimits, Shader, Shading, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::frames::{
-    FrameEncoding, FrameHeader, FrameOutput, FrameRequest, OutgoingResponse, SentSteps, encode_next,
-};
+use pliant::wire::frames::{Frame, FrameEncoding, FrameHeader, FrameOutput, OutgoingResponse, SentSteps, encode_next};
 use pliant::wire::{self, DeformOptions, pb};
 use prost::Message as _;
 use std::path::{Path, PathBuf};
@@ -106,7 +104,7 @@ pub(crate) fn run_wire(args: &WireArgs) -> Result<(), LoadtestFailure> {
         };
         for row in &mut rows {
             let selected = (row.output.changed_only).map(|part| moved(positions, before, part * dragged.diagonal));
-            let request = FrameRequest {
+            let request = Frame {
                 header: FrameHeader::default(),
                 positions: Arc::clone(positions),
                 shading: row.output.normals.then(|| Arc::clone(shading)),
@@ -137,7 +135,7 @@ pub(crate) fn run_wire(args: &WireArgs) -> Result<(), LoadtestFailure> {
 
 /// Makes every message of a frame as it is handed to a connection; answers their bytes, whether it stands for itself, and what the
 /// reader holds then.
-fn send(request: FrameRequest, sent: SentSteps) -> (usize, bool, SentSteps) {
+fn send(request: Frame, sent: SentSteps) -> (usize, bool, SentSteps) {
     let mut parts = encode_next(request, sent);
     let (mut bytes, mut is_key) = (0, true);
     while let Some(part) = parts.next_part() {

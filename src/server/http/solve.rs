@@ -6,7 +6,7 @@ use super::{body, models, negotiate};
 use crate::asset::Format;
 use crate::server::state::State;
 use crate::session::{CommittedPose, Error, ErrorCode};
-use crate::wire::frames::{FrameRequest, encode};
+use crate::wire::frames::{Frame, encode};
 use crate::wire::{self, pb};
 use axum::Json;
 use axum::body::Body;
@@ -119,7 +119,7 @@ fn facts(solved: &CommittedPose) -> HeaderMap {
 }
 
 /// All parts of a frame, encoded on a blocking thread.
-async fn frame_parts(frame: FrameRequest) -> Result<Vec<pb::Frame>, Problem> {
+async fn frame_parts(frame: Frame) -> Result<Vec<pb::Frame>, Problem> {
     let encoded = tokio::task::spawn_blocking(move || encode(frame).collect()).await;
     encoded.map_err(|_| Error::new(ErrorCode::Internal, "the frame cannot be encoded").into())
 }

@@ -17,11 +17,11 @@ use crate::session::capacity::work_span::{WorkKind, WorkSpan};
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::registry::OpenSession;
-use crate::session::stream::outbound_frame::OutboundFrame;
-use crate::wire::frames::{AnimatedHeader, FrameHeader, FrameOutput};
+use crate::session::stream::frame_window::{FrameContext, ms_of};
+use crate::wire::frames::{AnimatedHeader, Frame, FrameHeader, FrameOutput};
 use crate::wire::{AnimateOrder, AnimationSummary, OrderedRoot};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tracing::Span;
 
 /// An animation on its way to its reader.
@@ -36,7 +36,7 @@ pub(in crate::session) struct AnimationTask {
 /// What solving a frame needs, wherever it runs.
 struct FrameSolver {
     prepared: Arc<PreparedAnimation>,
-    revision: u64,
+    frames: FrameContext,
     root: OrderedRoot,
     output: FrameOutput,
 }
@@ -46,7 +46,7 @@ struct SolvedFrame {
     cursor: FrameCursor,
     sums: FrameSums,
     /// `None` for a frame that only leads to one that is wanted.
-    frame: Option<OutboundFrame>,
+    frame: Option<Frame>,
     cycles: usize,
 }
 
@@ -92,8 +92,14 @@ impl AnimationTask {
         let prepared = Arc::new(prepared);
         self.outbox.tell_prepared(Arc::clone(&prepared));
         let solver = FrameSolver {
+            frames: FrameContext {
+                revision,
+                topology: None,
+                diagonal: prepared.animation.diagonal(),
+                queued: Duration::ZERO,
+                part_bytes: self.manager.shared.config.part_bytes,
+            },
             prepared,
-            revision,
             root,
             output,
         };
@@ -138,7 +144,7 @@ impl AnimationTask {
             let flags = vec![Arc::clone(&self.outbox.cancel), Arc::clone(&self.session.cancel)];
             let watch = Arc::new(WorkWatch::new(flags, shared.config.solve));
             let (inside, frames, sums) = (Arc::clone(&watch), Arc::clone(&solver), summary.sums);
-            let queued = slot.queued.as_secs_f64() * 1e3;
+            let queued = slot.queued;
             let span = WorkSpan::new(WorkKind::Frame, &self.session.id, &Span::current());
             let solved = slot
                 .run(span, move |pool| frames.solve_next(cursor, sums, &inside, pool))
@@ -159,8 +165,8 @@ impl AnimationTask {
             self.running.charge_work(watch.elapsed());
             self.session.lease.renew();
             if let Some(mut frame) = solved.frame {
-                frame.header.queue_ms = queued;
-                frame.header.solve_ms = watch.elapsed().as_secs_f64() * 1e3;
+                frame.header.queue_ms = ms_of(queued);
+                frame.header.solve_ms = ms_of(watch.elapsed());
                 self.outbox.send_frame(frame);
             }
         }
@@ -220,28 +226,21 @@ impl FrameSolver {
             digest,
             cycles: frame.cycles,
         };
-        let header = FrameHeader {
-            seq: frame.index as u64 + 1,
-            revision: self.revision,
+        let shading = (self.prepared.shader.as_ref()).map(|shader| Arc::new(shader.shade(&frame.positions)));
+        let seq = frame.index as u64 + 1;
+        let mut sent = (self.frames).frame(seq, self.output, Arc::new(frame.positions), shading);
+        sent.header = FrameHeader {
             is_final: true,
             residual: frame.residual,
             max_error: frame.max_error,
             quality: Some(quality),
             animated: Some(Box::new(animated)),
-            ..Default::default()
-        };
-        let shader = self.prepared.shader.as_ref();
-        let outbound = OutboundFrame {
-            header,
-            shading: shader.map(|shader| Arc::new(shader.shade(&frame.positions))),
-            output: self.output,
-            diagonal: animation.diagonal(),
-            positions: Arc::new(frame.positions),
+            ..sent.header
         };
         Ok(SolvedFrame {
             cursor,
             sums,
-            frame: Some(outbound),
+            frame: Some(sent),
             cycles: frame.cycles,
         })
     }

@@ -1,6 +1,6 @@
 //! The client's two ends of an animation.
 
-use crate::session::animation::frame_outbox::{FrameOutbox, OutboxItem};
+use crate::session::animation::frame_outbox::FrameOutbox;
 use crate::session::animation::prepared_animation::PreparedAnimation;
 use crate::session::answers::AnimationAnswer;
 use crate::session::capacity::call_gate::CallGuard;
@@ -9,6 +9,7 @@ use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::Metrics;
 use crate::session::stream::frame_packer::FramePacker;
 use std::sync::Arc;
+use std::task::Poll;
 
 /// Where acknowledgements go in. Dropping it means [`AnimationControl::finish_input`].
 #[derive(Debug)]
@@ -29,7 +30,6 @@ pub struct AnimationReader {
 /// The two ends of an animation.
 pub(in crate::session) fn animation_ends(
     outbox: &Arc<FrameOutbox>,
-    part_bytes: usize,
     (metrics, held): (&Arc<Metrics>, MemoryReservation),
     inside: CallGuard,
 ) -> (AnimationControl, AnimationReader) {
@@ -38,7 +38,7 @@ pub(in crate::session) fn animation_ends(
     };
     let output = AnimationReader {
         outbox: Arc::clone(outbox),
-        packer: FramePacker::new(part_bytes),
+        packer: FramePacker::default(),
         metrics: Arc::clone(metrics),
         held,
         _inside: inside,
@@ -80,21 +80,15 @@ impl AnimationReader {
     /// Why the animation ends before its last frame; then it is over.
     pub async fn next_answer(&mut self) -> Option<Result<AnimationAnswer, Error>> {
         loop {
-            return Some(Ok(match self.outbox.take_item() {
-                None => {
-                    self.outbox.wait_for_item().await;
-                    continue;
-                }
-                Some(OutboxItem::Stage(stage, fraction)) => AnimationAnswer::Stage { stage, fraction },
-                Some(OutboxItem::Frame(frame)) => {
+            match self.outbox.next_answer() {
+                Poll::Ready(Some(Ok(AnimationAnswer::Frame(frame)))) => {
                     self.metrics.frames_sent.inc();
-                    let request = self.packer.pack_frame(*frame, self.outbox.acknowledged());
-                    AnimationAnswer::Frame(Box::new(request))
+                    let packed = self.packer.pack_frame(*frame, self.outbox.acknowledged());
+                    return Some(Ok(AnimationAnswer::Frame(Box::new(packed))));
                 }
-                Some(OutboxItem::Summary(summary)) => AnimationAnswer::Summary(summary),
-                Some(OutboxItem::Failure(error)) => return Some(Err(error)),
-                Some(OutboxItem::End) => return None,
-            }));
+                Poll::Ready(answer) => return answer,
+                Poll::Pending => self.outbox.wait_for_item().await,
+            }
         }
     }
 

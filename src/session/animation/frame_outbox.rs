@@ -5,49 +5,30 @@
 
 use crate::progress::{CancelFlag, Progress};
 use crate::session::animation::prepared_animation::PreparedAnimation;
+use crate::session::answers::AnimationAnswer;
 use crate::session::error::Error;
-use crate::session::stream::outbound_frame::OutboundFrame;
+use crate::session::stream::frame_window::FrameWindow;
 use crate::wire::AnimationSummary;
-use std::collections::VecDeque;
+use crate::wire::frames::Frame;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::Poll;
 use tokio::sync::Notify;
-
-/// Something for the transport.
-#[derive(Debug)]
-pub(in crate::session) enum OutboxItem {
-    /// What is under way, and how much of it is done.
-    Stage(&'static str, f32),
-    Frame(Box<OutboundFrame>),
-    /// All frames have come.
-    Summary(Box<AnimationSummary>),
-    Failure(Error),
-    End,
-}
-
-/// How an animation ended.
-#[derive(Debug)]
-enum AnimationEnding {
-    Done(Option<Box<AnimationSummary>>),
-    Failed(Option<Error>),
-}
 
 #[derive(Default)]
 struct OutboxState {
     /// The newest stage that the reader has not seen.
     stage: Option<(&'static str, f32)>,
-    frames: VecDeque<OutboundFrame>,
-    /// Seq of every frame taken by the transport and not acknowledged.
-    unacknowledged: VecDeque<u64>,
-    acknowledged: Option<u64>,
-    /// No acknowledgement will come any more.
-    finished: bool,
-    ending: Option<AnimationEnding>,
+    /// Frames made and not acknowledged.
+    frames: FrameWindow,
+    /// No frame follows those that wait.
+    ended: bool,
+    /// What is sent after them: the summary of all frames, or why there are no more.
+    last: Option<Result<Box<AnimationSummary>, Error>>,
     prepared: Option<Arc<PreparedAnimation>>,
 }
 
 /// One animation between its task and its reader.
 pub(in crate::session) struct FrameOutbox {
-    window: usize,
     state: Mutex<OutboxState>,
     /// Wakes the reader.
     reader: Notify,
@@ -59,15 +40,17 @@ pub(in crate::session) struct FrameOutbox {
 
 impl std::fmt::Debug for FrameOutbox {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "FrameOutbox(window {})", self.window)
+        write!(f, "FrameOutbox(window {})", self.lock_state().frames.size)
     }
 }
 
 impl FrameOutbox {
     pub fn with_window(window: u32) -> Self {
         Self {
-            window: window as usize,
-            state: Mutex::default(),
+            state: Mutex::new(OutboxState {
+                frames: FrameWindow::with_size(window),
+                ..OutboxState::default()
+            }),
             reader: Notify::new(),
             solver: Notify::new(),
             cancel: Arc::default(),
@@ -82,45 +65,38 @@ impl FrameOutbox {
 
     /// The reader has the frames up to this one.
     pub fn acknowledge(&self, seq: u64) {
-        let mut state = self.lock_state();
-        state.unacknowledged.retain(|&s| s > seq);
-        state.acknowledged = state.acknowledged.max(Some(seq));
+        self.lock_state().frames.acknowledge(seq);
         self.solver.notify_one();
     }
 
     /// No acknowledgement will come any more: as many frames as the window has may wait to be taken.
     pub fn finish_input(&self) {
-        let mut state = self.lock_state();
-        state.finished = true;
-        state.unacknowledged.clear();
+        self.lock_state().frames.finish();
         self.solver.notify_one();
     }
 
     /// The newest frame that the reader has acknowledged.
     pub fn acknowledged(&self) -> Option<u64> {
-        self.lock_state().acknowledged
+        self.lock_state().frames.acknowledged
     }
 
-    /// What the transport may send next; `None` when there is nothing at the moment.
-    pub fn take_item(&self) -> Option<OutboxItem> {
+    /// What the transport may send next, `None` at the end; pending when there is nothing at the moment.
+    pub fn next_answer(&self) -> Poll<Option<Result<AnimationAnswer, Error>>> {
         let mut state = self.lock_state();
         if let Some((stage, fraction)) = state.stage.take() {
-            return Some(OutboxItem::Stage(stage, fraction));
+            return Poll::Ready(Some(Ok(AnimationAnswer::Stage { stage, fraction })));
         }
-        if let Some(frame) = state.frames.pop_front() {
-            if !state.finished {
-                state.unacknowledged.push_back(frame.header.seq);
-            }
+        if let Some(frame) = state.frames.take() {
             self.solver.notify_one();
-            return Some(OutboxItem::Frame(Box::new(frame)));
+            return Poll::Ready(Some(Ok(AnimationAnswer::Frame(Box::new(frame)))));
         }
-        Some(match state.ending.as_mut()? {
-            AnimationEnding::Done(summary) => summary.take().map_or(OutboxItem::End, OutboxItem::Summary),
-            AnimationEnding::Failed(error) => error.take().map_or(OutboxItem::End, OutboxItem::Failure),
-        })
+        match state.ended {
+            true => Poll::Ready(state.last.take().map(|last| last.map(AnimationAnswer::Summary))),
+            false => Poll::Pending,
+        }
     }
 
-    /// Waits until `take_item` may have something new.
+    /// Waits until `next_answer` may have something new.
     ///
     /// # Cancel safety
     /// Dropping the future loses no wake-up.
@@ -151,10 +127,10 @@ impl FrameOutbox {
         loop {
             {
                 let state = self.lock_state();
-                if state.ending.is_some() {
+                if state.ended {
                     return false;
                 }
-                if state.frames.len() + state.unacknowledged.len() < self.window {
+                if state.frames.room() > 0 {
                     return true;
                 }
             }
@@ -164,16 +140,16 @@ impl FrameOutbox {
 
     /// Waits until no frame is wanted any more.
     pub async fn wait_for_end(&self) {
-        while self.lock_state().ending.is_none() {
+        while !self.lock_state().ended {
             self.solver.notified().await;
         }
     }
 
     /// Sends a frame.
-    pub fn send_frame(&self, frame: OutboundFrame) {
+    pub fn send_frame(&self, frame: Frame) {
         let mut state = self.lock_state();
-        if state.ending.is_none() {
-            state.frames.push_back(frame);
+        if !state.ended {
+            state.frames.waiting.push_back(frame);
             self.reader.notify_one();
         }
     }
@@ -181,19 +157,21 @@ impl FrameOutbox {
     /// All frames have been sent.
     pub fn complete(&self, summary: AnimationSummary) {
         let mut state = self.lock_state();
-        state
-            .ending
-            .get_or_insert(AnimationEnding::Done(Some(Box::new(summary))));
+        if !state.ended {
+            state.ended = true;
+            state.last = Some(Ok(Box::new(summary)));
+        }
         self.reader.notify_one();
     }
 
     /// Ends the animation before its last frame and drops frames that wait. Without an error the reader has left.
     pub fn end_early(&self, error: Option<Error>) {
         let mut state = self.lock_state();
-        if state.ending.is_none() {
+        if !state.ended {
+            state.ended = true;
             state.stage = None;
-            state.frames.clear();
-            state.ending = Some(AnimationEnding::Failed(error));
+            state.frames.waiting.clear();
+            state.last = error.map(Err);
         }
         self.cancel.cancel();
         self.reader.notify_one();
@@ -229,8 +207,8 @@ mod tests {
     use crate::wire::frames::{FrameHeader, FrameOutput};
     use futures::poll;
 
-    fn frame(seq: u64) -> OutboundFrame {
-        OutboundFrame {
+    fn frame(seq: u64) -> Frame {
+        Frame {
             header: FrameHeader {
                 seq,
                 ..Default::default()
@@ -238,13 +216,14 @@ mod tests {
             positions: Arc::default(),
             shading: None,
             output: FrameOutput::default(),
-            diagonal: 1.0,
+            selected: None,
+            part_bytes: 1 << 20,
         }
     }
 
     fn taken(outbox: &FrameOutbox) -> Option<u64> {
-        match outbox.take_item() {
-            Some(OutboxItem::Frame(frame)) => Some(frame.header.seq),
+        match outbox.next_answer() {
+            Poll::Ready(Some(Ok(AnimationAnswer::Frame(frame)))) => Some(frame.header.seq),
             _ => None,
         }
     }
@@ -281,10 +260,16 @@ mod tests {
         outbox.send_frame(frame(1));
         outbox.complete(AnimationSummary::default());
         outbox.end_early(Some(Error::new(ErrorCode::NotFound, "too late")));
-        assert!(matches!(outbox.take_item(), Some(OutboxItem::Stage("fields", _))));
+        assert!(matches!(
+            outbox.next_answer(),
+            Poll::Ready(Some(Ok(AnimationAnswer::Stage { stage: "fields", .. })))
+        ));
         assert_eq!(taken(&outbox), Some(1));
-        assert!(matches!(outbox.take_item(), Some(OutboxItem::Summary(_))));
-        assert!(matches!(outbox.take_item(), Some(OutboxItem::End)));
+        assert!(matches!(
+            outbox.next_answer(),
+            Poll::Ready(Some(Ok(AnimationAnswer::Summary(_))))
+        ));
+        assert!(matches!(outbox.next_answer(), Poll::Ready(None)));
     }
 
     #[tokio::test]
@@ -295,7 +280,7 @@ mod tests {
         outbox.send_frame(frame(2));
         assert!(outbox.cancel.cancelled());
         assert!(!outbox.wait_for_room().await);
-        assert!(matches!(outbox.take_item(), Some(OutboxItem::Failure(e)) if e.message == "gone"));
-        assert!(matches!(outbox.take_item(), Some(OutboxItem::End)));
+        assert!(matches!(outbox.next_answer(), Poll::Ready(Some(Err(e))) if e.message == "gone"));
+        assert!(matches!(outbox.next_answer(), Poll::Ready(None)));
     }
 }

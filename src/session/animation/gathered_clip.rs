@@ -14,7 +14,7 @@ use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::quota::tenant_account::TenantAccount;
 use crate::session::shared::SharedResources;
-use crate::wire::frames::FrameRequest;
+use crate::wire::frames::Frame;
 use crate::wire::{self, OrderedRoot, PlayedForm};
 use glam::Vec3;
 use std::sync::Arc;
@@ -47,7 +47,7 @@ impl KeptFrames for FramesInMemory {
 }
 
 impl FramesInMemory {
-    fn push(&mut self, frame: &FrameRequest) {
+    fn push(&mut self, frame: &Frame) {
         let root = frame.header.animated.as_ref().map(|a| a.root);
         self.roots.push(root.unwrap_or(RigidMotion::IDENTITY));
         self.shapes.push(frame.positions.iter().map(|p| p.as_vec3()).collect());

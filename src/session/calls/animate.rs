@@ -48,12 +48,7 @@ impl Manager {
         let running = RunningAnimation::on_session(&session, (permit, place), &shared.metrics);
         let outbox = Arc::new(FrameOutbox::with_window(order.window));
         let held = shared.ledger.reserve_later(MemoryUse::Sessions, Some(&account));
-        let ends = animation_ends(
-            &outbox,
-            shared.config.part_bytes,
-            (&shared.metrics, held),
-            shared.gate.enter(),
-        );
+        let ends = animation_ends(&outbox, (&shared.metrics, held), shared.gate.enter());
         let task = AnimationTask {
             manager: self.clone(),
             session,

@@ -110,7 +110,7 @@ impl Manager {
         let inside = self.shared.gate.enter();
         self.note(tenant, AuditedAction::Stream, id).await;
         let held = self.shared.ledger.reserve_later(MemoryUse::Sessions, Some(&account));
-        let stream = DeformStream::new(mailbox, session, config.part_bytes, (metrics, held), (inside, place));
+        let stream = DeformStream::new(mailbox, session, (metrics, held), (inside, place));
         // A drain that began meanwhile may have missed this stream.
         if self.shared.draining.load(SeqCst) {
             Err(Error::draining())

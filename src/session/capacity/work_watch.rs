@@ -1,11 +1,27 @@
 //! Why a piece of work should stop, and what it reported.
 
+use crate::exec::Exec;
+use crate::pool::Pool;
 use crate::progress::{CancelFlag, Progress, Silent};
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::stage_clock::StageClock;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+
+/// Where a piece of work runs: the threads, the watch that stops it, and how long it waited for its slot.
+pub(in crate::session) struct Work<'a> {
+    pub pool: &'a Pool,
+    pub watch: &'a WorkWatch,
+    pub queued: Duration,
+}
+
+impl Work<'_> {
+    /// What kernels are called with.
+    pub fn exec(&self) -> Exec<'_> {
+        Exec::new(self.pool, self.watch)
+    }
+}
 
 /// Raises its flag when dropped. The caller holds it, so that work stops when the caller leaves.
 #[derive(Debug, Default)]

@@ -4,11 +4,11 @@
 //! snapshots while they fit a budget of bytes; an older one is solved again from its recipe, bit for bit. The history
 //! has no engine and no task: callers pass it solutions.
 
-use crate::engine::{DeformerFacts, DeformerWarning, HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
+use crate::engine::{DeformerFacts, HandlePoses, HandleSet, ModelShape, TopologyState};
 use crate::session::answers::CommitFacts;
 use crate::session::history::commit_list::CommitList;
 use crate::session::history::session_state::{
-    CommittedHandles, EditedState, HandleSetId, RecordedShapeId, SessionState, ShapeRecipe,
+    CommittedHandles, EditedState, HandleSetId, PosedState, RecordedShapeId, SessionState, ShapeRecipe,
 };
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -212,13 +212,14 @@ impl CommitHistory {
 
     /// Records solved poses, with what was noticed of them. What was undone is gone. Without the shape, it is solved when it is asked
     /// for.
-    pub fn commit_pose(
-        &mut self,
-        (poses, warnings): (HandlePoses, Vec<DeformerWarning>),
-        settings: SolveSettings,
-        shape: impl Into<Option<ModelShape>>,
-        digest: String,
-    ) {
+    pub fn commit_pose(&mut self, posed: PosedState) {
+        let PosedState {
+            poses,
+            warnings,
+            settings,
+            shape,
+            digest,
+        } = posed;
         let state = self.current().clone();
         let recipe = ShapeRecipe::Solved {
             topology: state.topology.clone(),
@@ -226,7 +227,7 @@ impl CommitHistory {
             poses: poses.clone(),
             settings,
         };
-        let shape = self.record_shape(recipe, shape.into());
+        let shape = self.record_shape(recipe, shape);
         let state = SessionState {
             poses,
             pose_warnings: Arc::new(warnings),

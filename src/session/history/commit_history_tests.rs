@@ -1,8 +1,8 @@
-//! The commits of a session beside a plain list of what happened to it.
+//! The commits of a session compared with a plain list of what happened to it.
 
 use super::*;
 use crate::asset::Format;
-use crate::engine::{MeshCounts, ModelFacts, SolverFacts};
+use crate::engine::{MeshCounts, ModelFacts, SolveSettings, SolverFacts};
 use glam::DVec3;
 use proptest::prelude::*;
 
@@ -45,7 +45,13 @@ fn history(limit: usize, snapshot_bytes: u64) -> CommitHistory {
 
 fn pose(history: &mut CommitHistory, x: f64) {
     let shape = ModelShape::from_positions(Arc::new(vec![DVec3::splat(x); 10]));
-    history.commit_pose((HandlePoses::default(), Vec::new()), settings(), shape, format!("{x}"));
+    history.commit_pose(PosedState {
+        poses: HandlePoses::default(),
+        warnings: Vec::new(),
+        settings: settings(),
+        shape: Some(shape),
+        digest: format!("{x}"),
+    });
 }
 
 #[test]

@@ -2,33 +2,28 @@
 //! time: the next one brings the engine back to the handles that it needs.
 
 use crate::engine::{
-    DeformerFacts, DeformerWarning, ESTIMATED_MEMORY, EditCommand, EditOutcome, EditReport, Error, HandlePose,
-    HandlePoses, HandleSet, ModelShape, QualityReport, Shader, Shading, SolveMode, SolveSettings, SolveUpdate,
-    SolvedShape, TopologyState, digest,
+    DeformerFacts, ESTIMATED_MEMORY, EditCommand, EditOutcome, EditReport, Error, HandlePoses, HandleSet, ModelShape,
+    Shader, Shading, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
 };
 use crate::exec::Exec;
-use crate::pool::Pool;
 use crate::session::capacity::work_span::tell_solve;
-use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::capacity::work_watch::Work;
 use crate::session::engine::Engine;
-use crate::session::history::session_state::{CommittedHandles, EditedState, HandleSetId, SessionState, ShapeRecipe};
+use crate::session::history::session_state::{
+    CommittedHandles, EditedState, HandleSetId, PosedState, SessionState, ShapeRecipe,
+};
+use crate::session::stream::frame_window::{FrameContext, ms_of};
+use crate::wire::frames::Frame;
 use crate::wire::{DeformOptions, SessionEdit};
 use glam::DVec3;
 use std::sync::Arc;
-use std::time::Duration;
 
-/// A solved pose, with what its frame and its commit need.
-pub(in crate::session) struct CommitSolution {
-    pub poses: HandlePoses,
-    pub solved: SolvedShape,
-    pub shading: Option<Arc<Shading>>,
-    /// Digest of the positions of a commit; empty for a drag.
-    pub digest: String,
-    /// How far the shape of a commit is from the rest shape.
-    pub quality: Option<QualityReport>,
-    /// What a user should know of the poses of a commit.
-    pub warnings: Vec<DeformerWarning>,
-    pub solve_time: Duration,
+/// The answer to a pose: its last frame, and what is to be committed where that was asked for.
+pub(in crate::session) struct PoseAnswer {
+    pub frame: Frame,
+    /// Cycles of the position solve.
+    pub cycles: u32,
+    pub commit: Option<PosedState>,
 }
 
 /// What an edit begins with: a state, its shape where it is at hand, and how that is made again.
@@ -219,31 +214,49 @@ impl LoadedDeformer {
         self.loaded = Some(handles);
     }
 
-    /// Solves a pose for a commit and measures it. This is the one way to a committed shape, for calls and for streams;
-    /// it depends on nothing but the state, the poses and the settings.
+    /// Solves poses for a commit and measures them; the state's model and handles are in force. This is the one way to a
+    /// committed shape, for calls and for streams; it depends on nothing but the state, the poses and the settings.
     pub fn solve_for_commit(
         &mut self,
-        state: &SessionState,
-        changes: &[(String, HandlePose)],
-        settings: &DeformOptions,
-        watch: &WorkWatch,
-        pool: &Pool,
-    ) -> Result<CommitSolution, Error> {
-        let exec = &Exec::new(pool, watch);
-        self.load_state(state.topology.as_ref(), &state.handles, exec)?;
-        let poses = self.engine.change_poses(&state.poses, changes)?;
-        let solved = self.solve(&poses, &settings.solve, SolveMode::Commit, exec, &mut |_| true)?;
-        let solve_time = watch.elapsed();
-        let quality = (self.engine).measure(&solved.positions, settings.output.self_intersections, exec)?;
-        Ok(CommitSolution {
-            warnings: self.engine.pose_warnings(&poses),
-            poses,
-            shading: self.shade(&solved.positions, settings),
-            digest: digest(&solved.positions),
-            quality,
-            solve_time,
-            solved,
+        seq: u64,
+        poses: HandlePoses,
+        options: &DeformOptions,
+        frames: &FrameContext,
+        work: &Work<'_>,
+    ) -> Result<PoseAnswer, Error> {
+        let exec = &work.exec();
+        let solved = self.solve(&poses, &options.solve, SolveMode::Commit, exec, &mut |_| true)?;
+        let solve_time = work.watch.elapsed();
+        let mut frame = self.last_frame(seq, options, frames, &solved);
+        frame.header.quality = (self.engine).measure(&solved.positions, options.output.self_intersections, exec)?;
+        frame.header.solve_ms = ms_of(solve_time);
+        Ok(PoseAnswer {
+            frame,
+            cycles: solved.cycles,
+            commit: Some(PosedState {
+                warnings: self.engine.pose_warnings(&poses),
+                poses,
+                settings: options.solve.clone(),
+                digest: digest(&solved.positions),
+                shape: Some(solved.shape()),
+            }),
         })
+    }
+
+    /// The frame that ends the work on the pose of number `seq`, without its time.
+    pub fn last_frame(
+        &mut self,
+        seq: u64,
+        options: &DeformOptions,
+        frames: &FrameContext,
+        solved: &SolvedShape,
+    ) -> Frame {
+        let shading = self.shade(&solved.positions, options);
+        let mut frame = frames.frame(seq, options.output, Arc::clone(&solved.positions), shading);
+        frame.header.is_final = true;
+        frame.header.residual = solved.residual;
+        frame.header.max_error = solved.max_error;
+        frame
     }
 
     /// Makes the normals and tangents that `settings` ask for; `None` when they ask for neither.

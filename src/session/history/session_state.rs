@@ -1,6 +1,6 @@
 //! What a commit leaves a session in, and how its shape can be made again.
 
-use crate::engine::{DeformerFacts, DeformerWarning, HandlePoses, HandleSet, SolveSettings, TopologyState};
+use crate::engine::{DeformerFacts, DeformerWarning, HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
 use std::sync::Arc;
 
 /// This number names a shape of one session.
@@ -45,6 +45,20 @@ impl SessionState {
         let (nodes, vertices) = (self.facts.solver.graph_vertices, self.facts.model.counts.vertices);
         handles.cost(u64::from(nodes) + u64::from(vertices))
     }
+}
+
+/// A pose that was solved, to be committed.
+#[derive(Debug, Clone)]
+pub(in crate::session) struct PosedState {
+    pub poses: HandlePoses,
+    /// What a user should know of them.
+    pub warnings: Vec<DeformerWarning>,
+    /// How they were solved.
+    pub settings: SolveSettings,
+    /// `None` where it is not at hand: it is solved again when it is asked for.
+    pub shape: Option<ModelShape>,
+    /// Digest of its positions.
+    pub digest: String,
 }
 
 /// The state of an engine that an edit has changed, to be committed.

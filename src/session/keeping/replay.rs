@@ -10,7 +10,7 @@ use crate::exec::Exec;
 use crate::progress;
 use crate::session::history::commit_history::CommitHistory;
 use crate::session::history::loaded_deformer::{EditStart, LoadedDeformer};
-use crate::session::history::session_state::ShapeRecipe;
+use crate::session::history::session_state::{PosedState, ShapeRecipe};
 use crate::session::keeping::kept_session::KeptSession;
 use crate::session::store::{Commit, StoreError};
 use crate::wire::SessionEdit;
@@ -167,8 +167,13 @@ impl Replay<'_> {
                     now = self.compare(stored, probe, &solved.positions, state.diagonal)?;
                     shape = Some(solved);
                 }
-                self.history
-                    .commit_pose((poses.clone(), warnings.clone()), settings.clone(), shape, now);
+                self.history.commit_pose(PosedState {
+                    poses: poses.clone(),
+                    warnings: warnings.clone(),
+                    settings: settings.clone(),
+                    shape,
+                    digest: now,
+                });
             }
             LoggedCommit::Edit { edit, probe, .. } => {
                 let mut edit = (**edit).clone();

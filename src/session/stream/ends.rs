@@ -9,9 +9,9 @@ use crate::session::quota::tenant_account::TenantStream;
 use crate::session::registry::OpenSession;
 use crate::session::stream::frame_packer::FramePacker;
 use crate::session::stream::mailbox::Mailbox;
-use crate::session::stream::outbound_frame::OutboundItem;
 use crate::wire::StreamRequest;
 use std::sync::Arc;
+use std::task::Poll;
 
 /// One interactive deform stream. Dropping it stops its solve within one cycle and frees its place.
 #[derive(Debug)]
@@ -42,7 +42,6 @@ impl DeformStream {
     pub(in crate::session) fn new(
         mailbox: Arc<Mailbox>,
         session: Arc<OpenSession>,
-        part_bytes: usize,
         (metrics, held): (Arc<Metrics>, MemoryReservation),
         inside: (CallGuard, TenantStream),
     ) -> Self {
@@ -54,7 +53,7 @@ impl DeformStream {
             output: StreamOutput {
                 mailbox,
                 session,
-                packer: FramePacker::new(part_bytes),
+                packer: FramePacker::default(),
                 ended: false,
                 metrics,
                 held,
@@ -102,15 +101,15 @@ impl StreamOutput {
             if self.ended {
                 return None;
             }
-            match self.mailbox.next_item() {
-                Some(OutboundItem::Words(answer)) => return Some(answer),
-                Some(OutboundItem::Frame(frame)) => {
+            match self.mailbox.next_answer() {
+                Poll::Ready(Some(StreamAnswer::Frame(frame))) => {
                     self.metrics.frames_sent.inc();
-                    let request = self.packer.pack_frame(*frame, self.mailbox.acknowledged());
-                    return Some(StreamAnswer::Frame(Box::new(request)));
+                    let packed = self.packer.pack_frame(*frame, self.mailbox.acknowledged());
+                    return Some(StreamAnswer::Frame(Box::new(packed)));
                 }
-                Some(OutboundItem::End) => self.ended = true,
-                None => self.mailbox.wait_for_change().await,
+                Poll::Ready(Some(answer)) => return Some(answer),
+                Poll::Ready(None) => self.ended = true,
+                Poll::Pending => self.mailbox.wait_for_change().await,
             }
         }
     }

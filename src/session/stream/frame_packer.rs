@@ -1,14 +1,12 @@
 //! Chooses what of a frame is sent as a transport pulls it.
 
-use crate::session::stream::outbound_frame::OutboundFrame;
-use crate::wire::frames::FrameRequest;
+use crate::wire::frames::Frame;
 use glam::{DVec3, Vec3};
 use std::collections::VecDeque;
 
 /// Packs the frames of one stream. Remembers what the reader holds, for frames that carry changes only.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(in crate::session) struct FramePacker {
-    part_bytes: usize,
     /// The buffer that the reader holds after each frame that it was sent and has not acknowledged, with the frame's seq.
     sent: VecDeque<(u64, Vec<Vec3>)>,
     /// The buffer after the newest acknowledged frame.
@@ -23,27 +21,18 @@ pub(in crate::session) struct FramePacker {
 const REMEMBERED: usize = 128;
 
 impl FramePacker {
-    pub fn new(part_bytes: usize) -> Self {
-        Self {
-            part_bytes,
-            sent: VecDeque::new(),
-            acknowledged: None,
-            spare: Vec::new(),
-            carried: 0,
-        }
-    }
-
     /// Chooses the vertices of a frame. `acknowledged` is the newest seq that the reader has acknowledged.
-    pub fn pack_frame(&mut self, frame: OutboundFrame, acknowledged: Option<u64>) -> FrameRequest {
+    pub fn pack_frame(&mut self, mut frame: Frame, acknowledged: Option<u64>) -> Frame {
+        frame.selected = None;
         let Some(threshold) = frame.output.changed_only else {
-            *self = Self::new(self.part_bytes);
-            return frame.into_request(None, self.part_bytes);
+            *self = Self::default();
+            return frame;
         };
         let positions = frame.positions.as_slice();
         let mut buffers = self.acknowledged.iter().chain(self.sent.iter().map(|s| &s.1));
         if buffers.any(|buffer| buffer.len() != positions.len()) {
             // An edit has changed the number of vertices: the reader gets all of them.
-            *self = Self::new(self.part_bytes);
+            *self = Self::default();
         }
         let is_read = |seq: u64| acknowledged.is_some_and(|a| seq <= a);
         while self.sent.front().is_some_and(|(seq, _)| is_read(*seq)) {
@@ -59,7 +48,7 @@ impl FramePacker {
         select_changed(
             positions,
             reader,
-            threshold * frame.diagonal,
+            threshold * frame.header.diagonal,
             &mut selected,
             &mut buffer,
         );
@@ -68,7 +57,8 @@ impl FramePacker {
         if self.sent.len() > REMEMBERED {
             self.sent.pop_front();
         }
-        frame.into_request(Some(selected), self.part_bytes)
+        frame.selected = Some(selected);
+        frame
     }
 }
 
@@ -117,10 +107,11 @@ mod tests {
     use proptest::prelude::*;
     use std::sync::Arc;
 
-    fn frame(seq: u64, positions: &[DVec3], threshold: f64) -> OutboundFrame {
-        OutboundFrame {
+    fn frame(seq: u64, positions: &[DVec3], threshold: f64) -> Frame {
+        Frame {
             header: FrameHeader {
                 seq,
+                diagonal: 1.0,
                 ..Default::default()
             },
             positions: Arc::new(positions.to_vec()),
@@ -129,7 +120,8 @@ mod tests {
                 changed_only: Some(threshold),
                 ..Default::default()
             },
-            diagonal: 1.0,
+            selected: None,
+            part_bytes: 1 << 20,
         }
     }
 
@@ -141,7 +133,7 @@ mod tests {
             steps in prop::collection::vec((prop::collection::vec(-3i8..4, 6), any::<bool>()), 1..20),
             threshold in 0.0f64..2.5,
         ) {
-            let mut packer = FramePacker::new(1 << 20);
+            let mut packer = FramePacker::default();
             let mut client = [[f32::NAN; 3]; 6];
             let mut acknowledged = None;
             for (k, (xs, acknowledge)) in steps.iter().enumerate() {
@@ -165,8 +157,8 @@ mod tests {
     #[test]
     fn a_shape_at_rest_is_no_change_once_it_is_acknowledged() {
         let shape = vec![DVec3::new(0.1, 0.2, 0.3); 5];
-        let mut packer = FramePacker::new(1 << 20);
-        let count = |frame: FrameRequest| frame.selected.map(|s| s.len());
+        let mut packer = FramePacker::default();
+        let count = |frame: Frame| frame.selected.map(|s| s.len());
         assert_eq!(count(packer.pack_frame(frame(1, &shape, 0.0), None)), Some(5));
         assert_eq!(
             count(packer.pack_frame(frame(2, &shape, 0.0), None)),

@@ -9,11 +9,12 @@ use crate::session::answers::StreamAnswer;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::Metrics;
-use crate::session::stream::outbound_frame::{OutboundFrame, OutboundItem};
 use crate::session::stream::stream_state::StreamState;
 use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose, merge_waiting_drags};
+use crate::wire::frames::Frame;
 use crate::wire::{DeformOptions, StreamPose, StreamRequest};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::Poll;
 use tokio::sync::Notify;
 use tracing::Span;
 
@@ -29,17 +30,6 @@ pub(in crate::session) struct StreamWork {
     pub poses: Vec<WaitingPose>,
     /// What the stream dragged since the last commit.
     pub dragged: DraggedPoses,
-}
-
-/// How a piece of work ended.
-#[derive(Debug, Default)]
-pub(in crate::session) struct StreamWorkResult {
-    /// What the stream has dragged now.
-    pub dragged: DraggedPoses,
-    /// The frame of the pose that was solved.
-    pub frame: Option<OutboundFrame>,
-    /// Why that pose could not be solved.
-    pub refused: Option<(u64, Error)>,
 }
 
 /// One deform stream as its session sees it.
@@ -97,7 +87,7 @@ impl Mailbox {
     /// When the stream has ended.
     pub fn push(&self, request: StreamRequest) -> Result<(), Error> {
         let mut state = self.lock_state();
-        if state.ended.is_some() || state.finished {
+        if state.ended.is_some() || state.frames.finished {
             return Err(Error::new(ErrorCode::Cancelled, "the stream has ended"));
         }
         match request {
@@ -109,8 +99,7 @@ impl Mailbox {
                 self.reader.notify_one();
             }
             StreamRequest::Ack(acknowledged) => {
-                state.unacknowledged.retain(|&seq| seq > acknowledged);
-                state.acknowledged = state.acknowledged.max(Some(acknowledged));
+                state.frames.acknowledge(acknowledged);
                 state.promote_held_frame();
                 self.reader.notify_one();
                 self.task.notify_one();
@@ -184,41 +173,39 @@ impl Mailbox {
     /// No more requests will come; what waits is still answered.
     pub fn finish(&self) {
         let mut state = self.lock_state();
-        state.finished = true;
+        state.frames.finish();
         state.promote_held_frame();
         self.reader.notify_one();
         self.task.notify_one();
     }
 
-    /// What the transport may send next; `None` when there is nothing at the moment.
-    pub fn next_item(&self) -> Option<OutboundItem> {
+    /// What the transport may send next, `None` at the end; pending when there is nothing at the moment.
+    pub fn next_answer(&self) -> Poll<Option<StreamAnswer>> {
         let mut state = self.lock_state();
         if let Some(pong) = state.pongs.pop_front() {
-            return Some(OutboundItem::Words(StreamAnswer::Pong(pong)));
+            return Poll::Ready(Some(StreamAnswer::Pong(pong)));
         }
         if let Some(note) = state.notes.pop_front() {
-            return Some(OutboundItem::Words(note));
+            return Poll::Ready(Some(note));
         }
         if let Some(end) = &mut state.ended {
-            return Some(match end.take() {
-                Some(error) => OutboundItem::Words(StreamAnswer::Failure { error, seq: 0 }),
-                None => OutboundItem::End,
-            });
+            return Poll::Ready(end.take().map(|error| StreamAnswer::Failure { error, seq: 0 }));
         }
-        if let Some(frame) = state.frames.pop_front() {
-            state.unacknowledged.push_back(frame.header.seq);
-            if state.finished {
-                // There is room for another now, and nobody left to acknowledge.
-                state.unacknowledged.clear();
+        if let Some(frame) = state.frames.take() {
+            if state.frames.finished {
+                // No acknowledgement will come, so there is room for another now.
                 state.promote_held_frame();
                 self.task.notify_one();
             }
-            return Some(OutboundItem::Frame(Box::new(frame)));
+            return Poll::Ready(Some(StreamAnswer::Frame(Box::new(frame))));
         }
-        (state.finished && state.is_idle()).then_some(OutboundItem::End)
+        match state.frames.finished && state.is_idle() {
+            true => Poll::Ready(None),
+            false => Poll::Pending,
+        }
     }
 
-    /// Waits until `next_item` may have something new.
+    /// Waits until `next_answer` may have something new.
     ///
     /// # Cancel safety
     /// Dropping the future loses no wake-up.
@@ -228,7 +215,7 @@ impl Mailbox {
 
     /// The newest frame that the client has acknowledged.
     pub fn acknowledged(&self) -> Option<u64> {
-        self.lock_state().acknowledged
+        self.lock_state().frames.acknowledged
     }
 
     /// The reader has left: stops the solve and drops everything.
@@ -266,7 +253,7 @@ impl Mailbox {
     /// Whether an intermediate frame may be sent. The last place in the window is kept for the final frame.
     pub fn wants_intermediate_frame(&self) -> bool {
         let state = self.lock_state();
-        let (room, window) = (state.frame_room(), state.settings.window as usize);
+        let (room, window) = (state.frames.room(), state.frames.size);
         state.ended.is_none() && (room >= 2 || (window == 1 && room == 1))
     }
 
@@ -281,28 +268,26 @@ impl Mailbox {
     }
 
     /// Sends an intermediate frame.
-    pub fn send_frame(&self, mut frame: OutboundFrame) {
+    pub fn send_frame(&self, mut frame: Frame) {
         let mut state = self.lock_state();
         if state.ended.is_none() {
             frame.header.superseded = std::mem::take(&mut state.superseded);
-            state.frames.push_back(frame);
+            state.frames.waiting.push_back(frame);
             self.reader.notify_one();
         }
     }
 
-    /// Ends the work that `take_work` gave.
-    pub fn complete_work(&self, done: StreamWorkResult) {
+    /// Ends the work that `take_work` gave: what the stream has dragged now, and the last frame of the pose that was
+    /// solved.
+    pub fn complete_work(&self, dragged: DraggedPoses, frame: Option<Frame>) {
         let mut state = self.lock_state();
         state.running = false;
-        state.dragged = done.dragged;
+        state.dragged = dragged;
         if state.ended.is_none()
-            && let Some(mut frame) = done.frame
+            && let Some(mut frame) = frame
         {
             frame.header.superseded = std::mem::take(&mut state.superseded);
             state.hold_frame(frame);
-        }
-        if let Some((seq, error)) = done.refused {
-            self.refuse_pose(&mut state, seq, error);
         }
         self.reader.notify_one();
     }
@@ -318,7 +303,7 @@ impl Mailbox {
         let mut state = self.lock_state();
         state.leaving = true;
         let held = state.held.take();
-        state.frames.extend(held);
+        state.frames.waiting.extend(held);
         if state.ended.is_none() && state.notes.len() < WAITING_NOTES {
             state.notes.push_back(StreamAnswer::Notice {
                 code: "going-away",

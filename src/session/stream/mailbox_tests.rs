@@ -36,8 +36,8 @@ fn options(window: u32) -> StreamRequest {
     }))
 }
 
-fn frame(seq: u64, last: bool) -> OutboundFrame {
-    OutboundFrame {
+fn frame(seq: u64, last: bool) -> Frame {
+    Frame {
         header: FrameHeader {
             seq,
             is_final: last,
@@ -46,7 +46,8 @@ fn frame(seq: u64, last: bool) -> OutboundFrame {
         positions: Arc::new(vec![DVec3::ZERO]),
         shading: None,
         output: FrameOutput::default(),
-        diagonal: 1.0,
+        selected: None,
+        part_bytes: 1 << 20,
     }
 }
 
@@ -55,17 +56,14 @@ fn complete(mailbox: &Mailbox, work: StreamWork) -> u64 {
     let merged: u32 = work.poses.iter().map(|p| p.poses - 1).sum();
     let seq = work.poses.last().expect("never empty").seq;
     mailbox.settle_unsolved(Vec::new(), merged + work.poses.len() as u32 - 1);
-    mailbox.complete_work(StreamWorkResult {
-        dragged: work.dragged,
-        frame: Some(frame(seq, true)),
-        refused: None,
-    });
+    mailbox.complete_work(work.dragged, Some(frame(seq, true)));
     seq
 }
 
 fn collect_frame(mailbox: &Mailbox) -> Option<FrameHeader> {
-    match mailbox.next_item()? {
-        OutboundItem::Frame(frame) => Some(frame.header),
+    match mailbox.next_answer() {
+        Poll::Ready(Some(StreamAnswer::Frame(frame))) => Some(frame.header),
+        Poll::Pending => None,
         other => panic!("a frame was expected, not {other:?}"),
     }
 }
@@ -127,7 +125,7 @@ fn a_window_of_one_holds_the_final_frame_until_the_first_is_acknowledged() {
     complete(&mailbox, work);
     assert_eq!(collect_frame(&mailbox).map(|f| f.is_final), Some(false));
     mailbox.push(pose(2, &["a"], false)).expect("open");
-    assert!(mailbox.next_item().is_none() && mailbox.take_work().is_none());
+    assert!(mailbox.next_answer().is_pending() && mailbox.take_work().is_none());
     mailbox.push(StreamRequest::Ack(1)).expect("open");
     assert_eq!(collect_frame(&mailbox).map(|f| (f.seq, f.is_final)), Some((1, true)));
 }
@@ -151,8 +149,8 @@ fn commits_of_a_stream_that_leaves_do_not_wait_for_its_reader() {
     }
     assert_eq!(stored, [2, 4], "a drag waits on");
     assert!(matches!(
-        mailbox.next_item(),
-        Some(OutboundItem::Words(StreamAnswer::Notice { code: "going-away", .. }))
+        mailbox.next_answer(),
+        Poll::Ready(Some(StreamAnswer::Notice { code: "going-away", .. }))
     ));
     let frames: Vec<_> = std::iter::from_fn(|| collect_frame(&mailbox)).collect();
     let told: Vec<_> = frames.iter().map(|f| (f.seq, f.is_final)).collect();
@@ -236,14 +234,12 @@ fn errors_that_nobody_reads_end_the_stream() {
         .take_while(|_| mailbox.push(pose(1, &[], false)).is_ok())
         .count();
     assert_eq!(refused, WAITING_NOTES + 1);
-    let letters: Vec<OutboundItem> = std::iter::from_fn(|| mailbox.next_item())
-        .take(WAITING_NOTES + 2)
-        .collect();
-    let Some(OutboundItem::Words(StreamAnswer::Failure { error, seq })) = letters.get(WAITING_NOTES) else {
+    let answers: Vec<_> = (0..WAITING_NOTES + 2).map(|_| mailbox.next_answer()).collect();
+    let Some(Poll::Ready(Some(StreamAnswer::Failure { error, seq }))) = answers.get(WAITING_NOTES) else {
         panic!("an error comes last")
     };
     assert_eq!((*seq, error.grpc_code()), (0, 8));
-    assert!(matches!(letters.last(), Some(OutboundItem::End)));
+    assert!(matches!(answers.last(), Some(Poll::Ready(None))));
 }
 
 #[test]
@@ -251,11 +247,11 @@ fn wrong_options_end_the_stream() {
     let mailbox = mailbox(&SessionConfig::default());
     let wrong = StreamRequest::Options(Err(WireError::invalid("options.tolerance", "is NaN")));
     mailbox.push(wrong).expect("reported on the stream");
-    let Some(OutboundItem::Words(StreamAnswer::Failure { error, seq })) = mailbox.next_item() else {
+    let Poll::Ready(Some(StreamAnswer::Failure { error, seq })) = mailbox.next_answer() else {
         panic!("an error was expected")
     };
     assert_eq!((seq, error.grpc_code()), (0, 3));
-    assert!(matches!(mailbox.next_item(), Some(OutboundItem::End)));
+    assert!(matches!(mailbox.next_answer(), Poll::Ready(None)));
     assert!(mailbox.push(pose(1, &[], false)).is_err());
 }
 
@@ -291,8 +287,8 @@ proptest! {
         let mut commits = Vec::new();
         let (mut work, mut in_flight): (Option<StreamWork>, Vec<u64>) = (None, Vec::new());
         let mut collect = |in_flight: &mut Vec<u64>| -> bool {
-            match mailbox.next_item() {
-                Some(OutboundItem::Frame(frame)) => {
+            match mailbox.next_answer() {
+                Poll::Ready(Some(StreamAnswer::Frame(frame))) => {
                     superseded += frame.header.superseded;
                     in_flight.push(frame.header.seq);
                     if frame.header.is_final {
@@ -300,24 +296,22 @@ proptest! {
                     }
                     true
                 }
-                Some(OutboundItem::Words(StreamAnswer::Failure { seq, .. })) => {
+                Poll::Ready(Some(StreamAnswer::Failure { seq, .. })) => {
                     errors.push(seq);
                     true
                 }
-                Some(OutboundItem::Words(_)) => true,
-                Some(OutboundItem::End) | None => false,
+                Poll::Ready(Some(_)) => true,
+                Poll::Ready(None) | Poll::Pending => false,
             }
         };
         let finish = |work: StreamWork, fails: bool| {
             let newest = work.poses.last().map(|p| (p.seq, p.poses)).expect("never empty");
             let others: u32 = work.poses.iter().map(|p| p.poses).sum::<u32>() - 1;
             mailbox.settle_unsolved(Vec::new(), others);
-            let done = if fails {
-                StreamWorkResult { refused: Some((newest.0, Error::malformed("no"))), ..StreamWorkResult::default() }
-            } else {
-                StreamWorkResult { frame: Some(frame(newest.0, true)), ..StreamWorkResult::default() }
-            };
-            mailbox.complete_work(done);
+            if fails {
+                mailbox.settle_unsolved(vec![(newest.0, Error::malformed("no"))], 0);
+            }
+            mailbox.complete_work(DraggedPoses::new(), (!fails).then(|| frame(newest.0, true)));
         };
         for event in events {
             match event {
@@ -358,7 +352,7 @@ proptest! {
                 }
             }
             let state = mailbox.lock_state();
-            prop_assert!(state.frames.len() + in_flight.len() <= window as usize);
+            prop_assert!(state.frames.waiting.len() + in_flight.len() <= window as usize);
         }
         mailbox.finish();
         let mut ended = false;
@@ -366,7 +360,7 @@ proptest! {
             if let Some(work) = work.take().or_else(|| mailbox.take_work()) {
                 finish(work, false);
             }
-            if !collect(&mut in_flight) && matches!(mailbox.next_item(), Some(OutboundItem::End)) {
+            if !collect(&mut in_flight) && matches!(mailbox.next_answer(), Poll::Ready(None)) {
                 ended = true;
                 break;
             }

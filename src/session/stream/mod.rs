@@ -5,7 +5,7 @@
 
 pub(super) mod ends;
 pub(super) mod frame_packer;
+pub(super) mod frame_window;
 pub(super) mod mailbox;
-pub(super) mod outbound_frame;
 mod stream_state;
 pub(super) mod waiting_poses;

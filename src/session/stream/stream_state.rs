@@ -2,9 +2,10 @@
 
 use crate::session::answers::StreamAnswer;
 use crate::session::error::Error;
-use crate::session::stream::outbound_frame::OutboundFrame;
+use crate::session::stream::frame_window::FrameWindow;
 use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose};
 use crate::wire::DeformOptions;
+use crate::wire::frames::Frame;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -21,17 +22,12 @@ pub(in crate::session) struct StreamState {
     pub running: bool,
     /// Poses skipped since the last frame was made.
     pub superseded: u32,
-    /// Frames made and not yet taken by the transport.
-    pub frames: VecDeque<OutboundFrame>,
+    /// Frames made and not acknowledged.
+    pub frames: FrameWindow,
     /// A final frame that waits for the window.
-    pub held: Option<OutboundFrame>,
-    /// Seq of every frame taken by the transport and not acknowledged.
-    pub unacknowledged: VecDeque<u64>,
-    pub acknowledged: Option<u64>,
+    pub held: Option<Frame>,
     pub notes: VecDeque<StreamAnswer>,
     pub pongs: VecDeque<u64>,
-    /// No more requests will come.
-    pub finished: bool,
     /// The server stops: commits that wait are stored now, also behind frames that are not read.
     pub leaving: bool,
     /// Nothing more is computed; an error to send, then the end.
@@ -42,6 +38,7 @@ impl StreamState {
     /// The state of a stream that has just been opened.
     pub fn new(settings: Arc<DeformOptions>) -> Self {
         Self {
+            frames: FrameWindow::with_size(settings.window),
             settings,
             asked: 0,
             waiting: VecDeque::new(),
@@ -49,13 +46,9 @@ impl StreamState {
             dragged: DraggedPoses::new(),
             running: false,
             superseded: 0,
-            frames: VecDeque::new(),
             held: None,
-            unacknowledged: VecDeque::new(),
-            acknowledged: None,
             notes: VecDeque::new(),
             pongs: VecDeque::new(),
-            finished: false,
             leaving: false,
             ended: None,
         }
@@ -66,30 +59,25 @@ impl StreamState {
     pub fn take_options(&mut self, mut settings: DeformOptions) {
         self.asked += 1;
         settings.output.asked = self.asked;
+        self.frames.size = settings.window as usize;
         self.settings = Arc::new(settings);
         self.promote_held_frame();
     }
 
-    /// Frames that may still be made: the window counts what was taken and not acknowledged, and what is not taken yet.
-    /// After the last request no acknowledgement can come, so only the latter counts.
-    pub fn frame_room(&self) -> usize {
-        let waiting_for_acks = if self.finished { 0 } else { self.unacknowledged.len() };
-        (self.settings.window as usize).saturating_sub(self.frames.len() + waiting_for_acks)
-    }
-
+    /// Moves the frame that waits into the window, if that has room.
     pub fn promote_held_frame(&mut self) {
-        if self.frame_room() > 0
+        if self.frames.room() > 0
             && let Some(frame) = self.held.take()
         {
-            self.frames.push_back(frame);
+            self.frames.waiting.push_back(frame);
         }
     }
 
     /// Puts the last frame of a piece of work where the transport finds it, or to the side until the window has room. Of a stream
     /// that is leaving nothing is put aside: the commits that made these frames had their number.
-    pub fn hold_frame(&mut self, frame: OutboundFrame) {
+    pub fn hold_frame(&mut self, frame: Frame) {
         if self.leaving {
-            self.frames.push_back(frame);
+            self.frames.waiting.push_back(frame);
         } else {
             self.held = Some(frame);
             self.promote_held_frame();
@@ -100,7 +88,7 @@ impl StreamState {
     /// place; while the server is going, a commit does not wait for one.
     pub fn work_at_hand(&self) -> usize {
         let to_commit = self.waiting.iter().position(|w| w.commit).map(|at| at + 1);
-        let is_blocked = self.held.is_some() || self.frame_room() == 0;
+        let is_blocked = self.held.is_some() || self.frames.room() == 0;
         match to_commit {
             _ if self.running || self.ended.is_some() => 0,
             Some(upto) if self.leaving || !is_blocked => upto,
@@ -117,7 +105,7 @@ impl StreamState {
         if self.ended.is_none() {
             self.ended = Some(error);
             self.waiting.clear();
-            self.frames.clear();
+            self.frames.waiting.clear();
             self.held = None;
         }
     }

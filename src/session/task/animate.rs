@@ -38,9 +38,12 @@ impl SessionTask {
         let (prepared, watch) = self
             .compute(
                 call.order(WorkKind::Animate, WorkLane::Builds, self.shared.config.build),
-                move |deformer, pool, watch, _| {
-                    let teller = StageTeller { outbox: &outbox, watch };
-                    let exec = &Exec::new(pool, &teller);
+                move |deformer, work| {
+                    let teller = StageTeller {
+                        outbox: &outbox,
+                        watch: work.watch,
+                    };
+                    let exec = &Exec::new(work.pool, &teller);
                     deformer.go_to_topology(topology.as_ref(), exec)?;
                     let mut prepared = deformer.engine.prepare_animation(&order, &limits, exec)?;
                     let is_shaded = order.output.normals || order.output.tangents;

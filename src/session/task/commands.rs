@@ -4,22 +4,21 @@ use crate::asset::Format;
 use crate::engine::{self, ModelShape, TopologyState};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
-use crate::pool::Pool;
 use crate::progress::Progress as _;
 use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel, SessionFacts};
 use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, StoredAnswer, WorkOrder};
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkKind;
-use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::capacity::work_watch::Work;
 use crate::session::engine::Engine;
 use crate::session::error::{Error, ErrorCode};
-use crate::session::history::loaded_deformer::LoadedDeformer;
+use crate::session::history::loaded_deformer::{LoadedDeformer, PoseAnswer};
 use crate::session::history::session_state::{CommittedHandles, SessionState, ShapeRecipe};
 use crate::session::registry::OpenSession;
-use crate::session::stream::outbound_frame::FrameContext;
+use crate::session::stream::frame_window::FrameContext;
 use crate::session::task::session_task::{SessionTask, no_handles};
-use crate::wire::record::{AnsweredFrame, LoggedCommit};
+use crate::wire::record::LoggedCommit;
 use crate::wire::{CarryOrder, DeformOptions, PoseCommit};
 use glam::DVec3;
 use std::sync::Arc;
@@ -126,12 +125,9 @@ impl SessionTask {
             let room = self.memory.room();
             let (set, topology) = (set.clone(), topology.clone());
             let (replaced, watch) = self
-                .compute(
-                    call.order(WorkKind::Handles, lane, limit),
-                    move |deformer, pool, watch, _| {
-                        deformer.replace_handles(topology.as_ref(), &set, room, &Exec::new(pool, watch))
-                    },
-                )
+                .compute(call.order(WorkKind::Handles, lane, limit), move |deformer, work| {
+                    deformer.replace_handles(topology.as_ref(), &set, room, &work.exec())
+                })
                 .await?;
             match replaced {
                 Ok((poses, facts)) => break (poses, facts, watch.take_stage_ms()),
@@ -162,40 +158,37 @@ impl SessionTask {
         if state.handles.set.handles.is_empty() {
             return Err(no_handles());
         }
-        let (limit, part_bytes) = (self.shared.config.solve, self.shared.config.part_bytes);
-        let (revision, diagonal) = (self.history.revision() + 1, state.diagonal);
         let PoseCommit { seq, changes, options } = request;
-        let settings = options.solve.clone();
-        let lane = lane_of_commit(&state, &options);
+        let (revision, part_bytes) = (self.history.revision() + 1, self.shared.config.part_bytes);
+        let order = call.order(
+            WorkKind::Solve,
+            lane_of_commit(&state, &options),
+            self.shared.config.solve,
+        );
         let (solved, watch) = self
-            .compute(
-                call.order(WorkKind::Solve, lane, limit),
-                move |deformer, pool, watch, queued| {
-                    let solution = deformer.solve_for_commit(&state, &changes, &options, watch, pool)?;
-                    let context = FrameContext {
-                        revision,
-                        topology: state.topology.as_ref().map(TopologyState::id),
-                        diagonal,
-                        queued,
-                    };
-                    let frame = context.final_frame(seq, &options, &solution);
-                    Ok::<_, engine::Error>((frame.into_first_request(part_bytes), solution))
-                },
-            )
+            .compute(order, move |deformer, work| {
+                deformer.load_state(state.topology.as_ref(), &state.handles, &work.exec())?;
+                let poses = deformer.engine.change_poses(&state.poses, &changes)?;
+                let frames = FrameContext {
+                    revision,
+                    topology: state.topology.as_ref().map(TopologyState::id),
+                    diagonal: state.diagonal,
+                    queued: work.queued,
+                    part_bytes,
+                };
+                let mut answer = deformer.solve_for_commit(seq, poses, &options, &frames, work)?;
+                answer.frame = answer.frame.for_new_reader();
+                Ok::<_, engine::Error>(answer)
+            })
             .await?;
-        let (frame, solution) = solved.map_err(|e| self.failure(e, &watch))?;
-        let answer = call.claim.is_some().then(|| AnsweredFrame {
-            header: frame.header.clone(),
-            output: frame.output,
-        });
-        self.keep_pose(&solution, &settings, answer, call.claim.as_ref())
-            .await?;
-        self.commit_solution(&solution, settings);
+        let PoseAnswer { frame, cycles, commit } = solved.map_err(|e| self.failure(e, &watch))?;
+        let posed = commit.ok_or_else(|| Error::new(ErrorCode::Internal, "a solved pose is not to be committed"))?;
+        let digest = self.commit_pose(posed, &frame, cycles, call.claim.as_ref()).await?;
         self.shared.metrics.frames_sent.inc();
         Ok(CommittedPose {
             frame,
             revision,
-            digest: solution.digest,
+            digest,
         })
     }
 
@@ -244,9 +237,7 @@ impl SessionTask {
             order.lane = self.lane_with_handles(order.lane, state, handles);
         }
         let (recorded, diagonal) = (state.digest.clone(), state.diagonal);
-        let replay = move |deformer: &mut LoadedDeformer, pool: &Pool, watch: &WorkWatch, _| {
-            deformer.solve_recipe(&recipe, &Exec::new(pool, watch))
-        };
+        let replay = move |deformer: &mut LoadedDeformer, work: &Work<'_>| deformer.solve_recipe(&recipe, &work.exec());
         let (shape, watch) = self.compute(order, replay).await?;
         let shape = shape.map_err(|e| self.failure(e, &watch))?;
         let now = engine::digest(&shape.positions);
@@ -272,14 +263,11 @@ impl SessionTask {
             false => WorkLane::Builds,
         };
         let (carried, watch) = self
-            .compute(
-                call.order(WorkKind::Carry, lane, limit),
-                move |deformer, pool, watch, _| {
-                    let exec = Exec::new(pool, watch);
-                    deformer.go_to_topology(topology.as_ref(), &exec)?;
-                    carry_order_along(deformer.engine.as_ref(), &positions, order, &exec)
-                },
-            )
+            .compute(call.order(WorkKind::Carry, lane, limit), move |deformer, work| {
+                let exec = work.exec();
+                deformer.go_to_topology(topology.as_ref(), &exec)?;
+                carry_order_along(deformer.engine.as_ref(), &positions, order, &exec)
+            })
             .await?;
         let (frames, model) = carried.map_err(|e| self.failure(e, &watch))?;
         Ok(CarriedAlong {
@@ -303,8 +291,8 @@ impl SessionTask {
         let (written, watch) = self
             .compute(
                 call.order(WorkKind::Export, WorkLane::Interactive, limit),
-                move |deformer, pool, watch, _| {
-                    let exec = Exec::new(pool, watch);
+                move |deformer, work| {
+                    let exec = work.exec();
                     deformer.go_to_topology(topology.as_ref(), &exec)?;
                     deformer.engine.write(&positions, format, &exec)
                 },

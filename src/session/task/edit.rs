@@ -1,7 +1,6 @@
 //! Edits of the topology by a session's task.
 
 use crate::engine;
-use crate::exec::Exec;
 use crate::session::answers::CommittedEdit;
 use crate::session::calls::command::PendingCall;
 use crate::session::calls::model_opening::memory_needed;
@@ -55,13 +54,13 @@ impl SessionTask {
             let (done, watch) = self
                 .compute(
                     call.order(WorkKind::Edit, WorkLane::Builds, limit),
-                    move |deformer, pool, watch, _| {
+                    move |deformer, work| {
                         let start = EditStart {
                             state: &state,
                             shape,
                             recipe: &recipe,
                         };
-                        deformer.edit_state(start, &edit, room, &Exec::new(pool, watch))
+                        deformer.edit_state(start, &edit, room, &work.exec())
                     },
                 )
                 .await?;

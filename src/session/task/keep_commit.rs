@@ -2,18 +2,18 @@
 //! cannot be kept has never happened.
 
 use crate::asset::FileSet;
-use crate::engine::{Edit, EditReport, ModelShape, SolveSettings};
+use crate::engine::{Edit, EditReport, ModelShape};
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::{HistoryDirection, StoredAnswer};
 use crate::session::calls::idempotency::KeyClaim;
 use crate::session::calls::session_places::announce_stored;
 use crate::session::error::{Error, ErrorCode};
-use crate::session::history::loaded_deformer::CommitSolution;
-use crate::session::history::session_state::EditedState;
+use crate::session::history::session_state::{EditedState, PosedState};
 use crate::session::keeping::replay::{OTHER_BUILD, check_digest};
 use crate::session::store::{Commit, NewCommit, StoreError, write_shape};
 use crate::session::task::session_task::SessionTask;
 use crate::wire::SessionEdit;
+use crate::wire::frames::Frame;
 use crate::wire::record::{AnsweredFrame, LoggedCommit, ShapeProbe};
 use std::sync::Arc;
 
@@ -37,26 +37,25 @@ impl SessionTask {
         self.keep(commit(), digest, None, claim).await
     }
 
-    /// Keeps a solved pose; `frame` is its answer.
-    pub async fn keep_pose(
-        &mut self,
-        solution: &CommitSolution,
-        settings: &SolveSettings,
-        frame: Option<AnsweredFrame>,
-        claim: Option<&Claim>,
-    ) -> Result<(), Error> {
+    /// Keeps a solved pose. A call with a key can be answered with `frame` again.
+    pub async fn keep_pose(&mut self, posed: &PosedState, frame: &Frame, claim: Option<&Claim>) -> Result<(), Error> {
         if self.kept.is_none() {
             self.log_change(AuditedAction::Pose);
             return Ok(());
         }
         let commit = LoggedCommit::Pose {
-            poses: solution.poses.clone(),
-            settings: settings.clone(),
-            warnings: solution.warnings.clone(),
-            probe: ShapeProbe::of(&solution.solved.positions),
-            frame: frame.map(Box::new),
+            poses: posed.poses.clone(),
+            settings: posed.settings.clone(),
+            warnings: posed.warnings.clone(),
+            probe: ShapeProbe::of(&frame.positions),
+            frame: claim.map(|_| {
+                Box::new(AnsweredFrame {
+                    header: frame.header.clone(),
+                    output: frame.output,
+                })
+            }),
         };
-        self.keep(commit, solution.digest.clone(), None, claim).await
+        self.keep(commit, posed.digest.clone(), None, claim).await
     }
 
     /// Keeps an edit: the request, the state after it, its shape and its report.

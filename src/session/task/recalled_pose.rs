@@ -2,15 +2,14 @@
 //! time is answered with it.
 
 use crate::engine::{self, TopologyState};
-use crate::exec::Exec;
 use crate::session::answers::CommittedPose;
 use crate::session::calls::command::{StoredAnswer, WorkOrder};
 use crate::session::calls::idempotency::{ClaimOutcome, RequestFingerprint, answer_of_another_call};
 use crate::session::calls::shared_keys::claim_everywhere;
 use crate::session::error::{Error, ErrorCode};
-use crate::session::stream::outbound_frame::OutboundFrame;
 use crate::session::task::session_task::SessionTask;
 use crate::wire::PoseKey;
+use crate::wire::frames::Frame;
 use crate::wire::record::{AnsweredFrame, LoggedCommit};
 use std::sync::Arc;
 
@@ -35,7 +34,7 @@ impl SessionTask {
         answer: StoredAnswer,
         seq: u64,
         order: impl Fn() -> WorkOrder,
-    ) -> Result<OutboundFrame, Error> {
+    ) -> Result<Frame, Error> {
         let committed = match answer {
             StoredAnswer::Solved(committed) => *committed,
             StoredAnswer::Recorded { session, sequence } => {
@@ -54,15 +53,10 @@ impl SessionTask {
             }
             _ => return Err(answer_of_another_call()),
         };
-        let mut header = committed.frame.header;
-        header.seq = seq;
-        Ok(OutboundFrame {
-            header,
-            positions: committed.frame.positions,
-            shading: committed.frame.shading,
-            output: committed.frame.output,
-            diagonal: self.history.current().diagonal,
-        })
+        let mut frame = committed.frame;
+        frame.header.seq = seq;
+        frame.header.diagonal = self.history.current().diagonal;
+        Ok(frame)
     }
 
     /// The frame of a pose that was committed with this revision.
@@ -85,20 +79,22 @@ impl SessionTask {
         let AnsweredFrame { mut header, output } = frame;
         header.revision = revision;
         header.topology = topology.as_ref().map(TopologyState::id);
+        header.diagonal = diagonal;
         let part_bytes = self.shared.config.part_bytes;
         let (made, watch) = self
-            .compute(order(), move |deformer, pool, watch, _| {
-                deformer.go_to_topology(topology.as_ref(), &Exec::new(pool, watch))?;
+            .compute(order(), move |deformer, work| {
+                deformer.go_to_topology(topology.as_ref(), &work.exec())?;
                 let is_shaded = output.normals || output.tangents;
                 let shading = is_shaded.then(|| Arc::new(deformer.shader().shade(&shape.positions)));
-                let frame = OutboundFrame {
+                let frame = Frame {
                     header,
                     positions: shape.positions,
                     shading,
                     output,
-                    diagonal,
+                    selected: None,
+                    part_bytes,
                 };
-                Ok::<_, engine::Error>(frame.into_first_request(part_bytes))
+                Ok::<_, engine::Error>(frame.for_new_reader())
             })
             .await?;
         let frame = made.map_err(|e| self.failure(e, &watch))?;

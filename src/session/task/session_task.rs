@@ -4,29 +4,30 @@
 //! succeeded, so a call that fails or is given up leaves everything as it was. While work runs on the compute pool the
 //! engine is there too; everything that others read meanwhile is in the session's published view.
 
-use crate::engine::{self, DeformerFacts, SolveSettings};
-use crate::pool::Pool;
+use crate::engine::{self, DeformerFacts};
 use crate::progress::Progress as _;
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
-use crate::session::calls::command::{SessionCommand, WorkOrder};
+use crate::session::calls::command::{SessionCommand, StoredAnswer, WorkOrder};
+use crate::session::calls::idempotency::KeyClaim;
 use crate::session::capacity::compute_slots::WorkPanicked;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::work_span::WorkSpan;
-use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::capacity::work_watch::{Work, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::CommitHistory;
-use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
-use crate::session::history::session_state::SessionState;
+use crate::session::history::loaded_deformer::LoadedDeformer;
+use crate::session::history::session_state::{PosedState, SessionState};
 use crate::session::keeping::kept_session::KeptSession;
 use crate::session::keeping::residence::Residence;
 use crate::session::quota::tenant_account::TenantSession;
 use crate::session::registry::{OpenSession, SessionView};
 use crate::session::shared::SharedResources;
 use crate::session::stream::mailbox::{Mailbox, StreamWork};
+use crate::wire::frames::Frame;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 
 /// The state of one session and its task.
@@ -178,7 +179,7 @@ impl SessionTask {
     pub async fn compute<R: Send + 'static>(
         &mut self,
         order: WorkOrder,
-        work: impl FnOnce(&mut LoadedDeformer, &Pool, &WorkWatch, Duration) -> R + Send + 'static,
+        work: impl FnOnce(&mut LoadedDeformer, &Work<'_>) -> R + Send + 'static,
     ) -> Result<(R, Arc<WorkWatch>), Error> {
         self.place.account().check_work()?;
         let owner = self.session.work_owner();
@@ -200,7 +201,12 @@ impl SessionTask {
         let (inside, queued) = (Arc::clone(&watch), slot.queued);
         let begun = Instant::now();
         let ran = slot.run(span, move |pool| {
-            let value = work(&mut deformer, pool, &inside, queued);
+            let here = Work {
+                pool,
+                watch: &inside,
+                queued,
+            };
+            let value = work(&mut deformer, &here);
             (deformer, value)
         });
         let ran = ran.await;
@@ -224,22 +230,28 @@ impl SessionTask {
         }
     }
 
-    /// Records a solved pose as a commit, publishes it and counts it.
-    pub fn commit_solution(&mut self, solution: &CommitSolution, settings: SolveSettings) {
-        let (poses, shape) = (solution.poses.clone(), solution.solved.shape());
-        let warnings = solution.warnings.clone();
-        self.history
-            .commit_pose((poses, warnings), settings, shape, solution.digest.clone());
+    /// Keeps a solved pose, commits it, publishes it and counts it; returns the digest of its shape.
+    pub async fn commit_pose(
+        &mut self,
+        posed: PosedState,
+        frame: &Frame,
+        cycles: u32,
+        claim: Option<&KeyClaim<StoredAnswer>>,
+    ) -> Result<String, Error> {
+        self.keep_pose(&posed, frame, claim).await?;
+        let digest = posed.digest.clone();
+        self.history.commit_pose(posed);
         self.publish_view();
         self.shared.metrics.commits.inc();
-        self.count_solve(solution);
+        self.count_solve(frame, cycles);
+        Ok(digest)
     }
 
     /// Counts a solved pose.
-    pub fn count_solve(&self, solution: &CommitSolution) {
+    pub fn count_solve(&self, frame: &Frame, cycles: u32) {
         let metrics = &self.shared.metrics;
-        metrics.solve.observe(solution.solve_time.as_secs_f64());
-        metrics.cycles.inc_by(solution.solved.cycles.into());
+        metrics.solve.observe(frame.header.solve_ms / 1e3);
+        metrics.cycles.inc_by(cycles.into());
         metrics.poses_solved.inc();
     }
 

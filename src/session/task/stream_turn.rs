@@ -1,39 +1,32 @@
 //! One turn of a deform stream: the waiting poses are checked and merged, the newest is solved, its frame goes out.
 
-use crate::engine::{self, HandlePose, SolveMode, SolveSettings, SolveUpdate, TopologyState};
-use crate::exec::Exec;
-use crate::pool::Pool;
+use crate::engine::{self, HandlePose, HandlePoses, SolveMode, SolveSettings, SolveUpdate, TopologyState};
 use crate::session::answers::CommittedPose;
 use crate::session::calls::command::{StoredAnswer, WorkOrder};
 use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim};
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkKind;
-use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::capacity::work_watch::Work;
+use crate::session::engine::Engine;
 use crate::session::error::Error;
-use crate::session::history::loaded_deformer::{CommitSolution, LoadedDeformer};
-use crate::session::history::session_state::SessionState;
-use crate::session::stream::mailbox::{Mailbox, StreamWork, StreamWorkResult};
-use crate::session::stream::outbound_frame::{FrameContext, FrameShape, OutboundFrame};
+use crate::session::history::loaded_deformer::{LoadedDeformer, PoseAnswer};
+use crate::session::history::session_state::{PosedState, SessionState};
+use crate::session::stream::frame_window::{FrameContext, ms_of};
+use crate::session::stream::mailbox::{Mailbox, StreamWork};
 use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose};
 use crate::session::task::commands::lane_of_commit;
 use crate::session::task::session_task::{SessionTask, no_handles};
-use crate::wire::record::AnsweredFrame;
-use crate::wire::{DeformOptions, Error as WireError, PoseEntry};
+use crate::wire::PoseEntry;
+use crate::wire::frames::Frame;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// What a turn came to.
-struct StreamTurn {
-    dragged: DraggedPoses,
-    solved: Option<SolvedStreamPose>,
-}
-
-/// The pose that was solved, or why it was not.
-struct SolvedStreamPose {
+/// The pose of a turn that was solved, or why it was not; the others are settled.
+struct SolvedTurn {
     seq: u64,
-    commit: bool,
-    settings: Arc<DeformOptions>,
-    result: Result<CommitSolution, engine::Error>,
+    /// What the stream has dragged with it.
+    dragged: DraggedPoses,
+    answer: Result<PoseAnswer, engine::Error>,
 }
 
 /// What a turn works with on a compute thread.
@@ -70,81 +63,55 @@ impl SessionTask {
         let longest = self.shared.config.solve;
         // A drag takes its best result in time; only one that has none after twice the time is given up.
         let limit = if commit { longest } else { longest.saturating_mul(2) };
-        let (revision, desk) = (self.history.revision(), Arc::clone(&mailbox));
+        let (revision, part_bytes) = (self.history.revision(), self.shared.config.part_bytes);
+        let stream = Arc::clone(&mailbox);
         let order = WorkOrder {
             lane,
             ..turn_order(&mailbox, commit, limit)
         };
         let ran = self
-            .compute(order, move |deformer, pool, watch, queued| {
+            .compute(order, move |deformer, work| {
                 let frames = FrameContext {
                     revision,
                     topology: state.topology.as_ref().map(TopologyState::id),
                     diagonal: state.diagonal,
-                    queued,
+                    queued: work.queued,
+                    part_bytes,
                 };
                 let turn = TurnContext {
-                    mailbox: desk,
+                    mailbox: stream,
                     state,
                     frames,
                     longest,
                 };
-                let result = turn.solve_newest(deformer, pool, watch, poses, dragged);
-                (result, turn.frames)
+                turn.solve_newest(deformer, work, poses, dragged)
             })
             .await;
-        let ((turn, mut frames), watch) = match ran {
+        let (turn, watch) = match ran {
             Ok(ran) => ran,
             Err(error) => return refuse_all(&mailbox, &unsolved, before, &error),
         };
-        let turn = match turn {
-            Ok(turn) => turn,
+        let SolvedTurn { seq, dragged, answer } = match turn {
+            Ok(Some(turn)) => turn,
+            Ok(None) => return mailbox.complete_work(before, None),
             Err(error) => return refuse_all(&mailbox, &unsolved, before, &self.failure(error, &watch)),
         };
-        let Some(SolvedStreamPose {
-            seq,
-            commit,
-            settings,
-            result,
-        }) = turn.solved
-        else {
-            return mailbox.complete_work(StreamWorkResult {
-                dragged: turn.dragged,
-                ..StreamWorkResult::default()
-            });
+        let PoseAnswer { frame, cycles, commit } = match answer {
+            Ok(answer) => answer,
+            Err(error) => return refuse_pose(&mailbox, seq, before, self.failure(error, &watch)),
         };
-        let solution = match result {
-            Ok(solution) => solution,
-            Err(error) => {
-                let refused = Some((seq, self.failure(error, &watch)));
-                return mailbox.complete_work(StreamWorkResult {
-                    dragged: before,
-                    refused,
-                    ..StreamWorkResult::default()
-                });
+        match commit {
+            None => {
+                self.count_solve(&frame, cycles);
+                mailbox.complete_work(dragged, Some(frame));
+                self.settle_drag(&mailbox).await;
             }
-        };
-        if commit {
-            frames.revision = self.history.revision() + 1;
-            let frame = frames.final_frame(seq, &settings, &solution);
-            let (dragged, frame, refused) = match self.record(solution, &settings, &frame, claim).await {
+            Some(posed) => match self.record(posed, &frame, cycles, claim).await {
                 // What was dragged is in the commit now.
-                Ok(()) => (DraggedPoses::new(), Some(frame), None),
-                Err(error) => (before, None, Some((seq, error))),
-            };
-            return mailbox.complete_work(StreamWorkResult {
-                dragged,
-                frame,
-                refused,
-            });
+                Ok(()) => mailbox.complete_work(DraggedPoses::new(), Some(frame)),
+                Err(error) => refuse_pose(&mailbox, seq, before, error),
+            },
         }
-        self.count_solve(&solution);
-        mailbox.complete_work(StreamWorkResult {
-            dragged: turn.dragged,
-            frame: Some(frames.final_frame(seq, &settings, &solution)),
-            refused: None,
-        });
-        self.settle_drag(&mailbox).await;
     }
 
     /// Works ahead once a frame is out, where that has left much undone. Done whether another pose waits by now or not, so that
@@ -158,9 +125,7 @@ impl SessionTask {
             kind: WorkKind::Settle,
             ..turn_order(mailbox, false, self.shared.config.solve)
         };
-        let ran = self.compute(order, |deformer, pool, watch, _| {
-            deformer.engine.settle(&Exec::new(pool, watch))
-        });
+        let ran = self.compute(order, |deformer, work| deformer.engine.settle(&work.exec()));
         // Nothing is lost where it came to nothing: the next pose begins from the frame that is out.
         match ran.await {
             Ok((Ok(()), _)) => {}
@@ -172,23 +137,17 @@ impl SessionTask {
     /// Keeps a solved pose and commits it; its key, if it has one, stands for `frame` from now on.
     async fn record(
         &mut self,
-        solution: CommitSolution,
-        settings: &DeformOptions,
-        frame: &OutboundFrame,
+        posed: PosedState,
+        frame: &Frame,
+        cycles: u32,
         claim: Option<KeyClaim<StoredAnswer>>,
     ) -> Result<(), Error> {
-        let answered = claim.is_some().then(|| AnsweredFrame {
-            header: frame.header.clone(),
-            output: frame.output,
-        });
-        self.keep_pose(&solution, &settings.solve, answered, claim.as_ref())
-            .await?;
-        self.commit_solution(&solution, settings.solve.clone());
+        let digest = self.commit_pose(posed, frame, cycles, claim.as_ref()).await?;
         if let Some(claim) = claim {
             let answer = StoredAnswer::Solved(Box::new(CommittedPose {
-                frame: frame.clone().into_first_request(self.shared.config.part_bytes),
+                frame: frame.clone().for_new_reader(),
                 revision: self.history.revision(),
-                digest: solution.digest,
+                digest,
             }));
             let bytes = answer.byte_size();
             claim.complete(answer, bytes);
@@ -218,10 +177,7 @@ impl SessionTask {
             Ok(frame) => {
                 let others: u32 = poses.iter().map(|p| p.poses).sum();
                 mailbox.settle_unsolved(Vec::new(), others.saturating_sub(1));
-                mailbox.complete_work(StreamWorkResult {
-                    frame: Some(frame),
-                    ..StreamWorkResult::default()
-                });
+                mailbox.complete_work(DraggedPoses::new(), Some(frame));
             }
             Err(error) => refuse_all(mailbox, poses, before, &error),
         }
@@ -256,31 +212,37 @@ fn without_entries(poses: &[WaitingPose]) -> Vec<WaitingPose> {
 fn refuse_all(mailbox: &Mailbox, poses: &[WaitingPose], dragged: DraggedPoses, error: &Error) {
     let merged = poses.iter().map(|p| p.poses - 1).sum();
     mailbox.settle_unsolved(poses.iter().map(|p| (p.seq, error.clone())).collect(), merged);
-    mailbox.complete_work(StreamWorkResult {
-        dragged,
-        ..StreamWorkResult::default()
-    });
+    mailbox.complete_work(dragged, None);
+}
+
+/// Ends the work on poses of which all but one are settled: that one is refused.
+fn refuse_pose(mailbox: &Mailbox, seq: u64, dragged: DraggedPoses, error: Error) {
+    mailbox.settle_unsolved(vec![(seq, error)], 0);
+    mailbox.complete_work(dragged, None);
 }
 
 impl TurnContext {
-    /// Checks and merges `poses` on top of what is in force, then solves the newest one that is right.
+    /// Checks and merges `poses` on top of what is in force, then solves the newest one that is right; `None` when none is.
     fn solve_newest(
         &self,
         deformer: &mut LoadedDeformer,
-        pool: &Pool,
-        watch: &WorkWatch,
+        work: &Work<'_>,
         poses: Vec<WaitingPose>,
         mut dragged: DraggedPoses,
-    ) -> Result<StreamTurn, engine::Error> {
+    ) -> Result<Option<SolvedTurn>, engine::Error> {
         let state = &self.state;
-        deformer.load_state(state.topology.as_ref(), &state.handles, &Exec::new(pool, watch))?;
+        deformer.load_state(state.topology.as_ref(), &state.handles, &work.exec())?;
+        let before: Vec<_> = dragged.iter().map(|(id, pose)| (id.clone(), *pose)).collect();
+        let mut merged = deformer.engine.change_poses(&state.poses, &before)?;
         let mut refused = Vec::new();
         let mut superseded = 0u32;
         let mut newest: Option<WaitingPose> = None;
         for mut pose in poses {
             let others = pose.poses.saturating_sub(1);
-            match self.take_valid_changes(deformer, &mut pose) {
-                Ok(changes) => {
+            let entries = std::mem::take(&mut pose.entries);
+            match valid_changes(deformer.engine.as_ref(), &merged, entries, others > 0) {
+                Ok((changes, changed)) => {
+                    merged = changed;
                     dragged.extend(changes);
                     let skipped = newest.replace(pose).map_or(0, |_| 1);
                     superseded = superseded.saturating_add(skipped);
@@ -291,47 +253,22 @@ impl TurnContext {
         }
         self.mailbox.settle_unsolved(refused, superseded);
         let Some(pose) = newest else {
-            return Ok(StreamTurn { dragged, solved: None });
+            return Ok(None);
         };
-        let changes: Vec<_> = dragged.iter().map(|(id, pose)| (id.clone(), *pose)).collect();
-        let result = if pose.commit {
-            deformer.solve_for_commit(state, &changes, &pose.settings, watch, pool)
+        let answer = if pose.commit {
+            let frames = FrameContext {
+                revision: self.frames.revision + 1,
+                ..self.frames.clone()
+            };
+            deformer.solve_for_commit(pose.seq, merged, &pose.settings, &frames, work)
         } else {
-            self.solve_drag(deformer, &changes, &pose, watch, pool)
+            self.solve_drag(deformer, &merged, &pose, work)
         };
-        let solved = Some(SolvedStreamPose {
+        Ok(Some(SolvedTurn {
             seq: pose.seq,
-            commit: pose.commit,
-            settings: pose.settings,
-            result,
-        });
-        Ok(StreamTurn { dragged, solved })
-    }
-
-    /// Checks a pose and returns what it changes. Of one that stands for several, only the entries that are wrong are left
-    /// out.
-    fn take_valid_changes(
-        &self,
-        deformer: &LoadedDeformer,
-        pose: &mut WaitingPose,
-    ) -> Result<Vec<(String, HandlePose)>, Error> {
-        let check = |changes: Vec<(String, HandlePose)>| match deformer.engine.change_poses(&self.state.poses, &changes)
-        {
-            Ok(_) => Ok(changes),
-            Err(error) => Err(Error::from(error)),
-        };
-        let entries = std::mem::take(&mut pose.entries);
-        let whole: Result<Vec<_>, WireError> = entries.iter().cloned().map(PoseEntry::into_change).collect();
-        let error = match whole.map_err(Error::from).and_then(check) {
-            Ok(changes) => return Ok(changes),
-            Err(error) => error,
-        };
-        let mut right = Vec::new();
-        if pose.poses > 1 {
-            let alone = entries.into_iter().filter_map(|e| e.into_change().ok());
-            right.extend(alone.filter_map(|change| check(vec![change]).ok()).flatten());
-        }
-        if right.is_empty() { Err(error) } else { Ok(right) }
+            dragged,
+            answer,
+        }))
     }
 
     /// Solves a pose that is dragged. It starts from the last result, takes the best one in time, sends intermediate frames
@@ -339,13 +276,11 @@ impl TurnContext {
     fn solve_drag(
         &self,
         deformer: &mut LoadedDeformer,
-        changes: &[(String, HandlePose)],
+        poses: &HandlePoses,
         pose: &WaitingPose,
-        watch: &WorkWatch,
-        pool: &Pool,
-    ) -> Result<CommitSolution, engine::Error> {
-        let settings = pose.settings.as_ref();
-        let poses = deformer.engine.change_poses(&self.state.poses, changes)?;
+        work: &Work<'_>,
+    ) -> Result<PoseAnswer, engine::Error> {
+        let (settings, watch) = (pose.settings.as_ref(), work.watch);
         let shader = (settings.output.normals || settings.output.tangents).then(|| deformer.shader());
         let asked = settings.budget_ms.map_or(self.longest, |ms| {
             Duration::try_from_secs_f64(ms / 1e3).unwrap_or(self.longest)
@@ -363,30 +298,54 @@ impl TurnContext {
             if settings.progressive && is_unfinished && self.mailbox.wants_intermediate_frame() {
                 let positions = Arc::new((now.positions)());
                 let shading = shader.as_ref().map(|s| Arc::new(s.shade(&positions)));
-                let shape = FrameShape {
-                    positions,
-                    shading,
-                    residual: now.residual,
-                    max_error: now.max_error,
-                };
-                let frame = (self.frames).build_frame(pose.seq, settings.output, shape, watch.elapsed());
+                let mut frame = self.frames.frame(pose.seq, settings.output, positions, shading);
+                frame.header.residual = now.residual;
+                frame.header.max_error = now.max_error;
+                frame.header.solve_ms = ms_of(watch.elapsed());
                 self.mailbox.send_frame(frame);
             }
             true
         };
-        let exec = Exec::new(pool, watch);
-        let solved = deformer.solve(&poses, &settings.solve, SolveMode::Drag, &exec, &mut on_cycle)?;
+        let solved = deformer.solve(poses, &settings.solve, SolveMode::Drag, &work.exec(), &mut on_cycle)?;
         let solve_time = watch.elapsed();
-        Ok(CommitSolution {
-            poses,
-            shading: deformer.shade(&solved.positions, settings),
-            digest: String::new(),
-            quality: None,
-            warnings: Vec::new(),
-            solve_time,
-            solved,
+        let mut frame = deformer.last_frame(pose.seq, settings, &self.frames, &solved);
+        frame.header.solve_ms = ms_of(solve_time);
+        Ok(PoseAnswer {
+            frame,
+            cycles: solved.cycles,
+            commit: None,
         })
     }
+}
+
+/// What a pose changes, and `poses` with these changes. Of one that stands for several, only the entries that are wrong
+/// are left out.
+fn valid_changes(
+    engine: &dyn Engine,
+    poses: &HandlePoses,
+    entries: Vec<PoseEntry>,
+    is_merged: bool,
+) -> Result<(Vec<(String, HandlePose)>, HandlePoses), Error> {
+    let (mut changes, mut wrong) = (Vec::with_capacity(entries.len()), None);
+    for entry in entries {
+        match entry.into_change() {
+            Ok(change) => changes.push(change),
+            Err(error) => wrong = wrong.or(Some(error)),
+        }
+    }
+    let error = match wrong {
+        Some(error) => Error::from(error),
+        None => match engine.change_poses(poses, &changes) {
+            Ok(changed) => return Ok((changes, changed)),
+            Err(error) => Error::from(error),
+        },
+    };
+    changes.retain(|change| is_merged && engine.change_poses(poses, std::slice::from_ref(change)).is_ok());
+    if changes.is_empty() {
+        return Err(error);
+    }
+    let changed = engine.change_poses(poses, &changes)?;
+    Ok((changes, changed))
 }
 
 /// Whether a state is good enough, so that the final frame follows at once.

@@ -24,7 +24,7 @@ impl Told {
     }
 
     /// Sends a frame; whether it is a key frame.
-    fn tell(&mut self, request: FrameRequest) -> bool {
+    fn tell(&mut self, request: Frame) -> bool {
         let kept = request.kept_bytes();
         let mut parts = encode_next(request, std::mem::take(&mut self.sent));
         let told: Vec<pb::Frame> = parts.by_ref().collect();
@@ -48,8 +48,8 @@ impl Told {
     }
 }
 
-fn request(positions: &[DVec3], part_bytes: usize) -> FrameRequest {
-    FrameRequest {
+fn request(positions: &[DVec3], part_bytes: usize) -> Frame {
+    Frame {
         header: FrameHeader::default(),
         positions: Arc::new(positions.to_vec()),
         shading: None,

@@ -16,6 +16,9 @@ pub struct FrameHeader {
     /// The state of the model that its vertices belong to. It is not sent; no frame is a difference from one of another
     /// state.
     pub topology: Option<TopologyId>,
+    /// Length of the model's diagonal; [`changed_only`](super::FrameOutput::changed_only) is a fraction of it. It is not
+    /// sent.
+    pub diagonal: f64,
     /// Whether it ends the work on its pose.
     pub is_final: bool,
     /// Relative residual reached.

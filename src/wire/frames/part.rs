@@ -1,44 +1,34 @@
 //! One part of a frame, from its vertices to the bytes that are sent.
 
+use super::Frame;
 use super::numbers::{
     PickedVertices, Steps, VertexNumbers, push_padded_steps, put_floats, put_steps, take_differences,
 };
 use super::pb::{self, frame};
-use crate::engine::Shading;
 use bytes::BufMut;
 use glam::DVec3;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// What the parts of a frame take their numbers from.
+/// A run of the vertices that a frame sends.
 #[derive(Debug)]
-pub(super) struct FrameVertices {
-    pub positions: Arc<Vec<DVec3>>,
-    pub shading: Option<Arc<Shading>>,
-    /// The vertices to send, ascending; `None` is all of them.
-    pub selected: Option<Vec<u32>>,
+pub(super) struct FrameRun {
+    pub frame: Arc<Frame>,
+    /// Places among the vertices that are sent.
+    pub range: Range<usize>,
     /// The box of positions that are sent as steps.
-    pub bounds: Option<[DVec3; 2]>,
+    pub corners: [DVec3; 2],
 }
 
-impl FrameVertices {
-    /// How many vertices are sent.
-    pub fn count(&self) -> usize {
-        self.selected.as_ref().map_or(self.positions.len(), Vec::len)
-    }
-
-    fn pick<'a, V>(&'a self, all: &'a [V], range: &Range<usize>) -> PickedVertices<'a, V> {
-        match &self.selected {
+impl FrameRun {
+    fn pick<'a, V>(&'a self, all: &'a [V]) -> PickedVertices<'a, V> {
+        match &self.frame.selected {
             Some(selected) => PickedVertices::Listed {
                 all,
-                list: &selected[range.clone()],
+                list: &selected[self.range.clone()],
             },
-            None => PickedVertices::Run(&all[range.clone()]),
+            None => PickedVertices::Run(&all[self.range.clone()]),
         }
-    }
-
-    fn corners(&self) -> [DVec3; 2] {
-        self.bounds.unwrap_or([DVec3::NEG_ONE, DVec3::ONE])
     }
 }
 
@@ -68,38 +58,41 @@ pub struct FramePart {
 #[derive(Debug)]
 enum PartData {
     /// To be written from these vertices.
-    Of(Arc<FrameVertices>, Range<usize>),
+    Of(FrameRun),
     /// Encoded already: the length is not known before.
     Coded(Vec<u8>),
 }
 
 impl FramePart {
-    /// The vertices in `range`, with header `head`. Meshopt data is encoded here, by way of `scratch`; on a stream with
+    /// The vertices of `run`, with header `head`. Meshopt data is encoded here, by way of `scratch`; on a stream with
     /// differences, `held` is what its reader has of these vertices.
     pub(super) fn new(
         mut head: pb::Frame,
-        vertices: &Arc<FrameVertices>,
-        range: Range<usize>,
-        (scratch, held): (&mut Vec<[u16; 4]>, Option<&mut [[u16; 4]]>),
+        run: FrameRun,
+        scratch: &mut Vec<[u16; 4]>,
+        held: Option<&mut [[u16; 4]]>,
     ) -> Self {
-        let mut data = PartData::Of(Arc::clone(vertices), range.clone());
         let is_coded = matches!(head.encoding(), frame::Encoding::Meshopt | frame::Encoding::Delta);
-        if is_coded && !range.is_empty() {
+        if is_coded && !run.range.is_empty() {
             scratch.clear();
-            scratch.reserve_exact(range.len());
-            let corners = vertices.corners();
-            visit(head.attribute(), vertices, &range, PadSteps { corners, out: scratch });
+            scratch.reserve_exact(run.range.len());
+            let corners = run.corners;
+            visit(head.attribute(), &run, PadSteps { corners, out: scratch });
             match held {
                 Some(held) if head.encoding() == frame::Encoding::Delta => take_differences(scratch, held),
                 Some(held) => held.copy_from_slice(scratch),
                 None => {}
             }
             match meshopt::encode_vertex_buffer(scratch) {
-                Ok(coded) if !coded.is_empty() => data = PartData::Coded(coded),
-                // The encoding is told with every part, so a part that cannot be compressed goes as it is.
+                Ok(coded) if !coded.is_empty() => {
+                    let data = PartData::Coded(coded);
+                    return Self { head, data };
+                }
+                // Every part names its encoding, so a part that cannot be compressed is sent uncompressed.
                 _ => head.set_encoding(frame::Encoding::U16),
             }
         }
+        let data = PartData::Of(run);
         Self { head, data }
     }
 
@@ -112,7 +105,7 @@ impl FramePart {
     pub fn data_bytes(&self) -> usize {
         match &self.data {
             PartData::Coded(coded) => coded.len(),
-            PartData::Of(_, range) => range.len() * bytes_a_vertex(self.head.encoding(), self.head.attribute()),
+            PartData::Of(run) => run.range.len() * bytes_a_vertex(self.head.encoding(), self.head.attribute()),
         }
     }
 
@@ -125,11 +118,11 @@ impl FramePart {
     pub(super) fn write_data(&self, out: &mut impl BufMut) {
         match &self.data {
             PartData::Coded(coded) => out.put_slice(coded),
-            PartData::Of(vertices, range) => {
-                let (corners, attribute) = (vertices.corners(), self.head.attribute());
+            PartData::Of(run) => {
+                let (corners, attribute) = (run.corners, self.head.attribute());
                 match self.head.encoding() {
-                    frame::Encoding::F32 => visit(attribute, vertices, range, PutFloats(out)),
-                    frame::Encoding::U16 => visit(attribute, vertices, range, PutSteps { corners, out }),
+                    frame::Encoding::F32 => visit(attribute, run, PutFloats(out)),
+                    frame::Encoding::U16 => visit(attribute, run, PutSteps { corners, out }),
                     // Coded, unless it is empty.
                     frame::Encoding::Meshopt | frame::Encoding::Delta => {}
                 }
@@ -141,7 +134,7 @@ impl FramePart {
     pub fn into_message(self) -> pb::Frame {
         let data = match self.data {
             PartData::Coded(coded) => coded,
-            PartData::Of(..) => {
+            PartData::Of(_) => {
                 let mut data = Vec::with_capacity(self.data_bytes());
                 self.write_data(&mut data);
                 data
@@ -171,11 +164,11 @@ trait VertexVisitor {
     fn take<const N: usize, V: VertexNumbers<N>>(self, vertices: PickedVertices<'_, V>, are_directions: bool);
 }
 
-fn visit(attribute: frame::Attribute, vertices: &FrameVertices, range: &Range<usize>, visitor: impl VertexVisitor) {
-    match (attribute, &vertices.shading) {
-        (frame::Attribute::Normal, Some(s)) => visitor.take(vertices.pick(&s.normals, range), true),
-        (frame::Attribute::Tangent, Some(s)) => visitor.take(vertices.pick(&s.tangents, range), true),
-        _ => visitor.take(vertices.pick(&vertices.positions, range), false),
+fn visit(attribute: frame::Attribute, run: &FrameRun, visitor: impl VertexVisitor) {
+    match (attribute, &run.frame.shading) {
+        (frame::Attribute::Normal, Some(s)) => visitor.take(run.pick(&s.normals), true),
+        (frame::Attribute::Tangent, Some(s)) => visitor.take(run.pick(&s.tangents), true),
+        _ => visitor.take(run.pick(&run.frame.positions), false),
     }
 }
 

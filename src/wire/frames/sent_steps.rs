@@ -3,8 +3,9 @@
 //! Differences are formed from it when a frame is sent, so that a frame which was never sent leaves no gap. Steps are
 //! whole numbers and differences wrap, so no error adds up: a reader that adds every difference has the exact steps.
 
+use super::Frame;
 use super::output::{FrameEncoding, FrameOutput};
-use super::part::{FrameVertices, bounds};
+use super::part::bounds;
 use super::pb::frame;
 use crate::engine::TopologyId;
 use glam::DVec3;
@@ -51,10 +52,13 @@ pub(super) struct FrameKind {
 
 /// What the numbers of a frame under way refer to.
 #[derive(Debug)]
-pub(super) struct FrameTelling {
-    encoding: frame::Encoding,
+pub(super) struct FrameReference {
+    /// The encoding of parts that can be compressed.
+    pub encoding: frame::Encoding,
     /// Its number among the stream's frames that differences may refer to; 0 is none.
-    number: u64,
+    pub number: u64,
+    /// The box of positions that are sent as steps.
+    pub bounds: Option<[DVec3; 2]>,
     /// What the reader holds: of the frame before where the next parts go, of this one where they went.
     reader: SentSteps,
 }
@@ -84,19 +88,18 @@ impl SentSteps {
     }
 }
 
-impl FrameTelling {
+impl FrameReference {
     /// Writes a frame that stands for itself; keeps nothing.
-    pub fn of_itself(asked: FrameEncoding, sent: Option<SentSteps>, vertices: &mut FrameVertices) -> Self {
-        let encoding = match asked {
+    pub fn of_itself(sent: Option<SentSteps>, request: &Frame) -> Self {
+        let encoding = match request.output.encoding {
             FrameEncoding::Delta => frame::Encoding::Meshopt,
             other => other.to_message(),
         };
-        if encoding != frame::Encoding::F32 {
-            vertices.bounds = Some(bounds(&vertices.positions, vertices.selected.as_deref()));
-        }
+        let has_steps = encoding != frame::Encoding::F32;
         Self {
             encoding,
             number: 0,
+            bounds: has_steps.then(|| bounds(&request.positions, request.selected.as_deref())),
             reader: SentSteps {
                 number: sent.map_or(0, |sent| sent.number),
                 last: None,
@@ -105,14 +108,14 @@ impl FrameTelling {
     }
 
     /// Writes differences, where the reader holds the frame before and the shape stays in the box of its key frame;
-    /// else writes a key frame. `vertices` get the box in which their steps are. Without `sent` no frame follows.
-    pub fn of_difference(kind: FrameKind, sent: Option<SentSteps>, vertices: &mut FrameVertices) -> Self {
-        let shape = bounds(&vertices.positions, None);
+    /// else writes a key frame. Without `sent` no frame follows.
+    pub fn of_difference(kind: FrameKind, sent: Option<SentSteps>, request: &Frame) -> Self {
+        let shape = bounds(&request.positions, None);
         let Some(SentSteps { number, last }) = sent else {
-            vertices.bounds = Some(roomy(shape));
             return Self {
                 encoding: frame::Encoding::Meshopt,
                 number: 1,
+                bounds: Some(roomy(shape)),
                 reader: SentSteps::default(),
             };
         };
@@ -121,25 +124,15 @@ impl FrameTelling {
             Some(last) if last.kind == kind && is_at_home(shape, last.corners) => (frame::Encoding::Delta, last),
             last => (frame::Encoding::Meshopt, LastFrame::of_key(kind, roomy(shape), last)),
         };
-        vertices.bounds = Some(last.corners);
         Self {
             encoding,
             number,
+            bounds: Some(last.corners),
             reader: SentSteps {
                 number,
                 last: Some(last),
             },
         }
-    }
-
-    /// The encoding of parts that can be compressed.
-    pub fn encoding(&self) -> frame::Encoding {
-        self.encoding
-    }
-
-    /// Its number among the stream's frames that differences may refer to; 0 is none.
-    pub fn number(&self) -> u64 {
-        self.number
     }
 
     /// The steps that the reader holds of an attribute, to be replaced by those of a part.

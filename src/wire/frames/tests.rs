@@ -8,8 +8,8 @@ use pb::deform_response::Message as Response;
 use proptest::prelude::*;
 use prost::Message as _;
 
-fn request(positions: Vec<DVec3>, encoding: frame::Encoding, part_bytes: usize) -> FrameRequest {
-    FrameRequest {
+fn request(positions: Vec<DVec3>, encoding: frame::Encoding, part_bytes: usize) -> Frame {
+    Frame {
         header: FrameHeader {
             seq: 7,
             revision: 3,
@@ -223,7 +223,7 @@ fn only_selected_vertices_are_sent() {
 }
 
 /// What a transport sends of a frame, part by part.
-fn sent(request: FrameRequest) -> Vec<Vec<u8>> {
+fn sent(request: Frame) -> Vec<Vec<u8>> {
     let mut parts = encode(request);
     let mut sent = Vec::new();
     while let Some(part) = parts.next_part() {
