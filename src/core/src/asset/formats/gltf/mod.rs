@@ -45,6 +45,7 @@
 
 mod accessors;
 mod buffers;
+mod builder;
 mod changes;
 mod check;
 mod companions;

@@ -184,6 +184,15 @@ impl<'a> JsonEdits<'a> {
         }
     }
 
+    /// Adds `json` to `array`, the value of `key` of `object`, or gives `object` such an array when there is none.
+    pub(super) fn push_or_set(&mut self, object: &'a str, key: &str, array: Option<&'a str>, json: &[String]) {
+        match array {
+            Some(array) => self.push(array, json),
+            None if json.is_empty() => {}
+            None => self.set(object, key, &format!("[{}]", json.join(","))),
+        }
+    }
+
     /// The text with every edit made.
     pub(super) fn apply(mut self) -> String {
         // Stable: insertions at one place stay in the order in which they were asked for.
