@@ -126,18 +126,10 @@ impl BufferBuilder {
 
     /// Adds the corners of triangles over so many vertices.
     pub(super) fn add_indices(&mut self, triangles: &[[u32; 3]], vertices: usize) -> usize {
-        let corners = triangles.iter().flatten();
-        // The largest value of a type is the restart mark, which no index may be.
-        let (bytes, kind): (Vec<u8>, _) = if vertices <= usize::from(u16::MAX) {
-            (
-                corners.flat_map(|&i| (i as u16).to_le_bytes()).collect(),
-                AccessorKind::Indices16,
-            )
-        } else {
-            (
-                corners.flat_map(|&i| i.to_le_bytes()).collect(),
-                AccessorKind::Indices32,
-            )
+        let (bytes, component) = index_bytes(triangles.as_flattened(), vertices);
+        let kind = match component {
+            5123 => AccessorKind::Indices16,
+            _ => AccessorKind::Indices32,
         };
         self.add_accessor(&bytes, kind, triangles.len() * 3, "SCALAR", None)
     }
@@ -300,4 +292,14 @@ impl BufferBuilder {
 pub(super) fn embedded_buffer_text(bytes: &[u8]) -> String {
     let data = quoted(&uri::embed(bytes));
     format!(r#"{{"byteLength":{},"uri":{data}}}"#, bytes.len())
+}
+
+/// Indices over so many vertices in 16 bits where they fit, else in 32, and the type of one number.
+pub(super) fn index_bytes(indices: &[u32], vertices: usize) -> (Vec<u8>, u32) {
+    // The largest value of a type is the restart mark, which no index may be.
+    if vertices <= usize::from(u16::MAX) {
+        (indices.iter().flat_map(|&i| (i as u16).to_le_bytes()).collect(), 5123)
+    } else {
+        (indices.iter().flat_map(|i| i.to_le_bytes()).collect(), 5125)
+    }
 }
