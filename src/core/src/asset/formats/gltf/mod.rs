@@ -10,9 +10,9 @@
 //! [`text`], [`check`] checks references and ranges, [`companions`] lists the files it names, [`buffers`] finds bytes
 //! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`draco`] decodes Draco, [`reclaimed`] removes its
 //! bytes, [`scene`] places meshes, [`skin`], [`influences`] and [`placement`] their vertices, [`read`] puts triangles
-//! together. Writing: [`deformed`] computes what each attribute should become, [`sharing`] decides what must be copied,
+//! together. A model owns its parsed document for life. Writing: [`deformed`] computes what each attribute should become, [`sharing`] decides what must be copied,
 //! [`patch`] edits text and bytes, [`package`] makes the files, and [`self_contained`] puts files beside a .gltf into a
-//! GLB. [`fresh`] makes an asset from other formats' geometry. After edits of the topology, [`edited`] rewrites
+//! GLB. [`builder`] writes every new accessor, buffer view and embedded buffer. [`fresh`] makes an asset from other formats' geometry. After edits of the topology, [`edited`] rewrites
 //! primitives.
 //!
 //! # Conventions
@@ -104,6 +104,7 @@ use crate::asset::{
 };
 use crate::mesh::local_turns::local_turns;
 use glam::DVec3;
+use read::GltfNotes;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -131,8 +132,8 @@ impl FormatCodec for GltfCodec {
         format: Format,
         followers: &ShapeFollowers<'_>,
     ) -> Result<WrittenFiles, Error> {
-        let notes = model.notes_or_refuse(format)?;
-        let (doc, mut buffers) = read::reopen(model, notes)?;
+        let notes: &GltfNotes = model.notes_or_refuse(format)?;
+        let (doc, mut buffers) = notes.document_and_bytes(model)?;
         let rest = &model.geometry;
         let mut tree = None;
         if rig::may_move_nodes(notes, followers) {
@@ -171,14 +172,14 @@ impl FormatCodec for GltfCodec {
     }
 
     fn nothing_followed(&self, model: &Model) -> Result<FollowedCounts, Error> {
-        let notes = model.notes_or_refuse(model.format)?;
-        let (doc, _) = read::reopen(model, notes)?;
+        let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
+        let doc = notes.document(model)?;
         Ok(counts::nothing_followed(&doc, notes))
     }
 
     fn joint_names(&self, model: &Model) -> Result<BTreeSet<String>, Error> {
-        let notes = model.notes_or_refuse(model.format)?;
-        let (doc, _) = read::reopen(model, notes)?;
+        let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
+        let doc = notes.document(model)?;
         let joints = skin::joint_nodes(&doc).into_iter();
         Ok(joints
             .filter_map(|joint| doc.nodes.values[joint].name.clone())

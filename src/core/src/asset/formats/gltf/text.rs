@@ -211,13 +211,18 @@ impl<'a> JsonEdits<'a> {
     }
 
     fn range_of(&self, part: &str) -> Range<usize> {
-        let start = (part.as_ptr() as usize).wrapping_sub(self.text.as_ptr() as usize);
-        assert!(
-            start <= self.text.len() && part.len() <= self.text.len() - start,
-            "a part of the edited text"
-        );
-        start..start + part.len()
+        place_in(self.text, part)
     }
+}
+
+/// Where `part`, a slice of `text`, lies in it.
+pub(super) fn place_in(text: &str, part: &str) -> Range<usize> {
+    let start = (part.as_ptr() as usize).wrapping_sub(text.as_ptr() as usize);
+    assert!(
+        start <= text.len() && part.len() <= text.len() - start,
+        "a part of the edited text"
+    );
+    start..start + part.len()
 }
 
 #[cfg(test)]

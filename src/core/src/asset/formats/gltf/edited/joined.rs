@@ -10,7 +10,7 @@
 use super::super::builder::{AccessorKind, BufferBuilder};
 use super::super::document::GltfDocument;
 use super::super::fault::GltfFault;
-use super::super::read::{GltfNotes, reopen};
+use super::super::read::GltfNotes;
 use super::super::scene;
 use super::super::targets::TargetTally;
 use super::super::text::{items, quoted, value_of};
@@ -84,7 +84,7 @@ impl<'a> BaseJoiner<'_, 'a> {
     ) -> Result<(), Error> {
         let model = self.edited.bases[base].model;
         let placing = self.edited.bases[base].world_from_model;
-        let (doc, mut buffers) = reopen(model, notes)?;
+        let (doc, mut buffers) = notes.document_and_bytes(model)?;
         let mut runs_of: BTreeMap<(usize, usize), Vec<&PrimitiveRun>> = BTreeMap::new();
         for run in runs {
             let row = &notes.rows[run.primitive as usize];

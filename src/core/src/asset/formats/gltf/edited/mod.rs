@@ -30,7 +30,7 @@ use super::document::{GLB_FORMAT, GltfDocument};
 use super::fault::GltfFault;
 use super::package::package;
 use super::patch::PatchedDocument;
-use super::read::{GltfNotes, reopen};
+use super::read::GltfNotes;
 use super::rig::FollowedNodeTree;
 use super::targets::TargetTally;
 use super::text::{JsonEdits, members, quoted};
@@ -56,7 +56,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let Some((model, notes)) = first.and_then(|model| Some((model, model.notes::<GltfNotes>()?))) else {
         return Err(fault.unwritable("the first base is not glTF"));
     };
-    let (doc, mut buffers) = reopen(model, notes)?;
+    let (doc, mut buffers) = notes.document_and_bytes(model)?;
     let mut tree = None;
     if super::rig::may_move_nodes(notes, output.followers) {
         let before = rigged::positions_before(edited);

@@ -8,7 +8,7 @@ use super::super::edited::{References, places};
 use super::super::float_json::{bounds, json_floats};
 use super::super::package::package;
 use super::super::patch::PatchedDocument;
-use super::super::read::parse_again;
+use super::super::read::{load_bytes, parse_written};
 use super::super::sharing::ByteSpans;
 use super::super::text::{JsonEdits, value_of};
 use super::clips::{ChangedSampler, ClipTarget, SampledValues, carried_values, changed_samplers};
@@ -28,7 +28,9 @@ impl FollowedNodeTree {
             main: written.main.into(),
             companions: written.companions.into_iter().map(|(n, b)| (n, b.into())).collect(),
         };
-        let (doc, buffers) = parse_again(&files, format)?;
+        let parsed = parse_written(&files, format)?;
+        let doc = parsed.of(&files)?;
+        let buffers = load_bytes(&doc, &files)?;
         let mut writer = RigWriter {
             edits: JsonEdits::new(doc.text),
             uses: accessor_uses(&doc),
