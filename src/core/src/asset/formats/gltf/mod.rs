@@ -10,10 +10,11 @@
 //! [`text`], [`check`] checks references and ranges, [`companions`] lists the files it names, [`buffers`] finds bytes
 //! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`draco`] decodes Draco, [`reclaimed`] removes its
 //! bytes, [`scene`] places meshes, [`skin`], [`influences`] and [`placement`] their vertices, [`read`] puts triangles
-//! together. A model owns its parsed document for life. Writing: [`deformed`] computes what each attribute should become, [`sharing`] decides what must be copied,
-//! [`patch`] edits text and bytes, [`package`] makes the files, and [`self_contained`] puts files beside a .gltf into a
-//! GLB. [`builder`] writes every new accessor, buffer view and embedded buffer. [`fresh`] makes an asset from other formats' geometry. After edits of the topology, [`edited`] rewrites
-//! primitives.
+//! together. A model owns its parsed document for life. Writing: [`deformed`] computes what each attribute should
+//! become, [`sharing`] decides what must be copied, [`patch`] edits text and bytes, [`package`] makes the files, and
+//! [`self_contained`] puts files beside a .gltf into a GLB. [`builder`] writes every new accessor, buffer view and
+//! embedded buffer. [`fresh`] makes an asset from other formats' geometry. After edits of the topology, [`edited`]
+//! rewrites primitives.
 //!
 //! # Conventions
 //! - Positions are in world space; a skinned mesh stands where its joints put it in the rest pose of the scene, its node's
