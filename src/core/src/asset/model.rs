@@ -59,7 +59,12 @@ impl Model {
 
     /// About how many bytes it holds in memory.
     pub fn bytes_held(&self) -> u64 {
-        self.files.total_bytes() + self.geometry.bytes_held() + self.notes.bytes_held() + self.attribute_bytes()
+        self.files.total_bytes() + self.bytes_beside_files()
+    }
+
+    /// As [`Model::bytes_held`], without those of the files.
+    pub fn bytes_beside_files(&self) -> u64 {
+        self.geometry.bytes_held() + self.notes.bytes_held() + self.attribute_bytes()
     }
 }
 

@@ -157,10 +157,7 @@ impl ModelTopology {
         let edited = self.edited.as_ref().map_or(0, |e| {
             e.geometry.bytes_held() + e.origins.byte_size() + e.families.byte_size() + 4 * e.point_of.capacity() as u64
         });
-        self.model.geometry.bytes_held()
-            + self.model.attribute_bytes()
-            + edited
-            + (self.rest.capacity() * 24 + self.riding_nodes.byte_size()) as u64
+        self.model.bytes_beside_files() + edited + (self.rest.capacity() * 24 + self.riding_nodes.byte_size()) as u64
     }
 
     /// The topology after an edit of `before`, whose vertices are made of `origins`, and the maps that are left of

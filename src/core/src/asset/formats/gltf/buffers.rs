@@ -174,6 +174,12 @@ impl<'w> BufferBytes<'w> {
         })
     }
 
+    /// The first buffer that new data may be appended to.
+    pub(super) fn growing_buffer(&self, doc: &GltfDocument<'_>) -> Option<usize> {
+        (0..self.stored.len())
+            .find(|&i| self.stored[i].bytes.is_some() && self.is_exclusive(i) && !doc.buffers.values[i].is_fallback())
+    }
+
     /// Whether changing this buffer's bytes changes nothing else: no other buffer is kept in the same place.
     pub(super) fn is_exclusive(&self, index: usize) -> bool {
         let Some(stored) = self.stored.get(index) else {

@@ -3,12 +3,13 @@
 use super::container::{self, GlbContainer};
 use super::fault::GltfFault;
 use super::schema::{AssetHeader, BufferView, GltfAccessor, GltfBuffer, GltfMesh, GltfNode, GltfScene, WholeNumber};
-use super::text::{count_items, items, members};
+use super::text::{count_items, items, members, place_in};
 use crate::asset::files::ReadWatch;
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::{Error, FileSet, Format};
 use serde::de::DeserializeOwned;
 use std::cell::Cell;
+use std::ops::Range;
 
 /// Binary glTF, by what it is known.
 pub(in super::super) const GLB_FORMAT: Format = Format::new(&FormatDetails {
@@ -24,6 +25,33 @@ pub(in super::super) const GLTF_FORMAT: Format = Format::new(&FormatDetails {
     recognise: |bytes| Recognition::mark(bytes.trim_ascii_start().starts_with(b"{")),
 });
 
+/// One top-level array of a parsed document; places are those of its text.
+#[derive(Debug)]
+struct ParsedSection<T> {
+    array: Option<Range<usize>>,
+    items: Vec<Range<usize>>,
+    values: Vec<T>,
+}
+
+/// What is parsed of a document, once. A model owns it for life, and [`ParsedDocument::of`] joins it to the files.
+#[derive(Debug)]
+pub(super) struct ParsedDocument {
+    format: Format,
+    buffers: ParsedSection<GltfBuffer>,
+    views: ParsedSection<BufferView>,
+    accessors: ParsedSection<GltfAccessor>,
+    meshes: ParsedSection<GltfMesh>,
+    nodes: ParsedSection<GltfNode>,
+    scenes: ParsedSection<GltfScene>,
+    scene: Option<usize>,
+    skins: Vec<Range<usize>>,
+    animations: Vec<Range<usize>>,
+    extensions_used: Vec<String>,
+    extensions_required: Vec<String>,
+    /// About how many bytes all of it takes, as it was reserved.
+    bytes: u64,
+}
+
 /// One top-level array of the document.
 pub(super) struct DocumentSection<'a, T> {
     /// The array as text; `None` when the document has none.
@@ -31,7 +59,7 @@ pub(super) struct DocumentSection<'a, T> {
     /// Its items as text.
     pub(super) items: Vec<&'a str>,
     /// Its items as values.
-    pub(super) values: Vec<T>,
+    pub(super) values: &'a [T],
 }
 
 impl<T> DocumentSection<'_, T> {
@@ -45,7 +73,7 @@ impl<T> DocumentSection<'_, T> {
     }
 }
 
-/// A parsed document; borrows the file it came from.
+/// A parsed document with its text; borrows the file it came from.
 pub(super) struct GltfDocument<'a> {
     pub(super) fault: GltfFault,
     /// The JSON text.
@@ -63,31 +91,39 @@ pub(super) struct GltfDocument<'a> {
     /// Skins and animations as texts; only their accessor indices are ever looked at.
     pub(super) skins: Vec<&'a str>,
     pub(super) animations: Vec<&'a str>,
-    pub(super) extensions_used: Vec<String>,
-    pub(super) extensions_required: Vec<String>,
+    pub(super) extensions_used: &'a [String],
+    pub(super) extensions_required: &'a [String],
 }
 
-impl<'a> GltfDocument<'a> {
+/// The JSON text of a main file, and the GLB that it lies in.
+fn text_of(main: &[u8], format: Format) -> Result<(&str, Option<GlbContainer<'_>>), Error> {
+    let fault = GltfFault(format);
+    let container = if format == GLB_FORMAT {
+        Some(container::split(main, fault)?)
+    } else {
+        None
+    };
+    let bytes = container.as_ref().map_or(main, |c| c.json);
+    if bytes.starts_with(b"\xef\xbb\xbf") {
+        return Err(fault.malformed("json", "starts with a byte order mark, which glTF does not allow"));
+    }
+    let text = std::str::from_utf8(bytes)
+        .map_err(|e| fault.malformed("json", format!("byte {} is not UTF-8", e.valid_up_to())))?;
+    Ok((text, container))
+}
+
+impl ParsedDocument {
     /// Parses the main file of a set; references between sections are checked by [`super::check`].
     ///
     /// What the parsed text will take is counted before it is: an empty item of three bytes becomes hundreds.
-    pub(super) fn parse(files: &'a FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<Self, Error> {
+    pub(super) fn parse(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<Self, Error> {
         let fault = GltfFault(format);
-        let container = if format == GLB_FORMAT {
-            Some(container::split(&files.main, fault)?)
-        } else {
-            None
-        };
-        let bytes: &'a [u8] = container.as_ref().map_or(&files.main, |c| c.json);
-        if bytes.starts_with(b"\xef\xbb\xbf") {
-            return Err(fault.malformed("json", "starts with a byte order mark, which glTF does not allow"));
-        }
-        let text = std::str::from_utf8(bytes)
-            .map_err(|e| fault.malformed("json", format!("byte {} is not UTF-8", e.valid_up_to())))?;
+        let (text, _) = text_of(&files.main, format)?;
         // Its texts, such as data URIs, are copied once.
         watch.check_document(text.len() as u64)?;
         let root = JsonRoot {
             fault,
+            text,
             allowance: DocumentAllowance::new(text, watch),
             members: members(text).map_err(|e| fault.malformed("json", e.to_string()))?,
         };
@@ -99,9 +135,7 @@ impl<'a> GltfDocument<'a> {
         check_required(&extensions_required, fault)?;
 
         Ok(Self {
-            fault,
-            text,
-            container,
+            format,
             buffers: root.section("buffers")?,
             views: root.section("bufferViews")?,
             accessors: root.section("accessors")?,
@@ -109,18 +143,62 @@ impl<'a> GltfDocument<'a> {
             nodes: root.section("nodes")?,
             scenes: root.section("scenes")?,
             scene: root.one::<WholeNumber>("scene")?.map(WholeNumber::index),
-            skins: root.texts("skins")?,
-            animations: root.texts("animations")?,
+            skins: root.places(&root.texts("skins")?),
+            animations: root.places(&root.texts("animations")?),
             extensions_used,
             extensions_required,
+            bytes: root.allowance.counted.get(),
         })
     }
 
+    /// About how many bytes it holds in memory.
+    pub(super) fn bytes_held(&self) -> u64 {
+        self.bytes
+    }
+
+    /// The document with the text that it was parsed from, the main file of `files`.
+    pub(super) fn of<'a>(&'a self, files: &'a FileSet) -> Result<GltfDocument<'a>, Error> {
+        let (text, container) = text_of(&files.main, self.format)?;
+        let slices = |ranges: &[Range<usize>]| ranges.iter().map(|range| slice(text, range)).collect();
+        Ok(GltfDocument {
+            fault: GltfFault(self.format),
+            text,
+            container,
+            buffers: self.buffers.of(text),
+            views: self.views.of(text),
+            accessors: self.accessors.of(text),
+            meshes: self.meshes.of(text),
+            nodes: self.nodes.of(text),
+            scenes: self.scenes.of(text),
+            scene: self.scene,
+            skins: slices(&self.skins),
+            animations: slices(&self.animations),
+            extensions_used: &self.extensions_used,
+            extensions_required: &self.extensions_required,
+        })
+    }
+}
+
+fn slice<'a>(text: &'a str, range: &Range<usize>) -> &'a str {
+    text.get(range.clone()).unwrap_or_default()
+}
+
+impl<T> ParsedSection<T> {
+    fn of<'a>(&'a self, text: &'a str) -> DocumentSection<'a, T> {
+        DocumentSection {
+            text: self.array.as_ref().map(|range| slice(text, range)),
+            items: self.items.iter().map(|range| slice(text, range)).collect(),
+            values: &self.values,
+        }
+    }
+}
+
+impl GltfDocument<'_> {
     /// Whether the document says that it uses an extension.
     pub(super) fn uses(&self, extension: &str) -> bool {
         self.extensions_used
             .iter()
-            .chain(&self.extensions_required)
+            .chain(self.extensions_required)
             .any(|e| e == extension)
     }
 }
@@ -177,6 +255,7 @@ impl<'a> DocumentAllowance<'a> {
 
 struct JsonRoot<'a, 'w> {
     fault: GltfFault,
+    text: &'a str,
     allowance: DocumentAllowance<'w>,
     members: Vec<super::text::JsonMember<'a>>,
 }
@@ -209,16 +288,21 @@ impl<'a> JsonRoot<'a, '_> {
         items(text).map_err(|e| self.fault.malformed(key, without_position(&e.to_string())))
     }
 
-    fn section<T: DeserializeOwned>(&self, key: &str) -> Result<DocumentSection<'a, T>, Error> {
+    /// Where slices of the text lie in it.
+    fn places(&self, parts: &[&str]) -> Vec<Range<usize>> {
+        parts.iter().map(|part| place_in(self.text, part)).collect()
+    }
+
+    fn section<T: DeserializeOwned>(&self, key: &str) -> Result<ParsedSection<T>, Error> {
         let items = self.texts_of_values(key, size_of::<T>())?;
         let mut values = Vec::with_capacity(items.len());
         for (i, text) in items.iter().enumerate() {
             self.allowance.watch.check_at(i)?;
             values.push(parse_value(text, &format!("{key}/{i}"), self.fault)?);
         }
-        Ok(DocumentSection {
-            text: self.find(key)?,
-            items,
+        Ok(ParsedSection {
+            array: self.find(key)?.map(|array| place_in(self.text, array)),
+            items: self.places(&items),
             values,
         })
     }

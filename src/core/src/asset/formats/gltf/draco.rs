@@ -7,6 +7,7 @@
 
 use super::accessors::{AccessorLayout, ComponentType};
 use super::buffers::{BufferBytes, BufferOrigin};
+use super::builder::{BufferBuilder, INDICES, VERTICES, embedded_buffer_text};
 use super::container;
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::fault::GltfFault;
@@ -57,8 +58,7 @@ pub(super) fn uncompress(
         watch,
         decoded: BTreeMap::new(),
         filled: BTreeMap::new(),
-        data: Vec::new(),
-        views: Vec::new(),
+        data: BufferBuilder::default(),
         uses_left: count_view_uses(doc).unwrap_or_default(),
         unused: Vec::new(),
         replaced: Vec::new(),
@@ -129,9 +129,8 @@ struct DracoUncompressor<'d, 'a> {
     decoded: BTreeMap<usize, Mesh>,
     /// What an accessor has been given: view and attribute of a stream, `None` for its indices.
     filled: BTreeMap<usize, (usize, Option<usize>)>,
-    /// New data, and the views over it; offsets count from where the data will begin.
-    data: Vec<u8>,
-    views: Vec<(usize, usize, String)>,
+    /// New data, and the views over it.
+    data: BufferBuilder,
     /// How often what stays names each view of the document; empty when that is unknown.
     uses_left: Vec<usize>,
     /// Views of decoded streams that nothing names any more.
@@ -161,7 +160,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
         let waiting = self.unused.get(self.replaced.len());
         waiting
             .copied()
-            .unwrap_or(self.doc.views.len() + self.views.len() - self.replaced.len())
+            .unwrap_or(self.doc.views.len() + self.data.view_count() - self.replaced.len())
     }
 
     fn uncompress_primitive(&mut self, buffers: &mut BufferBytes, m: usize, p: usize) -> Result<(), Error> {
@@ -325,7 +324,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
             mesh.num_faces() * 3,
             &(format!("[{least}]"), format!("[{most}]")),
         );
-        self.add_view(&bytes, r#","target":34963"#);
+        self.add_view(&bytes, None, INDICES);
         Ok(())
     }
 
@@ -384,12 +383,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
             self.edits.set(text, "min", &limits.0);
             self.edits.set(text, "max", &limits.1);
         }
-        let stride = if stride == element {
-            String::new()
-        } else {
-            format!(r#","byteStride":{stride}"#)
-        };
-        self.add_view(&bytes, &format!(r#"{stride},"target":34962"#));
+        self.add_view(&bytes, Some(stride).filter(|_| stride != element), VERTICES);
         Ok(())
     }
 
@@ -410,22 +404,17 @@ impl<'a> DracoUncompressor<'_, 'a> {
         }
     }
 
-    fn add_view(&mut self, bytes: &[u8], more: &str) {
-        self.data.resize(self.data.len().next_multiple_of(4), 0);
+    fn add_view(&mut self, bytes: &[u8], stride: Option<usize>, target: u32) {
         if self.replaced.len() < self.unused.len() {
-            self.replaced.push(self.views.len());
+            self.replaced.push(self.data.view_count());
         }
-        self.views.push((self.data.len(), bytes.len(), more.to_owned()));
-        self.data.extend_from_slice(bytes);
+        self.data.add_strided_view(bytes, stride, Some(target));
     }
 
     /// The files with all edits made; `none_left` when no primitive has the extension any more.
     fn write_plain_files(mut self, files: &FileSet, buffers: &BufferBytes, none_left: bool) -> Result<FileSet, Error> {
         let doc = self.doc;
-        let takes_more = |i: &usize| {
-            buffers.stored[*i].bytes.is_some() && buffers.is_exclusive(*i) && !doc.buffers.values[*i].is_fallback()
-        };
-        let target = (0..doc.buffers.len()).find(takes_more);
+        let target = buffers.growing_buffer(doc);
         let stored = target
             .and_then(|i| buffers.stored[i].bytes.as_deref())
             .unwrap_or_default();
@@ -441,21 +430,15 @@ impl<'a> DracoUncompressor<'_, 'a> {
         };
         bytes.resize(bytes.len().next_multiple_of(4), 0);
         let (first, buffer) = (bytes.len(), target.unwrap_or(doc.buffers.len()));
-        bytes.extend_from_slice(&self.data);
-        let view = |(offset, length, more): &(usize, usize, String)| {
-            let offset = first + offset;
-            format!(r#"{{"buffer":{buffer},"byteOffset":{offset},"byteLength":{length}{more}}}"#)
-        };
+        bytes.extend_from_slice(self.data.bytes());
         let mut added = Vec::new();
-        for (k, text) in self.views.iter().map(view).enumerate() {
+        for (k, text) in self.data.view_texts(buffer, first).into_iter().enumerate() {
             match self.replaced.binary_search(&k) {
                 Ok(at) => self.edits.replace(doc.views.items[unused[at]], text),
                 Err(_) => added.push(text),
             }
         }
-        if !added.is_empty() {
-            self.add_items("bufferViews", doc.views.text, &added);
-        }
+        self.edits.push_or_set(doc.text, "bufferViews", doc.views.text, &added);
         let mut plain = files.clone();
         let mut bin = doc.container.as_ref().and_then(|c| c.bin).map(<[u8]>::to_vec);
         match target {
@@ -469,9 +452,8 @@ impl<'a> DracoUncompressor<'_, 'a> {
                 }
             }
             None => {
-                let (length, data) = (bytes.len(), quoted(&uri::embed(&bytes)));
-                let item = format!(r#"{{"byteLength":{length},"uri":{data}}}"#);
-                self.add_items("buffers", doc.buffers.text, &[item]);
+                let item = embedded_buffer_text(&bytes);
+                self.edits.push_or_set(doc.text, "buffers", doc.buffers.text, &[item]);
             }
         }
         let mut text = self.edits.apply();
@@ -487,13 +469,6 @@ impl<'a> DracoUncompressor<'_, 'a> {
             text.into_bytes().into()
         };
         Ok(plain)
-    }
-
-    fn add_items(&mut self, key: &str, array: Option<&'a str>, added: &[String]) {
-        match array {
-            Some(array) => self.edits.push(array, added),
-            None => self.edits.set(self.doc.text, key, &format!("[{}]", added.join(","))),
-        }
     }
 }
 

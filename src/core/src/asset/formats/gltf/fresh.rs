@@ -1,5 +1,6 @@
 //! A new, minimal asset for geometry that came from another format.
 
+use super::builder::{BufferBuilder, INDICES, NewAccessor, VERTICES, index_bytes};
 use super::container;
 use super::document::GLB_FORMAT;
 use super::fault::GltfFault;
@@ -21,9 +22,7 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
     let fault = GltfFault(format);
     let mut asset = BuiltAsset {
         fault,
-        bytes: Vec::new(),
-        views: Vec::new(),
-        accessors: Vec::new(),
+        data: BufferBuilder::default(),
         meshes: Vec::new(),
         materials: Vec::new(),
         pictures: Vec::new(),
@@ -42,17 +41,12 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
     }
     let scene: Vec<String> = (0..nodes.len()).map(|i| i.to_string()).collect();
     let (materials, companions) = asset.material_sections();
-    let BuiltAsset {
-        bytes,
-        views,
-        accessors,
-        meshes,
-        ..
-    } = asset;
+    let BuiltAsset { data, meshes, .. } = asset;
+    let bytes = data.bytes();
     let embedded = if format == GLB_FORMAT {
         String::new()
     } else {
-        format!(r#","uri":{}"#, quoted(&uri::embed(&bytes)))
+        format!(r#","uri":{}"#, quoted(&uri::embed(bytes)))
     };
     let json = format!(
         concat!(
@@ -62,14 +56,14 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
         scene.join(","),
         nodes.join(","),
         meshes.join(","),
-        accessors.join(","),
-        views.join(","),
+        data.accessor_texts(0).join(","),
+        data.view_texts(0, 0).join(","),
         bytes.len(),
         embedded,
         materials,
     );
     let main = if format == GLB_FORMAT {
-        container::join(&json, Some(&bytes), &[], fault)?
+        container::join(&json, Some(bytes), &[], fault)?
     } else {
         json.into_bytes()
     };
@@ -90,9 +84,7 @@ fn name_of(primitive: &Primitive) -> String {
 
 struct BuiltAsset {
     fault: GltfFault,
-    bytes: Vec<u8>,
-    views: Vec<String>,
-    accessors: Vec<String>,
+    data: BufferBuilder,
     meshes: Vec<String>,
     materials: Vec<Arc<NamedMaterial>>,
     /// Pictures of the materials.
@@ -134,21 +126,21 @@ impl BuiltAsset {
         let floats: Vec<f32> = positions.iter().flat_map(|p| p.to_array()).collect();
         let least = positions.iter().fold(Vec3::INFINITY, |a, &p| a.min(p)).to_array();
         let most = positions.iter().fold(Vec3::NEG_INFINITY, |a, &p| a.max(p)).to_array();
-        let limits = format!(r#","min":{},"max":{}"#, json_floats(&least), json_floats(&most));
-        let position = self.add_floats(&floats, 3, &limits);
+        let bounds = (json_floats(&least), json_floats(&most));
+        let position = self.add_floats(&floats, 3, Some(bounds));
         let mut attributes = format!(r#""POSITION":{position}"#);
         if primitive.has_normals
             && let Some(normals) = geometry.normals.get(first..last)
         {
-            let normal = self.add_floats(&unit_normals(normals, geometry, first, &indices), 3, "");
+            let normal = self.add_floats(&unit_normals(normals, geometry, first, &indices), 3, None);
             attributes += &format!(r#","NORMAL":{normal}"#);
         }
         if let Some(uv) = neutral.uv.get(first..last).filter(|_| part.has_uv) {
-            let uv = self.add_floats(uv.as_flattened(), 2, "");
+            let uv = self.add_floats(uv.as_flattened(), 2, None);
             attributes += &format!(r#","TEXCOORD_0":{uv}"#);
         }
         if let Some(colours) = neutral.colours.get(first..last).filter(|_| part.has_colours) {
-            let colour = self.add_floats(colours.as_flattened(), 4, "");
+            let colour = self.add_floats(colours.as_flattened(), 4, None);
             attributes += &format!(r#","COLOR_0":{colour}"#);
         }
         let material = part
@@ -164,19 +156,30 @@ impl BuiltAsset {
         Ok(())
     }
 
-    fn add_floats(&mut self, values: &[f32], lanes: usize, limits: &str) -> usize {
+    fn add_floats(&mut self, values: &[f32], lanes: usize, bounds: Option<(String, String)>) -> usize {
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][lanes.clamp(1, 4) - 1];
-        self.add_accessor(
-            &bytes,
-            &AccessorForm {
-                target: 34962,
-                component: 5126,
-                count: values.len() / lanes.max(1),
-                shape,
-                limits,
-            },
-        )
+        let view = self.data.add_view(&bytes, Some(VERTICES));
+        self.data.push_accessor(NewAccessor {
+            view: Some(view),
+            component: 5126,
+            count: values.len() / lanes.max(1),
+            shape: ["SCALAR", "VEC2", "VEC3", "VEC4"][lanes.clamp(1, 4) - 1],
+            bounds,
+            sparse: None,
+        })
+    }
+
+    fn add_indices(&mut self, indices: &[u32], vertices: usize) -> usize {
+        let (bytes, component) = index_bytes(indices, vertices);
+        let view = self.data.add_view(&bytes, Some(INDICES));
+        self.data.push_accessor(NewAccessor {
+            view: Some(view),
+            component,
+            count: indices.len(),
+            shape: "SCALAR",
+            bounds: None,
+            sparse: None,
+        })
     }
 
     fn material_number(&mut self, material: &Arc<NamedMaterial>) -> usize {
@@ -197,12 +200,7 @@ impl BuiltAsset {
             let bytes = picture.bytes.as_deref();
             let media_type = bytes.and_then(|bytes| media_type_of(&picture.name, bytes));
             if let (Some(bytes), Some(media_type)) = (bytes, media_type) {
-                self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
-                let (offset, length) = (self.bytes.len(), bytes.len());
-                self.bytes.extend_from_slice(bytes);
-                self.views
-                    .push(format!(r#"{{"buffer":0,"byteOffset":{offset},"byteLength":{length}}}"#));
-                let (view, name) = (self.views.len() - 1, quoted(&picture.name));
+                let (view, name) = (self.data.add_view(bytes, None), quoted(&picture.name));
                 images.push(format!(
                     r#"{{"bufferView":{view},"mimeType":"{media_type}","name":{name}}}"#
                 ));
@@ -265,60 +263,6 @@ impl BuiltAsset {
             self.pictures.len() - 1
         })
     }
-
-    fn add_indices(&mut self, indices: &[u32], vertices: usize) -> usize {
-        // The largest value of a type is the restart mark, which no index may be.
-        let (bytes, component): (Vec<u8>, _) = if vertices <= usize::from(u16::MAX) {
-            (indices.iter().flat_map(|&i| (i as u16).to_le_bytes()).collect(), 5123)
-        } else {
-            (indices.iter().flat_map(|i| i.to_le_bytes()).collect(), 5125)
-        };
-        self.add_accessor(
-            &bytes,
-            &AccessorForm {
-                target: 34963,
-                component,
-                count: indices.len(),
-                shape: "SCALAR",
-                limits: "",
-            },
-        )
-    }
-
-    /// Adds an accessor with a buffer view of its own; returns its number.
-    fn add_accessor(&mut self, bytes: &[u8], form: &AccessorForm<'_>) -> usize {
-        let AccessorForm {
-            target,
-            component,
-            count,
-            shape,
-            limits,
-        } = form;
-        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
-        let (offset, length) = (self.bytes.len(), bytes.len());
-        self.bytes.extend_from_slice(bytes);
-        self.views.push(format!(
-            r#"{{"buffer":0,"byteOffset":{offset},"byteLength":{length},"target":{target}}}"#
-        ));
-        self.accessors.push(format!(
-            r#"{{"bufferView":{},"componentType":{component},"count":{count},"type":"{shape}"{limits}}}"#,
-            self.views.len() - 1
-        ));
-        self.accessors.len() - 1
-    }
-}
-
-/// What is said of the bytes of an accessor.
-struct AccessorForm<'a> {
-    /// What the buffer view is for: vertex attributes or indices.
-    target: u32,
-    /// Type of one number.
-    component: u32,
-    count: usize,
-    /// How many numbers make an element: SCALAR, VEC2, …
-    shape: &'a str,
-    /// Smallest and largest values as members of the JSON object, or nothing.
-    limits: &'a str,
 }
 
 /// Normals of unit length, as glTF demands; where one has no direction, the surface's.

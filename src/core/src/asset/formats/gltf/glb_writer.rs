@@ -1,10 +1,12 @@
 //! Lays out a GLB from nothing: accessors over one buffer, and a document that its maker fills in.
 
+use super::builder::{BufferBuilder, NewAccessor, NewSparse};
 use super::container;
 use super::document::GLB_FORMAT;
 use super::fault::GltfFault;
 use crate::asset::Error;
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 
 /// What an accessor's elements are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,11 +31,11 @@ impl ElementShape {
 }
 
 /// The buffer of a new GLB and the accessors over it.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub(in crate::asset) struct GlbWriter {
-    bytes: Vec<u8>,
-    views: Vec<Value>,
-    accessors: Vec<Value>,
+    data: BufferBuilder,
+    /// The least and the largest value of each lane, by accessor.
+    bounds: BTreeMap<usize, [Vec<f64>; 2]>,
 }
 
 impl GlbWriter {
@@ -44,34 +46,38 @@ impl GlbWriter {
             let over = |lane: usize| values.iter().skip(lane).step_by(lanes).copied().fold(start, pick);
             (0..lanes).map(|lane| f64::from(over(lane))).collect()
         };
-        let (least, most) = (of(f32::min, f32::INFINITY), of(f32::max, f32::NEG_INFINITY));
+        let bounds = [of(f32::min, f32::INFINITY), of(f32::max, f32::NEG_INFINITY)];
         let accessor = self.add_floats(values, shape);
-        self.accessors[accessor]["min"] = json!(least);
-        self.accessors[accessor]["max"] = json!(most);
+        self.bounds.insert(accessor, bounds);
         accessor
     }
 
     /// Adds vectors of `count` vertices that are zero but for those of `places`, which ascend; returns the accessor's number.
     pub(in crate::asset) fn add_sparse(&mut self, count: usize, places: &[u32], values: &[[f32; 3]]) -> usize {
-        let mut accessor = json!({"componentType": 5126, "count": count, "type": "VEC3"});
-        if !places.is_empty() {
-            let bytes: Vec<u8> = places.iter().flat_map(|p| p.to_le_bytes()).collect();
-            let indices = self.add_view(&bytes);
-            let bytes: Vec<u8> = values.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
-            accessor["sparse"] = json!({
-                "count": places.len(),
-                "indices": {"bufferView": indices, "componentType": 5125},
-                "values": {"bufferView": self.add_view(&bytes)},
-            });
-        }
+        let sparse = (!places.is_empty()).then(|| {
+            let indices: Vec<u8> = places.iter().flat_map(|p| p.to_le_bytes()).collect();
+            let numbers: Vec<u8> = values.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+            NewSparse {
+                count: places.len(),
+                indices: self.add_view(&indices),
+                values: self.add_view(&numbers),
+            }
+        });
         let with_zero = |pick: fn(f32, f32) -> f32| -> Vec<f64> {
             let over = |lane: usize| values.iter().map(|v| v[lane]).fold(0.0, pick);
             (0..3).map(|lane| f64::from(over(lane))).collect()
         };
-        accessor["min"] = json!(with_zero(f32::min));
-        accessor["max"] = json!(with_zero(f32::max));
-        self.accessors.push(accessor);
-        self.accessors.len() - 1
+        let accessor = self.data.push_accessor(NewAccessor {
+            view: None,
+            component: 5126,
+            count,
+            shape: "VEC3",
+            bounds: None,
+            sparse,
+        });
+        let bounds = [with_zero(f32::min), with_zero(f32::max)];
+        self.bounds.insert(accessor, bounds);
+        accessor
     }
 
     /// Adds floats; returns the accessor's number.
@@ -94,25 +100,21 @@ impl GlbWriter {
     }
 
     fn add_accessor(&mut self, bytes: &[u8], component: u32, numbers: usize, shape: ElementShape) -> usize {
-        let (name, lanes) = shape.name_and_lanes();
+        let (shape, lanes) = shape.name_and_lanes();
         let view = self.add_view(bytes);
-        self.accessors.push(json!({
-            "bufferView": view,
-            "componentType": component,
-            "count": numbers / lanes,
-            "type": name,
-        }));
-        self.accessors.len() - 1
+        self.data.push_accessor(NewAccessor {
+            view: Some(view),
+            component,
+            count: numbers / lanes,
+            shape,
+            bounds: None,
+            sparse: None,
+        })
     }
 
     /// Adds bytes as a view of their own, such as a picture; returns its number.
     pub(in crate::asset) fn add_view(&mut self, bytes: &[u8]) -> usize {
-        let offset = self.bytes.len();
-        self.views
-            .push(json!({"buffer": 0, "byteOffset": offset, "byteLength": bytes.len()}));
-        self.bytes.extend_from_slice(bytes);
-        self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
-        self.views.len() - 1
+        self.data.add_view(bytes, None)
     }
 
     /// The file: `document` with the asset, the accessors and the buffer added.
@@ -120,10 +122,21 @@ impl GlbWriter {
     /// # Errors
     /// When it would be larger than a GLB can be.
     pub(in crate::asset) fn finish(self, mut document: Value) -> Result<Vec<u8>, Error> {
+        let mut bytes = self.data.bytes().to_vec();
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+        let values = |texts: Vec<String>| -> Vec<Value> {
+            let parsed = texts.iter().map(|text| serde_json::from_str(text));
+            parsed.map(Result::unwrap_or_default).collect()
+        };
+        let mut accessors = values(self.data.accessor_texts(0));
+        for (accessor, [least, most]) in self.bounds {
+            accessors[accessor]["min"] = json!(least);
+            accessors[accessor]["max"] = json!(most);
+        }
         document["asset"] = json!({"version": "2.0", "generator": "pliant"});
-        document["accessors"] = Value::Array(self.accessors);
-        document["bufferViews"] = Value::Array(self.views);
-        document["buffers"] = json!([{"byteLength": self.bytes.len()}]);
-        container::join(&document.to_string(), Some(&self.bytes), &[], GltfFault(GLB_FORMAT))
+        document["accessors"] = Value::Array(accessors);
+        document["bufferViews"] = Value::Array(values(self.data.view_texts(0, 0)));
+        document["buffers"] = json!([{"byteLength": bytes.len()}]);
+        container::join(&document.to_string(), Some(&bytes), &[], GltfFault(GLB_FORMAT))
     }
 }

@@ -6,7 +6,7 @@
 use super::accessors::{AccessorLayout, check_unbacked, read_values};
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
-use super::read::{GltfNotes, PlacedPrimitive, reopen};
+use super::read::{GltfNotes, PlacedPrimitive};
 use super::schema::WholeNumber;
 use super::text::{items, value_of};
 use super::uri::{self, UriTarget};
@@ -116,7 +116,7 @@ struct MaterialInUse {
 
 /// Reads what a model looks like.
 pub(super) fn surface_look(model: &Model, notes: &GltfNotes) -> Result<SurfaceLook, Error> {
-    let (doc, mut buffers) = reopen(model, notes)?;
+    let (doc, mut buffers) = notes.document_and_bytes(model)?;
     let list = |key: &str| value_of(doc.text, key).and_then(|s| items(s).ok()).unwrap_or_default();
     let sections = LookSections {
         materials: list("materials"),

@@ -10,10 +10,11 @@
 //! [`text`], [`check`] checks references and ranges, [`companions`] lists the files it names, [`buffers`] finds bytes
 //! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`draco`] decodes Draco, [`reclaimed`] removes its
 //! bytes, [`scene`] places meshes, [`skin`], [`influences`] and [`placement`] their vertices, [`read`] puts triangles
-//! together. Writing: [`deformed`] computes what each attribute should become, [`sharing`] decides what must be copied,
-//! [`patch`] edits text and bytes, [`package`] makes the files, and [`self_contained`] puts files beside a .gltf into a
-//! GLB. [`fresh`] makes an asset from other formats' geometry. After edits of the topology, [`edited`] rewrites
-//! primitives.
+//! together. A model owns its parsed document for life. Writing: [`deformed`] computes what each attribute should
+//! become, [`sharing`] decides what must be copied, [`patch`] edits text and bytes, [`package`] makes the files, and
+//! [`self_contained`] puts files beside a .gltf into a GLB. [`builder`] writes every new accessor, buffer view and
+//! embedded buffer. [`fresh`] makes an asset from other formats' geometry. After edits of the topology, [`edited`]
+//! rewrites primitives.
 //!
 //! # Conventions
 //! - Positions are in world space; a skinned mesh stands where its joints put it in the rest pose of the scene, its node's
@@ -45,6 +46,7 @@
 
 mod accessors;
 mod buffers;
+mod builder;
 mod changes;
 mod check;
 mod companions;
@@ -103,6 +105,7 @@ use crate::asset::{
 };
 use crate::mesh::local_turns::local_turns;
 use glam::DVec3;
+use read::GltfNotes;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -130,8 +133,8 @@ impl FormatCodec for GltfCodec {
         format: Format,
         followers: &ShapeFollowers<'_>,
     ) -> Result<WrittenFiles, Error> {
-        let notes = model.notes_or_refuse(format)?;
-        let (doc, mut buffers) = read::reopen(model, notes)?;
+        let notes: &GltfNotes = model.notes_or_refuse(format)?;
+        let (doc, mut buffers) = notes.document_and_bytes(model)?;
         let rest = &model.geometry;
         let mut tree = None;
         if rig::may_move_nodes(notes, followers) {
@@ -170,14 +173,14 @@ impl FormatCodec for GltfCodec {
     }
 
     fn nothing_followed(&self, model: &Model) -> Result<FollowedCounts, Error> {
-        let notes = model.notes_or_refuse(model.format)?;
-        let (doc, _) = read::reopen(model, notes)?;
+        let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
+        let doc = notes.document(model)?;
         Ok(counts::nothing_followed(&doc, notes))
     }
 
     fn joint_names(&self, model: &Model) -> Result<BTreeSet<String>, Error> {
-        let notes = model.notes_or_refuse(model.format)?;
-        let (doc, _) = read::reopen(model, notes)?;
+        let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
+        let doc = notes.document(model)?;
         let joints = skin::joint_nodes(&doc).into_iter();
         Ok(joints
             .filter_map(|joint| doc.nodes.values[joint].name.clone())

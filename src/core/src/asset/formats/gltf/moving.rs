@@ -4,7 +4,7 @@ use super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_value
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
 use super::influences::{VertexInfluences, influence_accessors};
-use super::read::{GltfNotes, PlacedPrimitive, reopen};
+use super::read::{GltfNotes, PlacedPrimitive};
 use super::scene::{local_transform, place_meshes};
 use super::schema::{GltfNode, GltfSkin, WholeNumber};
 use super::text::value_of;
@@ -24,7 +24,7 @@ const MOST_NUMBERS: u64 = 1 << 26;
 
 /// What moves in the scene of a model.
 pub(super) fn moving_scene(model: &Model, notes: &GltfNotes) -> Result<MovingScene, Error> {
-    let (doc, mut buffers) = reopen(model, notes)?;
+    let (doc, mut buffers) = notes.document_and_bytes(model)?;
     let scene = place_meshes(&doc, &mut Vec::new())?;
     let mut nodes = Vec::with_capacity(doc.nodes.len());
     for (index, node) in doc.nodes.values.iter().enumerate() {
@@ -154,7 +154,7 @@ struct SamplerText {
 
 /// A clip of a model's scene.
 pub(super) fn scene_clip(model: &Model, notes: &GltfNotes, index: usize) -> Result<Option<SceneClip>, Error> {
-    let (doc, mut buffers) = reopen(model, notes)?;
+    let (doc, mut buffers) = notes.document_and_bytes(model)?;
     let Some(text) = doc.animations.get(index) else {
         return Ok(None);
     };

@@ -3,7 +3,7 @@
 use super::accessors::ShapeAttribute;
 use super::document::GltfDocument;
 use super::placement::VertexTransforms;
-use super::read::{GltfNotes, PlacedPrimitive, reopen};
+use super::read::{GltfNotes, PlacedPrimitive};
 use super::schema::MeshPrimitive;
 use super::slots::AttributeSlot;
 use super::targets::read_displacements;
@@ -18,7 +18,7 @@ const MOST_NUMBERS: u64 = 1 << 28;
 
 /// The shapes of all primitives, in order.
 pub(super) fn primitive_shapes(model: &Model, notes: &GltfNotes) -> Result<Vec<PrimitiveShapes>, Error> {
-    let (doc, mut buffers) = reopen(model, notes)?;
+    let (doc, mut buffers) = notes.document_and_bytes(model)?;
     let mut numbers = 0;
     let mut all = Vec::with_capacity(notes.rows.len());
     for row in &notes.rows {

@@ -1,6 +1,7 @@
 //! From an edited document to files, in the container that it came in or in the other one.
 
 use super::buffers::{BufferBytes, BufferOrigin};
+use super::builder::embedded_buffer_text;
 use super::container;
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::fault::GltfFault;
@@ -77,15 +78,7 @@ pub(super) fn package(
         }
     }
     if let Some(bytes) = added_buffer {
-        let json = format!(
-            r#"{{"byteLength":{},"uri":{}}}"#,
-            bytes.len(),
-            quoted(&uri::embed(&bytes))
-        );
-        match doc.buffers.text {
-            Some(array) => edits.push(array, &[json]),
-            None => edits.set(doc.text, "buffers", &format!("[{json}]")),
-        }
+        edits.push_or_set(doc.text, "buffers", doc.buffers.text, &[embedded_buffer_text(&bytes)]);
     }
     let json = edits.apply();
     let main = if format == GLB_FORMAT {

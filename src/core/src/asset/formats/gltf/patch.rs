@@ -2,6 +2,7 @@
 
 use super::accessors::{AccessorLayout, ShapeAttribute};
 use super::buffers::BufferBytes;
+use super::builder::{BufferBuilder, NewAccessor, VERTICES};
 use super::document::GltfDocument;
 use super::float_json::bounds;
 use super::sharing::{AccessorOverwrite, AppendedAccessor, MeshRef, SharingPlan};
@@ -131,67 +132,28 @@ impl<'a> DocumentPatcher<'_, 'a> {
         if appends.is_empty() {
             return Ok(());
         }
-        let takes_more = |i: &usize| {
-            self.stored.stored[*i].bytes.is_some()
-                && self.stored.is_exclusive(*i)
-                && !self.doc.buffers.values[*i].is_fallback()
-        };
-        let target = (0..self.doc.buffers.len()).find(takes_more);
-        let (first_view, buffer) = (self.doc.views.len(), target.unwrap_or(self.doc.buffers.len()));
-        let (mut views, mut accessors) = (Vec::new(), Vec::new());
-        let mut new = Vec::new();
-        let bytes = match target {
-            Some(buffer) => self.patch_bytes(buffer),
-            None => &mut new,
-        };
+        let mut new = BufferBuilder::default();
         for append in appends {
-            bytes.resize(bytes.len().next_multiple_of(4), 0);
-            let (offset, length) = (bytes.len(), 4 * append.values.len());
-            bytes.extend(append.values.iter().flat_map(|v| v.to_le_bytes()));
             let Some((_, _, slot)) = append.users.first() else {
                 continue;
             };
-            let count = append.values.len() / slot.lanes();
-            views.push(format!(
-                r#"{{"buffer":{buffer},"byteOffset":{offset},"byteLength":{length},"target":34962}}"#
-            ));
-            let limits = if slot.role == ShapeAttribute::Position {
-                let (least, most) = bounds(&append.values, 3);
-                format!(r#","min":{least},"max":{most}"#)
-            } else {
-                String::new()
-            };
-            accessors.push(format!(
-                r#"{{"bufferView":{},"componentType":5126,"count":{count},"type":"{}"{limits}}}"#,
-                first_view + views.len() - 1,
-                slot.shape()
-            ));
+            let bytes: Vec<u8> = append.values.iter().flat_map(|v| v.to_le_bytes()).collect();
+            let view = new.add_view(&bytes, Some(VERTICES));
+            new.push_accessor(NewAccessor {
+                view: Some(view),
+                component: 5126,
+                count: append.values.len() / slot.lanes(),
+                shape: slot.shape(),
+                bounds: (slot.role == ShapeAttribute::Position).then(|| bounds(&append.values, 3)),
+                sparse: None,
+            });
         }
-        let length = bytes.len();
-        if length as u64 > u64::from(u32::MAX) {
-            return Err(self
-                .doc
-                .fault
-                .unwritable(format!("buffer {buffer} would have {length} bytes, 4 GiB is the most")));
-        }
-        match target {
-            Some(buffer) => self
-                .out
-                .edits
-                .set(self.doc.buffers.items[buffer], "byteLength", &length.to_string()),
-            None => self.out.added_buffer = Some(new),
-        }
-        self.push("bufferViews", self.doc.views.text, &views);
-        self.push("accessors", self.doc.accessors.text, &accessors);
-        Ok(())
-    }
-
-    fn push(&mut self, key: &str, array: Option<&'a str>, json: &[String]) {
-        match array {
-            Some(array) => self.out.edits.push(array, json),
-            None if json.is_empty() => {}
-            None => self.out.edits.set(self.doc.text, key, &format!("[{}]", json.join(","))),
-        }
+        let target = self.stored.growing_buffer(self.doc);
+        let stored = target.and_then(|i| self.stored.stored[i].bytes.as_ref());
+        let kept = stored.map_or(0, |bytes| bytes.len().next_multiple_of(4));
+        let name = format!("buffer {}", target.unwrap_or(self.doc.buffers.len()));
+        new.check_size(kept, &name, self.doc.fault)?;
+        new.append_to(self.doc, self.stored, &mut self.out)
     }
 
     /// Points attributes at new accessors, in place or in copies of their meshes, and nodes at the copies.
@@ -247,7 +209,9 @@ impl<'a> DocumentPatcher<'_, 'a> {
                 self.out.edits.set(self.doc.nodes.items[node], "mesh", &index);
             }
         }
-        self.push("meshes", self.doc.meshes.text, &copies);
+        self.out
+            .edits
+            .push_or_set(self.doc.text, "meshes", self.doc.meshes.text, &copies);
         Ok(())
     }
 }

@@ -2,7 +2,7 @@
 
 use super::accessors::{self, AccessorLayout, ComponentType, ShapeAttribute};
 use super::buffers::BufferBytes;
-use super::document::GltfDocument;
+use super::document::{GltfDocument, ParsedDocument};
 use super::draco;
 use super::influences::VertexInfluences;
 use super::placement::{Placement, VertexTransforms};
@@ -42,10 +42,10 @@ pub(super) struct PlacedPrimitive {
     pub(super) triangles: std::ops::Range<usize>,
 }
 
-/// What the writers have to remember of a file: where the rows of the primitive table came from.
+/// What the writers have to remember of a file: its parsed document, and where the rows of the primitive table came from.
 #[derive(Debug)]
 pub(super) struct GltfNotes {
-    pub(super) format: Format,
+    document: Arc<ParsedDocument>,
     pub(super) rows: Vec<PlacedPrimitive>,
     /// Nodes of the scene that have a mesh, ascending.
     pub(super) placed: Vec<usize>,
@@ -58,11 +58,26 @@ impl GltfNotes {
     pub(super) fn files<'a>(&'a self, model: &'a Model) -> &'a FileSet {
         self.uncompressed.as_ref().unwrap_or(&model.files)
     }
+
+    /// The document of the model, as it was parsed when the model was read.
+    pub(super) fn document<'a>(&'a self, model: &'a Model) -> Result<GltfDocument<'a>, Error> {
+        self.document.of(self.files(model))
+    }
+
+    /// The document of the model, and its bytes.
+    pub(super) fn document_and_bytes<'a>(
+        &'a self,
+        model: &'a Model,
+    ) -> Result<(GltfDocument<'a>, BufferBytes<'static>), Error> {
+        let doc = self.document(model)?;
+        let buffers = load_bytes(&doc, self.files(model))?;
+        Ok((doc, buffers))
+    }
 }
 
 impl FileNotes for GltfNotes {
     fn bytes_held(&self) -> u64 {
-        self.uncompressed.as_ref().map_or(0, FileSet::total_bytes)
+        self.document.bytes_held() + self.uncompressed.as_ref().map_or(0, FileSet::total_bytes)
     }
 }
 
@@ -78,38 +93,30 @@ fn unlimited() -> ReadWatch<'static> {
     ReadWatch::new(&UNLIMITED, &Silent, 0)
 }
 
-/// Parses a document that was parsed before, within the limits of that time.
-pub(super) fn parse_known(files: &FileSet, format: Format) -> Result<GltfDocument<'_>, Error> {
-    GltfDocument::parse(files, format, &unlimited())
+/// Parses a document that was just written, and so is within limits.
+pub(super) fn parse_written(files: &FileSet, format: Format) -> Result<ParsedDocument, Error> {
+    let parsed = ParsedDocument::parse(files, format, &unlimited())?;
+    super::check::check(&parsed.of(files)?)?;
+    Ok(parsed)
 }
 
-/// Parses the document of a model that was read before, and finds its bytes.
-pub(super) fn reopen<'a>(
-    model: &'a Model,
-    notes: &'a GltfNotes,
-) -> Result<(GltfDocument<'a>, BufferBytes<'static>), Error> {
-    parse_again(notes.files(model), notes.format)
-}
-
-/// Parses the document of files that are known to be right, and finds its bytes.
-pub(super) fn parse_again(files: &FileSet, format: Format) -> Result<(GltfDocument<'_>, BufferBytes<'static>), Error> {
-    let doc = parse_known(files, format)?;
-    super::check::check(&doc)?;
-    let buffers = BufferBytes::load(&doc, files, &unlimited())?;
-    Ok((doc, buffers))
+/// Finds the bytes of a document that is known to be right.
+pub(super) fn load_bytes(doc: &GltfDocument<'_>, files: &FileSet) -> Result<BufferBytes<'static>, Error> {
+    BufferBytes::load(doc, files, &unlimited())
 }
 
 /// Reads a model, checking everything it relies on.
 pub(super) fn read(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<(Geometry, GltfNotes), Error> {
-    let doc = GltfDocument::parse(files, format, watch)?;
+    let parsed = Arc::new(ParsedDocument::parse(files, format, watch)?);
+    let doc = parsed.of(files)?;
     super::check::check(&doc)?;
     if doc.uses(draco::DRACO) {
         let mut buffers = BufferBytes::load(&doc, files, watch)?;
         if let Some((plain, count)) = draco::uncompress(&doc, files, &mut buffers, watch)? {
             drop(buffers);
-            let doc = GltfDocument::parse(&plain, format, watch)?;
-            super::check::check(&doc)?;
-            let (mut geometry, mut notes) = read_document(&doc, &plain, format, watch)?;
+            let parsed = Arc::new(ParsedDocument::parse(&plain, format, watch)?);
+            super::check::check(&parsed.of(&plain)?)?;
+            let (mut geometry, mut notes) = read_document(&parsed, &plain, format, watch)?;
             let were = if count == 1 { "primitive was" } else { "primitives were" };
             let message = format!("{count} {were} compressed with Draco; a changed model comes back without it");
             geometry.warn("draco-decoded", message, "meshes");
@@ -117,16 +124,17 @@ pub(super) fn read(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Re
             return Ok((geometry, notes));
         }
     }
-    read_document(&doc, files, format, watch)
+    read_document(&parsed, files, format, watch)
 }
 
 /// Reads a document without Draco, or with what it holds uncompressed beside it.
 fn read_document(
-    doc: &GltfDocument<'_>,
+    parsed: &Arc<ParsedDocument>,
     files: &FileSet,
     format: Format,
     watch: &ReadWatch<'_>,
 ) -> Result<(Geometry, GltfNotes), Error> {
+    let doc = &parsed.of(files)?;
     let mut reader = GltfReader {
         buffers: BufferBytes::load(doc, files, watch)?,
         doc,
@@ -169,7 +177,7 @@ fn read_document(
     let mut placed: Vec<usize> = placements.iter().map(|p| p.node).collect();
     placed.sort_unstable();
     let notes = GltfNotes {
-        format,
+        document: Arc::clone(parsed),
         rows,
         placed,
         uncompressed: None,

@@ -209,9 +209,11 @@ impl BufferCuts {
 
 #[cfg(test)]
 mod tests {
-    use super::super::document::GLTF_FORMAT;
+    use super::super::document::{GLTF_FORMAT, ParsedDocument};
     use super::*;
-    use crate::asset::FileSet;
+    use crate::asset::files::ReadWatch;
+    use crate::asset::{FileSet, Limits};
+    use crate::progress::Silent;
 
     const JSON: &str = concat!(
         r#"{"asset":{"version":"2.0"},"buffers":[{"byteLength":64,"uri":"b.bin"},{"byteLength":64,"uri":"c.bin"}],"#,
@@ -226,17 +228,25 @@ mod tests {
         r#""extensions":{"EXT_structural_metadata":{"values":3},"X_other":{"list":[{"bufferView":5}],"values":1}}}"#
     );
 
+    fn parse_unchecked(files: &FileSet) -> ParsedDocument {
+        let limits = Limits::default();
+        let watch = ReadWatch::new(&limits, &Silent, 0);
+        ParsedDocument::parse(files, GLTF_FORMAT, &watch).expect("a document")
+    }
+
     #[test]
     fn uses_are_counted_wherever_a_view_is_named() {
         let files = FileSet::single("a.gltf", JSON);
-        let doc = super::super::read::parse_known(&files, GLTF_FORMAT).expect("a document");
+        let parsed = parse_unchecked(&files);
+        let doc = parsed.of(&files).expect("a document");
         assert_eq!(count_view_uses(&doc), Some(vec![0, 0, 2, 1, 1, 1, 0, 0]));
     }
 
     #[test]
     fn bytes_that_others_have_too_stay_and_views_behind_follow() {
         let files = FileSet::single("a.gltf", JSON);
-        let doc = super::super::read::parse_known(&files, GLTF_FORMAT).expect("a document");
+        let parsed = parse_unchecked(&files);
+        let doc = parsed.of(&files).expect("a document");
         let bytes: Vec<u8> = (0..64).collect();
         // View 3 has bytes of view 4; of view 1 whole alignments go, so that those behind stay aligned.
         let cuts = BufferCuts::new(&doc, 0, &[1, 3, 7]);

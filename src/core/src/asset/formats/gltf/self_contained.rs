@@ -1,5 +1,6 @@
 //! A GLB that needs no other file: what companions hold moves into its binary chunk.
 
+use super::builder::BufferBuilder;
 use super::companions::uri_of;
 use super::container;
 use super::fault::GltfFault;
@@ -160,7 +161,7 @@ impl<'a> CompanionEmbedder<'a> {
 
     /// Gives every image that lies in a companion a view of its own.
     fn embed_images(&mut self) {
-        let mut views = Vec::new();
+        let mut pictures = BufferBuilder::default();
         let first = section_items(self.text, "bufferViews").len();
         // Images that name one file share one view.
         let mut view_of: BTreeMap<String, usize> = BTreeMap::new();
@@ -174,10 +175,8 @@ impl<'a> CompanionEmbedder<'a> {
             let view = match view_of.get(&name) {
                 Some(view) => *view,
                 None => {
-                    let at = self.append_companion(name.clone(), bytes);
-                    let length = bytes.len();
-                    views.push(format!(r#"{{"buffer":0,"byteOffset":{at},"byteLength":{length}}}"#));
-                    let view = first + views.len() - 1;
+                    let view = first + pictures.add_view(bytes, None);
+                    self.taken.push(name.clone());
                     view_of.insert(name, view);
                     view
                 }
@@ -192,15 +191,14 @@ impl<'a> CompanionEmbedder<'a> {
             }
             self.edits.replace(image, text);
         }
-        if views.is_empty() {
+        if pictures.is_empty() {
             return;
         }
-        match value_of(self.text, "bufferViews") {
-            Some(array) => self.edits.push(array, &views),
-            None => self
-                .edits
-                .set(self.text, "bufferViews", &format!("[{}]", views.join(","))),
-        }
+        self.bin.resize(self.bin.len().next_multiple_of(4), 0);
+        let views = pictures.view_texts(0, self.bin.len());
+        self.bin.extend_from_slice(pictures.bytes());
+        let array = value_of(self.text, "bufferViews");
+        self.edits.push_or_set(self.text, "bufferViews", array, &views);
     }
 }
 

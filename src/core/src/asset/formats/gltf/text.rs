@@ -184,6 +184,15 @@ impl<'a> JsonEdits<'a> {
         }
     }
 
+    /// Adds `json` to `array`, the value of `key` of `object`, or gives `object` such an array when there is none.
+    pub(super) fn push_or_set(&mut self, object: &'a str, key: &str, array: Option<&'a str>, json: &[String]) {
+        match array {
+            Some(array) => self.push(array, json),
+            None if json.is_empty() => {}
+            None => self.set(object, key, &format!("[{}]", json.join(","))),
+        }
+    }
+
     /// The text with every edit made.
     pub(super) fn apply(mut self) -> String {
         // Stable: insertions at one place stay in the order in which they were asked for.
@@ -202,13 +211,18 @@ impl<'a> JsonEdits<'a> {
     }
 
     fn range_of(&self, part: &str) -> Range<usize> {
-        let start = (part.as_ptr() as usize).wrapping_sub(self.text.as_ptr() as usize);
-        assert!(
-            start <= self.text.len() && part.len() <= self.text.len() - start,
-            "a part of the edited text"
-        );
-        start..start + part.len()
+        place_in(self.text, part)
     }
+}
+
+/// Where `part`, a slice of `text`, lies in it.
+pub(super) fn place_in(text: &str, part: &str) -> Range<usize> {
+    let start = (part.as_ptr() as usize).wrapping_sub(text.as_ptr() as usize);
+    assert!(
+        start <= text.len() && part.len() <= text.len() - start,
+        "a part of the edited text"
+    );
+    start..start + part.len()
 }
 
 #[cfg(test)]

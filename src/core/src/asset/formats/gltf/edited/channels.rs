@@ -3,7 +3,7 @@
 use super::super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, check_unbacked, read_values};
 use super::super::buffers::BufferBytes;
 use super::super::document::GltfDocument;
-use super::super::read::{GltfNotes, reopen};
+use super::super::read::GltfNotes;
 use crate::asset::edited::{EditedModel, PrimitiveRun, VertexBlend};
 use crate::asset::vertex_attributes::AttributeKeys;
 use crate::asset::{Error, Model};
@@ -59,7 +59,7 @@ pub(in super::super) fn tell_apart(
     notes: &GltfNotes,
     keys: &mut AttributeKeys<'_>,
 ) -> Result<(), Error> {
-    let (doc, mut buffers) = reopen(model, notes)?;
+    let (doc, mut buffers) = notes.document_and_bytes(model)?;
     for row in &notes.rows {
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
         let shape = |name: &str| ShapeAttribute::ALL.iter().any(|own| own.name() == name);

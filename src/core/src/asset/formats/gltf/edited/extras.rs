@@ -1,6 +1,6 @@
 //! What an edited glTF gives to other formats.
 
-use super::super::read::{GltfNotes, reopen};
+use super::super::read::GltfNotes;
 use super::super::text::{items, value_of};
 use super::channels::{AttributeBlender, read};
 use super::looks::read_looks;
@@ -20,7 +20,7 @@ pub(in super::super) fn run_attributes(
     let Some((model, notes)) = model.and_then(|model| Some((model, model.notes::<GltfNotes>()?))) else {
         return Ok(Vec::new());
     };
-    let (doc, mut buffers) = reopen(model, notes)?;
+    let (doc, mut buffers) = notes.document_and_bytes(model)?;
     let materials = read_looks(&doc, notes.files(model), &buffers)?;
     let mut all = Vec::with_capacity(runs.len());
     for run in runs {

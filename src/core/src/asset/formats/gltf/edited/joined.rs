@@ -7,14 +7,14 @@
 //! Skeletons, animations, cameras, lights and extensions that are not about materials stay behind. A base of another
 //! format comes as plain geometry.
 
+use super::super::builder::{AccessorKind, BufferBuilder};
 use super::super::document::GltfDocument;
 use super::super::fault::GltfFault;
-use super::super::read::{GltfNotes, reopen};
+use super::super::read::GltfNotes;
 use super::super::scene;
 use super::super::targets::TargetTally;
 use super::super::text::{items, quoted, value_of};
 use super::frame::EditedMeshes;
-use super::fresh::{NewAccessorKind, NewAccessors};
 use super::handles::AccessorHandle;
 use super::joined_bases::JoinedBases;
 use super::material::MaterialCopier;
@@ -34,7 +34,7 @@ pub(super) fn join_bases(
     files: &FileSet,
     frame: &EditedMeshes,
     output: &EditedOutput<'_>,
-    (fresh, turns, tally): (&mut NewAccessors, &EditedTurns<'_>, &mut TargetTally),
+    (fresh, turns, tally): (&mut BufferBuilder, &EditedTurns<'_>, &mut TargetTally),
 ) -> Result<JoinedBases, Error> {
     let mut joined = JoinedBases::default();
     let EditedOutput { edited, positions, .. } = *output;
@@ -67,7 +67,7 @@ struct BaseJoiner<'j, 'a> {
     frame: &'j GltfDocument<'j>,
     edited: &'a EditedModel<'a>,
     positions: &'a [DVec3],
-    fresh: &'j mut NewAccessors,
+    fresh: &'j mut BufferBuilder,
     turns: &'j EditedTurns<'j>,
     tally: &'j mut TargetTally,
     joined: &'j mut JoinedBases,
@@ -84,7 +84,7 @@ impl<'a> BaseJoiner<'_, 'a> {
     ) -> Result<(), Error> {
         let model = self.edited.bases[base].model;
         let placing = self.edited.bases[base].world_from_model;
-        let (doc, mut buffers) = reopen(model, notes)?;
+        let (doc, mut buffers) = notes.document_and_bytes(model)?;
         let mut runs_of: BTreeMap<(usize, usize), Vec<&PrimitiveRun>> = BTreeMap::new();
         for run in runs {
             let row = &notes.rows[run.primitive as usize];
@@ -211,7 +211,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             }
             add(
                 "POSITION",
-                self.fresh.add_floats(&positions, 3, "VEC3", NewAccessorKind::Positions),
+                self.fresh.add_floats(&positions, 3, "VEC3", AccessorKind::Positions),
             );
             if primitive.has_normals {
                 let values: Vec<f32> = geometry.normals[range.clone()]
@@ -220,21 +220,21 @@ impl<'a> BaseJoiner<'_, 'a> {
                     .collect();
                 add(
                     "NORMAL",
-                    self.fresh.add_floats(&values, 3, "VEC3", NewAccessorKind::Floats),
+                    self.fresh.add_floats(&values, 3, "VEC3", AccessorKind::Floats),
                 );
             }
             if part.has_uv {
                 add(
                     "TEXCOORD_0",
                     self.fresh
-                        .add_floats(uv[range.clone()].as_flattened(), 2, "VEC2", NewAccessorKind::Floats),
+                        .add_floats(uv[range.clone()].as_flattened(), 2, "VEC2", AccessorKind::Floats),
                 );
             }
             if part.has_colours {
                 add(
                     "COLOR_0",
                     self.fresh
-                        .add_floats(colours[range].as_flattened(), 4, "VEC4", NewAccessorKind::Floats),
+                        .add_floats(colours[range].as_flattened(), 4, "VEC4", AccessorKind::Floats),
                 );
             }
             let local: Vec<[u32; 3]> = own

@@ -53,7 +53,7 @@ pub(super) struct KeptData {
 
 /// Whether unused data may be dropped.
 pub(super) fn may_drop(doc: &GltfDocument<'_>) -> bool {
-    let mut all = doc.extensions_used.iter().chain(&doc.extensions_required);
+    let mut all = doc.extensions_used.iter().chain(doc.extensions_required);
     all.all(|extension| KNOWN.iter().any(|known| extension.starts_with(known)))
 }
 

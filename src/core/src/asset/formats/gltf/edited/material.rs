@@ -1,9 +1,9 @@
 //! Materials that come along with a joined base, with what they draw with.
 
 use super::super::buffers::BufferBytes;
+use super::super::builder::BufferBuilder;
 use super::super::document::GltfDocument;
 use super::super::text::quoted;
-use super::fresh::NewAccessors;
 use super::joined_bases::{JoinedBases, next_number};
 use super::kept::unparsed_items;
 use super::places;
@@ -36,7 +36,7 @@ const OTHER_IMAGE: [&str; 4] = [
 struct CopyTarget<'t, 'f> {
     frame: &'t GltfDocument<'f>,
     buffers: &'t BufferBytes<'t>,
-    fresh: &'t mut NewAccessors,
+    fresh: &'t mut BufferBuilder,
     joined: &'t mut JoinedBases,
 }
 
@@ -60,7 +60,7 @@ impl<'p> MaterialCopier<'p> {
         old: usize,
         frame: &GltfDocument<'_>,
         buffers: &BufferBytes,
-        fresh: &mut NewAccessors,
+        fresh: &mut BufferBuilder,
         joined: &mut JoinedBases,
     ) -> Result<Option<usize>, Error> {
         if let Some(new) = self.materials.get(&old) {
@@ -205,7 +205,7 @@ impl<'p> MaterialCopier<'p> {
                     places::without_keys(unparsed_items(self.doc, "images")[old], &["bufferView", "extensions"]);
                 let mut view = None;
                 if let Some(stored) = image.as_object().and_then(|i| index_member(i, "bufferView")) {
-                    view = Some(to.fresh.add_bytes(to.buffers.view(self.doc, stored)?));
+                    view = Some(to.fresh.add_view(to.buffers.view(self.doc, stored)?, None));
                 } else if let Some(uri) = image["uri"].as_str() {
                     text = places::with_member(&text, "uri", &quoted(&self.free_companion_uri(uri, to)));
                 }

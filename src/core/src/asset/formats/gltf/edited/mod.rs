@@ -1,13 +1,12 @@
 //! glTF out after edits of the topology: the first base's document with edited primitives, other bases joined to it.
 //!
-//! EditedModel primitives get accessors of their own ([`primitives`], stored by [`fresh`]); nodes that drew one mesh and now
+//! EditedModel primitives get accessors of their own ([`primitives`], stored by [`BufferBuilder`]); nodes that drew one mesh and now
 //! differ get meshes of their own ([`frame`]). What nothing uses any more is dropped where that is safe ([`kept`]), so
 //! that compressed and quantised files come back as plain floats without the extensions they needed.
 
 mod channels;
 mod extras;
 mod frame;
-mod fresh;
 mod handles;
 mod joined;
 mod joined_bases;
@@ -22,16 +21,16 @@ mod targets;
 
 pub(super) use channels::tell_apart;
 pub(super) use extras::run_attributes;
-pub(super) use fresh::{NewAccessorKind, NewAccessors};
 pub(super) use places::References;
 
 use super::buffers::{BufferBytes, BufferOrigin};
+use super::builder::BufferBuilder;
 use super::container;
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::fault::GltfFault;
 use super::package::package;
 use super::patch::PatchedDocument;
-use super::read::{GltfNotes, reopen};
+use super::read::GltfNotes;
 use super::rig::FollowedNodeTree;
 use super::targets::TargetTally;
 use super::text::{JsonEdits, members, quoted};
@@ -57,7 +56,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let Some((model, notes)) = first.and_then(|model| Some((model, model.notes::<GltfNotes>()?))) else {
         return Err(fault.unwritable("the first base is not glTF"));
     };
-    let (doc, mut buffers) = reopen(model, notes)?;
+    let (doc, mut buffers) = notes.document_and_bytes(model)?;
     let mut tree = None;
     if super::rig::may_move_nodes(notes, output.followers) {
         let before = rigged::positions_before(edited);
@@ -69,7 +68,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     }
     let positions = tree.as_ref().map_or(output.positions, |(_, to_write)| to_write);
     let output = &EditedOutput { positions, ..*output };
-    let mut fresh = NewAccessors::default();
+    let mut fresh = BufferBuilder::default();
     let own: Vec<&PrimitiveRun> = edited.runs.iter().filter(|run| run.base == 0).collect();
     let turns = EditedTurns::new(edited, positions, output.followers.rules.morph_targets);
     let mut tally = TargetTally::default();
@@ -119,7 +118,7 @@ struct EditedGltfWriter<'a> {
     doc: &'a GltfDocument<'a>,
     files: &'a FileSet,
     frame: EditedMeshes,
-    fresh: NewAccessors,
+    fresh: BufferBuilder,
     joined: JoinedBases,
     fault: GltfFault,
 }
@@ -187,7 +186,7 @@ impl EditedGltfWriter<'_> {
             ..
         } = kept;
         bytes.resize(bytes.len().next_multiple_of(4), 0);
-        self.fresh.check_size(bytes.len(), self.fault)?;
+        self.fresh.check_size(bytes.len(), "a buffer", self.fault)?;
         accessors.extend(self.fresh.accessor_texts(views.len()));
         views.extend(self.fresh.view_texts(0, bytes.len()));
         bytes.extend_from_slice(self.fresh.bytes());
@@ -250,16 +249,13 @@ impl EditedGltfWriter<'_> {
     /// The document with all of its old data where it was, and new data behind it.
     fn write_appended(&mut self, buffers: &BufferBytes) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
-        let takes_more = |i: &usize| {
-            buffers.stored[*i].bytes.is_some() && buffers.is_exclusive(*i) && !doc.buffers.values[*i].is_fallback()
-        };
-        let target = (0..doc.buffers.len()).find(takes_more);
+        let target = buffers.growing_buffer(doc);
         let mut bytes = target
             .and_then(|i| buffers.stored[i].bytes.as_ref())
             .map(|b| b.to_vec())
             .unwrap_or_default();
         bytes.resize(bytes.len().next_multiple_of(4), 0);
-        self.fresh.check_size(bytes.len(), self.fault)?;
+        self.fresh.check_size(bytes.len(), "a buffer", self.fault)?;
         let view_texts = self.fresh.view_texts(target.unwrap_or(doc.buffers.len()), bytes.len());
         let accessor_texts = self.fresh.accessor_texts(doc.views.len());
         bytes.extend_from_slice(self.fresh.bytes());

@@ -2,6 +2,7 @@
 
 use super::super::accessors::{AccessorLayout, ShapeAttribute, read_floats};
 use super::super::buffers::BufferBytes;
+use super::super::builder::{AccessorKind, BufferBuilder};
 use super::super::document::GltfDocument;
 use super::super::fault::GltfFault;
 use super::super::placement::{Placement, VertexTransforms};
@@ -9,7 +10,6 @@ use super::super::read::PlacedPrimitive;
 use super::super::schema::{Attributes, MeshPrimitive};
 use super::super::targets::TargetTally;
 use super::channels::{AttributeBlender, AttributeValues, read, shape_of};
-use super::fresh::{NewAccessorKind, NewAccessors};
 use super::handles::AccessorHandle;
 use super::skins::BlendedSkin;
 use super::targets::{EditedTurns, TargetBlender};
@@ -43,7 +43,7 @@ pub(super) struct PrimitiveMaker<'a, 'f> {
     pub(super) buffers: &'a mut BufferBytes<'static>,
     pub(super) edited: &'a EditedModel<'a>,
     pub(super) positions: &'a [DVec3],
-    pub(super) fresh: &'a mut NewAccessors,
+    pub(super) fresh: &'a mut BufferBuilder,
     pub(super) fault: GltfFault,
     /// Whether accessors of the file may be named, because the file is the frame of the result.
     pub(super) is_frame: bool,
@@ -156,7 +156,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
         carried: &CarriedAttributes<'_>,
     ) -> BTreeMap<String, AccessorHandle> {
         let mut attributes = BTreeMap::new();
-        let at = self.fresh.add_floats(positions, 3, "VEC3", NewAccessorKind::Positions);
+        let at = self.fresh.add_floats(positions, 3, "VEC3", AccessorKind::Positions);
         attributes.insert(ShapeAttribute::Position.name().into(), AccessorHandle::New(at));
         let (has_normal, has_tangent) = (
             primitive.attribute(ShapeAttribute::Normal.name()).is_some(),
@@ -173,7 +173,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 along.as_vec3().to_array()
             };
             let values: Vec<f32> = normals.iter().enumerate().flat_map(to_mesh).collect();
-            let at = self.fresh.add_floats(&values, 3, "VEC3", NewAccessorKind::Floats);
+            let at = self.fresh.add_floats(&values, 3, "VEC3", AccessorKind::Floats);
             attributes.insert(ShapeAttribute::Normal.name().into(), AccessorHandle::New(at));
         }
         if has_tangent {
@@ -191,7 +191,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 .enumerate()
                 .flat_map(to_mesh)
                 .collect();
-            let at = self.fresh.add_floats(&values, 4, "VEC4", NewAccessorKind::Floats);
+            let at = self.fresh.add_floats(&values, 4, "VEC4", AccessorKind::Floats);
             attributes.insert(ShapeAttribute::Tangent.name().into(), AccessorHandle::New(at));
         }
         attributes
@@ -273,7 +273,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                     wrong.for_each(|v| *v = 0.0);
                 }
                 self.fresh
-                    .add_floats(&values, channel.lanes, shape_of(stored), NewAccessorKind::Floats)
+                    .add_floats(&values, channel.lanes, shape_of(stored), AccessorKind::Floats)
             };
             attributes.insert(name.clone(), AccessorHandle::New(at));
         }

@@ -1,13 +1,13 @@
 //! Joints and weights of edited vertices, and where these put them.
 
 use super::super::buffers::BufferBytes;
+use super::super::builder::{AccessorKind, BufferBuilder};
 use super::super::document::GltfDocument;
 use super::super::fault::GltfFault;
 use super::super::influences::{VertexInfluences, influence_accessors};
 use super::super::placement::{Placement, VertexTransforms, is_writable};
 use super::super::schema::MeshPrimitive;
 use super::channels::{AttributeBlender, AttributeValues, read};
-use super::fresh::{NewAccessorKind, NewAccessors};
 use super::handles::AccessorHandle;
 use crate::asset::Error;
 use glam::DAffine3;
@@ -67,10 +67,10 @@ impl BlendedSkin {
     }
 
     /// Writes all sets.
-    pub(super) fn write(&self, fresh: &mut NewAccessors, attributes: &mut BTreeMap<String, AccessorHandle>) {
+    pub(super) fn write(&self, fresh: &mut BufferBuilder, attributes: &mut BTreeMap<String, AccessorHandle>) {
         for (n, (joints, weights)) in self.joints.iter().zip(&self.weights).enumerate() {
             let joints = fresh.add_joints(joints);
-            let weights = fresh.add_floats(weights, 4, "VEC4", NewAccessorKind::Floats);
+            let weights = fresh.add_floats(weights, 4, "VEC4", AccessorKind::Floats);
             attributes.insert(format!("JOINTS_{n}"), AccessorHandle::New(joints));
             attributes.insert(format!("WEIGHTS_{n}"), AccessorHandle::New(weights));
         }

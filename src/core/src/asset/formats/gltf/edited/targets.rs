@@ -2,12 +2,12 @@
 
 use super::super::accessors::ShapeAttribute;
 use super::super::buffers::BufferBytes;
+use super::super::builder::{AccessorKind, BufferBuilder};
 use super::super::document::GltfDocument;
 use super::super::placement::{Placement, VertexTransforms};
 use super::super::schema::Attributes;
 use super::super::targets::{TargetTally, displacement_map};
 use super::channels::{AttributeBlender, AttributeValues, read, shape_of};
-use super::fresh::{NewAccessorKind, NewAccessors};
 use super::handles::AccessorHandle;
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun};
 use crate::asset::{Error, MorphTargetRule};
@@ -88,7 +88,7 @@ impl<'a> TargetBlender<'a> {
         &self,
         target: &Attributes,
         (doc, buffers): (&GltfDocument<'_>, &BufferBytes),
-        fresh: &mut NewAccessors,
+        fresh: &mut BufferBuilder,
         may_stay: bool,
         tally: &mut TargetTally,
     ) -> Result<(BTreeMap<String, AccessorHandle>, bool), Error> {
@@ -111,8 +111,8 @@ impl<'a> TargetBlender<'a> {
                 AccessorHandle::Old(accessor.index())
             } else {
                 let kind = match role {
-                    Some(ShapeAttribute::Position) => NewAccessorKind::Positions,
-                    _ => NewAccessorKind::Floats,
+                    Some(ShapeAttribute::Position) => AccessorKind::Positions,
+                    _ => AccessorKind::Floats,
                 };
                 let shape = shape_of(&doc.accessors.values[accessor.index()].shape);
                 AccessorHandle::New(fresh.add_floats(&values, channel.lanes, shape, kind))

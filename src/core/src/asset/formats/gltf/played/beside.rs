@@ -1,7 +1,8 @@
 //! What of a file's own clip goes on beside what is played: channels of everything that is still there.
 
+use super::super::builder::AccessorKind;
 use super::super::document::GltfDocument;
-use super::super::edited::{JsonSections, NewAccessorKind, places};
+use super::super::edited::{JsonSections, places};
 use super::super::text::{items, quoted, value_of};
 use super::channels::{NewClip, add_root};
 use super::cut_keys::{KeyKind, SamplerKeys};
@@ -138,8 +139,8 @@ fn cut_sampler(
         3 => "VEC3",
         _ => "VEC4",
     };
-    let input = played.add_floats(&cut.times, "SCALAR", NewAccessorKind::Times);
-    let output = played.add_floats(&cut.values, shape, NewAccessorKind::Numbers);
+    let input = played.add_floats(&cut.times, "SCALAR", AccessorKind::Times);
+    let output = played.add_floats(&cut.values, shape, AccessorKind::Numbers);
     let name = match kind {
         KeyKind::Step => "STEP",
         KeyKind::Spline => "CUBICSPLINE",

@@ -1,6 +1,7 @@
 //! The text of a clip.
 
-use super::super::edited::{NewAccessorKind, places};
+use super::super::builder::AccessorKind;
+use super::super::edited::places;
 use super::super::text::quoted;
 use super::document::PlayedDocument;
 use crate::asset::played_clip::{NodeKeys, NodePlace};
@@ -70,7 +71,7 @@ impl NewClip {
             turns.extend(turn.to_array().map(|v| v as f32));
         }
         for (values, shape, path) in [(shifts, "VEC3", "translation"), (turns, "VEC4", "rotation")] {
-            let values = played.add_floats(&values, shape, NewAccessorKind::Numbers);
+            let values = played.add_floats(&values, shape, AccessorKind::Numbers);
             let sampler = self.add_sampler(times, values);
             self.add_channel(sampler, node, path);
         }
@@ -100,7 +101,7 @@ impl NewClip {
 /// Stores times; the number of their accessor.
 pub(super) fn add_times(played: &mut PlayedDocument<'_, '_>, times: &[f64]) -> usize {
     let times: Vec<f32> = times.iter().map(|t| *t as f32).collect();
-    played.add_floats(&times, "SCALAR", NewAccessorKind::Times)
+    played.add_floats(&times, "SCALAR", AccessorKind::Times)
 }
 
 /// Adds a node above others that follows keys; its number.

@@ -2,19 +2,19 @@
 
 use super::super::accessors::{AccessorLayout, ShapeAttribute, check_unbacked, read_floats, read_values};
 use super::super::buffers::{BufferBytes, BufferOrigin};
+use super::super::builder::{AccessorKind, BufferBuilder, embedded_buffer_text};
 use super::super::container;
 use super::super::document::{GLB_FORMAT, GltfDocument};
-use super::super::edited::{JsonSections, NewAccessorKind, NewAccessors, places, replace_members};
+use super::super::edited::{JsonSections, places, replace_members};
 use super::super::fault::GltfFault;
-use super::super::text::{items, quoted, value_of};
-use super::super::uri;
+use super::super::text::{items, value_of};
 use crate::asset::{Error, FileSet, WrittenFiles};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A document and what becomes of it.
 pub(super) struct PlayedDocument<'d, 'a> {
     pub(super) doc: &'d GltfDocument<'a>,
-    pub(super) fresh: NewAccessors,
+    pub(super) fresh: BufferBuilder,
     buffers: BufferBytes<'static>,
     nodes: Vec<String>,
     meshes: Vec<String>,
@@ -26,7 +26,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
         let owned = |list: &[&str]| list.iter().map(|text| (*text).to_owned()).collect();
         Self {
             doc,
-            fresh: NewAccessors::default(),
+            fresh: BufferBuilder::default(),
             buffers,
             nodes: owned(&doc.nodes.items),
             meshes: owned(&doc.meshes.items),
@@ -34,7 +34,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
     }
 
     /// Adds floats; the number of their accessor.
-    pub(super) fn add_floats(&mut self, values: &[f32], shape: &'static str, kind: NewAccessorKind) -> usize {
+    pub(super) fn add_floats(&mut self, values: &[f32], shape: &'static str, kind: AccessorKind) -> usize {
         let lanes = match shape {
             "SCALAR" => 1,
             "VEC3" => 3,
@@ -101,7 +101,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
         // The chunk's padding belongs to no view, and what is added begins behind it.
         let mut bytes = own.map(|b| b.to_vec()).unwrap_or_default();
         bytes.resize(bytes.len().next_multiple_of(4), 0);
-        self.fresh.check_size(bytes.len(), fault)?;
+        self.fresh.check_size(bytes.len(), "a buffer", fault)?;
         let (views, accessors) = (self.doc.views.len(), self.doc.accessors.len());
         let mut buffers: Vec<String> = self.doc.buffers.items.iter().map(|text| (*text).to_owned()).collect();
         let target = if own.is_some() { 0 } else { buffers.len() };
@@ -113,8 +113,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
         } else if buffers.is_empty() {
             buffers.push(format!(r#"{{"byteLength":{}}}"#, bytes.len()));
         } else {
-            let data = quoted(&uri::embed(&bytes));
-            buffers.push(format!(r#"{{"byteLength":{},"uri":{data}}}"#, bytes.len()));
+            buffers.push(embedded_buffer_text(&bytes));
         }
         let lists: [(&'static str, Vec<String>, usize); 5] = [
             ("buffers", buffers, 0),

@@ -1,6 +1,7 @@
 //! Frames as joints that carry every vertex.
 
-use super::super::edited::{JsonSections, NewAccessorKind, places};
+use super::super::builder::AccessorKind;
+use super::super::edited::{JsonSections, places};
 use super::super::float_json::json_floats;
 use super::super::read::GltfNotes;
 use super::super::text::quoted;
@@ -38,7 +39,7 @@ pub(super) fn add_clip(
 
     let skeleton = add_skeleton(played, clip);
     let back: Vec<f32> = skeleton.stands.iter().flat_map(inverse_matrix).collect();
-    let back = played.add_floats(&back, "MAT4", NewAccessorKind::Numbers);
+    let back = played.add_floats(&back, "MAT4", AccessorKind::Numbers);
     let (root, numbers) = (skeleton.root, number_list(&skeleton.nodes));
     skins.push(format!(
         r#"{{"inverseBindMatrices":{back},"joints":{numbers},"skeleton":{root}}}"#
@@ -55,7 +56,7 @@ pub(super) fn add_clip(
         if let Some(correctives) = clip.correctives.filter(|c| !c.shapes.is_empty()) {
             let times = add_times(played, clip.times);
             let weights: Vec<f32> = correctives.weights.iter().flatten().map(|w| *w as f32).collect();
-            let weights = played.add_floats(&weights, "SCALAR", NewAccessorKind::Numbers);
+            let weights = played.add_floats(&weights, "SCALAR", AccessorKind::Numbers);
             let sampler = new.add_sampler(times, weights);
             drawn.iter().for_each(|node| new.add_channel(sampler, *node, "weights"));
         }
@@ -203,7 +204,7 @@ fn node_changes(
             let weights: Vec<f32> = own.iter().flat_map(|i| i.weights[range.clone()].to_vec()).collect();
             let joints = played.doc.accessors.len() + played.fresh.add_joints(&joints);
             changes.attributes.insert(keys[0], joints);
-            let weights = played.add_floats(&weights, "VEC4", NewAccessorKind::Floats);
+            let weights = played.add_floats(&weights, "VEC4", AccessorKind::Floats);
             changes.attributes.insert(keys[1], weights);
         }
         all[row.primitive] = changes;

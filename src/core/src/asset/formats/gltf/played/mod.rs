@@ -25,7 +25,7 @@ mod morphs;
 mod primitives;
 mod scene;
 
-use super::read::{GltfNotes, reopen};
+use super::read::GltfNotes;
 use crate::asset::played_clip::PlayedClip;
 use crate::asset::{Error, Model, WrittenFiles};
 use document::PlayedDocument;
@@ -37,7 +37,7 @@ pub(super) fn write(
     vertices: &[u32],
     clip: &PlayedClip<'_>,
 ) -> Result<WrittenFiles, Error> {
-    let (doc, buffers) = reopen(rest, notes)?;
+    let (doc, buffers) = notes.document_and_bytes(rest)?;
     let mut played = PlayedDocument::new(&doc, buffers);
     let sections = match clip {
         PlayedClip::Morphs(clip) => morphs::add_clip(&mut played, rest, notes, vertices, clip)?,

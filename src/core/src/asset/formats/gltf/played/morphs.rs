@@ -1,6 +1,7 @@
 //! Frames as morph targets.
 
-use super::super::edited::{JsonSections, NewAccessorKind, places};
+use super::super::builder::AccessorKind;
+use super::super::edited::{JsonSections, places};
 use super::super::read::GltfNotes;
 use super::beside::go_on_beside;
 use super::channels::{NewClip, add_root, add_times};
@@ -54,7 +55,7 @@ pub(super) fn add_clip(
     let weights: Vec<f32> = (0..count * count)
         .map(|i| f32::from(u8::from(i / count == i % count)))
         .collect();
-    let weights = played.add_floats(&weights, "SCALAR", NewAccessorKind::Numbers);
+    let weights = played.add_floats(&weights, "SCALAR", AccessorKind::Numbers);
     let sampler = new.add_sampler(times, weights);
     drawing
         .iter()

@@ -1,7 +1,8 @@
 //! Rest positions of primitives, and the texts of primitives that are played.
 
 use super::super::accessors::ShapeAttribute;
-use super::super::edited::{NewAccessorKind, places};
+use super::super::builder::AccessorKind;
+use super::super::edited::places;
 use super::super::placement::{Placement, invert};
 use super::super::read::{GltfNotes, PlacedPrimitive, normal_matrix};
 use super::super::text::{items, members, quoted, value_of};
@@ -112,9 +113,9 @@ impl RestPrimitive {
                 changes.attributes.insert(key, played.add_floats(values, shape, kind));
             }
         };
-        add("POSITION", &self.positions, "VEC3", NewAccessorKind::Positions);
-        add("NORMAL", &self.normals, "VEC3", NewAccessorKind::Floats);
-        add("TANGENT", &self.tangents, "VEC4", NewAccessorKind::Floats);
+        add("POSITION", &self.positions, "VEC3", AccessorKind::Positions);
+        add("NORMAL", &self.normals, "VEC3", AccessorKind::Floats);
+        add("TANGENT", &self.tangents, "VEC4", AccessorKind::Floats);
         if row.is_mirrored {
             let first = row.vertices.start as u32;
             let wound = model.triangles[row.triangles.clone()].iter();
@@ -154,9 +155,9 @@ impl RestPrimitive {
         }
         let mut text = String::new();
         for (key, values, kind) in [
-            ("POSITION", &shifts, NewAccessorKind::Positions),
-            ("NORMAL", &turns, NewAccessorKind::Floats),
-            ("TANGENT", &twists, NewAccessorKind::Floats),
+            ("POSITION", &shifts, AccessorKind::Positions),
+            ("NORMAL", &turns, AccessorKind::Floats),
+            ("TANGENT", &twists, AccessorKind::Floats),
         ] {
             if !values.is_empty() {
                 let comma = if text.is_empty() { "" } else { "," };
@@ -169,7 +170,7 @@ impl RestPrimitive {
 
 /// The text of a target that moves none of so many vertices.
 pub(super) fn still_target(played: &mut PlayedDocument<'_, '_>, vertices: usize) -> String {
-    let at = played.add_floats(&vec![0.0; 3 * vertices], "VEC3", NewAccessorKind::Positions);
+    let at = played.add_floats(&vec![0.0; 3 * vertices], "VEC3", AccessorKind::Positions);
     format!(r#"{{"POSITION":{at}}}"#)
 }
 

@@ -2,12 +2,13 @@
 
 use super::super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_values};
 use super::super::buffers::BufferBytes;
+use super::super::builder::{AccessorKind, BufferBuilder};
 use super::super::document::GltfDocument;
-use super::super::edited::{NewAccessorKind, NewAccessors, References, places};
+use super::super::edited::{References, places};
 use super::super::float_json::{bounds, json_floats};
 use super::super::package::package;
 use super::super::patch::PatchedDocument;
-use super::super::read::parse_again;
+use super::super::read::{load_bytes, parse_written};
 use super::super::sharing::ByteSpans;
 use super::super::text::{JsonEdits, value_of};
 use super::clips::{ChangedSampler, ClipTarget, SampledValues, carried_values, changed_samplers};
@@ -27,14 +28,16 @@ impl FollowedNodeTree {
             main: written.main.into(),
             companions: written.companions.into_iter().map(|(n, b)| (n, b.into())).collect(),
         };
-        let (doc, buffers) = parse_again(&files, format)?;
+        let parsed = parse_written(&files, format)?;
+        let doc = parsed.of(&files)?;
+        let buffers = load_bytes(&doc, &files)?;
         let mut writer = RigWriter {
             edits: JsonEdits::new(doc.text),
             uses: accessor_uses(&doc),
             spans: ByteSpans::collect(&doc),
             doc: &doc,
             buffers,
-            fresh: NewAccessors::default(),
+            fresh: BufferBuilder::default(),
             overwritten: BTreeMap::new(),
             rewritten: 0,
             clips: BTreeSet::new(),
@@ -55,7 +58,7 @@ struct RigWriter<'d, 'a> {
     doc: &'d GltfDocument<'a>,
     buffers: BufferBytes<'static>,
     edits: JsonEdits<'a>,
-    fresh: NewAccessors,
+    fresh: BufferBuilder,
     /// Whole new contents by buffer.
     overwritten: BTreeMap<usize, Vec<u8>>,
     /// How often each accessor is named.
@@ -233,7 +236,7 @@ impl<'a> RigWriter<'_, 'a> {
         }
         let number = self
             .fresh
-            .add_floats(new.values, new.lanes, new.shape, NewAccessorKind::Numbers);
+            .add_floats(new.values, new.lanes, new.shape, AccessorKind::Numbers);
         Ok(Some(self.doc.accessors.len() + number))
     }
 
@@ -286,48 +289,17 @@ impl<'a> RigWriter<'_, 'a> {
         let Self {
             doc,
             buffers,
-            mut edits,
+            edits,
             fresh,
-            mut overwritten,
+            overwritten,
             ..
         } = self;
-        let mut added_buffer = None;
-        if !fresh.is_empty() {
-            let takes_more = |i: &usize| {
-                buffers.stored[*i].bytes.is_some() && buffers.is_exclusive(*i) && !doc.buffers.values[*i].is_fallback()
-            };
-            let target = (0..doc.buffers.len()).find(takes_more);
-            let mut bytes = target.map_or_else(Vec::new, |i| {
-                let stored = || buffers.stored[i].bytes.as_ref().map(|b| b.to_vec());
-                overwritten.remove(&i).or_else(stored).unwrap_or_default()
-            });
-            bytes.resize(bytes.len().next_multiple_of(4), 0);
-            fresh.check_size(bytes.len(), doc.fault)?;
-            let views = fresh.view_texts(target.unwrap_or(doc.buffers.len()), bytes.len());
-            let accessors = fresh.accessor_texts(doc.views.len());
-            bytes.extend_from_slice(fresh.bytes());
-            for (key, array, json) in [
-                ("bufferViews", doc.views.text, views),
-                ("accessors", doc.accessors.text, accessors),
-            ] {
-                match array {
-                    Some(array) => edits.push(array, &json),
-                    None => edits.set(doc.text, key, &places::json_array(&json)),
-                }
-            }
-            match target {
-                Some(i) => {
-                    edits.set(doc.buffers.items[i], "byteLength", &bytes.len().to_string());
-                    overwritten.insert(i, bytes);
-                }
-                None => added_buffer = Some(bytes),
-            }
-        }
-        let patched = PatchedDocument {
+        let mut patched = PatchedDocument {
             edits,
             buffers: overwritten,
-            added_buffer,
+            added_buffer: None,
         };
+        fresh.append_to(doc, &buffers, &mut patched)?;
         package(doc, files, &buffers, patched, format)
     }
 }

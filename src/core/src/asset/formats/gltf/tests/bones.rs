@@ -2,7 +2,7 @@
 
 use super::super::container;
 use super::super::fault::GltfFault;
-use super::super::read::parse_again;
+use super::super::read::parse_written;
 use super::super::scene::place_meshes;
 use super::rigs::{RigDraft, raised};
 use super::*;
@@ -36,7 +36,8 @@ fn kept(files: &FileSet, bone_lengths: BoneLengthRule) -> WrittenFiles {
 
 /// Where the nodes of a file stand.
 fn places(files: &FileSet) -> Vec<DVec3> {
-    let (doc, _) = parse_again(files, Format::GLB).expect("readable");
+    let parsed = parse_written(files, Format::GLB).expect("readable");
+    let doc = parsed.of(files).expect("readable");
     let world: Vec<DAffine3> = place_meshes(&doc, &mut Vec::new()).expect("placed").world_from_node;
     world.iter().map(|node| node.translation).collect()
 }
