@@ -1,9 +1,8 @@
 //! The rows of a level in groups, each of which becomes one row of the next level.
 
 use crate::build::draft::LevelDraft;
-use crate::lanes::SharedRows;
 use crate::storage::NO_ROW;
-use crate::threads::{Parallelism, piece_count, piece_rows};
+use crate::threads::{Parallelism, cut, piece_count, piece_rows};
 
 /// Groups that one piece of work gathers.
 const SEED_PIECE: usize = 1024;
@@ -113,13 +112,8 @@ impl Aggregates {
             base += members.len() as u32;
         }
         let mut members = vec![0u32; base as usize];
-        let out = SharedRows::new(&mut members);
-        threads.for_each(0..parts.len(), |k| {
-            let range = piece_rows(k, count, SEED_PIECE);
-            // SAFETY: pieces are disjoint and each is visited once.
-            let out = unsafe { out.rows(offsets[range.start] as usize..offsets[range.end] as usize) };
-            out.copy_from_slice(&parts[k].0);
-        });
+        let members_of_parts = cut(&mut members, parts.iter().map(|(members, _)| members.len()));
+        threads.for_each_item(members_of_parts, || (), |(), k, out| out.copy_from_slice(&parts[k].0));
         let grouping = AggregationRule { reach2, paired: false };
         Aggregates {
             of_row,

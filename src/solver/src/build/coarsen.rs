@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use crate::build::aggregates::Aggregates;
 use crate::build::draft::{LevelDraft, RowBlocks};
-use crate::lanes::{Lanes, SharedRows};
+use crate::lanes::Lanes;
 use crate::storage::NO_ROW;
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
@@ -59,10 +59,8 @@ pub(crate) fn choose_aggregates(
         numbers[seed as usize] = number as u32;
     }
     let mut aggregates = nearest;
-    let shared = SharedRows::new(&mut aggregates);
-    threads.for_each(0..piece_count(draft.rows(), PIECE), |k| {
-        // SAFETY: pieces are disjoint and each is visited once.
-        for seed in unsafe { shared.rows(piece_rows(k, draft.rows(), PIECE)) } {
+    threads.for_each_piece(PIECE, aggregates.as_mut_slice(), |_, seeds| {
+        for seed in seeds {
             if *seed != NO_ROW {
                 *seed = numbers[*seed as usize];
             }

@@ -6,7 +6,7 @@
 //! quasi-Newton steps, until the energy hardly falls; what rotations have changed by is handed to the level below.
 
 use crate::build::level::HierarchyLevel;
-use crate::lanes::{Lanes, SharedRows};
+use crate::lanes::Lanes;
 use crate::progress::{Cancelled, check};
 use crate::solve::cycle::{CoarseVectors, MultigridCycle};
 use crate::solve::nearest_turn::{STILL, Turn, after, nearest_turns, turned};
@@ -14,7 +14,6 @@ use crate::solve::patches::{AffinePatches, PatchMap, times};
 use crate::solve::quasi_newton::StepMemory;
 use crate::solve::sweep::MaskedLevel;
 use crate::storage::{NO_ROW, SLICE_ROWS};
-use crate::threads::{piece_count, piece_rows};
 
 /// Bundles that one piece of work handles.
 const PIECE: usize = 256;
@@ -106,33 +105,28 @@ impl CoarseFits {
     /// Turns each row's map to fit the positions best; returns Σ w |x_i − x_j − F_i (p_i − p_j)|² over rows that are open.
     fn fit(&mut self, grid: &MaskedLevel<'_>, l: usize, patches: &mut AffinePatches) -> f64 {
         let (level, open) = (grid.level, &self.open[l]);
-        let n = level.rows();
         let mut maps = std::mem::take(&mut patches.maps);
-        let (shared, turns) = (SharedRows::new(&mut maps), SharedRows::new(&mut self.turns));
         let patches_now = &*patches;
-        let energies = grid.threads.map(
-            0..piece_count(n / SLICE_ROWS, PIECE),
+        let energies = grid.threads.map_pieces(
+            PIECE * SLICE_ROWS,
+            (maps.as_mut_slice(), self.turns.as_mut_slice()),
             || (),
-            |(), k| {
+            |(), first, (maps, turns)| {
                 let mut energy = 0.0;
-                for bundle in piece_rows(k, n / SLICE_ROWS, PIECE) {
-                    let first = bundle * SLICE_ROWS;
+                let bundles = maps.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
+                let bundles = bundles.zip(turns.as_chunks_mut::<SLICE_ROWS>().0);
+                for ((maps, turns), first) in bundles.zip((first..).step_by(SLICE_ROWS)) {
                     if !(0..SLICE_ROWS).any(|d| open[first + d]) {
                         continue;
                     }
-                    // SAFETY: pieces are disjoint, and a row's map and turn are used by its own piece alone.
-                    let maps: [PatchMap; SLICE_ROWS] = std::array::from_fn(|d| unsafe { shared.get(first + d) });
                     let sums: [_; SLICE_ROWS] =
                         std::array::from_fn(|d| row_sums(level, patches_now, first + d, &maps[d]));
                     let fitted = nearest_turns(sums.each_ref().map(|(columns, _)| columns));
                     for (d, (turn, trace)) in fitted.into_iter().enumerate().filter(|(d, _)| open[first + d]) {
                         let [x, y, z, _] = sums[d].1.to_wide();
                         energy += x + y + z - 2.0 * trace;
-                        // SAFETY: as above.
-                        unsafe {
-                            shared.set(first + d, turned(turn, &maps[d]));
-                            turns.set(first + d, after(turn, turns.get(first + d)));
-                        }
+                        maps[d] = turned(turn, &maps[d]);
+                        turns[d] = after(turn, turns[d]);
                     }
                 }
                 energy

@@ -1,7 +1,7 @@
 //! Rotations of a pose fitted to its positions, row by row, where right-hand sides are made from them.
 
 use crate::build::level::HierarchyLevel;
-use crate::lanes::{Lanes, SharedRows, prefetch};
+use crate::lanes::{Lanes, prefetch};
 use crate::solve::frame_rows::PoseRow;
 use crate::solve::nearest_turn::{Turn, nearest_turns, turned};
 use crate::storage::{NO_ROW, SLICE_ROWS};
@@ -48,15 +48,11 @@ pub(crate) fn fit_rows(
             (energy, maps)
         },
     );
-    let shared = SharedRows::new(rows);
-    threads.for_each(0..fitted.len(), |k| {
-        for (i, map) in (k * PIECE * SLICE_ROWS..).zip(&fitted[k].1).filter(|(i, _)| open[*i]) {
-            // SAFETY: pieces are disjoint and each is visited once.
-            unsafe {
-                let mut row = shared.get(i);
-                row.set_columns(map);
-                shared.set(i, row);
-            }
+    const ROWS: usize = PIECE * SLICE_ROWS;
+    threads.for_each_piece(ROWS, rows, |first, rows| {
+        let maps = &fitted[first / ROWS].1;
+        for ((row, map), _) in rows.iter_mut().zip(maps).zip(&open[first..]).filter(|(_, open)| **open) {
+            row.set_columns(map);
         }
     });
     fitted.iter().map(|(energy, _)| energy).sum()
@@ -106,15 +102,10 @@ pub(crate) fn turn_rows(
     turns: &[Turn],
     threads: Parallelism,
 ) {
-    let n = rows.len();
-    let shared = SharedRows::new(rows);
-    threads.for_each(0..piece_count(n, PIECE), |k| {
-        for i in piece_rows(k, n, PIECE).filter(|&i| open[i] && level.aggregates[i] != NO_ROW) {
-            // SAFETY: pieces are disjoint and each is visited once.
-            unsafe {
-                let mut row = shared.get(i);
+    threads.for_each_piece(PIECE, rows, |first, rows| {
+        for (i, row) in (first..).zip(rows) {
+            if open[i] && level.aggregates[i] != NO_ROW {
                 row.set_columns(&turned(turns[level.aggregates[i] as usize], &row.columns()));
-                shared.set(i, row);
             }
         }
     });

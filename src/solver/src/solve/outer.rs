@@ -5,7 +5,7 @@
 //! begins from the true residual, in the same search direction: single precision never limits the result.
 
 use crate::error::Error;
-use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes};
+use crate::lanes::{Lanes, WIDTH, WideLanes};
 use crate::pool::Pool;
 use crate::solve::advance::{first_residual, residual, resume_direction, rhs_reference_norms};
 use crate::solve::criteria::GroupOutcome;
@@ -19,7 +19,7 @@ use crate::solve::outer_state::OuterState;
 use crate::solve::posed_residual::posed_residual;
 use crate::solve::problem::ColumnGroup;
 use crate::solve::workspace::Workspace;
-use crate::threads::{Parallelism, piece_count, piece_rows};
+use crate::threads::Parallelism;
 
 /// Iterations that solves stay below unless something is wrong: their history has room from the first solve on.
 const USUAL: usize = 64;
@@ -190,13 +190,9 @@ impl GroupSolve<'_, '_> {
 /// Sets all rows to 0.
 fn clear(v: &mut [Lanes], threads: Parallelism, pool: &Pool) {
     const PIECE: usize = 1 << 14;
-    let (n, threads) = (v.len(), threads.for_rows(v.len()));
-    let rows = SharedRows::new(v);
+    let threads = threads.for_rows(v.len());
     threads.run_on(pool, || {
-        threads.for_each(0..piece_count(n, PIECE), |k| {
-            // SAFETY: pieces are disjoint and each is visited once.
-            unsafe { rows.rows(piece_rows(k, n, PIECE)) }.fill(Lanes::ZERO);
-        });
+        threads.for_each_piece(PIECE, v, |_, rows| rows.fill(Lanes::ZERO))
     });
 }
 

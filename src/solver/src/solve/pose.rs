@@ -5,7 +5,7 @@ use crate::build::level::HierarchyLevel;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::lanes::{Lanes, SharedRows, WIDTH};
+use crate::lanes::{Lanes, WIDTH};
 use crate::options::SolveStats;
 use crate::pool::Pool;
 use crate::solve::criteria::{GroupOutcome, StoppingCriteria};
@@ -17,7 +17,7 @@ use crate::solve::problem::ColumnGroup;
 use crate::solve::recalled::RecalledSteps;
 use crate::solve::workspace::Workspace;
 use crate::storage::{NO_ROW, SLICE_ROWS, resize_untouched};
-use crate::threads::{Parallelism, piece_count, piece_rows};
+use crate::threads::Parallelism;
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 256;
@@ -109,31 +109,24 @@ impl PoseRows {
             vertex => (rest(vertex as usize), start(vertex as usize)),
         };
         let threads = Parallelism::from_pool(pool).for_rows(n);
-        let pieces = 0..piece_count(n, PIECE);
         threads.run_on(pool, || {
-            let (rest, x, rows) = (
-                SharedRows::new(&mut self.rest),
-                SharedRows::new(&mut self.x),
-                SharedRows::new(&mut self.rows),
-            );
-            threads.for_each(pieces.clone(), |k| {
-                for i in piece_rows(k, n, PIECE) {
-                    let ([a, b, c], [x0, x1, x2]) = at(i);
-                    // SAFETY: pieces are disjoint and each is visited once.
-                    unsafe {
-                        rest.set(i, Lanes([a as f32, b as f32, c as f32, 0.0]));
-                        x.set(i, [x0, x1, x2, 0.0]);
-                        rows.set(i, PoseRow::IDENTITY);
+            let positions = (self.rest.as_mut_slice(), self.x.as_mut_slice());
+            threads.for_each_piece(
+                PIECE,
+                (positions, self.rows.as_mut_slice()),
+                |first, ((rest, x), rows)| {
+                    for (((rest, x), row), i) in rest.iter_mut().zip(x).zip(rows).zip(first..) {
+                        let ([a, b, c], [x0, x1, x2]) = at(i);
+                        *rest = Lanes([a as f32, b as f32, c as f32, 0.0]);
+                        *x = [x0, x1, x2, 0.0];
+                        *row = PoseRow::IDENTITY;
                     }
-                }
-            });
+                },
+            );
             let rest = &self.rest;
-            let laplacians = SharedRows::new(&mut self.laplacians);
-            threads.for_each(pieces, |k| {
-                // SAFETY: as above.
-                let out = unsafe { laplacians.rows(piece_rows(k, n, PIECE)) };
+            threads.for_each_piece(PIECE, self.laplacians.as_mut_slice(), |first, out| {
                 let slices = out.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
-                for (slice, out) in (k * PIECE / SLICE_ROWS..).zip(slices) {
+                for (slice, out) in (first / SLICE_ROWS..).zip(slices) {
                     *out = differential_coordinates(level, rest, slice);
                 }
             });
@@ -153,20 +146,16 @@ impl PoseRows {
         let Self { rows, rest, x, .. } = self;
         threads.run_on(pool, || {
             let n = rows.len().min(rest.len()).min(x.len());
-            let (rows, x) = (SharedRows::new(rows), SharedRows::new(x));
-            let of_piece = |scratch: &mut S, k: usize| {
-                let piece = piece_rows(k, n, PIECE);
-                // SAFETY: pieces are disjoint and each is visited once.
-                let (rows, x) = unsafe { (rows.rows(piece.clone()), x.rows(piece.clone())) };
-                for ((row, x), i) in rows.iter_mut().zip(x.iter_mut()).zip(piece.clone()) {
+            let vectors = (&mut rows[..n], &mut x[..n]);
+            threads.map_pieces(PIECE, vectors, scratch, |scratch, first, (rows, x)| {
+                for ((row, x), i) in rows.iter_mut().zip(x.iter_mut()).zip(first..) {
                     place(scratch, i, row, x);
                 }
                 // In a turn of its own: what has just been written in pieces is slow to read as a whole.
-                for ((row, x), rest) in rows.iter_mut().zip(x).zip(&rest[piece]) {
+                for ((row, x), rest) in rows.iter_mut().zip(x).zip(&rest[first..]) {
                     row.show(*rest, x);
                 }
-            };
-            threads.map(0..piece_count(n, PIECE), scratch, of_piece);
+            });
         });
     }
 

@@ -1,6 +1,6 @@
 //! Right-hand side and residual of a pose, and the norms of both, in one pass over the rows.
 
-use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes};
+use crate::lanes::{Lanes, WIDTH, WideLanes};
 use crate::solve::frame_rows::FrameRows;
 use crate::solve::problem::ColumnGroup;
 use crate::storage::SLICE_ROWS;
@@ -30,10 +30,7 @@ fn residual_with<const WEIGHTED: bool>(
 ) -> [WideLanes; 2] {
     let (level, mask) = (&problem.hierarchy.levels[0], &problem.system.masks[0]);
     let stiffness = &problem.system.stiffness;
-    let out = SharedRows::new(out);
-    problem.sums(|rows| {
-        // SAFETY: blocks are disjoint and each is visited once.
-        let out = unsafe { out.rows(rows.clone()) };
+    problem.sums(out, |rows, out| {
         let mut norms = [[0.0; WIDTH]; 2];
         let bundles = out.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
         for (out, k) in bundles.zip(rows.start / SLICE_ROWS..) {
