@@ -15,7 +15,7 @@ use crate::exec::Exec;
 use crate::graph::WeightedGraph;
 use crate::lanes::{Lanes, SharedRows};
 use crate::options::{BuildOptions, CoarseOperators, LevelSize};
-use crate::paper::kept::UncutGraph;
+use crate::paper::level::UncutGraph;
 use crate::pool::Pool;
 use crate::progress::{Cancelled, Progress, check};
 use crate::storage::{NO_ROW, SLICE_ROWS};

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::build::aggregates::{Aggregates, AggregationRule};
+use crate::build::coarsen::{Aggregates, AggregationRule};
 use crate::lanes::{Lanes, RowVectors, SharedRows};
 use crate::storage::{NO_ROW, SLACK, SLICE_ROWS};
 use crate::threads::{Parallelism, piece_count, piece_rows};

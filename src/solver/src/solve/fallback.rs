@@ -7,9 +7,9 @@ use crate::error::Error;
 use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::SolveMethod;
 use crate::progress::check;
-use crate::solve::criteria::GroupOutcome;
-use crate::solve::group::GroupSolve;
-use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
+use crate::solve::group::{
+    GroupOutcome, GroupSolve, IterationReport, IterationWatcher, SolutionSnapshot, SolveControl,
+};
 use crate::solve::problem::ColumnGroup;
 
 /// Iterations per iteration that the caller allows: they are cheap compared with a cycle.
@@ -164,7 +164,7 @@ mod tests {
     use crate::exec::Exec;
     use crate::options::{SolveOptions, SolveStats};
     use crate::progress::Silent;
-    use crate::solve::iteration::SolveControl;
+    use crate::solve::group::SolveControl;
     use crate::solve::workspace::Workspace;
     use crate::testing::{BoxLattice, pool};
 

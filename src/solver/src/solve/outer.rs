@@ -8,16 +8,12 @@ use crate::error::Error;
 use crate::lanes::{Lanes, WIDTH, WideLanes};
 use crate::pool::Pool;
 use crate::solve::advance::{first_residual, residual, resume_direction, rhs_reference_norms};
-use crate::solve::criteria::GroupOutcome;
 use crate::solve::cycle::{clear_inactive, prepare};
 use crate::solve::fallback::conjugate_gradients;
 use crate::solve::frame_rows::FrameRows;
-use crate::solve::group::{GroupSolve, LeftResidual};
-use crate::solve::inner::InnerEnd;
-use crate::solve::iteration::IterationWatcher;
-use crate::solve::outer_state::OuterState;
-use crate::solve::posed_residual::posed_residual;
-use crate::solve::problem::ColumnGroup;
+use crate::solve::group::{GroupOutcome, GroupSolve, IterationWatcher, LeftResidual};
+use crate::solve::inner::{InnerEnd, OuterState};
+use crate::solve::problem::{ColumnGroup, posed_residual};
 use crate::solve::workspace::Workspace;
 use crate::threads::Parallelism;
 
@@ -65,11 +61,11 @@ impl GroupSolve<'_, '_> {
                     return Ok(state.accepted());
                 }
                 InnerEnd::Ended => {}
-                InnerEnd::Troubled => {
+                InnerEnd::Stagnated => {
                     state.poor += 1;
                     state.direction = None;
                 }
-                InnerEnd::Ruined => {
+                InnerEnd::NotFinite => {
                     state.outcome.relative = relative;
                     return conjugate_gradients(self, state.reference, state.outcome, watch);
                 }

@@ -1,4 +1,9 @@
 //! Poses of a drag: the second pass solved on the rows of the hierarchy, from one frame to the next, in single precision.
+//!
+//! What a frame of a drag may leave to be done once it is out.
+//!
+//! Where earlier poses explain a pose well enough there is no iteration, and what is left of the residual adds up from frame to
+//! frame until one of them needs a cycle and takes twice as long. Solved between frames, where a drag has time, it adds up no more.
 
 use crate::build::hierarchy::Hierarchy;
 use crate::build::level::HierarchyLevel;
@@ -8,13 +13,11 @@ use crate::exec::Exec;
 use crate::lanes::{Lanes, WIDTH};
 use crate::options::SolveStats;
 use crate::pool::Pool;
-use crate::solve::criteria::{GroupOutcome, StoppingCriteria};
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::frame_rows::{FrameRows, PoseRow};
-use crate::solve::group::{GroupSolve, LeftResidual};
-use crate::solve::iteration::{IterationReport, SolveControl};
+use crate::solve::group::{GroupOutcome, GroupSolve, IterationReport, LeftResidual, SolveControl, StoppingCriteria};
 use crate::solve::problem::ColumnGroup;
-use crate::solve::recalled::RecalledSteps;
+use crate::solve::solution_subspace::SolutionSubspace;
 use crate::solve::workspace::Workspace;
 use crate::storage::{NO_ROW, SLICE_ROWS, resize_untouched};
 use crate::threads::Parallelism;
@@ -41,7 +44,7 @@ pub struct PoseRows {
     pub more: Vec<Lanes>,
     /// Rows whose rotation is fitted, for [`LinearSystem::start_pose`] and [`LinearSystem::fit_pose`].
     pub open: Vec<bool>,
-    recalled: RecalledSteps,
+    recalled: SolutionSubspace,
     /// What the last solve left to do, where it needed no iteration.
     pub(super) unsettled: Option<UnsettledPose>,
 }
@@ -74,7 +77,7 @@ pub(super) struct PoseParts<'a> {
     pub(super) frames: FrameRows<'a>,
     pub(super) x: &'a mut Vec<[f64; 4]>,
     pub(super) open: &'a [bool],
-    recalled: &'a mut RecalledSteps,
+    recalled: &'a mut SolutionSubspace,
 }
 
 impl Hierarchy {
@@ -330,6 +333,49 @@ impl LinearSystem {
             true => Ok(()),
             false => Err(Error::Invalid("these rows are not a pose of this system".into())),
         }
+    }
+}
+
+/// A pose is worth an iteration between frames from this part of what its solve allowed on: with less, iterations would come more
+/// often than frames need them; with more, a frame would often need one before it can go out.
+const WORTH_SETTLING: f64 = 0.3;
+
+impl PoseRows {
+    /// Whether the last solve, which needed no iteration, left enough for [`LinearSystem::settle_pose`] to be worth its time.
+    pub fn is_worth_settling(&self) -> bool {
+        (self.unsettled.as_ref()).is_some_and(|unsettled| unsettled.nearness > WORTH_SETTLING)
+    }
+}
+
+impl LinearSystem {
+    /// Takes one iteration on what the last [`LinearSystem::solve_pose`] has left of the pose, if that is worth it; with the same
+    /// `workspace`, or nothing is done. The solution becomes better, and the next pose begins from it.
+    ///
+    /// # Errors
+    /// As [`LinearSystem::solve_pose`]; after [`Error::Cancelled`] positions are still those of before.
+    pub fn settle_pose(
+        &self,
+        hierarchy: &Hierarchy,
+        pose: &mut PoseRows,
+        (workspace, exec): (&mut Workspace, &Exec<'_>),
+    ) -> Result<(), Error> {
+        self.check_pose(hierarchy, pose)?;
+        let Some(unsettled) = pose.unsettled.filter(|_| pose.is_worth_settling()) else {
+            return Ok(());
+        };
+        if unsettled.solve != workspace.solves {
+            pose.unsettled = None;
+            return Ok(());
+        }
+        exec.check()?;
+        let criteria = StoppingCriteria {
+            tolerance: None,
+            max_error: None,
+            max_iterations: 1,
+        };
+        let job = (criteria, true, Some(unsettled.left));
+        self.iterate_pose(hierarchy, pose, job, (workspace, exec), &mut |_| SolveControl::Stop)?;
+        Ok(())
     }
 }
 

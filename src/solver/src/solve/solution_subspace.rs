@@ -16,8 +16,8 @@ const CAUTION: f64 = 1.5;
 
 /// Corrections d of earlier poses with A d.
 #[derive(Debug, Default)]
-pub(crate) struct RecalledSteps {
-    steps: [RecalledStep; PLACES],
+pub(crate) struct SolutionSubspace {
+    steps: [SubspaceStep; PLACES],
     /// Those that are known.
     known: [bool; PLACES],
     /// The one that the present pose makes; not known.
@@ -27,14 +27,14 @@ pub(crate) struct RecalledSteps {
 }
 
 #[derive(Debug, Default)]
-struct RecalledStep {
+struct SubspaceStep {
     d: Vec<Lanes>,
     product: Vec<Lanes>,
     /// The largest distance that a vertex was moved by iterations, for a relative residual of 1 before them.
     error_of_residual: Option<f64>,
 }
 
-impl RecalledSteps {
+impl SolutionSubspace {
     /// Forgets all of them, as another matrix needs.
     pub(crate) fn forget(&mut self) {
         self.known = [false; PLACES];
@@ -131,7 +131,7 @@ impl RecalledSteps {
         (out, partials): (&mut [Lanes], &mut Vec<LaneDots>),
         scale: WideLanes,
     ) -> [WideLanes; 2] {
-        let RecalledStep { d, product: before, .. } = &self.steps[self.present];
+        let SubspaceStep { d, product: before, .. } = &self.steps[self.present];
         let scale_by = Lanes::from_wide(scale);
         let [squares, lengths, _] = grid.sum_over_blocks(out, partials, |rows, out| {
             let (mut squares, mut lengths) = (Lanes::ZERO, Lanes::ZERO);
@@ -226,7 +226,7 @@ mod tests {
     use super::*;
     use crate::options::Constraints;
     use crate::solve::pose::{PoseParts, PoseRows};
-    use crate::solve::posed_residual::posed_residual;
+    use crate::solve::problem::posed_residual;
     use crate::storage::NO_ROW;
     use crate::testing::{BoxLattice, pool};
     use crate::threads::Parallelism;
@@ -257,7 +257,7 @@ mod tests {
         let n = x.len();
         let mut r = vec![Lanes::ZERO; n];
         posed_residual(&problem, &frames, x, &mut r);
-        let mut recalled = RecalledSteps::default();
+        let mut recalled = SolutionSubspace::default();
         recalled.take_out(&problem, x, &mut r);
 
         let scale = [4.0, 2.0, 1.0, 1.0];
