@@ -8,15 +8,12 @@ use std::ops::{Add, AddAssign, Mul, Range, Sub, SubAssign};
 pub(crate) const WIDTH: usize = 4;
 
 /// One row of up to four columns in single precision.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Zeroable)]
 #[repr(C, align(16))]
 pub struct Lanes(pub [f32; 4]);
 
 /// One row of up to four columns in double precision.
 pub(crate) type WideLanes = [f64; WIDTH];
-
-// SAFETY: four numbers, which may be all zero bits.
-unsafe impl Zeroable for Lanes {}
 
 impl Lanes {
     /// All 0.
@@ -189,19 +186,61 @@ impl<'a, T: Copy> SharedRows<'a, T> {
         // SAFETY: in range, and used by this thread only, by the caller's promise.
         unsafe { *self.pointer.add(i) = value }
     }
+}
 
-    /// The elements of `range` as a slice.
+/// Vectors of as many elements, of which several threads use disjoint ranges of rows at the same time.
+pub(crate) trait RowVectors: Sized {
+    /// The vectors as all threads see them.
+    type Shared: Copy + Send + Sync;
+
+    /// Gives the vectors to all threads for as long as their borrow lasts.
+    fn share(self) -> Self::Shared;
+
+    /// The elements of `range`.
     ///
     /// # Panics
-    /// If `range` leaves the slice.
+    /// If `range` leaves a vector.
     ///
     /// # Safety
-    /// Nothing else uses these elements while the slice lives.
+    /// Nothing else uses these elements while the result lives.
+    unsafe fn rows(shared: Self::Shared, range: Range<usize>) -> Self;
+}
+
+/// No vector.
+impl RowVectors for () {
+    type Shared = ();
+
+    fn share(self) {}
+
     #[inline(always)]
-    #[allow(clippy::mut_from_ref)]
-    pub(crate) unsafe fn rows(self, range: Range<usize>) -> &'a mut [T] {
-        assert!(range.start <= range.end && range.end <= self.len);
+    unsafe fn rows(_: (), _: Range<usize>) {}
+}
+
+impl<'a, T: Copy + Send + Sync> RowVectors for &'a mut [T] {
+    type Shared = SharedRows<'a, T>;
+
+    fn share(self) -> SharedRows<'a, T> {
+        SharedRows::new(self)
+    }
+
+    #[inline(always)]
+    unsafe fn rows(shared: SharedRows<'a, T>, range: Range<usize>) -> &'a mut [T] {
+        assert!(range.start <= range.end && range.end <= shared.len);
         // SAFETY: in range by the assertion, exclusive by the caller's promise.
-        unsafe { std::slice::from_raw_parts_mut(self.pointer.add(range.start), range.len()) }
+        unsafe { std::slice::from_raw_parts_mut(shared.pointer.add(range.start), range.len()) }
+    }
+}
+
+impl<A: RowVectors, B: RowVectors> RowVectors for (A, B) {
+    type Shared = (A::Shared, B::Shared);
+
+    fn share(self) -> Self::Shared {
+        (self.0.share(), self.1.share())
+    }
+
+    #[inline(always)]
+    unsafe fn rows(shared: Self::Shared, range: Range<usize>) -> Self {
+        // SAFETY: by the caller's promise, which holds for both.
+        unsafe { (A::rows(shared.0, range.clone()), B::rows(shared.1, range)) }
     }
 }

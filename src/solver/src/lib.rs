@@ -140,7 +140,6 @@ pub mod pool;
 pub mod progress;
 
 mod build;
-mod cholesky;
 mod constrain;
 mod dense_inverse;
 mod error;
@@ -156,8 +155,8 @@ mod testing;
 mod threads;
 
 pub use build::Hierarchy;
-pub use cholesky::CholeskyFactor;
 pub use constrain::LinearSystem;
+pub use dense_inverse::CholeskyFactor;
 pub use error::Error;
 pub use graph::WeightedGraph;
 pub use lanes::{Lanes, prefetch};

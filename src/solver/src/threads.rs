@@ -55,21 +55,6 @@ impl Parallelism {
         }
     }
 
-    /// The same with scratch that `scratch` makes once per piece of work.
-    pub(crate) fn for_each_with<S>(
-        self,
-        range: Range<usize>,
-        scratch: impl Fn() -> S + Sync + Send,
-        body: impl Fn(&mut S, usize) + Sync + Send,
-    ) {
-        if self.is_parallel && range.len() > 1 {
-            range.into_par_iter().with_min_len(4).for_each_init(scratch, body);
-        } else {
-            let mut s = scratch();
-            range.for_each(|i| body(&mut s, i));
-        }
-    }
-
     /// Calls `body` for every number of `range` with scratch that `scratch` makes once per piece of work; results in
     /// the order of the range.
     pub(crate) fn map<S, R: Send>(
@@ -85,6 +70,130 @@ impl Parallelism {
             range.map(|i| body(&mut s, i)).collect()
         }
     }
+
+    /// Calls `body` with the number of the first row and the rows of each piece of `size` rows, in any order.
+    #[inline]
+    pub(crate) fn for_each_piece<V: PieceVectors>(
+        self,
+        size: usize,
+        vectors: V,
+        body: impl Fn(usize, V) + Sync + Send,
+    ) {
+        if self.is_parallel && vectors.row_count() > size {
+            let pieces = vectors.parallel_pieces(size).with_min_len(4).enumerate();
+            pieces.for_each(|(k, piece)| body(k * size, piece));
+        } else {
+            let pieces = vectors.pieces(size).enumerate();
+            pieces.for_each(|(k, piece)| body(k * size, piece));
+        }
+    }
+
+    /// The same with scratch that `scratch` makes once per share of the pieces; results in the order of the pieces.
+    pub(crate) fn map_pieces<V: PieceVectors, S, R: Send>(
+        self,
+        size: usize,
+        vectors: V,
+        scratch: impl Fn() -> S + Sync + Send,
+        body: impl Fn(&mut S, usize, V) -> R + Sync + Send,
+    ) -> Vec<R> {
+        if self.is_parallel && vectors.row_count() > size {
+            let pieces = vectors.parallel_pieces(size).with_min_len(4).enumerate();
+            let body = |s: &mut S, (k, piece): (usize, V)| body(s, k * size, piece);
+            pieces.map_init(scratch, body).collect()
+        } else {
+            let mut s = scratch();
+            let pieces = vectors.pieces(size).enumerate();
+            pieces.map(|(k, piece)| body(&mut s, k * size, piece)).collect()
+        }
+    }
+
+    /// Calls `body` with the number and the value of each of `items`, in any order, with scratch that `scratch` makes once per
+    /// share of the items.
+    pub(crate) fn for_each_item<T: Send, S>(
+        self,
+        items: Vec<T>,
+        scratch: impl Fn() -> S + Sync + Send,
+        body: impl Fn(&mut S, usize, T) + Sync + Send,
+    ) {
+        if self.is_parallel && items.len() > 1 {
+            let items = items.into_par_iter().with_min_len(4).enumerate();
+            items.for_each_init(scratch, |s, (k, item)| body(s, k, item));
+        } else {
+            let mut s = scratch();
+            let items = items.into_iter().enumerate();
+            items.for_each(|(k, item)| body(&mut s, k, item));
+        }
+    }
+
+    /// Joins what `body` returns for 0, 1, … `count` − 1, always in this order. One thread needs no memory for that.
+    pub(crate) fn fold_in_order<T: Send>(
+        self,
+        count: usize,
+        zero: T,
+        body: impl Fn(usize) -> T + Sync + Send,
+        join: impl Fn(T, T) -> T,
+    ) -> T {
+        if self.is_parallel {
+            let parts = self.map(0..count, || (), |(), k| body(k));
+            parts.into_iter().fold(zero, join)
+        } else {
+            (0..count).fold(zero, |sum, k| join(sum, body(k)))
+        }
+    }
+}
+
+/// Vectors of as many elements that are cut into pieces of equal numbers of rows, the last piece shorter.
+pub(crate) trait PieceVectors: Sized + Send {
+    /// Number of rows.
+    fn row_count(&self) -> usize;
+    /// The pieces of `size` rows.
+    fn pieces(self, size: usize) -> impl Iterator<Item = Self>;
+    /// The same for several threads.
+    fn parallel_pieces(self, size: usize) -> impl IndexedParallelIterator<Item = Self>;
+}
+
+impl<T: Send> PieceVectors for &mut [T] {
+    fn row_count(&self) -> usize {
+        self.len()
+    }
+
+    #[inline]
+    fn pieces(self, size: usize) -> impl Iterator<Item = Self> {
+        self.chunks_mut(size)
+    }
+
+    #[inline]
+    fn parallel_pieces(self, size: usize) -> impl IndexedParallelIterator<Item = Self> {
+        self.par_chunks_mut(size)
+    }
+}
+
+impl<A: PieceVectors, B: PieceVectors> PieceVectors for (A, B) {
+    fn row_count(&self) -> usize {
+        debug_assert!(self.0.row_count() == self.1.row_count());
+        self.0.row_count()
+    }
+
+    #[inline]
+    fn pieces(self, size: usize) -> impl Iterator<Item = Self> {
+        self.0.pieces(size).zip(self.1.pieces(size))
+    }
+
+    #[inline]
+    fn parallel_pieces(self, size: usize) -> impl IndexedParallelIterator<Item = Self> {
+        self.0.parallel_pieces(size).zip(self.1.parallel_pieces(size))
+    }
+}
+
+/// Cuts `rows` into consecutive parts of `lengths`.
+pub(crate) fn cut<T>(mut rows: &mut [T], lengths: impl Iterator<Item = usize>) -> Vec<&mut [T]> {
+    lengths
+        .map(|length| {
+            let (part, rest) = std::mem::take(&mut rows).split_at_mut(length);
+            rows = rest;
+            part
+        })
+        .collect()
 }
 
 /// Splits `len` rows into pieces of `size`, the last one shorter: the fixed partition that loops without blocks use.

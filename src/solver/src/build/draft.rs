@@ -6,7 +6,7 @@ use bytemuck::zeroed_vec;
 
 use crate::lanes::{Lanes, SharedRows, prefetch};
 use crate::storage::NO_ROW;
-use crate::threads::{Parallelism, piece_count, piece_rows};
+use crate::threads::{Parallelism, cut, piece_count, piece_rows};
 
 /// Rows of a graph in any order.
 #[derive(Debug, Clone, Copy)]
@@ -34,6 +34,15 @@ pub(crate) struct LevelDraft {
     pub(crate) positions: Vec<Lanes>,
 }
 
+/// Consecutive rows of a draft that one thread fills in.
+struct DraftPiece<'a> {
+    offsets: &'a mut [u32],
+    neighbours: &'a mut [u32],
+    weights: Option<&'a mut [f32]>,
+    /// Empty without positions.
+    positions: &'a mut [Lanes],
+}
+
 /// Rows that are asked of memory before they are copied.
 const AHEAD: usize = 16;
 
@@ -45,7 +54,7 @@ impl LevelDraft {
         let threads = threads.for_rows(n);
         let mut ranks = vec![0u32; n];
         let mut offsets = vec![0u32; n + 1];
-        let (shared_ranks, lengths) = (SharedRows::new(&mut ranks), SharedRows::new(&mut offsets));
+        let shared_ranks = SharedRows::new(&mut ranks);
         let totals = threads.map(
             0..piece_count(n, PIECE),
             || (),
@@ -53,13 +62,9 @@ impl LevelDraft {
                 let range = piece_rows(k, n, PIECE);
                 let mut total = 0;
                 for (&i, k) in sequence[range.clone()].iter().zip(range) {
-                    let length = rows.offsets[i as usize + 1] - rows.offsets[i as usize];
-                    // SAFETY: a sequence holds every row once, and pieces are disjoint.
-                    unsafe {
-                        shared_ranks.set(i as usize, k as u32);
-                        lengths.set(k, length);
-                    }
-                    total += length;
+                    // SAFETY: a sequence holds every row once.
+                    unsafe { shared_ranks.set(i as usize, k as u32) };
+                    total += rows.offsets[i as usize + 1] - rows.offsets[i as usize];
                 }
                 total
             },
@@ -77,55 +82,68 @@ impl LevelDraft {
             positions: zeroed_vec(if rows.positions.is_empty() { 0 } else { n }),
             offsets,
         };
-        let offsets = SharedRows::new(&mut draft.offsets[..n]);
-        let neighbours = SharedRows::new(&mut draft.neighbours);
-        let positions = SharedRows::new(&mut draft.positions);
-        let weights = draft.weights.as_mut().map(|w| SharedRows::new(w));
-        threads.for_each(0..piece_count(n, PIECE), |k| {
-            let range = piece_rows(k, n, PIECE);
-            let entries = bases[k] as usize..(bases[k] + totals[k]) as usize;
-            // SAFETY: pieces hold disjoint rows and entries, and each is visited once.
-            let out = unsafe { neighbours.rows(entries.clone()) };
-            // SAFETY: as above.
-            let mut out_weights = weights.map(|w| unsafe { w.rows(entries.clone()) });
-            if !rows.positions.is_empty() {
-                // SAFETY: as above.
-                let out = unsafe { positions.rows(range.clone()) };
-                for (out, &i) in out.iter_mut().zip(&sequence[range.clone()]) {
+        let pieces = draft.pieces(PIECE, totals.iter().map(|&total| total as usize));
+        threads.for_each_item(
+            pieces,
+            || (),
+            |(), k, piece| {
+                let DraftPiece {
+                    offsets,
+                    neighbours: out,
+                    weights: mut out_weights,
+                    positions,
+                } = piece;
+                let range = piece_rows(k, n, PIECE);
+                for (out, &i) in positions.iter_mut().zip(&sequence[range.clone()]) {
                     *out = rows.positions[i as usize];
                 }
-            }
-            // SAFETY: as above.
-            let lengths = unsafe { offsets.rows(range.clone()) };
-            let mut to = 0;
-            for (at, length) in range.zip(lengths) {
-                if let Some(&later) = sequence.get(at + 2 * AHEAD) {
-                    prefetch(rows.offsets, later as usize);
-                }
-                if let Some(&later) = sequence.get(at + AHEAD) {
-                    let entries = rows.offsets[later as usize] as usize..rows.offsets[later as usize + 1] as usize;
-                    prefetch_both_ends(rows.neighbours, &entries);
-                    if let Some(weights) = rows.weights {
-                        prefetch_both_ends(weights, &entries);
+                let mut to = 0;
+                for (at, length) in range.zip(offsets) {
+                    if let Some(&later) = sequence.get(at + 2 * AHEAD) {
+                        prefetch(rows.offsets, later as usize);
                     }
-                }
-                let i = sequence[at];
-                *length = bases[k] + to as u32;
-                let from = rows.offsets[i as usize] as usize..rows.offsets[i as usize + 1] as usize;
-                if let (Some(out), Some(w)) = (out_weights.as_deref_mut(), rows.weights) {
-                    for (out, w) in out[to..].iter_mut().zip(&w[from.clone()]) {
-                        *out = w * rows.scale;
+                    if let Some(&later) = sequence.get(at + AHEAD) {
+                        let entries = rows.offsets[later as usize] as usize..rows.offsets[later as usize + 1] as usize;
+                        prefetch_both_ends(rows.neighbours, &entries);
+                        if let Some(weights) = rows.weights {
+                            prefetch_both_ends(weights, &entries);
+                        }
                     }
+                    let i = sequence[at];
+                    *length = bases[k] + to as u32;
+                    let from = rows.offsets[i as usize] as usize..rows.offsets[i as usize + 1] as usize;
+                    if let (Some(out), Some(w)) = (out_weights.as_deref_mut(), rows.weights) {
+                        for (out, w) in out[to..].iter_mut().zip(&w[from.clone()]) {
+                            *out = w * rows.scale;
+                        }
+                    }
+                    out[to..to + from.len()].copy_from_slice(&rows.neighbours[from.clone()]);
+                    to += from.len();
                 }
-                out[to..to + from.len()].copy_from_slice(&rows.neighbours[from.clone()]);
-                to += from.len();
-            }
-            // All at once: whoever asks nothing in between waits for many of them at the same time.
-            for j in out {
-                *j = ranks[*j as usize];
-            }
-        });
+                // All at once: whoever asks nothing in between waits for many of them at the same time.
+                for j in out {
+                    *j = ranks[*j as usize];
+                }
+            },
+        );
         draft
+    }
+
+    /// Cuts the draft into pieces of `size` rows, `entries` in each.
+    fn pieces(&mut self, size: usize, entries: impl Iterator<Item = usize> + Clone) -> Vec<DraftPiece<'_>> {
+        let n = self.rows();
+        let mut weights = self.weights.as_mut().map(|w| cut(w, entries.clone()).into_iter());
+        let mut positions = self.positions.chunks_mut(size);
+        let offsets = self.offsets[..n].chunks_mut(size);
+        offsets
+            .zip(cut(&mut self.neighbours, entries))
+            .map(|(offsets, neighbours)| DraftPiece {
+                offsets,
+                neighbours,
+                weights: weights.as_mut().and_then(Iterator::next),
+                positions: positions.next().unwrap_or_default(),
+            })
+            .collect()
     }
 
     pub(crate) fn rows(&self) -> usize {

@@ -15,7 +15,7 @@ use crate::exec::Exec;
 use crate::graph::WeightedGraph;
 use crate::lanes::{Lanes, SharedRows};
 use crate::options::{BuildOptions, CoarseOperators, LevelSize};
-use crate::paper::kept::UncutGraph;
+use crate::paper::level::UncutGraph;
 use crate::pool::Pool;
 use crate::progress::{Cancelled, Progress, check};
 use crate::storage::{NO_ROW, SLICE_ROWS};
@@ -193,13 +193,9 @@ fn positions_in_box(frame: &UnitBoxMap, positions: &[[f64; 3]], exec: &Exec<'_>)
     let n = positions.len();
     let threads = Parallelism::from_pool(exec.pool).for_rows(n);
     let mut placed: Vec<Lanes> = zeroed_vec(n);
-    let out = SharedRows::new(&mut placed);
     threads.run_on(exec.pool, || {
-        threads.for_each(0..piece_count(n, PIECE), |k| {
-            let piece = piece_rows(k, n, PIECE);
-            // SAFETY: pieces are disjoint and each is visited once.
-            let out = unsafe { out.rows(piece.clone()) };
-            for (out, &p) in out.iter_mut().zip(&positions[piece]) {
+        threads.for_each_piece(PIECE, placed.as_mut_slice(), |first, out| {
+            for (out, &p) in out.iter_mut().zip(&positions[first..]) {
                 *out = frame.apply(p);
             }
         });

@@ -9,7 +9,7 @@ use crate::build::draft::{LevelDraft, RowBlocks};
 use crate::build::level::{HierarchyLevel, SliceExtent};
 use crate::lanes::{Lanes, SharedRows};
 use crate::storage::{SLICE_ROWS, grow};
-use crate::threads::{Parallelism, piece_count, piece_rows};
+use crate::threads::{Parallelism, cut};
 
 /// Rows that one piece of work handles where there are no blocks.
 const PIECE: usize = 4096;
@@ -48,12 +48,12 @@ pub(crate) fn append_rows(
     }
 
     let mut ranks = vec![0u32; n];
-    let shared = SharedRows::new(&mut ranks);
-    let plans = threads.map(0..by_colour.len(), SlicePlanner::new, |scratch, b| {
-        // SAFETY: blocks hold disjoint rows and each is visited once.
-        let slots = unsafe { shared.rows(blocks.range(b)) };
-        scratch.plan_slices(draft, blocks, &places, b, slots)
-    });
+    let plans = threads.map_pieces(
+        block,
+        ranks.as_mut_slice(),
+        SlicePlanner::new,
+        |scratch, first, slots| scratch.plan_slices(draft, blocks, &places, first / block, slots),
+    );
 
     let first = level.bundles.len();
     if first > 0 && level.blocks.last() == Some(&level.filling_row) {
@@ -110,16 +110,13 @@ pub(crate) fn append_rows(
     }
 
     let shift = block.trailing_zeros();
-    let (ranks_out, positions_out) = (SharedRows::new(&mut ranks), SharedRows::new(&mut level.positions));
-    threads.for_each(0..piece_count(n, PIECE), |k| {
-        for k in piece_rows(k, n, PIECE) {
-            // SAFETY: every row of the draft has its own row of the level; each is visited once.
-            unsafe {
-                let row = bases[k >> shift] + ranks_out.get(k);
-                ranks_out.set(k, row);
-                if placed {
-                    positions_out.set(row as usize, draft.positions[k]);
-                }
+    let positions = SharedRows::new(&mut level.positions);
+    threads.for_each_piece(PIECE, ranks.as_mut_slice(), |first, ranks| {
+        for (k, rank) in (first..).zip(ranks) {
+            *rank += bases[k >> shift];
+            if placed {
+                // SAFETY: every row of the draft has its own row of the level; each is visited once.
+                unsafe { positions.set(*rank as usize, draft.positions[k]) };
             }
         }
     });
@@ -129,6 +126,13 @@ pub(crate) fn append_rows(
     }
     copy_into_slices(level, first_block, draft, blocks, &ranks, threads);
     ranks
+}
+
+/// Where the rows of one block go.
+struct BlockTarget<'a> {
+    diagonal: &'a mut [f32],
+    neighbours: &'a mut [u32],
+    weights: Option<&'a mut [f32]>,
 }
 
 /// Scratch for copying one block.
@@ -155,12 +159,34 @@ fn copy_into_slices(
 ) {
     let filling = level.filling();
     let (bundles, block_rows) = (&level.bundles, &level.blocks[first_block..]);
-    let diagonal = SharedRows::new(&mut level.diagonal);
-    let neighbours = SharedRows::new(&mut level.neighbours);
-    let weights = level.weights.as_mut().map(|w| SharedRows::new(w));
-    threads.for_each_with(0..blocks.by_colour.len(), BlockScratch::default, |scratch, k| {
-        let rows = block_rows[k] as usize..block_rows[k + 1] as usize;
-        let entries = bundles[rows.start / SLICE_ROWS].begin as usize..bundles[rows.end / SLICE_ROWS - 1].end as usize;
+    let rows_of = |k: usize| block_rows[k] as usize..block_rows[k + 1] as usize;
+    let entries_of = |k: usize| {
+        let rows = rows_of(k);
+        bundles[rows.start / SLICE_ROWS].begin as usize..bundles[rows.end / SLICE_ROWS - 1].end as usize
+    };
+    let count = blocks.by_colour.len();
+    if count == 0 {
+        return;
+    }
+    let lengths = (0..count).map(|k| entries_of(k).len());
+    let first_entry = entries_of(0).start;
+    let diagonals = cut(
+        &mut level.diagonal[rows_of(0).start..],
+        (0..count).map(|k| rows_of(k).len()),
+    );
+    let neighbours = cut(&mut level.neighbours[first_entry..], lengths.clone());
+    let weights = level.weights.as_mut().map(|w| cut(&mut w[first_entry..], lengths));
+    let mut weights = weights.map(Vec::into_iter);
+    let targets = diagonals
+        .into_iter()
+        .zip(neighbours)
+        .map(|(diagonal, neighbours)| BlockTarget {
+            diagonal,
+            neighbours,
+            weights: weights.as_mut().and_then(Iterator::next),
+        });
+    threads.for_each_item(targets.collect(), BlockScratch::default, |scratch, k, target| {
+        let (rows, entries) = (rows_of(k), entries_of(k));
         let source = blocks.range(blocks.by_colour[k] as usize);
         let first = draft.offsets[source.start];
         let source_entries = first as usize..draft.offsets[source.end] as usize;
@@ -180,10 +206,11 @@ fn copy_into_slices(
                 .map(|&j| ranks[j as usize]),
         );
         let from_weights = draft.weights.as_deref().map(|w| &w[source_entries]);
-        // SAFETY: blocks hold disjoint rows, and rows disjoint entries; each block is visited once.
-        let (diagonal, out) = unsafe { (diagonal.rows(rows.clone()), neighbours.rows(entries.clone())) };
-        // SAFETY: as above.
-        let mut out_weights = weights.map(|w| unsafe { w.rows(entries.clone()) });
+        let BlockTarget {
+            diagonal,
+            neighbours: out,
+            weights: mut out_weights,
+        } = target;
         for (i, &[from, to]) in rows.clone().zip(&*rows_from) {
             let (bundle, lane) = (bundles[i / SLICE_ROWS], i % SLICE_ROWS);
             // From both ends: every entry is written at both, and the end that does not advance is written again.

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
-use crate::build::aggregates::{Aggregates, AggregationRule};
-use crate::lanes::{Lanes, SharedRows};
+use crate::build::coarsen::{Aggregates, AggregationRule};
+use crate::lanes::{Lanes, RowVectors, SharedRows};
 use crate::storage::{NO_ROW, SLACK, SLICE_ROWS};
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
@@ -217,7 +217,7 @@ impl HierarchyLevel {
             for group in piece_rows(k, coarse_ranks.len(), PIECE) {
                 let [begin, end] = ranges[coarse_ranks[group] as usize];
                 // SAFETY: every group has its own row of the next level; each is visited once.
-                let out = unsafe { members.rows(begin as usize..end as usize) };
+                let out = unsafe { <&mut [u32]>::rows(members, begin as usize..end as usize) };
                 for (out, &i) in out.iter_mut().zip(groups.members_of(group)) {
                     *out = ranks[i as usize];
                 }

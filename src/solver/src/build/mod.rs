@@ -1,6 +1,5 @@
 //! From a graph to its hierarchy: order, aggregates, coarse edges, and rows laid out for sweeps.
 
-pub(crate) mod aggregates;
 mod bundling;
 pub(crate) mod coarsen;
 pub(crate) mod draft;

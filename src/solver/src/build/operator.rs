@@ -5,7 +5,7 @@
 //! would carry S g·D with D = c_I − c_J. Their ratio φ = v·D / (S |D|²) makes the coarse edge carry the right flow, so
 //! coarse corrections have the right length and need no over-correction factor.
 
-use crate::build::aggregates::Aggregates;
+use crate::build::coarsen::Aggregates;
 use crate::build::draft::LevelDraft;
 use crate::lanes::{Lanes, WideLanes};
 use crate::storage::NO_ROW;

@@ -1,7 +1,7 @@
 //! Sequences of vertices: along a space-filling curve, or breadth first where no positions are known.
 
 use crate::lanes::{Lanes, SharedRows};
-use crate::threads::{Parallelism, piece_count, piece_rows};
+use crate::threads::{Parallelism, piece_rows};
 
 /// Bits per axis of the curve.
 const BITS: u32 = 10;
@@ -79,16 +79,13 @@ pub(crate) fn along_curve(positions: &[Lanes], threads: Parallelism) -> Vec<u32>
     let mut spare = vec![(0u32, 0u32); n];
     let mut order = vec![0u32; n];
     for pass in 0..3 {
-        let from = SharedRows::new(&mut items);
-        let counts = threads.map(
-            0..piece_count(n, PIECE),
+        let counts = threads.map_pieces(
+            PIECE,
+            items.as_mut_slice(),
             || (),
-            |(), k| {
-                let range = piece_rows(k, n, PIECE);
-                // SAFETY: pieces are disjoint and each is visited once.
-                let items = unsafe { from.rows(range.clone()) };
+            |(), first, items| {
                 if pass == 0 {
-                    for ((item, p), i) in items.iter_mut().zip(&positions[range.clone()]).zip(range) {
+                    for ((item, p), i) in items.iter_mut().zip(&positions[first..]).zip(first..) {
                         let [x, y, z, _] = p.0;
                         let key = spread_bits(cell(x)) | (spread_bits(cell(y)) << 1) | (spread_bits(cell(z)) << 2);
                         *item = (key, i as u32);
@@ -109,23 +106,18 @@ pub(crate) fn along_curve(positions: &[Lanes], threads: Parallelism) -> Vec<u32>
                 total += counts[d];
             }
         }
-        let (cursors, to, order) = (
-            SharedRows::new(&mut cursors),
-            SharedRows::new(&mut spare),
-            SharedRows::new(&mut order),
-        );
-        threads.for_each(0..piece_count(n, PIECE), |k| {
-            // SAFETY: pieces are disjoint, each is visited once, and so is every place that their cursors pass.
-            unsafe {
-                let cursors = cursors.rows(k * DIGITS..(k + 1) * DIGITS);
-                for &item in from.rows(piece_rows(k, n, PIECE)).iter() {
-                    let slot = &mut cursors[digit(item.0, pass)];
+        let (to, order) = (SharedRows::new(&mut spare), SharedRows::new(&mut order));
+        threads.for_each_piece(DIGITS, cursors.as_mut_slice(), |first, cursors| {
+            for &item in &items[piece_rows(first / DIGITS, n, PIECE)] {
+                let slot = &mut cursors[digit(item.0, pass)];
+                // SAFETY: the counts give every item a place of its own.
+                unsafe {
                     match pass {
                         2 => order.set(*slot as usize, item.1),
                         _ => to.set(*slot as usize, item),
                     }
-                    *slot += 1;
                 }
+                *slot += 1;
             }
         });
         std::mem::swap(&mut items, &mut spare);

@@ -3,7 +3,6 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::build::level::HierarchyLevel;
-use crate::lanes::SharedRows;
 use crate::storage::NO_ROW;
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
@@ -115,21 +114,15 @@ pub(crate) fn mask_coarser_level(
         ..LevelMask::default()
     };
     // 1 marks aggregates with free members until all of them are known.
-    let inverses = SharedRows::new(&mut mask.inverses);
-    threads.for_each(0..piece_count(n, PIECE), |k| {
-        // SAFETY: pieces are disjoint and each is visited once.
-        let inverses = unsafe { inverses.rows(piece_rows(k, n, PIECE)) };
-        for (inverse, row) in inverses.iter_mut().zip(piece_rows(k, n, PIECE)) {
+    threads.for_each_piece(PIECE, mask.inverses.as_mut_slice(), |first, inverses| {
+        for (row, inverse) in (first..).zip(inverses) {
             let free = fine.members_of(row).iter().any(|&i| fine_mask.free(i as usize));
             *inverse = f32::from(u8::from(free));
         }
     });
     let mut alphas = std::mem::take(&mut mask.alphas);
-    let shared = SharedRows::new(&mut alphas);
-    threads.for_each(0..piece_count(n, PIECE), |k| {
-        // SAFETY: pieces are disjoint and each is visited once.
-        let alphas = unsafe { shared.rows(piece_rows(k, n, PIECE)) };
-        for (alpha, row) in alphas.iter_mut().zip(piece_rows(k, n, PIECE)) {
+    threads.for_each_piece(PIECE, alphas.as_mut_slice(), |first, alphas| {
+        for (row, alpha) in (first..).zip(alphas) {
             if !mask.free(row) {
                 continue;
             }

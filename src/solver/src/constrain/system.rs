@@ -8,12 +8,11 @@ use crate::constrain::floating::FloatingComponents;
 use crate::constrain::mask::{LevelMask, mask_coarser_level};
 use crate::dense_inverse::DenseInverse;
 use crate::error::Error;
-use crate::lanes::SharedRows;
 use crate::options::{Constraints, LevelSize};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::pool::Pool;
 use crate::storage::NO_ROW;
-use crate::threads::{Parallelism, piece_count, piece_rows};
+use crate::threads::Parallelism;
 
 /// Up to this many free vertices are solved directly.
 const DIRECT: usize = 200;
@@ -181,13 +180,10 @@ impl LinearSystem {
             ..LevelMask::default()
         };
         mask.alphas = self.stiffness.iter().map(|&s| s as f32).collect();
-        let n = level.rows();
-        let out = SharedRows::new(&mut mask.inverses);
         let alphas = &mask.alphas;
-        threads.for_rows(n).for_each(0..piece_count(n, PIECE), |k| {
-            // SAFETY: pieces are disjoint and each is visited once.
-            let out = unsafe { out.rows(piece_rows(k, n, PIECE)) };
-            for (i, out) in piece_rows(k, n, PIECE).zip(out) {
+        let threads_of_level = threads.for_rows(level.rows());
+        threads_of_level.for_each_piece(PIECE, mask.inverses.as_mut_slice(), |first, inverses| {
+            for (i, out) in (first..).zip(inverses) {
                 let vertex = hierarchy.order[i];
                 if vertex != NO_ROW && !fixed[vertex as usize] {
                     let diagonal = level.diagonal[i] + alphas.get(i).copied().unwrap_or(0.0);

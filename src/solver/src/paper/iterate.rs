@@ -1,19 +1,23 @@
 //! Cycles until the criteria hold, and what happens when they never would.
+//!
+//! A cycle is Algorithm 1 with γ = 1, a V-cycle on the defect equations. Full multigrid (figure 4) restricts the original
+//! equations to the coarsest level, solves them there and prolongs the solution.
 
 use crate::error::Error;
 use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::{InitialGuess, SolveMethod};
-use crate::paper::cycle::{PaperVectors, vectors};
 use crate::paper::hierarchy::PaperHierarchy;
-use crate::paper::kept::UncutGraph;
-use crate::paper::smooth::ConjugateSteps;
-use crate::paper::start::{FrameOffsets, ZeroOffsets};
-use crate::progress::Cancelled;
+use crate::paper::level::UncutGraph;
+use crate::paper::restrict::{
+    ConjugateSteps, EdgeOffsets, OperatorReading, add, add_correction_from, defect, prolong, restrict_defect,
+    restricted_constants, sweep,
+};
+use crate::progress::{Cancelled, Progress, check};
 use crate::solve::advance::rhs_reference_norms;
-use crate::solve::criteria::GroupOutcome;
 use crate::solve::fallback::conjugate_gradients;
-use crate::solve::group::GroupSolve;
-use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
+use crate::solve::group::{
+    GroupOutcome, GroupSolve, IterationReport, IterationWatcher, SolutionSnapshot, SolveControl,
+};
 
 /// Cycles that must at least halve the residual.
 const PATIENCE: usize = 12;
@@ -266,5 +270,174 @@ impl CycleHistory {
             .max(reduction(&self.steps))
             .clamp(SLOW.0, SLOW.1);
         self.steps.last().map_or(f64::INFINITY, |step| step * rho / (1.0 - rho))
+    }
+}
+
+/// d of the finest level, ½ (F_i + F_j) (p_i − p_j) per unit of the columns; equation (6) in terms of the linear maps F.
+pub(super) struct FrameOffsets<'a> {
+    /// Vertex of the caller's arrays for each vertex of the level.
+    pub(super) vertices: &'a [u32],
+    pub(super) frames: &'a [[f32; 9]],
+    pub(super) rest: &'a [[f64; 3]],
+    pub(super) unit: WideLanes,
+}
+
+impl EdgeOffsets for FrameOffsets<'_> {
+    fn d(&self, _: usize, i: usize, j: usize) -> WideLanes {
+        let (i, j) = (self.vertices[i] as usize, self.vertices[j] as usize);
+        let (f, g) = (&self.frames[i], &self.frames[j]);
+        let v: [f64; 3] = std::array::from_fn(|c| self.rest[i][c] - self.rest[j][c]);
+        let mut d = [0.0; WIDTH];
+        for row in 0..3 {
+            let at = |column: usize| f64::from(f[3 * column + row]) + f64::from(g[3 * column + row]);
+            d[row] = 0.5 * (at(0) * v[0] + at(1) * v[1] + at(2) * v[2]) / self.unit[row];
+        }
+        d
+    }
+}
+
+/// d of a coarser level, one per entry.
+struct StoredOffsets(Vec<WideLanes>);
+
+impl EdgeOffsets for StoredOffsets {
+    fn d(&self, e: usize, _: usize, _: usize) -> WideLanes {
+        self.0[e]
+    }
+}
+
+/// No d: each vertex wants to lie where its neighbours do, as in the Laplace equation (1).
+pub(super) struct ZeroOffsets;
+
+impl EdgeOffsets for ZeroOffsets {
+    fn d(&self, _: usize, _: usize, _: usize) -> WideLanes {
+        [0.0; WIDTH]
+    }
+}
+
+impl PaperHierarchy {
+    /// Leaves a first solution of the finest equations in `vectors[0].x`, whose right-hand side b is in `vectors[0].b`:
+    /// restricts β and d to the coarsest level, solves there, and on the way back prolongs by (14), with one V-cycle on
+    /// every level in between. The finest level's own cycles are the caller's.
+    pub(super) fn full_multigrid(
+        &self,
+        finest: &dyn EdgeOffsets,
+        vectors: &mut [PaperVectors],
+        progress: &dyn Progress,
+    ) -> Result<(), Cancelled> {
+        let last = self.levels.len() - 1;
+        let mut betas = vec![self.with_offsets(0, finest, -1.0, &vectors[0].b)];
+        let mut stored: Vec<StoredOffsets> = Vec::new();
+        for l in 0..last {
+            let offsets: &dyn EdgeOffsets = if l == 0 { finest } else { &stored[l - 1] };
+            let (beta, d) = restricted_constants(
+                (&self.levels[l], &self.chains[l][0], &betas[l], offsets),
+                (&self.levels[l + 1], &self.chains[l + 1][0]),
+            );
+            stored.push(StoredOffsets(d));
+            vectors[l + 1].b = self.with_offsets(l + 1, &stored[l], 1.0, &beta);
+            betas.push(beta);
+        }
+        self.solve_coarsest(last, &mut vectors[last]);
+        for l in (0..last).rev() {
+            let (fine, coarse) = vectors.split_at_mut(l + 1);
+            let offsets: &dyn EdgeOffsets = if l == 0 { finest } else { &stored[l - 1] };
+            prolong(
+                (&self.levels[l], &self.chains[l][0], &betas[l], offsets),
+                &coarse[0].x,
+                &mut fine[l].x,
+            );
+            if l > 0 {
+                // The cycle overwrites the vectors below, which have served.
+                self.cycle(l, &mut vectors[l..], progress)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// v_i + sign · Σ_j w_ij d_ji on level `l`: from β to b and back.
+    fn with_offsets(&self, l: usize, offsets: &dyn EdgeOffsets, sign: f64, v: &[WideLanes]) -> Vec<WideLanes> {
+        let (level, equations) = (&self.levels[l], &self.chains[l][0]);
+        let mut out = v.to_vec();
+        for (i, out) in out.iter_mut().enumerate() {
+            for (e, j) in level.edges(i) {
+                add(out, sign * equations.weights[e], offsets.d(e, i, j));
+            }
+        }
+        out
+    }
+}
+
+/// Sweeps before and after the coarse correction (section 6).
+const SWEEPS: usize = 2;
+
+/// Vectors of one level.
+#[derive(Debug, Default)]
+pub(super) struct PaperVectors {
+    pub(super) b: Vec<WideLanes>,
+    pub(super) x: Vec<WideLanes>,
+    defect: Vec<WideLanes>,
+}
+
+/// Vectors of all levels, finest first.
+pub(super) fn vectors(paper: &PaperHierarchy) -> Vec<PaperVectors> {
+    let vectors = |n: usize| PaperVectors {
+        b: vec![[0.0; WIDTH]; n],
+        x: vec![[0.0; WIDTH]; n],
+        defect: vec![[0.0; WIDTH]; n],
+    };
+    paper.levels.iter().map(|l| vectors(l.vertices())).collect()
+}
+
+impl PaperHierarchy {
+    /// One V(2,2) cycle on the original equations of level `s`: improves `vectors[0].x` for `vectors[0].b`. `vectors`
+    /// begins at that level.
+    pub(super) fn cycle(
+        &self,
+        s: usize,
+        vectors: &mut [PaperVectors],
+        progress: &dyn Progress,
+    ) -> Result<(), Cancelled> {
+        self.descend(s, 0, OperatorReading::Held, vectors, progress)
+    }
+
+    /// The same on step `k` of chain `s`.
+    pub(super) fn descend(
+        &self,
+        s: usize,
+        k: usize,
+        reading: OperatorReading,
+        vectors: &mut [PaperVectors],
+        progress: &dyn Progress,
+    ) -> Result<(), Cancelled> {
+        let Some((here, below)) = vectors.split_first_mut() else {
+            return Ok(());
+        };
+        let (level, equations) = (&self.levels[s + k], &self.chains[s][k]);
+        if below.is_empty() {
+            self.solve_coarsest(s, here);
+            return Ok(());
+        }
+        for _ in 0..SWEEPS {
+            check(progress)?;
+            sweep(level, equations, &here.b, &mut here.x);
+        }
+        defect(level, equations, &here.b, &here.x, &mut here.defect);
+        restrict_defect(level, equations, reading, &here.defect, &mut below[0].b);
+        below[0].x.fill([0.0; WIDTH]);
+        self.descend(s, k + 1, reading, below, progress)?;
+        add_correction_from((level, equations, reading), &below[0].x, &here.defect, &mut here.x);
+        for _ in 0..SWEEPS {
+            check(progress)?;
+            sweep(level, equations, &here.b, &mut here.x);
+        }
+        Ok(())
+    }
+
+    /// The coarsest equations of chain `s`, solved exactly.
+    pub(super) fn solve_coarsest(&self, s: usize, vectors: &mut PaperVectors) {
+        let inverse = &self.inverses[s];
+        for (i, x) in vectors.x.iter_mut().enumerate() {
+            *x = inverse.row_times(i, &vectors.b);
+        }
     }
 }

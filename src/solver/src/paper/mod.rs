@@ -67,17 +67,10 @@
 //! - The paper does not name the preconditioner of the two conjugate-gradient steps that may follow a cycle. Here it is
 //!   a symmetric Gauss–Seidel sweep.
 
-mod coarsen;
-mod cycle;
-mod equations;
-mod graph;
 pub(crate) mod hierarchy;
 mod iterate;
-pub(crate) mod kept;
-mod level;
+pub(crate) mod level;
 mod restrict;
-mod smooth;
-mod start;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]

@@ -4,16 +4,15 @@ use crate::build::hierarchy::Hierarchy;
 use crate::exec::Exec;
 use crate::lanes::{WIDTH, WideLanes};
 use crate::options::{BuildOptions, CoarseOperators, Constraints, InitialGuess, SolveMethod, SolveOptions, SolveStats};
-use crate::paper::cycle::{PaperVectors, vectors};
-use crate::paper::equations::LevelEquations;
 use crate::paper::hierarchy::PaperHierarchy;
+use crate::paper::iterate::{PaperVectors, vectors};
+use crate::paper::level::LevelEquations;
 use crate::paper::restrict::{
-    EdgeOffsets, OperatorReading, add_correction_from, prolong, restrict_defect, restricted_constants,
+    EdgeOffsets, OperatorReading, add_correction_from, defect, prolong, restrict_defect, restricted_constants,
 };
-use crate::paper::smooth::defect;
 use crate::paper::testing::{held, lattice, paper, path, sheet};
 use crate::progress::Silent;
-use crate::solve::iteration::SolveControl;
+use crate::solve::group::SolveControl;
 use crate::solve::workspace::Workspace;
 use crate::testing::{BoxLattice, pool};
 
@@ -129,7 +128,7 @@ fn without_constraints_near_by_constants_are_prolonged_and_corrections_are_dampe
         vec![[0.0; WIDTH]; level.vertices()],
     );
     let (mut harmonic, mut correction) = (zero.clone(), zero.clone());
-    prolong((level, fine, &zero, &super::start::ZeroOffsets), &ones, &mut harmonic);
+    prolong((level, fine, &zero, &super::iterate::ZeroOffsets), &ones, &mut harmonic);
     add_correction_from((level, fine, OperatorReading::Held), &ones, &zero, &mut correction);
     for i in (0..level.vertices()).filter(|&i| fine.alphas[i] == 0.0) {
         assert!((harmonic[i][0] - 1.0).abs() < 1e-15, "(14) keeps constants");

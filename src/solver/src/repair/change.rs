@@ -6,7 +6,7 @@ use crate::build::level::HierarchyLevel;
 use crate::build::order::{along_curve, breadth_first};
 use crate::error::Error;
 use crate::graph::WeightedGraph;
-use crate::lanes::{Lanes, SharedRows};
+use crate::lanes::Lanes;
 use crate::repair::marks::MarkedRows;
 use crate::storage::NO_ROW;
 use crate::threads::{Parallelism, piece_count, piece_rows};
@@ -392,21 +392,18 @@ fn renumber_rows(
 ) -> (Vec<u32>, Vec<RenumberedPiece>) {
     let n = order.len();
     let mut next = vec![0u32; n];
-    let out = SharedRows::new(&mut next);
-    let found = threads.for_rows(n).map(
-        0..piece_count(n, PIECE),
+    let found = threads.for_rows(n).map_pieces(
+        PIECE,
+        next.as_mut_slice(),
         || (),
-        |(), k| {
-            let rows = piece_rows(k, n, PIECE);
-            // SAFETY: pieces are disjoint and each is visited once.
-            let out = unsafe { out.rows(rows.clone()) };
+        |(), first, next| {
             let mut found = RenumberedPiece {
                 gone: Vec::new(),
                 own: Vec::new(),
                 near: Vec::new(),
                 left: 0,
             };
-            for (row, out) in rows.zip(out) {
+            for (row, out) in (first..).zip(next) {
                 let old = order[row];
                 *out = NO_ROW;
                 if old == NO_ROW {

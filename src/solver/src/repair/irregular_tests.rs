@@ -97,7 +97,7 @@ fn sweeps_agree(hierarchy: &Hierarchy, cast: &RowsCast, pools: &[Pool; 2]) {
             &Default::default(),
             &mut Default::default(),
             &Exec::new(pool, &Silent),
-            &mut |_| crate::solve::iteration::SolveControl::Continue,
+            &mut |_| crate::solve::group::SolveControl::Continue,
         );
         solving.expect("solved");
         x.iter().map(|x| x.to_bits()).collect::<Vec<u64>>()

@@ -10,14 +10,12 @@
 //! Only one pass visits all vertices: it gives them their new numbers.
 
 mod change;
-mod compact;
 mod follow;
 #[cfg(test)]
 mod irregular_tests;
 mod marks;
 mod place;
 mod regroup;
-mod rows;
 #[cfg(test)]
 mod tests;
 

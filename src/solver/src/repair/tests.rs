@@ -6,7 +6,7 @@ use crate::graph::WeightedGraph;
 use crate::options::{BuildOptions, Constraints, SolveMethod, SolveOptions};
 use crate::progress::Silent;
 use crate::repair::change::{GraphChange, RepairReport};
-use crate::solve::iteration::{IterationReport, SolveControl};
+use crate::solve::group::{IterationReport, SolveControl};
 use crate::solve::workspace::Workspace;
 use crate::storage::{NO_ROW, SLICE_ROWS};
 use crate::testing::{BoxLattice, pool};

@@ -1,6 +1,6 @@
 //! Vector work of the outer iteration: the residual of a stretch, one step, adding the correction.
 
-use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane, ratio};
+use crate::lanes::{Lanes, WIDTH, WideLanes, per_lane, ratio};
 use crate::progress::Cancelled;
 use crate::solve::cycle::{CoarseVectors, MultigridCycle};
 use crate::solve::problem::ColumnGroup;
@@ -54,7 +54,7 @@ fn without_means(problem: &ColumnGroup<'_>, fine: &mut FineVectors, scale: WideL
     // Not norms minus means: of a right-hand side that is mostly mean that would leave nothing but rounding.
     floating.remove_means(&mut fine.r);
     let r = &fine.r;
-    problem.norms(|rows| {
+    problem.norms((), |rows, ()| {
         let mut norms = [0.0; WIDTH];
         for r in &r[rows] {
             let r = r.to_wide();
@@ -183,10 +183,8 @@ fn take_step(
     let weights = Lanes::from_wide(terms.weights);
     let z = &*z;
     let (r_now, e_now) = (&*r, &*e);
-    let (r_next, e_next) = (SharedRows::new(last_r), SharedRows::new(last_e));
-    let [rr, ee, _] = grid.sum_over_blocks(partials, |rows| {
-        // SAFETY: blocks are disjoint and each is visited once.
-        let (r_next, e_next) = unsafe { (r_next.rows(rows.clone()), e_next.rows(rows.clone())) };
+    let next = (last_r.as_mut_slice(), last_e.as_mut_slice());
+    let [rr, ee, _] = grid.sum_over_blocks(next, partials, |rows, (r_next, e_next)| {
         let (mut rr, mut ee, mut longest) = (Lanes::ZERO, Lanes::ZERO, 0.0f32);
         let next = r_next.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
         let next = next.zip(e_next.as_chunks_mut::<SLICE_ROWS>().0);
@@ -225,10 +223,8 @@ fn residual_of_correction(grid: &MaskedLevel<'_>, fine: &mut FineVectors) -> Wid
         r, e, last_r, partials, ..
     } = fine;
     let e = &*e;
-    let (r, before) = (SharedRows::new(r), &*last_r);
-    let [rr, _, _] = grid.sum_over_blocks(partials, |rows| {
-        // SAFETY: blocks are disjoint and each is visited once.
-        let r = unsafe { r.rows(rows.clone()) };
+    let before = &*last_r;
+    let [rr, _, _] = grid.sum_over_blocks(r.as_mut_slice(), partials, |rows, r| {
         let before = before[rows.clone()].as_chunks::<SLICE_ROWS>().0;
         let mut rr = Lanes::ZERO;
         for (k, (r, before)) in
@@ -246,7 +242,7 @@ fn residual_of_correction(grid: &MaskedLevel<'_>, fine: &mut FineVectors) -> Wid
 }
 
 fn inner_product(grid: &MaskedLevel<'_>, a: &[Lanes], b: &[Lanes], partials: &mut Vec<LaneDots>) -> WideLanes {
-    let [sum, _, _] = grid.sum_over_blocks(partials, |rows| {
+    let [sum, _, _] = grid.sum_over_blocks((), partials, |rows, ()| {
         let mut sum = Lanes::ZERO;
         for (a, b) in a[rows.clone()].iter().zip(&b[rows]) {
             sum += *a * *b;
@@ -263,7 +259,7 @@ pub(crate) fn longest_step(grid: &MaskedLevel<'_>, fine: &mut FineVectors, weigh
         e, last_e, partials, ..
     } = fine;
     let (e, last_e) = (&*e, &*last_e);
-    grid.sum_over_blocks(partials, |rows| {
+    grid.sum_over_blocks((), partials, |rows, ()| {
         let mut longest = 0.0f32;
         for (e, last_e) in e[rows.clone()].iter().zip(&last_e[rows]) {
             let step = (*e - *last_e) * weights;
@@ -278,14 +274,8 @@ pub(crate) fn longest_step(grid: &MaskedLevel<'_>, fine: &mut FineVectors, weigh
 /// x += e / scale on free rows, and the correction begins at 0 again; residual and direction stay as they are.
 pub(crate) fn fold_correction(grid: &MaskedLevel<'_>, fine: &mut FineVectors, scale: WideLanes, x: &mut [WideLanes]) {
     let inverse = per_lane(|c| 1.0 / scale[c]);
-    let (x, e, last_e) = (
-        SharedRows::new(x),
-        SharedRows::new(&mut fine.e),
-        SharedRows::new(&mut fine.last_e),
-    );
-    grid.each_block(|_, rows| {
-        // SAFETY: blocks are disjoint and each is visited once.
-        let (x, e, last_e) = unsafe { (x.rows(rows.clone()), e.rows(rows.clone()), last_e.rows(rows)) };
+    let corrections = (fine.e.as_mut_slice(), fine.last_e.as_mut_slice());
+    grid.each_block((x, corrections), |_, _, (x, (e, last_e))| {
         for ((x, e), last_e) in x.iter_mut().zip(e).zip(last_e) {
             *last_e -= *e;
             let e = std::mem::replace(e, Lanes::ZERO).to_wide();
@@ -313,17 +303,8 @@ pub(crate) fn add_correction(
     }
     let inverse = per_lane(|c| 1.0 / scale[c]);
     let r = &*r;
-    let (x, e, last_r, last_e) = (
-        SharedRows::new(x),
-        SharedRows::new(e),
-        SharedRows::new(last_r),
-        SharedRows::new(last_e),
-    );
-    grid.each_block(|_, rows| {
-        // SAFETY: blocks are disjoint and each is visited once.
-        let (x, e) = unsafe { (x.rows(rows.clone()), e.rows(rows.clone())) };
-        // SAFETY: as above.
-        let (last_r, last_e) = unsafe { (last_r.rows(rows.clone()), last_e.rows(rows.clone())) };
+    let vectors = ((x, e.as_mut_slice()), (last_r.as_mut_slice(), last_e.as_mut_slice()));
+    grid.each_block(vectors, |_, rows, ((x, e), (last_r, last_e))| {
         for (k, r) in r[rows].iter().enumerate() {
             last_r[k] -= *r;
             last_e[k] -= e[k];
@@ -347,10 +328,8 @@ pub(crate) fn resume_direction(
     *dd = per_lane(|c| dd[c] * factor[c] * factor[c]);
     let factor = Lanes::from_wide(factor);
     let r = &fine.r;
-    let (last_r, last_e) = (SharedRows::new(&mut fine.last_r), SharedRows::new(&mut fine.last_e));
-    grid.each_block(|_, rows| {
-        // SAFETY: blocks are disjoint and each is visited once.
-        let (last_r, last_e) = unsafe { (last_r.rows(rows.clone()), last_e.rows(rows.clone())) };
+    let last = (fine.last_r.as_mut_slice(), fine.last_e.as_mut_slice());
+    grid.each_block(last, |_, rows, (last_r, last_e)| {
         for (k, r) in r[rows].iter().enumerate() {
             last_r[k] = *r + last_r[k] * factor;
             last_e[k] = last_e[k] * factor;

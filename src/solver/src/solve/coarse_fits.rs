@@ -4,17 +4,17 @@
 //! A coarse level has the same slow modes and next to nothing to compute. So the start by full multigrid solves the *non-linear*
 //! equations on the way down: on each level rotations are fitted to the solution and the solution corrected by a cycle, with
 //! quasi-Newton steps, until the energy hardly falls; what rotations have changed by is handed to the level below.
+//!
+//! Limited-memory quasi-Newton steps (Nocedal's L-BFGS) on the rows of one level, with a multigrid cycle as the first guess of the
+//! inverse: what Liu, Bouaziz and Kavan (2017) do with a factorisation.
 
 use crate::build::level::HierarchyLevel;
-use crate::lanes::{Lanes, SharedRows};
+use crate::lanes::Lanes;
 use crate::progress::{Cancelled, check};
 use crate::solve::cycle::{CoarseVectors, MultigridCycle};
-use crate::solve::nearest_turn::{STILL, Turn, after, nearest_turns, turned};
-use crate::solve::patches::{AffinePatches, PatchMap, times};
-use crate::solve::quasi_newton::StepMemory;
+use crate::solve::patches::{AffinePatches, PatchMap, STILL, Turn, after, nearest_turns, times, turned};
 use crate::solve::sweep::MaskedLevel;
 use crate::storage::{NO_ROW, SLICE_ROWS};
-use crate::threads::{piece_count, piece_rows};
 
 /// Bundles that one piece of work handles.
 const PIECE: usize = 256;
@@ -106,33 +106,28 @@ impl CoarseFits {
     /// Turns each row's map to fit the positions best; returns Σ w |x_i − x_j − F_i (p_i − p_j)|² over rows that are open.
     fn fit(&mut self, grid: &MaskedLevel<'_>, l: usize, patches: &mut AffinePatches) -> f64 {
         let (level, open) = (grid.level, &self.open[l]);
-        let n = level.rows();
         let mut maps = std::mem::take(&mut patches.maps);
-        let (shared, turns) = (SharedRows::new(&mut maps), SharedRows::new(&mut self.turns));
         let patches_now = &*patches;
-        let energies = grid.threads.map(
-            0..piece_count(n / SLICE_ROWS, PIECE),
+        let energies = grid.threads.map_pieces(
+            PIECE * SLICE_ROWS,
+            (maps.as_mut_slice(), self.turns.as_mut_slice()),
             || (),
-            |(), k| {
+            |(), first, (maps, turns)| {
                 let mut energy = 0.0;
-                for bundle in piece_rows(k, n / SLICE_ROWS, PIECE) {
-                    let first = bundle * SLICE_ROWS;
+                let bundles = maps.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
+                let bundles = bundles.zip(turns.as_chunks_mut::<SLICE_ROWS>().0);
+                for ((maps, turns), first) in bundles.zip((first..).step_by(SLICE_ROWS)) {
                     if !(0..SLICE_ROWS).any(|d| open[first + d]) {
                         continue;
                     }
-                    // SAFETY: pieces are disjoint, and a row's map and turn are used by its own piece alone.
-                    let maps: [PatchMap; SLICE_ROWS] = std::array::from_fn(|d| unsafe { shared.get(first + d) });
                     let sums: [_; SLICE_ROWS] =
                         std::array::from_fn(|d| row_sums(level, patches_now, first + d, &maps[d]));
                     let fitted = nearest_turns(sums.each_ref().map(|(columns, _)| columns));
                     for (d, (turn, trace)) in fitted.into_iter().enumerate().filter(|(d, _)| open[first + d]) {
                         let [x, y, z, _] = sums[d].1.to_wide();
                         energy += x + y + z - 2.0 * trace;
-                        // SAFETY: as above.
-                        unsafe {
-                            shared.set(first + d, turned(turn, &maps[d]));
-                            turns.set(first + d, after(turn, turns.get(first + d)));
-                        }
+                        maps[d] = turned(turn, &maps[d]);
+                        turns[d] = after(turn, turns[d]);
                     }
                 }
                 energy
@@ -170,4 +165,83 @@ fn row_sums(level: &HierarchyLevel, patches: &AffinePatches, i: usize, map: &Pat
         squares += edge * edge * w + flow * weighted;
     }
     (sums, squares)
+}
+
+/// Steps that are remembered.
+const DEPTH: usize = 5;
+
+/// The last few steps and what they did to the residual.
+#[derive(Debug, Default)]
+pub(crate) struct StepMemory {
+    pairs: Vec<StepPair>,
+    last: Option<(Vec<Lanes>, Vec<Lanes>)>,
+    /// What the cycle is short of, pair by pair.
+    factors: Vec<f64>,
+}
+
+#[derive(Debug)]
+struct StepPair {
+    step: Vec<Lanes>,
+    /// The residual before, less that after.
+    fall: Vec<Lanes>,
+    product: f64,
+}
+
+impl StepMemory {
+    /// Forgets all steps.
+    pub(crate) fn forget(&mut self) {
+        self.pairs.clear();
+        self.last = None;
+    }
+
+    /// Takes note of a residual at x, and makes of it what the cycle is to be given.
+    pub(crate) fn before_cycle(&mut self, x: &[Lanes], residual: &[Lanes], right: &mut [Lanes]) {
+        if let Some((last_x, last_residual)) = self.last.take() {
+            let difference =
+                |a: &[Lanes], b: &[Lanes]| -> Vec<Lanes> { a.iter().zip(b).map(|(a, b)| *a - *b).collect() };
+            let (step, fall) = (difference(x, &last_x), difference(&last_residual, residual));
+            let product = inner_product(&step, &fall);
+            if product > 0.0 {
+                if self.pairs.len() == DEPTH {
+                    self.pairs.remove(0);
+                }
+                self.pairs.push(StepPair { step, fall, product });
+            }
+        }
+        self.last = Some((x.to_vec(), residual.to_vec()));
+        right.copy_from_slice(residual);
+        self.factors.clear();
+        self.factors.resize(self.pairs.len(), 0.0);
+        for (pair, factor) in self.pairs.iter().zip(&mut self.factors).rev() {
+            *factor = inner_product(&pair.step, right) / pair.product;
+            add_times(right, -*factor, &pair.fall);
+        }
+    }
+
+    /// Makes a step of what the cycle has made.
+    pub(crate) fn after_cycle(&self, step: &mut [Lanes]) {
+        for (pair, factor) in self.pairs.iter().zip(&self.factors) {
+            let beta = inner_product(&pair.fall, step) / pair.product;
+            add_times(step, factor - beta, &pair.step);
+        }
+    }
+}
+
+fn inner_product(a: &[Lanes], b: &[Lanes]) -> f64 {
+    // In pieces, each in single precision but for its sum.
+    const PIECE: usize = 64;
+    let pieces = a.chunks(PIECE).zip(b.chunks(PIECE));
+    let of_piece = |(a, b): (&[Lanes], &[Lanes])| {
+        let mut sum = Lanes::ZERO;
+        a.iter().zip(b).for_each(|(a, b)| sum += *a * *b);
+        let [x, y, z, _] = sum.to_wide();
+        x + y + z
+    };
+    pieces.map(of_piece).sum()
+}
+
+fn add_times(to: &mut [Lanes], factor: f64, what: &[Lanes]) {
+    to.iter_mut()
+        .zip(what)
+        .for_each(|(to, what)| *to += *what * factor as f32);
 }

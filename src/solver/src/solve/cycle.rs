@@ -2,7 +2,7 @@
 
 use crate::build::hierarchy::Hierarchy;
 use crate::constrain::system::LinearSystem;
-use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane, ratio};
+use crate::lanes::{Lanes, WIDTH, WideLanes, per_lane, ratio};
 use crate::progress::{Cancelled, Progress, check};
 use crate::solve::sweep::{LaneDots, MaskedLevel, SweepVectors};
 use crate::storage::{SLICE_ROWS, resize_untouched};
@@ -173,10 +173,7 @@ fn step(
     partials: &mut Vec<LaneDots>,
 ) -> WideLanes {
     let factor = Lanes::from_wide(factor);
-    let (b, v) = (SharedRows::new(b), SharedRows::new(v));
-    let [rr, _, _] = grid.sum_over_blocks(partials, |rows| {
-        // SAFETY: blocks are disjoint and each is visited once.
-        let (b, v) = unsafe { (b.rows(rows.clone()), v.rows(rows.clone())) };
+    let [rr, _, _] = grid.sum_over_blocks((b, v), partials, |rows, (b, v)| {
         let mut sum = Lanes::ZERO;
         let bundles = b
             .as_chunks_mut::<SLICE_ROWS>()
@@ -205,10 +202,7 @@ fn combine_steps(
 ) {
     let first = Lanes::from_wide(first);
     let second = second.map(Lanes::from_wide);
-    let z = SharedRows::new(z);
-    grid.each_block(|_, rows| {
-        // SAFETY: blocks are disjoint and each is visited once.
-        let z = unsafe { z.rows(rows.clone()) };
+    grid.each_block(z, |_, rows, z| {
         for (z, f) in z.iter_mut().zip(&first_z[rows]) {
             *z = match second {
                 Some(second) => *z * second + *f * first,

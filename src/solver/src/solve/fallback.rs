@@ -1,13 +1,15 @@
 //! Conjugate gradients preconditioned by the diagonal, all in double precision: slow, but it needs nothing of the
 //! hierarchy. Used when multigrid stagnates.
 
+use std::ops::Range;
+
 use crate::error::Error;
-use crate::lanes::{SharedRows, WIDTH, WideLanes, per_lane, ratio};
+use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::SolveMethod;
 use crate::progress::check;
-use crate::solve::criteria::GroupOutcome;
-use crate::solve::group::GroupSolve;
-use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
+use crate::solve::group::{
+    GroupOutcome, GroupSolve, IterationReport, IterationWatcher, SolutionSnapshot, SolveControl,
+};
 use crate::solve::problem::ColumnGroup;
 
 /// Iterations per iteration that the caller allows: they are cheap compared with a cycle.
@@ -136,29 +138,22 @@ fn step(
         }
     }
     let alpha = per_lane(|c| ratio(rz[c], pq[c]));
-    let (x, r) = (SharedRows::new(x), SharedRows::new(r));
-    let longest = problem.threads.map(
-        0..problem.system.masks[0].active.len(),
-        || (),
-        |(), k| {
-            let rows = problem.hierarchy.levels[0].block(problem.system.masks[0].active[k] as usize);
-            // SAFETY: blocks are disjoint and each is visited once.
-            let (x, r) = unsafe { (x.rows(rows.clone()), r.rows(rows.clone())) };
-            let mut longest = 0.0f64;
-            for (k, i) in rows.enumerate() {
-                let mut length = 0.0;
-                for c in 0..WIDTH {
-                    let s = alpha[c] * p[i][c];
-                    x[k][c] += s;
-                    r[k][c] -= alpha[c] * q[i][c];
-                    length += s * s;
-                }
-                longest = longest.max(length);
+    let longest_of_block = |rows: Range<usize>, (x, r): (&mut [WideLanes], &mut [WideLanes])| {
+        let mut longest = 0.0f64;
+        for (k, i) in rows.enumerate() {
+            let mut length = 0.0;
+            for c in 0..WIDTH {
+                let s = alpha[c] * p[i][c];
+                x[k][c] += s;
+                r[k][c] -= alpha[c] * q[i][c];
+                length += s * s;
             }
-            longest
-        },
-    );
-    longest.into_iter().fold(0.0, f64::max).sqrt()
+            longest = longest.max(length);
+        }
+        longest
+    };
+    let grid = problem.finest();
+    grid.fold_blocks(false, (x, r), 0.0, longest_of_block, f64::max).sqrt()
 }
 
 #[cfg(test)]
@@ -169,7 +164,7 @@ mod tests {
     use crate::exec::Exec;
     use crate::options::{SolveOptions, SolveStats};
     use crate::progress::Silent;
-    use crate::solve::iteration::SolveControl;
+    use crate::solve::group::SolveControl;
     use crate::solve::workspace::Workspace;
     use crate::testing::{BoxLattice, pool};
 

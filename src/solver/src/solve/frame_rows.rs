@@ -19,12 +19,9 @@ pub type MapColumns = [[f32; 4]; 3];
 
 /// What the neighbours of a row read of it, one line of a cache: the columns of M, each with a coordinate of c = x − ½ M p behind it,
 /// and the present position x.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Zeroable)]
 #[repr(C, align(64))]
 pub struct PoseRow([f32; NUMBERS]);
-
-// SAFETY: numbers, which may be all zero bits.
-unsafe impl Zeroable for PoseRow {}
 
 /// Numbers of a row; the last one is 0.
 const NUMBERS: usize = 16;

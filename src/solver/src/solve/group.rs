@@ -1,11 +1,14 @@
-//! One group of columns and everything that iterating it needs.
+//! One group of columns and everything that iterating it needs: when a solve stops, its outcome, and the report that the
+//! caller receives after every iteration.
 
-use crate::lanes::WideLanes;
+use std::ops::Range;
+
+use crate::lanes::{Lanes, WIDTH, WideLanes};
+use crate::options::SolveMethod;
 use crate::pool::Pool;
-use crate::solve::criteria::StoppingCriteria;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::problem::ColumnGroup;
-use crate::solve::recalled::RecalledSteps;
+use crate::solve::solution_subspace::SolutionSubspace;
 use crate::solve::workspace::Workspace;
 
 /// One group of columns under iteration.
@@ -20,7 +23,7 @@ pub(crate) struct GroupSolve<'a, 'w> {
     /// True if x is 0 on free rows at first, which makes the first residual cheap.
     pub(crate) from_zero: bool,
     /// What earlier poses of the same system came to, and this one is to add to.
-    pub(crate) recalled: Option<&'w mut RecalledSteps>,
+    pub(crate) recalled: Option<&'w mut SolutionSubspace>,
     /// What cycles have come to; `None` until they have reached a solution, or where none was needed.
     pub(crate) reached: Option<ReachedByCycles>,
     /// The residual that `workspace` holds: given, iterations go on from it; after a solve without iterations, what is left.
@@ -46,3 +49,122 @@ pub(crate) struct ReachedByCycles {
     /// The relative residual before.
     pub(crate) from_relative: f64,
 }
+
+/// When to stop.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StoppingCriteria {
+    pub(crate) tolerance: Option<f64>,
+    pub(crate) max_error: Option<f64>,
+    pub(crate) max_iterations: usize,
+}
+
+impl StoppingCriteria {
+    /// True if all criteria that were given hold, and at least one was.
+    pub(crate) fn hold(&self, relative: &[f64], max_error: f64) -> bool {
+        let residual = relative.iter().all(|r| self.tolerance.is_none_or(|t| *r <= t));
+        let error = self.max_error.is_none_or(|m| max_error <= m);
+        residual && error && (self.tolerance.is_some() || self.max_error.is_some())
+    }
+
+    /// The largest part that residual and error are of what is allowed.
+    pub(crate) fn nearness(&self, relative: &[f64], max_error: f64) -> f64 {
+        let worst = relative.iter().fold(0.0f64, |a, &b| a.max(b));
+        let residual = self.tolerance.map_or(0.0, |t| worst / t);
+        self.max_error.map_or(residual, |m| residual.max(max_error / m))
+    }
+
+    /// True if a column at this relative residual needs no more iterations, whatever the others need.
+    pub(crate) fn rests(&self, relative: f64) -> bool {
+        self.max_error.is_none() && self.tolerance.is_some_and(|t| relative <= t)
+    }
+}
+
+/// What became of a group of columns.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct GroupOutcome {
+    pub(crate) iterations: usize,
+    pub(crate) relative: WideLanes,
+    pub(crate) max_error: f64,
+    pub(crate) factor: f64,
+    pub(crate) method: SolveMethod,
+    pub(crate) stopped: bool,
+    pub(crate) converged: bool,
+}
+
+impl GroupOutcome {
+    pub(crate) fn new(method: SolveMethod) -> Self {
+        Self {
+            iterations: 0,
+            relative: [0.0; WIDTH],
+            max_error: f64::INFINITY,
+            factor: 0.0,
+            method,
+            stopped: false,
+            converged: false,
+        }
+    }
+}
+
+/// Where a solve stands after one iteration; handed to the caller's `watch`.
+#[derive(Debug)]
+pub struct IterationReport<'a> {
+    /// Iterations done for these columns, from 1.
+    pub index: usize,
+    /// The columns that are being iterated (columns are solved in groups of four).
+    pub columns: Range<usize>,
+    /// Relative residual, the largest of these columns.
+    pub residual: f64,
+    /// Estimate of the largest distance of any vertex from the exact solution, in the units of `x`. From the second
+    /// iteration on it is usually between the true distance and three times that, rarely less than 0.7 of it; where
+    /// few vertices hold many it can be ten times too large at first.
+    pub max_error: f64,
+    pub(crate) snapshot: SolutionSnapshot<'a>,
+}
+
+impl IterationReport<'_> {
+    /// Writes the present solution, all vertices and columns, row-major as `x` of the solve. Fixed rows are copied
+    /// bit for bit, and left alone where a pose is solved; columns whose turn has not come hold what `x` held.
+    ///
+    /// # Panics
+    /// If `out` is not as long as the solve's `x`.
+    pub fn copy_to(&self, out: &mut [f64]) {
+        self.snapshot.copy_to(out);
+    }
+}
+
+/// The answer of `watch`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SolveControl {
+    /// Go on until the criteria hold.
+    Continue,
+    /// Accept the present solution.
+    Stop,
+}
+
+/// The solution at one moment.
+pub(crate) struct SolutionSnapshot<'a> {
+    pub(crate) problem: ColumnGroup<'a>,
+    pub(crate) x: &'a [WideLanes],
+    /// A correction that x lacks, and its unit per column.
+    pub(crate) e: Option<(&'a [Lanes], WideLanes)>,
+    pub(crate) caller: &'a [f64],
+}
+
+impl SolutionSnapshot<'_> {
+    pub(crate) fn copy_to(&self, out: &mut [f64]) {
+        // The given values of a pose are its owner's.
+        if !self.caller.is_empty() {
+            out.copy_from_slice(self.caller);
+        }
+        self.problem.store(self.x, self.e, out);
+    }
+}
+
+impl std::fmt::Debug for SolutionSnapshot<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Snapshot({} rows)", self.x.len())
+    }
+}
+
+/// Called after every iteration.
+pub(crate) type IterationWatcher<'a> = dyn FnMut(&IterationReport<'_>) -> SolveControl + 'a;

@@ -1,33 +1,38 @@
-//! The inner iterations, those of one stretch: a correction in single precision from one true residual.
+//! The inner iterations, those of one stretch: a correction in single precision from one true residual. [`OuterState`] is
+//! what passes from step to step and from stretch to stretch.
 
+use crate::build::hierarchy::power_of_two_below;
 use crate::error::Error;
 use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
+use crate::options::SolveMethod;
 use crate::progress::Cancelled;
 use crate::solve::advance::{StepNorms, StepTerms, add_correction, fold_correction, longest_step, step_conjugate};
-use crate::solve::group::GroupSolve;
-use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
-use crate::solve::outer_state::{FLOOR, OuterState};
+use crate::solve::group::{
+    GroupOutcome, GroupSolve, IterationReport, IterationWatcher, ReachedByCycles, SolutionSnapshot, SolveControl,
+    StoppingCriteria,
+};
+use crate::solve::solution_subspace::SolutionSubspace;
 use crate::solve::workspace::Workspace;
 
 /// A stretch ends once the residual fell by this factor: single precision has few digits left.
-const STRETCH: f64 = 1e-5;
+const RESTART_REDUCTION: f64 = 1e-5;
 /// Rounding of one step, relative to the largest diagonal times the norm of the correction.
 const ROUNDING: f64 = 2e-7;
 /// The same after an exact first step.
-const ROUNDING_DEEP: f64 = 6e-8;
+const ROUNDING_AFTER_EXACT_STEP: f64 = 6e-8;
 /// A stretch ends once rounding is this part of the residual. Rounding is smooth as much as rough, while the residual
 /// of a good iterate has lost its smooth part: rounding spoils the solution long before it shows in norms.
-const SPOILT: f64 = 0.03;
+const MOST_ROUNDING: f64 = 0.03;
 /// Tolerances below this one are worth an exact first step.
-const DEEP: f64 = 1e-4;
+const EXACT_STEP_TOLERANCE: f64 = 1e-4;
 /// An estimate that rounding may have falsified is accepted if it is this many times below the tolerance.
-const AMPLE: f64 = 4.0;
+const ERROR_MARGIN: f64 = 4.0;
 /// The same where only the residual matters.
-const LOST: f64 = 0.3;
+const MOST_ROUNDING_OF_RESIDUAL: f64 = 0.3;
 /// A recurred residual is taken for the true one while rounding stays below this part of the tolerance.
-const TRUSTED: f64 = 0.1;
+const RELIABLE_ROUNDING: f64 = 0.1;
 /// After more steps than this a recurred residual is not trusted, whatever rounding should have done to it.
-const LONG: f64 = 12.0;
+const MOST_RELIABLE_STEPS: f64 = 12.0;
 /// Iterations that must at least halve the residual.
 const PATIENCE: usize = 12;
 
@@ -38,9 +43,9 @@ pub(super) enum InnerEnd {
     /// Look at the true residual and go on.
     Ended,
     /// Little or no progress.
-    Troubled,
+    Stagnated,
     /// Numbers that are not finite; the correction of this stretch was thrown away.
-    Ruined,
+    NotFinite,
 }
 
 /// The state of one stretch.
@@ -94,7 +99,7 @@ impl GroupSolve<'_, '_> {
             let norms = self.advance(state, &inner)?;
             state.outcome.iterations += 1;
             if norms.rr.iter().any(|v| !v.is_finite()) || !norms.longest.is_finite() {
-                return Ok(InnerEnd::Ruined);
+                return Ok(InnerEnd::NotFinite);
             }
             inner.steps += 1.0;
             let progress = self.judge_step(state, &inner, &norms);
@@ -162,7 +167,7 @@ impl GroupSolve<'_, '_> {
             open,
             fresh: true,
             steps: 0.0,
-            deep: problem.system.floating.is_empty() && criteria.tolerance.is_some_and(|t| t < DEEP),
+            deep: problem.system.floating.is_empty() && criteria.tolerance.is_some_and(|t| t < EXACT_STEP_TOLERANCE),
         }
     }
 
@@ -198,11 +203,15 @@ impl GroupSolve<'_, '_> {
         let lanes = || (0..problem.width()).filter(|&c| inner.open[c] > 0.0);
         let history = &mut self.workspace.history;
         history.push(lanes().map(|c| now[c] / before[c]).fold(0.0, f64::max));
-        let rounding = if inner.deep { ROUNDING_DEEP } else { ROUNDING };
+        let rounding = if inner.deep {
+            ROUNDING_AFTER_EXACT_STEP
+        } else {
+            ROUNDING
+        };
         let rounding = rounding * f64::sqrt(inner.steps) * problem.hierarchy.largest_diagonal;
         let noise = per_lane(|c| ratio(rounding * norms.ee[c].sqrt(), inner.norm_unit[c]));
         let share = lanes().map(|c| ratio(noise[c], now[c])).fold(0.0, f64::max);
-        state.sound = share <= SPOILT;
+        state.sound = share <= MOST_ROUNDING;
         let step = norms.longest * inner.largest_unit;
         state.moved += step;
         let shrinkage = state.last_step.replace(step).map(|last| ratio(step, last));
@@ -240,10 +249,14 @@ impl GroupSolve<'_, '_> {
     /// True if criteria that hold by recurrence hold for the true residual and error too.
     fn is_trusted(&self, state: &OuterState, inner: &InnerState, progress: &StepProgress) -> bool {
         let criteria = self.criteria;
-        let quiet = |c: usize| criteria.tolerance.is_none_or(|t| progress.noise[c] <= TRUSTED * t);
-        let trusted = inner.steps <= LONG && (0..self.problem.width()).all(quiet);
+        let quiet = |c: usize| {
+            criteria
+                .tolerance
+                .is_none_or(|t| progress.noise[c] <= RELIABLE_ROUNDING * t)
+        };
+        let trusted = inner.steps <= MOST_RELIABLE_STEPS && (0..self.problem.width()).all(quiet);
         let error = state.outcome.max_error;
-        let ample = |m: f64| progress.share <= LOST && AMPLE * error <= m;
+        let ample = |m: f64| progress.share <= MOST_ROUNDING_OF_RESIDUAL && ERROR_MARGIN * error <= m;
         trusted && (state.sound || criteria.max_error.is_none_or(ample))
     }
 
@@ -276,11 +289,11 @@ impl GroupSolve<'_, '_> {
     fn stretch_end(&self, state: &OuterState, inner: &InnerState, progress: &StepProgress) -> Option<InnerEnd> {
         let (criteria, open) = (self.criteria, inner.open);
         let (now, start) = (progress.relative, inner.start);
-        let spent = (0..WIDTH).any(|c| open[c] > 0.0 && now[c] <= (STRETCH * start[c]).max(FLOOR));
+        let spent = (0..WIDTH).any(|c| open[c] > 0.0 && now[c] <= (RESTART_REDUCTION * start[c]).max(FLOOR));
         let most = if inner.deep && criteria.max_error.is_none() {
-            LOST
+            MOST_ROUNDING_OF_RESIDUAL
         } else {
-            SPOILT
+            MOST_ROUNDING
         };
         let spoilt = progress.share > most;
         if spoilt || spent || open == [0.0; WIDTH] || state.outcome.iterations >= criteria.max_iterations {
@@ -289,7 +302,7 @@ impl GroupSolve<'_, '_> {
         let history = &self.workspace.history;
         let recent = history.len().saturating_sub(PATIENCE);
         let slow = recent > 0 && history[recent..].iter().product::<f64>() > 0.5;
-        (progress.broken || slow).then_some(InnerEnd::Troubled)
+        (progress.broken || slow).then_some(InnerEnd::Stagnated)
     }
 }
 
@@ -326,4 +339,150 @@ fn estimate_error(history: &[f64], step: f64, shrinkage: Option<f64>, share: f64
     let mixed = libm::pow(by_residual, 1.0 - BY_STEPS) * libm::pow(by_steps, BY_STEPS);
     let rho = mixed.min(by_residual).max(LEAST);
     step * rho / (1.0 - rho) * (1.0 + 1.5 * (share - HARMLESS).max(0.0))
+}
+
+/// Below this relative residual nothing can be gained in double precision.
+pub(super) const FLOOR: f64 = 1e-14;
+
+/// The state of an outer iteration.
+pub(super) struct OuterState {
+    pub(super) outcome: GroupOutcome,
+    /// Norms of b, which residuals are relative to.
+    pub(super) reference: WideLanes,
+    /// Power of two by which the vectors of a stretch are multiplied.
+    pub(super) scale: WideLanes,
+    /// (p, A p) of the last direction.
+    pub(super) direction: Option<WideLanes>,
+    /// Largest row of the last step.
+    pub(super) last_step: Option<f64>,
+    /// Sum of the steps' largest rows.
+    pub(super) moved: f64,
+    /// 1 for columns that have stopped.
+    pub(super) resting: WideLanes,
+    /// Error estimate of those.
+    pub(super) resting_error: f64,
+    /// False if rounding may have falsified the error estimate.
+    pub(super) sound: bool,
+    /// Stretches in a row that failed to halve the true residual.
+    pub(super) poor: usize,
+    /// True relative residual when the first stretch began.
+    beginning: Option<WideLanes>,
+    /// The same when the present stretch began.
+    last: Option<WideLanes>,
+}
+
+impl OuterState {
+    pub(super) fn new() -> Self {
+        Self {
+            outcome: GroupOutcome::new(SolveMethod::Multigrid),
+            reference: [0.0; WIDTH],
+            scale: [1.0; WIDTH],
+            direction: None,
+            last_step: None,
+            moved: 0.0,
+            resting: [0.0; WIDTH],
+            resting_error: 0.0,
+            sound: true,
+            poor: 0,
+            beginning: None,
+            last: None,
+        }
+    }
+
+    /// Compares the true residual, of these squared norms, with what is asked for. A column without right-hand side is
+    /// measured against its first residual.
+    pub(super) fn judge_residual(&mut self, squares: WideLanes, criteria: &StoppingCriteria, width: usize) {
+        let relative = relative_norms(squares, &mut self.reference);
+        let beginning = *self.beginning.get_or_insert(relative);
+        let outcome = &mut self.outcome;
+        outcome.relative = relative;
+        outcome.factor = mean_factor(beginning, relative, outcome.iterations);
+        let exact = relative.iter().all(|r| *r <= FLOOR);
+        if exact && outcome.iterations == 0 {
+            outcome.max_error = 0.0;
+        }
+        let sound = self.sound || criteria.max_error.is_none();
+        let holds = sound && criteria.hold(&relative[..width], outcome.max_error);
+        outcome.converged = exact || (holds && outcome.iterations > 0);
+    }
+
+    /// Before the first iteration: whether none is needed, since earlier poses explain the residual, and their errors are known.
+    pub(super) fn judge_recalled(&mut self, recalled: &SolutionSubspace, criteria: &StoppingCriteria, width: usize) {
+        let outcome = &mut self.outcome;
+        let worst = outcome.relative[..width].iter().fold(0.0f64, |a, &b| a.max(b));
+        let expected = recalled
+            .expected_error(worst)
+            .filter(|_| outcome.iterations == 0 && !outcome.converged);
+        if let Some(error) = expected.filter(|e| criteria.hold(&outcome.relative[..width], *e)) {
+            outcome.max_error = error;
+            outcome.converged = true;
+        }
+    }
+
+    /// What cycles have come to so far, if there were any.
+    pub(super) fn reached(&self) -> Option<ReachedByCycles> {
+        let from = self.beginning.unwrap_or_default();
+        (self.outcome.iterations > 0).then(|| ReachedByCycles {
+            scale: self.scale,
+            moved: self.moved,
+            from_relative: from.iter().fold(0.0, |a, &b| a.max(b)),
+        })
+    }
+
+    /// Counts the stretches in a row that brought little; called with the true residual known.
+    pub(super) fn count_poor_stretch(&mut self) {
+        let relative = self.outcome.relative;
+        if let Some(last) = self.last.replace(relative) {
+            let idle = (0..WIDTH).all(|c| relative[c] > 0.5 * last[c] || relative[c] <= FLOOR);
+            self.poor = if idle { self.poor + 1 } else { 0 };
+        }
+    }
+
+    /// The outcome where the last stretch has reached what is asked for.
+    pub(super) fn accepted(&self) -> GroupOutcome {
+        let mut outcome = self.outcome;
+        if let Some(beginning) = self.beginning {
+            outcome.factor = mean_factor(beginning, outcome.relative, outcome.iterations);
+        }
+        outcome
+    }
+
+    /// Brings the entries of the next residual, which is about as large as the last one of the stretch, near 1 for single
+    /// precision. Returns the factor on the scale; the residual has `rows` rows.
+    pub(super) fn rescale(&mut self, rows: usize) -> WideLanes {
+        let before = self.scale;
+        for c in 0..WIDTH {
+            let rms = self.outcome.relative[c] * self.reference[c] / (rows as f64).sqrt();
+            self.scale[c] = if rms > 1e-200 {
+                1.0 / power_of_two_below(rms)
+            } else {
+                1.0
+            };
+        }
+        per_lane(|c| self.scale[c] / before[c])
+    }
+}
+
+/// Residual norms relative to those of b, or to the first residual where b is 0.
+fn relative_norms(squares: WideLanes, reference: &mut WideLanes) -> WideLanes {
+    per_lane(|c| {
+        let norm = squares[c].sqrt();
+        if reference[c] == 0.0 {
+            reference[c] = norm;
+        }
+        if norm > 0.0 { norm / reference[c] } else { 0.0 }
+    })
+}
+
+/// Geometric mean of the reduction per iteration, slowest column.
+fn mean_factor(from: WideLanes, to: WideLanes, iterations: usize) -> f64 {
+    let worst = (0..WIDTH)
+        .filter(|&c| from[c] > 0.0)
+        .map(|c| to[c] / from[c])
+        .fold(0.0, f64::max);
+    if iterations == 0 {
+        0.0
+    } else {
+        libm::pow(worst, 1.0 / iterations as f64)
+    }
 }

@@ -8,10 +8,10 @@ use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::{InitialGuess, SolveMethod, SolveOptions, SolveStats};
 use crate::pool::Pool;
 use crate::solve::advance::rhs_reference_norms;
-use crate::solve::criteria::{GroupOutcome, StoppingCriteria};
 use crate::solve::cycle::MultigridCycle;
-use crate::solve::group::GroupSolve;
-use crate::solve::iteration::{IterationReport, IterationWatcher, SolutionSnapshot, SolveControl};
+use crate::solve::group::{
+    GroupOutcome, GroupSolve, IterationReport, IterationWatcher, SolutionSnapshot, SolveControl, StoppingCriteria,
+};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::start::{StartMaps, full_multigrid};
 use crate::solve::workspace::Workspace;

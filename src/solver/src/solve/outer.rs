@@ -5,21 +5,17 @@
 //! begins from the true residual, in the same search direction: single precision never limits the result.
 
 use crate::error::Error;
-use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes};
+use crate::lanes::{Lanes, WIDTH, WideLanes};
 use crate::pool::Pool;
 use crate::solve::advance::{first_residual, residual, resume_direction, rhs_reference_norms};
-use crate::solve::criteria::GroupOutcome;
 use crate::solve::cycle::{clear_inactive, prepare};
 use crate::solve::fallback::conjugate_gradients;
 use crate::solve::frame_rows::FrameRows;
-use crate::solve::group::{GroupSolve, LeftResidual};
-use crate::solve::inner::InnerEnd;
-use crate::solve::iteration::IterationWatcher;
-use crate::solve::outer_state::OuterState;
-use crate::solve::posed_residual::posed_residual;
-use crate::solve::problem::ColumnGroup;
+use crate::solve::group::{GroupOutcome, GroupSolve, IterationWatcher, LeftResidual};
+use crate::solve::inner::{InnerEnd, OuterState};
+use crate::solve::problem::{ColumnGroup, posed_residual};
 use crate::solve::workspace::Workspace;
-use crate::threads::{Parallelism, piece_count, piece_rows};
+use crate::threads::Parallelism;
 
 /// Iterations that solves stay below unless something is wrong: their history has room from the first solve on.
 const USUAL: usize = 64;
@@ -65,11 +61,11 @@ impl GroupSolve<'_, '_> {
                     return Ok(state.accepted());
                 }
                 InnerEnd::Ended => {}
-                InnerEnd::Troubled => {
+                InnerEnd::Stagnated => {
                     state.poor += 1;
                     state.direction = None;
                 }
-                InnerEnd::Ruined => {
+                InnerEnd::NotFinite => {
                     state.outcome.relative = relative;
                     return conjugate_gradients(self, state.reference, state.outcome, watch);
                 }
@@ -190,13 +186,9 @@ impl GroupSolve<'_, '_> {
 /// Sets all rows to 0.
 fn clear(v: &mut [Lanes], threads: Parallelism, pool: &Pool) {
     const PIECE: usize = 1 << 14;
-    let (n, threads) = (v.len(), threads.for_rows(v.len()));
-    let rows = SharedRows::new(v);
+    let threads = threads.for_rows(v.len());
     threads.run_on(pool, || {
-        threads.for_each(0..piece_count(n, PIECE), |k| {
-            // SAFETY: pieces are disjoint and each is visited once.
-            unsafe { rows.rows(piece_rows(k, n, PIECE)) }.fill(Lanes::ZERO);
-        });
+        threads.for_each_piece(PIECE, v, |_, rows| rows.fill(Lanes::ZERO))
     });
 }
 

@@ -1,23 +1,26 @@
 //! Poses of a drag: the second pass solved on the rows of the hierarchy, from one frame to the next, in single precision.
+//!
+//! What a frame of a drag may leave to be done once it is out.
+//!
+//! Where earlier poses explain a pose well enough there is no iteration, and what is left of the residual adds up from frame to
+//! frame until one of them needs a cycle and takes twice as long. Solved between frames, where a drag has time, it adds up no more.
 
 use crate::build::hierarchy::Hierarchy;
 use crate::build::level::HierarchyLevel;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::lanes::{Lanes, SharedRows, WIDTH};
+use crate::lanes::{Lanes, WIDTH};
 use crate::options::SolveStats;
 use crate::pool::Pool;
-use crate::solve::criteria::{GroupOutcome, StoppingCriteria};
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::frame_rows::{FrameRows, PoseRow};
-use crate::solve::group::{GroupSolve, LeftResidual};
-use crate::solve::iteration::{IterationReport, SolveControl};
+use crate::solve::group::{GroupOutcome, GroupSolve, IterationReport, LeftResidual, SolveControl, StoppingCriteria};
 use crate::solve::problem::ColumnGroup;
-use crate::solve::recalled::RecalledSteps;
+use crate::solve::solution_subspace::SolutionSubspace;
 use crate::solve::workspace::Workspace;
 use crate::storage::{NO_ROW, SLICE_ROWS, resize_untouched};
-use crate::threads::{Parallelism, piece_count, piece_rows};
+use crate::threads::Parallelism;
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 256;
@@ -41,7 +44,7 @@ pub struct PoseRows {
     pub more: Vec<Lanes>,
     /// Rows whose rotation is fitted, for [`LinearSystem::start_pose`] and [`LinearSystem::fit_pose`].
     pub open: Vec<bool>,
-    recalled: RecalledSteps,
+    recalled: SolutionSubspace,
     /// What the last solve left to do, where it needed no iteration.
     pub(super) unsettled: Option<UnsettledPose>,
 }
@@ -74,7 +77,7 @@ pub(super) struct PoseParts<'a> {
     pub(super) frames: FrameRows<'a>,
     pub(super) x: &'a mut Vec<[f64; 4]>,
     pub(super) open: &'a [bool],
-    recalled: &'a mut RecalledSteps,
+    recalled: &'a mut SolutionSubspace,
 }
 
 impl Hierarchy {
@@ -109,31 +112,24 @@ impl PoseRows {
             vertex => (rest(vertex as usize), start(vertex as usize)),
         };
         let threads = Parallelism::from_pool(pool).for_rows(n);
-        let pieces = 0..piece_count(n, PIECE);
         threads.run_on(pool, || {
-            let (rest, x, rows) = (
-                SharedRows::new(&mut self.rest),
-                SharedRows::new(&mut self.x),
-                SharedRows::new(&mut self.rows),
-            );
-            threads.for_each(pieces.clone(), |k| {
-                for i in piece_rows(k, n, PIECE) {
-                    let ([a, b, c], [x0, x1, x2]) = at(i);
-                    // SAFETY: pieces are disjoint and each is visited once.
-                    unsafe {
-                        rest.set(i, Lanes([a as f32, b as f32, c as f32, 0.0]));
-                        x.set(i, [x0, x1, x2, 0.0]);
-                        rows.set(i, PoseRow::IDENTITY);
+            let positions = (self.rest.as_mut_slice(), self.x.as_mut_slice());
+            threads.for_each_piece(
+                PIECE,
+                (positions, self.rows.as_mut_slice()),
+                |first, ((rest, x), rows)| {
+                    for (((rest, x), row), i) in rest.iter_mut().zip(x).zip(rows).zip(first..) {
+                        let ([a, b, c], [x0, x1, x2]) = at(i);
+                        *rest = Lanes([a as f32, b as f32, c as f32, 0.0]);
+                        *x = [x0, x1, x2, 0.0];
+                        *row = PoseRow::IDENTITY;
                     }
-                }
-            });
+                },
+            );
             let rest = &self.rest;
-            let laplacians = SharedRows::new(&mut self.laplacians);
-            threads.for_each(pieces, |k| {
-                // SAFETY: as above.
-                let out = unsafe { laplacians.rows(piece_rows(k, n, PIECE)) };
+            threads.for_each_piece(PIECE, self.laplacians.as_mut_slice(), |first, out| {
                 let slices = out.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
-                for (slice, out) in (k * PIECE / SLICE_ROWS..).zip(slices) {
+                for (slice, out) in (first / SLICE_ROWS..).zip(slices) {
                     *out = differential_coordinates(level, rest, slice);
                 }
             });
@@ -153,20 +149,16 @@ impl PoseRows {
         let Self { rows, rest, x, .. } = self;
         threads.run_on(pool, || {
             let n = rows.len().min(rest.len()).min(x.len());
-            let (rows, x) = (SharedRows::new(rows), SharedRows::new(x));
-            let of_piece = |scratch: &mut S, k: usize| {
-                let piece = piece_rows(k, n, PIECE);
-                // SAFETY: pieces are disjoint and each is visited once.
-                let (rows, x) = unsafe { (rows.rows(piece.clone()), x.rows(piece.clone())) };
-                for ((row, x), i) in rows.iter_mut().zip(x.iter_mut()).zip(piece.clone()) {
+            let vectors = (&mut rows[..n], &mut x[..n]);
+            threads.map_pieces(PIECE, vectors, scratch, |scratch, first, (rows, x)| {
+                for ((row, x), i) in rows.iter_mut().zip(x.iter_mut()).zip(first..) {
                     place(scratch, i, row, x);
                 }
                 // In a turn of its own: what has just been written in pieces is slow to read as a whole.
-                for ((row, x), rest) in rows.iter_mut().zip(x).zip(&rest[piece]) {
+                for ((row, x), rest) in rows.iter_mut().zip(x).zip(&rest[first..]) {
                     row.show(*rest, x);
                 }
-            };
-            threads.map(0..piece_count(n, PIECE), scratch, of_piece);
+            });
         });
     }
 
@@ -341,6 +333,49 @@ impl LinearSystem {
             true => Ok(()),
             false => Err(Error::Invalid("these rows are not a pose of this system".into())),
         }
+    }
+}
+
+/// A pose is worth an iteration between frames from this part of what its solve allowed on: with less, iterations would come more
+/// often than frames need them; with more, a frame would often need one before it can go out.
+const WORTH_SETTLING: f64 = 0.3;
+
+impl PoseRows {
+    /// Whether the last solve, which needed no iteration, left enough for [`LinearSystem::settle_pose`] to be worth its time.
+    pub fn is_worth_settling(&self) -> bool {
+        (self.unsettled.as_ref()).is_some_and(|unsettled| unsettled.nearness > WORTH_SETTLING)
+    }
+}
+
+impl LinearSystem {
+    /// Takes one iteration on what the last [`LinearSystem::solve_pose`] has left of the pose, if that is worth it; with the same
+    /// `workspace`, or nothing is done. The solution becomes better, and the next pose begins from it.
+    ///
+    /// # Errors
+    /// As [`LinearSystem::solve_pose`]; after [`Error::Cancelled`] positions are still those of before.
+    pub fn settle_pose(
+        &self,
+        hierarchy: &Hierarchy,
+        pose: &mut PoseRows,
+        (workspace, exec): (&mut Workspace, &Exec<'_>),
+    ) -> Result<(), Error> {
+        self.check_pose(hierarchy, pose)?;
+        let Some(unsettled) = pose.unsettled.filter(|_| pose.is_worth_settling()) else {
+            return Ok(());
+        };
+        if unsettled.solve != workspace.solves {
+            pose.unsettled = None;
+            return Ok(());
+        }
+        exec.check()?;
+        let criteria = StoppingCriteria {
+            tolerance: None,
+            max_error: None,
+            max_iterations: 1,
+        };
+        let job = (criteria, true, Some(unsettled.left));
+        self.iterate_pose(hierarchy, pose, job, (workspace, exec), &mut |_| SolveControl::Stop)?;
+        Ok(())
     }
 }
 

@@ -1,12 +1,14 @@
 //! One group of up to four columns in double precision: scaling, residual, right-hand side.
+//! Those of a pose, and the norms of both, are computed in one pass over the rows.
 
 use std::ops::Range;
 
 use crate::build::hierarchy::{Hierarchy, power_of_two_below};
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
-use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
+use crate::lanes::{Lanes, RowVectors, WIDTH, WideLanes, add_wide};
 use crate::solve::frame_rows::FrameRows;
+use crate::solve::sweep::MaskedLevel;
 use crate::storage::{NO_ROW, SLICE_ROWS, resize_untouched};
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
@@ -79,7 +81,7 @@ impl<'a> ColumnGroup<'a> {
         };
         let larger =
             |a: [WideLanes; 2], b: [WideLanes; 2]| [0, 1].map(|k| std::array::from_fn(|c| a[k][c].max(b[k][c])));
-        let most: [WideLanes; 2] = in_order(threads, piece_count(n, PIECE), [[0.0; WIDTH]; 2], most_of, larger);
+        let most: [WideLanes; 2] = threads.fold_in_order(piece_count(n, PIECE), [[0.0; WIDTH]; 2], most_of, larger);
         let (mut unit, mut rhs_factor) = ([1.0; WIDTH], [1.0; WIDTH]);
         for c in 0..width {
             let most = |what: usize| most[what][c];
@@ -174,11 +176,8 @@ impl<'a> ColumnGroup<'a> {
         let n = self.hierarchy.levels[0].rows();
         resize_untouched(out, n);
         let mask = &self.system.masks[0];
-        let shared = SharedRows::new(out.as_mut_slice());
-        self.threads.for_each(0..piece_count(n, PIECE), |k| {
-            // SAFETY: pieces are disjoint and each is visited once.
-            let out = unsafe { shared.rows(piece_rows(k, n, PIECE)) };
-            for (i, out) in piece_rows(k, n, PIECE).zip(out) {
+        self.threads.for_each_piece(PIECE, out.as_mut_slice(), |first, out| {
+            for (i, out) in (first..).zip(out) {
                 *out = [0.0; WIDTH];
                 if self.hierarchy.order[i] != NO_ROW && (given || !mask.free(i)) {
                     let at = self.hierarchy.order[i] as usize * self.columns + self.first;
@@ -224,10 +223,7 @@ impl<'a> ColumnGroup<'a> {
         let mask = &self.system.masks[0];
         let stiffness = &self.system.stiffness;
         assert!(x.len() == self.hierarchy.levels[0].rows());
-        let out = SharedRows::new(out);
-        self.norms(|rows| {
-            // SAFETY: blocks are disjoint and each is visited once.
-            let out = unsafe { out.rows(rows.clone()) };
+        self.norms(out, |rows, out| {
             let mut norms = [0.0; WIDTH];
             // The caller's rows lie far apart. Fetched by themselves, many are under way at a time.
             let mut fetched = [[0.0; WIDTH]; FETCH * SLICE_ROWS];
@@ -300,7 +296,7 @@ impl<'a> ColumnGroup<'a> {
 
     /// Squared norms of b, the right-hand side with the fixed values moved into it (β of the paper's equation (11)).
     pub(crate) fn rhs_norms(&self, x: &[WideLanes]) -> WideLanes {
-        self.norms(|rows| {
+        self.norms((), |rows, ()| {
             let mut norms = [0.0; WIDTH];
             for i in rows {
                 let b = self.moved_rhs(x, i);
@@ -319,10 +315,7 @@ impl<'a> ColumnGroup<'a> {
         out: &mut [Lanes],
         convert: impl Fn(WideLanes) -> Lanes + Sync + Send,
     ) -> WideLanes {
-        let out = SharedRows::new(out);
-        self.norms(|rows| {
-            // SAFETY: blocks are disjoint and each is visited once.
-            let out = unsafe { out.rows(rows.clone()) };
+        self.norms(out, |rows, out| {
             let mut norms = [0.0; WIDTH];
             for (i, out) in rows.zip(out) {
                 let b = self.moved_rhs(x, i);
@@ -369,7 +362,7 @@ impl<'a> ColumnGroup<'a> {
         }
         self.system.floating.remove_wide_means(r);
         let r = &*r;
-        self.norms(|rows| {
+        self.norms((), |rows, ()| {
             let mut norms = [0.0; WIDTH];
             for r in &r[rows] {
                 for c in 0..WIDTH {
@@ -380,45 +373,93 @@ impl<'a> ColumnGroup<'a> {
         })
     }
 
-    /// Adds up what `body` returns for each active block, always in the same order.
-    pub(crate) fn norms(&self, body: impl Fn(Range<usize>) -> WideLanes + Sync + Send) -> WideLanes {
-        let [sum] = self.sums(|rows| [body(rows)]);
+    /// Adds up what `body` returns for the rows and the elements of `vectors` of each active block, always in the same
+    /// order.
+    pub(crate) fn norms<V: RowVectors>(
+        &self,
+        vectors: V,
+        body: impl Fn(Range<usize>, V) -> WideLanes + Sync + Send,
+    ) -> WideLanes {
+        let [sum] = self.sums(vectors, |rows, parts| [body(rows, parts)]);
         sum
     }
 
     /// The same with several sums at once.
-    pub(crate) fn sums<const N: usize>(
+    pub(crate) fn sums<V: RowVectors, const N: usize>(
         &self,
-        body: impl Fn(Range<usize>) -> [WideLanes; N] + Sync + Send,
+        vectors: V,
+        body: impl Fn(Range<usize>, V) -> [WideLanes; N] + Sync + Send,
     ) -> [WideLanes; N] {
-        let (level, mask) = (&self.hierarchy.levels[0], &self.system.masks[0]);
-        let (active, along_curve) = (&mask.active, &mask.along_curve);
-        // A pose is near its floor of memory traffic: its rows are taken while they are still in a cache.
-        let is_posed = self.frames().is_some();
-        let of_block = |p: usize| {
-            let k = if is_posed { along_curve[p] as usize } else { p };
-            body(level.block(active[k] as usize))
-        };
         let add = |mut sums: [WideLanes; N], parts: [WideLanes; N]| {
             sums.iter_mut().zip(parts).for_each(|(sum, part)| add_wide(sum, part));
             sums
         };
-        in_order(self.threads, active.len(), [[0.0; WIDTH]; N], of_block, add)
+        // A pose is near its floor of memory traffic: its rows are taken while they are still in a cache.
+        let is_along_curve = self.frames().is_some();
+        self.finest()
+            .fold_blocks(is_along_curve, vectors, [[0.0; WIDTH]; N], body, add)
+    }
+
+    /// The finest level.
+    pub(crate) fn finest(&self) -> MaskedLevel<'a> {
+        MaskedLevel {
+            level: &self.hierarchy.levels[0],
+            mask: &self.system.masks[0],
+            threads: self.threads,
+        }
     }
 }
 
-/// Joins what `body` makes of 0, 1, … `count` − 1, always in this order. One thread needs no memory for that.
-fn in_order<T: Copy + Send>(
-    threads: Parallelism,
-    count: usize,
-    zero: T,
-    body: impl Fn(usize) -> T + Sync + Send,
-    join: impl Fn(T, T) -> T,
-) -> T {
-    if threads.parallel() {
-        let parts = threads.map(0..count, || (), |(), k| body(k));
-        parts.into_iter().fold(zero, join)
-    } else {
-        (0..count).fold(zero, |sum, k| join(sum, body(k)))
+/// b − A x of every row that is solved for, 0 of masked ones. Returns its squared norms, and those of b with the given values
+/// moved into it.
+pub(crate) fn posed_residual(
+    problem: &ColumnGroup<'_>,
+    frames: &FrameRows<'_>,
+    x: &[WideLanes],
+    out: &mut [Lanes],
+) -> [WideLanes; 2] {
+    let level = &problem.hierarchy.levels[0];
+    let n = level.rows();
+    assert!(x.len() == n && out.len() == n && frames.rows.len() == n);
+    match &level.weights {
+        None => residual_with::<false>(problem, frames, x, out),
+        Some(_) => residual_with::<true>(problem, frames, x, out),
     }
+}
+
+fn residual_with<const WEIGHTED: bool>(
+    problem: &ColumnGroup<'_>,
+    frames: &FrameRows<'_>,
+    x: &[WideLanes],
+    out: &mut [Lanes],
+) -> [WideLanes; 2] {
+    let (level, mask) = (&problem.hierarchy.levels[0], &problem.system.masks[0]);
+    let stiffness = &problem.system.stiffness;
+    problem.sums(out, |rows, out| {
+        let mut norms = [[0.0; WIDTH]; 2];
+        let bundles = out.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
+        for (out, k) in bundles.zip(rows.start / SLICE_ROWS..) {
+            let equations = frames.equations::<WEIGHTED>(level, k);
+            for ((out, equation), i) in out.iter_mut().zip(equations).zip(k * SLICE_ROWS..) {
+                if !mask.free(i) {
+                    *out = Lanes::ZERO;
+                    continue;
+                }
+                let (mut r, b) = (equation.residual, equation.rhs);
+                if let Some(s) = stiffness.get(i) {
+                    r -= Lanes::from_wide(x[i]) * *s as f32;
+                }
+                *out = r;
+                let (r, mut b) = (r.to_wide(), b.to_wide());
+                if mask.on_border(i) {
+                    problem.move_given(x, i, &mut b);
+                }
+                for c in 0..WIDTH {
+                    norms[0][c] += r[c] * r[c];
+                    norms[1][c] += b[c] * b[c];
+                }
+            }
+        }
+        norms
+    })
 }

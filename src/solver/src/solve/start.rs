@@ -143,20 +143,12 @@ fn load_maps(problem: &ColumnGroup<'_>, frames: &[[f32; 9]], rest: Option<&[[f64
 
 /// The same from the rows of a pose, whose units are the problem's.
 fn load_posed_maps(grid: &MaskedLevel<'_>, frames: FrameRows<'_>, finest: &mut AffinePatches) {
-    let n = grid.level.rows();
-    let (maps, positions) = (
-        SharedRows::new(&mut finest.maps),
-        SharedRows::new(&mut finest.positions),
-    );
-    grid.threads.for_each(0..piece_count(n, PIECE), |k| {
-        for i in piece_rows(k, n, PIECE) {
-            let row = &frames.rows[i];
-            // SAFETY: pieces are disjoint and each is visited once.
-            unsafe {
-                maps.set(i, row.columns());
-                positions.set(i, frames.rest[i]);
-            }
+    let vectors = (finest.maps.as_mut_slice(), finest.positions.as_mut_slice());
+    grid.threads.for_each_piece(PIECE, vectors, |first, (maps, positions)| {
+        for (map, row) in maps.iter_mut().zip(&frames.rows[first..]) {
+            *map = row.columns();
         }
+        positions.copy_from_slice(&frames.rest[first..first + positions.len()]);
     });
 }
 
@@ -168,7 +160,6 @@ fn load_equations(
     middle: WideLanes,
     finest: &mut AffinePatches,
 ) {
-    let n = grid.level.rows();
     for (i, (out, x)) in finest.x.iter_mut().zip(x).enumerate() {
         let shifted = [0, 1, 2, 3].map(|c| x[c] - middle[c]);
         *out = if grid.mask.free(i) {
@@ -178,12 +169,9 @@ fn load_equations(
         };
     }
     let mut beta = std::mem::take(&mut finest.beta);
-    let shared = SharedRows::new(&mut beta);
     let patches = &*finest;
-    grid.threads.for_each(0..piece_count(n, PIECE), |k| {
-        // SAFETY: pieces are disjoint and each is visited once.
-        let beta = unsafe { shared.rows(piece_rows(k, n, PIECE)) };
-        for (i, beta) in piece_rows(k, n, PIECE).zip(beta) {
+    grid.threads.for_each_piece(PIECE, beta.as_mut_slice(), |first, beta| {
+        for (i, beta) in (first..).zip(beta) {
             *beta = Lanes::ZERO;
             if !grid.mask.free(i) {
                 continue;
@@ -310,12 +298,8 @@ fn mean_patch(fine: &AffinePatches, members: &[u32]) -> (PatchMap, Lanes) {
 /// β − α x − Σ w (x_i − x_j − d_ij) of free rows, 0 elsewhere.
 fn defect(grid: &MaskedLevel<'_>, patches: &AffinePatches, out: &mut [Lanes]) {
     let (level, mask) = (grid.level, grid.mask);
-    let n = level.rows();
-    let out = SharedRows::new(out);
-    grid.threads.for_each(0..piece_count(n, PIECE), |k| {
-        // SAFETY: pieces are disjoint and each is visited once.
-        let out = unsafe { out.rows(piece_rows(k, n, PIECE)) };
-        for (i, out) in piece_rows(k, n, PIECE).zip(out) {
+    grid.threads.for_each_piece(PIECE, out, |first, out| {
+        for (i, out) in (first..).zip(out) {
             *out = Lanes::ZERO;
             if !mask.free(i) {
                 continue;
@@ -333,14 +317,10 @@ fn defect(grid: &MaskedLevel<'_>, patches: &AffinePatches, out: &mut [Lanes]) {
 /// x_i = x_I + F_I (p_i − c_I) on free rows; given values stay.
 fn prolong(grid: &MaskedLevel<'_>, fine: &mut AffinePatches, coarse: &AffinePatches) {
     let (level, mask) = (grid.level, grid.mask);
-    let n = level.rows();
     let mut x = std::mem::take(&mut fine.x);
-    let shared = SharedRows::new(&mut x);
     let patches = &*fine;
-    grid.threads.for_each(0..piece_count(n, PIECE), |k| {
-        // SAFETY: pieces are disjoint and each is visited once.
-        let x = unsafe { shared.rows(piece_rows(k, n, PIECE)) };
-        for (i, x) in piece_rows(k, n, PIECE).zip(x) {
+    grid.threads.for_each_piece(PIECE, x.as_mut_slice(), |first, x| {
+        for (i, x) in (first..).zip(x) {
             let aggregate = level.aggregates[i];
             if !mask.free(i) || aggregate == NO_ROW {
                 continue;

@@ -17,9 +17,9 @@
 
 use crate::build::level::HierarchyLevel;
 use crate::constrain::mask::LevelMask;
-use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
+use crate::lanes::{Lanes, RowVectors, SharedRows, WIDTH, WideLanes, add_wide};
 use crate::storage::{NO_ROW, SLICE_ROWS};
-use crate::threads::{Parallelism, piece_count, piece_rows};
+use crate::threads::Parallelism;
 
 /// Rows of a vector pass without blocks.
 const PIECE: usize = 1024;
@@ -54,28 +54,96 @@ impl<'a> MaskedLevel<'a> {
         }
     }
 
-    /// Calls `body` with the number and the rows of every active block, in any order.
+    /// Calls `body` with the number, the rows and the elements of `vectors` of every active block, in any order.
     #[inline]
-    pub(crate) fn each_block(&self, body: impl Fn(usize, std::ops::Range<usize>) + Sync + Send) {
-        let (active, along_curve) = (&self.mask.active, &self.mask.along_curve);
+    pub(crate) fn each_block<V: RowVectors>(
+        &self,
+        vectors: V,
+        body: impl Fn(usize, std::ops::Range<usize>, V) + Sync + Send,
+    ) {
+        let along_curve = &self.mask.along_curve;
+        let shared = vectors.share();
         self.threads.for_each(0..along_curve.len(), |p| {
             let k = along_curve[p] as usize;
-            body(k, self.level.block(active[k] as usize));
+            let rows = self.level.block(self.mask.active[k] as usize);
+            // SAFETY: blocks are disjoint, and the curve visits each active one once.
+            body(k, rows.clone(), unsafe { V::rows(shared, rows) });
         });
     }
 
-    /// Calls `body` with the number and the rows of every active block, colour by colour; those of one colour in any
-    /// order.
+    /// Adds up what `body` returns for each active block, always in the same order.
+    pub(crate) fn sum_over_blocks<V: RowVectors>(
+        &self,
+        vectors: V,
+        partials: &mut Vec<LaneDots>,
+        body: impl Fn(std::ops::Range<usize>, V) -> LaneDots + Sync + Send,
+    ) -> [WideLanes; 3] {
+        partials.clear();
+        partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
+        let shared = SharedRows::new(partials.as_mut_slice());
+        // SAFETY: each block has a number of its own and is visited once.
+        self.each_block(vectors, |k, rows, parts| unsafe { shared.set(k, body(rows, parts)) });
+        sum_up(partials)
+    }
+
+    /// Joins what `body` returns for each active block, always in the same order: that of the curve, or else of memory.
+    pub(crate) fn fold_blocks<V: RowVectors, T: Send>(
+        &self,
+        is_along_curve: bool,
+        vectors: V,
+        zero: T,
+        body: impl Fn(std::ops::Range<usize>, V) -> T + Sync + Send,
+        join: impl Fn(T, T) -> T,
+    ) -> T {
+        let (active, along_curve) = (&self.mask.active, &self.mask.along_curve);
+        let shared = vectors.share();
+        let of_block = |p: usize| {
+            let k = if is_along_curve { along_curve[p] as usize } else { p };
+            let rows = self.level.block(active[k] as usize);
+            // SAFETY: blocks are disjoint, and either order visits each active one once.
+            body(rows.clone(), unsafe { V::rows(shared, rows) })
+        };
+        self.threads.fold_in_order(active.len(), zero, of_block, join)
+    }
+
+    /// Calls `body` with the number, the rows and the elements of `vectors` of every active block, colour by colour; with
+    /// those of one colour in any order.
     #[inline]
-    fn sweep(&self, backward: bool, body: impl Fn(usize, std::ops::Range<usize>) + Sync + Send) {
+    fn sweep<V: RowVectors>(
+        &self,
+        backward: bool,
+        vectors: V,
+        body: impl Fn(usize, std::ops::Range<usize>, V) + Sync + Send,
+    ) {
         let colours = self.mask.colours.len() - 1;
+        let shared = vectors.share();
         for c in 0..colours {
             let c = if backward { colours - 1 - c } else { c };
             self.threads
                 .for_each(self.mask.colours[c] as usize..self.mask.colours[c + 1] as usize, |k| {
-                    body(k, self.level.block(self.mask.active[k] as usize));
+                    let rows = self.level.block(self.mask.active[k] as usize);
+                    // SAFETY: blocks are disjoint, and each active one has one colour.
+                    body(k, rows.clone(), unsafe { V::rows(shared, rows) });
                 });
         }
+    }
+
+    /// The same backward; adds up what `body` returns for each active block, always in the same order.
+    #[inline]
+    fn sum_backward<V: RowVectors>(
+        &self,
+        vectors: V,
+        partials: &mut Vec<LaneDots>,
+        body: impl Fn(std::ops::Range<usize>, V) -> LaneDots + Sync + Send,
+    ) -> [WideLanes; 3] {
+        partials.clear();
+        partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
+        let shared = SharedRows::new(partials.as_mut_slice());
+        // SAFETY: each block has a number of its own and is visited once.
+        self.sweep(true, vectors, |k, rows, parts| unsafe {
+            shared.set(k, body(rows, parts))
+        });
+        sum_up(partials)
     }
 
     /// x = (D − L)⁻¹ b, where L holds the entries before the diagonal: a forward sweep from x = 0.
@@ -90,14 +158,14 @@ impl<'a> MaskedLevel<'a> {
         let (level, inverses) = (self.level, &self.mask.inverses);
         assert!(b.len() == level.rows() && x.len() == level.rows() && inverses.len() == level.rows());
         let x = SharedRows::new(x);
-        self.sweep(false, |_, rows| {
+        self.sweep(false, (), |_, rows, ()| {
             for k in rows.start / SLICE_ROWS..rows.end / SLICE_ROWS {
                 let (begin, middle, _) = level.slice_extent(k);
                 // SAFETY: neighbours are rows of the level; those read lie in this block or in one of a colour that
                 // no thread writes now, or hold filling, which nobody writes; the bundle is written by the one thread
                 // that sweeps its block.
                 unsafe {
-                    let sums = gather(level, w, x, begin, middle);
+                    let sums = w.gather(&level.neighbours, x, begin, middle);
                     let rows = k * SLICE_ROWS..(k + 1) * SLICE_ROWS;
                     let (b, inverses) = (&b[rows.clone()], &inverses[rows.clone()]);
                     for (d, i) in rows.enumerate() {
@@ -119,10 +187,7 @@ impl<'a> MaskedLevel<'a> {
     fn residual_with<W: SliceWeights>(&self, x: &[Lanes], r: &mut [Lanes], w: &W) {
         let (level, mask) = (self.level, self.mask);
         assert!(x.len() == level.rows());
-        let r = SharedRows::new(r);
-        self.each_block(|_, rows| {
-            // SAFETY: blocks are disjoint and each is visited once.
-            let out = unsafe { r.rows(rows.clone()) };
+        self.each_block(r, |_, rows, out| {
             for (out, k) in out
                 .as_chunks_mut::<SLICE_ROWS>()
                 .0
@@ -131,7 +196,7 @@ impl<'a> MaskedLevel<'a> {
             {
                 let (_, middle, end) = level.slice_extent(k);
                 // SAFETY: neighbours are rows of the level, and nobody writes x now.
-                let sums = unsafe { gather(level, w, ReadOnlyRows(x), middle, end) };
+                let sums = unsafe { w.gather(&level.neighbours, ReadOnlyRows(x), middle, end) };
                 for d in 0..SLICE_ROWS {
                     out[d] = sums[d].masked_by(mask.free(k * SLICE_ROWS + d));
                 }
@@ -151,16 +216,14 @@ impl<'a> MaskedLevel<'a> {
     fn backward_after_forward_with<W: SliceWeights>(&self, x: &mut [Lanes], t: &mut [Lanes], w: &W) {
         let (level, mask) = (self.level, self.mask);
         assert!(x.len() == level.rows());
-        let (x, t) = (SharedRows::new(x), SharedRows::new(t));
-        self.sweep(true, |_, rows| {
+        let x = SharedRows::new(x);
+        self.sweep(true, t, |_, rows, t| {
             let first = rows.start;
-            // SAFETY: one thread sweeps this block.
-            let t = unsafe { t.rows(rows.clone()) };
             for k in (rows.start / SLICE_ROWS..rows.end / SLICE_ROWS).rev() {
                 let (_, middle, end) = level.slice_extent(k);
                 // SAFETY: as in the forward sweep.
                 unsafe {
-                    let after = gather(level, w, x, middle, end);
+                    let after = w.gather(&level.neighbours, x, middle, end);
                     for (d, i) in (k * SLICE_ROWS..(k + 1) * SLICE_ROWS).enumerate() {
                         let seen = x.get(i) * (level.diagonal[i] + mask.alpha(i));
                         t[i - first] = seen;
@@ -175,10 +238,7 @@ impl<'a> MaskedLevel<'a> {
     /// holds D x_i as of then, and receives the residual.
     pub(crate) fn residual_after_both(&self, b: &[Lanes], x: &[Lanes], t: &mut [Lanes]) {
         assert!(b.len() == self.level.rows());
-        let t = SharedRows::new(t);
-        self.each_block(|_, rows| {
-            // SAFETY: blocks are disjoint and each is visited once.
-            let t = unsafe { t.rows(rows.clone()) };
+        self.each_block(t, |_, rows, t| {
             let b = b[rows.clone()].as_chunks::<SLICE_ROWS>().0;
             for ((t, b), k) in t
                 .as_chunks_mut::<SLICE_ROWS>()
@@ -206,17 +266,15 @@ impl<'a> MaskedLevel<'a> {
     fn forward_full_with<W: SliceWeights>(&self, b: &[Lanes], x: &mut [Lanes], t: &mut [Lanes], w: &W) {
         let (level, inverses) = (self.level, &self.mask.inverses);
         assert!(b.len() == level.rows() && x.len() == level.rows() && inverses.len() == level.rows());
-        let (x, t) = (SharedRows::new(x), SharedRows::new(t));
-        self.sweep(false, |_, rows| {
+        let x = SharedRows::new(x);
+        self.sweep(false, t, |_, rows, t| {
             let first = rows.start;
-            // SAFETY: one thread sweeps this block.
-            let t = unsafe { t.rows(rows.clone()) };
             for k in rows.start / SLICE_ROWS..rows.end / SLICE_ROWS {
                 let (begin, middle, end) = level.slice_extent(k);
                 // SAFETY: as in the sweep from zero.
                 unsafe {
-                    let before = gather(level, w, x, begin, middle);
-                    let after = gather(level, w, x, middle, end);
+                    let before = w.gather(&level.neighbours, x, begin, middle);
+                    let after = w.gather(&level.neighbours, x, middle, end);
                     for (d, i) in (k * SLICE_ROWS..(k + 1) * SLICE_ROWS).enumerate() {
                         let seen = b[i] + before[d];
                         t[i - first] = seen;
@@ -249,16 +307,13 @@ impl<'a> MaskedLevel<'a> {
         let n = level.rows();
         assert!(b.len() == n && c.len() == n && t.len() == n && x.len() == n && inverses.len() == n);
         let x = SharedRows::new(x);
-        partials.clear();
-        partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
-        let shared = SharedRows::new(partials.as_mut_slice());
-        self.sweep(true, |number, rows| {
+        self.sum_backward((), partials, |rows, ()| {
             let mut sums = [Lanes::ZERO; 3];
             for k in (rows.start / SLICE_ROWS..rows.end / SLICE_ROWS).rev() {
                 let (_, middle, end) = level.slice_extent(k);
                 // SAFETY: as in the forward sweep.
                 unsafe {
-                    let after = gather(level, w, x, middle, end);
+                    let after = w.gather(&level.neighbours, x, middle, end);
                     for (d, i) in (k * SLICE_ROWS..(k + 1) * SLICE_ROWS).enumerate() {
                         let value = (t[i] + after[d]) * inverses[i];
                         x.set(i, value);
@@ -268,10 +323,8 @@ impl<'a> MaskedLevel<'a> {
                     }
                 }
             }
-            // SAFETY: each block has a number of its own.
-            unsafe { shared.set(number, sums) };
-        });
-        sum_up(partials)
+            sums
+        })
     }
 
     /// A full backward sweep on x. Returns (x, b), (x, A x) and (x, c), or (b, b) without `c`.
@@ -308,21 +361,16 @@ impl<'a> MaskedLevel<'a> {
         let (with_x, c) = (c.is_some(), c.unwrap_or(b));
         let n = level.rows();
         assert!(b.len() == n && c.len() == n && x.len() == n && inverses.len() == n);
-        let (x, t) = (SharedRows::new(x), SharedRows::new(t));
-        partials.clear();
-        partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
-        let shared = SharedRows::new(partials.as_mut_slice());
-        self.sweep(true, |number, rows| {
+        let x = SharedRows::new(x);
+        self.sum_backward(t, partials, |rows, t| {
             let mut sums = [Lanes::ZERO; 3];
             let first = rows.start;
-            // SAFETY: one thread sweeps this block.
-            let t = unsafe { t.rows(if KEEP { rows.clone() } else { 0..0 }) };
             for k in (rows.start / SLICE_ROWS..rows.end / SLICE_ROWS).rev() {
                 let (begin, middle, end) = level.slice_extent(k);
                 // SAFETY: as in the forward sweep.
                 unsafe {
-                    let before = gather(level, w, x, begin, middle);
-                    let after = gather(level, w, x, middle, end);
+                    let before = w.gather(&level.neighbours, x, begin, middle);
+                    let after = w.gather(&level.neighbours, x, middle, end);
                     let rows = k * SLICE_ROWS..(k + 1) * SLICE_ROWS;
                     let (b, c, inverses) = (&b[rows.clone()], &c[rows.clone()], &inverses[rows.clone()]);
                     for (d, i) in rows.enumerate() {
@@ -338,10 +386,8 @@ impl<'a> MaskedLevel<'a> {
                     }
                 }
             }
-            // SAFETY: each block has a number of its own.
-            unsafe { shared.set(number, sums) };
-        });
-        sum_up(partials)
+            sums
+        })
     }
 
     /// A x of the rows of bundle `k`, from differences x_i − x_j: rounding stays relative to these, not to x.
@@ -353,6 +399,8 @@ impl<'a> MaskedLevel<'a> {
         let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
         let here: &[Lanes] = &x[k * SLICE_ROWS..(k + 1) * SLICE_ROWS];
         let here: [Lanes; SLICE_ROWS] = std::array::from_fn(|d| here[d]);
+        // SAFETY: neighbours are rows of the level, and nobody writes x now.
+        let there = |j: usize| unsafe { ReadOnlyRows(x).at(j) };
         let mut sums = [Lanes::ZERO; SLICE_ROWS];
         match &level.weights {
             None => {
@@ -365,16 +413,14 @@ impl<'a> MaskedLevel<'a> {
                         } else {
                             j[d] as usize
                         };
-                        // SAFETY: neighbours are rows of the level, and nobody writes x now.
-                        sums[d] += here[d] - unsafe { ReadOnlyRows(x).at(j) };
+                        sums[d] += here[d] - there(j);
                     }
                 }
             }
             Some(w) => {
                 for (j, w) in neighbours.iter().zip(w[begin..end].as_chunks::<SLICE_ROWS>().0) {
                     for d in 0..SLICE_ROWS {
-                        // SAFETY: as above.
-                        sums[d] += (here[d] - unsafe { ReadOnlyRows(x).at(j[d] as usize) }) * w[d];
+                        sums[d] += (here[d] - there(j[d] as usize)) * w[d];
                     }
                 }
             }
@@ -390,40 +436,22 @@ impl<'a> MaskedLevel<'a> {
     pub(crate) fn matrix_products(&self, x: &[Lanes], t: &[Lanes; SLICE_ROWS], k: usize) -> [Lanes; SLICE_ROWS] {
         assert!(x.len() == self.level.rows());
         let (begin, middle, _) = self.level.slice_extent(k);
+        let neighbours = &self.level.neighbours;
         // SAFETY: neighbours are rows of the level, and nobody writes x now.
         let before = unsafe {
             match &self.level.weights {
-                None => gather(self.level, &UnitWeights, ReadOnlyRows(x), begin, middle),
-                Some(w) => gather(self.level, &StoredWeights(w), ReadOnlyRows(x), begin, middle),
+                None => UnitWeights.gather(neighbours, ReadOnlyRows(x), begin, middle),
+                Some(w) => StoredWeights(w).gather(neighbours, ReadOnlyRows(x), begin, middle),
             }
         };
         std::array::from_fn(|d| (t[d] - before[d]).masked_by(self.mask.free(k * SLICE_ROWS + d)))
     }
 
-    /// Adds up what `body` returns for each active block, always in the same order.
-    pub(crate) fn sum_over_blocks(
-        &self,
-        partials: &mut Vec<LaneDots>,
-        body: impl Fn(std::ops::Range<usize>) -> LaneDots + Sync + Send,
-    ) -> [WideLanes; 3] {
-        partials.clear();
-        partials.resize(self.mask.active.len(), [Lanes::ZERO; 3]);
-        let shared = SharedRows::new(partials.as_mut_slice());
-        // SAFETY: element k is written by the one thread that visits block k.
-        self.each_block(|k, rows| unsafe { shared.set(k, body(rows)) });
-        sum_up(partials)
-    }
-
     /// Sums `r` over the members of each row of the next level.
     pub(crate) fn restrict(&self, r: &[Lanes], coarse: &mut [Lanes]) {
         let level = self.level;
-        let n = coarse.len();
-        let out = SharedRows::new(coarse);
-        self.threads.for_each(0..piece_count(n, PIECE), |k| {
-            let rows = piece_rows(k, n, PIECE);
-            // SAFETY: pieces are disjoint and each is visited once.
-            let out = unsafe { out.rows(rows.clone()) };
-            for (row, out) in rows.zip(out) {
+        self.threads.for_each_piece(PIECE, coarse, |first, coarse| {
+            for (row, out) in (first..).zip(coarse) {
                 let mut sum = Lanes::ZERO;
                 for &i in level.members_of(row) {
                     sum += r[i as usize];
@@ -436,11 +464,8 @@ impl<'a> MaskedLevel<'a> {
     /// Adds to each free row the value of its aggregate.
     pub(crate) fn prolong(&self, coarse: &[Lanes], x: &mut [Lanes]) {
         let (level, mask) = (self.level, self.mask);
-        let x = SharedRows::new(x);
-        self.each_block(|_, rows| {
-            // SAFETY: blocks are disjoint and each is visited once.
-            let out = unsafe { x.rows(rows.clone()) };
-            for (i, out) in rows.zip(out) {
+        self.each_block(x, |_, rows, x| {
+            for (i, out) in rows.zip(x) {
                 let aggregate = level.aggregates[i];
                 if mask.free(i) && aggregate != NO_ROW {
                     *out += coarse[aggregate as usize];
@@ -533,20 +558,4 @@ impl RowVector for ReadOnlyRows<'_> {
         // SAFETY: by the caller's promise.
         unsafe { *self.0.get_unchecked(i) }
     }
-}
-
-/// Σ w x_j over entries of one bundle, for each of its rows.
-///
-/// # Safety
-/// `x` has all rows of the level, and no thread writes those of the neighbours now.
-#[inline(always)]
-unsafe fn gather<W: SliceWeights, X: RowVector>(
-    level: &HierarchyLevel,
-    w: &W,
-    x: X,
-    from: usize,
-    to: usize,
-) -> [Lanes; SLICE_ROWS] {
-    // SAFETY: neighbours are rows of the level, the rest by the caller's promise.
-    unsafe { w.gather(&level.neighbours, x, from, to) }
 }

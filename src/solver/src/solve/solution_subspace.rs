@@ -4,7 +4,7 @@
 //! next residual is first freed of what they can explain, the best combination in the energy norm, column by column. It takes
 //! two passes over the rows and leaves one iteration or none, where without it there would be two or more.
 
-use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, per_lane};
+use crate::lanes::{Lanes, WIDTH, WideLanes, per_lane};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::sweep::{LaneDots, MaskedLevel};
 use crate::storage::{SLICE_ROWS, resize_untouched};
@@ -16,8 +16,8 @@ const CAUTION: f64 = 1.5;
 
 /// Corrections d of earlier poses with A d.
 #[derive(Debug, Default)]
-pub(crate) struct RecalledSteps {
-    steps: [RecalledStep; PLACES],
+pub(crate) struct SolutionSubspace {
+    steps: [SubspaceStep; PLACES],
     /// Those that are known.
     known: [bool; PLACES],
     /// The one that the present pose makes; not known.
@@ -27,14 +27,14 @@ pub(crate) struct RecalledSteps {
 }
 
 #[derive(Debug, Default)]
-struct RecalledStep {
+struct SubspaceStep {
     d: Vec<Lanes>,
     product: Vec<Lanes>,
     /// The largest distance that a vertex was moved by iterations, for a relative residual of 1 before them.
     error_of_residual: Option<f64>,
 }
 
-impl RecalledSteps {
+impl SolutionSubspace {
     /// Forgets all of them, as another matrix needs.
     pub(crate) fn forget(&mut self) {
         self.known = [false; PLACES];
@@ -57,44 +57,36 @@ impl RecalledSteps {
     ) -> Option<WideLanes> {
         let n = r.len();
         let (known, present) = (self.known, self.present);
-        let step = &mut self.steps[present];
-        resize_untouched(&mut step.d, n);
-        resize_untouched(&mut step.product, n);
         let is_any_known = known.contains(&true);
         let factors = match is_any_known {
             true => self.best_combination(problem, r).map(Lanes::from_wide),
             false => [Lanes::ZERO; PLACES],
         };
-        let shared = self
-            .steps
-            .each_mut()
-            .map(|s| (SharedRows::new(&mut s.d), SharedRows::new(&mut s.product)));
-        let (x, r) = (SharedRows::new(x), SharedRows::new(r));
-        let norms = problem.norms(|rows| {
+        let mut step = std::mem::take(&mut self.steps[present]);
+        resize_untouched(&mut step.d, n);
+        resize_untouched(&mut step.product, n);
+        let vectors = ((step.d.as_mut_slice(), step.product.as_mut_slice()), (x, r));
+        let steps = &self.steps;
+        let norms = problem.norms(vectors, |rows, ((step_d, step_product), (x, r))| {
             let mut norms = Lanes::ZERO;
-            for i in rows {
-                // SAFETY: blocks are disjoint, each is visited once, and every row is used by its own block alone.
-                unsafe {
-                    let before = r.get(i);
-                    let (mut d, mut product) = (Lanes::ZERO, Lanes::ZERO);
-                    for k in (0..PLACES).filter(|&k| known[k]) {
-                        d += shared[k].0.get(i) * factors[k];
-                        product += shared[k].1.get(i) * factors[k];
-                    }
-                    let left = before - product;
-                    norms += left * left;
-                    r.set(i, left);
-                    let mut place = x.get(i);
-                    let wide = d.to_wide();
-                    (0..WIDTH).for_each(|c| place[c] += wide[c]);
-                    x.set(i, place);
-                    shared[present].0.set(i, d);
-                    // What is left of the residual in the end is taken off it, which makes it A d.
-                    shared[present].1.set(i, before);
+            let made = step_d.iter_mut().zip(step_product);
+            for ((i, (x, r)), (step_d, step_product)) in rows.zip(x.iter_mut().zip(r)).zip(made) {
+                let (mut d, mut product) = (Lanes::ZERO, Lanes::ZERO);
+                for k in (0..PLACES).filter(|&k| known[k]) {
+                    d += steps[k].d[i] * factors[k];
+                    product += steps[k].product[i] * factors[k];
                 }
+                // What is left of the residual in the end is taken off it, which makes it A d.
+                *step_product = *r;
+                *r -= product;
+                norms += *r * *r;
+                let wide = d.to_wide();
+                (0..WIDTH).for_each(|c| x[c] += wide[c]);
+                *step_d = d;
             }
             norms.to_wide()
         });
+        self.steps[present] = step;
         is_any_known.then_some(norms)
     }
 
@@ -102,7 +94,7 @@ impl RecalledSteps {
     fn best_combination(&self, problem: &ColumnGroup<'_>, r: &[Lanes]) -> [WideLanes; PLACES] {
         let known = self.known;
         let steps = &self.steps;
-        let right: [WideLanes; PLACES] = problem.sums(|rows| {
+        let right: [WideLanes; PLACES] = problem.sums((), |rows, ()| {
             let mut sums = [Lanes::ZERO; PLACES];
             for i in rows {
                 for k in (0..PLACES).filter(|&k| known[k]) {
@@ -123,12 +115,9 @@ impl RecalledSteps {
     /// Adds a correction e / scale that the present pose got to its step.
     pub(crate) fn add(&mut self, problem: &ColumnGroup<'_>, e: &[Lanes], scale: WideLanes) {
         let inverse = Lanes::from_wide(per_lane(|c| 1.0 / scale[c]));
-        let d = SharedRows::new(&mut self.steps[self.present].d);
-        problem.norms(|rows| {
-            for i in rows {
-                // SAFETY: as above.
-                unsafe { d.set(i, d.get(i) + e[i] * inverse) };
-            }
+        let d = self.steps[self.present].d.as_mut_slice();
+        problem.norms(d, |rows, d| {
+            d.iter_mut().zip(&e[rows]).for_each(|(d, e)| *d += *e * inverse);
             [0.0; WIDTH]
         });
     }
@@ -142,12 +131,9 @@ impl RecalledSteps {
         (out, partials): (&mut [Lanes], &mut Vec<LaneDots>),
         scale: WideLanes,
     ) -> [WideLanes; 2] {
-        let RecalledStep { d, product: before, .. } = &self.steps[self.present];
-        let out = SharedRows::new(out);
+        let SubspaceStep { d, product: before, .. } = &self.steps[self.present];
         let scale_by = Lanes::from_wide(scale);
-        let [squares, lengths, _] = grid.sum_over_blocks(partials, |rows| {
-            // SAFETY: blocks are disjoint and each is visited once.
-            let out = unsafe { out.rows(rows.clone()) };
+        let [squares, lengths, _] = grid.sum_over_blocks(out, partials, |rows, out| {
             let (mut squares, mut lengths) = (Lanes::ZERO, Lanes::ZERO);
             let slices = out.as_chunks_mut::<SLICE_ROWS>().0.iter_mut();
             for (k, out) in (rows.start / SLICE_ROWS..).zip(slices) {
@@ -187,17 +173,13 @@ impl RecalledSteps {
         self.known[present] = true;
         let known = self.known;
         let mut product = std::mem::take(&mut self.steps[present].product);
-        let shared = SharedRows::new(&mut product);
         let steps = &self.steps;
-        let sums: [WideLanes; PLACES] = problem.sums(|rows| {
+        let sums: [WideLanes; PLACES] = problem.sums(product.as_mut_slice(), |rows, product| {
             let mut sums = [Lanes::ZERO; PLACES];
-            for i in rows {
-                // SAFETY: as above.
-                let product = unsafe { shared.get(i) } - r[i] * inverse;
-                // SAFETY: as above.
-                unsafe { shared.set(i, product) };
+            for (i, product) in rows.zip(product) {
+                *product -= r[i] * inverse;
                 for k in (0..PLACES).filter(|&k| known[k]) {
-                    sums[k] += steps[k].d[i] * product;
+                    sums[k] += steps[k].d[i] * *product;
                 }
             }
             sums.map(Lanes::to_wide)
@@ -244,7 +226,7 @@ mod tests {
     use super::*;
     use crate::options::Constraints;
     use crate::solve::pose::{PoseParts, PoseRows};
-    use crate::solve::posed_residual::posed_residual;
+    use crate::solve::problem::posed_residual;
     use crate::storage::NO_ROW;
     use crate::testing::{BoxLattice, pool};
     use crate::threads::Parallelism;
@@ -275,7 +257,7 @@ mod tests {
         let n = x.len();
         let mut r = vec![Lanes::ZERO; n];
         posed_residual(&problem, &frames, x, &mut r);
-        let mut recalled = RecalledSteps::default();
+        let mut recalled = SolutionSubspace::default();
         recalled.take_out(&problem, x, &mut r);
 
         let scale = [4.0, 2.0, 1.0, 1.0];
