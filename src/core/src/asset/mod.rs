@@ -40,7 +40,6 @@ mod played_clip;
 mod precision;
 pub mod sample;
 pub mod shapes;
-mod surface_nets;
 mod usd;
 mod vertex_attributes;
 mod vertex_cache;
