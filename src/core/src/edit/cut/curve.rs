@@ -43,7 +43,7 @@ pub const MOST_POINTS: usize = 4096;
 const REACH: [f64; 4] = [0.25, 1.5, 6.0, f64::INFINITY];
 
 /// A mesh with a curve in it.
-struct DrawnCurve {
+pub(super) struct DrawnCurve {
     pub mesh: RegionMesh,
     /// The curve's points, each joined to the next by a marked edge; a closed curve ends where it began.
     pub chain: Vec<u32>,

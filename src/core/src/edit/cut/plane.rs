@@ -183,7 +183,7 @@ pub struct CutPlane {
 const SNAP: f64 = 1e-4;
 
 /// On which side of a plane each point is.
-struct PlaneSides {
+pub(super) struct PlaneSides {
     normal: DVec3,
     offset: f64,
     /// For each point of the surface 1 above, −1 below, 0 on the plane.

@@ -8,7 +8,7 @@
 
 use crate::edit::patch::EditWarning;
 use crate::edit::triangle;
-use crate::mesh::query::fan::{group_fans, is_single_oriented_fan};
+use crate::mesh::query::closest_surface_point::{group_fans, is_single_oriented_fan};
 use crate::mesh::{Lists, NONE};
 use glam::DVec3;
 use std::collections::{BTreeMap, BTreeSet};

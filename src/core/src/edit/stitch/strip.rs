@@ -21,7 +21,7 @@ pub(super) struct StripTriangle {
 
 /// Triangles and the length of their edges from loop to loop.
 #[derive(Debug, Clone)]
-struct StitchStrip {
+pub(super) struct StitchStrip {
     pub triangles: Vec<StripTriangle>,
     pub cost: f64,
 }

@@ -5,7 +5,7 @@
 use crate::edit::surface::{BitSet, SurfaceView};
 use crate::edit::triangle;
 use crate::mesh::BoundingBox;
-use crate::mesh::query::fan::group_fans;
+use crate::mesh::query::closest_surface_point::group_fans;
 use crate::progress::{Cancelled, Progress, check};
 use glam::DVec3;
 use std::collections::BTreeSet;

@@ -285,11 +285,11 @@ impl<'a> SetSearch<'a> {
 pub(super) const MOST: usize = 5;
 
 /// A Gram matrix of up to five; only the first few rows and columns are read.
-type SmallGram = [[f64; MOST]; MOST];
+pub(super) type SmallGram = [[f64; MOST]; MOST];
 
 /// Weights, and the value that they reach.
 #[derive(Debug, Clone, Copy)]
-struct SimplexFit {
+pub(super) struct SimplexFit {
     pub(super) weights: [f64; MOST],
     pub(super) value: f64,
 }

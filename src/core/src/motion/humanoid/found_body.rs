@@ -401,7 +401,7 @@ pub(super) const FAR: u32 = u32::MAX;
 const STEPS: [u32; 4] = [0, 10, 14, 17];
 
 /// Cells of a cubic lattice inside a mesh.
-struct BodyLattice {
+pub(super) struct BodyLattice {
     /// Side of a cell.
     pub(super) side: f64,
     /// The middle of each cell.
