@@ -20,7 +20,6 @@
 //! Other modules: the surface that is read (`surface`), its boundary (`boundary`), its counts (`topology`), measures of
 //! a triangle (`triangle`) and errors (`error`).
 
-mod boundary;
 mod cut;
 mod decimate;
 mod error;

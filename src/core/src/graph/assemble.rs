@@ -6,7 +6,7 @@
 use crate::graph::mesh_graph::{GraphStats, MeshGraph};
 use crate::graph::recipe::GraphRecipe;
 use crate::graph::volume::neighbours::{LatticeRow, NONE};
-use crate::graph::volume::struts::Strut;
+use crate::graph::volume::spread::Strut;
 use crate::graph::weights;
 use crate::graph::weights::EdgeWeights;
 use crate::mesh::{Adjacency, Components, Lists, Mesh};

@@ -5,17 +5,12 @@
 //! no graph interior and no solver.
 
 mod adjacency;
-mod boundary;
 pub mod carry;
-mod components;
-pub mod distortion;
 mod error;
-mod findings;
 mod inspect;
 mod intersections;
-mod lists;
 pub mod local_turns;
-mod measure;
+pub mod measure;
 pub mod query;
 mod readable;
 pub mod rotation;
@@ -23,14 +18,14 @@ pub mod shading;
 mod weld;
 mod welded_mesh;
 
+pub use adjacency::Components;
+pub use adjacency::Lists;
 pub use adjacency::{Adjacency, MeshEdge};
-pub use boundary::{BoundaryLoop, boundary_loops};
-pub use components::Components;
+pub use adjacency::{BoundaryLoop, boundary_loops};
 pub use error::Error;
-pub use findings::MeshWarning;
+pub use inspect::MeshWarning;
 pub use inspect::{MeshReport, PartReport, inspect};
 pub use intersections::self_intersections;
-pub use lists::Lists;
 pub use measure::{BoundingBox, mean_edge_length, signed_volume, surface_area};
 pub use readable::{brief_number, brief_point, grouped_count};
 pub use weld::Weld;

@@ -1,7 +1,7 @@
 //! The welded, cleaned triangle mesh, with its map to the render vertices that it came from.
 
+use crate::mesh::adjacency::Lists;
 use crate::mesh::error::Error;
-use crate::mesh::lists::Lists;
 use crate::mesh::measure::BoundingBox;
 use crate::mesh::weld;
 use crate::mesh::weld::Weld;

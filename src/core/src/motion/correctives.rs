@@ -5,8 +5,8 @@
 //! between blend correctives by weights from 0 to 1 that come nearest to the solved frame.
 
 use crate::exec::Exec;
-use crate::motion::influences::BoneInfluences;
 use crate::motion::rig::RigidMotion;
+use crate::motion::skeleton::BoneInfluences;
 use crate::progress::Cancelled;
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;

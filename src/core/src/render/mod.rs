@@ -19,11 +19,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod bone_marks;
 mod camera;
 mod colour;
-mod colour_key;
-mod cutaway;
 mod dress;
 mod error;
 mod font;
@@ -32,20 +29,19 @@ mod raster;
 mod ring_mark;
 mod surface;
 mod texture;
-mod vertex_values;
 mod view_sheet;
 
-pub use bone_marks::{BoneMarks, POSITION_COLOUR, ROTATION_COLOUR};
 pub use camera::{Camera, PictureSize, UpAxis, ViewDirection};
+pub use colour::ColourKey;
 pub use colour::{ColourRamp, Rgb};
-pub use colour_key::ColourKey;
-pub use cutaway::{DrawnBall, open_surface};
 pub use dress::SurfaceDress;
+pub use dress::{STRETCH_RANGE, edge_stretch, vertex_displacements};
 pub use error::Error;
 pub use picture::{Picture, encode_moving_png};
 pub use raster::{background_end, draw_surface};
 pub use ring_mark::RingMark;
+pub use ring_mark::{BoneMarks, POSITION_COLOUR, ROTATION_COLOUR};
 pub use surface::ShadedSurface;
+pub use surface::{DrawnBall, open_surface};
 pub use texture::Texture;
-pub use vertex_values::{STRETCH_RANGE, edge_stretch, vertex_displacements};
 pub use view_sheet::ViewSheet;

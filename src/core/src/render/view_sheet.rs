@@ -1,7 +1,7 @@
 //! Several views on one picture, by cameras that share a frame, with a key to the colours.
 
 use super::camera::{Camera, PictureSize, ViewDirection};
-use super::colour_key::ColourKey;
+use super::colour::ColourKey;
 use super::error::Error;
 use super::picture::{INK, Picture};
 use super::raster::{background_end, draw_surface};
@@ -80,7 +80,7 @@ impl ViewSheet<'_> {
 mod tests {
     use super::super::camera::UpAxis;
     use super::super::colour::Rgb;
-    use super::super::vertex_values::STRETCH_RANGE;
+    use super::super::dress::STRETCH_RANGE;
     use super::*;
     use glam::DVec3;
 

@@ -43,8 +43,6 @@ mod polygons;
 mod stl;
 mod text;
 
-pub(super) use gltf::{ElementShape, GlbWriter};
-
 use super::Error;
 use super::codec::{FormatCodec, FormatTranslator};
 use super::format::{Format, Recognition};

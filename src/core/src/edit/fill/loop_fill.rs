@@ -2,15 +2,24 @@
 //!
 //! Up to two hundred edges the triangulation is the one with the smallest bend, then the smallest area, found by
 //! dynamic programming over the intervals of the loop; above, the loop is laid into its mean plane.
+//!
+//! Fairing: new points laid so that the surface bends as little as it can, running on from what is around.
+//!
+//! Minimises the sum of squared umbrellas (mean of the neighbours minus the point) over the new points and the rim,
+//! the discrete thin plate of Kobbelt and others ("Interactive Multi-Resolution Modeling on Arbitrary Meshes", 1998),
+//! by conjugate gradients. The rim and all beyond stay.
+//!
+//! Triangles of a new patch of surface made as large as those around it (Liepa, "Filling Holes in Meshes", 2003,
+//! section 3): a triangle that is too large for its corners gets a point in its middle, then edges are exchanged until
+//! opposite angles are no more than half a turn together.
 
-use super::fair::fair_points;
 use super::opening::{OpeningRim, split_double_edges};
 use super::polygon::triangulate_polygon;
-use super::refine::{RefineSize, make_edges_delaunay, refine_faces};
 use crate::edit::error::Error;
-use crate::edit::region_mesh::{CAP, RegionMesh};
+use crate::edit::region_mesh::{CAP, RegionMesh, edge_key};
 use crate::progress::{Progress, check};
 use glam::{DVec2, DVec3};
+use std::collections::BTreeMap;
 
 /// Loops with more edges are laid into a plane: the exact search takes their number to the third power.
 const EXACT: usize = 200;
@@ -73,10 +82,10 @@ pub(in crate::edit) fn triangulate_loop(
 struct BendCost(u32, f64);
 
 /// Bends are compared in steps, so that rounding does not decide between triangulations of a flat hole.
-const STEPS: f64 = 1e4;
+const COSINE_STEPS: f64 = 1e4;
 
 fn bend_steps(one: DVec3, two: DVec3) -> u32 {
-    ((1.0 - one.dot(two)).clamp(0.0, 2.0) * STEPS) as u32
+    ((1.0 - one.dot(two)).clamp(0.0, 2.0) * COSINE_STEPS) as u32
 }
 
 /// The triangulation with the smallest largest bend, over places in the loop. `None` when every one would need an edge
@@ -235,4 +244,267 @@ mod tests {
         fill_loop(&mut mesh, &ring, &Silent).expect("fills");
         assert_eq!(mesh.open_sides(|a, b| a < 12 && b < 12), []);
     }
+}
+
+/// Steps of conjugate gradients at most; holes of a few thousand points need fewer.
+const FAIRING_STEPS: usize = 400;
+
+/// The residual, relative to the first, at which the shape is good: well below a thousandth of an edge.
+const ENOUGH: f64 = 1e-4;
+
+/// One umbrella: the mean of the neighbours' places minus the place of the row's own point, split into what may move
+/// and what stays.
+struct UmbrellaRows {
+    /// Number of the row's own point among the inner ones.
+    own: Vec<Option<u32>>,
+    offsets: Vec<usize>,
+    /// Inner neighbours.
+    inner: Vec<u32>,
+    /// One over the number of neighbours.
+    share: Vec<f64>,
+    /// What the fixed places add.
+    fixed: Vec<DVec3>,
+}
+
+impl UmbrellaRows {
+    fn gather(mesh: &RegionMesh, inner: &[u32], rim: &[u32]) -> Self {
+        let number = |p: u32| inner.binary_search(&p).ok().map(|i| i as u32);
+        let mut rows = Self {
+            own: Vec::new(),
+            offsets: vec![0],
+            inner: Vec::new(),
+            share: Vec::new(),
+            fixed: Vec::new(),
+        };
+        for &p in inner.iter().chain(rim) {
+            let mut beside: Vec<u32> = (mesh.faces_around(p).iter())
+                .flat_map(|&f| mesh.faces[f as usize].points)
+                .filter(|&q| q != p)
+                .collect();
+            beside.sort_unstable();
+            beside.dedup();
+            let share = 1.0 / beside.len().max(1) as f64;
+            let mut fixed = DVec3::ZERO;
+            for q in beside {
+                match number(q) {
+                    Some(i) => rows.inner.push(i),
+                    None => fixed += mesh.position(q) * share,
+                }
+            }
+            rows.own.push(number(p));
+            if number(p).is_none() {
+                fixed -= mesh.position(p);
+            }
+            rows.offsets.push(rows.inner.len());
+            rows.share.push(share);
+            rows.fixed.push(fixed);
+        }
+        rows
+    }
+
+    /// Computes the umbrellas of `x`, without what is fixed.
+    fn apply_umbrellas(&self, x: &[DVec3], out: &mut [DVec3]) {
+        for (r, u) in out.iter_mut().enumerate() {
+            let sum: DVec3 = self.inner[self.offsets[r]..self.offsets[r + 1]]
+                .iter()
+                .map(|&i| x[i as usize])
+                .sum();
+            *u = sum * self.share[r] - self.own[r].map_or(DVec3::ZERO, |i| x[i as usize]);
+        }
+    }
+
+    /// Applies the transposed map.
+    fn apply_transposed(&self, u: &[DVec3], out: &mut [DVec3]) {
+        out.fill(DVec3::ZERO);
+        for (r, &u) in u.iter().enumerate() {
+            for &i in &self.inner[self.offsets[r]..self.offsets[r + 1]] {
+                out[i as usize] += u * self.share[r];
+            }
+            if let Some(i) = self.own[r] {
+                out[i as usize] -= u;
+            }
+        }
+    }
+}
+
+/// Moves the points `inner` (rising) of a new patch inside `ring` so that the patch bends as little as it can.
+fn fair_points(mesh: &mut RegionMesh, inner: &[u32], ring: &[u32], progress: &dyn Progress) -> Result<(), Error> {
+    if inner.is_empty() {
+        return Ok(());
+    }
+    let rows = UmbrellaRows::gather(mesh, inner, ring);
+    let mut x: Vec<DVec3> = inner.iter().map(|&p| mesh.position(p)).collect();
+    let mut u = vec![DVec3::ZERO; rows.own.len()];
+    let mut residual = vec![DVec3::ZERO; x.len()];
+    rows.apply_umbrellas(&x, &mut u);
+    u.iter_mut().zip(&rows.fixed).for_each(|(u, f)| *u += *f);
+    rows.apply_transposed(&u, &mut residual);
+    residual.iter_mut().for_each(|r| *r = -*r);
+    let mut direction = residual.clone();
+    let mut across = vec![DVec3::ZERO; x.len()];
+    let square = |v: &[DVec3]| v.iter().map(|v| v.length_squared()).sum::<f64>();
+    let first = square(&residual);
+    let mut now = first;
+    for step in 0..FAIRING_STEPS {
+        if now <= first * ENOUGH * ENOUGH || !now.is_finite() {
+            break;
+        }
+        if step % 16 == 0 && progress.cancelled() {
+            return Err(Error::Cancelled);
+        }
+        rows.apply_umbrellas(&direction, &mut u);
+        let bend = square(&u);
+        if bend <= 0.0 || !bend.is_finite() {
+            break;
+        }
+        rows.apply_transposed(&u, &mut across);
+        let length = now / bend;
+        for i in 0..x.len() {
+            x[i] += direction[i] * length;
+            residual[i] -= across[i] * length;
+        }
+        let next = square(&residual);
+        let turn = next / now;
+        now = next;
+        for i in 0..x.len() {
+            direction[i] = residual[i] + direction[i] * turn;
+        }
+    }
+    // A rim that is itself crumpled can throw the plate far out; then the flat filling is the better one.
+    let (low, high) = ring
+        .iter()
+        .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), &p| {
+            let at = mesh.position(p);
+            (low.min(at), high.max(at))
+        });
+    let reach = 0.75 * (high - low).length();
+    let middle = (low + high) * 0.5;
+    if x.iter().all(|x| x.distance(middle) <= reach) {
+        for (&p, &x) in inner.iter().zip(&x) {
+            mesh.points[p as usize].position = x;
+        }
+    }
+    Ok(())
+}
+
+/// How far to refine.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::edit) struct RefineSize {
+    /// How much larger triangles may become with each point on the way inside.
+    pub growth: f64,
+    /// At most this many points.
+    pub most: usize,
+}
+
+impl RefineSize {
+    /// Chooses for an opening with so many edges around it: even triangles in small ones, growing ones in large ones, whose
+    /// number of points would else grow with the square of their rim.
+    pub fn for_loop(edges: usize) -> Self {
+        Self {
+            growth: if edges <= 400 { 1.0 } else { 2.0 },
+            most: 40 * edges + 100,
+        }
+    }
+}
+
+/// Edges along a cut are pieces of faces; those of the surface are about so many times longer.
+pub(in crate::edit) const WHOLE_EDGES: f64 = 2.0;
+
+/// Rounds of splitting; each halves the triangles at least, so this many reach any size that numbers can have.
+const ROUNDS: usize = 60;
+
+/// Refines the new faces of `mesh` from number `first` on. `sizes` says how long edges are at the points of the rim.
+/// Answers the new points.
+pub(in crate::edit) fn refine_faces(
+    mesh: &mut RegionMesh,
+    first: usize,
+    sizes: &BTreeMap<u32, f64>,
+    size: RefineSize,
+    progress: &dyn Progress,
+) -> Result<Vec<u32>, Error> {
+    let mut target: Vec<f64> = vec![0.0; mesh.points.len()];
+    for (&p, &s) in sizes {
+        target[p as usize] = s;
+    }
+    // Points that are there already (the middle of a fan) take the mean of what is around them.
+    let inner: Vec<u32> = inner_points(mesh, first, sizes);
+    let mean = sizes.values().sum::<f64>() / sizes.len().max(1) as f64;
+    inner.iter().for_each(|&p| target[p as usize] = mean);
+    let mut made = inner;
+    make_edges_delaunay(mesh, first, progress)?;
+    for _ in 0..ROUNDS {
+        let (before, fresh) = (made.len(), mesh.faces.len());
+        for f in first..fresh {
+            let face = mesh.faces[f];
+            if !face.alive || face.source != CAP || made.len() >= size.most {
+                continue;
+            }
+            let corners = face.points.map(|p| mesh.position(p));
+            let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+            let wanted = face.points.map(|p| target[p as usize]);
+            let own = (wanted[0] + wanted[1] + wanted[2]) / 3.0;
+            let large = |k: usize| {
+                let reach = std::f64::consts::SQRT_2 * middle.distance(corners[k]);
+                reach > own && reach > wanted[k]
+            };
+            if (0..3).all(large) {
+                made.push(mesh.split_face(f as u32, [1.0 / 3.0; 3], middle));
+                target.push(own * size.growth);
+            }
+        }
+        if made.len() == before {
+            break;
+        }
+        // What was not split and not exchanged is as it should be.
+        make_edges_delaunay(mesh, fresh, progress)?;
+    }
+    Ok(made)
+}
+
+/// Points of the new faces that are not on the rim.
+fn inner_points(mesh: &RegionMesh, first: usize, sizes: &BTreeMap<u32, f64>) -> Vec<u32> {
+    let faces = mesh.faces[first..].iter().filter(|f| f.alive);
+    let mut inner: Vec<u32> = faces
+        .flat_map(|f| f.points)
+        .filter(|p| !sizes.contains_key(p))
+        .collect();
+    inner.sort_unstable();
+    inner.dedup();
+    inner
+}
+
+/// Exchanges inner edges of the faces from `first` on whose opposite angles are more than half a turn together.
+fn make_edges_delaunay(mesh: &mut RegionMesh, first: usize, progress: &dyn Progress) -> Result<(), Error> {
+    let mut queue = mesh.edges_from(first, |_| true);
+    // In a plane the exchanges end by themselves; on a bent patch they might go round.
+    let mut budget = 16 * queue.len() + 1024;
+    while let Some((a, b)) = queue.pop() {
+        let Some(pair) = mesh.flippable_pair(a, b) else {
+            continue;
+        };
+        let [p, q] = [pair[0].1, pair[1].1];
+        let at = |p: u32| mesh.position(p);
+        // The sum of two angles is above half a turn when the sum of their cotangents is negative.
+        let cotangent = |apex: u32| {
+            let (u, v) = (at(a) - at(apex), at(b) - at(apex));
+            u.dot(v) / u.cross(v).length().max(f64::MIN_POSITIVE)
+        };
+        let score = cotangent(p) + cotangent(q);
+        if score >= -1e-9 || score.is_nan() {
+            continue;
+        }
+        if !mesh.flip_keeps_sides(a, b, pair) {
+            continue;
+        }
+        mesh.flip_edge(a, b, pair);
+        budget = budget.saturating_sub(1);
+        if budget == 0 {
+            break;
+        }
+        if budget.is_multiple_of(256) {
+            check(progress)?;
+        }
+        queue.extend([edge_key(a, q), edge_key(q, b), edge_key(b, p), edge_key(p, a)]);
+    }
+    Ok(())
 }

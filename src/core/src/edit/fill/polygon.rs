@@ -5,11 +5,15 @@
 //!
 //! Method: holes are joined to the outer loop by bridges (Eberly, "Triangulation by Ear Clipping"), ears tested with
 //! exact signs (Shewchuk's adaptive predicates); Lawson's flips.
+//!
+//! Making a flat triangulation Delaunay by exchanging edges (Lawson).
+//!
+//! Exact predicates in the plane (Shewchuk's adaptive ones) and measures of loops in it.
 
-use super::delaunay::make_delaunay;
-use super::planar::turn;
 use crate::progress::{Cancelled, Progress, check};
 use glam::DVec2;
+use robust::Coord;
+use std::collections::BTreeMap;
 
 /// Places compared with ears between two looks at the progress: a few milliseconds.
 const COMPARED: usize = 1 << 18;
@@ -293,7 +297,7 @@ mod tests {
         let loops = || std::iter::once(outer).chain(holes.iter().map(Vec::as_slice));
         assert_eq!(rim.len(), loops().map(<[u32]>::len).sum::<usize>());
         let expected: f64 = loops()
-            .map(|l| super::super::planar::double_area(|p| at[p as usize], l))
+            .map(|l| super::super::polygon::double_area(|p| at[p as usize], l))
             .sum();
         assert!((area - expected).abs() <= 1e-12 * expected, "{area} of {expected}");
         found
@@ -349,9 +353,134 @@ mod tests {
     fn inside_is_told_from_outside_and_on() {
         let at = ring(8, 1.0, DVec2::ZERO);
         let all: Vec<u32> = (0..8).collect();
-        let inside = |p| super::super::planar::loop_contains(|i| at[i as usize], &all, p);
+        let inside = |p| super::super::polygon::loop_contains(|i| at[i as usize], &all, p);
         assert_eq!(inside(DVec2::ZERO), Some(true));
         assert_eq!(inside(DVec2::new(2.0, 0.0)), Some(false));
         assert_eq!(inside(at[3]), None);
     }
+}
+
+/// Exchanges inner edges until each triangle's circle is empty of its neighbours' corners. Triangles without area go
+/// first. Edges that already exist are never made twice.
+fn make_delaunay(at: &[DVec2], triangles: &mut [[u32; 3]], progress: &dyn Progress) -> Result<(), Cancelled> {
+    let mut owner: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+    let mut queue: Vec<(u32, u32)> = Vec::new();
+    for (t, i) in triangles.iter().zip(0u32..) {
+        for k in 0..3 {
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            if owner.insert((a, b), i).is_some() {
+                // Entangled loops: leave them as they are.
+                return Ok(());
+            }
+            queue.push((a.min(b), a.max(b)));
+        }
+    }
+    let place = |p: u32| at[p as usize];
+    let far = |t: [u32; 3], a: u32, b: u32| t.into_iter().find(|&p| p != a && p != b);
+    // Lawson's flips end by themselves; the count guards against rounding in places that are not numbers.
+    let mut budget = 64 * triangles.len() + 4096;
+    while let Some((a, b)) = queue.pop() {
+        let (Some(&f), Some(&g)) = (owner.get(&(a, b)), owner.get(&(b, a))) else {
+            continue;
+        };
+        let (Some(p), Some(q)) = (far(triangles[f as usize], a, b), far(triangles[g as usize], a, b)) else {
+            continue;
+        };
+        if p == q || owner.contains_key(&(p, q)) || owner.contains_key(&(q, p)) {
+            continue;
+        }
+        // f is (a, b, p), g is (b, a, q).
+        let [point_a, point_b, pp, pq] = [a, b, p, q].map(place);
+        if turn(point_a, pq, pp) <= 0.0 || turn(pq, point_b, pp) <= 0.0 {
+            continue;
+        }
+        let flat = turn(point_a, point_b, pp) <= 0.0 || turn(point_b, point_a, pq) <= 0.0;
+        if !flat && robust::incircle(coord(point_a), coord(point_b), coord(pp), coord(pq)) <= 0.0 {
+            continue;
+        }
+        budget -= 1;
+        if budget == 0 {
+            return Ok(());
+        }
+        if budget.is_multiple_of(256) {
+            check(progress)?;
+        }
+        triangles[f as usize] = [a, q, p];
+        triangles[g as usize] = [q, b, p];
+        owner.remove(&(a, b));
+        owner.remove(&(b, a));
+        for (edge, face) in [
+            ((a, q), f),
+            ((q, p), f),
+            ((p, a), f),
+            ((q, b), g),
+            ((b, p), g),
+            ((p, q), g),
+        ] {
+            owner.insert(edge, face);
+        }
+        queue.extend([(a, q), (q, b), (b, p), (p, a)].map(|(x, y): (u32, u32)| (x.min(y), x.max(y))));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod delaunay_tests {
+    use super::*;
+    use crate::progress::Silent;
+
+    #[test]
+    fn a_fan_over_a_strip_becomes_its_ladder() {
+        // Two rows of six places; the fan from the first has slivers, one triangle in it has no area.
+        let at: Vec<DVec2> = (0..6)
+            .map(|k| DVec2::new(f64::from(k), 0.0))
+            .chain((0..6).rev().map(|k| DVec2::new(f64::from(k), 1.0)))
+            .collect();
+        let mut triangles: Vec<[u32; 3]> = (1..11).map(|k| [0, k, k + 1]).collect();
+        make_delaunay(&at, &mut triangles, &Silent).expect("not cancelled");
+        for t in &triangles {
+            let [a, b, c] = t.map(|p| at[p as usize]);
+            assert_eq!(turn(a, b, c), 1.0, "{t:?}");
+            assert!(
+                (a.x - b.x).abs().max((b.x - c.x).abs()).max((c.x - a.x).abs()) == 1.0,
+                "{t:?}"
+            );
+        }
+    }
+}
+
+fn coord(p: DVec2) -> Coord<f64> {
+    Coord { x: p.x, y: p.y }
+}
+
+/// Positive when `a`, `b`, `c` turn left; the sign is exact.
+pub(super) fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
+    robust::orient2d(coord(a), coord(b), coord(c))
+}
+
+/// Twice the signed area of a loop.
+pub(in crate::edit) fn double_area(at: impl Fn(u32) -> DVec2, ring: &[u32]) -> f64 {
+    let Some(&first) = ring.first() else {
+        return 0.0;
+    };
+    let base = at(first);
+    let ends = ring.iter().zip(ring.iter().cycle().skip(1));
+    ends.map(|(&a, &b)| (at(a) - base).perp_dot(at(b) - base)).sum()
+}
+
+/// Whether `p` lies inside a loop (by crossings), or `None` when it lies on it.
+pub(in crate::edit) fn loop_contains(at: impl Fn(u32) -> DVec2, ring: &[u32], p: DVec2) -> Option<bool> {
+    let mut inside = false;
+    for (&a, &b) in ring.iter().zip(ring.iter().cycle().skip(1)) {
+        let (a, b) = (at(a), at(b));
+        let side = turn(a, b, p);
+        let between = p.cmpge(a.min(b)).all() && p.cmple(a.max(b)).all();
+        if side == 0.0 && between {
+            return None;
+        }
+        if (a.y <= p.y) != (b.y <= p.y) && (side > 0.0) == (b.y > a.y) {
+            inside = !inside;
+        }
+    }
+    Some(inside)
 }

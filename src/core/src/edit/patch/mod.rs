@@ -1,10 +1,8 @@
 //! What an edit answers: the smallest patch that does it, and how a patch becomes the next surface.
 
 mod apply;
-mod patched;
 mod resolve;
-mod surface_patch;
 
+pub use apply::PatchedSurface;
 pub use apply::apply_patch;
-pub use patched::PatchedSurface;
-pub use surface_patch::{EditWarning, NewTriangle, NewVertex, SurfacePatch};
+pub use apply::{EditWarning, NewTriangle, NewVertex, SurfacePatch};

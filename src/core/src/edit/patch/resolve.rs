@@ -1,7 +1,7 @@
 //! What a patch says, checked against the surface that it is for.
 
-use super::patched::PatchedSurface;
-use super::surface_patch::{NewVertex, SurfacePatch};
+use super::apply::PatchedSurface;
+use super::apply::{NewVertex, SurfacePatch};
 use crate::edit::error::{EditSubject, Error};
 use crate::edit::surface::SurfaceView;
 use crate::mesh::NONE;

@@ -16,13 +16,9 @@
 //! The order of the faces decides the order of the triangles of the patch, and with it the bits of every later result;
 //! so the two ways cannot be expressed by one another.
 
-mod collapse;
-mod emit;
 mod gather;
 mod mesh;
-mod open;
 mod split;
-mod turn;
 
-pub(super) use collapse::EdgeCollapse;
 pub(super) use mesh::{CAP, EdgeFaces, RegionMesh, Wedge, edge_key};
+pub(super) use split::EdgeCollapse;

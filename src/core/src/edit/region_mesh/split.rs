@@ -1,7 +1,11 @@
 //! Changing faces by replacement: points and faces are added, faces removed, split and flipped. A piece remembers the face
 //! that it comes from.
+//!
+//! Collapsing an edge into one of its ends.
+//!
+//! Changing faces in place: an edge is split or turned, a point moved.
 
-use super::mesh::{CAP, RegionFace, RegionMesh, RegionPoint, Wedge, edge_key};
+use super::mesh::{CAP, EdgeFaces, RegionFace, RegionMesh, RegionPoint, Wedge, edge_key};
 use crate::edit::triangle::evenness;
 use crate::mesh::NONE;
 use crate::progress::{Cancelled, Progress, check};
@@ -359,5 +363,207 @@ mod tests {
                 .filter(|&f| mesh.faces[f as usize].alive)
                 .all(|f| mesh.area_normal(f).z >= 0.0)
         );
+    }
+}
+
+/// A collapse of an edge that keeps the surface's topology: what becomes of the wedges and faces of the point that goes.
+#[derive(Debug, Clone)]
+pub(in crate::edit) struct EdgeCollapse {
+    from: u32,
+    to: u32,
+    /// Faces at the edge, which go.
+    gone: [u32; 2],
+    /// Faces that stay and get another corner.
+    pub kept: Vec<u32>,
+    /// Wedges of the point that goes and what replaces them.
+    wedges: [(u32, u32); 2],
+}
+
+impl RegionMesh {
+    /// Looks whether point `from` can be moved into its neighbour `to` without changing the topology: the two may have
+    /// no common neighbours but those across their edge, no face may fall onto another, and each wedge at `from` must
+    /// meet one wedge at `to`. The caller sees to it that `from` is inside, or on a curve that the edge belongs to.
+    pub fn plan_collapse(&self, from: u32, to: u32) -> Option<EdgeCollapse> {
+        let edge = self.edge_faces(from, to);
+        if self.points[from as usize].fixed || self.is_locked(edge) {
+            return None;
+        }
+        let mut wedges = [(NONE, NONE); 2];
+        let mut across = [NONE; 2];
+        for (slot, f) in edge.faces().enumerate() {
+            wedges[slot] = (self.wedge_at(f, from)?, self.wedge_at(f, to)?);
+            across[slot] = self.opposite_corner(f, from, to)?;
+        }
+        if wedges[0].0 == wedges[1].0 && wedges[0].1 != wedges[1].1 && wedges[1].0 != NONE {
+            return None;
+        }
+        let around = self.neighbours(from);
+        let common = around.into_iter().filter(|&q| q != to && self.has_edge(q, to));
+        let mut shared = 0;
+        for q in common {
+            if !across.contains(&q) {
+                return None;
+            }
+            shared += 1;
+        }
+        if shared != edge.faces().count() || (across[0] == across[1] && across[0] != NONE) {
+            return None;
+        }
+        let mut kept = Vec::with_capacity(self.faces_around(from).len());
+        for &f in self.faces_around(from) {
+            if f == edge.left || f == edge.right {
+                continue;
+            }
+            let own = self.wedge_at(f, from)?;
+            if !wedges.iter().any(|w| w.0 == own) {
+                return None;
+            }
+            // The one way left for two faces to fall together: `from` has three faces and lies over a face of `to`.
+            let p = self.points_of(f);
+            if across.iter().all(|q| p.contains(q)) {
+                let faces = self.faces_around(to);
+                if (faces.iter()).any(|&g| across.iter().all(|q| self.points_of(g).contains(q))) {
+                    return None;
+                }
+            }
+            kept.push(f);
+        }
+        if kept.is_empty() {
+            return None;
+        }
+        Some(EdgeCollapse {
+            from,
+            to,
+            gone: [edge.left, edge.right],
+            kept,
+            wedges,
+        })
+    }
+
+    /// Each kept face of a collapse before and after.
+    pub fn before_and_after(&self, collapse: &EdgeCollapse) -> impl Iterator<Item = (u32, [DVec3; 3], [DVec3; 3])> {
+        let to = self.position(collapse.to);
+        collapse.kept.iter().map(move |&f| {
+            let points = self.points_of(f);
+            let before = points.map(|p| self.position(p));
+            let mut after = before;
+            for (corner, p) in after.iter_mut().zip(points) {
+                if p == collapse.from {
+                    *corner = to;
+                }
+            }
+            (f, before, after)
+        })
+    }
+
+    /// Carries out a planned collapse.
+    pub fn apply_collapse(&mut self, collapse: &EdgeCollapse) {
+        for f in collapse.gone.into_iter().filter(|&f| f != NONE) {
+            self.remove_face(f);
+        }
+        for &f in &collapse.kept {
+            let face = &mut self.faces[f as usize];
+            for i in 0..3 {
+                if face.points[i] != collapse.from {
+                    continue;
+                }
+                face.points[i] = collapse.to;
+                if let Some(&(_, with)) = collapse.wedges.iter().find(|w| w.0 == face.wedges[i]) {
+                    face.wedges[i] = with;
+                }
+            }
+            face.untouched = false;
+        }
+        self.points[collapse.from as usize].faces = Vec::new();
+        self.points[collapse.to as usize].faces.extend(&collapse.kept);
+    }
+}
+
+impl RegionMesh {
+    /// Puts point `m`, which has no face yet, into the edge from `a` to `b`. The faces to the left and to the right get the
+    /// wedges `left` and `right` there.
+    pub fn insert_into_edge(&mut self, edge: EdgeFaces, [a, b]: [u32; 2], m: u32, [left, right]: [u32; 2]) {
+        // To the right the edge runs from b to a.
+        for (f, from, wedge) in [(edge.left, a, left), (edge.right, b, right)] {
+            if f == NONE {
+                continue;
+            }
+            let points = self.points_of(f);
+            let Some(i) = points.iter().position(|&p| p == from) else {
+                continue;
+            };
+            let mut rest = RegionFace {
+                untouched: false,
+                ..self.faces[f as usize]
+            };
+            (rest.wedges[i], rest.points[i]) = (wedge, m);
+            let new = self.faces.len() as u32;
+            self.faces.push(rest);
+            let half = &mut self.faces[f as usize];
+            (half.wedges[(i + 1) % 3], half.points[(i + 1) % 3]) = (wedge, m);
+            half.untouched = false;
+            let (end, tip) = (points[(i + 1) % 3], points[(i + 2) % 3]);
+            for g in &mut self.points[end as usize].faces {
+                if *g == f {
+                    *g = new;
+                }
+            }
+            self.points[tip as usize].faces.push(new);
+            self.points[m as usize].faces.extend([f, new]);
+        }
+    }
+
+    /// The faces that replace those at the edge from `a` to `b` when it is turned, as positions; `None` when the edge is
+    /// not inside or the ends of the turned edge are already joined.
+    pub fn faces_after_turn(&self, edge: EdgeFaces, a: u32, b: u32) -> Option<[[DVec3; 3]; 2]> {
+        if !self.is_inside(edge, a, b) {
+            return None;
+        }
+        let (c, d) = (
+            self.opposite_corner(edge.left, a, b)?,
+            self.opposite_corner(edge.right, a, b)?,
+        );
+        if c == d || self.has_edge(c, d) {
+            return None;
+        }
+        let [a, b, c, d] = [a, b, c, d].map(|p| self.position(p));
+        Some([[a, d, c], [d, b, c]])
+    }
+
+    /// Turns the edge; [`faces_after_turn`](Self::faces_after_turn) must have said that it can be.
+    pub fn turn_edge(&mut self, edge: EdgeFaces, a: u32, b: u32) {
+        let (l, r) = (edge.left, edge.right);
+        let corners = |p, q| Some((self.opposite_corner(p, a, b)?, self.opposite_corner(q, a, b)?));
+        let Some((c, d)) = corners(l, r) else { return };
+        let wedge = |f, p| self.wedge_at(f, p);
+        let (Some(wa), Some(wb), Some(wc), Some(wd)) = (wedge(l, a), wedge(l, b), wedge(l, c), wedge(r, d)) else {
+            return;
+        };
+        for (f, wedges, points) in [(l, [wa, wd, wc], [a, d, c]), (r, [wd, wb, wc], [d, b, c])] {
+            let face = &mut self.faces[f as usize];
+            (face.wedges, face.points, face.untouched) = (wedges, points, false);
+        }
+        self.points[a as usize].faces.retain(|&f| f != r);
+        self.points[b as usize].faces.retain(|&f| f != l);
+        self.points[c as usize].faces.push(r);
+        self.points[d as usize].faces.push(l);
+    }
+
+    /// Moves a point: it, its wedges and faces become new ones. `blend` gives what each of its wedges is made of.
+    pub fn move_point(&mut self, p: u32, position: DVec3, mut blend: impl FnMut(u32) -> ([u32; 3], [f64; 3])) {
+        let point = &mut self.points[p as usize];
+        point.position = position;
+        point.old = NONE;
+        let mut wedges: Vec<u32> = Vec::new();
+        for &f in &self.points[p as usize].faces {
+            self.faces[f as usize].untouched = false;
+            wedges.extend(self.faces[f as usize].wedge_at(p));
+        }
+        wedges.sort_unstable();
+        wedges.dedup();
+        for w in wedges {
+            let (of, weights) = blend(w);
+            self.wedges[w as usize] = Wedge::from_blend(of, weights);
+        }
     }
 }

@@ -4,7 +4,7 @@
 //! from the chain's start gives their positions, so they are always on the original line. The segment gives what they
 //! are made of, on either side.
 
-use super::original::is_sliver;
+use super::deviation::is_sliver;
 use crate::edit::region_mesh::RegionMesh;
 use crate::edit::triangle;
 use crate::mesh::NONE;

@@ -10,14 +10,11 @@
 
 mod deviation;
 mod feature_lines;
-mod original;
 mod passes;
 mod remesher;
 mod sizing;
-mod stretched;
-mod target;
 
-pub use target::{
+pub use sizing::{
     ASPECT, DEVIATION, LENGTH_DEVIATION, MENDED, MOST_TRIANGLES, RemeshOptions, RemeshTarget, SHARP_DEGREES, STRETCH,
 };
 
@@ -135,13 +132,13 @@ fn plan_remesh(
                 let problem = format!("the rest shape has {seen} vertices, the surface {needed}");
                 return Err(Error::invalid(EditSubject::RemeshRestShape, problem));
             }
-            let stretched = stretched::find_stretched_faces(surface, region, rest);
+            let stretched = passes::find_stretched_faces(surface, region, rest);
             if stretched.is_empty() {
                 return Ok(None);
             }
             let mesh = RegionMesh::with_frozen_ring(surface, &stretched)?;
-            let wanted = stretched::rest_lengths(&mesh, rest);
-            let unfair = mesh.triangles.iter().map(|&t| stretched::is_unfair(surface, t, rest));
+            let wanted = passes::rest_lengths(&mesh, rest);
+            let unfair = mesh.triangles.iter().map(|&t| passes::is_unfair(surface, t, rest));
             let unfair = unfair.collect();
             (mesh, wanted, unfair, 0.0)
         }

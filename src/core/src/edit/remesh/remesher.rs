@@ -1,8 +1,8 @@
 //! The mesh while it is remeshed, with what each of its points knows about the original surface.
 
 use super::deviation::{ChangedFaces, DeviationBound, WORK};
+use super::deviation::{OriginalPoint, OriginalSurface, SLIVER};
 use super::feature_lines::{Chain, ChainPoint, FeatureLines, LineKind};
-use super::original::{OriginalPoint, OriginalSurface, SLIVER};
 use crate::edit::error::Error;
 use crate::edit::region_mesh::{EdgeFaces, RegionMesh, Wedge};
 use crate::edit::triangle;

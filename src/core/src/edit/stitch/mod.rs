@@ -1,19 +1,18 @@
 //! A strip of triangles between two boundary loops.
 
-mod loops;
 mod strip;
 
-use super::boundary::boundary_points;
 use super::error::Error;
 use super::patch::{NewTriangle, NewVertex, SurfacePatch};
 use super::region_mesh::RegionMesh;
 use super::surface::{BitSet, SurfaceView};
+use super::topology::boundary_points;
 use super::triangle;
 use crate::mesh::{Components, NONE};
 use crate::progress::{Progress, check};
 use glam::DVec3;
-use loops::StitchLoop;
 use std::collections::BTreeMap;
+use strip::StitchLoop;
 
 /// Which loops to join.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,7 +60,7 @@ pub fn stitch_boundaries(
     }
     let mesh = RegionMesh::with_frozen_ring(surface, &near)?;
     check(progress)?;
-    let found = loops::find_loops(&mesh);
+    let found = strip::find_loops(&mesh);
     let (a, b) = choose_loops(surface, &mesh, &found, between, progress)?;
     check_match(&mesh, a, b, matches!(between, LoopPair::Points(..)))?;
     check(progress)?;
@@ -123,7 +122,7 @@ fn choose_loops<'a>(
         LoopPair::Appended(first) => {
             let (model, appended): (Vec<_>, Vec<_>) = found.iter().partition(|l| newest(l) < first);
             let appended: Vec<_> = appended.into_iter().filter(|l| old(l) >= first).collect();
-            let pair = loops::nearest_pair(mesh, &model, &appended, |_, _| true, progress)?;
+            let pair = strip::nearest_pair(mesh, &model, &appended, |_, _| true, progress)?;
             pair.ok_or_else(|| {
                 let (m, n) = (model.len(), appended.len());
                 let problem =
@@ -138,7 +137,7 @@ fn choose_loops<'a>(
             let parts = Components::of_triangles(surface.points as usize, &corners);
             let all: Vec<&StitchLoop> = found.iter().collect();
             let part: Vec<u32> = found.iter().map(|l| parts.of_vertex[old(l) as usize]).collect();
-            let pair = loops::nearest_pair(mesh, &all, &all, |i, j| part[i] < part[j], progress)?;
+            let pair = strip::nearest_pair(mesh, &all, &all, |i, j| part[i] < part[j], progress)?;
             pair.ok_or_else(|| {
                 let problem = format!(
                     "there are {} closed boundary loops and no two of different parts; to join loops of one part name a point on each",
@@ -162,7 +161,7 @@ fn check_match(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop, named: bool) -
         };
         return Err(Error::impossible(problem, &place));
     }
-    let distance = loops::loop_distance(mesh, a, b);
+    let distance = strip::loop_distance(mesh, a, b);
     let (la, lb) = (a.length, b.length);
     if distance == 0.0 {
         return Err(Error::impossible("the two loops touch; weld them first", &place));

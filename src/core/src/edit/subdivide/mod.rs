@@ -4,7 +4,6 @@
 //! there is no T-junction; where an edge has several render vertices at an end, each side gets its own middle at the
 //! same point. [`SubdivisionScheme::Midpoint`] keeps the shape, [`SubdivisionScheme::Loop`] smooths it.
 
-mod masks;
 mod until_even;
 
 pub use until_even::{EvennessTarget, FieldSample, subdivide_until_even};
@@ -63,8 +62,8 @@ pub fn subdivide_region(
     for (k, &(a, b)) in edges.iter().enumerate() {
         check_at(k)?;
         middles.push(match scheme {
-            SubdivisionScheme::Midpoint => masks::edge_middle(&mesh, a, b),
-            SubdivisionScheme::Loop => masks::place_new_point(&mesh, a, b),
+            SubdivisionScheme::Midpoint => until_even::edge_middle(&mesh, a, b),
+            SubdivisionScheme::Loop => until_even::place_new_point(&mesh, a, b),
         });
     }
     let mut division = Subdivision {
@@ -86,7 +85,7 @@ pub fn subdivide_region(
     if scheme == SubdivisionScheme::Loop {
         for (p, point) in (0u32..).zip(&mesh.points) {
             check_at(p as usize)?;
-            if let Some(to) = masks::place_old_point(&mesh, p).filter(|to| *to != point.position) {
+            if let Some(to) = until_even::place_old_point(&mesh, p).filter(|to| *to != point.position) {
                 patch.moved.push((point.old, to));
             }
         }

@@ -4,13 +4,12 @@
 //! warned of, where it would give an edge a third face, make two faces touch at a point only, lay two faces on one
 //! another, or turn one over.
 
-mod close_pairs;
 mod joins;
 
-use super::boundary::boundary_points;
 use super::error::{EditSubject, Error};
 use super::patch::{EditWarning, SurfacePatch};
 use super::surface::SurfaceView;
+use super::topology::boundary_points;
 use crate::mesh::{Mesh, NONE, Weld};
 use crate::progress::{Progress, check};
 use glam::DVec3;
@@ -77,9 +76,9 @@ pub fn weld_boundaries(
     check(progress)?;
     let positions = point_positions(surface);
     let at = |p: u32| positions[p as usize];
-    let matches = close_pairs::find_close_pairs(new, old, tolerance, at, progress)?;
+    let matches = joins::find_close_pairs(new, old, tolerance, at, progress)?;
     if matches.is_empty() {
-        let (distance, p, q) = close_pairs::find_closest(new, old, at);
+        let (distance, p, q) = joins::find_closest(new, old, at);
         return Err(Error::impossible(
             format!(
                 "no boundary point of the appended model is within {tolerance} of a boundary of the model, the closest is {distance} away; \

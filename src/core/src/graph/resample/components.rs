@@ -1,7 +1,7 @@
 //! Connected components after an edit: from the old ones, and from a search where something may have been cut loose.
 
+use crate::graph::resample::change::FreshRows;
 use crate::graph::resample::change::GraphBefore;
-use crate::graph::resample::graph_edit::FreshRows;
 use crate::mesh::{Components, NONE};
 use crate::pool::Pool;
 use rayon::prelude::*;

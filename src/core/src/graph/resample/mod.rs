@@ -11,13 +11,9 @@
 mod change;
 mod components;
 mod edges;
-mod graph_edit;
-mod grid;
 mod hull;
 mod interior;
-mod local;
 mod places;
-mod renumber;
 mod rows;
 mod zone;
 
@@ -32,12 +28,12 @@ use crate::pool::Pool;
 pub use change::{MeshChange, ResampledGraph};
 use glam::DVec3;
 
+use crate::graph::resample::change::GraphEdit;
 use crate::graph::resample::change::{ChangedPoints, GraphBefore, NodeNumbers};
-use crate::graph::resample::graph_edit::GraphEdit;
 use crate::graph::resample::hull::{HullChange, fan_over_loop};
 use crate::graph::resample::interior::{EditedShell, InteriorChange};
-use crate::graph::resample::local::{LocalFaces, LocalMesh};
 use crate::graph::resample::zone::{ChangeZone, SpreadLengths};
+use crate::graph::resample::zone::{LocalFaces, LocalMesh};
 
 /// The graph after `change` from the graph before; `None` where a new graph has to be built: when interior nodes follow the shape
 /// ([`InteriorKind::Shape`](crate::graph::InteriorKind)), when the edit changes more than a
@@ -85,7 +81,7 @@ fn resample_surface(
     points: &ChangedPoints,
     pool: &Pool,
 ) -> Result<ResampledGraph, Error> {
-    let found = local::find_local(change, points, None, pool);
+    let found = zone::find_local(change, points, None, pool);
     let local = LocalMesh::gather_faces(change, points, &found, None, pool);
     let numbers = NodeNumbers::from_change(old, change, points);
     let copies = places::without_copies(&local);
@@ -134,7 +130,7 @@ fn resample_volume(
         let none = faces.is_empty() && boxes.is_empty() && points.gone.is_empty() && points.fans.is_empty();
         return Ok(none.then(|| unchanged_graph(old)));
     };
-    let found = local::find_local(change, points, Some(&zone), exec.pool);
+    let found = zone::find_local(change, points, Some(&zone), exec.pool);
     exec.check()?;
     let between = LocalFaces::between_hulls(old, change, points, &hull, &found);
     let enclosed = between.sort_columns(0, exec.pool);

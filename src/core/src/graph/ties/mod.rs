@@ -5,14 +5,11 @@
 //! the first pass, and the second keeps what they join at its offset. A graph with ties remembers them
 //! ([`PartTies`]), so that it can be had without them and so that an edit finds again only those around itself.
 
-mod find;
-mod follow;
 mod insert;
 mod options;
-pub(super) mod part_ties;
-mod part_tree;
+pub(super) mod part_tree;
 
-pub use follow::resample_tied;
+pub use insert::resample_tied;
 pub use insert::tie_parts;
 pub use options::{LOOSE, TieFamilies, TieOptions};
-pub use part_ties::{PartTies, TieAnchor};
+pub use part_tree::{PartTies, TieAnchor};

@@ -7,30 +7,19 @@
 //! its width, `spread` ties the surface to it, and `struts` joins what is too thin for it. `apart` builds one graph for
 //! each part.
 
-mod angle;
-mod apart;
 pub(in crate::graph) mod build;
-pub(super) mod caps;
-pub(super) mod columns;
-mod inward;
-mod lattice;
-pub(super) mod lattice_grid;
-mod near_surface;
-mod nearest;
+pub(super) mod lattice;
 pub(super) mod neighbours;
 mod octree;
 mod options;
-mod placed;
 mod placing;
 mod principal_axes;
-mod scan;
-mod shape;
-pub(super) mod shell;
+pub(super) mod scan;
+pub(super) mod shape;
 pub(super) mod solid;
-mod spread;
-pub(super) mod struts;
-mod thickness;
+pub(super) mod spread;
+pub(super) mod thickness;
 
-pub use apart::volume_apart;
 pub use build::{estimate_nodes, volume};
 pub use options::{InteriorKind, VolumeOptions};
+pub use thickness::volume_apart;

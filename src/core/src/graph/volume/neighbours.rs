@@ -2,10 +2,27 @@
 //!
 //! Two cubic grids A and B of side `a`, B shifted by half a cell along each axis. Each node has six neighbours in its
 //! own grid and eight in the other. A node is named by a key whose order is sheet by sheet, row by row.
+//!
+//! The mesh vertex nearest to each lattice node.
+//!
+//! Nodes tied to the surface begin with what they are tied to. The others take the best of their neighbours' answers, in sweeps forwards
+//! and backwards over the lattice (a vector distance transform, Danielsson 1980), and then walk along the mesh while
+//! that leads nearer. The answer is the nearest vertex or one almost as near, in time linear in the lattice, and it is
+//! found without leaving the body that the node lies in.
+//!
+//! The surface as shell and lattice ask for it: by cells where its faces are of about one size, else by a tree.
 
+use crate::graph::error::Error;
+use crate::graph::parallel::map;
+use crate::graph::volume::lattice::{LatticeEdges, LatticeExit, LatticeGrid, LatticeNodes};
+use crate::graph::volume::shape::VolumeSite;
+use crate::graph::winding::tree::WindingTree;
+use crate::mesh::Mesh;
+use crate::mesh::query::{SegmentHit, TriangleBvh, TriangleCells};
 use crate::pool::Pool;
 use glam::DVec3;
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// Name of a grid node: 20 bits each of z, then one bit for the grid (0 = A), then y and x.
 pub(in crate::graph) type LatticeKey = u64;
@@ -179,6 +196,191 @@ mod tests {
             }
             found.sort_unstable();
             assert_eq!(found, expected, "valence {valence}");
+        }
+    }
+}
+
+/// Sweeps there and back.
+const ROUNDS: usize = 1;
+/// No vertex known yet.
+const UNKNOWN: u32 = u32::MAX;
+
+/// A solver vertex for each node.
+pub(in crate::graph) fn nearest_vertices(
+    site: &VolumeSite,
+    grid: &LatticeGrid,
+    nodes: &LatticeNodes,
+    edges: &LatticeEdges,
+) -> Result<Vec<u32>, Error> {
+    let at = |node: u32| grid.position(nodes.keys[node as usize]);
+    let mut nearest = vec![UNKNOWN; nodes.keys.len()];
+    let distance = |node: u32, v: u32| site.mesh.positions[v as usize].distance_squared(at(node));
+    for &LatticeExit { node, vertex, .. } in &edges.exits {
+        let best = &mut nearest[node as usize];
+        if *best == UNKNOWN || distance(node, vertex) < distance(node, *best) {
+            *best = vertex;
+        }
+    }
+    // Where the vertices are, next to where they are asked for.
+    let spot = |v: u32| {
+        if v == UNKNOWN {
+            DVec3::INFINITY
+        } else {
+            site.mesh.positions[v as usize]
+        }
+    };
+    let mut spots: Vec<DVec3> = nearest.iter().map(|&v| spot(v)).collect();
+    let count = nodes.keys.len() as u32;
+    let mut unknown = usize::MAX;
+    for round in 0.. {
+        (0..count).for_each(|node| take_best(&edges.rows, (&mut nearest, &mut spots), node, at(node)));
+        (0..count)
+            .rev()
+            .for_each(|node| take_best(&edges.rows, (&mut nearest, &mut spots), node, at(node)));
+        // Winding passages need more rounds to be reached at all.
+        let left = nearest.iter().filter(|&&v| v == UNKNOWN).count();
+        if round + 1 >= ROUNDS && (left == 0 || left == unknown) {
+            break;
+        }
+        unknown = left;
+    }
+
+    if nearest.contains(&UNKNOWN) {
+        site.surface.tree();
+    }
+    let starts: Vec<(u32, u32)> = (0..count).zip(nearest).collect();
+    let walked = map(&starts, site.budget, |&(node, start)| {
+        let p = at(node);
+        let start = match start {
+            UNKNOWN => site.surface.tree().bvh().closest_vertex(p, None).unwrap_or(0),
+            start => start,
+        };
+        site.walk(start, p)
+    })?;
+    Ok(walked)
+}
+
+/// Takes over the answer of a neighbour that is better than the node's own.
+fn take_best(rows: &[LatticeRow], (nearest, spots): (&mut [u32], &mut [DVec3]), node: u32, p: DVec3) {
+    let mut own = nearest[node as usize];
+    let mut spot = spots[node as usize];
+    // What is not known is infinitely far away.
+    let mut best = spot.distance_squared(p);
+    for other in rows[node as usize].into_iter().filter(|&n| n != NONE) {
+        let candidate = nearest[other as usize];
+        if candidate != own {
+            let there = spots[other as usize];
+            let square = there.distance_squared(p);
+            if square < best {
+                (own, spot, best) = (candidate, there, square);
+            }
+        }
+    }
+    nearest[node as usize] = own;
+    spots[node as usize] = spot;
+}
+
+/// Side of a cell in mean edges.
+const SIDE: f64 = 1.5;
+/// Cells are no help to queries that reach further than this many of their sides.
+const REACH: f64 = 4.0;
+
+/// Answers whether there is room for a copy of a vertex.
+pub(in crate::graph) trait RoomQueries {
+    /// Whether any face is nearer to `point` than `radius`.
+    fn has_face_within(&self, point: DVec3, radius: f64) -> bool;
+
+    /// Whether the segment crosses any face but those around vertex `except`.
+    fn is_way_crossed(&self, from: DVec3, to: DVec3, except: Option<u32>) -> bool;
+}
+
+impl RoomQueries for TriangleBvh<'_> {
+    fn has_face_within(&self, point: DVec3, radius: f64) -> bool {
+        self.has_triangle_within(point, radius)
+    }
+
+    fn is_way_crossed(&self, from: DVec3, to: DVec3, except: Option<u32>) -> bool {
+        self.first_hit(from, to, except).is_some()
+    }
+}
+
+/// The faces of a mesh, sorted for queries of short reach, and for all others when somebody asks.
+pub(in crate::graph) struct NearSurface<'a> {
+    positions: &'a [DVec3],
+    faces: &'a [[u32; 3]],
+    cells: Option<TriangleCells<'a>>,
+    tree: OnceLock<WindingTree<'a>>,
+    pool: &'a Pool,
+}
+
+impl<'a> NearSurface<'a> {
+    /// Sorts the faces of a mesh for queries that reach about as far as its edges are long.
+    pub(in crate::graph) fn sort(mesh: &'a Mesh, pool: &'a Pool) -> Self {
+        let (positions, faces) = (&mesh.positions, &mesh.triangles);
+        let perimeter = |t: &[u32; 3]| {
+            let [a, b, c] = t.map(|v| positions[v as usize]);
+            a.distance(b) + b.distance(c) + c.distance(a)
+        };
+        let total: f64 = faces.iter().map(perimeter).sum();
+        let mean_edge = total / (3.0 * faces.len() as f64);
+        Self {
+            positions,
+            faces,
+            cells: TriangleCells::sort(positions, faces, SIDE * mean_edge, pool),
+            tree: OnceLock::new(),
+            pool,
+        }
+    }
+
+    /// Takes the tree from now on where cells are no help to queries that reach `reach`.
+    pub(in crate::graph) fn prepare_for(&mut self, reach: f64) {
+        if !self.cells.as_ref().is_some_and(|cells| reach <= REACH * cells.side()) {
+            self.cells = None;
+            self.tree();
+        }
+    }
+
+    /// The tree over all faces, which is built by the first who asks; that is never to be one of many in parallel.
+    pub(in crate::graph) fn tree(&self) -> &WindingTree<'a> {
+        let build = || WindingTree::build(self.positions, self.faces, self.pool);
+        self.tree.get_or_init(build)
+    }
+
+    /// What long queries have looked at.
+    pub(in crate::graph) fn visits(&self) -> u64 {
+        let in_cells = self.cells.as_ref().map_or(0, TriangleCells::visits);
+        in_cells + self.tree.get().map_or(0, |tree| tree.bvh().visits.total())
+    }
+
+    /// Lists all vertices, so that those next to each other in the list are close in space.
+    pub(in crate::graph) fn vertices_in_space_order(&self) -> Vec<u32> {
+        match &self.cells {
+            Some(cells) => cells.vertices_in_space_order(),
+            None => self.tree().bvh().vertices_in_space_order(),
+        }
+    }
+
+    /// Finds the first face that the segment crosses or touches.
+    pub(in crate::graph) fn first_hit(&self, from: DVec3, to: DVec3) -> Option<SegmentHit> {
+        match &self.cells {
+            Some(cells) => cells.first_hit(from, to),
+            None => self.tree().bvh().first_hit(from, to, None),
+        }
+    }
+}
+
+impl RoomQueries for NearSurface<'_> {
+    fn has_face_within(&self, point: DVec3, radius: f64) -> bool {
+        match &self.cells {
+            Some(cells) => cells.has_triangle_within(point, radius),
+            None => self.tree().bvh().has_face_within(point, radius),
+        }
+    }
+
+    fn is_way_crossed(&self, from: DVec3, to: DVec3, except: Option<u32>) -> bool {
+        match &self.cells {
+            Some(cells) => cells.is_crossed(from, to, except),
+            None => self.tree().bvh().is_way_crossed(from, to, except),
         }
     }
 }

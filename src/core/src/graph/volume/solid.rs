@@ -4,16 +4,21 @@
 //! sheet in empty space between −½ and ½; a surface with holes lies between the two. A part whose faces see values
 //! nearer to a half than to a whole number is a sheet: it encloses nothing, and it is left out when other parts are
 //! asked what they enclose.
+//!
+//! Which way leads inwards from each vertex.
+//!
+//! The angle of a direction in the upper half plane.
 
 use crate::graph::error::Error;
 use crate::graph::parallel::{map, map_in_space};
-use crate::graph::volume::angle::upper_angle;
-use crate::graph::volume::caps::ClosedHull;
-use crate::graph::volume::near_surface::NearSurface;
+use crate::graph::volume::neighbours::NearSurface;
+use crate::graph::volume::shape::VolumeSite;
+use crate::graph::volume::thickness::ClosedHull;
 use crate::graph::winding::tree::WindingTree;
 use crate::mesh::query::VisitBudget;
 use crate::mesh::{Adjacency, Components, Mesh};
 use glam::DVec3;
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
 /// Places of each part that are looked at.
 const SAMPLES: usize = 32;
@@ -114,7 +119,7 @@ impl ClassifiedParts {
     }
 
     /// Whether rows can be followed through the part of a vertex: it is closed, or closed by faces over its holes.
-    pub(in crate::graph) fn is_hull(&self, vertex: u32) -> bool {
+    fn is_hull(&self, vertex: u32) -> bool {
         matches!(self.kind(vertex), PartKind::Closed | PartKind::Holed)
     }
 
@@ -209,5 +214,153 @@ pub(in crate::graph) fn normal(positions: &[DVec3], triangles: &[[u32; 3]], adja
         sum.normalize()
     } else {
         DVec3::ZERO
+    }
+}
+
+/// The unit vector that leads inwards from each vertex; zero where the vertex has no normal, and on parts that
+/// enclose nothing; `order` has all vertices in the order in which they are best looked at. Normals of a part that is wound
+/// inside out are turned round. With it for each part 1, −1 when its normals were turned, or 0 when it has no inside.
+pub(in crate::graph) fn inward_directions(
+    site: &VolumeSite,
+    order: &[u32],
+    step: f64,
+) -> Result<(InwardDirections, Vec<f64>), Error> {
+    let VolumeSite { parts, budget, .. } = *site;
+    let (positions, triangles) = (&site.mesh.positions, &site.mesh.triangles);
+    let found = map(order, budget, |&v| {
+        if parts.kind(v) != PartKind::Sheet {
+            -normal(positions, triangles, site.adjacency, v)
+        } else {
+            DVec3::ZERO
+        }
+    })?;
+    let mut inward = vec![DVec3::ZERO; positions.len()];
+    order.iter().zip(found).for_each(|(&v, d)| inward[v as usize] = d);
+    let part = |v: u32| parts.components.of_vertex[v as usize] as usize;
+    let candidates = (0..positions.len() as u32)
+        .filter(|&v| inward[v as usize] != DVec3::ZERO)
+        .collect();
+    let asked = sample(candidates, parts.kinds.len(), part);
+    let space = || order.to_vec();
+    let sides = map_in_space(&asked, space, budget, |&v| {
+        let (p, d) = (positions[v as usize], inward[v as usize] * step);
+        (site.contains(p + d), site.contains(p - d))
+    })?;
+    let mut votes = vec![(0usize, 0usize); parts.kinds.len()];
+    for (&v, (ahead, behind)) in asked.iter().zip(sides) {
+        let vote = &mut votes[part(v)];
+        vote.0 += usize::from(ahead);
+        vote.1 += usize::from(behind);
+    }
+    let turns: Vec<f64> = votes.into_iter().map(turn).collect();
+    for (d, v) in inward.iter_mut().zip(0u32..) {
+        let turn = turns[part(v)];
+        if turn <= 0.0 {
+            *d = if turn < 0.0 { -*d } else { DVec3::ZERO };
+        }
+    }
+    Ok((inward, turns))
+}
+
+/// Arguments of this size and its reciprocal have a quotient and need no care.
+const MODERATE: f64 = 1e150;
+/// Where the arc tangent changes from one of its five forms to the next.
+const STEPS: [f64; 4] = [0.4375, 0.6875, 1.1875, 2.4375];
+/// For each form (a, b, c, d): the arc tangent of q is that of (a q − b) / (c + d q) …
+const FRACTIONS: [[f64; 4]; 5] = [
+    [1.0, 0.0, 1.0, 0.0],
+    [2.0, 1.0, 2.0, 1.0],
+    [1.0, 1.0, 1.0, 1.0],
+    [1.0, 1.5, 1.0, 1.5],
+    [0.0, 1.0, 0.0, 1.0],
+];
+/// … and of 0, ½, 1, 1½ or ∞, in two parts.
+const SHIFTS: [[f64; 2]; 5] = [
+    [0.0, 0.0],
+    [4.636_476_090_008_061e-1, 2.269_877_745_296_168_7e-17],
+    [FRAC_PI_4, 3.061_616_997_868_383e-17],
+    [9.827_937_232_473_29e-1, 1.390_331_103_123_099_8e-17],
+    [FRAC_PI_2, 6.123_233_995_736_766e-17],
+];
+const EVEN: [f64; 6] = [
+    3.333_333_333_333_293e-1,
+    1.428_571_427_250_346_6e-1,
+    9.090_887_133_436_507e-2,
+    6.661_073_137_387_531e-2,
+    4.976_877_994_615_932_4e-2,
+    1.628_582_011_536_578_2e-2,
+];
+const ODD: [f64; 5] = [
+    -1.999_999_999_987_648_3e-1,
+    -1.111_111_040_546_235_6e-1,
+    -7.691_876_205_044_83e-2,
+    -5.833_570_133_790_573_5e-2,
+    -3.653_157_274_421_691_6e-2,
+];
+const PI_LOW: f64 = 1.224_646_799_147_353_2e-16;
+
+/// The angle of (`x`, `y`) for `y` above 0: bit-identical to `libm::atan2`, by the same steps without their branches,
+/// which angles of a mesh take at random.
+#[inline]
+fn upper_angle(y: f64, x: f64) -> f64 {
+    let is_moderate = |v: f64| (1.0 / MODERATE..MODERATE).contains(&v);
+    let q = (y / x).abs();
+    if !(is_moderate(y) && is_moderate(x.abs()) && (1e-8..1e18).contains(&q)) {
+        return libm::atan2(y, x);
+    }
+    let form: usize = STEPS.iter().map(|&step| usize::from(q >= step)).sum();
+    let ([a, b, c, d], [high, low]) = (FRACTIONS[form], SHIFTS[form]);
+    let r = (a * q - b) / (c + d * q);
+    let z = r * r;
+    let w = z * z;
+    let even = z * (EVEN[0] + w * (EVEN[1] + w * (EVEN[2] + w * (EVEN[3] + w * (EVEN[4] + w * EVEN[5])))));
+    let odd = w * (ODD[0] + w * (ODD[1] + w * (ODD[2] + w * (ODD[3] + w * ODD[4]))));
+    let angle = high - (r * (even + odd) - low - r);
+    if x < 0.0 { PI - (angle - PI_LOW) } else { angle }
+}
+
+#[cfg(test)]
+mod angle_tests {
+    use super::*;
+
+    #[test]
+    fn angles_are_those_of_libm_to_the_bit() {
+        let mut state = 5u64;
+        let mut next = || {
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let ask = |y: f64, x: f64| {
+            let (own, known) = (upper_angle(y, x), libm::atan2(y, x));
+            assert_eq!(own.to_bits(), known.to_bits(), "{y:e}, {x:e}: {own:e}, {known:e}");
+        };
+        let edges = STEPS.iter().flat_map(|s| [s.next_down(), *s, s.next_up()]);
+        let special = [
+            1.0,
+            0.0,
+            -0.0,
+            1e-300,
+            1e300,
+            5e-324,
+            f64::INFINITY,
+            f64::NAN,
+            1e-8,
+            1e18,
+            1e-20,
+        ];
+        let values: Vec<f64> = edges.chain(special).collect();
+        for &y in values.iter().filter(|&&y| y > 0.0) {
+            for &x in &values {
+                ask(y, x);
+                ask(y, -x);
+            }
+        }
+        for _ in 0..200_000 {
+            ask(next() + 1e-12, next() - 0.5);
+            let scale = libm::exp2(40.0 * (next() - 0.5));
+            ask(next() * scale + 1e-300, next() - 0.5);
+        }
     }
 }

@@ -4,7 +4,6 @@
 //! it is closed and a sensible fraction where it has holes; the tree evaluates distant clusters by their moments (Barill et
 //! al. 2018).
 
-mod moments;
 mod number;
 pub(super) mod tree;
 

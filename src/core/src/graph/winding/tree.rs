@@ -1,6 +1,11 @@
 //! The tree: a bounding-volume hierarchy whose nodes know their far fields.
+//!
+//! Moments of a piece of surface, from which its far field follows.
+//!
+//! Seen from afar a piece of surface is a dipole with corrections. With δ the offset from the centroid and n the unit
+//! normal, its first three moments are the polynomials P₁(u) = ∫ n·u, P₂(u) = ∫ (δ·u)(n·u) and P₃(u) = ∫ (δ·u)²(n·u) in
+//! a direction u; they are all that the solid angle needs up to second order (Barill et al. 2018, section 3).
 
-use crate::graph::winding::moments::{FarField, Moments};
 use crate::mesh::query::TriangleBvh;
 use crate::mesh::query::bvh::FAN;
 use crate::pool::Pool;
@@ -138,5 +143,183 @@ impl NodeMoments {
             first: children.first,
             count: children.count,
         }
+    }
+}
+
+/// Moments about a centroid.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Moments {
+    /// Area-weighted centroid.
+    pub(super) center: DVec3,
+    pub(super) area: f64,
+    /// P₁: integral of the unit normal.
+    normal: DVec3,
+    /// P₂ by its coefficients of xx, yy, zz, xy, yz, zx.
+    second: [f64; 6],
+    /// P₃ by its coefficients of xxx, yyy, zzz, xxy, xxz, yyx, yyz, zzx, zzy, xyz.
+    third: [f64; 10],
+}
+
+/// `(s·u)(a·u)` by its coefficients.
+fn multiply_linear(s: DVec3, a: DVec3) -> [f64; 6] {
+    let cross = |i: usize, j: usize| s[i] * a[j] + s[j] * a[i];
+    [s.x * a.x, s.y * a.y, s.z * a.z, cross(0, 1), cross(1, 2), cross(2, 0)]
+}
+
+/// `(s·u) q(u)` for a quadratic polynomial.
+fn multiply_quadratic(s: DVec3, q: &[f64; 6]) -> [f64; 10] {
+    let [xx, yy, zz, xy, yz, zx] = *q;
+    [
+        s.x * xx,
+        s.y * yy,
+        s.z * zz,
+        s.y * xx + s.x * xy,
+        s.z * xx + s.x * zx,
+        s.x * yy + s.y * xy,
+        s.z * yy + s.y * yz,
+        s.x * zz + s.z * zx,
+        s.y * zz + s.z * yz,
+        s.x * yz + s.y * zx + s.z * xy,
+    ]
+}
+
+fn add_scaled<const N: usize>(to: &mut [f64; N], what: [f64; N], times: f64) {
+    to.iter_mut().zip(what).for_each(|(t, w)| *t += w * times);
+}
+
+impl Moments {
+    /// Computes those of a triangle.
+    fn from_triangle([a, b, c]: [DVec3; 3]) -> Self {
+        let center = (a + b + c) / 3.0;
+        let normal = 0.5 * (b - a).cross(c - a);
+        let mut third = [0.0; 10];
+        // The mean of δδᵀ over a triangle is a twelfth of its sum over the corners.
+        for corner in [a, b, c] {
+            let d = corner - center;
+            add_scaled(
+                &mut third,
+                multiply_quadratic(normal, &multiply_linear(d, d)),
+                1.0 / 12.0,
+            );
+        }
+        Self {
+            center,
+            area: normal.length(),
+            normal,
+            second: [0.0; 6],
+            third,
+        }
+    }
+
+    /// Adds up those of several pieces, at least one.
+    pub(super) fn from_parts(parts: &[Self]) -> Self {
+        let largest = parts.iter().map(|p| p.area).fold(0.0, f64::max);
+        // Without any area every part counts the same; relative weights keep products away from underflow.
+        let weight = |p: &Self| if largest > 0.0 { p.area / largest } else { 1.0 };
+        let total: f64 = parts.iter().map(weight).sum();
+        let center = parts.iter().map(|p| p.center * (weight(p) / total)).sum();
+        let mut sum = Self {
+            center,
+            area: 0.0,
+            normal: DVec3::ZERO,
+            second: [0.0; 6],
+            third: [0.0; 10],
+        };
+        for p in parts {
+            let shift = p.center - center;
+            sum.area += p.area;
+            sum.normal += p.normal;
+            add_scaled(&mut sum.second, p.second, 1.0);
+            add_scaled(&mut sum.second, multiply_linear(shift, p.normal), 1.0);
+            add_scaled(&mut sum.third, p.third, 1.0);
+            add_scaled(&mut sum.third, multiply_quadratic(shift, &p.second), 2.0);
+            add_scaled(
+                &mut sum.third,
+                multiply_quadratic(shift, &multiply_linear(shift, p.normal)),
+                1.0,
+            );
+        }
+        sum
+    }
+}
+
+/// The far field of a piece of surface, in units of its radius.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FarField {
+    first: [f32; 3],
+    second: [f32; 6],
+    third: [f32; 10],
+    /// Trace of P₂'s symmetric matrix.
+    trace: f32,
+    /// Trace of P₃'s symmetric tensor over two of its three indices.
+    traces: [f32; 3],
+}
+
+impl FarField {
+    /// Scales the moments by powers of `radius`, so that they fit single precision whatever the model's size.
+    fn from_moments(m: &Moments, radius: f64) -> Self {
+        let scale = if radius > 0.0 { 1.0 / radius } else { 0.0 };
+        // Powers are applied one by one: the fourth power of a tiny length is no number.
+        let third = m.third.map(|t| (t * scale * scale * scale * scale) as f32);
+        let [xxx, yyy, zzz, xxy, xxz, yyx, yyz, zzx, zzy, _] = third;
+        let second = m.second.map(|t| (t * scale * scale * scale) as f32);
+        Self {
+            first: (m.normal * scale * scale).as_vec3().to_array(),
+            second,
+            third,
+            traces: [
+                xxx + (yyx + zzx) / 3.0,
+                yyy + (xxy + zzy) / 3.0,
+                zzz + (xxz + yyz) / 3.0,
+            ],
+            trace: second[0] + second[1] + second[2],
+        }
+    }
+
+    /// The solid angle seen from a point in direction −`u` (a unit vector), `ratio` = radius / distance.
+    ///
+    /// It is ∫ ∇(1/|x|)·n expanded about the centroid: the derivatives of the dipole field u/r² contract with the
+    /// moments to P₁(u), tr P₂ − 3 P₂(u), and 7.5 P₃(u) − 4.5 (trace of P₃)·u, each with one more power of 1/r.
+    #[inline]
+    pub(super) fn solid_angle(&self, u: [f32; 3], ratio: f32) -> f32 {
+        let [x, y, z] = u;
+        let (xx, yy, zz, xy, yz, zx) = (x * x, y * y, z * z, x * y, y * z, z * x);
+        let linear = self.first[0] * x + self.first[1] * y + self.first[2] * z;
+        let q = &self.second;
+        let quadratic = q[0] * xx + q[1] * yy + q[2] * zz + q[3] * xy + q[4] * yz + q[5] * zx;
+        let c = &self.third;
+        let cubic = (c[0] * xx + c[5] * yy + c[7] * zz) * x
+            + (c[1] * yy + c[3] * xx + c[8] * zz) * y
+            + (c[2] * zz + c[4] * xx + c[6] * yy) * z
+            + c[9] * xy * z;
+        let traces = self.traces[0] * x + self.traces[1] * y + self.traces[2] * z;
+        let second_order = 7.5 * cubic - 4.5 * traces;
+        ratio * ratio * (linear + ratio * ((self.trace - 3.0 * quadratic) + ratio * second_order))
+    }
+}
+
+#[cfg(test)]
+mod moments_tests {
+    use super::*;
+
+    #[test]
+    fn moments_of_parts_add_up_to_those_of_the_whole() {
+        let [a, b, c] = [
+            DVec3::new(0.1, 0.0, 0.3),
+            DVec3::new(1.0, 0.2, 0.0),
+            DVec3::new(0.3, 1.0, 0.7),
+        ];
+        let middle = (a + b) * 0.3 + c * 0.4;
+        let whole = Moments::from_triangle([a, b, c]);
+        let parts = Moments::from_parts(&[[a, b, middle], [b, c, middle], [c, a, middle]].map(Moments::from_triangle));
+        assert!(whole.center.distance(parts.center) < 1e-12 && (whole.area - parts.area).abs() < 1e-12);
+        assert!(
+            whole
+                .second
+                .iter()
+                .zip(parts.second)
+                .all(|(w, p)| (w - p).abs() < 1e-12)
+        );
+        assert!(whole.third.iter().zip(parts.third).all(|(w, p)| (w - p).abs() < 1e-12));
     }
 }

@@ -18,10 +18,8 @@
 //! | `carried_points` | [`CarriedPoints`]: points with their neighbourhoods, for many shapes; [`SurfaceCarrier`] for one |
 
 mod carried_points;
-mod clusters;
 mod motion;
-mod neighbourhood;
 
 pub use carried_points::{CarriedPoints, SurfaceCarrier};
-pub use clusters::CarrySurface;
+pub use motion::CarrySurface;
 pub use motion::{CarriedFrame, SurfaceMotion};

@@ -4,16 +4,14 @@
 //! are taken as quaternions in the order that each joint lists its channels, so that angles that wrap do no harm. Position
 //! channels replace the joint's offset.
 
-mod clip_limits;
 mod hierarchy;
-mod lines;
 mod rows;
 
-pub use clip_limits::ClipLimits;
+pub use hierarchy::ClipLimits;
 
-use super::clip::{MotionClip, RecordedFrames};
 use super::error::Error;
-use lines::ClipLines;
+use super::skeleton::{MotionClip, RecordedFrames};
+use hierarchy::ClipLines;
 
 /// Reads a BVH file. Frames that follow after those declared count too, with a warning.
 ///

@@ -1,11 +1,11 @@
 //! The second half of a BVH file: a row of numbers for each frame.
 
-use super::clip_limits::{ClipLimits, check_count};
 use super::hierarchy::{ChannelTree, JointChannel};
-use super::lines::{ClipLine, ClipLines, shown};
-use crate::motion::clip::JointCurves;
+use super::hierarchy::{ClipLimits, check_count};
+use super::hierarchy::{ClipLine, ClipLines, shown};
 use crate::motion::curve::{Interpolation, KeyedCurve};
 use crate::motion::error::Error;
+use crate::motion::skeleton::JointCurves;
 use glam::{DQuat, DVec3};
 use std::sync::Arc;
 

@@ -3,12 +3,15 @@
 //! In a frame the squared error is quadratic in the bones' 3 × 4 matrices A: Σ tr(Aⱼ Pⱼₖ Aₖᵀ) − 2 Σ tr(Aⱼ Qⱼᵀ) + Σ v·v with
 //! Pⱼₖ = Σ wⱼ wₖ p̃ p̃ᵀ, the same in all frames, and Qⱼ = Σ wⱼ v p̃ᵀ. One bone after the other takes the rigid motion that fits
 //! what the others leave best (the paper's section 4.2), in as many sweeps as it takes, all without looking at a vertex again.
+//!
+//! Where bones are in each frame, laid out for the products that the fits are made of.
+//!
+//! What the fit of a vertex's weights needs of the bones, with the sum over all frames done beforehand.
 
-use super::bone_frames::{BoneFrames, get_in_frame, set_in_frame};
-use super::sequence::ShapeSamples;
+use super::decompose::ShapeSamples;
 use crate::exec::Exec;
 use crate::mesh::rotation::{fit_rotation, nearest_rotation, outer_product};
-use crate::motion::influences::BoneInfluences;
+use crate::motion::skeleton::BoneInfluences;
 use crate::progress::Cancelled;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
@@ -173,4 +176,228 @@ fn rotation_near(covariance: DMat3, before: DMat3) -> DMat3 {
         near
     };
     DMat3::from_quat(best)
+}
+
+/// A rotation R and a translation t for each bone and frame: a rest point p goes to R p + t.
+#[derive(Debug, Clone)]
+pub(super) struct BoneFrames {
+    bones: usize,
+    frames: usize,
+    /// By frame, coordinate and bone: the row (R₀, R₁, R₂, t) of that coordinate.
+    rows: Vec<f64>,
+}
+
+impl BoneFrames {
+    /// Bones that stay in the rest pose.
+    pub(super) fn at_rest(bones: usize, frames: usize) -> Self {
+        let mut all = Self {
+            bones,
+            frames,
+            rows: vec![0.0; frames * 12 * bones],
+        };
+        for frame in 0..frames {
+            (0..bones).for_each(|bone| all.set(frame, bone, DMat3::IDENTITY, DVec3::ZERO));
+        }
+        all
+    }
+
+    pub(super) fn bones(&self) -> usize {
+        self.bones
+    }
+
+    pub(super) fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// All rows of a coordinate in a frame, four numbers a bone.
+    pub(super) fn row(&self, frame: usize, coordinate: usize) -> &[f64] {
+        let size = 4 * self.bones;
+        let at = (3 * frame + coordinate) * size;
+        &self.rows[at..at + size]
+    }
+
+    /// The numbers of each frame, to be changed frame by frame.
+    fn frame_rows(&mut self) -> std::slice::ChunksMut<'_, f64> {
+        self.rows.chunks_mut((12 * self.bones).max(1))
+    }
+
+    pub(super) fn set(&mut self, frame: usize, bone: usize, rotation: DMat3, translation: DVec3) {
+        let size = 12 * self.bones;
+        let rows = &mut self.rows[frame * size..(frame + 1) * size];
+        set_in_frame(rows, self.bones, bone, rotation, translation);
+    }
+
+    pub(super) fn get(&self, frame: usize, bone: usize) -> (DMat3, DVec3) {
+        let size = 12 * self.bones;
+        get_in_frame(&self.rows[frame * size..(frame + 1) * size], self.bones, bone)
+    }
+
+    /// The rotation of a bone in a frame.
+    pub(super) fn rotation(&self, frame: usize, bone: usize) -> DQuat {
+        DQuat::from_mat3(&self.get(frame, bone).0).normalize()
+    }
+
+    /// The same with more bones at the end, in the rest pose.
+    pub(super) fn with_bones(&self, bones: usize) -> Self {
+        let mut all = Self::at_rest(bones, self.frames);
+        for frame in 0..self.frames {
+            for bone in 0..self.bones.min(bones) {
+                let (rotation, translation) = self.get(frame, bone);
+                all.set(frame, bone, rotation, translation);
+            }
+        }
+        all
+    }
+
+    /// These frames and no others.
+    pub(super) fn pick(&self, frames: &[usize]) -> Self {
+        let mut all = Self::at_rest(self.bones, frames.len());
+        for (at, &frame) in frames.iter().enumerate() {
+            for bone in 0..self.bones {
+                let (rotation, translation) = self.get(frame, bone);
+                all.set(at, bone, rotation, translation);
+            }
+        }
+        all
+    }
+}
+
+/// Writes a bone into the numbers of a frame.
+fn set_in_frame(rows: &mut [f64], bones: usize, bone: usize, rotation: DMat3, translation: DVec3) {
+    for c in 0..3 {
+        let at = 4 * (c * bones + bone);
+        for d in 0..3 {
+            rows[at + d] = rotation.col(d)[c];
+        }
+        rows[at + 3] = translation[c];
+    }
+}
+
+/// Reads a bone from the numbers of a frame.
+fn get_in_frame(rows: &[f64], bones: usize, bone: usize) -> (DMat3, DVec3) {
+    let entry = |c: usize, d: usize| rows[4 * (c * bones + bone) + d];
+    let column = |d: usize| DVec3::new(entry(0, d), entry(1, d), entry(2, d));
+    (DMat3::from_cols(column(0), column(1), column(2)), column(3))
+}
+
+/// Added to the diagonal of Gram matrices, by frame: bones that move alike share a weight instead of dividing by nothing.
+const RIDGE: f64 = 1e-15;
+
+/// Products of all pairs of bones over all frames.
+///
+/// A bone takes the rest point p to A p̃ with p̃ = (p, 1), so what two bones make of it has the product p̃ᵀ (Σ Aⱼᵀ Aₖ) p̃
+/// over all frames: a 4 × 4 matrix a pair serves all vertices.
+pub(super) struct BoneProducts {
+    bones: usize,
+    frames: usize,
+    /// (Σ Aᵀ A), with 4 rows and columns a bone.
+    products: Vec<f64>,
+}
+
+/// A vertex's answers to the bones: what its weights are fitted to.
+pub(super) struct VertexTargets<'a> {
+    /// p̃.
+    point: [f64; 4],
+    /// By bone: Σ Aᵀ v over all frames, four numbers each.
+    pulls: &'a [f64],
+    /// Σ v·v.
+    square: f64,
+}
+
+impl BoneProducts {
+    pub(super) fn new(bones: &BoneFrames, exec: &Exec<'_>) -> Result<Self, Cancelled> {
+        let size = 4 * bones.bones();
+        let mut products = vec![0.0; size * size];
+        for frame in 0..bones.frames() {
+            exec.check()?;
+            for coordinate in 0..3 {
+                let row = bones.row(frame, coordinate);
+                for (a, to) in row.iter().zip(products.chunks_mut(size)) {
+                    to.iter_mut().zip(row).for_each(|(sum, b)| *sum += a * b);
+                }
+            }
+        }
+        Ok(Self {
+            bones: bones.bones(),
+            frames: bones.frames(),
+            products,
+        })
+    }
+
+    pub(super) fn bones(&self) -> usize {
+        self.bones
+    }
+
+    /// Σ‖Aⱼ p̃ − v‖² for one bone.
+    pub(super) fn own_error(&self, vertex: &VertexTargets<'_>, bone: usize) -> f64 {
+        let size = 4 * self.bones;
+        let mut sum = 0.0;
+        for (a, x) in vertex.point.iter().enumerate() {
+            let row = &self.products[(4 * bone + a) * size + 4 * bone..][..4];
+            sum += x * dot4(row, &vertex.point);
+        }
+        (sum - 2.0 * vertex.pull(bone) + vertex.square).max(0.0) + self.ridge()
+    }
+
+    /// A row of the Gram matrix of Aⱼ p̃ − v, for one j and all bones.
+    pub(super) fn gram_row(&self, vertex: &VertexTargets<'_>, bone: usize, to: &mut Vec<f64>) {
+        let size = 4 * self.bones;
+        let p = &vertex.point;
+        let rows = &self.products[4 * bone * size..4 * (bone + 1) * size];
+        let base = vertex.square - vertex.pull(bone);
+        to.clear();
+        to.extend((0..self.bones).map(|k| {
+            let part = |a: usize| dot4(&rows[a * size + 4 * k..][..4], p);
+            let product = p[0] * part(0) + p[1] * part(1) + p[2] * part(2) + p[3] * part(3);
+            product + base - dot4(&vertex.pulls[4 * k..4 * k + 4], p)
+        }));
+        to[bone] = to[bone].max(0.0) + self.ridge();
+    }
+
+    fn ridge(&self) -> f64 {
+        RIDGE * self.frames as f64
+    }
+}
+
+impl<'a> VertexTargets<'a> {
+    pub(super) fn new(rest: DVec3, pulls: &'a [f64], square: f64) -> Self {
+        Self {
+            point: [rest.x, rest.y, rest.z, 1.0],
+            pulls,
+            square,
+        }
+    }
+
+    fn pull(&self, bone: usize) -> f64 {
+        dot4(&self.pulls[4 * bone..4 * bone + 4], &self.point)
+    }
+}
+
+fn dot4(a: &[f64], b: &[f64; 4]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+}
+
+/// Fills in Σ Aᵀ v and Σ v·v over all frames for a run of vertices; `pulls` has four numbers for each vertex and bone.
+pub(super) fn gather_targets(
+    samples: &ShapeSamples,
+    bones: &BoneFrames,
+    first: usize,
+    pulls: &mut [f64],
+    squares: &mut [f64],
+) {
+    pulls.fill(0.0);
+    squares.fill(0.0);
+    let size = 4 * bones.bones();
+    for frame in 0..bones.frames() {
+        let places = &samples.frame(frame)[3 * first..3 * (first + squares.len())];
+        for coordinate in 0..3 {
+            let row = bones.row(frame, coordinate);
+            let runs = pulls.chunks_exact_mut(size).zip(squares.iter_mut());
+            for ((to, square), place) in runs.zip(places.chunks_exact(3)) {
+                let v = f64::from(place[coordinate]);
+                *square += v * v;
+                to.iter_mut().zip(row).for_each(|(sum, b)| *sum += v * b);
+            }
+        }
+    }
 }

@@ -12,14 +12,9 @@
 //! is done on a sample of vertices and frames (`decompose`), as a bone's motion is known well from a few hundred vertices.
 
 mod bone_fit;
-mod bone_frames;
-mod bone_products;
 mod clusters;
 mod decompose;
-mod reseed;
-mod sequence;
-mod simplex_fit;
 mod weight_fit;
 
+pub use decompose::{DecompositionError, ShapeSequence};
 pub use decompose::{DecompositionOptions, SkinDecomposition, decompose, fit_weights};
-pub use sequence::{DecompositionError, ShapeSequence};

@@ -6,17 +6,13 @@
 //! farthest along it, arms are between them and the trunk, a gap separates the legs. [`rig_of_body`] combines both: it
 //! moves joints of limbs to the middle of what is around them, and makes bones as thick as that is.
 
-mod body_lattice;
-mod body_table;
-mod centred;
 mod clip_bones;
 mod found_body;
 mod rig_of_body;
-mod shape_bones;
 
-pub use body_table::{BODY_BONES, BODY_JOINTS, BodyBone};
-pub use centred::PlacedJoint;
+pub use clip_bones::bones_of_shape;
+pub use clip_bones::{BODY_BONES, BODY_JOINTS, BodyBone};
 pub use clip_bones::{ClipBones, bones_of_names, preset_skeleton};
 pub use found_body::{FoundBody, find_body};
+pub use rig_of_body::PlacedJoint;
 pub use rig_of_body::{BodyRig, rig_of_body};
-pub use shape_bones::bones_of_shape;

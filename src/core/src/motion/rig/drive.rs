@@ -1,10 +1,14 @@
 //! A clip's motion as that of a model's bones.
+//!
+//! Turns split into a twist about an axis and a swing of that axis.
+//!
+//! Bones that a clip twists nearly half around.
 
-use super::align::{BonePair, Heading, heading, scale};
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names, whole};
-use super::rigid::RigidMotion;
+use super::of_skin::RigidMotion;
+use super::of_skin::{BonePair, Heading, heading, scale};
 use crate::mesh::rotation::fit_rotation;
-use crate::motion::clip::MotionClip;
+use crate::motion::skeleton::MotionClip;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 
 /// How a clip drives a rig.
@@ -249,7 +253,7 @@ impl RigDriver {
 
     /// By bone how it is turned against its parent, relative to the reference pose, in the axes of the model's rest
     /// pose; `None` for the root.
-    pub(super) fn turns_from_reference(&self, seconds: f64) -> Vec<Option<DQuat>> {
+    fn turns_from_reference(&self, seconds: f64) -> Vec<Option<DQuat>> {
         let motions = self.world_motions(seconds);
         let turn = |(own, motion): (&DrivenBone, &RigidMotion)| {
             let parent = own.parent?;
@@ -333,11 +337,11 @@ fn within_limit(relative: DQuat, base: DQuat, limit: f64) -> DQuat {
     if 2.0 * half <= limit || sine == 0.0 {
         return relative;
     }
-    super::swing_twist::rotation_about(beyond.xyz() / sine, limit) * base
+    rotation_about(beyond.xyz() / sine, limit) * base
 }
 
 /// When a frame of a clip is, in seconds; of clips that were not recorded in frames, only the first is known.
-pub(super) fn time_of_frame(clip: &MotionClip, frame: usize) -> Result<f64, RigError> {
+fn time_of_frame(clip: &MotionClip, frame: usize) -> Result<f64, RigError> {
     let count = clip.recorded.map_or(1, |r| r.count);
     if frame >= count {
         let problem = format!("is {frame}, the clip has {count} frames, counted from 0");
@@ -372,4 +376,99 @@ fn first_below_elsewhere(clip: &MotionClip, joint: usize, places: &[DVec3]) -> O
         }
     }
     None
+}
+
+/// The angle in −π … π by which `rotation` twists about a unit axis: it is a swing of the axis after that twist. 0 where the
+/// axis is reversed, so that the twist is undefined.
+pub(super) fn twist_angle(rotation: DQuat, axis: DVec3) -> f64 {
+    let (along, w) = (rotation.xyz().dot(axis), rotation.w);
+    if along * along + w * w < 1e-12 {
+        return 0.0;
+    }
+    let half = libm::atan2(along, w);
+    let turn = std::f64::consts::TAU;
+    // Half the angle is told up to half a turn.
+    match 2.0 * half {
+        angle if angle > 0.5 * turn => angle - turn,
+        angle if angle < -0.5 * turn => angle + turn,
+        angle => angle,
+    }
+}
+
+/// A rotation by an angle about a unit axis.
+pub(super) fn rotation_about(axis: DVec3, angle: f64) -> DQuat {
+    let axis = axis * libm::sin(0.5 * angle);
+    DQuat::from_xyzw(axis.x, axis.y, axis.z, libm::cos(0.5 * angle))
+}
+
+/// Half-way between two rotations, along the shorter way.
+pub(super) fn half_way(a: DQuat, b: DQuat) -> DQuat {
+    let sum = if a.dot(b) < 0.0 { a - b } else { a + b };
+    match sum.length_squared() > 1e-12 {
+        true => sum.normalize(),
+        false => a,
+    }
+}
+
+#[cfg(test)]
+mod swing_twist_tests {
+    use super::*;
+
+    #[test]
+    fn twist_and_swing_are_told_apart() {
+        let (axis, across) = (DVec3::Z, DVec3::X);
+        for angle in [-3.0, -1.2, 0.0, 0.4, 2.6, 3.1] {
+            for bend in [-2.5, 0.0, 1.0] {
+                for sign in [1.0, -1.0] {
+                    let whole = rotation_about(across, bend) * rotation_about(axis, angle) * sign;
+                    assert!((twist_angle(whole, axis) - angle).abs() < 1e-12, "{angle} {bend}");
+                }
+            }
+        }
+        assert_eq!(twist_angle(DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0), axis), 0.0);
+    }
+}
+
+/// From how many degrees on a twist is reported: near half a turn, the next frame may turn the other way round.
+const LARGEST_TWIST: f64 = 170.0;
+/// The twist of a bone that swings by more than 160 degrees is ignored: the square of the cosine of half of that.
+const LEAST_TOLD: f64 = 0.03;
+/// How many bones are reported.
+const MOST_TOLD: usize = 8;
+
+impl RigDriver {
+    /// Warns of bones that are twisted about their own axes by more than 170 degrees against their parents, from how they stand in
+    /// the reference pose: once of each, of the frame where it is most. `frames` are numbers and times in seconds.
+    pub fn warn_of_twists(&mut self, rig: &MotionRig, frames: impl Iterator<Item = (usize, f64)>) {
+        let mut worst: Vec<Option<(f64, usize)>> = vec![None; rig.bones.len()];
+        for (frame, seconds) in frames {
+            let turns = self.turns_from_reference(seconds);
+            for ((bone, turn), worst) in rig.bones.iter().zip(turns).zip(&mut worst) {
+                let Some((turn, axis)) = turn.zip(bone.direction()) else {
+                    continue;
+                };
+                let along = turn.xyz().dot(axis);
+                if along * along + turn.w * turn.w < LEAST_TOLD {
+                    continue;
+                }
+                let degrees = twist_angle(turn, axis).to_degrees().abs();
+                if degrees > LARGEST_TWIST && worst.is_none_or(|(most, _)| degrees > most) {
+                    *worst = Some((degrees, frame));
+                }
+            }
+        }
+        let told = rig.bones.iter().zip(worst);
+        let twisted: Vec<_> = told.filter_map(|(bone, worst)| Some((&bone.id, worst?))).collect();
+        for (bone, (degrees, frame)) in twisted.iter().take(MOST_TOLD) {
+            self.warn(format!(
+                "bone \"{bone}\" is twisted by {degrees:.0} degrees about its own axis in frame {frame}, against how it stands in \
+                 the reference pose; near half a turn it may flip to the other side"
+            ));
+        }
+        if let Some(more @ 1..) = twisted.len().checked_sub(MOST_TOLD) {
+            self.warn(format!(
+                "{more} more bones are twisted by more than {LARGEST_TWIST} degrees"
+            ));
+        }
+    }
 }

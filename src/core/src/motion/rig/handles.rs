@@ -6,8 +6,8 @@
 
 use super::bones::{MotionRig, RigBone};
 use super::drive::RigPose;
-use super::rigid::RigidMotion;
-use super::swing_twist::{half_way, rotation_about, twist_angle};
+use super::drive::{half_way, rotation_about, twist_angle};
+use super::of_skin::RigidMotion;
 use glam::DVec3;
 
 /// A cylinder's radius over its bone's.

@@ -6,20 +6,15 @@
 //! paper's recipe (section 7: rotations along bones, positions at joints), with slices along limbs so that a twist is spread
 //! instead of wringing them.
 
-mod align;
 mod bones;
 mod drive;
 mod handles;
-mod joints;
 mod of_skin;
-mod rigid;
-mod swing_twist;
-mod twists;
 
 pub(in crate::motion) use bones::listed_names;
 pub use bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
+pub use bones::{RigSkeleton, moved_joints, rig_joints, skin_bones};
 pub use drive::{DriveOptions, RigDriver, RigPose};
 pub use handles::{RigHandle, RigHandleShape, rig_handles};
-pub use joints::{RigSkeleton, moved_joints, rig_joints, skin_bones};
+pub use of_skin::RigidMotion;
 pub use of_skin::rig_of_skin;
-pub use rigid::RigidMotion;

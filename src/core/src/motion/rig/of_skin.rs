@@ -1,11 +1,16 @@
 //! The rig of a skinned model: its joints are the rig's, and their vertices give the thickness of limbs.
+//!
+//! How a clip is turned and scaled to stand as a model does.
+//!
+//! Rigid motions as a turn about a point that goes somewhere.
 
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, whole};
+use super::drive::rotation_about;
 use crate::asset::MovingScene;
 use crate::mesh::query::closest_point::closest_point_on_segment;
-use crate::motion::clip::MotionClip;
-use crate::motion::of_scene::NodeOrder;
-use glam::DVec3;
+use crate::motion::scene_motion::NodeOrder;
+use crate::motion::skeleton::MotionClip;
+use glam::{DQuat, DVec3};
 
 /// How far beyond the middle of its vertices a bone ends on which none follows, in units of the way there.
 const LEAF_LENGTH: f64 = 1.6;
@@ -147,4 +152,160 @@ fn thickness(from: DVec3, to: DVec3, held: &[(DVec3, f64)]) -> Option<f64> {
     let weight: f64 = held.iter().map(|h| h.1).sum();
     let distance = |p: DVec3| closest_point_on_segment(p, from, to).distance(p);
     (weight > 0.0).then(|| held.iter().map(|h| distance(h.0) * h.1).sum::<f64>() / weight)
+}
+
+/// Where a bone lies in the model and in the clip at its reference pose.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct BonePair {
+    pub model: [DVec3; 2],
+    /// The end is `None` for a joint whose end is unknown.
+    pub clip: (DVec3, Option<DVec3>),
+}
+
+/// The turn about the vertical that lets a clip face as the model does: of all such turns the one that brings the clip's joints
+/// nearest to the model's, both about their means. It is nothing where both are almost on one vertical line. A clip
+/// that lies along z, such as one whose vertical is z, is turned upright before, where that brings it nearer.
+pub(super) fn heading(pairs: &[BonePair]) -> Heading {
+    let upright = turn_about_vertical(pairs.iter().flat_map(points_of).collect());
+    let clip = || pairs.iter().flat_map(points_of).map(|p| p[1]);
+    let low = clip().fold(DVec3::INFINITY, |a, p| a.min(p));
+    let high = clip().fold(DVec3::NEG_INFINITY, |a, p| a.max(p));
+    let (tall, long) = (high.y - low.y, high.z - low.z);
+    let as_read = Heading {
+        turn: upright.0,
+        up: DVec3::Y,
+    };
+    if long <= LYING * tall {
+        return as_read;
+    }
+    let stood = |p: DVec3| DVec3::new(p.x, p.z, -p.y);
+    let standing = pairs.iter().flat_map(points_of).map(|[m, c]| [m, stood(c)]);
+    let standing = turn_about_vertical(standing.collect());
+    if standing.1 <= upright.1 {
+        return as_read;
+    }
+    Heading {
+        turn: standing.0 * rotation_about(DVec3::X, -std::f64::consts::FRAC_PI_2),
+        up: DVec3::Z,
+    }
+}
+
+/// How a clip is turned to stand as a model does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Heading {
+    /// From the clip's space to the model's.
+    pub(super) turn: DQuat,
+    /// The clip's axis that becomes the vertical.
+    pub(super) up: DVec3,
+}
+
+/// How much longer a clip is along z than along y whose vertical may be z.
+const LYING: f64 = 1.5;
+
+/// The turn about the vertical that brings clip's points nearest to the model's, and how near they then are: larger is nearer.
+fn turn_about_vertical(points: Vec<[DVec3; 2]>) -> (DQuat, f64) {
+    let count = points.len().max(1) as f64;
+    let [model_mean, clip_mean] = [0, 1].map(|k| points.iter().map(|p| p[k]).sum::<DVec3>() / count);
+    let (mut along, mut across, mut size, mut level) = (0.0, 0.0, 0.0, 0.0);
+    for [model, clip] in points {
+        let (m, c) = (model - model_mean, clip - clip_mean);
+        along += m.x * c.x + m.z * c.z;
+        // Positive where the clip has to be turned from z towards x.
+        across += m.x * c.z - m.z * c.x;
+        level += m.y * c.y;
+        size += m.length() * c.length();
+    }
+    let near = libm::hypot(along, across);
+    if near <= 1e-6 * size {
+        return (DQuat::IDENTITY, level);
+    }
+    (rotation_about(DVec3::Y, libm::atan2(across, along)), level + near)
+}
+
+fn points_of(pair: &BonePair) -> impl Iterator<Item = [DVec3; 2]> {
+    let end = pair.clip.1.map(|end| [pair.model[1], end]);
+    [Some([pair.model[0], pair.clip.0]), end].into_iter().flatten()
+}
+
+/// Model units for one unit of a clip: the lengths of the model's bones over those of the clip's. 1 where the clip's have none.
+pub(super) fn scale(bones: &[RigBone], pairs: &[BonePair]) -> f64 {
+    let (mut model, mut clip) = (0.0, 0.0);
+    for (bone, pair) in bones.iter().zip(pairs) {
+        let mut add = |[a, b]: [DVec3; 2], from: DVec3, to: DVec3| {
+            let length = from.distance(to);
+            if length > 0.0 {
+                model += a.distance(b);
+                clip += length;
+            }
+        };
+        if let Some(end) = pair.clip.1 {
+            add(pair.model, pair.clip.0, end);
+        }
+        if let Some(parent) = bone.parent.map(|p| &pairs[p]) {
+            add([parent.model[0], pair.model[0]], parent.clip.0, pair.clip.0);
+        }
+    }
+    match clip > 0.0 && model > 0.0 {
+        true => model / clip,
+        false => 1.0,
+    }
+}
+
+/// Takes a point x to R (x − from) + to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RigidMotion {
+    /// R, of unit length.
+    pub rotation: DQuat,
+    /// The point about which it turns, before.
+    pub from: DVec3,
+    /// Where that point goes.
+    pub to: DVec3,
+}
+
+impl RigidMotion {
+    /// Leaves everything where it is.
+    pub const IDENTITY: Self = Self {
+        rotation: DQuat::IDENTITY,
+        from: DVec3::ZERO,
+        to: DVec3::ZERO,
+    };
+
+    /// Where a point goes.
+    pub fn place(&self, point: DVec3) -> DVec3 {
+        self.rotation * (point - self.from) + self.to
+    }
+
+    /// Where a point comes from.
+    pub fn place_back(&self, point: DVec3) -> DVec3 {
+        self.rotation.inverse() * (point - self.to) + self.from
+    }
+
+    /// This motion, and then another.
+    #[must_use]
+    pub fn followed_by(&self, next: &Self) -> Self {
+        Self {
+            rotation: (next.rotation * self.rotation).normalize(),
+            from: self.from,
+            to: next.place(self.to),
+        }
+    }
+
+    /// The motion as a point moved along with `frame` sees it: first this one, then back what `frame` did.
+    ///
+    /// ```
+    /// use glam::{DQuat, DVec3};
+    /// use pliant_core::motion::rig::RigidMotion;
+    /// let turn = RigidMotion { rotation: DQuat::from_xyzw(0.0, 1.0, 0.0, 0.0), from: DVec3::X, to: DVec3::Y };
+    /// let seen = turn.seen_from(&turn);
+    /// assert!(seen.place(DVec3::Z).distance(DVec3::Z) < 1e-15);
+    /// ```
+    #[must_use]
+    pub fn seen_from(&self, frame: &Self) -> Self {
+        let back = frame.rotation.inverse();
+        Self {
+            rotation: (back * self.rotation).normalize(),
+            from: self.from,
+            to: back * (self.to - frame.to) + frame.from,
+        }
+    }
 }

@@ -1,6 +1,6 @@
 //! The few heaviest of many weights, without a jump where another one becomes heavier.
 
-use crate::motion::influences::BoneInfluences;
+use crate::motion::skeleton::BoneInfluences;
 
 /// Weights kept of each vertex; what comes after them is nothing that shows.
 const KEPT: usize = 12;

@@ -10,7 +10,6 @@
 
 mod four_heaviest;
 mod heat_columns;
-mod occupied_cells;
 
+pub(super) use heat_columns::OccupiedCells;
 pub use heat_columns::{SkinBone, SkinWeightError, SkinWeightOptions, skin_weights};
-pub(super) use occupied_cells::OccupiedCells;

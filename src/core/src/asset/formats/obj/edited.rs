@@ -1,11 +1,11 @@
 //! OBJ out after edits of the topology, and what an edited OBJ gives to other formats.
 
 use super::super::text::{NumberPrecision, push_number};
-use super::coordinates::{RunCoordinates, coordinates_of};
 use super::library::{MaterialLibrary, read_libraries};
 use super::parted::{CornerAttributes, TextureCoordinate, divide_corners};
 use super::read::{ObjNotes, has_no_number};
 use super::statements::{FaceState, ObjStatements, name_in, object_numbers, printable, read};
+use super::statements::{RunCoordinates, coordinates_of};
 use super::write::{push_corner, push_line, push_numbers};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun, RunFaces};

@@ -3,8 +3,6 @@
 //! A render vertex is a `v` line, in file order, whether a face uses it or not. Lines that the mesh does not need
 //! (materials, groups, curves, whatever is unknown) are never interpreted, so they survive untouched.
 
-mod coordinates;
-mod corner;
 mod edited;
 mod library;
 mod normals;

@@ -4,7 +4,7 @@
 //! at one vertex; pairs are what shades. A line whose pairs still agree is rewritten; where they part, the line serves
 //! the first of them and the others get new lines.
 
-use super::corner::NO_NORMAL;
+use super::statements::NO_NORMAL;
 use crate::mesh::shading;
 use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;

@@ -2,8 +2,8 @@
 
 use super::super::polygons::Polygons;
 use super::super::text::{NumberPrecision, TextLexer, TextToken, coordinate, number, shown};
-use super::corner::{FaceCorner, NO_NORMAL, STYLE, resolve, three_words};
 use super::normals::NormalLines;
+use super::statements::{FaceCorner, NO_NORMAL, STYLE, resolve, three_words};
 use crate::asset::edited::FaceOutlines;
 use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};

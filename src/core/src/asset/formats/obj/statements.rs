@@ -1,9 +1,13 @@
 //! What an OBJ text holds beyond positions and triangles, read again when it is needed.
+//!
+//! Corners of faces, the words of lines, and what separates them.
+//!
+//! Texture coordinates of an OBJ for formats that divide no vertices: by vertex where all corners agree, else by corner.
 
 use super::super::polygons::Polygons;
-use super::super::text::{TextLexer, number};
-use super::corner::{FaceCorner, NO_NORMAL, STYLE, resolve};
+use super::super::text::{TextLexer, TextStyle, TextToken, integer, number};
 use crate::asset::Model;
+use crate::asset::edited::{EditedModel, PrimitiveRun, TriangleOrigins};
 use crate::asset::geometry::unit_or_zero;
 use crate::asset::vertex_attributes::{AttributeKeys, hash_bytes, hash_numbers, normal_key};
 use crate::mesh::mix_bits;
@@ -261,4 +265,139 @@ pub(super) fn name_in(line: &[u8]) -> String {
 /// A name without what would end its line.
 pub(super) fn printable(name: &str) -> String {
     name.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
+
+/// What separates words.
+pub(super) const STYLE: TextStyle = TextStyle {
+    comments: true,
+    continuation: true,
+};
+
+/// Marks a corner that names no normal.
+pub(super) const NO_NORMAL: u32 = u32::MAX;
+
+/// One corner of a face as written: vertex, texture coordinate and normal, each counted from 1 or from the end.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FaceCorner {
+    pub vertex: i64,
+    pub texture: Option<i64>,
+    pub normal: Option<i64>,
+    /// Where the number of the normal stands.
+    pub normal_token: TextToken,
+}
+
+impl FaceCorner {
+    /// Reads a corner; `None` when the word is none.
+    pub fn parse(lexer: &TextLexer<'_>, token: TextToken) -> Option<Self> {
+        let mut end = token.start;
+        let mut next = || {
+            let start = end;
+            let text = lexer.text(TextToken {
+                start: start.min(token.end),
+                ..token
+            });
+            let length = text.iter().position(|&b| b == b'/').unwrap_or(text.len());
+            end = start + length + 1;
+            (
+                &text[..length],
+                TextToken {
+                    start,
+                    end: start + length,
+                    ..token
+                },
+            )
+        };
+        let optional = |text: &[u8]| {
+            if text.is_empty() {
+                Some(None)
+            } else {
+                integer(text).map(Some)
+            }
+        };
+        let (vertex, texture, (normal, normal_token)) = (next().0, next().0, next());
+        let complete = end > token.end;
+        complete.then_some(Self {
+            vertex: integer(vertex)?,
+            texture: optional(texture)?,
+            normal: optional(normal)?,
+            normal_token,
+        })
+    }
+}
+
+/// The place in a list of `count` lines so far that a written index means; `None` for 0 and for places before the first.
+/// An index past `count` may name a line that is still to come.
+pub(super) fn resolve(index: i64, count: u32) -> Option<u32> {
+    let place = if index > 0 { index - 1 } else { i64::from(count) + index };
+    u32::try_from(place).ok().filter(|_| index != 0)
+}
+
+/// The next three words of the line, or how many there were.
+pub(super) fn three_words(lexer: &mut TextLexer<'_>) -> Result<[TextToken; 3], usize> {
+    let mut words = [TextToken {
+        start: 0,
+        end: 0,
+        line: 0,
+    }; 3];
+    for i in 0..3 {
+        words[i] = lexer.token_on_line().ok_or(i)?;
+    }
+    Ok(words)
+}
+
+/// The texture coordinates of a run, counted from the upper left corner of the picture.
+pub(super) enum RunCoordinates {
+    None,
+    /// One for each vertex.
+    OfVertices(Vec<[f32; 2]>),
+    /// One for each corner of a triangle.
+    OfCorners(Vec<[f32; 2]>),
+}
+
+/// Finds the coordinates of a run. `statements` are its base's.
+pub(super) fn coordinates_of(
+    edited: &EditedModel<'_>,
+    run: &PrimitiveRun,
+    statements: &ObjStatements<'_>,
+) -> RunCoordinates {
+    let old = &edited.base(run).model.geometry.triangles;
+    let seam = &statements.corner_textures;
+    if seam.len() != 3 * old.len() || seam.iter().all(|&line| line == NO_TEXTURE) {
+        return RunCoordinates::None;
+    }
+    let pair = |line: &&[u8]| {
+        let numbers = parse_numbers(line);
+        let at = |i: usize| numbers.get(i).copied().filter(|v| v.is_finite()).unwrap_or(0.0);
+        [at(0), at(1)]
+    };
+    let lines: Vec<[f64; 2]> = statements.textures.iter().map(pair).collect();
+    let origins = TriangleOrigins::new(edited, run, old);
+    let mut corners = Vec::with_capacity(3 * run.triangle_count as usize);
+    for triangle in 0..run.triangle_count as usize {
+        for k in 0..3 {
+            let (mut sum, mut total) = ([0.0; 2], 0.0);
+            for (corner, weight) in origins.corner(triangle, k, seam) {
+                if let Some([u, v]) = lines.get(seam[corner as usize] as usize) {
+                    sum = [sum[0] + u * weight, sum[1] + v * weight];
+                    total += weight;
+                }
+            }
+            let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
+            corners.push([(sum[0] * scale) as f32, (1.0 - sum[1] * scale) as f32]);
+        }
+    }
+    by_vertex(edited, run, &corners).map_or(RunCoordinates::OfCorners(corners), RunCoordinates::OfVertices)
+}
+
+/// One coordinate for each vertex, if all of its corners have the same.
+fn by_vertex(edited: &EditedModel<'_>, run: &PrimitiveRun, corners: &[[f32; 2]]) -> Option<Vec<[f32; 2]>> {
+    let mut of_vertex: Vec<Option<[f32; 2]>> = vec![None; run.vertex_count as usize];
+    let vertices = edited.triangles[run.triangles()].as_flattened();
+    for (&vertex, &here) in vertices.iter().zip(corners) {
+        let known = of_vertex[(vertex - run.first_vertex) as usize].get_or_insert(here);
+        if known.map(f32::to_bits) != here.map(f32::to_bits) {
+            return None;
+        }
+    }
+    Some(of_vertex.into_iter().map(Option::unwrap_or_default).collect())
 }

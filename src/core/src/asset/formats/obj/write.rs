@@ -1,11 +1,11 @@
 //! OBJ out: the uploaded text with the changed numbers replaced, or a fresh text.
 
 use super::super::text::{NumberPrecision, TextLexer, TextPatch, newline_of, push_number, push_triple};
-use super::corner::{FaceCorner, STYLE, resolve, three_words};
 use super::library::write_library;
 use super::normals::{NormalLines, NormalPlan};
 use super::read::ObjNotes;
 use super::statements::printable;
+use super::statements::{FaceCorner, STYLE, resolve, three_words};
 use crate::asset::material::NamedMaterial;
 use crate::asset::model::position_bits;
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};

@@ -7,7 +7,6 @@ mod edited;
 mod read;
 #[cfg(test)]
 mod tests;
-mod write;
 
 pub(super) use read::FORMAT;
 
@@ -38,11 +37,11 @@ impl FormatCodec for OffCodec {
         format: Format,
         _: &ShapeFollowers<'_>,
     ) -> Result<WrittenFiles, Error> {
-        patch_text_file(model, positions, format, write::patch)
+        patch_text_file(model, positions, format, read::patch)
     }
 
     fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {
-        Ok(WrittenFiles::single(write::build(neutral)))
+        Ok(WrittenFiles::single(read::build(neutral)))
     }
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {

@@ -1,4 +1,4 @@
-use super::write::build;
+use super::read::build;
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Limits, Model};
 use glam::{DVec3, Vec3};

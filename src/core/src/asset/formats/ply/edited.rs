@@ -2,7 +2,7 @@
 
 use super::super::text::newline_of;
 use super::body::push;
-use super::header::{PlyElement, PlyEncoding, PlyProperty, PlyScalar};
+use super::body::{PlyElement, PlyEncoding, PlyProperty, PlyScalar};
 use super::read::{FORMAT, PlyNotes, VertexRole, is_indices};
 use super::table::{PlyTable, read};
 use super::write::stored_types;

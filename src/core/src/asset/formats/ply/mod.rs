@@ -5,7 +5,6 @@
 
 mod body;
 mod edited;
-mod header;
 mod read;
 mod table;
 #[cfg(test)]

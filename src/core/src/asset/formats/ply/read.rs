@@ -2,7 +2,7 @@
 
 use super::super::polygons::Polygons;
 use super::body::PlyBody;
-use super::header::{PlyElement, PlyEncoding, PlyHeader};
+use super::body::{PlyElement, PlyEncoding, PlyHeader};
 use crate::asset::edited::FaceOutlines;
 use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};

@@ -2,7 +2,7 @@
 
 use super::super::polygons::Polygons;
 use super::body::PlyBody;
-use super::header::{PlyElement, PlyEncoding, PlyHeader, PlyProperty, PlyScalar};
+use super::body::{PlyElement, PlyEncoding, PlyHeader, PlyProperty, PlyScalar};
 use super::read::{TriangleStrip, is_indices};
 use crate::asset::Error;
 use crate::mesh::NONE;

@@ -1,5 +1,5 @@
 use super::body::push;
-use super::header::{PlyEncoding, PlyScalar};
+use super::body::{PlyEncoding, PlyScalar};
 use super::write::build;
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Limits, Model};

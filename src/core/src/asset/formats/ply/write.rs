@@ -2,7 +2,7 @@
 
 use super::super::text::TextPatch;
 use super::body::{PlyBody, push};
-use super::header::{PlyEncoding, PlyScalar};
+use super::body::{PlyEncoding, PlyScalar};
 use super::read::{FORMAT, PlyNotes, VertexRole};
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, Geometry};
