@@ -32,7 +32,7 @@ use tracing::Span;
 
 /// The labels of a finished call. Routes and methods come from fixed lists, so their number is bounded.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
-pub(super) struct Call {
+pub(super) struct CallLabels {
     transport: &'static str,
     route: Arc<str>,
     code: Arc<str>,
@@ -49,7 +49,7 @@ pub(super) struct RouteLabels {
 #[derive(Clone)]
 pub(super) struct Telemetry {
     registry: Arc<Registry>,
-    calls: Family<Call, Counter>,
+    calls: Family<CallLabels, Counter>,
     seconds: Family<RouteLabels, Histogram, fn() -> Histogram>,
     in_flight: Gauge,
     /// Connections open.
@@ -70,7 +70,7 @@ impl Telemetry {
     /// Counts that also report those of `manager`.
     pub fn new(manager: &Manager) -> Self {
         let mut registry = Registry::with_prefix("pliant");
-        let calls = Family::<Call, Counter>::default();
+        let calls = Family::<CallLabels, Counter>::default();
         let seconds = Family::<RouteLabels, Histogram, fn() -> Histogram>::new_with_constructor(seconds_histogram);
         let (in_flight, connections, sockets) = (Gauge::default(), Gauge::default(), Gauge::default());
         let connections_refused = Counter::default();
@@ -258,7 +258,7 @@ impl Drop for Recorder {
             .seconds
             .get_or_create(&route)
             .observe(elapsed.as_secs_f64());
-        let call = Call {
+        let call = CallLabels {
             transport: self.transport,
             route: Arc::clone(&self.route),
             code,
