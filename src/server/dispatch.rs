@@ -1,13 +1,12 @@
-//! One port, two families: requests of gRPC and gRPC-Web go to one side, all others to HTTP.
+//! One port, two families: requests of gRPC and gRPC-Web go to tonic's services, all others to HTTP.
 
-use super::auth::{Gatekeeper, principal};
+use super::auth::{Authenticator, principal};
 use super::config::ServerConfig;
-use super::connection_facts::ConnectionFacts;
-use super::grpc::Grpc;
-use super::http;
-use super::origin::Origins;
-use super::state::State;
-use super::visitors::{self, Refused};
+use super::connection::CertificateCaller;
+use super::grpc::{self, Grpc};
+use super::http::{self, problem::Problem};
+use super::request_filter::{self, Rejected};
+use super::state::ServerState;
 use crate::session::Error;
 use ::http::{HeaderName, HeaderValue, Method, Request, Response, header};
 use axum::Router;
@@ -15,90 +14,81 @@ use axum::body::Body;
 use axum::response::IntoResponse as _;
 use std::convert::Infallible;
 use std::time::Duration;
-use tokio_util::sync::CancellationToken;
-use tower::{Layer as _, Service, ServiceExt as _};
-use tower_http::cors::{AllowHeaders, AllowOrigin, Cors, CorsLayer};
+use tower::util::BoxCloneSyncService;
+use tower::{Layer as _, ServiceExt as _, service_fn};
+use tower_http::cors::{AllowHeaders, AllowOrigin, CorsLayer};
+
+type Routed = BoxCloneSyncService<Request<Body>, Response<Body>, Infallible>;
 
 /// Answers every request of the port.
 #[derive(Clone)]
 pub(super) struct Dispatch {
-    sides: Sides,
-    /// The same for requests of browser pages.
-    pages: Cors<Sides>,
-    dropped: CancellationToken,
-    state: State,
+    /// For programs.
+    plain: Routed,
+    /// For browser pages, with the headers of CORS.
+    pages: Routed,
+    grpc: Grpc,
+    state: ServerState,
 }
 
 impl Dispatch {
-    /// Everything that answers over `state`.
+    /// Sets up everything that answers over `state`.
     ///
     /// # Errors
     /// A text, when the descriptors built into this program cannot be read.
-    pub async fn new(state: &State) -> Result<Self, String> {
-        let sides = Sides {
-            grpc: Grpc::new(state).await?,
+    pub async fn new(state: &ServerState) -> Result<Self, String> {
+        let grpc = Grpc::new(state).await?;
+        let routes = Routes {
+            grpc: grpc.clone(),
             http: http::router(state),
-            gatekeeper: state.gatekeeper.clone(),
+            authenticator: state.authenticator.clone(),
         };
-        let pages = cors(&state.config).layer(sides.clone());
-        let dropped = CancellationToken::new();
+        let plain = service_fn(move |request| routes.clone().answer(request));
         Ok(Self {
-            sides,
-            pages,
-            dropped,
+            pages: BoxCloneSyncService::new(cors(&state.config).layer(plain.clone())),
+            plain: BoxCloneSyncService::new(plain),
+            grpc,
             state: state.clone(),
         })
     }
 
     /// Answers a request.
     pub async fn call(&self, mut request: Request<Body>) -> Response<Body> {
-        let refused = visitors::refuse(&request, &self.state.config);
-        let answer = if let Some(refused) = refused {
-            request.extensions_mut().insert(refused);
-            self.sides.clone().oneshot(request).await
-        } else if request.headers().contains_key(header::ORIGIN) {
-            self.pages.clone().oneshot(request).await
-        } else {
-            self.sides.clone().oneshot(request).await
-        };
-        match answer {
-            Ok(response) => guarded(response),
-            Err(never) => match never {},
+        let rejected = request_filter::reject(&request, &self.state.config.hosts, &self.state.config.origins);
+        let is_page = rejected.is_none() && request.headers().contains_key(header::ORIGIN);
+        if let Some(rejected) = rejected {
+            request.extensions_mut().insert(rejected);
         }
-    }
-
-    /// Whether a request is answered in gRPC's way.
-    pub fn is_grpc<B>(request: &Request<B>) -> bool {
-        Grpc::takes(request)
-    }
-
-    /// The answer to a request that is refused after it was answered.
-    pub fn refusal(error: Error, is_grpc: bool) -> Response<Body> {
-        if is_grpc {
-            super::grpc::refusal(error)
-        } else {
-            http::problem::Problem::from(error).into_response()
+        let service = if is_page { &self.pages } else { &self.plain };
+        match service.clone().oneshot(request).await {
+            Ok(response) => with_browser_headers(response),
+            Err(never) => match never {},
         }
     }
 
     /// Reports to health watchers: not serving.
     pub async fn stop_serving(&self) {
-        self.sides.grpc.stop_serving().await;
+        self.grpc.stop_serving().await;
     }
+}
 
-    /// Drops every connection that is still open.
-    pub fn drop_connections(&self) {
-        self.dropped.cancel();
-    }
+/// Whether a request is one of gRPC or gRPC-Web.
+pub(super) fn is_grpc<B>(request: &Request<B>) -> bool {
+    let content_type = request.headers().get(header::CONTENT_TYPE);
+    content_type.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
+}
 
-    /// Cancelled when connections are dropped.
-    pub fn dropped(&self) -> CancellationToken {
-        self.dropped.clone()
+/// The answer that rejects a call, after it was answered otherwise.
+pub(super) fn rejection(error: Error, is_grpc: bool) -> Response<Body> {
+    if is_grpc {
+        grpc::rejection(error)
+    } else {
+        Problem::from(error).into_response()
     }
 }
 
 /// Forbids browsers to guess the type of an answer, and pages of other origins to embed it.
-fn guarded(mut response: Response<Body>) -> Response<Body> {
+fn with_browser_headers(mut response: Response<Body>) -> Response<Body> {
     let headers = response.headers_mut();
     for (name, value) in [
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
@@ -110,54 +100,41 @@ fn guarded(mut response: Response<Body>) -> Response<Body> {
 }
 
 #[derive(Clone)]
-struct Sides {
+struct Routes {
     grpc: Grpc,
     http: Router,
-    gatekeeper: Gatekeeper,
+    authenticator: Authenticator,
 }
 
-impl Service<Request<Body>> for Sides {
-    type Response = Response<Body>;
-    type Error = Infallible;
-    type Future = futures::future::BoxFuture<'static, Result<Response<Body>, Infallible>>;
-
-    fn poll_ready(&mut self, _: &mut std::task::Context<'_>) -> std::task::Poll<Result<(), Infallible>> {
-        std::task::Poll::Ready(Ok(()))
-    }
-
-    /// Authenticates inside the CORS layer: pages must be able to read a 401, and preflight requests carry no
-    /// credentials.
-    fn call(&mut self, mut request: Request<Body>) -> Self::Future {
-        let Self { grpc, http, gatekeeper } = self.clone();
-        Box::pin(async move {
-            if request.extensions().get::<Refused>().is_none() {
-                let shown = request.extensions().get::<ConnectionFacts>().cloned();
-                let shown = shown.as_ref().and_then(|facts| facts.shown.as_ref());
-                if let Err(error) = gatekeeper.admit(&mut request, shown).await {
-                    request.extensions_mut().insert(Refused(error));
-                }
+impl Routes {
+    /// Authenticates inside the CORS layer: pages must be able to read a 401, and preflight requests contain no credentials.
+    async fn answer(self, mut request: Request<Body>) -> Result<Response<Body>, Infallible> {
+        if request.extensions().get::<Rejected>().is_none() {
+            let certificate = request.extensions().get::<CertificateCaller>().cloned();
+            let certificate = certificate.and_then(|caller| caller.0);
+            if let Err(error) = self.authenticator.admit(&mut request, certificate.as_ref()).await {
+                request.extensions_mut().insert(Rejected(error));
             }
-            let tenant = principal(request.extensions()).map(|p| p.tenant.clone()).ok();
-            let mut response = if Grpc::takes(&request) {
-                grpc.call(request).await
-            } else {
-                http.oneshot(request).await?
-            };
-            // Who asked is charged for the answer until it is read.
-            if let Some(tenant) = tenant {
-                response.extensions_mut().insert(tenant);
-            }
-            Ok(response)
-        })
+        }
+        let tenant = principal(request.extensions()).map(|p| p.tenant.clone()).ok();
+        let mut response = if is_grpc(&request) {
+            self.grpc.call(request).await
+        } else {
+            self.http.oneshot(request).await?
+        };
+        // The answer counts for the caller's tenant until it is read.
+        if let Some(tenant) = tenant {
+            response.extensions_mut().insert(tenant);
+        }
+        Ok(response)
     }
 }
 
 /// CORS: which pages may call, and which headers they may read.
 fn cors(config: &ServerConfig) -> CorsLayer {
-    let origins: Origins = config.origins.clone();
-    let allowed = AllowOrigin::predicate(move |origin: &HeaderValue, request: &::http::request::Parts| {
-        let host = request.headers.get(header::HOST).and_then(|h| h.to_str().ok());
-        origins.allow(origin, host.or_else(|| request.uri.authority().map(|a| a.as_str())))
+    let origins = config.origins.clone();
+    let allowed = AllowOrigin::predicate(move |_: &HeaderValue, request: &::http::request::Parts| {
+        origins.admit(&request.headers, &request.uri)
     });
     let own = [
         "grpc-status",

@@ -1,40 +1,35 @@
 //! Connections: accepting, bounding, and ending them.
 //!
-//! The life of a server, in order: accept until asked to stop; then refuse new work but keep accepting, so that health
-//! checks see it; when no work is left, close connections politely; at the deadline, drop what is still there. The
-//! protocol libraries may not end in time: a connection that never sends a byte, or a stream without a reader, would
-//! hold them permanently.
+//! The life of a server, in order: accept until asked to stop; then reject new work but keep accepting, so that health
+//! checks see it; when no work is left, shut connections down gracefully; at the deadline, drop what is still there.
+//!
+//! The end of a connection is by hand: `hyper_util::server::graceful` waits for every connection, and some never end. One
+//! that has sent no byte, one whose peer keeps it open without a request, one that only watches the health, and a stream
+//! without a reader must not delay the server.
 
+use super::auth::Principal;
 use super::config::ServerConfig;
-use super::connection_facts::ConnectionFacts;
-use super::connection_slot::ConnectionSlot;
-use super::dispatch::Dispatch;
-use super::error::Error;
-use super::lingering::{Linger, LingeringSocket};
-use super::peers::Peers;
-use super::state::State;
-use super::tls::TlsDoor;
-use super::unread::UnreadAnswer;
+use super::connection::{CertificateCaller, ClientSocket, ConnectionSlot, Peers, SocketFlags};
+use super::dispatch::{self, Dispatch};
+use super::http::problem::PROBLEM_JSON;
+use super::response_watchdog::ResponseWatchdog;
+use super::state::ServerState;
+use super::tls::TlsAcceptor;
 use crate::session::Tenant;
 use axum::body::Body;
-use bytes::Bytes;
-use http::{HeaderValue, Request, Response, Version, header};
-use http_body::{Body as HttpBody, Frame, SizeHint};
+use http::{HeaderValue, Request, Response, StatusCode, Version, header};
 use hyper::body::Incoming;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto;
+use std::convert::Infallible;
 use std::future::Future;
-use std::io;
 use std::net::IpAddr;
-use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::task::{Context, Poll};
 use std::time::Duration;
-use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _, ReadBuf};
+use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
-use tokio::time::Instant;
+use tokio::time::{Instant, timeout};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
@@ -42,42 +37,40 @@ use tokio_util::task::TaskTracker;
 const IDLE_CLOSE: Duration = Duration::from_millis(300);
 
 /// Connections beyond the limit that are rejected at a time.
-const REFUSALS: usize = 64;
+const REJECTIONS: usize = 64;
 
 /// How long such a rejection may take.
-const REFUSAL: Duration = Duration::from_secs(1);
+const REJECTION: Duration = Duration::from_secs(1);
 
 /// How long its health request may take, which is answered even then.
-const HEALTH_QUESTION: Duration = Duration::from_millis(200);
+const HEALTH_REQUEST: Duration = Duration::from_millis(200);
 
 /// Serves connections of `listener` until `shutdown` and the drain after it.
 pub(super) async fn serve(
     listener: TcpListener,
-    state: State,
+    state: ServerState,
     dispatch: Dispatch,
     shutdown: impl Future<Output = ()>,
-) -> Result<(), Error> {
-    let connections = TaskTracker::new();
-    let polite = CancellationToken::new();
-    let doors = Doors {
+) {
+    let acceptor = ConnectionAcceptor {
         builder: Arc::new(builder(&state.config)),
         slots: Arc::new(Semaphore::new(state.config.connections as usize)),
-        refusals: Arc::new(Semaphore::new(REFUSALS)),
+        rejections: Arc::new(Semaphore::new(REJECTIONS)),
         peers: Peers::default(),
-        connections: connections.clone(),
-        polite: polite.clone(),
+        connections: TaskTracker::new(),
+        shutdown_token: CancellationToken::new(),
         state: state.clone(),
         dispatch: dispatch.clone(),
     };
     tokio::pin!(shutdown);
     tokio::select! {
-        () = doors.accept(&listener) => {}
+        () = acceptor.accept(&listener) => {}
         () = &mut shutdown => {}
     }
 
     let asked = Instant::now();
     let deadline = asked + state.config.drain_deadline;
-    // Streams that are cut still get to say so before their connection goes.
+    // Streams that are cut can still report it before their connection ends.
     let cut = deadline - (state.config.drain_deadline / 4).min(Duration::from_millis(500));
     tracing::info!(
         drain.deadline_ms = state.config.drain_deadline.as_millis() as u64,
@@ -87,38 +80,34 @@ pub(super) async fn serve(
     state.manager.start_drain();
     dispatch.stop_serving().await;
     let finished = tokio::select! {
-        () = doors.accept(&listener) => false,
+        () = acceptor.accept(&listener) => false,
         () = state.manager.drained() => true,
         () = tokio::time::sleep_until(cut) => false,
     };
     drop(listener);
 
-    polite.cancel();
-    connections.close();
+    acceptor.shutdown_token.cancel();
+    acceptor.connections.close();
     state.sockets.close();
+    let give_up = || {
+        state.manager.abort();
+        state.closing.cancel();
+    };
     if !finished {
         tracing::warn!("work is still open at the deadline and is given up");
-        state.manager.abort();
-        state.closing.cancel();
+        give_up();
     }
-    let gone = async {
-        connections.wait().await;
-        // Sockets outlive their connections; with no work left they have nothing more to say.
+    let closed = || async {
+        acceptor.connections.wait().await;
+        // WebSockets outlive their connections.
         state.sockets.wait().await;
     };
-    let closed = tokio::time::timeout_at(cut, gone).await.is_ok();
-    if !closed {
-        state.manager.abort();
-        state.closing.cancel();
-        let last = async {
-            connections.wait().await;
-            state.sockets.wait().await;
-        };
-        let _ = tokio::time::timeout_at(deadline, last).await;
+    if tokio::time::timeout_at(cut, closed()).await.is_err() {
+        give_up();
+        let _ = tokio::time::timeout_at(deadline, closed()).await;
     }
-    doors.dispatch.drop_connections();
+    state.dropped.cancel();
     tracing::info!(duration_ms = asked.elapsed().as_millis() as u64, "stopped");
-    Ok(())
 }
 
 fn builder(config: &ServerConfig) -> auto::Builder<TokioExecutor> {
@@ -148,18 +137,20 @@ fn builder(config: &ServerConfig) -> auto::Builder<TokioExecutor> {
     builder
 }
 
-struct Doors {
+/// Accepts connections within the limits, and starts a task for each.
+struct ConnectionAcceptor {
     builder: Arc<auto::Builder<TokioExecutor>>,
     slots: Arc<Semaphore>,
-    refusals: Arc<Semaphore>,
+    rejections: Arc<Semaphore>,
     peers: Peers,
     connections: TaskTracker,
-    polite: CancellationToken,
-    state: State,
+    /// Cancelled when connections are to shut down gracefully.
+    shutdown_token: CancellationToken,
+    state: ServerState,
     dispatch: Dispatch,
 }
 
-impl Doors {
+impl ConnectionAcceptor {
     /// Accepts connections in a loop.
     async fn accept(&self, listener: &TcpListener) {
         loop {
@@ -177,199 +168,189 @@ impl Doors {
     fn admit(&self, socket: TcpStream, peer: IpAddr) {
         // Frames are written whole; waiting for more only delays them.
         let _ = socket.set_nodelay(true);
-        let room = Arc::clone(&self.slots).try_acquire_owned().ok();
-        let place = room.and_then(|permit| {
-            let peer = self.peers.admit(peer, self.state.config.connections_per_peer)?;
-            Some(ConnectionSlot::new(permit, peer))
-        });
-        let Some(slot) = place else {
+        let Some(slot) = self.free_slot(peer) else {
             self.state.telemetry.connections_refused.inc();
-            if let Ok(permit) = Arc::clone(&self.refusals).try_acquire_owned() {
+            if let Ok(permit) = Arc::clone(&self.rejections).try_acquire_owned() {
                 let (dispatch, tls) = (self.dispatch.clone(), self.state.tls.clone());
                 tokio::spawn(async move {
-                    let _ = match tls {
-                        None => tokio::time::timeout(REFUSAL, turn_away(socket, dispatch)).await,
-                        Some(door) => tokio::time::timeout(REFUSAL, turn_away_encrypted(socket, door, dispatch)).await,
-                    };
+                    let _ = timeout(REJECTION, reject_over_limit(socket, tls, dispatch)).await;
                     drop(permit);
                 });
             }
             return;
         };
-        let (state, dispatch) = (self.state.clone(), self.dispatch.clone());
-        let (builder, polite) = (Arc::clone(&self.builder), self.polite.clone());
-        let dropped = self.dispatch.dropped();
+        let context = ConnectionContext {
+            builder: Arc::clone(&self.builder),
+            state: self.state.clone(),
+            dispatch: self.dispatch.clone(),
+            slot,
+            shutdown_token: self.shutdown_token.clone(),
+        };
+        let state = self.state.clone();
         self.connections.spawn(async move {
             state.telemetry.connections.inc();
-            let seat = Seat {
-                builder: &builder,
-                state: &state,
-                dispatch,
-                slot,
-                polite: &polite,
-            };
             tokio::select! {
-                () = seat.welcome(socket) => {}
-                () = dropped.cancelled() => {}
+                () = context.serve(socket) => {}
+                () = state.dropped.cancelled() => {}
             }
             state.telemetry.connections.dec();
         });
     }
-}
 
-/// What a connection is doing.
-#[derive(Default)]
-struct Activity {
-    /// Whether as much has come as a preface has.
-    spoke: AtomicBool,
-    /// Answers under way.
-    busy: AtomicUsize,
+    fn free_slot(&self, peer: IpAddr) -> Option<ConnectionSlot> {
+        let permit = Arc::clone(&self.slots).try_acquire_owned().ok()?;
+        let peer = self.peers.admit(peer, self.state.config.connections_per_peer)?;
+        Some(ConnectionSlot::new(permit, peer))
+    }
 }
 
 /// What a connection is served with.
-struct Seat<'a> {
-    builder: &'a auto::Builder<TokioExecutor>,
-    state: &'a State,
+struct ConnectionContext {
+    builder: Arc<auto::Builder<TokioExecutor>>,
+    state: ServerState,
     dispatch: Dispatch,
     slot: ConnectionSlot,
-    polite: &'a CancellationToken,
+    shutdown_token: CancellationToken,
 }
 
-impl Seat<'_> {
-    /// Serves a connection that was just accepted; one that is to be encrypted has as long for its handshake as another for the
-    /// head of a request.
-    async fn welcome(self, socket: TcpStream) {
-        let Some(door) = &self.state.tls else {
-            return connection(self, socket, ConnectionFacts::new(None)).await;
+impl ConnectionContext {
+    /// Serves a connection that was just accepted. TLS negotiation has the same time limit as the head of a request.
+    async fn serve(self, socket: TcpStream) {
+        let Some(tls) = &self.state.tls else {
+            return self.serve_http(socket, CertificateCaller(None)).await;
         };
-        let shaken = tokio::select! {
-            shaken = tokio::time::timeout(self.state.config.header_timeout, door.shake_hands(socket)) => shaken,
-            () = self.polite.cancelled() => return,
+        let accepted = tokio::select! {
+            accepted = timeout(self.state.config.header_timeout, tls.accept(socket)) => accepted,
+            () = self.shutdown_token.cancelled() => return,
         };
-        match shaken {
-            Ok(Ok((stream, tenant))) => connection(self, stream, ConnectionFacts::new(tenant)).await,
+        match accepted {
+            Ok(Ok((stream, tenant))) => {
+                let caller = tenant.map(|name| Principal::of_tenant(&name));
+                self.serve_http(stream, CertificateCaller(caller)).await;
+            }
             Ok(Err(error)) => tracing::debug!("a TLS handshake failed: {error}"),
             Err(_) => tracing::debug!("a TLS handshake took too long"),
         }
     }
-}
 
-async fn connection<S>(seat: Seat<'_>, socket: S, facts: ConnectionFacts)
-where
-    S: AsyncRead + AsyncWrite + Send + Unpin + 'static,
-{
-    let Seat {
-        builder,
-        state,
-        dispatch,
-        slot,
-        polite,
-    } = seat;
-    let activity = Arc::new(Activity::default());
-    let linger = Linger::default();
-    let socket = Watched {
-        socket: LingeringSocket::new(socket, linger.clone()),
-        activity: Arc::clone(&activity),
-        heard: 0,
-    };
-    let heard = Arc::clone(&activity);
-    let unread = CancellationToken::new();
-    let (manager, stalled) = (state.manager.clone(), unread.clone());
-    let deadline = state.config.unread_deadline;
-    let service = hyper::service::service_fn(move |mut request: Request<Incoming>| {
-        request.extensions_mut().insert(slot.clone());
-        request.extensions_mut().insert(facts.clone());
-        request.extensions_mut().insert(linger.clone());
-        let busy = Busy::new(&heard, !is_watch(&request));
-        let (dispatch, manager) = (dispatch.clone(), manager.clone());
-        // On HTTP/1 nothing else can follow an answer that is not read; of HTTP/2 it is one of many.
-        let stalled = match request.version() {
-            Version::HTTP_2 => CancellationToken::new(),
-            _ => stalled.clone(),
+    async fn serve_http<S>(self, socket: S, caller: CertificateCaller)
+    where
+        S: AsyncRead + AsyncWrite + Send + Unpin + 'static,
+    {
+        let Self {
+            builder,
+            state,
+            dispatch,
+            slot,
+            shutdown_token,
+        } = self;
+        let flags = SocketFlags::default();
+        // Answers under way, each with a token.
+        let answers = TaskTracker::new();
+        let stalled = CancellationToken::new();
+        let service = {
+            let (state, flags) = (state.clone(), flags.clone());
+            let (answers, stalled) = (answers.clone(), stalled.clone());
+            hyper::service::service_fn(move |mut request: Request<Incoming>| {
+                let extensions = request.extensions_mut();
+                extensions.insert(slot.clone());
+                extensions.insert(caller.clone());
+                extensions.insert(flags.clone());
+                let under_way = (!is_watch(&request)).then(|| answers.token());
+                // On HTTP/1 nothing else can follow an answer that is not read; of HTTP/2 it is one of many.
+                let stalled = match request.version() {
+                    Version::HTTP_2 => CancellationToken::new(),
+                    _ => stalled.clone(),
+                };
+                let (dispatch, state) = (dispatch.clone(), state.clone());
+                async move {
+                    let is_grpc = dispatch::is_grpc(&request);
+                    let response = dispatch.call(request.map(Body::new)).await;
+                    let tenant = response.extensions().get::<Tenant>();
+                    let account = tenant.and_then(|tenant| state.manager.account(tenant).ok());
+                    let watchdog = ResponseWatchdog {
+                        ledger: state.manager.ledger(),
+                        account: account.as_ref(),
+                        deadline: state.config.unread_deadline,
+                        stalled,
+                    };
+                    watchdog
+                        .watch(response, under_way.clone())
+                        .or_else(|error| watchdog.watch(dispatch::rejection(error, is_grpc), under_way))
+                }
+            })
         };
-        async move {
-            let is_grpc = Dispatch::is_grpc(&request);
-            let response: Response<Body> = dispatch.call(request.map(Body::new)).await;
-            let asked_by = response.extensions().get::<Tenant>();
-            let account = asked_by.and_then(|tenant| manager.account(tenant).ok());
-            let memory = (manager.ledger(), account.as_ref());
-            let watched = UnreadAnswer::watch(response, memory, deadline, stalled.clone());
-            let watched = watched.or_else(|error| {
-                let refusal = Dispatch::refusal(error, is_grpc);
-                UnreadAnswer::watch(refusal, memory, deadline, stalled)
-            });
-            watched.map(|response| response.map(|inner| Answer { inner, _busy: busy }))
-        }
-    });
-    let serving = builder.serve_connection_with_upgrades(TokioIo::new(socket), service);
-    tokio::pin!(serving);
+        let serving =
+            builder.serve_connection_with_upgrades(TokioIo::new(ClientSocket::new(socket, flags.clone())), service);
+        tokio::pin!(serving);
 
-    // A connection that does not begin with a request or a preface in time is no client.
-    let silent = async {
-        tokio::time::sleep(state.config.header_timeout).await;
-        if activity.spoke.load(Ordering::Relaxed) || activity.busy.load(Ordering::Relaxed) > 0 {
-            std::future::pending::<()>().await;
-        }
-    };
-    tokio::select! {
-        ended = serving.as_mut() => {
-            if let Err(error) = ended {
-                tracing::debug!("a connection broke: {error}");
+        let is_silent = || !flags.has_preface() && answers.is_empty();
+        // A connection that does not begin with a request or a preface in time is no client.
+        let silent = async {
+            tokio::time::sleep(state.config.header_timeout).await;
+            if !is_silent() {
+                std::future::pending::<()>().await;
             }
+        };
+        tokio::select! {
+            ended = serving.as_mut() => {
+                if let Err(error) = ended {
+                    tracing::debug!("a connection broke: {error}");
+                }
+                return;
+            }
+            () = silent => return,
+            () = stalled.cancelled() => return,
+            () = shutdown_token.cancelled() => {}
+        }
+        if is_silent() {
             return;
         }
-        () = silent => return,
-        () = unread.cancelled() => return,
-        () = polite.cancelled() => {}
-    }
-    if !activity.spoke.load(Ordering::Relaxed) && activity.busy.load(Ordering::Relaxed) == 0 {
-        return;
-    }
-    serving.as_mut().graceful_shutdown();
-    loop {
-        let idle = activity.busy.load(Ordering::Relaxed) == 0;
-        match tokio::time::timeout(IDLE_CLOSE, serving.as_mut()).await {
-            Ok(_) => return,
-            // It was idle all the while and the peer does not close: enough.
-            Err(_) if idle && activity.busy.load(Ordering::Relaxed) == 0 => return,
-            Err(_) => {}
+        serving.as_mut().graceful_shutdown();
+        loop {
+            let is_idle = answers.is_empty();
+            match timeout(IDLE_CLOSE, serving.as_mut()).await {
+                Ok(_) => return,
+                // It was idle for the whole time, and the peer does not close it.
+                Err(_) if is_idle && answers.is_empty() => return,
+                Err(_) => {}
+            }
         }
     }
 }
 
-/// Calls that last as long as the server itself and must not hold its end up.
+/// Calls that last as long as the server itself and must not delay its end.
 fn is_watch(request: &Request<Incoming>) -> bool {
     let path = request.uri().path();
     path.starts_with("/grpc.health.") || path.starts_with("/grpc.reflection.")
 }
 
-/// Answers 503 to a connection beyond the limit. A health request is answered, so that many idle clients do not look
-/// like a failing server.
-async fn turn_away(mut socket: TcpStream, dispatch: Dispatch) {
+/// Answers 503 to a connection beyond the limit. By hand, because it must answer a health request even then, so that many
+/// idle clients do not look like a failing server.
+async fn reject_over_limit(mut socket: TcpStream, tls: Option<TlsAcceptor>, dispatch: Dispatch) {
+    if let Some(tls) = tls {
+        // Nothing can be read before the handshake.
+        if let Ok((stream, _)) = tls.accept(socket).await {
+            answer_health(stream, dispatch).await;
+        }
+        return;
+    }
     let mut head = [0u8; 16];
-    let asked = tokio::time::timeout(HEALTH_QUESTION, socket.peek(&mut head)).await;
-    let head = &head[..asked.map_or(0, |n| n.unwrap_or(0))];
+    let peeked = timeout(HEALTH_REQUEST, socket.peek(&mut head)).await;
+    let head = &head[..peeked.map_or(0, |n| n.unwrap_or(0))];
     if head.starts_with(b"GET /healthz ") || head.starts_with(b"GET /readyz ") {
         answer_health(socket, dispatch).await;
         return;
     }
     let answer = format!(
-        "HTTP/1.1 503 Service Unavailable\r\ncontent-type: {}\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{FULL}",
-        super::http::problem::PROBLEM_JSON,
+        "HTTP/1.1 503 Service Unavailable\r\ncontent-type: {PROBLEM_JSON}\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{FULL}",
         FULL.len()
     );
     let _ = socket.write_all(answer.as_bytes()).await;
     let _ = socket.shutdown().await;
-    // What the client sends is read, or the answer would be lost with the reset that unread bytes cause.
+    // The server reads what the client sends: unread bytes would cause a reset, and the answer would be lost.
     let mut sink = [0u8; 1024];
     while matches!(socket.read(&mut sink).await, Ok(n) if n > 0) {}
-}
-
-/// The same, where nothing can be read before the handshake.
-async fn turn_away_encrypted(socket: TcpStream, door: TlsDoor, dispatch: Dispatch) {
-    if let Ok((stream, _)) = door.shake_hands(socket).await {
-        answer_health(stream, dispatch).await;
-    }
 }
 
 /// The answer beyond the limit.
@@ -381,13 +362,12 @@ async fn answer_health<S: AsyncRead + AsyncWrite + Send + Unpin + 'static>(socke
         let dispatch = dispatch.clone();
         async move {
             if matches!(request.uri().path(), "/healthz" | "/readyz") {
-                return Ok::<_, std::convert::Infallible>(dispatch.call(request.map(Body::new)).await);
+                return Ok::<_, Infallible>(dispatch.call(request.map(Body::new)).await);
             }
             let mut full = Response::new(Body::from(FULL));
-            *full.status_mut() = http::StatusCode::SERVICE_UNAVAILABLE;
+            *full.status_mut() = StatusCode::SERVICE_UNAVAILABLE;
             let headers = full.headers_mut();
-            let kind = HeaderValue::from_static(super::http::problem::PROBLEM_JSON);
-            headers.insert(header::CONTENT_TYPE, kind);
+            headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM_JSON));
             headers.insert(header::RETRY_AFTER, HeaderValue::from_static("1"));
             Ok(full)
         }
@@ -397,98 +377,4 @@ async fn answer_health<S: AsyncRead + AsyncWrite + Send + Unpin + 'static>(socke
         .keep_alive(false)
         .serve_connection(TokioIo::new(socket), service)
         .await;
-}
-
-/// One answer under way.
-struct Busy(Option<Arc<Activity>>);
-
-impl Busy {
-    fn new(activity: &Arc<Activity>, counts: bool) -> Self {
-        if counts {
-            activity.busy.fetch_add(1, Ordering::Relaxed);
-        }
-        Self(counts.then(|| Arc::clone(activity)))
-    }
-}
-
-impl Drop for Busy {
-    fn drop(&mut self) {
-        if let Some(activity) = &self.0 {
-            activity.busy.fetch_sub(1, Ordering::Relaxed);
-        }
-    }
-}
-
-/// A response body that keeps its connection busy until it has been sent.
-struct Answer {
-    inner: UnreadAnswer,
-    _busy: Busy,
-}
-
-impl HttpBody for Answer {
-    type Data = Bytes;
-    type Error = axum::Error;
-
-    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        Pin::new(&mut self.inner).poll_frame(cx)
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.inner.is_end_stream()
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        self.inner.size_hint()
-    }
-}
-
-/// A socket that notes when its peer has sent the beginning of a request.
-struct Watched<S> {
-    socket: S,
-    activity: Arc<Activity>,
-    heard: usize,
-}
-
-/// Bytes of HTTP/2's preface. Until so many have come, nothing but the clock above watches the connection; afterwards the
-/// protocol libraries do.
-const PREFACE: usize = 24;
-
-impl<S: AsyncRead + Unpin> AsyncRead for Watched<S> {
-    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        let before = buffer.filled().len();
-        let read = Pin::new(&mut self.socket).poll_read(cx, buffer);
-        if self.heard < PREFACE {
-            self.heard += buffer.filled().len() - before;
-            if self.heard >= PREFACE {
-                self.activity.spoke.store(true, Ordering::Relaxed);
-            }
-        }
-        read
-    }
-}
-
-impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
-    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.socket).poll_write(cx, bytes)
-    }
-
-    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.socket).poll_flush(cx)
-    }
-
-    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.socket).poll_shutdown(cx)
-    }
-
-    fn poll_write_vectored(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        bytes: &[io::IoSlice<'_>],
-    ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.socket).poll_write_vectored(cx, bytes)
-    }
-
-    fn is_write_vectored(&self) -> bool {
-        self.socket.is_write_vectored()
-    }
 }

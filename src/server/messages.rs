@@ -1,10 +1,36 @@
-//! What sessions answer, as messages of the schema.
+//! Answers of sessions as messages of the schema, and names of formats as callers write them.
 
+use crate::asset::Format;
 use crate::session::{
-    CarriedAlong, CommittedEdit, HistoryFacts, QuotaReport, QuotaUse, SessionConfig, SessionFacts, SessionList,
+    CarriedAlong, CommittedEdit, Error, HistoryFacts, QuotaReport, QuotaUse, SessionConfig, SessionFacts, SessionList,
 };
 use crate::wire::{edit_result, handle_poses_message, page_token, pb, session_message};
 use std::time::Duration;
+
+/// A request about one session.
+pub(super) trait NamesSession {
+    /// The session's id.
+    fn session_id(&self) -> &str;
+
+    /// Replaces the id.
+    fn set_session_id(&mut self, id: &str);
+}
+
+macro_rules! names_session {
+    ($($request:ident),*) => {$(
+        impl NamesSession for pb::$request {
+            fn session_id(&self) -> &str {
+                &self.session_id
+            }
+
+            fn set_session_id(&mut self, id: &str) {
+                id.clone_into(&mut self.session_id);
+            }
+        }
+    )*};
+}
+
+names_session!(SetHandlesRequest, SolveRequest, EditRequest, CarryRequest);
 
 /// Writes a session as its owner sees it.
 pub(super) fn described_session(session: &SessionFacts, config: &SessionConfig) -> pb::Session {
@@ -91,18 +117,34 @@ pub(super) fn limits_message(config: &SessionConfig) -> pb::Limits {
 
 /// Writes the limits with what a tenant may use of them, and what is left; `max_ttl` is the longest time that its sessions may name.
 pub(super) fn limits_left(config: &SessionConfig, report: &QuotaReport, max_ttl: Duration) -> pb::Limits {
-    let told = |quota: Option<QuotaUse>| quota.map(|QuotaUse { allowed, left }| pb::QuotaState { allowed, left });
+    let state = |quota: Option<QuotaUse>| quota.map(|QuotaUse { allowed, left }| pb::QuotaState { allowed, left });
     let quotas = (*report != QuotaReport::default()).then(|| pb::Quotas {
-        sessions: told(report.sessions),
-        memory_bytes: told(report.memory_bytes),
-        stored_bytes: told(report.stored_bytes),
-        upload_bytes_per_minute: told(report.upload_bytes_per_minute),
-        solve_seconds_per_minute: told(report.solve_seconds_per_minute),
-        streams: told(report.streams),
+        sessions: state(report.sessions),
+        memory_bytes: state(report.memory_bytes),
+        stored_bytes: state(report.stored_bytes),
+        upload_bytes_per_minute: state(report.upload_bytes_per_minute),
+        solve_seconds_per_minute: state(report.solve_seconds_per_minute),
+        streams: state(report.streams),
     });
     pb::Limits {
         quotas,
         ttl_seconds: max_ttl.as_secs_f64(),
         ..limits_message(config)
+    }
+}
+
+/// Reads the name of a format that results can be had in.
+///
+/// # Errors
+/// `INVALID_ARGUMENT` on `field`, with the names that are allowed.
+pub(super) fn parse_format_name(field: &str, name: &str) -> Result<Format, Error> {
+    let format = Format::from_name(name).ok_or_else(|| {
+        let names = Format::ALL.map(Format::name).join(", ");
+        let shown: String = name.chars().take(64).collect();
+        Error::invalid(field, format!("\"{shown}\" is not a format; allowed are {names}"))
+    })?;
+    match format.refusal_to_write() {
+        Some(problem) => Err(Error::invalid(field, problem)),
+        None => Ok(format),
     }
 }

@@ -4,51 +4,51 @@
 //! all noticed. An unreadable file changes nothing, and is logged once.
 
 use super::config::{FileKeys, changed_keys, keys_of_file, tokens_of_file};
-use super::state::State;
+use super::state::ServerState;
 use std::time::Duration;
 
-/// How long a change may go unseen.
+/// The longest time until a change is noticed.
 const PERIOD: Duration = Duration::from_secs(1);
 
 /// Follows changes of files.
-pub(super) async fn follow_files(state: State) {
-    let mut told = Told {
+pub(super) async fn follow_files(state: ServerState) {
+    let mut logged = Logged {
         keys: state.config.auth.file.as_deref().and_then(keys_of_file),
-        ..Told::default()
+        ..Logged::default()
     };
     let mut known = state.config.auth.tokens.clone();
     loop {
-        state.gatekeeper.follow_keys().await;
+        state.authenticator.follow_keys().await;
         tokio::time::sleep(PERIOD).await;
         if let Some(file) = state.config.auth.file.clone() {
             let read = move || (tokens_of_file(&file), keys_of_file(&file));
             let Ok((tokens, keys)) = tokio::task::spawn_blocking(read).await else {
                 return;
             };
-            told.tell_of_keys(keys);
+            logged.log_changed_keys(keys);
             match tokens {
                 Ok(tokens) => {
-                    told.tokens = None;
+                    logged.tokens = None;
                     if tokens != known {
                         tracing::info!(auth.tokens = tokens.len(), "the tokens have changed");
-                        state.gatekeeper.replace_tokens(tokens.clone());
+                        state.authenticator.replace_tokens(tokens.clone());
                         known = tokens;
                     }
                 }
-                Err(error) => tell(&mut told.tokens, "the tokens stay as they were", error.to_string()),
+                Err(error) => log_once(&mut logged.tokens, "the tokens stay as they were", error.to_string()),
             }
         }
         if let Some(tls) = state.tls.clone() {
-            let Ok(looked) = tokio::task::spawn_blocking(move || tls.reload()).await else {
+            let Ok(reloaded) = tokio::task::spawn_blocking(move || tls.reload()).await else {
                 return;
             };
-            if looked.has_changed {
+            if reloaded.has_changed {
                 tracing::info!("the TLS certificates have changed");
             }
-            match looked.problem {
-                None => told.certificates = None,
-                Some(problem) => tell(
-                    &mut told.certificates,
+            match reloaded.problem {
+                None => logged.certificates = None,
+                Some(problem) => log_once(
+                    &mut logged.certificates,
                     "what was read before of a TLS file stays in use",
                     problem,
                 ),
@@ -57,19 +57,19 @@ pub(super) async fn follow_files(state: State) {
     }
 }
 
-/// What was said last, so that it is not said every second.
+/// What was logged last, so that it is not logged every second.
 #[derive(Default)]
-struct Told {
+struct Logged {
     tokens: Option<String>,
     certificates: Option<String>,
-    /// What the file of the configuration said at first beside the tokens.
+    /// The keys of the configuration file at the start, without the tokens.
     keys: Option<FileKeys>,
     changed: Vec<String>,
 }
 
-impl Told {
-    /// Logs which keys have changed beside the tokens.
-    fn tell_of_keys(&mut self, keys: Option<FileKeys>) {
+impl Logged {
+    /// Logs which keys have changed, without the tokens.
+    fn log_changed_keys(&mut self, keys: Option<FileKeys>) {
         let Some(now) = keys else { return };
         let changed = changed_keys(self.keys.get_or_insert_with(|| now.clone()), &now);
         if changed != self.changed && !changed.is_empty() {
@@ -82,7 +82,7 @@ impl Told {
     }
 }
 
-fn tell(last: &mut Option<String>, what: &str, problem: String) {
+fn log_once(last: &mut Option<String>, what: &str, problem: String) {
     if last.as_ref() != Some(&problem) {
         tracing::error!("{what}: {problem}");
         *last = Some(problem);

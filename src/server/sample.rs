@@ -10,7 +10,7 @@ use xxhash_rust::xxh3::xxh3_64;
 static CREATURE: LazyLock<Bytes> = LazyLock::new(|| Bytes::from(BuiltInModel::Creature.glb()));
 static FIGURE: LazyLock<Bytes> = LazyLock::new(|| Bytes::from(BuiltInModel::Figure.glb()));
 
-/// A built-in model's file. The first call makes it, which takes a moment, away from the threads that serve.
+/// A built-in model's file. The first call makes it on a blocking thread, which takes a moment.
 ///
 /// # Errors
 /// `INTERNAL`, when making it fails.
@@ -28,7 +28,7 @@ pub(super) fn etag(glb: &Bytes) -> String {
     format!("\"{:016x}\"", xxh3_64(glb))
 }
 
-/// Handles that hold the creature's feet and move its head.
+/// Handles that fix the creature's feet and move its head.
 pub fn handles() -> [Handle; 2] {
     let (normal, offset) = sample::HANDLES.feet;
     let (center, radius) = sample::HANDLES.head;

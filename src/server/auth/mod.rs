@@ -2,17 +2,13 @@
 //!
 //! Only this proof identifies a caller. No other header, path or message names a tenant.
 
-mod auth_config;
-mod gatekeeper;
+mod authenticator;
 mod jwt;
-mod presented_token;
-mod principal;
-mod token_list;
+mod tokens;
 
-pub use auth_config::{AuthConfig, TokenEntry, parse_expiry};
-pub(super) use gatekeeper::Gatekeeper;
+pub use authenticator::AuthConfig;
+pub(super) use authenticator::Authenticator;
 pub(super) use jwt::JwtVerifier;
 pub use jwt::{JwtConfig, KeySource};
-pub use presented_token::LONGEST_TOKEN;
-pub(super) use principal::{Principal, principal};
-pub use token_list::token_digest;
+pub use tokens::{LONGEST_TOKEN, TokenEntry, parse_expiry, token_digest};
+pub(super) use tokens::{Principal, principal};

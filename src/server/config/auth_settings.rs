@@ -1,12 +1,12 @@
 //! Who may call, as the table `auth` says.
 
 use super::Error;
-use super::auth_table::{JwtTable, TokenTable};
 use super::keys::ConfigKeys;
+use super::keys::{JwtTable, TokenTable};
 use super::sources::MergedKeys;
 use super::units::TimeSpan;
 use crate::server::auth::{AuthConfig, JwtConfig, KeySource, TokenEntry, parse_expiry};
-use crate::server::hosts::is_this_machine;
+use crate::server::request_filter::is_this_machine;
 use crate::session::Tenant;
 use http::Uri;
 use std::path::{Path, PathBuf};
@@ -29,9 +29,9 @@ pub(super) fn auth_from_keys(merged: &MergedKeys, file: Option<&Path>) -> Result
         ));
     }
     let mut tokens: Vec<TokenEntry> = Vec::with_capacity(table.tokens.len());
-    for (k, told) in table.tokens.into_iter().enumerate() {
+    for (k, token) in table.tokens.into_iter().enumerate() {
         let refuse = |field: &str, problem: String| merged.refuse(&format!("auth.tokens[{k}].{field}"), problem);
-        let entry = read_token(told, &refuse)?;
+        let entry = read_token(token, &refuse)?;
         if let Some(other) = tokens.iter().position(|t| t.sha256 == entry.sha256) {
             return Err(refuse(
                 "sha256",
@@ -41,7 +41,7 @@ pub(super) fn auth_from_keys(merged: &MergedKeys, file: Option<&Path>) -> Result
         tokens.push(entry);
     }
     let refuse_jwt = |field: &str, problem: String| merged.refuse(&format!("auth.jwt.{field}"), problem);
-    let jwt = table.jwt.map(|told| read_jwt(told, &refuse_jwt)).transpose()?;
+    let jwt = table.jwt.map(|jwt| read_jwt(jwt, &refuse_jwt)).transpose()?;
     Ok(AuthConfig {
         tokens,
         jwt,
@@ -53,50 +53,50 @@ pub(super) fn auth_from_keys(merged: &MergedKeys, file: Option<&Path>) -> Result
 ///
 /// # Errors
 /// What is wrong with the file; its other keys are checked as well.
-pub(in crate::server) fn tokens_of_file(file: &Path) -> Result<Vec<TokenEntry>, Error> {
+pub(crate) fn tokens_of_file(file: &Path) -> Result<Vec<TokenEntry>, Error> {
     let merged = MergedKeys::collect(Some(file), &ConfigKeys::default())?;
     Ok(auth_from_keys(&merged, Some(file))?.tokens)
 }
 
-fn read_token(told: TokenTable, refuse: &dyn Fn(&str, String) -> Error) -> Result<TokenEntry, Error> {
-    let name = told.name.unwrap_or_else(|| told.tenant.clone());
-    for (field, text) in [("tenant", &told.tenant), ("name", &name)] {
+fn read_token(table: TokenTable, refuse: &dyn Fn(&str, String) -> Error) -> Result<TokenEntry, Error> {
+    let name = table.name.unwrap_or_else(|| table.tenant.clone());
+    for (field, text) in [("tenant", &table.tenant), ("name", &name)] {
         if text.is_empty() || text.len() > LONGEST_NAME || text.chars().any(char::is_control) {
             let allowed = format!("1 to {LONGEST_NAME} bytes without control characters are allowed");
             return Err(refuse(field, format!("{text:?} is not a name; {allowed}")));
         }
     }
     // What stands there may be the token itself, by mistake: it is not repeated.
-    let sha256 = from_hex(&told.sha256).ok_or_else(|| {
+    let sha256 = from_hex(&table.sha256).ok_or_else(|| {
         let allowed = "64 hexadecimal digits are allowed, as `pliant token` prints them";
         refuse("sha256", format!("is not a SHA-256; {allowed}"))
     })?;
-    let expires = told
+    let expires = table
         .expires
         .map(|text| parse_expiry(&text).map_err(|problem| refuse("expires", problem)));
     Ok(TokenEntry {
-        tenant: Tenant(told.tenant.into()),
+        tenant: Tenant(table.tenant.into()),
         sha256,
         name,
         expires: expires.transpose()?,
-        metrics: told.metrics,
+        metrics: table.metrics,
     })
 }
 
-fn read_jwt(told: JwtTable, refuse: &dyn Fn(&str, String) -> Error) -> Result<JwtConfig, Error> {
-    let audiences: Vec<String> = told.audience.0.into_iter().filter(|name| !name.is_empty()).collect();
-    let tenant_claim = told.tenant_claim.unwrap_or_else(|| "tenant".into());
+fn read_jwt(table: JwtTable, refuse: &dyn Fn(&str, String) -> Error) -> Result<JwtConfig, Error> {
+    let audiences: Vec<String> = table.audience.0.into_iter().filter(|name| !name.is_empty()).collect();
+    let tenant_claim = table.tenant_claim.unwrap_or_else(|| "tenant".into());
     for (field, is_empty) in [
-        ("issuer", told.issuer.is_empty()),
+        ("issuer", table.issuer.is_empty()),
         ("audience", audiences.is_empty()),
         ("tenant_claim", tenant_claim.is_empty()),
-        ("jwks", told.jwks.is_empty()),
+        ("jwks", table.jwks.is_empty()),
     ] {
         if is_empty {
             return Err(refuse(field, "is empty".into()));
         }
     }
-    let listed = told
+    let listed = table
         .algorithms
         .map_or_else(|| ["RS256", "ES256", "EdDSA"].map(String::from).to_vec(), |list| list.0);
     let mut algorithms = Vec::new();
@@ -116,21 +116,21 @@ fn read_jwt(told: JwtTable, refuse: &dyn Fn(&str, String) -> Error) -> Result<Jw
             "is empty, so the server would accept no token".into(),
         ));
     }
-    let span = |field: &str, told: Option<TimeSpan>, default: u64, from: u64, to: u64| {
-        let seconds = told.map_or(Duration::from_secs(default), |span| span.0);
+    let span = |field: &str, value: Option<TimeSpan>, default: u64, from: u64, to: u64| {
+        let seconds = value.map_or(Duration::from_secs(default), |span| span.0);
         if seconds < Duration::from_secs(from) || seconds > Duration::from_secs(to) {
             return Err(refuse(field, format!("is out of range; allowed are {from}s to {to}s")));
         }
         Ok(seconds)
     };
     Ok(JwtConfig {
-        keys: key_source(&told.jwks, told.ca, refuse)?,
-        issuer: told.issuer,
+        keys: key_source(&table.jwks, table.ca, refuse)?,
+        issuer: table.issuer,
         audiences,
         algorithms,
         tenant_claim,
-        leeway: span("leeway", told.leeway, 60, 0, 300)?,
-        refresh: span("refresh", told.refresh, 600, 10, 86_400)?,
+        leeway: span("leeway", table.leeway, 60, 0, 300)?,
+        refresh: span("refresh", table.refresh, 600, 10, 86_400)?,
         unknown_key_pause: Duration::from_secs(30),
     })
 }

@@ -1,8 +1,7 @@
-//! The keys of the configuration, written down once: for the command line, the file and the environment.
+//! The keys of the configuration, written down once for the command line, the file and the environment, and the tables of the file.
 
-use super::auth_table::AuthTable;
-use super::quota_table::QuotaTable;
 use super::units::{ByteSize, TimeSpan, WordList};
+use crate::session::TenantQuota;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::collections::BTreeMap;
 
@@ -224,5 +223,75 @@ impl<T> Serialize for KeyValue<T> {
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for KeyValue<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         T::deserialize(deserializer).map(Self::Read)
+    }
+}
+
+/// The table `auth` lists who may call. Only the file can contain it, neither flags nor the environment.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AuthTable {
+    /// Accepted tokens.
+    #[serde(default)]
+    pub(super) tokens: Vec<TokenTable>,
+    /// The issuer whose tokens are accepted.
+    pub(super) jwt: Option<JwtTable>,
+}
+
+/// One token, as in the file.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TokenTable {
+    pub(super) tenant: String,
+    pub(super) sha256: String,
+    pub(super) name: Option<String>,
+    pub(super) expires: Option<String>,
+    #[serde(default)]
+    pub(super) metrics: bool,
+}
+
+/// The issuer whose tokens are accepted, as in the file.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JwtTable {
+    pub(super) jwks: String,
+    pub(super) ca: Option<String>,
+    pub(super) issuer: String,
+    pub(super) audience: WordList,
+    pub(super) algorithms: Option<WordList>,
+    pub(super) tenant_claim: Option<String>,
+    pub(super) leeway: Option<TimeSpan>,
+    pub(super) refresh: Option<TimeSpan>,
+}
+
+/// What a tenant may use, as in the file.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct QuotaTable {
+    sessions: Option<u64>,
+    memory_bytes: Option<ByteSize>,
+    stored_bytes: Option<ByteSize>,
+    upload_bytes_per_minute: Option<ByteSize>,
+    solve_seconds_per_minute: Option<f64>,
+    streams: Option<u64>,
+    ttl: Option<TimeSpan>,
+    max_ttl: Option<TimeSpan>,
+    audit_age: Option<TimeSpan>,
+}
+
+impl From<QuotaTable> for TenantQuota {
+    fn from(table: QuotaTable) -> Self {
+        let bytes = |size: Option<ByteSize>| size.map(|size| size.0);
+        let span = |span: Option<TimeSpan>| span.map(|span| span.0);
+        Self {
+            sessions: table.sessions,
+            memory_bytes: bytes(table.memory_bytes),
+            stored_bytes: bytes(table.stored_bytes),
+            upload_bytes_per_minute: bytes(table.upload_bytes_per_minute),
+            solve_seconds_per_minute: table.solve_seconds_per_minute,
+            streams: table.streams,
+            ttl: span(table.ttl),
+            max_ttl: span(table.max_ttl),
+            audit_age: span(table.audit_age),
+        }
     }
 }

@@ -1,20 +1,18 @@
-//! How connections are treated.
+//! How connections are treated, and the keys of TLS.
 
 use super::Error;
 use super::auth_settings::auth_from_keys;
 use super::keys::KeyValue;
 use super::sources::MergedKeys;
-use super::tls_keys::tls_from_keys;
 use super::units::{ByteSize, TimeSpan};
 use crate::server::auth::AuthConfig;
-use crate::server::hosts::Hosts;
-use crate::server::origin::Origins;
-use crate::server::tls::TlsConfig;
+use crate::server::request_filter::{Hosts, Origins};
+use crate::server::tls::{CertificateField, TlsConfig};
 use std::net::IpAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// This says how connections are treated. It is read by [`run`](crate::server::run); sessions have a configuration of their own.
+/// How connections are treated. It is read by [`run`](crate::server::run); sessions have a configuration of their own.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ServerConfig {
     /// Most connections at a time; further ones get 503.
@@ -82,10 +80,10 @@ const SECOND: Duration = Duration::from_secs(1);
 const HOUR: Duration = Duration::from_secs(3600);
 
 impl ServerConfig {
-    /// Whether callers must say who they are.
-    pub fn asks_callers(&self) -> bool {
+    /// Whether callers must prove who they are.
+    pub fn authenticates(&self) -> bool {
         let by_certificate = self.tls.as_ref().is_some_and(|tls| tls.client_ca.is_some());
-        by_certificate || self.auth.knows_tokens()
+        by_certificate || self.auth.accepts_tokens()
     }
 
     /// Refuses to listen where others than this machine's users are, and serve them all unasked.
@@ -93,7 +91,7 @@ impl ServerConfig {
     /// # Errors
     /// What to do about it.
     pub fn check_address(&self, listen: IpAddr) -> Result<(), String> {
-        if listen.to_canonical().is_loopback() || self.insecure_open || self.asks_callers() {
+        if listen.to_canonical().is_loopback() || self.insecure_open || self.authenticates() {
             return Ok(());
         }
         Err(format!(
@@ -201,5 +199,38 @@ impl ServerConfig {
             tls: tls_from_keys(merged)?,
             insecure_open: KeyValue::read(&keys.insecure_open).unwrap_or(defaults.insecure_open),
         })
+    }
+}
+
+/// Reads the keys of TLS; `None` where there is none.
+pub(super) fn tls_from_keys(merged: &MergedKeys) -> Result<Option<TlsConfig>, Error> {
+    let keys = &merged.keys;
+    let path = |key: &Option<KeyValue<String>>| {
+        let named = KeyValue::read(key).filter(|name| !name.is_empty());
+        named.map(PathBuf::from)
+    };
+    let client_ca = path(&keys.tls_client_ca);
+    let client_tenant = match KeyValue::read(&keys.tls_client_tenant).as_deref() {
+        None | Some("cn") => CertificateField::CommonName,
+        Some("uri") => CertificateField::Uri,
+        Some(other) => {
+            let problem = format!("\"{other}\" is not known; allowed are cn and uri");
+            return Err(merged.refuse("tls_client_tenant", problem));
+        }
+    };
+    match (path(&keys.tls_certificate), path(&keys.tls_key)) {
+        (Some(certificate), Some(key)) => Ok(Some(TlsConfig {
+            certificate,
+            key,
+            client_ca,
+            client_tenant,
+        })),
+        (Some(_), None) => Err(merged.refuse("tls_certificate", "has no key beside it; set tls_key as well".into())),
+        (None, Some(_)) => Err(merged.refuse("tls_key", "has no certificate; set tls_certificate as well".into())),
+        (None, None) if client_ca.is_some() => {
+            let problem = "clients show certificates over TLS alone; set tls_certificate and tls_key as well";
+            Err(merged.refuse("tls_client_ca", problem.into()))
+        }
+        (None, None) => Ok(None),
     }
 }

@@ -2,13 +2,13 @@
 
 use super::Error;
 use super::keys::{ConfigKeys, KeyValue};
-use super::node_keys::node_identity;
-use super::plain_words::no_address;
 use super::server_config::ServerConfig;
+use super::session_config::node_identity;
 use super::session_config::session_config_from_keys;
 use super::sources::MergedKeys;
+use super::sources::no_address;
 use crate::server::auth::JwtVerifier;
-use crate::server::tls::TlsDoor;
+use crate::server::tls::TlsAcceptor;
 use crate::session;
 use crate::session::store::StoreLocation;
 use std::net::SocketAddr;
@@ -23,7 +23,7 @@ pub enum LogFormat {
     Json,
 }
 
-/// This is everything that `pliant serve` needs, checked.
+/// The checked settings of `pliant serve`.
 #[derive(Debug, Clone)]
 pub struct ServeSettings {
     /// Where to listen.
@@ -66,7 +66,7 @@ impl ServeSettings {
             JwtVerifier::new(jwt).map_err(|problem| refuse("auth.jwt.jwks", problem))?;
         }
         if let Some(tls) = &server.tls {
-            TlsDoor::open(tls).map_err(|problem| refuse("tls_certificate", problem))?;
+            TlsAcceptor::open(tls).map_err(|problem| refuse("tls_certificate", problem))?;
         }
         let log = KeyValue::read(&keys.log).unwrap_or_else(|| "info".to_owned());
         tracing_subscriber::EnvFilter::builder().parse(&log).map_err(|e| {
@@ -331,16 +331,16 @@ mod tests {
                 "{key} is not explained in deploy/config.toml"
             );
         }
-        let mut told = load(&active, &[]).unwrap();
+        let mut deployed = load(&active, &[]).unwrap();
         let mut defaults = load("", &[]).unwrap();
         // Each was read from a file of its own.
-        assert!(told.server.auth.file.take().is_some() && defaults.server.auth.file.take().is_some());
+        assert!(deployed.server.auth.file.take().is_some() && defaults.server.auth.file.take().is_some());
         assert_eq!(
-            (told.listen, &told.server, &told.session),
+            (deployed.listen, &deployed.server, &deployed.session),
             (defaults.listen, &defaults.server, &defaults.session)
         );
         assert_eq!(
-            (told.log, told.log_format, told.sample, told.store),
+            (deployed.log, deployed.log_format, deployed.sample, deployed.store),
             (defaults.log, defaults.log_format, defaults.sample, defaults.store)
         );
     }

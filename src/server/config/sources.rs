@@ -1,12 +1,12 @@
-//! Where the keys of the configuration come from: file, environment and flags, the later winning.
+//! The sources of the configuration's keys: file, environment and flags, the later winning; and what is wrong with them, in the words
+//! of those who write one.
 
-use super::Error;
 use super::keys::ConfigKeys;
-use super::plain_words::unreadable;
-use figment::error::Kind;
+use figment::error::{Actual, Kind, OneOf};
 use figment::providers::{Format as _, Toml};
 use figment::value::{Dict, Map, Value};
 use figment::{Figment, Metadata, Profile, Provider};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The flags of a command line, as texts.
@@ -242,9 +242,142 @@ fn is_service_link(name: &str, value: &str) -> bool {
         || name.contains("_PORT") && (is_address || names_protocol)
 }
 
+/// The configuration cannot be used: the file, or the value of a key.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Error {
+    /// The file cannot be read.
+    #[error("cannot read configuration file {path}: {problem}")]
+    File {
+        /// As given.
+        path: String,
+        /// What the operating system said.
+        problem: String,
+    },
+    /// An environment variable is called as keys are, and there is no such key.
+    #[error("environment variable {name} is not a key of the configuration; {hint}")]
+    Variable {
+        /// Its name.
+        name: String,
+        /// What may have been meant.
+        hint: String,
+    },
+    /// A key has a value that is not allowed, or does not exist.
+    #[error("{key}: {problem} ({place})")]
+    Value {
+        /// The key.
+        key: String,
+        /// Where the value came from.
+        place: String,
+        /// What was seen and what is allowed.
+        problem: String,
+    },
+}
+
+/// The default port of a server.
+const PORT: u16 = 7411;
+
+/// Why a value cannot be read.
+pub(super) fn unreadable(key: &str, kind: &Kind) -> String {
+    match kind {
+        Kind::InvalidType(Actual::Unsigned(port), _) if key == "listen" => no_address(&port.to_string()),
+        Kind::InvalidType(Actual::Signed(port), _) if key == "listen" => no_address(&port.to_string()),
+        Kind::InvalidType(seen, wanted) | Kind::InvalidValue(seen, wanted) => {
+            format!("is {}, {} is allowed", seen_value(seen), wanted_value(wanted))
+        }
+        Kind::UnknownVariant(seen, allowed) => format!("is \"{seen}\", {} is allowed", OneOf(allowed)),
+        Kind::MissingField(name) => format!("{name} is missing"),
+        Kind::Message(text) => toml_problem(text).unwrap_or_else(|| text.clone()),
+        other => other.to_string(),
+    }
+}
+
+/// Reports an invalid listen address, and which one it may have meant.
+pub(super) fn no_address(text: &str) -> String {
+    let meant = meant_address(text).unwrap_or_else(|| format!("127.0.0.1:{PORT} or [::]:{PORT}"));
+    format!("{text} is not an address; write an IP address and a port: {meant}")
+}
+
+fn meant_address(text: &str) -> Option<String> {
+    let text = text.trim();
+    if let Ok(address) = text.parse::<std::net::IpAddr>() {
+        return Some(std::net::SocketAddr::new(address, PORT).to_string());
+    }
+    let (host, port) = text.rsplit_once(':').unwrap_or(match text.parse::<u16>() {
+        Ok(_) => ("", text),
+        Err(_) => (text, ""),
+    });
+    let port = if port.is_empty() { PORT } else { port.parse().ok()? };
+    match host {
+        "" | "localhost" => Some(format!("127.0.0.1:{port}")),
+        "*" => Some(format!("0.0.0.0:{port}")),
+        _ => None,
+    }
+}
+
+fn seen_value(seen: &Actual) -> String {
+    match seen {
+        Actual::Bool(value) => value.to_string(),
+        Actual::Unsigned(value) => value.to_string(),
+        Actual::Signed(value) => value.to_string(),
+        Actual::Float(value) => value.to_string(),
+        Actual::Str(text) => format!("\"{text}\""),
+        Actual::Seq => "a list".into(),
+        Actual::Map => "a table".into(),
+        other => other.to_string(),
+    }
+}
+
+fn wanted_value(wanted: &str) -> String {
+    match wanted {
+        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number from 0".into(),
+        "f32" | "f64" => "a number".into(),
+        "a boolean" => "true or false".into(),
+        "a string" => "a text in quotes".into(),
+        "a sequence" => "a list".into(),
+        "a map" => "a table".into(),
+        wanted => wanted.strip_prefix("struct ").map_or(wanted, |_| "a table").to_owned(),
+    }
+}
+
+/// What the reader of TOML says over several lines, with a picture of the place, in one.
+fn toml_problem(text: &str) -> Option<String> {
+    let mut lines = text.lines();
+    let place = lines.next()?.strip_prefix("TOML parse error at ")?;
+    let is_picture = |line: &&str| {
+        line.trim_start_matches(|c: char| c.is_ascii_digit() || c == ' ')
+            .starts_with('|')
+    };
+    let problem: Vec<&str> = lines.skip_while(is_picture).map(str::trim).collect();
+    Some(format!("{place}: {}", problem.join(", ")))
+}
+
+/// The keys of a file with their values; those of `auth` are flattened, without the tokens.
+pub(crate) type FileKeys = BTreeMap<String, serde_json::Value>;
+
+/// Reads them; `None` where the file cannot be read, which `tokens_of_file` reports.
+pub(crate) fn keys_of_file(file: &Path) -> Option<FileKeys> {
+    let text = std::fs::read_to_string(file).ok()?;
+    let mut keys: FileKeys = Figment::from(Toml::string(&text)).extract().ok()?;
+    if let Some(serde_json::Value::Object(auth)) = keys.remove("auth") {
+        let fixed = auth.into_iter().filter(|(name, _)| name != "tokens");
+        keys.extend(fixed.map(|(name, value)| (format!("auth.{name}"), value)));
+    }
+    Some(keys)
+}
+
+/// The names of the keys that differ. Values may be secrets.
+pub(crate) fn changed_keys(before: &FileKeys, now: &FileKeys) -> Vec<String> {
+    let mut names: Vec<&String> = before.keys().chain(now.keys()).collect();
+    names.sort_unstable();
+    names.dedup();
+    names.retain(|name| before.get(*name) != now.get(*name));
+    names.into_iter().cloned().collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::io::Write as _;
 
     #[test]
     fn only_a_variable_that_nothing_reads_is_unknown() {
@@ -281,5 +414,45 @@ mod tests {
         assert_eq!(nearest_name("listn", &names), Some("listen"));
         assert_eq!(nearest_name("memory_byte", &names), Some("memory_bytes"));
         assert_eq!(nearest_name("zebra", &names), None);
+    }
+
+    #[test]
+    fn what_may_have_been_meant_is_told() {
+        for (text, meant) in [
+            ("7412", "port: 127.0.0.1:7412"),
+            (":7412", "port: 127.0.0.1:7412"),
+            ("localhost", "port: 127.0.0.1:7411"),
+            ("localhost:80", "port: 127.0.0.1:80"),
+            ("*:80", "port: 0.0.0.0:80"),
+            ("10.0.0.7", "port: 10.0.0.7:7411"),
+            ("::1", "port: [::1]:7411"),
+            ("mesh.example.org:80", "127.0.0.1:7411 or [::]:7411"),
+            ("99999", "127.0.0.1:7411 or [::]:7411"),
+            ("", "127.0.0.1:7411"),
+        ] {
+            let problem = no_address(text);
+            assert!(
+                problem.starts_with(&format!("{text} is not an address")) && problem.contains(meant),
+                "{problem}"
+            );
+        }
+    }
+
+    fn keys(text: &str) -> FileKeys {
+        let mut file = tempfile::NamedTempFile::new().expect("a file");
+        file.write_all(text.as_bytes()).expect("written");
+        keys_of_file(file.path()).expect("read")
+    }
+
+    #[test]
+    fn what_a_server_follows_by_itself_is_no_change() {
+        let before = keys("sessions = 3\nttl = \"1m\"\n[[auth.tokens]]\ntenant = \"a\"\n[auth.jwt]\nissuer = \"x\"\n");
+        let same = keys("# words\nttl = \"1m\"\nsessions = 3\n[auth.jwt]\nissuer = \"x\"\n");
+        assert_eq!(changed_keys(&before, &same), Vec::<String>::new());
+        let other = keys("sessions = 4\nhistory = 2\n[auth.jwt]\nissuer = \"y\"\n");
+        assert_eq!(
+            changed_keys(&before, &other),
+            ["auth.jwt", "history", "sessions", "ttl"]
+        );
     }
 }

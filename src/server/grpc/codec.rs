@@ -1,12 +1,18 @@
-//! Messages as `prost` writes and reads them, each into one buffer of its size. Bytes that are no message are the fault of who sent them: `INVALID_ARGUMENT`, and not
+//! Messages and failures over gRPC: messages as `prost` writes and reads them, each into one buffer of its size, and failures as a
+//! status with the details of `google.rpc`. Bytes that are no message are a fault of the sender, `INVALID_ARGUMENT`, not
 //! `INTERNAL`, which would be a defect of the server.
 
-use super::status::status;
-use crate::session::Error;
+use crate::server::redirect::{NODE, OWNER};
+use crate::session::{Error, ErrorCode};
+use crate::wire;
 use prost::Message;
-use tonic::Status;
+use std::collections::HashMap;
+use std::time::Duration;
 use tonic::codec::{BufferSettings, Codec, DecodeBuf, Decoder, EncodeBuf, Encoder};
+use tonic::metadata::MetadataMap;
+use tonic::{Code, Status, Streaming};
 use tonic_prost::ProstCodec;
+use tonic_types::{ErrorDetails, StatusExt as _};
 
 /// Encodes `T` and decodes `U`; the generated code names it.
 #[derive(Debug)]
@@ -55,7 +61,7 @@ impl<E: Encoder<Error = Status, Item: Message>> Encoder for MessageEncoder<E> {
     }
 }
 
-/// Says whose fault it is when bytes are no message.
+/// Reports bytes that are no message as a fault of the sender.
 #[derive(Debug)]
 pub struct MessageDecoder<D>(D);
 
@@ -64,15 +70,108 @@ impl<D: Decoder<Error = Status>> Decoder for MessageDecoder<D> {
     type Error = Status;
 
     fn decode(&mut self, bytes: &mut DecodeBuf<'_>) -> Result<Option<Self::Item>, Status> {
-        self.0.decode(bytes).map_err(|broken| {
-            status(Error::malformed(format!(
-                "the message cannot be read: {}",
-                broken.message()
-            )))
-        })
+        self.0
+            .decode(bytes)
+            .map_err(|broken| Error::malformed(format!("the message cannot be read: {}", broken.message())).into())
     }
 
     fn buffer_settings(&self) -> BufferSettings {
         self.0.buffer_settings()
+    }
+}
+
+/// Status messages travel as headers, whose size clients bound.
+const MESSAGE_CHARS: usize = 1000;
+
+/// The status of a failure: `ErrorInfo` always, `BadRequest` when a field is to blame, `RetryInfo` when waiting helps.
+impl From<Error> for Status {
+    fn from(error: Error) -> Self {
+        let reason = match error.code {
+            ErrorCode::TooLarge => "TOO_LARGE",
+            ErrorCode::InvalidArgument { malformed: true } => "MALFORMED",
+            _ => error.code_name(),
+        };
+        let mut details = ErrorDetails::new();
+        details.set_error_info(reason, "pliant.v1", HashMap::new());
+        let message: String = error.message.chars().take(MESSAGE_CHARS).collect();
+        if let Some(field) = &error.field {
+            let field: String = field.chars().take(200).collect();
+            let problem = message.strip_prefix(&format!("{field}: ")).unwrap_or(&message);
+            details.add_bad_request_violation(field.clone(), problem);
+        }
+        let mut metadata = MetadataMap::new();
+        let waits = matches!(error.code, ErrorCode::ResourceExhausted | ErrorCode::Unavailable);
+        if let Some(seconds) = error.retry_after_s.or(waits.then_some(1)) {
+            let seconds = seconds.max(1);
+            details.set_retry_info(Some(Duration::from_secs(seconds.into())));
+            metadata.insert("retry-after", seconds.into());
+        }
+        if let Some(owner) = &error.owner {
+            for (name, value) in [(OWNER, &owner.address), (NODE, &owner.node)] {
+                if let Ok(value) = value.parse() {
+                    metadata.insert(name, value);
+                }
+            }
+        }
+        let code = Code::from_i32(error.grpc_code());
+        Status::with_error_details_and_metadata(code, message, details, metadata)
+    }
+}
+
+impl From<wire::Error> for Status {
+    fn from(error: wire::Error) -> Self {
+        Error::from(error).into()
+    }
+}
+
+/// The next message of a client. An invalid gRPC frame is the sender's fault, and a too large one exhausts a limit; the
+/// library calls them INTERNAL and OUT_OF_RANGE.
+///
+/// # Cancel safety
+/// As [`Streaming::message`].
+pub(super) async fn inbound_message<T>(inbound: &mut Streaming<T>) -> Result<Option<T>, Status> {
+    inbound.message().await.map_err(|broken| match broken.code() {
+        Code::Internal => Error::malformed(format!("the frame cannot be read: {}", broken.message())).into(),
+        Code::OutOfRange => Error::new(ErrorCode::TooLarge, broken.message()).into(),
+        _ => broken,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn details_carry_field_reason_and_delay() {
+        let invalid = Status::from(Error::invalid("handles[0].id", "is empty, 1 to 128 bytes are allowed"));
+        assert_eq!(invalid.code(), Code::InvalidArgument);
+        let details = invalid.get_error_details();
+        let violation = &details.bad_request().unwrap().field_violations[0];
+        assert_eq!(
+            (violation.field.as_str(), violation.description.as_str()),
+            ("handles[0].id", "is empty, 1 to 128 bytes are allowed")
+        );
+        assert_eq!(details.error_info().unwrap().reason, "INVALID_ARGUMENT");
+        assert!(details.retry_info().is_none());
+
+        let full = Status::from(Error::exhausted("no slot", 3));
+        assert_eq!(
+            full.get_error_details().retry_info().unwrap().retry_delay,
+            Some(Duration::from_secs(3))
+        );
+        assert_eq!(
+            Status::from(Error::new(ErrorCode::TooLarge, "x"))
+                .get_error_details()
+                .error_info()
+                .unwrap()
+                .reason,
+            "TOO_LARGE"
+        );
+    }
+
+    #[test]
+    fn a_long_message_is_cut_so_that_headers_stay_small() {
+        let long = Status::from(Error::new(ErrorCode::Internal, "x".repeat(1 << 20)));
+        assert!(long.message().len() <= MESSAGE_CHARS);
     }
 }

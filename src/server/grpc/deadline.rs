@@ -3,9 +3,8 @@
 //! Dropping the handler or the body at the deadline is what stops the work: every call of the session floor gives up
 //! when its future is dropped.
 
-use super::status::status;
+use crate::server::request_filter::Rejected;
 use crate::server::telemetry::{self, Recorder, Telemetry};
-use crate::server::visitors::Refused;
 use crate::session::{Error, ErrorCode};
 use axum::body::Body;
 use bytes::Bytes;
@@ -72,11 +71,11 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
             .and_then(|v| v.to_str().ok())
             .map_or_else(telemetry::request_id, Arc::from);
         let echoed = HeaderValue::from_str(&request_id);
-        let mut recorder = Recorder::start(&self.telemetry, ("grpc", route), request_id, &request);
+        let mut recorder = Recorder::start(&self.telemetry, "grpc", route, request_id, &request);
         let deadline = timeout(request.headers()).map(|timeout| Instant::now() + timeout);
-        let refused: Option<Refused> = request.extensions_mut().remove();
-        let routed = match refused {
-            Some(Refused(error)) => Either::Left(ready(Ok(status(error).into_http()))),
+        let rejected: Option<Rejected> = request.extensions_mut().remove();
+        let routed = match rejected {
+            Some(Rejected(error)) => Either::Left(ready(Ok(tonic::Status::from(error).into_http()))),
             None => Either::Right(tower::Service::call(&mut self.routes, request)),
         };
         Box::pin(async move {
@@ -94,7 +93,7 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
                 }
                 Err(_elapsed) => late().into_http(),
             };
-            blame_the_frame(response.headers_mut());
+            correct_frame_status(response.headers_mut());
             if let Ok(id) = echoed {
                 response.headers_mut().insert("x-request-id", id);
             }
@@ -104,7 +103,7 @@ impl tower::Service<Request<tonic::body::Body>> for Timed {
             Ok(response.map(|body| {
                 let body = match deadline {
                     None => Body::new(body),
-                    Some(at) => Body::new(Limited {
+                    Some(at) => Body::new(DeadlineBody {
                         inner: Some(body),
                         sleep: Box::pin(tokio::time::sleep_until(at)),
                     }),
@@ -121,9 +120,9 @@ const COMMON: [&str; 3] = [
     "grpc.reflection.v1alpha.ServerReflection",
 ];
 
-/// Turns the refusal of bytes that are no frames of gRPC into what it is, a fault of the caller, and of a message that is too large
-/// into the exhaustion of a limit: the library calls them INTERNAL and OUT_OF_RANGE.
-fn blame_the_frame(headers: &mut HeaderMap) {
+/// Reports bytes that are no frames of gRPC as a fault of the caller, and a message that is too large as the exhaustion of a
+/// limit: the library calls them INTERNAL and OUT_OF_RANGE.
+fn correct_frame_status(headers: &mut HeaderMap) {
     const FAULTS: [&str; 3] = [
         "Missing%20request%20message",
         "Unexpected%20EOF%20decoding%20stream",
@@ -141,14 +140,14 @@ fn blame_the_frame(headers: &mut HeaderMap) {
 }
 
 fn late() -> tonic::Status {
-    super::status::status(Error::new(
+    tonic::Status::from(Error::new(
         ErrorCode::DeadlineExceeded,
         "the caller's deadline has passed",
     ))
 }
 
 fn broken() -> tonic::Status {
-    super::status::status(Error::new(
+    tonic::Status::from(Error::new(
         ErrorCode::Internal,
         "a defect of the server; its log says more",
     ))
@@ -171,17 +170,18 @@ fn timeout(headers: &HeaderMap) -> Option<Duration> {
         "n" => Duration::from_nanos(count),
         _ => return None,
     };
-    // Beyond a month a deadline is none, and clocks need not be asked to go that far.
+    // A deadline beyond a month is treated as none.
     (timeout < Duration::from_secs(30 * 24 * 3600)).then_some(timeout)
 }
 
-/// A body that ends with DEADLINE_EXCEEDED when its time is over.
-struct Limited {
+/// A body that ends with DEADLINE_EXCEEDED when its time is over. By hand, because the timeouts of tower-http end a body with an error and not
+/// with the trailers of gRPC.
+struct DeadlineBody {
     inner: Option<tonic::body::Body>,
     sleep: Pin<Box<Sleep>>,
 }
 
-impl HttpBody for Limited {
+impl HttpBody for DeadlineBody {
     type Data = Bytes;
     type Error = tonic::Status;
 

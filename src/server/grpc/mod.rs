@@ -2,13 +2,11 @@
 //!
 //! Everything of tonic stays in this folder; no other part of the server sees its types.
 
-mod animate;
+mod call;
 mod codec;
 mod deadline;
 mod deformer;
-mod status;
-mod stream;
-mod upload;
+mod streams;
 
 /// Generated from the schema.
 mod services {
@@ -22,7 +20,7 @@ pub mod client {
     pub use super::services::deformer_client::DeformerClient;
 }
 
-use super::state::State;
+use super::state::ServerState;
 use crate::wire;
 use crate::wire::pb;
 use axum::body::Body;
@@ -31,18 +29,19 @@ use services::deformer_server::DeformerServer;
 use std::convert::Infallible;
 use std::time::Duration;
 use tonic_health::ServingStatus;
+use tonic_health::server::HealthReporter;
 use tower::{Layer as _, ServiceExt as _};
 
-/// Between two looks at whether the server is ready.
+/// The time between two checks whether the server is ready.
 const HEALTH_PERIOD: Duration = Duration::from_millis(500);
-/// The name under which health is reported, beside the empty name of the whole server.
+/// The name under which health is reported, besides the empty name of the whole server.
 const SERVICE: &str = "pliant.v1.Deformer";
 
 /// All gRPC services of this server.
 #[derive(Clone)]
 pub(super) struct Grpc {
     routes: tonic_web::GrpcWebService<deadline::Timed>,
-    health: tonic_health::server::HealthReporter,
+    health: HealthReporter,
 }
 
 impl Grpc {
@@ -50,7 +49,7 @@ impl Grpc {
     ///
     /// # Errors
     /// A text, when the descriptors built into this program cannot be read.
-    pub async fn new(state: &State) -> Result<Self, String> {
+    pub async fn new(state: &ServerState) -> Result<Self, String> {
         let deformer = DeformerServer::new(deformer::Calls::new(state.clone()))
             .max_decoding_message_size(state.message_bytes)
             .max_encoding_message_size(usize::MAX);
@@ -83,15 +82,6 @@ impl Grpc {
         })
     }
 
-    /// Whether a request is one of gRPC or gRPC-Web.
-    pub fn takes<B>(request: &Request<B>) -> bool {
-        let content_type = request
-            .headers()
-            .get(http::header::CONTENT_TYPE)
-            .map(http::HeaderValue::as_bytes);
-        content_type.is_some_and(|t| t.starts_with(b"application/grpc"))
-    }
-
     /// Answers a request.
     pub async fn call(&self, request: Request<Body>) -> Response<Body> {
         let answer: Result<Response<tonic::body::Body>, Infallible> = self.routes.clone().oneshot(request).await;
@@ -103,13 +93,12 @@ impl Grpc {
 
     /// Reports to health watchers: not serving.
     pub async fn stop_serving(&self) {
-        self.health.set_service_status(SERVICE, ServingStatus::NotServing).await;
-        self.health.set_service_status("", ServingStatus::NotServing).await;
+        report(&self.health, ServingStatus::NotServing).await;
     }
 }
 
 /// Reports the state of `/readyz` to health watchers, until the server stops.
-async fn report_health(health: tonic_health::server::HealthReporter, state: State) {
+async fn report_health(health: HealthReporter, state: ServerState) {
     let mut was_ready = true;
     while !state.draining.is_cancelled() {
         let is_ready = state.manager.admits() && state.manager.takes_writes();
@@ -119,8 +108,7 @@ async fn report_health(health: tonic_health::server::HealthReporter, state: Stat
                 true => ServingStatus::Serving,
                 false => ServingStatus::NotServing,
             };
-            health.set_service_status(SERVICE, status).await;
-            health.set_service_status("", status).await;
+            report(&health, status).await;
         }
         tokio::select! {
             () = state.draining.cancelled() => return,
@@ -129,7 +117,12 @@ async fn report_health(health: tonic_health::server::HealthReporter, state: Stat
     }
 }
 
-/// The answer that says only that a call is refused.
-pub(super) fn refusal(error: crate::session::Error) -> Response<Body> {
-    status::status(error).into_http()
+async fn report(health: &HealthReporter, status: ServingStatus) {
+    health.set_service_status(SERVICE, status).await;
+    health.set_service_status("", status).await;
+}
+
+/// The answer that rejects a call.
+pub(super) fn rejection(error: crate::session::Error) -> Response<Body> {
+    tonic::Status::from(error).into_http()
 }

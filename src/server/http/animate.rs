@@ -2,20 +2,20 @@
 //!
 //! The body is a form with the parts `options` (AnimateOptions as JSON) and `clip` (a BVH file), or the options alone.
 
-use super::form_reader::FormReader;
+use super::body;
 use super::problem::{Problem, clip as shortened};
-use super::request::{Caller, Names};
-use super::{body, negotiate};
-use crate::server::animation_frames::AnimationFrames;
-use crate::server::state::State;
+use super::request::{SessionCall, negotiate};
+use super::upload::FormReader;
+use crate::server::state::ServerState;
+use crate::server::stream_messages::AnimationFrames;
 use crate::session::{AnimatedModel, Error};
 use crate::wire::pb::{self, animate_options::Source};
 use crate::wire::{self, AnimateOrder, OrderedClip, animate_options_from_json, animate_order};
 use axum::body::Body;
-use axum::extract::{Request, State as From};
+use axum::extract::Request;
 use axum::response::Response;
 use bytes::Bytes;
-use http::{HeaderName, HeaderValue, StatusCode, header};
+use http::{HeaderName, HeaderValue, header};
 use prost::Message as _;
 
 /// A JSON object a line.
@@ -27,32 +27,18 @@ const DELIMITED_FRAMES: &str = "application/vnd.google.protobuf; proto=pliant.v1
 const GLB: &str = "model/gltf-binary";
 
 /// What an answer can be.
-pub(in crate::server) const OFFERS: [&str; 3] = [LINES, DELIMITED, GLB];
+pub(crate) const OFFERS: [&str; 3] = [LINES, DELIMITED, GLB];
 
-pub(super) async fn animate(
-    From(state): From<State>,
-    caller: Caller,
-    Names(id): Names<String>,
-    request: Request,
-) -> Result<Response, Problem> {
-    state.manager.get(&caller.tenant, &id).await?;
-    let accept = request.headers().get(header::ACCEPT).and_then(|v| v.to_str().ok());
-    let Some(offer) = negotiate::choose(accept, &OFFERS).and_then(|k| OFFERS.get(k).copied()) else {
-        let detail = format!(
-            "none of the types in Accept is offered; there are {}",
-            OFFERS.join(", ")
-        );
-        return Err(Problem::new(StatusCode::NOT_ACCEPTABLE, "INVALID_ARGUMENT", detail));
-    };
-    let order = received_order(&state, request, &id).await?;
+pub(super) async fn animate(call: SessionCall, request: Request) -> Result<Response, Problem> {
+    call.check_session().await?;
+    let offer = negotiate(request.headers(), &OFFERS)?;
+    let order = received_order(&call.state, request, &call.id).await?;
+    let tenant = &call.caller.tenant;
     if offer == GLB {
-        let played = caller
-            .manager(&state)
-            .animate_to_model(&caller.tenant, &id, order)
-            .await?;
+        let played = call.manager.animate_to_model(tenant, &call.id, order).await?;
         return Ok(model_answer(played));
     }
-    let (input, output) = caller.manager(&state).animate(&caller.tenant, &id, order).await?;
+    let (input, output) = call.manager.animate(tenant, &call.id, order).await?;
     input.finish_input();
     let mut frames = AnimationFrames::of_output(output);
     // What is wrong with clip or rig is known before the first frame, and has a status of its own.
@@ -64,11 +50,11 @@ pub(super) async fn animate(
             Some(Ok(frame)) => break frame,
         }
     };
-    Ok(frames_answer(state, first, frames, offer == LINES))
+    Ok(frames_answer(call.state, first, frames, offer == LINES))
 }
 
 /// Reads the request.
-async fn received_order(state: &State, request: Request, id: &str) -> Result<AnimateOrder, Problem> {
+async fn received_order(state: &ServerState, request: Request, id: &str) -> Result<AnimateOrder, Problem> {
     let mut options = pb::AnimateOptions::default();
     if body::content_type(request.headers()) == "multipart/form-data" {
         let parts = received_form(state, request).await?;
@@ -104,7 +90,7 @@ struct AnimationForm {
     clip: Option<Bytes>,
 }
 
-async fn received_form(state: &State, request: Request) -> Result<AnimationForm, Problem> {
+async fn received_form(state: &ServerState, request: Request) -> Result<AnimationForm, Problem> {
     let clip_bytes = usize::try_from(state.manager.config().clip_bytes).unwrap_or(usize::MAX);
     let mut held = FormReader::hold_upload(state, &request)?;
     let mut form = FormReader::of_request(state, request)?;
@@ -163,7 +149,7 @@ fn model_answer(played: AnimatedModel) -> Response {
 }
 
 /// Frames in a row, each encoded when the client has taken the one before. A failure breaks the body off.
-fn frames_answer(state: State, first: pb::Frame, frames: AnimationFrames, as_lines: bool) -> Response {
+fn frames_answer(state: ServerState, first: pb::Frame, frames: AnimationFrames, as_lines: bool) -> Response {
     let stream = futures::stream::unfold(Some((state, Some(first), frames)), move |open| async move {
         let (state, first, mut frames) = open?;
         let next = match first {

@@ -1,21 +1,27 @@
 //! Request bodies: JSON of a bounded size, and the rest of bodies that are not read.
+//!
+//! A server that ends its answer over HTTP/2 while the client is still sending resets the stream (RFC 9113, 8.1), and some
+//! clients, curl 7 among them, drop the answer at the reset. So the end of a rejection waits a moment, while the server reads and
+//! drops what the client sends; most bodies end in it.
 
 use super::problem::Problem;
-
 use crate::server::auth;
-use crate::server::state::State;
+use crate::server::state::ServerState;
 use crate::session::{Error, ErrorCode};
 use crate::wire;
 use axum::body::{Body, BodyDataStream};
 use axum::extract::Request;
 use bytes::{Bytes, BytesMut};
 use futures::StreamExt as _;
+use futures::future::BoxFuture;
 use http::{HeaderMap, StatusCode, header};
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use prost::Message;
 use std::pin::Pin;
+use std::sync::{Arc, LazyLock};
 use std::task::{Context, Poll};
 use std::time::Duration;
+use tokio::sync::{Semaphore, oneshot};
 
 /// The essence of the content type, in lower case and without parameters; empty when there is none.
 pub(super) fn content_type(headers: &HeaderMap) -> String {
@@ -32,7 +38,7 @@ pub(super) fn announced(headers: &HeaderMap) -> Option<u64> {
 }
 
 /// The next bytes of a body; refuses one that stands still.
-pub(super) async fn next(state: &State, stream: &mut BodyDataStream) -> Result<Option<Bytes>, Problem> {
+pub(super) async fn next(state: &ServerState, stream: &mut BodyDataStream) -> Result<Option<Bytes>, Problem> {
     let next = tokio::select! {
         next = tokio::time::timeout(patience(state), stream.next()) => next,
         () = state.closing.cancelled() => return Err(Error::draining().into()),
@@ -45,12 +51,12 @@ pub(super) async fn next(state: &State, stream: &mut BodyDataStream) -> Result<O
     }
 }
 
-/// How long a peer may take for a sign of life.
-fn patience(state: &State) -> Duration {
+/// How long a peer may be silent.
+fn patience(state: &ServerState) -> Duration {
     state.config.keepalive_interval + state.config.keepalive_timeout
 }
 
-fn stalled(state: &State) -> Problem {
+fn stalled(state: &ServerState) -> Problem {
     let text = format!(
         "the body did not come within {}",
         humantime::format_duration(patience(state))
@@ -59,7 +65,7 @@ fn stalled(state: &State) -> Problem {
 }
 
 /// The JSON text of a request, at most `message_bytes` long. An absent body is empty.
-pub(super) async fn text(state: &State, request: Request) -> Result<Bytes, Problem> {
+pub(super) async fn text(state: &ServerState, request: Request) -> Result<Bytes, Problem> {
     let kind = content_type(request.headers());
     let length = announced(request.headers());
     let empty = length == Some(0) || request.body().is_end_stream();
@@ -76,7 +82,7 @@ pub(super) async fn text(state: &State, request: Request) -> Result<Bytes, Probl
     if let Some(length) = length.filter(|&length| length > limit as u64) {
         return Err(too_large(length));
     }
-    // Many bodies at a time are as heavy as an upload.
+    // Many bodies at a time use as much memory as an upload.
     let account = match auth::principal(request.extensions()) {
         Ok(principal) => Some(state.manager.account(&principal.tenant)?),
         Err(_) => None,
@@ -94,7 +100,7 @@ pub(super) async fn text(state: &State, request: Request) -> Result<Bytes, Probl
         }
         Ok(text.freeze())
     };
-    // A message is small: one that trickles in is no honest one.
+    // A message is small, so it must come at once.
     match tokio::time::timeout(patience(state), read).await {
         Ok(read) => read,
         Err(_) => Err(stalled(state)),
@@ -102,7 +108,10 @@ pub(super) async fn text(state: &State, request: Request) -> Result<Bytes, Probl
 }
 
 /// A message from the JSON body of a request; an absent body is the message with all defaults.
-pub(super) async fn message<M: Message + Default + prost::Name>(state: &State, request: Request) -> Result<M, Problem> {
+pub(super) async fn message<M: Message + Default + prost::Name>(
+    state: &ServerState,
+    request: Request,
+) -> Result<M, Problem> {
     let text = text(state, request).await?;
     if text.is_empty() {
         Ok(M::default())
@@ -123,11 +132,11 @@ pub(super) fn same_session(in_body: &str, in_path: &str) -> Result<(), Problem> 
     .into())
 }
 
-/// How long, and at what most, an unwanted body is read on.
+/// How long the rest of an unread HTTP/1 body is read.
 const LINGER: Duration = Duration::from_secs(5);
 
-/// Makes an HTTP/1 body polite: when it is dropped before its end, the rest is read and forgotten for a while, so that a
-/// client that is still sending gets to see the answer instead of a broken connection.
+/// When the HTTP/1 body is dropped before its end, the server reads and drops the rest for a while, so that a
+/// client that is still sending receives the answer instead of a broken connection.
 pub(super) fn linger(body: Body) -> Body {
     leave_rest(body, |rest| {
         let Ok(runtime) = tokio::runtime::Handle::try_current() else {
@@ -189,5 +198,154 @@ impl Drop for LeavingRest {
         if let (Some(rest), Some(take)) = (rest, self.take.take()) {
             take(rest);
         }
+    }
+}
+
+/// How much of an unread body is read at most,
+const MOST: usize = 1 << 20;
+/// for how long,
+const LONGEST: Duration = Duration::from_secs(1);
+/// and how long it may pause: a client that has seen the answer sends nothing more.
+const PAUSE: Duration = Duration::from_millis(250);
+/// Answers of the whole program whose end waits at a time. What is refused beyond these ends at once.
+static WAITING: LazyLock<Arc<Semaphore>> = LazyLock::new(|| Arc::new(Semaphore::new(256)));
+
+/// The unread rest of a request's body.
+pub(super) struct UnreadBody(oneshot::Receiver<Body>);
+
+impl UnreadBody {
+    /// Wraps the body of a request. The second value receives what is left when it is dropped.
+    pub fn of(body: Body) -> (Body, Self) {
+        let (leave, rest) = oneshot::channel();
+        let body = leave_rest(body, move |rest| {
+            let _ = leave.send(rest);
+        });
+        (body, Self(rest))
+    }
+
+    /// Has the end of `answer` wait until the client has sent a little of what is left, if anything is.
+    pub fn delay_end(self, answer: Body) -> Body {
+        self.delay_end_within(answer, LONGEST, PAUSE)
+    }
+
+    fn delay_end_within(mut self, answer: Body, longest: Duration, pause: Duration) -> Body {
+        let Ok(rest) = self.0.try_recv() else { return answer };
+        let Ok(permit) = Arc::clone(&WAITING).try_acquire_owned() else {
+            return answer;
+        };
+        let reading = tokio::time::timeout(longest, async move {
+            read_a_little(rest, pause).await;
+            drop(permit);
+        });
+        Body::new(LateEnd {
+            answer,
+            reading: Some(Box::pin(async move {
+                let _ = reading.await;
+            })),
+        })
+    }
+}
+
+async fn read_a_little(rest: Body, pause: Duration) {
+    let mut rest = rest.into_data_stream();
+    let mut read = 0;
+    while let Ok(Some(Ok(bytes))) = tokio::time::timeout(pause, rest.next()).await {
+        read += bytes.len();
+        if read >= MOST {
+            break;
+        }
+    }
+}
+
+/// An answer whose end waits.
+struct LateEnd {
+    answer: Body,
+    reading: Option<BoxFuture<'static, ()>>,
+}
+
+impl HttpBody for LateEnd {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        match Pin::new(&mut self.answer).poll_frame(cx) {
+            Poll::Ready(None) => {}
+            answer => return answer,
+        }
+        if let Some(reading) = &mut self.reading {
+            std::task::ready!(reading.as_mut().poll(cx));
+            self.reading = None;
+        }
+        Poll::Ready(None)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.reading.is_none() && self.answer.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.answer.size_hint()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use futures::FutureExt as _;
+    use http_body_util::BodyExt as _;
+    use tokio::sync::mpsc;
+
+    /// A body that comes as it is sent.
+    fn sent() -> (mpsc::UnboundedSender<Bytes>, Body) {
+        let (send, pieces) = mpsc::unbounded_channel();
+        let pieces = futures::stream::unfold(pieces, |mut pieces| async move {
+            let piece = pieces.recv().await?;
+            Some((Ok::<_, std::io::Error>(piece), pieces))
+        });
+        (send, Body::from_stream(pieces))
+    }
+
+    #[tokio::test]
+    async fn the_end_of_a_refusal_waits_for_that_of_the_body() {
+        let (send, body) = sent();
+        let (body, rest) = UnreadBody::of(body);
+        drop(body);
+        let hour = Duration::from_secs(3600);
+        let mut answer = rest.delay_end_within(Body::from("no"), hour, hour);
+        assert_eq!(answer.size_hint().exact(), Some(2));
+        let said = answer.frame().await.expect("a frame").expect("data");
+        assert_eq!(said.into_data().expect("data"), "no");
+        for _ in 0..3 {
+            assert!(!answer.is_end_stream());
+            assert!(answer.frame().now_or_never().is_none(), "the client is still sending");
+            send.send(Bytes::from_static(&[0; 1000])).expect("read on");
+        }
+        drop(send);
+        assert!(answer.frame().await.is_none());
+        assert!(answer.is_end_stream());
+    }
+
+    #[tokio::test]
+    async fn a_refusal_ends_when_its_time_is_over_and_after_a_mebibyte() {
+        let (moment, hour) = (Duration::from_millis(20), Duration::from_secs(3600));
+        for (longest, pause) in [(moment, hour), (hour, moment)] {
+            let (_silent, body) = sent();
+            let (body, rest) = UnreadBody::of(body);
+            drop(body);
+            let answer = rest.delay_end_within(Body::from("no"), longest, pause).collect().await;
+            assert_eq!(answer.expect("an answer").to_bytes(), "no");
+        }
+        let endless = futures::stream::repeat_with(|| Ok::<_, std::io::Error>(Bytes::from_static(&[0; 4096])));
+        let (body, rest) = UnreadBody::of(Body::from_stream(endless));
+        drop(body);
+        let answer = rest.delay_end_within(Body::from("no"), hour, hour).collect().await;
+        assert_eq!(answer.expect("an answer").to_bytes(), "no");
+    }
+
+    #[tokio::test]
+    async fn a_body_that_was_read_delays_nothing() {
+        let (body, rest) = UnreadBody::of(Body::from("all of it"));
+        body.collect().await.expect("read");
+        assert!(rest.delay_end(Body::empty()).is_end_stream());
     }
 }

@@ -1,65 +1,93 @@
 //! HTTP/1.1 and HTTP/2: JSON in and out, models and vertex buffers as bytes, problems as documents.
 //!
-//! The order of layers, outermost first: request number and count → what the door refused → problem documents → compression of
+//! The order of layers, outermost first: request number and count → rejections of the request filter → problem documents → compression of
 //! JSON → routes. Each call checks in the order authentication, session, then query and body.
 
 mod animate;
 mod body;
-mod carry;
 mod create;
 mod docs;
-mod download;
-mod edits;
-mod form_reader;
-mod handles;
-mod late_end;
 mod models;
-mod negotiate;
 mod pages;
 pub(super) mod problem;
-mod query;
 mod request;
 mod route_table;
-mod routes;
 mod sessions;
-mod solve;
-mod upload_body;
-mod viewer;
+mod upload;
 
 pub(super) use animate::OFFERS as ANIMATION_TYPES;
 pub(super) use request::Caller;
 pub(super) use route_table::{ROUTES, Route};
 
 use super::redirect;
-use super::state::State;
+use super::request_filter::Rejected;
+use super::state::ServerState;
 use super::telemetry::{self, Recorder};
-use super::visitors::Refused;
+use super::websocket;
 use axum::Router;
 use axum::body::Body;
-use axum::extract::{MatchedPath, Request};
+use axum::extract::{MatchedPath, Request, State};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse as _, Response};
+use axum::routing::{get, patch, post, put};
+use body::UnreadBody;
 use futures::FutureExt as _;
 use http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
-use late_end::UnreadRest;
 use problem::Problem;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::Predicate;
-use tracing::Instrument as _;
+use tracing::{Instrument as _, Span};
 
-/// The number of a request; returned as it came.
+/// The id of a request; the server returns it unchanged.
 pub(super) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
 /// All HTTP routes over `state`.
-pub(super) fn router(state: &State) -> Router {
-    routes::all()
+pub(super) fn router(state: &ServerState) -> Router {
+    routes()
         .fallback(unknown_route)
         .method_not_allowed_fallback(wrong_method)
         .layer(CompressionLayer::new().gzip(true).compress_when(JsonOnly))
         .layer(middleware::from_fn_with_state(state.clone(), frame))
         .with_state(state.clone())
+}
+
+/// All routes.
+fn routes() -> Router<ServerState> {
+    Router::new()
+        .route("/v1/sessions", post(create::create).get(sessions::list))
+        .route("/v1/sessions/{id}", get(sessions::get).delete(sessions::delete))
+        .route("/v1/sessions/{id}/handles", put(sessions::set_handles))
+        .route(
+            "/v1/sessions/{id}/handles/{handleId}",
+            patch(sessions::patch_handle).delete(sessions::delete_handle),
+        )
+        .route("/v1/sessions/{id}/solve", post(sessions::solve))
+        .route("/v1/sessions/{id}/edits", post(sessions::edit))
+        .route("/v1/sessions/{id}/carry", post(sessions::carry))
+        .route("/v1/sessions/{id}/animations", post(animate::animate))
+        .route("/v1/sessions/{id}/undo", post(sessions::undo))
+        .route("/v1/sessions/{id}/redo", post(sessions::redo))
+        .route("/v1/sessions/{id}/history", get(sessions::history))
+        .route("/v1/sessions/{id}/model", get(models::model))
+        .route("/v1/sessions/{id}/positions", get(models::positions))
+        .route(
+            "/v1/sessions/{id}/stream",
+            get(websocket::upgrade).connect(websocket::upgrade),
+        )
+        .route("/v1/limits", get(sessions::limits))
+        .route("/v1/sample.glb", get(pages::sample))
+        .route("/healthz", get(pages::alive))
+        .route("/readyz", get(pages::ready))
+        .route("/metrics", get(pages::metrics))
+        .route("/openapi.json", get(pages::openapi))
+        .route("/docs", get(docs::page))
+        .route("/docs/", get(docs::page))
+        .route("/docs.js", get(docs::script))
+        .route("/", get(pages::viewer))
+        .route("/icon.svg", get(pages::icon))
+        .route("/assets/{name}", get(pages::asset))
 }
 
 async fn unknown_route(request: Request) -> Problem {
@@ -80,8 +108,8 @@ async fn wrong_method(request: Request) -> Problem {
     )
 }
 
-/// Numbers, counts and guards a call, and gives its problem document the path.
-async fn frame(axum::extract::State(state): axum::extract::State<State>, mut request: Request, next: Next) -> Response {
+/// Numbers and counts a call, catches its panics, and gives its problem document the path.
+async fn frame(State(state): State<ServerState>, mut request: Request, next: Next) -> Response {
     let request_id = request
         .headers()
         .get(REQUEST_ID)
@@ -94,10 +122,10 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         .get::<MatchedPath>()
         .map_or("unknown", |m| m.as_str())
         .to_owned();
-    let mut recorder = Recorder::start(&state.telemetry, ("http", route), Arc::clone(&request_id), &request);
+    let mut recorder = Recorder::start(&state.telemetry, "http", route, Arc::clone(&request_id), &request);
 
-    let asked = (request.uri().clone(), request.headers().clone());
-    if let Some(without) = redirect::without_node(&asked.0) {
+    let (uri, headers) = (request.uri().clone(), request.headers().clone());
+    if let Some(without) = redirect::without_node(&uri) {
         *request.uri_mut() = without;
         request
             .headers_mut()
@@ -108,28 +136,27 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
     *request.body_mut() = match request.version() < http::Version::HTTP_2 {
         true => body::linger(body),
         false => {
-            let (body, rest) = UnreadRest::of(body);
+            let (body, rest) = UnreadBody::of(body);
             unread = Some(rest);
             body
         }
     };
-    let refused = request.extensions_mut().remove::<Refused>();
-    let response = answer_call(&state, request, refused, next, &recorder).await;
+    let response = answer_call(&state, request, next, recorder.span()).await;
 
     let mut response = match response.extensions().get::<Problem>().cloned() {
         // Allow and other headers that the route added stay.
         Some(mut problem) => {
-            problem.send_to_owner(&asked.0, &asked.1);
-            let mut told = problem.respond(Some(&path));
+            problem.send_to_owner(&uri, &headers);
+            let mut whole = problem.respond(Some(&path));
             for (name, value) in response.headers() {
-                if !told.headers().contains_key(name)
+                if !whole.headers().contains_key(name)
                     && name != header::CONTENT_LENGTH
                     && name != header::CONTENT_ENCODING
                 {
-                    told.headers_mut().append(name.clone(), value.clone());
+                    whole.headers_mut().append(name.clone(), value.clone());
                 }
             }
-            told
+            whole
         }
         None => response,
     };
@@ -137,7 +164,7 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
         response.headers_mut().insert(REQUEST_ID, id);
     }
     let status = response.status();
-    // What is damaged in the store has been told as that.
+    // Damage in the store was reported as such.
     let is_damage = response
         .extensions()
         .get::<Problem>()
@@ -156,28 +183,22 @@ async fn frame(axum::extract::State(state): axum::extract::State<State>, mut req
     })
 }
 
-/// Answers a call, or refuses it before anything of its body is read.
-async fn answer_call(
-    state: &State,
-    request: Request,
-    refused: Option<Refused>,
-    next: Next,
-    recorder: &Recorder,
-) -> Response {
-    if let Some(Refused(error)) = refused {
+/// Answers a call, or rejects it before anything of its body is read.
+async fn answer_call(state: &ServerState, mut request: Request, next: Next, span: Span) -> Response {
+    if let Some(Rejected(error)) = request.extensions_mut().remove() {
         Problem::from(error).into_response()
     } else if let Some(encoding) = unread_encoding(request.headers()) {
-        let told = format!("the content encoding \"{encoding}\" is not read; send the body as it is");
-        Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "INVALID_ARGUMENT", told)
+        let detail = format!("the content encoding \"{encoding}\" is not read; send the body as it is");
+        Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "INVALID_ARGUMENT", detail)
             .with_header(header::ACCEPT_ENCODING, "identity".into())
             .into_response()
     } else if state.draining.is_cancelled() && matches!(*request.method(), Method::POST | Method::PUT | Method::PATCH) {
         Problem::from(state.manager.leaving().await).into_response()
     } else {
-        // A defect costs its call an answer of 500, not the connection.
+        // A defect ends its call with 500, not the connection.
         match AssertUnwindSafe(next.run(request))
             .catch_unwind()
-            .instrument(recorder.span())
+            .instrument(span)
             .await
         {
             Ok(response) => response,
@@ -186,7 +207,7 @@ async fn answer_call(
     }
 }
 
-/// How a body is encoded that nothing here decodes.
+/// The encoding of a body that the server does not decode.
 fn unread_encoding(headers: &HeaderMap) -> Option<String> {
     let encodings = headers.get_all(header::CONTENT_ENCODING).iter();
     encodings

@@ -134,10 +134,10 @@ impl From<session::Error> for Problem {
         let mut problem = Self::new(status, error.code_name(), error.message);
         problem.field = error.field;
         if let Some(owner) = error.owner {
-            let told = [(redirect::OWNER, &owner.address), (redirect::NODE, &owner.node)];
+            let headers = [(redirect::OWNER, &owner.address), (redirect::NODE, &owner.node)];
             problem
                 .headers
-                .extend(told.map(|(name, value)| (HeaderName::from_static(name), value.clone())));
+                .extend(headers.map(|(name, value)| (HeaderName::from_static(name), value.clone())));
             problem.owner = Some(owner);
         }
         if status == StatusCode::UNAUTHORIZED {

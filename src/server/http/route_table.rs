@@ -1,7 +1,7 @@
 //! Every path and method with its API description; a test compares it with the router.
 
 /// A route as the API description has it.
-pub(in crate::server) struct Route {
+pub(crate) struct Route {
     pub method: &'static str,
     pub path: &'static str,
     /// The rpc of the schema that it is, whose comment describes it.
@@ -37,7 +37,7 @@ const FORMAT: (&str, &str) = ("format", "glb, gltf, obj, ply, off or stl");
 const OPENED_FORMAT: (&str, &str) = ("format", "glb, gltf, obj, ply, off, stl or fbx");
 
 /// Every route but the pages for people.
-pub(in crate::server) const ROUTES: [Route; 23] = [
+pub(crate) const ROUTES: [Route; 23] = [
     Route {
         method: "post",
         path: "/v1/sessions",

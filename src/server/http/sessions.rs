@@ -1,37 +1,41 @@
-//! Sessions: list, describe, close; their commits; the limits.
+//! The calls on sessions that answer with JSON, and a solve, which may answer with a vertex buffer or the deformed model.
 
-use super::problem::Problem;
-use super::query;
-use super::request::{Caller, Names};
+use super::problem::{Problem, clip};
+use super::request::{Caller, SessionCall, negotiate, parameters};
+use super::{body, models};
+use crate::asset::Format;
 use crate::server::messages;
-use crate::server::state::State;
-use crate::session::{Error, SessionFacts};
-use crate::wire;
-use crate::wire::pb;
+use crate::server::state::ServerState;
+use crate::session::{CommittedPose, Error, ErrorCode, SessionFacts};
+use crate::wire::frames::{Frame, encode};
+use crate::wire::{self, pb};
 use axum::Json;
-use axum::extract::State as From;
+use axum::body::Body;
+use axum::extract::{Request, State};
 use axum::response::{IntoResponse as _, Response};
-use http::{StatusCode, Uri};
+use bytes::Bytes;
+use http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use prost::Message;
+use std::convert::Infallible;
 
 /// The JSON answer that a message is.
-pub(super) fn json<M: Message + prost::Name>(message: &M) -> Result<Response, Problem> {
+fn json<M: Message + prost::Name>(message: &M) -> Result<Response, Problem> {
     Ok(Json(wire::json::to_json(message)?).into_response())
 }
 
 /// The JSON answer that a session is.
-pub(super) fn session_json(state: &State, session: &SessionFacts) -> Result<Response, Problem> {
+pub(super) fn session_json(state: &ServerState, session: &SessionFacts) -> Result<Response, Problem> {
     json(&messages::described_session(session, state.manager.config()))
 }
 
-pub(super) async fn list(From(state): From<State>, caller: Caller, uri: Uri) -> Result<Response, Problem> {
-    let mut found = query::parameters(&uri, &["pageSize", "pageToken", "page_size", "page_token"])?;
+pub(super) async fn list(State(state): State<ServerState>, caller: Caller, uri: Uri) -> Result<Response, Problem> {
+    let mut found = parameters(&uri, &["pageSize", "pageToken", "page_size", "page_token"])?;
     let mut take = |camel: &str, snake: &str| found.remove(camel).or_else(|| found.remove(snake));
     let page_size = match take("pageSize", "page_size") {
         None => 0,
         // Only a message has no other way to say nothing than 0.
         Some(text) => text.parse().ok().filter(|size| *size > 0).ok_or_else(|| {
-            let seen = super::problem::clip(&text);
+            let seen = clip(&text);
             Error::invalid("pageSize", format!("\"{seen}\" is not a whole number from 1 to 1000"))
         })?,
     };
@@ -41,53 +45,209 @@ pub(super) async fn list(From(state): From<State>, caller: Caller, uri: Uri) -> 
     json(&messages::session_list(&list, state.manager.config()))
 }
 
-pub(super) async fn get(
-    From(state): From<State>,
-    caller: Caller,
-    Names(id): Names<String>,
-) -> Result<Response, Problem> {
-    session_json(&state, &state.manager.get(&caller.tenant, &id).await?)
+pub(super) async fn get(call: SessionCall) -> Result<Response, Problem> {
+    session_json(&call.state, &call.manager.get(&call.caller.tenant, &call.id).await?)
 }
 
-pub(super) async fn delete(
-    From(state): From<State>,
-    caller: Caller,
-    Names(id): Names<String>,
-) -> Result<Response, Problem> {
-    caller.manager(&state).delete(&caller.tenant, &id).await?;
+pub(super) async fn delete(call: SessionCall) -> Result<Response, Problem> {
+    call.manager.delete(&call.caller.tenant, &call.id).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
-pub(super) async fn undo(
-    From(state): From<State>,
-    caller: Caller,
-    Names(id): Names<String>,
-) -> Result<Response, Problem> {
-    let session = caller.manager(&state).undo(&caller.tenant, &id, caller.key()?).await?;
-    session_json(&state, &session)
+pub(super) async fn undo(call: SessionCall) -> Result<Response, Problem> {
+    let undone = call.manager.undo(&call.caller.tenant, &call.id, call.caller.key()?);
+    session_json(&call.state, &undone.await?)
 }
 
-pub(super) async fn redo(
-    From(state): From<State>,
-    caller: Caller,
-    Names(id): Names<String>,
-) -> Result<Response, Problem> {
-    let session = caller.manager(&state).redo(&caller.tenant, &id, caller.key()?).await?;
-    session_json(&state, &session)
+pub(super) async fn redo(call: SessionCall) -> Result<Response, Problem> {
+    let redone = call.manager.redo(&call.caller.tenant, &call.id, call.caller.key()?);
+    session_json(&call.state, &redone.await?)
 }
 
-pub(super) async fn history(
-    From(state): From<State>,
-    caller: Caller,
-    Names(id): Names<String>,
-) -> Result<Response, Problem> {
-    json(&messages::history_message(
-        state.manager.history(&caller.tenant, &id).await?,
-    ))
+pub(super) async fn history(call: SessionCall) -> Result<Response, Problem> {
+    let history = call.manager.history(&call.caller.tenant, &call.id).await?;
+    json(&messages::history_message(history))
 }
 
-pub(super) async fn limits(From(state): From<State>, caller: Caller) -> Result<Response, Problem> {
+pub(super) async fn limits(State(state): State<ServerState>, caller: Caller) -> Result<Response, Problem> {
     let left = state.manager.quotas_left(&caller.tenant).await?;
     let longest = *state.manager.ttl_range(&caller.tenant)?.end();
     json(&messages::limits_left(state.manager.config(), &left, longest))
+}
+
+pub(super) async fn set_handles(call: SessionCall, request: Request) -> Result<Response, Problem> {
+    let message: pb::SetHandlesRequest = call.message(request).await?;
+    let (key, handles) = (call.key_of(&message)?, wire::handle_set(&message)?);
+    let set = call.manager.set_handles(&call.caller.tenant, &call.id, handles, key);
+    session_json(&call.state, &set.await?)
+}
+
+pub(super) async fn patch_handle(call: SessionCall, request: Request) -> Result<Response, Problem> {
+    call.check_session().await?;
+    let text = body::text(&call.state, request).await?;
+    let mut handle: pb::Handle = if text.is_empty() {
+        pb::Handle::default()
+    } else {
+        wire::json::from_json(&text)?
+    };
+    if !handle.id.is_empty() && handle.id != call.handle_id {
+        let (seen, path) = (clip(&handle.id), clip(&call.handle_id));
+        return Err(Error::invalid("id", format!("is \"{seen}\", the path says \"{path}\"")).into());
+    }
+    handle.id.clone_from(&call.handle_id);
+    let tenant = &call.caller.tenant;
+    let fields = present(&text);
+    let key = || [fields.join(",").as_bytes(), &handle.encode_to_vec()].concat();
+    let key = call.caller.call_key(key)?;
+    let patch = wire::handle_patch(&handle, &fields, &call.manager.handles(tenant, &call.id).await?)?;
+    session_json(
+        &call.state,
+        &call.manager.put_handle(tenant, &call.id, patch, key).await?,
+    )
+}
+
+pub(super) async fn delete_handle(call: SessionCall) -> Result<Response, Problem> {
+    let (tenant, key) = (&call.caller.tenant, call.caller.key()?);
+    let removed = call.manager.remove_handle(tenant, &call.id, &call.handle_id, key);
+    session_json(&call.state, &removed.await?)
+}
+
+/// The names of the fields that a JSON object gives.
+fn present(text: &[u8]) -> Vec<String> {
+    match serde_json::from_slice(text) {
+        Ok(serde_json::Value::Object(fields)) => fields.into_iter().map(|(name, _)| name).collect(),
+        _ => Vec::new(),
+    }
+}
+
+pub(super) async fn edit(call: SessionCall, request: Request) -> Result<Response, Problem> {
+    let message: pb::EditRequest = call.message(request).await?;
+    let (key, edit) = (call.key_of(&message)?, wire::session_edit(&message)?);
+    let done = call.manager.edit(&call.caller.tenant, &call.id, edit, key).await?;
+    json(&messages::committed_edit(done))
+}
+
+pub(super) async fn carry(call: SessionCall, request: Request) -> Result<Response, Problem> {
+    let message: pb::CarryRequest = call.message(request).await?;
+    let order = wire::carry_order(&message)?;
+    let carried = call.manager.carry(&call.caller.tenant, &call.id, order).await?;
+    json(&messages::carried_message(carried))
+}
+
+const JSON: &str = "application/json";
+const BUFFER: &str = "application/octet-stream";
+
+/// The media types of a solve's answer: JSON, the buffer, then the model in every format.
+fn offers() -> Vec<&'static str> {
+    let models = Format::ALL.into_iter().map(Format::media_type);
+    [JSON, BUFFER].into_iter().chain(models).collect()
+}
+
+pub(super) async fn solve(call: SessionCall, request: Request) -> Result<Response, Problem> {
+    call.check_session().await?;
+    let offer = negotiate(request.headers(), &offers())?;
+    let message: pb::SolveRequest = call.body_message(request).await?;
+    if offer == BUFFER {
+        whole_buffer(message.options.as_ref())?;
+    }
+    let (tenant, key) = (&call.caller.tenant, call.key_of(&message)?);
+    let pose = wire::pose_commit(&message, call.manager.config().window)?;
+    let solved = call.manager.solve(tenant, &call.id, pose, key).await?;
+    let facts = facts(&solved);
+    let mut response = match offer {
+        JSON => as_json(solved).await?,
+        BUFFER => as_buffer(frame_parts(solved.frame).await?),
+        model => {
+            let format = Format::from_media_type(model);
+            let exported = call.manager.export(tenant, &call.id, format).await?;
+            models::main_file(&call.id, exported, &HeaderMap::new())?
+        }
+    };
+    response.headers_mut().extend(facts);
+    Ok(response)
+}
+
+/// The whole buffer is plain floats of every vertex; other forms need the frames that JSON carries.
+fn whole_buffer(options: Option<&pb::Options>) -> Result<(), Error> {
+    let Some(output) = options.and_then(|o| o.output.as_ref()) else {
+        return Ok(());
+    };
+    if output.encoding() != pb::frame::Encoding::F32 {
+        return Err(Error::invalid(
+            "options.output.encoding",
+            format!("only F32 comes as {BUFFER}; ask for {JSON}"),
+        ));
+    }
+    if output.changed_only.is_some() {
+        return Err(Error::invalid(
+            "options.output.changedOnly",
+            format!("a part of the vertices cannot come as {BUFFER}; ask for {JSON}"),
+        ));
+    }
+    Ok(())
+}
+
+/// What is known of a solve, as headers, for the forms that cannot say it themselves.
+fn facts(solved: &CommittedPose) -> HeaderMap {
+    let mut headers = HeaderMap::new();
+    let mut set = |name: &'static str, value: String| {
+        if let Ok(value) = HeaderValue::from_str(&value) {
+            headers.insert(HeaderName::from_static(name), value);
+        }
+    };
+    set("x-pliant-revision", solved.revision.to_string());
+    set("x-pliant-digest", solved.digest.clone());
+    set("x-pliant-vertices", solved.frame.positions.len().to_string());
+    let header = &solved.frame.header;
+    set("x-pliant-residual", header.residual.to_string());
+    set("x-pliant-max-error", header.max_error.to_string());
+    set("x-pliant-solve-ms", header.solve_ms.to_string());
+    set("x-pliant-queue-ms", header.queue_ms.to_string());
+    if let Some(quality) = &header.quality {
+        set("x-pliant-edge-rms", quality.edge_rms.to_string());
+        set("x-pliant-volume-change", quality.volume_change.to_string());
+        set("x-pliant-open-surface", quality.open_surface.to_string());
+        set("x-pliant-area-change", quality.area_change.to_string());
+        set("x-pliant-flipped-triangles", quality.flipped_triangles.to_string());
+        set("x-pliant-max-stretch", quality.max_stretch.to_string());
+        set("x-pliant-faces-too-large", quality.faces_too_large.to_string());
+        if let Some(pairs) = quality.self_intersections {
+            set("x-pliant-self-intersections", pairs.to_string());
+        }
+    }
+    headers
+}
+
+/// All parts of a frame, encoded on a blocking thread.
+async fn frame_parts(frame: Frame) -> Result<Vec<pb::Frame>, Problem> {
+    let encoded = tokio::task::spawn_blocking(move || encode(frame).collect()).await;
+    encoded.map_err(|_| Error::new(ErrorCode::Internal, "the frame cannot be encoded").into())
+}
+
+async fn as_json(solved: CommittedPose) -> Result<Response, Problem> {
+    let frames = frame_parts(solved.frame).await?;
+    let frames = frames.iter().map(wire::json::to_json).collect::<Result<Vec<_>, _>>()?;
+    let answer = serde_json::json!({
+        "frames": frames,
+        // As proto-JSON writes 64-bit numbers.
+        "revision": solved.revision.to_string(),
+        "digest": solved.digest,
+    });
+    Ok(Json(answer).into_response())
+}
+
+fn as_buffer(mut frames: Vec<pb::Frame>) -> Response {
+    // Positions, then normals, then tangents; parts of one attribute keep their order.
+    frames.sort_by_key(|frame| (frame.attribute, frame.part));
+    let parts: Vec<Bytes> = frames.into_iter().map(|frame| frame.data).collect();
+    let bytes: usize = parts.iter().map(Bytes::len).sum();
+    let body = Body::from_stream(futures::stream::iter(parts.into_iter().map(Ok::<_, Infallible>)));
+    let mut response = Response::new(body);
+    response
+        .headers_mut()
+        .insert(header::CONTENT_TYPE, HeaderValue::from_static(BUFFER));
+    response
+        .headers_mut()
+        .insert(header::CONTENT_LENGTH, HeaderValue::from(bytes));
+    response
 }

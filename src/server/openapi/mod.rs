@@ -315,9 +315,10 @@ mod tests {
             .unwrap();
         for field in schema.fields() {
             let name = field.json_name();
-            let told = named(name).is_some() || options.split(|c: char| !c.is_alphanumeric()).any(|word| word == name);
+            let is_described =
+                named(name).is_some() || options.split(|c: char| !c.is_alphanumeric()).any(|word| word == name);
             assert!(
-                told,
+                is_described,
                 "POST /v1/sessions takes {name}, and its description does not say so"
             );
         }

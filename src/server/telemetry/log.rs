@@ -19,13 +19,13 @@ use tracing_subscriber::{EnvFilter, Layer as _};
 /// # Errors
 /// A text, when the address is none.
 pub fn start(directives: &str, format: LogFormat, otlp_endpoint: Option<&str>) -> Result<TraceExport, String> {
-    // Chatter of the protocol libraries helps nobody and slows streams; spans are lines only where they are asked for.
+    // Log lines of the protocol libraries are of no use and slow streams; spans are lines only where they are asked for.
     let quiet =
         "h2=warn,hyper=warn,hyper_util=warn,tonic=warn,tower=warn,tungstenite=warn,sqlx=warn,opentelemetry=warn";
     let filter = EnvFilter::builder().parse_lossy(format!("{quiet},{SPANS}=off,{directives}"));
     let lines = tracing_subscriber::fmt::layer()
         .with_span_events(FmtSpan::CLOSE)
-        // A line that cannot be written, on a full disk, is lost; telling that on the same disk would end the work that wrote it.
+        // A line that cannot be written, on a full disk, is lost; a line about that on the same disk would end the work that wrote it.
         .log_internal_errors(false)
         .with_writer(std::io::stderr);
     let lines = match format {

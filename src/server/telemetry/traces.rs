@@ -16,7 +16,7 @@ use tracing_opentelemetry::OpenTelemetrySpanExt as _;
 /// How long sending spans may take, and the last of them at the end.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// Where spans go. They are sent in batches; those that find no room in the queue are dropped.
+/// The export of spans. They are sent in batches; those that find no room in the queue are dropped.
 pub struct TraceExport(Option<SdkTracerProvider>);
 
 impl TraceExport {
@@ -57,12 +57,7 @@ impl TraceExport {
 }
 
 /// The span of a call; part of the caller's trace where its headers name one (W3C trace context).
-pub(in crate::server) fn call_span(
-    transport: &'static str,
-    route: &str,
-    request_id: &str,
-    headers: &HeaderMap,
-) -> Span {
+pub(super) fn call_span(transport: &'static str, route: &str, request_id: &str, headers: &HeaderMap) -> Span {
     let span = tracing::info_span!(
         target: SPANS,
         "call",
@@ -75,7 +70,7 @@ pub(in crate::server) fn call_span(
     );
     if !span.is_disabled() && headers.contains_key("traceparent") {
         let caller = TraceContextPropagator::new().extract(&TraceHeaders(headers));
-        // Nobody collects spans where this fails.
+        // This fails only where no spans are collected.
         let _ = span.set_parent(caller);
     }
     span

@@ -1,8 +1,8 @@
 //! `/docs`: the API description as a page for people, made from `/openapi.json` alone, nothing from elsewhere. Its script searches
 //! and makes calls of this server; without it the page reads as well.
 
+use super::pages::with_page_headers;
 use super::problem::Problem;
-use super::viewer::guarded;
 use crate::server::openapi;
 use crate::session::Error;
 use axum::body::Body;
@@ -25,15 +25,15 @@ static PAGE: LazyLock<Result<String, Error>> = LazyLock::new(|| {
 });
 
 /// The page.
-pub(in crate::server::http) async fn page() -> Result<Response, Problem> {
+pub(crate) async fn page() -> Result<Response, Problem> {
     let text = PAGE.as_deref().map_err(Clone::clone)?;
     let response = Response::new(Body::from(text));
-    Ok(guarded(response, "text/html; charset=utf-8", POLICY))
+    Ok(with_page_headers(response, "text/html; charset=utf-8", POLICY))
 }
 
 /// The page's script.
-pub(in crate::server::http) async fn script() -> Response {
-    guarded(
+pub(crate) async fn script() -> Response {
+    with_page_headers(
         Response::new(Body::from(SCRIPT)),
         "text/javascript; charset=utf-8",
         POLICY,

@@ -1,17 +1,42 @@
-//! The parts of a `multipart/form-data` body as they arrive.
+//! The bytes of an upload as they arrive, and the parts of a `multipart/form-data` body.
 
 use super::body;
 use super::problem::Problem;
-use super::upload_body::next_bytes;
 use crate::server::auth;
-use crate::server::state::State;
-use crate::server::upload_pace::UploadPace;
-use crate::server::uploads::Held;
+use crate::server::state::ServerState;
+use crate::server::uploads::{HeldUpload, UploadPace};
 use crate::session::{Error, ErrorCode};
 use axum::extract::Request;
-use http::header;
+use bytes::Bytes;
+use futures::StreamExt as _;
+use http::{StatusCode, header};
 use multer::{Field, Multipart};
 use std::sync::{Arc, Mutex, PoisonError};
+
+/// The next bytes of an upload; gives up when they come too slowly, and when the server is asked to stop.
+pub(super) async fn next_bytes(
+    state: &ServerState,
+    stream: &mut axum::body::BodyDataStream,
+    pace: &mut UploadPace,
+) -> Result<Option<Bytes>, Problem> {
+    let next = tokio::select! {
+        next = tokio::time::timeout_at(pace.due(), stream.next()) => next,
+        () = state.draining.cancelled() => return Err(Error::draining().into()),
+    };
+    match next {
+        Ok(None) => Ok(None),
+        Ok(Some(Ok(bytes))) => {
+            pace.take(bytes.len());
+            Ok(Some(bytes))
+        }
+        Ok(Some(Err(_))) => Err(Error::malformed("the body broke off").into()),
+        Err(_) => {
+            let late = pace.late();
+            let timed_out = StatusCode::REQUEST_TIMEOUT;
+            Err(Problem::new(timed_out, "DEADLINE_EXCEEDED", late.message))
+        }
+    }
+}
 
 /// Reads a form part by part.
 pub(super) struct FormReader {
@@ -21,16 +46,16 @@ pub(super) struct FormReader {
 }
 
 impl FormReader {
-    /// Starts the upload that a form is; refuses an announced length that is too large. Headers of parts do not count, so that the
+    /// Starts the upload that a form is; rejects an announced length that is too large. Headers of parts do not count, so that the
     /// refusal leaves them room.
-    pub fn hold_upload(state: &State, request: &Request) -> Result<Held, Problem> {
+    pub fn hold_upload(state: &ServerState, request: &Request) -> Result<HeldUpload, Problem> {
         let tenant = &auth::principal(request.extensions())?.tenant;
         let announced = body::announced(request.headers()).map(|length| length.saturating_sub(1 << 20));
         Ok(state.hold_upload(tenant, announced)?)
     }
 
     /// A reader of the body.
-    pub fn of_request(state: &State, request: Request) -> Result<Self, Problem> {
+    pub fn of_request(state: &ServerState, request: Request) -> Result<Self, Problem> {
         let content_type = request
             .headers()
             .get(header::CONTENT_TYPE)
@@ -76,7 +101,7 @@ impl FormReader {
         }
     }
 
-    /// All bytes of a part, at most `limit`; `count` hears of each piece before it is kept.
+    /// All bytes of a part, at most `limit`; `count` is called with each piece before it is stored.
     pub async fn field_bytes(
         &self,
         field: &mut Field<'_>,
@@ -97,7 +122,7 @@ impl FormReader {
     }
 
     fn why_unreadable(&self, error: &multer::Error) -> Problem {
-        let told = self.stopped.lock().unwrap_or_else(PoisonError::into_inner).take();
-        told.unwrap_or_else(|| Error::malformed(format!("the form is not readable: {error}")).into())
+        let stopped = self.stopped.lock().unwrap_or_else(PoisonError::into_inner).take();
+        stopped.unwrap_or_else(|| Error::malformed(format!("the form is not readable: {error}")).into())
     }
 }

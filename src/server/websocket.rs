@@ -6,18 +6,18 @@
 //! A response is pulled from the session only when the one before has been written to the connection, so a reader that
 //! stops costs one frame of memory. Requests are read all the while, so newer poses replace older ones.
 
+use super::connection::{ConnectionSlot, SocketFlags};
 use super::http::Caller;
 use super::http::problem::Problem;
-use super::lingering::Linger;
-use super::state::State;
-use super::stream_ends::{RequestEnd, ResponseEnd, failure_message, message_ends};
+use super::state::ServerState;
+use super::stream_messages::{RequestSender, ResponseReceiver, failure_message, message_channels};
 use crate::session::{DeformStream, Error, ErrorCode};
 use crate::wire::frames::OutgoingResponse;
-use crate::wire::pb::{self, deform_response::Message as Response};
-use axum::extract::State as From;
+use crate::wire::pb;
+use crate::wire::pb::deform_response::Message as Response;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};
-use axum::extract::{FromRequestParts as _, Path, Request};
+use axum::extract::{FromRequestParts as _, Path, Request, State};
 use futures::stream::{SplitSink, SplitStream};
 use futures::{SinkExt as _, StreamExt as _};
 use http::{StatusCode, header};
@@ -35,11 +35,11 @@ const WRITE_BUFFER: usize = 128 << 10;
 const MAX_WRITE_BUFFER: usize = 4 << 20;
 
 /// How long the closing handshake may take.
-const FAREWELL: Duration = Duration::from_secs(1);
+const CLOSING_TIME: Duration = Duration::from_secs(1);
 
 /// Opens the session's stream and upgrades. A refusal is an ordinary HTTP answer.
 pub(super) async fn upgrade(
-    From(state): From<State>,
+    State(state): State<ServerState>,
     caller: Caller,
     request: Request,
 ) -> Result<axum::response::Response, Problem> {
@@ -53,12 +53,9 @@ pub(super) async fn upgrade(
         .map_err(no_upgrade)?;
     let stream = caller.manager(&state).stream(&caller.tenant, &id).await?;
     let largest = state.message_bytes;
-    // The connection's slot is held by whoever holds its socket.
-    let slot = parts
-        .extensions
-        .get::<super::connection_slot::ConnectionSlot>()
-        .cloned();
-    let linger: Option<Linger> = parts.extensions.get().cloned();
+    // The WebSocket holds the connection's slot until it ends.
+    let slot: Option<ConnectionSlot> = parts.extensions.get().cloned();
+    let flags: SocketFlags = parts.extensions.get().cloned().unwrap_or_default();
     let token = state.sockets.token();
     Ok(upgrade
         .protocols([PROTOCOL])
@@ -68,7 +65,7 @@ pub(super) async fn upgrade(
         .max_frame_size(largest)
         .on_upgrade(move |socket| async move {
             state.telemetry.sockets.inc();
-            serve(&state, &id, (socket, linger), stream).await;
+            serve(&state, &id, socket, &flags, stream).await;
             state.telemetry.sockets.dec();
             drop((slot, token));
         }))
@@ -82,20 +79,17 @@ fn no_upgrade(rejection: WebSocketUpgradeRejection) -> Problem {
 }
 
 /// How a socket ends.
-struct Ending {
+struct SocketEnd {
     code: u16,
     reason: String,
     /// Sent to the client as an Error message before the close frame.
     error: Option<Error>,
 }
 
-impl Ending {
+impl SocketEnd {
     fn new(code: u16, reason: &str) -> Self {
-        Self {
-            code,
-            reason: reason.to_owned(),
-            error: None,
-        }
+        let (reason, error) = (reason.to_owned(), None);
+        Self { code, reason, error }
     }
 
     fn going_away() -> Self {
@@ -107,16 +101,13 @@ impl Ending {
             ErrorCode::Internal => 1011,
             _ => 4000 + u16::try_from(error.grpc_code()).unwrap_or(0),
         };
-        Self {
-            code,
-            reason: error.message.clone(),
-            error: Some(error),
-        }
+        let (reason, error) = (error.message.clone(), Some(error));
+        Self { code, reason, error }
     }
 }
 
-async fn serve(state: &State, id: &str, (socket, linger): (WebSocket, Option<Linger>), stream: DeformStream) {
-    let (input, mut output) = message_ends(stream, state.manager.config().stream_limits());
+async fn serve(state: &ServerState, id: &str, socket: WebSocket, flags: &SocketFlags, stream: DeformStream) {
+    let (input, mut output) = message_channels(stream, state.manager.config().stream_limits());
     let (mut sink, source) = socket.split();
     let seen = Arc::new(Notify::new());
     let ending = {
@@ -125,24 +116,26 @@ async fn serve(state: &State, id: &str, (socket, linger): (WebSocket, Option<Lin
         tokio::pin!(read, write);
         tokio::select! {
             ending = &mut read => {
-                // It may be sending still, the rest of a message that is too large above all.
-                linger.iter().filter(|_| ending.is_some()).for_each(Linger::ask);
+                // The client may still be sending, above all the rest of a message that is too large.
+                if ending.is_some() {
+                    flags.linger();
+                }
                 ending
             }
             ending = &mut write => ending,
-            () = silence(state, &seen) => Some(Ending::new(1001, "no answer to a keep-alive ping")),
-            () = state.closing.cancelled() => Some(Ending::going_away()),
+            () = wait_for_silence(state, &seen) => Some(SocketEnd::new(1001, "no answer to a keep-alive ping")),
+            () = state.closing.cancelled() => Some(SocketEnd::going_away()),
         }
     };
     // The solve under way stops here, not when the handshake below is done.
     drop((input, output));
     if let Some(ending) = ending {
-        let _ = tokio::time::timeout(FAREWELL, farewell(sink, ending)).await;
+        let _ = tokio::time::timeout(CLOSING_TIME, close(sink, ending)).await;
     }
 }
 
 /// Reads requests until the client closes (`None`) or breaks a rule.
-async fn read(input: &RequestEnd, mut source: SplitStream<WebSocket>, id: &str, seen: &Notify) -> Option<Ending> {
+async fn read(input: &RequestSender, mut source: SplitStream<WebSocket>, id: &str, seen: &Notify) -> Option<SocketEnd> {
     loop {
         let message = match source.next().await {
             None => return None,
@@ -152,21 +145,27 @@ async fn read(input: &RequestEnd, mut source: SplitStream<WebSocket>, id: &str, 
         seen.notify_one();
         let bytes = match message {
             Message::Binary(bytes) => bytes,
-            Message::Text(_) => return Some(Ending::new(1003, "text message; a request is a binary DeformRequest")),
+            Message::Text(_) => {
+                return Some(SocketEnd::new(
+                    1003,
+                    "text message; a request is a binary DeformRequest",
+                ));
+            }
             Message::Ping(_) | Message::Pong(_) => continue,
             Message::Close(_) => return None,
         };
         let request = match pb::DeformRequest::decode(bytes) {
             Ok(request) => request,
             Err(error) => {
-                let mut ending =
-                    Ending::failed(Error::malformed(format!("the message is not a DeformRequest: {error}")));
-                ending.code = 1007;
-                return Some(ending);
+                let error = Error::malformed(format!("the message is not a DeformRequest: {error}"));
+                return Some(SocketEnd {
+                    code: 1007,
+                    ..SocketEnd::failed(error)
+                });
             }
         };
         if !request.session_id.is_empty() && request.session_id != id {
-            return Some(Ending::failed(Error::invalid(
+            return Some(SocketEnd::failed(Error::invalid(
                 "sessionId",
                 "differs from the session in the path",
             )));
@@ -176,28 +175,32 @@ async fn read(input: &RequestEnd, mut source: SplitStream<WebSocket>, id: &str, 
                 // The stream has ended; its other side says why.
                 std::future::pending::<()>().await;
             }
-            return Some(Ending::failed(error));
+            return Some(SocketEnd::failed(error));
         }
     }
 }
 
 /// A message above the limit and a violation of the protocol have a close code (RFC 6455, 7.4.1); other errors mean
 /// that the client is gone.
-fn broken(error: &axum::Error) -> Option<Ending> {
+fn broken(error: &axum::Error) -> Option<SocketEnd> {
     let text = error.to_string();
     let rule = text.strip_prefix("WebSocket protocol error: ");
     match rule {
         _ if text.contains("Space limit exceeded") => {
-            Some(Ending::new(1009, "the message is larger than Limits.messageBytes"))
+            Some(SocketEnd::new(1009, "the message is larger than Limits.messageBytes"))
         }
-        _ if text.starts_with("UTF-8 encoding error") => Some(Ending::new(1007, "a text that is not UTF-8")),
-        Some(rule) if !rule.contains("without closing handshake") => Some(Ending::new(1002, rule)),
+        _ if text.starts_with("UTF-8 encoding error") => Some(SocketEnd::new(1007, "a text that is not UTF-8")),
+        Some(rule) if !rule.contains("without closing handshake") => Some(SocketEnd::new(1002, rule)),
         _ => None,
     }
 }
 
 /// Writes responses as the connection takes them.
-async fn write(state: &State, sink: &mut SplitSink<WebSocket, Message>, output: &mut ResponseEnd) -> Option<Ending> {
+async fn write(
+    state: &ServerState,
+    sink: &mut SplitSink<WebSocket, Message>,
+    output: &mut ResponseReceiver,
+) -> Option<SocketEnd> {
     let mut pings = tokio::time::interval_at(
         Instant::now() + state.config.keepalive_interval,
         state.config.keepalive_interval,
@@ -217,8 +220,8 @@ async fn write(state: &State, sink: &mut SplitSink<WebSocket, Message>, output: 
         let Some(response) = response else {
             return Some(match failure {
                 Some(ending) => ending,
-                None if state.draining.is_cancelled() => Ending::going_away(),
-                None => Ending::new(1000, ""),
+                None if state.draining.is_cancelled() => SocketEnd::going_away(),
+                None => SocketEnd::new(1000, ""),
             });
         };
         if let OutgoingResponse::Words(words) = &response
@@ -230,7 +233,7 @@ async fn write(state: &State, sink: &mut SplitSink<WebSocket, Message>, output: 
             } else {
                 4000 + u16::try_from(error.code).unwrap_or(0).min(99)
             };
-            failure = Some(Ending::new(code, &error.message));
+            failure = Some(SocketEnd::new(code, &error.message));
         }
         if sink
             .send(Message::Binary(response.encode_to_vec().into()))
@@ -243,13 +246,13 @@ async fn write(state: &State, sink: &mut SplitSink<WebSocket, Message>, output: 
 }
 
 /// Ends when the client has sent nothing, not even the answer to a ping, for too long.
-async fn silence(state: &State, seen: &Notify) {
+async fn wait_for_silence(state: &ServerState, seen: &Notify) {
     let patience = state.config.keepalive_interval + state.config.keepalive_timeout;
     while tokio::time::timeout(patience, seen.notified()).await.is_ok() {}
 }
 
-/// Says why, and closes.
-async fn farewell(mut sink: SplitSink<WebSocket, Message>, ending: Ending) {
+/// Sends the reason, and closes.
+async fn close(mut sink: SplitSink<WebSocket, Message>, ending: SocketEnd) {
     if let Some(error) = &ending.error {
         let response = pb::DeformResponse {
             message: Some(Response::Error(failure_message(error, 0))),

@@ -1,9 +1,9 @@
 //! Answers under way: counted while they wait to be read, sent in pieces, and dropped when the client does not read.
 //!
-//! A protocol library takes a body as fast as its peer reads, but a body that exists whole costs its whole size until then, and
-//! nothing in the library ends a peer that stops reading. So every answer passes through here. Its rest counts in the
-//! ledger, and the library gets copies of small pieces. When the library takes no further piece within the deadline,
-//! the rest is dropped.
+//! By hand, because no layer bounds the time that a client takes to read: a protocol library takes a body as fast as its peer
+//! reads, but a body that exists whole costs its whole size until then, and nothing in the library ends a peer that stops reading.
+//! So every answer passes through here. Its rest counts in the ledger, and the library gets copies of small pieces. When the
+//! library takes no further piece within the deadline, the rest is dropped.
 
 use crate::session::{Error, MemoryLedger, MemoryReservation, MemoryUse, TenantAccount};
 use axum::body::Body;
@@ -16,6 +16,8 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::AbortOnDropHandle;
+use tokio_util::task::task_tracker::TaskTrackerToken;
 
 /// Bytes of a piece.
 const PIECE: usize = 64 << 10;
@@ -24,15 +26,19 @@ const PIECE: usize = 64 << 10;
 const SMALL: u64 = 16 << 10;
 
 /// A body that is counted while it waits, and dropped when it is not read.
-pub(super) struct UnreadAnswer(Reading);
+pub(super) struct WatchedBody {
+    reading: Reading,
+    /// Keeps the connection busy until the body has been sent.
+    _under_way: Option<TaskTrackerToken>,
+}
 
 enum Reading {
-    /// Too small to care.
+    /// Too small to be counted.
     Small(Body),
     Watched {
         answer: Arc<Mutex<WaitingAnswer>>,
         size: SizeHint,
-        watchdog: tokio::task::AbortHandle,
+        _watchdog: AbortOnDropHandle<()>,
     },
 }
 
@@ -49,24 +55,44 @@ struct WaitingAnswer {
     is_given_up: bool,
 }
 
-impl UnreadAnswer {
-    /// Takes an answer over, which counts for the memory of its tenant. `stalled` is cancelled when it is given up.
+/// What answers are watched with.
+pub(super) struct ResponseWatchdog<'a> {
+    /// The memory of the server.
+    pub ledger: &'a Arc<MemoryLedger>,
+    /// The account of the tenant whose memory an answer counts for.
+    pub account: Option<&'a Arc<TenantAccount>>,
+    /// How long an answer may wait for its reader to take some more of it.
+    pub deadline: Duration,
+    /// Cancelled when an answer is given up.
+    pub stalled: CancellationToken,
+}
+
+impl ResponseWatchdog<'_> {
+    /// Watches an answer until it has been sent, and holds `under_way` as long.
     ///
     /// # Errors
     /// `RESOURCE_EXHAUSTED` when there is no memory to hold it until it is read.
     pub fn watch(
+        &self,
         response: Response<Body>,
-        (ledger, account): (&Arc<MemoryLedger>, Option<&Arc<TenantAccount>>),
-        deadline: Duration,
-        stalled: CancellationToken,
-    ) -> Result<Response<Self>, Error> {
+        under_way: Option<TaskTrackerToken>,
+    ) -> Result<Response<WatchedBody>, Error> {
         let (parts, body) = response.into_parts();
+        let reading = self.watch_body(body)?;
+        let body = WatchedBody {
+            reading,
+            _under_way: under_way,
+        };
+        Ok(Response::from_parts(parts, body))
+    }
+
+    fn watch_body(&self, body: Body) -> Result<Reading, Error> {
         let size = body.size_hint();
         if size.exact().is_some_and(|bytes| bytes <= SMALL) {
-            return Ok(Response::from_parts(parts, Self(Reading::Small(body))));
+            return Ok(Reading::Small(body));
         }
         let known = size.exact().unwrap_or(0);
-        let held = ledger.reserve(MemoryUse::Answers, account, known, known);
+        let held = self.ledger.reserve(MemoryUse::Answers, self.account, known, known);
         let held = held.map_err(|shortage| {
             let text = format!("the answer has {known} bytes, and {shortage}; read other answers, or try again later");
             Error::exhausted(text, 2)
@@ -79,9 +105,12 @@ impl UnreadAnswer {
             has_known_size: size.exact().is_some(),
             is_given_up: false,
         }));
-        let watchdog = tokio::spawn(give_up_late(Arc::clone(&answer), deadline, stalled)).abort_handle();
-        let watched = Reading::Watched { answer, size, watchdog };
-        Ok(Response::from_parts(parts, Self(watched)))
+        let watchdog = tokio::spawn(give_up_late(Arc::clone(&answer), self.deadline, self.stalled.clone()));
+        Ok(Reading::Watched {
+            answer,
+            size,
+            _watchdog: AbortOnDropHandle::new(watchdog),
+        })
     }
 }
 
@@ -168,19 +197,19 @@ impl WaitingAnswer {
     }
 }
 
-impl HttpBody for UnreadAnswer {
+impl HttpBody for WatchedBody {
     type Data = Bytes;
     type Error = axum::Error;
 
     fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        match &mut self.0 {
+        match &mut self.reading {
             Reading::Small(body) => Pin::new(body).poll_frame(cx),
             Reading::Watched { answer, .. } => lock(answer).poll_piece(cx),
         }
     }
 
     fn is_end_stream(&self) -> bool {
-        match &self.0 {
+        match &self.reading {
             Reading::Small(body) => body.is_end_stream(),
             Reading::Watched { answer, .. } => {
                 let waiting = lock(answer);
@@ -191,17 +220,9 @@ impl HttpBody for UnreadAnswer {
     }
 
     fn size_hint(&self) -> SizeHint {
-        match &self.0 {
+        match &self.reading {
             Reading::Small(body) => body.size_hint(),
             Reading::Watched { size, .. } => *size,
-        }
-    }
-}
-
-impl Drop for Reading {
-    fn drop(&mut self) {
-        if let Self::Watched { watchdog, .. } = self {
-            watchdog.abort();
         }
     }
 }
@@ -221,10 +242,14 @@ mod tests {
         Arc::clone(Manager::new(config).expect("a manager").ledger())
     }
 
-    fn watch(body: Body, ledger: &Arc<MemoryLedger>) -> Result<UnreadAnswer, Error> {
-        let late = Duration::from_millis(50);
-        UnreadAnswer::watch(Response::new(body), (ledger, None), late, CancellationToken::new())
-            .map(Response::into_body)
+    fn watch(body: Body, ledger: &Arc<MemoryLedger>) -> Result<WatchedBody, Error> {
+        let watchdog = ResponseWatchdog {
+            ledger,
+            account: None,
+            deadline: Duration::from_millis(50),
+            stalled: CancellationToken::new(),
+        };
+        watchdog.watch(Response::new(body), None).map(Response::into_body)
     }
 
     #[tokio::test]
