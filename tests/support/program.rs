@@ -1,6 +1,6 @@
 //! The server as a program of its own, which a test can kill.
 
-use super::server::{http, within};
+use super::server::{http, retried, within};
 use serde_json::Value;
 use std::fs::File;
 use std::io::{BufRead as _, BufReader};
@@ -105,15 +105,9 @@ impl ServedProgram {
     /// Asks it to stop and waits for its end, which has to be a good one.
     pub async fn stop(mut self) {
         self.ask_to_stop();
-        let ended = within("the end", async {
-            loop {
-                if let Some(status) = self.child.try_wait().expect("a child") {
-                    return status;
-                }
-                tokio::time::sleep(std::time::Duration::from_millis(5)).await;
-            }
-        });
-        assert_eq!(ended.await.code(), Some(0), "{}", self.log());
+        let pause = std::time::Duration::from_millis(5);
+        let ended = retried("the end", pause, async || self.child.try_wait().expect("a child")).await;
+        assert_eq!(ended.code(), Some(0), "{}", self.log());
     }
 
     /// Makes a call; the status and the JSON of the answer, null where there is none.

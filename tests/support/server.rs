@@ -306,10 +306,45 @@ pub fn floats(bytes: &[u8]) -> Vec<f32> {
 
 /// Waits until a condition holds; timing does not decide, only whether it ever does.
 pub async fn eventually(what: &str, mut holds: impl AsyncFnMut() -> bool) {
+    retried(what, Duration::from_millis(10), async || holds().await.then_some(())).await;
+}
+
+/// Tries something again and again, with a pause in between, until it gives a value.
+pub async fn retried<T>(what: &str, pause: Duration, mut attempt: impl AsyncFnMut() -> Option<T>) -> T {
     within(what, async {
-        while !holds().await {
-            tokio::time::sleep(Duration::from_millis(10)).await;
+        loop {
+            match attempt().await {
+                Some(value) => return value,
+                None => tokio::time::sleep(pause).await,
+            }
         }
     })
-    .await;
+    .await
+}
+
+/// Ticks with at least such a pause between two.
+pub fn pace(pause: Duration) -> tokio::time::Interval {
+    let mut pace = tokio::time::interval(pause);
+    pace.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    pace
+}
+
+/// Asserts that a condition holds, again and again, for as long as that.
+pub async fn stays(what: &str, time: Duration, mut holds: impl AsyncFnMut() -> bool) {
+    let broken = retried(what, Duration::from_millis(10), async || (!holds().await).then_some(()));
+    assert!(
+        tokio::time::timeout(time, broken).await.is_err(),
+        "{what}: no longer so"
+    );
+}
+
+/// Tries something on this thread until it gives a value; `None` when that takes longer than the limit.
+pub fn retried_here<T>(limit: Duration, mut attempt: impl FnMut() -> Option<T>) -> Option<T> {
+    let started = Instant::now();
+    loop {
+        match attempt() {
+            None if started.elapsed() < limit => std::thread::sleep(Duration::from_millis(5)),
+            tried => return tried,
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! Every real model of the data folder through `pliant deform`, the way a pipeline would call it.
 
 use crate::support::data::{data_folder, files_below};
+use crate::support::server::retried_here;
 use pliant::asset::{FileSet, Format, Limits, Model};
 use serde_json::json;
 use std::fs;
@@ -62,17 +63,10 @@ fn pliant(arguments: &[&str]) -> (Option<i32>, String, String) {
         .stderr(stdio(&err))
         .spawn()
         .expect("it starts");
-    let begun = Instant::now();
-    let status = loop {
-        if let Some(status) = child.try_wait().expect("it can be waited for") {
-            break status.code();
-        }
-        if begun.elapsed() > PATIENCE {
-            let _ = child.kill();
-            let _ = child.wait();
-            return (None, String::new(), "no result in time".into());
-        }
-        std::thread::sleep(Duration::from_millis(2));
+    let Some(status) = retried_here(PATIENCE, || child.try_wait().expect("it can be waited for")) else {
+        let _ = child.kill();
+        let _ = child.wait();
+        return (None, String::new(), "no result in time".into());
     };
     let text = |mut f: fs::File| {
         use std::io::{Read, Seek};
@@ -82,7 +76,7 @@ fn pliant(arguments: &[&str]) -> (Option<i32>, String, String) {
     };
     let err = text(err);
     (
-        status,
+        status.code(),
         text(out),
         err.trim_end().lines().last().unwrap_or_default().to_owned(),
     )

@@ -95,8 +95,9 @@ async fn trickled(server: &Server) -> String {
     socket.write_all(head.as_bytes()).await.unwrap();
     let (mut from, mut to) = socket.into_split();
     let sending = tokio::spawn(async move {
+        let mut ticks = pace(Duration::from_millis(20));
         while to.write_all(b"#").await.is_ok() {
-            tokio::time::sleep(Duration::from_millis(20)).await;
+            ticks.tick().await;
         }
     });
     let mut told = vec![0; 4096];
