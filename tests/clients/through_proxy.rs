@@ -13,7 +13,7 @@ use crate::support::haproxy::{HaProxy, free_port};
 use crate::support::place::StorePlace;
 use crate::support::postgres::PostgresServer;
 use crate::support::program::ServedProgram;
-use crate::support::server::{bar_obj, ends, eventually, http, turn_json};
+use crate::support::server::{bar_obj, ends, eventually, turn_json};
 use driver::Driver;
 use own::OwnDriver;
 use pliant::server::grpc::client::DeformerClient;
@@ -180,7 +180,7 @@ async fn lasting(time: Duration) {
 
 /// A figure of `/metrics`.
 async fn metric(node: &ServedProgram, name: &str) -> f64 {
-    let asked = http().get(format!("{}/metrics", node.url)).send().await;
+    let asked = node.get("/metrics").send().await;
     let text = asked.expect("an answer").text().await.expect("a text");
     let line = text.lines().find(|line| line.starts_with(name));
     line.and_then(|l| l.rsplit(' ').next()?.parse().ok()).unwrap_or(0.0)

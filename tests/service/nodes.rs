@@ -61,8 +61,7 @@ async fn answered(server: &ServedProgram, path: &str) -> u16 {
 
 /// A stream on a session that this node has.
 async fn stream(server: &ServedProgram, id: &str) -> Socket {
-    let url = format!("{}{}", server.url.replace("http", "ws"), path(id, "/stream"));
-    Socket::connect(&url).await.expect("a stream")
+    server.socket(&path(id, "/stream")).await
 }
 
 /// Sends a pose, waits for its last frame and acknowledges it; an error where the stream ends instead.

@@ -1,6 +1,7 @@
 //! The server as a program of its own, which a test can kill.
 
-use super::server::{http, retried, within};
+use super::server::{AnsweredCall as _, Socket, http, retried, within};
+use reqwest::RequestBuilder;
 use serde_json::Value;
 use std::fs::File;
 use std::io::{BufRead as _, BufReader};
@@ -161,13 +162,31 @@ impl ServedProgram {
         answer
     }
 
+    pub fn get(&self, path: &str) -> RequestBuilder {
+        http().get(format!("{}{path}", self.url))
+    }
+
+    pub fn post(&self, path: &str) -> RequestBuilder {
+        http().post(format!("{}{path}", self.url))
+    }
+
+    pub fn put(&self, path: &str) -> RequestBuilder {
+        http().put(format!("{}{path}", self.url))
+    }
+
+    pub fn delete(&self, path: &str) -> RequestBuilder {
+        http().delete(format!("{}{path}", self.url))
+    }
+
+    /// A WebSocket on a path.
+    pub async fn socket(&self, path: &str) -> Socket {
+        let url = format!("{}{path}", self.url.replace("http", "ws"));
+        Socket::connect(&url).await.expect("a stream")
+    }
+
     /// Opens a session on a model.
     pub async fn open(&self, model: String, query: &str) -> String {
-        let sent = http()
-            .post(format!("{}/v1/sessions{query}", self.url))
-            .body(model)
-            .send();
-        let answer = within("a session", sent).await.expect("an answer");
+        let answer = self.post(&format!("/v1/sessions{query}")).body(model).answer().await;
         let status = answer.status();
         let session: Value = answer.json().await.expect("JSON");
         assert_eq!(status.as_u16(), 201, "{session}");
@@ -176,11 +195,15 @@ impl ServedProgram {
 
     /// The current vertices, as the server sends them.
     pub async fn positions(&self, id: &str) -> Vec<u8> {
-        let answer = http().get(format!("{}/v1/sessions/{id}/positions", self.url)).send();
-        let answer = within("positions", answer).await.expect("an answer");
+        let answer = self.get(&format!("/v1/sessions/{id}/positions")).answer().await;
         assert_eq!(answer.status().as_u16(), 200, "{}", self.log());
         answer.bytes().await.expect("a body").to_vec()
     }
+}
+
+/// The arguments of a command line in which none holds a space.
+pub fn words(line: &str) -> Vec<&str> {
+    line.split_whitespace().collect()
 }
 
 impl Drop for ServedProgram {

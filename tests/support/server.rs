@@ -8,13 +8,15 @@ use pliant::server::{self, ServerConfig};
 use pliant::session::{self, Manager};
 use pliant::wire::pb;
 use prost::Message as _;
+use reqwest::{RequestBuilder, Response};
 use serde_json::{Value, json};
 use std::future::Future;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::oneshot;
+use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
+use tokio_stream::wrappers::ReceiverStream;
 use tokio_tungstenite::tungstenite::{self, protocol::CloseFrame};
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
 use tonic::transport::{Channel, Endpoint};
@@ -89,6 +91,30 @@ impl Server {
         format!("http://{}{path}", self.address)
     }
 
+    pub fn get(&self, path: &str) -> RequestBuilder {
+        http().get(self.url(path))
+    }
+
+    pub fn head(&self, path: &str) -> RequestBuilder {
+        http().head(self.url(path))
+    }
+
+    pub fn post(&self, path: &str) -> RequestBuilder {
+        http().post(self.url(path))
+    }
+
+    pub fn put(&self, path: &str) -> RequestBuilder {
+        http().put(self.url(path))
+    }
+
+    pub fn patch(&self, path: &str) -> RequestBuilder {
+        http().patch(self.url(path))
+    }
+
+    pub fn delete(&self, path: &str) -> RequestBuilder {
+        http().delete(self.url(path))
+    }
+
     /// A gRPC client whose limits let frames through.
     pub async fn grpc(&self) -> DeformerClient<Channel> {
         DeformerClient::new(self.channel().await).max_decoding_message_size(64 << 20)
@@ -101,6 +127,19 @@ impl Server {
             .expect("a connection")
     }
 
+    /// A gRPC stream on a session: where requests go, where responses come from.
+    pub async fn stream(&self, id: &str) -> (mpsc::Sender<pb::DeformRequest>, tonic::Streaming<pb::DeformResponse>) {
+        let (requests, waiting) = mpsc::channel(16);
+        let named = pb::DeformRequest {
+            session_id: id.to_owned(),
+            message: None,
+        };
+        requests.send(named).await.expect("room");
+        let mut client = self.grpc().await;
+        let responses = within("a stream", client.deform(ReceiverStream::new(waiting))).await;
+        (requests, responses.expect("a stream").into_inner())
+    }
+
     /// A WebSocket on a path; the refusal when there is none.
     pub async fn socket(&self, path: &str) -> Result<Socket, tungstenite::Error> {
         Socket::connect(&format!("ws://{}{path}", self.address)).await
@@ -110,20 +149,16 @@ impl Server {
     pub async fn bar_session(&self) -> String {
         let session = self.open(bar_obj(24)).await;
         let id = text(&session["id"]);
-        let answer = http()
-            .put(self.url(&format!("/v1/sessions/{id}/handles")))
-            .json(&json!({"handles": ends()}))
-            .send();
-        let answer = within("handles", answer).await.expect("an answer");
+        let handles = json!({"handles": ends()});
+        let call = self.put(&format!("/v1/sessions/{id}/handles")).json(&handles);
+        let answer = call.answer().await;
         assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap_or_default());
         id
     }
 
     /// Opens a session over HTTP.
     pub async fn open(&self, model: String) -> Value {
-        let answer = within("a session", http().post(self.url("/v1/sessions")).body(model).send())
-            .await
-            .expect("an answer");
+        let answer = self.post("/v1/sessions").body(model).answer().await;
         assert_eq!(answer.status(), 201);
         answer.json().await.expect("JSON")
     }
@@ -149,14 +184,7 @@ impl Server {
 
     /// A figure of `/metrics`; 0 when it is not there.
     pub async fn metric(&self, name: &str) -> f64 {
-        let text = http()
-            .get(self.url("/metrics"))
-            .send()
-            .await
-            .expect("an answer")
-            .text()
-            .await
-            .expect("a text");
+        let text = self.get("/metrics").answer().await.text().await.expect("a text");
         let line = text
             .lines()
             .find(|l| l.strip_prefix(name).is_some_and(|rest| rest.starts_with([' ', '{'])));
@@ -168,6 +196,14 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.manager.abort();
         self.task.abort();
+    }
+}
+
+/// A message of a stream whose session is named already.
+pub fn message(message: pb::deform_request::Message) -> pb::DeformRequest {
+    pb::DeformRequest {
+        session_id: String::new(),
+        message: Some(message),
     }
 }
 
@@ -194,12 +230,8 @@ impl Socket {
         Ok(Self { stream })
     }
 
-    pub async fn send(&mut self, message: pb::deform_request::Message) {
-        let request = pb::DeformRequest {
-            session_id: String::new(),
-            message: Some(message),
-        };
-        let bytes = Bytes::from(request.encode_to_vec());
+    pub async fn send(&mut self, sent: pb::deform_request::Message) {
+        let bytes = Bytes::from(message(sent).encode_to_vec());
         within("sending", self.stream.send(tungstenite::Message::Binary(bytes)))
             .await
             .expect("an open socket");
@@ -218,6 +250,25 @@ impl Socket {
                 Some(Err(_)) | None => return Came::Closed(None),
             }
         }
+    }
+}
+
+/// The answers of calls, which must come.
+pub trait AnsweredCall {
+    /// The answer, whatever its status.
+    async fn answer(self) -> Response;
+
+    /// The JSON of the answer, whatever its status.
+    async fn told(self) -> Value;
+}
+
+impl AnsweredCall for RequestBuilder {
+    async fn answer(self) -> Response {
+        within("an answer", self.send()).await.expect("an answer")
+    }
+
+    async fn told(self) -> Value {
+        self.answer().await.json().await.expect("JSON")
     }
 }
 

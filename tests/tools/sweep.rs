@@ -1,13 +1,12 @@
 //! Every real model of the data folder through `pliant deform`, the way a pipeline would call it.
 
-use crate::support::data::{data_folder, files_below};
+use crate::support::data::{data_folder, files_below, of_each};
 use crate::support::server::retried_here;
 use pliant::asset::{FileSet, Format, Limits, Model};
 use serde_json::json;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 /// What the job of the sweep may do to a model, whatever its shape: it turns one end by 29° and shifts it by a tenth of
@@ -244,28 +243,15 @@ fn every_model_is_deformed_or_refused_in_one_line() {
     models.sort();
     assert!(!models.is_empty(), "no models under {}", data.display());
     let work = tempfile::tempdir().expect("a folder");
-    let next = Mutex::new(models.iter().enumerate());
-    let results = Mutex::new(Vec::new());
-    std::thread::scope(|scope| {
-        for _ in 0..2 {
-            scope.spawn(|| {
-                loop {
-                    let Some((k, path)) = next.lock().expect("no panic").next() else {
-                        break;
-                    };
-                    let folder = work.path().join(k.to_string());
-                    let result = try_model(path, &folder);
-                    let _ = fs::remove_dir_all(&folder);
-                    results.lock().expect("no panic").push((k, result));
-                }
-            });
-        }
+    let results = of_each(&models, |k, path| {
+        let folder = work.path().join(k.to_string());
+        let result = try_model(path, &folder);
+        let _ = fs::remove_dir_all(&folder);
+        result
     });
-    let mut results = results.into_inner().expect("no panic");
-    results.sort_by_key(|r| r.0);
     let mut wrong = Vec::new();
-    for (k, result) in &results {
-        let name = models[*k].strip_prefix(&data).unwrap_or(&models[*k]).display();
+    for (path, result) in models.iter().zip(&results) {
+        let name = path.strip_prefix(&data).unwrap_or(path).display();
         match result {
             Ok(line) => println!("{name:<58} {line}"),
             Err(problem) => {
@@ -276,7 +262,7 @@ fn every_model_is_deformed_or_refused_in_one_line() {
     }
     let refused = results
         .iter()
-        .filter(|r| r.1.as_ref().is_ok_and(|l| l.starts_with("refused")))
+        .filter(|r| r.as_ref().is_ok_and(|l| l.starts_with("refused")))
         .count();
     println!(
         "{} models: {} deformed, {refused} refused, {} wrong",

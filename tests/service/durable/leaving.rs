@@ -17,9 +17,7 @@ fn folder() -> (tempfile::TempDir, PathBuf) {
 }
 
 async fn stream(server: &ServedProgram, id: &str) -> Socket {
-    let address = server.url.strip_prefix("http://").expect("a plain address");
-    let url = format!("ws://{address}{}", path(id, "/stream"));
-    Socket::connect(&url).await.expect("a stream")
+    server.socket(&path(id, "/stream")).await
 }
 
 /// A commit of the bar's top, with its own key.

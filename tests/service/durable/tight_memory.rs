@@ -4,7 +4,7 @@
 use super::{bar_session, metric, path, turn};
 use crate::durable::place::{StorePlace, in_every_store};
 use crate::support::program::ServedProgram;
-use crate::support::server::{bar, bar_obj, ends, eventually};
+use crate::support::server::{AnsweredCall as _, bar, bar_obj, ends, eventually};
 use serde_json::{Value, json};
 
 in_every_store!(
@@ -21,12 +21,11 @@ async fn seen(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
 
 /// A bar of 3,170 vertices, whose volume graph does not fit whole.
 async fn dense_session(server: &ServedProgram) -> Result<String, Value> {
-    let opened = crate::support::server::http()
-        .post(format!("{}/v1/sessions?volumeGraph.kind=PAPER", server.url))
+    let opened = server
+        .post("/v1/sessions?volumeGraph.kind=PAPER")
         .body(bar([12, 12, 60]))
-        .send()
-        .await
-        .expect("an answer");
+        .answer()
+        .await;
     let told: Value = opened.json().await.expect("JSON");
     let Some(id) = told["id"].as_str() else {
         return Err(told);
