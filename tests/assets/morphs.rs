@@ -2,11 +2,10 @@
 
 use crate::support::data::data_folder;
 use crate::support::gltf_parsed::{Parsed, parse};
-use crate::support::gltf_sets::{file_set, gltf_files};
+use crate::support::gltf_sets::{companions_of, file_set, gltf_files};
 use crate::support::skinning::{draw, numbers};
 use glam::{DQuat, DVec3};
 use pliant::asset::{Following, Limits, Model, MorphTargetRule, WrittenFiles};
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Every model with morph targets that is read and not compressed.
@@ -16,11 +15,7 @@ fn morphed_models(what: &str) -> Vec<(PathBuf, Model, Parsed)> {
     };
     let read = |path: PathBuf| {
         let files = file_set(&path);
-        let companions: BTreeMap<String, Vec<u8>> = files
-            .companions
-            .iter()
-            .map(|(name, bytes)| (name.clone(), bytes.to_vec()))
-            .collect();
+        let companions = companions_of(&files);
         let model = Model::read(files, None, &Limits::default()).ok()?;
         let parsed = parse(&model.files.main, &companions);
         let meshes = parsed.json["meshes"].as_array()?;

@@ -1,6 +1,7 @@
 //! `pliant rig` as a script sees it: what it finds drives a model at the first try.
 
 use crate::support::data::{data_folder, data_path, files_below};
+use crate::support::program::words;
 use pliant::asset::sample::BuiltInModel;
 use serde_json::Value;
 use std::fs;
@@ -113,33 +114,17 @@ fn every_recording_drives_the_figure_at_the_first_try() {
         let clip = clip.to_str().expect("a path");
         let rig = run_well(
             folder,
-            &[
-                "rig",
-                "figure.glb",
-                "--bvh",
-                clip,
-                "-o",
-                "rig.json",
-                "--no-picture",
-                "--force",
-                "--json",
-            ],
+            &words(&format!(
+                "rig figure.glb --bvh {clip} -o rig.json --no-picture --force --json"
+            )),
         );
         let bones = rig["bones"].as_array().expect("bones");
         assert!(bones.len() >= 9, "{clip}: {rig}");
         let told = run_well(
             folder,
-            &[
-                "animate",
-                "figure.glb",
-                "--bvh",
-                clip,
-                "--rig",
-                "rig.json",
-                "--frames",
-                "0:2",
-                "--json",
-            ],
+            &words(&format!(
+                "animate figure.glb --bvh {clip} --rig rig.json --frames 0:2 --json"
+            )),
         );
         for frame in told["frames"].as_array().expect("frames") {
             let volume = frame["volumeChange"].as_f64().unwrap_or(0.0);
@@ -178,17 +163,7 @@ fn a_skin_has_its_rig_and_takes_it_back() {
     assert!(ids.contains(&"leftLowerArm") && ids[0] == "hips", "{ids:?}");
     let told = run_well(
         folder,
-        &[
-            "animate",
-            "figure.glb",
-            "--clip",
-            "walk",
-            "--rig",
-            "own.json",
-            "--frames",
-            "3:1",
-            "--json",
-        ],
+        &words("animate figure.glb --clip walk --rig own.json --frames 3:1 --json"),
     );
     let edges = told["frames"][0]["edgeRms"].as_f64().expect("a number");
     assert!(edges < 0.1, "{told}");
@@ -316,18 +291,7 @@ fn what_cannot_be_is_refused_with_what_can() {
     }
     let told = run_well(
         folder,
-        &[
-            "rig",
-            "figure.glb",
-            "--preset",
-            "mixamo",
-            "--at",
-            "lElbow=0.4,1.4,0.01",
-            "-o",
-            "rig.json",
-            "--json",
-            "--no-picture",
-        ],
+        &words("rig figure.glb --preset mixamo --at lElbow=0.4,1.4,0.01 -o rig.json --json --no-picture"),
     );
     let elbow = told["joints"]
         .as_array()

@@ -5,12 +5,13 @@ use crate::support::gltf_sets;
 use crate::support::khronos;
 
 use crate::support::data::data_folder;
+use crate::support::recipes::read_back;
 use glam::DVec3;
 use gltf_parsed::{Parsed, parse};
-use gltf_sets::{file_set, gltf_files};
+use gltf_sets::{companions_of, file_set, gltf_files};
 use pliant::asset::{FileSet, Following, Format, Limits, Model, Primitive, RigRule, WrittenFiles};
 use serde_json::Value;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 fn format_of(path: &Path) -> Format {
@@ -50,28 +51,6 @@ fn swayed(model: &Model) -> Vec<DVec3> {
         *p + DVec3::new(0.25 * size * (1.0 + t - t * t), 0.125 * size, -0.0625 * size * t * t)
     };
     model.positions.iter().map(sway).collect()
-}
-
-fn read_back(written: &WrittenFiles, format: Format) -> Model {
-    let companions = written
-        .companions
-        .iter()
-        .map(|(name, b)| (name.clone(), b.clone().into()))
-        .collect();
-    let files = FileSet {
-        name: "written".into(),
-        main: written.main.clone().into(),
-        companions,
-    };
-    Model::read(files, Some(format), &Limits::default()).expect("what was written is read again")
-}
-
-fn owned(files: &FileSet) -> BTreeMap<String, Vec<u8>> {
-    files
-        .companions
-        .iter()
-        .map(|(name, bytes)| (name.clone(), bytes.to_vec()))
-        .collect()
 }
 
 /// Writes a model while its skeleton stays as it is.
@@ -122,7 +101,7 @@ fn an_unmoved_model_is_written_byte_for_byte() {
     for (path, model) in models("identity round trips") {
         let written = model.write(&model.positions, model.format).expect("writable");
         assert!(written.main[..] == model.files.main[..], "{}", path.display());
-        assert_eq!(written.companions, owned(&model.files), "{}", path.display());
+        assert_eq!(written.companions, companions_of(&model.files), "{}", path.display());
     }
 }
 
@@ -340,7 +319,7 @@ fn a_moved_model_differs_in_geometry_only() {
         if model.warnings.iter().any(|w| w.0 == "draco-decoded") {
             continue;
         }
-        let before = parse(&model.files.main, &owned(&model.files));
+        let before = parse(&model.files.main, &companions_of(&model.files));
         let written = write_without_rig(&model, &swayed(&model));
         let after = parse(&written.main, &written.companions);
 

@@ -2,11 +2,10 @@
 
 use crate::support::data::data_folder;
 use crate::support::gltf_parsed::{Parsed, parse};
-use crate::support::gltf_sets::{file_set, gltf_files};
+use crate::support::gltf_sets::{companions_of, file_set, gltf_files};
 use crate::support::skinning::{draw, numbers};
 use glam::DVec3;
 use pliant::asset::{Format, Limits, Model, WrittenFiles};
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Every skinned model of data/gltf that is read, with its path and the document.
@@ -16,11 +15,7 @@ pub fn skinned_models(what: &str) -> Vec<(PathBuf, Model, Parsed)> {
     };
     let read = |path: PathBuf| {
         let files = file_set(&path);
-        let companions: BTreeMap<String, Vec<u8>> = files
-            .companions
-            .iter()
-            .map(|(name, bytes)| (name.clone(), bytes.to_vec()))
-            .collect();
+        let companions = companions_of(&files);
         let model = Model::read(files, None, &Limits::default()).ok()?;
         let parsed = parse(&model.files.main, &companions);
         parsed.json["skins"].is_array().then_some((path, model, parsed))

@@ -2,6 +2,7 @@
 //! server (paths, ports, keys, times, sizes, metrics) is true of it. What cannot be fetched or is not installed here is said and skipped.
 
 use crate::node::{said, tell};
+use crate::support::data::copied;
 use crate::support::program::ServedProgram;
 use crate::support::server::http;
 use crate::workflows::program_of_package;
@@ -108,18 +109,6 @@ fn built(folder: &Path) -> Option<Result<String, String>> {
         true => Ok(String::from_utf8(done.stdout).expect("UTF-8")),
         false => Err(said(&done)),
     })
-}
-
-fn copied(from: &Path, to: &Path) {
-    fs::create_dir_all(to).expect("a folder");
-    for entry in fs::read_dir(from).expect("a folder") {
-        let entry = entry.expect("an entry");
-        let goal = to.join(entry.file_name());
-        match entry.path().is_dir() {
-            true => copied(&entry.path(), &goal),
-            false => drop(fs::copy(entry.path(), goal).expect("copied")),
-        }
-    }
 }
 
 #[test]

@@ -4,7 +4,6 @@
 
 use crate::node::{lacks_node, said, tell};
 use crate::support::program::ServedProgram;
-use crate::support::server::http;
 use crate::workflows::fetched;
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -117,11 +116,7 @@ async fn every_metric_and_label_that_is_asked_for_is_exported() {
     let server = ServedProgram::start_in_memory(folder.path().join("log"), &[]);
     // Labels are there once something was counted under them.
     server.open(String::new(), "?sample=creature").await;
-    let text = http()
-        .get(format!("{}/metrics", server.url))
-        .send()
-        .await
-        .expect("an answer");
+    let text = server.get("/metrics").send().await.expect("an answer");
     let text = text.text().await.expect("text");
     let mut described: Vec<&str> = text.lines().filter(|line| line.starts_with("# ")).collect();
     described.sort_unstable();

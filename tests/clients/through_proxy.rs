@@ -13,7 +13,7 @@ use crate::support::haproxy::{HaProxy, free_port};
 use crate::support::place::StorePlace;
 use crate::support::postgres::PostgresServer;
 use crate::support::program::ServedProgram;
-use crate::support::server::{bar_obj, ends, eventually, http, turn_json};
+use crate::support::server::{bar_obj, ends, eventually, turn_json};
 use driver::Driver;
 use own::OwnDriver;
 use pliant::server::grpc::client::DeformerClient;
@@ -143,7 +143,7 @@ impl Cluster {
         match fault {
             Fault::Kill => {
                 self.take(victim).kill();
-                tokio::time::sleep(LEASE / 2).await;
+                lasting(LEASE / 2).await;
                 self.start_node(victim);
             }
             Fault::Drain => {
@@ -152,11 +152,11 @@ impl Cluster {
             }
             Fault::Stop => {
                 self.node(victim).signal("-STOP");
-                tokio::time::sleep(LEASE * 2).await;
+                lasting(LEASE * 2).await;
                 let other = (victim + 1) % NAMES.len();
                 self.take(other).kill();
                 self.start_node(other);
-                tokio::time::sleep(LEASE).await;
+                lasting(LEASE).await;
                 self.node(victim).signal("-CONT");
                 let stale = self.node(victim);
                 eventually("it knows that others have its sessions", async || {
@@ -166,16 +166,21 @@ impl Cluster {
             }
             Fault::DatabaseAway => {
                 self.database.crash();
-                tokio::time::sleep(AWAY).await;
+                lasting(AWAY).await;
                 self.database.go_on();
             }
         }
     }
 }
 
+/// Lets a fault, or the time after it, last: leases and clients go by the clock.
+async fn lasting(time: Duration) {
+    tokio::time::sleep(time).await;
+}
+
 /// A figure of `/metrics`.
 async fn metric(node: &ServedProgram, name: &str) -> f64 {
-    let asked = http().get(format!("{}/metrics", node.url)).send().await;
+    let asked = node.get("/metrics").send().await;
     let text = asked.expect("an answer").text().await.expect("a text");
     let line = text.lines().find(|line| line.starts_with(name));
     line.and_then(|l| l.rsplit(' ').next()?.parse().ok()).unwrap_or(0.0)
@@ -251,11 +256,11 @@ async fn sessions_outlive_their_nodes_behind_a_proxy() {
     for id in &own.ids {
         assert_eq!(told_by_grpc(&url, id).await, *id);
     }
-    tokio::time::sleep(BETWEEN).await;
+    lasting(BETWEEN).await;
     let begun = Instant::now();
     for fault in &faults {
         cluster.suffer(*fault).await;
-        tokio::time::sleep(BETWEEN).await;
+        lasting(BETWEEN).await;
     }
     let took = begun.elapsed();
     let mut all = own.finish().await;

@@ -1,5 +1,6 @@
 //! After edits of the topology every attribute has followed its vertices, in every format, and files stay valid.
 
+use crate::support::bench::largest_distance;
 use crate::support::gltf_parsed;
 use crate::support::gltf_sets;
 use crate::support::khronos;
@@ -261,12 +262,7 @@ fn every_attribute_of_a_middle_is_between_those_of_its_ends() {
 
     let again = read_back(&written, Format::GLB);
     assert_eq!(again.triangles, edited.triangles);
-    let off = again
-        .positions
-        .iter()
-        .zip(&edited.positions)
-        .map(|(a, b)| a.distance(*b))
-        .fold(0.0, f64::max);
+    let off = largest_distance(&again.positions, &edited.positions);
     assert!(off < 1e-6, "{off}");
 }
 
@@ -300,12 +296,7 @@ fn a_mesh_that_lost_all_triangles_goes_with_its_reference_and_its_animation() {
 fn same_shape(seen: &Model, edited: &Edited, name: &str) {
     assert_eq!(seen.positions.len(), edited.positions.len(), "{name}");
     let tolerance = 1e-6 * size(&edited.positions);
-    let off = seen
-        .positions
-        .iter()
-        .zip(&edited.positions)
-        .map(|(a, b)| a.distance(*b))
-        .fold(0.0, f64::max);
+    let off = largest_distance(&seen.positions, &edited.positions);
     assert!(off <= tolerance, "{name}: {off} is more than {tolerance}");
     assert!(seen.triangles == edited.triangles, "{name}");
 }

@@ -1,5 +1,6 @@
 //! OBJ, PLY, OFF and STL after edits of the topology, and what goes along from one format to another.
 
+use crate::support::bench::largest_distance;
 use crate::support::gltf_parsed;
 use crate::support::khronos;
 use crate::support::recipes;
@@ -282,12 +283,7 @@ fn real_meshes_come_back_as_they_were_edited() {
                 continue;
             }
             assert_eq!(again.positions.len(), edited.positions.len(), "{name}");
-            let off = again
-                .positions
-                .iter()
-                .zip(&edited.positions)
-                .map(|(a, b)| a.distance(*b))
-                .fold(0.0, f64::max);
+            let off = largest_distance(&again.positions, &edited.positions);
             assert!(off <= 1e-6 * size(&edited.positions), "{name}: {off}");
             if model.format == Format::OBJ {
                 let sorted = |list: &[[u32; 3]]| {

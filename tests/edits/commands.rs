@@ -1,7 +1,7 @@
 //! Edits of the topology as users meet them: on a bench, in jobs, and in sessions with undo and redo.
 
 use crate::support::bench;
-use crate::support::messages::{DeformerMessages, EditMessage, EditedByMessage};
+use crate::support::messages::{DeformerMessages, EditedByMessage};
 mod following;
 mod handles;
 mod operations;
@@ -55,14 +55,7 @@ fn midpoint(region: Option<pb::Region>) -> pb::EditRequest {
 /// Edits the shape that `shape` is, with the handles' own poses in force.
 fn edit(bench: &mut Deformer, request: &pb::EditRequest, shape: &ModelShape) -> Result<EditedByMessage, Error> {
     let poses = bench.initial_poses();
-    let order = EditMessage {
-        request,
-        shape,
-        poses: &poses,
-        settings: None,
-        other: None,
-    };
-    bench.edit_message(&order, &Exec::new(&pool(2), &Silent))
+    bench.edit_message(request, shape, &poses, &Exec::new(&pool(2), &Silent))
 }
 
 fn edited(bench: &mut Deformer, request: &pb::EditRequest) -> EditedByMessage {
@@ -183,15 +176,8 @@ fn on_the_rest_shape_poses_stay() {
         on: pb::edit_request::On::Rest.into(),
         ..midpoint(Some(half_space([1.0, 0.0, 0.0], 0.2)))
     };
-    let order = EditMessage {
-        request: &request,
-        shape: &shape,
-        poses: &poses,
-        settings: None,
-        other: None,
-    };
     let outcome = bench
-        .edit_message(&order, &Exec::new(&pool(2), &Silent))
+        .edit_message(&request, &shape, &poses, &Exec::new(&pool(2), &Silent))
         .expect("subdivided at rest");
     assert!(outcome.solved.is_some());
     for run in &outcome.result.kept {
@@ -267,15 +253,8 @@ fn the_same_edits_give_the_same_bits_on_any_number_of_threads() {
         .enumerate()
         {
             let poses = bench.initial_poses();
-            let order = EditMessage {
-                request,
-                shape: &shape,
-                poses: &poses,
-                settings: None,
-                other: None,
-            };
             let outcome = bench
-                .edit_message(&order, &Exec::new(&pool, &Silent))
+                .edit_message(request, &shape, &poses, &Exec::new(&pool, &Silent))
                 .expect("each can be done");
             digests.push(outcome.result.digest);
             let turned = turn(DVec3::new(0.2, 0.1 * k as f64, 0.0), DVec3::ZERO);

@@ -1,7 +1,7 @@
 //! A tail pulled to more than four times its length in several commits, with automatic remeshing in between.
 
 use crate::support::data::data_bytes;
-use crate::support::messages::{DeformerMessages, EditMessage};
+use crate::support::messages::DeformerMessages;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{Deformer, DeformerLimits, HandlePoses, QualityReport, SolveMode};
@@ -147,15 +147,8 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         assert_eq!(quality.flipped_triangles, 0, "step {step}");
         stretch = stretch.max(quality.max_stretch);
         let request: pb::EditRequest = message(json!({"remesh": {"auto": true}}));
-        let order = EditMessage {
-            request: &request,
-            shape: &shape,
-            poses: &poses,
-            settings: None,
-            other: None,
-        };
         let outcome = bench
-            .edit_message(&order, &Exec::new(&pool, &Silent))
+            .edit_message(&request, &shape, &poses, &Exec::new(&pool, &Silent))
             .expect("remeshed");
         (poses, shape) = (outcome.poses, outcome.shape);
     }

@@ -6,7 +6,7 @@ mod script;
 mod sessions;
 
 use crate::support::data::data_bytes;
-use crate::support::messages::{DeformerMessages, EditMessage};
+use crate::support::messages::DeformerMessages;
 use checks::Before;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
@@ -137,14 +137,10 @@ impl Run {
             self.shape.clone()
         };
         let before = Before::of(&self.bench, &shape);
-        let order = EditMessage {
-            request: &request,
-            shape: &self.shape,
-            poses: &self.poses,
-            settings: None,
-            other: None,
-        };
-        match self.bench.edit_message(&order, &Exec::new(&self.pool, &Silent)) {
+        match self
+            .bench
+            .edit_message(&request, &self.shape, &self.poses, &Exec::new(&self.pool, &Silent))
+        {
             Ok(outcome) => {
                 before.done(&self.bench, &edit, &outcome);
                 self.counts[0] += 1;

@@ -1,7 +1,7 @@
 //! Edits on every model of the data folder, hostile ones included: a result or a reason in one line, never a panic.
 
-use crate::support::data::{data_folder, files_below};
-use crate::support::messages::{DeformerMessages, EditMessage};
+use crate::support::data::{data_folder, files_below, of_each};
+use crate::support::messages::DeformerMessages;
 use pliant::asset::{FileSet, Format, Model};
 use pliant::engine::{Deformer, DeformerLimits, ModelShape, digest};
 use pliant::exec::Exec;
@@ -11,7 +11,6 @@ use pliant::wire::{Error, json, pb};
 use serde_json::{Value, json};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 
 /// Models with fewer triangles have no region worth the name: they are edited as a whole.
 const SMALL: usize = 60;
@@ -93,14 +92,7 @@ fn one(bench: &mut Deformer, shape: &mut ModelShape, edit: &Value, pool: &Pool) 
     let request: pb::EditRequest = json::from_json(edit.to_string().as_bytes()).map_err(|e| e.to_string())?;
     let poses = bench.initial_poses();
     let (idle, defects, was) = (unreferenced(bench), broken(bench), digest(bench.rest()));
-    let order = EditMessage {
-        request: &request,
-        shape,
-        poses: &poses,
-        settings: None,
-        other: None,
-    };
-    match bench.edit_message(&order, &Exec::new(pool, &Silent)) {
+    match bench.edit_message(&request, shape, &poses, &Exec::new(pool, &Silent)) {
         Ok(outcome) => {
             let (before, after) = (
                 outcome.result.before.unwrap_or_default(),
@@ -208,34 +200,20 @@ fn every_model_is_edited_or_says_why_not() {
         .collect();
     models.sort();
     assert!(!models.is_empty(), "no models under {}", data.display());
-    let next = Mutex::new(models.iter().enumerate());
-    let results = Mutex::new(Vec::new());
-    std::thread::scope(|scope| {
-        for _ in 0..2 {
-            scope.spawn(|| {
-                loop {
-                    let Some((k, path)) = next.lock().expect("no panic").next() else {
-                        break;
-                    };
-                    let tried = catch_unwind(AssertUnwindSafe(|| try_model(path, k)));
-                    let result = tried.unwrap_or_else(|_| (String::new(), Some("a panic".into())));
-                    results.lock().expect("no panic").push((k, result));
-                }
-            });
-        }
+    let results = of_each(&models, |k, path| {
+        let tried = catch_unwind(AssertUnwindSafe(|| try_model(path, k)));
+        tried.unwrap_or_else(|_| (String::new(), Some("a panic".into())))
     });
-    let mut results = results.into_inner().expect("no panic");
-    results.sort_by_key(|r| r.0);
     let mut wrong = Vec::new();
-    for (k, (line, problem)) in &results {
-        let name = models[*k].strip_prefix(&data).unwrap_or(&models[*k]).display();
+    for (path, (line, problem)) in models.iter().zip(&results) {
+        let name = path.strip_prefix(&data).unwrap_or(path).display();
         println!("{name:<66} {line}");
         if let Some(problem) = problem {
             println!("{:<66} WRONG: {problem}", "");
             wrong.push(format!("{name}: {problem}"));
         }
     }
-    let edited = results.iter().filter(|r| !r.1.0.starts_with("not opened")).count();
+    let edited = results.iter().filter(|r| !r.0.starts_with("not opened")).count();
     println!("{} models: {edited} edited, {} wrong", results.len(), wrong.len());
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     assert!(edited > results.len() / 4);

@@ -1,5 +1,6 @@
 //! Laws of dragging: frames are what a solve in double precision gives, to what was asked for, whatever came before them.
 
+use crate::support::bench::largest_distance;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{
@@ -123,8 +124,7 @@ fn frame(
 
 /// The largest distance of a vertex, as a fraction of the diagonal.
 fn distance(deformer: &Deformer, a: &[DVec3], b: &[DVec3]) -> f64 {
-    let far = a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
-    far / deformer.diagonal()
+    largest_distance(a, b) / deformer.diagonal()
 }
 
 #[test]

@@ -3,6 +3,7 @@
 //! A scene is a mesh with handles and their transforms. Each law deforms it twice, as it is and changed, and compares
 //! the mesh's vertices. Both may differ by what solving leaves, and with interior nodes by what rounding does to their places.
 
+use crate::support::bench::largest_distance;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes::box_with_cells;
 use pliant::deform::{
@@ -141,11 +142,6 @@ fn deformed(shape: &Shape, handles: &[Handle], place: &Place, volume: VolumeMode
     vertices.map(|&p| place.back(p) / diagonal).collect()
 }
 
-fn largest(a: &[DVec3], b: &[DVec3]) -> f64 {
-    assert_eq!(a.len(), b.len());
-    a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
-}
-
 fn root_mean_square(a: &[DVec3], b: &[DVec3]) -> f64 {
     let squares: f64 = a.iter().zip(b).map(|(a, b)| a.distance_squared(*b)).sum();
     (squares / a.len() as f64).sqrt()
@@ -215,12 +211,12 @@ fn same_at(places: &[Place]) {
     for (volume, refine, allowed) in CASES {
         let home = deformed(&rod, &ends, &HOME, volume, refine);
         assert!(
-            largest(&home, &deformed_not(&rod)) > 0.1,
+            largest_distance(&home, &deformed_not(&rod)) > 0.1,
             "the pose moves the model by more than any tolerance"
         );
         for (k, place) in places.iter().enumerate() {
             let there = deformed(&rod, &ends, place, volume, refine);
-            let (seen, mean) = (largest(&home, &there), root_mean_square(&home, &there));
+            let (seen, mean) = (largest_distance(&home, &there), root_mean_square(&home, &there));
             println!("{volume:?}, refine {refine}, place {k}: largest {seen:.1e}, root mean square {mean:.1e}");
             assert!(
                 seen <= allowed,
@@ -318,7 +314,7 @@ fn a_body_that_is_its_own_mirror_image_keeps_it() {
     for mirror in [DVec3::new(-1.0, 1.0, 1.0), DVec3::new(1.0, 1.0, -1.0)] {
         let image = |p: &DVec3| shape[number[&key(*p * mirror)]] * mirror;
         let image: Vec<DVec3> = brick.0.iter().map(image).collect();
-        let seen = largest(&shape, &image);
+        let seen = largest_distance(&shape, &image);
         assert!(seen <= SURFACE, "{mirror}: {seen:e}");
     }
 }
@@ -329,7 +325,7 @@ fn winding_the_faces_the_other_way_changes_nothing() {
     for (volume, refine, allowed) in CASES {
         let one = deformed(&rod, &ends, &HOME, volume, refine);
         let other = deformed(&shapes::inside_out(rod.clone()), &ends, &HOME, volume, refine);
-        let seen = largest(&one, &other);
+        let seen = largest_distance(&one, &other);
         assert!(seen <= allowed, "{volume:?}, refine {refine}: {seen:e}");
     }
 }
@@ -356,7 +352,7 @@ fn renumbering_vertices_and_faces_changes_nothing() {
         let home = deformed(&rod, &ends, &HOME, volume, refine);
         let there = deformed(&shuffled, &ends, &HOME, volume, refine);
         let sorted: Vec<DVec3> = (0..count).map(|old| there[new_of_old[old] as usize]).collect();
-        let seen = largest(&home, &sorted);
+        let seen = largest_distance(&home, &sorted);
         assert!(seen <= allowed, "{volume:?}, refine {refine}: {seen:e}");
     }
 }
@@ -383,7 +379,7 @@ fn an_unmoved_handle_far_away_changes_nothing() {
     for (volume, refine, allowed) in CASES {
         let rest = deformed(&rod, &two, &HOME, volume, refine);
         for three in [[two[0], two[1], held(bottom)], [held(bottom), two[0], two[1]]] {
-            let seen = largest(&rest, &deformed(&rod, &three, &HOME, volume, refine));
+            let seen = largest_distance(&rest, &deformed(&rod, &three, &HOME, volume, refine));
             assert!(seen <= allowed.min(SURFACE), "{volume:?}, refine {refine}: {seen:e}");
         }
     }
@@ -408,7 +404,7 @@ fn an_unmoved_handle_on_another_part_changes_nothing() {
     for (volume, refine, allowed) in CASES {
         let rest = deformed(&scene, &[base, top], &HOME, volume, refine);
         let held = deformed(&scene, &[base, top, extra], &HOME, volume, refine);
-        let seen = largest(&rest[..vertices], &held[..vertices]);
+        let seen = largest_distance(&rest[..vertices], &held[..vertices]);
         assert!(seen <= allowed.min(SURFACE), "{volume:?}, refine {refine}: {seen:e}");
         let at_rest = deformed_not(&scene);
         assert_eq!(held[vertices..], at_rest[vertices..], "what is held at rest stays");
@@ -434,7 +430,7 @@ fn a_rigid_motion_of_all_handles_moves_the_model_rigidly() {
             .iter()
             .map(|&p| (turn * (p - motion.pivot) + motion.pivot + motion.translation) / diagonal)
             .collect();
-        let off = largest(&seen, &expected);
+        let off = largest_distance(&seen, &expected);
         assert!(off <= SURFACE, "{volume:?}, refine {refine}: {off:e}");
     }
 }

@@ -4,6 +4,7 @@ mod laws;
 mod scene;
 mod turns;
 
+use crate::support::bench::largest_distance;
 use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
 use pliant::deform::{FirstPass, Transform, exp_rotation};

@@ -351,14 +351,7 @@ fn a_deformed_lattice_is_filled_up() {
         let after = follow(&moved, &edited);
         check(&moved, &edited, &after);
         let places = edited.changed_places(&surface);
-        let same = VolumeOptions {
-            interval: Some(graph.stats.interval),
-            shell_offset: Some(graph.stats.shell_offset),
-            ..shapes::paper_graph()
-        };
-        let fresh = volume(&mesh_of(&edited.surface), &same, &Exec::new(&pool(2), &Silent))
-            .expect("valid")
-            .expect("an inside");
+        let fresh = anew(&edited.surface, &graph);
         let within = 3.0 * graph.stats.interval;
         println!(
             "{name}: {:?}, new {:?}, touched {}",

@@ -8,33 +8,14 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
-use tokio_stream::wrappers::ReceiverStream;
 use tonic::Code;
 use tonic_health::pb::health_check_response::ServingStatus;
 
 async fn open(server: &Server, id: &str) -> (mpsc::Sender<pb::DeformRequest>, tonic::Streaming<pb::DeformResponse>) {
-    let (requests, waiting) = mpsc::channel(16);
-    requests
-        .send(pb::DeformRequest {
-            session_id: id.to_owned(),
-            message: None,
-        })
-        .await
-        .unwrap();
-    let mut client = server.grpc().await;
-    let mut responses = within("a stream", client.deform(ReceiverStream::new(waiting)))
-        .await
-        .unwrap()
-        .into_inner();
+    let (requests, mut responses) = server.stream(id).await;
     // A first frame shows that the stream is open on the session.
     let pose = deform_request::Message::Pose(turned(1, 0.1, false));
-    requests
-        .send(pb::DeformRequest {
-            session_id: String::new(),
-            message: Some(pose),
-        })
-        .await
-        .unwrap();
+    requests.send(message(pose)).await.unwrap();
     within("a first frame", responses.message())
         .await
         .unwrap()
@@ -90,16 +71,11 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
     }
 
     // Meanwhile the server says that it is leaving, and takes nothing new.
-    let ready = http().get(server.url("/readyz")).send().await.unwrap();
+    let ready = server.get("/readyz").answer().await;
     assert_eq!(ready.status(), 503);
     assert!(ready.headers().contains_key("retry-after"));
-    assert_eq!(http().get(server.url("/healthz")).send().await.unwrap().status(), 200);
-    let refused = http()
-        .post(server.url("/v1/sessions"))
-        .body(bar_obj(4))
-        .send()
-        .await
-        .unwrap();
+    assert_eq!(server.get("/healthz").answer().await.status(), 200);
+    let refused = server.post("/v1/sessions").body(bar_obj(4)).answer().await;
     assert_eq!(refused.status(), 503);
     assert_eq!(refused.json::<Value>().await.unwrap()["code"], "UNAVAILABLE");
     let mut client = server.grpc().await;
@@ -207,12 +183,11 @@ async fn work_whose_client_is_gone_is_given_up() {
         1,
         "nothing exists of what nobody waited for"
     );
-    let solved = http()
-        .post(server.url(&format!("/v1/sessions/{id}/solve")))
+    let solved = server
+        .post(&format!("/v1/sessions/{id}/solve"))
         .json(&turn_json(0.1))
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert_eq!(solved.status(), 200);
 }
 
@@ -220,10 +195,10 @@ async fn work_whose_client_is_gone_is_given_up() {
 async fn a_stream_that_is_dropped_mid_solve_frees_its_slot() {
     let server = Server::with(|sessions, _| sessions.compute_slots = 1).await;
     let id = text(&server.open(large_bar()).await["id"]);
-    let handles = http()
-        .put(server.url(&format!("/v1/sessions/{id}/handles")))
+    let handles = server
+        .put(&format!("/v1/sessions/{id}/handles"))
         .json(&serde_json::json!({"handles": ends()}));
-    assert_eq!(handles.send().await.unwrap().status(), 200);
+    assert_eq!(handles.answer().await.status(), 200);
     let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
     for seq in 1..=20 {
         socket
@@ -238,12 +213,11 @@ async fn a_stream_that_is_dropped_mid_solve_frees_its_slot() {
     })
     .await;
     let other = server.bar_session().await;
-    let solved = http()
-        .post(server.url(&format!("/v1/sessions/{other}/solve")))
+    let solved = server
+        .post(&format!("/v1/sessions/{other}/solve"))
         .json(&turn_json(0.1))
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert_eq!(solved.status(), 200);
 }
 
@@ -281,9 +255,7 @@ async fn the_program_listens_serves_and_ends_well_on_sigterm() {
         .strip_prefix("listening on ")
         .expect("the line that scripts wait for")
         .to_owned();
-    let answer = within("an answer", http().get(format!("{url}/readyz")).send())
-        .await
-        .unwrap();
+    let answer = http().get(format!("{url}/readyz")).answer().await;
     assert_eq!(answer.status(), 200);
     let _silent = std::net::TcpStream::connect(url.strip_prefix("http://").unwrap()).unwrap();
     let killed = Command::new("kill")

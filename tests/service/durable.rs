@@ -2,7 +2,7 @@
 
 pub use crate::support::place;
 use crate::support::program::ServedProgram;
-use crate::support::server::{bar_obj, ends, turn_json};
+use crate::support::server::{AnsweredCall as _, bar_obj, ends, turn_json};
 use serde_json::{Value, json};
 
 mod away;
@@ -54,10 +54,7 @@ pub async fn seen(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
 
 /// A figure of `/metrics`.
 pub async fn metric(server: &ServedProgram, name: &str) -> f64 {
-    let text = crate::support::server::http()
-        .get(format!("{}/metrics", server.url))
-        .send();
-    let text = text.await.expect("an answer").text().await.expect("a text");
+    let text = server.get("/metrics").answer().await.text().await.expect("a text");
     let line = text.lines().find(|line| line.starts_with(name));
     line.and_then(|l| l.rsplit(' ').next()?.parse().ok()).expect("a figure")
 }

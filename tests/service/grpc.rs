@@ -135,9 +135,8 @@ async fn the_transports_give_the_same_bits() {
         .post(url)
         .json(&body)
         .header("accept", "application/octet-stream")
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     let over_http = over_http.bytes().await.unwrap();
     let solve = pb::SolveRequest {
         session_id: id,
@@ -340,14 +339,7 @@ async fn a_client_that_hangs_up_stops_its_call() {
     call.abort();
     eventually("a free slot", async || !busy()).await;
     eventually("the call is counted as cancelled", async || {
-        let text = http()
-            .get(server.url("/metrics"))
-            .send()
-            .await
-            .unwrap()
-            .text()
-            .await
-            .unwrap();
+        let text = server.get("/metrics").answer().await.text().await.unwrap();
         text.contains("route=\"pliant.v1.Deformer/CreateSession\",code=\"CANCELLED\"")
     })
     .await;
@@ -359,25 +351,16 @@ async fn an_export_tells_what_followed_with_its_first_piece_and_in_a_header() {
     let server = Server::start().await;
     let mut client = server.grpc().await;
     let url = server.url("/v1/sessions?sample=figure");
-    let figure: serde_json::Value = http().post(url).send().await.unwrap().json().await.unwrap();
+    let figure: serde_json::Value = http().post(url).told().await;
     let id = figure["id"].as_str().unwrap().to_owned();
     let handles = serde_json::json!({"handles": [
         {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.08}}},
         {"id": "head", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.54}}}]});
     let url = server.url(&format!("/v1/sessions/{id}/handles"));
-    assert!(
-        http()
-            .put(url)
-            .json(&handles)
-            .send()
-            .await
-            .unwrap()
-            .status()
-            .is_success()
-    );
+    assert!(http().put(url).json(&handles).answer().await.status().is_success());
     let pose = serde_json::json!({"pose": {"handles": [{"id": "head", "pose": {"translation": [0, 0.2, 0]}}]}});
     let url = server.url(&format!("/v1/sessions/{id}/solve"));
-    assert!(http().post(url).json(&pose).send().await.unwrap().status().is_success());
+    assert!(http().post(url).json(&pose).answer().await.status().is_success());
 
     let chunks = export(&mut client, &id, "").await.unwrap();
     let (first, rest) = chunks.split_first().unwrap();
@@ -389,7 +372,7 @@ async fn an_export_tells_what_followed_with_its_first_piece_and_in_a_header() {
     assert!(told.farthest.iter().any(|joint| joint.name == "head"), "{told:?}");
     assert!(rest.iter().all(|chunk| chunk.followed.is_none()));
     let url = server.url(&format!("/v1/sessions/{id}/model"));
-    let headers = http().get(url).send().await.unwrap().headers().clone();
+    let headers = http().get(url).answer().await.headers().clone();
     let wanted = format!(
         "joints={}/17, clips=2/2, morph-targets=0/0, passengers=0/0, passenger-nodes=0/0",
         told.moved_joints

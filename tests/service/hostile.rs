@@ -297,5 +297,5 @@ async fn connections_that_speak_nonsense_harm_nobody() {
             String::from_utf8_lossy(&answer)
         );
     }
-    assert_eq!(http().get(server.url("/healthz")).send().await.unwrap().status(), 200);
+    assert_eq!(server.get("/healthz").answer().await.status(), 200);
 }

@@ -72,14 +72,7 @@ fn is_refusal(status: u16, answer: &Value) -> bool {
 
 /// The paths of the server's own description, with the methods of each.
 async fn described(server: &Server) -> Vec<(String, String, bool)> {
-    let document: Value = http()
-        .get(server.url("/openapi.json"))
-        .send()
-        .await
-        .unwrap()
-        .json()
-        .await
-        .unwrap();
+    let document = server.get("/openapi.json").told().await;
     let mut calls = Vec::new();
     for (path, methods) in document["paths"].as_object().expect("paths") {
         for (method, operation) in methods.as_object().expect("methods") {
@@ -106,7 +99,7 @@ async fn every_body_of_json_that_is_none_is_refused() {
                 .request(method.parse().unwrap(), &url)
                 .header("content-type", "application/json")
                 .body(body);
-            let answer = within(what, request.send()).await.expect("an answer");
+            let answer = request.answer().await;
             let status = answer.status().as_u16();
             let told: Value = answer.json().await.unwrap_or_default();
             // Nothing at all is a message with nothing in it, which some calls take.
@@ -119,11 +112,7 @@ async fn every_body_of_json_that_is_none_is_refused() {
         }
     }
     assert!(seen >= 60, "{seen} calls");
-    let after = http()
-        .get(server.url(&format!("/v1/sessions/{id}")))
-        .send()
-        .await
-        .unwrap();
+    let after = server.get(&format!("/v1/sessions/{id}")).answer().await;
     assert_eq!(after.status(), 200);
 }
 
@@ -141,7 +130,7 @@ async fn every_name_that_is_no_session_is_not_found() {
             if method != "GET" {
                 request = request.header("content-type", "application/json").body("{}");
             }
-            let answer = within(name, request.send()).await.expect("an answer");
+            let answer = request.answer().await;
             let status = answer.status().as_u16();
             let told: Value = answer.json().await.unwrap_or_default();
             // `..` leads to another path before it is sent.
@@ -272,7 +261,7 @@ async fn every_message_that_is_none_is_refused_by_every_rpc() {
                 .post(&url)
                 .header("content-type", "application/grpc-web+proto")
                 .body(body);
-            let answer = within(&what, request.send()).await.expect("an answer");
+            let answer = request.answer().await;
             assert_eq!(answer.status(), 200, "{} {what}", method.name());
             let headers = answer.headers().clone();
             let body = within(&what, answer.bytes()).await.expect("a body");
@@ -283,7 +272,7 @@ async fn every_message_that_is_none_is_refused_by_every_rpc() {
         }
     }
     // Some of it may have closed the session in good form; the server is there.
-    assert_eq!(http().get(server.url("/healthz")).send().await.unwrap().status(), 200);
+    assert_eq!(server.get("/healthz").answer().await.status(), 200);
     server.bar_session().await;
 }
 

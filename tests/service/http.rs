@@ -17,26 +17,21 @@ use reqwest::header;
 use serde_json::{Value, json};
 
 async fn get(server: &Server, path: &str) -> reqwest::Response {
-    within(path, http().get(server.url(path)).send())
-        .await
-        .expect("an answer")
+    server.get(path).answer().await
 }
 
 async fn post(server: &Server, path: &str, body: Value) -> reqwest::Response {
-    within(path, http().post(server.url(path)).json(&body).send())
-        .await
-        .expect("an answer")
+    server.post(path).json(&body).answer().await
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_session_lives_from_create_to_delete() {
     let server = Server::start().await;
-    let answer = http()
-        .post(server.url("/v1/sessions?label=bar&volumeGraph=OFF"))
+    let answer = server
+        .post("/v1/sessions?label=bar&volumeGraph=OFF")
         .body(bar_obj(24))
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert_eq!(answer.status(), 201);
     let location = answer.headers()[header::LOCATION].to_str().unwrap().to_owned();
     let session: Value = answer.json().await.unwrap();
@@ -53,11 +48,11 @@ async fn a_session_lives_from_create_to_delete() {
     let list: Value = get(&server, "/v1/sessions?pageSize=10").await.json().await.unwrap();
     assert_eq!(list["sessions"].as_array().map(Vec::len), Some(1));
 
-    let gone = http().delete(server.url(&location)).send().await.unwrap();
+    let gone = server.delete(&location).answer().await;
     assert_eq!(gone.status(), 204);
     assert_eq!(gone.text().await.unwrap(), "");
     assert_eq!(get(&server, &location).await.status(), 404);
-    assert_eq!(http().delete(server.url(&location)).send().await.unwrap().status(), 404);
+    assert_eq!(server.delete(&location).answer().await.status(), 404);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -118,12 +113,12 @@ async fn one_solve_in_three_forms() {
 
     let mut counted = turn_json(0.5);
     counted["options"] = json!({"output": {"selfIntersections": true}});
-    let binary = http()
-        .post(server.url(&path))
+    let binary = server
+        .post(&path)
         .json(&counted)
         .header("accept", "application/octet-stream")
-        .send();
-    let binary = binary.await.unwrap();
+        .answer()
+        .await;
     assert_eq!(binary.headers()[header::CONTENT_TYPE], "application/octet-stream");
     assert_eq!(
         binary.headers()[header::CONTENT_LENGTH].to_str().unwrap(),
@@ -155,13 +150,12 @@ async fn one_solve_in_three_forms() {
         .unwrap();
     assert_eq!(positions, buffer);
 
-    let model = http()
-        .post(server.url(&path))
+    let model = server
+        .post(&path)
         .json(&turn_json(0.5))
         .header("accept", "model/obj")
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert_eq!(model.headers()[header::CONTENT_TYPE], "model/obj");
     let obj = model.text().await.unwrap();
     assert_eq!(obj.lines().filter(|l| l.starts_with("v ")).count(), buffer.len() / 12);
@@ -177,11 +171,11 @@ async fn normals_follow_as_a_block_of_their_own() {
     let id = server.bar_session().await;
     let mut body = turn_json(0.2);
     body["options"] = json!({"output": {"normals": true}});
-    let answer = http()
-        .post(server.url(&format!("/v1/sessions/{id}/solve")))
+    let answer = server
+        .post(&format!("/v1/sessions/{id}/solve"))
         .json(&body)
         .header("accept", "application/octet-stream");
-    let answer = answer.send().await.unwrap();
+    let answer = answer.answer().await;
     let vertices: usize = answer.headers()["x-pliant-vertices"].to_str().unwrap().parse().unwrap();
     let numbers = floats(&answer.bytes().await.unwrap());
     assert_eq!(numbers.len(), vertices * 6);
@@ -200,13 +194,10 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
     assert_eq!(post(&server, &path("solve"), turn_json(1.0)).await.status(), 200);
     let bent = get(&server, &path("positions")).await.bytes().await.unwrap();
     assert_ne!(rest, bent);
-    let undone = http().post(server.url(&path("undo"))).send().await.unwrap();
+    let undone = server.post(&path("undo")).answer().await;
     assert_eq!(undone.status(), 200);
     assert_eq!(get(&server, &path("positions")).await.bytes().await.unwrap(), rest);
-    assert_eq!(
-        http().post(server.url(&path("redo"))).send().await.unwrap().status(),
-        200
-    );
+    assert_eq!(server.post(&path("redo")).answer().await.status(), 200);
     assert_eq!(get(&server, &path("positions")).await.bytes().await.unwrap(), bent);
     let history: Value = get(&server, &path("history")).await.json().await.unwrap();
     let kinds: Vec<&str> = history["commits"]
@@ -233,21 +224,16 @@ async fn one_handle_can_be_changed_added_and_removed() {
     };
 
     let pose = json!({"pose": {"translation": [0, 0, 1]}});
-    let changed = http().patch(url("top")).json(&pose).send().await.unwrap();
+    let changed = http().patch(url("top")).json(&pose).answer().await;
     assert_eq!(changed.status(), 200);
     assert_eq!(names(&changed.json().await.unwrap()), ["base", "top"]);
     let middle = json!({"region": {"sphere": {"center": [0.25, 0.25, 2], "radius": 0.5}}});
-    let added = http().patch(url("middle")).json(&middle).send().await.unwrap();
+    let added = http().patch(url("middle")).json(&middle).answer().await;
     assert_eq!(names(&added.json().await.unwrap()), ["base", "top", "middle"]);
-    let removed = http().delete(url("middle")).send().await.unwrap();
+    let removed = http().delete(url("middle")).answer().await;
     assert_eq!(names(&removed.json().await.unwrap()), ["base", "top"]);
-    assert_eq!(http().delete(url("middle")).send().await.unwrap().status(), 404);
-    let other = http()
-        .patch(url("top"))
-        .json(&json!({"id": "base"}))
-        .send()
-        .await
-        .unwrap();
+    assert_eq!(http().delete(url("middle")).answer().await.status(), 404);
+    let other = http().patch(url("top")).json(&json!({"id": "base"})).answer().await;
     assert_eq!(other.status(), 422);
 }
 
@@ -255,8 +241,8 @@ async fn one_handle_can_be_changed_added_and_removed() {
 async fn an_idempotency_key_gets_the_first_answer_again() {
     let server = Server::start().await;
     let create = |model: String| {
-        http()
-            .post(server.url("/v1/sessions"))
+        server
+            .post("/v1/sessions")
             .header("idempotency-key", "one")
             .body(model)
             .send()
@@ -276,8 +262,8 @@ async fn an_idempotency_key_gets_the_first_answer_again() {
 
     let id = server.bar_session().await;
     let solve = || {
-        http()
-            .post(server.url(&format!("/v1/sessions/{id}/solve")))
+        server
+            .post(&format!("/v1/sessions/{id}/solve"))
             .header("idempotency-key", "two")
             .json(&turn_json(0.4))
             .send()
@@ -291,12 +277,7 @@ async fn an_idempotency_key_gets_the_first_answer_again() {
 async fn a_full_server_says_when_to_come_back() {
     let server = Server::with(|sessions, _| sessions.sessions = 1).await;
     server.open(bar_obj(4)).await;
-    let answer = http()
-        .post(server.url("/v1/sessions"))
-        .body(bar_obj(4))
-        .send()
-        .await
-        .unwrap();
+    let answer = server.post("/v1/sessions").body(bar_obj(4)).answer().await;
     assert_eq!(answer.status(), 429);
     assert!(
         answer.headers()[header::RETRY_AFTER]
@@ -316,18 +297,13 @@ async fn the_sample_is_a_model_that_can_be_opened() {
     assert_eq!(sample.headers()[header::CONTENT_TYPE], "model/gltf-binary");
     let etag = sample.headers()[header::ETAG].clone();
     assert!(sample.bytes().await.unwrap().starts_with(b"glTF"));
-    let again = http()
-        .get(server.url("/v1/sample.glb"))
+    let again = server
+        .get("/v1/sample.glb")
         .header("if-none-match", etag)
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert_eq!(again.status(), 304);
-    let opened = http()
-        .post(server.url("/v1/sessions?sample=creature"))
-        .send()
-        .await
-        .unwrap();
+    let opened = server.post("/v1/sessions?sample=creature").answer().await;
     assert_eq!(opened.status(), 201);
     let session: Value = opened.json().await.unwrap();
     assert!(

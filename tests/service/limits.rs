@@ -46,9 +46,7 @@ fn keys_and_defaults_are_those_of_the_program() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_server_tells_them_by_these_names() {
     let server = Server::start().await;
-    let answer = within("limits", http().get(server.url("/v1/limits")).send())
-        .await
-        .expect("an answer");
+    let answer = server.get("/v1/limits").answer().await;
     let answer: BTreeMap<String, Value> = answer.json().await.expect("JSON");
     let rows = book::table(&page(), "| key | default |");
     let named: BTreeMap<&str, &str> = rows.iter().map(|row| (row[2].as_str(), row[1].as_str())).collect();
@@ -223,7 +221,7 @@ async fn ranges_of_requests_are_kept() {
         let url = server.url(&format!("/v1/sessions?label={}", "x".repeat(label)));
         http().post(url).body(bar_obj(4))
     };
-    let list = |size: u32| http().get(server.url(&format!("/v1/sessions?pageSize={size}")));
+    let list = |size: u32| server.get(&format!("/v1/sessions?pageSize={size}"));
     let solve = |options: Value| {
         let url = server.url(&format!("/v1/sessions/{id}/solve"));
         http().post(url).json(&json!({"options": options}))
@@ -231,7 +229,7 @@ async fn ranges_of_requests_are_kept() {
     let chains = |names: usize| {
         let list = vec!["%22hips%22"; names].join(",");
         let url = format!("/v1/sessions?sample=figure&options=%7B%22rigidChains%22:[{list}]%7D");
-        http().post(server.url(&url))
+        server.post(&url)
     };
     let rows = book::table(&page(), "| field | allowed |");
     let fields: Vec<&str> = rows.iter().map(|row| row[0].as_str()).collect();
@@ -251,9 +249,9 @@ async fn ranges_of_requests_are_kept() {
     assert_eq!(ranges, tried.each_ref().map(|(name, _, _)| *name));
     assert_eq!(untried, known);
     for (name, within_it, beyond) in tried {
-        let good = within(name, within_it.send()).await.expect("an answer");
+        let good = within_it.answer().await;
         assert!(good.status().is_success(), "{name}: {}", good.status());
-        let bad = within(name, beyond.send()).await.expect("an answer");
+        let bad = beyond.answer().await;
         assert_eq!(bad.status(), 422, "{name}");
     }
     for (window, refused) in [(8, false), (9, true)] {

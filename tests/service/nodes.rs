@@ -3,7 +3,7 @@
 use crate::durable::path;
 use crate::durable::place::StorePlace;
 use crate::support::program::ServedProgram;
-use crate::support::server::{Came, Socket, within};
+use crate::support::server::{Came, Socket, retried};
 use pliant::wire::pb::{self, deform_request, deform_response};
 use std::time::Duration;
 
@@ -51,22 +51,17 @@ fn unmoved() -> reqwest::Client {
 /// The status of a call that this node answers by itself, asked again for as long as it is unavailable or at another node.
 async fn answered(server: &ServedProgram, path: &str) -> u16 {
     let client = unmoved();
-    within("an answer of this node", async {
-        loop {
-            let asked = client.get(format!("{}{path}", server.url)).send().await;
-            match asked.map(|answer| answer.status().as_u16()) {
-                Err(_) | Ok(307 | 503) => tokio::time::sleep(Duration::from_millis(20)).await,
-                Ok(status) => return status,
-            }
-        }
+    retried("an answer of this node", Duration::from_millis(20), async || {
+        let asked = client.get(format!("{}{path}", server.url)).send().await;
+        let status = asked.ok()?.status().as_u16();
+        (![307, 503].contains(&status)).then_some(status)
     })
     .await
 }
 
 /// A stream on a session that this node has.
 async fn stream(server: &ServedProgram, id: &str) -> Socket {
-    let url = format!("{}{}", server.url.replace("http", "ws"), path(id, "/stream"));
-    Socket::connect(&url).await.expect("a stream")
+    server.socket(&path(id, "/stream")).await
 }
 
 /// Sends a pose, waits for its last frame and acknowledges it; an error where the stream ends instead.

@@ -67,33 +67,8 @@ impl Books {
     }
 }
 
-fn message(message: deform_request::Message) -> pb::DeformRequest {
-    pb::DeformRequest {
-        session_id: String::new(),
-        message: Some(message),
-    }
-}
-
 fn ack(seq: u64) -> deform_request::Message {
     deform_request::Message::Ack(pb::Ack { seq })
-}
-
-/// A gRPC stream on a session: where requests go, where responses come from.
-async fn open(server: &Server, id: &str) -> (mpsc::Sender<pb::DeformRequest>, tonic::Streaming<pb::DeformResponse>) {
-    let (requests, waiting) = mpsc::channel(16);
-    requests
-        .send(pb::DeformRequest {
-            session_id: id.to_owned(),
-            message: None,
-        })
-        .await
-        .unwrap();
-    let mut client = server.grpc().await;
-    let responses = within("a stream", client.deform(ReceiverStream::new(waiting)))
-        .await
-        .unwrap()
-        .into_inner();
-    (requests, responses)
 }
 
 const POSES: u64 = 200;
@@ -126,7 +101,7 @@ async fn a_scan_at_60_hz_ends_with_the_last_pose_and_holds_no_growing_memory() {
         {"id": "top", "region": {"box": {"min": [-1, 0.05, -1], "max": [-0.33, 1, 1]}}},
     ]});
     let url = server.url(&format!("/v1/sessions/{id}/handles"));
-    let answer = http().put(url).json(&handles).send().await.unwrap();
+    let answer = http().put(url).json(&handles).answer().await;
     assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap());
     let before = memory();
     let books = drag_at_60_hz(&server, &id).await;
@@ -142,7 +117,7 @@ async fn a_scan_at_60_hz_ends_with_the_last_pose_and_holds_no_growing_memory() {
 
 /// Sends the poses, acknowledges every frame, and checks that everything was counted.
 async fn drag_at_60_hz(server: &Server, id: &str) -> Books {
-    let (requests, mut responses) = open(server, id).await;
+    let (requests, mut responses) = server.stream(id).await;
     let sender = requests.clone();
     let dragging = tokio::spawn(async move {
         let mut tick = tokio::time::interval(Duration::from_micros(16_667));
@@ -215,7 +190,7 @@ async fn every_pose_at_60_hz_is_accounted_for_over_a_websocket() {
 async fn a_client_that_only_half_closes_still_gets_its_last_frame() {
     let server = Server::start().await;
     let id = server.bar_session().await;
-    let (requests, mut responses) = open(&server, &id).await;
+    let (requests, mut responses) = server.stream(&id).await;
     requests
         .send(message(deform_request::Message::Pose(turned(9, 0.3, false))))
         .await
@@ -232,7 +207,7 @@ async fn a_client_that_only_half_closes_still_gets_its_last_frame() {
 async fn a_committed_pose_equals_a_solve_call_to_the_bit() {
     let server = Server::start().await;
     let id = server.bar_session().await;
-    let (requests, mut responses) = open(&server, &id).await;
+    let (requests, mut responses) = server.stream(&id).await;
     for seq in 1..=5 {
         requests
             .send(message(deform_request::Message::Pose(turned(
@@ -253,21 +228,20 @@ async fn a_committed_pose_equals_a_solve_call_to_the_bit() {
             requests.send(message(ack(seq))).await.unwrap();
         }
     }
-    let stored = http()
-        .get(server.url(&format!("/v1/sessions/{id}/positions")))
-        .send()
+    let stored = server
+        .get(&format!("/v1/sessions/{id}/positions"))
+        .answer()
         .await
-        .unwrap()
         .bytes()
         .await
         .unwrap();
     assert_eq!(floats(&stored), books.last, "what was acknowledged is what is stored");
     let twin = server.bar_session().await;
-    let solve = http()
-        .post(server.url(&format!("/v1/sessions/{twin}/solve")))
+    let solve = server
+        .post(&format!("/v1/sessions/{twin}/solve"))
         .json(&turn_json(0.5))
         .header("accept", "application/octet-stream");
-    assert_eq!(solve.send().await.unwrap().bytes().await.unwrap(), stored);
+    assert_eq!(solve.answer().await.bytes().await.unwrap(), stored);
 }
 
 /// A reader that stops: few frames are made for it, memory stays flat, and when it reads on it gets the newest pose.
@@ -278,7 +252,7 @@ async fn a_reader_that_stops_gets_fewer_frames_not_older_ones() {
     }
     let server = Server::start().await;
     let id = server.bar_session().await;
-    let (requests, mut responses) = open(&server, &id).await;
+    let (requests, mut responses) = server.stream(&id).await;
     let before = memory();
     for seq in 1..=2000u64 {
         requests
@@ -343,12 +317,12 @@ async fn a_websocket_reader_that_stops_costs_no_growing_memory() {
 async fn a_stream_belongs_to_one_session_that_exists() {
     let server = Server::start().await;
     let id = server.bar_session().await;
-    let (_requests, mut responses) = open(&server, "nobody").await;
+    let (_requests, mut responses) = server.stream("nobody").await;
     assert_eq!(
         within("a refusal", responses.message()).await.unwrap_err().code(),
         Code::NotFound
     );
-    let (requests, mut responses) = open(&server, &id).await;
+    let (requests, mut responses) = server.stream(&id).await;
     requests
         .send(pb::DeformRequest {
             session_id: "another".into(),
@@ -410,10 +384,10 @@ async fn large_frames_come_in_parts_that_fit_default_limits() {
     }
     let whole: Vec<u8> = parts.iter().flat_map(|p| p.data.to_vec()).collect();
     let url = server.url(&format!("/v1/sessions/{id}/positions"));
-    assert_eq!(http().get(url).send().await.unwrap().bytes().await.unwrap(), whole);
+    assert_eq!(http().get(url).answer().await.bytes().await.unwrap(), whole);
     let body = json!({"options": {"output": {"normals": true}}});
-    let answer = http()
-        .post(server.url(&format!("/v1/sessions/{id}/solve")))
+    let answer = server
+        .post(&format!("/v1/sessions/{id}/solve"))
         .header("accept", "application/octet-stream")
         .json(&body)
         .send();

@@ -2,7 +2,7 @@
 
 use crate::animations::{bar_rig, bending_clip};
 use crate::support::program::ServedProgram;
-use crate::support::server::{Came, Socket, bar_obj, ends, eventually, http, turn_json, turned};
+use crate::support::server::{AnsweredCall as _, Came, bar_obj, ends, eventually, http, turn_json, turned};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use opentelemetry_proto::tonic::collector::trace::v1::trace_service_server::{TraceService, TraceServiceServer};
@@ -108,13 +108,12 @@ async fn a_collector_gets_the_calls_and_their_work_as_part_of_the_callers_trace(
         )
         .await;
     let trace = "4bf92f3577b34da6a3ce929d0e0e4736";
-    let answer = http()
-        .post(format!("{}/v1/sessions/{id}/solve", server.url))
+    let answer = server
+        .post(&format!("/v1/sessions/{id}/solve"))
         .header("traceparent", format!("00-{trace}-00f067aa0ba902b7-01"))
         .json(&turn_json(0.4))
-        .send()
-        .await
-        .expect("an answer");
+        .answer()
+        .await;
     assert_eq!(answer.status().as_u16(), 200, "{}", server.log());
     answer.bytes().await.expect("a body");
     eventually("the spans of the solve", async || {
@@ -186,9 +185,7 @@ async fn work_of_every_kind_has_its_own_name_below_the_call_that_asked_for_it() 
     server
         .done("POST", &path("carry"), Some(&json!({"points": [0, 0, 0]})))
         .await;
-    let mut stream = Socket::connect(&format!("{}{}", server.url.replace("http", "ws"), path("stream")))
-        .await
-        .expect("a stream");
+    let mut stream = server.socket(&path("stream")).await;
     stream.send(Message::Pose(turned(1, 0.2, false))).await;
     assert!(matches!(stream.next().await, Came::Response(_)));
     drop(stream);
@@ -197,9 +194,8 @@ async fn work_of_every_kind_has_its_own_name_below_the_call_that_asked_for_it() 
         .post(format!("{}{}", server.url, path("animations")))
         .header("accept", "model/gltf-binary")
         .json(&driven)
-        .send()
-        .await
-        .expect("an answer");
+        .answer()
+        .await;
     assert_eq!(
         played.status().as_u16(),
         200,

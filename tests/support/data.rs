@@ -3,6 +3,7 @@
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 
 /// Says what is skipped and why, where it is seen also when the test passes.
 pub fn tell_skipped(what: &str, why: &str) {
@@ -55,4 +56,39 @@ pub fn files_below(folder: &Path, fits: impl Fn(&Path) -> bool) -> Vec<PathBuf> 
     }
     found.sort();
     found
+}
+
+/// Copies a folder with all that is in it.
+pub fn copied(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).expect("a folder");
+    for entry in std::fs::read_dir(from).expect("a folder") {
+        let entry = entry.expect("an entry");
+        let goal = to.join(entry.file_name());
+        match entry.path().is_dir() {
+            true => copied(&entry.path(), &goal),
+            false => drop(std::fs::copy(entry.path(), goal).expect("copied")),
+        }
+    }
+}
+
+/// What is found of each file, two at a time; in the order of the files.
+pub fn of_each<T: Send>(files: &[PathBuf], find: impl Fn(usize, &Path) -> T + Sync) -> Vec<T> {
+    let next = Mutex::new(files.iter().enumerate());
+    let found = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                loop {
+                    let Some((k, path)) = next.lock().expect("no panic").next() else {
+                        break;
+                    };
+                    let one = find(k, path);
+                    found.lock().expect("no panic").push((k, one));
+                }
+            });
+        }
+    });
+    let mut found = found.into_inner().expect("no panic");
+    found.sort_by_key(|(k, _)| *k);
+    found.into_iter().map(|(_, one)| one).collect()
 }

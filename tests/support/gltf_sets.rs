@@ -3,6 +3,7 @@
 use super::data::files_below;
 use bytes::Bytes;
 use pliant::asset::FileSet;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Every .glb and .gltf below a folder, in order.
@@ -26,6 +27,12 @@ pub fn file_set(path: &Path) -> FileSet {
         }
     }
     set
+}
+
+/// The companions of a set, as `parse` of `gltf_parsed` takes them.
+pub fn companions_of(files: &FileSet) -> BTreeMap<String, Vec<u8>> {
+    let companions = files.companions.iter();
+    companions.map(|(name, bytes)| (name.clone(), bytes.to_vec())).collect()
 }
 
 /// Relative names in a document's buffers and images; none when it is no document.

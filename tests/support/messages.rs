@@ -1,18 +1,8 @@
 //! The calls of a deformer in the words of messages: what a transport does, in process.
 
-use pliant::asset::FileSet;
 use pliant::engine::{Deformer, EditCommand, HandlePoses, ModelShape, SolveSettings};
 use pliant::exec::Exec;
 use pliant::wire::{self, Error, pb};
-
-/// An edit as a message, and the state that it is to change.
-pub struct EditMessage<'a> {
-    pub request: &'a pb::EditRequest,
-    pub shape: &'a ModelShape,
-    pub poses: &'a HandlePoses,
-    pub settings: Option<&'a SolveSettings>,
-    pub other: Option<FileSet>,
-}
 
 /// What an edit came to, as a message.
 #[derive(Debug, Clone)]
@@ -30,7 +20,13 @@ pub trait DeformerMessages {
     fn change_poses_message(&self, poses: &HandlePoses, change: &pb::Pose) -> Result<HandlePoses, Error>;
     fn facts_message(&self) -> pb::Session;
     fn handles_message(&self) -> pb::SetHandlesRequest;
-    fn edit_message(&mut self, order: &EditMessage<'_>, exec: &Exec<'_>) -> Result<EditedByMessage, Error>;
+    fn edit_message(
+        &mut self,
+        request: &pb::EditRequest,
+        shape: &ModelShape,
+        poses: &HandlePoses,
+        exec: &Exec<'_>,
+    ) -> Result<EditedByMessage, Error>;
 }
 
 impl DeformerMessages for Deformer {
@@ -50,14 +46,20 @@ impl DeformerMessages for Deformer {
         wire::handle_set_message(self.handles())
     }
 
-    fn edit_message(&mut self, order: &EditMessage<'_>, exec: &Exec<'_>) -> Result<EditedByMessage, Error> {
-        let (edit, on) = wire::edit(order.request, order.other.as_ref())?;
+    fn edit_message(
+        &mut self,
+        request: &pb::EditRequest,
+        shape: &ModelShape,
+        poses: &HandlePoses,
+        exec: &Exec<'_>,
+    ) -> Result<EditedByMessage, Error> {
+        let (edit, on) = wire::edit(request, None)?;
         let command = EditCommand {
             edit: &edit,
             on,
-            shape: order.shape,
-            poses: order.poses,
-            settings: order.settings,
+            shape,
+            poses,
+            settings: None,
         };
         let outcome = self.edit(&command, exec)?;
         Ok(EditedByMessage {

@@ -1,12 +1,13 @@
 //! A server of PostgreSQL that tests start as an ordinary user, where Debian's package `postgresql` is installed.
 
+use super::server::retried_here;
 use sqlx::{AnyConnection, AssertSqlSafe, Connection as _};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tempfile::TempDir;
 
 /// A server of databases. Dropping it stops it.
@@ -128,20 +129,16 @@ impl PostgresServer {
             .spawn()
             .expect("postgres starts");
         *self.process.lock().expect("no panic") = Some(process);
-        let until = Instant::now() + Duration::from_secs(60);
-        let ready = || {
+        let ready = retried_here(Duration::from_secs(60), || {
             let asked = Command::new(self.programs.join("pg_isready"))
                 .arg("-h")
                 .arg(self.folder.path())
                 .stdout(Stdio::null())
                 .status();
-            asked.is_ok_and(|status| status.success())
-        };
-        while !ready() {
-            let log = fs::read_to_string(self.folder.path().join("log"));
-            assert!(Instant::now() < until, "{}", log.unwrap_or_default());
-            std::thread::sleep(Duration::from_millis(20));
-        }
+            asked.is_ok_and(|status| status.success()).then_some(())
+        });
+        let log = fs::read_to_string(self.folder.path().join("log"));
+        assert!(ready.is_some(), "{}", log.unwrap_or_default());
     }
 
     /// Ends the process as a crash does: nobody is told, nothing is written.
@@ -154,10 +151,7 @@ impl PostgresServer {
             return;
         };
         let _ = Command::new("kill").args([signal, &process.id().to_string()]).status();
-        let until = Instant::now() + Duration::from_secs(20);
-        while matches!(process.try_wait(), Ok(None)) && Instant::now() < until {
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        retried_here(Duration::from_secs(20), || process.try_wait().transpose());
         let _ = process.kill();
         let _ = process.wait();
     }

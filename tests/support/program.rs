@@ -1,6 +1,7 @@
 //! The server as a program of its own, which a test can kill.
 
-use super::server::{http, within};
+use super::server::{AnsweredCall as _, Socket, http, retried, within};
+use reqwest::RequestBuilder;
 use serde_json::Value;
 use std::fs::File;
 use std::io::{BufRead as _, BufReader};
@@ -105,15 +106,9 @@ impl ServedProgram {
     /// Asks it to stop and waits for its end, which has to be a good one.
     pub async fn stop(mut self) {
         self.ask_to_stop();
-        let ended = within("the end", async {
-            loop {
-                if let Some(status) = self.child.try_wait().expect("a child") {
-                    return status;
-                }
-                tokio::time::sleep(std::time::Duration::from_millis(5)).await;
-            }
-        });
-        assert_eq!(ended.await.code(), Some(0), "{}", self.log());
+        let pause = std::time::Duration::from_millis(5);
+        let ended = retried("the end", pause, async || self.child.try_wait().expect("a child")).await;
+        assert_eq!(ended.code(), Some(0), "{}", self.log());
     }
 
     /// Makes a call; the status and the JSON of the answer, null where there is none.
@@ -167,13 +162,31 @@ impl ServedProgram {
         answer
     }
 
+    pub fn get(&self, path: &str) -> RequestBuilder {
+        http().get(format!("{}{path}", self.url))
+    }
+
+    pub fn post(&self, path: &str) -> RequestBuilder {
+        http().post(format!("{}{path}", self.url))
+    }
+
+    pub fn put(&self, path: &str) -> RequestBuilder {
+        http().put(format!("{}{path}", self.url))
+    }
+
+    pub fn delete(&self, path: &str) -> RequestBuilder {
+        http().delete(format!("{}{path}", self.url))
+    }
+
+    /// A WebSocket on a path.
+    pub async fn socket(&self, path: &str) -> Socket {
+        let url = format!("{}{path}", self.url.replace("http", "ws"));
+        Socket::connect(&url).await.expect("a stream")
+    }
+
     /// Opens a session on a model.
     pub async fn open(&self, model: String, query: &str) -> String {
-        let sent = http()
-            .post(format!("{}/v1/sessions{query}", self.url))
-            .body(model)
-            .send();
-        let answer = within("a session", sent).await.expect("an answer");
+        let answer = self.post(&format!("/v1/sessions{query}")).body(model).answer().await;
         let status = answer.status();
         let session: Value = answer.json().await.expect("JSON");
         assert_eq!(status.as_u16(), 201, "{session}");
@@ -182,11 +195,15 @@ impl ServedProgram {
 
     /// The current vertices, as the server sends them.
     pub async fn positions(&self, id: &str) -> Vec<u8> {
-        let answer = http().get(format!("{}/v1/sessions/{id}/positions", self.url)).send();
-        let answer = within("positions", answer).await.expect("an answer");
+        let answer = self.get(&format!("/v1/sessions/{id}/positions")).answer().await;
         assert_eq!(answer.status().as_u16(), 200, "{}", self.log());
         answer.bytes().await.expect("a body").to_vec()
     }
+}
+
+/// The arguments of a command line in which none holds a space.
+pub fn words(line: &str) -> Vec<&str> {
+    line.split_whitespace().collect()
 }
 
 impl Drop for ServedProgram {

@@ -8,13 +8,15 @@ use pliant::server::{self, ServerConfig};
 use pliant::session::{self, Manager};
 use pliant::wire::pb;
 use prost::Message as _;
+use reqwest::{RequestBuilder, Response};
 use serde_json::{Value, json};
 use std::future::Future;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::oneshot;
+use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
+use tokio_stream::wrappers::ReceiverStream;
 use tokio_tungstenite::tungstenite::{self, protocol::CloseFrame};
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
 use tonic::transport::{Channel, Endpoint};
@@ -89,6 +91,30 @@ impl Server {
         format!("http://{}{path}", self.address)
     }
 
+    pub fn get(&self, path: &str) -> RequestBuilder {
+        http().get(self.url(path))
+    }
+
+    pub fn head(&self, path: &str) -> RequestBuilder {
+        http().head(self.url(path))
+    }
+
+    pub fn post(&self, path: &str) -> RequestBuilder {
+        http().post(self.url(path))
+    }
+
+    pub fn put(&self, path: &str) -> RequestBuilder {
+        http().put(self.url(path))
+    }
+
+    pub fn patch(&self, path: &str) -> RequestBuilder {
+        http().patch(self.url(path))
+    }
+
+    pub fn delete(&self, path: &str) -> RequestBuilder {
+        http().delete(self.url(path))
+    }
+
     /// A gRPC client whose limits let frames through.
     pub async fn grpc(&self) -> DeformerClient<Channel> {
         DeformerClient::new(self.channel().await).max_decoding_message_size(64 << 20)
@@ -101,6 +127,19 @@ impl Server {
             .expect("a connection")
     }
 
+    /// A gRPC stream on a session: where requests go, where responses come from.
+    pub async fn stream(&self, id: &str) -> (mpsc::Sender<pb::DeformRequest>, tonic::Streaming<pb::DeformResponse>) {
+        let (requests, waiting) = mpsc::channel(16);
+        let named = pb::DeformRequest {
+            session_id: id.to_owned(),
+            message: None,
+        };
+        requests.send(named).await.expect("room");
+        let mut client = self.grpc().await;
+        let responses = within("a stream", client.deform(ReceiverStream::new(waiting))).await;
+        (requests, responses.expect("a stream").into_inner())
+    }
+
     /// A WebSocket on a path; the refusal when there is none.
     pub async fn socket(&self, path: &str) -> Result<Socket, tungstenite::Error> {
         Socket::connect(&format!("ws://{}{path}", self.address)).await
@@ -110,20 +149,16 @@ impl Server {
     pub async fn bar_session(&self) -> String {
         let session = self.open(bar_obj(24)).await;
         let id = text(&session["id"]);
-        let answer = http()
-            .put(self.url(&format!("/v1/sessions/{id}/handles")))
-            .json(&json!({"handles": ends()}))
-            .send();
-        let answer = within("handles", answer).await.expect("an answer");
+        let handles = json!({"handles": ends()});
+        let call = self.put(&format!("/v1/sessions/{id}/handles")).json(&handles);
+        let answer = call.answer().await;
         assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap_or_default());
         id
     }
 
     /// Opens a session over HTTP.
     pub async fn open(&self, model: String) -> Value {
-        let answer = within("a session", http().post(self.url("/v1/sessions")).body(model).send())
-            .await
-            .expect("an answer");
+        let answer = self.post("/v1/sessions").body(model).answer().await;
         assert_eq!(answer.status(), 201);
         answer.json().await.expect("JSON")
     }
@@ -149,14 +184,7 @@ impl Server {
 
     /// A figure of `/metrics`; 0 when it is not there.
     pub async fn metric(&self, name: &str) -> f64 {
-        let text = http()
-            .get(self.url("/metrics"))
-            .send()
-            .await
-            .expect("an answer")
-            .text()
-            .await
-            .expect("a text");
+        let text = self.get("/metrics").answer().await.text().await.expect("a text");
         let line = text
             .lines()
             .find(|l| l.strip_prefix(name).is_some_and(|rest| rest.starts_with([' ', '{'])));
@@ -168,6 +196,14 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.manager.abort();
         self.task.abort();
+    }
+}
+
+/// A message of a stream whose session is named already.
+pub fn message(message: pb::deform_request::Message) -> pb::DeformRequest {
+    pb::DeformRequest {
+        session_id: String::new(),
+        message: Some(message),
     }
 }
 
@@ -194,12 +230,8 @@ impl Socket {
         Ok(Self { stream })
     }
 
-    pub async fn send(&mut self, message: pb::deform_request::Message) {
-        let request = pb::DeformRequest {
-            session_id: String::new(),
-            message: Some(message),
-        };
-        let bytes = Bytes::from(request.encode_to_vec());
+    pub async fn send(&mut self, sent: pb::deform_request::Message) {
+        let bytes = Bytes::from(message(sent).encode_to_vec());
         within("sending", self.stream.send(tungstenite::Message::Binary(bytes)))
             .await
             .expect("an open socket");
@@ -218,6 +250,25 @@ impl Socket {
                 Some(Err(_)) | None => return Came::Closed(None),
             }
         }
+    }
+}
+
+/// The answers of calls, which must come.
+pub trait AnsweredCall {
+    /// The answer, whatever its status.
+    async fn answer(self) -> Response;
+
+    /// The JSON of the answer, whatever its status.
+    async fn told(self) -> Value;
+}
+
+impl AnsweredCall for RequestBuilder {
+    async fn answer(self) -> Response {
+        within("an answer", self.send()).await.expect("an answer")
+    }
+
+    async fn told(self) -> Value {
+        self.answer().await.json().await.expect("JSON")
     }
 }
 
@@ -306,10 +357,45 @@ pub fn floats(bytes: &[u8]) -> Vec<f32> {
 
 /// Waits until a condition holds; timing does not decide, only whether it ever does.
 pub async fn eventually(what: &str, mut holds: impl AsyncFnMut() -> bool) {
+    retried(what, Duration::from_millis(10), async || holds().await.then_some(())).await;
+}
+
+/// Tries something again and again, with a pause in between, until it gives a value.
+pub async fn retried<T>(what: &str, pause: Duration, mut attempt: impl AsyncFnMut() -> Option<T>) -> T {
     within(what, async {
-        while !holds().await {
-            tokio::time::sleep(Duration::from_millis(10)).await;
+        loop {
+            match attempt().await {
+                Some(value) => return value,
+                None => tokio::time::sleep(pause).await,
+            }
         }
     })
-    .await;
+    .await
+}
+
+/// Ticks with at least such a pause between two.
+pub fn pace(pause: Duration) -> tokio::time::Interval {
+    let mut pace = tokio::time::interval(pause);
+    pace.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    pace
+}
+
+/// Asserts that a condition holds, again and again, for as long as that.
+pub async fn stays(what: &str, time: Duration, mut holds: impl AsyncFnMut() -> bool) {
+    let broken = retried(what, Duration::from_millis(10), async || (!holds().await).then_some(()));
+    assert!(
+        tokio::time::timeout(time, broken).await.is_err(),
+        "{what}: no longer so"
+    );
+}
+
+/// Tries something on this thread until it gives a value; `None` when that takes longer than the limit.
+pub fn retried_here<T>(limit: Duration, mut attempt: impl FnMut() -> Option<T>) -> Option<T> {
+    let started = Instant::now();
+    loop {
+        match attempt() {
+            None if started.elapsed() < limit => std::thread::sleep(Duration::from_millis(5)),
+            tried => return tried,
+        }
+    }
 }

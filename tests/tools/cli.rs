@@ -2,6 +2,7 @@
 
 use crate::inspections::SQUARE;
 use crate::program::{pliant, told, workplace};
+use crate::support::program::words;
 use pliant::asset::sample;
 use serde_json::Value;
 use std::fs;
@@ -59,45 +60,27 @@ fn a_refusal_is_exit_2_with_its_reason_last_and_no_output() {
     );
     job("nobody.json", r#"{"handles": [], "steps": [{"pose": {}}]}"#);
     fs::write(folder.path().join("broken.obj"), "v 0 0 nan\nf 1 1 1\n").expect("written");
-    let cases: [(&[&str], &str); 11] = [
-        (&["frobnicate"], "frobnicate"),
-        (&["deform", "creature.glb"], "--job"),
+    let cases: [(&str, &str); 11] = [
+        ("frobnicate", "frobnicate"),
+        ("deform creature.glb", "--job"),
+        ("deform none.glb --job job.json -o out.glb", "none.glb"),
+        ("deform creature.glb --job none.json -o out.glb", "none.json"),
         (
-            &["deform", "none.glb", "--job", "job.json", "-o", "out.glb"],
-            "none.glb",
-        ),
-        (
-            &["deform", "creature.glb", "--job", "none.json", "-o", "out.glb"],
-            "none.json",
-        ),
-        (
-            &["deform", "creature.glb", "--job", "job.json", "-o", "out.xyz"],
+            "deform creature.glb --job job.json -o out.xyz",
             "glb, gltf, obj, ply, off and stl",
         ),
+        ("deform creature.glb --job unknown.json -o out.glb", "handles[0].regoin"),
         (
-            &["deform", "creature.glb", "--job", "unknown.json", "-o", "out.glb"],
-            "handles[0].regoin",
-        ),
-        (
-            &["deform", "creature.glb", "--job", "edit.json", "-o", "out.glb"],
+            "deform creature.glb --job edit.json -o out.glb",
             "steps[0].weld.tolerance",
         ),
-        (
-            &["deform", "creature.glb", "--job", "refine.json", "-o", "out.glb"],
-            "options.refine",
-        ),
-        (
-            &["deform", "creature.glb", "--job", "empty.json", "-o", "out.glb"],
-            "handles[0].region",
-        ),
-        (
-            &["deform", "creature.glb", "--job", "nobody.json", "-o", "out.glb"],
-            "no handles",
-        ),
-        (&["inspect", "broken.obj"], "line 1"),
+        ("deform creature.glb --job refine.json -o out.glb", "options.refine"),
+        ("deform creature.glb --job empty.json -o out.glb", "handles[0].region"),
+        ("deform creature.glb --job nobody.json -o out.glb", "no handles"),
+        ("inspect broken.obj", "line 1"),
     ];
     for (arguments, reason) in cases {
-        let (code, stdout, last) = pliant(folder.path(), arguments);
+        let (code, stdout, last) = pliant(folder.path(), &words(arguments));
         assert_eq!(code, Some(2), "{arguments:?}: {last}");
         assert!(
             last.starts_with("pliant: ") && last.contains(reason),
@@ -161,16 +144,7 @@ fn a_job_can_ask_for_the_papers_operators() {
         fs::write(folder.path().join(name), text).expect("written");
         let (code, stdout, last) = pliant(
             folder.path(),
-            &[
-                "deform",
-                "creature.glb",
-                "--job",
-                name,
-                "-o",
-                "out.glb",
-                "--json",
-                "--force",
-            ],
+            &words(&format!("deform creature.glb --job {name} -o out.glb --json --force")),
         );
         assert_eq!(code, Some(0), "{last}");
         serde_json::from_str::<Value>(&stdout).expect("one JSON document")
@@ -199,15 +173,7 @@ fn every_step_of_a_job_is_written_where_it_is_asked_for() {
         {"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, 0.8, 0]}}]}}]}"#;
     fs::write(folder.path().join("job.json"), job).expect("written");
     let run = |more: &[&str]| {
-        let mut arguments = vec![
-            "deform",
-            "creature.glb",
-            "--job",
-            "job.json",
-            "--json",
-            "-o",
-            "turned.obj",
-        ];
+        let mut arguments = words("deform creature.glb --job job.json --json -o turned.obj");
         arguments.extend(more);
         pliant(folder.path(), &arguments)
     };
@@ -235,16 +201,7 @@ fn every_step_of_a_job_is_written_where_it_is_asked_for() {
     );
     let (code, _, last) = run(&["--steps", "steps", "--force"]);
     assert_eq!(code, Some(0), "{last}");
-    let twice = [
-        "deform",
-        "creature.glb",
-        "--job",
-        "job.json",
-        "-o",
-        "step_00000.obj",
-        "--steps",
-        ".",
-    ];
+    let twice = words("deform creature.glb --job job.json -o step_00000.obj --steps .");
     let (code, _, last) = pliant(folder.path(), &twice);
     assert_eq!(code, Some(2), "{last}");
     assert!(last.contains("where the result is written"), "{last}");
@@ -281,16 +238,7 @@ fn what_rides_along_is_told_and_written_beside_the_result() {
     };
     put("job.json", &passengers(""));
     let result = folder.path().join("results");
-    let job = [
-        "deform",
-        "creature.glb",
-        "--job",
-        "job.json",
-        "-o",
-        "results/out.glb",
-        "--json",
-        "--parents",
-    ];
+    let job = words("deform creature.glb --job job.json -o results/out.glb --json --parents");
     let (code, stdout, last) = pliant(folder.path(), &job);
     assert_eq!(code, Some(0), "{last}");
     let report: Value = serde_json::from_str(&stdout).expect("one JSON document");
@@ -347,15 +295,7 @@ fn what_rides_along_is_told_and_written_beside_the_result() {
         put("wrong.json", &passengers(extra));
         let (code, _, last) = pliant(
             folder.path(),
-            &[
-                "deform",
-                "creature.glb",
-                "--job",
-                "wrong.json",
-                "-o",
-                "none/out.glb",
-                "--parents",
-            ],
+            &words("deform creature.glb --job wrong.json -o none/out.glb --parents"),
         );
         assert_eq!(code, Some(2), "{extra}: {last}");
         assert!(last.contains(reason), "{extra}: {last}");
@@ -408,15 +348,7 @@ fn a_handle_that_holds_nothing_and_is_moved_is_warned_of() {
     };
     for (order, is_idle) in [(["head", "all"], true), (["all", "head"], false)] {
         fs::write(folder.path().join("job.json"), job(order)).expect("written");
-        let arguments = [
-            "deform",
-            "creature.glb",
-            "--job",
-            "job.json",
-            "-o",
-            "out.glb",
-            "--force",
-        ];
+        let arguments = words("deform creature.glb --job job.json -o out.glb --force");
         let (code, said) = told(folder.path(), &arguments);
         assert_eq!(code, Some(0), "{said}");
         assert_eq!(said.contains("warning idle-handle: "), is_idle, "{said}");
@@ -452,20 +384,18 @@ fn help_and_version_are_answers() {
 fn wrong_usage_has_one_reason_in_one_line() {
     for (arguments, reason, listed_by) in [
         (
-            &["deform", "creature.glb", "--jobb", "job.json"][..],
+            "deform creature.glb --jobb job.json",
             "'--jobb'",
             "pliant deform --help",
         ),
-        (
-            &["render", "creature.glb"],
-            "required arguments",
-            "pliant render --help",
-        ),
-        (&["bend"], "'bend'", "pliant --help"),
-        (&[], "no command is named", "Usage: pliant"),
-        (&["store"], "no command is named", "Usage: pliant store"),
+        ("render creature.glb", "required arguments", "pliant render --help"),
+        ("bend", "'bend'", "pliant --help"),
+        ("", "no command is named", "Usage: pliant"),
+        ("store", "no command is named", "Usage: pliant store"),
     ] {
-        let done = Command::new(env!("CARGO_BIN_EXE_pliant")).args(arguments).output();
+        let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
+            .args(words(arguments))
+            .output();
         let done = done.expect("it runs");
         assert_eq!((done.status.code(), done.stdout.len()), (Some(2), 0), "{arguments:?}");
         let err = String::from_utf8_lossy(&done.stderr).into_owned();
@@ -481,25 +411,16 @@ fn wrong_usage_has_one_reason_in_one_line() {
 fn arguments_of_other_programs_are_answered_with_those_of_this_one() {
     let folder = workplace();
     for (arguments, hint) in [
+        ("defrom creature.glb", "'defrom'; a similar subcommand exists: 'deform'"),
+        ("deform creature.glb job.json -o x.glb", "a job is named by --job FILE"),
+        ("serve --port 80", "--listen ADDRESS:PORT"),
+        ("animate creature.glb clip.bvh", "a clip is named by --bvh FILE"),
         (
-            &["defrom", "creature.glb"][..],
-            "'defrom'; a similar subcommand exists: 'deform'",
-        ),
-        (
-            &["deform", "creature.glb", "job.json", "-o", "x.glb"],
-            "a job is named by --job FILE",
-        ),
-        (&["serve", "--port", "80"], "--listen ADDRESS:PORT"),
-        (
-            &["animate", "creature.glb", "clip.bvh"],
-            "a clip is named by --bvh FILE",
-        ),
-        (
-            &["render", "creature.glb", "-o", "x.png", "--view", "frnt"],
+            "render creature.glb -o x.png --view frnt",
             "30,20, and front, back, side",
         ),
     ] {
-        let (code, _, last) = pliant(folder.path(), arguments);
+        let (code, _, last) = pliant(folder.path(), &words(arguments));
         assert_eq!(code, Some(2));
         assert!(last.starts_with("pliant: ") && last.contains(hint), "{last}");
     }

@@ -1,5 +1,6 @@
 //! What a job or a suite names is read from where it may lie alone, is a regular file, and is never waited for.
 
+use crate::program::told as pliant;
 use crate::support::server::bar_obj;
 use std::fs;
 use std::os::unix::fs::{PermissionsExt as _, symlink};
@@ -34,17 +35,6 @@ fn workplace() -> tempfile::TempDir {
 fn pipe(path: &Path) {
     let made = Command::new("mkfifo").arg(path).status().expect("mkfifo runs");
     assert!(made.success(), "{}", path.display());
-}
-
-/// Runs the program; returns its exit code and all of stderr.
-fn pliant(folder: &Path, arguments: &[&str]) -> (Option<i32>, String) {
-    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(arguments)
-        .current_dir(folder)
-        .env_remove("PLIANT_DATA")
-        .output()
-        .expect("it runs");
-    (done.status.code(), String::from_utf8_lossy(&done.stderr).into_owned())
 }
 
 fn last(err: &str) -> &str {

@@ -1,5 +1,6 @@
 //! What the command line writes: files that are there and folders that are not, and the files that belong to a model.
 
+use crate::program::told as pliant;
 use crate::support::data::data_folder;
 use crate::support::khronos;
 use pliant::asset::{FileSet, Limits, Model, sample};
@@ -7,17 +8,6 @@ use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
-
-/// Runs the program; returns its exit code and all that it says on stderr.
-fn pliant(folder: &Path, arguments: &[&str]) -> (Option<i32>, String) {
-    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(arguments)
-        .current_dir(folder)
-        .output()
-        .expect("it runs");
-    (done.status.code(), String::from_utf8_lossy(&done.stderr).into_owned())
-}
 
 fn refused(folder: &Path, arguments: &[&str], wanted: &str) {
     let (code, said) = pliant(folder, arguments);

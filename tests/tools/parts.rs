@@ -1,5 +1,6 @@
 //! Models of several parts on the command line: what is told of ties, and what options make of them.
 
+use crate::support::program::words;
 use glam::DVec3;
 use pliant::asset::shapes::box_with_cells;
 use serde_json::{Value, json};
@@ -51,16 +52,7 @@ fn lifted(folder: &Path, create: &Value) -> Result<Value, String> {
         ],
     });
     fs::write(folder.join("job.json"), job.to_string()).expect("written");
-    let arguments = [
-        "deform",
-        "parts.obj",
-        "--job",
-        "job.json",
-        "-o",
-        "out.obj",
-        "--json",
-        "--force",
-    ];
+    let arguments = words("deform parts.obj --job job.json -o out.obj --json --force");
     match pliant(folder, &arguments) {
         (Some(0), stdout, _) => Ok(serde_json::from_str(&stdout).expect("one JSON document")),
         (_, _, stderr) => Err(stderr),

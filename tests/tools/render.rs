@@ -1,5 +1,6 @@
 //! `pliant render` as a script sees it: which pixels show what, the same bytes for any number of threads, refusals.
 
+use crate::support::program::words;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -222,17 +223,7 @@ fn a_picture_never_replaces_what_the_model_is_made_of() {
 #[test]
 fn colours_say_where_edges_are_longer_and_where_shorter() {
     let folder = workplace();
-    let arguments = [
-        "pulled.obj",
-        "--before",
-        "rest.obj",
-        "-o",
-        "two.png",
-        "--size",
-        "240x160",
-        "--view",
-        "0,0",
-    ];
+    let arguments = words("pulled.obj --before rest.obj -o two.png --size 240x160 --view 0,0");
     let (code, _, last) = render(folder.path(), &arguments);
     assert_eq!(code, Some(0), "{last}");
     let seen = Seen::open(&folder.path().join("two.png"));
@@ -275,15 +266,7 @@ fn differences_and_wires_show_where_they_are() {
     let folder = workplace();
     let view = ["--size", "240x160", "--view", "0,0"];
     let difference = [
-        &[
-            "moved.obj",
-            "--before",
-            "rest.obj",
-            "--color",
-            "difference",
-            "-o",
-            "d.png",
-        ],
+        &words("moved.obj --before rest.obj --color difference -o d.png"),
         &view[..],
     ]
     .concat();
@@ -378,19 +361,7 @@ fn marks_are_rings_around_what_differs_most() {
 #[test]
 fn a_turntable_is_a_strip_once_around() {
     let folder = workplace();
-    let arguments = [
-        "moved.obj",
-        "-o",
-        "t.png",
-        "--size",
-        "64x48",
-        "--view",
-        "-45,10",
-        "--turntable",
-        "8",
-        "--up",
-        "z",
-    ];
+    let arguments = words("moved.obj -o t.png --size 64x48 --view -45,10 --turntable 8 --up z");
     let (code, _, last) = render(folder.path(), &arguments);
     assert_eq!(code, Some(0), "{last}");
     let seen = Seen::open(&folder.path().join("t.png"));

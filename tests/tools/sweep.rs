@@ -1,12 +1,12 @@
 //! Every real model of the data folder through `pliant deform`, the way a pipeline would call it.
 
-use crate::support::data::{data_folder, files_below};
+use crate::support::data::{data_folder, files_below, of_each};
+use crate::support::server::retried_here;
 use pliant::asset::{FileSet, Format, Limits, Model};
 use serde_json::json;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 /// What the job of the sweep may do to a model, whatever its shape: it turns one end by 29° and shifts it by a tenth of
@@ -62,17 +62,10 @@ fn pliant(arguments: &[&str]) -> (Option<i32>, String, String) {
         .stderr(stdio(&err))
         .spawn()
         .expect("it starts");
-    let begun = Instant::now();
-    let status = loop {
-        if let Some(status) = child.try_wait().expect("it can be waited for") {
-            break status.code();
-        }
-        if begun.elapsed() > PATIENCE {
-            let _ = child.kill();
-            let _ = child.wait();
-            return (None, String::new(), "no result in time".into());
-        }
-        std::thread::sleep(Duration::from_millis(2));
+    let Some(status) = retried_here(PATIENCE, || child.try_wait().expect("it can be waited for")) else {
+        let _ = child.kill();
+        let _ = child.wait();
+        return (None, String::new(), "no result in time".into());
     };
     let text = |mut f: fs::File| {
         use std::io::{Read, Seek};
@@ -82,7 +75,7 @@ fn pliant(arguments: &[&str]) -> (Option<i32>, String, String) {
     };
     let err = text(err);
     (
-        status,
+        status.code(),
         text(out),
         err.trim_end().lines().last().unwrap_or_default().to_owned(),
     )
@@ -250,28 +243,15 @@ fn every_model_is_deformed_or_refused_in_one_line() {
     models.sort();
     assert!(!models.is_empty(), "no models under {}", data.display());
     let work = tempfile::tempdir().expect("a folder");
-    let next = Mutex::new(models.iter().enumerate());
-    let results = Mutex::new(Vec::new());
-    std::thread::scope(|scope| {
-        for _ in 0..2 {
-            scope.spawn(|| {
-                loop {
-                    let Some((k, path)) = next.lock().expect("no panic").next() else {
-                        break;
-                    };
-                    let folder = work.path().join(k.to_string());
-                    let result = try_model(path, &folder);
-                    let _ = fs::remove_dir_all(&folder);
-                    results.lock().expect("no panic").push((k, result));
-                }
-            });
-        }
+    let results = of_each(&models, |k, path| {
+        let folder = work.path().join(k.to_string());
+        let result = try_model(path, &folder);
+        let _ = fs::remove_dir_all(&folder);
+        result
     });
-    let mut results = results.into_inner().expect("no panic");
-    results.sort_by_key(|r| r.0);
     let mut wrong = Vec::new();
-    for (k, result) in &results {
-        let name = models[*k].strip_prefix(&data).unwrap_or(&models[*k]).display();
+    for (path, result) in models.iter().zip(&results) {
+        let name = path.strip_prefix(&data).unwrap_or(path).display();
         match result {
             Ok(line) => println!("{name:<58} {line}"),
             Err(problem) => {
@@ -282,7 +262,7 @@ fn every_model_is_deformed_or_refused_in_one_line() {
     }
     let refused = results
         .iter()
-        .filter(|r| r.1.as_ref().is_ok_and(|l| l.starts_with("refused")))
+        .filter(|r| r.as_ref().is_ok_and(|l| l.starts_with("refused")))
         .count();
     println!(
         "{} models: {} deformed, {refused} refused, {} wrong",

@@ -3,6 +3,7 @@
 use super::beside::make_scene;
 use super::refusals::refuse;
 use super::{animate, animate_bar, make_bar, read_cache};
+use crate::support::program::words;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::Vec3;
@@ -28,16 +29,7 @@ fn replace_numbers(folder: &Path, from: &[f32], to: &[f32]) {
 
 /// Plays the clip of a scene; the exit code and what is said.
 fn act(folder: &Path) -> (Option<i32>, String) {
-    let clip = [
-        "scene.gltf",
-        "--clip",
-        "act",
-        "--refine",
-        "0",
-        "-o",
-        "act.pc2",
-        "--force",
-    ];
+    let clip = words("scene.gltf --clip act --refine 0 -o act.pc2 --force");
     let done = animate(folder, &clip);
     let said = String::from_utf8_lossy(&done.stderr).into_owned();
     (done.status.code(), said)

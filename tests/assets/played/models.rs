@@ -4,6 +4,7 @@ use super::{animate, farthest, read_cache, read_glb};
 use crate::support::data::{data_path, files_below, tell_skipped};
 use crate::support::gltf_parsed::Parsed;
 use crate::support::khronos;
+use crate::support::program::words;
 use crate::support::skinning::{ClipTime, draw};
 use glam::{DVec3, Vec3};
 use pliant::asset::{
@@ -30,9 +31,9 @@ fn solve(folder: &Path, model: &Path, output: &str) {
     let model = model.display().to_string();
     let done = animate(
         folder,
-        &[
-            &model, "--clip", "0", "--frames", "0:3", "--fps", "10", "--refine", "0", "-o", output,
-        ],
+        &words(&format!(
+            "{model} --clip 0 --frames 0:3 --fps 10 --refine 0 -o {output}"
+        )),
     );
     let said = String::from_utf8_lossy(&done.stderr).into_owned();
     assert!(done.status.success(), "{model}: {said}");

@@ -2,6 +2,7 @@
 
 use super::refusals::{contents, refuse};
 use super::{animate, animate_bar, make_bar};
+use crate::support::program::words;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -55,9 +56,7 @@ fn frames_stand_beside_linear_blend_skinning_after_the_rest_shape() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = folder.path();
     make_bar(folder);
-    let more = [
-        "--rest", "--tiles", "3", "--tile", "64x48", "--color", "stretch", "--beside", "lbs",
-    ];
+    let more = words("--rest --tiles 3 --tile 64x48 --color stretch --beside lbs");
     animate_bar(folder, &[&["-o", "sheet.png"][..], &more].concat());
     let seen = SeenPicture::read_from(&folder.join("sheet.png"));
     assert_eq!(
@@ -74,12 +73,7 @@ fn frames_stand_beside_linear_blend_skinning_after_the_rest_shape() {
     // The clip begins with the rest shape.
     assert_ne!(tile(2, 0), tile(2, 1), "they differ in the last frame");
     assert!(tile(2, 0).iter().any(is_strong), "the bend is seen in colours");
-    animate_bar(
-        folder,
-        &[
-            "-o", "bar.apng", "--tile", "40x48", "--frames", "0:5", "--beside", "lbs",
-        ],
-    );
+    animate_bar(folder, &words("-o bar.apng --tile 40x48 --frames 0:5 --beside lbs"));
     let moving = SeenPicture::read_from(&folder.join("bar.apng"));
     assert_eq!((moving.width, moving.height), (80, 48), "high ones beside each other");
 }
@@ -90,18 +84,7 @@ fn a_wrist_that_is_turned_over_stays_thick_where_skinning_wrings_it() {
     let folder = folder.path();
     run_well(folder, &["sample", "body", "-o", "body.glb"]);
     run_well(folder, &["sample", "twist", "-o", "twist.bvh"]);
-    run_well(
-        folder,
-        &[
-            "rig",
-            "body.glb",
-            "--bvh",
-            "twist.bvh",
-            "-o",
-            "rig.json",
-            "--no-picture",
-        ],
-    );
+    run_well(folder, &words("rig body.glb --bvh twist.bvh -o rig.json --no-picture"));
     let arguments = "body.glb --bvh twist.bvh --rig rig.json -o twist.png --tiles 2 --tile 160x90 --view 0,0 --beside lbs \
                      --close-up lHand,0.18 --frames 0:51 --fps 30";
     let arguments: Vec<&str> = arguments.split_whitespace().collect();

@@ -1,6 +1,7 @@
 //! What `pliant animate` does not write, and what it says then.
 
 use super::{BAR, animate, animate_bar, make_bar};
+use crate::support::program::words;
 use std::fs;
 use std::path::Path;
 
@@ -32,62 +33,47 @@ fn bad_arguments_say_what_is_allowed_and_write_nothing() {
     make_bar(folder);
     fs::create_dir(folder.join("there")).expect("a folder");
     let before = contents(folder);
-    let cases: [(&[&str], &str); 19] = [
+    let cases: [(&str, &str); 19] = [
         (
-            &["-o", "walk"],
+            "-o walk",
             "allowed are .glb, .usda, .pc2, .mdd, .png, .apng and a folder",
         ),
         (
-            &["-o", "walk.abc"],
+            "-o walk.abc",
             "allowed are .glb, .usda, .pc2, .mdd, .png, .apng and a folder",
         ),
         (
-            &["-o", "walk.usdc"],
+            "-o walk.usdc",
             "USD is written as text, and .usdc is not; write a .usda",
         ),
+        ("-o walk.ply", "a folder of them ends in a slash, with --format ply"),
         (
-            &["-o", "walk.ply"],
-            "a folder of them ends in a slash, with --format ply",
-        ),
-        (
-            &["-o", "walk.fbx"],
+            "-o walk.fbx",
             "fbx is read, not written; choose glb, gltf, obj, ply, off or stl; allowed are .glb, .usda, .pc2, .mdd, .png, .apng",
         ),
+        ("-o there/ --format docx", "--format is \"docx\", allowed are glb,"),
+        ("-o there/ --format fbx", "--format is \"fbx\", allowed are glb,"),
+        ("-o walk.glb --format obj", "--format is for folders"),
+        ("-o there/ --as morph", "--as is for .glb"),
+        ("-o walk.pc2 --max-targets 9", "--max-targets is for .glb"),
         (
-            &["-o", "there/", "--format", "docx"],
-            "--format is \"docx\", allowed are glb,",
-        ),
-        (
-            &["-o", "there/", "--format", "fbx"],
-            "--format is \"fbx\", allowed are glb,",
-        ),
-        (&["-o", "walk.glb", "--format", "obj"], "--format is for folders"),
-        (&["-o", "there/", "--as", "morph"], "--as is for .glb"),
-        (&["-o", "walk.pc2", "--max-targets", "9"], "--max-targets is for .glb"),
-        (
-            &["-o", "walk.glb", "--max-targets", "1"],
+            "-o walk.glb --max-targets 1",
             "--max-targets is 1, allowed are 2 to 4096",
         ),
-        (&["-o", "walk.glb", "--bones", "9"], "--bones is for --as skin"),
+        ("-o walk.glb --bones 9", "--bones is for --as skin"),
+        ("-o walk.glb --as skin --bones 0", "--bones is 0, allowed are 1 to 256"),
         (
-            &["-o", "walk.glb", "--as", "skin", "--bones", "0"],
-            "--bones is 0, allowed are 1 to 256",
-        ),
-        (
-            &["-o", "walk.glb", "--as", "skin", "--max-targets", "9"],
+            "-o walk.glb --as skin --max-targets 9",
             "--max-targets is for .glb files with morph targets",
         ),
-        (&["-o", "walk.pc2", "--root", "node"], "allowed here are baked and none"),
-        (
-            &["-o", "walk.glb", "--root", "sideways"],
-            "possible values: node, baked, none",
-        ),
-        (&["--resume"], "--resume needs an --output"),
-        (&["-o", "new/walk.glb"], "--parents makes it"),
-        (&["-o", "new/"], "--parents makes it"),
+        ("-o walk.pc2 --root node", "allowed here are baked and none"),
+        ("-o walk.glb --root sideways", "possible values: node, baked, none"),
+        ("--resume", "--resume needs an --output"),
+        ("-o new/walk.glb", "--parents makes it"),
+        ("-o new/", "--parents makes it"),
     ];
     for (arguments, wanted) in cases {
-        let (code, said) = refuse(folder, arguments);
+        let (code, said) = refuse(folder, &words(arguments));
         assert_eq!(code, Some(2), "{arguments:?}: {said}");
         assert!(said.contains(wanted), "{arguments:?}: {said}");
         assert_eq!(contents(folder), before, "{arguments:?}");

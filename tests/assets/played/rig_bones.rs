@@ -4,6 +4,7 @@ use super::outputs::farthest_of_bar;
 use super::{BAR, animate, animate_bar, make_bar, read_glb};
 use crate::support::data::tell_skipped;
 use crate::support::khronos;
+use crate::support::program::words;
 use glam::DVec3;
 use pliant::asset::sample::BuiltInModel;
 use serde_json::Value;
@@ -98,19 +99,7 @@ fn a_skins_own_clip_is_corrected_on_its_own_weights() {
     .expect("written");
     let done = animate(
         folder,
-        &[
-            "figure.glb",
-            "--clip",
-            "walk",
-            "-o",
-            "walk.glb",
-            "--as",
-            "correctives",
-            "--poses",
-            "3",
-            "--frames",
-            "0:8",
-        ],
+        &words("figure.glb --clip walk -o walk.glb --as correctives --poses 3 --frames 0:8"),
     );
     let said = String::from_utf8_lossy(&done.stderr).into_owned();
     assert!(done.status.success(), "{said}");

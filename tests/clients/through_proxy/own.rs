@@ -1,7 +1,7 @@
 //! Sessions that this program drives itself, over HTTP and WebSocket: each is dragged and committed at the same time.
 
 use super::Driven;
-use crate::support::server::{Socket, bar_obj, ends, http, turn_json, turned, within};
+use crate::support::server::{Socket, bar_obj, ends, http, pace, retried, turn_json, turned, within};
 use futures::{SinkExt as _, StreamExt as _};
 use pliant::wire::pb::{self, deform_request, deform_response};
 use prost::Message as _;
@@ -68,17 +68,15 @@ impl OwnDriver {
 }
 
 async fn open(url: &str, k: usize) -> String {
-    let since = Instant::now();
-    let session: Value = loop {
+    let created = retried("a session", Duration::from_millis(50), async || {
         let sent = http()
             .post(format!("{url}/v1/sessions"))
             .header("idempotency-key", format!("create-{k}"));
-        match within("a session", sent.body(bar_obj(12)).send()).await {
-            Ok(answer) if answer.status().is_success() => break answer.json().await.expect("JSON"),
-            _ => assert!(since.elapsed() < Duration::from_secs(20), "no session"),
-        }
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    };
+        let answer = sent.body(bar_obj(12)).send().await.ok()?;
+        answer.status().is_success().then_some(answer)
+    });
+    let created = tokio::time::timeout(Duration::from_secs(20), created).await;
+    let session: Value = created.expect("a session").json().await.expect("JSON");
     let id = session["id"].as_str().expect("an id").to_owned();
     let handles = json!({"handles": ends()});
     let path = format!("/v1/sessions/{id}/handles");
@@ -88,8 +86,10 @@ async fn open(url: &str, k: usize) -> String {
 
 /// Makes a call until it is answered; calls that change something carry a key, so that they happen once.
 pub(super) async fn insist(url: &str, (method, rest): (&str, &str), body: Option<&Value>, key: &str) -> Value {
+    let mut ticks = pace(Duration::from_millis(100));
     let since = Instant::now();
     loop {
+        ticks.tick().await;
         let mut call = http().request(method.parse().expect("a method"), format!("{url}{rest}"));
         if let Some(body) = body {
             call = call.json(body);
@@ -114,7 +114,6 @@ pub(super) async fn insist(url: &str, (method, rest): (&str, &str), body: Option
             since.elapsed() < Duration::from_secs(40),
             "{method} {rest} is not answered any more"
         );
-        tokio::time::sleep(Duration::from_millis(100)).await;
     }
 }
 
@@ -173,12 +172,13 @@ async fn keep_dragging((url, id, stop): (String, String, Arc<AtomicBool>)) -> Dr
         opened: 0,
     };
     let mut socket: Option<Socket> = None;
+    let [mut retries, mut poses] = [Duration::from_millis(30), PAUSES[0]].map(pace);
     while !stop.load(SeqCst) {
         let Some(open) = &mut socket else {
             socket = open_stream(&url, &id).await;
             dragged.opened += u64::from(socket.is_some());
             seq = 0;
-            tokio::time::sleep(Duration::from_millis(30)).await;
+            retries.tick().await;
             continue;
         };
         seq += 1;
@@ -191,7 +191,7 @@ async fn keep_dragging((url, id, stop): (String, String, Arc<AtomicBool>)) -> Dr
                 dragged.answers += 1;
                 dragged.away = dragged.away.max(since.elapsed());
                 asked = None;
-                tokio::time::sleep(PAUSES[0]).await;
+                poses.tick().await;
             }
             _ => socket = None,
         }
@@ -203,6 +203,7 @@ async fn keep_dragging((url, id, stop): (String, String, Arc<AtomicBool>)) -> Dr
 async fn keep_committing((url, id, stop): (String, String, Arc<AtomicBool>)) -> Vec<(f64, u64)> {
     let mut acknowledged: Vec<(f64, u64)> = Vec::new();
     let path = format!("/v1/sessions/{id}/solve");
+    let mut commits = pace(PAUSES[1]);
     while !stop.load(SeqCst) {
         let angle = 0.02 * ((acknowledged.len() * 7) % 40) as f64 - 0.4;
         let key = format!("{id}-{}", acknowledged.len());
@@ -210,7 +211,7 @@ async fn keep_committing((url, id, stop): (String, String, Arc<AtomicBool>)) -> 
         let revision = &solved["revision"];
         let revision = revision.as_u64().or_else(|| revision.as_str()?.parse().ok());
         acknowledged.push((angle, revision.expect("a revision")));
-        tokio::time::sleep(PAUSES[1]).await;
+        commits.tick().await;
     }
     acknowledged
 }

@@ -1,7 +1,7 @@
 //! Graph and hierarchy follow an edit: at the price of the edit, and without a difference that a user would see.
 
 use super::*;
-use crate::support::messages::{DeformerMessages, EditMessage};
+use crate::support::messages::DeformerMessages;
 use pliant::engine::{ModelShape, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -192,15 +192,8 @@ fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
             1 => midpoint(Some(region)),
             _ => remesh(region, 0.06),
         };
-        let order = EditMessage {
-            request: &request,
-            shape: &shape,
-            poses: &poses,
-            settings: None,
-            other: None,
-        };
         let outcome = bench
-            .edit_message(&order, &Exec::new(&pool, &Silent))
+            .edit_message(&request, &shape, &poses, &Exec::new(&pool, &Silent))
             .expect("each can be done");
         said.push(format!("{} {}", outcome.result.repaired, outcome.result.digest));
         let turned = turn(DVec3::new(0.15, 0.05 * f64::from(k), 0.0), DVec3::new(0.0, 0.0, 3.0));

@@ -1,7 +1,7 @@
 //! The same in a session of a real server, over HTTP, with undo and redo in between.
 
 use super::*;
-use crate::support::server::{Server, eventually, floats, http, text, within};
+use crate::support::server::{AnsweredCall as _, Server, eventually, floats, http, text, within};
 use pliant::session::MemoryUse;
 use serde_json::json;
 
@@ -17,9 +17,7 @@ impl Talk {
 
     /// Status and answer of a call.
     async fn post(&self, rest: &str, body: &Value) -> (u16, Value) {
-        let answer = within(rest, http().post(self.path(rest)).json(body).send())
-            .await
-            .expect("an answer");
+        let answer = http().post(self.path(rest)).json(body).answer().await;
         let status = answer.status().as_u16();
         (status, answer.json().await.expect("JSON"))
     }
@@ -27,7 +25,7 @@ impl Talk {
     /// The digest and the number of vertices now.
     async fn state(&self) -> (String, u64) {
         let get = async |path: String| -> Value {
-            let answer = within(&path, http().get(path.clone()).send()).await.expect("an answer");
+            let answer = http().get(path.clone()).answer().await;
             answer.json().await.expect("JSON")
         };
         let history = get(self.path("history")).await;
@@ -42,9 +40,7 @@ impl Talk {
     }
 
     async fn bytes(&self) -> Vec<u8> {
-        let answer = within("positions", http().get(self.path("positions")).send())
-            .await
-            .expect("an answer");
+        let answer = http().get(self.path("positions")).answer().await;
         assert_eq!(answer.status(), 200);
         answer.bytes().await.expect("bytes").to_vec()
     }

@@ -1,6 +1,7 @@
 //! What every way of spreading rotations owes: rest stays rest, the scene may be turned, threads change no bit.
 
 use super::scene::*;
+use crate::support::bench::largest_distance;
 use glam::{DQuat, DVec3};
 use pliant::deform::{FirstPass, SolveStart, SolveState, Transform, exp_rotation};
 

@@ -275,11 +275,6 @@ pub fn angle_between(a: DQuat, b: DQuat) -> f64 {
     log_rotation(a.inverse() * b).length()
 }
 
-pub fn largest_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
-    assert_eq!(a.len(), b.len());
-    a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
-}
-
 pub fn rms(a: &[DVec3], b: &[DVec3]) -> f64 {
     assert_eq!(a.len(), b.len());
     let squares: f64 = a.iter().zip(b).map(|(a, b)| a.distance_squared(*b)).sum();

@@ -1,6 +1,7 @@
 //! Handles that turn by half a circle and more.
 
 use super::scene::*;
+use crate::support::bench::largest_distance;
 use glam::{DQuat, DVec3};
 use pliant::deform::{FirstPass, Transform};
 use proptest::prelude::*;

@@ -14,6 +14,17 @@ pub fn pool(threads: usize) -> Pool {
     Pool::new(threads).expect("threads start")
 }
 
+/// A new graph of a surface, with the lengths of another graph.
+pub fn anew(surface: &Surface, graph: &MeshGraph) -> MeshGraph {
+    let same = VolumeOptions {
+        interval: Some(graph.stats.interval),
+        shell_offset: Some(graph.stats.shell_offset),
+        ..shapes::paper_graph()
+    };
+    let fresh = volume(&mesh_of(surface), &same, &Exec::new(&pool(2), &Silent));
+    fresh.expect("valid").expect("an inside")
+}
+
 pub fn mesh_of(surface: &Surface) -> Mesh {
     let mesh = Mesh::build(&surface.points, &surface.faces, Weld::Exact).expect("a mesh");
     assert_eq!(mesh.positions, surface.points, "points are distinct, used and in order");
@@ -166,14 +177,7 @@ pub fn try_edit(name: &str, before: &Surface, graph: &MeshGraph, plan: &Plan) ->
         assert!(!far(graph.positions[o]), "{name}: old node {o} is far from the edit");
     }
     // As many nodes near the edit as with the same lengths from scratch.
-    let same = VolumeOptions {
-        interval: Some(graph.stats.interval),
-        shell_offset: Some(graph.stats.shell_offset),
-        ..shapes::paper_graph()
-    };
-    let fresh = volume(&mesh_of(&edited.surface), &same, &Exec::new(&pool(2), &Silent))
-        .expect("valid")
-        .expect("an inside");
+    let fresh = anew(&edited.surface, graph);
     let (ours, theirs) = (near(&after.graph, &places, within), near(&fresh, &places, within));
     println!(
         "{name}: {} points, {} nodes, {} touched; near the edit {ours:?}, in a new graph {theirs:?}; components {} {}; volume {} {}",

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::support::gltf_parsed::parse;
+use crate::support::program::words;
 use pliant::wire::frames::FrameReader;
 use prost::Message as _;
 use std::collections::BTreeMap;
@@ -19,17 +20,9 @@ fn told_by_command(model: &str, clip: &str) -> Value {
     }
     let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
         .current_dir(folder.path())
-        .args([
-            "animate",
-            "bar.obj",
-            "--bvh",
-            "bar.bvh",
-            "--rig",
-            "rig.json",
-            "--skip-first",
-            "no",
-            "--json",
-        ])
+        .args(words(
+            "animate bar.obj --bvh bar.bvh --rig rig.json --skip-first no --json",
+        ))
         .output()
         .expect("it runs");
     assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
@@ -93,18 +86,10 @@ async fn a_recording_without_a_rig_drives_the_one_that_pliant_rig_makes() {
         assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
     };
     pliant(&["sample", "figure", "-o", "figure.glb"]);
-    pliant(&[
-        "rig",
-        "figure.glb",
-        "--bvh",
-        "wave.bvh",
-        "-o",
-        "rig.json",
-        "--no-picture",
-    ]);
+    pliant(&words("rig figure.glb --bvh wave.bvh -o rig.json --no-picture"));
     let rig: Value =
         serde_json::from_slice(&std::fs::read(folder.path().join("rig.json")).expect("a rig")).expect("JSON");
-    let opened = http().post(server.url("/v1/sessions?sample=figure")).send();
+    let opened = server.post("/v1/sessions?sample=figure").send();
     let opened: Value = (within("a session", opened).await.expect("an answer").json().await).expect("JSON");
     let id = text(&opened["id"]);
     let mut told = Vec::new();
@@ -278,11 +263,7 @@ async fn frames_that_tell_what_differs_show_the_same() {
 #[tokio::test(flavor = "multi_thread")]
 async fn http_answers_a_model_that_plays_a_clip_of_its_own() {
     let server = Server::start().await;
-    let created = http()
-        .post(server.url("/v1/sessions?sample=figure"))
-        .send()
-        .await
-        .expect("an answer");
+    let created = server.post("/v1/sessions?sample=figure").answer().await;
     let id = text(&created.json::<Value>().await.expect("JSON")["id"]);
     for (options, is_skin) in [
         (json!({"clip": "walk", "count": 12}), false),

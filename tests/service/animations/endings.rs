@@ -77,14 +77,7 @@ async fn others_have_their_turn_between_frames_and_the_session_stays_as_it_is() 
     };
     let positions = async || {
         let url = server.url(&format!("/v1/sessions/{mine}/positions"));
-        http()
-            .get(url)
-            .send()
-            .await
-            .expect("an answer")
-            .bytes()
-            .await
-            .expect("a body")
+        http().get(url).answer().await.bytes().await.expect("a body")
     };
     let told = |session: pb::Session| (session.revision, session.handles);
     let before = told(client.get_session(named()).await.expect("there").into_inner());

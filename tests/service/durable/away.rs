@@ -6,17 +6,13 @@ use crate::support::bucket::TestBucket;
 use crate::support::postgres::PostgresServer;
 use crate::support::postgres_proxy::PostgresProxy;
 use crate::support::program::ServedProgram;
-use crate::support::server::{Came, Socket, bar_obj, eventually, http, turn_json, turned, within};
+use crate::support::server::{Came, bar_obj, eventually, http, turn_json, turned, within};
 use pliant::wire::pb::{deform_request, deform_response};
 use serde_json::{Value, json};
 
 /// Drags the bar's top once; the frame has to come.
 async fn drag(server: &ServedProgram, id: &str) {
-    let url = format!("{}{}", server.url.replace("http", "ws"), path(id, "/stream"));
-    let opened = within("a socket", tokio_tungstenite::connect_async(url)).await;
-    let mut socket = Socket {
-        stream: opened.expect("a stream").0,
-    };
+    let mut socket = server.socket(&path(id, "/stream")).await;
     socket.send(deform_request::Message::Pose(turned(1, 0.8, false))).await;
     loop {
         match socket.next().await {

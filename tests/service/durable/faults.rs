@@ -2,7 +2,7 @@
 
 use super::{bar_session, path, seen, turn};
 use crate::support::program::ServedProgram;
-use crate::support::server::{Came, Socket, bar_obj, eventually, http, turn_json, turned, within};
+use crate::support::server::{AnsweredCall as _, Came, Socket, bar_obj, eventually, turn_json, turned};
 use pliant::wire::pb::{deform_request, deform_response};
 use std::process::Command;
 
@@ -64,14 +64,8 @@ async fn a_full_disk_refuses_changes_and_nothing_else() {
                 .contains("store of sessions cannot be written"),
         "{told}"
     );
-    let created = http()
-        .post(format!("{}/v1/sessions", server.url))
-        .body(bar_obj(7))
-        .send();
-    assert_eq!(
-        within("a refusal", created).await.expect("an answer").status().as_u16(),
-        503
-    );
+    let created = server.post("/v1/sessions").body(bar_obj(7)).answer().await;
+    assert_eq!(created.status(), 503);
     assert_eq!(
         seen(&server, &id).await,
         before,
@@ -81,11 +75,7 @@ async fn a_full_disk_refuses_changes_and_nothing_else() {
     assert_eq!(listed["sessions"].as_array().map(Vec::len), Some(1));
 
     // Dragging goes on; a pose that is to be committed is refused.
-    let url = format!("{}{}", server.url.replace("http", "ws"), path(&id, "/stream"));
-    let (stream, _) = within("a socket", tokio_tungstenite::connect_async(url))
-        .await
-        .expect("a stream");
-    let mut socket = Socket { stream };
+    let mut socket = server.socket(&path(&id, "/stream")).await;
     socket.send(deform_request::Message::Pose(turned(1, 0.8, false))).await;
     let drag = frame_or_failure(&mut socket).await;
     assert!(matches!(drag, deform_response::Message::Frame(_)), "{drag:?}");

@@ -2,7 +2,7 @@
 
 use super::{bar_session, metric, path, seen, turn};
 use crate::durable::place::{StorePlace, in_every_store};
-use crate::support::server::{eventually, within};
+use crate::support::server::eventually;
 
 in_every_store!(
     an_idle_session_leaves_memory_and_comes_back_as_it_was,
@@ -43,10 +43,7 @@ async fn an_idle_session_leaves_memory_and_comes_back_as_it_was(place: StorePlac
 async fn a_stream_holds_its_session_and_calls_never_miss_it(place: StorePlace) {
     let server = place.start(&["--idle", "100ms"]);
     let held = bar_session(&server).await;
-    let url = format!("{}{}", server.url.replace("http", "ws"), path(&held, "/stream"));
-    let (stream, _) = within("a socket", tokio_tungstenite::connect_async(url))
-        .await
-        .expect("a stream");
+    let stream = server.socket(&path(&held, "/stream")).await;
     // Calls come just when the session is about to leave.
     let busy = bar_session(&server).await;
     for k in 0..20u64 {
@@ -84,9 +81,7 @@ async fn idle_sessions_make_room_before_a_new_one_is_refused(place: StorePlace) 
     // Those that streams hold stay: then there is no room.
     let mut streams = Vec::new();
     for (id, _) in &known[..2] {
-        let url = format!("{}{}", server.url.replace("http", "ws"), path(id, "/stream"));
-        let opened = within("a socket", tokio_tungstenite::connect_async(url)).await;
-        streams.push(opened.expect("a stream"));
+        streams.push(server.socket(&path(id, "/stream")).await);
     }
     assert_eq!(server.call("GET", &path(&known[3].0, ""), None).await.0, 429);
     assert_eq!(metric(&server, "pliant_refused_total ").await, 1.0);

@@ -3,7 +3,7 @@
 
 use super::{bar_session, path, turn};
 use crate::support::program::ServedProgram;
-use crate::support::server::{Came, Socket, http, large_bar, turned, within};
+use crate::support::server::{Came, Socket, http, large_bar, pace, turned, within};
 use pliant::wire::pb::{self, deform_request::Message, deform_response};
 use serde_json::Value;
 use std::path::PathBuf;
@@ -17,9 +17,7 @@ fn folder() -> (tempfile::TempDir, PathBuf) {
 }
 
 async fn stream(server: &ServedProgram, id: &str) -> Socket {
-    let address = server.url.strip_prefix("http://").expect("a plain address");
-    let url = format!("ws://{address}{}", path(id, "/stream"));
-    Socket::connect(&url).await.expect("a stream")
+    server.socket(&path(id, "/stream")).await
 }
 
 /// A commit of the bar's top, with its own key.
@@ -179,6 +177,7 @@ async fn the_program_ends_whatever_its_clients_do() {
 
     server.ask_to_stop();
     let mut seq = 0;
+    let mut ticks = pace(std::time::Duration::from_millis(20));
     within("the end of the stream", async {
         loop {
             seq += 1;
@@ -191,7 +190,7 @@ async fn the_program_ends_whatever_its_clients_do() {
             if futures::SinkExt::send(&mut stubborn.stream, message).await.is_err() {
                 break;
             }
-            tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+            ticks.tick().await;
         }
     })
     .await;

@@ -3,7 +3,7 @@
 use super::{bar_session, path, seen, turn};
 use crate::durable::place::StorePlace;
 use crate::support::program::ServedProgram;
-use crate::support::server::{bar_obj, eventually, http, turn_json, within};
+use crate::support::server::{AnsweredCall as _, bar_obj, eventually, turn_json};
 use serde_json::Value;
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
@@ -33,14 +33,8 @@ async fn refuses_changes(server: &ServedProgram, id: &str, place: &StorePlace) {
             assert!(!told_text.contains(secret), "{told}");
         }
     }
-    let created = http()
-        .post(format!("{}/v1/sessions", server.url))
-        .body(bar_obj(7))
-        .send();
-    assert_eq!(
-        within("a refusal", created).await.expect("an answer").status().as_u16(),
-        503
-    );
+    let created = server.post("/v1/sessions").body(bar_obj(7)).answer().await;
+    assert_eq!(created.status(), 503);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -4,7 +4,7 @@
 use super::{bar_session, metric, path, turn};
 use crate::durable::place::{StorePlace, in_every_store};
 use crate::support::program::ServedProgram;
-use crate::support::server::{bar, ends, eventually};
+use crate::support::server::{AnsweredCall as _, bar, bar_obj, ends, eventually};
 use serde_json::{Value, json};
 
 in_every_store!(
@@ -21,12 +21,11 @@ async fn seen(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
 
 /// A bar of 3,170 vertices, whose volume graph does not fit whole.
 async fn dense_session(server: &ServedProgram) -> Result<String, Value> {
-    let opened = crate::support::server::http()
-        .post(format!("{}/v1/sessions?volumeGraph.kind=PAPER", server.url))
+    let opened = server
+        .post("/v1/sessions?volumeGraph.kind=PAPER")
         .body(bar([12, 12, 60]))
-        .send()
-        .await
-        .expect("an answer");
+        .answer()
+        .await;
     let told: Value = opened.json().await.expect("JSON");
     let Some(id) = told["id"].as_str() else {
         return Err(told);
@@ -111,8 +110,12 @@ async fn no_time_passes_for_a_session_while_no_server_runs(place: StorePlace) {
     let exported = place.store(&["export", &id, output.to_str().expect("UTF-8")]);
     assert_eq!(exported.code, 0, "{}", exported.err);
     let server = place.start(&[]);
-    // The server looks once a second for sessions whose time is over.
-    tokio::time::sleep(std::time::Duration::from_millis(2500)).await;
+    // One whose time is over shows that the server has looked for such sessions.
+    server.open(bar_obj(4), "?ttl=1s").await;
+    eventually("an expiry", async || {
+        metric(&server, "pliant_sessions_expired_total").await > 0.0
+    })
+    .await;
     assert_eq!(seen(&server, &id).await, before);
     let listed = server.done("GET", "/v1/sessions", None).await;
     assert_eq!(listed["sessions"][0]["id"], id.as_str());

@@ -2,7 +2,7 @@
 
 use super::{bar_session, path, turn};
 use crate::durable::place::{StorePlace, in_every_store};
-use crate::support::server::{bar_obj, http, within};
+use crate::support::server::{AnsweredCall as _, bar_obj, http};
 use serde_json::Value;
 use std::fs;
 
@@ -16,7 +16,7 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
     let (id, other) = (bar_session(&server).await, server.open(bar_obj(7), "?ttl=1s").await);
     turn(&server, &id, 0.4).await;
     let url = format!("{}{}?format=obj", server.url, path(&id, "/model"));
-    let model = within("a model", http().get(url).send()).await.expect("an answer");
+    let model = http().get(url).answer().await;
     let model = model.bytes().await.expect("a body");
     server.kill();
 

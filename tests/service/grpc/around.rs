@@ -46,7 +46,7 @@ async fn a_deadline_ends_a_call_before_and_during_its_answer() {
         .header("te", "trailers")
         .header("grpc-timeout", "100m")
         .body(reqwest::Body::wrap_stream(endless));
-    let late = within("the deadline", request.send()).await.unwrap();
+    let late = request.answer().await;
     assert_eq!(late.headers()["grpc-status"], "4");
 }
 
@@ -143,12 +143,12 @@ async fn web_bytes(server: &Server, rpc: &str, message: &[u8]) -> (reqwest::Stat
     body.extend([0u8]);
     body.extend((message.len() as u32).to_be_bytes());
     body.extend(message);
-    let request = http()
-        .post(server.url(&format!("/pliant.v1.Deformer/{rpc}")))
+    let request = server
+        .post(&format!("/pliant.v1.Deformer/{rpc}"))
         .header("content-type", "application/grpc-web+proto")
         .header("origin", "http://localhost:3000")
         .body(body.freeze());
-    let answer = request.send().await.unwrap();
+    let answer = request.answer().await;
     assert_eq!(answer.headers()["access-control-allow-origin"], "http://localhost:3000");
     let status = answer.status();
     let headers = answer.headers().clone();
@@ -199,14 +199,7 @@ async fn unknown_methods_are_unimplemented_and_counted_as_one() {
             .await;
         assert_eq!(refused.unwrap_err().code(), Code::Unimplemented, "{path}");
     }
-    let counts = http()
-        .get(server.url("/metrics"))
-        .send()
-        .await
-        .unwrap()
-        .text()
-        .await
-        .unwrap();
+    let counts = server.get("/metrics").answer().await.text().await.unwrap();
     assert!(
         counts.contains("pliant_requests_total{transport=\"grpc\",route=\"unknown\",code=\"UNIMPLEMENTED\"} 2"),
         "{counts}"

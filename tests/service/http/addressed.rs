@@ -31,7 +31,7 @@ async fn a_name_that_is_not_the_servers_opens_nothing() {
                     .header("origin", origin)
                     .header("access-control-request-method", "DELETE");
             }
-            let answer = request.body(bar_obj(4)).send().await.unwrap();
+            let answer = request.body(bar_obj(4)).answer().await;
             assert_eq!(answer.status(), 403, "{method} {path} {origin:?}");
             let allowing = answer
                 .headers()
@@ -53,13 +53,13 @@ async fn a_name_that_is_not_the_servers_opens_nothing() {
     stream.headers_mut().insert("origin", ORIGIN.parse().unwrap());
     let refused = tokio_tungstenite::connect_async(stream).await.map(|_| ()).unwrap_err();
     assert!(matches!(refused, tungstenite::Error::Http(answer) if answer.status() == 403));
-    let call = http()
-        .post(server.url("/pliant.v1.Deformer/DeleteSession"))
+    let call = server
+        .post("/pliant.v1.Deformer/DeleteSession")
         .header("host", EVIL)
         .header("content-type", "application/grpc-web+proto")
         .body(vec![0u8; 5]);
-    assert_eq!(call.send().await.unwrap().headers()["grpc-status"], "7");
-    let still_there = http().get(server.url(&session)).send().await.unwrap();
+    assert_eq!(call.answer().await.headers()["grpc-status"], "7");
+    let still_there = server.get(&session).answer().await;
     assert_eq!(still_there.status(), 200);
 }
 
@@ -71,12 +71,7 @@ async fn a_foreign_page_may_not_even_look() {
         ("null", 403),
         ("http://localhost:5173", 200),
     ] {
-        let answer = http()
-            .get(server.url("/v1/limits"))
-            .header("origin", origin)
-            .send()
-            .await
-            .unwrap();
+        let answer = server.get("/v1/limits").header("origin", origin).answer().await;
         assert_eq!(answer.status(), status, "{origin}");
     }
 }
@@ -90,12 +85,7 @@ async fn names_are_what_the_operator_lists() {
         ("mesh.example.org:443", 200),
         ("localhost", 403),
     ] {
-        let answer = http()
-            .get(server.url("/v1/limits"))
-            .header("host", host)
-            .send()
-            .await
-            .unwrap();
+        let answer = server.get("/v1/limits").header("host", host).answer().await;
         assert_eq!(answer.status(), status, "{host}");
     }
 }

@@ -172,8 +172,8 @@ async fn a_node_of_the_model_rides_along_through_poses_edits_and_undo() {
     let options = json!({"rig": "KEEP", "passengers": [{"primitivesNamed": "lod1"}, {"nodesNamed": "hatSocket"}]});
     let options =
         percent_encoding::utf8_percent_encode(&options.to_string(), percent_encoding::NON_ALPHANUMERIC).to_string();
-    let opened = http()
-        .post(server.url(&format!("/v1/sessions?sample=figure&options={options}")))
+    let opened = server
+        .post(&format!("/v1/sessions?sample=figure&options={options}"))
         .send();
     let opened: Value = within("a session", opened).await.unwrap().json().await.unwrap();
     let id = opened["id"].as_str().expect("an id");
@@ -192,7 +192,7 @@ async fn a_node_of_the_model_rides_along_through_poses_edits_and_undo() {
         {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.3}}},
         {"id": "head", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.54}}},
     ]});
-    let set = http().put(server.url(&path("handles"))).json(&handles).send();
+    let set = server.put(&path("handles")).json(&handles).send();
     assert_eq!(within("handles", set).await.unwrap().status(), 200);
     let turn = |x: f64| json!({"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0.2, 0.6, 0], "translation": [x, 0.1, 0]}}]}});
     assert_eq!(post(&server, &path("solve"), turn(0.1)).await.status(), 200);

@@ -14,7 +14,7 @@ async fn http2_without_upgrade_speaks_the_same() {
         .http2_prior_knowledge()
         .build()
         .unwrap();
-    let answer = client.get(server.url("/v1/limits")).send().await.unwrap();
+    let answer = client.get(server.url("/v1/limits")).answer().await;
     assert_eq!(
         (answer.version(), answer.status().as_u16()),
         (reqwest::Version::HTTP_2, 200)
@@ -39,11 +39,7 @@ async fn one_connection_too_many_is_told_so() {
     );
     drop(silent);
     eventually("a free place", async || {
-        http()
-            .get(server.url("/healthz"))
-            .send()
-            .await
-            .is_ok_and(|a| a.status() == 200)
+        server.get("/healthz").send().await.is_ok_and(|a| a.status() == 200)
     })
     .await;
     assert!(server.metric("pliant_connections_refused_total").await >= 1.0);
@@ -95,8 +91,9 @@ async fn trickled(server: &Server) -> String {
     socket.write_all(head.as_bytes()).await.unwrap();
     let (mut from, mut to) = socket.into_split();
     let sending = tokio::spawn(async move {
+        let mut ticks = pace(Duration::from_millis(20));
         while to.write_all(b"#").await.is_ok() {
-            tokio::time::sleep(Duration::from_millis(20)).await;
+            ticks.tick().await;
         }
     });
     let mut told = vec![0; 4096];

@@ -11,7 +11,7 @@ async fn downloads_honour_tags_and_ranges() {
     let model = bar_obj(24);
     let id = text(&server.open(model.clone()).await["id"]);
     let url = server.url(&format!("/v1/sessions/{id}/model"));
-    let whole = http().get(&url).send().await.unwrap();
+    let whole = http().get(&url).answer().await;
     assert_eq!(whole.status(), 200);
     assert_eq!(whole.headers()[header::ACCEPT_RANGES], "bytes");
     assert_eq!(
@@ -23,7 +23,7 @@ async fn downloads_honour_tags_and_ranges() {
     let bytes = whole.bytes().await.unwrap();
     assert_eq!(bytes, model.as_bytes(), "at rest the model comes back byte for byte");
 
-    let part = http().get(&url).header("range", "bytes=10-19").send().await.unwrap();
+    let part = http().get(&url).header("range", "bytes=10-19").answer().await;
     assert_eq!(part.status(), 206);
     assert_eq!(
         part.headers()[header::CONTENT_RANGE].to_str().unwrap(),
@@ -34,9 +34,8 @@ async fn downloads_honour_tags_and_ranges() {
         .get(&url)
         .header("range", "bytes=-5")
         .header("if-range", &etag)
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert_eq!(
         (tail.status().as_u16(), tail.bytes().await.unwrap()),
         (206, bytes.slice(bytes.len() - 5..))
@@ -45,28 +44,26 @@ async fn downloads_honour_tags_and_ranges() {
         .get(&url)
         .header("range", "bytes=0-4")
         .header("if-range", "\"old\"")
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert_eq!(stale.status(), 200);
     let past = http()
         .get(&url)
         .header("range", format!("bytes={}-", bytes.len()))
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert_eq!(past.status(), 416);
     assert_eq!(
         past.headers()[header::CONTENT_RANGE].to_str().unwrap(),
         format!("bytes */{}", bytes.len())
     );
 
-    let known = http().get(&url).header("if-none-match", &etag).send().await.unwrap();
+    let known = http().get(&url).header("if-none-match", &etag).answer().await;
     assert_eq!(
         (known.status().as_u16(), known.headers()[header::ETAG].to_str().unwrap()),
         (304, etag.as_str())
     );
-    let head = http().head(&url).send().await.unwrap();
+    let head = http().head(&url).answer().await;
     assert_eq!(
         (
             head.status().as_u16(),
@@ -74,16 +71,15 @@ async fn downloads_honour_tags_and_ranges() {
         ),
         (200, bytes.len().to_string().as_str())
     );
-    let ply = http().get(format!("{url}?format=ply")).send().await.unwrap();
+    let ply = http().get(format!("{url}?format=ply")).answer().await;
     assert_ne!(ply.headers()[header::ETAG].to_str().unwrap(), etag);
 
     // A changed shape is another thing.
-    let handles = http()
-        .put(server.url(&format!("/v1/sessions/{id}/handles")))
+    let handles = server
+        .put(&format!("/v1/sessions/{id}/handles"))
         .json(&json!({"handles": ends()}))
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert_eq!(handles.status(), 200);
     assert_eq!(
         post(&server, &format!("/v1/sessions/{id}/solve"), turn_json(0.3))
@@ -91,7 +87,7 @@ async fn downloads_honour_tags_and_ranges() {
             .status(),
         200
     );
-    let changed = http().get(&url).header("if-none-match", &etag).send().await.unwrap();
+    let changed = http().get(&url).header("if-none-match", &etag).answer().await;
     assert_eq!(changed.status(), 200);
     assert_ne!(changed.bytes().await.unwrap(), bytes);
 }

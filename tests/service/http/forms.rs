@@ -48,11 +48,11 @@ fn form(parts: &[(&str, Option<&str>, &[u8])]) -> Vec<u8> {
 }
 
 async fn send_form(server: &Server, body: Vec<u8>) -> reqwest::Response {
-    let request = http()
-        .post(server.url("/v1/sessions"))
+    let request = server
+        .post("/v1/sessions")
         .header("content-type", "multipart/form-data; boundary=edge")
         .body(body);
-    within("a form", request.send()).await.expect("an answer")
+    request.answer().await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -127,21 +127,15 @@ async fn a_form_with_wrong_parts_is_refused_by_name() {
 async fn an_upload_above_the_limit_is_told_even_while_it_is_sent() {
     let server = Server::with(|sessions, _| sessions.upload_bytes = 256 << 10).await;
     // Announced: refused at once.
-    let announced = http()
-        .post(server.url("/v1/sessions"))
-        .body(vec![b'v'; 8 << 20])
-        .send()
-        .await
-        .expect("an answer, not a broken pipe");
+    let announced = server.post("/v1/sessions").body(vec![b'v'; 8 << 20]).answer().await;
     assert_eq!(announced.status(), 413);
     // Not announced: refused when the limit is passed.
     let chunks = futures::stream::iter((0..64).map(|_| Ok::<_, std::io::Error>(vec![b'v'; 64 << 10])));
-    let streamed = http()
-        .post(server.url("/v1/sessions"))
+    let streamed = server
+        .post("/v1/sessions")
         .body(reqwest::Body::wrap_stream(chunks))
-        .send()
-        .await
-        .expect("an answer");
+        .answer()
+        .await;
     assert_eq!(streamed.status(), 413);
     let problem: Value = streamed.json().await.unwrap();
     assert!(text(&problem["detail"]).contains("262144"), "{problem}");

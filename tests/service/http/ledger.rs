@@ -26,10 +26,7 @@ async fn soft_handles_that_reach_far_are_counted_before_they_are_held() {
     let put = |count: usize| {
         let mut handles: Vec<Value> = (0..count).map(soft).collect();
         handles.extend(ends().as_array().cloned().unwrap_or_default());
-        http()
-            .put(server.url(&path))
-            .json(&json!({ "handles": handles }))
-            .send()
+        server.put(&path).json(&json!({ "handles": handles })).send()
     };
     let refused = within("handles", put(900)).await.expect("an answer");
     let status = refused.status();
@@ -94,7 +91,7 @@ async fn answers_that_nobody_reads_are_counted_and_given_up() {
     let path = server.url(&format!("/v1/sessions/{id}/positions"));
     let mut unread = Vec::new();
     for _ in 0..8 {
-        unread.push(within("an answer", lazy.get(&path).send()).await.expect("an answer"));
+        unread.push(lazy.get(&path).answer().await);
     }
     let length = unread[0].content_length().expect("its length") as i64;
     let held_before = server.manager.metrics().held_bytes(MemoryUse::Answers).get();
@@ -121,13 +118,13 @@ async fn more_answers_than_there_is_memory_for_are_refused() {
     let session = server.open(large_bar()).await;
     let id = text(&session["id"]);
     let path = server.url(&format!("/v1/sessions/{id}/positions"));
-    let length = http().head(&path).send().await.expect("an answer").content_length();
+    let length = http().head(&path).answer().await.content_length();
     let ledger = server.manager.ledger();
     let rest = ledger.total() - ledger.used();
     let taken = ledger
         .reserve(MemoryUse::Sessions, None, rest, rest)
         .expect("all that is left");
-    let refused = within("an answer", http().get(&path).send()).await.expect("an answer");
+    let refused = http().get(&path).answer().await;
     assert_eq!(
         (
             refused.status().as_u16(),
@@ -143,13 +140,7 @@ async fn more_answers_than_there_is_memory_for_are_refused() {
         .await
         .expect("small answers go on");
     drop(taken);
-    assert_eq!(
-        within("an answer", http().get(&path).send())
-            .await
-            .expect("an answer")
-            .status(),
-        200
-    );
+    assert_eq!(http().get(&path).answer().await.status(), 200);
 }
 
 /// Handles that each pull at all of a model.
@@ -172,9 +163,7 @@ async fn refused_handles_leave_the_old_ones_and_all_memory_to_others() {
     let id = text(&id["id"]);
     let put = async |count: usize| {
         let path = server.url(&format!("/v1/sessions/{id}/handles"));
-        within("handles", http().put(path).json(&far_reaching(count)).send())
-            .await
-            .expect("an answer")
+        http().put(path).json(&far_reaching(count)).answer().await
     };
     let (mut taken, mut refused) = (0, 0);
     for count in (80..=480).step_by(80) {
@@ -190,7 +179,7 @@ async fn refused_handles_leave_the_old_ones_and_all_memory_to_others() {
         assert!(held(&server)[0] <= before, "{count} handles left something behind");
         assert_eq!(get(&server, "/readyz").await.status(), 200);
         let other = server.bar_session().await;
-        let gone = http().delete(server.url(&format!("/v1/sessions/{other}"))).send().await;
+        let gone = server.delete(&format!("/v1/sessions/{other}")).send().await;
         assert_eq!(gone.expect("an answer").status(), 204);
         let pose = json!({"pose": {"handles": [{"id": "h9", "pose": {"translation": [0, 0.1, 0]}}]}});
         let solved = post(&server, &format!("/v1/sessions/{id}/solve"), pose).await;

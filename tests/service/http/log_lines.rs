@@ -1,5 +1,6 @@
 //! What a server writes from its start to its end, read whole: in either format every line has one form.
 
+use crate::support::program::words;
 use crate::support::server::*;
 use serde_json::Value;
 use std::io::{BufRead as _, BufReader, Read as _};
@@ -16,17 +17,9 @@ struct Said {
 /// Starts a server with a sample and a remark on its configuration, makes calls that succeed and that fail, and stops it.
 async fn life(format: &str) -> Said {
     let mut child = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args([
-            "serve",
-            "--sample",
-            "--listen",
-            "0.0.0.0:0",
-            "--insecure-open",
-            "--threads",
-            "2",
-            "--log-format",
-            format,
-        ])
+        .args(words(&format!(
+            "serve --sample --listen 0.0.0.0:0 --insecure-open --threads 2 --log-format {format}"
+        )))
         .env_remove("PLIANT_CONFIG")
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())

@@ -52,7 +52,7 @@ async fn operators_find_health_counts_and_description() {
         for method in methods.as_object().unwrap().keys() {
             let path = path.replace("{id}", "nobody").replace("{handleId}", "none");
             let request = http().request(method.to_uppercase().parse().unwrap(), server.url(&path));
-            let answer = request.send().await.unwrap();
+            let answer = request.answer().await;
             let status = answer.status().as_u16();
             let said = answer.text().await.unwrap();
             assert!(
@@ -139,7 +139,7 @@ async fn every_curl_sample_of_the_reference_works() {
 async fn json_is_compressed_on_request_and_nothing_else() {
     let server = Server::start().await;
     let id = server.bar_session().await;
-    let gzip = |path: String| http().get(server.url(&path)).header("accept-encoding", "gzip").send();
+    let gzip = |path: String| server.get(&path).header("accept-encoding", "gzip").send();
     let described = gzip("/openapi.json".into()).await.unwrap();
     assert_eq!(described.headers()[header::CONTENT_ENCODING], "gzip");
     let model = gzip(format!("/v1/sessions/{id}/model")).await.unwrap();
@@ -151,20 +151,20 @@ async fn pages_of_other_origins_may_read_every_fact_of_an_answer() {
     let server = Server::start().await;
     let id = server.bar_session().await;
     let origin = "http://localhost:5173";
-    let solve = http()
-        .post(server.url(&format!("/v1/sessions/{id}/solve")))
+    let solve = server
+        .post(&format!("/v1/sessions/{id}/solve"))
         .header("accept", "application/octet-stream")
         .json(&turn_json(0.1));
-    let model = http().get(server.url(&format!("/v1/sessions/{id}/model?format=glb")));
-    let figure = http().post(server.url("/v1/sessions?sample=figure"));
-    let figure: Value = within("a session", figure.send()).await.unwrap().json().await.unwrap();
-    let walk = http()
-        .post(server.url(&format!("/v1/sessions/{}/animations", text(&figure["id"]))))
+    let model = server.get(&format!("/v1/sessions/{id}/model?format=glb"));
+    let figure = server.post("/v1/sessions?sample=figure");
+    let figure = figure.told().await;
+    let walk = server
+        .post(&format!("/v1/sessions/{}/animations", text(&figure["id"])))
         .header("accept", "model/gltf-binary")
         .json(&serde_json::json!({"clip": "walk", "fps": 2}));
     let mut told = 0;
     for call in [solve, model, walk] {
-        let answer = within("an answer", call.header("origin", origin).send()).await.unwrap();
+        let answer = call.header("origin", origin).answer().await;
         assert_eq!(answer.status(), 200);
         let exposed = answer.headers()["access-control-expose-headers"]
             .to_str()
@@ -185,8 +185,8 @@ async fn pages_of_other_origins_may_read_every_fact_of_an_answer() {
 async fn pages_of_foreign_origins_may_not_call() {
     let server = Server::start().await;
     let from = |origin: &'static str| {
-        http()
-            .post(server.url("/v1/sessions"))
+        server
+            .post("/v1/sessions")
             .header("origin", origin)
             .body(bar_obj(4))
             .send()
@@ -202,9 +202,8 @@ async fn pages_of_foreign_origins_may_not_call() {
         .header("origin", "http://localhost:5173")
         .header("access-control-request-method", "PATCH")
         .header("access-control-request-headers", "content-type,idempotency-key")
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert!(preflight.status().is_success());
     assert!(
         preflight.headers()["access-control-allow-methods"]

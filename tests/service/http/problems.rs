@@ -94,7 +94,7 @@ async fn problems_say_what_where_and_what_is_allowed() {
         if kind != "-" {
             request = request.header("content-type", kind);
         }
-        let answer = within(case, request.send()).await.expect("an answer");
+        let answer = request.answer().await;
         let (status, code) = outcome.split_once(' ').expect("status and code");
         let seen = answer.status().as_u16();
         assert_eq!(
@@ -152,7 +152,7 @@ async fn problems_say_what_where_and_what_is_allowed() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_wrong_method_names_the_right_ones() {
     let server = Server::start().await;
-    let answer = http().put(server.url("/v1/sessions")).send().await.unwrap();
+    let answer = server.put("/v1/sessions").answer().await;
     let allow = answer.headers()[header::ALLOW].to_str().unwrap();
     assert!(allow.contains("GET") && allow.contains("POST"), "{allow}");
 }
@@ -166,9 +166,8 @@ async fn what_cannot_be_accepted_is_refused_before_work_is_done() {
         .post(&url)
         .header("accept", "image/png")
         .json(&turn_json(0.1))
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert_eq!(answer.status(), 406);
     let mut packed = turn_json(0.1);
     packed["options"] = json!({"output": {"encoding": "U16"}});
@@ -176,9 +175,8 @@ async fn what_cannot_be_accepted_is_refused_before_work_is_done() {
         .post(&url)
         .header("accept", "application/octet-stream")
         .json(&packed)
-        .send()
-        .await
-        .unwrap();
+        .answer()
+        .await;
     assert_eq!(answer.status(), 422);
     let history: Value = get(&server, &format!("/v1/sessions/{id}/history"))
         .await
@@ -194,11 +192,8 @@ async fn a_body_in_an_encoding_that_is_not_read_is_415() {
     let id = server.bar_session().await;
     for path in ["/v1/sessions".to_owned(), format!("/v1/sessions/{id}/solve")] {
         for (encoding, status) in [("gzip", 415), ("identity, br", 415), ("identity", 0), ("", 0)] {
-            let call = http()
-                .post(server.url(&path))
-                .header("content-encoding", encoding)
-                .body(bar_obj(4));
-            let answer = call.send().await.unwrap();
+            let call = server.post(&path).header("content-encoding", encoding).body(bar_obj(4));
+            let answer = call.answer().await;
             let is_refused = answer.status() == 415 && answer.headers().contains_key("accept-encoding");
             assert_eq!(is_refused, status == 415, "{path} {encoding}: {}", answer.status());
         }

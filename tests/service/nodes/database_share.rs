@@ -5,7 +5,7 @@ use crate::durable::place::StorePlace;
 use crate::durable::{bar_session, path, turn};
 use crate::support::bucket::TestBucket;
 use crate::support::postgres::PostgresServer;
-use crate::support::server::{Socket, turned};
+use crate::support::server::turned;
 use std::time::Duration;
 
 /// How often each is done.
@@ -106,8 +106,7 @@ async fn what_a_node_asks_of_the_database() {
         turn(&node, id, 0.01 * f64::from(k)).await;
     }
     tell("commit", &since(&place, &server, &mut before).await);
-    let url = format!("{}{}", node.url.replace("http", "ws"), path(id, "/stream"));
-    let mut socket = Socket::connect(&url).await.expect("a stream");
+    let mut socket = node.socket(&path(id, "/stream")).await;
     since(&place, &server, &mut before).await;
     for k in 1..=TIMES {
         drag(&mut socket, turned(u64::from(k), 0.01 * f64::from(k), false))

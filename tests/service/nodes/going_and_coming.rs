@@ -3,7 +3,7 @@
 use super::{LEASE, answered, drag, node, stream, unmoved};
 use crate::durable::place::StorePlace;
 use crate::durable::{bar_session, metric, path, seen, turn};
-use crate::support::server::{Came, turned, within};
+use crate::support::server::{AnsweredCall as _, Came, turned, within};
 use pliant::wire::pb::{deform_request, deform_response};
 use serde_json::Value;
 use std::time::Instant;
@@ -125,7 +125,7 @@ async fn a_drained_node_gives_its_sessions_back_one_by_one() {
         ("POST", "/v1/sessions?sample=creature".to_owned()),
     ] {
         let call = unmoved().request(method.parse().expect("a method"), format!("{}{rest}", a.url));
-        let sent = within("an answer", call.send()).await.expect("an answer");
+        let sent = call.answer().await;
         assert_eq!(sent.status().as_u16(), 307, "{method} {rest}");
         let owner = sent
             .headers()

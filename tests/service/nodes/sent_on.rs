@@ -3,7 +3,7 @@
 use super::{node, node_with, unmoved};
 use crate::durable::place::StorePlace;
 use crate::durable::{bar_session, metric, path, seen, turn};
-use crate::support::server::{bar_obj, http, within};
+use crate::support::server::{AnsweredCall as _, bar_obj, http, within};
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use pliant::server::grpc::client::DeformerClient;
@@ -19,9 +19,7 @@ async fn a_call_to_the_wrong_node_is_sent_to_the_right_one() {
     let id = bar_session(&a).await;
     turn(&a, &id, 0.4).await;
     let asked = format!("{}{}", b.url, path(&id, "/positions"));
-    let sent = within("an answer", unmoved().get(&asked).send())
-        .await
-        .expect("an answer");
+    let sent = unmoved().get(&asked).answer().await;
     let header = |answer: &reqwest::Response, name: &str| {
         let value = answer
             .headers()
@@ -43,8 +41,7 @@ async fn a_call_to_the_wrong_node_is_sent_to_the_right_one() {
         assert!(!header(&sent, name).is_empty(), "{name}");
     }
     // Who goes there by itself is told the same in an answer that no library follows.
-    let told = unmoved().get(&asked).header("x-pliant-hops", "0").send();
-    let told = within("an answer", told).await.expect("an answer");
+    let told = unmoved().get(&asked).header("x-pliant-hops", "0").answer().await;
     assert_eq!(told.status().as_u16(), 503);
     assert_eq!(
         (header(&told, "x-pliant-owner"), header(&told, "location")),
@@ -86,7 +83,7 @@ async fn a_call_that_comes_twice_happens_once_wherever_it_comes_to() {
         let sent = http()
             .post(format!("{url}/v1/sessions"))
             .header("idempotency-key", "once");
-        let answer = within("a session", sent.body(model).send()).await.expect("an answer");
+        let answer = sent.body(model).answer().await;
         let status = answer.status().as_u16();
         (status, answer.json::<Value>().await.expect("JSON"))
     };
@@ -203,9 +200,7 @@ async fn a_new_session_goes_where_there_is_more_room() {
     let stays = unmoved()
         .post(format!("{}/v1/sessions", small.url))
         .header("x-pliant-node", "small");
-    let stays = within("an answer", stays.body(bar_obj(7)).send())
-        .await
-        .expect("an answer");
+    let stays = stays.body(bar_obj(7)).answer().await;
     assert_eq!(stays.status().as_u16(), 201);
 }
 
@@ -229,7 +224,7 @@ async fn a_merge_with_a_session_of_another_node_says_where_that_is() {
     assert_eq!(seen(&a, &here).await, before);
     // What it says to do works, from the node that was asked first.
     let model = format!("{}{}?format=obj", a.url, path(&there, "/model"));
-    let model = within("a model", http().get(model).send()).await.expect("an answer");
+    let model = http().get(model).answer().await;
     let model = BASE64_STANDARD.encode(model.bytes().await.expect("a body"));
     a.done("POST", &path(&here, "/edits"), Some(&merge("model", &model)))
         .await;

@@ -3,7 +3,7 @@
 use super::{drag, node, stream, unmoved};
 use crate::durable::place::StorePlace;
 use crate::durable::{bar_session, metric, path, seen, turn};
-use crate::support::server::{Came, bar_obj, eventually, turn_json, turned, within};
+use crate::support::server::{AnsweredCall as _, Came, bar_obj, eventually, stays, turn_json, turned, within};
 use pliant::wire::pb::{self, deform_request, deform_response};
 use serde_json::{Value, json};
 
@@ -55,8 +55,10 @@ async fn no_write_of_a_session_lands_that_another_node_has() {
         if let Some(body) = &body {
             call = call.json(body);
         }
-        let call = call.header("idempotency-key", format!("stale-{method}{rest}")).send();
-        let refused = within("an answer", call).await.expect("an answer");
+        let refused = call
+            .header("idempotency-key", format!("stale-{method}{rest}"))
+            .answer()
+            .await;
         assert_eq!(refused.status().as_u16(), 503, "{method} {rest}");
         let told: Value = refused.json().await.expect("a problem");
         assert!(
@@ -73,8 +75,10 @@ async fn no_write_of_a_session_lands_that_another_node_has() {
     let stamped = place.number("SELECT used_ms FROM sessions").await;
     take_away(&place).await;
     assert_eq!(a.call("GET", &path(&id, ""), None).await.0, 200, "it has not noticed");
-    tokio::time::sleep(std::time::Duration::from_secs(6)).await;
-    assert_eq!(place.number("SELECT used_ms FROM sessions").await, stamped);
+    stays("its time of use", std::time::Duration::from_secs(6), async || {
+        place.number("SELECT used_ms FROM sessions").await == stamped
+    })
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -22,35 +22,22 @@ async fn each_call_has_a_line_and_no_line_has_a_token() {
     let config = config_file(folder.path(), &tables);
     let arguments = ["--config", &config, "--log-format", "json", "--log", "debug"];
     let server = ServedProgram::start(&folder.path().join("data"), &arguments);
-    let open = http().post(format!("{}/v1/sessions?format=obj&token={SECRET}", server.url));
+    let open = server.post(&format!("/v1/sessions?format=obj&token={SECRET}"));
     let refused = within("an answer", open.bearer_auth(SECRET).body(bar_obj(8)).send()).await;
     assert_eq!(refused.expect("an answer").status(), 400);
-    let open = http().post(format!("{}/v1/sessions", server.url));
+    let open = server.post("/v1/sessions");
     let answer = within("a session", open.bearer_auth(SECRET).body(bar_obj(8)).send()).await;
     let body = answer.expect("an answer").text().await.expect("a body");
     let id = text(&serde_json::from_str::<Value>(&body).expect("JSON")["id"]);
     let positions = format!("{}/v1/sessions/{id}/positions?access_token={SECRET}", server.url);
-    http().get(&positions).send().await.expect("an answer");
+    http().get(&positions).answer().await;
     let own = http()
         .get(positions.split('?').next().expect("a path"))
         .bearer_auth(SECRET);
-    let bytes = own
-        .send()
-        .await
-        .expect("an answer")
-        .bytes()
-        .await
-        .expect("a body")
-        .len();
-    let others = http()
-        .get(format!("{}/v1/sessions/{id}", server.url))
-        .bearer_auth("others-token");
-    assert_eq!(others.send().await.expect("an answer").status(), 404);
-    http()
-        .get(format!("{}/healthz", server.url))
-        .send()
-        .await
-        .expect("an answer");
+    let bytes = own.answer().await.bytes().await.expect("a body").len();
+    let others = server.get(&format!("/v1/sessions/{id}")).bearer_auth("others-token");
+    assert_eq!(others.answer().await.status(), 404);
+    server.get("/healthz").answer().await;
     let url = format!("{}/v1/sessions/{id}/stream", server.url.replace("http", "ws"));
     let mut request = url.into_client_request().expect("a request");
     let protocols = format!("pliant.v1, pliant.bearer.{SECRET}").parse().expect("ASCII");
@@ -114,13 +101,11 @@ async fn counts_tell_of_no_tenant() {
     let tables = token_table("studio", "a", "anna") + &token_table("others", "b", "bert") + "metrics = true\n";
     let config = config_file(folder.path(), &tables);
     let server = ServedProgram::start(&folder.path().join("data"), &["--config", &config]);
-    let open = http().post(format!("{}/v1/sessions", server.url)).bearer_auth("a");
-    let answer = within("a session", open.body(bar_obj(8)).send())
-        .await
-        .expect("an answer");
+    let open = server.post("/v1/sessions").bearer_auth("a");
+    let answer = open.body(bar_obj(8)).answer().await;
     let id = text(&answer.json::<Value>().await.expect("JSON")["id"]);
-    let counts = http().get(format!("{}/metrics", server.url)).bearer_auth("b");
-    let counts = within("counts", counts.send()).await.expect("an answer");
+    let counts = server.get("/metrics").bearer_auth("b");
+    let counts = counts.answer().await;
     assert_eq!(counts.status(), 200);
     let counts = counts.text().await.expect("a text");
     assert!(counts.contains("pliant_sessions 1"), "{counts}");

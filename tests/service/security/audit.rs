@@ -20,17 +20,15 @@ async fn ask(server: &ServedProgram, token: &str, method: Method, path: &str, bo
     if let Some(body) = body {
         request = request.json(&body);
     }
-    let answer = within(path, request.send()).await.expect("an answer");
+    let answer = request.answer().await;
     let status = answer.status().as_u16();
     within(path, answer.bytes()).await.expect("a body");
     status
 }
 
 async fn opened(server: &ServedProgram, token: &str) -> String {
-    let open = http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(8));
-    let session = within("a session", open.bearer_auth(token).send())
-        .await
-        .expect("an answer");
+    let open = server.post("/v1/sessions").body(bar_obj(8));
+    let session = open.bearer_auth(token).answer().await;
     text(&session.json::<Value>().await.expect("JSON")["id"])
 }
 
@@ -74,7 +72,7 @@ async fn one_of_each(server: &ServedProgram) -> String {
         let get = http()
             .get(format!("{}{}", server.url, path("/history")))
             .bearer_auth("anna's");
-        let history: Value = get.send().await.expect("an answer").json().await.expect("JSON");
+        let history = get.told().await;
         history["commits"]
             .as_array()
             .is_some_and(|c| c.last().is_some_and(|c| c["kind"] == "pose"))

@@ -50,9 +50,7 @@ fn without_id(bytes: &[u8], id: &str) -> Vec<u8> {
 }
 
 async fn told(request: reqwest::RequestBuilder, id: &str) -> Told {
-    let answer = within("an answer", request.bearer_auth("b").send())
-        .await
-        .expect("an answer");
+    let answer = request.bearer_auth("b").answer().await;
     let passing = ["x-request-id", "date"];
     let headers = answer
         .headers()
@@ -90,18 +88,12 @@ fn statuses(text: &str) -> String {
 
 /// A session of tenant `a` that has handles, a commit, and keys of calls.
 async fn session_of_another(server: &Server) -> String {
-    let post = |path: &str| http().post(server.url(path)).bearer_auth("a");
-    let opened = within("a session", post("/v1/sessions").body(bar_obj(8)).send())
-        .await
-        .expect("an answer");
+    let post = |path: &str| server.post(path).bearer_auth("a");
+    let opened = post("/v1/sessions").body(bar_obj(8)).answer().await;
     let session: Value = opened.json().await.expect("JSON");
     let id = text(&session["id"]);
-    let handles = http()
-        .put(server.url(&format!("/v1/sessions/{id}/handles")))
-        .bearer_auth("a");
-    let set = within("handles", handles.json(&json!({"handles": ends()})).send())
-        .await
-        .expect("an answer");
+    let handles = server.put(&format!("/v1/sessions/{id}/handles")).bearer_auth("a");
+    let set = handles.json(&json!({"handles": ends()})).answer().await;
     assert_eq!(set.status(), 200);
     let solve = post(&format!("/v1/sessions/{id}/solve")).header("idempotency-key", "key");
     let solve = solve.json(&turn_json(0.4)).send();
@@ -113,7 +105,7 @@ async fn session_of_another(server: &Server) -> String {
 async fn every_path_answers_as_for_a_session_that_never_was() {
     let server = guarded().await;
     let theirs = session_of_another(&server).await;
-    let description = within("the description", http().get(server.url("/openapi.json")).send()).await;
+    let description = within("the description", server.get("/openapi.json").send()).await;
     let description: Value = description.expect("an answer").json().await.expect("JSON");
     let mut asked = 0;
     for (path, methods) in description["paths"].as_object().expect("paths") {
@@ -144,10 +136,7 @@ async fn every_path_answers_as_for_a_session_that_never_was() {
     }
     assert!(asked > 200, "{asked} calls");
     // Nothing has happened to it.
-    let still = http()
-        .get(server.url(&format!("/v1/sessions/{theirs}")))
-        .bearer_auth("a")
-        .send();
+    let still = server.get(&format!("/v1/sessions/{theirs}")).bearer_auth("a").send();
     let still: Value = within("the session", still)
         .await
         .expect("an answer")
@@ -191,9 +180,7 @@ async fn every_rpc_answers_as_for_a_session_that_never_was() {
             let mut framed = vec![0];
             framed.extend(u32::try_from(message.len()).expect("short").to_be_bytes());
             framed.extend(message);
-            let call = http()
-                .post(server.url(&path))
-                .header("content-type", "application/grpc-web+proto");
+            let call = server.post(&path).header("content-type", "application/grpc-web+proto");
             told(call.header("idempotency-key", "key").body(framed), id).await
         };
         let (other, none) = (ask(&theirs).await, ask(NOBODYS).await);
@@ -229,11 +216,7 @@ async fn nor_do_sockets_lists_merges_and_limits_tell_of_it() {
     };
     assert_eq!(socket(&theirs).await, socket(NOBODYS).await);
 
-    let own = http()
-        .post(server.url("/v1/sessions"))
-        .bearer_auth("b")
-        .body(bar_obj(8))
-        .send();
+    let own = server.post("/v1/sessions").bearer_auth("b").body(bar_obj(8)).send();
     let own: Value = within("a session", own)
         .await
         .expect("an answer")
@@ -249,7 +232,7 @@ async fn nor_do_sockets_lists_merges_and_limits_tell_of_it() {
     assert_eq!(other, none);
     assert!((400..500).contains(&other.status), "{other:?}");
 
-    let list = async |query: &str| told(http().get(server.url(&format!("/v1/sessions{query}"))), &theirs).await;
+    let list = async |query: &str| told(server.get(&format!("/v1/sessions{query}")), &theirs).await;
     let told_all = String::from_utf8(list("").await.body).expect("UTF-8");
     assert!(
         told_all.contains(&text(&own["id"])) && !told_all.contains("ID"),
@@ -264,7 +247,7 @@ async fn sessions_of_the_store_are_their_tenants_alone() {
     let tokens = ["a", "b"].map(|t| token_table(t, t, t));
     let config = config_file(folder.path(), &tokens.concat());
     let server = ServedProgram::start(&data, &["--config", &config]);
-    let opened = http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(8));
+    let opened = server.post("/v1/sessions").body(bar_obj(8));
     let opened = within("a session", opened.bearer_auth("a").send()).await;
     let opened: Value = opened.expect("an answer").json().await.expect("JSON");
     let id = text(&opened["id"]);
@@ -285,9 +268,9 @@ async fn sessions_of_the_store_are_their_tenants_alone() {
         assert_eq!(other.status, 404, "{other:?}");
         assert_eq!(other, ask(method, rest, NOBODYS).await);
     }
-    let list = told(http().get(format!("{}/v1/sessions", server.url)), &id).await;
+    let list = told(server.get("/v1/sessions"), &id).await;
     let list: Value = serde_json::from_slice(&list.body).expect("JSON");
     assert_eq!(list["sessions"], json!([]));
-    let own = http().get(format!("{}/v1/sessions/{id}", server.url)).bearer_auth("a");
-    assert_eq!(own.send().await.expect("an answer").status(), 200);
+    let own = server.get(&format!("/v1/sessions/{id}")).bearer_auth("a");
+    assert_eq!(own.answer().await.status(), 200);
 }

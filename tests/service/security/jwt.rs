@@ -47,8 +47,7 @@ fn with(name: &str, value: Value) -> Value {
 
 /// Status and detail of a call, or the labels of the sessions that it sees.
 async fn seen(server: &Server, token: &str) -> (u16, String) {
-    let call = http().get(server.url("/v1/sessions")).bearer_auth(token).send();
-    let answer = within("an answer", call).await.expect("an answer");
+    let answer = server.get("/v1/sessions").bearer_auth(token).answer().await;
     let status = answer.status().as_u16();
     let body: Value = answer.json().await.expect("JSON");
     let labels = body["sessions"]
@@ -308,8 +307,7 @@ async fn without_any_keys_nobody_is_let_in_and_told_to_come_back() {
     config.unknown_key_pause = Duration::from_secs(1);
     let server = Server::with(|_, server| server.auth.jwt = Some(config)).await;
     let token = signer.token("EdDSA", &claims());
-    let call = http().get(server.url("/v1/limits")).bearer_auth(&token).send();
-    let answer = within("an answer", call).await.expect("an answer");
+    let answer = server.get("/v1/limits").bearer_auth(&token).answer().await;
     assert_eq!(answer.status(), 503);
     assert_eq!(answer.headers()["retry-after"], "1");
     publisher.publish(key_set(&[&signer]));

@@ -1,6 +1,7 @@
 //! What a server refuses to be started as, and how a token is made.
 
 use crate::support::certificates::{Authority, Files};
+use crate::support::server::AnsweredCall as _;
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -63,7 +64,7 @@ fn status(port: u16, token: Option<&str>) -> u16 {
         if let Some(token) = token {
             request = request.bearer_auth(token);
         }
-        request.send().await.expect("an answer").status().as_u16()
+        request.answer().await.status().as_u16()
     })
 }
 

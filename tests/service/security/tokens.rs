@@ -24,11 +24,11 @@ const SHOWN: [(Option<&str>, bool); 6] = [
 ];
 
 async fn get(server: &Server, path: &str, authorization: Option<&str>) -> reqwest::Response {
-    let mut request = http().get(server.url(path));
+    let mut request = server.get(path);
     if let Some(shown) = authorization {
         request = request.header("authorization", shown);
     }
-    within("an answer", request.send()).await.expect("an answer")
+    request.answer().await
 }
 
 /// The status of a handshake, and the sub-protocol that was agreed.
@@ -75,14 +75,14 @@ async fn every_transport_asks_who_is_there() {
             "{shown:?}"
         );
 
-        let mut web = http()
-            .post(server.url("/pliant.v1.Deformer/GetLimits"))
+        let mut web = server
+            .post("/pliant.v1.Deformer/GetLimits")
             .header("content-type", "application/grpc-web+proto")
             .body(vec![0u8; 5]);
         if let Some(shown) = shown {
             web = web.header("authorization", shown);
         }
-        let answer = within("gRPC-Web", web.send()).await.expect("an answer");
+        let answer = web.answer().await;
         let status = answer
             .headers()
             .get("grpc-status")
@@ -99,11 +99,7 @@ async fn every_transport_asks_who_is_there() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_page_gives_its_websocket_the_token_as_a_sub_protocol() {
     let server = guarded().await;
-    let opened = http()
-        .post(server.url("/v1/sessions"))
-        .bearer_auth("a")
-        .body(bar_obj(8))
-        .send();
+    let opened = server.post("/v1/sessions").bearer_auth("a").body(bar_obj(8)).send();
     let session: Value = within("a session", opened)
         .await
         .expect("an answer")
@@ -196,15 +192,10 @@ async fn a_page_may_ask_whether_it_may_and_reads_that_it_may_not() {
         .header("origin", origin)
         .header("access-control-request-method", "GET")
         .header("access-control-request-headers", "authorization");
-    let answer = preflight.send().await.expect("an answer");
+    let answer = preflight.answer().await;
     assert_eq!(answer.status(), 200);
     assert_eq!(answer.headers()["access-control-allow-headers"], "authorization");
-    let refused = http()
-        .get(server.url("/v1/limits"))
-        .header("origin", origin)
-        .send()
-        .await
-        .expect("an answer");
+    let refused = server.get("/v1/limits").header("origin", origin).answer().await;
     assert_eq!(refused.status(), 401);
     assert_eq!(refused.headers()["access-control-allow-origin"], origin);
 }
@@ -233,8 +224,8 @@ async fn tokens_follow_their_file_and_a_broken_one_changes_nothing() {
 
     // A token that is taken away shows when the file was read; the broken one before it was read by then.
     replace_file(&file, "[[auth.tokens]]\ntenant = 7\n");
-    tokio::time::sleep(std::time::Duration::from_millis(2500)).await;
-    assert_eq!(status("second").await, 200);
+    let is_known = async || status("second").await == 200;
+    stays("the second token", std::time::Duration::from_millis(2500), is_known).await;
     replace_file(&file, &lines("second"));
     eventually("the first token gone", async || status("first").await == 401).await;
     assert_eq!(status("second").await, 200);
@@ -261,10 +252,7 @@ async fn a_key_that_counts_from_the_next_start_on_is_told_once_when_it_changes()
     };
     let followed = async |token: &str| {
         let known = async || {
-            let asked = http()
-                .get(format!("{}/v1/limits", server.url))
-                .bearer_auth(token)
-                .send();
+            let asked = server.get("/v1/limits").bearer_auth(token).send();
             within("an answer", asked)
                 .await
                 .is_ok_and(|answer| answer.status() == 200)

@@ -12,30 +12,24 @@ use std::time::Duration;
 async fn undo_and_redo_restore_positions_to_the_bit() {
     // With no bytes for snapshots, every step back is a replay.
     for snapshot_bytes in [1 << 20, 0] {
-        let (manager, _) = manager(SessionConfig {
+        let (fixture, _) = Fixture::fake(SessionConfig {
             snapshot_bytes,
             ..small()
-        });
-        let id = open(&manager).await;
-        let mut shapes = vec![manager.positions(tenant(), &id).await.expect("open").bytes];
+        })
+        .await;
+        let mut shapes = vec![fixture.positions().await.bytes];
         for (k, x) in [0.1, -0.7, 3.3].into_iter().enumerate() {
-            let solved = manager
-                .solve(tenant(), &id, solve(&[(["a", "b"][k % 2], x)]), None)
-                .await
-                .expect("solved");
+            let solved = fixture.solve(solve(&[(["a", "b"][k % 2], x)])).await;
             assert_eq!(solved.revision, 3 + k as u64);
             assert_eq!(digest(&solved.frame.positions), solved.digest);
-            let mut client = Client::open(&manager, &id).await;
+            let mut client = fixture.client().await;
             client.drag(1, &[("a", 9.0)]);
             client.frame().await;
-            shapes.push(manager.positions(tenant(), &id).await.expect("open").bytes);
+            shapes.push(fixture.positions().await.bytes);
         }
-        manager
-            .set_handles(tenant(), &id, handles(&["b", "c", "d"]), None)
-            .await
-            .expect("other handles");
-        let told = manager.history(tenant(), &id).await.expect("open");
-        let session = manager.undo(tenant(), &id, None).await.expect("undone");
+        fixture.set_handles(handles(&["b", "c", "d"])).await;
+        let told = fixture.history().await;
+        let session = fixture.undo().await;
         assert_eq!(
             session
                 .deformer
@@ -47,26 +41,24 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
         );
         let mut revision = session.revision;
         for back in (0..3).rev() {
-            let session = manager.undo(tenant(), &id, None).await.expect("undone");
+            let session = fixture.undo().await;
             assert!(session.revision > revision);
             revision = session.revision;
-            assert_eq!(
-                manager.positions(tenant(), &id).await.expect("open").bytes,
-                shapes[back]
-            );
+            assert_eq!(fixture.positions().await.bytes, shapes[back]);
         }
         for shape in &shapes[1..] {
-            manager.redo(tenant(), &id, None).await.expect("redone");
-            assert_eq!(manager.positions(tenant(), &id).await.expect("open").bytes, *shape);
+            fixture.redo().await;
+            assert_eq!(fixture.positions().await.bytes, *shape);
         }
-        manager.redo(tenant(), &id, None).await.expect("redone");
-        let error = manager.redo(tenant(), &id, None).await.expect_err("nothing is left");
-        assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
-        assert_eq!(manager.history(tenant(), &id).await.expect("open"), told);
-        let after = manager
-            .solve(tenant(), &id, solve(&[("c", 1.0)]), None)
+        fixture.redo().await;
+        let error = fixture
+            .manager
+            .redo(tenant(), &fixture.id, None)
             .await
-            .expect("the handles are back");
+            .expect_err("nothing is left");
+        assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
+        assert_eq!(fixture.history().await, told);
+        let after = fixture.solve(solve(&[("c", 1.0)])).await;
         assert_eq!(after.frame.positions[1].x, 2.0);
     }
 }
@@ -86,24 +78,17 @@ async fn nothing_to_undo_is_a_precondition() {
 
 #[tokio::test]
 async fn handles_leave_the_shape_alone_and_start_at_their_poses() {
-    let (manager, _) = manager(small());
-    let id = open(&manager).await;
-    manager
-        .solve(tenant(), &id, solve(&[("a", 4.0)]), None)
-        .await
-        .expect("solved");
-    let before = manager.positions(tenant(), &id).await.expect("open");
+    let (fixture, _) = Fixture::fake(small()).await;
+    fixture.solve(solve(&[("a", 4.0)])).await;
+    let before = fixture.positions().await;
     let mut request = handles(&["a", "b"]);
     request.handles[1].pose = Some(HandlePose::translation([6.0, 0.0, 0.0]));
-    let session = manager
-        .set_handles(tenant(), &id, request, None)
-        .await
-        .expect("replaced");
+    let session = fixture.set_handles(request).await;
     assert_eq!((session.revision, session.build_ms.contains_key("fields")), (4, true));
-    let after = manager.positions(tenant(), &id).await.expect("open");
+    let after = fixture.positions().await;
     assert_eq!(after.bytes, before.bytes);
     assert_ne!(after.etag, before.etag);
-    let solved = manager.solve(tenant(), &id, solve(&[]), None).await.expect("solved");
+    let solved = fixture.solve(solve(&[])).await;
     assert_eq!(
         (solved.frame.positions[0].x, solved.frame.positions[1].x),
         (0.0, 7.0),
@@ -115,144 +100,139 @@ async fn handles_leave_the_shape_alone_and_start_at_their_poses() {
         rigid: Some(true),
         ..Default::default()
     };
-    manager.put_handle(tenant(), &id, rigid, None).await.expect("patched");
-    let solved = manager.solve(tenant(), &id, solve(&[]), None).await.expect("solved");
+    fixture
+        .manager
+        .put_handle(tenant(), &fixture.id, rigid, None)
+        .await
+        .expect("patched");
+    let solved = fixture.solve(solve(&[])).await;
     assert_eq!(solved.frame.positions[1].x, 7.0, "a patch moves nothing");
-    manager.remove_handle(tenant(), &id, "a", None).await.expect("removed");
-    let solved = manager.solve(tenant(), &id, solve(&[]), None).await.expect("solved");
+    fixture
+        .manager
+        .remove_handle(tenant(), &fixture.id, "a", None)
+        .await
+        .expect("removed");
+    let solved = fixture.solve(solve(&[])).await;
     assert_eq!(
         (solved.frame.positions[0].x, solved.frame.positions[1].x),
         (6.0, 7.0),
         "b holds everything now"
     );
-    let error = manager.remove_handle(tenant(), &id, "a", None).await.expect_err("gone");
+    let error = fixture
+        .manager
+        .remove_handle(tenant(), &fixture.id, "a", None)
+        .await
+        .expect_err("gone");
     assert_eq!(error.http_status(), 404);
 }
 
 #[tokio::test]
 async fn a_call_that_fails_changes_nothing() {
-    let (manager, _) = manager(small());
-    let id = open(&manager).await;
-    manager
-        .solve(tenant(), &id, solve(&[("a", 4.0)]), None)
-        .await
-        .expect("solved");
+    let (fixture, _) = Fixture::fake(small()).await;
+    fixture.solve(solve(&[("a", 4.0)])).await;
     let before = (
-        manager.get(tenant(), &id).await.expect("open"),
-        manager.history(tenant(), &id).await,
+        fixture.facts().await,
+        fixture.manager.history(tenant(), &fixture.id).await,
     );
     let mut nowhere = handles(&["x", "y"]);
     nowhere.handles[1].region = NOWHERE;
-    let error = manager
-        .set_handles(tenant(), &id, nowhere, None)
+    let error = fixture
+        .manager
+        .set_handles(tenant(), &fixture.id, nowhere, None)
         .await
         .expect_err("a region that is nowhere");
     assert_eq!(
         (error.http_status(), error.field.as_deref()),
         (422, Some("handles[1].region"))
     );
-    let error = manager
-        .solve(tenant(), &id, solve(&[("x", 1.0)]), None)
-        .await
-        .expect_err("unknown");
+    let error = fixture.refuses(solve(&[("x", 1.0)])).await;
     assert_eq!(
         (error.http_status(), error.field.as_deref()),
         (422, Some("pose.handles[0].id"))
     );
-    let error = manager
-        .export(tenant(), &id, Some(Format::STL))
+    let error = fixture
+        .manager
+        .export(tenant(), &fixture.id, Some(Format::STL))
         .await
         .expect_err("cannot be written");
     assert_eq!(error.http_status(), 422);
     let mut after = (
-        manager.get(tenant(), &id).await.expect("open"),
-        manager.history(tenant(), &id).await,
+        fixture.facts().await,
+        fixture.manager.history(tenant(), &fixture.id).await,
     );
     after.0.expires_at.clone_from(&before.0.expires_at);
     assert_eq!(after, before);
-    let solved = manager.solve(tenant(), &id, solve(&[]), None).await.expect("solved");
+    let solved = fixture.solve(solve(&[])).await;
     assert_eq!(solved.frame.positions[0].x, 4.0);
 }
 
 #[tokio::test]
 async fn a_caller_that_goes_leaves_the_old_state() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
+    let (fixture, control) = Fixture::fake(small()).await;
     control.hold();
     let solving = tokio::time::timeout(
         Duration::from_millis(20),
-        manager.solve(tenant(), &id, solve(&[("a", 1.0)]), None),
+        fixture.manager.solve(tenant(), &fixture.id, solve(&[("a", 1.0)]), None),
     );
     assert!(solving.await.is_err(), "it is held up");
-    until(|| manager.metrics().pool_busy.get() == 0).await;
+    until(|| fixture.metrics().pool_busy.get() == 0).await;
     let more = handles(&["a", "b", "c"]);
     let setting = tokio::time::timeout(
         Duration::from_millis(20),
-        manager.set_handles(tenant(), &id, more, None),
+        fixture.manager.set_handles(tenant(), &fixture.id, more, None),
     );
     assert!(setting.await.is_err(), "it is held up");
-    until(|| manager.metrics().pool_busy.get() == 0).await;
+    until(|| fixture.metrics().pool_busy.get() == 0).await;
     control.release();
-    let session = manager.get(tenant(), &id).await.expect("open");
+    let session = fixture.facts().await;
     assert_eq!((session.revision, session.deformer.handles.len()), (2, 2));
-    let solved = manager
-        .solve(tenant(), &id, solve(&[("b", 1.0)]), None)
-        .await
-        .expect("the session works");
+    let solved = fixture.solve(solve(&[("b", 1.0)])).await;
     assert_eq!((solved.frame.positions[0].x, solved.revision), (0.0, 3));
 }
 
 #[tokio::test]
 async fn a_solve_that_takes_too_long_is_given_up() {
-    let (manager, control) = manager(SessionConfig {
+    let (fixture, control) = Fixture::fake(SessionConfig {
         solve: Duration::from_millis(10),
         ..small()
-    });
-    let id = open(&manager).await;
+    })
+    .await;
     control.hold();
-    let error = manager
-        .solve(tenant(), &id, solve(&[("a", 1.0)]), None)
-        .await
-        .expect_err("held up");
+    let error = fixture.refuses(solve(&[("a", 1.0)])).await;
     assert_eq!((error.http_status(), error.code_name()), (504, "DEADLINE_EXCEEDED"));
-    let mut client = Client::open(&manager, &id).await;
+    let mut client = fixture.client().await;
     client.commit(1, &[("a", 1.0)]);
     assert_eq!(client.error().await.1.grpc_code(), 4);
-    assert_eq!(manager.get(tenant(), &id).await.expect("open").revision, 2);
+    assert_eq!(fixture.facts().await.revision, 2);
 }
 
 #[tokio::test]
 async fn exports_and_positions_are_of_the_committed_shape() {
-    let (manager, _) = manager(small());
-    let id = open(&manager).await;
-    manager
-        .solve(tenant(), &id, solve(&[("a", 2.0)]), None)
-        .await
-        .expect("solved");
-    let positions = manager.positions(tenant(), &id).await.expect("open");
+    let (fixture, _) = Fixture::fake(small()).await;
+    fixture.solve(solve(&[("a", 2.0)])).await;
+    let positions = fixture.positions().await;
     assert_eq!(positions.bytes.len(), 4 * 12);
     assert_eq!(
         f32::from_le_bytes(positions.bytes[..4].try_into().expect("four bytes")),
         2.0
     );
-    let own = manager.export(tenant(), &id, None).await.expect("written");
+    let own = fixture.export(None).await;
     assert!(own.format == Format::OBJ && own.written.main.starts_with(b"obj [DVec3(2.0"));
-    let other = manager.export(tenant(), &id, Some(Format::PLY)).await.expect("written");
+    let other = fixture.export(Some(Format::PLY)).await;
     assert!(own.etag != other.etag && own.etag.starts_with('"') && own.etag.ends_with('"'));
     assert_eq!(
-        manager
-            .export_etag(tenant(), &id, Some(Format::PLY))
+        fixture
+            .manager
+            .export_etag(tenant(), &fixture.id, Some(Format::PLY))
             .await
             .expect("open"),
         other.etag
     );
-    manager
-        .solve(tenant(), &id, solve(&[("a", 3.0)]), None)
-        .await
-        .expect("solved");
+    fixture.solve(solve(&[("a", 3.0)])).await;
     assert_ne!(
-        manager
-            .export_etag(tenant(), &id, Some(Format::PLY))
+        fixture
+            .manager
+            .export_etag(tenant(), &fixture.id, Some(Format::PLY))
             .await
             .expect("open"),
         other.etag
@@ -290,24 +270,23 @@ proptest! {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
         runtime.block_on(async move {
             let snapshot_bytes = if keep { 1 << 20 } else { 0 };
-            let (manager, control) = manager(SessionConfig { snapshot_bytes, history: 5, ..small() });
-            let id = open(&manager).await;
-            let mut client = Client::open(&manager, &id).await;
+            let (fixture, control) = Fixture::fake(SessionConfig { snapshot_bytes, history: 5, ..small() }).await;
+            let mut client = fixture.client().await;
             let mut seq = 0;
-            let mut last = manager.get(tenant(), &id).await.expect("open").revision;
+            let mut last = fixture.facts().await.revision;
             let mut shapes = std::collections::BTreeMap::new();
             for command in commands {
                 let changed = match command {
                     Command::Solve(h, x) => {
                         let name = ["a", "b"][h];
-                        manager.solve(tenant(), &id, solve(&[(name, x.into())]), None).await.is_ok()
+                        fixture.manager.solve(tenant(), &fixture.id, solve(&[(name, x.into())]), None).await.is_ok()
                     }
                     Command::Handles(n) => {
-                        manager.set_handles(tenant(), &id, handles(&["a", "b"][..n]), None).await.expect("set");
+                        fixture.set_handles(handles(&["a", "b"][..n])).await;
                         true
                     }
-                    Command::Undo => manager.undo(tenant(), &id, None).await.is_ok(),
-                    Command::Redo => manager.redo(tenant(), &id, None).await.is_ok(),
+                    Command::Undo => fixture.manager.undo(tenant(), &fixture.id, None).await.is_ok(),
+                    Command::Redo => fixture.manager.redo(tenant(), &fixture.id, None).await.is_ok(),
                     Command::Drag(h, x) => {
                         seq += 1;
                         client.drag(seq, &[(["a", "b"][h], x.into())]);
@@ -320,19 +299,19 @@ proptest! {
                         control.hold();
                         let request = solve(&[("a", 100.0)]);
                         let limit = Duration::from_millis(2);
-                        let _ = tokio::time::timeout(limit, manager.solve(tenant(), &id, request, None)).await;
-                        until(|| manager.metrics().pool_busy.get() == 0).await;
+                        let _ = tokio::time::timeout(limit, fixture.manager.solve(tenant(), &fixture.id, request, None)).await;
+                        until(|| fixture.metrics().pool_busy.get() == 0).await;
                         control.release();
                         false
                     }
                 };
-                let session = manager.get(tenant(), &id).await.expect("open");
-                let history = manager.history(tenant(), &id).await.expect("open");
+                let session = fixture.facts().await;
+                let history = fixture.history().await;
                 assert_eq!(session.revision, last + u64::from(changed), "{command:?}");
                 last = session.revision;
                 assert!(history.commits.len() <= 6 && history.commits.is_sorted_by_key(|c| c.revision));
                 let current = history.commits.iter().find(|c| c.revision == history.current).expect("listed");
-                let bytes = manager.positions(tenant(), &id).await.expect("open").bytes;
+                let bytes = fixture.positions().await.bytes;
                 let known = shapes.entry(current.revision).or_insert_with(|| (current.digest.clone(), bytes.clone()));
                 assert_eq!(*known, (current.digest.clone(), bytes), "{command:?}");
             }

@@ -9,6 +9,15 @@ use std::time::Duration;
 /// Cycles of one solve of the fake.
 const CYCLES: u64 = 4;
 
+/// A solve that takes long, so that the next one is expected to.
+async fn takes_long(fixture: &Fixture, control: &Control) {
+    let long = fixture.solving(solve(&[("a", 1.0)]));
+    control.held_up().await;
+    tokio::time::sleep(Duration::from_millis(400)).await;
+    control.step(CYCLES);
+    long.await.expect("no panic").expect("solved");
+}
+
 #[tokio::test]
 async fn a_tenant_with_much_work_holds_up_another_by_one_piece_of_it() {
     let (manager, control) = manager(SessionConfig {
@@ -52,27 +61,20 @@ async fn a_tenant_with_much_work_holds_up_another_by_one_piece_of_it() {
 
 #[tokio::test]
 async fn a_line_on_one_session_that_is_too_long_is_told_before_it_was_waited_for() {
-    let (manager, control) = manager(SessionConfig {
+    let (fixture, control) = Fixture::fake(SessionConfig {
         compute_wait: Duration::from_millis(500),
         ..small()
-    });
-    let id = open(&manager).await;
+    })
+    .await;
     control.hold();
-    let begin = || {
-        let (manager, id) = (manager.clone(), id.clone());
-        tokio::spawn(async move { manager.solve(tenant(), &id, solve(&[("a", 1.0)]), None).await })
-    };
-    let long = begin();
-    control.held_up().await;
-    tokio::time::sleep(Duration::from_millis(400)).await;
-    control.step(CYCLES);
-    long.await.expect("no panic").expect("solved");
+    let begin = || fixture.solving(solve(&[("a", 1.0)]));
+    takes_long(&fixture, &control).await;
     let held = begin();
     control.held_up().await;
     // The one that is served takes 400 ms again, and two such are more than may be waited for; one may be waited for.
     let waits = begin();
     let refused = loop {
-        let tried = manager.solve(tenant(), &id, solve(&[("a", 1.0)]), None);
+        let tried = fixture.manager.solve(tenant(), &fixture.id, solve(&[("a", 1.0)]), None);
         match tokio::time::timeout(Duration::from_millis(20), tried).await {
             Ok(answer) => break answer.expect_err("too long"),
             // The others had not joined the line yet.
@@ -99,22 +101,12 @@ async fn what_cannot_begin_in_time_is_refused_and_nothing_is_held_for_it() {
         compute_wait: Duration::from_millis(10),
         ..small()
     });
-    let (first, second) = (open(&manager).await, open(&manager).await);
+    let (first, second) = (Fixture::of(&manager).await, Fixture::of(&manager).await);
     control.hold();
-    let begin = |id: &str| {
-        let (manager, id) = (manager.clone(), id.to_owned());
-        tokio::spawn(async move { manager.solve(tenant(), &id, solve(&[("a", 1.0)]), None).await })
-    };
-    // One piece of work takes long, so the next is expected to.
-    let long = begin(&first);
+    takes_long(&first, &control).await;
+    let held = first.solving(solve(&[("a", 1.0)]));
     control.held_up().await;
-    tokio::time::sleep(Duration::from_millis(400)).await;
-    control.step(CYCLES);
-    long.await.expect("no panic").expect("solved");
-    let held = begin(&first);
-    control.held_up().await;
-    let refused = manager.solve(tenant(), &second, solve(&[("a", 1.0)]), None).await;
-    let refused = refused.expect_err("too long");
+    let refused = second.refuses(solve(&[("a", 1.0)])).await;
     assert_eq!((refused.http_status(), refused.retry_after_s), (429, Some(1)));
     assert!(refused.message.contains("is expected to take"), "{refused}");
     assert_eq!(manager.metrics().pool_waiting.get(), 0);
@@ -122,8 +114,7 @@ async fn what_cannot_begin_in_time_is_refused_and_nothing_is_held_for_it() {
     held.await.expect("no panic").expect("solved");
     control.release();
     // A slot that is free is given whatever was expected.
-    let solved = manager.solve(tenant(), &second, solve(&[("a", 1.0)]), None).await;
-    solved.expect("solved");
+    second.solve(solve(&[("a", 1.0)])).await;
 }
 
 #[tokio::test]

@@ -4,6 +4,7 @@
 //! Results of drags differ from those of commits in a late digit that depends on how many drags there were,
 //! so that a commit which depended on drags would show.
 
+use crate::support::server::retried;
 use bytes::Bytes;
 use glam::DVec3;
 use pliant::asset::{self, FileSet, Format, WrittenFiles};
@@ -14,15 +15,20 @@ use pliant::engine::{
 };
 use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
+use pliant::session::store::{DatabaseStore, StoreError, StoreLocation};
 use pliant::session::{
-    self, CallKey, DeformStream, Engine, EngineOpener, Manager, SessionConfig, StreamAnswer, StreamInput, StreamOutput,
+    self, CallKey, CommittedEdit, CommittedPose, DeformStream, Engine, EngineOpener, ExportedModel, HistoryFacts,
+    Manager, MemoryUse, Metrics, PositionBuffer, SessionConfig, SessionFacts, StreamAnswer, StreamInput, StreamOutput,
     Tenant,
 };
 use pliant::wire::frames::FrameHeader;
-use pliant::wire::{self, DeformOptions, PoseCommit, PoseEntry, SessionOptions, StreamPose, StreamRequest};
+use pliant::wire::{
+    self, DeformOptions, PoseCommit, PoseEntry, SessionEdit, SessionOptions, StreamPose, StreamRequest,
+};
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 use std::sync::{Arc, Condvar, LazyLock, Mutex};
 use std::time::Duration;
+use tokio::task::JoinHandle;
 
 /// Lets cycles pass, or holds them.
 #[derive(Default)]
@@ -302,13 +308,125 @@ impl Engine for Fake {
 
 /// Waits until something holds, for as long as a loaded machine may need.
 pub async fn until(holds: impl Fn() -> bool) {
-    for _ in 0..30_000 {
-        if holds() {
-            return;
-        }
-        tokio::time::sleep(Duration::from_millis(1)).await;
+    retried("a condition", Duration::from_millis(1), async || holds().then_some(())).await;
+}
+
+/// The store of a folder, once the manager that had it before has left it.
+pub async fn store_at(location: &StoreLocation) -> DatabaseStore {
+    retried(
+        "a store",
+        Duration::from_millis(5),
+        async || match DatabaseStore::open(location).await {
+            Ok(store) => Some(store),
+            Err(StoreError::Refused(_)) => None,
+            Err(error) => panic!("{error}"),
+        },
+    )
+    .await
+}
+
+/// Ends a manager whose store another one is to open.
+pub async fn close(manager: Manager) {
+    manager.abort();
+    until(|| manager.metrics().sessions.get() == 0).await;
+}
+
+/// A session and its manager; its calls must succeed.
+#[derive(Clone)]
+pub struct Fixture {
+    pub manager: Manager,
+    pub id: String,
+}
+
+impl Fixture {
+    /// A session of the fake as [`open`] makes it, and what controls its cycles.
+    pub async fn fake(config: SessionConfig) -> (Self, Arc<Control>) {
+        let (manager, control) = manager(config);
+        (Self::of(&manager).await, control)
     }
-    panic!("it never came true");
+
+    /// As [`Fixture::fake`], in a manager that there is.
+    pub async fn of(manager: &Manager) -> Self {
+        let (id, manager) = (open(manager).await, manager.clone());
+        Self { manager, id }
+    }
+
+    pub async fn client(&self) -> Client {
+        Client::open(&self.manager, &self.id).await
+    }
+
+    pub async fn solve(&self, commit: PoseCommit) -> CommittedPose {
+        let solved = self.manager.solve(tenant(), &self.id, commit, None).await;
+        solved.expect("the session solves")
+    }
+
+    /// Begins to solve.
+    pub fn solving(&self, commit: PoseCommit) -> JoinHandle<Result<CommittedPose, session::Error>> {
+        let Self { manager, id } = self.clone();
+        tokio::spawn(async move { manager.solve(tenant(), &id, commit, None).await })
+    }
+
+    /// The refusal of a pose.
+    pub async fn refuses(&self, commit: PoseCommit) -> session::Error {
+        let solved = self.manager.solve(tenant(), &self.id, commit, None).await;
+        solved.map(|_| ()).expect_err("the pose is refused")
+    }
+
+    pub async fn edit(&self, edit: SessionEdit) -> CommittedEdit {
+        let edited = self.manager.edit(tenant(), &self.id, edit, None).await;
+        edited.expect("the session is edited")
+    }
+
+    pub async fn set_handles(&self, handles: HandleSet) -> SessionFacts {
+        let set = self.manager.set_handles(tenant(), &self.id, handles, None).await;
+        set.expect("the handles are set")
+    }
+
+    pub async fn undo(&self) -> SessionFacts {
+        let undone = self.manager.undo(tenant(), &self.id, None).await;
+        undone.expect("a commit is undone")
+    }
+
+    pub async fn redo(&self) -> SessionFacts {
+        let redone = self.manager.redo(tenant(), &self.id, None).await;
+        redone.expect("a commit is redone")
+    }
+
+    pub async fn facts(&self) -> SessionFacts {
+        let facts = self.manager.get(tenant(), &self.id).await;
+        facts.expect("the session is open")
+    }
+
+    pub async fn history(&self) -> HistoryFacts {
+        let history = self.manager.history(tenant(), &self.id).await;
+        history.expect("the session is open")
+    }
+
+    /// The digest of the current commit.
+    pub async fn digest(&self) -> String {
+        let history = self.history().await;
+        let current = history.commits.iter().find(|c| c.revision == history.current);
+        current.expect("the current commit is listed").digest.clone()
+    }
+
+    pub async fn positions(&self) -> PositionBuffer {
+        let positions = self.manager.positions(tenant(), &self.id).await;
+        positions.expect("the session is open")
+    }
+
+    pub async fn export(&self, format: Option<Format>) -> ExportedModel {
+        let exported = self.manager.export(tenant(), &self.id, format).await;
+        exported.expect("the model is written")
+    }
+
+    pub fn metrics(&self) -> &Metrics {
+        self.manager.metrics()
+    }
+
+    /// Bytes that sessions hold.
+    pub fn held_bytes(&self) -> i64 {
+        self.metrics().held_bytes(MemoryUse::Sessions).get()
+    }
 }
 
 pub fn tenant() -> &'static Tenant {

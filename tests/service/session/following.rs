@@ -13,20 +13,25 @@ use pliant::session::{Manager, SessionConfig};
 use pliant::wire::SessionEdit;
 
 /// A session with a bar of some thousand vertices, held at its ends.
-async fn bar(manager: &Manager) -> String {
+async fn bar(config: SessionConfig) -> Fixture {
+    bar_in(&Manager::new(config).expect("a valid configuration")).await
+}
+
+/// As [`bar`], in a manager that there is.
+async fn bar_in(manager: &Manager) -> Fixture {
     let files = obj(&shapes::box_with_cells(DVec3::new(1.0, 1.0, 3.0), [12, 12, 36]));
     // A graph of kind PAPER follows edits.
     let mut options = options();
     options.open.body.graph = VolumeOptions::paper();
     let made = manager.create(tenant(), files, options, None).await;
-    let id = made.expect("a bar").value.id;
+    let (manager, id) = (manager.clone(), made.expect("a bar").value.id);
+    let fixture = Fixture { manager, id };
     let handles = HandleSet::from([
         Handle::new("base", Region::half_space([0.0, 0.0, -1.0], -0.4)),
         Handle::new("top", Region::half_space([0.0, 0.0, 1.0], 2.6)),
     ]);
-    let set = manager.set_handles(tenant(), &id, handles, None).await;
-    set.expect("two handles");
-    id
+    fixture.set_handles(handles).await;
+    fixture
 }
 
 fn delete(height: f64) -> SessionEdit {
@@ -38,30 +43,26 @@ fn delete(height: f64) -> SessionEdit {
 #[tokio::test]
 async fn a_pose_after_going_back_has_the_bits_that_it_had_before() {
     for snapshot_bytes in [1 << 26, 0] {
-        let config = SessionConfig {
+        let fixture = bar(SessionConfig {
             snapshot_bytes,
             ..small()
-        };
-        let manager = Manager::new(config).expect("valid");
-        let id = bar(&manager).await;
+        })
+        .await;
         let mut after = Vec::new();
         for k in 0..4 {
-            let bent = manager.solve(tenant(), &id, turned(0.2), None).await.expect("solved");
+            let bent = fixture.solve(turned(0.2)).await;
             after.push(bent.digest);
-            let edit = manager
-                .edit(tenant(), &id, delete(0.8 + 0.4 * f64::from(k)), None)
-                .await
-                .expect("an edit");
+            let edit = fixture.edit(delete(0.8 + 0.4 * f64::from(k))).await;
             assert!(edit.report.repaired, "edit {k} is followed");
         }
         // Back to before each pose, newest first, and the same pose again.
         for digest in after.iter().rev() {
             for _ in 0..2 {
-                manager.undo(tenant(), &id, None).await.expect("undone");
+                fixture.undo().await;
             }
-            let again = manager.solve(tenant(), &id, turned(0.2), None).await.expect("solved");
+            let again = fixture.solve(turned(0.2)).await;
             assert_eq!(again.digest, *digest);
-            manager.undo(tenant(), &id, None).await.expect("undone");
+            fixture.undo().await;
         }
     }
 }
@@ -73,9 +74,8 @@ fn idle() -> SessionEdit {
 
 #[tokio::test]
 async fn an_edit_of_the_rest_shape_solves_as_the_pose_was_solved() {
-    let manager = Manager::new(small()).expect("valid");
-    let id = bar(&manager).await;
-    let untouched = manager.edit(tenant(), &id, idle(), None).await.expect("an edit");
+    let fixture = bar(small()).await;
+    let untouched = fixture.edit(idle()).await;
     assert!(
         !untouched.ms.contains_key("solve"),
         "nothing is posed: {:?}",
@@ -84,57 +84,53 @@ async fn an_edit_of_the_rest_shape_solves_as_the_pose_was_solved() {
     for refine in [0, 3] {
         let mut pose = turned(0.9);
         pose.options.solve.refine = Some(refine);
-        let bent = manager.solve(tenant(), &id, pose, None).await.expect("solved");
-        let edit = manager.edit(tenant(), &id, idle(), None).await.expect("an edit");
+        let bent = fixture.solve(pose).await;
+        let edit = fixture.edit(idle()).await;
         assert_eq!(edit.report.digest, bent.digest, "refine {refine}");
     }
 }
 
 #[tokio::test]
 async fn a_session_tells_the_poses_in_force() {
-    let manager = Manager::new(small()).expect("valid");
-    let id = bar(&manager).await;
-    let poses = async || manager.get(tenant(), &id).await.expect("it is there").poses;
+    let fixture = bar(small()).await;
+    let poses = async || fixture.facts().await.poses;
     assert_eq!(poses().await.0.as_slice(), [HandlePose::default(); 2]);
-    manager.solve(tenant(), &id, turned(0.2), None).await.expect("solved");
+    fixture.solve(turned(0.2)).await;
     let turned = HandlePose::rotation([0.2, 0.0, 0.0]);
     assert_eq!(poses().await.0.as_slice(), [HandlePose::default(), turned]);
-    manager.undo(tenant(), &id, None).await.expect("undone");
+    fixture.undo().await;
     assert_eq!(poses().await.0.as_slice(), [HandlePose::default(); 2]);
 }
 
 #[tokio::test]
 async fn an_edit_is_held_to_the_memory_that_other_sessions_leave() {
     let open = Manager::new(small()).expect("valid");
-    let id = bar(&open).await;
+    let fixture = bar_in(&open).await;
     let one = open.metrics().held_bytes(MemoryUse::Sessions).get() as u64;
     let twice = || edit_of(r#"{"subdivide": {"scheme": "LOOP"}}"#);
-    open.edit(tenant(), &id, twice(), None).await.expect("there is room");
+    fixture.edit(twice()).await;
 
     let manager = Manager::new(SessionConfig {
         memory_bytes: 12 * one,
         ..small()
     })
     .expect("valid");
-    let (mut ids, mut refused) = (Vec::new(), None);
+    let (mut bars, mut refused) = (Vec::new(), None);
     for _ in 0..3 {
-        ids.push(bar(&manager).await);
+        bars.push(bar_in(&manager).await);
     }
-    for id in ids.iter().cycle().take(9) {
-        if let Err(e) = manager.edit(tenant(), id, twice(), None).await {
-            refused = Some((id, e));
+    for fixture in bars.iter().cycle().take(9) {
+        if let Err(e) = manager.edit(tenant(), &fixture.id, twice(), None).await {
+            refused = Some((fixture, e));
             break;
         }
         let held = manager.metrics().held_bytes(MemoryUse::Sessions).get() as u64;
         assert!(held <= 12 * one, "{held} bytes are held, {one} by a bar");
     }
-    let (id, error) = refused.expect("at some time there is no room");
+    let (fixture, error) = refused.expect("at some time there is no room");
     assert!(
         [413, 429].contains(&error.http_status()) && error.message.contains("memory"),
         "{error:?}"
     );
-    manager
-        .solve(tenant(), id, turned(0.1), None)
-        .await
-        .expect("the session goes on");
+    fixture.solve(turned(0.1)).await;
 }

@@ -1,6 +1,7 @@
 //! Expiry, deleting, idempotency keys, draining, many sessions at once.
 
 use super::fake::*;
+use crate::support::server::retried;
 use pliant::session::MemoryUse;
 use pliant::session::{ErrorCode, SessionConfig, StreamAnswer};
 use pliant::wire::SessionOptions;
@@ -66,25 +67,15 @@ async fn an_unused_session_expires_and_frees_its_memory() {
 
 #[tokio::test]
 async fn deleting_ends_work_and_streams() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     control.hold();
     client.drag(1, &[("a", 1.0)]);
     control.held_up().await;
-    let solving = tokio::spawn({
-        let (manager, id) = (manager.clone(), id.clone());
-        async move { manager.solve(tenant(), &id, solve(&[]), None).await }
-    });
+    let solving = fixture.solving(solve(&[]));
     tokio::task::yield_now().await;
-    manager.delete(tenant(), &id).await.expect("deleted");
-    assert_eq!(
-        (
-            manager.metrics().pool_busy.get(),
-            manager.metrics().held_bytes(MemoryUse::Sessions).get()
-        ),
-        (0, 0)
-    );
+    fixture.manager.delete(tenant(), &fixture.id).await.expect("deleted");
+    assert_eq!((fixture.metrics().pool_busy.get(), fixture.held_bytes()), (0, 0));
     assert_eq!(solving.await.expect("no panic").expect_err("gone").http_status(), 404);
     let mut last = None;
     while let Some(message) = client.next().await {
@@ -154,68 +145,74 @@ async fn the_same_key_does_a_thing_once() {
 
 #[tokio::test]
 async fn a_call_that_failed_or_was_given_up_frees_its_key() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let wrong = manager
-        .solve(tenant(), &id, solve(&[("x", 1.0)]), key("key", "wrong"))
+    let (fixture, control) = Fixture::fake(small()).await;
+    let wrong = fixture
+        .manager
+        .solve(tenant(), &fixture.id, solve(&[("x", 1.0)]), key("key", "wrong"))
         .await
         .expect_err("unknown handle");
     assert_eq!(wrong.http_status(), 422);
     control.hold();
     let request = solve(&[("a", 1.0)]);
-    let solving = manager.solve(tenant(), &id, request.clone(), key("key", &request));
+    let solving = fixture
+        .manager
+        .solve(tenant(), &fixture.id, request.clone(), key("key", &request));
     assert!(tokio::time::timeout(Duration::from_millis(20), solving).await.is_err());
-    until(|| manager.metrics().pool_busy.get() == 0).await;
+    until(|| fixture.metrics().pool_busy.get() == 0).await;
     control.release();
-    let solved = loop {
-        match manager
-            .solve(tenant(), &id, request.clone(), key("key", &request))
-            .await
-        {
-            // The session's task may not have heard of the end yet.
-            Err(error) if error.code == ErrorCode::Aborted => tokio::time::sleep(Duration::from_millis(1)).await,
-            other => break other.expect("done at last"),
+    // The session's task may not have heard of the end yet.
+    let solved = retried("a free key", Duration::from_millis(1), async || {
+        let solving = fixture
+            .manager
+            .solve(tenant(), &fixture.id, request.clone(), key("key", &request));
+        match solving.await {
+            Err(error) if error.code == ErrorCode::Aborted => None,
+            other => Some(other.expect("done at last")),
         }
-    };
+    })
+    .await;
     assert_eq!(solved.revision, 3);
 }
 
 #[tokio::test]
 async fn draining_tells_streams_and_waits_for_them() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
-    manager.start_drain();
-    assert!(!manager.admits());
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
+    fixture.manager.start_drain();
+    assert!(!fixture.manager.admits());
     let Some(StreamAnswer::Notice { code, session, .. }) = client.next().await else {
         panic!("a notice was expected")
     };
-    assert_eq!((code, &session), ("going-away", &id));
-    let error = manager.stream(tenant(), &id).await.expect_err("no new streams");
+    assert_eq!((code, &session), ("going-away", &fixture.id));
+    let error = fixture
+        .manager
+        .stream(tenant(), &fixture.id)
+        .await
+        .expect_err("no new streams");
     assert_eq!((error.http_status(), error.retry_after_s.is_some()), (503, true));
-    let made = manager.create(tenant(), model("points 4"), options(), None).await;
+    let made = fixture
+        .manager
+        .create(tenant(), model("points 4"), options(), None)
+        .await;
     assert_eq!(made.expect_err("no new sessions").http_status(), 503);
     client.commit(1, &[("a", 1.0)]);
     assert_eq!(client.frame().await.header.seq, 1, "what is open still works");
-    let draining = manager.drained();
+    let draining = fixture.manager.drained();
     tokio::pin!(draining);
     assert!(futures::poll!(draining.as_mut()).is_pending());
     drop(client);
     draining.await;
 
     control.hold();
-    let solving = tokio::spawn({
-        let (manager, id) = (manager.clone(), id.clone());
-        async move { manager.solve(tenant(), &id, solve(&[]), None).await }
-    });
+    let solving = fixture.solving(solve(&[]));
     control.held_up().await;
-    manager.abort();
+    fixture.manager.abort();
     assert_eq!(
         solving.await.expect("no panic").expect_err("aborted").http_status(),
         503
     );
-    manager.drained().await;
-    until(|| manager.metrics().sessions.get() == 0 && manager.metrics().pool_busy.get() == 0).await;
+    fixture.manager.drained().await;
+    until(|| fixture.metrics().sessions.get() == 0 && fixture.metrics().pool_busy.get() == 0).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]

@@ -89,16 +89,13 @@ async fn there_are_only_so_many_sessions() {
 
 #[tokio::test]
 async fn a_session_that_is_busy_takes_only_so_many_calls() {
-    let (manager, control) = manager(SessionConfig {
+    let (fixture, control) = Fixture::fake(SessionConfig {
         session_queue: 1,
         ..small()
-    });
-    let id = open(&manager).await;
+    })
+    .await;
     control.hold();
-    let call = || {
-        let (manager, id) = (manager.clone(), id.clone());
-        tokio::spawn(async move { manager.solve(tenant(), &id, solve(&[]), None).await })
-    };
+    let call = || fixture.solving(solve(&[]));
     let first = call();
     control.held_up().await;
     let second = call();
@@ -120,16 +117,13 @@ async fn a_session_that_is_busy_takes_only_so_many_calls() {
 
 #[tokio::test]
 async fn calls_that_wait_grow_old_together() {
-    let (manager, control) = manager(SessionConfig {
+    let (fixture, control) = Fixture::fake(SessionConfig {
         solve: Duration::from_millis(200),
         ..small()
-    });
-    let id = open(&manager).await;
+    })
+    .await;
     control.hold();
-    let call = || {
-        let (manager, id) = (manager.clone(), id.clone());
-        tokio::spawn(async move { manager.solve(tenant(), &id, solve(&[("a", 1.0)]), None).await })
-    };
+    let call = || fixture.solving(solve(&[("a", 1.0)]));
     let calls: Vec<_> = (0..20).map(|_| call()).collect();
     for call in calls {
         let error = call.await.expect("no panic").expect_err("its time was over");
@@ -141,24 +135,21 @@ async fn calls_that_wait_grow_old_together() {
         "those behind the first were never begun"
     );
     control.release();
-    manager
-        .solve(tenant(), &id, solve(&[("a", 1.0)]), None)
-        .await
-        .expect("the session works on");
+    fixture.solve(solve(&[("a", 1.0)])).await;
 }
 
 #[tokio::test]
 async fn a_pose_never_waits_behind_builds() {
-    let (manager, control) = manager(SessionConfig {
+    let (fixture, control) = Fixture::fake(SessionConfig {
         compute_slots: 1,
         ..small()
-    });
-    let id = open(&manager).await;
+    })
+    .await;
     control.hold();
-    let slow = manager.clone();
+    let slow = fixture.manager.clone();
     let build = tokio::spawn(async move { slow.create(tenant(), model("slow 4"), options(), None).await });
     control.held_up().await;
-    let (quick, posed) = (manager.clone(), id.clone());
+    let (quick, posed) = (fixture.manager.clone(), fixture.id.clone());
     let pose = tokio::spawn(async move { quick.solve(tenant(), &posed, solve(&[("a", 1.0)]), None).await });
     until(|| control.solves.load(SeqCst) == 1).await;
     assert!(!build.is_finished());
@@ -209,38 +200,46 @@ async fn a_panic_costs_its_own_session_only() {
 
 #[tokio::test]
 async fn a_tenant_sees_its_own_sessions_only() {
-    let (manager, _) = manager(small());
-    let id = open(&manager).await;
+    let (fixture, _) = Fixture::fake(small()).await;
     let stranger = Tenant(Arc::from("stranger"));
     assert_eq!(
-        manager.get(&stranger, &id).await.expect_err("not theirs").http_status(),
-        404
-    );
-    assert_eq!(
-        manager
-            .delete(&stranger, &id)
+        fixture
+            .manager
+            .get(&stranger, &fixture.id)
             .await
             .expect_err("not theirs")
             .http_status(),
         404
     );
     assert_eq!(
-        manager
-            .stream(&stranger, &id)
+        fixture
+            .manager
+            .delete(&stranger, &fixture.id)
             .await
             .expect_err("not theirs")
             .http_status(),
         404
     );
     assert_eq!(
-        manager
-            .solve(&stranger, &id, solve(&[]), None)
+        fixture
+            .manager
+            .stream(&stranger, &fixture.id)
             .await
             .expect_err("not theirs")
             .http_status(),
         404
     );
-    let listed = manager
+    assert_eq!(
+        fixture
+            .manager
+            .solve(&stranger, &fixture.id, solve(&[]), None)
+            .await
+            .expect_err("not theirs")
+            .http_status(),
+        404
+    );
+    let listed = fixture
+        .manager
         .list(&stranger, SessionPage { size: 100, after: 0 })
         .await
         .expect("a list");

@@ -2,12 +2,11 @@
 //! one's results may differ in late digits, and are recorded anew.
 
 use super::fake::*;
-use pliant::session::store::{DatabaseStore, StoreError, StoreLocation};
+use pliant::session::store::StoreLocation;
 use pliant::session::{ErrorCode, HistoryFacts, Manager};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
-use std::time::Duration;
 
 /// Sessions of a folder, opened by a build whose results are so many billionths off.
 async fn opened_by(folder: &Path, build: &str, late_digits: u64) -> Manager {
@@ -15,23 +14,11 @@ async fn opened_by(folder: &Path, build: &str, late_digits: u64) -> Manager {
         build: Some(build.into()),
         ..StoreLocation::in_folder(folder)
     };
-    let store = loop {
-        match DatabaseStore::open(&location).await {
-            Ok(store) => break store,
-            // The one before is on its way out.
-            Err(StoreError::Refused(_)) => tokio::time::sleep(Duration::from_millis(5)).await,
-            Err(error) => panic!("{error}"),
-        }
-    };
+    let store = store_at(&location).await;
     let control = Arc::new(Control::default());
     control.late_digits.store(late_digits, SeqCst);
     let opened = Manager::with_store(small(), OpenFake(control), Arc::new(store)).await;
     opened.expect("a store")
-}
-
-async fn close(manager: Manager) {
-    manager.abort();
-    until(|| manager.metrics().sessions.get() == 0).await;
 }
 
 async fn history(manager: &Manager, id: &str) -> HistoryFacts {

@@ -3,7 +3,7 @@
 use super::fake::*;
 use pliant::asset::FileSet;
 use pliant::engine::{Handle, HandlePose, HandleSet, QualityReport, Region};
-use pliant::session::{Manager, SessionConfig, SessionFacts};
+use pliant::session::{Manager, SessionConfig};
 use pliant::wire::frames::{FrameOutput, encode};
 use pliant::wire::{DeformOptions, PoseCommit, StreamRequest};
 
@@ -38,21 +38,22 @@ fn bar() -> FileSet {
     FileSet::single("bar.obj", text.into_bytes())
 }
 
-pub async fn bent(manager: &Manager) -> (String, SessionFacts) {
-    let made = manager
-        .create(tenant(), bar(), options(), None)
-        .await
-        .expect("a bar")
-        .value;
+/// A session with a bar and its handles.
+pub async fn bent(config: SessionConfig) -> Fixture {
+    bent_in(&Manager::new(config).expect("a valid configuration")).await
+}
+
+/// As [`bent`], in a manager that there is.
+pub async fn bent_in(manager: &Manager) -> Fixture {
+    let made = manager.create(tenant(), bar(), options(), None).await;
+    let (manager, id) = (manager.clone(), made.expect("a bar").value.id);
+    let fixture = Fixture { manager, id };
     let handles = HandleSet::from([
         Handle::new("base", Region::half_space([0.0, 0.0, -1.0], -0.3)),
         Handle::new("top", Region::half_space([0.0, 0.0, 1.0], 2.7)),
     ]);
-    let session = manager
-        .set_handles(tenant(), &made.id, handles, None)
-        .await
-        .expect("two handles");
-    (made.id, session)
+    fixture.set_handles(handles).await;
+    fixture
 }
 
 /// The top's turn about x; none is at rest.
@@ -80,12 +81,12 @@ pub fn turning(seq: u64, angle: f64, commit: bool) -> StreamRequest {
 #[tokio::test]
 async fn commits_undo_and_replay_to_the_bit() {
     for snapshot_bytes in [1 << 24, 0] {
-        let manager = Manager::new(SessionConfig {
+        let fixture = bent(SessionConfig {
             snapshot_bytes,
             ..small()
         })
-        .expect("valid");
-        let (id, session) = bent(&manager).await;
+        .await;
+        let session = fixture.facts().await;
         assert_eq!(
             (session.deformer.handles.len(), session.deformer.primitives.len()),
             (2, 1)
@@ -96,15 +97,12 @@ async fn commits_undo_and_replay_to_the_bit() {
                 .all(|s| session.build_ms.contains_key(*s)),
             "{session:?}"
         );
-        let rest = manager.export(tenant(), &id, None).await.expect("written").written.main;
+        let rest = fixture.export(None).await.written.main;
         assert_eq!(rest, bar().main, "an undeformed model is written byte for byte");
-        let first = manager.solve(tenant(), &id, turned(1.0), None).await.expect("solved");
-        assert_ne!(
-            manager.export(tenant(), &id, None).await.expect("written").written.main,
-            rest
-        );
-        let second = manager.solve(tenant(), &id, turned(-0.5), None).await.expect("solved");
-        let mut client = Client::open(&manager, &id).await;
+        let first = fixture.solve(turned(1.0)).await;
+        assert_ne!(fixture.export(None).await.written.main, rest);
+        let second = fixture.solve(turned(-0.5)).await;
+        let mut client = fixture.client().await;
         for (seq, angle) in [(1, 0.2), (2, 0.9)] {
             client.push(turning(seq, angle, false));
             let frame = client.frame().await.header;
@@ -112,37 +110,28 @@ async fn commits_undo_and_replay_to_the_bit() {
             client.ack(seq);
         }
         drop(client);
-        manager.undo(tenant(), &id, None).await.expect("undone");
-        let view = manager.history(tenant(), &id).await.expect("open");
-        let at = view
-            .commits
-            .iter()
-            .find(|c| c.revision == view.current)
-            .expect("listed");
-        assert_eq!(at.digest, first.digest);
-        let again = manager.solve(tenant(), &id, turned(-0.5), None).await.expect("solved");
+        fixture.undo().await;
+        let view = fixture.history().await;
+        assert_eq!(fixture.digest().await, first.digest);
+        let again = fixture.solve(turned(-0.5)).await;
         assert_eq!(
             again.digest, second.digest,
             "the same handles, poses and settings give the same bits"
         );
-        let home = manager.solve(tenant(), &id, turned(0.0), None).await.expect("solved");
+        let home = fixture.solve(turned(0.0)).await;
         assert_eq!(home.digest, view.commits[0].digest, "at rest nothing moves");
-        assert_eq!(
-            manager.export(tenant(), &id, None).await.expect("written").written.main,
-            rest
-        );
+        assert_eq!(fixture.export(None).await.written.main, rest);
     }
 }
 
 #[tokio::test]
 async fn frames_carry_normals_that_turn_with_the_shape() {
-    let manager = Manager::new(small()).expect("valid");
-    let (id, _) = bent(&manager).await;
+    let fixture = bent(small()).await;
     let mut request = turned(1.0);
     request.options.output.normals = true;
     request.options.output.tangents = true;
     request.options.progressive = true;
-    let solved = manager.solve(tenant(), &id, request, None).await.expect("solved");
+    let solved = fixture.solve(request).await;
     let frames: Vec<_> = encode(solved.frame).collect();
     let attributes: Vec<i32> = frames.iter().map(|f| f.attribute).collect();
     assert_eq!(attributes, [0, 1, 2]);
@@ -156,7 +145,7 @@ async fn frames_carry_normals_that_turn_with_the_shape() {
         let length = normal.iter().map(|x| x * x).sum::<f32>();
         assert!((length - 1.0).abs() < 1e-3, "{normal:?}");
     }
-    let repeat = manager.solve(tenant(), &id, turned(1.0), None).await.expect("solved");
+    let repeat = fixture.solve(turned(1.0)).await;
     assert_eq!(
         repeat.digest, solved.digest,
         "what frames carry does not change the shape"
@@ -165,8 +154,7 @@ async fn frames_carry_normals_that_turn_with_the_shape() {
 
 #[tokio::test]
 async fn every_commit_is_measured_and_crossings_are_counted_when_asked() {
-    let manager = Manager::new(small()).expect("valid");
-    let (id, _) = bent(&manager).await;
+    let fixture = bent(small()).await;
     let options = |self_intersections: bool| DeformOptions {
         output: FrameOutput {
             self_intersections,
@@ -179,7 +167,7 @@ async fn every_commit_is_measured_and_crossings_are_counted_when_asked() {
             options: options(count),
             ..turned(angle)
         };
-        let solved = manager.solve(tenant(), &id, request, None).await.expect("solved");
+        let solved = fixture.solve(request).await;
         solved.frame.header.quality.expect("a commit is measured")
     };
     let home = solve(0.0, true).await;
@@ -199,7 +187,7 @@ async fn every_commit_is_measured_and_crossings_are_counted_when_asked() {
     );
 
     // On a stream commits are measured, and drags are not.
-    let mut client = Client::open(&manager, &id).await;
+    let mut client = fixture.client().await;
     client.options(options(true));
     for (seq, commit) in [(1, false), (2, true)] {
         client.push(turning(seq, 1.0, commit));

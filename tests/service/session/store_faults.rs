@@ -2,32 +2,19 @@
 
 use super::fake::*;
 use super::faulty_store::FaultyStore;
-use pliant::session::store::{DatabaseStore, StoreError, StoreLocation};
+use pliant::session::store::StoreLocation;
 use pliant::session::{Error, ErrorCode, HistoryFacts, Manager};
 use pliant::wire::SessionPage;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
-use std::time::Duration;
 
 async fn opened(folder: &Path) -> (Manager, Arc<FaultyStore>) {
     let location = StoreLocation::in_folder(folder);
-    let store = loop {
-        match DatabaseStore::open(&location).await {
-            Ok(store) => break FaultyStore::over(store),
-            // The one before is on its way out.
-            Err(StoreError::Refused(_)) => tokio::time::sleep(Duration::from_millis(5)).await,
-            Err(error) => panic!("{error}"),
-        }
-    };
-    let (store, control) = (Arc::new(store), Arc::new(Control::default()));
+    let store = Arc::new(FaultyStore::over(store_at(&location).await));
+    let control = Arc::new(Control::default());
     let manager = Manager::with_store(small(), OpenFake(control), Arc::clone(&store) as Arc<_>).await;
     (manager.expect("a store"), store)
-}
-
-async fn close(manager: Manager) {
-    manager.abort();
-    until(|| manager.metrics().sessions.get() == 0).await;
 }
 
 fn page() -> SessionPage {

@@ -1,7 +1,7 @@
 //! The deform stream's promises.
 
 use super::fake::*;
-use pliant::session::MemoryUse;
+use crate::support::server::stays;
 use pliant::session::{ErrorCode, SessionConfig, StreamAnswer};
 use pliant::wire::frames::{FrameOutput, encode};
 use pliant::wire::{self, DeformOptions, StreamRequest};
@@ -10,9 +10,8 @@ use std::time::Duration;
 
 #[tokio::test]
 async fn the_latest_pose_wins_and_the_skipped_ones_are_counted() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     control.hold();
     client.drag(1, &[("a", 1.0)]);
     control.held_up().await;
@@ -31,7 +30,7 @@ async fn the_latest_pose_wins_and_the_skipped_ones_are_counted() {
     assert_eq!(second.x, [10.0, 0.0, 10.0, 0.0]);
     assert!(second.header.solve_ms > 0.0 && second.header.residual <= 1.001e-4);
     client.silent().await;
-    let metrics = manager.metrics();
+    let metrics = fixture.metrics();
     assert_eq!(
         (
             metrics.poses_received.get(),
@@ -44,9 +43,8 @@ async fn the_latest_pose_wins_and_the_skipped_ones_are_counted() {
 
 #[tokio::test]
 async fn skipped_poses_still_move_the_handles_that_newer_ones_do_not_name() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     control.hold();
     client.drag(1, &[("a", 1.0)]);
     control.held_up().await;
@@ -64,9 +62,8 @@ async fn skipped_poses_still_move_the_handles_that_newer_ones_do_not_name() {
 
 #[tokio::test]
 async fn a_wrong_pose_is_told_and_the_stream_goes_on() {
-    let (manager, _) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, _) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     client.drag(5, &[("a", 1.0)]);
     assert_eq!(client.frame().await.header.seq, 5);
     client.drag(5, &[("a", 2.0)]);
@@ -88,9 +85,8 @@ async fn a_wrong_pose_is_told_and_the_stream_goes_on() {
 
 #[tokio::test]
 async fn a_wrong_pose_among_skipped_ones_takes_no_effect_and_no_part_in_the_count() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     control.hold();
     client.drag(1, &[("a", 1.0)]);
     control.held_up().await;
@@ -130,9 +126,8 @@ async fn without_handles_every_pose_is_refused() {
 
 #[tokio::test]
 async fn no_more_frames_than_the_window_are_on_their_way() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     for seq in 1..=2 {
         client.drag(seq, &[("a", seq as f64)]);
         assert_eq!(client.frame().await.header.seq, seq);
@@ -157,10 +152,9 @@ async fn no_more_frames_than_the_window_are_on_their_way() {
 
 #[tokio::test]
 async fn a_reader_that_stops_costs_no_more_than_its_window() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
-    let before = manager.metrics().held_bytes(MemoryUse::Sessions).get();
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
+    let before = fixture.held_bytes();
     for half in [1..=10_000, 10_001..=20_000] {
         for seq in half {
             client.drag(seq, &[("a", seq as f64), ("b", 1.0)]);
@@ -169,14 +163,10 @@ async fn a_reader_that_stops_costs_no_more_than_its_window() {
         until(|| control.solves.load(SeqCst) > solves).await;
     }
     client.drag(20_001, &[("a", 7.0)]);
-    tokio::time::sleep(Duration::from_millis(50)).await;
-    assert_eq!(
-        (
-            control.solves.load(SeqCst),
-            manager.metrics().held_bytes(MemoryUse::Sessions).get()
-        ),
-        (2, before)
-    );
+    stays("two frames", Duration::from_millis(50), async || {
+        (control.solves.load(SeqCst), fixture.held_bytes()) == (2, before)
+    })
+    .await;
     let (first, second) = (client.frame().await.header, client.frame().await.header);
     assert!(first.seq < second.seq);
     client.silent().await;
@@ -193,9 +183,8 @@ async fn a_reader_that_stops_costs_no_more_than_its_window() {
 
 #[tokio::test]
 async fn commits_are_never_skipped_and_stay_in_order() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     client.options(DeformOptions {
         window: 8,
         ..stream_options()
@@ -223,13 +212,10 @@ async fn commits_are_never_skipped_and_stay_in_order() {
         (&frames[1].x[..2], &frames[2].x[..2]),
         (&[3.0, 2.0][..], &[4.0, 2.0][..])
     );
-    let history = manager.history(tenant(), &id).await.expect("open");
+    let history = fixture.history().await;
     let kinds: Vec<&str> = history.commits.iter().map(|c| c.kind).collect();
     assert_eq!(kinds, ["create", "handles", "pose", "pose"]);
-    let solved = manager
-        .solve(tenant(), &id, solve(&[]), None)
-        .await
-        .expect("the committed poses");
+    let solved = fixture.solve(solve(&[])).await;
     assert_eq!(
         solved.digest, history.commits[3].digest,
         "a commit does not depend on what was dragged before"
@@ -238,12 +224,12 @@ async fn commits_are_never_skipped_and_stay_in_order() {
 
 #[tokio::test]
 async fn too_many_waiting_commits_are_refused_by_number() {
-    let (manager, control) = manager(SessionConfig {
+    let (fixture, control) = Fixture::fake(SessionConfig {
         stream_commits: 2,
         ..small()
-    });
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    })
+    .await;
+    let mut client = fixture.client().await;
     client.options(DeformOptions {
         window: 8,
         ..stream_options()
@@ -262,44 +248,38 @@ async fn too_many_waiting_commits_are_refused_by_number() {
 
 #[tokio::test]
 async fn what_was_dragged_and_not_committed_goes_with_the_stream() {
-    let (manager, _) = manager(small());
-    let id = open(&manager).await;
-    let rest = manager.positions(tenant(), &id).await.expect("open").bytes;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, _) = Fixture::fake(small()).await;
+    let rest = fixture.positions().await.bytes;
+    let mut client = fixture.client().await;
     client.drag(1, &[("a", 5.0)]);
     client.frame().await;
     drop(client);
-    assert_eq!(manager.positions(tenant(), &id).await.expect("open").bytes, rest);
-    let mut client = Client::open(&manager, &id).await;
+    assert_eq!(fixture.positions().await.bytes, rest);
+    let mut client = fixture.client().await;
     client.drag(1, &[("b", 1.0)]);
     assert_eq!(client.frame().await.x, [0.0, 1.0, 0.0, 1.0]);
 }
 
 #[tokio::test]
 async fn a_commit_elsewhere_moves_a_stream_but_not_what_it_drags() {
-    let (manager, _) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, _) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     client.drag(1, &[("a", 5.0)]);
     client.frame().await;
-    manager
-        .solve(tenant(), &id, solve(&[("b", 2.0)]), None)
-        .await
-        .expect("solved");
+    fixture.solve(solve(&[("b", 2.0)])).await;
     client.ack(1);
     client.drag(2, &[]);
     assert_eq!(client.frame().await.x, [5.0, 2.0, 5.0, 2.0]);
     client.ack(2);
-    manager.undo(tenant(), &id, None).await.expect("undone");
+    fixture.undo().await;
     client.drag(3, &[]);
     assert_eq!(client.frame().await.x, [0.0; 4], "undo takes the drag along");
 }
 
 #[tokio::test]
 async fn progressive_frames_come_from_the_first_cycle_on() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     client.options(DeformOptions {
         progressive: true,
         window: 4,
@@ -328,10 +308,9 @@ async fn progressive_frames_come_from_the_first_cycle_on() {
 
 #[tokio::test]
 async fn a_newer_pose_cuts_a_progressive_solve_short_but_not_another() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
+    let (fixture, control) = Fixture::fake(small()).await;
     for progressive in [true, false] {
-        let mut client = Client::open(&manager, &id).await;
+        let mut client = fixture.client().await;
         client.options(DeformOptions {
             progressive,
             window: 8,
@@ -361,9 +340,8 @@ async fn a_newer_pose_cuts_a_progressive_solve_short_but_not_another() {
 
 #[tokio::test]
 async fn a_budget_takes_the_best_there_is() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     client.options(DeformOptions {
         budget_ms: Some(1.0),
         ..stream_options()
@@ -380,9 +358,8 @@ async fn a_budget_takes_the_best_there_is() {
 
 #[tokio::test]
 async fn pings_are_answered_while_solving() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     control.hold();
     client.drag(1, &[("a", 1.0)]);
     control.held_up().await;
@@ -393,9 +370,8 @@ async fn pings_are_answered_while_solving() {
 
 #[tokio::test]
 async fn a_client_that_has_said_everything_gets_its_last_frame_unasked() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     control.hold();
     client.drag(1, &[("a", 1.0)]);
     control.held_up().await;
@@ -425,38 +401,33 @@ async fn a_client_that_has_said_everything_gets_its_last_frame_unasked() {
 
 #[tokio::test]
 async fn dropping_a_stream_stops_its_solve_and_changes_nothing() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     client.drag(1, &[("b", 1.0)]);
     client.frame().await;
     control.hold();
     client.commit(2, &[("a", 1.0)]);
     control.held_up().await;
-    assert_eq!(manager.metrics().pool_busy.get(), 1);
+    assert_eq!(fixture.metrics().pool_busy.get(), 1);
     let cycles = control.cycles.load(SeqCst);
     drop(client);
-    until(|| manager.metrics().pool_busy.get() == 0).await;
+    until(|| fixture.metrics().pool_busy.get() == 0).await;
     assert!(
         control.cycles.load(SeqCst) <= cycles + 1,
         "it stopped at the next cycle"
     );
     control.release();
-    let session = manager.get(tenant(), &id).await.expect("open");
-    assert_eq!((session.revision, manager.metrics().streams.get()), (2, 0));
-    let solved = manager
-        .solve(tenant(), &id, solve(&[("a", 1.0)]), None)
-        .await
-        .expect("the session works");
+    let session = fixture.facts().await;
+    assert_eq!((session.revision, fixture.metrics().streams.get()), (2, 0));
+    let solved = fixture.solve(solve(&[("a", 1.0)])).await;
     assert_eq!(solved.frame.positions[1].x, 1.0, "b is at rest");
 }
 
 #[tokio::test]
 async fn streams_take_turns() {
-    let (manager, control) = manager(small());
-    let id = open(&manager).await;
-    let mut greedy = Client::open(&manager, &id).await;
-    let mut modest = Client::open(&manager, &id).await;
+    let (fixture, control) = Fixture::fake(small()).await;
+    let mut greedy = fixture.client().await;
+    let mut modest = fixture.client().await;
     control.hold();
     greedy.drag(1, &[("a", 1.0)]);
     control.held_up().await;
@@ -476,9 +447,8 @@ async fn streams_take_turns() {
 
 #[tokio::test]
 async fn wrong_options_end_the_stream() {
-    let (manager, _) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, _) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     let wrong = wire::Error::invalid("options.tolerance", "is -1");
     client.push(StreamRequest::Options(Err(wrong)));
     let (seq, error) = client.error().await;
@@ -490,9 +460,8 @@ async fn wrong_options_end_the_stream() {
 
 #[tokio::test]
 async fn changes_only_are_sent_once_a_frame_is_acknowledged() {
-    let (manager, _) = manager(small());
-    let id = open(&manager).await;
-    let mut client = Client::open(&manager, &id).await;
+    let (fixture, _) = Fixture::fake(small()).await;
+    let mut client = fixture.client().await;
     let output = FrameOutput {
         changed_only: Some(0.01),
         ..Default::default()
@@ -540,12 +509,11 @@ async fn large_frames_come_in_parts_made_one_by_one() {
 
 #[tokio::test]
 async fn there_are_only_so_many_streams() {
-    let (manager, _) = manager(SessionConfig { streams: 2, ..small() });
-    let id = open(&manager).await;
-    let _first = manager.stream(tenant(), &id).await.expect("one");
-    let second = manager.stream(tenant(), &id).await.expect("two");
-    let error = manager.stream(tenant(), &id).await.expect_err("three");
+    let (fixture, _) = Fixture::fake(SessionConfig { streams: 2, ..small() }).await;
+    let _first = fixture.manager.stream(tenant(), &fixture.id).await.expect("one");
+    let second = fixture.manager.stream(tenant(), &fixture.id).await.expect("two");
+    let error = fixture.manager.stream(tenant(), &fixture.id).await.expect_err("three");
     assert_eq!((error.http_status(), error.retry_after_s), (429, Some(1)));
     drop(second);
-    manager.stream(tenant(), &id).await.expect("two again");
+    fixture.manager.stream(tenant(), &fixture.id).await.expect("two again");
 }

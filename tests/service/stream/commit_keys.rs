@@ -35,7 +35,7 @@ async fn answer(socket: &mut Socket, seq: u64) -> Result<Vec<pb::Frame>, pb::Err
 }
 
 async fn commits(server: &Server, id: &str) -> usize {
-    let history = http().get(server.url(&format!("/v1/sessions/{id}/history"))).send();
+    let history = server.get(&format!("/v1/sessions/{id}/history")).send();
     let history: Value = history.await.unwrap().json().await.unwrap();
     let commits = history["commits"].as_array().expect("commits");
     commits.iter().filter(|commit| commit["kind"] == "pose").count()

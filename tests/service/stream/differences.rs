@@ -1,6 +1,6 @@
 //! Streams that ask for what differs: the numbers are those of whole frames, whatever happens on the way.
 
-use super::{ack, message, open};
+use super::ack;
 use crate::support::server::*;
 use pliant::wire::frames::FrameReader;
 use pliant::wire::pb::{self, deform_request, deform_response, frame};
@@ -32,7 +32,7 @@ struct Reading {
 
 impl Reading {
     async fn open(server: &Server, id: &str, options: pb::Options, vertices: usize) -> Self {
-        let (requests, responses) = open(server, id).await;
+        let (requests, responses) = server.stream(id).await;
         let reading = Self {
             requests,
             responses,
@@ -73,7 +73,7 @@ impl Reading {
 
 /// The JSON that answers a request.
 async fn answered(request: reqwest::RequestBuilder) -> Value {
-    let answer = within("an answer", request.send()).await.expect("an answer");
+    let answer = request.answer().await;
     answer.json().await.expect("JSON")
 }
 
@@ -157,7 +157,7 @@ async fn large_frames_of_differences_show_what_whole_frames_show() {
         let id = text(&session["id"]);
         let url = server.url(&format!("/v1/sessions/{id}/handles"));
         let handles = json!({"handles": ends()});
-        assert_eq!(http().put(url).json(&handles).send().await.unwrap().status(), 200);
+        assert_eq!(http().put(url).json(&handles).answer().await.status(), 200);
         let vertices = session["model"]["vertices"].as_u64().expect("a number") as usize;
         assert!(vertices > 4096);
         opened.push(Reading::open(&server, &id, asking(encoding, true), vertices).await);
@@ -192,7 +192,7 @@ async fn an_edit_begins_with_a_key_frame_and_another_stream_with_its_own() {
     let cut = json!({"cut": {"plane": {"normal": [0, 0, 1], "offset": 0.1}, "keep": "ABOVE", "fill": true}});
     let answer = edit(cut).await.expect("an answer");
     assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap());
-    let session = answered(http().get(server.url(&format!("/v1/sessions/{id}")))).await;
+    let session = answered(server.get(&format!("/v1/sessions/{id}"))).await;
     let left = session["model"]["vertices"].as_u64().expect("a number") as usize;
     assert_ne!(left, VERTICES);
     told.reader = FrameReader::new(left);
@@ -275,11 +275,7 @@ async fn calls_that_answer_one_frame_answer_a_key_frame() {
         .post(&url)
         .json(&asked)
         .header("accept", "application/octet-stream");
-    assert_eq!(
-        buffer.send().await.unwrap().status(),
-        422,
-        "floats alone come as a buffer"
-    );
+    assert_eq!(buffer.answer().await.status(), 422, "floats alone come as a buffer");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -291,7 +287,7 @@ async fn changes_and_differences_together_are_refused() {
         options.output.as_mut().expect("some").changed_only = Some(0.0);
         options
     };
-    let (requests, mut responses) = open(&server, &id).await;
+    let (requests, mut responses) = server.stream(&id).await;
     let options = message(deform_request::Message::Options(both()));
     requests.send(options).await.unwrap();
     let response = within("a response", responses.message()).await.unwrap();
@@ -317,7 +313,7 @@ async fn changes_and_differences_together_are_refused() {
     assert_eq!(refused.code(), Code::InvalidArgument);
     let asked = json!({"options": {"output": {"encoding": "DELTA", "changedOnly": 0}}});
     let url = server.url(&format!("/v1/sessions/{id}/solve"));
-    let answer = http().post(&url).json(&asked).send().await.unwrap();
+    let answer = http().post(&url).json(&asked).answer().await;
     assert_eq!(answer.status(), 422);
     assert!(answer.text().await.unwrap().contains("options.output.changedOnly"));
 }

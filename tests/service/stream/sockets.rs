@@ -1,6 +1,6 @@
 //! What is particular to WebSockets: how they close, who may open them, and errors on the way.
 
-use super::{Books, open};
+use super::Books;
 use crate::support::server::*;
 use bytes::Bytes;
 use futures::SinkExt as _;
@@ -55,7 +55,7 @@ async fn streams_of_a_session_are_bounded_and_given_back() {
     };
     assert_eq!(refused.status(), 429);
     assert!(refused.headers().contains_key("retry-after"));
-    let (_requests, mut responses) = open(&server, &id).await;
+    let (_requests, mut responses) = server.stream(&id).await;
     assert_eq!(
         within("a refusal", responses.message()).await.unwrap_err().code(),
         Code::ResourceExhausted
@@ -120,11 +120,7 @@ async fn a_websocket_says_why_it_closes() {
     );
 
     let mut socket = server.socket(&path).await.unwrap();
-    let gone = http()
-        .delete(server.url(&format!("/v1/sessions/{id}")))
-        .send()
-        .await
-        .unwrap();
+    let gone = server.delete(&format!("/v1/sessions/{id}")).answer().await;
     assert_eq!(gone.status(), 204);
     let mut told = None;
     let (code, reason) = loop {

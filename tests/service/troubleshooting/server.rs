@@ -43,7 +43,7 @@ a path that is none         | GET /v1/session                | -                
 
 /// The text of a problem document.
 async fn detail(request: reqwest::RequestBuilder) -> String {
-    let answer = within("an answer", request.send()).await.expect("an answer");
+    let answer = request.answer().await;
     assert!(!answer.status().is_success(), "{}", answer.status());
     let problem: Value = answer.json().await.expect("a problem document");
     text(&problem["detail"])
@@ -105,7 +105,7 @@ pub async fn provoke() -> Vec<Said> {
 async fn of_quotas() -> Vec<Said> {
     let unlimited = TenantQuota::default();
     let of_default = async |quota| Server::with(|sessions, _| sessions.quotas.default = quota).await;
-    let open = |server: &Server, along| http().post(server.url("/v1/sessions")).body(bar_obj(along));
+    let open = |server: &Server, along| server.post("/v1/sessions").body(bar_obj(along));
     let one = of_default(TenantQuota {
         sessions: Some(1),
         streams: Some(1),
@@ -155,7 +155,7 @@ async fn of_quotas() -> Vec<Said> {
     })
     .await;
     let full = loop {
-        let answer = within("an answer", open(&small, 24).send()).await.expect("an answer");
+        let answer = open(&small, 24).answer().await;
         if answer.status() != 201 {
             break answer.json::<Value>().await.expect("a problem document");
         }
@@ -184,11 +184,11 @@ async fn of_stores() -> Vec<Said> {
         std::fs::write(object.expect("an object").path(), "damaged").expect("writable");
     }
     let server = ServedProgram::start(&data, &[]);
-    let get = http().get(format!("{}/v1/sessions/{id}", server.url));
+    let get = server.get(&format!("/v1/sessions/{id}"));
     let damaged = detail(get).await;
     std::fs::remove_dir_all(data.join("unfinished")).expect("removed");
     std::fs::write(data.join("unfinished"), "no folder").expect("written");
-    let created = http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(9));
+    let created = server.post("/v1/sessions").body(bar_obj(9));
     vec![
         Said {
             by: "a session that is damaged",
@@ -209,7 +209,7 @@ async fn of_full_store() -> String {
     let arguments = ["--config", config.to_str().expect("UTF-8")];
     let server = ServedProgram::start(&folder.path().join("data"), &arguments);
     server.open(bar_obj(8), "").await;
-    detail(http().post(format!("{}/v1/sessions", server.url)).body(bar_obj(8))).await
+    detail(server.post("/v1/sessions").body(bar_obj(8))).await
 }
 
 /// What a stream says about a pose.
@@ -248,8 +248,8 @@ async fn of_streams(server: &Server, id: &str) -> Vec<Said> {
 
 /// Pages of elsewhere, and a server that is full.
 async fn of_origins_and_room(server: &Server) -> Vec<Said> {
-    let foreign = http()
-        .post(server.url("/v1/sessions"))
+    let foreign = server
+        .post("/v1/sessions")
         .header("origin", "https://example.org")
         .body(bar_obj(4));
     let foreign = Said {
@@ -258,20 +258,15 @@ async fn of_origins_and_room(server: &Server) -> Vec<Said> {
     };
     let misaddressed = Said {
         by: "a name that is not the server's",
-        text: detail(
-            http()
-                .get(server.url("/v1/limits"))
-                .header("host", "mesh.example.org:7411"),
-        )
-        .await,
+        text: detail(server.get("/v1/limits").header("host", "mesh.example.org:7411")).await,
     };
     server.open(bar_obj(4)).await;
     server.open(bar_obj(4)).await;
     let full = Said {
         by: "no room for another session",
-        text: detail(http().post(server.url("/v1/sessions")).body(bar_obj(4))).await,
+        text: detail(server.post("/v1/sessions").body(bar_obj(4))).await,
     };
-    let open = |server: &Server| http().post(server.url("/v1/sessions")).body(bar_obj(2000));
+    let open = |server: &Server| server.post("/v1/sessions").body(bar_obj(2000));
     let small = Server::with(|sessions, _| sessions.memory_bytes = 2 << 20).await;
     let alone = Said {
         by: "a model that needs more memory than there is",
@@ -281,7 +276,7 @@ async fn of_origins_and_room(server: &Server) -> Vec<Said> {
     let mut room = 14 << 20;
     let one = loop {
         let server = Server::with(|sessions, _| sessions.memory_bytes = room).await;
-        let answer = within("a session", open(&server).send()).await.expect("an answer");
+        let answer = open(&server).answer().await;
         if answer.status() == 201 {
             break server;
         }
@@ -319,16 +314,11 @@ async fn of_warnings() -> Vec<Said> {
     let parts = parts.map(|(name, file, text)| {
         format!("--edge\r\ncontent-disposition: form-data; name=\"{name}\"; filename=\"{file}\"\r\n\r\n{text}\r\n")
     });
-    let opened = http()
-        .post(server.url("/v1/sessions"))
+    let opened = server
+        .post("/v1/sessions")
         .header("content-type", "multipart/form-data; boundary=edge")
         .body(parts.concat() + "--edge--\r\n");
-    let opened: Value = within("opened", opened.send())
-        .await
-        .expect("an answer")
-        .json()
-        .await
-        .expect("JSON");
+    let opened = opened.told().await;
     let image = warning(&opened, "an OBJ without its picture", "image-missing");
     let heights = warning(&opened, "a picture of heights", "bump-map");
     let id = server.bar_session().await;
@@ -336,15 +326,8 @@ async fn of_warnings() -> Vec<Said> {
         {"id": "base", "region": {"halfSpace": {"normal": [0, 0, -1], "offset": -2}}},
         {"id": "top", "region": {"halfSpace": {"normal": [0, 0, 1], "offset": 1}}},
     ]});
-    let set = http()
-        .put(server.url(&format!("/v1/sessions/{id}/handles")))
-        .json(&over);
-    let set: Value = within("handles", set.send())
-        .await
-        .expect("an answer")
-        .json()
-        .await
-        .expect("JSON");
+    let set = server.put(&format!("/v1/sessions/{id}/handles")).json(&over);
+    let set = set.told().await;
     let overlap = warning(&set, "handles that overlap", "overlapping-handles");
     vec![without, library, image, heights, overlap]
 }
@@ -363,13 +346,13 @@ async fn of_strangers() -> Vec<Said> {
         entry("old", Some(std::time::SystemTime::UNIX_EPOCH)),
     ];
     let server = Server::with(|_, config| config.auth.tokens = tokens).await;
-    let limits = || http().get(server.url("/v1/limits"));
+    let limits = || server.get("/v1/limits");
     let calls = [
         ("no token", limits()),
         ("an unknown token", limits().bearer_auth("unknown")),
         ("an old token", limits().bearer_auth("old")),
         ("a password", limits().basic_auth("a", Some("b"))),
-        ("counts of all", http().get(server.url("/metrics")).bearer_auth("known")),
+        ("counts of all", server.get("/metrics").bearer_auth("known")),
     ];
     let mut said = Vec::new();
     for (by, call) in calls {
@@ -385,7 +368,7 @@ async fn of_leaving() -> Said {
     let id = server.bar_session().await;
     let client = http();
     // A connection that is open already is still answered.
-    let first = client.get(server.url("/healthz")).send().await.expect("an answer");
+    let first = client.get(server.url("/healthz")).answer().await;
     first.bytes().await.expect("a body");
     let mut socket = server
         .socket(&format!("/v1/sessions/{id}/stream"))

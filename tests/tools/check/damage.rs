@@ -2,6 +2,7 @@
 
 use super::folder::Suite;
 use super::proxy::Proxy;
+use crate::support::program::words;
 use crate::support::server::{Server, bar_obj};
 use glam::DVec3;
 use serde_json::Value;
@@ -231,9 +232,9 @@ async fn a_server_that_answers_wrongly_is_caught_though_its_digest_is_right() {
         folder.case("bar", "bar.obj");
         assert_eq!(folder.check(&["--bless"]).code, Some(0));
         urls.map(|url| {
-            let ran = folder.check(&[
-                "--json", "--junit", "r.xml", "--html", "r.html", "--force", "--server", &url,
-            ]);
+            let ran = folder.check(&words(&format!(
+                "--json --junit r.xml --html r.html --force --server {url}"
+            )));
             let xml = folder.read("r.xml");
             (ran, xml)
         })

@@ -42,11 +42,16 @@ impl Ran {
 
 /// Runs `pliant check` on a suite, in its folder, without the data of this machine.
 pub fn check(suite: &Path, arguments: &[&str]) -> Ran {
+    let folder = suite.parent().filter(|p| p.is_dir()).unwrap_or(Path::new("/"));
+    let suite = suite.to_str().expect("UTF-8");
+    run_in(folder, &[&["check", suite], arguments].concat())
+}
+
+/// Runs the program in a folder, without the data of this machine.
+pub fn run_in(folder: &Path, arguments: &[&str]) -> Ran {
     let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .arg("check")
-        .arg(suite)
         .args(arguments)
-        .current_dir(suite.parent().filter(|p| p.is_dir()).unwrap_or(Path::new("/")))
+        .current_dir(folder)
         .env_remove("PLIANT_DATA")
         .env_remove("PLIANT_TOKEN")
         .output()

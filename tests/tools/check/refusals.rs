@@ -26,61 +26,61 @@ fn a_malformed_suite_is_exit_2_with_what_where_and_what_is_allowed() {
         &|f| f.remove("bar.obj"),
         &["bar.case.json", "model", "there is no file"],
     );
-    refused(&|f| f.write("bar.case.json", "{"), &["bar.case.json"]);
-    refused(
-        &|f| f.write("bar.case.json", r#"{"model": "bar.obj"}"#),
-        &["missing field `job`"],
-    );
-    refused(
-        &|f| f.write("bar.case.json", r#"{"model": "bar.obj", "job": {}, "tolerence": []}"#),
-        &["tolerence", "tolerances"],
-    );
-    refused(
-        &|f| f.write("bar.case.json", r#"{"model": "bar.obj", "job": {"handels": []}}"#),
-        &["job.handels"],
-    );
-    refused(
-        &|f| f.write("bar.case.json", r#"{"model": "../bar.obj", "job": {}}"#),
-        &["model", "stays below its folder", "sample:creature"],
-    );
-    refused(
-        &|f| f.write("bar.case.json", r#"{"model": "bar.obj", "job": "job.json"}"#),
-        &["bar.case.json", "job.json"],
-    );
     let loose = |reason: &str| {
         format!(
             r#"{{"model": "bar.obj", "job": {{}}, "tolerances": [{{"metrics": ["hausdorff"], "most": 1e-3{reason}}}]}}"#
         )
     };
-    refused(
-        &|f| f.write("bar.case.json", &loose("")),
-        &["bar.case.json: tolerances[0].reason", "why"],
-    );
-    refused(
-        &|f| f.write("bar.case.json", &loose(", \"reason\": \"\"")),
-        &["tolerances[0].reason"],
-    );
-    refused(
-        &|f| f.write("lost.golden.json", "{}"),
-        &["lost.golden.json", "without a case"],
-    );
-    refused(&|f| f.write("a b.case.json", "{}"), &["a b", "letters, digits"]);
-    refused(
-        &|f| f.write("soft.CASE.JSON", "{}"),
-        &["soft.CASE.JSON", "ends with .case.json"],
-    );
-    refused(
-        &|f| f.write("bar.case.json", r#"{"model": "bar.obj", "job": {"#),
-        &["bar.case.json: job: EOF"],
-    );
-    refused(
-        &|f| f.write("bar.case.json", r#"["t", "bar.obj", {}, [], null, null]"#),
-        &["bar.case.json: invalid type", "a JSON object"],
-    );
-    refused(
-        &|f| f.write("bar.case.json", "\u{feff}{\"model\": \"bar.obj\", \"job\": {}}"),
-        &["bar.case.json: begins with a byte order mark"],
-    );
+    for (file, content, words) in [
+        ("bar.case.json", "{", &["bar.case.json"][..]),
+        ("bar.case.json", r#"{"model": "bar.obj"}"#, &["missing field `job`"]),
+        (
+            "bar.case.json",
+            r#"{"model": "bar.obj", "job": {}, "tolerence": []}"#,
+            &["tolerence", "tolerances"],
+        ),
+        (
+            "bar.case.json",
+            r#"{"model": "bar.obj", "job": {"handels": []}}"#,
+            &["job.handels"],
+        ),
+        (
+            "bar.case.json",
+            r#"{"model": "../bar.obj", "job": {}}"#,
+            &["model", "stays below its folder", "sample:creature"],
+        ),
+        (
+            "bar.case.json",
+            r#"{"model": "bar.obj", "job": "job.json"}"#,
+            &["bar.case.json", "job.json"],
+        ),
+        (
+            "bar.case.json",
+            &loose(""),
+            &["bar.case.json: tolerances[0].reason", "why"],
+        ),
+        ("bar.case.json", &loose(", \"reason\": \"\""), &["tolerances[0].reason"]),
+        ("lost.golden.json", "{}", &["lost.golden.json", "without a case"]),
+        ("a b.case.json", "{}", &["a b", "letters, digits"]),
+        ("soft.CASE.JSON", "{}", &["soft.CASE.JSON", "ends with .case.json"]),
+        (
+            "bar.case.json",
+            r#"{"model": "bar.obj", "job": {"#,
+            &["bar.case.json: job: EOF"],
+        ),
+        (
+            "bar.case.json",
+            r#"["t", "bar.obj", {}, [], null, null]"#,
+            &["bar.case.json: invalid type", "a JSON object"],
+        ),
+        (
+            "bar.case.json",
+            "\u{feff}{\"model\": \"bar.obj\", \"job\": {}}",
+            &["bar.case.json: begins with a byte order mark"],
+        ),
+    ] {
+        refused(&|f| f.write(file, content), words);
+    }
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! A suite in shards on several machines: together they are the whole, and joined they say what a run of the whole says.
 
-use super::folder::{Ran, Suite, check, sample_suite};
+use super::folder::{Ran, Suite, check, run_in, sample_suite};
+use crate::support::data::copied;
+use crate::support::program::words;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;
@@ -9,19 +11,7 @@ use std::process::Command;
 
 /// Runs `pliant check --merge` in a folder.
 fn merge(folder: &Path, arguments: &[&str]) -> Ran {
-    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(["check", "--merge"])
-        .args(arguments)
-        .current_dir(folder)
-        .env_remove("PLIANT_DATA")
-        .env_remove("PLIANT_TOKEN")
-        .output()
-        .expect("it runs");
-    Ran {
-        code: done.status.code(),
-        out: String::from_utf8(done.stdout).expect("text"),
-        err: String::from_utf8(done.stderr).expect("text"),
-    }
+    run_in(folder, &[&["check", "--merge"], arguments].concat())
 }
 
 fn names(report: &Value) -> Vec<String> {
@@ -30,18 +20,6 @@ fn names(report: &Value) -> Vec<String> {
         .iter()
         .map(|c| c["name"].as_str().expect("a name").to_owned())
         .collect()
-}
-
-fn copied(from: &Path, to: &Path) {
-    fs::create_dir_all(to).expect("a folder");
-    for entry in fs::read_dir(from).expect("a folder") {
-        let entry = entry.expect("an entry");
-        let goal = to.join(entry.file_name());
-        match entry.path().is_dir() {
-            true => copied(&entry.path(), &goal),
-            false => drop(fs::copy(entry.path(), goal).expect("copied")),
-        }
-    }
 }
 
 /// The sample suite with one golden that stores other positions.
@@ -69,15 +47,7 @@ fn run_shards(suite: &Suite, of: usize, more: &[&str]) -> Vec<Ran> {
 fn shards_are_the_suite_and_joined_they_say_what_one_run_says() {
     let suite = broken_sample();
     let beside = suite.path().join("..");
-    let whole = suite.check(&[
-        "--json",
-        "--report",
-        "whole.json",
-        "--junit",
-        "whole.xml",
-        "--html",
-        "whole.html",
-    ]);
+    let whole = suite.check(&words("--json --report whole.json --junit whole.xml --html whole.html"));
     assert_eq!(whole.code, Some(1), "{}", whole.err);
     assert_eq!(suite.read("whole.json"), whole.out);
     let cases = names(&whole.json());
@@ -107,14 +77,7 @@ fn shards_are_the_suite_and_joined_they_say_what_one_run_says() {
                 ),
             }
         }
-        let outputs = [
-            "--json",
-            "--junit",
-            "shards/m.xml",
-            "--html",
-            "shards/m.html",
-            "--force",
-        ];
+        let outputs = words("--json --junit shards/m.xml --html shards/m.html --force");
         let joined = merge(&beside, &[&["shards"], &outputs[..]].concat());
         assert_eq!(joined.code, Some(1), "{}", joined.err);
         assert_eq!(joined.out, whole.out);
