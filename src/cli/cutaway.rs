@@ -5,7 +5,7 @@ use super::failure::CliFailure;
 use super::input_files::read_file;
 use super::model_files::{in_file, read_model};
 use crate::asset::Model;
-use crate::batch::left_out_passengers;
+use crate::engine::left_out_passengers;
 use crate::engine::{Deformer, DeformerLimits, OpenOptions, RigNodes};
 use crate::exec::Exec;
 use crate::mesh::BoundingBox;
@@ -38,7 +38,7 @@ pub(super) fn draw_cutaway(
     let read = Model::read(read_model(model)?, None, &limits.model).map_err(|e| refuse(e.into()))?;
     // As in an animation of the model's own clip, what no skin places has no part in it.
     let options = OpenOptions {
-        passengers: left_out_passengers(&read).map_err(refuse)?,
+        passengers: left_out_passengers(&read).map_err(|e| refuse(e.into()))?,
         ..Default::default()
     };
     let exec = Exec::new(pool, &Silent);

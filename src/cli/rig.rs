@@ -8,7 +8,7 @@ use super::output_files::{OutputPermission, spare_companions};
 use super::stage_spinner::StageSpinner;
 use super::threads::ThreadArgs;
 use crate::asset::{Limits, Model};
-use crate::batch::{MadeRig, RigOrder, left_out_of_rig, left_out_primitives, make_rig};
+use crate::engine::{MadeRig, RigOrder, left_out_of_rig, left_out_primitives, make_rig};
 use crate::exec::Exec;
 use crate::motion::bvh::{ClipLimits, read_bvh};
 use crate::motion::humanoid::BODY_JOINTS;

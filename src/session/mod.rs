@@ -48,7 +48,6 @@ mod stream;
 mod task;
 
 pub use animation::ends::{AnimationControl, AnimationReader};
-pub use animation::prepared_animation::{AnimationLimits, PreparedAnimation};
 pub use answers::{
     AnimatedModel, AnimationAnswer, CallKey, CarriedAlong, CommitFacts, CommittedEdit, CommittedPose, ExportedModel,
     HistoryFacts, KeyedAnswer, PositionBuffer, SessionFacts, SessionList, StreamAnswer, Tenant,

@@ -3,12 +3,8 @@
 use super::frames_file::FramesFile;
 use super::taken_frames::{FrameTaker, PlayedAnimation, kept_frames, missing_ranges};
 use crate::asset::{NodePlace, UsdClip, VertexCache};
-use crate::batch::{
-    DrivenFrames, KeptFrames, PlayedModel, WrittenOff, node_place, write_corrected_frames, write_morph_frames,
-    write_rig_frames, write_skin_frames,
-};
 use crate::cli::failure::CliFailure;
-use crate::engine::{AnimatedFrame, Animation};
+use crate::engine::{AnimatedFrame, FrameSource, PlayedForm, WrittenError, node_place};
 use crate::exec::Exec;
 use crate::motion::rig::RigidMotion;
 use crate::wire::pb::animation_report::FrameReport;
@@ -25,14 +21,8 @@ pub(super) enum GatheredKind {
     Cache(VertexCache),
     /// USD text.
     Usd,
-    /// A GLB with so many morph targets at most.
-    Morphs(usize),
-    /// A GLB with a skin of so many bones.
-    Skin(usize),
-    /// A GLB with a skin of the rig's bones, and whether twists are spread along limbs.
-    Rig { has_twists: bool },
-    /// A GLB with a skin of the rig's bones and so many correctives at most.
-    Correctives(usize),
+    /// A GLB that plays the frames.
+    Glb(PlayedForm),
 }
 
 /// An output of one file.
@@ -63,7 +53,7 @@ impl<'a> GatheredFrames<'a> {
         // A link that leads nowhere is there too.
         let is_there = part.symlink_metadata().is_ok();
         let frames = if resumes && is_there {
-            FramesFile::open(&part, played.identity, vertices, played.range.clone())?
+            FramesFile::open(&part, played.identity, vertices, played.animation.range().clone())?
         } else {
             if is_there && !permission.force {
                 let problem =
@@ -71,7 +61,7 @@ impl<'a> GatheredFrames<'a> {
                 return Err(CliFailure::Input(format!("cannot write {}: {problem}", part.display())));
             }
             permission.make_folder_of(&part)?;
-            FramesFile::create(&part, played.identity, vertices, played.range.clone())?
+            FramesFile::create(&part, played.identity, vertices, played.animation.range().clone())?
         };
         Ok(Self {
             path: path.to_owned(),
@@ -85,7 +75,7 @@ impl<'a> GatheredFrames<'a> {
 
     fn write_cache(&mut self, cache: VertexCache) -> Result<(), CliFailure> {
         let played = &self.played;
-        let seconds: Vec<f64> = played.range.clone().map(|f| played.seconds(f)).collect();
+        let seconds: Vec<f64> = played.animation.range().clone().map(|f| played.seconds(f)).collect();
         let vertices = played.deformer.rest().len() as u32;
         let frames = &mut self.frames;
         played
@@ -99,49 +89,18 @@ impl<'a> GatheredFrames<'a> {
             })
     }
 
-    /// Writes a GLB that plays the frames; returns its errors, if measured.
-    fn write_glb(&mut self, animation: &Animation, exec: &Exec<'_>) -> Result<Option<WrittenOff>, CliFailure> {
+    /// Writes a GLB that plays the frames; returns its error, if measured.
+    fn write_glb(&mut self, form: PlayedForm, exec: &Exec<'_>) -> Result<Option<WrittenError>, CliFailure> {
         let played = &self.played;
-        let Range { start, end } = played.range;
-        let model = PlayedModel {
-            model: played.deformer.model(),
-            rest: played.deformer.rest(),
-            vertices: &played.played_vertices(),
-            own: played.own,
-            seconds: [start, end - 1].map(|frame| played.times.at(frame)),
-            diagonal: played.deformer.diagonal(),
-            clip: played.clip,
-            rate: played.times.rate,
-            has_root: self.has_root,
-        };
-        let driven = DrivenFrames {
-            animation,
-            first: start,
-        };
         let mut frames = FramesOfRange {
             file: &mut self.frames,
-            count: played.range.len(),
+            count: played.animation.range().len(),
         };
-        let (written, told) = match self.kind {
-            GatheredKind::Skin(bones) => {
-                let (written, told) = write_skin_frames(&model, &mut frames, bones, exec)?;
-                (written, Some(told))
-            }
-            GatheredKind::Rig { has_twists } => {
-                let found = write_rig_frames(&model, &mut frames, &driven, has_twists, exec)?;
-                (found.0, Some(found.1))
-            }
-            GatheredKind::Correctives(most) => {
-                let found = write_corrected_frames(&model, &mut frames, &driven, most, exec)?;
-                (found.0, Some(found.1))
-            }
-            GatheredKind::Morphs(most) => write_morph_frames(&model, &mut frames, most)?,
-            GatheredKind::Cache(_) | GatheredKind::Usd => return Ok(None),
-        };
+        let written = played.animation.write_clip(form, self.has_root, &mut frames, exec)?;
         played
             .permission
-            .write_model(&self.path, &written, played.model, played.files)?;
-        Ok(told)
+            .write_model(&self.path, &written.files, played.model, played.files)?;
+        Ok(written.error)
     }
 }
 
@@ -151,7 +110,7 @@ struct FramesOfRange<'a> {
     count: usize,
 }
 
-impl KeptFrames for FramesOfRange<'_> {
+impl FrameSource for FramesOfRange<'_> {
     type Failure = CliFailure;
 
     fn count(&self) -> usize {
@@ -171,13 +130,16 @@ impl GatheredFrames<'_> {
     fn write_usd(&mut self) -> Result<(), CliFailure> {
         let played = &self.played;
         let usd = played.deformer.model().for_usd().map_err(Error::from)?;
-        let count = played.range.len();
+        let count = played.animation.range().len();
         let roots = self.frames.frames.values();
         let places: Vec<NodePlace> = roots.map(|frame| node_place(&frame.root)).collect();
         let moves = self.has_root && places.iter().any(|place| *place != NodePlace::IDENTITY);
         let clip = UsdClip {
-            name: if played.clip.is_empty() { "clip" } else { played.clip },
-            rate: played.times.rate,
+            name: match played.animation.clip_name() {
+                "" => "clip",
+                name => name,
+            },
+            rate: played.animation.times().rate,
             frames: count,
             root: moves.then_some(&places),
         };
@@ -198,8 +160,8 @@ impl GatheredFrames<'_> {
 
 impl FrameTaker for GatheredFrames<'_> {
     fn missing(&self) -> Vec<Range<usize>> {
-        let start = self.played.range.start;
-        missing_ranges(self.played.range.clone(), |frame| {
+        let start = self.played.animation.range().start;
+        missing_ranges(self.played.animation.range().clone(), |frame| {
             self.frames.frames.contains_key(&(frame - start))
         })
     }
@@ -213,25 +175,21 @@ impl FrameTaker for GatheredFrames<'_> {
         if kept == 0 {
             self.frames.remove();
         }
-        kept_frames([kept, self.played.range.len()], &part)
+        kept_frames([kept, self.played.animation.range().len()], &part)
     }
 
-    fn finish(
-        &mut self,
-        report: &mut pb::AnimationReport,
-        animation: &Animation,
-        exec: &Exec<'_>,
-    ) -> Result<(), CliFailure> {
+    fn finish(&mut self, report: &mut pb::AnimationReport, exec: &Exec<'_>) -> Result<(), CliFailure> {
         match self.kind {
             GatheredKind::Cache(cache) => self.write_cache(cache)?,
             GatheredKind::Usd => self.write_usd()?,
-            GatheredKind::Morphs(_)
-            | GatheredKind::Skin(_)
-            | GatheredKind::Rig { .. }
-            | GatheredKind::Correctives(_) => {
-                if let Some((off, told)) = self.write_glb(animation, exec)? {
-                    report.warnings.push(told);
-                    report.written_error = Some(off);
+            GatheredKind::Glb(form) => {
+                if let Some(error) = self.write_glb(form, exec)? {
+                    report.warnings.push(error.message);
+                    report.written_error = Some(pb::animation_report::WrittenError {
+                        rms_percent: error.rms_percent,
+                        max_percent: error.max_percent,
+                        parts: u32::try_from(error.parts).unwrap_or(u32::MAX),
+                    });
                 }
             }
         }

@@ -1,9 +1,8 @@
 //! What linear blend skinning makes of the bones that move a frame, to be drawn beside it.
 
 use super::taken_frames::PlayedAnimation;
-use crate::batch::{bind_model, influences_of_skin};
 use crate::cli::failure::CliFailure;
-use crate::engine::AnimatedFrame;
+use crate::engine::{AnimatedFrame, bind_model, influences_of_skin};
 use crate::motion::BoneInfluences;
 use crate::motion::rig::{RigSkeleton, RigidMotion};
 use glam::DVec3;
@@ -27,7 +26,7 @@ impl LinearBlendSkin {
     /// The model's own where its own clip is played, else those of `pliant skin`.
     pub(super) fn of_played(played: &PlayedAnimation<'_>) -> Result<Self, CliFailure> {
         let (model, rig) = (played.deformer.model(), played.animation.moving_rig());
-        Ok(Self(match played.own {
+        Ok(Self(match played.animation.own_clip() {
             Some(_) => influences_of_skin(model, rig)?,
             None => bind_model(model, rig, INFLUENCES, &played.exec)?.influences,
         }))

@@ -2,7 +2,7 @@
 //!
 //! [`command`] reads arguments and runs; [`output`] names the outputs. [`numbered`] writes each frame as a model. For
 //! one file, [`gathered`] collects frames in a partial file ([`frames_file`]), so that a stopped animation can go on,
-//! and then writes a point cache or a GLB ([`crate::batch`] makes it). [`pictures`] draws frames ([`picture_args`]),
+//! and then writes a point cache or a GLB ([`crate::engine::Animation::write_clip`] makes it). [`pictures`] draws frames ([`picture_args`]),
 //! with another method's shapes beside them ([`linear_blend`]).
 
 mod command;
@@ -14,6 +14,7 @@ mod numbered;
 mod output;
 mod picture_args;
 mod pictures;
+mod play;
 mod taken_frames;
 
 pub(super) use command::{AnimateArgs, run_animate};

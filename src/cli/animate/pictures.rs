@@ -4,7 +4,7 @@ use super::linear_blend::{LinearBlendSkin, bone_motions};
 use super::picture_args::{CloseUp, FrameColour, FramePicture, MOST_TILES};
 use super::taken_frames::{FrameTaker, PlayedAnimation};
 use crate::cli::failure::CliFailure;
-use crate::engine::{AnimatedFrame, Animation};
+use crate::engine::AnimatedFrame;
 use crate::exec::Exec;
 use crate::motion::rig::{MotionRig, RigidMotion};
 use crate::render::{
@@ -45,8 +45,11 @@ pub(super) struct PicturedFrames<'a> {
 impl<'a> PicturedFrames<'a> {
     /// Checks that not too many frames are asked for, and that there is what is to be seen.
     pub(super) fn begin(picture: FramePicture, played: PlayedAnimation<'a>) -> Result<Self, CliFailure> {
-        if picture.moves && played.range.len() > MOST_MOVING {
-            let problem = format!("a .apng shows at most {MOST_MOVING} frames, not {}", played.range.len());
+        if picture.moves && played.animation.range().len() > MOST_MOVING {
+            let problem = format!(
+                "a .apng shows at most {MOST_MOVING} frames, not {}",
+                played.animation.range().len()
+            );
             return Err(CliFailure::Input(problem));
         }
         let rig = played.animation.moving_rig();
@@ -81,7 +84,7 @@ impl<'a> PicturedFrames<'a> {
 
     /// Whether a frame is one of those shown: evenly over the range, the first and the last among them.
     fn is_shown(&self, frame: usize) -> bool {
-        let Range { start, end } = self.played.range;
+        let Range { start, end } = self.played.animation.range().clone();
         let last = end - start - 1;
         let tiles = self.picture.tiles - usize::from(self.picture.has_rest);
         let tiles = tiles.min(last + 1);
@@ -212,7 +215,7 @@ fn columns_for(tiles: usize, aspect: f64) -> usize {
 
 impl FrameTaker for PicturedFrames<'_> {
     fn missing(&self) -> Vec<Range<usize>> {
-        vec![self.played.range.clone()]
+        vec![self.played.animation.range().clone()]
     }
 
     fn take(&mut self, frame: &AnimatedFrame, _: &pb::animation_report::FrameReport) -> Result<(), CliFailure> {
@@ -227,15 +230,14 @@ impl FrameTaker for PicturedFrames<'_> {
         "stopped before the last frame; a picture is written when all are there, and nothing is kept".into()
     }
 
-    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Animation, _: &Exec<'_>) -> Result<(), CliFailure> {
+    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Exec<'_>) -> Result<(), CliFailure> {
         self.shapes.sort_by_key(|shown| shown.frame);
-        let PlayedAnimation { permission, times, .. } = &self.played;
         let pictures = self.draw_shapes()?;
         let bytes = match self.picture.moves {
-            true => encode_moving_png(&pictures, times.rate)?,
+            true => encode_moving_png(&pictures, self.played.animation.times().rate)?,
             false => self.join_sheet(&pictures)?.encode_png()?,
         };
-        permission.write_file(&self.picture.path, &bytes)?;
+        self.played.permission.write_file(&self.picture.path, &bytes)?;
         report.output = vec![self.picture.path.display().to_string()];
         Ok(())
     }

@@ -3,7 +3,7 @@
 use crate::asset::{FileSet, Primitive};
 use crate::cli::failure::CliFailure;
 use crate::cli::output_files::OutputPermission;
-use crate::engine::{AnimatedFrame, Animation, Deformer, FrameTimes};
+use crate::engine::{AnimatedFrame, Animation, Deformer};
 use crate::exec::Exec;
 use crate::wire::pb;
 use std::ops::Range;
@@ -16,12 +16,6 @@ pub(super) struct PlayedAnimation<'a> {
     /// The model's path and files, as they were read.
     pub(super) model: &'a Path,
     pub(super) files: &'a FileSet,
-    /// The clip's name.
-    pub(super) clip: &'a str,
-    /// Its number in the model, where the clip is of the model's own skin.
-    pub(super) own: Option<usize>,
-    pub(super) times: FrameTimes,
-    pub(super) range: Range<usize>,
     /// What identifies it: lines of a name and a value.
     pub(super) identity: &'a str,
     pub(super) permission: OutputPermission,
@@ -31,15 +25,7 @@ pub(super) struct PlayedAnimation<'a> {
 impl PlayedAnimation<'_> {
     /// When a frame is, in seconds from the first.
     pub(super) fn seconds(&self, frame: usize) -> f64 {
-        (frame - self.range.start) as f64 / self.times.rate
-    }
-
-    /// The vertices that are played; the others go on as the model's own clip moves them.
-    pub(super) fn played_vertices(&self) -> Vec<usize> {
-        match self.own {
-            Some(_) => self.solved_vertices(),
-            None => (0..self.deformer.rest().len()).collect(),
-        }
+        (frame - self.animation.range().start) as f64 / self.animation.times().rate
     }
 
     /// The vertices of what is solved; the others have no skin, or are coarser levels of detail.
@@ -61,12 +47,7 @@ pub(super) trait FrameTaker {
     fn stop(&mut self) -> String;
 
     /// Ends the output after the last frame, and reports it.
-    fn finish(
-        &mut self,
-        report: &mut pb::AnimationReport,
-        animation: &Animation,
-        exec: &Exec<'_>,
-    ) -> Result<(), CliFailure>;
+    fn finish(&mut self, report: &mut pb::AnimationReport, exec: &Exec<'_>) -> Result<(), CliFailure>;
 }
 
 /// Takes frames that are only measured.
@@ -85,7 +66,7 @@ impl FrameTaker for MeasuredFrames {
         "stopped before the last frame; without --output nothing is kept".into()
     }
 
-    fn finish(&mut self, _: &mut pb::AnimationReport, _: &Animation, _: &Exec<'_>) -> Result<(), CliFailure> {
+    fn finish(&mut self, _: &mut pb::AnimationReport, _: &Exec<'_>) -> Result<(), CliFailure> {
         Ok(())
     }
 }

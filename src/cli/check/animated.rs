@@ -2,12 +2,12 @@
 
 use crate::asset::{FileSet, Format, Model};
 use crate::check::{AnimationCase, CaseResult};
-use crate::engine::{Deformer, DeformerLimits, digest};
+use crate::engine::{Animation, Deformer, DeformerLimits, digest};
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::progress::Silent;
-use crate::session::{AnimationLimits, PreparedAnimation, SessionConfig};
-use crate::wire::{self, OrderedRoot, animate_order, quality_message};
+use crate::session::SessionConfig;
+use crate::wire::{self, RootMotion, animate_order, quality_message};
 
 /// Runs an animation of a model. The shape before is the caller's to add.
 ///
@@ -24,14 +24,9 @@ fn play_frames(files: FileSet, animation: &AnimationCase, pool: &Pool) -> Result
     let order = animate_order(&animation.options, usual.window, usual.clip_bytes)?;
     let model = Model::read(files, Format::from_name(&animation.create.format), &limits.model)?;
     let deformer = Deformer::of_model(model, &wire::open_options(&animation.create)?, &limits, &exec)?;
-    let limits = AnimationLimits {
-        clip_bytes: usual.clip_bytes,
-        clip_joints: usual.clip_joints,
-        frames: usual.animation_frames,
-        vertices: usual.animation_vertices,
-    };
-    let PreparedAnimation { animation, range, .. } = PreparedAnimation::of_model(&deformer, &order, &limits, &exec)?;
-    let mut cursor = animation.cursor(range);
+    let prepared = Animation::prepare(&deformer, &order.request, &usual.animation_limits(), &exec);
+    let animation = prepared.map_err(|e| wire::of_rig(e.into()))?;
+    let mut cursor = animation.cursor(animation.range().clone());
     let mut found = CaseResult::default();
     while cursor.next_index().is_some() {
         let Some(mut frame) = animation.solve_next(&mut cursor, &exec)? else {
@@ -40,7 +35,7 @@ fn play_frames(files: FileSet, animation: &AnimationCase, pool: &Pool) -> Result
         found.digest = digest(&frame.positions);
         found.frames.push(found.digest.clone());
         found.take_quality(&quality_message(&animation.quality(&frame.positions, pool)));
-        if order.root == OrderedRoot::Baked {
+        if order.root == RootMotion::Baked {
             frame.bake_root();
         }
         found.positions = frame.positions;

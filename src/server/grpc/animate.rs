@@ -4,11 +4,12 @@
 //! passed) stops the animation.
 
 use super::status::{inbound_message, status};
+use crate::engine::ClipSource;
 use crate::server::animation_frames::AnimationFrames;
 use crate::server::state::State;
 use crate::session::{AnimationControl, Error, ErrorCode, Manager, Tenant};
 use crate::wire::pb::{self, animate_request::Message};
-use crate::wire::{AnimateOrder, OrderedClip, animate_order};
+use crate::wire::{AnimateOrder, animate_order};
 use bytes::Bytes;
 use futures::Stream;
 use tokio::sync::oneshot;
@@ -124,10 +125,10 @@ async fn next_message(
 /// Receives the clip whose size the options have announced.
 async fn with_announced_clip(
     (state, tenant): (&State, &Tenant),
-    order: AnimateOrder,
+    mut order: AnimateOrder,
     inbound: &mut Streaming<pb::AnimateRequest>,
 ) -> Result<AnimateOrder, Status> {
-    let OrderedClip::Announced(size) = order.clip else {
+    let Some(size) = order.bvh_size.take() else {
         return Ok(order);
     };
     let refuse = |problem: String| status(Error::invalid("chunk", problem));
@@ -148,10 +149,10 @@ async fn with_announced_clip(
         let seen = clip.len();
         return Err(refuse(format!("{seen} bytes have come, bvhSize says {size}")));
     }
-    Ok(AnimateOrder {
-        clip: OrderedClip::Recorded(Bytes::from(clip)),
-        ..order
-    })
+    if let ClipSource::Bvh { bytes, .. } = &mut order.request.clip {
+        *bytes = Bytes::from(clip);
+    }
+    Ok(order)
 }
 
 async fn pump_acknowledgements(

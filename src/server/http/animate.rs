@@ -10,7 +10,7 @@ use crate::server::animation_frames::AnimationFrames;
 use crate::server::state::State;
 use crate::session::{AnimatedModel, Error};
 use crate::wire::pb::{self, animate_options::Source};
-use crate::wire::{self, AnimateOrder, OrderedClip, animate_options_from_json, animate_order};
+use crate::wire::{self, AnimateOrder, animate_options_from_json, animate_order};
 use axum::body::Body;
 use axum::extract::{Request, State as From};
 use axum::response::Response;
@@ -90,7 +90,7 @@ async fn received_order(state: &State, request: Request, id: &str) -> Result<Ani
     body::same_session(&options.session_id, id)?;
     let config = state.manager.config();
     let order = animate_order(&options, config.window, config.clip_bytes)?;
-    if matches!(order.clip, OrderedClip::Announced(_)) {
+    if order.bvh_size.is_some() {
         let problem = "is for gRPC; send the BVH file as the part clip of a form";
         return Err(Error::invalid("bvhSize", problem).into());
     }

@@ -7,8 +7,7 @@ use crate::motion::rig::RigidMotion;
 use crate::pool::Pool;
 use crate::progress::Progress as _;
 use crate::session::animation::frame_outbox::FrameOutbox;
-use crate::session::animation::prepared_animation::{PreparedAnimation, ReadyAnimation};
-use crate::session::animation::running_animation::RunningAnimation;
+use crate::session::animation::running_animation::{PreparedAnimation, RunningAnimation};
 use crate::session::calls::command::SessionCommand;
 use crate::session::calls::manager::Manager;
 use crate::session::capacity::memory_ledger::MemoryReservation;
@@ -19,7 +18,7 @@ use crate::session::error::{Error, ErrorCode};
 use crate::session::registry::OpenSession;
 use crate::session::stream::outbound_frame::OutboundFrame;
 use crate::wire::frames::{AnimatedHeader, FrameHeader, FrameOutput};
-use crate::wire::{AnimateOrder, AnimationSummary, OrderedRoot};
+use crate::wire::{AnimateOrder, AnimationSummary, RootMotion};
 use std::sync::Arc;
 use std::time::Instant;
 use tracing::Span;
@@ -36,8 +35,7 @@ pub(in crate::session) struct AnimationTask {
 /// What solving a frame needs, wherever it runs.
 struct FrameSolver {
     prepared: Arc<PreparedAnimation>,
-    revision: u64,
-    root: OrderedRoot,
+    root: RootMotion,
     output: FrameOutput,
 }
 
@@ -72,31 +70,21 @@ impl AnimationTask {
         let (root, output) = (order.root, order.output);
         let outbox = Arc::clone(&self.outbox);
         let command = |call| SessionCommand::Animate(Box::new(order), outbox, call);
-        let ready = tokio::select! {
-            ready = self.manager.call(&self.session, None, command) => ready?,
+        let mut prepared = tokio::select! {
+            prepared = self.manager.call(&self.session, None, command) => prepared?,
             () = self.outbox.wait_for_end() => return Ok(None),
         };
-        let ReadyAnimation {
-            prepared,
-            revision,
-            build_ms,
-        } = ready;
         let memory = self.reserve_memory(&prepared)?;
         let summary = AnimationSummary {
             handles: prepared.animation.handle_facts().to_vec(),
-            warnings: prepared.warnings.clone(),
+            warnings: prepared.animation.warnings(),
             scale: prepared.animation.driver().scale(),
-            build_ms,
+            build_ms: std::mem::take(&mut prepared.build_ms),
             ..Default::default()
         };
         let prepared = Arc::new(prepared);
         self.outbox.tell_prepared(Arc::clone(&prepared));
-        let solver = FrameSolver {
-            prepared,
-            revision,
-            root,
-            output,
-        };
+        let solver = FrameSolver { prepared, root, output };
         self.solve_frames(Arc::new(solver), memory, summary).await
     }
 
@@ -121,7 +109,7 @@ impl AnimationTask {
     ) -> Result<Option<AnimationSummary>, Error> {
         let shared = &self.manager.shared;
         let prepared = &solver.prepared;
-        let mut cursor = prepared.animation.cursor(prepared.range.clone());
+        let mut cursor = prepared.animation.cursor(prepared.animation.range().clone());
         let owner = self.session.work_owner();
         let begun = Instant::now();
         while cursor.next_index().is_some() {
@@ -208,9 +196,9 @@ impl FrameSolver {
         sums.add(&quality);
         let digest = digest(&frame.positions);
         match self.root {
-            OrderedRoot::Apart => {}
-            OrderedRoot::Baked => frame.bake_root(),
-            OrderedRoot::Dropped => frame.root = RigidMotion::IDENTITY,
+            RootMotion::Apart => {}
+            RootMotion::Baked => frame.bake_root(),
+            RootMotion::Dropped => frame.root = RigidMotion::IDENTITY,
         }
         let animated = AnimatedHeader {
             index: frame.index,
@@ -222,7 +210,7 @@ impl FrameSolver {
         };
         let header = FrameHeader {
             seq: frame.index as u64 + 1,
-            revision: self.revision,
+            revision: self.prepared.revision,
             is_final: true,
             residual: frame.residual,
             max_error: frame.max_error,

@@ -1,7 +1,7 @@
 //! The client's two ends of an animation.
 
 use crate::session::animation::frame_outbox::{FrameOutbox, OutboxItem};
-use crate::session::animation::prepared_animation::PreparedAnimation;
+use crate::session::animation::running_animation::PreparedAnimation;
 use crate::session::answers::AnimationAnswer;
 use crate::session::capacity::call_gate::CallGuard;
 use crate::session::capacity::memory_ledger::MemoryReservation;

@@ -4,7 +4,7 @@
 //! lock guards the state; it is never held while anything waits or computes.
 
 use crate::progress::{CancelFlag, Progress};
-use crate::session::animation::prepared_animation::PreparedAnimation;
+use crate::session::animation::running_animation::PreparedAnimation;
 use crate::session::error::Error;
 use crate::session::stream::outbound_frame::OutboundFrame;
 use crate::wire::AnimationSummary;

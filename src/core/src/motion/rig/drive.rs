@@ -1,7 +1,7 @@
 //! A clip's motion as that of a model's bones.
 
 use super::align::{BonePair, Heading, heading, scale};
-use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names, whole};
+use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names};
 use super::rigid::RigidMotion;
 use crate::mesh::rotation::fit_rotation;
 use crate::motion::clip::MotionClip;
@@ -341,7 +341,7 @@ pub(super) fn time_of_frame(clip: &MotionClip, frame: usize) -> Result<f64, RigE
     let count = clip.recorded.map_or(1, |r| r.count);
     if frame >= count {
         let problem = format!("is {frame}, the clip has {count} frames, counted from 0");
-        return Err(whole("referenceFrame", problem));
+        return Err(RigError::field("referenceFrame", problem));
     }
     Ok(clip.recorded.map_or(0.0, |r| r.interval * frame as f64))
 }
@@ -354,7 +354,7 @@ fn joint_named(clip: &MotionClip, name: &str, bone: &RigBone, field: &'static st
             "\"{name}\" of bone \"{}\" is not a joint of the clip; it has {names}",
             bone.id
         );
-        whole(field, problem)
+        RigError::field(field, problem)
     })
 }
 

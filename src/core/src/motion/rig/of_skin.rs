@@ -1,6 +1,6 @@
 //! The rig of a skinned model: its joints are the rig's, and their vertices give the thickness of limbs.
 
-use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, whole};
+use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
 use crate::asset::MovingScene;
 use crate::mesh::query::closest_point::closest_point_on_segment;
 use crate::motion::clip::MotionClip;
@@ -39,7 +39,7 @@ pub fn rig_of_skin(
         .filter(|&j| matters[j] && scene.is_joint[order.nodes[j]])
         .collect();
     if chosen.is_empty() {
-        return Err(whole("rig", "the model has no skin; give a rig".into()));
+        return Err(RigError::field("rig", "the model has no skin; give a rig"));
     }
     let mut number = vec![None; joints.len()];
     chosen
