@@ -320,7 +320,7 @@ mod tests {
             version: 7,
             ..Default::default()
         };
-        for (wrong, told) in [
+        for (wrong, reported) in [
             (pb::AnimateOptions { fps: -1.0, ..options() }, "fps: is -1, "),
             (
                 pb::AnimateOptions {
@@ -413,7 +413,7 @@ mod tests {
             ),
         ] {
             let seen = refused(wrong);
-            assert!(seen.starts_with(told), "{seen:?} is not {told:?}");
+            assert!(seen.starts_with(reported), "{seen:?} is not {reported:?}");
         }
     }
 

@@ -1,18 +1,18 @@
 //! `pliant animate`: a clip drives a model, frame by frame.
 
-use super::frames_bar::FramesBar;
 use super::output::{AnimationOutputArgs, RootRule};
+use super::play::FramesBar;
+use super::play::PlayedAnimation;
 use super::play::{frame_totals, play};
-use super::taken_frames::PlayedAnimation;
 use crate::asset::{FileSet, Model};
 use crate::cli::deform::describe_change;
 use crate::cli::failure::CliFailure;
 use crate::cli::input_files::read_file;
-use crate::cli::json_output::print_json;
-use crate::cli::model_files::{in_file, read_model};
-use crate::cli::stage_spinner::StageSpinner;
-use crate::cli::stop_signals::raised_on_stop;
-use crate::cli::threads::ThreadArgs;
+use crate::cli::input_files::{in_file, read_model};
+use crate::cli::terminal::StageSpinner;
+use crate::cli::terminal::ThreadArgs;
+use crate::cli::terminal::print_json;
+use crate::cli::terminal::raised_on_stop;
 use crate::deform::EdgeWeights;
 use crate::engine::{
     self, AnimatedFrame, Animation, AnimationLimits, AnimationRefinement, AnimationSettings, ClipRequest, ClipSource,

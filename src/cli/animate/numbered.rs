@@ -3,7 +3,7 @@
 //! While frames are missing, a file beside them says what they are of. Models are written beside their places and renamed, so
 //! those that are there are whole.
 
-use super::taken_frames::{FrameTaker, PlayedAnimation, kept_frames, missing_ranges};
+use super::play::{FrameTaker, PlayedAnimation, kept_frames, missing_ranges};
 use crate::asset::Format;
 use crate::cli::failure::CliFailure;
 use crate::cli::input_files::read_file;

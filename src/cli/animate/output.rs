@@ -2,9 +2,9 @@
 
 use super::gathered::{GatheredFrames, GatheredKind};
 use super::numbered::NumberedFrames;
-use super::picture_args::{FramePicture, FramePictureArgs};
 use super::pictures::PicturedFrames;
-use super::taken_frames::{FrameTaker, MeasuredFrames, PlayedAnimation};
+use super::pictures::{FramePicture, FramePictureArgs};
+use super::play::{FrameTaker, MeasuredFrames, PlayedAnimation};
 use crate::asset::{FileSet, Format, VertexCache};
 use crate::cli::failure::CliFailure;
 use crate::cli::output_files::{OutputPermission, spare_companions};

@@ -3,7 +3,7 @@
 use crate::engine::{self, FrameSource, PlayedForm};
 use crate::exec::Exec;
 use crate::motion::rig::RigidMotion;
-use crate::session::animation::ends::AnimationReader;
+use crate::session::animation::frame_outbox::AnimationReader;
 use crate::session::animation::running_animation::PreparedAnimation;
 use crate::session::answers::{AnimatedModel, AnimationAnswer};
 use crate::session::capacity::memory_ledger::MemoryReservation;
