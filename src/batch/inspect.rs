@@ -1,11 +1,11 @@
-//! Reports what a model is and what the solver would use of it, without solving.
+//! Reports what a model is, what its file holds beside its mesh, and what the solver would use of it, without solving.
 
-use super::contents::{ModelContents, contents_of};
-use crate::asset::{FileSet, ModelNode};
+use crate::asset::{FileSet, Format, Model, ModelNode};
 use crate::engine::{Deformer, DeformerLimits};
 use crate::exec::Exec;
 use crate::mesh::MeshReport;
 use crate::wire::{Error, open_options, pb, session_message};
+use serde::{Deserialize, Serialize};
 
 /// How many nodes an inspection lists.
 pub const MOST_NODES_TOLD: usize = 1000;
@@ -71,4 +71,106 @@ pub fn inspect_contents(
         nodes: (0..).zip(&nodes).take(MOST_NODES_TOLD).map(node_message).collect(),
     };
     Ok((inspection, contents_of(bench.model())))
+}
+
+/// A clip of a model.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ClipContents {
+    /// What it is called; may be empty.
+    pub name: String,
+    /// When its last key is; `None` for a clip that cannot be read.
+    pub seconds: Option<f64>,
+}
+
+/// A skin of a model.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct SkinContents {
+    /// What it is called; may be empty.
+    pub name: String,
+    /// How many joints it has.
+    pub joints: usize,
+}
+
+/// What a model holds beside its mesh, in the order of its file.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct ModelContents {
+    /// Its clips.
+    pub clips: Vec<ClipContents>,
+    /// Its skins.
+    pub skins: Vec<SkinContents>,
+    /// What its materials are called.
+    pub materials: Vec<String>,
+    /// What its pictures are called: by their names, else by their files, else by their media types.
+    pub images: Vec<String>,
+}
+
+/// The lists of a glTF document that are reported.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct GltfLists {
+    skins: Vec<Item>,
+    materials: Vec<Item>,
+    images: Vec<Item>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct Item {
+    name: String,
+    uri: String,
+    #[serde(rename = "mimeType")]
+    media_type: String,
+    joints: Vec<serde::de::IgnoredAny>,
+}
+
+impl Item {
+    /// What a picture is called.
+    fn picture_name(self) -> String {
+        let is_file = !self.uri.is_empty() && !self.uri.starts_with("data:");
+        match (self.name.is_empty(), is_file) {
+            (false, _) => self.name,
+            (true, true) => self.uri,
+            (true, false) => self.media_type,
+        }
+    }
+}
+
+/// What a model holds beside its mesh; `None` for formats that hold no such things, or name them in other files.
+pub fn contents_of(model: &Model) -> Option<ModelContents> {
+    let scene = model.moving_scene().ok()??;
+    // An FBX is read as the GLB that it would be written as.
+    let written = match [Format::GLB, Format::GLTF].contains(&model.format) {
+        true => None,
+        false => Some(model.write(&model.positions, Format::GLB).ok()?.main),
+    };
+    let main = written.as_deref().unwrap_or(&model.files.main[..]);
+    let document: GltfLists = serde_json::from_slice(document_text(main)).unwrap_or_default();
+    let clips = scene.clip_names.into_iter().enumerate().map(|(index, name)| {
+        let clip = model.scene_clip(index).ok().flatten();
+        let seconds = clip.map(|clip| {
+            let ends = clip.channels.iter().filter_map(|channel| channel.times.last());
+            ends.fold(0.0, |longest: f64, end| longest.max(*end))
+        });
+        ClipContents { name, seconds }
+    });
+    let skins = document.skins.into_iter().map(|skin| SkinContents {
+        joints: skin.joints.len(),
+        name: skin.name,
+    });
+    Some(ModelContents {
+        clips: clips.collect(),
+        skins: skins.collect(),
+        materials: document.materials.into_iter().map(|m| m.name).collect(),
+        images: document.images.into_iter().map(Item::picture_name).collect(),
+    })
+}
+
+/// The JSON of a GLB, or of a glTF, which is all JSON.
+fn document_text(main: &[u8]) -> &[u8] {
+    if !main.starts_with(b"glTF") {
+        return main;
+    }
+    let length = main.get(12..16).and_then(|bytes| bytes.try_into().ok());
+    let length = u32::from_le_bytes(length.unwrap_or_default()) as usize;
+    main.get(20..).map_or(&[], |rest| rest.get(..length).unwrap_or(rest))
 }

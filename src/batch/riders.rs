@@ -121,7 +121,7 @@ impl Riders {
     /// # Errors
     /// [`Error::Invalid`] with the passenger that cannot be written.
     pub fn write_files(self, nodes: &[CarriedNode]) -> Result<(Vec<pb::report::Passenger>, Vec<CarriedFile>), Error> {
-        let (mut told, mut files) = (Vec::new(), Vec::new());
+        let (mut reported, mut files) = (Vec::new(), Vec::new());
         for Rider { name, kind } in self.0 {
             let mut message = pb::report::Passenger {
                 name,
@@ -150,9 +150,9 @@ impl Riders {
                     files.push(CarriedFile { path, written });
                 }
             }
-            told.push(message);
+            reported.push(message);
         }
-        Ok((told, files))
+        Ok((reported, files))
     }
 }
 

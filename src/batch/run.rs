@@ -433,11 +433,11 @@ mod tests {
     fn a_bound_that_can_never_fail_or_hold_is_refused() {
         for name in ["maxDistance", "meanDistance", "normalDegrees", "volumeChange"] {
             for bound in ["\"NaN\"", "\"Infinity\"", "\"-Infinity\"", "-1", "-1e-300"] {
-                let told = expect(&format!("{{\"{name}\": {bound}}}")).check("expect");
-                let told = told.expect_err(bound).to_string();
+                let reported = expect(&format!("{{\"{name}\": {bound}}}")).check("expect");
+                let reported = reported.expect_err(bound).to_string();
                 assert!(
-                    told.starts_with(&format!("expect.{name}: is ")) && told.contains("at least 0"),
-                    "{told}"
+                    reported.starts_with(&format!("expect.{name}: is ")) && reported.contains("at least 0"),
+                    "{reported}"
                 );
             }
             for bound in ["0", "1e-3", "1e300"] {

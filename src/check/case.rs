@@ -1,7 +1,7 @@
 //! One case of a suite: a model, a job, and how far the result may be from its golden.
 
+use super::metric::{ToleranceEntry, Tolerances};
 use super::suite_json::{self, JsonObject, SuiteError};
-use super::tolerances::{ToleranceEntry, Tolerances};
 use crate::render::{UpAxis, ViewDirection};
 use crate::wire::{self, pb};
 use prost::Message as _;
@@ -328,10 +328,12 @@ mod tests {
     #[test]
     fn what_is_wrong_is_told_with_file_and_place() {
         let job = r#""job": {}"#;
-        let told = refused(&format!(r#"{{"model": "a.obj", {job}, "tolerance": 1}}"#));
+        let reported = refused(&format!(r#"{{"model": "a.obj", {job}, "tolerance": 1}}"#));
         assert!(
-            told.starts_with("bend.case.json: ") && told.contains("tolerance") && told.contains("tolerances"),
-            "{told}"
+            reported.starts_with("bend.case.json: ")
+                && reported.contains("tolerance")
+                && reported.contains("tolerances"),
+            "{reported}"
         );
         assert!(refused(&format!(r#"{{{job}}}"#)).contains("missing field `model`"));
         assert!(refused(r#"{"model": "a.obj", "job": {"handels": []}}"#).contains("job.handels"));
@@ -346,8 +348,11 @@ mod tests {
             "http://x/y",
             "a\\\\b",
         ] {
-            let told = refused(&format!(r#"{{"model": "{model}", {job}}}"#));
-            assert!(told.contains("model: ") && told.contains("PLIANT_DATA"), "{told}");
+            let reported = refused(&format!(r#"{{"model": "{model}", {job}}}"#));
+            assert!(
+                reported.contains("model: ") && reported.contains("PLIANT_DATA"),
+                "{reported}"
+            );
         }
         assert!(refused(&format!(r#"{{"model": "a.obj", {job}, "up": "x"}}"#)).contains("allowed are y and z"));
         let steep = r#""view": {"azimuth": 0, "elevation": 100}"#;
@@ -355,8 +360,11 @@ mod tests {
         let loose = r#""tolerances": [{"metrics": ["bytes"], "most": 1}]"#;
         assert!(refused(&format!(r#"{{"model": "a.obj", {job}, {loose}}}"#)).contains("tolerances[0].reason"));
         for bound in [r#""maxDistance": "NaN""#, r#""volumeChange": -1"#] {
-            let told = refused(&format!(r#"{{"model": "a.obj", "job": {{"expect": {{{bound}}}}}}}"#));
-            assert!(told.contains("job.expect.") && told.contains("at least 0"), "{told}");
+            let reported = refused(&format!(r#"{{"model": "a.obj", "job": {{"expect": {{{bound}}}}}}}"#));
+            assert!(
+                reported.contains("job.expect.") && reported.contains("at least 0"),
+                "{reported}"
+            );
         }
         assert!(
             SuiteCase::from_file("a b.case.json", b"{}")
@@ -378,14 +386,14 @@ mod tests {
         assert_eq!(other.input_hash(), animation.input_hash());
         other.options.first = 1;
         assert_ne!(other.input_hash(), animation.input_hash());
-        for (animate, told) in [
+        for (animate, reported) in [
             (r#"{"options": {"speed": 1}}"#, "animate.options.speed"),
             (r#"{"create": {"labl": 1}}"#, "animate.create.labl"),
             (r#"{"bvh": "../clip.bvh"}"#, "animate.bvh"),
             (r#"{"clip": "walk"}"#, "animate"),
         ] {
             let said = refused(&format!(r#"{{"model": "a.glb", "animate": {animate}}}"#));
-            assert!(said.contains(told), "{said} lacks {told}");
+            assert!(said.contains(reported), "{said} lacks {reported}");
         }
         assert!(refused(r#"{"model": "a.obj"}"#).contains("either job or animate"));
         assert!(refused(r#"{"model": "a.obj", "job": {}, "animate": {}}"#).contains("either job or animate"));
@@ -402,12 +410,12 @@ mod tests {
             ),
             (r#"{"model": "a.obj", "job": {}, "view": [0, 10]}"#, "view: "),
         ] {
-            let told = refused(text);
+            let reported = refused(text);
             let start = format!("bend.case.json: {place}invalid type: sequence, expected a JSON object");
-            assert!(told.starts_with(&start), "{told}");
+            assert!(reported.starts_with(&start), "{reported}");
         }
-        let told = refused(r#"{"model": "a.obj", "job": {"handles": ["#);
-        assert!(told.starts_with("bend.case.json: job: EOF"), "{told}");
+        let reported = refused(r#"{"model": "a.obj", "job": {"handles": ["#);
+        assert!(reported.starts_with("bend.case.json: job: EOF"), "{reported}");
     }
 
     #[test]

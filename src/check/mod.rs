@@ -25,32 +25,27 @@
 //! ```
 
 mod case;
-mod case_cost;
 mod case_pictures;
 mod case_result;
 mod comparison;
-mod distance;
 mod golden;
 mod metric;
-mod quantized;
 pub mod report;
 mod shard;
-mod split;
 mod suite_json;
-mod tolerances;
 mod verdict;
 
 pub use case::{AnimationCase, CASE_SUFFIX, GOLDEN_SUFFIX, JobSource, ModelSource, SuiteCase, job_hash, model_hash};
-pub use case_cost::{CaseWork, measured_costs};
 pub use case_pictures::{CasePicture, Viewpoint, draw_case_pictures};
 pub use case_result::{CaseResult, TopologyDigests};
+pub use comparison::hausdorff_distance;
 pub use comparison::{GoldenComparison, compare_with_golden};
-pub use distance::hausdorff_distance;
+pub use golden::QuantizedPositions;
 pub use golden::{Golden, InputHashes};
 pub use metric::{Metric, MetricKind, MetricUnit};
-pub use quantized::QuantizedPositions;
+pub use metric::{Tolerance, Tolerances};
 pub use shard::Shard;
-pub use split::{digest_texts, split_cases, split_digest};
+pub use shard::{CaseWork, measured_costs};
+pub use shard::{digest_texts, split_cases, split_digest};
 pub use suite_json::SuiteError;
-pub use tolerances::{Tolerance, Tolerances};
 pub use verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason, judge_result};

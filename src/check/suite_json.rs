@@ -100,10 +100,10 @@ mod tests {
             Ok(Pair { left: 1, right: 2 })
         );
         for list in ["[1, 2]", "[]", "3", "null", "\"x\""] {
-            let told = refused(list.as_bytes());
+            let reported = refused(list.as_bytes());
             assert!(
-                told.starts_with("x.json: invalid type") && told.contains("a JSON object"),
-                "{told}"
+                reported.starts_with("x.json: invalid type") && reported.contains("a JSON object"),
+                "{reported}"
             );
         }
     }
@@ -111,8 +111,8 @@ mod tests {
     #[test]
     fn a_place_is_told_wherever_a_text_breaks_off() {
         for text in ["", "{", r#"{"left"#, r#"{"left": 1, "ri"#, r#"{"left": 1"#] {
-            let told = refused(text.as_bytes());
-            assert!(told.starts_with("x.json: EOF while parsing"), "{text}: {told}");
+            let reported = refused(text.as_bytes());
+            assert!(reported.starts_with("x.json: EOF while parsing"), "{text}: {reported}");
         }
         assert!(refused(br#"{"left": "#).starts_with("x.json: left: EOF while parsing"));
         assert!(refused(br#"{"left": 1, "right": 2} x"#).starts_with("x.json: trailing"));
@@ -120,10 +120,10 @@ mod tests {
 
     #[test]
     fn a_byte_order_mark_is_named() {
-        let told = refused(b"\xef\xbb\xbf{\"left\": 1, \"right\": 2}");
+        let reported = refused(b"\xef\xbb\xbf{\"left\": 1, \"right\": 2}");
         assert!(
-            told.contains("byte order mark") && told.contains("without one"),
-            "{told}"
+            reported.contains("byte order mark") && reported.contains("without one"),
+            "{reported}"
         );
     }
 }

@@ -3,8 +3,8 @@
 use super::case_result::{CaseResult, TopologyDigests};
 use super::comparison::{GoldenComparison, compare_with_golden};
 use super::golden::{Golden, InputHashes};
+use super::metric::Tolerances;
 use super::metric::{Metric, MetricKind, format_short};
-use super::tolerances::Tolerances;
 use crate::pool::Pool;
 use crate::wire::pb;
 
@@ -217,7 +217,7 @@ pub fn judge_result(
         code: "expectation",
         text,
     }));
-    // What differs from a stale golden is told too, so that nobody has to bless blind.
+    // What differs from a stale golden is reported too, so that nobody has to bless blind.
     if let Some(text) = golden.stale_reason(inputs) {
         let code = "stale-golden";
         reasons.insert(0, VerdictReason { code, text });
@@ -315,7 +315,7 @@ fn measure_differences(
                     found.numbers.get(&metric).copied(),
                     golden.numbers.get(&metric).copied(),
                 );
-                // Goldens of before open surfaces were told apart hold a volume that stands for none.
+                // Goldens of before open surfaces were reported apart hold a volume that stands for none.
                 let stored = stored.filter(|_| applies);
                 let difference = value.zip(stored).map(|(now, stored)| match kind {
                     MetricKind::Growth => (now - stored).max(0.0),
@@ -401,7 +401,7 @@ mod tests {
     }
 
     fn tolerances(text: &str) -> Tolerances {
-        let list: Vec<crate::check::tolerances::ToleranceEntry> = serde_json::from_str(text).expect("a list");
+        let list: Vec<crate::check::metric::ToleranceEntry> = serde_json::from_str(text).expect("a list");
         Tolerances::from_entries(&list).expect("nothing is wrong")
     }
 

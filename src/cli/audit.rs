@@ -95,8 +95,8 @@ pub(super) fn run_audit(args: &AuditArgs) -> Result<(), CliFailure> {
         failed = written.err();
         failed.is_none()
     });
-    let told = |error: StoreError| CliFailure::Input(format!("the store of sessions: {error}"));
-    runtime.block_on(read).map_err(told)?;
+    let reported = |error: StoreError| CliFailure::Input(format!("the store of sessions: {error}"));
+    runtime.block_on(read).map_err(reported)?;
     if failed.is_none() {
         failed = out.flush().err().map(|e| e.to_string());
     }

@@ -102,8 +102,8 @@ pub(super) fn run_health(args: &HealthArgs) -> Result<(), CliFailure> {
 
 /// Where a server of this machine listens, as its configuration says, and how it is connected to.
 fn own_address(args: &HealthArgs) -> Result<(String, Result<Connector, String>), CliFailure> {
-    let told = |e: crate::server::config::Error| CliFailure::Input(format!("configuration: {e}"));
-    let settings = ServeSettings::load(args.config.as_deref(), &ConfigKeys::default()).map_err(told)?;
+    let reported = |e: crate::server::config::Error| CliFailure::Input(format!("configuration: {e}"));
+    let settings = ServeSettings::load(args.config.as_deref(), &ConfigKeys::default()).map_err(reported)?;
     let mut address = settings.listen;
     match address.ip() {
         IpAddr::V4(ip) if ip.is_unspecified() => address.set_ip(Ipv4Addr::LOCALHOST.into()),

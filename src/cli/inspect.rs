@@ -1,10 +1,10 @@
 //! `pliant inspect`: what the solver sees in a model.
 
 use super::failure::CliFailure;
-use super::json_output::print_value;
-use super::model_files::read_model;
-use super::stage_spinner::StageSpinner;
-use super::threads::ThreadArgs;
+use super::input_files::read_model;
+use super::terminal::StageSpinner;
+use super::terminal::ThreadArgs;
+use super::terminal::print_value;
 use crate::batch::{self, ModelContents};
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
@@ -73,7 +73,7 @@ fn describe_primitive(primitive: &pb::Primitive) -> String {
 
 /// How many parts nothing joins to others, and the largest of them.
 fn describe_loose_parts(solver: &pb::SolverFacts) -> String {
-    let told: Vec<String> = (solver.loose.iter())
+    let reported: Vec<String> = (solver.loose.iter())
         .map(|part| {
             let name = match part.name.as_str() {
                 "" => String::new(),
@@ -82,11 +82,11 @@ fn describe_loose_parts(solver: &pb::SolverFacts) -> String {
             format!("part {}{name} ({} vertices)", part.component, part.vertices)
         })
         .collect();
-    let more = (solver.loose_parts as usize).saturating_sub(told.len());
-    match (told.is_empty(), more) {
+    let more = (solver.loose_parts as usize).saturating_sub(reported.len());
+    match (reported.is_empty(), more) {
         (true, _) => solver.loose_parts.to_string(),
-        (false, 0) => format!("{}: {}", solver.loose_parts, told.join(", ")),
-        (false, more) => format!("{}: {} and {more} more", solver.loose_parts, told.join(", ")),
+        (false, 0) => format!("{}: {}", solver.loose_parts, reported.join(", ")),
+        (false, more) => format!("{}: {} and {more} more", solver.loose_parts, reported.join(", ")),
     }
 }
 
@@ -107,17 +107,17 @@ fn describe_contents(contents: &ModelContents) -> Vec<(&'static str, String)> {
         ("materials", quoted(&contents.materials)),
         ("images", quoted(&contents.images)),
     ];
-    let told = lists.into_iter().map(|(name, list)| {
+    let reported = lists.into_iter().map(|(name, list)| {
         let shown = list.len().min(NAMED_CONTENTS);
         let more = match list.len() - shown {
             0 => String::new(),
             more => format!(" and {more} more, which --json lists"),
         };
         let colon = if list.is_empty() { "" } else { ": " };
-        let told = list[..shown].join(", ");
-        (name, format!("{}{colon}{told}{more}", list.len()))
+        let reported = list[..shown].join(", ");
+        (name, format!("{}{colon}{reported}{more}", list.len()))
     });
-    told.collect()
+    reported.collect()
 }
 
 fn describe_inspection(found: &pb::Inspection, contents: Vec<(&str, String)>) -> String {
@@ -157,7 +157,7 @@ fn describe_inspection(found: &pb::Inspection, contents: Vec<(&str, String)>) ->
         let more = grouped_count((found.primitives.len() - NAMED_PRIMITIVES) as u64);
         line("", format!("and {more} more, which --json lists"));
     }
-    contents.into_iter().for_each(|(name, told)| line(name, told));
+    contents.into_iter().for_each(|(name, reported)| line(name, reported));
     line("solver vertices", count(solver.solver_vertices));
     line("seam vertices", count(found.seam_vertices));
     line(

@@ -4,30 +4,22 @@
 //! `--json` stdout carries exactly one JSON document, that of a failure too.
 
 mod animate;
-mod announcement;
 mod audit;
 mod check;
-mod chosen_primitives;
-mod cutaway;
 mod deform;
 mod examples;
 mod failure;
 mod health;
 mod input_files;
 mod inspect;
-mod job_file;
-mod json_output;
-mod model_files;
 mod output_files;
 mod render;
 mod rig;
 mod sample;
 pub mod serve;
 mod skin;
-mod stage_spinner;
-mod stop_signals;
 mod store;
-mod threads;
+mod terminal;
 mod token;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
@@ -133,7 +125,7 @@ fn answer_usage(problem: &clap::Error) -> ExitCode {
 
 /// Says why a command has failed: on stdout too where `--json` asks for a document, and in the last line of stderr.
 fn tell_and_exit(failure: &CliFailure) -> ExitCode {
-    json_output::print_failure(failure);
+    terminal::print_failure(failure);
     failure.report_and_exit()
 }
 

@@ -4,8 +4,8 @@
 //! their places and renamed, so a stopped command leaves no partial file.
 
 use super::failure::CliFailure;
+use super::input_files::stays_inside;
 use super::input_files::{folder_of, read_regular_file};
-use super::model_files::stays_inside;
 use crate::asset::{FileSet, WrittenFiles};
 use clap::Args;
 use std::collections::BTreeMap;

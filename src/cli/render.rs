@@ -1,19 +1,24 @@
 //! `pliant render`: a picture of a model, drawn without a display.
 
-use super::chosen_primitives::{choose_primitives, keep_in_sight};
-use super::cutaway::draw_cutaway;
 use super::failure::CliFailure;
-use super::model_files::read_model;
+use super::input_files::{in_file, read_file, read_model};
 use super::output_files::{OutputPermission, spare_companions};
-use super::threads::ThreadArgs;
-use crate::asset::{Limits, Model, SurfaceLook};
+use super::terminal::ThreadArgs;
+use crate::asset::{Geometry, Limits, Model, Primitive, SurfaceLook};
+use crate::engine::{Deformer, DeformerLimits, OpenOptions, RigNodes, left_out_passengers};
+use crate::exec::Exec;
 use crate::mesh::BoundingBox;
 use crate::pool::Pool;
+use crate::progress::Silent;
 use crate::render::{
-    self, ColourKey, ColourRamp, Picture, PictureSize, RingMark, STRETCH_RANGE, ShadedSurface, SurfaceDress, UpAxis,
-    ViewDirection, ViewSheet, edge_stretch, vertex_displacements,
+    self, Camera, ColourKey, ColourRamp, DrawnBall, POSITION_COLOUR, Picture, PictureSize, ROTATION_COLOUR, RingMark,
+    STRETCH_RANGE, ShadedSurface, SurfaceDress, UpAxis, ViewDirection, ViewSheet, draw_surface, edge_stretch,
+    open_surface, vertex_displacements,
 };
+use crate::wire::{self, Error};
 use clap::{Args, ValueEnum};
+use glam::DVec3;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Marked places are at least this share of the diagonal apart.
@@ -219,8 +224,8 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
     args.permission.check_target(&args.output)?;
     let pool = args.threads.start_pool()?;
     if let Some(rig) = &args.rig {
-        let (picture, told) = draw_cutaway(&args.model, rig, (args.first_view()?, args.size), &pool)?;
-        return args.write_picture(&picture, &format!(", {told}"));
+        let (picture, reported) = draw_cutaway(&args.model, rig, (args.first_view()?, args.size), &pool)?;
+        return args.write_picture(&picture, &format!(", {reported}"));
     }
     let mut model = ModelToDraw::open_model(&args.model)?;
     let mut before = args.before.as_deref().map(ModelToDraw::open_model).transpose()?;
@@ -395,6 +400,134 @@ impl From<render::Error> for CliFailure {
         match e {
             render::Error::Png(_) => Self::Internal(e.to_string()),
             other => Self::Input(other.to_string()),
+        }
+    }
+}
+
+/// Radii of nodes, in diagonals of the model.
+const ROTATION_BALL: f64 = 0.006;
+const POSITION_BALL: f64 = 0.008;
+/// Pictures smaller than this have no words.
+const WORDS: u32 = 160;
+
+/// Draws a model and the nodes that a rig holds in it; the text counts them.
+pub(super) fn draw_cutaway(
+    model: &Path,
+    rig: &Path,
+    (view, size): (ViewDirection, PictureSize),
+    pool: &Pool,
+) -> Result<(Picture, String), CliFailure> {
+    let bones = wire::rig_from_json(&read_file(rig)?).map_err(|e| in_file(rig, e))?;
+    let limits = DeformerLimits::default();
+    let refuse = |e: Error| CliFailure::Input(format!("{}: {e}", model.display()));
+    let read = Model::read(read_model(model)?, None, &limits.model).map_err(|e| refuse(e.into()))?;
+    // As in an animation of the model's own clip, what no skin places has no part in it.
+    let options = OpenOptions {
+        passengers: left_out_passengers(&read).map_err(|e| refuse(e.into()))?,
+        ..Default::default()
+    };
+    let exec = Exec::new(pool, &Silent);
+    let deformer = Deformer::of_model(read, &options, &limits, &exec).map_err(|e| refuse(e.into()))?;
+    let held = deformer.nodes_of_rig(&bones, &exec);
+    let held = held.map_err(|e| CliFailure::Input(format!("{}: {e}", rig.display())))?;
+    let RigNodes { rotations, positions } = held;
+
+    let rest = deformer.rest();
+    let geometry = deformer.geometry();
+    let is_passenger = |vertex: u32| {
+        let own = geometry
+            .primitives
+            .iter()
+            .find(|p| p.vertices().contains(&(vertex as usize)));
+        own.is_some_and(|p| p.is_passenger)
+    };
+    let solved = geometry.triangles.iter().filter(|t| !is_passenger(t[0]));
+    let triangles: Vec<[u32; 3]> = solved.copied().collect();
+    let diagonal = BoundingBox::of(rest).diagonal();
+    let drawn = |places: &[DVec3], share: f64, colour| -> Vec<DrawnBall> {
+        let ball = |center: &DVec3| DrawnBall {
+            center: *center,
+            radius: share * diagonal,
+            colour,
+        };
+        places.iter().map(ball).collect()
+    };
+    let balls = [
+        drawn(&rotations, ROTATION_BALL, ROTATION_COLOUR),
+        drawn(&positions, POSITION_BALL, POSITION_COLOUR),
+    ]
+    .concat();
+    let closed = ShadedSurface::new(rest, &triangles, pool)?;
+    let camera = &Camera::around_surfaces(&[&closed], &[view], size)[0];
+    let open = open_surface(rest, &triangles, camera.towards_eye(), &balls, pool)?;
+    let mut picture = draw_surface(&open, camera, pool);
+    if size.width().min(size.height()) >= WORDS {
+        let dot = (size.width().min(size.height()) / 160).clamp(1, 4);
+        let below = picture_row(dot);
+        picture.write_text(4 * dot, 4 * dot, dot, "rotations", ROTATION_COLOUR);
+        picture.write_text(4 * dot, 4 * dot + below, dot, "positions", POSITION_COLOUR);
+    }
+    let reported = format!(
+        "rotations of {} nodes and positions of {}",
+        rotations.len(),
+        positions.len()
+    );
+    Ok((picture, reported))
+}
+
+/// Pixels from one line of words to the next.
+fn picture_row(dot: u32) -> u32 {
+    Picture::text_size(dot, "x").1 + 3 * dot
+}
+
+/// Most primitives that a refusal lists.
+const LISTED: usize = 40;
+
+/// The primitives that are named, in the order of the model; a number, as `pliant inspect` counts them, where none is named so.
+///
+/// # Errors
+/// A name that none has, with those that there are; primitives without a triangle.
+pub(super) fn choose_primitives(primitives: &[Primitive], names: &[String]) -> Result<Vec<usize>, CliFailure> {
+    let refuse = |name: &str, problem: String| CliFailure::Input(format!("--primitive {name}: {problem}"));
+    let mut chosen = BTreeSet::new();
+    for name in names {
+        let mut named: Vec<usize> = (0..primitives.len()).filter(|&k| primitives[k].name == *name).collect();
+        if named.is_empty() {
+            named.extend(name.parse::<usize>().ok().filter(|&k| k < primitives.len()));
+        }
+        if named.is_empty() {
+            let listed = primitives.iter().take(LISTED).enumerate();
+            let listed: Vec<String> = listed.map(|(k, p)| format!("{k} \"{}\"", p.name)).collect();
+            let more = match primitives.len().saturating_sub(LISTED) {
+                0 => String::new(),
+                more => format!(" and {more} more, which pliant inspect --json lists"),
+            };
+            let there = format!("there are {}{more}", listed.join(", "));
+            return Err(refuse(name, format!("no primitive is named so; {there}")));
+        }
+        if named.iter().all(|&k| primitives[k].index_count == 0) {
+            return Err(refuse(name, "it has no triangle to draw".into()));
+        }
+        chosen.extend(named);
+    }
+    Ok(chosen.into_iter().collect())
+}
+
+/// Takes all other primitives out of sight: their vertices come to lie at one of those that are chosen, so that every vertex keeps its
+/// number and a camera has nothing else to look at.
+pub(super) fn keep_in_sight(geometry: &mut Geometry, chosen: &[usize]) {
+    let runs = geometry.triangles_of_primitives().enumerate();
+    let corner = runs
+        .filter(|(k, _)| chosen.contains(k))
+        .find_map(|(_, (_, run))| run.first());
+    let Some(place) = corner.and_then(|corner| geometry.positions.get(corner[0] as usize).copied()) else {
+        return;
+    };
+    for (k, primitive) in geometry.primitives.iter().enumerate() {
+        if !chosen.contains(&k)
+            && let Some(hidden) = geometry.positions.get_mut(primitive.vertices())
+        {
+            hidden.fill(place);
         }
     }
 }

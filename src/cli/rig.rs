@@ -2,13 +2,13 @@
 
 use super::failure::CliFailure;
 use super::input_files::read_file;
-use super::json_output::print_value;
-use super::model_files::read_model;
+use super::input_files::read_model;
 use super::output_files::{OutputPermission, spare_companions};
-use super::stage_spinner::StageSpinner;
-use super::threads::ThreadArgs;
+use super::terminal::StageSpinner;
+use super::terminal::ThreadArgs;
+use super::terminal::print_value;
 use crate::asset::{Limits, Model};
-use crate::batch::{MadeRig, RigOrder, left_out_of_rig, left_out_primitives, make_rig};
+use crate::engine::{MadeRig, RigOrder, left_out_of_rig, left_out_primitives, make_rig};
 use crate::exec::Exec;
 use crate::motion::bvh::{ClipLimits, read_bvh};
 use crate::motion::humanoid::BODY_JOINTS;
@@ -207,13 +207,13 @@ impl RigArgs {
             Ok(())
         };
         if let Some(path) = &self.landmarks {
-            let told = path.display().to_string();
+            let reported = path.display().to_string();
             let value: Value =
-                serde_json::from_slice(&read_file(path)?).map_err(|e| CliFailure::Input(format!("{told}: {e}")))?;
+                serde_json::from_slice(&read_file(path)?).map_err(|e| CliFailure::Input(format!("{reported}: {e}")))?;
             let is_rig = value.get("joints").is_some();
             let Some(entries) = value.get("joints").unwrap_or(&value).as_object() else {
                 return Err(CliFailure::Input(format!(
-                    "{told}: an object of joints by name is needed"
+                    "{reported}: an object of joints by name is needed"
                 )));
             };
             for (name, place) in entries {
@@ -225,7 +225,7 @@ impl RigArgs {
                 add(
                     name,
                     three.and_then(|n| <[f64; 3]>::try_from(n).ok()).map(DVec3::from_array),
-                    &told,
+                    &reported,
                 )?;
             }
         }

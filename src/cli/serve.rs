@@ -1,20 +1,20 @@
 //! `pliant serve`: the server as a program.
 
-use super::announcement;
 use super::failure::CliFailure;
-use super::stop_signals::StopSignals;
+use super::terminal::StopSignals;
 use crate::asset::FileSet;
 use crate::asset::sample::BuiltInModel;
 use crate::engine::{HandlePose, HandleSet, OpenOptions};
-use crate::server::config::{self, ConfigKeys, ServeSettings};
+use crate::server::config::{self, ConfigKeys, LogFormat, ServeSettings};
 use crate::server::{self, sample};
 use crate::session::store::{DatabaseStore, StoreError};
 use crate::session::{self, Manager, OpenDeformer, Tenant};
 use crate::wire::{DeformOptions, PoseCommit, SessionOptions};
+use std::io::{IsTerminal as _, Write as _};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Instant, SystemTime};
 use tokio::net::TcpListener;
 
 /// Serves gRPC, gRPC-Web, HTTP and WebSocket on one port.
@@ -147,12 +147,12 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
         let (manager, url, format) = (manager.clone(), url.clone(), settings.log_format);
         tokio::spawn(async move {
             match open_sample(&manager).await {
-                Ok(id) => announcement::tell_sample(&url, &id, format),
+                Ok(id) => tell_sample(&url, &id, format),
                 Err(error) => tracing::warn!("the sample session cannot be opened: {error}"),
             }
         });
     }
-    announcement::tell_listening(&url, settings.log_format);
+    tell_listening(&url, settings.log_format);
     let hurried = manager.clone();
     let shutdown = async move {
         signals.next().await;
@@ -202,6 +202,50 @@ async fn open_sample(manager: &Manager) -> Result<String, session::Error> {
         "opened the sample session `{id}`: its feet are fixed, its head is turned"
     );
     Ok(id)
+}
+
+/// Writes to stdout where the server listens; a parent process may wait for this line. A write error does not stop the
+/// server.
+pub(super) fn tell_listening(url: &str, format: LogFormat) {
+    let words = format!("listening on {url}");
+    let line = match format {
+        LogFormat::Text => words,
+        LogFormat::Json => serde_json::json!({
+            "timestamp": humantime::format_rfc3339_micros(SystemTime::now()).to_string(),
+            "level": "INFO",
+            "message": words,
+            "target": module_path!(),
+        })
+        .to_string(),
+    };
+    let mut out = std::io::stdout();
+    let _ = writeln!(out, "{line}").and_then(|()| out.flush());
+}
+
+/// Prints what to try with the sample session: a text to copy on a terminal, else lines of the log.
+pub(super) fn tell_sample(base: &str, id: &str, format: LogFormat) {
+    let session = format!("{base}/v1/sessions/{id}");
+    let body = r#"{"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, -0.8, 0.4]}}]}}"#;
+    let tries = [
+        format!("curl -s {session}"),
+        format!(
+            "curl -s {session}/solve -H 'content-type: application/json' -H 'accept: model/gltf-binary' -o turned.glb -d '{body}'"
+        ),
+        format!("curl -s -X POST {session}/undo"),
+        format!("curl -s '{session}/model?format=obj' -o creature.obj"),
+    ];
+    let mut err = std::io::stderr();
+    if format == LogFormat::Json || !err.is_terminal() {
+        for line in &tries {
+            tracing::info!("to try: {line}");
+        }
+        return;
+    }
+    let listed: String = tries.iter().map(|line| format!("  {line}\n")).collect();
+    let text = format!(
+        "\nA sample session is open: a creature with fixed feet and a movable head. Open {base}/ to see it, or try:\n\n{listed}\n"
+    );
+    let _ = err.write_all(text.as_bytes());
 }
 
 #[cfg(test)]

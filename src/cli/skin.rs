@@ -2,13 +2,13 @@
 
 use super::failure::CliFailure;
 use super::input_files::read_file;
-use super::model_files::{in_file, read_model};
+use super::input_files::{in_file, read_model};
 use super::output_files::OutputPermission;
-use super::stage_spinner::StageSpinner;
-use super::threads::ThreadArgs;
+use super::terminal::StageSpinner;
+use super::terminal::ThreadArgs;
 use crate::asset::{CarryingJoints, Limits, Model, SkinnedClip};
-use crate::batch::{bind_model, carrying_joints};
-use crate::cli::json_output::print_value;
+use crate::cli::terminal::print_value;
+use crate::engine::{bind_model, carrying_joints};
 use crate::exec::Exec;
 use crate::wire::{self, Error};
 use clap::Args;

@@ -1,6 +1,7 @@
 //! What a server lets its sessions use.
 
-use crate::session::animation::prepared_animation::AnimationLimits;
+use crate::engine::AnimationLimits;
+use crate::motion::bvh::ClipLimits;
 use crate::session::capacity::session_lease::MIN_TTL;
 use crate::session::error::Error;
 use crate::session::quota::tenant_quota::{TenantQuota, TenantQuotas};
@@ -211,10 +212,13 @@ impl SessionConfig {
     }
 
     /// How large an animation may be.
-    pub(super) fn animation_limits(&self) -> AnimationLimits {
+    pub fn animation_limits(&self) -> AnimationLimits {
         AnimationLimits {
-            clip_bytes: self.clip_bytes,
-            clip_joints: self.clip_joints,
+            clip: ClipLimits {
+                bytes: self.clip_bytes,
+                joints: self.clip_joints,
+                ..Default::default()
+            },
             frames: self.animation_frames,
             vertices: self.animation_vertices,
         }

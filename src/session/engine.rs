@@ -5,14 +5,13 @@
 
 use crate::asset::{FileSet, Format, WrittenFiles};
 use crate::engine::{
-    CarriedModel, Deformer, DeformerFacts, DeformerLimits, DeformerWarning, EditCommand, EditOutcome, Error,
-    HandlePose, HandlePoses, HandleSet, ModelShape, OpenOptions, QualityReport, Shader, ShapeId, SolveMode,
-    SolveSettings, SolveUpdate, SolvedShape, TopologyState,
+    Animation, AnimationLimits, CarriedModel, ClipRequest, Deformer, DeformerFacts, DeformerLimits, DeformerWarning,
+    EditCommand, EditOutcome, Error, HandlePose, HandlePoses, HandleSet, ModelShape, OpenOptions, QualityReport,
+    Shader, ShapeId, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState,
 };
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
-use crate::session::animation::prepared_animation::{AnimationLimits, PreparedAnimation};
-use crate::wire::{self, AnimateOrder, edit_kind_name};
+use crate::wire::edit_kind_name;
 use glam::DVec3;
 
 /// One model with everything derived from it. Calls come from compute threads, one at a time.
@@ -115,11 +114,11 @@ pub trait Engine: Send + 'static {
     /// Prepares an animation of the rest shape.
     fn prepare_animation(
         &self,
-        _order: &AnimateOrder,
+        _request: &ClipRequest,
         _limits: &AnimationLimits,
         _exec: &Exec<'_>,
-    ) -> Result<PreparedAnimation, wire::Error> {
-        Err(wire::Error::Unimplemented("animating".into()))
+    ) -> Result<Animation, Error> {
+        Err(Error::Unimplemented("animating".into()))
     }
     /// What makes normals and tangents of a deformed shape.
     fn shader(&self) -> Shader;
@@ -265,11 +264,11 @@ impl Engine for Deformer {
 
     fn prepare_animation(
         &self,
-        order: &AnimateOrder,
+        request: &ClipRequest,
         limits: &AnimationLimits,
         exec: &Exec<'_>,
-    ) -> Result<PreparedAnimation, wire::Error> {
-        PreparedAnimation::of_model(self, order, limits, exec)
+    ) -> Result<Animation, Error> {
+        Animation::prepare(self, request, limits, exec)
     }
 
     fn shader(&self) -> Shader {

@@ -47,8 +47,7 @@ pub mod store;
 mod stream;
 mod task;
 
-pub use animation::ends::{AnimationControl, AnimationReader};
-pub use animation::prepared_animation::{AnimationLimits, PreparedAnimation};
+pub use animation::frame_outbox::{AnimationControl, AnimationReader};
 pub use answers::{
     AnimatedModel, AnimationAnswer, CallKey, CarriedAlong, CommitFacts, CommittedEdit, CommittedPose, ExportedModel,
     HistoryFacts, KeyedAnswer, PositionBuffer, SessionFacts, SessionList, StreamAnswer, Tenant,

@@ -5,7 +5,7 @@
 use crate::asset::Format;
 use crate::engine::{DeformerFacts, HandlePoses};
 use crate::progress::CancelFlag;
-use crate::session::animation::open_animations::OpenAnimations;
+use crate::session::animation::running_animation::OpenAnimations;
 use crate::session::answers::{SessionFacts, Tenant};
 use crate::session::calls::command::SessionCommand;
 use crate::session::capacity::call_line::CallLine;

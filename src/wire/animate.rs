@@ -5,7 +5,9 @@ use super::frames::FrameOutput;
 use super::options::DeformOptions;
 use super::rig::motion_rig;
 use super::{Error, json, pb};
-use crate::engine::{AnimationRefinement, AnimationSettings, FrameChoice, FrameSums, RigHandleFacts};
+use crate::engine::{
+    AnimationRefinement, AnimationSettings, ClipRequest, ClipSource, FrameChoice, FrameSums, PlayedForm, RigHandleFacts,
+};
 use crate::motion::rig::MotionRig;
 use bytes::Bytes;
 use pb::animate_options::{PlayedAs, Root, SkipFirst, Source};
@@ -22,20 +24,9 @@ const USUAL_TARGETS: usize = 64;
 const BONES: std::ops::RangeInclusive<usize> = 1..=256;
 const USUAL_BONES: usize = 40;
 
-/// Where the clip of an animation comes from.
-#[derive(Debug, Clone, PartialEq)]
-pub enum OrderedClip {
-    /// From the model, by name or number; `None` is its first.
-    OfModel(Option<String>),
-    /// From a BVH file.
-    Recorded(Bytes),
-    /// From a BVH file of so many bytes that are still to come.
-    Announced(u64),
-}
-
 /// Where the motion of the root bone goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum OrderedRoot {
+pub enum RootMotion {
     /// Beside the positions.
     Apart,
     /// Into the positions.
@@ -44,30 +35,15 @@ pub enum OrderedRoot {
     Dropped,
 }
 
-/// How a GLB holds frames.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PlayedForm {
-    /// With so many morph targets at most.
-    Morphs(usize),
-    /// With a skin of so many bones.
-    Bones(usize),
-}
-
-/// How a clip drives a model. Made by [`animate_order`].
+/// How a clip drives a model, and how its frames are sent. Made by [`animate_order`].
 #[derive(Debug, Clone)]
 pub struct AnimateOrder {
-    /// The clip.
-    pub clip: OrderedClip,
-    /// Which bones it drives; `None`: those of the model's skin.
-    pub rig: Option<MotionRig>,
-    /// Which frames are wanted.
-    pub frames: FrameChoice,
-    /// Model units for one unit of the clip, in place of the rig's.
-    pub scale: Option<f64>,
-    /// How frames are solved.
-    pub settings: AnimationSettings,
+    /// The clip, its rig and its frames.
+    pub request: ClipRequest,
+    /// Bytes of a BVH file that are still to come, in place of those in the request.
+    pub bvh_size: Option<u64>,
     /// Where the motion of the root bone goes.
-    pub root: OrderedRoot,
+    pub root: RootMotion,
     /// What frames carry.
     pub output: FrameOutput,
     /// Unacknowledged frames in flight.
@@ -98,17 +74,18 @@ pub fn animate_options_from_json(text: &[u8]) -> Result<pb::AnimateOptions, Erro
 /// # Errors
 /// [`Error::Invalid`] with the field, [`Error::TooLarge`] for an announced clip.
 pub fn animate_order(options: &pb::AnimateOptions, max_window: u32, clip_bytes: u64) -> Result<AnimateOrder, Error> {
-    let clip = match &options.source {
-        None => OrderedClip::OfModel(None),
-        Some(Source::Clip(name)) => OrderedClip::OfModel(Some(name.clone())),
-        Some(Source::Bvh(bytes)) => OrderedClip::Recorded(bytes.clone()),
-        Some(Source::BvhSize(size)) => OrderedClip::Announced(*size),
+    let bvh = |bytes: &Bytes| ClipSource::Bvh {
+        name: String::new(),
+        bytes: bytes.clone(),
     };
-    let size = match &clip {
-        OrderedClip::Recorded(bytes) => bytes.len() as u64,
-        OrderedClip::Announced(size) => *size,
-        OrderedClip::OfModel(_) => 0,
+    let (clip, size) = match &options.source {
+        // The model's first clip.
+        None => (ClipSource::OfModel("0".into()), 0),
+        Some(Source::Clip(name)) => (ClipSource::OfModel(name.clone()), 0),
+        Some(Source::Bvh(bytes)) => (bvh(bytes), bytes.len() as u64),
+        Some(Source::BvhSize(size)) => (bvh(&Bytes::new()), *size),
     };
+    let bvh_size = matches!(options.source, Some(Source::BvhSize(_))).then_some(size);
     if size > clip_bytes {
         return Err(Error::TooLarge {
             what: "the size of the clip in bytes",
@@ -128,7 +105,7 @@ pub fn animate_order(options: &pb::AnimateOptions, max_window: u32, clip_bytes: 
         let problem = "is for committed poses; frames of an animation are not searched for crossings";
         return Err(Error::invalid("output.selfIntersections", problem));
     }
-    Ok(AnimateOrder {
+    let request = ClipRequest {
         clip,
         rig: rig.map_err(of_rig)?,
         frames: frame_choice(options)?,
@@ -139,10 +116,14 @@ pub fn animate_order(options: &pb::AnimateOptions, max_window: u32, clip_bytes: 
             "scale",
         )?,
         settings: settings(options)?,
+    };
+    Ok(AnimateOrder {
+        request,
+        bvh_size,
         root: match enumerated::<Root>(options.root, "root")? {
-            Root::Node => OrderedRoot::Apart,
-            Root::Baked => OrderedRoot::Baked,
-            Root::None => OrderedRoot::Dropped,
+            Root::Node => RootMotion::Apart,
+            Root::Baked => RootMotion::Baked,
+            Root::None => RootMotion::Dropped,
         },
         output: stream.output,
         window: stream.window,
@@ -217,7 +198,7 @@ fn played_form(options: &pb::AnimateOptions) -> Result<PlayedForm, Error> {
 /// An error of a rig, with its field of the options.
 pub fn of_rig(error: Error) -> Error {
     renamed(error, |field| match field {
-        "rig" | "clip" => field.into(),
+        "rig" | "clip" | "first" => field.into(),
         _ => format!("rig.{field}"),
     })
 }
@@ -320,10 +301,11 @@ mod tests {
     #[test]
     fn what_is_not_given_has_its_default() {
         let order = animate_order(&pb::AnimateOptions::default(), 8, 100).expect("all defaults");
-        assert_eq!(order.clip, OrderedClip::OfModel(None));
-        assert_eq!((order.frames, order.scale), (FrameChoice::default(), None));
-        assert_eq!(order.settings, AnimationSettings::default());
-        assert_eq!((order.root, order.window), (OrderedRoot::Apart, 2));
+        let request = &order.request;
+        assert_eq!(request.clip, ClipSource::OfModel("0".into()));
+        assert_eq!((&request.frames, request.scale), (&FrameChoice::default(), None));
+        assert_eq!(request.settings, AnimationSettings::default());
+        assert_eq!((order.root, order.window), (RootMotion::Apart, 2));
         assert_eq!(order.played, PlayedForm::Morphs(64));
     }
 
@@ -338,7 +320,7 @@ mod tests {
             version: 7,
             ..Default::default()
         };
-        for (wrong, told) in [
+        for (wrong, reported) in [
             (pb::AnimateOptions { fps: -1.0, ..options() }, "fps: is -1, "),
             (
                 pb::AnimateOptions {
@@ -431,7 +413,7 @@ mod tests {
             ),
         ] {
             let seen = refused(wrong);
-            assert!(seen.starts_with(told), "{seen:?} is not {told:?}");
+            assert!(seen.starts_with(reported), "{seen:?} is not {reported:?}");
         }
     }
 

@@ -76,6 +76,13 @@ impl From<engine::Error> for Error {
         match e {
             Engine::Asset(e) => Self::Asset(e),
             Engine::Invalid { place, problem } => Self::invalid(field_of_input(place), problem),
+            Engine::Clip(e) => Self::Clip(e),
+            Engine::Rig(e) => e.into(),
+            Engine::SkinWeights { what, problem } => Self::invalid(what, problem),
+            Engine::NoSuchFrames { first, frames } => Self::invalid(
+                "first",
+                format!("is {first}, the animation has {frames} frames, counted from 0"),
+            ),
             Engine::Precondition(text) => Self::Precondition(text),
             Engine::Edit(Refused::Invalid { subject, problem }) => Self::invalid(field_of_edit(subject), problem),
             Engine::Edit(Refused::Impossible {

@@ -26,8 +26,8 @@ mod rig;
 mod stream;
 
 pub use animate::{
-    AnimateOrder, AnimationSummary, OrderedClip, OrderedRoot, PlayedForm, animate_options_from_json, animate_order,
-    animation_totals, held_nodes_message, of_rig, stage_frame, summary_frame,
+    AnimateOrder, AnimationSummary, RootMotion, animate_options_from_json, animate_order, animation_totals,
+    held_nodes_message, of_rig, stage_frame, summary_frame,
 };
 pub use calls::{PoseCommit, SessionEdit, SessionPage, page_token, pose_commit, session_edit, session_page};
 pub use create::{SessionOptions, open_options, session_options};

@@ -3,7 +3,7 @@
 use crate::support::data::data_path;
 use glam::DVec3;
 use pliant::asset::FileSet;
-use pliant::batch::bind_model;
+use pliant::engine::bind_model;
 use pliant::engine::{Deformer, DeformerLimits, OpenOptions};
 use pliant::exec::Exec;
 use pliant::motion::bvh::{ClipLimits, read_bvh};

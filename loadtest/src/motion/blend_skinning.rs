@@ -3,7 +3,7 @@
 use crate::failure::LoadtestFailure;
 use crate::motion::stage::{MotionStage, failed};
 use glam::DVec3;
-use pliant::batch::bind_model;
+use pliant::engine::bind_model;
 use pliant::exec::Exec;
 use pliant::motion::BoneInfluences;
 use pliant::motion::rig::RigidMotion;

@@ -7,9 +7,12 @@ use crate::shared::input_files::read_model_file;
 use crate::shared::timing::time_once;
 use glam::DVec3;
 use pliant::asset::{Limits, Model};
-use pliant::batch::{AnimationOrder, ClipSource, bind_model, moving_clip, prepare};
-use pliant::engine::{AnimationRefinement, AnimationSettings, Deformer, FrameTimes, QualityReport};
+use pliant::engine::{
+    Animation, AnimationLimits, AnimationRefinement, AnimationSettings, ClipRequest, ClipSource, Deformer, FrameChoice,
+    QualityReport, bind_model,
+};
 use pliant::exec::Exec;
+use pliant::motion::bvh::ClipLimits;
 use pliant::motion::rig::{MotionRig, RigidMotion, rig_of_skin};
 use pliant::motion::{MotionClip, NodeOrder, clip_of_scene};
 use pliant::pool::Pool;
@@ -83,23 +86,29 @@ pub(super) fn measure_own_clip(
 ) -> Result<Vec<MotionFigure>, LoadtestFailure> {
     let exec = Exec::new(pool, &Silent);
     let deformer = open(read_model_file(&folders.data.join("gltf/CesiumMan.glb"))?, pool)?;
-    let moving = moving_clip(&deformer, ClipSource::OfModel("0"), None, &exec).map_err(failed)?;
-    let (rig, clip) = (moving.rig.clone(), moving.clip.clone());
-    let mut times = FrameTimes::between(0.0, clip.duration, RATE);
-    times.count = times.count.min(most);
-    let order = AnimationOrder {
-        times,
-        ranges: std::iter::once(0..times.count).collect(),
+    let request = ClipRequest {
+        clip: ClipSource::OfModel("0".into()),
+        rig: None,
+        frames: FrameChoice {
+            fps: Some(RATE),
+            count: Some(most),
+            ..Default::default()
+        },
+        scale: None,
         settings: AnimationSettings::default(),
-        blocks_at_once: pool.threads(),
-        bakes_root: false,
     };
-    let animation = prepare(&deformer, moving, None, &order, &exec).map_err(failed)?;
-    let skin = OwnSkin::of(&deformer, &rig, &clip)?;
+    let limits = AnimationLimits {
+        clip: ClipLimits::default(),
+        frames: usize::MAX,
+        vertices: u64::MAX,
+    };
+    let animation = Animation::prepare(&deformer, &request, &limits, &exec).map_err(failed)?;
+    let (rig, clip) = (animation.moving_rig(), animation.driver().clip());
+    let skin = OwnSkin::of(&deformer, rig, clip)?;
     let (mut volumes, mut blended_volume) = ([0.0f64; 2], 0.0);
     let (mut edges, mut blended_edges, mut count) = (0.0, 0.0, 0usize);
     let mut off = vec![0.0f64; rig.bones.len()];
-    solve(&animation, 0..times.count, pool, &mut |frame| {
+    solve(&animation, animation.range().clone(), pool, &mut |frame| {
         let pose = animation.driver().pose_at(frame.seconds);
         let blended = skin.blend(deformer.rest(), &pose.bones);
         let quality = deformer.quality(&frame.positions, pool);

@@ -441,8 +441,11 @@ mod tests {
         ] {
             let broken = text.replacen(from, to, 1);
             assert_ne!(broken, text, "{from}");
-            let told = refused(&broken);
-            assert!(told.starts_with("r.json: ") && told.contains(words), "{told}");
+            let reported = refused(&broken);
+            assert!(
+                reported.starts_with("r.json: ") && reported.contains(words),
+                "{reported}"
+            );
         }
         assert!(refused("[]").contains("a JSON object"));
     }

@@ -1,6 +1,6 @@
 //! The reports of a suite's shards, joined into the one that a run of the whole suite would have made.
 
-use super::super::split::split_digest;
+use super::super::shard::split_digest;
 use super::suite_report::{ShardFacts, SuiteReport, printable};
 use std::collections::BTreeMap;
 
@@ -221,8 +221,8 @@ mod tests {
         let refused = |change: &dyn Fn(&mut Vec<NamedReport>), words: &[&str]| {
             let mut reports = dealt(3);
             change(&mut reports);
-            let told = merge_reports(reports).expect_err(words[0]);
-            assert!(words.iter().all(|w| told.contains(w)), "{words:?}: {told}");
+            let reported = merge_reports(reports).expect_err(words[0]);
+            assert!(words.iter().all(|w| reported.contains(w)), "{words:?}: {reported}");
         };
         refused(&|r| r.clear(), &["no report"]);
         refused(
@@ -284,10 +284,10 @@ mod tests {
             report.1.shard.as_mut().expect("a shard").shard = Shard::new(1, 40).expect("a shard");
         }
         many.truncate(1);
-        let told = merge_reports(many).expect_err("missing");
+        let reported = merge_reports(many).expect_err("missing");
         assert!(
-            told.contains("shards 2/40, 3/40") && told.contains("9/40 and 31 more are missing"),
-            "{told}"
+            reported.contains("shards 2/40, 3/40") && reported.contains("9/40 and 31 more are missing"),
+            "{reported}"
         );
     }
 }

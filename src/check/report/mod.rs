@@ -7,15 +7,13 @@ mod html;
 mod json;
 mod junit;
 mod merge;
-mod page;
 #[cfg(test)]
 mod samples;
 mod suite_report;
-mod text;
 
 pub use html::html_report;
 pub use json::{json_report, read_report};
 pub use junit::junit_report;
 pub use merge::merge_reports;
 pub use suite_report::{CaseReport, ShardFacts, SuiteReport};
-pub use text::{case_line, describe_changes, note_line, summary_line};
+pub use suite_report::{case_line, describe_changes, note_line, summary_line};

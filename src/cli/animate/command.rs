@@ -1,32 +1,30 @@
 //! `pliant animate`: a clip drives a model, frame by frame.
 
-use super::frames_bar::FramesBar;
 use super::output::{AnimationOutputArgs, RootRule};
-use super::taken_frames::PlayedAnimation;
+use super::play::FramesBar;
+use super::play::PlayedAnimation;
+use super::play::{frame_totals, play};
 use crate::asset::{FileSet, Model};
-use crate::batch::{AnimationOrder, ClipSource, frame_totals, left_out_passengers, moving_clip, play, prepare};
 use crate::cli::deform::describe_change;
 use crate::cli::failure::CliFailure;
 use crate::cli::input_files::read_file;
-use crate::cli::json_output::print_json;
-use crate::cli::model_files::{in_file, read_model};
-use crate::cli::stage_spinner::StageSpinner;
-use crate::cli::stop_signals::raised_on_stop;
-use crate::cli::threads::ThreadArgs;
+use crate::cli::input_files::{in_file, read_model};
+use crate::cli::terminal::StageSpinner;
+use crate::cli::terminal::ThreadArgs;
+use crate::cli::terminal::print_json;
+use crate::cli::terminal::raised_on_stop;
 use crate::deform::EdgeWeights;
 use crate::engine::{
-    AnimatedFrame, AnimationRefinement, AnimationSettings, Deformer, DeformerLimits, FrameChoice, FrameTimes,
-    OpenOptions,
+    self, AnimatedFrame, Animation, AnimationLimits, AnimationRefinement, AnimationSettings, ClipRequest, ClipSource,
+    Deformer, DeformerLimits, FrameChoice, OpenOptions, left_out_passengers,
 };
 use crate::exec::Exec;
-use crate::motion::MotionClip;
-use crate::motion::bvh::{ClipLimits, read_bvh};
+use crate::motion::bvh::ClipLimits;
 use crate::motion::rig::MotionRig;
 use crate::progress::Silent;
 use crate::wire::{self, Error, pb};
 use clap::{Args, ValueEnum};
 use sha2::{Digest as _, Sha256};
-use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
@@ -102,8 +100,7 @@ enum SurfaceWeights {
 struct AnimationSources {
     files: FileSet,
     rig: Option<MotionRig>,
-    /// A recorded clip.
-    recorded: Option<MotionClip>,
+    clip: ClipSource,
     /// What identifies these sources: lines of a name and a value.
     identity: String,
 }
@@ -112,73 +109,61 @@ struct AnimationSources {
 pub(in crate::cli) fn run_animate(args: &AnimateArgs) -> Result<(), CliFailure> {
     let settings = args.settings()?;
     let scale = args.scale()?;
+    let frames = args.frame_choice()?;
     let output = args.output.output()?;
     let pool = args.threads.start_pool()?;
-    let AnimationSources {
-        files,
-        rig,
-        recorded,
-        identity,
-    } = args.sources()?;
-    output.spare_companions_of(&args.model, &files)?;
+    let sources = args.sources()?;
+    output.spare_companions_of(&args.model, &sources.files)?;
     let spinner = StageSpinner::new(args.json);
     let exec = Exec::new(&pool, &spinner);
     let clock = Instant::now();
     let millis = || clock.elapsed().as_secs_f64() * 1e3;
-    let deformer = args.open(files.clone(), &exec)?;
-    let source = match (recorded, &args.clip) {
-        (Some(clip), _) => ClipSource::Recorded(clip),
-        (None, Some(name)) => ClipSource::OfModel(name),
-        (None, None) => return Err(CliFailure::Input("give a clip, --bvh FILE or --clip NAME".into())),
-    };
-    let moving = moving_clip(&deformer, source, rig.as_ref(), &exec)?;
-    let times = args.times(&moving.clip)?;
-    let range = args.range(&times)?;
-    let clip = args.clip_name(&moving.clip);
-    let identity = identity + &output.identity() + &identity_of_frames(&range, &times);
-    // Frames are taken while others are solved: on the threads that solve, taking one would wait for the end of a block.
-    let taking = args.threads.start_pool()?;
-    let quiet = Exec::new(&taking, &Silent);
-    let own = moving.own;
-    let mut order = AnimationOrder {
-        times,
-        ranges: vec![range.clone()],
+    let deformer = args.open(sources.files.clone(), &exec)?;
+    let request = ClipRequest {
+        clip: sources.clip,
+        rig: sources.rig,
+        frames,
+        scale,
         settings,
-        blocks_at_once: pool.threads(),
-        bakes_root: output.root == RootRule::Baked,
+    };
+    let limits = AnimationLimits {
+        clip: ClipLimits::default(),
+        frames: MOST_FRAMES,
+        vertices: u64::MAX,
     };
     // What is refused here is refused before any file is begun.
-    let animation = prepare(&deformer, moving, scale, &order, &exec)?;
+    let prepared = Animation::prepare(&deformer, &request, &limits, &exec);
+    let animation = prepared.map_err(|error| args.failure_of(error))?;
+    let identity = sources.identity + &output.identity() + &identity_of_frames(&animation);
+    // Frames are taken while others are solved: on the threads that solve, taking one would wait for the end of a block.
+    let taking = args.threads.start_pool()?;
     let mut taker = output.begin(PlayedAnimation {
         deformer: &deformer,
         animation: &animation,
         model: &args.model,
-        files: &files,
-        clip: &clip,
-        own,
-        times,
-        range,
+        files: &sources.files,
         identity: &identity,
         permission: output.permission,
-        exec: quiet,
+        exec: Exec::new(&taking, &Silent),
     })?;
-    order.ranges = taker.missing();
+    let missing = taker.missing();
     let ready = millis();
     spinner.finish();
     let stop = raised_on_stop()?;
     let bar = FramesBar::new(
         args.json,
-        order.ranges.iter().map(ExactSizeIterator::len).sum(),
+        missing.iter().map(ExactSizeIterator::len).sum(),
         Arc::clone(&stop),
     );
     let watched = Exec::new(&pool, &bar);
-    let mut take = |frame: &AnimatedFrame, told: &pb::animation_report::FrameReport| -> Result<(), CliFailure> {
+    let bakes_root = output.root == RootRule::Baked;
+    let mut take = |frame: &AnimatedFrame, report: &pb::animation_report::FrameReport| {
         bar.step();
-        taker.take(frame, told)
+        taker.take(frame, report)
     };
-    let played = play(&animation, &order, &watched, &millis, &mut take);
+    let played = play(&animation, &missing, bakes_root, &watched, &millis, &mut take);
     bar.finish();
-    let finished = played.and_then(|mut report| taker.finish(&mut report, &animation, &watched).map(|()| report));
+    let finished = played.and_then(|mut report| taker.finish(&mut report, &watched).map(|()| report));
     let mut report = match finished {
         Err(CliFailure::Stopped(_)) => return Err(CliFailure::Stopped(taker.stop())),
         finished => finished?,
@@ -217,7 +202,8 @@ fn print_summary(report: &pb::AnimationReport, is_open: bool) {
 }
 
 /// What identifies the requested frames: a line of a name and a value.
-fn identity_of_frames(range: &Range<usize>, times: &FrameTimes) -> String {
+fn identity_of_frames(animation: &Animation) -> String {
+    let (range, times) = (animation.range(), animation.times());
     let (start, count) = (range.start, range.len());
     format!(
         "frames {start}:{count} of {} from {:?} at {:?}\n",
@@ -266,16 +252,22 @@ impl AnimateArgs {
             rig = Some(wire::rig_from_json(&text).map_err(|e| in_file(path, e))?);
             identity += &format!("rig {}\n", digest_of([&text[..]]));
         }
-        let mut recorded = None;
-        if let Some(path) = &self.bvh {
-            let text = read_file(path)?;
-            let clip = read_bvh(&text, &ClipLimits::default());
-            recorded = Some(clip.map_err(|e| CliFailure::Input(format!("{}: {e}", path.display())))?);
-            identity += &format!("clip {}\n", digest_of([&text[..]]));
-        }
-        if let Some(name) = &self.clip {
-            identity += &format!("clip {}\n", name.escape_debug());
-        }
+        let clip = match (&self.bvh, &self.clip) {
+            (Some(path), _) => {
+                let bytes = read_file(path)?;
+                identity += &format!("clip {}\n", digest_of([&bytes[..]]));
+                let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+                ClipSource::Bvh {
+                    name: name.unwrap_or_default(),
+                    bytes: bytes.into(),
+                }
+            }
+            (None, Some(name)) => {
+                identity += &format!("clip {}\n", name.escape_debug());
+                ClipSource::OfModel(name.clone())
+            }
+            (None, None) => return Err(CliFailure::Input("give a clip, --bvh FILE or --clip NAME".into())),
+        };
         let files = read_model(&self.model)?;
         let companions = files
             .companions
@@ -290,17 +282,9 @@ impl AnimateArgs {
         Ok(AnimationSources {
             files,
             rig,
-            recorded,
+            clip,
             identity,
         })
-    }
-
-    /// What the clip is called in what is written.
-    fn clip_name(&self, clip: &MotionClip) -> String {
-        let stem = self.bvh.as_ref().and_then(|path| path.file_stem());
-        let stem = stem.map(|stem| stem.to_string_lossy().into_owned());
-        stem.filter(|_| clip.name.is_empty())
-            .unwrap_or_else(|| clip.name.clone())
     }
 
     fn settings(&self) -> Result<AnimationSettings, CliFailure> {
@@ -342,8 +326,8 @@ impl AnimateArgs {
         }
     }
 
-    /// When the frames of a clip are.
-    fn times(&self, clip: &MotionClip) -> Result<FrameTimes, CliFailure> {
+    /// Which frames are wanted.
+    fn frame_choice(&self) -> Result<FrameChoice, CliFailure> {
         if let Some(fps) = self
             .fps
             .filter(|fps| !(fps.is_finite() && *fps > 0.0 && *fps <= FrameChoice::FASTEST))
@@ -352,7 +336,7 @@ impl AnimateArgs {
             let problem = format!("--fps is {fps}, a number above 0 and up to {fastest} is needed");
             return Err(CliFailure::Input(problem));
         }
-        let choice = FrameChoice {
+        let mut choice = FrameChoice {
             fps: self.fps,
             skip_first: match self.skip_first {
                 SkipFirst::Auto => None,
@@ -361,34 +345,29 @@ impl AnimateArgs {
             },
             ..Default::default()
         };
-        let times = choice.times(clip);
-        if times.count > MOST_FRAMES {
-            let problem = format!(
-                "{} frames are asked for, at most {MOST_FRAMES} are allowed",
-                times.count
-            );
-            return Err(CliFailure::Input(problem));
+        if let Some(text) = &self.frames {
+            let parts = text.split_once(':');
+            let parts = parts.and_then(|(a, b)| Some((a.parse().ok()?, b.parse().ok()?)));
+            let Some((first, count)) = parts else {
+                let problem = format!("--frames is \"{text}\", FIRST:COUNT is needed, such as 0:100");
+                return Err(CliFailure::Input(problem));
+            };
+            (choice.first, choice.count) = (first, Some(count));
         }
-        Ok(times)
+        Ok(choice)
     }
 
-    fn range(&self, times: &FrameTimes) -> Result<Range<usize>, CliFailure> {
-        let Some(text) = &self.frames else {
-            return Ok(0..times.count);
-        };
-        let parts = text.split_once(':');
-        let parts = parts.and_then(|(a, b)| Some((a.parse::<usize>().ok()?, b.parse::<usize>().ok()?)));
-        let Some((first, count)) = parts else {
-            let problem = format!("--frames is \"{text}\", FIRST:COUNT is needed, such as 0:100");
-            return Err(CliFailure::Input(problem));
-        };
-        if first >= times.count || count == 0 {
-            let problem = format!(
-                "--frames is \"{text}\", the animation has {} frames, counted from 0",
-                times.count
-            );
-            return Err(CliFailure::Input(problem));
+    /// Why an animation cannot be prepared, by the names of the arguments.
+    fn failure_of(&self, error: engine::Error) -> CliFailure {
+        match (error, &self.bvh, &self.frames) {
+            (engine::Error::Clip(e), Some(path), _) => CliFailure::Input(format!("{}: {e}", path.display())),
+            (engine::Error::NoSuchFrames { frames, .. }, _, Some(text)) => CliFailure::Input(format!(
+                "--frames is \"{text}\", the animation has {frames} frames, counted from 0"
+            )),
+            (engine::Error::TooLarge { what, seen, limit }, ..) if what == Animation::FRAMES => {
+                CliFailure::Input(format!("{seen} frames are asked for, at most {limit} are allowed"))
+            }
+            (error, ..) => error.into(),
         }
-        Ok(first..first.saturating_add(count).min(times.count))
     }
 }

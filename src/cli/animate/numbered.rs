@@ -3,11 +3,11 @@
 //! While frames are missing, a file beside them says what they are of. Models are written beside their places and renamed, so
 //! those that are there are whole.
 
-use super::taken_frames::{FrameTaker, PlayedAnimation, kept_frames, missing_ranges};
+use super::play::{FrameTaker, PlayedAnimation, kept_frames, missing_ranges};
 use crate::asset::Format;
 use crate::cli::failure::CliFailure;
 use crate::cli::input_files::read_file;
-use crate::engine::{AnimatedFrame, Animation};
+use crate::engine::AnimatedFrame;
 use crate::exec::Exec;
 use crate::wire::{Error, pb};
 use std::fs;
@@ -35,7 +35,7 @@ impl<'a> NumberedFrames<'a> {
         resumes: bool,
         played: PlayedAnimation<'a>,
     ) -> Result<Self, CliFailure> {
-        let missing = vec![played.range.clone()];
+        let missing = vec![played.animation.range().clone()];
         let mut frames = Self {
             folder,
             format,
@@ -46,7 +46,7 @@ impl<'a> NumberedFrames<'a> {
         };
         let mark = frames.folder.join(MARK);
         let is_there = |frame: &usize| frames.path(*frame).is_file();
-        if resumes && !frames.played.permission.force && frames.played.range.clone().any(|f| is_there(&f)) {
+        if resumes && !frames.played.permission.force && frames.played.animation.range().clone().any(|f| is_there(&f)) {
             let refuse = |problem: &str| {
                 let folder = frames.folder.display();
                 Err(CliFailure::Input(format!("cannot continue in {folder}: {problem}")))
@@ -60,12 +60,13 @@ impl<'a> NumberedFrames<'a> {
                     }
                 }
             }
-            let missing = missing_ranges(frames.played.range.clone(), |frame| is_there(&frame));
-            frames.kept = frames.played.range.len() - missing.iter().map(ExactSizeIterator::len).sum::<usize>();
+            let missing = missing_ranges(frames.played.animation.range().clone(), |frame| is_there(&frame));
+            frames.kept =
+                frames.played.animation.range().len() - missing.iter().map(ExactSizeIterator::len).sum::<usize>();
             frames.missing = missing;
             return Ok(frames);
         }
-        for frame in frames.played.range.clone() {
+        for frame in frames.played.animation.range().clone() {
             frames.played.permission.check_target(&frames.path(frame))?;
         }
         Ok(frames)
@@ -108,17 +109,17 @@ impl FrameTaker for NumberedFrames<'_> {
     }
 
     fn stop(&mut self) -> String {
-        kept_frames([self.kept, self.played.range.len()], &self.folder)
+        kept_frames([self.kept, self.played.animation.range().len()], &self.folder)
     }
 
-    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Animation, _: &Exec<'_>) -> Result<(), CliFailure> {
+    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Exec<'_>) -> Result<(), CliFailure> {
         let before = self.kept - report.frames.len();
         if before > 0 {
             report.warnings.push(format!(
                 "{before} frames were there already; the report does not list them"
             ));
         }
-        let frames = self.played.range.clone();
+        let frames = self.played.animation.range().clone();
         report.output = frames.map(|f| self.path(f).display().to_string()).collect();
         // Without it, the folder is complete.
         let _ = fs::remove_file(self.folder.join(MARK));

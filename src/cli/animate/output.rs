@@ -2,12 +2,13 @@
 
 use super::gathered::{GatheredFrames, GatheredKind};
 use super::numbered::NumberedFrames;
-use super::picture_args::{FramePicture, FramePictureArgs};
 use super::pictures::PicturedFrames;
-use super::taken_frames::{FrameTaker, MeasuredFrames, PlayedAnimation};
+use super::pictures::{FramePicture, FramePictureArgs};
+use super::play::{FrameTaker, MeasuredFrames, PlayedAnimation};
 use crate::asset::{FileSet, Format, VertexCache};
 use crate::cli::failure::CliFailure;
 use crate::cli::output_files::{OutputPermission, spare_companions};
+use crate::engine::PlayedForm;
 use crate::motion::decomposition::DecompositionOptions;
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
@@ -122,10 +123,17 @@ impl AnimationOutputArgs {
             None => OutputKind::Nothing,
             Some(path) => self.kind_of(path)?,
         };
-        let is_morph = matches!(kind, OutputKind::Gathered(_, GatheredKind::Morphs(_)));
-        let is_free = matches!(kind, OutputKind::Gathered(_, GatheredKind::Skin(_)));
-        let is_skin = is_free || matches!(kind, OutputKind::Gathered(_, GatheredKind::Rig { .. }));
-        let is_corrected = matches!(kind, OutputKind::Gathered(_, GatheredKind::Correctives(_)));
+        let is_morph = matches!(kind, OutputKind::Gathered(_, GatheredKind::Glb(PlayedForm::Morphs(_))));
+        let is_free = matches!(kind, OutputKind::Gathered(_, GatheredKind::Glb(PlayedForm::Bones(_))));
+        let is_skin = is_free
+            || matches!(
+                kind,
+                OutputKind::Gathered(_, GatheredKind::Glb(PlayedForm::RigBones { .. }))
+            );
+        let is_corrected = matches!(
+            kind,
+            OutputKind::Gathered(_, GatheredKind::Glb(PlayedForm::Correctives(_)))
+        );
         let is_glb = is_morph || is_skin || is_corrected;
         let has_nodes = is_glb || matches!(kind, OutputKind::Gathered(_, GatheredKind::Usd));
         let is_numbered = matches!(kind, OutputKind::Numbered(..));
@@ -229,12 +237,12 @@ impl AnimationOutputArgs {
                 )));
             }
             let kind = match self.skeleton.unwrap_or(SkeletonKind::Free) {
-                SkeletonKind::Free => GatheredKind::Skin(bones),
-                other => GatheredKind::Rig {
+                SkeletonKind::Free => PlayedForm::Bones(bones),
+                other => PlayedForm::RigBones {
                     has_twists: other == SkeletonKind::Twist,
                 },
             };
-            return Ok(OutputKind::Gathered(path.to_owned(), kind));
+            return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Glb(kind)));
         }
         if self.played_as == Some(PlayedAs::Correctives) {
             let poses = self.poses.unwrap_or(USUAL_POSES);
@@ -243,14 +251,20 @@ impl AnimationOutputArgs {
                     "--poses is {poses}, allowed are 1 to {MOST_POSES}"
                 )));
             }
-            return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Correctives(poses)));
+            return Ok(OutputKind::Gathered(
+                path.to_owned(),
+                GatheredKind::Glb(PlayedForm::Correctives(poses)),
+            ));
         }
         let most = self.max_targets.unwrap_or(USUAL_TARGETS);
         if !(2..=MOST_TARGETS).contains(&most) {
             let problem = format!("--max-targets is {most}, allowed are 2 to {MOST_TARGETS}");
             return Err(CliFailure::Input(problem));
         }
-        Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Morphs(most)))
+        Ok(OutputKind::Gathered(
+            path.to_owned(),
+            GatheredKind::Glb(PlayedForm::Morphs(most)),
+        ))
     }
 
     fn numbered_format(&self) -> Result<Format, CliFailure> {
@@ -296,7 +310,7 @@ impl AnimationOutput {
     /// Begins to write, or goes on with what is there.
     pub(super) fn begin<'a>(&self, played: PlayedAnimation<'a>) -> Result<Box<dyn FrameTaker + 'a>, CliFailure> {
         Ok(match &self.kind {
-            OutputKind::Nothing => Box::new(MeasuredFrames(played.range)),
+            OutputKind::Nothing => Box::new(MeasuredFrames(played.animation.range().clone())),
             OutputKind::Pictured(picture) => Box::new(PicturedFrames::begin(picture.clone(), played)?),
             OutputKind::Numbered(folder, format) => {
                 Box::new(NumberedFrames::begin(folder.clone(), *format, self.resumes, played)?)

@@ -1,19 +1,21 @@
 //! Frames as one picture: a sheet of some of them side by side, or a picture that moves.
 
-use super::linear_blend::{LinearBlendSkin, bone_motions};
-use super::picture_args::{CloseUp, FrameColour, FramePicture, MOST_TILES};
-use super::taken_frames::{FrameTaker, PlayedAnimation};
+use super::play::{FrameTaker, PlayedAnimation};
 use crate::cli::failure::CliFailure;
-use crate::engine::{AnimatedFrame, Animation};
+use crate::engine::{AnimatedFrame, bind_model, influences_of_skin};
 use crate::exec::Exec;
-use crate::motion::rig::{MotionRig, RigidMotion};
+use crate::motion::BoneInfluences;
+use crate::motion::rig::{MotionRig, RigSkeleton, RigidMotion};
 use crate::render::{
-    Camera, ColourKey, ColourRamp, POSITION_COLOUR, Picture, ROTATION_COLOUR, STRETCH_RANGE, ShadedSurface,
-    background_end, draw_surface, edge_stretch, encode_moving_png,
+    Camera, ColourKey, ColourRamp, POSITION_COLOUR, Picture, PictureSize, ROTATION_COLOUR, STRETCH_RANGE,
+    ShadedSurface, UpAxis, ViewDirection, background_end, draw_surface, edge_stretch, encode_moving_png,
 };
 use crate::wire::pb;
+use clap::{Args, ValueEnum};
 use glam::DVec3;
+use rayon::prelude::*;
 use std::ops::Range;
+use std::path::{Path, PathBuf};
 
 /// Most frames of a picture that moves.
 const MOST_MOVING: usize = 1000;
@@ -45,8 +47,11 @@ pub(super) struct PicturedFrames<'a> {
 impl<'a> PicturedFrames<'a> {
     /// Checks that not too many frames are asked for, and that there is what is to be seen.
     pub(super) fn begin(picture: FramePicture, played: PlayedAnimation<'a>) -> Result<Self, CliFailure> {
-        if picture.moves && played.range.len() > MOST_MOVING {
-            let problem = format!("a .apng shows at most {MOST_MOVING} frames, not {}", played.range.len());
+        if picture.moves && played.animation.range().len() > MOST_MOVING {
+            let problem = format!(
+                "a .apng shows at most {MOST_MOVING} frames, not {}",
+                played.animation.range().len()
+            );
             return Err(CliFailure::Input(problem));
         }
         let rig = played.animation.moving_rig();
@@ -81,7 +86,7 @@ impl<'a> PicturedFrames<'a> {
 
     /// Whether a frame is one of those shown: evenly over the range, the first and the last among them.
     fn is_shown(&self, frame: usize) -> bool {
-        let Range { start, end } = self.played.range;
+        let Range { start, end } = self.played.animation.range().clone();
         let last = end - start - 1;
         let tiles = self.picture.tiles - usize::from(self.picture.has_rest);
         let tiles = tiles.min(last + 1);
@@ -212,7 +217,7 @@ fn columns_for(tiles: usize, aspect: f64) -> usize {
 
 impl FrameTaker for PicturedFrames<'_> {
     fn missing(&self) -> Vec<Range<usize>> {
-        vec![self.played.range.clone()]
+        vec![self.played.animation.range().clone()]
     }
 
     fn take(&mut self, frame: &AnimatedFrame, _: &pb::animation_report::FrameReport) -> Result<(), CliFailure> {
@@ -227,17 +232,176 @@ impl FrameTaker for PicturedFrames<'_> {
         "stopped before the last frame; a picture is written when all are there, and nothing is kept".into()
     }
 
-    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Animation, _: &Exec<'_>) -> Result<(), CliFailure> {
+    fn finish(&mut self, report: &mut pb::AnimationReport, _: &Exec<'_>) -> Result<(), CliFailure> {
         self.shapes.sort_by_key(|shown| shown.frame);
-        let PlayedAnimation { permission, times, .. } = &self.played;
         let pictures = self.draw_shapes()?;
         let bytes = match self.picture.moves {
-            true => encode_moving_png(&pictures, times.rate)?,
+            true => encode_moving_png(&pictures, self.played.animation.times().rate)?,
             false => self.join_sheet(&pictures)?.encode_png()?,
         };
-        permission.write_file(&self.picture.path, &bytes)?;
+        self.played.permission.write_file(&self.picture.path, &bytes)?;
         report.output = vec![self.picture.path.display().to_string()];
         Ok(())
+    }
+}
+
+/// Most frames of a sheet.
+pub(super) const MOST_TILES: usize = 256;
+/// Default frames of a sheet.
+const USUAL_TILES: usize = 16;
+
+/// How frames are drawn.
+#[derive(Debug, Clone, Args)]
+pub(super) struct FramePictureArgs {
+    /// Number of frames in a .png, side by side, 1 to 256 [default: 16]
+    #[arg(long, value_name = "COUNT")]
+    tiles: Option<usize>,
+    /// Begin a .png with the rest pose
+    #[arg(long)]
+    rest: bool,
+    /// Size of one frame in pixels [default: 240x320]
+    #[arg(long, value_name = "WxH", value_parser = crate::cli::render::parse_size)]
+    tile: Option<PictureSize>,
+    /// View: degrees around the up axis and above the horizon [default: 30,10]
+    #[arg(long, value_name = "AZIMUTH,ELEVATION", value_parser = crate::cli::render::parse_angles, allow_hyphen_values = true)]
+    view: Option<[f64; 2]>,
+    /// Meaning of the colours [default: plain]
+    #[arg(long, value_enum, alias = "colour")]
+    color: Option<FrameColour>,
+    /// Draw the result of another method beside each frame
+    #[arg(long, value_enum, value_name = "METHOD")]
+    beside: Option<BesideMethod>,
+    /// Show only the surroundings of a bone of the rig; the radius is in model units
+    #[arg(long, value_name = "BONE,RADIUS", value_parser = parse_close_up)]
+    close_up: Option<CloseUp>,
+}
+
+/// What the colours of frames show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum FrameColour {
+    /// The shape only
+    Plain,
+    /// Edges longer (red) or shorter (blue) than in the rest pose; also called stretch
+    #[value(alias = "stretch")]
+    Distortion,
+}
+
+/// What frames are compared with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum BesideMethod {
+    /// Linear blend skinning, with the model's weights for its own clip, else with those of `pliant skin`
+    Lbs,
+}
+
+/// The surroundings of a bone's beginning.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct CloseUp {
+    /// The bone's name, or that of the joint that turns it.
+    pub(super) bone: String,
+    /// How far they go, in model units.
+    pub(super) radius: f64,
+}
+
+fn parse_close_up(text: &str) -> Result<CloseUp, String> {
+    let parts = text.rsplit_once(',').filter(|(bone, _)| !bone.is_empty());
+    let radius = |text: &str| text.trim().parse::<f64>().ok().filter(|r| r.is_finite() && *r > 0.0);
+    match parts.and_then(|(bone, text)| Some((bone, radius(text)?))) {
+        Some((bone, radius)) => Ok(CloseUp {
+            bone: bone.into(),
+            radius,
+        }),
+        None => Err("a bone's name, a comma and a number above 0 are needed, such as leftHand,0.3".into()),
+    }
+}
+
+/// How frames become a picture.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct FramePicture {
+    pub(super) path: PathBuf,
+    /// Whether it is a picture that moves.
+    pub(super) moves: bool,
+    /// Places of a sheet, the rest shape's among them.
+    pub(super) tiles: usize,
+    pub(super) has_rest: bool,
+    pub(super) size: PictureSize,
+    pub(super) view: ViewDirection,
+    pub(super) colour: FrameColour,
+    pub(super) beside: Option<BesideMethod>,
+    pub(super) close_up: Option<CloseUp>,
+}
+
+impl FramePictureArgs {
+    /// Whether anything is said of pictures.
+    pub(super) fn is_given(&self) -> bool {
+        let has_numbers = self.tiles.is_some() || self.tile.is_some() || self.view.is_some();
+        let has_kinds = self.color.is_some() || self.beside.is_some() || self.close_up.is_some();
+        self.rest || has_numbers || has_kinds
+    }
+
+    /// The picture that a path asks for, if it is one's.
+    pub(super) fn picture_at(&self, path: &Path) -> Result<Option<FramePicture>, CliFailure> {
+        let ends = |wanted: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(wanted));
+        let moves = ends("apng");
+        if !moves && !ends("png") {
+            return Ok(None);
+        }
+        if moves && (self.tiles.is_some() || self.rest) {
+            return Err(CliFailure::Input(
+                "--tiles and --rest are for .png; a .apng shows all frames".into(),
+            ));
+        }
+        let tiles = self.tiles.unwrap_or(USUAL_TILES);
+        if !(1..=MOST_TILES).contains(&tiles) {
+            let problem = format!("--tiles is {tiles}, allowed are 1 to {MOST_TILES}");
+            return Err(CliFailure::Input(problem));
+        }
+        if self.rest && tiles < 2 {
+            let problem = "--tiles is 1; with --rest there is room for no frame, 2 or more are needed";
+            return Err(CliFailure::Input(problem.into()));
+        }
+        let [azimuth, elevation] = self.view.unwrap_or([30.0, 10.0]);
+        Ok(Some(FramePicture {
+            path: path.to_owned(),
+            moves,
+            tiles,
+            has_rest: self.rest,
+            size: self.tile.map_or_else(|| PictureSize::new(240, 320), Ok)?,
+            view: ViewDirection::new(azimuth, elevation, UpAxis::Y)?,
+            colour: self.color.unwrap_or(FrameColour::Plain),
+            beside: self.beside,
+            close_up: self.close_up.clone(),
+        }))
+    }
+}
+
+/// Bones that a vertex follows at most where the model says nothing of it.
+const INFLUENCES: usize = 4;
+
+/// What the bones of the rig do in a frame, in the space that its positions are in.
+pub(super) fn bone_motions(played: &PlayedAnimation<'_>, frame: &AnimatedFrame) -> Vec<RigidMotion> {
+    let animation = played.animation;
+    let rig = animation.moving_rig();
+    let pose = animation.driver().pose_at(frame.seconds);
+    RigSkeleton::of_rig(rig, false).motions_in(rig, &pose, &frame.root)
+}
+
+/// Bones and weights.
+pub(super) struct LinearBlendSkin(Vec<BoneInfluences>);
+
+impl LinearBlendSkin {
+    /// The model's own where its own clip is played, else those of `pliant skin`.
+    pub(super) fn of_played(played: &PlayedAnimation<'_>) -> Result<Self, CliFailure> {
+        let (model, rig) = (played.deformer.model(), played.animation.moving_rig());
+        Ok(Self(match played.animation.own_clip() {
+            Some(_) => influences_of_skin(model, rig)?,
+            None => bind_model(model, rig, INFLUENCES, &played.exec)?.influences,
+        }))
+    }
+
+    /// Poses the vertices whose rest is `rest`.
+    pub(super) fn place_vertices(&self, rest: &[DVec3], motions: &[RigidMotion]) -> Vec<DVec3> {
+        let place = |(p, own): (&DVec3, &BoneInfluences)| own.blend(|bone| motions[bone].place(*p));
+        rest.par_iter().zip(&self.0).map(place).collect()
     }
 }
 

@@ -187,8 +187,8 @@ mod tests {
     #[test]
     fn an_address_is_one_of_http_with_or_without_tls() {
         let refused = |url: &str, words: &str| {
-            let told = ServerAddress::new(url, None, None).expect_err(url);
-            assert!(told.contains(words) && told.contains("--server"), "{told}");
+            let reported = ServerAddress::new(url, None, None).expect_err(url);
+            assert!(reported.contains(words) && reported.contains("--server"), "{reported}");
         };
         assert_eq!(
             ServerAddress::new("http://[::1]:80/pliant/", None, None).map(|a| a.base),
@@ -242,11 +242,11 @@ mod tests {
 
     #[test]
     fn what_a_server_says_is_told() {
-        let told = server_problem(
+        let reported = server_problem(
             StatusCode::UNPROCESSABLE_ENTITY,
             br#"{"detail": "handles[0].id: is empty"}"#,
         );
-        assert_eq!(told, "422: handles[0].id: is empty");
+        assert_eq!(reported, "422: handles[0].id: is empty");
         assert_eq!(server_problem(StatusCode::BAD_GATEWAY, b"upstream"), "502: upstream");
     }
 }

@@ -1,29 +1,24 @@
 //! `pliant check`: runs a suite of jobs, or a shard of it, and compares each result with the one that was stored; joins the reports of
 //! shards.
 
-mod animated;
-mod chosen;
 mod http;
-mod local;
-mod merge;
 mod remote;
+mod report_output;
 mod run;
-mod shard;
+mod shards;
 mod suite;
-mod targets;
-mod told;
 
 use super::failure::CliFailure;
 use super::input_files::AllowedFolders;
-use super::stage_spinner::StageSpinner;
-use super::threads::ThreadArgs;
+use super::terminal::StageSpinner;
+use super::terminal::ThreadArgs;
 use crate::check::Shard;
 use crate::check::report::{CaseReport, SuiteReport};
 use clap::Args;
 use http::{HttpClient, ServerAddress};
+use report_output::ReportArgs;
 use run::{CheckPlan, run_all_cases};
 use std::path::{Path, PathBuf};
-use told::ReportArgs;
 
 /// Arguments of `pliant check`.
 #[derive(Debug, Args)]
@@ -69,14 +64,14 @@ pub struct CheckArgs {
     #[command(flatten)]
     allowed: AllowedFolders,
     #[command(flatten)]
-    told: ReportArgs,
+    output: ReportArgs,
     #[command(flatten)]
     threads: ThreadArgs,
 }
 
 /// Runs the command.
 pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
-    args.told.check_targets()?;
+    args.output.check_targets()?;
     match &args.suite {
         Some(suite) => check_suite(suite, args),
         None => join_shards(args),
@@ -85,17 +80,17 @@ pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
 
 /// Joins the reports of shards.
 fn join_shards(args: &CheckArgs) -> Result<(), CliFailure> {
-    let mut report = merge::merge_files(&args.merge)?;
-    if !args.told.times {
+    let mut report = shards::merge_files(&args.merge)?;
+    if !args.output.times {
         report.cases.iter_mut().for_each(|c| c.milliseconds = None);
     }
     // A case that ended in a result has pictures, or a note that says why not.
     let bare = |c: &&CaseReport| !c.digest.is_empty() && c.pictures.is_empty() && c.notes.is_empty();
     let bare = report.cases.iter().filter(bare).count();
-    if args.told.wants_pictures() && bare > 0 {
+    if args.output.wants_pictures() && bare > 0 {
         eprintln!("note: {bare} cases have no pictures; run the shards with --pictures to include them");
     }
-    args.told.tell(&report, |_| Ok(Vec::new()))
+    args.output.write(&report, |_| Ok(Vec::new()))
 }
 
 /// Runs a suite, or a shard of it.
@@ -108,11 +103,11 @@ fn check_suite(suite: &Path, args: &CheckArgs) -> Result<(), CliFailure> {
     let server = server.transpose().map_err(CliFailure::Input)?;
     let data = args.data.as_deref().filter(|d| !d.as_os_str().is_empty());
     let loaded = suite::load_suite(suite, data, &args.allowed, &args.chosen)?;
-    targets::check_targets(&args.told.reports(), &loaded, args.told.permission, args.bless)?;
+    report_output::check_targets(&args.output.reports(), &loaded, args.output.permission, args.bless)?;
     let suite::LoadedSuite { mut cases, notes, .. } = loaded;
     let shard = args
         .shard
-        .map(|shard| shard::take_shard(&mut cases, shard, args.costs.as_deref()));
+        .map(|shard| shards::take_shard(&mut cases, shard, args.costs.as_deref()));
     let shard = shard.transpose()?;
     if let Some(address) = &server {
         let client = HttpClient::new(address).map_err(CliFailure::Input)?;
@@ -122,10 +117,10 @@ fn check_suite(suite: &Path, args: &CheckArgs) -> Result<(), CliFailure> {
         server: server.as_ref(),
         bless: args.bless,
         skip_fails: args.no_skip,
-        pictures: args.told.wants_pictures(),
-        times: args.told.times,
+        pictures: args.output.wants_pictures(),
+        times: args.output.times,
     };
-    let spinner = StageSpinner::new(args.told.json);
+    let spinner = StageSpinner::new(args.output.json);
     let done = run_all_cases(&cases, &plan, threads, &spinner)?;
     spinner.finish();
 
@@ -142,10 +137,10 @@ fn check_suite(suite: &Path, args: &CheckArgs) -> Result<(), CliFailure> {
         shard,
         cases: done.iter().map(|d| d.report.clone()).collect(),
     };
-    args.told.tell(&report, |k| {
-        // Written first: what is told as stored is stored.
+    args.output.write(&report, |k| {
+        // Written first, so that a golden that is reported as stored is stored.
         if let Some(golden) = &done[k].golden {
-            let replace = args.told.permission.for_goldens();
+            let replace = args.output.permission.for_goldens();
             replace.write_file(&cases[k].golden_path, golden.as_bytes())?;
         }
         Ok(done[k].changes.clone())

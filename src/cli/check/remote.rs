@@ -121,8 +121,8 @@ impl RemoteSession<'_> {
         let mut is_whole = false;
         while !left.is_empty() {
             let part = pb::Frame::decode_length_delimited(&mut left).map_err(|e| format!("a frame: {e}"))?;
-            let told = part.animated.unwrap_or_default();
-            is_whole |= told.report.is_some();
+            let reported = part.animated.unwrap_or_default();
+            is_whole |= reported.report.is_some();
             if part.parts == 0 {
                 continue;
             }
@@ -132,8 +132,8 @@ impl RemoteSession<'_> {
             data.extend_from_slice(&part.data);
             if part.part + 1 == part.parts {
                 found.positions = positions_from_floats(&data)?;
-                found.digest.clone_from(&told.digest);
-                found.frames.push(told.digest);
+                found.digest.clone_from(&reported.digest);
+                found.frames.push(reported.digest);
                 found.take_quality(&part.quality.unwrap_or_default());
             }
         }
@@ -318,7 +318,9 @@ fn header_quality(headers: &HeaderMap) -> Option<pb::Quality> {
     Some(pb::Quality {
         edge_rms: header_number(headers, "x-pliant-edge-rms")?,
         volume_change: header_number(headers, "x-pliant-volume-change")?,
-        open_surface: headers.get("x-pliant-open-surface").is_some_and(|told| told == "true"),
+        open_surface: headers
+            .get("x-pliant-open-surface")
+            .is_some_and(|reported| reported == "true"),
         area_change: header_number(headers, "x-pliant-area-change")?,
         flipped_triangles: header_number(headers, "x-pliant-flipped-triangles")? as u32,
         max_stretch: header_number(headers, "x-pliant-max-stretch")?,

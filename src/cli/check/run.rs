@@ -1,17 +1,23 @@
 //! All cases of a suite, several at a time, with a report that does not depend on how many.
 
 use super::http::{HttpClient, ServerAddress};
+use super::remote;
 use super::suite::LoadedCase;
-use super::{animated, local, remote};
-use crate::asset::{self, FileSet, Model};
+use crate::asset::{self, FileSet, Format, Model};
+use crate::batch;
 use crate::check::report::{CaseReport, describe_changes};
 use crate::check::{
-    CaseResult, CaseStatus, CaseVerdict, Golden, InputHashes, Viewpoint, draw_case_pictures, judge_result, model_hash,
+    AnimationCase, CaseResult, CaseStatus, CaseVerdict, Golden, InputHashes, Metric, Viewpoint, draw_case_pictures,
+    judge_result, model_hash,
 };
 use crate::cli::failure::CliFailure;
-use crate::cli::stage_spinner::StageSpinner;
+use crate::cli::terminal::StageSpinner;
+use crate::engine::{Animation, Deformer, DeformerLimits, digest};
+use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::progress::Progress as _;
+use crate::progress::{Progress as _, Silent};
+use crate::session::SessionConfig;
+use crate::wire::{self, RootMotion, animate_order, pb, quality_message};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
@@ -166,9 +172,9 @@ fn run_model(
     let before = read.map_err(|e| e.to_string())?.geometry;
     let mut found = match (client, &loaded.animation) {
         (Some(client), None) => remote::run_on_server(client, &files, &loaded.job)?,
-        (None, None) => local::run_in_process(files, &loaded.job, pool)?,
+        (None, None) => run_in_process(files, &loaded.job, pool)?,
         (Some(client), Some(animation)) => remote::animate_on_server(client, &files, animation)?,
-        (None, Some(animation)) => animated::animate_in_process(files, animation, pool)?,
+        (None, Some(animation)) => animate_in_process(files, animation, pool)?,
     };
     if found.triangles.is_empty() && found.positions.len() == before.positions.len() {
         found.triangles = before.triangles.clone();
@@ -210,4 +216,72 @@ fn bless_case(done: &mut CheckedCase, loaded: &LoadedCase, found: &CaseResult, i
         }
         Err(text) => *verdict = CaseVerdict::without_result(CaseStatus::Failed, "not-run", text),
     }
+}
+
+/// Runs a job on a model. The shape before is the caller's to add.
+///
+/// # Errors
+/// Why it cannot be run.
+pub(super) fn run_in_process(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<CaseResult, String> {
+    let no_clock = || 0.0;
+    let done = batch::run(
+        files,
+        job,
+        None,
+        &DeformerLimits::default(),
+        &Exec::new(pool, &Silent),
+        &no_clock,
+    )
+    .map_err(|e| e.to_string())?;
+    let poses: Vec<&pb::report::Step> = done.report.steps.iter().filter(|s| s.kind == "pose").collect();
+    let mut found = CaseResult {
+        positions: done.positions.to_vec(),
+        triangles: done.triangles,
+        digest: done.report.digest,
+        unmet: done.unmet,
+        ..Default::default()
+    };
+    found.take_quality(&done.report.quality.unwrap_or_default());
+    let bytes = done.report.solver.unwrap_or_default().bytes;
+    found.numbers.extend([
+        (Metric::ConstraintError, done.constraint_error),
+        (Metric::Residual, poses.iter().map(|s| s.residual).fold(0.0, f64::max)),
+        (Metric::Cycles, poses.iter().map(|s| f64::from(s.cycles)).sum()),
+        (Metric::Bytes, bytes as f64),
+    ]);
+    Ok(found)
+}
+
+/// Runs an animation of a model. The shape before is the caller's to add.
+///
+/// # Errors
+/// Why it cannot be run.
+pub(super) fn animate_in_process(files: FileSet, animation: &AnimationCase, pool: &Pool) -> Result<CaseResult, String> {
+    play_frames(files, animation, pool).map_err(|e| e.to_string())
+}
+
+fn play_frames(files: FileSet, animation: &AnimationCase, pool: &Pool) -> Result<CaseResult, wire::Error> {
+    let exec = Exec::new(pool, &Silent);
+    let limits = DeformerLimits::default();
+    let usual = SessionConfig::default();
+    let order = animate_order(&animation.options, usual.window, usual.clip_bytes)?;
+    let model = Model::read(files, Format::from_name(&animation.create.format), &limits.model)?;
+    let deformer = Deformer::of_model(model, &wire::open_options(&animation.create)?, &limits, &exec)?;
+    let prepared = Animation::prepare(&deformer, &order.request, &usual.animation_limits(), &exec);
+    let animation = prepared.map_err(|e| wire::of_rig(e.into()))?;
+    let mut cursor = animation.cursor(animation.range().clone());
+    let mut found = CaseResult::default();
+    while cursor.next_index().is_some() {
+        let Some(mut frame) = animation.solve_next(&mut cursor, &exec)? else {
+            continue;
+        };
+        found.digest = digest(&frame.positions);
+        found.frames.push(found.digest.clone());
+        found.take_quality(&quality_message(&animation.quality(&frame.positions, pool)));
+        if order.root == RootMotion::Baked {
+            frame.bake_root();
+        }
+        found.positions = frame.positions;
+    }
+    Ok(found)
 }

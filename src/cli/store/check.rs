@@ -1,7 +1,7 @@
 //! `pliant store check`: everything that is kept beside its checksums.
 
 use super::super::failure::CliFailure;
-use super::super::json_output::print_value;
+use super::super::terminal::print_value;
 use super::kept_place::{StorePlaceArgs, lookers, store_failure};
 use crate::session::Manager;
 use crate::session::store::{CheckedSession, ReadOnlyStore, StoredFacts};

@@ -1,7 +1,7 @@
 //! `pliant store export`: a kept session's model, without a server.
 
 use super::super::failure::CliFailure;
-use super::super::model_files::output_format;
+use super::super::input_files::output_format;
 use super::super::output_files::OutputPermission;
 use super::kept_place::{StorePlaceArgs, lookers, session_failure, store_failure};
 use crate::asset::FileSet;

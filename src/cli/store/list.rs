@@ -1,7 +1,7 @@
 //! `pliant store list`: the sessions of all tenants.
 
 use super::super::failure::CliFailure;
-use super::super::json_output::print_value;
+use super::super::terminal::print_value;
 use super::kept_place::{StorePlaceArgs, store_failure};
 use crate::session::store::StoredFacts;
 use clap::Args;

@@ -7,6 +7,7 @@
 use super::call::Call;
 use super::codec::inbound_message;
 use crate::asset::FileSet;
+use crate::engine::ClipSource;
 use crate::server::state::ServerState;
 use crate::server::stream_messages::{AnimationFrames, RequestSender, ResponseReceiver, message_channels};
 use crate::server::uploads::{HeldUpload, UploadPace};
@@ -14,7 +15,7 @@ use crate::session::{AnimationControl, Error, ErrorCode, Tenant};
 use crate::wire::frames::OutgoingResponse;
 use crate::wire::pb::create_session_request::Message as Part;
 use crate::wire::pb::{self, animate_request, deform_response};
-use crate::wire::{AnimateOrder, OrderedClip, animate_order};
+use crate::wire::{AnimateOrder, animate_order};
 use bytes::Bytes;
 use futures::future::pending;
 use futures::stream::{once, unfold};
@@ -239,10 +240,10 @@ async fn next_message(
 async fn with_announced_clip(
     state: &ServerState,
     tenant: &Tenant,
-    order: AnimateOrder,
+    mut order: AnimateOrder,
     inbound: &mut Streaming<pb::AnimateRequest>,
 ) -> Result<AnimateOrder, Status> {
-    let OrderedClip::Announced(size) = order.clip else {
+    let Some(size) = order.bvh_size.take() else {
         return Ok(order);
     };
     let patience = state.config.keepalive_interval + state.config.keepalive_timeout;
@@ -260,10 +261,10 @@ async fn with_announced_clip(
         let problem = format!("{} bytes have come, bvhSize says {size}", clip.len());
         return Err(Error::invalid("chunk", problem).into());
     }
-    Ok(AnimateOrder {
-        clip: OrderedClip::Recorded(Bytes::from(clip)),
-        ..order
-    })
+    if let ClipSource::Bvh { bytes, .. } = &mut order.request.clip {
+        *bytes = Bytes::from(clip);
+    }
+    Ok(order)
 }
 
 async fn take_acknowledgements(

@@ -10,7 +10,7 @@ use crate::server::state::ServerState;
 use crate::server::stream_messages::AnimationFrames;
 use crate::session::{AnimatedModel, Error};
 use crate::wire::pb::{self, animate_options::Source};
-use crate::wire::{self, AnimateOrder, OrderedClip, animate_options_from_json, animate_order};
+use crate::wire::{self, AnimateOrder, animate_options_from_json, animate_order};
 use axum::body::Body;
 use axum::extract::Request;
 use axum::response::Response;
@@ -76,7 +76,7 @@ async fn received_order(state: &ServerState, request: Request, id: &str) -> Resu
     body::same_session(&options.session_id, id)?;
     let config = state.manager.config();
     let order = animate_order(&options, config.window, config.clip_bytes)?;
-    if matches!(order.clip, OrderedClip::Announced(_)) {
+    if order.bvh_size.is_some() {
         let problem = "is for gRPC; send the BVH file as the part clip of a form";
         return Err(Error::invalid("bvhSize", problem).into());
     }

@@ -7,8 +7,7 @@ use crate::motion::rig::RigidMotion;
 use crate::pool::Pool;
 use crate::progress::Progress as _;
 use crate::session::animation::frame_outbox::FrameOutbox;
-use crate::session::animation::prepared_animation::{PreparedAnimation, ReadyAnimation};
-use crate::session::animation::running_animation::RunningAnimation;
+use crate::session::animation::running_animation::{PreparedAnimation, RunningAnimation};
 use crate::session::calls::command::SessionCommand;
 use crate::session::calls::manager::Manager;
 use crate::session::capacity::memory_ledger::MemoryReservation;
@@ -19,7 +18,7 @@ use crate::session::error::{Error, ErrorCode};
 use crate::session::registry::OpenSession;
 use crate::session::stream::frame_window::{FrameContext, ms_of};
 use crate::wire::frames::{AnimatedHeader, Frame, FrameHeader, FrameOutput};
-use crate::wire::{AnimateOrder, AnimationSummary, OrderedRoot};
+use crate::wire::{AnimateOrder, AnimationSummary, RootMotion};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tracing::Span;
@@ -37,7 +36,7 @@ pub(in crate::session) struct AnimationTask {
 struct FrameSolver {
     prepared: Arc<PreparedAnimation>,
     frames: FrameContext,
-    root: OrderedRoot,
+    root: RootMotion,
     output: FrameOutput,
 }
 
@@ -72,28 +71,23 @@ impl AnimationTask {
         let (root, output) = (order.root, order.output);
         let outbox = Arc::clone(&self.outbox);
         let command = |call| SessionCommand::Animate(Box::new(order), outbox, call);
-        let ready = tokio::select! {
-            ready = self.manager.call(&self.session, None, command) => ready?,
+        let mut prepared = tokio::select! {
+            prepared = self.manager.call(&self.session, None, command) => prepared?,
             () = self.outbox.wait_for_end() => return Ok(None),
         };
-        let ReadyAnimation {
-            prepared,
-            revision,
-            build_ms,
-        } = ready;
         let memory = self.reserve_memory(&prepared)?;
         let summary = AnimationSummary {
             handles: prepared.animation.handle_facts().to_vec(),
-            warnings: prepared.warnings.clone(),
+            warnings: prepared.animation.warnings(),
             scale: prepared.animation.driver().scale(),
-            build_ms,
+            build_ms: std::mem::take(&mut prepared.build_ms),
             ..Default::default()
         };
         let prepared = Arc::new(prepared);
         self.outbox.tell_prepared(Arc::clone(&prepared));
         let solver = FrameSolver {
             frames: FrameContext {
-                revision,
+                revision: prepared.revision,
                 topology: None,
                 diagonal: prepared.animation.diagonal(),
                 queued: Duration::ZERO,
@@ -127,7 +121,7 @@ impl AnimationTask {
     ) -> Result<Option<AnimationSummary>, Error> {
         let shared = &self.manager.shared;
         let prepared = &solver.prepared;
-        let mut cursor = prepared.animation.cursor(prepared.range.clone());
+        let mut cursor = prepared.animation.cursor(prepared.animation.range().clone());
         let owner = self.session.work_owner();
         let begun = Instant::now();
         while cursor.next_index().is_some() {
@@ -214,9 +208,9 @@ impl FrameSolver {
         sums.add(&quality);
         let digest = digest(&frame.positions);
         match self.root {
-            OrderedRoot::Apart => {}
-            OrderedRoot::Baked => frame.bake_root(),
-            OrderedRoot::Dropped => frame.root = RigidMotion::IDENTITY,
+            RootMotion::Apart => {}
+            RootMotion::Baked => frame.bake_root(),
+            RootMotion::Dropped => frame.root = RigidMotion::IDENTITY,
         }
         let animated = AnimatedHeader {
             index: frame.index,

@@ -1,10 +1,10 @@
 //! All frames of an animation as one model that plays them.
 
-use crate::batch::{KeptFrames, PlayedModel, write_morph_frames, write_skin_frames};
+use crate::engine::{self, FrameSource, PlayedForm};
 use crate::exec::Exec;
 use crate::motion::rig::RigidMotion;
-use crate::session::animation::ends::AnimationReader;
-use crate::session::animation::prepared_animation::PreparedAnimation;
+use crate::session::animation::frame_outbox::AnimationReader;
+use crate::session::animation::running_animation::PreparedAnimation;
 use crate::session::answers::{AnimatedModel, AnimationAnswer};
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;
@@ -14,8 +14,8 @@ use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::quota::tenant_account::TenantAccount;
 use crate::session::shared::SharedResources;
+use crate::wire::RootMotion;
 use crate::wire::frames::Frame;
-use crate::wire::{self, OrderedRoot, PlayedForm};
 use glam::Vec3;
 use std::sync::Arc;
 use tracing::Span;
@@ -30,8 +30,8 @@ struct FramesInMemory {
     shapes: Vec<Vec<Vec3>>,
 }
 
-impl KeptFrames for FramesInMemory {
-    type Failure = wire::Error;
+impl FrameSource for FramesInMemory {
+    type Failure = engine::Error;
 
     fn count(&self) -> usize {
         self.shapes.len()
@@ -41,7 +41,7 @@ impl KeptFrames for FramesInMemory {
         self.roots[frame]
     }
 
-    fn positions(&mut self, frame: usize) -> Result<Vec<Vec3>, wire::Error> {
+    fn positions(&mut self, frame: usize) -> Result<Vec<Vec3>, engine::Error> {
         Ok(self.shapes[frame].clone())
     }
 }
@@ -58,7 +58,7 @@ impl FramesInMemory {
 pub(in crate::session) async fn gather_clip(
     (shared, account, owner): (&SharedResources, &Arc<TenantAccount>, &WorkOwner),
     mut output: AnimationReader,
-    (form, root): (PlayedForm, OrderedRoot),
+    (form, root): (PlayedForm, RootMotion),
 ) -> Result<AnimatedModel, Error> {
     let mut frames = FramesInMemory::default();
     let mut memory = None;
@@ -82,33 +82,16 @@ pub(in crate::session) async fn gather_clip(
     let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
     let watch = Arc::new(WorkWatch::new(flags, shared.config.build));
     let inside = Arc::clone(&watch);
-    let has_root = root == OrderedRoot::Apart;
+    let has_root = root == RootMotion::Apart;
     let slot = shared.compute.slot_for_frame(owner).await?;
     let span = WorkSpan::new(WorkKind::Clip, "", &Span::current());
     let written = slot.run(span, move |pool| {
         let exec = Exec::new(pool, &*inside);
-        let (model, rest) = prepared.animation.model();
-        let (times, last) = (prepared.animation.times(), prepared.range.end - 1);
-        let played = PlayedModel {
-            model,
-            rest,
-            vertices: &prepared.played_vertices(),
-            own: prepared.own_clip,
-            seconds: [prepared.range.start, last].map(|frame| times.at(frame)),
-            diagonal: prepared.animation.diagonal(),
-            clip: &prepared.clip_name,
-            rate: times.rate,
-            has_root,
-        };
-        match form {
-            PlayedForm::Morphs(most) => write_morph_frames(&played, &mut frames, most),
-            PlayedForm::Bones(bones) => {
-                write_skin_frames(&played, &mut frames, bones, &exec).map(|(files, told)| (files, Some(told)))
-            }
-        }
+        let animation = &prepared.animation;
+        animation.write_clip(form, has_root, &mut frames, &exec)
     });
-    let (files, told) = written.await.map_err(Error::from)?.map_err(|error| match error {
-        wire::Error::Cancelled if !watch.abandoned() => {
+    let written = written.await.map_err(Error::from)?.map_err(|error| match error {
+        engine::Error::Cancelled if !watch.abandoned() => {
             let limit = watch.limit().as_millis();
             let text = format!("writing the animation took longer than the {limit} ms that are allowed");
             Error::new(ErrorCode::DeadlineExceeded, text)
@@ -116,9 +99,9 @@ pub(in crate::session) async fn gather_clip(
         error => error.into(),
     })?;
     drop(memory);
-    summary.warnings.extend(told.map(|(_, line)| line));
+    summary.warnings.extend(written.error.map(|error| error.message));
     Ok(AnimatedModel {
-        model: files.main.into(),
+        model: written.files.main.into(),
         summary,
     })
 }
@@ -128,7 +111,7 @@ fn reserve_frames(
     (shared, account): (&SharedResources, &Arc<TenantAccount>),
     prepared: Option<&PreparedAnimation>,
 ) -> Result<MemoryReservation, Error> {
-    let (frames, vertices) = prepared.map_or((0, 0), |p| (p.range.len(), p.animation.model().1.len()));
+    let (frames, vertices) = prepared.map_or((0, 0), |p| (p.animation.range().len(), p.animation.model().1.len()));
     if prepared.is_some_and(|p| p.animation.is_edited()) {
         let text =
             "edits have changed the model since it was read, and a GLB is made of the model as it was; ask for frames";

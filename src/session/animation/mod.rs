@@ -5,11 +5,8 @@
 //! poses of other streams take their turn in between, and it goes on only while the reader has room for a frame.
 
 mod animation_task;
-pub(super) mod ends;
 pub(super) mod frame_outbox;
 pub(super) mod gathered_clip;
-pub(super) mod open_animations;
-pub(super) mod prepared_animation;
 pub(super) mod running_animation;
 
 pub(super) use animation_task::AnimationTask;

@@ -1,8 +1,8 @@
 //! The calls that animate a session's model.
 
 use crate::session::animation::AnimationTask;
-use crate::session::animation::ends::{AnimationControl, AnimationReader, animation_ends};
 use crate::session::animation::frame_outbox::FrameOutbox;
+use crate::session::animation::frame_outbox::{AnimationControl, AnimationReader, animation_ends};
 use crate::session::animation::gathered_clip::gather_clip;
 use crate::session::animation::running_animation::RunningAnimation;
 use crate::session::answers::{AnimatedModel, Tenant};

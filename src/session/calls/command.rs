@@ -4,7 +4,7 @@ use crate::asset::Format;
 use crate::engine::DeformerFacts;
 use crate::progress::CancelFlag;
 use crate::session::animation::frame_outbox::FrameOutbox;
-use crate::session::animation::prepared_animation::ReadyAnimation;
+use crate::session::animation::running_animation::PreparedAnimation;
 use crate::session::answers::{CarriedAlong, CommittedEdit, CommittedPose, ExportedModel, SessionFacts};
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::calls::idempotency::KeyClaim;
@@ -31,7 +31,7 @@ pub(in crate::session) enum SessionCommand {
     Export(Option<Format>, PendingCall<ExportedModel>),
     Carry(Box<CarryOrder>, PendingCall<CarriedAlong>),
     /// Prepares an animation and reports stages to its reader.
-    Animate(Box<AnimateOrder>, Arc<FrameOutbox>, PendingCall<ReadyAnimation>),
+    Animate(Box<AnimateOrder>, Arc<FrameOutbox>, PendingCall<PreparedAnimation>),
 }
 
 impl SessionCommand {

@@ -2,7 +2,7 @@
 
 use crate::asset::FileSet;
 use crate::engine::OpenOptions;
-use crate::session::animation::open_animations::OpenAnimations;
+use crate::session::animation::running_animation::OpenAnimations;
 use crate::session::answers::{CallKey, SessionFacts, Tenant};
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::StoredAnswer;

@@ -1,15 +1,15 @@
 //! What a session's task does for an animation: it prepares it.
 
-use crate::engine;
+use crate::engine::{self, ClipSource};
 use crate::exec::Exec;
 use crate::session::animation::frame_outbox::{FrameOutbox, StageTeller};
-use crate::session::animation::prepared_animation::ReadyAnimation;
+use crate::session::animation::running_animation::PreparedAnimation;
 use crate::session::calls::command::PendingCall;
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkKind;
 use crate::session::error::Error;
 use crate::session::task::session_task::SessionTask;
-use crate::wire::{self, AnimateOrder, OrderedClip};
+use crate::wire::{self, AnimateOrder};
 use std::sync::Arc;
 
 /// Bytes of memory for each byte of a clip while it is read: a number of two digits is a number, and becomes part of a rotation.
@@ -21,12 +21,12 @@ impl SessionTask {
         &mut self,
         order: AnimateOrder,
         outbox: Arc<FrameOutbox>,
-        call: &PendingCall<ReadyAnimation>,
-    ) -> Result<ReadyAnimation, Error> {
+        call: &PendingCall<PreparedAnimation>,
+    ) -> Result<PreparedAnimation, Error> {
         let revision = self.history.revision();
         let topology = self.history.current().topology.clone();
         let limits = self.shared.config.animation_limits();
-        if let OrderedClip::Recorded(bytes) = &order.clip {
+        if let ClipSource::Bvh { bytes, .. } = &order.request.clip {
             let needed = (bytes.len() as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
             let reserved = self.memory.grow_to(self.memory.bytes().saturating_add(needed));
             reserved.map_err(|shortage| {
@@ -45,19 +45,21 @@ impl SessionTask {
                     };
                     let exec = &Exec::new(work.pool, &teller);
                     deformer.go_to_topology(topology.as_ref(), exec)?;
-                    let mut prepared = deformer.engine.prepare_animation(&order, &limits, exec)?;
+                    let prepared = deformer.engine.prepare_animation(&order.request, &limits, exec);
+                    let animation = prepared.map_err(|e| wire::of_rig(e.into()))?;
                     let is_shaded = order.output.normals || order.output.tangents;
-                    prepared.shader = is_shaded.then(|| deformer.shader());
-                    Ok::<_, wire::Error>(prepared)
+                    let shader = is_shaded.then(|| deformer.shader());
+                    Ok::<_, wire::Error>((animation, shader))
                 },
             )
             .await?;
-        let prepared = prepared.map_err(|error| match error {
+        let (animation, shader) = prepared.map_err(|error| match error {
             wire::Error::Cancelled => self.failure(engine::Error::Cancelled, &watch),
             error => error.into(),
         })?;
-        Ok(ReadyAnimation {
-            prepared,
+        Ok(PreparedAnimation {
+            animation,
+            shader,
             revision,
             build_ms: watch.take_stage_ms(),
         })

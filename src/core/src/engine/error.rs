@@ -1,8 +1,10 @@
 //! Why the deformer refuses something, with the place in the caller's input as a typed value.
 
 use super::edit_command::EditKind;
+use crate::motion::rig::RigError;
+use crate::motion::skin_weights::SkinWeightError;
 use crate::progress::Cancelled;
-use crate::{asset, edit};
+use crate::{asset, edit, motion};
 use std::fmt;
 
 /// Why something was refused or could not be carried out. Nothing has changed when one of these is returned.
@@ -18,6 +20,28 @@ pub enum Error {
         place: InputPlace,
         /// What was seen and what is allowed.
         problem: String,
+    },
+    /// A clip cannot be read.
+    #[error("clip: {0}")]
+    Clip(#[from] motion::Error),
+    /// A rig or a clip does not fit the model, or one does not fit the other.
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    /// Weights of a skin cannot be made of what is given.
+    #[error("{what}: {problem}")]
+    SkinWeights {
+        /// What of it.
+        what: String,
+        /// What is wrong, and what is allowed.
+        problem: String,
+    },
+    /// An animation has none of the frames that are asked for.
+    #[error("first: is {first}, the animation has {frames} frames, counted from 0")]
+    NoSuchFrames {
+        /// The first that is asked for.
+        first: usize,
+        /// How many the animation has.
+        frames: usize,
     },
     /// The request does not fit the present state of the deformer.
     #[error("{0}")]
@@ -134,6 +158,16 @@ impl From<crate::deform::Error> for Error {
             Deform::NoPosition | Deform::FreePart { .. } => Self::Precondition(e.to_string()),
             Deform::Unsupported(what) => Self::Unimplemented(what),
             Deform::Solver(_) => Self::Internal(e.to_string()),
+        }
+    }
+}
+
+impl From<SkinWeightError> for Error {
+    fn from(e: SkinWeightError) -> Self {
+        match e {
+            SkinWeightError::Invalid { what, problem } => Self::SkinWeights { what, problem },
+            SkinWeightError::Cancelled(_) => Self::Cancelled,
+            SkinWeightError::Solver(e) => Self::Internal(e.to_string()),
         }
     }
 }

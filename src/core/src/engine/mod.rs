@@ -68,8 +68,10 @@ mod tube_region;
 mod vertex_origins;
 
 pub use animation::{
-    AnimatedFrame, Animation, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, FrameChoice, FrameCursor,
-    FrameSums, FrameTimes, RigHandleFacts, RigNodes,
+    AnimatedFrame, Animation, AnimationLimits, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, BoundModel,
+    ClipRequest, ClipSource, FrameChoice, FrameCursor, FrameSource, FrameSums, FrameTimes, MadeRig, PlayedClipFile,
+    PlayedForm, RigHandleFacts, RigNodes, RigOrder, WrittenError, bind_model, carrying_joints, influences_of_skin,
+    left_out_of_rig, left_out_passengers, left_out_primitives, make_rig, node_place,
 };
 pub use deformer::Deformer;
 pub use digest::digest;

@@ -1,7 +1,7 @@
 //! The frames of an animation, block by block.
 
+use super::clip_request::{AnimationRefinement, BLOCK_FRAMES};
 use super::prepare::Animation;
-use super::settings::{AnimationRefinement, BLOCK_FRAMES};
 use crate::deform::{
     FirstPass, FitOrder, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart, SolveState, Transform,
     unfold_faces,

@@ -1,7 +1,7 @@
 //! An animation before its first frame: the rig's handles on the body, with fields of their own.
 
+use super::clip_request::{AnimationSettings, FrameTimes};
 use super::held_nodes::{RigHandleFacts, hold_nodes};
-use super::settings::{AnimationSettings, FrameTimes};
 use crate::asset::Model;
 use crate::deform::{HandleConstraint, HandleSetup, HandleSystem};
 use crate::engine::deformer::Deformer;
@@ -16,6 +16,7 @@ use crate::motion::SceneMotion;
 use crate::motion::rig::{MotionRig, RigDriver, RigHandle, rig_handles};
 use crate::pool::Pool;
 use glam::DVec3;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// A clip on a model, ready to be solved frame by frame.
@@ -28,6 +29,11 @@ pub struct Animation {
     pub(super) times: FrameTimes,
     pub(super) settings: AnimationSettings,
     pub(super) beside: Option<SceneMotion>,
+    pub(super) range: Range<usize>,
+    pub(super) clip_name: String,
+    pub(super) own_clip: Option<usize>,
+    /// Primitives that are not solved, where the clip is the model's own and moves them.
+    pub(super) left_out: Vec<usize>,
     facts: Vec<RigHandleFacts>,
     large_faces: Option<DeformerWarning>,
 }
@@ -82,6 +88,10 @@ impl Deformer {
             times,
             settings: settings.clone(),
             beside: None,
+            range: 0..times.count,
+            clip_name: String::new(),
+            own_clip: None,
+            left_out: Vec::new(),
             facts,
             large_faces,
         })
@@ -136,12 +146,47 @@ pub struct RigNodes {
 }
 
 impl Animation {
-    /// Moves along with the clip what moves in the scene of the model's file beside its skins. Does nothing for an
-    /// edited model, which has other vertices than its file.
-    #[must_use]
-    pub fn with_beside(mut self, beside: Option<SceneMotion>) -> Self {
-        self.beside = beside.filter(|_| self.derived.topology().edited.is_none());
-        self
+    /// What an error calls the number of frames.
+    pub const FRAMES: &'static str = "the number of frames of the animation";
+
+    /// The frames that are wanted.
+    pub fn range(&self) -> &Range<usize> {
+        &self.range
+    }
+
+    /// What the clip is called; may be empty.
+    pub fn clip_name(&self) -> &str {
+        &self.clip_name
+    }
+
+    /// The clip's number in the model, where it is of the model's own skin.
+    pub fn own_clip(&self) -> Option<usize> {
+        self.own_clip
+    }
+
+    /// The warnings before the first frame, one line each.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = self.driver.warnings().to_vec();
+        let empty = self.facts.iter().filter(|h| h.nodes == 0);
+        let empty: Vec<String> = empty.map(|h| format!("\"{}\"", h.name)).collect();
+        if !empty.is_empty() {
+            warnings.push(format!(
+                "{} of the rig hold nothing, because others hold all there is near them",
+                empty.join(", ")
+            ));
+        }
+        warnings.extend(self.large_faces().map(|w| format!("{}: {}", w.code, w.message)));
+        warnings
+    }
+
+    /// The render vertices that are played; the model's own clip moves the others.
+    pub fn played_vertices(&self) -> Vec<usize> {
+        let (model, rest) = self.model();
+        let mut is_played = vec![true; rest.len()];
+        for primitive in self.left_out.iter().filter_map(|p| model.primitives.get(*p)) {
+            is_played[primitive.vertices()].fill(false);
+        }
+        (0..is_played.len()).filter(|vertex| is_played[*vertex]).collect()
     }
 
     /// The rig that moves.

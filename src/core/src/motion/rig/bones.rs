@@ -104,6 +104,14 @@ pub enum RigError {
     },
 }
 
+impl RigError {
+    /// Makes the error of a field of the rig as a whole, or of the clip.
+    pub fn field(field: &'static str, problem: impl Into<String>) -> Self {
+        let problem = problem.into();
+        Self::Field { field, problem }
+    }
+}
+
 impl MotionRig {
     /// The most bones of a rig.
     pub const MOST_BONES: usize = 1024;
@@ -127,11 +135,14 @@ impl MotionRig {
     ) -> Result<Self, RigError> {
         if bones.is_empty() || bones.len() > Self::MOST_BONES {
             let (count, most) = (bones.len(), Self::MOST_BONES);
-            return Err(whole("bones", format!("has {count} entries, allowed are 1 to {most}")));
+            return Err(RigError::field(
+                "bones",
+                format!("has {count} entries, allowed are 1 to {most}"),
+            ));
         }
         if let Some(scale) = scale.filter(|s| !Self::SCALES.contains(s)) {
             let most = Self::FARTHEST;
-            return Err(whole(
+            return Err(RigError::field(
                 "scale",
                 format!("is {scale}, a number from 1 / {most:e} to {most:e} is needed"),
             ));
@@ -180,10 +191,6 @@ impl MotionRig {
 }
 
 /// A problem of the rig as a whole.
-pub(super) fn whole(field: &'static str, problem: String) -> RigError {
-    RigError::Field { field, problem }
-}
-
 /// Up to eight names, in quotes.
 pub(in crate::motion) fn listed_names<S: AsRef<str>>(names: impl Iterator<Item = S>) -> String {
     let mut names = names;
@@ -275,7 +282,7 @@ fn parents_first(bones: &[RigBone], above: &[Option<usize>]) -> Result<Vec<usize
     }
     if roots.len() > 1 {
         let names = listed_names(roots.iter().map(|&b| bones[b].id.as_str()));
-        return Err(whole(
+        return Err(RigError::field(
             "bones",
             format!("{names} have no parent; all but one bone need one"),
         ));
@@ -293,7 +300,7 @@ fn parents_first(bones: &[RigBone], above: &[Option<usize>]) -> Result<Vec<usize
     order.iter().for_each(|&bone| reached[bone] = true);
     let caught = (0..bones.len()).filter(|&b| !reached[b]);
     let names = listed_names(caught.map(|b| bones[b].id.as_str()));
-    Err(whole("bones", format!("the parents of {names} form a cycle")))
+    Err(RigError::field("bones", format!("the parents of {names} form a cycle")))
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 //!
 //! Bones that a clip twists nearly half around.
 
-use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names, whole};
+use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names};
 use super::of_skin::RigidMotion;
 use super::of_skin::{BonePair, Heading, heading, scale};
 use crate::mesh::rotation::fit_rotation;
@@ -345,7 +345,7 @@ fn time_of_frame(clip: &MotionClip, frame: usize) -> Result<f64, RigError> {
     let count = clip.recorded.map_or(1, |r| r.count);
     if frame >= count {
         let problem = format!("is {frame}, the clip has {count} frames, counted from 0");
-        return Err(whole("referenceFrame", problem));
+        return Err(RigError::field("referenceFrame", problem));
     }
     Ok(clip.recorded.map_or(0.0, |r| r.interval * frame as f64))
 }
@@ -358,7 +358,7 @@ fn joint_named(clip: &MotionClip, name: &str, bone: &RigBone, field: &'static st
             "\"{name}\" of bone \"{}\" is not a joint of the clip; it has {names}",
             bone.id
         );
-        whole(field, problem)
+        RigError::field(field, problem)
     })
 }
 

@@ -4,7 +4,7 @@
 //!
 //! Rigid motions as a turn about a point that goes somewhere.
 
-use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, whole};
+use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
 use super::drive::rotation_about;
 use crate::asset::MovingScene;
 use crate::mesh::query::closest_point::closest_point_on_segment;
@@ -44,7 +44,7 @@ pub fn rig_of_skin(
         .filter(|&j| matters[j] && scene.is_joint[order.nodes[j]])
         .collect();
     if chosen.is_empty() {
-        return Err(whole("rig", "the model has no skin; give a rig".into()));
+        return Err(RigError::field("rig", "the model has no skin; give a rig"));
     }
     let mut number = vec![None; joints.len()];
     chosen

@@ -1,11 +1,11 @@
-//! A model bound to the bones of a rig, in process.
+//! Which bones of a rig carry the vertices of a model.
 
 use crate::asset::{CarryingJoints, Model, PlayedJoint};
+use crate::engine::error::Error;
 use crate::exec::Exec;
 use crate::motion::rig::{MotionRig, rig_joints, skin_bones};
-use crate::motion::skin_weights::{SkinWeightError, SkinWeightOptions, skin_weights};
+use crate::motion::skin_weights::{SkinWeightOptions, skin_weights};
 use crate::motion::{BoneInfluences, NodeOrder, clip_of_scene};
-use crate::wire::Error;
 
 /// Joints, and which of them carry each vertex.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,14 +70,4 @@ pub fn carrying_joints(own: &BoneInfluences) -> CarryingJoints {
         *slot = (bone as u32, weight as f32);
     }
     carrying
-}
-
-impl From<SkinWeightError> for Error {
-    fn from(e: SkinWeightError) -> Self {
-        match e {
-            SkinWeightError::Invalid { what, problem } => Self::invalid(what, problem),
-            SkinWeightError::Cancelled(_) => Self::Cancelled,
-            SkinWeightError::Solver(e) => Self::Internal(e.to_string()),
-        }
-    }
 }

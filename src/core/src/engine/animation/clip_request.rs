@@ -1,10 +1,54 @@
-//! How an animation is solved, and when its frames are.
+//! What is asked for of an animation: its clip and rig, when its frames are, and how they are solved.
 
 use crate::motion::MotionClip;
+use crate::motion::bvh::ClipLimits;
+use crate::motion::rig::MotionRig;
+use bytes::Bytes;
 use std::ops::Range;
 
 /// Frames of one block.
 pub const BLOCK_FRAMES: usize = 64;
+
+/// Where the clip of an animation comes from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ClipSource {
+    /// From the model, by name or by number.
+    OfModel(String),
+    /// From a BVH file; `name` is used where the file names no clip.
+    Bvh {
+        /// What the clip is called; may be empty.
+        name: String,
+        /// The file.
+        bytes: Bytes,
+    },
+}
+
+/// How a clip drives a model. [`super::Animation::prepare`] prepares it.
+#[derive(Debug, Clone)]
+pub struct ClipRequest {
+    /// The clip.
+    pub clip: ClipSource,
+    /// The rig that it drives; `None`: for a recording the one that [`super::make_rig`] makes, for a clip of the model that of its
+    /// skin.
+    pub rig: Option<MotionRig>,
+    /// Which frames are wanted.
+    pub frames: FrameChoice,
+    /// Model units for one unit of the clip, in place of the rig's.
+    pub scale: Option<f64>,
+    /// How frames are solved.
+    pub settings: AnimationSettings,
+}
+
+/// How large an animation may be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnimationLimits {
+    /// What a recorded clip may have.
+    pub clip: ClipLimits,
+    /// Its frames.
+    pub frames: usize,
+    /// Those of them that are wanted, times the vertices of the model.
+    pub vertices: u64,
+}
 
 /// How rotations are fitted in the frames of an animation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 //! levels of detail of what is solved. Rigs are found without it, and clips are solved without it.
 
 use crate::asset::{Model, MovingScene, Primitive};
-use crate::engine::{Passenger, PassengerKind};
-use crate::wire::Error;
+use crate::engine::error::Error;
+use crate::engine::passenger::{Passenger, PassengerKind};
 
 /// What is not solved where a clip moves a model that has a skin: primitives that no skin places, such as hulls for collisions, and
 /// those whose names end in `lod1` or a higher number while others do not: coarser copies of what is solved. The model's own clip

@@ -1,14 +1,14 @@
-//! Rigs made of models, in process.
+//! Rigs that are made of models: of their skins, or of the bodies that are found in their shapes.
 
 use super::left_out::{left_out_primitives, reasons};
 use crate::asset::Model;
+use crate::engine::error::Error;
 use crate::exec::Exec;
 use crate::motion::humanoid::{
     BODY_JOINTS, ClipBones, PlacedJoint, bones_of_names, bones_of_shape, find_body, preset_skeleton, rig_of_body,
 };
 use crate::motion::rig::{MotionRig, ReferencePose, RigError, rig_of_skin};
 use crate::motion::{MotionClip, NodeOrder, Skeleton, clip_of_scene};
-use crate::wire::Error;
 use glam::DVec3;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -100,7 +100,7 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
         None => {
             let name = order.preset.unwrap_or("cmu");
             preset = preset_skeleton(name)
-                .ok_or_else(|| Error::invalid("preset", format!("is \"{name}\", allowed are cmu and mixamo")))?;
+                .ok_or_else(|| RigError::field("preset", format!("is \"{name}\", allowed are cmu and mixamo")))?;
             (&preset, ReferencePose::Frame(0))
         }
     };
@@ -201,7 +201,7 @@ fn not_upright(doubts: &[String], turned: Option<&str>) -> Error {
         doubts.join("; "),
         BODY_JOINTS.join(", ")
     );
-    Error::invalid("model", problem)
+    RigError::field("model", problem).into()
 }
 
 /// The rig of a model's skin and its rest skeleton; `None` without a skin.

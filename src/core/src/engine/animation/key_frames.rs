@@ -1,6 +1,6 @@
 //! Which frames become shapes, where there are more frames than shapes: those between are blended along straight lines.
 
-use super::kept_frames::KeptFrames;
+use super::played::FrameSource;
 use glam::Vec3;
 
 /// How many vertices are looked at while frames are chosen; all of them are in the end.
@@ -23,7 +23,7 @@ pub(super) struct KeyFrames {
 /// Chooses up to `most` frames, at least two: again and again the frame that is farthest from what those chosen so far blend to.
 /// Then each is moved between its neighbours to where the worst of both sides is least, until none moves. `own`: the vertices
 /// that matter.
-pub(super) fn choose_key_frames<F: KeptFrames>(
+pub(super) fn choose_key_frames<F: FrameSource>(
     frames: &mut F,
     own: &[usize],
     most: usize,

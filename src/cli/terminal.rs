@@ -1,0 +1,186 @@
+//! What commands share at a terminal: progress, JSON on stdout, signals that stop, and threads.
+
+use super::failure::CliFailure;
+use crate::pool::Pool;
+use crate::progress::{CancelFlag, Progress};
+use crate::wire;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use std::io::Write as _;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+
+/// Time between two frames of the spinner, which turns without progress too.
+const TICK: Duration = Duration::from_millis(100);
+
+/// Shows the stage under way on stderr when that is a terminal; silent otherwise.
+pub(super) struct StageSpinner(ProgressBar);
+
+impl StageSpinner {
+    /// Starts a spinner; a quiet one shows nothing.
+    pub fn new(quiet: bool) -> Self {
+        // indicatif draws nothing when stderr is not a terminal.
+        let bar = if quiet {
+            ProgressBar::hidden()
+        } else {
+            ProgressBar::new_spinner()
+        };
+        if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} ({elapsed})") {
+            bar.set_style(style);
+        }
+        if !bar.is_hidden() {
+            bar.enable_steady_tick(TICK);
+        }
+        Self(bar)
+    }
+
+    /// Takes the spinner off the terminal.
+    pub fn finish(&self) {
+        self.0.finish_and_clear();
+    }
+}
+
+impl Drop for StageSpinner {
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
+
+impl Progress for StageSpinner {
+    fn report(&self, stage: &'static str, fraction: f32) {
+        self.0.set_message(stage_text(stage, fraction));
+    }
+}
+
+/// A stage's text, with its percentage once that is above 0.
+fn stage_text(stage: &str, fraction: f32) -> String {
+    let percent = (f64::from(fraction).clamp(0.0, 1.0) * 100.0) as u32;
+    match percent {
+        0 => stage.to_owned(),
+        percent => format!("{stage} {percent} %"),
+    }
+}
+
+/// Whether this process has printed its document, or a part of it.
+static IS_PRINTED: AtomicBool = AtomicBool::new(false);
+
+/// Prints one JSON document on stdout.
+pub(super) fn print_json<M: prost::Message + prost::Name>(message: &M) -> Result<(), CliFailure> {
+    print_value(&wire::json::to_json(message)?)
+}
+
+/// Prints one value on stdout.
+pub(super) fn print_value(value: &serde_json::Value) -> Result<(), CliFailure> {
+    print_text(&pretty_text(value)?)
+}
+
+/// A document as people read it, with the end of its last line.
+pub(super) fn pretty_text(value: &serde_json::Value) -> Result<String, CliFailure> {
+    let text = serde_json::to_string_pretty(value).map_err(|e| CliFailure::Internal(e.to_string()))?;
+    Ok(text + "\n")
+}
+
+/// Prints the text of one document on stdout.
+pub(super) fn print_text(text: &str) -> Result<(), CliFailure> {
+    IS_PRINTED.store(true, Ordering::Relaxed);
+    let mut stdout = std::io::stdout();
+    let written = stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush());
+    written.map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
+}
+
+/// Prints a command's failure as its JSON document, with `--json` and where none was printed; a failed check has
+/// printed one.
+pub(super) fn print_failure(failure: &CliFailure) {
+    let is_asked = std::env::args_os().skip(1).any(|argument| argument == "--json");
+    if !is_asked || IS_PRINTED.load(Ordering::Relaxed) {
+        return;
+    }
+    let error = json!({"kind": failure.kind(), "exitCode": failure.exit_code(), "message": failure.message()});
+    // The last line of stderr says it too, and the exit code.
+    let _ = print_value(&json!({ "error": error }));
+}
+
+/// Waits for signals that ask to stop.
+pub(super) struct StopSignals {
+    terminate: Signal,
+    interrupt: Signal,
+}
+
+impl StopSignals {
+    /// Takes the signals over: they no longer end the process.
+    pub(super) fn new() -> std::io::Result<Self> {
+        Ok(Self {
+            terminate: signal(SignalKind::terminate())?,
+            interrupt: signal(SignalKind::interrupt())?,
+        })
+    }
+
+    /// Waits for the next one.
+    pub(super) async fn next(&mut self) {
+        tokio::select! {
+            _ = self.terminate.recv() => {}
+            _ = self.interrupt.recv() => {}
+        }
+    }
+}
+
+/// A flag that is raised when the process is asked to stop, from now on until its end.
+pub(super) fn raised_on_stop() -> Result<Arc<CancelFlag>, CliFailure> {
+    let flag = Arc::new(CancelFlag::default());
+    let raised = Arc::clone(&flag);
+    let failed = |e: std::io::Error| CliFailure::Internal(format!("cannot wait for signals: {e}"));
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_io()
+        .build()
+        .map_err(failed)?;
+    let mut signals = {
+        let _inside = runtime.enter();
+        StopSignals::new().map_err(failed)?
+    };
+    let wait = move || {
+        runtime.block_on(signals.next());
+        raised.cancel();
+    };
+    std::thread::Builder::new()
+        .name("pliant-signals".into())
+        .spawn(wait)
+        .map_err(failed)?;
+    Ok(flag)
+}
+
+/// The thread budget of commands that compute in process.
+#[derive(Debug, Args)]
+pub(super) struct ThreadArgs {
+    /// Compute threads; 0 means one per core
+    #[arg(long, env = "PLIANT_THREADS", default_value_t = 0)]
+    threads: usize,
+}
+
+impl ThreadArgs {
+    /// Starts the pool that the arguments ask for.
+    pub fn start_pool(&self) -> Result<Pool, CliFailure> {
+        if self.threads > 1024 {
+            return Err(CliFailure::Input(format!(
+                "--threads is {}, allowed are 0 to 1024",
+                self.threads
+            )));
+        }
+        Pool::new(self.threads).map_err(|e| CliFailure::Internal(e.to_string()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stages_tell_how_far_they_are() {
+        assert_eq!(stage_text("graph", 0.0), "graph");
+        assert_eq!(stage_text("graph", 0.5), "graph 50 %");
+        assert_eq!(stage_text("graph", 7.0), "graph 100 %");
+        assert_eq!(stage_text("graph", f32::NAN), "graph");
+    }
+}
