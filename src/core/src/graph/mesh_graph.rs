@@ -1,7 +1,7 @@
 //! The graph itself, and facts about it.
 
 use crate::graph::recipe::GraphRecipe;
-use crate::graph::ties::part_tree::PartTies;
+use crate::graph::ties::part_ties::PartTies;
 use glam::DVec3;
 
 /// A symmetric weighted graph with positions.

@@ -6,9 +6,9 @@ use crate::graph::recipe::InteriorRecipe;
 use crate::graph::resample::change::{GraphBefore, NewEdge};
 use crate::graph::resample::zone::ChangeZone;
 use crate::graph::resample::zone::LocalMesh;
-use crate::graph::volume::lattice::CERTAIN;
+use crate::graph::volume::lattice_grid::CERTAIN;
 use crate::graph::volume::neighbours::{LAST, LatticeKey, directions, key, place, toward};
-use crate::graph::volume::shape::walk;
+use crate::graph::volume::shell::walk;
 use crate::mesh::query::{TriangleBvh, VisitCount};
 use glam::DVec3;
 

@@ -4,8 +4,8 @@
 use crate::graph::recipe::InteriorRecipe;
 use crate::graph::resample::change::GraphBefore;
 use crate::graph::resample::change::{ChangedPoints, MeshChange};
+use crate::graph::volume::caps::{missing_of, rings};
 use crate::graph::volume::solid::{OPEN, SOUP, sample};
-use crate::graph::volume::thickness::{missing_of, rings};
 use crate::graph::winding::tree::WindingTree;
 use crate::mesh::{Components, NONE};
 use crate::pool::Pool;

@@ -12,7 +12,7 @@ use crate::graph::resample::places::{ShellCopies, ShellSite};
 use crate::graph::resample::zone::LocalMesh;
 use crate::graph::resample::zone::{CORE, NEAR, RIM};
 use crate::graph::volume::neighbours::LatticeKey;
-use crate::graph::volume::shape::walk;
+use crate::graph::volume::shell::walk;
 use crate::mesh::NONE;
 use crate::mesh::query::VisitCount;
 use glam::DVec3;

@@ -7,9 +7,10 @@
 
 mod insert;
 mod options;
-pub(super) mod part_tree;
+pub(super) mod part_ties;
+mod part_tree;
 
 pub use insert::resample_tied;
 pub use insert::tie_parts;
 pub use options::{LOOSE, TieFamilies, TieOptions};
-pub use part_tree::{PartTies, TieAnchor};
+pub use part_ties::{PartTies, TieAnchor};

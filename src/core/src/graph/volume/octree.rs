@@ -5,9 +5,9 @@
 
 use crate::graph::error::Error;
 use crate::graph::parallel::map;
-use crate::graph::volume::lattice::{LatticeGrid, LatticeNodes, TooFine};
+use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeNodes, TooFine};
 use crate::graph::volume::neighbours::{LatticeKey, key};
-use crate::graph::volume::shape::VolumeSite;
+use crate::graph::volume::shell::VolumeSite;
 use crate::graph::winding::tree::WindingTree;
 use crate::mesh::BoundingBox;
 use crate::mesh::query::TriangleBvh;

@@ -2,33 +2,21 @@
 //!
 //! A uniform lattice of interval a and weight w is an energy of the volume of weight w ÷ a. Weights are in proportion to the
 //! interval, so that this is a constant of each part, and its volume is as stiff beside its surface whatever the interval.
-//!
-//! The inner shell: a copy of each vertex moved inwards, wherever there is room inside (Zhou et al. 2005).
-//!
-//! A copy is accepted only where it lies inside, at least half its offset away from the whole surface, and reached from
-//! its vertex without crossing the surface; the offset is halved up to six times until that holds. A vertex without
-//! such a place has no copy.
 
-use crate::exec::Exec;
 use crate::graph::assemble::InteriorNodes;
 use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphStats, MeshGraph};
-use crate::graph::parallel::map;
+use crate::graph::volume::caps::HullFaces;
 use crate::graph::volume::lattice;
 use crate::graph::volume::lattice::LatticeBody;
-use crate::graph::volume::neighbours::{NONE, NearSurface, RoomQueries, nearest_vertices};
+use crate::graph::volume::neighbours::NONE;
 use crate::graph::volume::options::VolumeOptions;
-use crate::graph::volume::placing::{NodeRoom, SiteFacts, enclosed_volume, fitting_lattice, join_nodes, sort_rows};
-use crate::graph::volume::scan::FaceColumns;
-use crate::graph::volume::solid::ClassifiedParts;
-use crate::graph::volume::spread::{SurfaceTie, spread_ties, vertex_areas};
-use crate::graph::volume::spread::{ThinPlaces, struts};
-use crate::graph::volume::thickness::{HullFaces, LatticeClass, lattice_classes};
-use crate::graph::winding::tree::WindingTree;
-use crate::mesh::query::{VisitBudget, VisitCount};
-use crate::mesh::{Adjacency, Mesh};
-use crate::pool::Pool;
-use glam::DVec3;
+use crate::graph::volume::placing::{
+    NodeRoom, SiteFacts, enclosed_volume, fitting_lattice, join_nodes, nearest_vertices, sort_rows,
+};
+use crate::graph::volume::shell::VolumeSite;
+use crate::graph::volume::spread::{SurfaceTie, ThinPlaces, spread_ties, struts, vertex_areas};
+use crate::graph::volume::thickness::{LatticeClass, lattice_classes};
 
 /// The interval in thicknesses (volume ÷ area): a long round bar has more than five cells across.
 const INTERVAL: f64 = 0.75;
@@ -210,190 +198,5 @@ impl JoinedLattices {
             }
         }));
         Ok(grid.interval)
-    }
-}
-
-/// How often the offset may be halved.
-const HALVINGS: i32 = 6;
-
-/// For each vertex its copy, or `None`.
-pub(in crate::graph) type ShellNodes = Vec<Option<DVec3>>;
-
-/// What shell and lattice are built from.
-pub(in crate::graph) struct VolumeSite<'a> {
-    pub(in crate::graph) mesh: &'a Mesh,
-    pub(in crate::graph) adjacency: &'a Adjacency,
-    /// The whole surface, for distances and crossings.
-    pub(in crate::graph) surface: &'a NearSurface<'a>,
-    pub(in crate::graph) parts: &'a ClassifiedParts,
-    /// Closed parts and those whose holes have been closed, if there are any.
-    pub(in crate::graph) hull: Option<HullFaces<'a>>,
-    /// The same, to test what lies inside.
-    pub(in crate::graph) inside_hull: &'a InsideHull<'a>,
-    /// Soups that enclose space, if there are any.
-    pub(in crate::graph) soup: Option<&'a WindingTree<'a>>,
-    pub(in crate::graph) exec: &'a Exec<'a>,
-    /// What queries may look at in all.
-    pub(in crate::graph) budget: &'a VisitBudget<'a>,
-    /// What is looked at without asking any structure.
-    pub(in crate::graph) looked: &'a VisitCount,
-}
-
-/// What decides whether a place is inside a hull.
-pub(in crate::graph) enum InsideHull<'a> {
-    /// There is no hull.
-    Nothing,
-    Columns(Box<FaceColumns<'a>>),
-    Tree(&'a WindingTree<'a>),
-}
-
-impl<'a> InsideHull<'a> {
-    /// Sorts the faces of a hull into columns; where these are of no help, the `tree` over the same faces is asked.
-    pub(in crate::graph) fn of_faces(
-        hull: Option<HullFaces<'a>>,
-        tree: impl FnOnce() -> &'a WindingTree<'a>,
-        pool: &Pool,
-    ) -> Self {
-        let Some(hull) = hull else {
-            return Self::Nothing;
-        };
-        match FaceColumns::sort(hull.positions, hull.faces, pool) {
-            Some(columns) => Self::Columns(Box::new(columns)),
-            None => Self::Tree(tree()),
-        }
-    }
-
-    /// What long queries of the columns have looked at; a tree counts for itself.
-    pub(in crate::graph) fn visits(&self) -> u64 {
-        match self {
-            Self::Columns(columns) => columns.visits(),
-            Self::Nothing | Self::Tree(_) => 0,
-        }
-    }
-}
-
-impl VolumeSite<'_> {
-    /// The vertex where a walk along the mesh from `start` comes no nearer to `p`.
-    pub(in crate::graph) fn walk(&self, start: u32, p: DVec3) -> u32 {
-        walk(&self.mesh.positions, self.adjacency, start, p, self.looked)
-    }
-
-    /// Soups that are worth a lattice; beside a hull of many more faces they have a shell only.
-    pub(in crate::graph) fn large_soup(&self) -> Option<&WindingTree<'_>> {
-        let is_large = |soup: &&WindingTree| {
-            let faces = soup.bvh().triangles().len();
-            self.hull.is_none_or(|hull| faces >= hull.faces.len() / 4)
-        };
-        self.soup.filter(is_large)
-    }
-
-    /// Lists all vertices, so that those next to each other in the list are close in space, and their columns are the same.
-    pub(in crate::graph) fn vertices_in_space_order(&self) -> Vec<u32> {
-        let InsideHull::Columns(columns) = self.inside_hull else {
-            return self.surface.vertices_in_space_order();
-        };
-        // A hull may have more vertices than the mesh, or lack some.
-        let mut order = columns.vertices_in_space_order();
-        let count = self.mesh.positions.len();
-        order.retain(|&v| (v as usize) < count);
-        if order.len() < count {
-            let mut seen = vec![false; count];
-            order.iter().for_each(|&v| seen[v as usize] = true);
-            order.extend((0..count as u32).filter(|&v| !seen[v as usize]));
-        }
-        order
-    }
-
-    /// Whether a place lies inside the hull, or inside soups.
-    pub(in crate::graph) fn contains(&self, p: DVec3) -> bool {
-        let in_hull = match self.inside_hull {
-            InsideHull::Nothing => false,
-            InsideHull::Columns(columns) => columns.contains(p),
-            InsideHull::Tree(tree) => tree.contains(p),
-        };
-        in_hull || self.soup.is_some_and(|soup| soup.contains(p))
-    }
-}
-
-/// Moves each vertex along its `inward` direction by the offset of its part, or by less where there is less room;
-/// vertices whose direction is zero have no copy. `order` has all vertices in the order in which they are best looked at.
-pub(in crate::graph) fn shell(
-    site: &VolumeSite,
-    order: Vec<u32>,
-    inward: &[DVec3],
-    offsets: &[f64],
-) -> Result<ShellNodes, Error> {
-    let mut placed: ShellNodes = vec![None; site.mesh.positions.len()];
-    // In the order of space, so that one query finds in the cache what the last one read.
-    let mut waiting = order;
-    waiting.retain(|&v| inward[v as usize] != DVec3::ZERO);
-    let found = map(&waiting, site.budget, |&v| {
-        let offset = offsets[site.parts.components.of_vertex[v as usize] as usize];
-        let p = site.mesh.positions[v as usize];
-        copy(site.surface, v, p, inward[v as usize], offset, |p| site.contains(p))
-    })?;
-    for (v, copy) in waiting.into_iter().zip(found) {
-        placed[v as usize] = copy;
-    }
-    Ok(placed)
-}
-
-/// Where the copy of vertex `v`, at `p`, is put: `offset` along `inward`, or less where there is less room.
-pub(in crate::graph) fn copy(
-    surface: &impl RoomQueries,
-    v: u32,
-    p: DVec3,
-    inward: DVec3,
-    offset: f64,
-    contains: impl Fn(DVec3) -> bool,
-) -> Option<DVec3> {
-    let at = |by: f64| p + inward * by;
-    let mut by = offset;
-    for halving in 0..=HALVINGS {
-        if has_room(surface, v, at(0.0), at(0.5 * by), at(by), 0.5 * by) && contains(at(by)) {
-            return Some(at(by));
-        }
-        // Where not even the smallest offset leads inside, those between need not be tried.
-        let smallest = offset * 0.5f64.powi(HALVINGS);
-        if halving == 0 && !contains(at(smallest)) {
-            return None;
-        }
-        by *= 0.5;
-    }
-    None
-}
-
-/// Whether no face is nearer to `end` than `half`, and none but those around vertex `v` crosses the way from `start` to
-/// `middle`; only this half of the way, outside the clear ball, can meet the surface.
-pub(in crate::graph) fn has_room(
-    surface: &impl RoomQueries,
-    v: u32,
-    start: DVec3,
-    middle: DVec3,
-    end: DVec3,
-    half: f64,
-) -> bool {
-    !surface.has_face_within(end, half) && !surface.is_way_crossed(start, middle, Some(v))
-}
-
-/// The vertex where a walk along the mesh from `start` comes no nearer to `p`.
-pub(in crate::graph) fn walk(
-    positions: &[DVec3],
-    adjacency: &Adjacency,
-    start: u32,
-    p: DVec3,
-    looked: &VisitCount,
-) -> u32 {
-    let distance = |v: u32| positions[v as usize].distance_squared(p);
-    let nearer = |a: u32, b: u32| if distance(b) < distance(a) { b } else { a };
-    let mut here = start;
-    loop {
-        let around = adjacency.neighbours.of(here);
-        looked.add(around.len() as u64);
-        let next = around.iter().copied().fold(here, nearer);
-        if next == here {
-            return here;
-        }
-        here = next;
     }
 }
