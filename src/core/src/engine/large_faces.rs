@@ -7,7 +7,7 @@ use crate::deform::{HandleSystem, exp_rotation, shares_difference};
 use crate::edit::{self, EvennessTarget, FieldSample, SurfacePatch, SurfaceView, subdivide_until_even};
 use crate::exec::Exec;
 use crate::mesh::Mesh;
-use crate::mesh::measure::vertex_gradients;
+use crate::mesh::distortion::vertex_gradients;
 use crate::mesh::query::TriangleBvh;
 use crate::mesh::rotation::fit_rotation;
 use crate::progress::Cancelled;

@@ -3,7 +3,7 @@
 use super::facts::QualityReport;
 use super::large_faces::count_kinked_faces;
 use crate::deform::FaceChanges;
-use crate::mesh::measure::{is_turned_over, largest_stretch, vertex_gradients};
+use crate::mesh::distortion::{is_turned_over, largest_stretch, vertex_gradients};
 use crate::mesh::{BoundingBox, Mesh, shading};
 use crate::pool::Pool;
 use glam::{DMat3, DVec3};

@@ -6,11 +6,12 @@
 
 mod adjacency;
 pub mod carry;
+pub mod distortion;
 mod error;
 mod inspect;
 mod intersections;
 pub mod local_turns;
-pub mod measure;
+mod measure;
 pub mod query;
 mod readable;
 pub mod rotation;

@@ -1,6 +1,6 @@
 //! Patches of a surface around folds, how bad they are, and how they are relaxed.
 
-use crate::mesh::measure::{is_turned_over, largest_stretch};
+use crate::mesh::distortion::{is_turned_over, largest_stretch};
 use crate::mesh::{Adjacency, Lists, Mesh, shading};
 use glam::{DMat3, DVec3};
 

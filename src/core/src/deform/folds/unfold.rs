@@ -2,7 +2,7 @@
 
 use super::patch::{FaceSurroundings, FoldPatch, FoldedSurface};
 use crate::deform::handles::system::HandleSystem;
-use crate::mesh::measure::{is_turned_over, largest_stretch, vertex_gradients};
+use crate::mesh::distortion::{is_turned_over, largest_stretch, vertex_gradients};
 use crate::mesh::{Mesh, shading};
 use crate::pool::Pool;
 use glam::{DMat3, DVec3};
