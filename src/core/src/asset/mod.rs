@@ -30,6 +30,7 @@ mod geometry;
 mod look;
 mod material;
 mod model;
+mod model_look;
 mod model_motion;
 mod model_played;
 mod moving_scene;

@@ -1,10 +1,9 @@
 //! New accessors, buffer views and their bytes: the only place that writes them as JSON.
 
 use super::buffers::BufferBytes;
-use super::document::GltfDocument;
+use super::document::{GltfDocument, PatchedDocument};
 use super::fault::GltfFault;
 use super::float_json::bounds;
-use super::patch::PatchedDocument;
 use super::text::quoted;
 use super::uri;
 use crate::asset::Error;

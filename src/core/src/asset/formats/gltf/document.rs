@@ -3,12 +3,13 @@
 use super::container::{self, GlbContainer};
 use super::fault::GltfFault;
 use super::schema::{AssetHeader, BufferView, GltfAccessor, GltfBuffer, GltfMesh, GltfNode, GltfScene, WholeNumber};
-use super::text::{count_items, items, members, place_in};
+use super::text::{JsonEdits, count_items, items, members, place_in};
 use crate::asset::files::ReadWatch;
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::{Error, FileSet, Format};
 use serde::de::DeserializeOwned;
 use std::cell::Cell;
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// Binary glTF, by what it is known.
@@ -406,4 +407,13 @@ fn check_required(required: &[String], fault: GltfFault) -> Result<(), Error> {
             "export without it",
         )),
     }
+}
+
+/// A document with its edits, and the buffers that differ from the stored ones.
+pub(super) struct PatchedDocument<'a> {
+    pub(super) edits: JsonEdits<'a>,
+    /// Whole new contents by buffer.
+    pub(super) buffers: BTreeMap<usize, Vec<u8>>,
+    /// Contents of a buffer that has to be added because no other takes new data.
+    pub(super) added_buffer: Option<Vec<u8>>,
 }

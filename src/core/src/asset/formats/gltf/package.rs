@@ -3,9 +3,8 @@
 use super::buffers::{BufferBytes, BufferOrigin};
 use super::builder::embedded_buffer_text;
 use super::container;
-use super::document::{GLB_FORMAT, GltfDocument};
+use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
 use super::fault::GltfFault;
-use super::patch::PatchedDocument;
 use super::text::quoted;
 use super::uri;
 use crate::asset::{Error, FileSet, Format, WrittenFiles};

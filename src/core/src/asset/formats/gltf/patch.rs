@@ -3,22 +3,13 @@
 use super::accessors::{AccessorLayout, ShapeAttribute};
 use super::buffers::BufferBytes;
 use super::builder::{BufferBuilder, NewAccessor, VERTICES};
-use super::document::GltfDocument;
+use super::document::{GltfDocument, PatchedDocument};
 use super::float_json::bounds;
 use super::sharing::{AccessorOverwrite, AppendedAccessor, MeshRef, SharingPlan};
 use super::slots::AttributeSlot;
 use super::text::{JsonEdits, items, value_of};
 use crate::asset::Error;
 use std::collections::{BTreeMap, BTreeSet};
-
-/// A document with its edits, and the buffers that differ from the stored ones.
-pub(super) struct PatchedDocument<'a> {
-    pub(super) edits: JsonEdits<'a>,
-    /// Whole new contents by buffer.
-    pub(super) buffers: BTreeMap<usize, Vec<u8>>,
-    /// Contents of a buffer that has to be added because no other takes new data.
-    pub(super) added_buffer: Option<Vec<u8>>,
-}
 
 /// Makes the changes of a plan.
 pub(super) fn patch<'a>(

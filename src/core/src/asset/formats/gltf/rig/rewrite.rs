@@ -3,11 +3,10 @@
 use super::super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_values};
 use super::super::buffers::BufferBytes;
 use super::super::builder::{AccessorKind, BufferBuilder};
-use super::super::document::GltfDocument;
+use super::super::document::{GltfDocument, PatchedDocument};
 use super::super::edited::{References, places};
 use super::super::float_json::{bounds, json_floats};
 use super::super::package::package;
-use super::super::patch::PatchedDocument;
 use super::super::read::{load_bytes, parse_written};
 use super::super::sharing::ByteSpans;
 use super::super::text::{JsonEdits, value_of};
