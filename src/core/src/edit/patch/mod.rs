@@ -2,7 +2,7 @@
 
 mod apply;
 mod resolve;
+mod surface_patch;
 
-pub use apply::PatchedSurface;
 pub use apply::apply_patch;
-pub use apply::{EditWarning, NewTriangle, NewVertex, SurfacePatch};
+pub use surface_patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch};
