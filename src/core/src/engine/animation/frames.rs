@@ -12,7 +12,7 @@ use crate::engine::shape_transfer::ShapeTransfer;
 use crate::exec::Exec;
 use crate::mesh::rotation::log_rotation;
 use crate::motion::rig::RigidMotion;
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::mpsc;
@@ -29,6 +29,24 @@ const LEAD_FRAMES: usize = 30;
 const CARRIED_FITS: u32 = 1;
 /// How many bytes of frames may wait for their turn.
 const HELD_BYTES: usize = 1 << 30;
+
+/// Solved frames, numbered from 0, that can be read again.
+pub trait FrameSource {
+    /// Why one cannot be read again.
+    type Failure: From<Error>;
+
+    /// How many there are.
+    fn count(&self) -> usize;
+
+    /// What the root bone does in a frame.
+    fn root(&self, frame: usize) -> RigidMotion;
+
+    /// Where the vertices are in a frame.
+    ///
+    /// # Errors
+    /// When it cannot be read again.
+    fn positions(&mut self, frame: usize) -> Result<Vec<Vec3>, Self::Failure>;
+}
 
 /// A solved frame.
 #[derive(Debug, Clone)]

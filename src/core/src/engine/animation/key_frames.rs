@@ -1,6 +1,6 @@
 //! Which frames become shapes, where there are more frames than shapes: those between are blended along straight lines.
 
-use super::played::FrameSource;
+use super::frames::FrameSource;
 use glam::Vec3;
 
 /// How many vertices are looked at while frames are chosen; all of them are in the end.

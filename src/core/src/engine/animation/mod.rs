@@ -17,7 +17,6 @@ mod left_out;
 mod made_rig;
 mod moving_clip;
 mod played;
-mod played_skin;
 mod prepare;
 mod sums;
 
@@ -26,10 +25,10 @@ pub use clip_request::{
     AnimationLimits, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, ClipRequest, ClipSource, FrameChoice,
     FrameTimes,
 };
-pub use frames::{AnimatedFrame, FrameCursor};
+pub use frames::{AnimatedFrame, FrameCursor, FrameSource};
 pub use held_nodes::RigHandleFacts;
 pub use left_out::{left_out_passengers, left_out_primitives};
 pub use made_rig::{MadeRig, RigOrder, left_out_of_rig, make_rig};
-pub use played::{FrameSource, PlayedClipFile, PlayedForm, WrittenError, node_place};
+pub use played::{PlayedClipFile, PlayedForm, WrittenError, node_place};
 pub use prepare::{Animation, RigNodes};
 pub use sums::FrameSums;
