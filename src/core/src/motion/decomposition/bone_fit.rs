@@ -8,7 +8,7 @@
 //!
 //! What the fit of a vertex's weights needs of the bones, with the sum over all frames done beforehand.
 
-use super::decompose::ShapeSamples;
+use super::sequence::ShapeSamples;
 use crate::exec::Exec;
 use crate::mesh::rotation::{fit_rotation, nearest_rotation, outer_product};
 use crate::motion::skeleton::BoneInfluences;

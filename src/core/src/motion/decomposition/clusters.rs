@@ -4,7 +4,7 @@
 //! Bones that hardly matter go where they are missed.
 
 use super::bone_fit::{BoneFrames, fit_bones};
-use super::decompose::ShapeSamples;
+use super::sequence::ShapeSamples;
 use super::weight_fit::{best_bones, fit_influences};
 use crate::exec::Exec;
 use crate::motion::skeleton::BoneInfluences;

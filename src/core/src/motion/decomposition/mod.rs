@@ -14,7 +14,8 @@
 mod bone_fit;
 mod clusters;
 mod decompose;
+mod sequence;
 mod weight_fit;
 
-pub use decompose::{DecompositionError, ShapeSequence};
 pub use decompose::{DecompositionOptions, SkinDecomposition, decompose, fit_weights};
+pub use sequence::{DecompositionError, ShapeSequence};

@@ -1,12 +1,11 @@
 //! A clip's motion as that of a model's bones.
 //!
-//! Turns split into a twist about an axis and a swing of that axis.
+//! How a clip is turned and scaled to stand as a model does.
 //!
 //! Bones that a clip twists nearly half around.
 
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names};
-use super::of_skin::RigidMotion;
-use super::of_skin::{BonePair, Heading, heading, scale};
+use super::rigid_motion::{RigidMotion, rotation_about, twist_angle};
 use crate::mesh::rotation::fit_rotation;
 use crate::motion::skeleton::MotionClip;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
@@ -378,54 +377,100 @@ fn first_below_elsewhere(clip: &MotionClip, joint: usize, places: &[DVec3]) -> O
     None
 }
 
-/// The angle in −π … π by which `rotation` twists about a unit axis: it is a swing of the axis after that twist. 0 where the
-/// axis is reversed, so that the twist is undefined.
-pub(super) fn twist_angle(rotation: DQuat, axis: DVec3) -> f64 {
-    let (along, w) = (rotation.xyz().dot(axis), rotation.w);
-    if along * along + w * w < 1e-12 {
-        return 0.0;
+/// Where a bone lies in the model and in the clip at its reference pose.
+#[derive(Debug, Clone, Copy)]
+struct BonePair {
+    model: [DVec3; 2],
+    /// The end is `None` for a joint whose end is unknown.
+    clip: (DVec3, Option<DVec3>),
+}
+
+/// The turn about the vertical that lets a clip face as the model does: of all such turns the one that brings the clip's joints
+/// nearest to the model's, both about their means. It is nothing where both are almost on one vertical line. A clip
+/// that lies along z, such as one whose vertical is z, is turned upright before, where that brings it nearer.
+fn heading(pairs: &[BonePair]) -> Heading {
+    let upright = turn_about_vertical(pairs.iter().flat_map(points_of).collect());
+    let clip = || pairs.iter().flat_map(points_of).map(|p| p[1]);
+    let low = clip().fold(DVec3::INFINITY, |a, p| a.min(p));
+    let high = clip().fold(DVec3::NEG_INFINITY, |a, p| a.max(p));
+    let (tall, long) = (high.y - low.y, high.z - low.z);
+    let as_read = Heading {
+        turn: upright.0,
+        up: DVec3::Y,
+    };
+    if long <= LYING * tall {
+        return as_read;
     }
-    let half = libm::atan2(along, w);
-    let turn = std::f64::consts::TAU;
-    // Half the angle is told up to half a turn.
-    match 2.0 * half {
-        angle if angle > 0.5 * turn => angle - turn,
-        angle if angle < -0.5 * turn => angle + turn,
-        angle => angle,
+    let stood = |p: DVec3| DVec3::new(p.x, p.z, -p.y);
+    let standing = pairs.iter().flat_map(points_of).map(|[m, c]| [m, stood(c)]);
+    let standing = turn_about_vertical(standing.collect());
+    if standing.1 <= upright.1 {
+        return as_read;
+    }
+    Heading {
+        turn: standing.0 * rotation_about(DVec3::X, -std::f64::consts::FRAC_PI_2),
+        up: DVec3::Z,
     }
 }
 
-/// A rotation by an angle about a unit axis.
-pub(super) fn rotation_about(axis: DVec3, angle: f64) -> DQuat {
-    let axis = axis * libm::sin(0.5 * angle);
-    DQuat::from_xyzw(axis.x, axis.y, axis.z, libm::cos(0.5 * angle))
+/// How a clip is turned to stand as a model does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Heading {
+    /// From the clip's space to the model's.
+    turn: DQuat,
+    /// The clip's axis that becomes the vertical.
+    up: DVec3,
 }
 
-/// Half-way between two rotations, along the shorter way.
-pub(super) fn half_way(a: DQuat, b: DQuat) -> DQuat {
-    let sum = if a.dot(b) < 0.0 { a - b } else { a + b };
-    match sum.length_squared() > 1e-12 {
-        true => sum.normalize(),
-        false => a,
+/// How much longer a clip is along z than along y whose vertical may be z.
+const LYING: f64 = 1.5;
+
+/// The turn about the vertical that brings clip's points nearest to the model's, and how near they then are: larger is nearer.
+fn turn_about_vertical(points: Vec<[DVec3; 2]>) -> (DQuat, f64) {
+    let count = points.len().max(1) as f64;
+    let [model_mean, clip_mean] = [0, 1].map(|k| points.iter().map(|p| p[k]).sum::<DVec3>() / count);
+    let (mut along, mut across, mut size, mut level) = (0.0, 0.0, 0.0, 0.0);
+    for [model, clip] in points {
+        let (m, c) = (model - model_mean, clip - clip_mean);
+        along += m.x * c.x + m.z * c.z;
+        // Positive where the clip has to be turned from z towards x.
+        across += m.x * c.z - m.z * c.x;
+        level += m.y * c.y;
+        size += m.length() * c.length();
     }
+    let near = libm::hypot(along, across);
+    if near <= 1e-6 * size {
+        return (DQuat::IDENTITY, level);
+    }
+    (rotation_about(DVec3::Y, libm::atan2(across, along)), level + near)
 }
 
-#[cfg(test)]
-mod swing_twist_tests {
-    use super::*;
+fn points_of(pair: &BonePair) -> impl Iterator<Item = [DVec3; 2]> {
+    let end = pair.clip.1.map(|end| [pair.model[1], end]);
+    [Some([pair.model[0], pair.clip.0]), end].into_iter().flatten()
+}
 
-    #[test]
-    fn twist_and_swing_are_told_apart() {
-        let (axis, across) = (DVec3::Z, DVec3::X);
-        for angle in [-3.0, -1.2, 0.0, 0.4, 2.6, 3.1] {
-            for bend in [-2.5, 0.0, 1.0] {
-                for sign in [1.0, -1.0] {
-                    let whole = rotation_about(across, bend) * rotation_about(axis, angle) * sign;
-                    assert!((twist_angle(whole, axis) - angle).abs() < 1e-12, "{angle} {bend}");
-                }
+/// Model units for one unit of a clip: the lengths of the model's bones over those of the clip's. 1 where the clip's have none.
+fn scale(bones: &[RigBone], pairs: &[BonePair]) -> f64 {
+    let (mut model, mut clip) = (0.0, 0.0);
+    for (bone, pair) in bones.iter().zip(pairs) {
+        let mut add = |[a, b]: [DVec3; 2], from: DVec3, to: DVec3| {
+            let length = from.distance(to);
+            if length > 0.0 {
+                model += a.distance(b);
+                clip += length;
             }
+        };
+        if let Some(end) = pair.clip.1 {
+            add(pair.model, pair.clip.0, end);
         }
-        assert_eq!(twist_angle(DQuat::from_xyzw(1.0, 0.0, 0.0, 0.0), axis), 0.0);
+        if let Some(parent) = bone.parent.map(|p| &pairs[p]) {
+            add([parent.model[0], pair.model[0]], parent.clip.0, pair.clip.0);
+        }
+    }
+    match clip > 0.0 && model > 0.0 {
+        true => model / clip,
+        false => 1.0,
     }
 }
 

@@ -6,8 +6,7 @@
 
 use super::bones::{MotionRig, RigBone};
 use super::drive::RigPose;
-use super::drive::{half_way, rotation_about, twist_angle};
-use super::of_skin::RigidMotion;
+use super::rigid_motion::{RigidMotion, half_way, rotation_about, twist_angle};
 use glam::DVec3;
 
 /// A cylinder's radius over its bone's.
