@@ -21,6 +21,7 @@
 
 mod camera;
 mod colour;
+mod colour_key;
 mod dress;
 mod error;
 mod font;
@@ -32,8 +33,8 @@ mod texture;
 mod view_sheet;
 
 pub use camera::{Camera, PictureSize, UpAxis, ViewDirection};
-pub use colour::ColourKey;
 pub use colour::{ColourRamp, Rgb};
+pub use colour_key::ColourKey;
 pub use dress::SurfaceDress;
 pub use dress::{STRETCH_RANGE, edge_stretch, vertex_displacements};
 pub use error::Error;
