@@ -5,7 +5,6 @@
 use crate::asset::Format;
 use crate::engine::{DeformerFacts, HandlePoses};
 use crate::progress::CancelFlag;
-use crate::session::animation::running_animation::OpenAnimations;
 use crate::session::answers::{SessionFacts, Tenant};
 use crate::session::calls::command::SessionCommand;
 use crate::session::capacity::call_line::CallLine;
@@ -21,7 +20,7 @@ use crate::session::stream::mailbox::Mailbox;
 use dashmap::DashMap;
 use glam::DVec3;
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
 use tokio::sync::{Notify, mpsc};
@@ -198,6 +197,27 @@ impl OpenStreams {
     fn close(&self, why: &Error) {
         let list = self.open().take();
         list.into_iter().flatten().for_each(|m| m.close(why.clone()));
+    }
+}
+
+/// How many animations are under way on a session, which does not expire meanwhile.
+#[derive(Debug, Default)]
+pub(super) struct OpenAnimations(AtomicUsize);
+
+impl OpenAnimations {
+    /// One more is under way.
+    pub fn count_one_more(&self) {
+        self.0.fetch_add(1, Relaxed);
+    }
+
+    /// One has ended.
+    pub fn count_one_less(&self) {
+        self.0.fetch_sub(1, Relaxed);
+    }
+
+    /// Whether there is one.
+    pub fn is_any(&self) -> bool {
+        self.0.load(Relaxed) > 0
     }
 }
 

@@ -4,7 +4,7 @@
 //! lock guards the state; it is never held while anything waits or computes.
 
 use crate::progress::{CancelFlag, Progress};
-use crate::session::animation::running_animation::PreparedAnimation;
+use crate::session::animation::prepared_animation::PreparedAnimation;
 use crate::session::answers::AnimationAnswer;
 use crate::session::capacity::call_gate::CallGuard;
 use crate::session::capacity::memory_ledger::MemoryReservation;

@@ -4,7 +4,7 @@ use crate::engine::{self, FrameSource, PlayedForm};
 use crate::exec::Exec;
 use crate::motion::rig::RigidMotion;
 use crate::session::animation::frame_outbox::AnimationReader;
-use crate::session::animation::running_animation::PreparedAnimation;
+use crate::session::animation::prepared_animation::PreparedAnimation;
 use crate::session::answers::{AnimatedModel, AnimationAnswer};
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;

@@ -7,6 +7,7 @@
 mod animation_task;
 pub(super) mod frame_outbox;
 pub(super) mod gathered_clip;
+pub(super) mod prepared_animation;
 pub(super) mod running_animation;
 
 pub(super) use animation_task::AnimationTask;

@@ -4,7 +4,7 @@ use crate::asset::Format;
 use crate::engine::DeformerFacts;
 use crate::progress::CancelFlag;
 use crate::session::animation::frame_outbox::FrameOutbox;
-use crate::session::animation::running_animation::PreparedAnimation;
+use crate::session::animation::prepared_animation::PreparedAnimation;
 use crate::session::answers::{CarriedAlong, CommittedEdit, CommittedPose, ExportedModel, SessionFacts};
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::calls::idempotency::KeyClaim;

@@ -2,7 +2,6 @@
 
 use crate::asset::FileSet;
 use crate::engine::OpenOptions;
-use crate::session::animation::running_animation::OpenAnimations;
 use crate::session::answers::{CallKey, SessionFacts, Tenant};
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::StoredAnswer;
@@ -16,7 +15,7 @@ use crate::session::capacity::work_watch::CancelOnDrop;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::kept_session::KeptSession;
 use crate::session::keeping::residence::Residence;
-use crate::session::registry::{OpenSession, OpenStreams, SessionView};
+use crate::session::registry::{OpenAnimations, OpenSession, OpenStreams, SessionView};
 use crate::session::shared::SharedResources;
 use crate::session::store::{Commit, Generation, HeldSession, NewCommit, NewSession, now_ms};
 use crate::session::task::session_task::SessionTask;

@@ -3,7 +3,7 @@
 use crate::engine::{self, ClipSource};
 use crate::exec::Exec;
 use crate::session::animation::frame_outbox::{FrameOutbox, StageTeller};
-use crate::session::animation::running_animation::PreparedAnimation;
+use crate::session::animation::prepared_animation::PreparedAnimation;
 use crate::session::calls::command::PendingCall;
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkKind;
