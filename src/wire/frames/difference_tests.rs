@@ -1,5 +1,6 @@
 //! Whatever shapes follow one another, a reader of differences holds exactly the steps in the key frame's box.
 
+use super::pb::frame;
 use super::*;
 use crate::engine::TopologyId;
 use crate::wire::Error;

@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 /// A run of the vertices that a frame sends.
 #[derive(Debug)]
-pub(super) struct FrameRun {
+pub(super) struct VertexRun {
     pub frame: Arc<Frame>,
     /// Places among the vertices that are sent.
     pub range: Range<usize>,
@@ -20,7 +20,7 @@ pub(super) struct FrameRun {
     pub corners: [DVec3; 2],
 }
 
-impl FrameRun {
+impl VertexRun {
     fn pick<'a, V>(&'a self, all: &'a [V]) -> PickedVertices<'a, V> {
         match &self.frame.selected {
             Some(selected) => PickedVertices::Listed {
@@ -58,7 +58,7 @@ pub struct FramePart {
 #[derive(Debug)]
 enum PartData {
     /// To be written from these vertices.
-    Of(FrameRun),
+    Of(VertexRun),
     /// Encoded already: the length is not known before.
     Coded(Vec<u8>),
 }
@@ -68,7 +68,7 @@ impl FramePart {
     /// differences, `held` is what its reader has of these vertices.
     pub(super) fn new(
         mut head: pb::Frame,
-        run: FrameRun,
+        run: VertexRun,
         scratch: &mut Vec<[u16; 4]>,
         held: Option<&mut [[u16; 4]]>,
     ) -> Self {
@@ -164,7 +164,7 @@ trait VertexVisitor {
     fn take<const N: usize, V: VertexNumbers<N>>(self, vertices: PickedVertices<'_, V>, are_directions: bool);
 }
 
-fn visit(attribute: frame::Attribute, run: &FrameRun, visitor: impl VertexVisitor) {
+fn visit(attribute: frame::Attribute, run: &VertexRun, visitor: impl VertexVisitor) {
     match (attribute, &run.frame.shading) {
         (frame::Attribute::Normal, Some(s)) => visitor.take(run.pick(&s.normals), true),
         (frame::Attribute::Tangent, Some(s)) => visitor.take(run.pick(&s.tangents), true),

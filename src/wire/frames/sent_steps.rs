@@ -3,10 +3,10 @@
 //! Differences are formed from it when a frame is sent, so that a frame which was never sent leaves no gap. Steps are
 //! whole numbers and differences wrap, so no error adds up: a reader that adds every difference has the exact steps.
 
-use super::Frame;
 use super::output::{FrameEncoding, FrameOutput};
 use super::part::bounds;
 use super::pb::frame;
+use super::{Frame, KEPT_BYTES};
 use crate::engine::TopologyId;
 use glam::DVec3;
 
@@ -16,9 +16,6 @@ const ROOM: f64 = 0.125;
 /// A shape that fills less than this part of the box, by the largest extents of both, gets a box of its own: its steps have become
 /// coarse.
 const LEAST_FILLED: f64 = 0.25;
-
-/// Bytes of the steps of a vertex, of one attribute.
-pub(super) const KEPT_BYTES: usize = size_of::<[u16; 4]>();
 
 /// What the reader of a stream holds after the frames that it was sent. Of streams that ask for no differences it holds nothing.
 #[derive(Debug, Default)]
