@@ -10,6 +10,7 @@ use crate::build::level::{HierarchyLevel, SliceExtent};
 use crate::lanes::{Lanes, SharedRows};
 use crate::storage::{SLICE_ROWS, grow};
 use crate::threads::{Parallelism, cut};
+use std::ops::Range;
 
 /// Rows that one piece of work handles where there are no blocks.
 const PIECE: usize = 4096;
@@ -145,6 +146,35 @@ struct BlockScratch {
     renamed: Vec<u32>,
 }
 
+impl BlockScratch {
+    /// Takes in the draft's rows `source`, which become the level's `rows`; answers where their entries are in the draft.
+    fn take_block(
+        &mut self,
+        draft: &LevelDraft,
+        source: Range<usize>,
+        ranks: &[u32],
+        rows: &Range<usize>,
+    ) -> Range<usize> {
+        let first = draft.offsets[source.start];
+        let source_entries = first as usize..draft.offsets[source.end] as usize;
+        self.rows_from.clear();
+        self.rows_from.resize(rows.len(), [0; 2]);
+        for (&rank, from) in ranks[source.clone()]
+            .iter()
+            .zip(draft.offsets[source.start..=source.end].windows(2))
+        {
+            self.rows_from[rank as usize - rows.start] = [from[0] - first, from[1] - first];
+        }
+        self.renamed.clear();
+        self.renamed.extend(
+            draft.neighbours[source_entries.clone()]
+                .iter()
+                .map(|&j| ranks[j as usize]),
+        );
+        source_entries
+    }
+}
+
 /// Copies the draft block by block into bundles, renames neighbours and puts those before each row first.
 ///
 /// Rows go in the order of bundles, where those that follow one another have nearly always the same numbers of neighbours: how
@@ -188,23 +218,8 @@ fn copy_into_slices(
     threads.for_each_item(targets.collect(), BlockScratch::default, |scratch, k, target| {
         let (rows, entries) = (rows_of(k), entries_of(k));
         let source = blocks.range(blocks.by_colour[k] as usize);
-        let first = draft.offsets[source.start];
-        let source_entries = first as usize..draft.offsets[source.end] as usize;
+        let source_entries = scratch.take_block(draft, source, ranks, &rows);
         let BlockScratch { rows_from, renamed } = scratch;
-        rows_from.clear();
-        rows_from.resize(rows.len(), [0; 2]);
-        for (&rank, from) in ranks[source.clone()]
-            .iter()
-            .zip(draft.offsets[source.start..=source.end].windows(2))
-        {
-            rows_from[rank as usize - rows.start] = [from[0] - first, from[1] - first];
-        }
-        renamed.clear();
-        renamed.extend(
-            draft.neighbours[source_entries.clone()]
-                .iter()
-                .map(|&j| ranks[j as usize]),
-        );
         let from_weights = draft.weights.as_deref().map(|w| &w[source_entries]);
         let BlockTarget {
             diagonal,
