@@ -380,9 +380,9 @@ fn first_below_elsewhere(clip: &MotionClip, joint: usize, places: &[DVec3]) -> O
 /// Where a bone lies in the model and in the clip at its reference pose.
 #[derive(Debug, Clone, Copy)]
 struct BonePair {
-    model: [DVec3; 2],
+    pub model: [DVec3; 2],
     /// The end is `None` for a joint whose end is unknown.
-    clip: (DVec3, Option<DVec3>),
+    pub clip: (DVec3, Option<DVec3>),
 }
 
 /// The turn about the vertical that lets a clip face as the model does: of all such turns the one that brings the clip's joints
