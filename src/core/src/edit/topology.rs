@@ -137,34 +137,6 @@ impl SurfaceTopology {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_tetrahedron_is_closed_and_a_bow_tie_is_pinched() {
-        let positions = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z, DVec3::NEG_X];
-        let surface = |triangles: &'static [[u32; 3]], points: u32| SurfaceView {
-            positions: &positions[..points as usize],
-            triangles,
-            primitive_of: &[0; 4][..triangles.len()],
-            point_of: &[0, 1, 2, 3, 4][..points as usize],
-            points,
-        };
-        let closed = SurfaceTopology::from_surface(&surface(&[[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], 4));
-        assert!(closed.is_closed() && closed.euler == 2, "{closed:?}");
-        let bow = surface(&[[0, 1, 2], [0, 3, 4]], 5);
-        assert_eq!(verify_surface(&bow), Ok(()));
-        assert_eq!(SurfaceTopology::from_surface(&bow).pinched_points, 1);
-        let crowded = SurfaceTopology::from_surface(&surface(&[[0, 1, 2], [0, 1, 3], [1, 0, 4]], 5));
-        assert_eq!((crowded.crowded_edges, crowded.rim_edges), (1, 6));
-        assert!(
-            verify_surface(&surface(&[[0, 1, 2]], 4)).is_err(),
-            "point 3 is in no triangle"
-        );
-    }
-}
-
 /// The points where an edge has more faces on one side than on the other, rising.
 ///
 /// One flat scan: over the faces around a point of the inside, each neighbour comes once after it and once before it,
@@ -274,6 +246,34 @@ pub(super) fn split_into_loops(edges: &[[u32; 2]]) -> (Vec<Vec<u32>>, Vec<Vec<u3
         place.clear();
     }
     (closed, open)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tetrahedron_is_closed_and_a_bow_tie_is_pinched() {
+        let positions = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z, DVec3::NEG_X];
+        let surface = |triangles: &'static [[u32; 3]], points: u32| SurfaceView {
+            positions: &positions[..points as usize],
+            triangles,
+            primitive_of: &[0; 4][..triangles.len()],
+            point_of: &[0, 1, 2, 3, 4][..points as usize],
+            points,
+        };
+        let closed = SurfaceTopology::from_surface(&surface(&[[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], 4));
+        assert!(closed.is_closed() && closed.euler == 2, "{closed:?}");
+        let bow = surface(&[[0, 1, 2], [0, 3, 4]], 5);
+        assert_eq!(verify_surface(&bow), Ok(()));
+        assert_eq!(SurfaceTopology::from_surface(&bow).pinched_points, 1);
+        let crowded = SurfaceTopology::from_surface(&surface(&[[0, 1, 2], [0, 1, 3], [1, 0, 4]], 5));
+        assert_eq!((crowded.crowded_edges, crowded.rim_edges), (1, 6));
+        assert!(
+            verify_surface(&surface(&[[0, 1, 2]], 4)).is_err(),
+            "point 3 is in no triangle"
+        );
+    }
 }
 
 #[cfg(test)]

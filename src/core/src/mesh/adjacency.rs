@@ -115,42 +115,6 @@ fn edges(vertices: usize, triangles: &[[u32; 3]]) -> Vec<MeshEdge> {
     edges
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_pair_of_faces_knows_its_edges_and_rows() {
-        let a = Adjacency::build(5, &[[0, 1, 2], [2, 1, 3]]);
-        let seen: Vec<_> = a.edges.iter().map(|e| (e.vertices, e.forward, e.backward)).collect();
-        assert_eq!(
-            seen,
-            [
-                ([0, 1], 1, 0),
-                ([0, 2], 0, 1),
-                ([1, 2], 1, 1),
-                ([1, 3], 1, 0),
-                ([2, 3], 0, 1)
-            ]
-        );
-        assert_eq!(a.neighbours.of(1), [0, 2, 3]);
-        assert_eq!(a.faces.of(2), [0, 1]);
-        assert!(a.neighbours.of(4).is_empty() && a.faces.of(4).is_empty());
-        assert!(!a.is_balanced());
-    }
-
-    #[test]
-    fn closed_surfaces_are_balanced_and_flipped_faces_are_not() {
-        let tetrahedron = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
-        assert!(Adjacency::build(4, &tetrahedron).is_balanced());
-        let mut flipped = tetrahedron;
-        flipped[0].swap(0, 1);
-        let a = Adjacency::build(4, &flipped);
-        assert!(!a.is_balanced());
-        assert!(a.edges.iter().all(|e| e.faces() == 2), "flipping a face opens no edge");
-    }
-}
-
 /// One rim.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BoundaryLoop {
@@ -269,46 +233,6 @@ impl BoundaryWalk<'_> {
     }
 }
 
-#[cfg(test)]
-mod boundary_tests {
-    use super::*;
-
-    fn loops(positions: &[DVec3], faces: &[[u32; 3]]) -> Vec<BoundaryLoop> {
-        boundary_loops(positions, &Adjacency::build(positions.len(), faces))
-    }
-
-    #[test]
-    fn touching_rims_are_told_apart() {
-        // Two triangles that share vertex 2 only: a bow tie.
-        let p: Vec<DVec3> = [[0., 0.], [0., 1.], [1., 0.], [2., 0.], [2., 1.]]
-            .iter()
-            .map(|p| DVec3::new(p[0], p[1], 0.0))
-            .collect();
-        let found = loops(&p, &[[0, 2, 1], [2, 3, 4]]);
-        let seen: Vec<_> = found.iter().map(|l| (l.edges, l.vertex, l.closed)).collect();
-        assert!(
-            seen.contains(&(3, 0, true)) && seen.contains(&(3, 2, true)) && seen.len() == 2,
-            "{seen:?}"
-        );
-        assert!((found.iter().map(|l| l.length).sum::<f64>() - (2.0 + 2.0 * 2f64.sqrt() + 2.0)).abs() < 1e-12);
-    }
-
-    #[test]
-    fn a_fin_leaves_an_open_rim() {
-        // Three faces share the edge 0-1; each outer pair of edges runs from 0 to 1.
-        let p: Vec<DVec3> = [DVec3::ZERO, DVec3::Z, DVec3::X, DVec3::Y, DVec3::NEG_X].to_vec();
-        let found = loops(&p, &[[0, 1, 2], [0, 1, 3], [1, 0, 4]]);
-        assert_eq!(found.iter().map(|l| l.edges).sum::<usize>(), 6);
-        assert_eq!(found.iter().filter(|l| !l.closed).count(), 1, "{found:?}");
-    }
-
-    #[test]
-    fn a_closed_surface_has_none() {
-        let p = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
-        assert!(loops(&p, &[[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]).is_empty());
-    }
-}
-
 /// The connected components of something with vertices, numbered in the order of their smallest vertex.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Components {
@@ -400,27 +324,6 @@ impl DisjointSets {
     }
 }
 
-#[cfg(test)]
-mod components_tests {
-    use super::*;
-
-    #[test]
-    fn parts_are_numbered_by_their_smallest_vertex() {
-        let c = Components::of_triangles(8, &[[5, 6, 7], [1, 3, 0], [3, 4, 1]]);
-        assert_eq!(c.of_vertex, [0, 0, 1, 0, 0, 2, 2, 2]);
-        assert_eq!((c.count, c.first_vertices()), (3, vec![0, 2, 5]));
-    }
-
-    #[test]
-    fn a_long_chain_in_any_order_is_one_part() {
-        let n = 10_000u32;
-        let backwards = Components::of_edges(n as usize, (1..n).rev().map(|v| (v, v - 1)));
-        assert_eq!(backwards.count, 1);
-        let odd_even = Components::of_edges(n as usize, (2..n).map(|v| (v - 2, v)));
-        assert_eq!(odd_even.count, 2);
-    }
-}
-
 /// One list of `u32` per row; rows are counted from 0.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Lists {
@@ -501,6 +404,103 @@ impl Lists {
     /// Bytes held on the heap.
     pub fn byte_size(&self) -> usize {
         (self.offsets.capacity() + self.items.capacity()) * size_of::<u32>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pair_of_faces_knows_its_edges_and_rows() {
+        let a = Adjacency::build(5, &[[0, 1, 2], [2, 1, 3]]);
+        let seen: Vec<_> = a.edges.iter().map(|e| (e.vertices, e.forward, e.backward)).collect();
+        assert_eq!(
+            seen,
+            [
+                ([0, 1], 1, 0),
+                ([0, 2], 0, 1),
+                ([1, 2], 1, 1),
+                ([1, 3], 1, 0),
+                ([2, 3], 0, 1)
+            ]
+        );
+        assert_eq!(a.neighbours.of(1), [0, 2, 3]);
+        assert_eq!(a.faces.of(2), [0, 1]);
+        assert!(a.neighbours.of(4).is_empty() && a.faces.of(4).is_empty());
+        assert!(!a.is_balanced());
+    }
+
+    #[test]
+    fn closed_surfaces_are_balanced_and_flipped_faces_are_not() {
+        let tetrahedron = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+        assert!(Adjacency::build(4, &tetrahedron).is_balanced());
+        let mut flipped = tetrahedron;
+        flipped[0].swap(0, 1);
+        let a = Adjacency::build(4, &flipped);
+        assert!(!a.is_balanced());
+        assert!(a.edges.iter().all(|e| e.faces() == 2), "flipping a face opens no edge");
+    }
+}
+
+#[cfg(test)]
+mod boundary_tests {
+    use super::*;
+
+    fn loops(positions: &[DVec3], faces: &[[u32; 3]]) -> Vec<BoundaryLoop> {
+        boundary_loops(positions, &Adjacency::build(positions.len(), faces))
+    }
+
+    #[test]
+    fn touching_rims_are_told_apart() {
+        // Two triangles that share vertex 2 only: a bow tie.
+        let p: Vec<DVec3> = [[0., 0.], [0., 1.], [1., 0.], [2., 0.], [2., 1.]]
+            .iter()
+            .map(|p| DVec3::new(p[0], p[1], 0.0))
+            .collect();
+        let found = loops(&p, &[[0, 2, 1], [2, 3, 4]]);
+        let seen: Vec<_> = found.iter().map(|l| (l.edges, l.vertex, l.closed)).collect();
+        assert!(
+            seen.contains(&(3, 0, true)) && seen.contains(&(3, 2, true)) && seen.len() == 2,
+            "{seen:?}"
+        );
+        assert!((found.iter().map(|l| l.length).sum::<f64>() - (2.0 + 2.0 * 2f64.sqrt() + 2.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_fin_leaves_an_open_rim() {
+        // Three faces share the edge 0-1; each outer pair of edges runs from 0 to 1.
+        let p: Vec<DVec3> = [DVec3::ZERO, DVec3::Z, DVec3::X, DVec3::Y, DVec3::NEG_X].to_vec();
+        let found = loops(&p, &[[0, 1, 2], [0, 1, 3], [1, 0, 4]]);
+        assert_eq!(found.iter().map(|l| l.edges).sum::<usize>(), 6);
+        assert_eq!(found.iter().filter(|l| !l.closed).count(), 1, "{found:?}");
+    }
+
+    #[test]
+    fn a_closed_surface_has_none() {
+        let p = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
+        assert!(loops(&p, &[[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]).is_empty());
+    }
+}
+
+#[cfg(test)]
+mod components_tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_numbered_by_their_smallest_vertex() {
+        let c = Components::of_triangles(8, &[[5, 6, 7], [1, 3, 0], [3, 4, 1]]);
+        assert_eq!(c.of_vertex, [0, 0, 1, 0, 0, 2, 2, 2]);
+        assert_eq!((c.count, c.first_vertices()), (3, vec![0, 2, 5]));
+    }
+
+    #[test]
+    fn a_long_chain_in_any_order_is_one_part() {
+        let n = 10_000u32;
+        let backwards = Components::of_edges(n as usize, (1..n).rev().map(|v| (v, v - 1)));
+        assert_eq!(backwards.count, 1);
+        let odd_even = Components::of_edges(n as usize, (2..n).map(|v| (v - 2, v)));
+        assert_eq!(odd_even.count, 2);
     }
 }
 

@@ -146,137 +146,6 @@ fn parts(mesh: &Mesh, adjacency: &Adjacency) -> Vec<PartReport> {
     parts
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::mesh::weld::Weld;
-    use PLACES;
-    use glam::DVec3;
-
-    fn report(positions: &[[f64; 3]], faces: &[[u32; 3]]) -> MeshReport {
-        let positions: Vec<DVec3> = positions.iter().copied().map(DVec3::from_array).collect();
-        let mesh = Mesh::build(&positions, faces, Weld::Exact).expect("a mesh");
-        inspect(&mesh, &Adjacency::build(mesh.positions.len(), &mesh.triangles))
-    }
-
-    const TETRAHEDRON: [[f64; 3]; 4] = [[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]];
-    const FACES: [[u32; 3]; 4] = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
-
-    #[test]
-    fn a_clean_closed_mesh_has_nothing_to_warn_of() {
-        let r = report(&TETRAHEDRON, &FACES);
-        assert!(r.closed && r.warnings.is_empty(), "{:?}", r.warnings);
-        assert_eq!((r.vertices, r.edges, r.triangles, r.parts.len()), (4, 6, 4, 1));
-        assert!((r.parts[0].volume - r.volume).abs() < 1e-12 && (r.volume - 1.0 / 6.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn each_defect_is_counted_and_named_once() {
-        // A tetrahedron with a hole, a fin on one edge, a flipped neighbour, a repeated and a collapsed face, a
-        // stray vertex and a second part that touches nothing.
-        let mut p = TETRAHEDRON.to_vec();
-        p.extend([
-            [0.5, -1., 0.],
-            [9., 9., 9.],
-            [5., 0., 0.],
-            [6., 0., 0.],
-            [5.5, 1e-3, 0.],
-        ]);
-        let faces = [
-            [0, 2, 1],
-            [0, 1, 3],
-            [1, 2, 3],
-            [0, 1, 4],
-            [3, 1, 0],
-            [2, 2, 3],
-            [6, 7, 8],
-        ];
-        let r = report(&p, &faces);
-        let codes: Vec<&str> = r.warnings.iter().map(|w| w.code).collect();
-        assert_eq!(
-            codes,
-            [
-                "boundary-loop",
-                "non-manifold-edge",
-                "degenerate-face",
-                "duplicate-face",
-                "sliver",
-                "unreferenced-vertex",
-                "components"
-            ]
-        );
-        assert_eq!(
-            (r.non_manifold_edges, r.duplicate_triangles, r.degenerate_triangles),
-            (1, 1, 1)
-        );
-        assert_eq!(
-            (r.slivers, r.unreferenced_vertices, r.parts.len(), r.closed),
-            (1, 1, 2, false)
-        );
-        let edge = &r.warnings[1].message;
-        assert_eq!(
-            edge,
-            "1 non-manifold edge, between render vertices 0 and 1 at (0.5, 0, 0)"
-        );
-        assert_eq!(r.warnings[3].place, "at triangle 4");
-        let pointed = [1, 3, 4].map(|k: usize| r.warnings[k].vertices.as_slice());
-        assert_eq!(
-            pointed,
-            [&[0][..], &[], &[6]],
-            "a face that was left out has no vertex to show"
-        );
-    }
-
-    #[test]
-    fn winding_conflicts_and_pinched_vertices_are_found() {
-        let mut faces = FACES;
-        faces[0].swap(0, 1);
-        let r = report(&TETRAHEDRON, &faces);
-        assert_eq!((r.winding_conflicts, r.closed), (3, true));
-        let pinch = [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [-1., 0., 0.], [-1., -1., 0.]];
-        let r = report(&pinch, &[[0, 1, 2], [0, 3, 4]]);
-        assert_eq!(
-            (r.non_manifold_vertices, r.parts.len(), r.boundary_loops.len()),
-            (1, 1, 2)
-        );
-    }
-
-    #[test]
-    fn a_crack_is_told_from_an_honest_rim() {
-        let gap = 1e-7;
-        let p = [
-            [0., 0., 0.],
-            [1., 0., 0.],
-            [0., 1., 0.],
-            [1., gap, 0.],
-            [gap, 1., 0.],
-            [1., 1., 0.],
-        ];
-        let r = report(&p, &[[0, 1, 2], [3, 5, 4]]);
-        assert_eq!(r.cracked_vertices, 2);
-        assert_eq!(report(&p, &[[0, 1, 2]]).cracked_vertices, 0);
-    }
-
-    #[test]
-    fn many_places_are_summarised() {
-        let p: Vec<[f64; 3]> = (0..90).map(|i| [f64::from(i), f64::from(i % 3), 0.0]).collect();
-        let faces: Vec<[u32; 3]> = (0..30).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
-        let r = report(&p, &faces);
-        let w = &r.warnings[0];
-        assert!(
-            w.message
-                .starts_with("30 holes, first 3 edges long, at render vertex 0"),
-            "{}",
-            w.message
-        );
-        assert!(
-            w.place.ends_with("; and 14 more") && w.place.matches("; ").count() == PLACES,
-            "{}",
-            w.place
-        );
-    }
-}
-
 /// A face is a sliver when its longest edge is more than this many times its height over that edge.
 const SLIVER: f64 = 100.0;
 /// How many places one warning spells out.
@@ -503,4 +372,135 @@ fn cracked_vertices(mesh: &Mesh, adjacency: &Adjacency) -> Vec<u32> {
     let tolerance = Weld::Tolerance(mesh.bounds().diagonal() * CRACK);
     let near = weld::representatives(&mesh.positions, &mesh.triangles, &on_rim, tolerance).unwrap_or_default();
     (0u32..).zip(&near).filter(|(v, r)| v != *r).map(|(v, _)| v).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::weld::Weld;
+    use PLACES;
+    use glam::DVec3;
+
+    fn report(positions: &[[f64; 3]], faces: &[[u32; 3]]) -> MeshReport {
+        let positions: Vec<DVec3> = positions.iter().copied().map(DVec3::from_array).collect();
+        let mesh = Mesh::build(&positions, faces, Weld::Exact).expect("a mesh");
+        inspect(&mesh, &Adjacency::build(mesh.positions.len(), &mesh.triangles))
+    }
+
+    const TETRAHEDRON: [[f64; 3]; 4] = [[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [0., 0., 1.]];
+    const FACES: [[u32; 3]; 4] = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+
+    #[test]
+    fn a_clean_closed_mesh_has_nothing_to_warn_of() {
+        let r = report(&TETRAHEDRON, &FACES);
+        assert!(r.closed && r.warnings.is_empty(), "{:?}", r.warnings);
+        assert_eq!((r.vertices, r.edges, r.triangles, r.parts.len()), (4, 6, 4, 1));
+        assert!((r.parts[0].volume - r.volume).abs() < 1e-12 && (r.volume - 1.0 / 6.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn each_defect_is_counted_and_named_once() {
+        // A tetrahedron with a hole, a fin on one edge, a flipped neighbour, a repeated and a collapsed face, a
+        // stray vertex and a second part that touches nothing.
+        let mut p = TETRAHEDRON.to_vec();
+        p.extend([
+            [0.5, -1., 0.],
+            [9., 9., 9.],
+            [5., 0., 0.],
+            [6., 0., 0.],
+            [5.5, 1e-3, 0.],
+        ]);
+        let faces = [
+            [0, 2, 1],
+            [0, 1, 3],
+            [1, 2, 3],
+            [0, 1, 4],
+            [3, 1, 0],
+            [2, 2, 3],
+            [6, 7, 8],
+        ];
+        let r = report(&p, &faces);
+        let codes: Vec<&str> = r.warnings.iter().map(|w| w.code).collect();
+        assert_eq!(
+            codes,
+            [
+                "boundary-loop",
+                "non-manifold-edge",
+                "degenerate-face",
+                "duplicate-face",
+                "sliver",
+                "unreferenced-vertex",
+                "components"
+            ]
+        );
+        assert_eq!(
+            (r.non_manifold_edges, r.duplicate_triangles, r.degenerate_triangles),
+            (1, 1, 1)
+        );
+        assert_eq!(
+            (r.slivers, r.unreferenced_vertices, r.parts.len(), r.closed),
+            (1, 1, 2, false)
+        );
+        let edge = &r.warnings[1].message;
+        assert_eq!(
+            edge,
+            "1 non-manifold edge, between render vertices 0 and 1 at (0.5, 0, 0)"
+        );
+        assert_eq!(r.warnings[3].place, "at triangle 4");
+        let pointed = [1, 3, 4].map(|k: usize| r.warnings[k].vertices.as_slice());
+        assert_eq!(
+            pointed,
+            [&[0][..], &[], &[6]],
+            "a face that was left out has no vertex to show"
+        );
+    }
+
+    #[test]
+    fn winding_conflicts_and_pinched_vertices_are_found() {
+        let mut faces = FACES;
+        faces[0].swap(0, 1);
+        let r = report(&TETRAHEDRON, &faces);
+        assert_eq!((r.winding_conflicts, r.closed), (3, true));
+        let pinch = [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [-1., 0., 0.], [-1., -1., 0.]];
+        let r = report(&pinch, &[[0, 1, 2], [0, 3, 4]]);
+        assert_eq!(
+            (r.non_manifold_vertices, r.parts.len(), r.boundary_loops.len()),
+            (1, 1, 2)
+        );
+    }
+
+    #[test]
+    fn a_crack_is_told_from_an_honest_rim() {
+        let gap = 1e-7;
+        let p = [
+            [0., 0., 0.],
+            [1., 0., 0.],
+            [0., 1., 0.],
+            [1., gap, 0.],
+            [gap, 1., 0.],
+            [1., 1., 0.],
+        ];
+        let r = report(&p, &[[0, 1, 2], [3, 5, 4]]);
+        assert_eq!(r.cracked_vertices, 2);
+        assert_eq!(report(&p, &[[0, 1, 2]]).cracked_vertices, 0);
+    }
+
+    #[test]
+    fn many_places_are_summarised() {
+        let p: Vec<[f64; 3]> = (0..90).map(|i| [f64::from(i), f64::from(i % 3), 0.0]).collect();
+        let faces: Vec<[u32; 3]> = (0..30).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        let r = report(&p, &faces);
+        let w = &r.warnings[0];
+        assert!(
+            w.message
+                .starts_with("30 holes, first 3 edges long, at render vertex 0"),
+            "{}",
+            w.message
+        );
+        assert!(
+            w.place.ends_with("; and 14 more") && w.place.matches("; ").count() == PLACES,
+            "{}",
+            w.place
+        );
+    }
 }

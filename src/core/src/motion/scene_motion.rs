@@ -153,111 +153,6 @@ fn weight_curves(clip: &SceneClip, node: usize) -> Vec<KeyedCurve<f64>> {
     curves.flatten().collect()
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::asset::{ChannelInterpolation, SceneChannel, SceneNode, ScenePrimitive};
-    use crate::motion::clip_of_scene;
-    use crate::pool::Pool;
-    use crate::progress::Silent;
-    use glam::{DQuat, Vec3};
-
-    fn node(name: &str, parent: Option<usize>) -> SceneNode {
-        SceneNode {
-            name: name.into(),
-            parent,
-            translation: DVec3::ZERO,
-            rotation: DQuat::IDENTITY,
-            scale: DVec3::ONE,
-            matrix: None,
-        }
-    }
-
-    fn channel(node: usize, values: ChannelValues) -> SceneChannel {
-        SceneChannel {
-            node,
-            times: vec![0.0, 2.0],
-            values,
-            interpolation: ChannelInterpolation::Linear,
-        }
-    }
-
-    #[test]
-    fn props_follow_their_nodes_and_faces_their_weights() {
-        let shear = DAffine3::from_cols(DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Z, DVec3::ZERO);
-        let scene = MovingScene {
-            nodes: vec![
-                node("hand", None),
-                SceneNode {
-                    matrix: Some(shear),
-                    ..node("prop", Some(0))
-                },
-                node("face", None),
-            ],
-            primitives: vec![
-                ScenePrimitive {
-                    node: 1,
-                    vertices: 0..1,
-                    has_skin: false,
-                },
-                ScenePrimitive {
-                    node: 2,
-                    vertices: 1..4,
-                    has_skin: true,
-                },
-            ],
-            ..Default::default()
-        };
-        let clip = SceneClip {
-            name: String::new(),
-            channels: vec![
-                channel(0, ChannelValues::Translation(vec![DVec3::ZERO, DVec3::X * 4.0])),
-                channel(2, ChannelValues::Weights(vec![vec![0.0, 1.0]])),
-            ],
-        };
-        let order = NodeOrder::of(&scene);
-        let motion = clip_of_scene(&scene, &order, Some(&clip));
-        let shapes = vec![
-            PrimitiveShapes {
-                positions: vec![Vec3::Y],
-                targets: vec![],
-            },
-            PrimitiveShapes {
-                positions: vec![],
-                targets: vec![vec![Vec3::Z; 3]],
-            },
-        ];
-        let beside = SceneMotion::of(&scene, &order, &clip, &motion, shapes).expect("something moves");
-        let rest = [DVec3::Y, DVec3::ZERO, DVec3::X, DVec3::Y];
-        // The face lies turned about x by a quarter: what went along z goes along -y.
-        let turned = |p: DVec3| DVec3::new(p.x, -p.z, p.y);
-        let mut positions = rest.map(turned);
-        let root = RigidMotion {
-            rotation: DQuat::from_rotation_z(1.0),
-            from: DVec3::X,
-            to: DVec3::ONE,
-        };
-        let pool = Pool::new(1).expect("a thread");
-        let placed = beside.place(
-            1.0,
-            &root,
-            (&rest, &[[1, 2, 3]]),
-            &mut positions,
-            &Exec::new(&pool, &Silent),
-        );
-        assert_eq!(placed, Ok(()));
-        assert!(root.place(positions[0]).distance(DVec3::new(3.0, 1.0, 0.0)) < 1e-12);
-        for (now, at_rest) in positions.iter().zip(&rest).skip(1) {
-            assert!(now.distance(turned(*at_rest + DVec3::Z * 0.5)) < 1e-9, "{now}");
-        }
-        let still = SceneClip::default();
-        let mut skinned = scene;
-        skinned.primitives.remove(0);
-        let motion = clip_of_scene(&skinned, &order, Some(&still));
-        assert!(SceneMotion::of(&skinned, &order, &still, &motion, vec![Default::default()]).is_none());
-    }
-}
-
 /// The nodes of a scene in the order of a skeleton: parents before children.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct NodeOrder {
@@ -386,5 +281,110 @@ fn interpolation_of(channel: &SceneChannel) -> Interpolation {
         ChannelInterpolation::Step => Interpolation::Step,
         ChannelInterpolation::Linear => Interpolation::Linear,
         ChannelInterpolation::CubicSpline => Interpolation::CubicSpline,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::{ChannelInterpolation, SceneChannel, SceneNode, ScenePrimitive};
+    use crate::motion::clip_of_scene;
+    use crate::pool::Pool;
+    use crate::progress::Silent;
+    use glam::{DQuat, Vec3};
+
+    fn node(name: &str, parent: Option<usize>) -> SceneNode {
+        SceneNode {
+            name: name.into(),
+            parent,
+            translation: DVec3::ZERO,
+            rotation: DQuat::IDENTITY,
+            scale: DVec3::ONE,
+            matrix: None,
+        }
+    }
+
+    fn channel(node: usize, values: ChannelValues) -> SceneChannel {
+        SceneChannel {
+            node,
+            times: vec![0.0, 2.0],
+            values,
+            interpolation: ChannelInterpolation::Linear,
+        }
+    }
+
+    #[test]
+    fn props_follow_their_nodes_and_faces_their_weights() {
+        let shear = DAffine3::from_cols(DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Z, DVec3::ZERO);
+        let scene = MovingScene {
+            nodes: vec![
+                node("hand", None),
+                SceneNode {
+                    matrix: Some(shear),
+                    ..node("prop", Some(0))
+                },
+                node("face", None),
+            ],
+            primitives: vec![
+                ScenePrimitive {
+                    node: 1,
+                    vertices: 0..1,
+                    has_skin: false,
+                },
+                ScenePrimitive {
+                    node: 2,
+                    vertices: 1..4,
+                    has_skin: true,
+                },
+            ],
+            ..Default::default()
+        };
+        let clip = SceneClip {
+            name: String::new(),
+            channels: vec![
+                channel(0, ChannelValues::Translation(vec![DVec3::ZERO, DVec3::X * 4.0])),
+                channel(2, ChannelValues::Weights(vec![vec![0.0, 1.0]])),
+            ],
+        };
+        let order = NodeOrder::of(&scene);
+        let motion = clip_of_scene(&scene, &order, Some(&clip));
+        let shapes = vec![
+            PrimitiveShapes {
+                positions: vec![Vec3::Y],
+                targets: vec![],
+            },
+            PrimitiveShapes {
+                positions: vec![],
+                targets: vec![vec![Vec3::Z; 3]],
+            },
+        ];
+        let beside = SceneMotion::of(&scene, &order, &clip, &motion, shapes).expect("something moves");
+        let rest = [DVec3::Y, DVec3::ZERO, DVec3::X, DVec3::Y];
+        // The face lies turned about x by a quarter: what went along z goes along -y.
+        let turned = |p: DVec3| DVec3::new(p.x, -p.z, p.y);
+        let mut positions = rest.map(turned);
+        let root = RigidMotion {
+            rotation: DQuat::from_rotation_z(1.0),
+            from: DVec3::X,
+            to: DVec3::ONE,
+        };
+        let pool = Pool::new(1).expect("a thread");
+        let placed = beside.place(
+            1.0,
+            &root,
+            (&rest, &[[1, 2, 3]]),
+            &mut positions,
+            &Exec::new(&pool, &Silent),
+        );
+        assert_eq!(placed, Ok(()));
+        assert!(root.place(positions[0]).distance(DVec3::new(3.0, 1.0, 0.0)) < 1e-12);
+        for (now, at_rest) in positions.iter().zip(&rest).skip(1) {
+            assert!(now.distance(turned(*at_rest + DVec3::Z * 0.5)) < 1e-9, "{now}");
+        }
+        let still = SceneClip::default();
+        let mut skinned = scene;
+        skinned.primitives.remove(0);
+        let motion = clip_of_scene(&skinned, &order, Some(&still));
+        assert!(SceneMotion::of(&skinned, &order, &still, &motion, vec![Default::default()]).is_none());
     }
 }

@@ -99,69 +99,6 @@ impl RingMark {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::super::camera::{PictureSize, UpAxis, ViewDirection};
-    use super::super::surface::ShadedSurface;
-    use super::*;
-    use crate::pool::Pool;
-
-    #[test]
-    fn the_largest_come_first_and_keep_apart() {
-        let p = [0.0, 0.1, 5.0, 9.0].map(|x| DVec3::X * x);
-        let marks = RingMark::at_largest_values(&p, &[2.0, 3.0, 0.0, 1.0], 9, 0.5);
-        let told: Vec<(f64, &str)> = marks.iter().map(|m| (m.at.x, m.label.as_str())).collect();
-        assert_eq!(told, [(0.1, "1"), (9.0, "2")]);
-        assert_eq!(RingMark::at_largest_values(&p, &[1.0; 4], 1, 0.0).len(), 1);
-        assert!(RingMark::at_largest_values(&p, &[0.0; 4], 3, 0.0).is_empty());
-    }
-
-    #[test]
-    fn a_ring_lies_around_its_place_and_nothing_is_drawn_outside() {
-        let p = [DVec3::ZERO, DVec3::X, DVec3::Y];
-        let surface = ShadedSurface::new(&p, &[[0, 1, 2]], &Pool::new(1).expect("a thread")).expect("a surface");
-        let view = ViewDirection::new(0.0, 0.0, UpAxis::Y).expect("in range");
-        let camera = &Camera::around_surfaces(&[&surface], &[view], PictureSize::new(100, 80).expect("in range"))[0];
-        let white = [200, 210, 220];
-        let mut picture = Picture::new(140, 100, white).expect("small");
-        for (at, label) in [(DVec3::X, "1"), (DVec3::X * 50.0, "2"), (DVec3::NEG_X * 50.0, "3")] {
-            let mark = RingMark {
-                at,
-                label: label.into(),
-                hidden: false,
-            };
-            mark.draw_on(&mut picture, camera, 20, 10);
-        }
-        let seen = camera.project_point(DVec3::X) + DVec3::new(20.0, 10.0, 0.0);
-        let dark: Vec<DVec2> = (0..100u32)
-            .flat_map(|y| (0..140u32).map(move |x| (x, y)))
-            .filter(|&(x, y)| picture.pixel(x, y).is_some_and(|p| p[0] < 60))
-            .map(|(x, y)| DVec2::new(f64::from(x), f64::from(y)))
-            .collect();
-        assert!(dark.len() > 10);
-        assert!(
-            dark.iter().all(|d| d.distance(seen.truncate()) < 22.0),
-            "{dark:?} around {seen}"
-        );
-        assert_eq!(picture.pixel(0, 0), Some(white));
-        // What is hidden has a part of the ring.
-        let mut dashed = Picture::new(140, 100, white).expect("small");
-        let hidden = RingMark {
-            at: DVec3::X,
-            label: String::new(),
-            hidden: true,
-        };
-        hidden.draw_on(&mut dashed, camera, 20, 10);
-        let inked = dashed.pixels().iter().filter(|p| p[0] < 60).count();
-        let touched = dashed.pixels().iter().filter(|p| **p != white).count();
-        assert!(
-            inked < dark.len() && touched > 10,
-            "{inked} and {touched} of {}",
-            dark.len()
-        );
-    }
-}
-
 /// What is turned: bones, and what holds rotations (figure 6 of the paper).
 pub const ROTATION_COLOUR: Rgb = [0x2f, 0x8f, 0x4e];
 /// What is put in place: joints, and what holds positions.
@@ -229,6 +166,69 @@ fn stroke(picture: &mut Picture, [from, to]: [DVec2; 2], radii: [f64; 2], colour
             let off = here.distance(from + way * along);
             picture.blend_pixel(x, y, colour, (radius + 0.5 - off).clamp(0.0, 1.0));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::camera::{PictureSize, UpAxis, ViewDirection};
+    use super::super::surface::ShadedSurface;
+    use super::*;
+    use crate::pool::Pool;
+
+    #[test]
+    fn the_largest_come_first_and_keep_apart() {
+        let p = [0.0, 0.1, 5.0, 9.0].map(|x| DVec3::X * x);
+        let marks = RingMark::at_largest_values(&p, &[2.0, 3.0, 0.0, 1.0], 9, 0.5);
+        let told: Vec<(f64, &str)> = marks.iter().map(|m| (m.at.x, m.label.as_str())).collect();
+        assert_eq!(told, [(0.1, "1"), (9.0, "2")]);
+        assert_eq!(RingMark::at_largest_values(&p, &[1.0; 4], 1, 0.0).len(), 1);
+        assert!(RingMark::at_largest_values(&p, &[0.0; 4], 3, 0.0).is_empty());
+    }
+
+    #[test]
+    fn a_ring_lies_around_its_place_and_nothing_is_drawn_outside() {
+        let p = [DVec3::ZERO, DVec3::X, DVec3::Y];
+        let surface = ShadedSurface::new(&p, &[[0, 1, 2]], &Pool::new(1).expect("a thread")).expect("a surface");
+        let view = ViewDirection::new(0.0, 0.0, UpAxis::Y).expect("in range");
+        let camera = &Camera::around_surfaces(&[&surface], &[view], PictureSize::new(100, 80).expect("in range"))[0];
+        let white = [200, 210, 220];
+        let mut picture = Picture::new(140, 100, white).expect("small");
+        for (at, label) in [(DVec3::X, "1"), (DVec3::X * 50.0, "2"), (DVec3::NEG_X * 50.0, "3")] {
+            let mark = RingMark {
+                at,
+                label: label.into(),
+                hidden: false,
+            };
+            mark.draw_on(&mut picture, camera, 20, 10);
+        }
+        let seen = camera.project_point(DVec3::X) + DVec3::new(20.0, 10.0, 0.0);
+        let dark: Vec<DVec2> = (0..100u32)
+            .flat_map(|y| (0..140u32).map(move |x| (x, y)))
+            .filter(|&(x, y)| picture.pixel(x, y).is_some_and(|p| p[0] < 60))
+            .map(|(x, y)| DVec2::new(f64::from(x), f64::from(y)))
+            .collect();
+        assert!(dark.len() > 10);
+        assert!(
+            dark.iter().all(|d| d.distance(seen.truncate()) < 22.0),
+            "{dark:?} around {seen}"
+        );
+        assert_eq!(picture.pixel(0, 0), Some(white));
+        // What is hidden has a part of the ring.
+        let mut dashed = Picture::new(140, 100, white).expect("small");
+        let hidden = RingMark {
+            at: DVec3::X,
+            label: String::new(),
+            hidden: true,
+        };
+        hidden.draw_on(&mut dashed, camera, 20, 10);
+        let inked = dashed.pixels().iter().filter(|p| p[0] < 60).count();
+        let touched = dashed.pixels().iter().filter(|p| **p != white).count();
+        assert!(
+            inked < dark.len() && touched > 10,
+            "{inked} and {touched} of {}",
+            dark.len()
+        );
     }
 }
 

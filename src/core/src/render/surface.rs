@@ -177,63 +177,6 @@ fn corner_normals(mesh: &Mesh, faces: &[DVec3]) -> Vec<[Vec3; 3]> {
         .collect()
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn pool() -> Pool {
-        Pool::new(2).expect("two threads")
-    }
-
-    /// Two unit squares that meet at an edge along y, the second one folded up by an angle; four vertices are seams.
-    fn fold(degrees: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
-        let (sin, cos) = libm::sincos(degrees.to_radians());
-        let across = DVec3::new(cos, 0.0, sin);
-        let p = vec![
-            DVec3::NEG_X,
-            DVec3::ZERO,
-            DVec3::Y,
-            DVec3::NEG_X + DVec3::Y,
-            DVec3::ZERO,
-            across,
-            across + DVec3::Y,
-            DVec3::Y,
-        ];
-        (p, vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
-    }
-
-    #[test]
-    fn seams_are_smooth_and_creases_are_sharp() {
-        let normals = |degrees: f64| {
-            let (p, t) = fold(degrees);
-            ShadedSurface::new(&p, &t, &pool())
-                .expect("a surface")
-                .normals()
-                .to_vec()
-        };
-        let gentle = normals(20.0);
-        // Vertex 1 and vertex 4 lie at the same place and look the same way.
-        assert!((gentle[0][1] - gentle[2][0]).length() < 1e-6 && gentle[0][1].x < -0.05);
-        let sharp = normals(90.0);
-        assert_eq!(sharp[0], [Vec3::Z; 3]);
-        assert!((sharp[2][0] - Vec3::NEG_X).length() < 1e-6);
-    }
-
-    #[test]
-    fn what_is_no_surface_is_refused() {
-        let text = |p: &[DVec3], t: &[[u32; 3]]| ShadedSurface::new(p, t, &pool()).expect_err("refused").to_string();
-        assert!(text(&[], &[]).contains("nothing to draw"));
-        assert!(text(&[DVec3::ONE; 3], &[[0, 1, 2]]).contains("none of 1 triangles"));
-        let p = [DVec3::ZERO, DVec3::X, DVec3::NAN];
-        assert!(text(&p, &[[0, 1, 2]]).contains("vertex 2"));
-        assert!(text(&p, &[[0, 1, 7]]).contains("vertex 7"));
-        let (p, t) = fold(10.0);
-        let surface = ShadedSurface::new(&p, &t, &pool()).expect("a surface");
-        let count = surface.with_colours(&[Vec3::ONE; 3]).expect_err("too few").to_string();
-        assert!(count.contains('3') && count.contains('8'), "{count}");
-    }
-}
-
 /// The surface, as linear light; it is seen from behind, where it is darker.
 const SHELL: u32 = 0xf4_f1_ec;
 
@@ -312,6 +255,63 @@ fn unit_ball() -> (Vec<DVec3>, Vec<[u32; 3]>) {
         faces = finer;
     }
     (corners, faces)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pool() -> Pool {
+        Pool::new(2).expect("two threads")
+    }
+
+    /// Two unit squares that meet at an edge along y, the second one folded up by an angle; four vertices are seams.
+    fn fold(degrees: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let (sin, cos) = libm::sincos(degrees.to_radians());
+        let across = DVec3::new(cos, 0.0, sin);
+        let p = vec![
+            DVec3::NEG_X,
+            DVec3::ZERO,
+            DVec3::Y,
+            DVec3::NEG_X + DVec3::Y,
+            DVec3::ZERO,
+            across,
+            across + DVec3::Y,
+            DVec3::Y,
+        ];
+        (p, vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    }
+
+    #[test]
+    fn seams_are_smooth_and_creases_are_sharp() {
+        let normals = |degrees: f64| {
+            let (p, t) = fold(degrees);
+            ShadedSurface::new(&p, &t, &pool())
+                .expect("a surface")
+                .normals()
+                .to_vec()
+        };
+        let gentle = normals(20.0);
+        // Vertex 1 and vertex 4 lie at the same place and look the same way.
+        assert!((gentle[0][1] - gentle[2][0]).length() < 1e-6 && gentle[0][1].x < -0.05);
+        let sharp = normals(90.0);
+        assert_eq!(sharp[0], [Vec3::Z; 3]);
+        assert!((sharp[2][0] - Vec3::NEG_X).length() < 1e-6);
+    }
+
+    #[test]
+    fn what_is_no_surface_is_refused() {
+        let text = |p: &[DVec3], t: &[[u32; 3]]| ShadedSurface::new(p, t, &pool()).expect_err("refused").to_string();
+        assert!(text(&[], &[]).contains("nothing to draw"));
+        assert!(text(&[DVec3::ONE; 3], &[[0, 1, 2]]).contains("none of 1 triangles"));
+        let p = [DVec3::ZERO, DVec3::X, DVec3::NAN];
+        assert!(text(&p, &[[0, 1, 2]]).contains("vertex 2"));
+        assert!(text(&p, &[[0, 1, 7]]).contains("vertex 7"));
+        let (p, t) = fold(10.0);
+        let surface = ShadedSurface::new(&p, &t, &pool()).expect("a surface");
+        let count = surface.with_colours(&[Vec3::ONE; 3]).expect_err("too few").to_string();
+        assert!(count.contains('3') && count.contains('8'), "{count}");
+    }
 }
 
 #[cfg(test)]

@@ -195,57 +195,6 @@ fn triangulate_in_mean_plane(
     Ok(triangulate_polygon(&flat, &all, &[], progress)?)
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::edit::surface::SurfaceView;
-    use crate::progress::Silent;
-
-    /// An open box without its top: a ring of points, more on the long sides, and walls below.
-    #[test]
-    fn the_least_bend_spans_a_box_flat() {
-        let top: Vec<DVec3> = (0..12u32)
-            .map(|k| {
-                let (side, along) = (k / 3, f64::from(k % 3));
-                let p = [[along, 0.0], [3.0, along], [3.0 - along, 3.0], [0.0, 3.0 - along]][side as usize];
-                DVec3::new(p[0], p[1], 0.0)
-            })
-            .collect();
-        let mut positions = top.clone();
-        positions.extend(top.iter().map(|p| *p - DVec3::Z));
-        let triangles: Vec<[u32; 3]> = (0..12u32)
-            .flat_map(|k| {
-                let next = (k + 1) % 12;
-                [[k, k + 12, next + 12], [k, next + 12, next]]
-            })
-            .collect();
-        let points: Vec<u32> = (0..24).collect();
-        let surface = SurfaceView {
-            positions: &positions,
-            triangles: &triangles,
-            primitive_of: &[0; 24],
-            point_of: &points,
-            points: 24,
-        };
-        let mut mesh = RegionMesh::with_ring(&surface, &(0..24).collect::<Vec<u32>>());
-        let ring: Vec<u32> = (0..12).collect();
-        for onward in [false, true] {
-            let found = triangulate_loop(&mesh, &ring, onward, &Silent)
-                .expect("not cancelled")
-                .expect("free edges");
-            let normals = found.iter().map(|t| {
-                let [a, b, c] = t.map(|i| positions[i as usize]);
-                (b - a).cross(c - a)
-            });
-            assert_eq!(found.len(), 10);
-            assert!(normals.clone().all(|n| n.z >= 0.0));
-            assert!((normals.map(|n| n.z).sum::<f64>() - 18.0).abs() < 1e-12);
-        }
-        fill_loop(&mut mesh, &ring, &Silent).expect("fills");
-        assert_eq!(mesh.open_sides(|a, b| a < 12 && b < 12), []);
-    }
-}
-
 /// Steps of conjugate gradients at most; holes of a few thousand points need fewer.
 const FAIRING_STEPS: usize = 400;
 
@@ -507,4 +456,55 @@ fn make_edges_delaunay(mesh: &mut RegionMesh, first: usize, progress: &dyn Progr
         queue.extend([edge_key(a, q), edge_key(q, b), edge_key(b, p), edge_key(p, a)]);
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::edit::surface::SurfaceView;
+    use crate::progress::Silent;
+
+    /// An open box without its top: a ring of points, more on the long sides, and walls below.
+    #[test]
+    fn the_least_bend_spans_a_box_flat() {
+        let top: Vec<DVec3> = (0..12u32)
+            .map(|k| {
+                let (side, along) = (k / 3, f64::from(k % 3));
+                let p = [[along, 0.0], [3.0, along], [3.0 - along, 3.0], [0.0, 3.0 - along]][side as usize];
+                DVec3::new(p[0], p[1], 0.0)
+            })
+            .collect();
+        let mut positions = top.clone();
+        positions.extend(top.iter().map(|p| *p - DVec3::Z));
+        let triangles: Vec<[u32; 3]> = (0..12u32)
+            .flat_map(|k| {
+                let next = (k + 1) % 12;
+                [[k, k + 12, next + 12], [k, next + 12, next]]
+            })
+            .collect();
+        let points: Vec<u32> = (0..24).collect();
+        let surface = SurfaceView {
+            positions: &positions,
+            triangles: &triangles,
+            primitive_of: &[0; 24],
+            point_of: &points,
+            points: 24,
+        };
+        let mut mesh = RegionMesh::with_ring(&surface, &(0..24).collect::<Vec<u32>>());
+        let ring: Vec<u32> = (0..12).collect();
+        for onward in [false, true] {
+            let found = triangulate_loop(&mesh, &ring, onward, &Silent)
+                .expect("not cancelled")
+                .expect("free edges");
+            let normals = found.iter().map(|t| {
+                let [a, b, c] = t.map(|i| positions[i as usize]);
+                (b - a).cross(c - a)
+            });
+            assert_eq!(found.len(), 10);
+            assert!(normals.clone().all(|n| n.z >= 0.0));
+            assert!((normals.map(|n| n.z).sum::<f64>() - 18.0).abs() < 1e-12);
+        }
+        fill_loop(&mut mesh, &ring, &Silent).expect("fills");
+        assert_eq!(mesh.open_sides(|a, b| a < 12 && b < 12), []);
+    }
 }

@@ -260,6 +260,106 @@ impl<'a> PolygonRing<'a> {
     }
 }
 
+/// Exchanges inner edges until each triangle's circle is empty of its neighbours' corners. Triangles without area go
+/// first. Edges that already exist are never made twice.
+fn make_delaunay(at: &[DVec2], triangles: &mut [[u32; 3]], progress: &dyn Progress) -> Result<(), Cancelled> {
+    let mut owner: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+    let mut queue: Vec<(u32, u32)> = Vec::new();
+    for (t, i) in triangles.iter().zip(0u32..) {
+        for k in 0..3 {
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            if owner.insert((a, b), i).is_some() {
+                // Entangled loops: leave them as they are.
+                return Ok(());
+            }
+            queue.push((a.min(b), a.max(b)));
+        }
+    }
+    let place = |p: u32| at[p as usize];
+    let far = |t: [u32; 3], a: u32, b: u32| t.into_iter().find(|&p| p != a && p != b);
+    // Lawson's flips end by themselves; the count guards against rounding in places that are not numbers.
+    let mut budget = 64 * triangles.len() + 4096;
+    while let Some((a, b)) = queue.pop() {
+        let (Some(&f), Some(&g)) = (owner.get(&(a, b)), owner.get(&(b, a))) else {
+            continue;
+        };
+        let (Some(p), Some(q)) = (far(triangles[f as usize], a, b), far(triangles[g as usize], a, b)) else {
+            continue;
+        };
+        if p == q || owner.contains_key(&(p, q)) || owner.contains_key(&(q, p)) {
+            continue;
+        }
+        // f is (a, b, p), g is (b, a, q).
+        let [point_a, point_b, pp, pq] = [a, b, p, q].map(place);
+        if turn(point_a, pq, pp) <= 0.0 || turn(pq, point_b, pp) <= 0.0 {
+            continue;
+        }
+        let flat = turn(point_a, point_b, pp) <= 0.0 || turn(point_b, point_a, pq) <= 0.0;
+        if !flat && robust::incircle(coord(point_a), coord(point_b), coord(pp), coord(pq)) <= 0.0 {
+            continue;
+        }
+        budget -= 1;
+        if budget == 0 {
+            return Ok(());
+        }
+        if budget.is_multiple_of(256) {
+            check(progress)?;
+        }
+        triangles[f as usize] = [a, q, p];
+        triangles[g as usize] = [q, b, p];
+        owner.remove(&(a, b));
+        owner.remove(&(b, a));
+        for (edge, face) in [
+            ((a, q), f),
+            ((q, p), f),
+            ((p, a), f),
+            ((q, b), g),
+            ((b, p), g),
+            ((p, q), g),
+        ] {
+            owner.insert(edge, face);
+        }
+        queue.extend([(a, q), (q, b), (b, p), (p, a)].map(|(x, y): (u32, u32)| (x.min(y), x.max(y))));
+    }
+    Ok(())
+}
+
+fn coord(p: DVec2) -> Coord<f64> {
+    Coord { x: p.x, y: p.y }
+}
+
+/// Positive when `a`, `b`, `c` turn left; the sign is exact.
+pub(super) fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
+    robust::orient2d(coord(a), coord(b), coord(c))
+}
+
+/// Twice the signed area of a loop.
+pub(in crate::edit) fn double_area(at: impl Fn(u32) -> DVec2, ring: &[u32]) -> f64 {
+    let Some(&first) = ring.first() else {
+        return 0.0;
+    };
+    let base = at(first);
+    let ends = ring.iter().zip(ring.iter().cycle().skip(1));
+    ends.map(|(&a, &b)| (at(a) - base).perp_dot(at(b) - base)).sum()
+}
+
+/// Whether `p` lies inside a loop (by crossings), or `None` when it lies on it.
+pub(in crate::edit) fn loop_contains(at: impl Fn(u32) -> DVec2, ring: &[u32], p: DVec2) -> Option<bool> {
+    let mut inside = false;
+    for (&a, &b) in ring.iter().zip(ring.iter().cycle().skip(1)) {
+        let (a, b) = (at(a), at(b));
+        let side = turn(a, b, p);
+        let between = p.cmpge(a.min(b)).all() && p.cmple(a.max(b)).all();
+        if side == 0.0 && between {
+            return None;
+        }
+        if (a.y <= p.y) != (b.y <= p.y) && (side > 0.0) == (b.y > a.y) {
+            inside = !inside;
+        }
+    }
+    Some(inside)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -360,70 +460,6 @@ mod tests {
     }
 }
 
-/// Exchanges inner edges until each triangle's circle is empty of its neighbours' corners. Triangles without area go
-/// first. Edges that already exist are never made twice.
-fn make_delaunay(at: &[DVec2], triangles: &mut [[u32; 3]], progress: &dyn Progress) -> Result<(), Cancelled> {
-    let mut owner: BTreeMap<(u32, u32), u32> = BTreeMap::new();
-    let mut queue: Vec<(u32, u32)> = Vec::new();
-    for (t, i) in triangles.iter().zip(0u32..) {
-        for k in 0..3 {
-            let (a, b) = (t[k], t[(k + 1) % 3]);
-            if owner.insert((a, b), i).is_some() {
-                // Entangled loops: leave them as they are.
-                return Ok(());
-            }
-            queue.push((a.min(b), a.max(b)));
-        }
-    }
-    let place = |p: u32| at[p as usize];
-    let far = |t: [u32; 3], a: u32, b: u32| t.into_iter().find(|&p| p != a && p != b);
-    // Lawson's flips end by themselves; the count guards against rounding in places that are not numbers.
-    let mut budget = 64 * triangles.len() + 4096;
-    while let Some((a, b)) = queue.pop() {
-        let (Some(&f), Some(&g)) = (owner.get(&(a, b)), owner.get(&(b, a))) else {
-            continue;
-        };
-        let (Some(p), Some(q)) = (far(triangles[f as usize], a, b), far(triangles[g as usize], a, b)) else {
-            continue;
-        };
-        if p == q || owner.contains_key(&(p, q)) || owner.contains_key(&(q, p)) {
-            continue;
-        }
-        // f is (a, b, p), g is (b, a, q).
-        let [point_a, point_b, pp, pq] = [a, b, p, q].map(place);
-        if turn(point_a, pq, pp) <= 0.0 || turn(pq, point_b, pp) <= 0.0 {
-            continue;
-        }
-        let flat = turn(point_a, point_b, pp) <= 0.0 || turn(point_b, point_a, pq) <= 0.0;
-        if !flat && robust::incircle(coord(point_a), coord(point_b), coord(pp), coord(pq)) <= 0.0 {
-            continue;
-        }
-        budget -= 1;
-        if budget == 0 {
-            return Ok(());
-        }
-        if budget.is_multiple_of(256) {
-            check(progress)?;
-        }
-        triangles[f as usize] = [a, q, p];
-        triangles[g as usize] = [q, b, p];
-        owner.remove(&(a, b));
-        owner.remove(&(b, a));
-        for (edge, face) in [
-            ((a, q), f),
-            ((q, p), f),
-            ((p, a), f),
-            ((q, b), g),
-            ((b, p), g),
-            ((p, q), g),
-        ] {
-            owner.insert(edge, face);
-        }
-        queue.extend([(a, q), (q, b), (b, p), (p, a)].map(|(x, y): (u32, u32)| (x.min(y), x.max(y))));
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod delaunay_tests {
     use super::*;
@@ -447,40 +483,4 @@ mod delaunay_tests {
             );
         }
     }
-}
-
-fn coord(p: DVec2) -> Coord<f64> {
-    Coord { x: p.x, y: p.y }
-}
-
-/// Positive when `a`, `b`, `c` turn left; the sign is exact.
-pub(super) fn turn(a: DVec2, b: DVec2, c: DVec2) -> f64 {
-    robust::orient2d(coord(a), coord(b), coord(c))
-}
-
-/// Twice the signed area of a loop.
-pub(in crate::edit) fn double_area(at: impl Fn(u32) -> DVec2, ring: &[u32]) -> f64 {
-    let Some(&first) = ring.first() else {
-        return 0.0;
-    };
-    let base = at(first);
-    let ends = ring.iter().zip(ring.iter().cycle().skip(1));
-    ends.map(|(&a, &b)| (at(a) - base).perp_dot(at(b) - base)).sum()
-}
-
-/// Whether `p` lies inside a loop (by crossings), or `None` when it lies on it.
-pub(in crate::edit) fn loop_contains(at: impl Fn(u32) -> DVec2, ring: &[u32], p: DVec2) -> Option<bool> {
-    let mut inside = false;
-    for (&a, &b) in ring.iter().zip(ring.iter().cycle().skip(1)) {
-        let (a, b) = (at(a), at(b));
-        let side = turn(a, b, p);
-        let between = p.cmpge(a.min(b)).all() && p.cmple(a.max(b)).all();
-        if side == 0.0 && between {
-            return None;
-        }
-        if (a.y <= p.y) != (b.y <= p.y) && (side > 0.0) == (b.y > a.y) {
-            inside = !inside;
-        }
-    }
-    Some(inside)
 }

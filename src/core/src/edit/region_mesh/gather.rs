@@ -186,39 +186,6 @@ struct LocalNumbers {
     wedge: Vec<u32>,
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_ring_grows_and_knows_which_points_are_whole() {
-        // A strip of six triangles over points 0..=7.
-        let positions: Vec<DVec3> = (0..8)
-            .map(|i| DVec3::new(f64::from(i / 2), f64::from(i % 2), 0.0))
-            .collect();
-        let triangles: Vec<[u32; 3]> = (0..3)
-            .flat_map(|i| [[2 * i, 2 * i + 2, 2 * i + 1], [2 * i + 1, 2 * i + 2, 2 * i + 3]])
-            .collect();
-        let points: Vec<u32> = (0..8).collect();
-        let surface = SurfaceView {
-            positions: &positions,
-            triangles: &triangles,
-            primitive_of: &[0; 6],
-            point_of: &points,
-            points: 8,
-        };
-        let alone = RegionMesh::from_triangles(&surface, vec![1, 99, 1]);
-        let old = |mesh: &RegionMesh| mesh.points.iter().map(|p| p.old).collect::<Vec<u32>>();
-        assert_eq!((alone.triangles.as_slice(), old(&alone)), (&[1][..], vec![1, 2, 3]));
-        let ring = RegionMesh::with_ring(&surface, &[0]);
-        assert_eq!(ring.triangles, [0, 1, 2]);
-        let whole: Vec<bool> = ring.points.iter().map(|p| p.whole).collect();
-        assert_eq!(whole, [true, true, true, false, false]);
-        assert_eq!(ring.open_sides(|_, _| true).len(), 5);
-        assert_eq!(ring.position(4), positions[4]);
-    }
-}
-
 impl RegionMesh {
     /// Writes what is different from the surface that the mesh was gathered from; faces that are as they were stay. Answers
     /// beside it, for each point of the mesh, its number as in [`NewVertex::point`], or [`NONE`] when it is new and no face
@@ -296,5 +263,38 @@ impl RegionMesh {
         patch.removed.sort_unstable();
         patch.removed.dedup();
         Ok((patch, number))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ring_grows_and_knows_which_points_are_whole() {
+        // A strip of six triangles over points 0..=7.
+        let positions: Vec<DVec3> = (0..8)
+            .map(|i| DVec3::new(f64::from(i / 2), f64::from(i % 2), 0.0))
+            .collect();
+        let triangles: Vec<[u32; 3]> = (0..3)
+            .flat_map(|i| [[2 * i, 2 * i + 2, 2 * i + 1], [2 * i + 1, 2 * i + 2, 2 * i + 3]])
+            .collect();
+        let points: Vec<u32> = (0..8).collect();
+        let surface = SurfaceView {
+            positions: &positions,
+            triangles: &triangles,
+            primitive_of: &[0; 6],
+            point_of: &points,
+            points: 8,
+        };
+        let alone = RegionMesh::from_triangles(&surface, vec![1, 99, 1]);
+        let old = |mesh: &RegionMesh| mesh.points.iter().map(|p| p.old).collect::<Vec<u32>>();
+        assert_eq!((alone.triangles.as_slice(), old(&alone)), (&[1][..], vec![1, 2, 3]));
+        let ring = RegionMesh::with_ring(&surface, &[0]);
+        assert_eq!(ring.triangles, [0, 1, 2]);
+        let whole: Vec<bool> = ring.points.iter().map(|p| p.whole).collect();
+        assert_eq!(whole, [true, true, true, false, false]);
+        assert_eq!(ring.open_sides(|_, _| true).len(), 5);
+        assert_eq!(ring.position(4), positions[4]);
     }
 }

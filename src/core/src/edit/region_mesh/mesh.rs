@@ -354,41 +354,6 @@ impl RegionMesh {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::edit::surface::SurfaceView;
-
-    #[test]
-    fn a_point_where_very_many_faces_meet_has_the_edges_and_neighbours_that_others_have() {
-        let count = 3 * MANY_FACES as u32;
-        let positions: Vec<DVec3> = (0..=count).map(|k| DVec3::splat(f64::from(k))).collect();
-        let ring: Vec<[u32; 3]> = (0..count).map(|k| [0, 1 + k, 1 + (k + 1) % count]).collect();
-        let points: Vec<u32> = (0..=count).collect();
-        for (faces, ends) in [(&ring[..], 0), (&ring[1..], 1)] {
-            let surface = SurfaceView {
-                positions: &positions,
-                triangles: faces,
-                primitive_of: &vec![0; faces.len()],
-                point_of: &points,
-                points: count + 1,
-            };
-            let mesh = RegionMesh::from_triangles(&surface, (0..faces.len() as u32).collect());
-            assert_eq!(mesh.neighbours(0), points[1..]);
-            assert_eq!(mesh.valence(0), (faces.len() + ends, faces.len()));
-            let mut sides = 0;
-            for &spoke in &points[1..] {
-                let (out, back) = (mesh.edge_faces(0, spoke), mesh.edge_faces(spoke, 0));
-                assert_eq!((out.left, out.right), (back.right, back.left));
-                assert!(mesh.faces_along(0, spoke).eq(mesh.faces_along(spoke, 0)));
-                sides += mesh.faces_along(0, spoke).count();
-            }
-            assert_eq!(sides, 2 * faces.len());
-            assert!(mesh.has_edge(3, 0) && !mesh.has_edge(1, 3));
-        }
-    }
-}
-
 impl RegionMesh {
     /// Gives each parted fan its own point; edges in `cuts` (smaller point first) join nothing. Faces of the mesh must
     /// have been changed by replacement only.
@@ -481,6 +446,41 @@ fn number_fans(p: u32, around: &[u32], points: impl Fn(u32) -> [u32; 3], joins: 
             .map(move |q| (q, i))
     });
     group_fans(around.len(), spokes.collect::<Vec<_>>()).0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::edit::surface::SurfaceView;
+
+    #[test]
+    fn a_point_where_very_many_faces_meet_has_the_edges_and_neighbours_that_others_have() {
+        let count = 3 * MANY_FACES as u32;
+        let positions: Vec<DVec3> = (0..=count).map(|k| DVec3::splat(f64::from(k))).collect();
+        let ring: Vec<[u32; 3]> = (0..count).map(|k| [0, 1 + k, 1 + (k + 1) % count]).collect();
+        let points: Vec<u32> = (0..=count).collect();
+        for (faces, ends) in [(&ring[..], 0), (&ring[1..], 1)] {
+            let surface = SurfaceView {
+                positions: &positions,
+                triangles: faces,
+                primitive_of: &vec![0; faces.len()],
+                point_of: &points,
+                points: count + 1,
+            };
+            let mesh = RegionMesh::from_triangles(&surface, (0..faces.len() as u32).collect());
+            assert_eq!(mesh.neighbours(0), points[1..]);
+            assert_eq!(mesh.valence(0), (faces.len() + ends, faces.len()));
+            let mut sides = 0;
+            for &spoke in &points[1..] {
+                let (out, back) = (mesh.edge_faces(0, spoke), mesh.edge_faces(spoke, 0));
+                assert_eq!((out.left, out.right), (back.right, back.left));
+                assert!(mesh.faces_along(0, spoke).eq(mesh.faces_along(spoke, 0)));
+                sides += mesh.faces_along(0, spoke).count();
+            }
+            assert_eq!(sides, 2 * faces.len());
+            assert!(mesh.has_edge(3, 0) && !mesh.has_edge(1, 3));
+        }
+    }
 }
 
 #[cfg(test)]

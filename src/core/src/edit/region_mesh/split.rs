@@ -266,106 +266,6 @@ impl RegionMesh {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::edit::patch::{PatchedSurface, SurfacePatch, apply_patch};
-    use crate::edit::surface::SurfaceView;
-
-    const POSITIONS: [DVec3; 5] = [
-        DVec3::new(0.0, 0.0, 0.0),
-        DVec3::new(2.0, 0.0, 0.0),
-        DVec3::new(2.0, 2.0, 0.0),
-        DVec3::new(2.0, 2.0, 0.0),
-        DVec3::new(0.0, 2.0, 0.0),
-    ];
-
-    /// A square whose diagonal 0–2 is a seam at point 2 only: vertices 2 and 3 are that point.
-    fn square() -> SurfaceView<'static> {
-        SurfaceView {
-            positions: &POSITIONS,
-            triangles: &[[0, 1, 2], [0, 3, 4]],
-            primitive_of: &[0, 0],
-            point_of: &[0, 1, 2, 2, 3],
-            points: 4,
-        }
-    }
-
-    fn done(mesh: RegionMesh) -> (SurfacePatch, PatchedSurface) {
-        let (patch, _) = mesh.into_finite_patch(&square(), Vec::new()).expect("finite");
-        let applied = apply_patch(&square(), &patch, &[0]).expect("applies");
-        (patch, applied)
-    }
-
-    #[test]
-    fn an_untouched_mesh_is_an_empty_patch() {
-        let s = square();
-        assert_eq!(
-            done(RegionMesh::from_triangles(&s, vec![0, 1])).0,
-            SurfacePatch::default()
-        );
-    }
-
-    #[test]
-    fn a_split_seam_gets_a_vertex_per_side_and_one_point() {
-        let s = square();
-        let mut mesh = RegionMesh::from_triangles(&s, vec![0, 1]);
-        let m = mesh.split_edge(0, 2, 0.25, DVec3::new(0.5, 0.5, 0.0));
-        assert_eq!(mesh.faces_around(m).len(), 4);
-        let (patch, applied) = done(mesh);
-        assert_eq!(
-            (patch.vertices.len(), applied.points, applied.triangles.len()),
-            (2, 5, 4)
-        );
-        for (vertex, far) in patch.vertices.iter().zip([2, 3]) {
-            assert_eq!(
-                (vertex.point, vertex.of, vertex.weights),
-                (4, [0, far, 0], [0.75, 0.25, 0.0])
-            );
-        }
-    }
-
-    #[test]
-    fn splits_of_splits_are_blended_from_old_vertices() {
-        let s = square();
-        let mut mesh = RegionMesh::from_triangles(&s, vec![0]);
-        let inside = mesh.split_face(0, [0.5, 0.25, 0.25], DVec3::new(1.0, 0.5, 0.0));
-        mesh.split_edge(0, inside, 0.5, DVec3::new(0.5, 0.25, 0.0));
-        let (patch, applied) = done(mesh);
-        let last = patch
-            .vertices
-            .iter()
-            .find(|v| v.position.y == 0.25)
-            .expect("the second");
-        assert_eq!((last.of, last.weights), ([0, 1, 2], [0.75, 0.125, 0.125]));
-        assert_eq!(applied.triangles.len(), 1 + 5);
-    }
-
-    #[test]
-    fn marks_follow_splits_and_flips_keep_the_winding() {
-        let s = square();
-        let mut mesh = RegionMesh::from_triangles(&s, vec![0, 1]);
-        mesh.marked.insert((0, 2));
-        let m = mesh.split_edge(2, 0, 0.5, DVec3::new(1.0, 1.0, 0.0));
-        assert_eq!(mesh.points_along_mark(2, 0), [2, m, 0]);
-        assert!(mesh.marked.contains(&edge_key(0, m)) && !mesh.marked.contains(&(0, 2)));
-        assert!(
-            mesh.flippable_pair(0, m).is_none(),
-            "it is marked, and between two old faces"
-        );
-        let (one, two) = (mesh.faces_along(m, 1).collect::<Vec<_>>(), mesh.flippable_pair(m, 1));
-        assert_eq!(one.len(), 2);
-        let pair = two.expect("inside one old face");
-        mesh.flip_edge(m, 1, pair);
-        assert!(mesh.has_edge(0, 2) && !mesh.has_edge(m, 1));
-        assert!(
-            (0..mesh.faces.len() as u32)
-                .filter(|&f| mesh.faces[f as usize].alive)
-                .all(|f| mesh.area_normal(f).z >= 0.0)
-        );
-    }
-}
-
 /// A collapse of an edge that keeps the surface's topology: what becomes of the wedges and faces of the point that goes.
 #[derive(Debug, Clone)]
 pub(in crate::edit) struct EdgeCollapse {
@@ -565,5 +465,105 @@ impl RegionMesh {
             let (of, weights) = blend(w);
             self.wedges[w as usize] = Wedge::from_blend(of, weights);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::edit::patch::{PatchedSurface, SurfacePatch, apply_patch};
+    use crate::edit::surface::SurfaceView;
+
+    const POSITIONS: [DVec3; 5] = [
+        DVec3::new(0.0, 0.0, 0.0),
+        DVec3::new(2.0, 0.0, 0.0),
+        DVec3::new(2.0, 2.0, 0.0),
+        DVec3::new(2.0, 2.0, 0.0),
+        DVec3::new(0.0, 2.0, 0.0),
+    ];
+
+    /// A square whose diagonal 0–2 is a seam at point 2 only: vertices 2 and 3 are that point.
+    fn square() -> SurfaceView<'static> {
+        SurfaceView {
+            positions: &POSITIONS,
+            triangles: &[[0, 1, 2], [0, 3, 4]],
+            primitive_of: &[0, 0],
+            point_of: &[0, 1, 2, 2, 3],
+            points: 4,
+        }
+    }
+
+    fn done(mesh: RegionMesh) -> (SurfacePatch, PatchedSurface) {
+        let (patch, _) = mesh.into_finite_patch(&square(), Vec::new()).expect("finite");
+        let applied = apply_patch(&square(), &patch, &[0]).expect("applies");
+        (patch, applied)
+    }
+
+    #[test]
+    fn an_untouched_mesh_is_an_empty_patch() {
+        let s = square();
+        assert_eq!(
+            done(RegionMesh::from_triangles(&s, vec![0, 1])).0,
+            SurfacePatch::default()
+        );
+    }
+
+    #[test]
+    fn a_split_seam_gets_a_vertex_per_side_and_one_point() {
+        let s = square();
+        let mut mesh = RegionMesh::from_triangles(&s, vec![0, 1]);
+        let m = mesh.split_edge(0, 2, 0.25, DVec3::new(0.5, 0.5, 0.0));
+        assert_eq!(mesh.faces_around(m).len(), 4);
+        let (patch, applied) = done(mesh);
+        assert_eq!(
+            (patch.vertices.len(), applied.points, applied.triangles.len()),
+            (2, 5, 4)
+        );
+        for (vertex, far) in patch.vertices.iter().zip([2, 3]) {
+            assert_eq!(
+                (vertex.point, vertex.of, vertex.weights),
+                (4, [0, far, 0], [0.75, 0.25, 0.0])
+            );
+        }
+    }
+
+    #[test]
+    fn splits_of_splits_are_blended_from_old_vertices() {
+        let s = square();
+        let mut mesh = RegionMesh::from_triangles(&s, vec![0]);
+        let inside = mesh.split_face(0, [0.5, 0.25, 0.25], DVec3::new(1.0, 0.5, 0.0));
+        mesh.split_edge(0, inside, 0.5, DVec3::new(0.5, 0.25, 0.0));
+        let (patch, applied) = done(mesh);
+        let last = patch
+            .vertices
+            .iter()
+            .find(|v| v.position.y == 0.25)
+            .expect("the second");
+        assert_eq!((last.of, last.weights), ([0, 1, 2], [0.75, 0.125, 0.125]));
+        assert_eq!(applied.triangles.len(), 1 + 5);
+    }
+
+    #[test]
+    fn marks_follow_splits_and_flips_keep_the_winding() {
+        let s = square();
+        let mut mesh = RegionMesh::from_triangles(&s, vec![0, 1]);
+        mesh.marked.insert((0, 2));
+        let m = mesh.split_edge(2, 0, 0.5, DVec3::new(1.0, 1.0, 0.0));
+        assert_eq!(mesh.points_along_mark(2, 0), [2, m, 0]);
+        assert!(mesh.marked.contains(&edge_key(0, m)) && !mesh.marked.contains(&(0, 2)));
+        assert!(
+            mesh.flippable_pair(0, m).is_none(),
+            "it is marked, and between two old faces"
+        );
+        let (one, two) = (mesh.faces_along(m, 1).collect::<Vec<_>>(), mesh.flippable_pair(m, 1));
+        assert_eq!(one.len(), 2);
+        let pair = two.expect("inside one old face");
+        mesh.flip_edge(m, 1, pair);
+        assert!(mesh.has_edge(0, 2) && !mesh.has_edge(m, 1));
+        assert!(
+            (0..mesh.faces.len() as u32)
+                .filter(|&f| mesh.faces[f as usize].alive)
+                .all(|f| mesh.area_normal(f).z >= 0.0)
+        );
     }
 }

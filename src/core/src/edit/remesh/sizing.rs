@@ -129,26 +129,6 @@ pub(super) fn estimate_triangles(mesh: &RegionMesh, sizes: &[f64]) -> f64 {
         .sum()
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn values_rise_with_distance_from_the_least_source_of_either_sign() {
-        let rows: Vec<Vec<(u32, f64)>> = vec![
-            vec![(1, 2.0)],
-            vec![(0, 2.0), (2, 2.0)],
-            vec![(1, 2.0), (3, 4.0)],
-            vec![(2, 4.0)],
-            vec![],
-        ];
-        let grown = limit_slope(&rows, vec![Some(1.0), None, Some(9.0), Some(1.5), None]);
-        assert_eq!(grown, [Some(1.0), Some(2.0), Some(3.0), Some(1.5), None]);
-        let grown = limit_slope(&rows, vec![Some(-4.0), None, None, Some(-4.5), None]);
-        assert_eq!(grown, [Some(-4.0), Some(-3.0), Some(-2.5), Some(-4.5), None]);
-    }
-}
-
 /// What a remesh aims for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum RemeshTarget<'a> {
@@ -205,3 +185,23 @@ pub const MENDED: f64 = 4.0;
 
 /// Most triangles that a remesh makes.
 pub const MOST_TRIANGLES: u64 = 8 << 20;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_rise_with_distance_from_the_least_source_of_either_sign() {
+        let rows: Vec<Vec<(u32, f64)>> = vec![
+            vec![(1, 2.0)],
+            vec![(0, 2.0), (2, 2.0)],
+            vec![(1, 2.0), (3, 4.0)],
+            vec![(2, 4.0)],
+            vec![],
+        ];
+        let grown = limit_slope(&rows, vec![Some(1.0), None, Some(9.0), Some(1.5), None]);
+        assert_eq!(grown, [Some(1.0), Some(2.0), Some(3.0), Some(1.5), None]);
+        let grown = limit_slope(&rows, vec![Some(-4.0), None, None, Some(-4.5), None]);
+        assert_eq!(grown, [Some(-4.0), Some(-3.0), Some(-2.5), Some(-4.5), None]);
+    }
+}

@@ -173,36 +173,6 @@ fn greedy_steps(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Optio
     total.is_finite().then_some((steps, total))
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::progress::Silent;
-
-    fn shortest(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Option<StepsAndCost> {
-        shortest_steps(n, m, cost, &Silent).expect("not cancelled")
-    }
-
-    #[test]
-    fn both_ways_of_choosing_reach_the_end_and_the_full_one_is_no_longer() {
-        let a = [0.0, 0.3, 0.5, 0.9, 1.0f64];
-        let b = [0.0, 0.5, 0.6, 0.7, 0.75, 0.9, 1.0f64];
-        let cost = |i: usize, j: usize| (a[i] - b[j]).abs() + 0.1;
-        let (full, least) = shortest(4, 6, cost).expect("a way");
-        let (greedy, more) = greedy_steps(4, 6, cost).expect("a way");
-        for steps in [&full, &greedy] {
-            assert_eq!((steps.len(), steps.iter().filter(|s| **s).count()), (10, 4));
-        }
-        assert!(least <= more + 1e-12);
-    }
-
-    #[test]
-    fn forbidden_edges_are_gone_around_or_refused() {
-        let blocked = |i: usize, j: usize| if (i, j) == (1, 1) { f64::INFINITY } else { 1.0 };
-        assert!(shortest(3, 3, blocked).is_some_and(|(_, total)| total == 7.0));
-        assert!(shortest(2, 2, |i, j| if i == 1 || j == 1 { f64::INFINITY } else { 1.0 }).is_none());
-    }
-}
-
 /// Points compared on each loop when the nearest are looked for.
 const SAMPLE: usize = 48;
 /// Pairs of loops that are compared at most; a few seconds.
@@ -350,4 +320,34 @@ fn mean_gap(mesh: &RegionMesh, a: &StitchLoop, b: &StitchLoop, few: usize) -> f6
         count += 1;
     }
     sum / f64::from(count.max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::progress::Silent;
+
+    fn shortest(n: usize, m: usize, cost: impl Fn(usize, usize) -> f64) -> Option<StepsAndCost> {
+        shortest_steps(n, m, cost, &Silent).expect("not cancelled")
+    }
+
+    #[test]
+    fn both_ways_of_choosing_reach_the_end_and_the_full_one_is_no_longer() {
+        let a = [0.0, 0.3, 0.5, 0.9, 1.0f64];
+        let b = [0.0, 0.5, 0.6, 0.7, 0.75, 0.9, 1.0f64];
+        let cost = |i: usize, j: usize| (a[i] - b[j]).abs() + 0.1;
+        let (full, least) = shortest(4, 6, cost).expect("a way");
+        let (greedy, more) = greedy_steps(4, 6, cost).expect("a way");
+        for steps in [&full, &greedy] {
+            assert_eq!((steps.len(), steps.iter().filter(|s| **s).count()), (10, 4));
+        }
+        assert!(least <= more + 1e-12);
+    }
+
+    #[test]
+    fn forbidden_edges_are_gone_around_or_refused() {
+        let blocked = |i: usize, j: usize| if (i, j) == (1, 1) { f64::INFINITY } else { 1.0 };
+        assert!(shortest(3, 3, blocked).is_some_and(|(_, total)| total == 7.0));
+        assert!(shortest(2, 2, |i, j| if i == 1 || j == 1 { f64::INFINITY } else { 1.0 }).is_none());
+    }
 }

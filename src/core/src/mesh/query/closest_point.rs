@@ -185,61 +185,6 @@ pub fn closest_barycentric_point(p: DVec3, t: [DVec3; 3]) -> DVec3 {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const RIGHT_TRIANGLE: [DVec3; 3] = [DVec3::ZERO, DVec3::new(4.0, 0.0, 0.0), DVec3::new(0.0, 3.0, 0.0)];
-
-    #[test]
-    fn nearest_points_are_right_on_faces_edges_corners_and_needles() {
-        let t = [DVec3::ZERO, DVec3::X, DVec3::Y];
-        let cases = [
-            ([0.2, 0.2, 3.0], [0.2, 0.2, 0.0]),
-            ([0.4, -1.0, 0.0], [0.4, 0.0, 0.0]),
-            ([2.0, -1.0, 1.0], [1.0, 0.0, 0.0]),
-            ([1.0, 1.0, 0.0], [0.5, 0.5, 0.0]),
-        ];
-        for (p, expected) in cases {
-            for closest in [closest_point_on_triangle, closest_barycentric_point] {
-                let found = closest(DVec3::from_array(p), t);
-                assert!(found.distance(DVec3::from_array(expected)) < 1e-12, "{p:?} to {found}");
-            }
-        }
-        let needle = [DVec3::ZERO, DVec3::X, DVec3::X * 0.5];
-        assert_eq!(
-            closest_point_on_triangle(DVec3::new(0.3, 1.0, 0.0), needle),
-            DVec3::new(0.3, 0.0, 0.0)
-        );
-        assert_eq!(closest_point_on_triangle(DVec3::Y, [DVec3::ZERO; 3]), DVec3::ZERO);
-    }
-
-    #[test]
-    fn the_closest_weights_beat_a_fine_search() {
-        for q in [
-            DVec3::new(1.0, 1.0, 2.0),
-            DVec3::new(-1.0, -1.0, 0.5),
-            DVec3::new(5.0, 5.0, 0.0),
-            DVec3::new(2.0, -3.0, 1.0),
-            DVec3::new(-2.0, 9.0, -1.0),
-        ] {
-            let (w, d) = closest_weights_on_triangle(q, RIGHT_TRIANGLE);
-            assert!(w.iter().all(|w| (0.0..=1.0).contains(w)) && (w.iter().sum::<f64>() - 1.0).abs() < 1e-12);
-            assert!((blend_corners(RIGHT_TRIANGLE, w).distance_squared(q) - d).abs() < 1e-9);
-            assert!((closest_point_on_triangle(q, RIGHT_TRIANGLE).distance_squared(q) - d).abs() < 1e-9);
-            for i in 0..=40 {
-                for j in 0..=40 - i {
-                    let v = [i as f64 / 40.0, j as f64 / 40.0, (40 - i - j) as f64 / 40.0];
-                    let there = blend_corners(RIGHT_TRIANGLE, v).distance_squared(q);
-                    assert!(there >= d - 1e-12, "{q} at {v:?}");
-                }
-            }
-        }
-        let (w, _) = closest_weights_on_triangle(DVec3::ONE, [DVec3::ZERO; 3]);
-        assert!(w.iter().all(|w| w.is_finite()));
-    }
-}
-
 /// A set of points that can be asked which of them is nearest to a place.
 #[derive(Debug, Clone)]
 pub struct NearestPoints {
@@ -316,6 +261,61 @@ impl NearestPoints {
 /// Axes take turns with the size of the range, which building and asking both know.
 fn split_axis(len: usize) -> usize {
     (usize::BITS - len.leading_zeros()) as usize % 3
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RIGHT_TRIANGLE: [DVec3; 3] = [DVec3::ZERO, DVec3::new(4.0, 0.0, 0.0), DVec3::new(0.0, 3.0, 0.0)];
+
+    #[test]
+    fn nearest_points_are_right_on_faces_edges_corners_and_needles() {
+        let t = [DVec3::ZERO, DVec3::X, DVec3::Y];
+        let cases = [
+            ([0.2, 0.2, 3.0], [0.2, 0.2, 0.0]),
+            ([0.4, -1.0, 0.0], [0.4, 0.0, 0.0]),
+            ([2.0, -1.0, 1.0], [1.0, 0.0, 0.0]),
+            ([1.0, 1.0, 0.0], [0.5, 0.5, 0.0]),
+        ];
+        for (p, expected) in cases {
+            for closest in [closest_point_on_triangle, closest_barycentric_point] {
+                let found = closest(DVec3::from_array(p), t);
+                assert!(found.distance(DVec3::from_array(expected)) < 1e-12, "{p:?} to {found}");
+            }
+        }
+        let needle = [DVec3::ZERO, DVec3::X, DVec3::X * 0.5];
+        assert_eq!(
+            closest_point_on_triangle(DVec3::new(0.3, 1.0, 0.0), needle),
+            DVec3::new(0.3, 0.0, 0.0)
+        );
+        assert_eq!(closest_point_on_triangle(DVec3::Y, [DVec3::ZERO; 3]), DVec3::ZERO);
+    }
+
+    #[test]
+    fn the_closest_weights_beat_a_fine_search() {
+        for q in [
+            DVec3::new(1.0, 1.0, 2.0),
+            DVec3::new(-1.0, -1.0, 0.5),
+            DVec3::new(5.0, 5.0, 0.0),
+            DVec3::new(2.0, -3.0, 1.0),
+            DVec3::new(-2.0, 9.0, -1.0),
+        ] {
+            let (w, d) = closest_weights_on_triangle(q, RIGHT_TRIANGLE);
+            assert!(w.iter().all(|w| (0.0..=1.0).contains(w)) && (w.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            assert!((blend_corners(RIGHT_TRIANGLE, w).distance_squared(q) - d).abs() < 1e-9);
+            assert!((closest_point_on_triangle(q, RIGHT_TRIANGLE).distance_squared(q) - d).abs() < 1e-9);
+            for i in 0..=40 {
+                for j in 0..=40 - i {
+                    let v = [i as f64 / 40.0, j as f64 / 40.0, (40 - i - j) as f64 / 40.0];
+                    let there = blend_corners(RIGHT_TRIANGLE, v).distance_squared(q);
+                    assert!(there >= d - 1e-12, "{q} at {v:?}");
+                }
+            }
+        }
+        let (w, _) = closest_weights_on_triangle(DVec3::ONE, [DVec3::ZERO; 3]);
+        assert!(w.iter().all(|w| w.is_finite()));
+    }
 }
 
 #[cfg(test)]

@@ -165,81 +165,6 @@ impl<'a> TriangleCells<'a> {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::mesh::query::TriangleBvh;
-
-    /// Triangles of about one size, in no order.
-    fn confetti(count: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {
-        let mut state = 7u64;
-        let mut next = || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 33) as f64 / (1u64 << 31) as f64
-        };
-        let mut points = Vec::new();
-        for _ in 0..count {
-            let middle = DVec3::new(next(), next() * 2.0, next() * 0.5);
-            points.extend((0..3).map(|_| middle + 0.1 * DVec3::new(next(), next(), next())));
-        }
-        let faces = (0..count as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
-        (points, faces)
-    }
-
-    #[test]
-    fn cells_answer_as_the_tree_does_whatever_their_size_and_the_number_of_threads() {
-        let (points, faces) = confetti(600);
-        let pool = Pool::new(3).expect("threads");
-        let tree = TriangleBvh::build(&points, &faces, &pool);
-        for side in [0.004, 0.05, 0.2, 0.35] {
-            let cells = TriangleCells::sort(&points, &faces, side, &pool).expect("of one size");
-            let alone = TriangleCells::sort(&points, &faces, side, &Pool::new(1).expect("a thread")).expect("as well");
-            let mut order = cells.vertices_in_space_order();
-            assert_eq!(order, alone.vertices_in_space_order());
-            order.sort_unstable();
-            assert!(order.into_iter().eq(0..points.len() as u32), "every vertex once");
-            let mut seen = [0; 3];
-            for k in 0..400 {
-                let from = points[k * 37 % points.len()] * 1.2 - DVec3::splat(0.1);
-                let to = from.lerp(points[k * 91 % points.len()], 0.3 * (k % 4) as f64);
-                let radius = 0.01 * (k % 9) as f64;
-                let within = tree.has_triangle_within(from, radius);
-                assert_eq!(
-                    cells.has_triangle_within(from, radius),
-                    within,
-                    "{radius} around {from}"
-                );
-                let first = tree.first_hit(from, to, None);
-                assert_eq!(cells.first_hit(from, to), first, "from {from} to {to}");
-                let except = first.map(|hit| hit.vertex);
-                let crossed = tree.first_hit(from, to, except).is_some();
-                assert_eq!(cells.is_crossed(from, to, except), crossed, "from {from} to {to}");
-                [within, first.is_some(), crossed]
-                    .iter()
-                    .zip(&mut seen)
-                    .for_each(|(&is, n)| *n += usize::from(is));
-            }
-            assert!(
-                seen.iter().all(|n| (5..395).contains(n)),
-                "answers of both kinds: {seen:?}"
-            );
-        }
-    }
-
-    #[test]
-    fn triangles_of_too_many_sizes_are_left_to_a_tree() {
-        let (mut points, mut faces) = confetti(3000);
-        points.iter_mut().for_each(|p| *p *= 1e-4);
-        faces.push([0, points.len() as u32, points.len() as u32 + 1]);
-        points.extend([DVec3::X, DVec3::Y]);
-        let pool = Pool::new(1).expect("a thread");
-        assert!(TriangleCells::sort(&points, &faces, 0.01, &pool).is_none());
-        assert!(TriangleCells::sort(&points, &faces, f64::NAN, &pool).is_none());
-    }
-}
-
 /// Marks of an entry: the cell is the box's first along x, y or z. The number of the box is below them.
 const FIRST: [u32; 3] = [1 << 29, 1 << 30, 1 << 31];
 const NUMBER: u32 = FIRST[0] - 1;
@@ -490,4 +415,79 @@ fn rounded_outwards(least: DVec3, most: DVec3) -> [Vec3A; 2] {
         Vec3A::new(low.x.next_down(), low.y.next_down(), low.z.next_down()),
         Vec3A::new(high.x.next_up(), high.y.next_up(), high.z.next_up()),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::query::TriangleBvh;
+
+    /// Triangles of about one size, in no order.
+    fn confetti(count: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let mut state = 7u64;
+        let mut next = || {
+            state = state
+                .wrapping_mul(6364136223846793005)
+                .wrapping_add(1442695040888963407);
+            (state >> 33) as f64 / (1u64 << 31) as f64
+        };
+        let mut points = Vec::new();
+        for _ in 0..count {
+            let middle = DVec3::new(next(), next() * 2.0, next() * 0.5);
+            points.extend((0..3).map(|_| middle + 0.1 * DVec3::new(next(), next(), next())));
+        }
+        let faces = (0..count as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        (points, faces)
+    }
+
+    #[test]
+    fn cells_answer_as_the_tree_does_whatever_their_size_and_the_number_of_threads() {
+        let (points, faces) = confetti(600);
+        let pool = Pool::new(3).expect("threads");
+        let tree = TriangleBvh::build(&points, &faces, &pool);
+        for side in [0.004, 0.05, 0.2, 0.35] {
+            let cells = TriangleCells::sort(&points, &faces, side, &pool).expect("of one size");
+            let alone = TriangleCells::sort(&points, &faces, side, &Pool::new(1).expect("a thread")).expect("as well");
+            let mut order = cells.vertices_in_space_order();
+            assert_eq!(order, alone.vertices_in_space_order());
+            order.sort_unstable();
+            assert!(order.into_iter().eq(0..points.len() as u32), "every vertex once");
+            let mut seen = [0; 3];
+            for k in 0..400 {
+                let from = points[k * 37 % points.len()] * 1.2 - DVec3::splat(0.1);
+                let to = from.lerp(points[k * 91 % points.len()], 0.3 * (k % 4) as f64);
+                let radius = 0.01 * (k % 9) as f64;
+                let within = tree.has_triangle_within(from, radius);
+                assert_eq!(
+                    cells.has_triangle_within(from, radius),
+                    within,
+                    "{radius} around {from}"
+                );
+                let first = tree.first_hit(from, to, None);
+                assert_eq!(cells.first_hit(from, to), first, "from {from} to {to}");
+                let except = first.map(|hit| hit.vertex);
+                let crossed = tree.first_hit(from, to, except).is_some();
+                assert_eq!(cells.is_crossed(from, to, except), crossed, "from {from} to {to}");
+                [within, first.is_some(), crossed]
+                    .iter()
+                    .zip(&mut seen)
+                    .for_each(|(&is, n)| *n += usize::from(is));
+            }
+            assert!(
+                seen.iter().all(|n| (5..395).contains(n)),
+                "answers of both kinds: {seen:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn triangles_of_too_many_sizes_are_left_to_a_tree() {
+        let (mut points, mut faces) = confetti(3000);
+        points.iter_mut().for_each(|p| *p *= 1e-4);
+        faces.push([0, points.len() as u32, points.len() as u32 + 1]);
+        points.extend([DVec3::X, DVec3::Y]);
+        let pool = Pool::new(1).expect("a thread");
+        assert!(TriangleCells::sort(&points, &faces, 0.01, &pool).is_none());
+        assert!(TriangleCells::sort(&points, &faces, f64::NAN, &pool).is_none());
+    }
 }

@@ -212,51 +212,6 @@ pub fn preset_skeleton(name: &str) -> Option<Skeleton> {
     })
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sides_are_told_however_they_are_written() {
-        for (name, side, rest) in [
-            ("mixamorig:LeftUpLeg", 'l', "upleg"),
-            ("RThumb", 'r', "thumb"),
-            ("upper_arm.L", 'l', "upperarm"),
-            ("Bip01 R Thigh", 'r', "thigh"),
-            ("rightLowerArm", 'r', "lowerarm"),
-            ("l_hand", 'l', "hand"),
-            ("LowerBack", ' ', "lowerback"),
-            ("Hips", ' ', "hips"),
-            ("root", ' ', "root"),
-            ("", ' ', ""),
-        ] {
-            assert_eq!(side_and_name(name), (side, rest.to_owned()), "{name}");
-        }
-    }
-
-    #[test]
-    fn every_bone_of_a_preset_is_told() {
-        for preset in ["cmu", "mixamo"] {
-            let skeleton = preset_skeleton(preset).expect("a preset");
-            let bones = bones_of_names(&skeleton).expect("bones");
-            let missing: Vec<&str> = BODY_BONES
-                .iter()
-                .map(|b| b.id)
-                .filter(|b| !bones.contains_key(b))
-                .collect();
-            assert!(missing.is_empty(), "{preset}: {missing:?}");
-            assert_ne!(bones["lClav"], bones["lUpper"]);
-        }
-        let mut other = preset_skeleton("cmu").expect("a preset");
-        other
-            .joints
-            .iter_mut()
-            .for_each(|j| j.name = j.name.replace("LeftLeg", "pipe"));
-        let told = bones_of_names(&other).expect_err("refused").to_string();
-        assert!(told.contains("\"lShin\"") && told.contains("such as \"leg\""), "{told}");
-    }
-}
-
 /// Finds bones by shape alone: legs are the two branches that reach lowest, the head the one that reaches highest, arms
 /// those that reach farthest to both sides. Left is where x rises. `None` where there are no such branches.
 pub fn bones_of_shape(skeleton: &Skeleton) -> Option<ClipBones> {
@@ -338,59 +293,6 @@ fn two_longest(path: &[usize], places: &[DVec3]) -> Option<usize> {
     ranked
         .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))
         .map(|best| best.1)
-}
-
-#[cfg(test)]
-mod shape_bones_tests {
-    use super::*;
-    use crate::motion::skeleton::{JointPose, SkeletonJoint};
-
-    #[test]
-    fn a_figure_without_names_is_told_by_its_branches() {
-        let mut joints: Vec<SkeletonJoint> = Vec::new();
-        let mut add = |parent: Option<usize>, x: f64, y: f64| {
-            joints.push(SkeletonJoint {
-                name: String::new(),
-                parent,
-                rest: JointPose::at(DVec3::new(x, y, 0.0)),
-            });
-            joints.len() - 1
-        };
-        let hips = add(None, 0.0, 10.0);
-        let spine = add(Some(hips), 0.0, 3.0);
-        let chest = add(Some(spine), 0.0, 3.0);
-        let neck = add(Some(chest), 0.0, 2.0);
-        add(Some(neck), 0.0, 2.0);
-        let mut expected = Vec::new();
-        for (sign, ids) in [
-            (1.0, ["lUpper", "lFore", "lThigh", "lShin"]),
-            (-1.0, ["rUpper", "rFore", "rThigh", "rShin"]),
-        ] {
-            let collar = add(Some(chest), 0.5 * sign, 1.5);
-            let upper = add(Some(collar), 1.0 * sign, 0.0);
-            let fore = add(Some(upper), 3.0 * sign, 0.0);
-            let hand = add(Some(fore), 3.0 * sign, 0.0);
-            add(Some(hand), 1.0 * sign, 0.0);
-            let thigh = add(Some(hips), 1.0 * sign, -0.5);
-            let shin = add(Some(thigh), 0.0, -4.5);
-            let foot = add(Some(shin), 0.0, -4.5);
-            add(Some(foot), 0.0, -0.4);
-            expected.extend(ids.into_iter().zip([upper, fore, thigh, shin]));
-        }
-        let bones = bones_of_shape(&Skeleton { joints }).expect("a figure");
-        for (bone, joint) in expected {
-            assert_eq!(bones[bone], joint, "{bone}");
-        }
-        assert_eq!((bones["pelvis"], bones["chest"]), (hips, chest));
-        let one = Skeleton {
-            joints: vec![SkeletonJoint {
-                name: String::new(),
-                parent: None,
-                rest: JointPose::at(DVec3::ZERO),
-            }],
-        };
-        assert!(bones_of_shape(&one).is_none());
-    }
 }
 
 /// The joints of a body; l is the figure's own left, which is +x for one that faces along +z.
@@ -497,3 +399,101 @@ pub const BODY_BONES: [BodyBone; 19] = [
     limb(["rShin", "rKnee", "rAnkle", "rThigh", "rFoot"]),
     trunk("rFoot", "rAnkle", "rToe", "rShin"),
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sides_are_told_however_they_are_written() {
+        for (name, side, rest) in [
+            ("mixamorig:LeftUpLeg", 'l', "upleg"),
+            ("RThumb", 'r', "thumb"),
+            ("upper_arm.L", 'l', "upperarm"),
+            ("Bip01 R Thigh", 'r', "thigh"),
+            ("rightLowerArm", 'r', "lowerarm"),
+            ("l_hand", 'l', "hand"),
+            ("LowerBack", ' ', "lowerback"),
+            ("Hips", ' ', "hips"),
+            ("root", ' ', "root"),
+            ("", ' ', ""),
+        ] {
+            assert_eq!(side_and_name(name), (side, rest.to_owned()), "{name}");
+        }
+    }
+
+    #[test]
+    fn every_bone_of_a_preset_is_told() {
+        for preset in ["cmu", "mixamo"] {
+            let skeleton = preset_skeleton(preset).expect("a preset");
+            let bones = bones_of_names(&skeleton).expect("bones");
+            let missing: Vec<&str> = BODY_BONES
+                .iter()
+                .map(|b| b.id)
+                .filter(|b| !bones.contains_key(b))
+                .collect();
+            assert!(missing.is_empty(), "{preset}: {missing:?}");
+            assert_ne!(bones["lClav"], bones["lUpper"]);
+        }
+        let mut other = preset_skeleton("cmu").expect("a preset");
+        other
+            .joints
+            .iter_mut()
+            .for_each(|j| j.name = j.name.replace("LeftLeg", "pipe"));
+        let told = bones_of_names(&other).expect_err("refused").to_string();
+        assert!(told.contains("\"lShin\"") && told.contains("such as \"leg\""), "{told}");
+    }
+}
+
+#[cfg(test)]
+mod shape_bones_tests {
+    use super::*;
+    use crate::motion::skeleton::{JointPose, SkeletonJoint};
+
+    #[test]
+    fn a_figure_without_names_is_told_by_its_branches() {
+        let mut joints: Vec<SkeletonJoint> = Vec::new();
+        let mut add = |parent: Option<usize>, x: f64, y: f64| {
+            joints.push(SkeletonJoint {
+                name: String::new(),
+                parent,
+                rest: JointPose::at(DVec3::new(x, y, 0.0)),
+            });
+            joints.len() - 1
+        };
+        let hips = add(None, 0.0, 10.0);
+        let spine = add(Some(hips), 0.0, 3.0);
+        let chest = add(Some(spine), 0.0, 3.0);
+        let neck = add(Some(chest), 0.0, 2.0);
+        add(Some(neck), 0.0, 2.0);
+        let mut expected = Vec::new();
+        for (sign, ids) in [
+            (1.0, ["lUpper", "lFore", "lThigh", "lShin"]),
+            (-1.0, ["rUpper", "rFore", "rThigh", "rShin"]),
+        ] {
+            let collar = add(Some(chest), 0.5 * sign, 1.5);
+            let upper = add(Some(collar), 1.0 * sign, 0.0);
+            let fore = add(Some(upper), 3.0 * sign, 0.0);
+            let hand = add(Some(fore), 3.0 * sign, 0.0);
+            add(Some(hand), 1.0 * sign, 0.0);
+            let thigh = add(Some(hips), 1.0 * sign, -0.5);
+            let shin = add(Some(thigh), 0.0, -4.5);
+            let foot = add(Some(shin), 0.0, -4.5);
+            add(Some(foot), 0.0, -0.4);
+            expected.extend(ids.into_iter().zip([upper, fore, thigh, shin]));
+        }
+        let bones = bones_of_shape(&Skeleton { joints }).expect("a figure");
+        for (bone, joint) in expected {
+            assert_eq!(bones[bone], joint, "{bone}");
+        }
+        assert_eq!((bones["pelvis"], bones["chest"]), (hips, chest));
+        let one = Skeleton {
+            joints: vec![SkeletonJoint {
+                name: String::new(),
+                parent: None,
+                rest: JointPose::at(DVec3::ZERO),
+            }],
+        };
+        assert!(bones_of_shape(&one).is_none());
+    }
+}

@@ -132,7 +132,7 @@ pub(super) fn check_role(doc: &GltfDocument<'_>, index: usize, role: ShapeAttrib
         );
         return Err(doc.fault.malformed(place() + "/type", problem));
     }
-    let Some(layout) = AccessorLayout::of(accessor, &doc.views.values) else {
+    let Some(layout) = AccessorLayout::of(accessor, doc.views.values) else {
         let problem = format!("{} is not a glTF component type", accessor.component_type.0);
         return Err(doc.fault.malformed(place() + "/componentType", problem));
     };
@@ -287,7 +287,7 @@ pub(super) fn read_indices(doc: &GltfDocument<'_>, buffers: &BufferBytes, index:
     let Some(accessor) = doc.accessors.get(index) else {
         return Err(doc.fault.malformed(place(), "does not exist"));
     };
-    let layout = AccessorLayout::of(accessor, &doc.views.values)
+    let layout = AccessorLayout::of(accessor, doc.views.values)
         .filter(|l| l.lanes == 1 && matches!(l.component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32));
     let Some(layout) = layout.filter(|_| !accessor.normalized) else {
         let problem = format!(

@@ -110,7 +110,7 @@ fn check_accessor(doc: &GltfDocument<'_>, i: usize) -> Result<(), Error> {
         )?;
     }
     // An accessor of a type we do not know is some extension's; whoever uses it as geometry is refused there.
-    let Some(layout) = AccessorLayout::of(accessor, &doc.views.values) else {
+    let Some(layout) = AccessorLayout::of(accessor, doc.views.values) else {
         return Ok(());
     };
     let component = layout.component.size() as u64;

@@ -338,7 +338,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
     ) -> Result<(), Error> {
         let (doc, fault) = (self.doc, self.doc.fault);
         let described = &doc.accessors.values[accessor];
-        let Some(layout) = AccessorLayout::of(described, &doc.views.values) else {
+        let Some(layout) = AccessorLayout::of(described, doc.views.values) else {
             return Err(fault.malformed(
                 place,
                 format!("accessor {accessor} is of a type that glTF does not know"),

@@ -134,7 +134,7 @@ impl VertexInfluences {
 /// One set of four numbers for each vertex.
 fn read_set(doc: &GltfDocument<'_>, buffers: &BufferBytes, accessor: usize, name: &str) -> Result<Vec<f32>, String> {
     let described = doc.accessors.get(accessor);
-    let layout = described.and_then(|a| AccessorLayout::of(a, &doc.views.values));
+    let layout = described.and_then(|a| AccessorLayout::of(a, doc.views.values));
     let (Some(described), Some(layout)) = (described, layout.filter(|l| l.lanes == 4)) else {
         return Err(format!("{name} is not a VEC4"));
     };

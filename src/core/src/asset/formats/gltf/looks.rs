@@ -316,7 +316,7 @@ fn read_attribute(
         return Ok(None);
     };
     let accessor = doc.accessors.get(index);
-    let layout = accessor.and_then(|a| AccessorLayout::of(a, &doc.views.values));
+    let layout = accessor.and_then(|a| AccessorLayout::of(a, doc.views.values));
     let Some(layout) = layout.filter(|_| accessor.is_some_and(|a| a.count.index() == row.vertices.len())) else {
         return Ok(None);
     };

@@ -267,7 +267,7 @@ impl ClipReader<'_, '_> {
         let Some(described) = self.doc.accessors.get(accessor) else {
             return Err(fault.malformed(place, format!("is {accessor}, there are {count} accessors")));
         };
-        let layout = AccessorLayout::of(described, &self.doc.views.values);
+        let layout = AccessorLayout::of(described, self.doc.views.values);
         let fits = |l: &AccessorLayout| {
             l.lanes == lanes && (l.component == ComponentType::F32 || (described.normalized && is_scaled))
         };

@@ -66,7 +66,7 @@ impl<'a> DocumentPatcher<'_, 'a> {
             sparse,
         } = overwrite;
         let described = &self.doc.accessors.values[*accessor];
-        let layout = AccessorLayout::of(described, &self.doc.views.values);
+        let layout = AccessorLayout::of(described, self.doc.views.values);
         // Sparse values are packed.
         let place = match (sparse, &described.sparse, layout) {
             (Some(_), Some(s), Some(l)) => Some((s.values.buffer_view, s.values.byte_offset.0, l.element)),

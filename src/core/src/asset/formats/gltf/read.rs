@@ -515,7 +515,7 @@ impl GltfReader<'_, '_> {
     fn check_coordinates(&mut self, accessors: &[usize], place: &str) {
         let mut odd = 0;
         for &index in accessors {
-            let layout = (self.doc.accessors.get(index)).and_then(|a| AccessorLayout::of(a, &self.doc.views.values));
+            let layout = (self.doc.accessors.get(index)).and_then(|a| AccessorLayout::of(a, self.doc.views.values));
             let floats = layout.filter(|layout| layout.component == ComponentType::F32);
             let values = floats.and_then(|layout| accessors::read_values(self.doc, &self.buffers, index, layout).ok());
             let values = values.iter().flat_map(|values| values.as_chunks::<2>().0);

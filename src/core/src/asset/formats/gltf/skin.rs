@@ -70,7 +70,7 @@ pub(super) fn inverse_bind_matrices(
     let described = doc.accessors.get(accessor);
     let described =
         described.ok_or_else(|| format!("the inverse bind matrices name accessor {accessor}, which does not exist"))?;
-    let layout = AccessorLayout::of(described, &doc.views.values)
+    let layout = AccessorLayout::of(described, doc.views.values)
         .filter(|l| l.component == ComponentType::F32 && described.shape == "MAT4")
         .ok_or("the inverse bind matrices are not a MAT4 of floats")?;
     let count = described.count.index();

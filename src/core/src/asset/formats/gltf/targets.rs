@@ -153,7 +153,7 @@ pub(super) fn read_displacements(
     accessor: usize,
 ) -> Result<Option<Vec<f32>>, Error> {
     let described = doc.accessors.get(accessor);
-    let layout = described.and_then(|a| AccessorLayout::of(a, &doc.views.values));
+    let layout = described.and_then(|a| AccessorLayout::of(a, doc.views.values));
     match layout.filter(|l| l.lanes == 3 && l.component != ComponentType::U32) {
         Some(layout) => read_values(doc, buffers, accessor, layout).map(Some),
         None => Ok(None),

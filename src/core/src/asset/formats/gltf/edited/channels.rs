@@ -38,7 +38,7 @@ pub(super) fn read(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) 
     let Some(accessor) = doc.accessors.get(index) else {
         return Err(doc.fault.malformed(place(), "does not exist"));
     };
-    let Some(layout) = AccessorLayout::of(accessor, &doc.views.values) else {
+    let Some(layout) = AccessorLayout::of(accessor, doc.views.values) else {
         let problem = format!(
             "component type {} with type {:?} is none that glTF knows",
             accessor.component_type.0, accessor.shape
@@ -70,7 +70,7 @@ pub(in super::super) fn tell_apart(
         for accessor in all {
             // What only an extension can read is not written again either.
             let stored = doc.accessors.get(accessor);
-            let Some(layout) = stored.and_then(|a| AccessorLayout::of(a, &doc.views.values)) else {
+            let Some(layout) = stored.and_then(|a| AccessorLayout::of(a, doc.views.values)) else {
                 continue;
             };
             keys.spend(row.vertices.len() as u64 * layout.lanes as u64)?;

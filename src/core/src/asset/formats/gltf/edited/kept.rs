@@ -159,7 +159,7 @@ pub(super) fn unneeded_extensions(doc: &GltfDocument<'_>, meshes: &[Option<Strin
         let Some(accessor) = doc.accessors.get(accessor) else {
             return true; // a new one
         };
-        let component = AccessorLayout::of(accessor, &doc.views.values).map(|l| l.component);
+        let component = AccessorLayout::of(accessor, doc.views.values).map(|l| l.component);
         match name {
             "POSITION" | "NORMAL" | "TANGENT" => component == Some(ComponentType::F32),
             _ if name.starts_with("TEXCOORD_") => {

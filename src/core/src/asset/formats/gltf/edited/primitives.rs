@@ -253,7 +253,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 continue;
             }
             let stored = &self.doc.accessors.values[accessor.index()];
-            if AccessorLayout::of(stored, &self.doc.views.values).is_none() {
+            if AccessorLayout::of(stored, self.doc.views.values).is_none() {
                 // Of a type that only some extension knows: it cannot be blended, and would not fit the new vertices.
                 continue;
             }

@@ -53,7 +53,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
     /// The numbers of an accessor, and how many each of its elements has; `None` for one that is not there or of no kind known.
     pub(super) fn read_numbers(&mut self, accessor: usize) -> Result<Option<(Vec<f32>, usize)>, Error> {
         let described = self.doc.accessors.get(accessor);
-        let Some(layout) = described.and_then(|a| AccessorLayout::of(a, &self.doc.views.values)) else {
+        let Some(layout) = described.and_then(|a| AccessorLayout::of(a, self.doc.views.values)) else {
             return Ok(None);
         };
         check_unbacked(self.doc, accessor, layout)?;

@@ -216,7 +216,7 @@ impl<'a> RigWriter<'_, 'a> {
     /// The values of an accessor with so many lanes; `None` for one of another kind.
     fn read(&mut self, accessor: usize, lanes: usize) -> Result<Option<Vec<f32>>, Error> {
         let described = self.doc.accessors.get(accessor);
-        let layout = described.and_then(|a| AccessorLayout::of(a, &self.doc.views.values));
+        let layout = described.and_then(|a| AccessorLayout::of(a, self.doc.views.values));
         let Some(layout) = layout.filter(|l| l.lanes == lanes) else {
             return Ok(None);
         };
@@ -242,7 +242,7 @@ impl<'a> RigWriter<'_, 'a> {
     fn overwrite(&mut self, index: usize, new: &NewValues<'_>) -> bool {
         let doc = self.doc;
         let accessor = &doc.accessors.values[index];
-        let layout = AccessorLayout::of(accessor, &doc.views.values);
+        let layout = AccessorLayout::of(accessor, doc.views.values);
         let (Some(layout), Some(view)) = (layout, accessor.buffer_view.and_then(|v| doc.views.get(v.index()))) else {
             return false;
         };

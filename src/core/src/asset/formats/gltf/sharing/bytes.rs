@@ -62,7 +62,7 @@ impl ByteSpans {
             if let Some(index) = accessor.buffer_view
                 && let Some(view) = doc.views.get(index.index())
             {
-                match AccessorLayout::of(accessor, &doc.views.values) {
+                match AccessorLayout::of(accessor, doc.views.values) {
                     Some(layout) => {
                         read_by_accessors.insert(index.index());
                         let start = view.offset() + accessor.offset();

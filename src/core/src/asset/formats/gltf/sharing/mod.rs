@@ -355,7 +355,7 @@ fn takes_floats(
     view: WholeNumber,
     slot: AttributeSlot,
 ) -> bool {
-    let is_float = AccessorLayout::of(&doc.accessors.values[accessor], &doc.views.values)
+    let is_float = AccessorLayout::of(&doc.accessors.values[accessor], doc.views.values)
         .is_some_and(|l| l.component == ComponentType::F32 && l.lanes == slot.lanes());
     doc.views.get(view.index()).is_some_and(|view| {
         let buffer = view.buffer.index();
