@@ -53,8 +53,8 @@ pub(super) fn run_sample(args: &SampleArgs) -> Result<(), CliFailure> {
         return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
     }
     let bytes = match args.name {
-        BuiltInFile::Model(model) => model.glb(),
-        BuiltInFile::Body => body_glb(),
+        BuiltInFile::Model(model) => model.glb().to_vec(),
+        BuiltInFile::Body => body_glb().to_vec(),
         BuiltInFile::Recording(recording) => recording.bvh_text().into_bytes(),
     };
     if holds_bytes(&args.output, &bytes) {

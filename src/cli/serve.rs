@@ -175,7 +175,7 @@ async fn open_sample(manager: &Manager) -> Result<String, session::Error> {
     let tenant = Tenant::default();
     let started = Instant::now();
     let shown = BuiltInModel::Creature;
-    let files = FileSet::single(format!("{}.glb", shown.name()), sample::glb(shown).await?);
+    let files = FileSet::single(format!("{}.glb", shown.name()), shown.glb());
     let options = SessionOptions {
         open: OpenOptions::default(),
         label: shown.name().into(),

@@ -1,30 +1,11 @@
-//! The built-in models, so that a first call needs no file.
+//! What the built-in models need as resources of the server: an entity tag, and handles for the first call.
 
-use crate::asset::sample::{self, BuiltInModel};
+use crate::asset::sample;
 use crate::engine::{Handle, Region};
-use crate::session::{Error, ErrorCode};
-use bytes::Bytes;
-use std::sync::LazyLock;
 use xxhash_rust::xxh3::xxh3_64;
 
-static CREATURE: LazyLock<Bytes> = LazyLock::new(|| Bytes::from(BuiltInModel::Creature.glb()));
-static FIGURE: LazyLock<Bytes> = LazyLock::new(|| Bytes::from(BuiltInModel::Figure.glb()));
-
-/// A built-in model's file. The first call makes it on a blocking thread, which takes a moment.
-///
-/// # Errors
-/// `INTERNAL`, when making it fails.
-pub async fn glb(model: BuiltInModel) -> Result<Bytes, Error> {
-    let made = tokio::task::spawn_blocking(move || match model {
-        BuiltInModel::Creature => CREATURE.clone(),
-        BuiltInModel::Figure => FIGURE.clone(),
-    });
-    made.await
-        .map_err(|_| Error::new(ErrorCode::Internal, "the built-in model cannot be made"))
-}
-
 /// Strong entity tag of a model that never changes while the server runs.
-pub(super) fn etag(glb: &Bytes) -> String {
+pub(super) fn etag(glb: &[u8]) -> String {
     format!("\"{:016x}\"", xxh3_64(glb))
 }
 

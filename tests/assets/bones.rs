@@ -14,9 +14,9 @@ use std::path::PathBuf;
 /// The figure, and the skinned models of the data folder.
 fn models(what: &str) -> Vec<(PathBuf, Model, Parsed)> {
     let bytes = BuiltInModel::Figure.glb();
-    let files = FileSet::single("figure.glb", bytes.clone());
+    let files = FileSet::single("figure.glb", bytes);
     let figure = Model::read(files, None, &Limits::default()).expect("readable");
-    let mut all = vec![("figure.glb".into(), figure, parse(&bytes, &BTreeMap::new()))];
+    let mut all = vec![("figure.glb".into(), figure, parse(bytes, &BTreeMap::new()))];
     all.extend(skinned_models(what));
     all
 }

@@ -21,7 +21,7 @@ fn the_validator_finds_nothing_wrong_with_the_figure() {
 
 #[test]
 fn the_figure_walks_and_waves_without_tearing() {
-    let file = parse(&BuiltInModel::Figure.glb(), &BTreeMap::new());
+    let file = parse(BuiltInModel::Figure.glb(), &BTreeMap::new());
     let body = |at: Option<ClipTime>| {
         draw(&file, at, &[])
             .expect("a plain player draws it")

@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut names = std::env::args().skip(1);
     let model = match names.next() {
         Some(name) => std::fs::read(name)?,
-        None => sample::creature_glb(),
+        None => sample::creature_glb().to_vec(),
     };
     let out = names.next().unwrap_or_else(|| "target/turned.glb".into());
     std::fs::write(&out, turn_head(model)?)?;

@@ -367,6 +367,7 @@ fn sample_files() -> Vec<Vec<u8>> {
     // Only those that can be read are worth a start.
     files
         .into_iter()
-        .filter(|f| Model::read(FileSet::single("a.glb", f.clone()), None, &limits).is_ok())
+        .filter(|f| Model::read(FileSet::single("a.glb", *f), None, &limits).is_ok())
+        .map(<[u8]>::to_vec)
         .collect()
 }

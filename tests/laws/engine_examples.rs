@@ -15,7 +15,7 @@ use pliant::asset::{FileSet, Limits, Model, sample};
 
 #[test]
 fn a_file_is_deformed_and_can_be_read_again() {
-    let before = sample::creature_glb();
+    let before = sample::creature_glb().to_vec();
     let after = deform_file::turn_head(before.clone()).expect("it is turned");
     assert_ne!(before, after);
     let read =

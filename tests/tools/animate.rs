@@ -184,7 +184,7 @@ fn without_node(glb: &[u8], name: &str) -> Vec<u8> {
 fn a_recording_moves_what_a_skin_places_and_leaves_out_the_rest() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = folder.path();
-    let figure = BuiltInModel::Figure.glb();
+    let figure = BuiltInModel::Figure.glb().to_vec();
     fs::write(folder.join("figure.glb"), &figure).expect("written");
     let bare = ["hull", "lod1", "lod2"]
         .iter()

@@ -34,7 +34,7 @@ impl DragScene {
     /// Reads `path`, or takes the built-in creature.
     pub fn load(path: Option<&Path>) -> Result<Self, LoadtestFailure> {
         let (name, bytes) = match path {
-            None => ("creature.glb".to_owned(), sample::creature_glb()),
+            None => ("creature.glb".to_owned(), sample::creature_glb().to_vec()),
             Some(path) => {
                 let refuse = |e: std::io::Error| LoadtestFailure::Usage(format!("cannot read {}: {e}", path.display()));
                 (path.display().to_string(), std::fs::read(path).map_err(refuse)?)

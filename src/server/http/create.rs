@@ -17,7 +17,7 @@ use crate::asset::sample::BuiltInModel;
 use crate::asset::{FileSet, Format};
 use crate::server::state::ServerState;
 use crate::server::uploads::{HeldUpload, UploadPace};
-use crate::server::{auth, redirect, sample};
+use crate::server::{auth, redirect};
 use crate::session::Error;
 use crate::wire::{self, pb};
 use axum::extract::{Request, State};
@@ -95,7 +95,7 @@ pub(super) async fn create(
 async fn built_in(name: &str) -> Result<Received, Problem> {
     let model = built_in_model("sample", name)?;
     Ok(Received {
-        files: FileSet::single(format!("{name}.glb"), sample::glb(model).await?),
+        files: FileSet::single(format!("{name}.glb"), model.glb()),
         held: None,
     })
 }

@@ -21,20 +21,20 @@ pub const HANDLES: SampleHandles = SampleHandles {
 
 /// The creature as a GLB file: one closed mesh of a four-legged animal, about two units long. It stands on the ground y = 0
 /// with the origin between its feet, y up, and looks along +x.
-pub fn creature_glb() -> Vec<u8> {
-    include_bytes!("creature.glb").to_vec()
+pub fn creature_glb() -> &'static [u8] {
+    include_bytes!("creature.glb")
 }
 
 /// The figure as a GLB file: a person with the arms stretched out, about 1.75 units tall, on the ground y = 0, y up, looking
 /// along +z. Primitive 0 is the body, 1 and 2 are its levels of detail (`lod1`, `lod2`), 3 is a hull for collisions. Its
 /// clips are called `walk` and `wave`, its sockets `rightHandSocket` and `hatSocket`.
-pub fn figure_glb() -> Vec<u8> {
-    include_bytes!("figure.glb").to_vec()
+pub fn figure_glb() -> &'static [u8] {
+    include_bytes!("figure.glb")
 }
 
 /// The figure's body alone, as a GLB file: one closed mesh, without a skeleton.
-pub fn body_glb() -> Vec<u8> {
-    include_bytes!("body.glb").to_vec()
+pub fn body_glb() -> &'static [u8] {
+    include_bytes!("body.glb")
 }
 
 /// A model that needs no file.
@@ -69,7 +69,7 @@ impl BuiltInModel {
     }
 
     /// The model's GLB file.
-    pub fn glb(self) -> Vec<u8> {
+    pub fn glb(self) -> &'static [u8] {
         match self {
             Self::Creature => creature_glb(),
             Self::Figure => figure_glb(),
@@ -127,7 +127,7 @@ mod tests {
     use crate::asset::{FileSet, Limits, Model};
     use glam::DVec3;
 
-    fn read(glb: Vec<u8>) -> Model {
+    fn read(glb: &'static [u8]) -> Model {
         let model = Model::read(FileSet::single("sample.glb", glb), None, &Limits::default()).expect("it is a GLB");
         assert!(model.warnings.is_empty(), "{:?}", model.warnings);
         model
