@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec3};
 use pliant::asset::shapes;
 use pliant::deform::{
     BodyOptions, DeformableBody, FirstPass, HandleConstraint, HandleSetup, HandleSystem, PoseRequest, PoseSolution,
-    SolveStart, SolveState, Transform, VolumeMode, exp_rotation, log_rotation,
+    SolveStart, SolveState, SpatialRbf, Transform, VolumeMode, exp_rotation, log_rotation,
 };
 use pliant::exec::Exec;
 use pliant::mesh::{Mesh, Weld};
@@ -188,9 +188,13 @@ impl Scene {
         tolerance: f64,
     ) -> PoseSolution {
         let solved = match way {
-            Way::Space => self
-                .rig
-                .solve_by_spatial_rbf(&self.body, transforms, state, &Exec::new(&self.pool, &Silent)),
+            Way::Space => SpatialRbf::default().solve(
+                &self.rig,
+                &self.body,
+                transforms,
+                state,
+                &Exec::new(&self.pool, &Silent),
+            ),
             Way::Graph(first_pass) => {
                 let request = PoseRequest {
                     transforms,

@@ -77,6 +77,7 @@ mod thin_faces;
 mod transform;
 
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
+pub use comparison::SpatialRbf;
 pub use error::Error;
 pub use fields::HarmonicFields;
 pub use first_pass::{FirstPass, LocalFrame, frames};

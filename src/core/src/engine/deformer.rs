@@ -20,7 +20,7 @@ use super::shape::{ModelShape, ShapeId};
 use super::tie_facts::PulledTies;
 use super::topology_id::TopologyId;
 use crate::asset::{FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
-use crate::deform::{DeformableBody, HandleSystem, SolveState};
+use crate::deform::{DeformableBody, HandleSystem, SolveState, SpatialRbf};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
@@ -44,6 +44,8 @@ pub struct Deformer {
     pub(super) handles: ResolvedHandles,
     pub(super) rig: Option<HandleSystem>,
     pub(super) state: SolveState,
+    /// For poses that are solved by deforming space.
+    pub(super) spatial_rbf: SpatialRbf,
     /// The shape that was committed last, and all nodes of the graph in it.
     pub(super) committed: Option<CommittedShape>,
     /// How many solutions have been named.
@@ -111,6 +113,7 @@ impl Deformer {
             handles: ResolvedHandles::default(),
             rig: None,
             state: SolveState::default(),
+            spatial_rbf: SpatialRbf::default(),
             committed: None,
             solutions: 0,
             past: Vec::new(),
@@ -143,6 +146,7 @@ impl Deformer {
             handles: ResolvedHandles::default(),
             rig: None,
             state: SolveState::default(),
+            spatial_rbf: SpatialRbf::default(),
             committed: None,
             solutions: self.solutions,
             past,
@@ -256,7 +260,8 @@ impl Deformer {
     /// Returns the bytes held.
     pub fn byte_size(&self) -> u64 {
         let committed = self.committed.as_ref().map_or(0, |c| size_of_val(c.nodes.as_slice()));
-        self.derived.byte_size() + self.spare_bytes() + self.state.byte_size() as u64 + committed as u64
+        let solves = self.state.byte_size() + self.spatial_rbf.byte_size();
+        self.derived.byte_size() + self.spare_bytes() + (solves + committed) as u64
     }
 
     /// Bytes of what [`Deformer::release_memory`] drops and can be made again: the handles' system, and states that were left.
@@ -278,6 +283,7 @@ impl Deformer {
         self.handles = ResolvedHandles::default();
         self.rig = None;
         self.state = SolveState::default();
+        self.spatial_rbf = SpatialRbf::default();
         self.committed = None;
         self.past = Vec::new();
     }
@@ -390,6 +396,7 @@ impl Deformer {
         self.handles.warnings.extend(large);
         self.rig = rig;
         self.state.begin_anew();
+        self.spatial_rbf = SpatialRbf::default();
         Ok(())
     }
 

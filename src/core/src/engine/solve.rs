@@ -116,6 +116,7 @@ impl Deformer {
         let Self {
             rig: Some(rig),
             state,
+            spatial_rbf,
             derived,
             handles,
             committed,
@@ -166,7 +167,7 @@ impl Deformer {
             })
         };
         let mut solution = match settings.spatial_rbf {
-            true => rig.solve_by_spatial_rbf(body, &transforms, state, exec)?,
+            true => spatial_rbf.solve(rig, body, &transforms, state, exec)?,
             false => rig.solve(body, &request, state, exec, &mut on_cycle)?,
         };
         exec.progress.begin_pass("settle");

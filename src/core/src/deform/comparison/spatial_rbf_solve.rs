@@ -13,15 +13,27 @@ use crate::exec::Exec;
 use glam::DVec3;
 use rayon::prelude::*;
 
-impl HandleSystem {
+/// Solves poses by deforming space, with what it has made of the handles once.
+#[derive(Debug, Default)]
+pub struct SpatialRbf {
+    space: Option<Box<RbfSpace>>,
+}
+
+impl SpatialRbf {
+    /// Bytes held on the heap.
+    pub fn byte_size(&self) -> usize {
+        self.space.as_ref().map_or(0, |space| space.byte_size())
+    }
+
     /// Solves a pose by deforming space instead of the graph. Of loose parts only those stay that the policy
     /// [`FreePartPolicy::Hold`] keeps: all others are where space takes them. The result reports how far the interpolant misses
-    /// held vertices, which are then put where they belong.
+    /// held vertices, which are then put where they belong. `state` forgets the last solution on the graph.
     ///
     /// # Errors
     /// [`Error::Solver`], [`Error::Cancelled`].
-    pub fn solve_by_spatial_rbf(
-        &self,
+    pub fn solve(
+        &mut self,
+        rig: &HandleSystem,
         body: &DeformableBody,
         transforms: &[Transform],
         state: &mut SolveState,
@@ -32,10 +44,11 @@ impl HandleSystem {
         }
         // The graph's solves start afresh after this one.
         state.forget();
-        let space = match state.space.take() {
+        let space = match self.space.take() {
             Some(space) => space,
-            None => Box::new(RbfSpace::new(body, self, exec)?),
+            None => Box::new(RbfSpace::new(body, rig, exec)?),
         };
+        let space: &RbfSpace = self.space.insert(space);
         let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
         let wanted = |node: usize, hold: u32| match maps.get(hold as usize) {
             Some(map) => body.solving_from_model(map(body.graph.positions[node])) - at_rest(body, node),
@@ -63,8 +76,8 @@ impl HandleSystem {
             moves.extend(piece.into_flattened().into_iter().take(to - from));
         }
         let (mut missed, mut farthest) = (0.0f64, 0.0f64);
-        for i in (0..body.graph.surface).filter(|&i| self.position.hard[i] != NOBODY) {
-            let wanted = wanted(i, self.position.hard[i]);
+        for i in (0..body.graph.surface).filter(|&i| rig.position.hard[i] != NOBODY) {
+            let wanted = wanted(i, rig.position.hard[i]);
             missed = missed.max(wanted.distance(moves[i]));
             farthest = farthest.max(wanted.length());
         }
@@ -73,12 +86,12 @@ impl HandleSystem {
             .enumerate()
             .flat_map(|(i, d)| (at_rest(body, i) + *d).to_array())
             .collect();
-        self.make_regions_rigid(body, transforms, &mut [], &mut x);
+        rig.make_regions_rigid(body, transforms, &mut [], &mut x);
         let stays = |i: usize| {
-            self.setup.policy == FreePartPolicy::Hold && self.positions.fixed[i] && self.position.hard[i] == NOBODY
+            rig.setup.policy == FreePartPolicy::Hold && rig.positions.fixed[i] && rig.position.hard[i] == NOBODY
         };
         let positions: Vec<DVec3> = (0..body.nodes())
-            .map(|i| match self.position.hard[i] {
+            .map(|i| match rig.position.hard[i] {
                 NOBODY if stays(i) => body.graph.positions[i],
                 NOBODY => body.model_from_solving(DVec3::from_slice(&x[3 * i..3 * i + 3])),
                 k => maps
@@ -86,7 +99,6 @@ impl HandleSystem {
                     .map_or(body.graph.positions[i], |map| map(body.graph.positions[i])),
             })
             .collect();
-        state.space = Some(space);
         if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
             return Err(Error::Solver(format!("node {node} left the range of numbers")));
         }

@@ -3,8 +3,9 @@
 //! Rotations are blended as rotation vectors relative to a base handle, so any number of turns is spread evenly; how
 //! several axes go together is [`super::blending`]'s. Scales are blended as logarithms, so that halving and doubling
 //! weigh the same. [`FirstPass`] says what may replace the blend of rotations; scales stay as they are.
+
 use crate::deform::body::DeformableBody;
-use crate::deform::comparison::{linear_frames, orientation_diffusion};
+use crate::deform::comparison;
 use crate::deform::error::Error;
 use crate::deform::first_pass::blend::PoseBlend;
 use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame, LocalRotation, pack_frame};
@@ -38,6 +39,44 @@ pub fn frames(body: &DeformableBody, rig: &HandleSystem, transforms: &[Transform
     blend_frames_with(body, rig, transforms, None, pool)
 }
 
+/// How one pose gets its rotations: what [`FirstPass`] comes to, decided once at the top of a solve.
+pub(in crate::deform) struct FirstRotations {
+    /// Rotations in place of the blend by harmonic fields; `None` for the blend itself, and where nothing is turned.
+    pub instead: Option<Vec<LocalRotation>>,
+    /// Whether the pose is one of an animation: nodes follow weighted sums, and sums over edges are in single precision.
+    pub is_animation: bool,
+}
+
+impl FirstRotations {
+    /// Those of the blend by harmonic fields.
+    pub const BLEND: Self = Self {
+        instead: None,
+        is_animation: false,
+    };
+
+    /// Those of `how` for the holds' transforms.
+    pub fn of(
+        body: &DeformableBody,
+        rig: &HandleSystem,
+        transforms: &[Transform],
+        how: FirstPass,
+        exec: &Exec<'_>,
+    ) -> Result<Self, Error> {
+        let blend = PoseBlend::new(body, rig, transforms, None);
+        let instead = match how {
+            FirstPass::Harmonic => None,
+            _ if blend.is_unturned() => None,
+            FirstPass::WeightedSum => Some(weighted_sums(rig, transforms, exec.pool)),
+            FirstPass::Diffusion => Some(comparison::diffuse(body, rig, &blend, exec)?),
+            FirstPass::LinearFrames => Some(comparison::linear_frames(&blend, body.nodes(), exec.pool)),
+        };
+        Ok(Self {
+            instead,
+            is_animation: how == FirstPass::WeightedSum,
+        })
+    }
+}
+
 /// As [`frames`], with other rotations where there are any.
 pub(in crate::deform) fn blend_frames_with(
     body: &DeformableBody,
@@ -57,22 +96,4 @@ pub(in crate::deform) fn blend_frames_with(
             })
             .collect()
     })
-}
-
-/// The rotations that take the blend's place: none for [`FirstPass::Harmonic`], nor where nothing is turned.
-pub(in crate::deform) fn replacing_rotations(
-    body: &DeformableBody,
-    rig: &HandleSystem,
-    transforms: &[Transform],
-    how: FirstPass,
-    exec: &Exec<'_>,
-) -> Result<Option<Vec<LocalRotation>>, Error> {
-    let blend = PoseBlend::new(body, rig, transforms, None);
-    match how {
-        FirstPass::Harmonic => Ok(None),
-        _ if blend.is_unturned() => Ok(None),
-        FirstPass::Diffusion => orientation_diffusion::diffuse(body, rig, &blend, exec).map(Some),
-        FirstPass::WeightedSum => Ok(Some(weighted_sums(rig, transforms, exec.pool))),
-        FirstPass::LinearFrames => Ok(Some(linear_frames::linear_frames(&blend, body.nodes(), exec.pool))),
-    }
 }

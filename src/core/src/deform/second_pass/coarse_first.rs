@@ -6,7 +6,6 @@
 
 use crate::deform::error::Error;
 use crate::deform::first_pass::frame::LocalFrame;
-use crate::deform::first_pass::spread::FirstPass;
 use crate::deform::second_pass::drag::{SINGLE_ERROR, SINGLE_TOLERANCE, fill_scattered};
 use crate::deform::second_pass::drag_rows::NO_NODE;
 use crate::deform::second_pass::equations::PosedHandles;
@@ -35,7 +34,7 @@ impl PoseSolve<'_> {
         let request = self.request;
         request.start == SolveStart::Fresh
             && request.refinement.order == FitOrder::CoarseFirst
-            && request.first_pass != FirstPass::WeightedSum
+            && !self.first.is_animation
             && fit.is_plain()
             && request.tolerance.is_none_or(|t| t >= SINGLE_TOLERANCE)
             && request.max_error.is_none_or(|e| e >= SINGLE_ERROR)

@@ -1,7 +1,7 @@
 //! How far a shape is from moving rigidly piece by piece: the energy that fitting rotations makes smaller.
 
 use crate::deform::body::DeformableBody;
-use crate::deform::first_pass::spread::FirstPass;
+use crate::deform::first_pass::spread::FirstRotations;
 use crate::deform::handles::system::HandleSystem;
 use crate::deform::second_pass::refine::{Refinement, RotationFit};
 use crate::deform::transform::Transform;
@@ -14,8 +14,8 @@ impl HandleSystem {
     /// part in it.
     pub fn energy(&self, body: &DeformableBody, transforms: &[Transform], positions: &[DVec3], pool: &Pool) -> f64 {
         let moved_parts = self.moved_parts(body, transforms);
-        let first_pass = (FirstPass::Harmonic, None);
-        let fit = RotationFit::new(body, self, transforms, &moved_parts, first_pass, Refinement::default());
+        let first = FirstRotations::BLEND;
+        let fit = RotationFit::new(body, self, transforms, &moved_parts, &first, Refinement::default());
         let x: Vec<f64> = positions
             .iter()
             .flat_map(|p| body.solving_from_model(*p).to_array())

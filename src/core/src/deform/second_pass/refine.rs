@@ -11,7 +11,7 @@ use crate::deform::first_pass::blend::PoseBlend;
 use crate::deform::first_pass::frame::{
     IDENTITY_FRAME, LocalFrame, LocalRotation, pack_frame, pack_rotation, unpack_rotation,
 };
-use crate::deform::first_pass::spread::FirstPass;
+use crate::deform::first_pass::spread::FirstRotations;
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;
 use crate::deform::second_pass::single_precision::QuickFit;
@@ -74,10 +74,10 @@ impl<'a> RotationFit<'a> {
         rig: &'a HandleSystem,
         transforms: &[Transform],
         moved_parts: &'a [bool],
-        replaced: (FirstPass, Option<&'a [LocalRotation]>),
+        first: &'a FirstRotations,
         refinement: Refinement,
     ) -> Self {
-        let (how, instead) = replaced;
+        let instead = first.instead.as_deref();
         let mut soft = Vec::new();
         if !rig.rotation.soft.is_empty() {
             soft = vec![0; body.nodes() + 1];
@@ -87,7 +87,7 @@ impl<'a> RotationFit<'a> {
         let blend = PoseBlend::new(body, rig, transforms, instead);
         let is_plain = blend.is_unscaled() && soft.is_empty() && refinement.smoothing == 0.0;
         let reach = if refinement.carried { FARTHER } else { 1.0 };
-        let quick = instead.filter(|_| is_plain && how == FirstPass::WeightedSum);
+        let quick = instead.filter(|_| is_plain && first.is_animation);
         let quick = quick.map(|first| QuickFit {
             body,
             first,

@@ -3,7 +3,7 @@
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
 use crate::deform::first_pass::frame::LocalRotation;
-use crate::deform::first_pass::spread::{self, FirstPass};
+use crate::deform::first_pass::spread::{FirstRotations, blend_frames_with};
 use crate::deform::handles::system::{ConstrainedSystem, HandleSystem};
 use crate::deform::second_pass::drag::DragPose;
 use crate::deform::second_pass::equations::{PosedHandles, Precision};
@@ -65,16 +65,14 @@ impl HandleSystem {
             SolveStart::Fresh => state.rows.let_go(),
         }
         exec.progress.begin_pass("blend");
-        let instead = spread::replacing_rotations(body, self, request.transforms, request.first_pass, exec)?;
-        let instead = instead.as_deref();
-        let quick = instead.filter(|_| request.first_pass == FirstPass::WeightedSum && !has_scales(request.transforms));
-        let frames = match quick {
-            Some(turns) => frames_of(turns, exec.pool),
-            None => spread::blend_frames_with(body, self, request.transforms, instead, exec.pool),
+        let first = FirstRotations::of(body, self, request.transforms, request.first_pass, exec)?;
+        let frames = match first.instead.as_deref() {
+            Some(turns) if first.is_animation && !has_scales(request.transforms) => frames_of(turns, exec.pool),
+            instead => blend_frames_with(body, self, request.transforms, instead, exec.pool),
         };
-        let precision = match request.first_pass {
-            FirstPass::WeightedSum => Precision::Single,
-            _ => Precision::Double,
+        let precision = match first.is_animation {
+            true => Precision::Single,
+            false => Precision::Double,
         };
         exec.progress.begin_pass("carry");
         let mut posed = self.pose_handles(body, request.transforms, frames, (precision, exec.pool));
@@ -82,7 +80,7 @@ impl HandleSystem {
             rig: self,
             body,
             request,
-            instead,
+            first: &first,
             moved_parts: &moved_parts,
             center: posed.center,
             exec,
@@ -104,8 +102,8 @@ pub(super) struct PoseSolve<'a> {
     pub rig: &'a HandleSystem,
     pub body: &'a DeformableBody,
     pub request: &'a PoseRequest<'a>,
-    /// Rotations in place of the blend by harmonic fields.
-    pub instead: Option<&'a [LocalRotation]>,
+    /// How it gets its rotations.
+    pub first: &'a FirstRotations,
     pub moved_parts: &'a [bool],
     /// What is solved around, in solving coordinates.
     pub center: DVec3,
@@ -135,9 +133,9 @@ impl PoseSolve<'_> {
         if warm {
             state.begin(body, request.transforms.len());
             let (from, to) = (&state.transforms, request.transforms);
-            match request.first_pass {
-                FirstPass::WeightedSum => rig.carry_by_shares(body, from, to, &mut state.x, pool),
-                _ => rig.carry(body, from, to, &mut state.x, pool),
+            match self.first.is_animation {
+                true => rig.carry_by_shares(body, from, to, &mut state.x, pool),
+                false => rig.carry(body, from, to, &mut state.x, pool),
             }
         }
         state.transforms.clear();
@@ -149,7 +147,7 @@ impl PoseSolve<'_> {
                 rig,
                 request.transforms,
                 self.moved_parts,
-                (request.first_pass, self.instead),
+                self.first,
                 request.refinement,
             )
         });

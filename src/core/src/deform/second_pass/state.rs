@@ -1,7 +1,6 @@
 //! What one solve of a pose leaves to the next.
 
 use crate::deform::body::DeformableBody;
-use crate::deform::comparison::spatial_rbf::RbfSpace;
 use crate::deform::first_pass::frame::{LocalFrame, LocalRotation};
 use crate::deform::second_pass::drag_rows::DragRows;
 use crate::deform::transform::Transform;
@@ -23,8 +22,6 @@ pub struct SolveState {
     pub(in crate::deform) rows: DragRows,
     /// Memory for the positions and frames of the next pose of a drag.
     pub(in crate::deform) spare: (Vec<DVec3>, Vec<LocalFrame>),
-    /// What [`HandleSystem::solve_by_spatial_rbf`] made of the handles.
-    pub(in crate::deform) space: Option<Box<RbfSpace>>,
 }
 
 impl SolveState {
@@ -36,7 +33,6 @@ impl SolveState {
             + self.spare.1.capacity() * size_of::<LocalFrame>()
             + self.workspace.byte_size()
             + self.rows.byte_size()
-            + self.space.as_ref().map_or(0, |space| space.byte_size())
     }
 
     /// Where there is no last solution the rest shape is one, with all handles in the rest pose.
@@ -92,7 +88,6 @@ impl SolveState {
         self.forget();
         self.transforms.clear();
         self.rhs.clear();
-        self.space = None;
     }
 
     /// Lets go of the last solution.
