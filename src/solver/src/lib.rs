@@ -149,7 +149,6 @@ mod options;
 mod paper;
 mod repair;
 mod solve;
-mod storage;
 #[cfg(test)]
 mod testing;
 mod threads;

@@ -53,7 +53,7 @@
 //!
 //! | room | what |
 //! |---|---|
-//! | `body`, `edited_body` | graph, hierarchy and rest shape of a mesh, and how they follow an edit |
+//! | `body` | graph, hierarchy and rest shape of a mesh, and how they follow an edit |
 //! | `handles` | which handle holds which node, loose parts, how nodes are carried along and placed |
 //! | `fields` | bounded harmonic fields of the handles, and how they begin again after an edit |
 //! | `rotation` | rotation vectors, fits and blends of rotations |
@@ -65,7 +65,6 @@
 
 mod body;
 mod comparison;
-mod edited_body;
 mod error;
 mod fields;
 mod first_pass;

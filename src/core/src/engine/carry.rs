@@ -2,9 +2,8 @@
 
 use super::Deformer;
 use super::error::Error;
-use super::limits::HeldBeside;
-use super::passenger::CarriedModel;
-use super::riding_nodes::{CarriedNode, RidingNodes};
+use super::riding::{CarriedNode, RidingNodes};
+use super::settings::{CarriedModel, HeldBeside};
 use crate::asset::{Model, WrittenFiles};
 use crate::exec::Exec;
 use crate::mesh::carry::{CarriedFrame, SurfaceCarrier};

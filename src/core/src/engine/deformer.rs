@@ -1,26 +1,21 @@
 //! The deformer: one model, everything derived from it, its handles, and poses solved on request.
 
-use super::derived_structures::{DerivedStructures, admit_bytes};
-use super::error::Error;
-use super::facts::count_u32;
-use super::facts::{DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, QualityReport, SolverFacts};
-use super::handle::HandleSet;
-use super::large_faces::warn_of_large_faces;
-use super::limits::DeformerLimits;
-use super::model_topology::ModelTopology;
-use super::pose::HandlePoses;
-use super::quality::measure_quality;
-use super::region_context::RegionContext;
-use super::resolved_handles::{ResolvedHandles, resolve_handles};
-use super::riding::mark_passengers;
-use super::riding_nodes::RidingNodes;
-use super::rigid_chains::check_rigid_chains;
-use super::settings::OpenOptions;
-use super::shape::{ModelShape, ShapeId};
-use super::tie_facts::PulledTies;
-use super::topology_id::TopologyId;
-use crate::asset::{FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
+use crate::asset::{BoneLengthRule, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
 use crate::deform::{DeformableBody, HandleSystem, SolveState, SpatialRbf};
+use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
+use crate::engine::error::{Error, InputPlace};
+use crate::engine::facts::{
+    DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, PulledTies, QualityReport, SolverFacts,
+    count_u32,
+};
+use crate::engine::handle::{HandlePoses, HandleSet};
+use crate::engine::model_topology::ModelTopology;
+use crate::engine::quality::{measure_quality, warn_of_large_faces};
+use crate::engine::region_context::RegionContext;
+use crate::engine::resolved_handles::{ResolvedHandles, resolve_handles};
+use crate::engine::riding::{RidingNodes, mark_passengers};
+use crate::engine::settings::{DeformerLimits, OpenOptions};
+use crate::engine::shape::{ModelShape, ShapeId, TopologyId};
 use crate::exec::Exec;
 use crate::mesh::{Mesh, MeshReport, self_intersections};
 use crate::pool::Pool;
@@ -466,4 +461,35 @@ impl Deformer {
     pub(super) fn welded(&self, positions: &[DVec3]) -> Vec<DVec3> {
         self.derived.welded(positions)
     }
+}
+
+/// How many joints and characters an error lists.
+const MOST_SHOWN: usize = 8;
+const LONGEST_SHOWN: usize = 64;
+
+/// Refuses a name that no joint of the model has.
+///
+/// # Errors
+/// [`Error::Invalid`] with the name's index, and those of [`Model::joint_names`].
+fn check_rigid_chains(model: &Model, rule: &BoneLengthRule) -> Result<(), Error> {
+    let BoneLengthRule::KeepBelow(names) = rule else {
+        return Ok(());
+    };
+    let joints = model.joint_names()?;
+    for (k, name) in names.iter().enumerate() {
+        if joints.binary_search(name).is_err() {
+            let clip = |name: &String| format!("\"{}\"", name.chars().take(LONGEST_SHOWN).collect::<String>());
+            let known: Vec<String> = joints.iter().take(MOST_SHOWN).map(clip).collect();
+            let known = match (joints.len(), known.join(", ")) {
+                (0, _) => {
+                    "the model has no joint with a name; boneLengths KEEP keeps the lengths of all bones".to_owned()
+                }
+                (all, known) if all > MOST_SHOWN => format!("there are {known} and {} more", all - MOST_SHOWN),
+                (_, known) => format!("there are {known}"),
+            };
+            let problem = format!("no joint is named {}; {known}", clip(name));
+            return Err(Error::invalid(InputPlace::RigidChain(k), problem));
+        }
+    }
+    Ok(())
 }

@@ -1,17 +1,13 @@
 //! Everything that follows from a model alone, whatever its handles: mesh, parts, graph and hierarchy.
 
 use super::error::Error;
-use super::facts::{DeformerWarning, TieFacts, WarningPlace};
-use super::interior::{BYTES_PER_NODE, interior_warnings, most_nodes};
-use super::limits::{DeformerLimits, ESTIMATED_MEMORY};
-use super::mesh_delta::MeshDelta;
+use super::facts::{BYTES_PER_NODE, DeformerWarning, TieFacts, WarningPlace, interior_warnings, most_nodes, tie_facts};
 use super::model_topology::ModelTopology;
 use super::part_families::PartFamilies;
 use super::riding::RidingVertices;
-use super::settings::OpenOptions;
-use super::tie_facts::tie_facts;
-use super::topology_id::TopologyId;
-use super::topology_state::{LineageOrigin, TopologyLineage, TopologyState};
+use super::settings::{DeformerLimits, ESTIMATED_MEMORY, OpenOptions};
+use super::shape::TopologyId;
+use super::topology_state::{LineageOrigin, MeshDelta, TopologyLineage, TopologyState};
 use crate::asset::Model;
 use crate::deform::{BodyOptions, DeformableBody, FaceSurroundings, NeedlesAndCaps, TieOptions, VolumeMode};
 use crate::edit::PatchedSurface;

@@ -4,22 +4,22 @@
 //! all handles get their rest poses. An edit of the rest shape keeps poses, and the result is solved with them. The
 //! deformer changes only when everything has succeeded.
 
-use super::carry_handles::{CarriedHandles, HeldVertices, carry_handles, kept_vertex_runs};
 use super::derived_structures::{DerivedStructures, TopologyChange};
-use super::edit_command::{EditCommand, EditOutcome, EditReport, EditedShape};
+use super::edit_command::{
+    CarriedHandles, EditCommand, EditOutcome, EditReport, EditedShape, HeldVertices, carry_handles, kept_vertex_runs,
+};
 use super::edit_operations::{EditContext, PlannedEdit, plan_edit};
 use super::edit_surface::EditSurface;
 use super::error::{Error, InputPlace};
 use super::facts::{DeformerWarning, MeshCounts, count_u32};
-use super::large_faces::{HandleBend, largest_turn};
-use super::limits::{ESTIMATED_MEMORY, HeldBeside};
-use super::region::Region;
+use super::handle::Region;
+use super::part_families::VertexOrigins;
+use super::quality::{HandleBend, largest_turn};
 use super::region_context::{RegionContext, nodes_in_region, vertices_in_region, vertices_of_handle};
 use super::seams::Seams;
-use super::settings::{EDITED_AT_REST, SolveMode, SolveSettings};
+use super::settings::{EDITED_AT_REST, ESTIMATED_MEMORY, HeldBeside, SolveMode, SolveSettings};
 use super::shape::ModelShape;
 use super::topology_state::TopologyState;
-use super::vertex_origins::VertexOrigins;
 use super::{Deformer, digest};
 use crate::edit::{PatchedSurface, SurfacePatch, apply_patch};
 use crate::exec::Exec;

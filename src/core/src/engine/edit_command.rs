@@ -1,13 +1,18 @@
 //! Edits of the topology as a program asks for them, and what they came to.
+//!
+//! Handles across an edit.
+//!
+//! A region that is given by place stays as it is while the rest shape stays where it is; it then holds what the same handle
+//! holds when it is set after the edit. Every other region becomes the list of the vertices that it held, in the new numbers.
 
-use super::facts::{DeformerWarning, MeshCounts};
-use super::handle::HandleSet;
-use super::pose::HandlePoses;
-use super::region::{Plane, Region};
-use super::settings::SolveSettings;
-use super::shape::ModelShape;
 use crate::asset::{FileSet, Format};
-use crate::edit::{KeptSide, SubdivisionScheme};
+use crate::deform::Transform;
+use crate::edit::{KeptSide, PatchedSurface, SubdivisionScheme, SurfacePatch};
+use crate::engine::facts::{DeformerWarning, MeshCounts, WarningPlace};
+use crate::engine::handle::{Handle, HandlePose, HandlePoses, HandleSet, Plane, Region, VertexRange};
+use crate::engine::settings::SolveSettings;
+use crate::engine::shape::ModelShape;
+use crate::mesh::NONE;
 use glam::{DMat4, DVec3};
 
 /// An operation that changes the topology. What has no region takes the whole model.
@@ -237,4 +242,171 @@ impl Edit {
             Self::Weld { .. } => EditKind::Weld,
         }
     }
+}
+
+/// The handles in force after an edit, and what became of them.
+#[derive(Debug, Default)]
+pub(super) struct CarriedHandles {
+    /// The handles that still hold something.
+    pub set: HandleSet,
+    /// Those that hold nothing any more.
+    pub warnings: Vec<DeformerWarning>,
+}
+
+/// What the handles in force held before an edit.
+pub(super) struct HeldVertices<'a> {
+    /// The handles.
+    pub set: &'a HandleSet,
+    /// The render vertices of each handle, then those of the region of interest.
+    pub vertices: Vec<Vec<bool>>,
+    /// The default pivots.
+    pub centroids: &'a [DVec3],
+    /// Where a deformed shape was edited, how each handle moved its region; `None` where the rest shape stays in its place.
+    pub moved: Option<Vec<Transform>>,
+}
+
+/// Carries handles over. With `poses` they keep their poses and pivots; without, they have their rest poses.
+pub(super) fn carry_handles(
+    held: &HeldVertices<'_>,
+    poses: Option<&[HandlePose]>,
+    applied: &PatchedSurface,
+    patch: &SurfacePatch,
+) -> CarriedHandles {
+    let old = held.set;
+    let mut carried = CarriedHandles::default();
+    carried.set.symmetry_plane = old.symmetry_plane;
+    for (k, handle) in old.handles.iter().enumerate() {
+        let region = match &handle.region {
+            Region::Weights(values) => carry_weights(values, applied, patch),
+            solid if solid.is_solid() && held.moved.is_none() => Some(solid.clone()),
+            // It holds nodes inside alone, so there are no vertices to list.
+            solid if solid.is_solid() && !held.vertices[k].contains(&true) => Some(
+                (held.moved.as_ref().and_then(|moved| moved.get(k))).map_or_else(|| solid.clone(), |t| solid.moved(t)),
+            ),
+            _ => carry_vertices(&held.vertices[k], applied, patch, true),
+        };
+        let Some(region) = region else {
+            carried.warnings.push(lost_handle(k, &handle.id));
+            continue;
+        };
+        let pose = poses.and_then(|poses| poses.get(k)).map(|pose| HandlePose {
+            pivot: pose.pivot.or(Some(held.centroids[k])),
+            ..*pose
+        });
+        carried.set.handles.push(Handle {
+            region,
+            pose,
+            ..handle.clone()
+        });
+    }
+    if let Some(region) = &old.region_of_interest {
+        let marks = held.vertices.get(old.handles.len());
+        carried.set.region_of_interest = match region.is_solid() && held.moved.is_none() {
+            true => Some(region.clone()),
+            false => marks.and_then(|marks| carry_vertices(marks, applied, patch, false)),
+        };
+        if carried.set.region_of_interest.is_none() {
+            carried.warnings.push(lost_region_of_interest());
+        }
+    }
+    carried
+}
+
+impl CarriedHandles {
+    /// Takes out the handles of the set `old` whose regions hold nothing in the edited model (`holds_nothing`), and the region
+    /// of interest where it has no vertex (`has_no_vertex`), with a warning of each.
+    pub fn drop_empty(
+        &mut self,
+        old: &HandleSet,
+        holds_nothing: impl Fn(&Region) -> bool,
+        has_no_vertex: impl Fn(&Region) -> bool,
+    ) {
+        let Self { set, warnings } = self;
+        set.handles.retain(|handle| {
+            // Lists and weights are of vertices that are left.
+            let is_lost = handle.region.is_solid() && holds_nothing(&handle.region);
+            if is_lost {
+                let was = old.handles.iter().position(|h| h.id == handle.id).unwrap_or_default();
+                warnings.push(lost_handle(was, &handle.id));
+            }
+            !is_lost
+        });
+        if (set.region_of_interest.as_ref()).is_some_and(|region| region.is_solid() && has_no_vertex(region)) {
+            set.region_of_interest = None;
+            warnings.push(lost_region_of_interest());
+        }
+    }
+}
+
+fn lost_handle(number: usize, id: &str) -> DeformerWarning {
+    let message = format!("handle \"{id}\" has no vertex left and is gone");
+    DeformerWarning::about_handles("handle-lost", message, [number])
+}
+
+fn lost_region_of_interest() -> DeformerWarning {
+    let message = "the region of interest has no vertex left and is gone; what was outside of it can move from now on";
+    DeformerWarning {
+        place: WarningPlace::RegionOfInterest,
+        ..DeformerWarning::new("region-of-interest-lost", message, "")
+    }
+}
+
+/// The vertices left of those marked, and the new ones between them: where all (or any) of what they are made of was marked.
+fn carry_vertices(marks: &[bool], applied: &PatchedSurface, patch: &SurfacePatch, all: bool) -> Option<Region> {
+    let old = applied.vertex_from_old.len();
+    let marked = |v: u32| marks.get(v as usize).copied().unwrap_or(false);
+    let holds = |was: u32| match patch.vertices.get((was as usize).wrapping_sub(old)) {
+        None => marked(was),
+        Some(new) => {
+            let parts = new.of.iter().zip(&new.weights).filter(|(_, w)| **w > 0.0);
+            let mut parts = parts.map(|(v, _)| *v);
+            if all { parts.all(marked) } else { parts.any(marked) }
+        }
+    };
+    let mut ranges: Vec<VertexRange> = Vec::new();
+    for (now, &was) in (0u32..).zip(&applied.old_from_vertex) {
+        if !holds(was) {
+            continue;
+        }
+        match ranges.last_mut() {
+            Some(last) if last.first + last.count == now => last.count += 1,
+            _ => ranges.push(VertexRange { first: now, count: 1 }),
+        }
+    }
+    (!ranges.is_empty()).then(|| Region::Vertices {
+        indices: Vec::new(),
+        ranges,
+    })
+}
+
+fn carry_weights(values: &[f32], applied: &PatchedSurface, patch: &SurfacePatch) -> Option<Region> {
+    let old = applied.vertex_from_old.len();
+    let value = |v: u32| values.get(v as usize).copied().unwrap_or(0.0);
+    let values: Vec<f32> = (applied.old_from_vertex.iter())
+        .map(|&was| match patch.vertices.get((was as usize).wrapping_sub(old)) {
+            None => value(was),
+            Some(new) => {
+                let parts = new.of.iter().zip(&new.weights).filter(|(_, w)| **w > 0.0);
+                let sum: f32 = parts.map(|(&v, &w)| value(v) * w as f32).sum();
+                sum.clamp(0.0, 1.0)
+            }
+        })
+        .collect();
+    let any = values.iter().any(|w| *w > 0.0);
+    any.then_some(Region::Weights(values))
+}
+
+/// The runs of render vertices that an edit left of `old` ones.
+pub(super) fn kept_vertex_runs(applied: &PatchedSurface, old: usize) -> Vec<KeptVertexRun> {
+    let mut runs: Vec<KeptVertexRun> = Vec::new();
+    for (was, &now) in (0u32..).zip(&applied.vertex_from_old[..old]) {
+        if now == NONE {
+            continue;
+        }
+        match runs.last_mut() {
+            Some(run) if run.was + run.count == was && run.now + run.count == now => run.count += 1,
+            _ => runs.push(KeptVertexRun { was, now, count: 1 }),
+        }
+    }
+    runs
 }

@@ -4,19 +4,19 @@ use super::DeformerLimits;
 use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge};
 use super::edit_surface::EditSurface;
 use super::error::{Error, InputPlace};
-use super::large_faces::{HandleBend, plan_division};
+use super::handle::Region;
 use super::model_topology::ModelTopology;
-use super::region::Region;
+use super::part_families::VertexOrigins;
+use super::quality::{HandleBend, plan_division};
 use super::region_context::{RegionContext, vertices_in_region};
 use super::seams::Seams;
-use super::vertex_origins::VertexOrigins;
-use crate::asset::{self, Model};
+use crate::asset::Model;
 use crate::edit::{
-    self, CutOptions, CutPlane, KeptSide, LoopPair, PatchedSurface, RemeshOptions, RemeshTarget, SurfaceCurve,
-    SurfacePatch,
+    CutOptions, CutPlane, KeptSide, LoopPair, PatchedSurface, RemeshOptions, RemeshTarget, SurfaceCurve, SurfacePatch,
 };
 use crate::exec::Exec;
 use crate::mesh::{Adjacency, BoundingBox, Mesh, NONE, Weld, mean_edge_length};
+use crate::{asset, edit};
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 use std::sync::Arc;
 

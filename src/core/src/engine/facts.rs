@@ -1,6 +1,14 @@
 //! What a deformer reports about its model, solver, handles and shapes.
+//!
+//! Warnings about the interior name what did not fit into the memory that there is. Those about ties name what holds the
+//! parts of a model together, and what a pose would tear.
 
 use crate::asset::{Format, Primitive};
+use crate::deform::{DeformableBody, HandleSystem, Transform, VolumeMode};
+use crate::engine::handle::HandleSet;
+use crate::engine::settings::DeformerLimits;
+use crate::graph::TieAnchor;
+use crate::mesh::{Components, Mesh, brief_number, brief_point};
 use glam::DVec3;
 
 /// What a deformer reports about model, solver and handles.
@@ -177,4 +185,306 @@ impl DeformerWarning {
 /// Turns a count into the number that reports carry.
 pub(super) fn count_u32(n: usize) -> u32 {
     u32::try_from(n).unwrap_or(u32::MAX)
+}
+
+/// Bytes that a graph node costs at the peak of building: graph, hierarchy, fields, systems and scratch. Measured as
+/// 1,150 on a solid of 128 K nodes, rounded up.
+pub(super) const BYTES_PER_NODE: u64 = 1400;
+
+/// How many places one warning spells out.
+const PLACES: usize = 16;
+
+/// The most nodes that a graph may have to fit into `limits` beside `other` bytes, with a fifth left for the fields of
+/// handles.
+pub(super) fn most_nodes(other: u64, limits: &DeformerLimits) -> usize {
+    let bytes = limits.graph_bytes.unwrap_or(limits.memory_bytes);
+    let nodes = bytes.saturating_sub(other) / (BYTES_PER_NODE / 4 * 5);
+    usize::try_from(nodes).unwrap_or(usize::MAX)
+}
+
+/// What is unusual about the interior of a body that was built in `mode`.
+pub(super) fn interior_warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<DeformerWarning> {
+    let warning = |code: &str, message: String, place: String| DeformerWarning::new(code, message, place);
+    if mode == VolumeMode::Off {
+        return Vec::new();
+    }
+    let (graph, stats) = (&body.graph, &body.graph.stats);
+    if let Some(reason) = &body.too_large {
+        let message = format!("{reason}; the model deforms as a surface");
+        return vec![warning("volume-graph-too-large", message, String::new())];
+    }
+    if graph.surface == body.nodes() && stats.struts == 0 {
+        let message = "the model encloses no volume, so it deforms as a surface";
+        return vec![warning("no-volume-graph", message.into(), String::new())];
+    }
+    let mut warnings = Vec::new();
+    // A lattice is widened by more than rounding, or not at all.
+    if stats.interval > stats.wanted_interval * 1.001 {
+        let message = format!(
+            "interior nodes are {} apart instead of {}, because more of them do not fit",
+            brief_number(stats.interval),
+            brief_number(stats.wanted_interval)
+        );
+        warnings.push(warning("volume-graph-coarse", message, String::new()));
+    }
+    // Ties make one component of several parts.
+    let (component, has_volume) = match &graph.ties {
+        Some(ties) => (ties.untied_component(), ties.component_has_volume()),
+        None => (&graph.component[..], &stats.component_has_volume[..]),
+    };
+    let sheets = has_volume.iter().filter(|has| !**has).count();
+    if sheets > 0 {
+        let mut first = vec![None; has_volume.len()];
+        for (node, &c) in component[..graph.surface].iter().enumerate().rev() {
+            first[c as usize] = Some(graph.positions[node]);
+        }
+        let points: Vec<DVec3> = first
+            .iter()
+            .zip(has_volume)
+            .filter_map(|(p, has)| p.filter(|_| !has))
+            .take(PLACES)
+            .collect();
+        let places: Vec<String> = points.iter().map(|&p| format!("at {}", brief_point(p))).collect();
+        let message = match has_volume.len() {
+            1 => "its only part encloses no volume or too little, so it deforms as a surface".into(),
+            parts => format!("{sheets} of {parts} parts enclose no volume or too little, so they deform as surfaces"),
+        };
+        let more = sheets.saturating_sub(PLACES);
+        let more = if more > 0 {
+            format!("; and {more} more")
+        } else {
+            String::new()
+        };
+        let text = places.join("; ") + &more;
+        warnings.push(DeformerWarning {
+            place: WarningPlace::Points { text, points },
+            ..warning("surface-parts", message, String::new())
+        });
+    }
+    warnings
+}
+
+/// How many loose parts are listed.
+const MOST_TOLD: usize = 16;
+/// Parts are pulled apart where two handles take one place further apart than this part of the diagonal.
+const PULLED: f64 = 0.01;
+/// How many pairs of handles one warning is made for.
+const MOST_PAIRS: usize = 8;
+
+/// Counts ties, and parts that nothing joins to others.
+pub(super) fn tie_facts(mesh: &Mesh, parts: &Components, body: &DeformableBody, primitives: &[Primitive]) -> TieFacts {
+    let graph = &body.graph;
+    let ties = graph.ties.as_ref().map_or(0, |ties| ties.edge_count() as u64);
+    if parts.count < 2 {
+        return TieFacts::default();
+    }
+    // Parts that share their inside are joined by it.
+    let mut parts_of = vec![0u32; graph.components];
+    let firsts = parts.first_vertices();
+    let whole = |part: usize| graph.component[firsts[part] as usize] as usize;
+    (0..parts.count).for_each(|part| parts_of[whole(part)] += 1);
+    let mut vertices = vec![0u32; parts.count];
+    for (point, &part) in (0u32..).zip(&parts.of_vertex) {
+        vertices[part as usize] += mesh.render_vertices_of(point).len() as u32;
+    }
+    let mut loose: Vec<usize> = (0..parts.count).filter(|&part| parts_of[whole(part)] == 1).collect();
+    let count = loose.len();
+    loose.sort_by_key(|&part| (std::cmp::Reverse(vertices[part]), part));
+    loose.truncate(MOST_TOLD);
+    let told = |part: usize| {
+        let vertex = mesh.render_vertices_of(firsts[part])[0];
+        let primitive = primitive_at(primitives, vertex);
+        LoosePart {
+            component: part as u32,
+            vertices: vertices[part],
+            primitive: primitive as u32,
+            name: primitives.get(primitive).map_or_else(String::new, |p| p.name.clone()),
+        }
+    };
+    TieFacts {
+        ties,
+        loose_parts: count_u32(count),
+        loose: loose.into_iter().map(told).collect(),
+    }
+}
+
+/// The primitive that a render vertex belongs to.
+fn primitive_at(primitives: &[Primitive], vertex: u32) -> usize {
+    primitives
+        .partition_point(|p| p.first_vertex <= vertex)
+        .saturating_sub(1)
+}
+
+/// A pose that pulls apart what ties hold together.
+pub(super) struct PulledTies<'a> {
+    pub body: &'a DeformableBody,
+    pub rig: &'a HandleSystem,
+    pub mesh: &'a Mesh,
+    pub primitives: &'a [Primitive],
+    pub handles: &'a HandleSet,
+}
+
+impl PulledTies<'_> {
+    /// One warning for each pair of handles that hold tied places of two parts and take them apart.
+    pub fn pull_warnings(&self, transforms: &[Transform]) -> Vec<DeformerWarning> {
+        let Some(ties) = &self.body.graph.ties else {
+            return Vec::new();
+        };
+        let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
+        // By pair of handles: how far, how many places, and the vertices of the worst.
+        let mut pulled: Vec<([usize; 2], f64, usize, [u32; 2])> = Vec::new();
+        for anchor in ties.anchors() {
+            let Some((holders, gap, ends)) = self.gap_of(anchor, &maps) else {
+                continue;
+            };
+            match pulled.iter().position(|p| p.0 == holders) {
+                Some(known) => {
+                    let known = &mut pulled[known];
+                    known.2 += 1;
+                    if gap > known.1 {
+                        (known.1, known.3) = (gap, ends);
+                    }
+                }
+                None if pulled.len() < MOST_PAIRS => pulled.push((holders, gap, 1, ends)),
+                None => {}
+            }
+        }
+        pulled.sort_by_key(|p| p.0);
+        pulled.into_iter().map(|p| self.describe_pull(p)).collect()
+    }
+
+    /// How far the ends of a tie, held by two handles, come apart, if that is far.
+    fn gap_of(&self, anchor: &TieAnchor, maps: &[impl Fn(DVec3) -> DVec3]) -> Option<([usize; 2], f64, [u32; 2])> {
+        let rest = &self.body.graph.positions;
+        let held = |v: u32| self.rig.hard_holder(v as usize);
+        let first = held(anchor.vertex)?;
+        let (corner, _) = anchor.weighted_corners().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        let second = held(corner)?;
+        if first == second {
+            return None;
+        }
+        let at = rest[anchor.vertex as usize];
+        // Where each of the two handles would take the same place.
+        let gap = maps.get(first)?(at).distance(maps.get(second)?(at));
+        let far = gap > PULLED * self.body.diagonal;
+        far.then_some(([first.min(second), first.max(second)], gap, [anchor.vertex, corner]))
+    }
+
+    fn describe_pull(&self, (holders, gap, places, ends): ([usize; 2], f64, usize, [u32; 2])) -> DeformerWarning {
+        let name = |v: u32| {
+            let vertex = self.mesh.render_vertices_of(v)[0];
+            let index = primitive_at(self.primitives, vertex);
+            match self.primitives.get(index).map(|p| p.name.as_str()) {
+                Some("") | None => format!("primitive {index}"),
+                Some(name) => format!("\"{name}\""),
+            }
+        };
+        // Mirror images of handles come after them all.
+        let handles = &self.handles.handles;
+        let id = |k: usize| &handles[k % handles.len()].id;
+        let message = format!(
+            "handles \"{}\" and \"{}\" take tied places of {} and {} apart, by up to {:.3} ({:.1} % of the diagonal) at {places} \
+             of them; give the parts one pose, or keep one apart (keepApart)",
+            id(holders[0]),
+            id(holders[1]),
+            name(ends[0]),
+            name(ends[1]),
+            gap,
+            100.0 * gap / self.body.diagonal,
+        );
+        DeformerWarning::about_handles("parts-pulled-apart", message, holders)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::{FileSet, shapes};
+    use crate::engine::{Deformer, Error, OpenOptions};
+    use crate::exec::Exec;
+    use crate::graph::InteriorKind;
+    use crate::pool::Pool;
+    use crate::progress::Silent;
+
+    /// A cube of 1,538 vertices, with an open square beside it when asked for.
+    fn open(memory_bytes: u64, mode: VolumeMode, sheet: bool) -> Result<Deformer, Error> {
+        open_as(InteriorKind::Shape, memory_bytes, mode, sheet)
+    }
+
+    fn open_as(kind: InteriorKind, memory_bytes: u64, mode: VolumeMode, sheet: bool) -> Result<Deformer, Error> {
+        let (positions, triangles) = shapes::box_with_cells(DVec3::ONE, [16; 3]);
+        let mut text = String::new();
+        positions
+            .iter()
+            .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
+        triangles
+            .iter()
+            .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
+        if sheet {
+            text += "v 3 0 0\nv 4 0 0\nv 4 1 0\nv 3 1 0\nf -4 -3 -2 -1\n";
+        }
+        let mut options = OpenOptions::default();
+        options.body.volume = mode;
+        options.body.graph.kind = kind;
+        let limits = DeformerLimits {
+            memory_bytes,
+            ..Default::default()
+        };
+        let pool = Pool::new(1).unwrap();
+        Deformer::open(
+            FileSet::single("cube.obj", text),
+            &options,
+            &limits,
+            &Exec::new(&pool, &Silent),
+        )
+    }
+
+    fn codes(bench: &Deformer) -> Vec<String> {
+        bench.facts().warnings.into_iter().map(|w| w.code).collect()
+    }
+
+    #[test]
+    fn what_does_not_fit_gets_a_wider_lattice_then_none_and_says_so() {
+        let whole = open(1 << 30, VolumeMode::Auto, false).unwrap();
+        assert!(codes(&whole).is_empty(), "{:?}", codes(&whole));
+        let open = |bytes: u64, mode: VolumeMode, sheet: bool| open_as(InteriorKind::Paper, bytes, mode, sheet);
+        let surface = whole.body().graph.surface as u64;
+        // What files, vertices and so many nodes take.
+        let room = |nodes: u64| {
+            let beside = whole.estimate() - whole.body().nodes() as u64 * BYTES_PER_NODE;
+            beside + nodes * BYTES_PER_NODE / 4 * 5
+        };
+        let coarse = open_as(InteriorKind::Shape, room(surface * 5 / 4), VolumeMode::Auto, false).unwrap();
+        assert_eq!(codes(&coarse), ["volume-graph-coarse"]);
+        assert!(coarse.body().nodes() < whole.body().nodes() && coarse.body().graph.stats.lattice_nodes > 0);
+        let whole = open(1 << 30, VolumeMode::Auto, false).unwrap();
+        let coarse = open(room(surface * 5 / 2), VolumeMode::Auto, false).unwrap();
+        assert_eq!(codes(&coarse), ["volume-graph-coarse"]);
+        assert!(coarse.body().nodes() < whole.body().nodes() && coarse.body().graph.stats.lattice_nodes > 0);
+        let none = open(room(surface * 3 / 2), VolumeMode::Auto, false).unwrap();
+        assert_eq!(codes(&none), ["volume-graph-too-large"]);
+        assert_eq!(none.body().nodes() as u64, surface);
+        assert!(open(room(surface * 3 / 2), VolumeMode::Required, false).is_err());
+        assert!(matches!(
+            open(room(surface / 2), VolumeMode::Auto, false),
+            Err(Error::TooLarge { .. })
+        ));
+    }
+
+    #[test]
+    fn parts_without_an_inside_are_counted_and_placed() {
+        let bench = open(1 << 30, VolumeMode::Auto, true).unwrap();
+        let facts = bench.facts();
+        let warning = facts.warnings.iter().find(|w| w.code == "surface-parts").unwrap();
+        assert_eq!(
+            warning.message,
+            "1 of 2 parts enclose no volume or too little, so they deform as surfaces"
+        );
+        let place = WarningPlace::Points {
+            text: "at (3, 0, 0)".into(),
+            points: vec![DVec3::X * 3.0],
+        };
+        assert_eq!(warning.place, place);
+        assert!(!codes(&open(1 << 30, VolumeMode::Off, true).unwrap()).contains(&"surface-parts".into()));
+    }
 }

@@ -28,11 +28,8 @@
 
 mod animation;
 mod carry;
-mod carry_handles;
 mod deformer;
 mod derived_structures;
-mod digest;
-mod drag;
 mod edit;
 mod edit_command;
 mod edit_operations;
@@ -40,32 +37,18 @@ mod edit_surface;
 mod error;
 mod facts;
 mod handle;
-mod interior;
-mod large_faces;
-mod limits;
-mod mesh_delta;
 mod model_topology;
 mod part_families;
-mod passenger;
-mod pose;
 mod quality;
-mod region;
 mod region_context;
 mod resolved_handles;
 mod riding;
-mod riding_nodes;
-mod rigid_chains;
 mod seams;
 mod settings;
-mod shading;
 mod shape;
-mod shape_transfer;
 mod solve;
-mod tie_facts;
-mod topology_id;
 mod topology_state;
 mod tube_region;
-mod vertex_origins;
 
 pub use animation::{
     AnimatedFrame, Animation, AnimationLimits, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, BoundModel,
@@ -74,8 +57,6 @@ pub use animation::{
     left_out_of_rig, left_out_passengers, left_out_primitives, make_rig, node_place,
 };
 pub use deformer::Deformer;
-pub use digest::digest;
-pub use drag::Drag;
 pub use edit_command::{
     CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun, MergeJoin, ModelMerge,
     RemeshCommand,
@@ -85,17 +66,17 @@ pub use facts::{
     DeformerFacts, DeformerWarning, HandleFacts, LoosePart, MeshCounts, ModelFacts, QualityReport, SolverFacts,
     TieFacts, WarningPlace,
 };
-pub use handle::{Falloff, FalloffCurve, Handle, HandleConstrains, HandleSet};
-pub use limits::{DeformerLimits, ESTIMATED_MEMORY};
-pub use passenger::{CarriedModel, Passenger, PassengerKind};
-pub use pose::{HandlePose, HandlePoses, HandleRotation, HandleScale};
+pub use handle::{
+    Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandlePoses, HandleRotation, HandleScale, HandleSet,
+    Plane, Region, VertexRange,
+};
 pub use quality::FrameQuality;
-pub use region::{Plane, Region, VertexRange};
-pub use riding_nodes::CarriedNode;
-pub use settings::{COMMIT_REFINE, KeptApart, OpenOptions, SolveMode, SolveSettings};
-pub use shading::{Shader, Shading, shading};
-pub use shape::{ModelShape, ShapeId};
-pub use solve::{SolveUpdate, SolvedShape};
-pub use topology_id::TopologyId;
+pub use riding::CarriedNode;
+pub use settings::{
+    COMMIT_REFINE, CarriedModel, DeformerLimits, ESTIMATED_MEMORY, KeptApart, OpenOptions, Passenger, PassengerKind,
+    SolveMode, SolveSettings,
+};
+pub use shape::{ModelShape, Shader, Shading, ShapeId, TopologyId, digest, shading};
+pub use solve::{Drag, SolveUpdate, SolvedShape};
 pub use topology_state::TopologyState;
 pub use tube_region::MOST_TUBE_POINTS;

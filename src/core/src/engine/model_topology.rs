@@ -2,10 +2,10 @@
 
 use super::edit_surface::{EditSurface, triangle_primitives};
 use super::error::Error;
-use super::part_families::PartFamilies;
-use super::riding_nodes::RidingNodes;
-use super::vertex_origins::VertexOrigins;
-use crate::asset::{self, Format, Geometry, Model, Primitive, ShapeFollowers, WrittenFiles};
+use super::part_families::{PartFamilies, VertexOrigins};
+use super::riding::RidingNodes;
+use crate::asset;
+use crate::asset::{Format, Geometry, Model, Primitive, ShapeFollowers, WrittenFiles};
 use crate::edit::{PatchedSurface, SurfacePatch};
 use crate::mesh::{Mesh, Weld};
 use glam::{DVec3, Vec3, Vec4};

@@ -1,7 +1,7 @@
 //! Which vertices and which graph nodes a region holds.
 
 use super::error::{RegionError, RegionPlace};
-use super::region::{Region, VertexRange};
+use super::handle::{Region, VertexRange};
 use super::tube_region::Tube;
 use crate::asset::Primitive;
 use crate::exec::Exec;

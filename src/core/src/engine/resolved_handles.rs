@@ -2,9 +2,7 @@
 
 use super::error::{Error, InputPlace};
 use super::facts::DeformerWarning;
-use super::handle::{Falloff, FalloffCurve, Handle, HandleSet};
-use super::pose::HandlePose;
-use super::region::Region;
+use super::handle::{Falloff, FalloffCurve, Handle, HandlePose, HandleSet, Region};
 use super::region_context::{
     MirrorPlane, RegionContext, RegionNodes, holds_nothing, nodes_in_region, region_centroid, vertices_in_region,
     vertices_of_handle,

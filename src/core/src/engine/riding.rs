@@ -1,12 +1,15 @@
-//! Primitives that ride along: which they are, and where their vertices go in a shape.
+//! Primitives and nodes of a model's file that ride along: which they are, and where they go in a shape.
 
-use super::error::{Error, InputPlace};
-use super::passenger::{Passenger, PassengerKind};
-use crate::asset::Primitive;
+use crate::asset::{Model, ModelNode, NodeMotions, Primitive};
+use crate::engine::error::{Error, InputPlace};
+use crate::engine::settings::{Passenger, PassengerKind};
 use crate::exec::Exec;
-use crate::mesh::carry::{CarriedPoints, CarrySurface, SurfaceMotion};
+use crate::mesh::carry::{CarriedFrame, CarriedPoints, CarrySurface, SurfaceCarrier, SurfaceMotion};
+use crate::mesh::rotation::fit_rotation;
 use crate::pool::Pool;
-use glam::DVec3;
+use crate::progress::Cancelled;
+use glam::{DAffine3, DMat3, DQuat, DVec3};
+use std::collections::BTreeMap;
 
 /// What finding what one vertex of a passenger follows may look at on average: some tens of microseconds. Where faces are of about
 /// one size it looks at a hundredth of it.
@@ -128,4 +131,189 @@ impl RidingVertices {
     pub fn byte_size(&self) -> usize {
         self.vertices.capacity() * 4 + self.points.byte_size()
     }
+}
+
+/// How many names a refusal lists.
+const NAMES_TOLD: usize = 8;
+
+/// A node of the model's file that rode along, where it is in a shape.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CarriedNode {
+    /// The passenger that it is or belongs to, by its index in [`OpenOptions::passengers`](super::OpenOptions::passengers).
+    pub passenger: usize,
+    /// Its index in the file.
+    pub node: usize,
+    /// Its name; empty without one.
+    pub name: String,
+    /// Where its origin is, how its axes are turned in world space, and how many times as large lengths around it are. Its own
+    /// scale stays as it is.
+    pub frame: CarriedFrame,
+}
+
+/// The nodes of a model that ride along, in the order of passengers and then of the file.
+#[derive(Debug, Clone, Default)]
+pub(super) struct RidingNodes(Vec<RidingNode>);
+
+#[derive(Debug, Clone)]
+struct RidingNode {
+    passenger: usize,
+    node: usize,
+    name: String,
+    /// Where its origin is in the file.
+    origin: DVec3,
+    /// How its axes are turned there.
+    axes: DQuat,
+    /// Where the rest pose in force has carried it: an edit of the current shape makes that shape the rest pose.
+    carried: CarriedFrame,
+}
+
+impl RidingNodes {
+    /// Finds the nodes that ride along.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with the passenger's index for a node that is not there, is named twice, or is a joint.
+    pub fn find(model: &Model, passengers: &[Passenger]) -> Result<Self, Error> {
+        let is_node = |p: &Passenger| matches!(p.kind, PassengerKind::Node(_) | PassengerKind::NodesNamed(_));
+        let Some(first) = passengers.iter().position(is_node) else {
+            return Ok(Self::default());
+        };
+        let Some(nodes) = model.nodes()? else {
+            let problem = format!("is a node, but the model is {}; only glTF has nodes", model.format);
+            return Err(Error::invalid(InputPlace::Passenger(first), problem));
+        };
+        let mut named: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+        for (index, node) in nodes.iter().enumerate() {
+            named.entry(&node.name).or_default().push(index);
+        }
+        let mut riding = Vec::new();
+        let mut taken = vec![false; nodes.len()];
+        for (k, passenger) in passengers.iter().enumerate() {
+            let refuse = |problem: String| Error::invalid(InputPlace::Passenger(k), problem);
+            let meant = match &passenger.kind {
+                PassengerKind::Node(index) if (*index as usize) < nodes.len() => vec![*index as usize],
+                PassengerKind::Node(index) => {
+                    let count = nodes.len();
+                    return Err(refuse(format!(
+                        "is node {index}, the model has {count} nodes, counted from 0"
+                    )));
+                }
+                PassengerKind::NodesNamed(name) => match named.get(name.as_str()) {
+                    Some(meant) => meant.clone(),
+                    None => return Err(refuse(no_node_named(name, &nodes))),
+                },
+                PassengerKind::Primitive(_)
+                | PassengerKind::PrimitivesNamed(_)
+                | PassengerKind::Points { .. }
+                | PassengerKind::Model(_) => continue,
+            };
+            for index in meant {
+                let node = &nodes[index];
+                if node.is_joint {
+                    let problem = format!(
+                        "node {index} \"{}\" is a joint of a skin; what joints do is said by rig, name others alone",
+                        clip_name(&node.name)
+                    );
+                    return Err(refuse(problem));
+                }
+                if std::mem::replace(&mut taken[index], true) {
+                    return Err(refuse(format!("node {index} is a passenger already")));
+                }
+                riding.push(RidingNode::at_rest(k, index, node));
+            }
+        }
+        Ok(Self(riding))
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Carries all from the rest pose in force to a shape.
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn carried_along(&self, carrier: &SurfaceCarrier, exec: &Exec<'_>) -> Result<Self, Cancelled> {
+        let places: Vec<DVec3> = self.0.iter().map(|node| node.carried.position).collect();
+        let moved = carrier.carry_points(&places, exec)?;
+        let carry_on = |(node, moved): (&RidingNode, CarriedFrame)| RidingNode {
+            carried: CarriedFrame {
+                position: moved.position,
+                rotation: moved.rotation * node.carried.rotation,
+                scale: moved.scale * node.carried.scale,
+            },
+            ..node.clone()
+        };
+        Ok(Self(self.0.iter().zip(moved).map(carry_on).collect()))
+    }
+
+    /// The rigid motions from where the file has them.
+    pub fn motions(&self) -> NodeMotions {
+        self.0.iter().map(|node| (node.node, node.motion())).collect()
+    }
+
+    /// Where they are.
+    pub fn told(&self) -> Vec<CarriedNode> {
+        let tell = |node: &RidingNode| CarriedNode {
+            passenger: node.passenger,
+            node: node.node,
+            name: node.name.clone(),
+            frame: CarriedFrame {
+                rotation: (node.carried.rotation * node.axes).normalize(),
+                ..node.carried
+            },
+        };
+        self.0.iter().map(tell).collect()
+    }
+
+    /// Bytes held on the heap.
+    pub fn byte_size(&self) -> usize {
+        let names: usize = self.0.iter().map(|node| node.name.capacity()).sum();
+        names + self.0.capacity() * size_of::<RidingNode>()
+    }
+}
+
+impl RidingNode {
+    fn at_rest(passenger: usize, index: usize, node: &ModelNode) -> Self {
+        let DAffine3 { matrix3, translation } = node.world_from_node;
+        // Of what is mirrored the axes without the mirror, which is taken to be across x as engines do.
+        let side = matrix3.determinant().signum();
+        let unmirrored = DMat3::from_cols(matrix3.x_axis * side, matrix3.y_axis, matrix3.z_axis);
+        Self {
+            passenger,
+            node: index,
+            name: node.name.clone(),
+            origin: translation,
+            axes: fit_rotation(unmirrored),
+            carried: CarriedFrame::resting(translation),
+        }
+    }
+
+    /// `None` where nothing around it has moved.
+    fn motion(&self) -> Option<DAffine3> {
+        let CarriedFrame { position, rotation, .. } = self.carried;
+        if position == self.origin && rotation == DQuat::IDENTITY {
+            return None;
+        }
+        let turn = DMat3::from_quat(rotation.normalize());
+        let motion = DAffine3 {
+            matrix3: turn,
+            translation: position - turn * self.origin,
+        };
+        motion.is_finite().then_some(motion)
+    }
+}
+
+/// Why a name means no node, with names that would.
+fn no_node_named(name: &str, nodes: &[ModelNode]) -> String {
+    let can_ride = nodes.iter().filter(|node| !node.is_joint && !node.name.is_empty());
+    let told: Vec<String> = can_ride
+        .take(NAMES_TOLD)
+        .map(|node| format!("\"{}\"", clip_name(&node.name)))
+        .collect();
+    let there = match told.is_empty() {
+        true => "and none that could ride along has a name; name it by its index".into(),
+        false => format!("there are {}", told.join(", ")),
+    };
+    format!("no node is named \"{}\", {there}", clip_name(name))
 }

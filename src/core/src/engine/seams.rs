@@ -9,7 +9,7 @@
 //! again, with vertices of their own.
 
 use super::error::Error;
-use super::vertex_origins::VertexOrigins;
+use super::part_families::VertexOrigins;
 use crate::asset::{Geometry, VertexAttributes, VertexBlend, agrees_with_facet, facet_normal, normal_key};
 use crate::edit::{NewVertex, SurfacePatch, SurfaceView};
 use crate::mesh::{Mesh, NONE, mix_bits};

@@ -1,10 +1,12 @@
-//! How a model is opened and how its poses are solved.
+//! How a model is opened and how its poses are solved, what a deformer may hold, and what it carries along.
 
-use super::passenger::Passenger;
-use crate::asset::{Following, Format};
+use crate::asset;
+use crate::asset::{FileSet, Following, Format};
 use crate::deform::{BodyOptions, CoarseOperators, FirstPass, FitOrder, FreePartPolicy, TieOptions, VolumeMode};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;
+use crate::progress::Progress;
+use glam::{DQuat, DVec3};
 
 /// How often a commit fits rotations unless asked otherwise.
 pub const COMMIT_REFINE: u32 = 4;
@@ -116,4 +118,115 @@ pub enum SolveMode {
     Drag,
     /// Depends on model, handles, poses and settings alone, so that repeated results are bit-identical.
     Commit,
+}
+
+/// What is too large where a deformer would hold more bytes than it may.
+pub const ESTIMATED_MEMORY: &str = "the estimated memory of the session in bytes";
+
+/// What a deformer may hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DeformerLimits {
+    /// Sizes of the model.
+    pub model: asset::Limits,
+    /// Bytes that the deformer may hold; checked by estimate before anything large is allocated.
+    pub memory_bytes: u64,
+    /// Bytes for volume graphs: a graph that needs more gets a wider lattice, or none. `None`: `memory_bytes`. Shapes
+    /// depend on it; they do not depend on `memory_bytes`, which may be the free memory of the moment. To get the same
+    /// bits again, open a model with the same number.
+    pub graph_bytes: Option<u64>,
+    /// Handles of one request.
+    pub handles: usize,
+}
+
+impl Default for DeformerLimits {
+    fn default() -> Self {
+        Self {
+            model: asset::Limits::default(),
+            memory_bytes: 16 << 30,
+            graph_bytes: None,
+            handles: 1024,
+        }
+    }
+}
+
+impl DeformerLimits {
+    /// The limits of a model that is read: what reading it takes is of the same memory.
+    pub(super) fn of_reading(&self) -> asset::Limits {
+        asset::Limits {
+            decoded_bytes: self.model.decoded_bytes.min(self.memory_bytes),
+            document_bytes: self.model.document_bytes.min(self.memory_bytes),
+            ..self.model
+        }
+    }
+}
+
+/// Watches work beside which a deformer holds bytes already.
+pub(super) struct HeldBeside<'a> {
+    /// The bytes that it holds.
+    pub held: u64,
+    /// Who watches the deformer.
+    pub watcher: &'a dyn Progress,
+}
+
+impl Progress for HeldBeside<'_> {
+    fn cancelled(&self) -> bool {
+        self.watcher.cancelled()
+    }
+
+    fn may_hold(&self, bytes: u64) -> bool {
+        self.watcher.may_hold(self.held.saturating_add(bytes))
+    }
+
+    fn report(&self, stage: &'static str, fraction: f32) {
+        self.watcher.report(stage, fraction);
+    }
+
+    fn begin_pass(&self, pass: &'static str) {
+        self.watcher.begin_pass(pass);
+    }
+}
+
+/// Something in the rest space of a model that is not solved, but follows the surface and volume around it.
+#[derive(Debug, Clone)]
+pub struct Passenger {
+    /// What reports call it.
+    pub name: String,
+    /// What it is.
+    pub kind: PassengerKind,
+}
+
+/// The kinds of passengers. The deformer carries primitives and nodes of the model itself. The caller carries points
+/// and other models, with [`crate::engine::Deformer::carry_points`] and [`crate::engine::Deformer::carry_model`].
+#[derive(Debug, Clone)]
+pub enum PassengerKind {
+    /// The primitive with this index.
+    Primitive(u32),
+    /// All primitives of this name: of a glTF those under the node of this name.
+    PrimitivesNamed(String),
+    /// The node of the model's file with this index.
+    Node(u32),
+    /// All nodes of this name.
+    NodesNamed(String),
+    /// Points with axes.
+    Points {
+        /// Their rest positions.
+        positions: Vec<DVec3>,
+        /// The rest rotation of the axes, one for each.
+        rotations: Vec<DQuat>,
+    },
+    /// Another model that stands in the rest space.
+    Model(CarriedModel),
+}
+
+/// Another model that rides along.
+#[derive(Debug, Clone)]
+pub struct CarriedModel {
+    /// Its files.
+    pub files: FileSet,
+    /// The format that they are in; `None`: detected by their first bytes.
+    pub format: Option<Format>,
+    /// The format to write it in; `None`: its own.
+    pub output: Option<Format>,
+    /// Where it is to be written; empty where the caller has no use for a path.
+    pub path: String,
 }

@@ -1,8 +1,20 @@
-//! Shapes by name, so that a deformer knows again what it has made.
+//! Shapes: their names, so that a deformer recognises what it has made, their digests, and their normals and tangents.
 
-use super::topology_id::TopologyId;
-use glam::DVec3;
+use crate::asset::{Geometry, Primitive};
+use crate::mesh::shading;
+use glam::{DVec3, Vec3, Vec4};
 use std::sync::Arc;
+
+/// Names a state of a deformer's topology. Numbers are given in the order in which a deformer reaches new states.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub struct TopologyId(pub(super) u64);
+
+impl TopologyId {
+    /// The name after this one.
+    pub(super) fn next(self) -> Self {
+        Self(self.0 + 1)
+    }
+}
 
 /// Names a shape of one deformer. Two shapes that it made and that have one name have the same positions; all others share a
 /// name that no deformer remembers.
@@ -49,5 +61,178 @@ impl ShapeId {
     /// Names a solution on a topology; `solution` is above 0 and never given twice.
     pub(super) fn solution(topology: TopologyId, solution: u64) -> Self {
         Self { topology, solution }
+    }
+}
+
+/// Digest of positions: `xxh3:` and 16 hexadecimal digits of the 64-bit XXH3 of x, y, z of each vertex as
+/// little-endian 64-bit floats.
+pub fn digest(positions: &[DVec3]) -> String {
+    let mut hasher = xxhash_rust::xxh3::Xxh3::new();
+    let mut block = [0u8; 24 * 64];
+    for run in positions.chunks(64) {
+        for (at, number) in block.chunks_exact_mut(8).zip(run.iter().flat_map(|p| p.to_array())) {
+            at.copy_from_slice(&number.to_le_bytes());
+        }
+        hasher.update(&block[..run.len() * 24]);
+    }
+    format!("xxh3:{:016x}", hasher.digest())
+}
+
+/// Normals and tangents of a shape, one per render vertex.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Shading {
+    /// Unit normals.
+    pub normals: Vec<Vec3>,
+    /// Unit tangents with handedness; zero where the model has none.
+    pub tangents: Vec<Vec4>,
+}
+
+/// What is needed of a model to shade its deformed shapes, apart from the model, so that it can be used while the
+/// model is being solved.
+#[derive(Debug, Clone, Default)]
+pub struct Shader {
+    rest: Arc<Vec<DVec3>>,
+    triangles: Vec<[u32; 3]>,
+    normals: Vec<Vec3>,
+    tangents: Vec<Vec4>,
+    primitives: Vec<Primitive>,
+}
+
+impl Shader {
+    /// Copies what shading needs.
+    pub fn from_geometry(model: &Geometry, rest: &Arc<Vec<DVec3>>) -> Self {
+        Self {
+            rest: Arc::clone(rest),
+            triangles: model.triangles.clone(),
+            normals: model.normals.clone(),
+            tangents: model.tangents.clone(),
+            primitives: model.primitives.clone(),
+        }
+    }
+
+    /// Normals and tangents of a deformed shape. See [`shading()`].
+    pub fn shade(&self, positions: &[DVec3]) -> Shading {
+        let authored = Authored {
+            triangles: &self.triangles,
+            normals: &self.normals,
+            tangents: &self.tangents,
+            primitives: &self.primitives,
+        };
+        shade(&authored, &self.rest, positions)
+    }
+
+    /// Bytes held, without the rest positions, which are shared.
+    pub fn byte_size(&self) -> u64 {
+        let bytes = size_of_val(self.triangles.as_slice())
+            + size_of_val(self.normals.as_slice())
+            + size_of_val(self.tangents.as_slice())
+            + size_of_val(self.primitives.as_slice());
+        bytes as u64
+    }
+}
+
+/// Normals and tangents of a model's deformed shape, one each per render vertex.
+///
+/// Authored normals and tangents follow the deformation. Primitives that came without normals get the smooth normals of the
+/// deformed shape; without tangents, zeros.
+pub fn shading(model: &Geometry, rest: &[DVec3], positions: &[DVec3]) -> Shading {
+    let authored = Authored {
+        triangles: &model.triangles,
+        normals: &model.normals,
+        tangents: &model.tangents,
+        primitives: &model.primitives,
+    };
+    shade(&authored, rest, positions)
+}
+
+/// The part of a model that shading reads.
+struct Authored<'a> {
+    triangles: &'a [[u32; 3]],
+    normals: &'a [Vec3],
+    tangents: &'a [Vec4],
+    primitives: &'a [Primitive],
+}
+
+fn shade(model: &Authored<'_>, rest: &[DVec3], positions: &[DVec3]) -> Shading {
+    let count = positions.len();
+    let gradients = if model.normals.len() == count && rest.len() == count {
+        shading::gradients(rest, positions, model.triangles, model.triangles, count)
+    } else {
+        vec![None; count]
+    };
+    let authored = marked_vertices(model.primitives, count, |p| {
+        p.has_normals && model.normals.len() == count
+    });
+    let mut normals = if authored.iter().all(|&a| a) && !authored.is_empty() {
+        vec![Vec3::Z; count]
+    } else {
+        shading::smooth_normals(positions, model.triangles)
+    };
+    for v in (0..count).filter(|&v| authored[v]) {
+        let normal = model.normals[v];
+        normals[v] = gradients[v]
+            .as_ref()
+            .map_or(normal, |g| shading::carry_normal(g, normal));
+    }
+    let with_tangents = marked_vertices(model.primitives, count, |p| {
+        p.has_tangents && model.tangents.len() == count
+    });
+    let mut tangents = vec![Vec4::ZERO; count];
+    for v in (0..count).filter(|&v| with_tangents[v]) {
+        let tangent = model.tangents[v];
+        tangents[v] = gradients[v]
+            .as_ref()
+            .map_or(tangent, |g| shading::carry_tangent(g, tangent, normals[v]));
+    }
+    Shading { normals, tangents }
+}
+
+/// For every vertex, whether it lies in a primitive for which `holds` is true.
+fn marked_vertices(primitives: &[Primitive], count: usize, holds: impl Fn(&Primitive) -> bool) -> Vec<bool> {
+    let mut marks = vec![false; count];
+    for p in primitives.iter().filter(|p| holds(p)) {
+        let first = (p.first_vertex as usize).min(count);
+        let end = first.saturating_add(p.vertex_count as usize).min(count);
+        marks[first..end].fill(true);
+    }
+    marks
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shading_turns_with_the_shape_where_it_was_authored() {
+        let rest = Arc::new(vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::ZERO, DVec3::X, DVec3::Y]);
+        let primitive = |first_vertex, authored| Primitive {
+            first_vertex,
+            vertex_count: 3,
+            index_count: 3,
+            has_normals: authored,
+            has_tangents: authored,
+            ..Primitive::default()
+        };
+        let bent = Vec3::new(0.6, 0.0, 0.8);
+        let shader = Shader {
+            rest: Arc::clone(&rest),
+            triangles: vec![[0, 1, 2], [3, 4, 5]],
+            normals: [[bent; 3], [Vec3::ZERO; 3]].concat(),
+            tangents: [[Vec4::new(0.0, 1.0, 0.0, -1.0); 3], [Vec4::ZERO; 3]].concat(),
+            primitives: vec![primitive(0, true), primitive(3, false)],
+        };
+        let still = shader.shade(&rest);
+        assert_eq!(
+            (still.normals[0], still.normals[4]),
+            (bent, Vec3::Z),
+            "in the rest pose the authored bits stay"
+        );
+        // A quarter turn about x takes y to z.
+        let turned: Vec<DVec3> = rest.iter().map(|p| DVec3::new(p.x, -p.z, p.y)).collect();
+        let shading = shader.shade(&turned);
+        assert!((shading.normals[1] - Vec3::new(0.6, -0.8, 0.0)).length() < 1e-6);
+        assert!((shading.tangents[1] - Vec4::new(0.0, 0.0, 1.0, -1.0)).length() < 1e-6);
+        assert!((shading.normals[5] - Vec3::NEG_Y).length() < 1e-6);
+        assert_eq!(shading.tangents[5], Vec4::ZERO);
     }
 }

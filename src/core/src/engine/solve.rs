@@ -1,18 +1,26 @@
 //! Poses solved, and brought from the graph's nodes back to render vertices.
+//!
+//! [`Deformer::solve`] takes all that a solve can be given. A [`Drag`], [`Deformer::commit`] and [`Deformer::edit_rest`] are
+//! the short forms.
 
-use super::Deformer;
-use super::deformer::CommittedShape;
-use super::error::{Error, InputPlace};
-use super::pose::{HandlePose, HandlePoses};
-use super::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
-use super::shape::{ModelShape, ShapeId};
-use super::shape_transfer::ShapeTransfer;
 use crate::deform::{
-    CycleReport, HandleSystem, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart, Transform,
-    unfold_faces,
+    CycleReport, DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart,
+    Transform, unfold_faces,
 };
+use crate::engine::Deformer;
+use crate::engine::deformer::CommittedShape;
+use crate::engine::edit_command::{Edit, EditCommand, EditOutcome, EditedShape};
+use crate::engine::error::{Error, InputPlace};
+use crate::engine::handle::{HandlePose, HandlePoses};
+use crate::engine::riding::RidingVertices;
+use crate::engine::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
+use crate::engine::shape::{ModelShape, ShapeId};
 use crate::exec::Exec;
-use glam::DVec3;
+use crate::mesh::carry::CarrySurface;
+use crate::mesh::{Mesh, NONE};
+use crate::pool::Pool;
+use glam::{DVec3, Mat3};
+use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
 
 /// A state of a solve that is under way, given to the watcher after every cycle.
@@ -243,5 +251,135 @@ fn method_name(solution: &PoseSolution) -> &'static str {
         Graph(Solver::PaperCycles) => "paper-cycles",
         Graph(Solver::ConjugateGradients) => "conjugate-gradients",
         SpatialRbf => "spatial-rbf",
+    }
+}
+
+/// A drag under way: every pose starts from the shape of the one before it.
+pub struct Drag<'a> {
+    deformer: &'a mut Deformer,
+    settings: SolveSettings,
+    poses: HandlePoses,
+}
+
+impl Drag<'_> {
+    /// Solves for new poses of some handles; the others stay where they are.
+    ///
+    /// # Errors
+    /// [`Error::Precondition`] without handles, [`Error::Invalid`] for the id of a handle that is not set,
+    /// [`Error::Cancelled`].
+    pub fn solve<'p>(
+        &mut self,
+        changes: impl IntoIterator<Item = (&'p str, HandlePose)>,
+        exec: &Exec<'_>,
+    ) -> Result<SolvedShape, Error> {
+        self.poses = self.deformer.change_poses(&self.poses, changes)?;
+        let mode = SolveMode::Drag;
+        (self.deformer).solve(&self.poses, &self.settings, mode, exec, &mut |_| true)
+    }
+
+    /// Works ahead in idle time, so that the next pose is solved sooner; see [`Deformer::settle`].
+    ///
+    /// # Errors
+    /// Those of [`Deformer::settle`].
+    pub fn settle(&mut self, exec: &Exec<'_>) -> Result<(), Error> {
+        self.deformer.settle(exec)
+    }
+
+    /// Returns the poses that the handles have now.
+    pub fn poses(&self) -> &HandlePoses {
+        &self.poses
+    }
+}
+
+impl Deformer {
+    /// Begins a drag from the poses that the handles came with.
+    pub fn drag(&mut self, settings: &SolveSettings) -> Drag<'_> {
+        Drag {
+            poses: self.initial_poses(),
+            settings: settings.clone(),
+            deformer: self,
+        }
+    }
+
+    /// Solves for poses of some handles, the others being where they were set. The bits of the shape depend on model,
+    /// handles, poses and settings alone.
+    ///
+    /// # Errors
+    /// Those of [`Deformer::change_poses`] and [`Deformer::solve`].
+    pub fn commit<'p>(
+        &mut self,
+        changes: impl IntoIterator<Item = (&'p str, HandlePose)>,
+        settings: &SolveSettings,
+        exec: &Exec<'_>,
+    ) -> Result<SolvedShape, Error> {
+        let poses = self.change_poses(&self.initial_poses(), changes)?;
+        self.solve(&poses, settings, SolveMode::Commit, exec, &mut |_| true)
+    }
+
+    /// Edits the rest shape. Regions that are given by place stay as they are; others become the list of the vertices that are left.
+    ///
+    /// # Errors
+    /// Those of [`Deformer::edit`].
+    pub fn edit_rest(&mut self, edit: &Edit, exec: &Exec<'_>) -> Result<EditOutcome, Error> {
+        let (shape, poses) = (self.rest_shape(), self.initial_poses());
+        let command = EditCommand {
+            edit,
+            on: EditedShape::Rest,
+            shape: &shape,
+            poses: &poses,
+            settings: None,
+        };
+        self.edit(&command, exec)
+    }
+}
+
+/// Vertices that one piece of work handles at least.
+const PIECE: usize = 4096;
+
+/// From graph nodes back to render vertices.
+pub(super) struct ShapeTransfer<'a> {
+    pub body: &'a DeformableBody,
+    pub mesh: &'a Mesh,
+    pub rest: &'a [DVec3],
+    /// Render vertices in no face that a hard handle holds, with its hold.
+    pub strays: &'a [(u32, u32)],
+    pub riders: Option<(&'a CarrySurface, &'a RidingVertices)>,
+    pub pool: &'a Pool,
+}
+
+impl ShapeTransfer<'_> {
+    /// One position per render vertex for those of the nodes, their frames and the handles' transforms.
+    pub fn render(&self, nodes: &[DVec3], frames: &[[f32; 9]], transforms: &[Transform]) -> Vec<DVec3> {
+        let at_rest = &self.body.graph.positions;
+        let place = |(&rest, &solver): (&DVec3, &u32)| {
+            let s = solver as usize;
+            // Bits, not values: -0 and 0 are different bytes of the model.
+            if solver == NONE || nodes[s] == at_rest[s] {
+                return rest;
+            }
+            // Welding by tolerance leaves render vertices a little beside their solver vertex.
+            let beside = rest - at_rest[s];
+            let frame = frames.get(s).map_or(Mat3::IDENTITY, Mat3::from_cols_array);
+            if beside == DVec3::ZERO {
+                nodes[s]
+            } else {
+                nodes[s] + frame.as_dmat3() * beside
+            }
+        };
+        let mut positions: Vec<DVec3> = self.pool.install(|| {
+            let vertices = self.rest.par_iter().zip(&self.mesh.solver_from_render);
+            vertices.with_min_len(PIECE).map(place).collect()
+        });
+        for &(vertex, hold) in self.strays {
+            if let Some(t) = transforms.get(hold as usize) {
+                positions[vertex as usize] = t.map()(positions[vertex as usize]);
+            }
+        }
+        if let Some((surface, riders)) = self.riders {
+            // As elsewhere: what has not moved keeps the bits of the rest shape.
+            let current = &nodes[..self.mesh.positions.len()];
+            riders.place(surface, current, &mut positions, self.pool);
+        }
+        positions
     }
 }

@@ -2,13 +2,13 @@
 //!
 //! Every row can be written on its own, already rising: a vertex's neighbours on the mesh come before their shell
 //! copies, and these before the lattice. So rows are counted, then filled, both in parallel.
+//!
+//! The graph of a mesh alone.
 
-use crate::graph::mesh_graph::{GraphStats, MeshGraph};
-use crate::graph::recipe::GraphRecipe;
-use crate::graph::volume::neighbours::{LatticeRow, NONE};
+use crate::graph::mesh_graph;
+use crate::graph::mesh_graph::{EdgeWeights, GraphRecipe, GraphStats, MeshGraph};
+use crate::graph::volume::lattice_grid::{LatticeRow, NONE};
 use crate::graph::volume::spread::Strut;
-use crate::graph::weights;
-use crate::graph::weights::EdgeWeights;
 use crate::mesh::{Adjacency, Components, Lists, Mesh};
 use crate::pool::Pool;
 use glam::DVec3;
@@ -266,7 +266,7 @@ pub(super) fn assemble(
     for ([v, _], _) in &inner.struts {
         stats.component_has_volume[components.of_vertex[*v as usize] as usize] = true;
     }
-    let found = weights::cotangents(weighting, &mesh.positions, &mesh.triangles, adjacency);
+    let found = mesh_graph::cotangents(weighting, &mesh.positions, &mesh.triangles, adjacency);
     let (cotangents, scale) = found.unzip();
     recipe.cotangents = scale;
     let is_weighted = cotangents.is_some() || !inner.lattice_weights.is_empty() || !inner.struts.is_empty();
@@ -394,4 +394,26 @@ fn spread_weights(
             }
         }
     }
+}
+
+/// Makes a graph of the mesh's vertices and edges alone, for open surfaces and for callers that want no volume graph.
+///
+/// ```
+/// use glam::DVec3;
+/// use pliant_core::graph::{EdgeWeights, surface};
+/// use pliant_core::mesh::{Mesh, Weld};
+///
+/// let positions = [DVec3::ZERO, DVec3::X, DVec3::X + DVec3::Y, DVec3::Y];
+/// let square = Mesh::build(&positions, &[[0, 1, 2], [0, 2, 3]], Weld::Exact)?;
+/// let graph = surface(&square, EdgeWeights::Uniform);
+/// assert_eq!((graph.nodes(), graph.edges()), (4, 5));
+/// assert_eq!(graph.row(0), [1, 2, 3]);
+/// # Ok::<(), pliant_core::mesh::Error>(())
+/// ```
+///
+/// Time and memory are linear in the number of triangles.
+pub fn surface(mesh: &Mesh, weights: EdgeWeights) -> MeshGraph {
+    let adjacency = Adjacency::build(mesh.positions.len(), &mesh.triangles);
+    let parts = Components::of_triangles(mesh.positions.len(), &mesh.triangles);
+    assemble(mesh, &adjacency, &parts, InteriorNodes::default(), weights, None)
 }

@@ -3,9 +3,10 @@
 //! What is unusual about a mesh, place by place, and how it is reported.
 
 use crate::mesh::adjacency::{Adjacency, BoundaryLoop, Components, MeshEdge, boundary_loops};
-use crate::mesh::measure::{BoundingBox, cone_volume, mean_edge_length, signed_volume, surface_area, triangle_area};
+use crate::mesh::measure::{
+    BoundingBox, brief_point, cone_volume, grouped_count, mean_edge_length, signed_volume, surface_area, triangle_area,
+};
 use crate::mesh::query::closest_surface_point::group_fans;
-use crate::mesh::readable::{brief_point, grouped_count};
 use crate::mesh::weld;
 use crate::mesh::weld::Weld;
 use crate::mesh::welded_mesh::{Mesh, NONE};

@@ -13,22 +13,18 @@ mod intersections;
 pub mod local_turns;
 mod measure;
 pub mod query;
-mod readable;
 pub mod rotation;
 pub mod shading;
 mod weld;
 mod welded_mesh;
 
-pub use adjacency::Components;
-pub use adjacency::Lists;
-pub use adjacency::{Adjacency, MeshEdge};
-pub use adjacency::{BoundaryLoop, boundary_loops};
+pub use adjacency::{Adjacency, BoundaryLoop, Components, Lists, MeshEdge, boundary_loops};
 pub use error::Error;
-pub use inspect::MeshWarning;
-pub use inspect::{MeshReport, PartReport, inspect};
+pub use inspect::{MeshReport, MeshWarning, PartReport, inspect};
 pub use intersections::self_intersections;
-pub use measure::{BoundingBox, mean_edge_length, signed_volume, surface_area};
-pub use readable::{brief_number, brief_point, grouped_count};
+pub use measure::{
+    BoundingBox, brief_number, brief_point, grouped_count, mean_edge_length, signed_volume, surface_area,
+};
 pub use weld::Weld;
 pub(crate) use weld::mix_bits;
 pub use welded_mesh::{Mesh, NONE};

@@ -1,7 +1,7 @@
 //! The order of rows inside a block: colours, and bundles of four rows with nearly equal numbers of neighbours.
 
 use crate::build::draft::{LevelDraft, RowBlocks};
-use crate::storage::SLICE_ROWS;
+use crate::lanes::SLICE_ROWS;
 
 /// Largest colour inside a block; rows that would need a higher one are bundled one by one.
 const LAST_COLOUR: u8 = 62;

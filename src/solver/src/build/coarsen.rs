@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use crate::build::draft::{LevelDraft, RowBlocks};
 use crate::lanes::Lanes;
-use crate::storage::NO_ROW;
+use crate::lanes::NO_ROW;
 use crate::threads::{Parallelism, cut, piece_count, piece_rows};
 
 /// Rows that one piece of work handles.
@@ -348,8 +348,8 @@ impl Aggregates {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::build::draft::UnitBoxMap;
     use crate::build::draft::UnorderedRows;
-    use crate::build::order::UnitBoxMap;
     use crate::testing::{BoxLattice, pool};
 
     fn threads() -> Parallelism {

@@ -6,19 +6,19 @@ use bytemuck::zeroed_vec;
 
 use crate::build::coarsen::choose_aggregates;
 use crate::build::draft::{LevelDraft, RowBlocks, UnorderedRows};
+use crate::build::draft::{UnitBoxMap, along_curve, breadth_first};
 use crate::build::layout::arrange_rows;
 use crate::build::level::HierarchyLevel;
 use crate::build::operator::coarse_rows;
-use crate::build::order::{UnitBoxMap, along_curve, breadth_first};
 use crate::error::Error;
 use crate::exec::Exec;
 use crate::graph::WeightedGraph;
 use crate::lanes::{Lanes, SharedRows};
+use crate::lanes::{NO_ROW, SLICE_ROWS};
 use crate::options::{BuildOptions, CoarseOperators, LevelSize};
-use crate::paper::level::UncutGraph;
+use crate::paper::restrict::UncutGraph;
 use crate::pool::Pool;
 use crate::progress::{Cancelled, Progress, check};
-use crate::storage::{NO_ROW, SLICE_ROWS};
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows per block on the finest level; halved from level to level.

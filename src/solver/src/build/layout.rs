@@ -7,8 +7,7 @@
 use crate::build::bundling::SlicePlanner;
 use crate::build::draft::{LevelDraft, RowBlocks};
 use crate::build::level::{HierarchyLevel, SliceExtent};
-use crate::lanes::{Lanes, SharedRows};
-use crate::storage::{SLICE_ROWS, grow};
+use crate::lanes::{Lanes, SLICE_ROWS, SharedRows, grow};
 use crate::threads::{Parallelism, cut};
 use std::ops::Range;
 
@@ -272,7 +271,7 @@ fn copy_into_slices(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::storage::NO_ROW;
+    use crate::lanes::NO_ROW;
     use crate::testing::BoxLattice;
 
     #[test]

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::build::coarsen::{Aggregates, AggregationRule};
 use crate::lanes::{Lanes, RowVectors, SharedRows};
-use crate::storage::{NO_ROW, SLACK, SLICE_ROWS};
+use crate::lanes::{NO_ROW, SLACK, SLICE_ROWS};
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Rows that one piece of work handles.

@@ -7,6 +7,5 @@ pub(crate) mod hierarchy;
 pub(crate) mod layout;
 pub(crate) mod level;
 pub(crate) mod operator;
-pub(crate) mod order;
 
 pub use self::hierarchy::Hierarchy;

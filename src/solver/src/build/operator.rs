@@ -7,8 +7,7 @@
 
 use crate::build::coarsen::Aggregates;
 use crate::build::draft::LevelDraft;
-use crate::lanes::{Lanes, WideLanes};
-use crate::storage::NO_ROW;
+use crate::lanes::{Lanes, NO_ROW, WideLanes};
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Bounds of φ. Below, a coarse vertex could lose its connection (φ can even be negative on folded surfaces); above 1

@@ -1,6 +1,5 @@
 //! From a hierarchy and constraints to a system: masks, diagonals and the coarsest factor.
 
-pub(crate) mod floating;
 pub(crate) mod mask;
 pub(crate) mod system;
 

@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use crate::build::hierarchy::Hierarchy;
 use crate::build::level::HierarchyLevel;
-use crate::constrain::floating::FloatingComponents;
+use crate::constrain::mask::FloatingComponents;
 use crate::constrain::mask::{LevelMask, mask_coarser_level};
 use crate::dense_inverse::DenseInverse;
 use crate::error::Error;
+use crate::lanes::NO_ROW;
 use crate::options::{Constraints, LevelSize};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::pool::Pool;
-use crate::storage::NO_ROW;
 use crate::threads::Parallelism;
 
 /// Up to this many free vertices are solved directly.

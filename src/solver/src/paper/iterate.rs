@@ -7,10 +7,9 @@ use crate::error::Error;
 use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::{InitialGuess, SolveMethod};
 use crate::paper::hierarchy::PaperHierarchy;
-use crate::paper::level::UncutGraph;
 use crate::paper::restrict::{
-    ConjugateSteps, EdgeOffsets, OperatorReading, add, add_correction_from, defect, prolong, restrict_defect,
-    restricted_constants, sweep,
+    ConjugateSteps, EdgeOffsets, OperatorReading, UncutGraph, add, add_correction_from, defect, prolong,
+    restrict_defect, restricted_constants, sweep,
 };
 use crate::progress::{Cancelled, Progress, check};
 use crate::solve::advance::rhs_reference_norms;

@@ -69,8 +69,7 @@
 
 pub(crate) mod hierarchy;
 mod iterate;
-pub(crate) mod level;
-mod restrict;
+pub(crate) mod restrict;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]

@@ -1,14 +1,12 @@
 //! Reading a change: which rows of the finest level it moves, and whether it is consistent.
 
-use crate::build::draft::LevelDraft;
+use crate::build::draft::{LevelDraft, along_curve, breadth_first};
 use crate::build::hierarchy::{Hierarchy, block_size};
 use crate::build::level::HierarchyLevel;
-use crate::build::order::{along_curve, breadth_first};
 use crate::error::Error;
 use crate::graph::WeightedGraph;
-use crate::lanes::Lanes;
+use crate::lanes::{Lanes, NO_ROW};
 use crate::repair::marks::MarkedRows;
-use crate::storage::NO_ROW;
 use crate::threads::{Parallelism, piece_count, piece_rows};
 use std::ops::Range;
 

@@ -5,18 +5,18 @@ use std::sync::Arc;
 
 use crate::build::coarsen::SHRINK;
 use crate::build::draft::{LevelDraft, RowBlocks, UnorderedRows};
+use crate::build::draft::{along_curve, breadth_first};
 use crate::build::hierarchy::{ArrangedDraft, Hierarchy, block_size, coarsen};
 use crate::build::layout::arrange_rows;
 use crate::build::level::HierarchyLevel;
-use crate::build::order::{along_curve, breadth_first};
 use crate::error::Error;
 use crate::exec::Exec;
 use crate::graph::WeightedGraph;
+use crate::lanes::{NO_ROW, grow};
 use crate::progress::Silent;
 use crate::repair::change::{GraphChange, RepairPlan, RepairReport, read_change};
-use crate::repair::place::{PlacedRows, place_rows};
 use crate::repair::regroup::{NewAggregates, coarse_rows, regroup_members};
-use crate::storage::{NO_ROW, grow};
+use crate::repair::regroup::{PlacedRows, place_rows};
 use crate::threads::Parallelism;
 
 /// Levels above the first one with at most this many vertices are rebuilt, not repaired.

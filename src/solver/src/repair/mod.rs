@@ -14,7 +14,6 @@ mod follow;
 #[cfg(test)]
 mod irregular_tests;
 mod marks;
-mod place;
 mod regroup;
 #[cfg(test)]
 mod tests;

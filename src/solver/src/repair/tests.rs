@@ -3,12 +3,11 @@
 use crate::build::hierarchy::Hierarchy;
 use crate::exec::Exec;
 use crate::graph::WeightedGraph;
+use crate::lanes::{NO_ROW, SLICE_ROWS};
 use crate::options::{BuildOptions, Constraints, SolveMethod, SolveOptions};
 use crate::progress::Silent;
 use crate::repair::change::{GraphChange, RepairReport};
-use crate::solve::group::{IterationReport, SolveControl};
-use crate::solve::workspace::Workspace;
-use crate::storage::{NO_ROW, SLICE_ROWS};
+use crate::solve::group::{IterationReport, SolveControl, Workspace};
 use crate::testing::{BoxLattice, pool};
 
 /// A graph that tests change: weights by pair of ids that never change, dead vertices left out of views.

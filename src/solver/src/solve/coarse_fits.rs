@@ -9,12 +9,11 @@
 //! inverse: what Liu, Bouaziz and Kavan (2017) do with a factorisation.
 
 use crate::build::level::HierarchyLevel;
-use crate::lanes::Lanes;
+use crate::lanes::{Lanes, NO_ROW, SLICE_ROWS};
 use crate::progress::{Cancelled, check};
 use crate::solve::cycle::{CoarseVectors, MultigridCycle};
 use crate::solve::patches::{AffinePatches, PatchMap, STILL, Turn, after, nearest_turns, times, turned};
 use crate::solve::sweep::MaskedLevel;
-use crate::storage::{NO_ROW, SLICE_ROWS};
 
 /// Bundles that one piece of work handles.
 const PIECE: usize = 256;

@@ -2,10 +2,9 @@
 
 use crate::build::hierarchy::Hierarchy;
 use crate::constrain::system::LinearSystem;
-use crate::lanes::{Lanes, WIDTH, WideLanes, per_lane, ratio};
+use crate::lanes::{Lanes, SLICE_ROWS, WIDTH, WideLanes, per_lane, ratio, resize_untouched};
 use crate::progress::{Cancelled, Progress, check};
 use crate::solve::sweep::{LaneDots, MaskedLevel, SweepVectors};
-use crate::storage::{SLICE_ROWS, resize_untouched};
 use crate::threads::Parallelism;
 
 /// The second step of a K-cycle is left out once the first one has brought the squared residual down by this factor.
@@ -216,7 +215,7 @@ fn combine_steps(
 mod tests {
     use super::*;
     use crate::progress::Silent;
-    use crate::solve::workspace::Workspace;
+    use crate::solve::group::Workspace;
     use crate::testing::{BoxLattice, pool};
 
     /// M u for the cycle M, with u masked.

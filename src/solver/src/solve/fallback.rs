@@ -165,7 +165,7 @@ mod tests {
     use crate::options::{SolveOptions, SolveStats};
     use crate::progress::Silent;
     use crate::solve::group::SolveControl;
-    use crate::solve::workspace::Workspace;
+    use crate::solve::group::Workspace;
     use crate::testing::{BoxLattice, pool};
 
     fn solve(

@@ -6,16 +6,15 @@ use crate::build::level::HierarchyLevel;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::lanes::{Lanes, prefetch};
+use crate::lanes::{Lanes, NO_ROW, SLICE_ROWS, prefetch};
 use crate::solve::coarse_fits::CoarseFits;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::frame_rows::PoseRow;
+use crate::solve::group::Workspace;
 use crate::solve::patches::{Turn, nearest_turns, turned};
 use crate::solve::pose::{PoseParts, PoseRows};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::start::{StartMaps, full_multigrid};
-use crate::solve::workspace::Workspace;
-use crate::storage::{NO_ROW, SLICE_ROWS};
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
 impl LinearSystem {
@@ -186,12 +185,12 @@ pub(crate) fn turn_rows(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lanes::NO_ROW;
     use crate::options::Constraints;
     use crate::pool::Pool;
     use crate::progress::Silent;
     use crate::solve::group::{IterationReport, SolveControl};
     use crate::solve::pose::PoseCriteria;
-    use crate::storage::NO_ROW;
     use crate::testing::BoxLattice;
 
     const SLENDER: [i32; 3] = [40, 6, 6];

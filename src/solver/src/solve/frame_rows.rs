@@ -9,9 +9,8 @@
 //! off by 3e-8 there, and so is a residual, whatever the solution is: it shows in a shape as some 1e-6 of its size at most.
 
 use crate::build::level::HierarchyLevel;
-use crate::lanes::{Lanes, WideLanes, per_lane, prefetch};
+use crate::lanes::{Lanes, SLICE_ROWS, WideLanes, per_lane, prefetch};
 use crate::solve::patches::PatchMap;
-use crate::storage::SLICE_ROWS;
 use bytemuck::Zeroable;
 
 /// A linear map by its columns, each with whatever number behind it.

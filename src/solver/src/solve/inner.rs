@@ -9,10 +9,9 @@ use crate::progress::Cancelled;
 use crate::solve::advance::{StepNorms, StepTerms, add_correction, fold_correction, longest_step, step_conjugate};
 use crate::solve::group::{
     GroupOutcome, GroupSolve, IterationReport, IterationWatcher, ReachedByCycles, SolutionSnapshot, SolveControl,
-    StoppingCriteria,
+    StoppingCriteria, Workspace,
 };
 use crate::solve::solution_subspace::SolutionSubspace;
-use crate::solve::workspace::Workspace;
 
 /// A stretch ends once the residual fell by this factor: single precision has few digits left.
 const RESTART_REDUCTION: f64 = 1e-5;

@@ -4,18 +4,17 @@ use crate::build::hierarchy::Hierarchy;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
+use crate::lanes::{NO_ROW, WIDTH, WideLanes, per_lane, ratio};
 use crate::options::{InitialGuess, SolveMethod, SolveOptions, SolveStats};
 use crate::pool::Pool;
 use crate::solve::advance::rhs_reference_norms;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::group::{
     GroupOutcome, GroupSolve, IterationReport, IterationWatcher, SolutionSnapshot, SolveControl, StoppingCriteria,
+    Workspace,
 };
 use crate::solve::problem::ColumnGroup;
 use crate::solve::start::{StartMaps, full_multigrid};
-use crate::solve::workspace::Workspace;
-use crate::storage::NO_ROW;
 use crate::threads::Parallelism;
 
 /// Refinements of the direct method at most.

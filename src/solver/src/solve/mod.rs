@@ -16,10 +16,9 @@ pub(crate) mod problem;
 mod solution_subspace;
 mod start;
 mod sweep;
-pub(crate) mod workspace;
 
 pub use self::frame_rows::{MapColumns, PoseRow};
+pub use self::group::Workspace;
 pub use self::group::{IterationReport, SolveControl};
 pub use self::methods::LinearEquations;
 pub use self::pose::{PoseCriteria, PoseRows};
-pub use self::workspace::Workspace;

@@ -11,10 +11,9 @@ use crate::solve::advance::{first_residual, residual, resume_direction, rhs_refe
 use crate::solve::cycle::{clear_inactive, prepare};
 use crate::solve::fallback::conjugate_gradients;
 use crate::solve::frame_rows::FrameRows;
-use crate::solve::group::{GroupOutcome, GroupSolve, IterationWatcher, LeftResidual};
+use crate::solve::group::{GroupOutcome, GroupSolve, IterationWatcher, LeftResidual, Workspace};
 use crate::solve::inner::{InnerEnd, OuterState};
 use crate::solve::problem::{ColumnGroup, posed_residual};
-use crate::solve::workspace::Workspace;
 use crate::threads::Parallelism;
 
 /// Iterations that solves stay below unless something is wrong: their history has room from the first solve on.

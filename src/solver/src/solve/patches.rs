@@ -7,8 +7,8 @@
 
 use std::ops::{Add, Mul, Sub};
 
+use crate::lanes::resize_untouched;
 use crate::lanes::{Lanes, WIDTH, prefetch};
-use crate::storage::resize_untouched;
 
 /// A linear map by its columns.
 pub(crate) type PatchMap = [Lanes; 3];

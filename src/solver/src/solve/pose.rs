@@ -10,16 +10,16 @@ use crate::build::level::HierarchyLevel;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::exec::Exec;
-use crate::lanes::{Lanes, WIDTH};
+use crate::lanes::{Lanes, NO_ROW, SLICE_ROWS, WIDTH, resize_untouched};
 use crate::options::SolveStats;
 use crate::pool::Pool;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::frame_rows::{FrameRows, PoseRow};
-use crate::solve::group::{GroupOutcome, GroupSolve, IterationReport, LeftResidual, SolveControl, StoppingCriteria};
+use crate::solve::group::{
+    GroupOutcome, GroupSolve, IterationReport, LeftResidual, SolveControl, StoppingCriteria, Workspace,
+};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::solution_subspace::SolutionSubspace;
-use crate::solve::workspace::Workspace;
-use crate::storage::{NO_ROW, SLICE_ROWS, resize_untouched};
 use crate::threads::Parallelism;
 
 /// Rows that one piece of work handles.

@@ -7,9 +7,9 @@ use crate::build::hierarchy::{Hierarchy, power_of_two_below};
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
 use crate::lanes::{Lanes, RowVectors, WIDTH, WideLanes, add_wide};
+use crate::lanes::{NO_ROW, SLICE_ROWS, resize_untouched};
 use crate::solve::frame_rows::FrameRows;
 use crate::solve::sweep::MaskedLevel;
-use crate::storage::{NO_ROW, SLICE_ROWS, resize_untouched};
 use crate::threads::{Parallelism, piece_count, piece_rows};
 
 /// Bundles whose right-hand sides are fetched together.

@@ -4,10 +4,9 @@
 //! next residual is first freed of what they can explain, the best combination in the energy norm, column by column. It takes
 //! two passes over the rows and leaves one iteration or none, where without it there would be two or more.
 
-use crate::lanes::{Lanes, WIDTH, WideLanes, per_lane};
+use crate::lanes::{Lanes, SLICE_ROWS, WIDTH, WideLanes, per_lane, resize_untouched};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::sweep::{LaneDots, MaskedLevel};
-use crate::storage::{SLICE_ROWS, resize_untouched};
 
 /// Corrections that are kept, and the one that the present pose makes.
 const PLACES: usize = 4;
@@ -224,10 +223,10 @@ fn solve_small(known: [bool; PLACES], matrix: &dyn Fn(usize, usize) -> f64, righ
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lanes::NO_ROW;
     use crate::options::Constraints;
     use crate::solve::pose::{PoseParts, PoseRows};
     use crate::solve::problem::posed_residual;
-    use crate::storage::NO_ROW;
     use crate::testing::{BoxLattice, pool};
     use crate::threads::Parallelism;
 

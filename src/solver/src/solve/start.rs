@@ -5,18 +5,17 @@
 //! the mean of the members' maps s_i R_i. Equation (12) keeps its form on every level, with
 //! d_IJ = ½ (F_I + F_J) (c_I − c_J) and β_I summed over the members. Without maps the patches are rigid points.
 
-use crate::build::order::UnitBoxMap;
+use crate::build::draft::UnitBoxMap;
 use crate::constrain::mask::tie_share;
-use crate::lanes::{Lanes, SharedRows, WIDTH, WideLanes, add_wide};
+use crate::lanes::{Lanes, NO_ROW, SharedRows, WIDTH, WideLanes, add_wide};
 use crate::progress::{Cancelled, check};
 use crate::solve::coarse_fits::CoarseFits;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::frame_rows::FrameRows;
+use crate::solve::group::Workspace;
 use crate::solve::patches::{AffinePatches, PatchMap};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::sweep::MaskedLevel;
-use crate::solve::workspace::Workspace;
-use crate::storage::NO_ROW;
 use crate::threads::{piece_count, piece_rows};
 
 /// Rows that one piece of work handles.

@@ -17,8 +17,7 @@
 
 use crate::build::level::HierarchyLevel;
 use crate::constrain::mask::LevelMask;
-use crate::lanes::{Lanes, RowVectors, SharedRows, WIDTH, WideLanes, add_wide};
-use crate::storage::{NO_ROW, SLICE_ROWS};
+use crate::lanes::{Lanes, NO_ROW, RowVectors, SLICE_ROWS, SharedRows, WIDTH, WideLanes, add_wide};
 use crate::threads::Parallelism;
 
 /// Rows of a vector pass without blocks.

@@ -1,10 +1,7 @@
 //! Other methods than the paper's, to compare with. The solve on the graph knows none of them.
 
-mod linear_frames;
-mod orientation_diffusion;
+mod rotations;
 mod spatial_rbf;
-mod spatial_rbf_solve;
 
-pub(super) use linear_frames::linear_frames;
-pub(super) use orientation_diffusion::diffuse;
-pub use spatial_rbf_solve::SpatialRbf;
+pub(super) use rotations::{diffuse, linear_frames};
+pub use spatial_rbf::SpatialRbf;

@@ -1,12 +1,34 @@
-//! Rotation and scale of each node, blended from the handles' by their fields.
+//! Rotation and scale of each node, blended from the handles' by their fields, and frames of nodes as they are stored.
 
 use crate::deform::body::DeformableBody;
-use crate::deform::first_pass::frame::{LocalRotation, pack_rotation, unpack_rotation};
 use crate::deform::handles::system::HandleSystem;
-use crate::deform::rotation::blending::RotationBlending;
+use crate::deform::rotation::RotationBlending;
 use crate::deform::transform::Transform;
 use crate::mesh::rotation::{exp_rotation, exp_symmetric, relative_rotation};
 use glam::{DMat3, DQuat, DVec3};
+
+/// A node's linear map R S, column-major.
+pub type LocalFrame = [f32; 9];
+
+/// The identity frame.
+pub(in crate::deform) const IDENTITY_FRAME: LocalFrame = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+
+/// A rotation per node, as (x, y, z, w) of a unit quaternion.
+pub(in crate::deform) type LocalRotation = [f32; 4];
+
+pub(in crate::deform) fn pack_rotation(q: DQuat) -> LocalRotation {
+    q.as_quat().to_array()
+}
+
+pub(in crate::deform) fn unpack_rotation(turn: LocalRotation) -> DQuat {
+    glam::Quat::from_array(turn).as_dquat().normalize()
+}
+
+/// R S of a node.
+pub(in crate::deform) fn pack_frame(rotation: DQuat, scale: Option<DMat3>) -> LocalFrame {
+    let r = DMat3::from_quat(rotation);
+    scale.map_or(r, |s| r * s).as_mat3().to_cols_array()
+}
 
 /// Rotations and scales of a pose, node by node.
 pub(in crate::deform) struct PoseBlend<'a> {

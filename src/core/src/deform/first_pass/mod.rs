@@ -1,10 +1,8 @@
 //! The first pass: every node's rotation and scale, blended from the handles' by their fields (paper section 2.1).
 
 pub(super) mod blend;
-pub(super) mod frame;
 pub(super) mod quick_frames;
 pub(super) mod spread;
-mod weighted_sum;
 
-pub use frame::LocalFrame;
+pub use blend::LocalFrame;
 pub use spread::{FirstPass, frames};

@@ -1,20 +1,24 @@
-//! The first pass: every node's rotation and scale, blended from the handles' by their fields (paper section 2.1).
+//! How every node gets its rotation and scale (paper section 2.1).
 //!
 //! Rotations are blended as rotation vectors relative to a base handle, so any number of turns is spread evenly; how
-//! several axes go together is [`super::blending`]'s. Scales are blended as logarithms, so that halving and doubling
-//! weigh the same. [`FirstPass`] says what may replace the blend of rotations; scales stay as they are.
+//! several axes go together is in [`crate::deform::rotation`]. Scales are blended as logarithms, so that halving and
+//! doubling weigh the same. [`FirstPass`] says what may replace the blend of rotations; scales stay as they are.
+//!
+//! Animations, which solve many poses a second, blend rotations without trigonometry. At each node the quaternions of the
+//! few handles with a weight there get the sign of the heaviest one, are weighted, summed and normalised. It costs some
+//! multiplications a node, and is as good as the mean on the sphere where handles differ by less than half a turn there;
+//! whole turns are lost.
 
 use crate::deform::body::DeformableBody;
 use crate::deform::comparison;
 use crate::deform::error::Error;
-use crate::deform::first_pass::blend::PoseBlend;
-use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame, LocalRotation, pack_frame};
-use crate::deform::first_pass::weighted_sum::weighted_sums;
+use crate::deform::first_pass::blend::{IDENTITY_FRAME, LocalFrame, LocalRotation, PoseBlend, pack_frame};
 use crate::deform::handles::system::HandleSystem;
 use crate::deform::transform::Transform;
 use crate::exec::Exec;
+use crate::mesh::rotation::exp_rotation;
 use crate::pool::Pool;
-use glam::DQuat;
+use glam::{DQuat, Quat};
 use rayon::prelude::*;
 
 /// How rotations are spread from the handles over the nodes.
@@ -94,6 +98,40 @@ pub(in crate::deform) fn blend_frames_with(
                 (None, None) => IDENTITY_FRAME,
                 (rotation, scale) => pack_frame(rotation.unwrap_or(DQuat::IDENTITY), scale),
             })
+            .collect()
+    })
+}
+
+/// The rotations of all nodes for the holds' transforms.
+fn weighted_sums(rig: &HandleSystem, transforms: &[Transform], pool: &Pool) -> Vec<LocalRotation> {
+    let shares = rig.sparse_shares(pool);
+    // The frozen surroundings stand still; they come after the holds.
+    let holds: Vec<Quat> = (transforms.iter())
+        .map(|t| exp_rotation(t.rotation).as_quat())
+        .chain([Quat::IDENTITY])
+        .collect();
+    let blend = |node: usize| {
+        let some = shares.at(node);
+        let Some(&(most, _)) = some.first() else {
+            return Quat::IDENTITY.to_array();
+        };
+        let most = holds[most as usize];
+        let mut sum = Quat::from_array([0.0; 4]);
+        for &(hold, share) in some {
+            let hold = holds[hold as usize];
+            let share = if hold.dot(most) < 0.0 { -share } else { share };
+            sum += hold * share;
+        }
+        match sum.length_squared() > 1e-12 {
+            true => sum.normalize().to_array(),
+            false => most.to_array(),
+        }
+    };
+    pool.install(|| {
+        (0..shares.nodes())
+            .into_par_iter()
+            .with_min_len(4096)
+            .map(blend)
             .collect()
     })
 }

@@ -2,12 +2,9 @@
 
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
-use crate::deform::fields::harmonic::HarmonicFields;
-use crate::deform::fields::solve::solve_fields;
-use crate::deform::fields::sparse::SparseShares;
+use crate::deform::fields::{HarmonicFields, SparseShares, solve_fields};
 use crate::deform::handles::free_parts::FreeParts;
-use crate::deform::handles::ownership::{NOBODY, NodeOwnership};
-use crate::deform::handles::setup::{HandleConstraint, HandleSetup};
+use crate::deform::handles::ownership::{HandleConstraint, HandleSetup, NOBODY, NodeOwnership};
 use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;

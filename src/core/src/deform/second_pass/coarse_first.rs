@@ -5,14 +5,12 @@
 //! fits are left to do, a cycle after each, in the order of the solver's rows; they end once the energy hardly falls either.
 
 use crate::deform::error::Error;
-use crate::deform::first_pass::frame::LocalFrame;
+use crate::deform::first_pass::blend::LocalFrame;
 use crate::deform::second_pass::drag::{SINGLE_ERROR, SINGLE_TOLERANCE, fill_scattered};
-use crate::deform::second_pass::drag_rows::NO_NODE;
 use crate::deform::second_pass::equations::PosedHandles;
-use crate::deform::second_pass::pose::SolveStart;
 use crate::deform::second_pass::refine::{FitOrder, RotationFit};
 use crate::deform::second_pass::solve::{PoseSolve, SolveTally};
-use crate::deform::second_pass::state::SolveState;
+use crate::deform::second_pass::state::{NO_NODE, SolveStart, SolveState};
 use crate::pool::Pool;
 use crate::progress::check;
 use crate::solver::{PoseCriteria, PoseRows, SolveControl, SolveStats};

@@ -7,18 +7,15 @@
 
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
-use crate::deform::first_pass::blend::PoseBlend;
-use crate::deform::first_pass::frame::LocalFrame;
+use crate::deform::first_pass::blend::{LocalFrame, PoseBlend};
 use crate::deform::first_pass::quick_frames::QuickFrames;
 use crate::deform::first_pass::spread::FirstPass;
 use crate::deform::handles::motion::HandleMotion;
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;
-use crate::deform::second_pass::drag_rows::{DragRows, NO_NODE};
-use crate::deform::second_pass::pose::{
-    CycleReport, PoseMethod, PoseRequest, PoseSolution, SolutionExtent, SolveStart,
+use crate::deform::second_pass::state::{
+    CycleReport, DragRows, NO_NODE, PoseMethod, PoseRequest, PoseSolution, SolutionExtent, SolveStart, SolveState,
 };
-use crate::deform::second_pass::state::SolveState;
 use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;

@@ -5,7 +5,7 @@
 //! neighbours enter through α and β inside the solver; soft handles add their stiffness.
 
 use crate::deform::body::DeformableBody;
-use crate::deform::first_pass::frame::{IDENTITY_FRAME, LocalFrame};
+use crate::deform::first_pass::blend::{IDENTITY_FRAME, LocalFrame};
 use crate::deform::first_pass::spread::blend_frames_with;
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;

@@ -2,17 +2,12 @@
 
 mod coarse_first;
 mod drag;
-mod drag_rows;
-mod energy;
 mod equations;
-pub(super) mod pose;
 pub(super) mod refine;
 pub(super) mod single_precision;
-pub(super) mod single_rest;
 mod solve;
 pub(super) mod state;
 
 pub use equations::SecondPassEquations;
-pub use pose::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolutionExtent, SolveStart};
 pub use refine::{FitOrder, Refinement};
-pub use state::SolveState;
+pub use state::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolutionExtent, SolveStart, SolveState};

@@ -5,11 +5,12 @@
 //! positions solve equation (8). Alternating the two on one hierarchy makes rotations follow what handles do by being
 //! moved, to which the first pass is blind. Smoothing adds each node's neighbours' rotations to its own fit (Levi &
 //! Gotsman 2015).
+//!
+//! How far a shape is from moving rigidly piece by piece: the energy that fitting rotations makes smaller.
 
 use crate::deform::body::DeformableBody;
-use crate::deform::first_pass::blend::PoseBlend;
-use crate::deform::first_pass::frame::{
-    IDENTITY_FRAME, LocalFrame, LocalRotation, pack_frame, pack_rotation, unpack_rotation,
+use crate::deform::first_pass::blend::{
+    IDENTITY_FRAME, LocalFrame, LocalRotation, PoseBlend, pack_frame, pack_rotation, unpack_rotation,
 };
 use crate::deform::first_pass::spread::FirstRotations;
 use crate::deform::handles::ownership::NOBODY;
@@ -18,7 +19,7 @@ use crate::deform::second_pass::single_precision::QuickFit;
 use crate::deform::transform::Transform;
 use crate::mesh::rotation::{exp_rotation, nearest_rotation};
 use crate::pool::Pool;
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3, Mat3};
 use rayon::prelude::*;
 
 /// How rotations are fitted after the second pass.
@@ -222,4 +223,32 @@ impl<'a> RotationFit<'a> {
 fn farther(from: DQuat, to: DQuat) -> DQuat {
     let to = if to.dot(from) < 0.0 { -to } else { to };
     (from * (1.0 - FARTHER) + to * FARTHER).normalize()
+}
+
+impl HandleSystem {
+    /// The as-rigid-as-possible energy of node positions (model space): Σ w |x_i − x_j − M_i (p_i − p_j)|² over all edges, both ways,
+    /// relative to Σ w |p_i − p_j|², with the rotations that make it least where no handle says them. Pulls of soft handles have no
+    /// part in it.
+    pub fn energy(&self, body: &DeformableBody, transforms: &[Transform], positions: &[DVec3], pool: &Pool) -> f64 {
+        let moved_parts = self.moved_parts(body, transforms);
+        let first = FirstRotations::BLEND;
+        let fit = RotationFit::new(body, self, transforms, &moved_parts, &first, Refinement::default());
+        let x: Vec<f64> = positions
+            .iter()
+            .flat_map(|p| body.solving_from_model(*p).to_array())
+            .collect();
+        let frames = fit.frames(&fit.step(&fit.start(pool), &x, pool), pool);
+        let at = |i: usize| DVec3::from_slice(&x[3 * i..3 * i + 3]);
+        let rest = |i: usize| body.rest(i);
+        let (mut sum, mut size) = (0.0, 0.0);
+        for (i, frame) in frames.iter().enumerate() {
+            let frame = Mat3::from_cols_array(frame).as_dmat3();
+            for (j, w) in body.edges(i) {
+                let edge = rest(i) - rest(j);
+                sum += w * (at(i) - at(j) - frame * edge).length_squared();
+                size += w * edge.length_squared();
+            }
+        }
+        if size > 0.0 { sum / size } else { 0.0 }
+    }
 }

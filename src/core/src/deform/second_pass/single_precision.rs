@@ -4,9 +4,8 @@
 //! positions around the middle of the model, about unit size, so a fit is off by some 1e-5 and a right-hand side by some 1e-6
 //! of an edge. What is gathered for a neighbour lies in one cache line.
 
-use crate::deform::body::DeformableBody;
-use crate::deform::first_pass::frame::{LocalFrame, LocalRotation, pack_rotation};
-use crate::deform::second_pass::single_rest::SingleRest;
+use crate::deform::body::{DeformableBody, SingleRest};
+use crate::deform::first_pass::blend::{LocalFrame, LocalRotation, pack_rotation};
 use crate::mesh::rotation::nearest_rotation_within;
 use crate::pool::Pool;
 use glam::{DVec3, Mat3, Mat3A, Quat, Vec3A};

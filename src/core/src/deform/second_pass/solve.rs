@@ -2,21 +2,20 @@
 
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
-use crate::deform::first_pass::frame::LocalRotation;
+use crate::deform::first_pass::blend::LocalRotation;
 use crate::deform::first_pass::spread::{FirstRotations, blend_frames_with};
 use crate::deform::handles::system::{ConstrainedSystem, HandleSystem};
 use crate::deform::second_pass::drag::DragPose;
 use crate::deform::second_pass::equations::{PosedHandles, Precision};
-use crate::deform::second_pass::pose::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolveStart};
-use crate::deform::second_pass::refine::Refinement;
-use crate::deform::second_pass::refine::RotationFit;
+use crate::deform::second_pass::refine::{Refinement, RotationFit};
 use crate::deform::second_pass::single_precision::frames_of;
-use crate::deform::second_pass::state::SolveState;
+use crate::deform::second_pass::state::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolveStart, SolveState};
 use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::progress::check;
-use crate::solver::{self, SolveControl, SolveOptions};
+use crate::solver;
+use crate::solver::{SolveControl, SolveOptions};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 

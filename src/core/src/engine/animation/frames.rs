@@ -1,14 +1,14 @@
-//! The frames of an animation, block by block.
+//! The frames of an animation, block by block, and sums over them.
 
-use super::clip_request::{AnimationRefinement, BLOCK_FRAMES};
-use super::prepare::Animation;
 use crate::deform::{
     FirstPass, FitOrder, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart, SolveState, Transform,
     unfold_faces,
 };
+use crate::engine::animation::prepare::{Animation, AnimationRefinement, BLOCK_FRAMES};
 use crate::engine::error::Error;
+use crate::engine::facts::QualityReport;
 use crate::engine::quality::FrameQuality;
-use crate::engine::shape_transfer::ShapeTransfer;
+use crate::engine::solve::ShapeTransfer;
 use crate::exec::Exec;
 use crate::mesh::rotation::log_rotation;
 use crate::motion::rig::RigidMotion;
@@ -360,5 +360,55 @@ fn transform(motion: &RigidMotion) -> Transform {
         rotation: log_rotation(motion.rotation),
         log_scale: DMat3::ZERO,
         pivot: motion.from,
+    }
+}
+
+/// Sums over the frames of an animation, added one by one.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct FrameSums {
+    /// How many frames.
+    pub frames: usize,
+    volume_change: f64,
+    flipped_triangles: f64,
+    edge_rms: f64,
+    /// The change of volume that is farthest from none.
+    pub volume_change_worst: f64,
+    /// Most triangles that are turned over in one frame.
+    pub flipped_triangles_worst: u32,
+    /// The largest stretch in any frame.
+    pub max_stretch: f64,
+}
+
+impl FrameSums {
+    /// Adds a frame.
+    pub fn add(&mut self, quality: &QualityReport) {
+        self.frames += 1;
+        self.volume_change += quality.volume_change;
+        self.flipped_triangles += f64::from(quality.flipped_triangles);
+        self.edge_rms += quality.edge_rms;
+        if quality.volume_change.abs() > self.volume_change_worst.abs() {
+            self.volume_change_worst = quality.volume_change;
+        }
+        self.flipped_triangles_worst = self.flipped_triangles_worst.max(quality.flipped_triangles);
+        self.max_stretch = self.max_stretch.max(quality.max_stretch);
+    }
+
+    fn mean(&self, sum: f64) -> f64 {
+        sum / self.frames.max(1) as f64
+    }
+
+    /// Mean of the changes of volume.
+    pub fn volume_change_mean(&self) -> f64 {
+        self.mean(self.volume_change)
+    }
+
+    /// Mean number of triangles that are turned over.
+    pub fn flipped_triangles_mean(&self) -> f64 {
+        self.mean(self.flipped_triangles)
+    }
+
+    /// Mean of the edges' root mean squares.
+    pub fn edge_rms_mean(&self) -> f64 {
+        self.mean(self.edge_rms)
     }
 }

@@ -1,14 +1,20 @@
 //! Rigs that are made of models: of their skins, or of the bodies that are found in their shapes.
+//!
+//! Which bones of a rig carry the vertices of a model.
+//!
+//! What is not solved in a model that has a skin: what no skin places, such as hulls for collisions, props and floors, and coarser
+//! levels of detail of what is solved. Rigs are found without it, and clips are solved without it.
 
-use super::left_out::{left_out_primitives, reasons};
-use crate::asset::Model;
+use crate::asset::{CarryingJoints, Model, MovingScene, PlayedJoint, Primitive};
 use crate::engine::error::Error;
+use crate::engine::settings::{Passenger, PassengerKind};
 use crate::exec::Exec;
 use crate::motion::humanoid::{
     BODY_JOINTS, ClipBones, PlacedJoint, bones_of_names, bones_of_shape, find_body, preset_skeleton, rig_of_body,
 };
-use crate::motion::rig::{MotionRig, ReferencePose, RigError, rig_of_skin};
-use crate::motion::{MotionClip, NodeOrder, Skeleton, clip_of_scene};
+use crate::motion::rig::{MotionRig, ReferencePose, RigError, rig_joints, rig_of_skin, skin_bones};
+use crate::motion::skin_weights::{SkinWeightOptions, skin_weights};
+use crate::motion::{BoneInfluences, MotionClip, NodeOrder, Skeleton, clip_of_scene};
 use glam::DVec3;
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -244,5 +250,182 @@ fn joints_of_skin(skin: &MotionClip, joints: &mut BTreeMap<&'static str, DVec3>)
         if let Some(joint) = bones.get(bone.id) {
             joints.entry(bone.from).or_insert(world[*joint].translation);
         }
+    }
+}
+
+/// Joints, and which of them carry each vertex.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BoundModel {
+    /// One for each bone of the rig.
+    pub joints: Vec<PlayedJoint>,
+    /// By render vertex.
+    pub influences: Vec<BoneInfluences>,
+}
+
+/// Binds a model to the bones of a rig, each vertex to at most so many.
+///
+/// # Errors
+/// [`Error::Invalid`] for a number of influences out of range or a model without vertices.
+pub fn bind_model(model: &Model, rig: &MotionRig, influences: usize, exec: &Exec<'_>) -> Result<BoundModel, Error> {
+    let options = SkinWeightOptions {
+        influences,
+        ..SkinWeightOptions::default()
+    };
+    let found = skin_weights(&model.positions, &model.triangles, &skin_bones(rig), &options, exec);
+    Ok(BoundModel {
+        joints: rig_joints(rig),
+        influences: found?,
+    })
+}
+
+/// Which bones of a rig that was made of a model's skin carry each of its vertices: what the skin says, each joint's share with
+/// the bone of its name, or the nearest above it.
+///
+/// # Errors
+/// What reading the model's scene fails with.
+pub fn influences_of_skin(model: &Model, rig: &MotionRig) -> Result<Vec<BoneInfluences>, Error> {
+    let Some(scene) = model.moving_scene()? else {
+        return Ok(vec![BoneInfluences::one(0); model.positions.len()]);
+    };
+    let order = NodeOrder::of(&scene);
+    let skeleton = clip_of_scene(&scene, &order, None).skeleton;
+    let mut bones: Vec<u16> = Vec::with_capacity(skeleton.joints.len());
+    for joint in &skeleton.joints {
+        let own = rig.bones.iter().position(|bone| bone.joint == joint.name);
+        let above = joint.parent.map_or(0, |parent| bones[parent]);
+        bones.push(own.map_or(above, |bone| bone as u16));
+    }
+    let of_vertex = |vertex: usize| {
+        let mut pairs: Vec<(u16, f64)> = Vec::new();
+        for (node, weight) in scene.influences.of(vertex) {
+            let bone = bones[order.joints[*node as usize]];
+            match pairs.iter_mut().find(|pair| pair.0 == bone) {
+                Some(pair) => pair.1 += f64::from(*weight),
+                None => pairs.push((bone, f64::from(*weight))),
+            }
+        }
+        BoneInfluences::from_pairs(&mut pairs).unwrap_or_else(|| BoneInfluences::one(0))
+    };
+    Ok((0..model.positions.len()).map(of_vertex).collect())
+}
+
+/// The joints of a vertex, as a file lists them.
+pub fn carrying_joints(own: &BoneInfluences) -> CarryingJoints {
+    let mut carrying = CarryingJoints::default();
+    for (slot, (bone, weight)) in carrying.iter_mut().zip(own.iter()) {
+        *slot = (bone as u32, weight as f32);
+    }
+    carrying
+}
+
+/// What is not solved where a clip moves a model that has a skin: primitives that no skin places, such as hulls for collisions, and
+/// those whose names end in `lod1` or a higher number while others do not: coarser copies of what is solved. The model's own clip
+/// moves them by their nodes and joints; with any other they ride along with the surface that is solved. Empty for a model without a
+/// skin, or one whose skins place nothing.
+///
+/// # Errors
+/// Those of [`Model::moving_scene`].
+pub fn left_out_primitives(model: &Model) -> Result<Vec<usize>, Error> {
+    let has_skin = |scene: &MovingScene| scene.is_joint.contains(&true) && scene.primitives.iter().any(|p| p.has_skin);
+    let Some(scene) = model.moving_scene()?.filter(has_skin) else {
+        return Ok(Vec::new());
+    };
+    let primitives = || scene.primitives.iter().map(|p| p.has_skin).zip(&model.primitives);
+    let is_finest = |(has_skin, primitive): (bool, &Primitive)| has_skin && !is_coarser_level(primitive);
+    let has_finest = primitives().any(is_finest);
+    let left_out = primitives()
+        .enumerate()
+        .filter(|(_, (has_skin, primitive))| match has_finest {
+            true => !is_finest((*has_skin, primitive)),
+            false => !has_skin,
+        });
+    Ok(left_out.map(|(number, _)| number).collect())
+}
+
+/// Whether the name says that this is a coarser level of detail: `lod1`, `Body_LOD2`, `hair.lod-1`, but neither `lod0` nor `explod1`.
+fn is_coarser_level(primitive: &Primitive) -> bool {
+    let name = &primitive.name;
+    let before = name.trim_end_matches(|c: char| c.is_ascii_digit());
+    let is_coarser = name[before.len()..].bytes().any(|digit| digit != b'0');
+    let word = before.strip_suffix(['_', '-', ' ', '.']).unwrap_or(before);
+    let start = word.len().checked_sub(3).filter(|start| word.is_char_boundary(*start));
+    let begins_a_word = |start: usize| !word[..start].ends_with(|c: char| c.is_alphabetic()) || word.ends_with("LOD");
+    is_coarser && start.is_some_and(|start| word[start..].eq_ignore_ascii_case("lod") && begins_a_word(start))
+}
+
+/// Those primitives as what rides along when the model is opened.
+///
+/// # Errors
+/// Those of [`Model::moving_scene`].
+pub fn left_out_passengers(model: &Model) -> Result<Vec<Passenger>, Error> {
+    let passenger = |number: usize| Passenger {
+        name: model.primitives[number].name.clone(),
+        kind: PassengerKind::Primitive(number as u32),
+    };
+    Ok(left_out_primitives(model)?.into_iter().map(passenger).collect())
+}
+
+/// Which primitives of a model with a skin are left out: one line for each reason, and one for those that are solved all the same,
+/// because the session that has the model open does not have them as passengers. The model's own clip moves what is left out, so that
+/// nothing is said of it then.
+pub(super) fn left_out_warnings(
+    model: &Model,
+    primitives: &[Primitive],
+    is_own_clip: bool,
+) -> Result<Vec<String>, Error> {
+    let numbers = left_out_primitives(model)?.into_iter();
+    let (riding, solved): (Vec<usize>, Vec<usize>) =
+        numbers.partition(|number| primitives.get(*number).is_some_and(|p| p.is_passenger));
+    let mut lines = match is_own_clip {
+        true => Vec::new(),
+        false => reasons(model, riding, ["not solved"; 2]),
+    };
+    let consequences = [
+        "solved with the body; a session that has it as a passenger leaves it out",
+        "solved with the body; a session that has them as passengers leaves them out",
+    ];
+    lines.extend(reasons(model, solved, consequences));
+    Ok(lines)
+}
+
+/// Why primitives are left out, one line for each reason, and what that means for one and for several.
+fn reasons(model: &Model, numbers: Vec<usize>, consequences: [&str; 2]) -> Vec<String> {
+    let (coarser, unskinned): (Vec<usize>, Vec<usize>) = numbers
+        .into_iter()
+        .partition(|number| is_coarser_level(&model.primitives[*number]));
+    let reasons = [
+        (unskinned, ["has no skin, and is", "have no skin, and are"]),
+        (
+            coarser,
+            [
+                "is a coarser level of detail, and is",
+                "are coarser levels of detail, and are",
+            ],
+        ),
+    ];
+    let lines = reasons.into_iter().filter(|(numbers, _)| !numbers.is_empty());
+    lines
+        .map(|(numbers, [of_one, of_many])| {
+            let (reason, consequence) = match numbers.len() {
+                1 => (of_one, consequences[0]),
+                _ => (of_many, consequences[1]),
+            };
+            format!("{} {reason} {consequence}", primitive_names(model, &numbers))
+        })
+        .collect()
+}
+
+/// The names of some primitives, or their numbers where they have none.
+fn primitive_names(model: &Model, numbers: &[usize]) -> String {
+    const LISTED: usize = 8;
+    let name = |number: &usize| match model.primitives.get(*number) {
+        Some(primitive) if !primitive.name.is_empty() => format!("\"{}\"", primitive.name),
+        _ => format!("primitive {number}"),
+    };
+    let names: Vec<String> = numbers.iter().take(LISTED).map(name).collect();
+    let more = numbers.len() - names.len();
+    match more {
+        0 => names.join(", "),
+        _ => format!("{} and {more} more", names.join(", ")),
     }
 }

@@ -8,27 +8,21 @@
 //! absolute indices: each block is begun afresh, and within it every frame goes on from the one before. So blocks can be
 //! solved at the same time, a range can be taken out or resumed, and the bits stay the same.
 
-mod bound_model;
-mod clip_request;
 mod frames;
 mod held_nodes;
-mod key_frames;
-mod left_out;
 mod made_rig;
 mod moving_clip;
 mod played;
 mod prepare;
-mod sums;
 
-pub use bound_model::{BoundModel, bind_model, carrying_joints, influences_of_skin};
-pub use clip_request::{
-    AnimationLimits, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, ClipRequest, ClipSource, FrameChoice,
-    FrameTimes,
-};
-pub use frames::{AnimatedFrame, FrameCursor, FrameSource};
+pub use frames::{AnimatedFrame, FrameCursor, FrameSource, FrameSums};
 pub use held_nodes::RigHandleFacts;
-pub use left_out::{left_out_passengers, left_out_primitives};
-pub use made_rig::{MadeRig, RigOrder, left_out_of_rig, make_rig};
+pub use made_rig::{
+    BoundModel, MadeRig, RigOrder, bind_model, carrying_joints, influences_of_skin, left_out_of_rig,
+    left_out_passengers, left_out_primitives, make_rig,
+};
 pub use played::{PlayedClipFile, PlayedForm, WrittenError, node_place};
-pub use prepare::{Animation, RigNodes};
-pub use sums::FrameSums;
+pub use prepare::{
+    Animation, AnimationLimits, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, ClipRequest, ClipSource,
+    FrameChoice, FrameTimes, RigNodes,
+};

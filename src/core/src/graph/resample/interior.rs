@@ -1,17 +1,12 @@
 //! Lattice nodes around an edit: which stay, which places get new ones, and the edges of both.
 
 use crate::graph::error::Error;
-use crate::graph::mesh_graph::MeshGraph;
+use crate::graph::mesh_graph::{InteriorRecipe, MeshGraph};
 use crate::graph::parallel::map;
-use crate::graph::recipe::InteriorRecipe;
-use crate::graph::resample::change::GraphBefore;
-use crate::graph::resample::change::{ChangedPoints, MeshChange, NewEdge, NodeNumbers};
-use crate::graph::resample::edges::{EdgeFinder, TAKEN};
-use crate::graph::resample::edges::{NodeTable, ZoneGrid, ZoneNode};
-use crate::graph::resample::places::{ShellCopies, ShellSite};
-use crate::graph::resample::zone::LocalMesh;
-use crate::graph::resample::zone::{CORE, NEAR, RIM};
-use crate::graph::volume::neighbours::LatticeKey;
+use crate::graph::resample::change::{ChangedPoints, GraphBefore, MeshChange, NewEdge, NodeNumbers};
+use crate::graph::resample::edges::{EdgeFinder, NodeTable, ShellCopies, ShellSite, TAKEN, ZoneGrid, ZoneNode};
+use crate::graph::resample::zone::{CORE, LocalMesh, NEAR, RIM};
+use crate::graph::volume::lattice_grid::LatticeKey;
 use crate::graph::volume::shell::walk;
 use crate::mesh::NONE;
 use crate::mesh::query::VisitCount;

@@ -9,18 +9,15 @@
 //! nodes keep their edges to each other, and new ones fill the gaps between them on the grid of old.
 
 mod change;
-mod components;
 mod edges;
 mod hull;
 mod interior;
-mod places;
 mod rows;
 mod zone;
 
 use crate::exec::Exec;
 use crate::graph::error::Error;
-use crate::graph::mesh_graph::{GraphStats, MeshGraph};
-use crate::graph::recipe::{GraphRecipe, InteriorRecipe};
+use crate::graph::mesh_graph::{GraphRecipe, GraphStats, InteriorRecipe, MeshGraph};
 use crate::graph::volume::build::most_visits;
 use crate::mesh::query::{TriangleBvh, VisitBudget, VisitCount};
 use crate::mesh::{BoundingBox, NONE, signed_volume};
@@ -84,7 +81,7 @@ fn resample_surface(
     let found = zone::find_local(change, points, None, pool);
     let local = LocalMesh::gather_faces(change, points, &found, None, pool);
     let numbers = NodeNumbers::from_change(old, change, points);
-    let copies = places::without_copies(&local);
+    let copies = edges::without_copies(&local);
     let name = |v: u32| numbers.point_number(change, local.points[v as usize]);
     let links = copies.find_links(&local, name, old.recipe.cotangents);
     let edit = GraphEdit {
@@ -142,7 +139,7 @@ fn resample_volume(
     let looked = VisitCount::default();
     let seen = || surface.visits.total() + columns.visits() + looked.total();
     let budget = VisitBudget::new(most_visits(change.positions.len()), &seen, exec);
-    let site = places::ShellSite {
+    let site = edges::ShellSite {
         local: &local,
         surface: &surface,
         zone: &zone,
@@ -151,7 +148,7 @@ fn resample_volume(
         looked: &looked,
     };
     let unsided = std::mem::take(&mut hull.unsided);
-    places::orient_parts(&site, &unsided, &mut hull.reach);
+    edges::orient_parts(&site, &unsided, &mut hull.reach);
 
     let mut old_shell = vec![NONE; old.surface];
     let shell = old.surface as u32..(old.surface + old.stats.shell_nodes) as u32;
@@ -159,7 +156,7 @@ fn resample_volume(
         .clone()
         .for_each(|s| old_shell[old.nearest_surface[s as usize] as usize] = s);
     let mut numbers = NodeNumbers::from_change(old, change, points);
-    let copies = places::place_copies(&site, old, change, &hull.reach, &old_shell, &mut numbers)?;
+    let copies = edges::place_copies(&site, old, change, &hull.reach, &old_shell, &mut numbers)?;
     let edited = EditedShell {
         old,
         change,

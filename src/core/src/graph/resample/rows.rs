@@ -2,11 +2,9 @@
 //!
 //! Old and new numbers of nodes.
 
-use crate::graph::mesh_graph::{GraphStats, MeshGraph};
-use crate::graph::recipe::GraphRecipe;
+use crate::graph::mesh_graph::{GraphRecipe, GraphStats, MeshGraph};
 use crate::graph::resample::change::{BLOCK, FreshRows, GraphBefore, GraphEdit, NodeNumbers, ResampledGraph};
-use crate::graph::resample::components;
-use crate::graph::resample::components::FollowedComponents;
+use crate::graph::resample::hull::{ComponentView, FollowedComponents, follow_components};
 use crate::mesh::NONE;
 use crate::pool::Pool;
 use glam::DVec3;
@@ -63,14 +61,14 @@ pub(super) fn write_rows(
     touched.sort_unstable();
     touched.dedup();
 
-    let view = components::ComponentView {
+    let view = ComponentView {
         old,
         from,
         offsets: &offsets,
         neighbours: &neighbours,
         pool,
     };
-    let FollowedComponents { of_node, count } = components::follow_components(&view, &fresh);
+    let FollowedComponents { of_node, count } = follow_components(&view, &fresh);
     stats.shell_nodes = renumbered.after[1] - surface;
     stats.lattice_nodes = nodes - renumbered.after[1];
     stats.component_has_volume = vec![false; count];

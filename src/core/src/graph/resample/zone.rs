@@ -7,7 +7,7 @@
 
 use crate::graph::resample::change::{ChangedPoints, GraphBefore, MeshChange};
 use crate::graph::resample::hull::{HullChange, fan_over_loop};
-use crate::graph::volume::columns::FaceColumns;
+use crate::graph::volume::caps::FaceColumns;
 use crate::mesh::query::closest_point::closest_point_on_triangle;
 use crate::mesh::{Adjacency, BoundingBox, NONE};
 use crate::pool::Pool;

@@ -6,11 +6,8 @@
 //! ([`PartTies`]), so that it can be had without them and so that an edit finds again only those around itself.
 
 mod insert;
-mod options;
 pub(super) mod part_ties;
 mod part_tree;
 
-pub use insert::resample_tied;
-pub use insert::tie_parts;
-pub use options::{LOOSE, TieFamilies, TieOptions};
-pub use part_ties::{PartTies, TieAnchor};
+pub use insert::{resample_tied, tie_parts};
+pub use part_ties::{LOOSE, PartTies, TieAnchor, TieFamilies, TieOptions};

@@ -5,8 +5,7 @@
 use crate::exec::Exec;
 use crate::graph::mesh_graph::MeshGraph;
 use crate::graph::parallel::map_few;
-use crate::graph::ties::options::{LOOSE, TieOptions};
-use crate::graph::ties::part_ties::{TieAnchor, TieReach};
+use crate::graph::ties::part_ties::{LOOSE, TieAnchor, TieOptions, TieReach};
 use crate::mesh::BoundingBox;
 use crate::mesh::query::bvh::ChildBoxes;
 use crate::mesh::query::closest_point::closest_weights_on_triangle;
@@ -237,7 +236,7 @@ pub(super) struct TieSite<'a> {
     pub(super) graph: &'a MeshGraph,
     /// Triangles that ties may lead to.
     pub(super) triangles: &'a [[u32; 3]],
-    /// The family of each vertex, or [`LOOSE`](super::options::LOOSE).
+    /// The family of each vertex, or [`LOOSE`](super::part_ties::LOOSE).
     pub(super) families: &'a [u32],
     pub(super) reach: TieReach,
 }

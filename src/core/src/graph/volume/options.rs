@@ -1,7 +1,7 @@
 //! How a volume graph is built.
 
 use crate::graph::error::Error;
-use crate::graph::weights::EdgeWeights;
+use crate::graph::mesh_graph::EdgeWeights;
 
 /// What interior nodes follow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -9,17 +9,15 @@
 
 use crate::graph::assemble::{InteriorNodes, assemble};
 use crate::graph::error::Error;
-use crate::graph::mesh_graph::{GraphStats, MeshGraph};
+use crate::graph::mesh_graph::{GraphStats, InteriorRecipe, MeshGraph};
 use crate::graph::parallel::map;
-use crate::graph::recipe::InteriorRecipe;
 use crate::graph::volume::caps::missing;
-use crate::graph::volume::lattice::{LatticeBody, LatticeEdges, LatticeExit};
-use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeNodes};
-use crate::graph::volume::neighbours::{LatticeKey, LatticeRow, NONE, in_b, rising};
+use crate::graph::volume::lattice::{LatticeBody, LatticeEdges, LatticeExit, octree_nodes};
+use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeKey, LatticeNodes, LatticeRow, NONE, in_b, rising};
 use crate::graph::volume::options::VolumeOptions;
 use crate::graph::volume::shell::{ShellNodes, VolumeSite};
 use crate::graph::volume::solid::PartKind;
-use crate::graph::volume::{lattice, octree, scan};
+use crate::graph::volume::{lattice, scan};
 use crate::mesh::{Adjacency, Mesh, signed_volume};
 use crate::pool::Pool;
 use glam::DVec3;
@@ -126,7 +124,7 @@ pub(in crate::graph) fn enclosed_volume(site: &VolumeSite) -> Result<EnclosedVol
         let interval = longest_side(mesh) / SAMPLES_ALONG;
         if let Some(grid) = LatticeGrid::around(&mesh.bounds(), interval) {
             // The limit is beyond what a grid of this size holds.
-            if let Ok(nodes) = octree::nodes(site, soup, &grid, 0.0, 1 << 20)? {
+            if let Ok(nodes) = octree_nodes(site, soup, &grid, 0.0, 1 << 20)? {
                 by_soups = nodes.keys.len() as f64 * (interval * interval * interval) * 0.5;
             }
         }

@@ -8,8 +8,7 @@
 use crate::graph::error::Error;
 use crate::graph::parallel::map_few;
 use crate::graph::volume::caps::HullFaces;
-use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeNodes, TooFine};
-use crate::graph::volume::neighbours::{LAST, NONE, key};
+use crate::graph::volume::lattice_grid::{LAST, LatticeGrid, LatticeNodes, NONE, TooFine, key};
 use crate::graph::volume::shell::VolumeSite;
 use crate::mesh::Lists;
 use crate::mesh::query::QueryStop;

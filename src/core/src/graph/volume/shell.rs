@@ -7,11 +7,10 @@
 use crate::exec::Exec;
 use crate::graph::error::Error;
 use crate::graph::parallel::{map, map_in_space};
-use crate::graph::volume::caps::HullFaces;
-use crate::graph::volume::columns::FaceColumns;
-use crate::graph::volume::near_surface::{NearSurface, RoomQueries};
+use crate::graph::volume::caps::{FaceColumns, HullFaces};
+use crate::graph::volume::lattice_grid::{NearSurface, RoomQueries};
 use crate::graph::volume::solid::{ClassifiedParts, InwardDirections, PartKind, normal, sample, turn};
-use crate::graph::winding::tree::WindingTree;
+use crate::graph::winding::WindingTree;
 use crate::mesh::query::{VisitBudget, VisitCount};
 use crate::mesh::{Adjacency, Mesh};
 use crate::pool::Pool;

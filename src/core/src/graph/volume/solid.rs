@@ -10,8 +10,8 @@
 use crate::graph::error::Error;
 use crate::graph::parallel::{map, map_in_space};
 use crate::graph::volume::caps::ClosedHull;
-use crate::graph::volume::near_surface::NearSurface;
-use crate::graph::winding::tree::WindingTree;
+use crate::graph::volume::lattice_grid::NearSurface;
+use crate::graph::winding::WindingTree;
 use crate::mesh::query::VisitBudget;
 use crate::mesh::{Adjacency, Components, Mesh};
 use glam::DVec3;

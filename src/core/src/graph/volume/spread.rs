@@ -10,7 +10,7 @@
 use crate::graph::error::Error;
 use crate::graph::parallel::map;
 use crate::graph::volume::lattice::LatticeExit;
-use crate::graph::volume::neighbours::NONE;
+use crate::graph::volume::lattice_grid::NONE;
 use crate::graph::volume::shell::VolumeSite;
 use crate::graph::volume::solid::PartKind;
 use crate::mesh::query::NearestPoints;

@@ -10,12 +10,9 @@
 //! A motion is a pure function of the two shapes. A similarity of the whole surface carries every point with it; where the
 //! surface around a point has kept its bits, so does the point.
 //!
-//! | file | what |
-//! |---|---|
-//! | `clusters` | [`CarrySurface`]: the rest surface as a tree of clusters |
-//! | `neighbourhood` | which samples of it a point follows, and how much |
-//! | `motion` | [`SurfaceMotion`]: how every sample has moved, turned and grown in a deformed shape |
-//! | `carried_points` | [`CarriedPoints`]: points with their neighbourhoods, for many shapes; [`SurfaceCarrier`] for one |
+//! [`CarrySurface`] is the rest surface as a tree of clusters, [`SurfaceMotion`] how every sample of it has moved, turned and
+//! grown in a deformed shape. [`CarriedPoints`] are points with their neighbourhoods, for many shapes; [`SurfaceCarrier`] is
+//! for one.
 
 mod carried_points;
 mod motion;

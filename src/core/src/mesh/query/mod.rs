@@ -8,15 +8,12 @@
 pub mod bvh;
 pub mod closest_point;
 pub mod closest_surface_point;
-mod segment_hit;
 pub(crate) mod triangle_cells;
 mod visits;
 
 pub use bvh::TriangleBvh;
 pub use closest_point::NearestPoints;
-pub(crate) use closest_surface_point::NearVisitor;
-pub use closest_surface_point::SurfacePoint;
-pub(crate) use closest_surface_point::corner_near;
-pub use segment_hit::SegmentHit;
+pub(crate) use closest_surface_point::{NearVisitor, corner_near};
+pub use closest_surface_point::{SegmentHit, SurfacePoint};
 pub use triangle_cells::TriangleCells;
 pub(crate) use visits::{QueryStop, VisitBudget, VisitCount};

@@ -7,8 +7,7 @@
 
 use crate::mesh::measure::BoundingBox;
 use crate::mesh::query::closest_point::closest_point_on_triangle;
-use crate::mesh::query::closest_surface_point::corner_near;
-use crate::mesh::query::segment_hit::{SegmentHit, crossing};
+use crate::mesh::query::closest_surface_point::{SegmentHit, corner_near, crossing};
 use crate::mesh::query::visits::VisitCount;
 use crate::pool::Pool;
 use glam::{DVec3, Vec3A};
