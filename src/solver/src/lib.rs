@@ -164,5 +164,5 @@ pub use options::{
 };
 pub use repair::{GraphChange, RepairReport};
 pub use solve::{
-    IterationReport, LinearEquations, MapColumns, PoseCriteria, PoseRow, PoseRows, SolveControl, Workspace,
+    IterationReport, LinearEquations, MapColumns, PoseRow, PoseRows, SolveControl, StoppingCriteria, Workspace,
 };

@@ -86,8 +86,8 @@ pub use handles::{
 };
 pub use rotation::{blend_rotations, exp_rotation, fit_rigid_motion, log_rotation};
 pub use second_pass::{
-    CycleReport, FitOrder, PoseMethod, PoseRequest, PoseSolution, Refinement, SecondPassEquations, SolutionExtent,
-    SolveStart, SolveState,
+    FitOrder, PoseMethod, PoseRequest, PoseSolution, Refinement, SecondPassEquations, SolutionExtent, SolveStart,
+    SolveState, SolveUpdate,
 };
 pub use thin_faces::NeedlesAndCaps;
 pub use transform::Transform;

@@ -50,6 +50,7 @@ mod solve;
 mod topology_state;
 mod tube_region;
 
+pub use crate::deform::SolveUpdate;
 pub use animation::{
     AnimatedFrame, Animation, AnimationLimits, AnimationRefinement, AnimationSettings, BLOCK_FRAMES, BoundModel,
     ClipRequest, ClipSource, FrameChoice, FrameCursor, FrameSource, FrameSums, FrameTimes, MadeRig, PlayedClipFile,
@@ -77,6 +78,6 @@ pub use settings::{
     SolveMode, SolveSettings,
 };
 pub use shape::{ModelShape, Shader, Shading, ShapeId, TopologyId, digest, shading};
-pub use solve::{Drag, SolveUpdate, SolvedShape};
+pub use solve::{Drag, SolvedShape};
 pub use topology_state::TopologyState;
 pub use tube_region::MOST_TUBE_POINTS;

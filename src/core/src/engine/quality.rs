@@ -3,8 +3,7 @@
 //! Faces too large to show the bend between handles are reported before and after a pose, and divided on request.
 
 use crate::deform::{FaceChanges, HandleSystem, exp_rotation, shares_difference};
-use crate::edit;
-use crate::edit::{EvennessTarget, FieldSample, SurfacePatch, SurfaceView, subdivide_until_even};
+use crate::edit::{self, EvennessTarget, FieldSample, SurfacePatch, SurfaceView, subdivide_until_even};
 use crate::engine::facts::{DeformerWarning, QualityReport};
 use crate::engine::handle::HandlePoses;
 use crate::engine::resolved_handles::ResolvedHandles;

@@ -1,7 +1,6 @@
 //! How a model is opened and how its poses are solved, what a deformer may hold, and what it carries along.
 
-use crate::asset;
-use crate::asset::{FileSet, Following, Format};
+use crate::asset::{self, FileSet, Following, Format};
 use crate::deform::{BodyOptions, CoarseOperators, FirstPass, FitOrder, FreePartPolicy, TieOptions, VolumeMode};
 use crate::graph::VolumeOptions;
 use crate::mesh::Weld;

@@ -4,7 +4,7 @@
 //! the short forms.
 
 use crate::deform::{
-    CycleReport, DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart,
+    DeformableBody, HandleSystem, PoseRequest, PoseSolution, Refinement, SolutionExtent, SolveStart, SolveUpdate,
     Transform, unfold_faces,
 };
 use crate::engine::Deformer;
@@ -22,20 +22,6 @@ use crate::pool::Pool;
 use glam::{DVec3, Mat3};
 use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
-
-/// A state of a solve that is under way, given to the watcher after every cycle.
-pub struct SolveUpdate<'a> {
-    /// Cycles done.
-    pub cycle: u32,
-    /// Fits of rotations done.
-    pub refined: u32,
-    /// Relative residual reached.
-    pub residual: f64,
-    /// Estimated largest missing displacement, fraction of the diagonal.
-    pub max_error: f64,
-    /// Makes the render-vertex positions of this state; costs a pass over the vertices.
-    pub positions: &'a dyn Fn() -> Vec<DVec3>,
-}
 
 /// A solved pose.
 #[derive(Debug, Clone)]
@@ -164,14 +150,10 @@ impl Deformer {
             riders: derived.riding_vertices(),
             pool: exec.pool,
         };
-        let mut on_cycle = |cycle: &CycleReport<'_>| {
-            let positions = || shape.render(&(cycle.positions)(), &[], &transforms);
+        let mut on_cycle = |now: &SolveUpdate<'_>| {
             watch(&SolveUpdate {
-                cycle: u32::try_from(cycle.index).unwrap_or(u32::MAX),
-                refined: cycle.refined,
-                residual: cycle.residual,
-                max_error: cycle.max_error,
-                positions: &positions,
+                positions: &|| shape.render(&(now.positions)(), &[], &transforms),
+                ..*now
             })
         };
         let mut solution = match settings.spatial_rbf {

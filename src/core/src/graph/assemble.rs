@@ -5,8 +5,7 @@
 //!
 //! The graph of a mesh alone.
 
-use crate::graph::mesh_graph;
-use crate::graph::mesh_graph::{EdgeWeights, GraphRecipe, GraphStats, MeshGraph};
+use crate::graph::mesh_graph::{self, EdgeWeights, GraphRecipe, GraphStats, MeshGraph};
 use crate::graph::volume::lattice_grid::{LatticeRow, NONE};
 use crate::graph::volume::spread::Strut;
 use crate::mesh::{Adjacency, Components, Lists, Mesh};

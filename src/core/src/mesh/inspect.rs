@@ -7,8 +7,7 @@ use crate::mesh::measure::{
     BoundingBox, brief_point, cone_volume, grouped_count, mean_edge_length, signed_volume, surface_area, triangle_area,
 };
 use crate::mesh::query::closest_surface_point::group_fans;
-use crate::mesh::weld;
-use crate::mesh::weld::Weld;
+use crate::mesh::weld::{self, Weld};
 use crate::mesh::welded_mesh::{Mesh, NONE};
 
 /// One connected part.
@@ -378,7 +377,7 @@ fn cracked_vertices(mesh: &Mesh, adjacency: &Adjacency) -> Vec<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::weld::Weld;
+    use crate::mesh::weld::{self, Weld};
     use PLACES;
     use glam::DVec3;
 

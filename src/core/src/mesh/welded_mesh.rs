@@ -3,8 +3,7 @@
 use crate::mesh::adjacency::Lists;
 use crate::mesh::error::Error;
 use crate::mesh::measure::BoundingBox;
-use crate::mesh::weld;
-use crate::mesh::weld::Weld;
+use crate::mesh::weld::{self, Weld};
 use glam::DVec3;
 
 /// In [`Mesh::solver_from_render`]: the render vertex has no solver vertex, because no face uses it.

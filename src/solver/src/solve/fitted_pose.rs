@@ -189,8 +189,7 @@ mod tests {
     use crate::options::Constraints;
     use crate::pool::Pool;
     use crate::progress::Silent;
-    use crate::solve::group::{IterationReport, SolveControl};
-    use crate::solve::pose::PoseCriteria;
+    use crate::solve::group::{IterationReport, SolveControl, StoppingCriteria};
     use crate::testing::BoxLattice;
 
     const SLENDER: [i32; 3] = [40, 6, 6];
@@ -251,11 +250,10 @@ mod tests {
 
         /// One solve, to a residual or by one iteration.
         fn solve(&mut self, pose: &mut PoseRows, tolerance: Option<f64>) {
-            let criteria = PoseCriteria {
+            let criteria = StoppingCriteria {
                 tolerance,
                 max_error: None,
                 max_iterations: 50,
-                remember: false,
             };
             let exec = Exec::new(&self.pool, &Silent);
             let watch = &mut |_: &IterationReport<'_>| match tolerance {

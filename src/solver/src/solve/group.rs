@@ -52,12 +52,15 @@ pub(crate) struct ReachedByCycles {
     pub(crate) from_relative: f64,
 }
 
-/// When to stop.
+/// When a solve stops. All criteria that are given must hold.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct StoppingCriteria {
-    pub(crate) tolerance: Option<f64>,
-    pub(crate) max_error: Option<f64>,
-    pub(crate) max_iterations: usize,
+pub struct StoppingCriteria {
+    /// Largest relative residual of any column, as [`SolveOptions::tolerance`](crate::SolveOptions::tolerance).
+    pub tolerance: Option<f64>,
+    /// Largest estimated distance from the exact solution, as [`SolveOptions::max_error`](crate::SolveOptions::max_error).
+    pub max_error: Option<f64>,
+    /// Most iterations.
+    pub max_iterations: usize,
 }
 
 impl StoppingCriteria {

@@ -18,7 +18,6 @@ mod start;
 mod sweep;
 
 pub use self::frame_rows::{MapColumns, PoseRow};
-pub use self::group::Workspace;
-pub use self::group::{IterationReport, SolveControl};
+pub use self::group::{IterationReport, SolveControl, StoppingCriteria, Workspace};
 pub use self::methods::LinearEquations;
-pub use self::pose::{PoseCriteria, PoseRows};
+pub use self::pose::PoseRows;

@@ -44,6 +44,8 @@ pub struct PoseRows {
     pub more: Vec<Lanes>,
     /// Rows whose rotation is fitted, for [`LinearSystem::start_pose`] and [`LinearSystem::fit_pose`].
     pub open: Vec<bool>,
+    /// Whether the pose is one of a drag, whose corrections are remembered for the next ones.
+    pub remember: bool,
     recalled: SolutionSubspace,
     /// What the last solve left to do, where it needed no iteration.
     pub(super) unsettled: Option<UnsettledPose>,
@@ -57,19 +59,6 @@ pub(super) struct UnsettledPose {
     pub(super) solve: u64,
     /// Residual or error over what was allowed, whichever is nearer.
     pub(super) nearness: f64,
-}
-
-/// When the solve of a pose stops. All that are given must hold.
-#[derive(Debug, Clone, Copy)]
-pub struct PoseCriteria {
-    /// Largest relative residual of any coordinate, as [`SolveOptions::tolerance`](crate::SolveOptions::tolerance).
-    pub tolerance: Option<f64>,
-    /// Largest estimated distance from the exact solution, as [`SolveOptions::max_error`](crate::SolveOptions::max_error).
-    pub max_error: Option<f64>,
-    /// Most iterations.
-    pub max_iterations: usize,
-    /// Whether the pose is one of a drag, whose corrections are remembered for the next ones.
-    pub remember: bool,
 }
 
 /// A pose as a solve needs it: what residuals are made from, and what it changes.
@@ -230,19 +219,13 @@ impl LinearSystem {
         &self,
         hierarchy: &Hierarchy,
         pose: &mut PoseRows,
-        criteria: PoseCriteria,
+        criteria: StoppingCriteria,
         (workspace, exec): (&mut Workspace, &Exec<'_>),
         watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl,
     ) -> Result<SolveStats, Error> {
         self.check_pose(hierarchy, pose)?;
         exec.check()?;
-        let remember = criteria.remember;
-        let criteria = StoppingCriteria {
-            tolerance: criteria.tolerance,
-            max_error: criteria.max_error,
-            max_iterations: criteria.max_iterations,
-        };
-        let outcome = self.iterate_pose(hierarchy, pose, (criteria, remember, None), (workspace, exec), watch)?;
+        let outcome = self.iterate_pose(hierarchy, pose, (criteria, None), (workspace, exec), watch)?;
         let residuals: Vec<f64> = outcome.relative[..3].to_vec();
         Ok(SolveStats {
             iterations: outcome.iterations,
@@ -263,11 +246,12 @@ impl LinearSystem {
         &self,
         hierarchy: &Hierarchy,
         pose: &mut PoseRows,
-        (criteria, remember, from): (StoppingCriteria, bool, Option<LeftResidual>),
+        (criteria, from): (StoppingCriteria, Option<LeftResidual>),
         (workspace, exec): (&mut Workspace, &Exec<'_>),
         watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl,
     ) -> Result<GroupOutcome, Error> {
         pose.unsettled = None;
+        let remember = pose.remember;
         let PoseParts {
             frames, x, recalled, ..
         } = pose.parts(hierarchy);
@@ -373,8 +357,8 @@ impl LinearSystem {
             max_error: None,
             max_iterations: 1,
         };
-        let job = (criteria, true, Some(unsettled.left));
-        self.iterate_pose(hierarchy, pose, job, (workspace, exec), &mut |_| SolveControl::Stop)?;
+        let from = (criteria, Some(unsettled.left));
+        self.iterate_pose(hierarchy, pose, from, (workspace, exec), &mut |_| SolveControl::Stop)?;
         Ok(())
     }
 }
@@ -435,7 +419,10 @@ mod tests {
             assert!(system.can_solve_poses());
             let (mut workspace, mut other) = (Workspace::default(), Workspace::default());
             let exec = Exec::new(&pool, &Silent);
-            let mut pose = PoseRows::default();
+            let mut pose = PoseRows {
+                remember: true,
+                ..PoseRows::default()
+            };
             pose.begin(&hierarchy, |v| rest[v], |v| rest[v], &pool);
             let mut iterations = Vec::new();
             // The last pose twice.
@@ -455,11 +442,10 @@ mod tests {
                     pose.more[row] = Lanes([1e-3, 1e-3, 1e-3, 0.0]);
                 }
                 pose.show_positions(&pool);
-                let criteria = PoseCriteria {
+                let criteria = StoppingCriteria {
                     tolerance: Some(1e-4),
                     max_error: None,
                     max_iterations: 50,
-                    remember: true,
                 };
                 let watch = &mut |_: &IterationReport<'_>| SolveControl::Continue;
                 let stats = system
@@ -508,11 +494,10 @@ mod tests {
         let system = block.system(&hierarchy);
         let pool = pool();
         let exec = Exec::new(&pool, &Silent);
-        let criteria = PoseCriteria {
+        let criteria = StoppingCriteria {
             tolerance: Some(1e-4),
             max_error: None,
             max_iterations: 50,
-            remember: true,
         };
         let mut workspace = Workspace::default();
         let mut solve = |pose: &mut PoseRows| {

@@ -156,7 +156,7 @@ pub(in crate::deform) struct NodePlacement<'a, M> {
     center: DVec3,
 }
 
-impl<M: Fn(DVec3) -> DVec3> NodePlacement<'_, M> {
+impl<M: Fn(DVec3) -> DVec3 + Sync> NodePlacement<'_, M> {
     /// The position of a node that was solved to `x`.
     pub fn of(&self, node: usize, x: &[f64]) -> DVec3 {
         let Self { rig, body, .. } = *self;
@@ -169,6 +169,17 @@ impl<M: Fn(DVec3) -> DVec3> NodePlacement<'_, M> {
             NOBODY => body.model_from_solving(DVec3::from_slice(x) + self.center),
             k => self.maps.get(k as usize).map_or(rest, |map| map(rest)),
         }
+    }
+
+    /// The positions of all nodes from solving coordinates `x`: nodes of unmoved parts and nodes held by handles are exact,
+    /// loose parts are placed.
+    pub fn of_all(&self, x: &[f64], pool: &Pool) -> Vec<DVec3> {
+        let mut positions: Vec<DVec3> = pool.install(|| {
+            let nodes = x.as_chunks::<3>().0.par_iter().enumerate().with_min_len(4096);
+            nodes.map(|(node, x)| self.of(node, x)).collect()
+        });
+        self.rig.parts.place(self.body, &mut positions);
+        positions
     }
 }
 
@@ -187,25 +198,6 @@ impl HandleSystem {
             nodes.for_each(|n| moved[body.graph.component[n as usize] as usize] = true);
         }
         moved
-    }
-
-    /// Model-space positions of all nodes from solving coordinates around `center`: nodes of unmoved parts and
-    /// nodes held by handles are exact, loose parts are placed.
-    pub(in crate::deform) fn place(
-        &self,
-        body: &DeformableBody,
-        moved_parts: &[bool],
-        (transforms, center): (&[Transform], DVec3),
-        x: &[f64],
-        pool: &Pool,
-    ) -> Vec<DVec3> {
-        let placement = self.placement(body, moved_parts, transforms, center);
-        let mut positions: Vec<DVec3> = pool.install(|| {
-            let nodes = x.as_chunks::<3>().0.par_iter().enumerate().with_min_len(4096);
-            nodes.map(|(node, x)| placement.of(node, x)).collect()
-        });
-        self.parts.place(body, &mut positions);
-        positions
     }
 
     /// Where single nodes are, loose parts aside.

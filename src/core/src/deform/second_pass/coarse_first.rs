@@ -6,6 +6,7 @@
 
 use crate::deform::error::Error;
 use crate::deform::first_pass::blend::LocalFrame;
+use crate::deform::first_pass::spread::FirstRotations;
 use crate::deform::second_pass::drag::{SINGLE_ERROR, SINGLE_TOLERANCE, fill_scattered};
 use crate::deform::second_pass::equations::PosedHandles;
 use crate::deform::second_pass::refine::{FitOrder, RotationFit};
@@ -13,7 +14,7 @@ use crate::deform::second_pass::solve::{PoseSolve, SolveTally};
 use crate::deform::second_pass::state::{NO_NODE, SolveStart, SolveState};
 use crate::pool::Pool;
 use crate::progress::check;
-use crate::solver::{PoseCriteria, PoseRows, SolveControl, SolveStats};
+use crate::solver::{PoseRows, SolveControl, SolveStats};
 use glam::{Mat3, Quat};
 use rayon::prelude::*;
 
@@ -22,17 +23,15 @@ const ENOUGH: f64 = 0.01;
 /// The same on graphs of up to [`SMALL`] nodes, where a fit is nothing.
 const ENOUGH_OF_SMALL: f64 = 0.002;
 const SMALL: usize = 1 << 15;
-/// Iterations at most after the last fit.
-const MOST_ITERATIONS: usize = 200;
 
 impl PoseSolve<'_> {
     /// Whether fits may begin on coarse levels: not where more is asked for than single precision gives, for how nodes are grouped
     /// shows in the result by what the energy is still short of its least.
-    pub(super) fn may_begin_coarse(&self, fit: &RotationFit<'_>) -> bool {
+    pub(super) fn may_begin_coarse(&self, first: &FirstRotations, fit: &RotationFit<'_>) -> bool {
         let request = self.request;
         request.start == SolveStart::Fresh
             && request.refinement.order == FitOrder::CoarseFirst
-            && !self.first.is_animation
+            && !first.is_animation
             && fit.is_plain()
             && request.tolerance.is_none_or(|t| t >= SINGLE_TOLERANCE)
             && request.max_error.is_none_or(|e| e >= SINGLE_ERROR)
@@ -106,24 +105,17 @@ impl PoseSolve<'_> {
 
     /// Solves in the order of the solver's rows: one iteration, or with `is_last` to what the request asks for.
     fn run_rows(&self, is_last: bool, state: &mut SolveState, tally: &mut SolveTally<'_>) -> Result<SolveStats, Error> {
-        let Self { rig, body, request, .. } = *self;
-        let unit_per_diagonal = body.unit / body.diagonal;
-        let criteria = PoseCriteria {
-            tolerance: request.tolerance,
-            max_error: request.max_error.map(|e| e / unit_per_diagonal),
-            max_iterations: MOST_ITERATIONS,
-            remember: false,
-        };
         let before = tally.iterations;
         let SolveState { rows, workspace, .. } = state;
+        rows.pose.remember = false;
         rows.pose.show_positions(self.exec.pool);
-        let stats = rig.positions.system.solve_pose(
-            &body.hierarchy,
+        let stats = self.rig.positions.system.solve_pose(
+            &self.body.hierarchy,
             &mut rows.pose,
-            criteria,
+            self.criteria(),
             (workspace, self.exec),
             &mut |done| {
-                self.tell_cycle(done, before, tally);
+                self.report_cycle(done, before, tally);
                 match tally.stopped || !is_last {
                     true => SolveControl::Stop,
                     false => SolveControl::Continue,

@@ -13,13 +13,14 @@ use crate::deform::first_pass::spread::FirstPass;
 use crate::deform::handles::motion::HandleMotion;
 use crate::deform::handles::ownership::NOBODY;
 use crate::deform::handles::system::HandleSystem;
+use crate::deform::second_pass::solve::{PoseSolve, SolveTally};
 use crate::deform::second_pass::state::{
-    CycleReport, DragRows, NO_NODE, PoseMethod, PoseRequest, PoseSolution, SolutionExtent, SolveStart, SolveState,
+    DragRows, NO_NODE, PoseMethod, PoseSolution, SolutionExtent, SolveStart, SolveState, SolveUpdate,
 };
 use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;
-use crate::solver::{Lanes, PoseCriteria, SolveControl, SolveStats, prefetch};
+use crate::solver::{Lanes, SolveControl, SolveStats, prefetch};
 use glam::{DVec3, Mat3};
 use rayon::prelude::*;
 
@@ -31,21 +32,6 @@ pub(super) const SINGLE_ERROR: f64 = 1e-5;
 const PIECE: usize = 4096;
 /// Rows, and nodes, that memory is asked for before they are needed.
 const AHEAD: usize = 24;
-/// Iterations at most.
-const MOST_ITERATIONS: usize = 200;
-
-impl HandleSystem {
-    /// Whether a pose may take this way.
-    pub(super) fn can_drag(&self, request: &PoseRequest<'_>) -> bool {
-        request.start == SolveStart::Warm
-            && request.refinement.steps == 0
-            && request.first_pass == FirstPass::Harmonic
-            && self.rigid.is_none()
-            && self.positions.system.can_solve_poses()
-            && request.tolerance.is_none_or(|t| t >= SINGLE_TOLERANCE)
-            && request.max_error.is_none_or(|e| e >= SINGLE_ERROR)
-    }
-}
 
 impl HandleSystem {
     /// Solves on where the last pose of a drag has left much of what it was allowed to leave, so that the next one has less to do.
@@ -67,25 +53,27 @@ impl HandleSystem {
     }
 }
 
-/// A pose of a drag.
-pub(super) struct DragPose<'a> {
-    pub rig: &'a HandleSystem,
-    pub body: &'a DeformableBody,
-    pub request: &'a PoseRequest<'a>,
-    /// By component: whether any handle that moved has a say in it.
-    pub moved_parts: &'a [bool],
-    pub exec: &'a Exec<'a>,
-}
+impl PoseSolve<'_> {
+    /// Whether a pose may take this way.
+    pub(super) fn can_drag(&self) -> bool {
+        let Self { rig, request, .. } = *self;
+        request.start == SolveStart::Warm
+            && request.refinement.steps == 0
+            && request.first_pass == FirstPass::Harmonic
+            && rig.rigid.is_none()
+            && rig.positions.system.can_solve_poses()
+            && request.tolerance.is_none_or(|t| t >= SINGLE_TOLERANCE)
+            && request.max_error.is_none_or(|e| e >= SINGLE_ERROR)
+    }
 
-impl DragPose<'_> {
     /// Solves a pose from the last solution.
     ///
     /// # Errors
     /// [`Error::Solver`] where numbers left the range of single precision, [`Error::Cancelled`]. The state has then to forget.
-    pub(super) fn solve(
+    pub(super) fn drag(
         &self,
         state: &mut SolveState,
-        watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<PoseSolution, Error> {
         let Self {
             rig,
@@ -117,7 +105,14 @@ impl DragPose<'_> {
         fill_scattered(rig, body, request.transforms, &mut state.rows);
 
         exec.progress.begin_pass("load");
-        let stats = self.solve_rows(state, watch)?;
+        let mut tally = SolveTally {
+            iterations: 0,
+            refined: 0,
+            center,
+            watch,
+            stopped: false,
+        };
+        let stats = self.solve_rows(state, &mut tally)?;
 
         exec.progress.begin_pass("place");
         let nodes = match request.extent {
@@ -158,49 +153,19 @@ impl DragPose<'_> {
         })
     }
 
-    fn solve_rows(
-        &self,
-        state: &mut SolveState,
-        watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
-    ) -> Result<SolveStats, Error> {
-        let Self {
-            rig,
-            body,
-            request,
-            moved_parts,
-            exec,
-        } = *self;
-        let unit_per_diagonal = body.unit / body.diagonal;
-        let criteria = PoseCriteria {
-            tolerance: request.tolerance,
-            max_error: request.max_error.map(|e| e / unit_per_diagonal),
-            max_iterations: MOST_ITERATIONS,
-            remember: true,
-        };
+    fn solve_rows(&self, state: &mut SolveState, tally: &mut SolveTally<'_>) -> Result<SolveStats, Error> {
         let SolveState { rows, workspace, .. } = state;
-        let center = rows.center;
-        let system = &rig.positions.system;
-        let stats = system.solve_pose(
-            &body.hierarchy,
+        rows.pose.remember = true;
+        let stats = self.rig.positions.system.solve_pose(
+            &self.body.hierarchy,
             &mut rows.pose,
-            criteria,
-            (workspace, exec),
+            self.criteria(),
+            (workspace, self.exec),
             &mut |done| {
-                let positions = || {
-                    let mut now = vec![0.0; body.nodes() * 3];
-                    done.copy_to(&mut now);
-                    rig.place(body, moved_parts, (request.transforms, center), &now, exec.pool)
-                };
-                let cycle = CycleReport {
-                    index: done.index,
-                    refined: 0,
-                    residual: done.residual,
-                    max_error: done.max_error * unit_per_diagonal,
-                    positions: &positions,
-                };
-                match watch(&cycle) {
-                    true => SolveControl::Continue,
-                    false => SolveControl::Stop,
+                self.report_cycle(done, 0, tally);
+                match tally.stopped {
+                    true => SolveControl::Stop,
+                    false => SolveControl::Continue,
                 }
             },
         )?;

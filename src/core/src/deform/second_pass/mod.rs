@@ -10,4 +10,4 @@ pub(super) mod state;
 
 pub use equations::SecondPassEquations;
 pub use refine::{FitOrder, Refinement};
-pub use state::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolutionExtent, SolveStart, SolveState};
+pub use state::{PoseMethod, PoseRequest, PoseSolution, SolutionExtent, SolveStart, SolveState, SolveUpdate};

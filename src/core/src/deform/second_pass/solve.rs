@@ -5,17 +5,15 @@ use crate::deform::error::Error;
 use crate::deform::first_pass::blend::LocalRotation;
 use crate::deform::first_pass::spread::{FirstRotations, blend_frames_with};
 use crate::deform::handles::system::{ConstrainedSystem, HandleSystem};
-use crate::deform::second_pass::drag::DragPose;
 use crate::deform::second_pass::equations::{PosedHandles, Precision};
 use crate::deform::second_pass::refine::{Refinement, RotationFit};
 use crate::deform::second_pass::single_precision::frames_of;
-use crate::deform::second_pass::state::{CycleReport, PoseMethod, PoseRequest, PoseSolution, SolveStart, SolveState};
+use crate::deform::second_pass::state::{PoseMethod, PoseRequest, PoseSolution, SolveStart, SolveState, SolveUpdate};
 use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::progress::check;
-use crate::solver;
-use crate::solver::{SolveControl, SolveOptions};
+use crate::solver::{self, SolveControl, SolveOptions, StoppingCriteria};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
@@ -23,6 +21,8 @@ use rayon::prelude::*;
 /// is asked for. Less would be lost on rotations that change again; with more, results would show how each coordinate was
 /// solved.
 const BETWEEN_FITS: f64 = 1e-4;
+/// Iterations at most of one solve.
+const MOST_ITERATIONS: usize = 200;
 
 impl HandleSystem {
     /// Solves a pose. `watch` is called after every iteration; `false` takes the result as it is.
@@ -35,21 +35,21 @@ impl HandleSystem {
         request: &PoseRequest<'_>,
         state: &mut SolveState,
         exec: &Exec<'_>,
-        watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<PoseSolution, Error> {
         let moved_parts = self.moved_parts(body, request.transforms);
         if !moved_parts.contains(&true) {
             return Ok(PoseSolution::at_rest(body));
         }
-        if self.can_drag(request) {
-            let pose = DragPose {
-                rig: self,
-                body,
-                request,
-                moved_parts: &moved_parts,
-                exec,
-            };
-            match pose.solve(state, watch) {
+        let pose = PoseSolve {
+            rig: self,
+            body,
+            request,
+            moved_parts: &moved_parts,
+            exec,
+        };
+        if pose.can_drag() {
+            match pose.drag(state, watch) {
                 // Poses beyond the range of single precision.
                 Err(Error::Solver(_)) => state.forget(),
                 Err(other) => {
@@ -75,16 +75,7 @@ impl HandleSystem {
         };
         exec.progress.begin_pass("carry");
         let mut posed = self.pose_handles(body, request.transforms, frames, (precision, exec.pool));
-        let pose = PoseSolve {
-            rig: self,
-            body,
-            request,
-            first: &first,
-            moved_parts: &moved_parts,
-            center: posed.center,
-            exec,
-        };
-        let result = pose.solve(&mut posed, state, watch);
+        let result = pose.solve(&first, &mut posed, state, watch);
         if result.is_err() {
             // A solution that was interrupted is no start for the next one.
             state.forget();
@@ -101,11 +92,8 @@ pub(super) struct PoseSolve<'a> {
     pub rig: &'a HandleSystem,
     pub body: &'a DeformableBody,
     pub request: &'a PoseRequest<'a>,
-    /// How it gets its rotations.
-    pub first: &'a FirstRotations,
+    /// By component: whether any handle that moved has a say in it.
     pub moved_parts: &'a [bool],
-    /// What is solved around, in solving coordinates.
-    pub center: DVec3,
     pub exec: &'a Exec<'a>,
 }
 
@@ -113,7 +101,9 @@ pub(super) struct PoseSolve<'a> {
 pub(super) struct SolveTally<'a> {
     pub iterations: usize,
     pub refined: u32,
-    pub watch: &'a mut dyn FnMut(&CycleReport<'_>) -> bool,
+    /// What is solved around, in solving coordinates.
+    pub center: DVec3,
+    pub watch: &'a mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     /// `watch` has had enough.
     pub stopped: bool,
 }
@@ -122,9 +112,10 @@ impl PoseSolve<'_> {
     /// Solves for positions, and fits rotations as often as asked for. Leaves `posed.frames` as last solved with.
     fn solve(
         &self,
+        first: &FirstRotations,
         posed: &mut PosedHandles,
         state: &mut SolveState,
-        watch: &mut dyn FnMut(&CycleReport<'_>) -> bool,
+        watch: &mut dyn FnMut(&SolveUpdate<'_>) -> bool,
     ) -> Result<PoseSolution, Error> {
         let (rig, body, request, pool) = (self.rig, self.body, self.request, self.exec.pool);
         let steps = request.refinement.steps;
@@ -132,7 +123,7 @@ impl PoseSolve<'_> {
         if warm {
             state.begin(body, request.transforms.len());
             let (from, to) = (&state.transforms, request.transforms);
-            match self.first.is_animation {
+            match first.is_animation {
                 true => rig.carry_by_shares(body, from, to, &mut state.x, pool),
                 false => rig.carry(body, from, to, &mut state.x, pool),
             }
@@ -146,17 +137,18 @@ impl PoseSolve<'_> {
                 rig,
                 request.transforms,
                 self.moved_parts,
-                self.first,
+                first,
                 request.refinement,
             )
         });
         let mut tally = SolveTally {
             iterations: 0,
             refined: 0,
+            center: posed.center,
             watch,
             stopped: false,
         };
-        let coarse = fit.as_ref().filter(|fit| self.may_begin_coarse(fit));
+        let coarse = fit.as_ref().filter(|fit| self.may_begin_coarse(first, fit));
         let coarse = coarse.map(|fit| self.fit_coarse_first(fit, posed, state, &mut tally));
         let mut stats = match coarse {
             Some(Err(Error::Solver(_))) => {
@@ -176,13 +168,7 @@ impl PoseSolve<'_> {
         }
 
         self.exec.progress.begin_pass("place");
-        let positions = rig.place(
-            body,
-            self.moved_parts,
-            (request.transforms, posed.center),
-            &state.x,
-            pool,
-        );
+        let positions = self.place(posed.center, &state.x);
         if let Some(node) = positions.iter().position(|p| !p.is_finite()) {
             return Err(Error::Solver(format!("node {node} left the range of numbers")));
         }
@@ -253,6 +239,16 @@ impl PoseSolve<'_> {
         Ok(stats)
     }
 
+    /// When a solve to what the request asks for stops, in solving coordinates.
+    pub(super) fn criteria(&self) -> StoppingCriteria {
+        let unit_per_diagonal = self.body.unit / self.body.diagonal;
+        StoppingCriteria {
+            tolerance: self.request.tolerance,
+            max_error: self.request.max_error.map(|e| e / unit_per_diagonal),
+            max_iterations: MOST_ITERATIONS,
+        }
+    }
+
     /// Fills the right-hand side for `posed`.
     fn assemble(&self, posed: &PosedHandles, state: &mut SolveState) {
         self.exec.progress.begin_pass("equations");
@@ -270,13 +266,18 @@ impl PoseSolve<'_> {
         state: &mut SolveState,
         tally: &mut SolveTally<'_>,
     ) -> Result<solver::SolveStats, Error> {
-        let Self { body, request, .. } = *self;
+        let body = self.body;
         let unit_per_diagonal = body.unit / body.diagonal;
+        let StoppingCriteria {
+            tolerance,
+            max_error,
+            max_iterations,
+        } = self.criteria();
         let options = SolveOptions {
             start,
-            tolerance: request.tolerance,
-            max_error: request.max_error.map(|e| e / unit_per_diagonal),
-            ..Default::default()
+            tolerance,
+            max_error,
+            max_iterations,
         };
         let before = tally.iterations;
         let SolveState { x, rhs, workspace, .. } = state;
@@ -286,7 +287,7 @@ impl PoseSolve<'_> {
             workspace,
             self.exec,
             &mut |iteration| {
-                self.tell_cycle(iteration, before, tally);
+                self.report_cycle(iteration, before, tally);
                 match tally.stopped || (iteration.index > 1 && iteration.max_error * unit_per_diagonal <= rough) {
                     true => SolveControl::Stop,
                     false => SolveControl::Continue,
@@ -298,27 +299,27 @@ impl PoseSolve<'_> {
     }
 
     /// Reports an iteration after `before` others to the watcher, and notes whether to stop.
-    pub(super) fn tell_cycle(&self, done: &solver::IterationReport<'_>, before: usize, tally: &mut SolveTally<'_>) {
-        let Self { rig, body, request, .. } = *self;
+    pub(super) fn report_cycle(&self, done: &solver::IterationReport<'_>, before: usize, tally: &mut SolveTally<'_>) {
+        let body = self.body;
         let positions = || {
             let mut now = vec![0.0; body.nodes() * 3];
             done.copy_to(&mut now);
-            rig.place(
-                body,
-                self.moved_parts,
-                (request.transforms, self.center),
-                &now,
-                self.exec.pool,
-            )
+            self.place(tally.center, &now)
         };
-        let cycle = CycleReport {
-            index: before + done.index,
+        let update = SolveUpdate {
+            cycle: u32::try_from(before + done.index).unwrap_or(u32::MAX),
             refined: tally.refined,
             residual: done.residual,
             max_error: done.max_error * (body.unit / body.diagonal),
             positions: &positions,
         };
-        tally.stopped = !(tally.watch)(&cycle);
+        tally.stopped = !(tally.watch)(&update);
+    }
+
+    /// Model-space positions of all nodes from solving coordinates around `center`.
+    fn place(&self, center: DVec3, x: &[f64]) -> Vec<DVec3> {
+        let placement = (self.rig).placement(self.body, self.moved_parts, self.request.transforms, center);
+        placement.of_all(x, self.exec.pool)
     }
 }
 

@@ -10,8 +10,7 @@ use crate::deform::handles::system::HandleSystem;
 use crate::deform::second_pass::refine::Refinement;
 use crate::deform::transform::Transform;
 use crate::pool::Pool;
-use crate::solver;
-use crate::solver::{PoseRows, Workspace};
+use crate::solver::{self, PoseRows, Workspace};
 use glam::DVec3;
 
 /// Where the solver starts.
@@ -53,17 +52,18 @@ pub enum SolutionExtent {
     Surface,
 }
 
-/// A solve under way, after one iteration.
-pub struct CycleReport<'a> {
-    /// Iterations done, from 1.
-    pub index: usize,
-    /// How often rotations were fitted before this iteration.
+/// A state of a solve that is under way, given to the watcher after every cycle.
+pub struct SolveUpdate<'a> {
+    /// Cycles done, from 1.
+    pub cycle: u32,
+    /// Fits of rotations done.
     pub refined: u32,
-    /// Relative residual, largest over coordinates.
+    /// Relative residual reached, largest over coordinates.
     pub residual: f64,
     /// Estimated largest missing displacement, fraction of the diagonal.
     pub max_error: f64,
-    /// Makes the positions of all nodes, model space.
+    /// Makes the positions of this state, model space: of all nodes, or of the render vertices where a deformer solves. Costs
+    /// a pass over them.
     pub positions: &'a dyn Fn() -> Vec<DVec3>,
 }
 
