@@ -343,7 +343,7 @@ impl SingleRest {
         position: impl Fn(usize) -> DVec3,
         laplacian: impl Fn(usize) -> DVec3,
     ) -> Self {
-        // One thread: whoever waits for the others here could be handed work that waits for this.
+        // One thread: a thread that waits for others here could be handed work that waits for this.
         Self {
             positions: (0..nodes).map(|i| position(i).as_vec3a()).collect(),
             laplacian: (0..nodes).map(|i| laplacian(i).as_vec3a()).collect(),

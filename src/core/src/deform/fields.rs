@@ -6,7 +6,7 @@
 
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
-use crate::deform::handles::ownership::{NOBODY, NodeOwnership};
+use crate::deform::handles::ownership::{NodeOwnership, UNHELD};
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::solver::{Constraints, InitialGuess, LinearSystem, SolveControl, SolveOptions, Workspace};
@@ -106,7 +106,7 @@ impl HarmonicFields {
         body.graph.component.iter().for_each(|&c| sizes[c as usize] += 1);
         // Of each hold, how many nodes it has and how many its component has.
         let mut holders = vec![(0usize, 0usize); self.fields.len()];
-        for (node, &k) in ownership.hard.iter().enumerate().filter(|(_, k)| **k != NOBODY) {
+        for (node, &k) in ownership.hard.iter().enumerate().filter(|(_, k)| **k != UNHELD) {
             let (own, of) = &mut holders[k as usize];
             *own += 1;
             *of = (*of).max(sizes[body.graph.component[node] as usize]);
@@ -192,7 +192,7 @@ fn solve_columns(
     let mut column_of = vec![usize::MAX; others.iter().max().map_or(0, |k| k + 1)];
     others.iter().enumerate().for_each(|(c, &k)| column_of[k] = c);
     for (node, &k) in ownership.hard.iter().enumerate() {
-        if k != NOBODY && column_of[k as usize] != usize::MAX {
+        if k != UNHELD && column_of[k as usize] != usize::MAX {
             x[node * columns + column_of[k as usize]] = 1.0;
         }
     }
@@ -203,7 +203,7 @@ fn solve_columns(
         }
     }
     let fixed: Vec<bool> = (0..nodes)
-        .map(|i| ownership.hard[i] != NOBODY || !in_cover(i))
+        .map(|i| ownership.hard[i] != UNHELD || !in_cover(i))
         .collect();
     let stiffness = ownership.stiffness();
     let constraints = Constraints {
@@ -373,7 +373,7 @@ mod tests {
             assert!(values.iter().all(|u| (0.0..=1.0).contains(u)), "{values:?}");
             assert!((values.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{values:?}");
             let owner = rig.rotation.hard[i];
-            if owner != NOBODY {
+            if owner != UNHELD {
                 assert!(
                     (values[owner as usize] - 1.0).abs() < 1e-6,
                     "node {i} of {owner}: {values:?}"

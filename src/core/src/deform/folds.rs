@@ -11,7 +11,7 @@
 //! Folds found, and patches around them relaxed.
 
 use crate::deform::handles::system::HandleSystem;
-use crate::mesh::distortion::{is_turned_over, largest_stretch, vertex_gradients};
+use crate::mesh::local_turns::{is_turned_over, largest_stretch, vertex_gradients};
 use crate::mesh::{Adjacency, Lists, Mesh, shading};
 use crate::pool::Pool;
 use glam::{DMat3, DVec3};
@@ -442,8 +442,8 @@ mod tests {
     /// Unfolds, and checks that the returned face changes match the shape.
     fn unfold(sheet: &Mesh, held: &[bool], now: &mut [DVec3], threads: usize) {
         let pool = Pool::new(threads).expect("threads");
-        let told = unfold_vertices(sheet, &OnceLock::new(), held, now, &pool);
-        assert_eq!(told, FaceChanges::find(sheet, now, &pool));
+        let returned = unfold_vertices(sheet, &OnceLock::new(), held, now, &pool);
+        assert_eq!(returned, FaceChanges::find(sheet, now, &pool));
     }
 
     /// A sheet of 100 by 100 cells, and the same with one inner vertex dragged over its neighbours.

@@ -55,8 +55,8 @@
 //! |---|---|
 //! | `body` | graph, hierarchy and rest shape of a mesh, and how they follow an edit |
 //! | `handles` | which handle holds which node, loose parts, how nodes are carried along and placed |
-//! | `fields` | bounded harmonic fields of the handles, and how they begin again after an edit |
-//! | `rotation` | rotation vectors, fits and blends of rotations |
+//! | `fields` | bounded harmonic fields of the handles |
+//! | `rotation` | transforms of handles, fits and blends of rotations |
 //! | `first_pass` | the local frame of each node |
 //! | `second_pass` | equation (8), solving it, and fitting rotations to the result |
 //! | `thin_faces` | needles and caps, which follow the shape around them |
@@ -73,7 +73,6 @@ mod handles;
 mod rotation;
 mod second_pass;
 mod thin_faces;
-mod transform;
 
 pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
 pub use comparison::SpatialRbf;
@@ -84,10 +83,9 @@ pub use folds::{FaceChanges, FaceSurroundings, unfold_faces};
 pub use handles::{
     FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, carry, shares_difference,
 };
-pub use rotation::{blend_rotations, exp_rotation, fit_rigid_motion, log_rotation};
+pub use rotation::{Transform, blend_rotations, exp_rotation, fit_rigid_motion, log_rotation};
 pub use second_pass::{
     FitOrder, PoseMethod, PoseRequest, PoseSolution, Refinement, SecondPassEquations, SolutionExtent, SolveStart,
     SolveState, SolveUpdate,
 };
 pub use thin_faces::NeedlesAndCaps;
-pub use transform::Transform;

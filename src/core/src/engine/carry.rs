@@ -43,7 +43,7 @@ impl Deformer {
     /// # Errors
     /// Those of [`Deformer::carrier`].
     pub fn carry_nodes(&self, positions: &[DVec3], exec: &Exec<'_>) -> Result<Vec<CarriedNode>, Error> {
-        Ok(self.riding_nodes_at(positions, exec)?.told())
+        Ok(self.riding_nodes_at(positions, exec)?.places())
     }
 
     /// The nodes that ride along, where a shape carries them.

@@ -302,10 +302,7 @@ impl Deformer {
                 format: self.model().format,
                 file_bytes: self.model().files.total_bytes(),
                 sha256: self.topology().sha256.to_string(),
-                counts: MeshCounts {
-                    vertices: count_u32(self.rest().len()),
-                    faces: count_u32(self.geometry().triangles.len()),
-                },
+                counts: MeshCounts::of(self.rest().len(), self.geometry().triangles.len()),
             },
             solver: SolverFacts {
                 solver_vertices: count_u32(mesh.positions.len()),
@@ -378,7 +375,7 @@ impl Deformer {
             exec.check()?;
             admit_bytes(held + held_by_handles, &self.room_limits(), exec)
         };
-        let (resolved, rigging) = resolve_handles((&regions, body), handles, self.options.policy, &admit)?;
+        let (resolved, rigging) = resolve_handles(&regions, body, handles, self.options.policy, &admit)?;
         let rig = match is_empty {
             true => None,
             false => Some(HandleSystem::build(body, rigging, exec)?),
@@ -390,7 +387,7 @@ impl Deformer {
         self.handles = resolved;
         self.handles.warnings.extend(large);
         self.rig = rig;
-        self.state.begin_anew();
+        self.state.reset();
         self.spatial_rbf = SpatialRbf::default();
         Ok(())
     }

@@ -84,7 +84,8 @@ impl DerivedStructures {
         let thin = NeedlesAndCaps::find(&mesh, exec.pool);
         Ok(Self::new(
             TopologyLineage::from_built(id, topology),
-            (mesh, thin),
+            mesh,
+            thin,
             parts,
             body,
             options,
@@ -138,7 +139,7 @@ impl DerivedStructures {
                     topology: change.topology,
                     past: LineageOrigin::Edited(step),
                 };
-                return Ok(Self::new(lineage, (mesh, thin), parts, body, options));
+                return Ok(Self::new(lineage, mesh, thin, parts, body, options));
             }
         }
         Self::build(id, change.topology, options, limits, exec)
@@ -166,7 +167,8 @@ impl DerivedStructures {
                 lineage: Arc::clone(path),
                 ..Self::new(
                     TopologyLineage::from_built(path.id, Arc::clone(&path.topology)),
-                    (mesh, thin),
+                    mesh,
+                    thin,
                     parts,
                     remade.body,
                     options,
@@ -181,7 +183,8 @@ impl DerivedStructures {
 
     fn new(
         lineage: TopologyLineage,
-        (mesh, thin): (Mesh, NeedlesAndCaps),
+        mesh: Mesh,
+        thin: NeedlesAndCaps,
         MeshParts { parts, families }: MeshParts,
         body: DeformableBody,
         options: &OpenOptions,

@@ -11,14 +11,14 @@ use super::edit_command::{
 use super::edit_operations::{EditContext, PlannedEdit, plan_edit};
 use super::edit_surface::EditSurface;
 use super::error::{Error, InputPlace};
-use super::facts::{DeformerWarning, MeshCounts, count_u32};
+use super::facts::{DeformerWarning, MeshCounts};
 use super::handle::Region;
 use super::part_families::VertexOrigins;
 use super::quality::{HandleBend, largest_turn};
 use super::region_context::{RegionContext, nodes_in_region, vertices_in_region, vertices_of_handle};
 use super::seams::Seams;
 use super::settings::{EDITED_AT_REST, ESTIMATED_MEMORY, HeldBeside, SolveMode, SolveSettings};
-use super::shape::ModelShape;
+use super::shape::{ModelShape, Shading};
 use super::topology_state::TopologyState;
 use super::{Deformer, digest};
 use crate::edit::{PatchedSurface, SurfacePatch, apply_patch};
@@ -47,7 +47,7 @@ impl Deformer {
         let mut origins = self.topology().origins(&self.derived.mesh);
         let mut surface = self.edit_surface(&shape.positions, &origins, exec)?;
         let points = (shape.id != rest.id).then(|| surface.point_positions());
-        let before = (surface.positions.len(), self.geometry().triangles.len());
+        let before = MeshCounts::of(surface.positions.len(), self.geometry().triangles.len());
         let mut context = EditContext {
             regions: self.region_context(shape, exec),
             limits: self.room_limits(),
@@ -79,8 +79,10 @@ impl Deformer {
         let mut report = self.report_edit(before, &applied, &planned);
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
-        let separated = (families, planned.parts);
-        let (mut topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, separated);
+        let (mut topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, families);
+        if let Some(edited) = topology.edited.as_mut() {
+            edited.apart |= planned.parts;
+        }
         if shape.id != rest.id {
             // What the edit sees becomes the rest pose, of what rides along too.
             topology.riding_nodes = self.riding_nodes_at(&shape.positions, exec)?;
@@ -124,13 +126,13 @@ impl Deformer {
     }
 
     /// What an edit has done, but for the shape after it.
-    fn report_edit(&self, before: (usize, usize), applied: &PatchedSurface, planned: &PlannedEdit) -> EditReport {
+    fn report_edit(&self, before: MeshCounts, applied: &PatchedSurface, planned: &PlannedEdit) -> EditReport {
         // What rides along is in no patch.
         let riding = self.topology().passenger_triangles();
         let mut report = EditReport {
-            before: mesh_counts(before.0, before.1),
-            after: mesh_counts(applied.positions.len(), applied.triangles.len() + riding),
-            kept: kept_vertex_runs(applied, before.0),
+            before,
+            after: MeshCounts::of(applied.positions.len(), applied.triangles.len() + riding),
+            kept: kept_vertex_runs(applied, before.vertices as usize),
             curve: planned.curve_vertices(applied),
             deviation: planned.deviation,
             ..Default::default()
@@ -215,7 +217,7 @@ impl Deformer {
     fn give_way(&mut self, mut next: Self) {
         if next.state.is_empty() {
             next.state = std::mem::take(&mut self.state);
-            next.state.begin_anew();
+            next.state.reset();
         }
         *self = next;
     }
@@ -233,40 +235,32 @@ impl Deformer {
     /// The surface in a shape, as an operation reads it.
     fn edit_surface(&self, shape: &[DVec3], origins: &VertexOrigins, exec: &Exec<'_>) -> Result<EditSurface, Error> {
         let geometry = self.geometry();
-        let shading = match geometry.normals.is_empty() {
-            true => Default::default(),
+        let mut shading = match geometry.normals.is_empty() {
+            true => Shading::default(),
             false => super::shading(geometry, self.rest(), shape),
         };
-        let tangents = if geometry.tangents.is_empty() {
-            Vec::new()
-        } else {
-            shading.tangents
-        };
+        if geometry.tangents.is_empty() {
+            shading.tangents = Vec::new();
+        }
         let mesh = &self.derived.mesh;
-        let seams = Seams::find((geometry, self.rest()), mesh, origins, exec.progress)?;
-        Ok(EditSurface::new(
-            mesh,
-            geometry,
-            shape,
-            (shading.normals, tangents),
-            seams,
-        ))
+        let seams = Seams::find(geometry, self.rest(), mesh, origins, exec.progress)?;
+        Ok(EditSurface::new(mesh, geometry, shape, shading, seams))
     }
 
     /// Refuses an edit that would add about so many triangles, and half as many vertices, by its estimate alone.
     fn admit_growth(&self, triangles: f64, exec: &Exec<'_>) -> Result<(), Error> {
-        // Beyond 2^63 there is nothing left to tell apart.
+        // Beyond 2^63 numbers do not differ.
         let added = triangles.clamp(0.0, 1e18) as u64;
         let (vertices, faces) = (self.rest().len() as u64, self.geometry().triangles.len() as u64);
-        self.admit_counts((vertices + added / 2, faces.saturating_add(added)), exec)
+        self.admit_counts(vertices + added / 2, faces.saturating_add(added), exec)
     }
 
     fn admit_size(&self, applied: &PatchedSurface, exec: &Exec<'_>) -> Result<(), Error> {
         let triangles = applied.triangles.len() + self.topology().passenger_triangles();
-        self.admit_counts((applied.positions.len() as u64, triangles as u64), exec)
+        self.admit_counts(applied.positions.len() as u64, triangles as u64, exec)
     }
 
-    fn admit_counts(&self, (vertices, triangles): (u64, u64), exec: &Exec<'_>) -> Result<(), Error> {
+    fn admit_counts(&self, vertices: u64, triangles: u64, exec: &Exec<'_>) -> Result<(), Error> {
         let limits = &self.limits.model;
         let sizes = [
             ("the number of vertices after the edit", vertices, limits.vertices),
@@ -331,11 +325,4 @@ fn nodes_with_points(nodes: &Arc<Vec<DVec3>>, points: &[DVec3]) -> Arc<Vec<DVec3
     let mut nodes = nodes.as_ref().clone();
     nodes[..points.len()].copy_from_slice(points);
     Arc::new(nodes)
-}
-
-fn mesh_counts(vertices: usize, faces: usize) -> MeshCounts {
-    MeshCounts {
-        vertices: count_u32(vertices),
-        faces: count_u32(faces),
-    }
 }

@@ -10,6 +10,7 @@ use super::part_families::VertexOrigins;
 use super::quality::{HandleBend, plan_division};
 use super::region_context::{RegionContext, vertices_in_region};
 use super::seams::Seams;
+use super::shape::Shading;
 use crate::asset::Model;
 use crate::edit::{
     CutOptions, CutPlane, KeptSide, LoopPair, PatchedSurface, RemeshOptions, RemeshTarget, SurfaceCurve, SurfacePatch,
@@ -256,7 +257,7 @@ fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>
     let placement = merge.own_from_other;
     let positions: Vec<DVec3> = other.rest.iter().map(|p| placement.transform_point3(*p)).collect();
     check_sizes(context.regions.positions, &positions)?;
-    let placed = placed_surface(&other, &mesh, (&positions, placement), exec)?;
+    let placed = placed_surface(&other, &mesh, &positions, placement, exec)?;
     let first_point = context.surface.points;
     context.surface.append(&placed);
     let affine = DAffine3::from_mat4(placement);
@@ -278,7 +279,8 @@ fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>
 fn placed_surface(
     other: &ModelTopology,
     mesh: &Mesh,
-    (positions, placement): (&[DVec3], DMat4),
+    positions: &[DVec3],
+    placement: DMat4,
     exec: &Exec<'_>,
 ) -> Result<EditSurface, Error> {
     let normals_to = DMat3::from_mat4(placement).inverse().transpose();
@@ -291,9 +293,12 @@ fn placed_surface(
             along.normalize_or_zero().as_vec3().extend(t.w)
         })
         .collect();
-    let own = (other.geometry(), &other.rest[..]);
-    let seams = Seams::find(own, mesh, &other.origins(mesh), exec.progress)?;
-    let mut surface = EditSurface::new(mesh, own.0, positions, (turned, tangents), seams);
+    let shading = Shading {
+        normals: turned,
+        tangents,
+    };
+    let seams = Seams::find(other.geometry(), &other.rest, mesh, &other.origins(mesh), exec.progress)?;
+    let mut surface = EditSurface::new(mesh, other.geometry(), positions, shading, seams);
     if placement.determinant() < 0.0 {
         surface.turn_inside_out();
     }

@@ -1,6 +1,7 @@
 //! The surface that an edit works on.
 
 use super::seams::Seams;
+use super::shape::Shading;
 use crate::asset::{Geometry, Primitive};
 use crate::edit::SurfaceView;
 use crate::mesh::{Mesh, NONE};
@@ -39,7 +40,7 @@ impl EditSurface {
         mesh: &Mesh,
         geometry: &Geometry,
         positions: &[DVec3],
-        (normals, tangents): (Vec<Vec3>, Vec<Vec4>),
+        Shading { normals, tangents }: Shading,
         seams: Seams,
     ) -> Self {
         let of_triangle = triangle_primitives(&geometry.primitives, geometry.triangles.len());

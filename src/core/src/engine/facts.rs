@@ -162,6 +162,16 @@ pub struct QualityReport {
     pub self_intersections: Option<u32>,
 }
 
+impl MeshCounts {
+    /// Counts as reports have them.
+    pub(super) fn of(vertices: usize, faces: usize) -> Self {
+        Self {
+            vertices: count_u32(vertices),
+            faces: count_u32(faces),
+        }
+    }
+}
+
 impl DeformerWarning {
     /// Makes a warning about a place described in words.
     pub fn new(code: impl Into<String>, message: impl Into<String>, place: impl Into<String>) -> Self {
@@ -265,7 +275,7 @@ pub(super) fn interior_warnings(body: &DeformableBody, mode: VolumeMode) -> Vec<
 }
 
 /// How many loose parts are listed.
-const MOST_TOLD: usize = 16;
+const MOST_LISTED: usize = 16;
 /// Parts are pulled apart where two handles take one place further apart than this part of the diagonal.
 const PULLED: f64 = 0.01;
 /// How many pairs of handles one warning is made for.
@@ -290,8 +300,8 @@ pub(super) fn tie_facts(mesh: &Mesh, parts: &Components, body: &DeformableBody, 
     let mut loose: Vec<usize> = (0..parts.count).filter(|&part| parts_of[whole(part)] == 1).collect();
     let count = loose.len();
     loose.sort_by_key(|&part| (std::cmp::Reverse(vertices[part]), part));
-    loose.truncate(MOST_TOLD);
-    let told = |part: usize| {
+    loose.truncate(MOST_LISTED);
+    let listed = |part: usize| {
         let vertex = mesh.render_vertices_of(firsts[part])[0];
         let primitive = primitive_at(primitives, vertex);
         LoosePart {
@@ -304,7 +314,7 @@ pub(super) fn tie_facts(mesh: &Mesh, parts: &Components, body: &DeformableBody, 
     TieFacts {
         ties,
         loose_parts: count_u32(count),
-        loose: loose.into_iter().map(told).collect(),
+        loose: loose.into_iter().map(listed).collect(),
     }
 }
 

@@ -160,14 +160,14 @@ impl ModelTopology {
     }
 
     /// The topology after an edit of `before`, whose vertices are made of `origins`, and the maps that are left of
-    /// `applied`. `families` are those of the surface after it; `parts`: the edit may have made parts that touch.
+    /// `applied`. `families` are those of the surface after it.
     pub fn after_edit(
         &self,
         before: &EditSurface,
         origins: &VertexOrigins,
         mut applied: PatchedSurface,
         patch: &SurfacePatch,
-        (families, parts): (PartFamilies, bool),
+        families: PartFamilies,
     ) -> (Self, PatchedSurface) {
         let normals = edited_normals(before, &applied);
         let own = |v: usize| is_own(before, &applied, patch, &normals, v);
@@ -181,7 +181,7 @@ impl ModelTopology {
             triangles: take(&mut applied.triangles),
         };
         if self.has_passengers() {
-            self.seat_passengers(&mut geometry, &mut origins, &applied.vertex_from_old);
+            self.restore_passengers(&mut geometry, &mut origins, &applied.vertex_from_old);
         }
         let topology = Self {
             model: Arc::clone(&self.model),
@@ -193,7 +193,7 @@ impl ModelTopology {
                 origins,
                 point_of: take(&mut applied.point_of),
                 points: applied.points,
-                apart: parts || self.is_apart(),
+                apart: self.is_apart(),
                 families,
             }),
         };
@@ -202,7 +202,7 @@ impl ModelTopology {
 
     /// Puts the triangles of passengers, which no edit touches, back among those of an edited mesh: `geometry` and `origins`
     /// have all primitives and the triangles of the others.
-    fn seat_passengers(&self, geometry: &mut Geometry, origins: &mut VertexOrigins, vertex_from_old: &[u32]) {
+    fn restore_passengers(&self, geometry: &mut Geometry, origins: &mut VertexOrigins, vertex_from_old: &[u32]) {
         let old = self.geometry();
         let mut own = old.triangles_of_primitives();
         let (mut triangles, mut was) = (Vec::new(), Vec::new());

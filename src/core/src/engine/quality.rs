@@ -3,12 +3,13 @@
 //! Faces too large to show the bend between handles are reported before and after a pose, and divided on request.
 
 use crate::deform::{FaceChanges, HandleSystem, exp_rotation, shares_difference};
-use crate::edit::{self, EvennessTarget, FieldSample, SurfacePatch, SurfaceView, subdivide_until_even};
+use crate::edit;
+use crate::edit::{EvennessTarget, FieldSample, SurfacePatch, SurfaceView, subdivide_until_even};
 use crate::engine::facts::{DeformerWarning, QualityReport};
 use crate::engine::handle::HandlePoses;
 use crate::engine::resolved_handles::ResolvedHandles;
 use crate::exec::Exec;
-use crate::mesh::distortion::{is_turned_over, largest_stretch, vertex_gradients};
+use crate::mesh::local_turns::{is_turned_over, largest_stretch, vertex_gradients};
 use crate::mesh::query::TriangleBvh;
 use crate::mesh::rotation::fit_rotation;
 use crate::mesh::{BoundingBox, Mesh, shading};
@@ -346,7 +347,7 @@ pub(super) fn largest_turn(handles: &ResolvedHandles, poses: &HandlePoses) -> f6
     let mut largest = 0.0f64;
     for (i, a) in transforms.iter().enumerate() {
         largest = largest.max(a.rotation.length());
-        // Pairs of the first few tell; the clamp of what follows from it is coarse.
+        // Pairs of a few handles suffice; the clamp of what follows from it is coarse.
         for b in transforms[..i].iter().rev().take(64) {
             let between: DQuat = exp_rotation(a.rotation).inverse() * exp_rotation(b.rotation);
             largest = largest.max(2.0 * libm::acos(between.w.abs().min(1.0)));

@@ -234,10 +234,10 @@ pub(super) fn region_centroid(
     let solver: Vec<DVec3> = (nodes.iter().filter(|n| **n < surface))
         .map(|n| graph.positions[*n as usize])
         .collect();
-    let strays = || (context.positions.iter().zip(vertices).filter(|(_, held)| **held)).map(|(p, _)| *p);
+    let unreferenced = || (context.positions.iter().zip(vertices).filter(|(_, held)| **held)).map(|(p, _)| *p);
     let points: Vec<DVec3> = match solver.is_empty() {
         false => solver,
-        true if vertices.contains(&true) => strays().collect(),
+        true if vertices.contains(&true) => unreferenced().collect(),
         true => nodes.iter().map(|n| graph.positions[*n as usize]).collect(),
     };
     points.iter().map(|p| *p / points.len().max(1) as f64).sum()

@@ -39,7 +39,7 @@ pub(super) struct ResolvedHandles {
     /// With a symmetry plane: the plane; hold `handles + k` is then the mirror image of handle k.
     pub mirror: Option<MirrorPlane>,
     /// Render vertices in no face that a hard handle holds, with its hold.
-    pub strays: Vec<(u32, u32)>,
+    pub unreferenced: Vec<(u32, u32)>,
     /// What the user should know.
     pub warnings: Vec<DeformerWarning>,
 }
@@ -50,7 +50,8 @@ pub(super) type HeldBytesAdmission<'a> = dyn Fn(u64) -> Result<(), Error> + 'a;
 /// Resolves handles to what they hold in the model as it is; nothing else decides it, so that no shape depends on when its
 /// handles were set.
 pub(super) fn resolve_handles(
-    (context, body): (&RegionContext<'_>, &DeformableBody),
+    context: &RegionContext<'_>,
+    body: &DeformableBody,
     set: HandleSet,
     policy: FreePartPolicy,
     admit: &HeldBytesAdmission<'_>,
@@ -61,7 +62,7 @@ pub(super) fn resolve_handles(
         mirror,
         ..Default::default()
     };
-    let (mut holds, mut images, mut strays) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut holds, mut images, mut unreferenced) = (Vec::new(), Vec::new(), Vec::new());
     let mut held_bytes = 0;
     let lists = differing_lists(&set.handles);
     for (k, handle) in set.handles.iter().enumerate() {
@@ -79,7 +80,7 @@ pub(super) fn resolve_handles(
         }
         let hold = hold_nodes(body, handle, held, context.exec)?;
         if hold.stiffness.is_none() && hold.position {
-            strays.extend(stray_vertices(context, &vertices, k as u32));
+            unreferenced.extend(unreferenced_vertices(context, &vertices, k as u32));
         }
         if mirror.is_some() {
             let image = nodes_in_region(context, graph, &handle.region, mirror).map_err(|e| e.with_place(place))?;
@@ -97,12 +98,12 @@ pub(super) fn resolve_handles(
     let frozen = frozen_nodes(context, body, set.region_of_interest.as_ref())?;
     resolved.warnings = overlap_warnings(&set.handles, &holds, &images, &frozen);
     holds.extend(images);
-    strays.sort_by_key(|&(vertex, hold)| (vertex, hold));
+    unreferenced.sort_by_key(|&(vertex, hold)| (vertex, hold));
     // The last handle that names a vertex has it.
-    strays.reverse();
-    strays.dedup_by_key(|s| s.0);
-    strays.reverse();
-    resolved.strays = strays;
+    unreferenced.reverse();
+    unreferenced.dedup_by_key(|s| s.0);
+    unreferenced.reverse();
+    resolved.unreferenced = unreferenced;
     resolved.counts = count_held(context, body, &holds, set.handles.len(), &frozen);
     for (k, held) in resolved.counts.iter().enumerate() {
         if held.vertices + held.interior_nodes == 0 && !holds[k].nodes.is_empty() {
@@ -258,7 +259,7 @@ fn frozen_nodes(
     Ok(frozen)
 }
 
-fn stray_vertices(context: &RegionContext<'_>, vertices: &[bool], hold: u32) -> Vec<(u32, u32)> {
+fn unreferenced_vertices(context: &RegionContext<'_>, vertices: &[bool], hold: u32) -> Vec<(u32, u32)> {
     let vertices = (0u32..).zip(vertices).zip(&context.mesh.solver_from_render);
     (vertices.filter(|((_, held), solver)| **held && **solver == NONE))
         .map(|((vertex, _), _)| (vertex, hold))

@@ -37,8 +37,8 @@ pub(super) fn mark_passengers(primitives: &mut [Primitive], passengers: &[Passen
                 ));
             }
             PassengerKind::PrimitivesNamed(name) => {
-                let bears = |p: &usize| primitives[*p].name == *name;
-                let named: Vec<usize> = (0..count).filter(bears).collect();
+                let is_named = |p: &usize| primitives[*p].name == *name;
+                let named: Vec<usize> = (0..count).filter(is_named).collect();
                 if named.is_empty() {
                     let shown = clip_name(name);
                     let names: Vec<String> = primitives.iter().take(8).map(|p| format!("\"{}\"", p.name)).collect();
@@ -134,7 +134,7 @@ impl RidingVertices {
 }
 
 /// How many names a refusal lists.
-const NAMES_TOLD: usize = 8;
+const NAMES_LISTED: usize = 8;
 
 /// A node of the model's file that rode along, where it is in a shape.
 #[derive(Debug, Clone, PartialEq)]
@@ -253,8 +253,8 @@ impl RidingNodes {
     }
 
     /// Where they are.
-    pub fn told(&self) -> Vec<CarriedNode> {
-        let tell = |node: &RidingNode| CarriedNode {
+    pub fn places(&self) -> Vec<CarriedNode> {
+        let carried = |node: &RidingNode| CarriedNode {
             passenger: node.passenger,
             node: node.node,
             name: node.name.clone(),
@@ -263,7 +263,7 @@ impl RidingNodes {
                 ..node.carried
             },
         };
-        self.0.iter().map(tell).collect()
+        self.0.iter().map(carried).collect()
     }
 
     /// Bytes held on the heap.
@@ -307,13 +307,13 @@ impl RidingNode {
 /// Why a name means no node, with names that would.
 fn no_node_named(name: &str, nodes: &[ModelNode]) -> String {
     let can_ride = nodes.iter().filter(|node| !node.is_joint && !node.name.is_empty());
-    let told: Vec<String> = can_ride
-        .take(NAMES_TOLD)
+    let names: Vec<String> = can_ride
+        .take(NAMES_LISTED)
         .map(|node| format!("\"{}\"", clip_name(&node.name)))
         .collect();
-    let there = match told.is_empty() {
+    let there = match names.is_empty() {
         true => "and none that could ride along has a name; name it by its index".into(),
-        false => format!("there are {}", told.join(", ")),
+        false => format!("there are {}", names.join(", ")),
     };
     format!("no node is named \"{}\", {there}", clip_name(name))
 }

@@ -32,7 +32,8 @@ pub(super) struct Seams {
 impl Seams {
     /// Finds the seams of a model. `rest` are its positions, `mesh` is its mesh; `origins` gives vertex origins.
     pub fn find(
-        (geometry, rest): (&Geometry, &[DVec3]),
+        geometry: &Geometry,
+        rest: &[DVec3],
         mesh: &Mesh,
         origins: &VertexOrigins,
         progress: &dyn Progress,
@@ -46,7 +47,7 @@ impl Seams {
         if !rows.clone().any(repeats) {
             return Ok(Self::default());
         }
-        let comparison = Comparison::new((geometry, rest), mesh, (origins, &primitive_of), progress)?;
+        let comparison = Comparison::new(geometry, rest, mesh, origins, &primitive_of, progress)?;
         check(progress)?;
         let mut sets = VertexSets::new(rest.len());
         let mut keys: Vec<(u32, u64, u32)> = Vec::new();
@@ -243,9 +244,11 @@ struct Comparison<'a> {
 
 impl<'a> Comparison<'a> {
     fn new(
-        (geometry, rest): (&'a Geometry, &'a [DVec3]),
+        geometry: &'a Geometry,
+        rest: &'a [DVec3],
         mesh: &'a Mesh,
-        (origins, primitive_of): (&'a VertexOrigins, &'a [u32]),
+        origins: &'a VertexOrigins,
+        primitive_of: &'a [u32],
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
         let models = || origins.models();

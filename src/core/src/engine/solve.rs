@@ -146,7 +146,7 @@ impl Deformer {
             body,
             mesh: &derived.mesh,
             rest: &derived.topology().rest,
-            strays: &handles.strays,
+            unreferenced: &handles.unreferenced,
             riders: derived.riding_vertices(),
             pool: exec.pool,
         };
@@ -324,7 +324,7 @@ pub(super) struct ShapeTransfer<'a> {
     pub mesh: &'a Mesh,
     pub rest: &'a [DVec3],
     /// Render vertices in no face that a hard handle holds, with its hold.
-    pub strays: &'a [(u32, u32)],
+    pub unreferenced: &'a [(u32, u32)],
     pub riders: Option<(&'a CarrySurface, &'a RidingVertices)>,
     pub pool: &'a Pool,
 }
@@ -352,7 +352,7 @@ impl ShapeTransfer<'_> {
             let vertices = self.rest.par_iter().zip(&self.mesh.solver_from_render);
             vertices.with_min_len(PIECE).map(place).collect()
         });
-        for &(vertex, hold) in self.strays {
+        for &(vertex, hold) in self.unreferenced {
             if let Some(t) = transforms.get(hold as usize) {
                 positions[vertex as usize] = t.map()(positions[vertex as usize]);
             }

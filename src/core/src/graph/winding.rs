@@ -26,7 +26,7 @@ use std::f64::consts::PI;
 const FAR: f64 = 2.0;
 /// The same for a first look, which is off by at most about 0.1 there …
 const ROUGHLY_FAR: f64 = 1.0;
-/// … and is believed where it is further than this from the threshold.
+/// … and is taken where it is further than this from the threshold.
 const CLEAR: f64 = 0.25;
 
 impl WindingTree<'_> {

@@ -452,7 +452,7 @@ mod boundary_tests {
     }
 
     #[test]
-    fn touching_rims_are_told_apart() {
+    fn touching_rims_are_kept_apart() {
         // Two triangles that share vertex 2 only: a bow tie.
         let p: Vec<DVec3> = [[0., 0.], [0., 1.], [1., 0.], [2., 0.], [2., 1.]]
             .iter()

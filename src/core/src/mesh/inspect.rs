@@ -377,7 +377,7 @@ fn cracked_vertices(mesh: &Mesh, adjacency: &Adjacency) -> Vec<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::weld::{self, Weld};
+    use crate::mesh::weld::Weld;
     use PLACES;
     use glam::DVec3;
 
@@ -401,7 +401,7 @@ mod tests {
     #[test]
     fn each_defect_is_counted_and_named_once() {
         // A tetrahedron with a hole, a fin on one edge, a flipped neighbour, a repeated and a collapsed face, a
-        // stray vertex and a second part that touches nothing.
+        // unreferenced vertex and a second part that touches nothing.
         let mut p = TETRAHEDRON.to_vec();
         p.extend([
             [0.5, -1., 0.],
@@ -470,7 +470,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crack_is_told_from_an_honest_rim() {
+    fn a_crack_and_an_honest_rim_differ() {
         let gap = 1e-7;
         let p = [
             [0., 0., 0.],

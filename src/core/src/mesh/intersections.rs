@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn a_count_that_nobody_wants_stops() {
+    fn a_cancelled_count_stops() {
         let flag = CancelFlag::default();
         flag.cancel();
         let (positions, triangles) = crossed_sheets(4);

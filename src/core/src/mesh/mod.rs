@@ -6,7 +6,6 @@
 
 mod adjacency;
 pub mod carry;
-pub mod distortion;
 mod error;
 mod inspect;
 mod intersections;

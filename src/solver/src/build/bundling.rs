@@ -147,7 +147,7 @@ impl SlicePlanner {
         let (first, here) = (range.start as u32, places[b]);
         self.rows = range.len();
         let entries = draft.offsets[range.start] as usize..draft.offsets[range.end] as usize;
-        // A run more than each row needs, since whoever does not count is written too.
+        // A run more than each row needs, since rows that do not count are written too.
         let most = entries.len() / RUN + 2 * range.len();
         if self.smaller.len() < most {
             self.smaller.resize(most, [PADDING; RUN]);

@@ -117,7 +117,7 @@ fn nearest_seeds(draft: &LevelDraft, blocks: &RowBlocks, reach2: f32, threads: P
     };
     let covered: Vec<AtomicBool> = (0..n).map(|_| AtomicBool::new(false)).collect();
     let offers: Vec<AtomicU64> = (0..n).map(|_| AtomicU64::new(u64::MAX)).collect();
-    let told = ToldNeighbours {
+    let seen = SeedOffers {
         covered,
         offers,
         weak,
@@ -126,24 +126,24 @@ fn nearest_seeds(draft: &LevelDraft, blocks: &RowBlocks, reach2: f32, threads: P
     for c in blocks.colours.windows(2) {
         threads.for_each(c[0] as usize..c[1] as usize, |k| {
             for i in blocks.range(blocks.by_colour[k] as usize) {
-                if !draft.connected(i) || told.covered[i].load(Ordering::Relaxed) {
+                if !draft.connected(i) || seen.covered[i].load(Ordering::Relaxed) {
                     continue;
                 }
                 match (&draft.weights, placed) {
-                    (None, true) => told.take_seed::<false, true>(draft, i, threads),
-                    (Some(_), true) => told.take_seed::<true, true>(draft, i, threads),
-                    (None, false) => told.take_seed::<false, false>(draft, i, threads),
-                    (Some(_), false) => told.take_seed::<true, false>(draft, i, threads),
+                    (None, true) => seen.take_seed::<false, true>(draft, i, threads),
+                    (Some(_), true) => seen.take_seed::<true, true>(draft, i, threads),
+                    (None, false) => seen.take_seed::<false, false>(draft, i, threads),
+                    (Some(_), false) => seen.take_seed::<true, false>(draft, i, threads),
                 }
             }
         });
     }
-    let offers = told.offers;
+    let offers = seen.offers;
     offers.into_iter().map(|offer| offer.into_inner() as u32).collect()
 }
 
 /// What seeds wrote to rows.
-struct ToldNeighbours {
+struct SeedOffers {
     /// Whether a seed is near.
     covered: Vec<AtomicBool>,
     /// Cost in the upper half, seed in the lower one: the order of these numbers is that of costs, then of seeds.
@@ -153,7 +153,7 @@ struct ToldNeighbours {
     reach2: f32,
 }
 
-impl ToldNeighbours {
+impl SeedOffers {
     /// Makes row `i` a seed and updates its neighbours.
     #[inline(always)]
     fn take_seed<const WEIGHTED: bool, const PLACED: bool>(&self, draft: &LevelDraft, i: usize, threads: Parallelism) {
@@ -304,7 +304,7 @@ impl Aggregates {
                     let seed = seeds[group];
                     members[used] = seed;
                     used += 1;
-                    // Whoever has not joined is written too, and then overwritten: that is faster than asking.
+                    // Rows that have not joined are written too, and then overwritten: that is faster than asking.
                     let row = draft.row(seed as usize);
                     for &j in row {
                         members[used] = j;

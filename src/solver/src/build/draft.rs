@@ -120,7 +120,7 @@ impl LevelDraft {
                     out[to..to + from.len()].copy_from_slice(&rows.neighbours[from.clone()]);
                     to += from.len();
                 }
-                // All at once: whoever asks nothing in between waits for many of them at the same time.
+                // All at once: a loop without branches waits for many of them at the same time.
                 for j in out {
                     *j = ranks[*j as usize];
                 }

@@ -281,7 +281,7 @@ fn full_multigrid_begins_with_a_rigid_motion_exactly() {
 }
 
 #[test]
-fn levels_are_told_and_shrink_as_the_paper_says() {
+fn levels_are_reported_and_shrink_as_the_paper_says() {
     let (hierarchy, system) = held(&lattice(14), 100);
     let facts = system.level_sizes().unwrap();
     assert_eq!(facts[0].vertices, system.free_count());

@@ -133,7 +133,7 @@ impl Hierarchy {
             }
             let coarsened = self.levels.get(l + 1).map(|next| next.occupied());
             if l == top || self.levels[l].grouping.paired || coarsened.is_none() {
-                self.coarsen_anew(l, threads);
+                self.coarsen_again(l, threads);
                 break;
             }
             let (fine, coarse) = self.levels.split_at_mut(l + 1);
@@ -141,7 +141,7 @@ impl Hierarchy {
             let regrouped = regroup_members(level, &placed);
             let count = next.occupied() + regrouped.members.len() - regrouped.dead.len();
             if count as f64 > SHRINK * level.occupied() as f64 {
-                self.coarsen_anew(l, threads);
+                self.coarsen_again(l, threads);
                 break;
             }
             touched = coarse_rows(level, next, &regrouped, block_size(l + 1));
@@ -214,7 +214,7 @@ impl Hierarchy {
     }
 
     /// Rebuilds all levels above level `l`.
-    fn coarsen_anew(&mut self, l: usize, threads: Parallelism) {
+    fn coarsen_again(&mut self, l: usize, threads: Parallelism) {
         self.levels.truncate(l + 1);
         let (finer, last) = self.levels.split_at_mut(l);
         let lives = |i: usize| match finer.last() {
@@ -225,7 +225,7 @@ impl Hierarchy {
         (level.aggregates, level.ranges, level.members) = Default::default();
         let (draft, ranks) = draft_of(level, lives, threads);
         let blocks = RowBlocks::new(&draft, block_size(l), threads);
-        // Halfway through there is no way back, so nobody is asked whether to go on.
+        // Halfway through there is no way back, so cancelling is not checked.
         let last = ArrangedDraft { draft, blocks, ranks };
         let _ = coarsen(&mut self.levels, last, &self.options, threads, &Silent);
     }

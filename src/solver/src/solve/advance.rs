@@ -1,4 +1,4 @@
-//! Vector work of the outer iteration: the residual of a stretch, one step, adding the correction.
+//! Vector work of the outer iteration: the residual of a run, one step, adding the correction.
 
 use crate::lanes::{Lanes, SLICE_ROWS, WIDTH, WideLanes, per_lane, ratio};
 use crate::progress::Cancelled;
@@ -145,7 +145,7 @@ fn precondition(
     let zd = per_lane(|c| if first { 0.0 } else { zl[c] - zr[c] });
     let beta = per_lane(|c| -ratio(zd[c], dd[c]));
     let pp = per_lane(|c| zv[c] + 2.0 * beta[c] * zd[c] + beta[c] * beta[c] * dd[c]);
-    // Within a stretch the last step is orthogonal to r; the true residual that began this one may differ.
+    // Within a run the last step is orthogonal to r; the true residual that began this one may differ.
     let dr = if terms.fresh && !first {
         inner_product(grid, last_e, r, partials).map(|v| -v)
     } else {

@@ -42,7 +42,7 @@ pub(crate) fn conjugate_gradients(
     let mut best = f64::INFINITY;
     let mut idle = 0;
     loop {
-        // Each stretch starts from the true residual.
+        // Each run starts from the true residual.
         let norms = threads.run_on(pool, || problem.wide_residual(x, r));
         outcome.relative = per_lane(|c| ratio(norms[c].sqrt(), reference[c]));
         let worst = outcome.relative.iter().fold(0.0f64, |a, &b| a.max(b));
@@ -83,7 +83,7 @@ pub(crate) fn conjugate_gradients(
             threads.run_on(pool, || floating.remove_wide_means(p));
         }
         let unit = problem.unit[..width].iter().fold(0.0f64, |a, &b| a.max(b));
-        // All steps of a stretch together may still be to come once more.
+        // All steps of a run together may still be to come once more.
         outcome.max_error = longest * unit * LOOK as f64;
         let iteration = IterationReport {
             index: outcome.iterations,

@@ -27,7 +27,8 @@ impl LinearSystem {
         &self,
         hierarchy: &Hierarchy,
         pose: &mut PoseRows,
-        (workspace, exec): (&mut Workspace, &Exec<'_>),
+        workspace: &mut Workspace,
+        exec: &Exec<'_>,
     ) -> Result<(), Error> {
         self.check_pose(hierarchy, pose)?;
         exec.check()?;
@@ -276,7 +277,7 @@ mod tests {
             let mut pose = self.pose();
             let exec = Exec::new(&self.pool, &Silent);
             self.system
-                .start_pose(&self.hierarchy, &mut pose, (&mut self.workspace, &exec))
+                .start_pose(&self.hierarchy, &mut pose, &mut self.workspace, &exec)
                 .unwrap();
             for tolerance in [None, None, Some(1e-4)] {
                 self.solve(&mut pose, tolerance);

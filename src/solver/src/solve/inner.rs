@@ -1,5 +1,5 @@
-//! The inner iterations, those of one stretch: a correction in single precision from one true residual. [`OuterState`] is
-//! what passes from step to step and from stretch to stretch.
+//! The inner iterations, those of one run: a correction in single precision from one true residual. [`OuterState`] is
+//! what passes from step to step and from run to run.
 
 use crate::build::hierarchy::power_of_two_below;
 use crate::error::Error;
@@ -13,13 +13,13 @@ use crate::solve::group::{
 };
 use crate::solve::solution_subspace::SolutionSubspace;
 
-/// A stretch ends once the residual fell by this factor: single precision has few digits left.
+/// A run ends once the residual fell by this factor: single precision has few digits left.
 const RESTART_REDUCTION: f64 = 1e-5;
 /// Rounding of one step, relative to the largest diagonal times the norm of the correction.
 const ROUNDING: f64 = 2e-7;
 /// The same after an exact first step.
 const ROUNDING_AFTER_EXACT_STEP: f64 = 6e-8;
-/// A stretch ends once rounding is this part of the residual. Rounding is smooth as much as rough, while the residual
+/// A run ends once rounding is this part of the residual. Rounding is smooth as much as rough, while the residual
 /// of a good iterate has lost its smooth part: rounding spoils the solution long before it shows in norms.
 const MOST_ROUNDING: f64 = 0.03;
 /// Tolerances below this one are worth an exact first step.
@@ -35,7 +35,7 @@ const MOST_RELIABLE_STEPS: f64 = 12.0;
 /// Iterations that must at least halve the residual.
 const PATIENCE: usize = 12;
 
-/// How a stretch ended.
+/// How a run ended.
 pub(super) enum InnerEnd {
     /// The caller can have x as it is.
     Accepted,
@@ -43,13 +43,13 @@ pub(super) enum InnerEnd {
     Ended,
     /// Little or no progress.
     Stagnated,
-    /// Numbers that are not finite; the correction of this stretch was thrown away.
+    /// Numbers that are not finite; the correction of this run was thrown away.
     NotFinite,
 }
 
-/// The state of one stretch.
+/// The state of one run.
 struct InnerState {
-    /// True relative residual that the stretch began with.
+    /// True relative residual that the run began with.
     start: WideLanes,
     /// The vectors' norms in units of the relative residual.
     norm_unit: WideLanes,
@@ -83,7 +83,7 @@ struct StepProgress {
 }
 
 impl GroupSolve<'_, '_> {
-    /// One stretch from the residual in `fine.r`; adds its correction to x.
+    /// One run from the residual in `fine.r`; adds its correction to x.
     pub(super) fn inner_iterations(
         &mut self,
         state: &mut OuterState,
@@ -92,7 +92,7 @@ impl GroupSolve<'_, '_> {
         let (problem, criteria) = (self.problem, self.criteria);
         let (threads, pool, grid) = (problem.threads, self.pool, self.cycle.grid(0));
         let scale = state.scale;
-        let mut inner = self.begin_stretch(state);
+        let mut inner = self.begin_run(state);
         self.cycle.progress.begin_pass("cycles");
         let verdict = loop {
             let norms = self.advance(state, &inner)?;
@@ -125,7 +125,7 @@ impl GroupSolve<'_, '_> {
                 threads.run_on(pool, || fold_correction(&grid, fine, scale, x));
             }
             inner.fresh = false;
-            if let Some(end) = self.stretch_end(state, &inner, &progress) {
+            if let Some(end) = self.run_end(state, &inner, &progress) {
                 break end;
             }
         };
@@ -138,8 +138,8 @@ impl GroupSolve<'_, '_> {
         Ok(verdict)
     }
 
-    /// Chooses the columns of a stretch and the units of its vectors.
-    fn begin_stretch(&self, state: &mut OuterState) -> InnerState {
+    /// Chooses the columns of a run and the units of its vectors.
+    fn begin_run(&self, state: &mut OuterState) -> InnerState {
         let (problem, criteria) = (self.problem, self.criteria);
         let width = problem.width();
         let start = state.outcome.relative;
@@ -284,8 +284,8 @@ impl GroupSolve<'_, '_> {
         state.resting = per_lane(|c| if rests(c) { 1.0 } else { state.resting[c] });
     }
 
-    /// Why the stretch ends here, if it does.
-    fn stretch_end(&self, state: &OuterState, inner: &InnerState, progress: &StepProgress) -> Option<InnerEnd> {
+    /// Why the run ends here, if it does.
+    fn run_end(&self, state: &OuterState, inner: &InnerState, progress: &StepProgress) -> Option<InnerEnd> {
         let (criteria, open) = (self.criteria, inner.open);
         let (now, start) = (progress.relative, inner.start);
         let spent = (0..WIDTH).any(|c| open[c] > 0.0 && now[c] <= (RESTART_REDUCTION * start[c]).max(FLOOR));
@@ -294,8 +294,8 @@ impl GroupSolve<'_, '_> {
         } else {
             MOST_ROUNDING
         };
-        let spoilt = progress.share > most;
-        if spoilt || spent || open == [0.0; WIDTH] || state.outcome.iterations >= criteria.max_iterations {
+        let rounded = progress.share > most;
+        if rounded || spent || open == [0.0; WIDTH] || state.outcome.iterations >= criteria.max_iterations {
             return Some(InnerEnd::Ended);
         }
         let history = &self.workspace.history;
@@ -348,7 +348,7 @@ pub(super) struct OuterState {
     pub(super) outcome: GroupOutcome,
     /// Norms of b, which residuals are relative to.
     pub(super) reference: WideLanes,
-    /// Power of two by which the vectors of a stretch are multiplied.
+    /// Power of two by which the vectors of a run are multiplied.
     pub(super) scale: WideLanes,
     /// (p, A p) of the last direction.
     pub(super) direction: Option<WideLanes>,
@@ -362,11 +362,11 @@ pub(super) struct OuterState {
     pub(super) resting_error: f64,
     /// False if rounding may have falsified the error estimate.
     pub(super) sound: bool,
-    /// Stretches in a row that failed to halve the true residual.
+    /// Runs in a row that failed to halve the true residual.
     pub(super) poor: usize,
-    /// True relative residual when the first stretch began.
+    /// True relative residual when the first run began.
     beginning: Option<WideLanes>,
-    /// The same when the present stretch began.
+    /// The same when the present run began.
     last: Option<WideLanes>,
 }
 
@@ -428,8 +428,8 @@ impl OuterState {
         })
     }
 
-    /// Counts the stretches in a row that brought little; called with the true residual known.
-    pub(super) fn count_poor_stretch(&mut self) {
+    /// Counts the runs in a row that brought little; called with the true residual known.
+    pub(super) fn count_poor_run(&mut self) {
         let relative = self.outcome.relative;
         if let Some(last) = self.last.replace(relative) {
             let idle = (0..WIDTH).all(|c| relative[c] > 0.5 * last[c] || relative[c] <= FLOOR);
@@ -437,7 +437,7 @@ impl OuterState {
         }
     }
 
-    /// The outcome where the last stretch has reached what is asked for.
+    /// The outcome where the last run has reached what is asked for.
     pub(super) fn accepted(&self) -> GroupOutcome {
         let mut outcome = self.outcome;
         if let Some(beginning) = self.beginning {
@@ -446,7 +446,7 @@ impl OuterState {
         outcome
     }
 
-    /// Brings the entries of the next residual, which is about as large as the last one of the stretch, near 1 for single
+    /// Brings the entries of the next residual, which is about as large as the last one of the run, near 1 for single
     /// precision. Returns the factor on the scale; the residual has `rows` rows.
     pub(super) fn rescale(&mut self, rows: usize) -> WideLanes {
         let before = self.scale;

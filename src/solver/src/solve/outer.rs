@@ -1,7 +1,7 @@
 //! The outer iteration: flexible conjugate gradients on all columns of a group, preconditioned by one multigrid cycle.
 //!
-//! It goes in *stretches*. A stretch begins with the residual in double precision and iterates a correction in single
-//! precision. Once rounding shows in the residual, the correction is added to the solution and the next stretch
+//! It goes in *runs*. A run begins with the residual in double precision and iterates a correction in single
+//! precision. Once rounding shows in the residual, the correction is added to the solution and the next run
 //! begins from the true residual, in the same search direction: single precision never limits the result.
 
 use crate::error::Error;
@@ -22,8 +22,8 @@ const USUAL: usize = 64;
 const STEP_ROUNDING: f64 = 6e-8;
 /// A residual made from the step is taken where that is at most this part of it.
 const TRUSTED: f64 = 0.1;
-/// Stretches in a row that may fail to halve the true residual.
-const POOR_STRETCHES: usize = 2;
+/// Runs in a row that may fail to halve the true residual.
+const POOR_RUNS: usize = 2;
 
 impl GroupSolve<'_, '_> {
     /// Iterates on `workspace.x` from the values it holds.
@@ -46,9 +46,9 @@ impl GroupSolve<'_, '_> {
                 });
                 return Ok(state.outcome);
             }
-            state.count_poor_stretch();
+            state.count_poor_run();
             let relative = state.outcome.relative;
-            if state.poor >= POOR_STRETCHES {
+            if state.poor >= POOR_RUNS {
                 if at_rounding(&problem, &self.workspace.x, relative, state.reference) {
                     return Ok(state.outcome);
                 }
@@ -95,7 +95,7 @@ impl GroupSolve<'_, '_> {
         prepare(&self.cycle, coarse);
     }
 
-    /// Makes the residual that the first stretch begins with, and the norms that residuals are relative to. Returns its
+    /// Makes the residual that the first run begins with, and the norms that residuals are relative to. Returns its
     /// squared norms.
     fn load_first_residual(&mut self, state: &mut OuterState) -> WideLanes {
         let (problem, from_zero) = (self.problem, self.from_zero);
@@ -137,7 +137,7 @@ impl GroupSolve<'_, '_> {
         })
     }
 
-    /// Makes the residual that the next stretch begins with, in a scale of its own and in the direction of the last step.
+    /// Makes the residual that the next run begins with, in a scale of its own and in the direction of the last step.
     /// Returns its squared norms.
     fn load_next_residual(&mut self, state: &mut OuterState) -> WideLanes {
         let problem = self.problem;

@@ -341,7 +341,8 @@ impl LinearSystem {
         &self,
         hierarchy: &Hierarchy,
         pose: &mut PoseRows,
-        (workspace, exec): (&mut Workspace, &Exec<'_>),
+        workspace: &mut Workspace,
+        exec: &Exec<'_>,
     ) -> Result<(), Error> {
         self.check_pose(hierarchy, pose)?;
         let Some(unsettled) = pose.unsettled.filter(|_| pose.is_worth_settling()) else {

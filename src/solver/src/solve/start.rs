@@ -238,7 +238,7 @@ fn restrict_equations(
                     Lanes::ZERO
                 };
                 beta += fine.beta[i] - offset * mask.alpha(i);
-                // Nobody else has neighbours that are given.
+                // No other row has neighbours that are given.
                 if !mask.on_border(i) {
                     continue;
                 }

@@ -161,7 +161,7 @@ impl<'a> MaskedLevel<'a> {
             for k in rows.start / SLICE_ROWS..rows.end / SLICE_ROWS {
                 let (begin, middle, _) = level.slice_extent(k);
                 // SAFETY: neighbours are rows of the level; those read lie in this block or in one of a colour that
-                // no thread writes now, or hold filling, which nobody writes; the bundle is written by the one thread
+                // no thread writes now, or hold filling, which no thread writes; the bundle is written by the one thread
                 // that sweeps its block.
                 unsafe {
                     let sums = w.gather(&level.neighbours, x, begin, middle);
@@ -194,7 +194,7 @@ impl<'a> MaskedLevel<'a> {
                 .zip(rows.start / SLICE_ROWS..)
             {
                 let (_, middle, end) = level.slice_extent(k);
-                // SAFETY: neighbours are rows of the level, and nobody writes x now.
+                // SAFETY: neighbours are rows of the level, and no thread writes x now.
                 let sums = unsafe { w.gather(&level.neighbours, ReadOnlyRows(x), middle, end) };
                 for d in 0..SLICE_ROWS {
                     out[d] = sums[d].masked_by(mask.free(k * SLICE_ROWS + d));
@@ -398,7 +398,7 @@ impl<'a> MaskedLevel<'a> {
         let neighbours = level.neighbours[begin..end].as_chunks::<SLICE_ROWS>().0;
         let here: &[Lanes] = &x[k * SLICE_ROWS..(k + 1) * SLICE_ROWS];
         let here: [Lanes; SLICE_ROWS] = std::array::from_fn(|d| here[d]);
-        // SAFETY: neighbours are rows of the level, and nobody writes x now.
+        // SAFETY: neighbours are rows of the level, and no thread writes x now.
         let there = |j: usize| unsafe { ReadOnlyRows(x).at(j) };
         let mut sums = [Lanes::ZERO; SLICE_ROWS];
         match &level.weights {
@@ -436,7 +436,7 @@ impl<'a> MaskedLevel<'a> {
         assert!(x.len() == self.level.rows());
         let (begin, middle, _) = self.level.slice_extent(k);
         let neighbours = &self.level.neighbours;
-        // SAFETY: neighbours are rows of the level, and nobody writes x now.
+        // SAFETY: neighbours are rows of the level, and no thread writes x now.
         let before = unsafe {
             match &self.level.weights {
                 None => UnitWeights.gather(neighbours, ReadOnlyRows(x), begin, middle),

@@ -17,7 +17,7 @@
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
 use crate::deform::first_pass::blend::{LocalRotation, PoseBlend, pack_rotation};
-use crate::deform::handles::ownership::NOBODY;
+use crate::deform::handles::ownership::UNHELD;
 use crate::deform::handles::system::{ConstrainedSystem, HandleSystem};
 use crate::deform::rotation::fade;
 use crate::exec::Exec;
@@ -176,7 +176,7 @@ impl<'a> OrientationDiffusion<'a> {
 
     /// Whether a node's rotation is open: some handle has a say in it, and none decides it.
     fn is_open(&self, node: usize) -> bool {
-        self.rig.rotation.hard[node] == NOBODY && self.blend.is_covered(node)
+        self.rig.rotation.hard[node] == UNHELD && self.blend.is_covered(node)
     }
 
     /// Soft pulls on a node: (stiffness, quaternion).

@@ -10,10 +10,10 @@
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
 use crate::deform::handles::free_parts::FreePartPolicy;
-use crate::deform::handles::ownership::NOBODY;
+use crate::deform::handles::ownership::UNHELD;
 use crate::deform::handles::system::HandleSystem;
+use crate::deform::rotation::Transform;
 use crate::deform::second_pass::state::{PoseMethod, PoseSolution, SolveState};
-use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::solver::CholeskyFactor;
@@ -246,7 +246,7 @@ fn centres(body: &DeformableBody, rig: &HandleSystem, exec: &Exec<'_>) -> Result
     let owners = &rig.position;
     let mut candidates: Vec<u32> = (0u32..)
         .zip(&owners.hard[..body.graph.surface])
-        .filter(|(_, k)| **k != NOBODY)
+        .filter(|(_, k)| **k != UNHELD)
         .map(|(i, _)| i)
         .collect();
     let soft = owners
@@ -292,7 +292,7 @@ fn centres(body: &DeformableBody, rig: &HandleSystem, exec: &Exec<'_>) -> Result
     let centres = chosen.into_iter().map(|k| {
         let node = candidates[k];
         match owners.hard[node as usize] {
-            NOBODY => {
+            UNHELD => {
                 let whole: f64 = pulls_of(node).map(|s| s.2).sum();
                 let pulls = pulls_of(node).map(|s| (s.1, s.2 / whole)).collect();
                 (RbfCentre { node, pulls }, SOFTNESS / whole.max(1e-12))
@@ -386,7 +386,7 @@ impl SpatialRbf {
             .collect();
         let displacement = space.interpolate(&targets);
         let mut moves: Vec<DVec3> = Vec::with_capacity(body.nodes());
-        // In pieces, so that nobody waits long for a result that is not wanted any more.
+        // In pieces, so that a cancelled solve ends soon.
         for from in (0..body.nodes()).step_by(1 << 14) {
             exec.check()?;
             let to = body.nodes().min(from + (1 << 14));
@@ -401,7 +401,7 @@ impl SpatialRbf {
             moves.extend(piece.into_flattened().into_iter().take(to - from));
         }
         let (mut missed, mut farthest) = (0.0f64, 0.0f64);
-        for i in (0..body.graph.surface).filter(|&i| rig.position.hard[i] != NOBODY) {
+        for i in (0..body.graph.surface).filter(|&i| rig.position.hard[i] != UNHELD) {
             let wanted = wanted(i, rig.position.hard[i]);
             missed = missed.max(wanted.distance(moves[i]));
             farthest = farthest.max(wanted.length());
@@ -413,12 +413,12 @@ impl SpatialRbf {
             .collect();
         rig.make_regions_rigid(body, transforms, &mut [], &mut x);
         let stays = |i: usize| {
-            rig.setup.policy == FreePartPolicy::Hold && rig.positions.fixed[i] && rig.position.hard[i] == NOBODY
+            rig.setup.policy == FreePartPolicy::Hold && rig.positions.fixed[i] && rig.position.hard[i] == UNHELD
         };
         let positions: Vec<DVec3> = (0..body.nodes())
             .map(|i| match rig.position.hard[i] {
-                NOBODY if stays(i) => body.graph.positions[i],
-                NOBODY => body.model_from_solving(DVec3::from_slice(&x[3 * i..3 * i + 3])),
+                UNHELD if stays(i) => body.graph.positions[i],
+                UNHELD => body.model_from_solving(DVec3::from_slice(&x[3 * i..3 * i + 3])),
                 k => maps
                     .get(k as usize)
                     .map_or(body.graph.positions[i], |map| map(body.graph.positions[i])),

@@ -14,7 +14,7 @@ use crate::deform::comparison;
 use crate::deform::error::Error;
 use crate::deform::first_pass::blend::{IDENTITY_FRAME, LocalFrame, LocalRotation, PoseBlend, pack_frame};
 use crate::deform::handles::system::HandleSystem;
-use crate::deform::transform::Transform;
+use crate::deform::rotation::Transform;
 use crate::exec::Exec;
 use crate::mesh::rotation::exp_rotation;
 use crate::pool::Pool;

@@ -10,10 +10,9 @@
 
 use crate::deform::body::DeformableBody;
 use crate::deform::first_pass::blend::{LocalFrame, pack_frame};
-use crate::deform::handles::ownership::NOBODY;
+use crate::deform::handles::ownership::UNHELD;
 use crate::deform::handles::system::HandleSystem;
-use crate::deform::rotation::fit_rigid_motion;
-use crate::deform::transform::Transform;
+use crate::deform::rotation::{Transform, fit_rigid_motion};
 use crate::mesh::rotation::exp_rotation;
 use crate::pool::Pool;
 use glam::{DAffine3, DVec3};
@@ -165,8 +164,8 @@ impl<M: Fn(DVec3) -> DVec3 + Sync> NodePlacement<'_, M> {
             return rest;
         }
         match rig.position.hard[node] {
-            NOBODY if rig.positions.fixed[node] => rest,
-            NOBODY => body.model_from_solving(DVec3::from_slice(x) + self.center),
+            UNHELD if rig.positions.fixed[node] => rest,
+            UNHELD => body.model_from_solving(DVec3::from_slice(x) + self.center),
             k => self.maps.get(k as usize).map_or(rest, |map| map(rest)),
         }
     }
@@ -243,7 +242,7 @@ impl HandleSystem {
             let (map, frame) = (motion.map(), pack_frame(exp_rotation(motion.rotation), None));
             for (n, p) in hold.nodes.iter().zip(&rest) {
                 let n = *n as usize;
-                if self.position.hard[n] == NOBODY {
+                if self.position.hard[n] == UNHELD {
                     x[n * 3..n * 3 + 3].copy_from_slice(&map(*p).to_array());
                     if let Some(own) = frames.get_mut(n) {
                         *own = frame;
@@ -264,7 +263,7 @@ impl HandleSystem {
         let shares = fields.filter_map(|(k, field)| field.get(node).map(|&u| (k, u)));
         let shares: HandleShares = shares.filter(|&(_, u)| u > 0.0).collect();
         match self.position.hard[node] {
-            hold if shares.is_empty() && hold != NOBODY => vec![(hold, 1.0)],
+            hold if shares.is_empty() && hold != UNHELD => vec![(hold, 1.0)],
             _ => shares,
         }
     }

@@ -43,7 +43,7 @@ pub struct HandleSetup {
 }
 
 /// In an owner list: a node without an owner.
-pub(in crate::deform) const NOBODY: u32 = u32::MAX;
+pub(in crate::deform) const UNHELD: u32 = u32::MAX;
 
 /// The handles that constrain one kind of quantity, by node.
 #[derive(Debug, Clone, Default)]
@@ -63,8 +63,8 @@ impl NodeOwnership {
         constrains: impl Fn(&HandleConstraint) -> bool,
     ) -> Self {
         let frozen_holder = setup.handles.len() as u32;
-        let mut core = vec![NOBODY; nodes];
-        let mut last_hard = vec![NOBODY; nodes];
+        let mut core = vec![UNHELD; nodes];
+        let mut last_hard = vec![UNHELD; nodes];
         for (k, hold) in setup.handles.iter().enumerate().filter(|(_, h)| constrains(h)) {
             hold.nodes.iter().for_each(|&n| core[n as usize] = k as u32);
             if hold.stiffness.is_none() {
@@ -86,8 +86,8 @@ impl NodeOwnership {
                 }
                 let mine = in_core.peek() == Some(&node);
                 let owner = core[node as usize];
-                let comes_after = |hard: u32| hard == NOBODY || hard < k as u32;
-                let allowed = owner == NOBODY || (!is_hard(owner) && (!mine || comes_after(last_hard[node as usize])));
+                let comes_after = |hard: u32| hard == UNHELD || hard < k as u32;
+                let allowed = owner == UNHELD || (!is_hard(owner) && (!mine || comes_after(last_hard[node as usize])));
                 if allowed && weight > 0.0 {
                     soft.push((node, k as u32, stiffness * weight));
                 }
@@ -97,7 +97,7 @@ impl NodeOwnership {
         soft.sort_unstable_by_key(|&(node, hold, _)| (node, hold));
         let hard = core
             .into_iter()
-            .map(|k| if k != NOBODY && is_hard(k) { k } else { NOBODY })
+            .map(|k| if k != UNHELD && is_hard(k) { k } else { UNHELD })
             .collect();
         Self {
             hard: Arc::new(hard),
@@ -110,7 +110,7 @@ impl NodeOwnership {
         let mut active = vec![false; holds + 1];
         self.hard
             .iter()
-            .filter(|&&k| k != NOBODY)
+            .filter(|&&k| k != UNHELD)
             .for_each(|&k| active[k as usize] = true);
         self.soft.iter().for_each(|&(_, k, _)| active[k as usize] = true);
         active
@@ -119,7 +119,7 @@ impl NodeOwnership {
     /// Which components hold any constraint.
     pub fn covered(&self, body: &DeformableBody) -> Vec<bool> {
         let mut covered = vec![false; body.graph.components];
-        for (node, _) in self.hard.iter().enumerate().filter(|(_, k)| **k != NOBODY) {
+        for (node, _) in self.hard.iter().enumerate().filter(|(_, k)| **k != UNHELD) {
             covered[body.graph.component[node] as usize] = true;
         }
         for &(node, ..) in self.soft.iter() {

@@ -4,8 +4,8 @@ use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
 use crate::deform::fields::{HarmonicFields, SparseShares, solve_fields};
 use crate::deform::handles::free_parts::FreeParts;
-use crate::deform::handles::ownership::{HandleConstraint, HandleSetup, NOBODY, NodeOwnership};
-use crate::deform::transform::Transform;
+use crate::deform::handles::ownership::{HandleConstraint, HandleSetup, NodeOwnership, UNHELD};
+use crate::deform::rotation::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::solver::{Constraints, LinearSystem};
@@ -76,7 +76,7 @@ impl HandleSystem {
 
         exec.progress.report("constrain", 0.0);
         let fixed: Vec<bool> = (0..nodes)
-            .map(|i| position.hard[i] != NOBODY || !covered[body.graph.component[i] as usize])
+            .map(|i| position.hard[i] != UNHELD || !covered[body.graph.component[i] as usize])
             .collect();
         let stiffness = position.stiffness();
         // What holds rotations mostly holds positions too, and then both have one system.
@@ -151,7 +151,7 @@ impl HandleSystem {
     /// The hold that has a node hard in place; `None` where none has, and on nodes that may not move at all.
     pub fn hard_holder(&self, node: usize) -> Option<usize> {
         let holder = *self.position.hard.get(node)?;
-        (holder != NOBODY && (holder as usize) < self.handle_count()).then_some(holder as usize)
+        (holder != UNHELD && (holder as usize) < self.handle_count()).then_some(holder as usize)
     }
 
     /// By node: extra diagonal of soft handles, in units of edge weights; `None` without soft handles.
@@ -164,7 +164,7 @@ impl HandleSystem {
         let mut count = vec![0; self.handle_count() + 1];
         self.position.hard[..body.graph.surface]
             .iter()
-            .filter(|&&k| k != NOBODY)
+            .filter(|&&k| k != UNHELD)
             .for_each(|&k| count[k as usize] += 1);
         self.position
             .soft

@@ -55,7 +55,7 @@ impl PoseSolve<'_> {
         self.load_rows(fit, posed, state);
         self.pull_scattered(state);
         let SolveState { rows, workspace, .. } = state;
-        system.start_pose(&body.hierarchy, &mut rows.pose, (workspace, exec))?;
+        system.start_pose(&body.hierarchy, &mut rows.pose, workspace, exec)?;
         self.pull_scattered(state);
         let mut stats = self.run_rows(false, state, tally)?;
         let enough = if body.nodes() <= SMALL { ENOUGH_OF_SMALL } else { ENOUGH };

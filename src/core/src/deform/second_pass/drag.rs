@@ -7,17 +7,16 @@
 
 use crate::deform::body::DeformableBody;
 use crate::deform::error::Error;
-use crate::deform::first_pass::blend::{LocalFrame, PoseBlend};
-use crate::deform::first_pass::quick_frames::QuickFrames;
+use crate::deform::first_pass::blend::{LocalFrame, PoseBlend, QuickFrames};
 use crate::deform::first_pass::spread::FirstPass;
 use crate::deform::handles::motion::HandleMotion;
-use crate::deform::handles::ownership::NOBODY;
+use crate::deform::handles::ownership::UNHELD;
 use crate::deform::handles::system::HandleSystem;
+use crate::deform::rotation::Transform;
 use crate::deform::second_pass::solve::{PoseSolve, SolveTally};
 use crate::deform::second_pass::state::{
     DragRows, NO_NODE, PoseMethod, PoseSolution, SolutionExtent, SolveStart, SolveState, SolveUpdate,
 };
-use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::solver::{Lanes, SolveControl, SolveStats, prefetch};
@@ -44,7 +43,7 @@ impl HandleSystem {
             return Ok(());
         }
         let SolveState { rows, workspace, .. } = &mut *state;
-        let settled = (self.positions.system).settle_pose(&body.hierarchy, &mut rows.pose, (workspace, exec));
+        let settled = (self.positions.system).settle_pose(&body.hierarchy, &mut rows.pose, workspace, exec);
         let settled = settled.map_err(Error::from);
         if matches!(settled, Err(Error::Solver(_))) {
             state.forget();
@@ -185,7 +184,7 @@ pub(super) fn fill_scattered(rig: &HandleSystem, body: &DeformableBody, transfor
     pose.more.resize(rows.len(), Lanes::ZERO);
     let frame = |node: usize| Mat3::from_cols_array(&rows[row_of[node] as usize].map()).as_dmat3();
     let more = &mut pose.more;
-    rig.add_scattered(body, (transforms, center), frame, &mut |node, by| {
+    rig.add_scattered(body, transforms, center, frame, &mut |node, by| {
         let row = &mut more[row_of[node] as usize].0;
         let by = by.as_vec3();
         (0..3).for_each(|c| row[c] += by[c]);
@@ -235,7 +234,7 @@ impl<M: Fn(DVec3) -> DVec3 + Send + Sync> RowPass<'_, M> {
         let [from, to] = self.centers;
         if self.rig.positions.fixed[node] {
             let k = self.rig.position.hard[node];
-            return match self.maps.get(k as usize).filter(|_| k != NOBODY) {
+            return match self.maps.get(k as usize).filter(|_| k != UNHELD) {
                 Some(map) => self.body.solving_from_model(map(self.body.graph.positions[node])) - to,
                 None => self.body.rest(node) - to,
             };

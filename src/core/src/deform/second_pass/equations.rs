@@ -7,10 +7,10 @@
 use crate::deform::body::DeformableBody;
 use crate::deform::first_pass::blend::{IDENTITY_FRAME, LocalFrame};
 use crate::deform::first_pass::spread::blend_frames_with;
-use crate::deform::handles::ownership::NOBODY;
+use crate::deform::handles::ownership::UNHELD;
 use crate::deform::handles::system::HandleSystem;
+use crate::deform::rotation::Transform;
 use crate::deform::second_pass::single_precision::fill_right_hand_side;
-use crate::deform::transform::Transform;
 use crate::pool::Pool;
 use glam::{DMat3, DVec3, Mat3};
 use rayon::prelude::*;
@@ -53,7 +53,7 @@ impl HandleSystem {
     /// themselves. Rigid regions that nothing holds are taken as free, as in the first of their two solves.
     pub fn equations(&self, body: &DeformableBody, transforms: &[Transform], pool: &Pool) -> SecondPassEquations {
         let frames = blend_frames_with(body, self, transforms, None, pool);
-        let posed = self.pose_handles(body, transforms, frames, (Precision::Double, pool));
+        let posed = self.pose_handles(body, transforms, frames, Precision::Double, pool);
         let mut rhs = vec![0.0; body.nodes() * 3];
         self.assemble(body, &posed, transforms, &mut rhs, pool);
         SecondPassEquations {
@@ -70,7 +70,8 @@ impl HandleSystem {
         body: &DeformableBody,
         transforms: &[Transform],
         frames: Vec<LocalFrame>,
-        (precision, pool): (Precision, &Pool),
+        precision: Precision,
+        pool: &Pool,
     ) -> PosedHandles {
         let targets = self.given_targets(body, transforms, pool);
         let center = mean_of(&targets, self.given());
@@ -105,7 +106,7 @@ impl HandleSystem {
             entries.for_each(|(r, b)| *r += b);
         };
         let frame = |node: usize| linear(&posed.frames[node]);
-        self.add_scattered(body, (transforms, posed.center), frame, &mut add);
+        self.add_scattered(body, transforms, posed.center, frame, &mut add);
     }
 
     /// What is added to right-hand sides at some nodes that are not given: offsets of ties, and pulls of soft handles around
@@ -113,7 +114,8 @@ impl HandleSystem {
     pub(in crate::deform) fn add_scattered(
         &self,
         body: &DeformableBody,
-        (transforms, center): (&[Transform], DVec3),
+        transforms: &[Transform],
+        center: DVec3,
         frame: impl Fn(usize) -> DMat3,
         add: &mut dyn FnMut(usize, DVec3),
     ) {
@@ -146,7 +148,7 @@ impl HandleSystem {
     fn given_targets(&self, body: &DeformableBody, transforms: &[Transform], pool: &Pool) -> Vec<DVec3> {
         let maps: Vec<_> = transforms.iter().map(|t| (!t.is_identity()).then(|| t.map())).collect();
         let target = |(node, &hold): (usize, &u32)| match maps.get(hold as usize) {
-            Some(Some(map)) if hold != NOBODY => body.solving_from_model(map(body.graph.positions[node])),
+            Some(Some(map)) if hold != UNHELD => body.solving_from_model(map(body.graph.positions[node])),
             _ => body.rest(node),
         };
         let nodes = self.position.hard.par_iter().enumerate().with_min_len(4096);

@@ -13,10 +13,10 @@ use crate::deform::first_pass::blend::{
     IDENTITY_FRAME, LocalFrame, LocalRotation, PoseBlend, pack_frame, pack_rotation, unpack_rotation,
 };
 use crate::deform::first_pass::spread::FirstRotations;
-use crate::deform::handles::ownership::NOBODY;
+use crate::deform::handles::ownership::UNHELD;
 use crate::deform::handles::system::HandleSystem;
+use crate::deform::rotation::Transform;
 use crate::deform::second_pass::single_precision::QuickFit;
-use crate::deform::transform::Transform;
 use crate::mesh::rotation::{exp_rotation, nearest_rotation};
 use crate::pool::Pool;
 use glam::{DMat3, DQuat, DVec3, Mat3};
@@ -114,7 +114,7 @@ impl<'a> RotationFit<'a> {
 
     /// Whether a node's rotation is open: it is in a part that moves, and no handle says how it is turned.
     pub fn is_open(&self, node: usize) -> bool {
-        self.moved_parts[self.body.graph.component[node] as usize] && self.rig.rotation.hard[node] == NOBODY
+        self.moved_parts[self.body.graph.component[node] as usize] && self.rig.rotation.hard[node] == UNHELD
     }
 
     fn first(&self, node: usize) -> DQuat {

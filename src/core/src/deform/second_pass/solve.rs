@@ -5,15 +5,16 @@ use crate::deform::error::Error;
 use crate::deform::first_pass::blend::LocalRotation;
 use crate::deform::first_pass::spread::{FirstRotations, blend_frames_with};
 use crate::deform::handles::system::{ConstrainedSystem, HandleSystem};
+use crate::deform::rotation::Transform;
 use crate::deform::second_pass::equations::{PosedHandles, Precision};
 use crate::deform::second_pass::refine::{Refinement, RotationFit};
 use crate::deform::second_pass::single_precision::frames_of;
 use crate::deform::second_pass::state::{PoseMethod, PoseRequest, PoseSolution, SolveStart, SolveState, SolveUpdate};
-use crate::deform::transform::Transform;
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::progress::check;
-use crate::solver::{self, SolveControl, SolveOptions, StoppingCriteria};
+use crate::solver;
+use crate::solver::{SolveControl, SolveOptions, StoppingCriteria};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
@@ -74,7 +75,7 @@ impl HandleSystem {
             false => Precision::Double,
         };
         exec.progress.begin_pass("carry");
-        let mut posed = self.pose_handles(body, request.transforms, frames, (precision, exec.pool));
+        let mut posed = self.pose_handles(body, request.transforms, frames, precision, exec.pool);
         let result = pose.solve(&first, &mut posed, state, watch);
         if result.is_err() {
             // A solution that was interrupted is no start for the next one.

@@ -5,12 +5,13 @@
 use crate::deform::body::DeformableBody;
 use crate::deform::first_pass::blend::{LocalFrame, LocalRotation};
 use crate::deform::first_pass::spread::FirstPass;
-use crate::deform::handles::ownership::NOBODY;
+use crate::deform::handles::ownership::UNHELD;
 use crate::deform::handles::system::HandleSystem;
+use crate::deform::rotation::Transform;
 use crate::deform::second_pass::refine::Refinement;
-use crate::deform::transform::Transform;
 use crate::pool::Pool;
-use crate::solver::{self, PoseRows, Workspace};
+use crate::solver;
+use crate::solver::{PoseRows, Workspace};
 use glam::DVec3;
 
 /// Where the solver starts.
@@ -190,7 +191,7 @@ impl SolveState {
     }
 
     /// Drops all but memory, as other handles need.
-    pub fn begin_anew(&mut self) {
+    pub fn reset(&mut self) {
         self.forget();
         self.transforms.clear();
         self.rhs.clear();
@@ -300,7 +301,7 @@ impl DragRows {
         self.unmoved = (0.0, DVec3::ZERO);
         for (node, _) in rig.given().iter().enumerate().filter(|(_, given)| **given) {
             let k = rig.position.hard[node];
-            match held.get_mut(k as usize).filter(|_| k != NOBODY) {
+            match held.get_mut(k as usize).filter(|_| k != UNHELD) {
                 Some((count, sum)) => {
                     *count += 1.0;
                     *sum += body.graph.positions[node];

@@ -321,7 +321,7 @@ impl Animation {
             body: &derived.body,
             mesh: &derived.mesh,
             rest: &derived.topology().rest,
-            strays: &[],
+            unreferenced: &[],
             riders: derived.riding_vertices(),
             pool: exec.pool,
         };

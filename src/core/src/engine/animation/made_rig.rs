@@ -130,7 +130,7 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
         if fixed.is_empty() {
             source = "shape";
             if found.is_none {
-                let turned = turn_to_a_figure((&body.positions[..], &body.triangles[..]), exec)?;
+                let turned = turn_to_a_figure(&body.positions, &body.triangles, exec)?;
                 return Err(not_upright(&found.doubts, turned));
             }
         }
@@ -184,7 +184,8 @@ const TURNS: [(&str, PointTurn); 4] = [
 
 /// The turn by which a model that does not look like an upright figure does; `None` when none does.
 fn turn_to_a_figure(
-    (positions, triangles): (&[DVec3], &[[u32; 3]]),
+    positions: &[DVec3],
+    triangles: &[[u32; 3]],
     exec: &Exec<'_>,
 ) -> Result<Option<&'static str>, Error> {
     for (words, quarter) in TURNS {

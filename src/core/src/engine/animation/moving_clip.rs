@@ -357,16 +357,16 @@ pub(super) fn choose_key_frames<F: FrameSource>(
     })
 }
 
-/// A stretch between two chosen frames: its ends, and the frame that is farthest from the blend of theirs.
-struct BlendedStretch {
+/// The run between two chosen frames: its ends, and the frame that is farthest from the blend of theirs.
+struct BlendedRun {
     ends: [usize; 2],
     worst: usize,
     error: f32,
 }
 
-impl BlendedStretch {
+impl BlendedRun {
     fn between(frames: &[Vec<Vec3>], ends: [usize; 2]) -> Self {
-        let mut stretch = Self {
+        let mut run = Self {
             ends,
             worst: ends[0],
             error: 0.0,
@@ -374,29 +374,29 @@ impl BlendedStretch {
         for frame in ends[0] + 1..ends[1] {
             let error = distance(
                 &frames[frame],
-                (&frames[ends[0]], &frames[ends[1]]),
+                [&frames[ends[0]], &frames[ends[1]]],
                 share(frame, &ends),
             );
-            if error > stretch.error {
-                (stretch.worst, stretch.error) = (frame, error);
+            if error > run.error {
+                (run.worst, run.error) = (frame, error);
             }
         }
-        stretch
+        run
     }
 }
 
 fn choose(frames: &[Vec<Vec3>], most: usize) -> Vec<usize> {
     let mut chosen = vec![0, frames.len() - 1];
-    let mut stretches = vec![BlendedStretch::between(frames, [0, frames.len() - 1])];
+    let mut runs = vec![BlendedRun::between(frames, [0, frames.len() - 1])];
     while chosen.len() < most {
-        let farthest = (0..stretches.len()).max_by(|a, b| stretches[*a].error.total_cmp(&stretches[*b].error));
-        let Some(worst) = farthest.filter(|k| stretches[*k].error > 0.0) else {
+        let farthest = (0..runs.len()).max_by(|a, b| runs[*a].error.total_cmp(&runs[*b].error));
+        let Some(worst) = farthest.filter(|k| runs[*k].error > 0.0) else {
             break;
         };
-        let BlendedStretch { ends, worst: frame, .. } = stretches.swap_remove(worst);
+        let BlendedRun { ends, worst: frame, .. } = runs.swap_remove(worst);
         chosen.push(frame);
-        stretches.push(BlendedStretch::between(frames, [ends[0], frame]));
-        stretches.push(BlendedStretch::between(frames, [frame, ends[1]]));
+        runs.push(BlendedRun::between(frames, [ends[0], frame]));
+        runs.push(BlendedRun::between(frames, [frame, ends[1]]));
     }
     chosen.sort_unstable();
     settle(frames, &mut chosen);
@@ -410,7 +410,7 @@ fn settle(frames: &[Vec<Vec3>], chosen: &mut [usize]) {
         for k in 1..chosen.len() - 1 {
             let (before, after) = (chosen[k - 1], chosen[k + 1]);
             let error = |frame: usize| {
-                let sides = [[before, frame], [frame, after]].map(|ends| BlendedStretch::between(frames, ends).error);
+                let sides = [[before, frame], [frame, after]].map(|ends| BlendedRun::between(frames, ends).error);
                 sides[0].max(sides[1])
             };
             let (mut best, mut least) = (chosen[k], error(chosen[k]));
@@ -435,8 +435,8 @@ fn share(frame: usize, ends: &[usize]) -> f32 {
 }
 
 /// The farthest that a vertex is from the blend of two shapes.
-fn distance(here: &[Vec3], (a, b): (&[Vec3], &[Vec3]), share: f32) -> f32 {
-    let off = here.iter().zip(a.iter().zip(b));
+fn distance(here: &[Vec3], ends: [&[Vec3]; 2], share: f32) -> f32 {
+    let off = here.iter().zip(ends[0].iter().zip(ends[1]));
     let off = off.map(|(p, (a, b))| p.distance_squared(a.lerp(*b, share)));
     off.fold(0.0, f32::max).sqrt()
 }
@@ -458,7 +458,7 @@ mod tests {
         let mut moved = [0, 4, 8];
         settle(&frames, &mut moved);
         assert_eq!(moved, [0, 3, 8], "off by 1.6 there, and by 2 at the turn");
-        let coarse = BlendedStretch::between(&frames, [0, 6]);
+        let coarse = BlendedRun::between(&frames, [0, 6]);
         assert_eq!((coarse.worst, coarse.error), (4, 4.0));
     }
 }

@@ -64,7 +64,7 @@ pub fn resample(
         None => resample_surface(old, change, &points, exec.pool).map(Some),
         Some(inside) if inside.soups => Ok(None),
         Some(inside) => match resample_volume(old, inside, change, &points, exec) {
-            // What takes too long here is told by whoever builds the graph from the beginning.
+            // What takes too long here is reported when the graph is built from the beginning.
             Err(Error::FacesTooLong { .. }) => Ok(None),
             followed => followed,
         },
@@ -123,7 +123,7 @@ fn resample_volume(
     };
     let (faces, boxes) = changed_places(old, change, points, &hull);
     let Some(mut zone) = ChangeZone::around_changes(&faces, &boxes, inside.origin, inside.interval, &spread) else {
-        // Without any change the graph is as it was; where changes lie too far apart, it is built anew.
+        // Without any change the graph is as it was; where changes lie too far apart, it is rebuilt.
         let none = faces.is_empty() && boxes.is_empty() && points.gone.is_empty() && points.fans.is_empty();
         return Ok(none.then(|| unchanged_graph(old)));
     };

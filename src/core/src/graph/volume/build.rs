@@ -403,7 +403,7 @@ mod tests {
         both.extend(positions.iter().map(|p| *p + DVec3::X));
         let mut faces = triangles.clone();
         faces.extend(triangles.iter().map(|t| t.map(|v| v + count)));
-        // Two boxes that share a side, told apart by number.
+        // Two boxes that share a side, distinguished by number.
         let own: Vec<u32> = (0..2 * count).collect();
         let mesh = Mesh::of_points(&both, &faces, own, both.len()).expect("two boxes");
         let pool = Pool::new(2).expect("threads");

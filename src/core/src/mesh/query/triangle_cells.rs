@@ -349,7 +349,7 @@ impl BoxGrid {
         let [nx, ny, nz] = self.count.map(|n| n as usize);
         let slab = (ny * nz).div_ceil(slabs);
         let mut starts = vec![0; nx * ny * nz + 1];
-        // Every cell's slot first counts its entries, then tells where the next one goes, which is in the end where
+        // Every cell's slot first counts its entries, then holds where the next one goes, which is in the end where
         // the entries of the next cell begin.
         let parts: Vec<Vec<u32>> = (starts[1..].par_chunks_mut(slab * nx).enumerate())
             .map(|(k, cells)| {

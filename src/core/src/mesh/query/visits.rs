@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn long_queries_learn_early_that_nobody_wants_them() {
+    fn long_queries_stop_early_when_cancelled() {
         let pool = Pool::new(1).expect("a thread");
         let given_up = GivenUp::default();
         let exec = Exec::new(&pool, &given_up);
