@@ -111,12 +111,7 @@ impl DeformableBody {
         let rest = exec.pool.install(|| place(&graph.positions, origin, unit));
 
         exec.progress.report("hierarchy", 0.0);
-        let view = solver::WeightedGraph {
-            offsets: &graph.offsets,
-            neighbours: &graph.neighbours,
-            weights: graph.weights.as_deref(),
-            positions: Some(&rest),
-        };
+        let view = solver_view(&graph, &rest);
         let build = solver::BuildOptions {
             operators: options.operators,
             ..Default::default()
@@ -194,6 +189,16 @@ impl DeformableBody {
     }
 }
 
+/// A graph as the solver reads it, with rest positions in solving coordinates.
+fn solver_view<'a>(graph: &'a MeshGraph, rest: &'a [[f64; 3]]) -> solver::WeightedGraph<'a> {
+    solver::WeightedGraph {
+        offsets: &graph.offsets,
+        neighbours: &graph.neighbours,
+        weights: graph.weights.as_deref(),
+        positions: Some(rest),
+    }
+}
+
 fn power_of_two_near(length: f64) -> f64 {
     libm::exp2(libm::floor(libm::log2(length)).clamp(-900.0, 900.0))
 }
@@ -260,12 +265,7 @@ impl DeformableBody {
 
         exec.check()?;
         exec.progress.report("hierarchy", 0.0);
-        let view = solver::WeightedGraph {
-            offsets: &graph.offsets,
-            neighbours: &graph.neighbours,
-            weights: graph.weights.as_deref(),
-            positions: Some(&rest),
-        };
+        let view = solver_view(&graph, &rest);
         let hierarchy = match hierarchy {
             None => Hierarchy::build(&view, self.hierarchy.options(), exec)?,
             Some(mut hierarchy) => {

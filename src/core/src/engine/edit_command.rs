@@ -1,8 +1,6 @@
 //! Edits of the topology as a program asks for them, and what they came to.
 //!
-//! Handles across an edit.
-//!
-//! A region that is given by place stays as it is while the rest shape stays where it is; it then holds what the same handle
+//! Handles stay across an edit. A region that is given by place stays as it is while the rest shape stays where it is; it then holds what the same handle
 //! holds when it is set after the edit. Every other region becomes the list of the vertices that it held, in the new numbers.
 
 use crate::asset::{FileSet, Format};

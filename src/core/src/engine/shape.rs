@@ -112,13 +112,14 @@ impl Shader {
 
     /// Normals and tangents of a deformed shape. See [`shading()`].
     pub fn shade(&self, positions: &[DVec3]) -> Shading {
-        let authored = Authored {
-            triangles: &self.triangles,
-            normals: &self.normals,
-            tangents: &self.tangents,
-            primitives: &self.primitives,
-        };
-        shade(&authored, &self.rest, positions)
+        let Self {
+            triangles,
+            normals,
+            tangents,
+            primitives,
+            rest,
+        } = self;
+        shade(triangles, normals, tangents, primitives, rest, positions)
     }
 
     /// Bytes held, without the rest positions, which are shared.
@@ -136,50 +137,48 @@ impl Shader {
 /// Authored normals and tangents follow the deformation. Primitives that came without normals get the smooth normals of the
 /// deformed shape; without tangents, zeros.
 pub fn shading(model: &Geometry, rest: &[DVec3], positions: &[DVec3]) -> Shading {
-    let authored = Authored {
-        triangles: &model.triangles,
-        normals: &model.normals,
-        tangents: &model.tangents,
-        primitives: &model.primitives,
-    };
-    shade(&authored, rest, positions)
+    shade(
+        &model.triangles,
+        &model.normals,
+        &model.tangents,
+        &model.primitives,
+        rest,
+        positions,
+    )
 }
 
-/// The part of a model that shading reads.
-struct Authored<'a> {
-    triangles: &'a [[u32; 3]],
-    normals: &'a [Vec3],
-    tangents: &'a [Vec4],
-    primitives: &'a [Primitive],
-}
-
-fn shade(model: &Authored<'_>, rest: &[DVec3], positions: &[DVec3]) -> Shading {
+fn shade(
+    triangles: &[[u32; 3]],
+    authored_normals: &[Vec3],
+    authored_tangents: &[Vec4],
+    primitives: &[Primitive],
+    rest: &[DVec3],
+    positions: &[DVec3],
+) -> Shading {
     let count = positions.len();
-    let gradients = if model.normals.len() == count && rest.len() == count {
-        shading::gradients(rest, positions, model.triangles, model.triangles, count)
+    let gradients = if authored_normals.len() == count && rest.len() == count {
+        shading::gradients(rest, positions, triangles, triangles, count)
     } else {
         vec![None; count]
     };
-    let authored = marked_vertices(model.primitives, count, |p| {
-        p.has_normals && model.normals.len() == count
-    });
+    let authored = marked_vertices(primitives, count, |p| p.has_normals && authored_normals.len() == count);
     let mut normals = if authored.iter().all(|&a| a) && !authored.is_empty() {
         vec![Vec3::Z; count]
     } else {
-        shading::smooth_normals(positions, model.triangles)
+        shading::smooth_normals(positions, triangles)
     };
     for v in (0..count).filter(|&v| authored[v]) {
-        let normal = model.normals[v];
+        let normal = authored_normals[v];
         normals[v] = gradients[v]
             .as_ref()
             .map_or(normal, |g| shading::carry_normal(g, normal));
     }
-    let with_tangents = marked_vertices(model.primitives, count, |p| {
-        p.has_tangents && model.tangents.len() == count
+    let with_tangents = marked_vertices(primitives, count, |p| {
+        p.has_tangents && authored_tangents.len() == count
     });
     let mut tangents = vec![Vec4::ZERO; count];
     for v in (0..count).filter(|&v| with_tangents[v]) {
-        let tangent = model.tangents[v];
+        let tangent = authored_tangents[v];
         tangents[v] = gradients[v]
             .as_ref()
             .map_or(tangent, |g| shading::carry_tangent(g, tangent, normals[v]));

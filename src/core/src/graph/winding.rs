@@ -4,12 +4,7 @@
 //! it is closed and a sensible fraction where it has holes; the tree evaluates distant clusters by their moments (Barill et
 //! al. 2018).
 //!
-//! The generalised winding number.
-//!
-//! The tree: a bounding-volume hierarchy whose nodes know their far fields.
-//!
-//! Moments of a piece of surface, from which its far field follows.
-//!
+//! The tree is a bounding-volume hierarchy whose nodes know their far fields, which follow from moments of the surface.
 //! Seen from afar a piece of surface is a dipole with corrections. With δ the offset from the centroid and n the unit
 //! normal, its first three moments are the polynomials P₁(u) = ∫ n·u, P₂(u) = ∫ (δ·u)(n·u) and P₃(u) = ∫ (δ·u)²(n·u) in
 //! a direction u; they are all that the solid angle needs up to second order (Barill et al. 2018, section 3).

@@ -27,13 +27,7 @@ impl LocalTurn {
     /// Whether it changes nothing but the last bits of what it is applied to.
     fn is_still(&self) -> bool {
         let off = self.similarity() - DMat3::IDENTITY;
-        let largest = off
-            .x_axis
-            .abs()
-            .max(off.y_axis.abs())
-            .max(off.z_axis.abs())
-            .max_element();
-        largest <= 1e-7
+        largest_entry(off) <= 1e-7
     }
 }
 
@@ -140,25 +134,18 @@ pub fn nearest_rotation(matrix: &DMat3) -> Option<DMat3> {
         let next = (scaled + scaled.inverse().transpose()) * 0.5;
         let step = next - turn;
         turn = next;
-        let largest = step
-            .x_axis
-            .abs()
-            .max(step.y_axis.abs())
-            .max(step.z_axis.abs())
-            .max_element();
-        if largest < 1e-15 {
+        if largest_entry(step) < 1e-15 {
             break;
         }
     }
     // Within rounding of a rotation, or it has not converged: a matrix that is all but singular.
     let off = turn * turn.transpose() - DMat3::IDENTITY;
-    let largest = off
-        .x_axis
-        .abs()
-        .max(off.y_axis.abs())
-        .max(off.z_axis.abs())
-        .max_element();
-    (largest < 1e-9).then_some(turn)
+    (largest_entry(off) < 1e-9).then_some(turn)
+}
+
+/// The largest absolute value of an entry.
+fn largest_entry(m: DMat3) -> f64 {
+    m.x_axis.abs().max(m.y_axis.abs()).max(m.z_axis.abs()).max_element()
 }
 
 /// Triangles whose gradients are held at a time.

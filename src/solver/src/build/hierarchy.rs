@@ -53,7 +53,7 @@ pub struct Hierarchy {
     /// Identifies the systems of this hierarchy.
     pub(crate) token: Arc<()>,
     /// With the paper's operators: the graph itself, to be cut by constraints and then coarsened.
-    pub(crate) paper: Option<UncutGraph>,
+    pub(crate) paper: Option<Arc<UncutGraph>>,
 }
 
 impl Hierarchy {
@@ -144,7 +144,7 @@ impl Hierarchy {
             thin,
             options: options.clone(),
             token: Arc::new(()),
-            paper: (options.operators == CoarseOperators::Paper).then(|| UncutGraph::new(graph, options)),
+            paper: (options.operators == CoarseOperators::Paper).then(|| Arc::new(UncutGraph::new(graph, options))),
         })
     }
 
@@ -183,7 +183,7 @@ impl Hierarchy {
 
     /// Bytes held.
     pub fn byte_size(&self) -> usize {
-        let kept = self.paper.as_ref().map_or(0, UncutGraph::byte_size);
+        let kept = self.paper.as_ref().map_or(0, |uncut| uncut.byte_size());
         self.levels.iter().map(HierarchyLevel::byte_size).sum::<usize>() + 4 * self.order.len() + kept
     }
 }

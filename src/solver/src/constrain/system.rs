@@ -128,8 +128,8 @@ impl LinearSystem {
                 FloatingComponents::find(hierarchy, (&system.masks, &system.stiffness, &system.dense_rows));
         });
         system.cycles_per_visit = steps(hierarchy);
-        if let (Some(kept), false) = (&hierarchy.paper, system.is_direct()) {
-            let paper = PaperHierarchy::build(kept, hierarchy, constraints.fixed, &system.stiffness);
+        if let (Some(uncut), false) = (&hierarchy.paper, system.is_direct()) {
+            let paper = PaperHierarchy::build(uncut, hierarchy, constraints.fixed, &system.stiffness);
             system.paper = Some(paper);
         }
         Ok(system)

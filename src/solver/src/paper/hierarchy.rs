@@ -1,6 +1,8 @@
 //! The levels of the paper's hierarchy and the equations on them: the finest level is the caller's graph cut by
 //! constraints; section 4 chooses which vertices are elevated, and which of them are joined.
 
+use std::sync::Arc;
+
 use crate::build::hierarchy::Hierarchy;
 use crate::dense_inverse::DenseInverse;
 use crate::lanes::NO_ROW;
@@ -15,6 +17,8 @@ const DENSE: usize = 1000;
 /// The levels of one set of constraints.
 #[derive(Debug)]
 pub(crate) struct PaperHierarchy {
+    /// The graph that they were made of.
+    pub(super) uncut: Arc<UncutGraph>,
     /// Vertex of the caller's graph that each vertex of the finest level stands for, ascending.
     pub(super) vertices: Vec<u32>,
     /// Its row in the parent module's order.
@@ -36,11 +40,17 @@ impl PaperHierarchy {
     /// Builds the levels over the free vertices: those that `fixed` does not hold.
     ///
     /// `stiffness` is α of soft constraints in row order of `hierarchy`, whose scaling of weights is adopted.
-    pub(crate) fn build(kept: &UncutGraph, hierarchy: &Hierarchy, fixed: &[bool], stiffness: &[f64]) -> PaperHierarchy {
-        let options = &kept.options;
-        let (vertices, rows, finest, original) = kept.free(hierarchy, fixed, stiffness);
+    pub(crate) fn build(
+        uncut: &Arc<UncutGraph>,
+        hierarchy: &Hierarchy,
+        fixed: &[bool],
+        stiffness: &[f64],
+    ) -> PaperHierarchy {
+        let options = &uncut.options;
+        let (vertices, rows, finest, original) = uncut.free(hierarchy, fixed, stiffness);
         let (levels, usable) = levels(finest, options);
         let mut built = PaperHierarchy {
+            uncut: Arc::clone(uncut),
             vertices,
             rows,
             levels,

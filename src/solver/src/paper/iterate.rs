@@ -8,8 +8,8 @@ use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::{InitialGuess, SolveMethod};
 use crate::paper::hierarchy::PaperHierarchy;
 use crate::paper::restrict::{
-    ConjugateSteps, EdgeOffsets, OperatorReading, UncutGraph, add, add_correction_from, defect, prolong,
-    restrict_defect, restricted_constants, sweep,
+    ConjugateSteps, EdgeOffsets, OperatorReading, add, add_correction_from, defect, prolong, restrict_defect,
+    restricted_constants, sweep,
 };
 use crate::progress::{Cancelled, Progress, check};
 use crate::solve::advance::rhs_reference_norms;
@@ -35,7 +35,6 @@ const STEPS: (usize, f64) = (2, 1e-5);
 pub(crate) fn solve(
     outer: &mut GroupSolve<'_, '_>,
     paper: &PaperHierarchy,
-    kept: &UncutGraph,
     start: InitialGuess<'_>,
     watch: &mut IterationWatcher<'_>,
 ) -> Result<GroupOutcome, Error> {
@@ -59,7 +58,7 @@ pub(crate) fn solve(
         let framed = frames.map(|frames| FrameOffsets {
             vertices: &paper.vertices,
             frames,
-            rest: rest.unwrap_or(&kept.positions),
+            rest: rest.unwrap_or(&paper.uncut.positions),
             unit: problem.unit,
         });
         state.begin_with_full_multigrid(outer, framed.as_ref())?;

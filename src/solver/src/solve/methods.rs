@@ -285,8 +285,8 @@ fn solve_by_cycles(
     watch: &mut IterationWatcher<'_>,
 ) -> Result<GroupOutcome, Error> {
     let problem = group.problem;
-    if let Some((kept, paper)) = problem.hierarchy.paper.as_ref().zip(problem.system.paper.as_ref()) {
-        return crate::paper::solve(&mut group, paper, kept, start, watch);
+    if let Some(paper) = &problem.system.paper {
+        return crate::paper::solve(&mut group, paper, start, watch);
     }
     if let InitialGuess::FullMultigrid { frames, rest } = start {
         group.cycle.progress.begin_pass("start");

@@ -1,8 +1,6 @@
 //! Rigs that are made of models: of their skins, or of the bodies that are found in their shapes.
 //!
-//! Which bones of a rig carry the vertices of a model.
-//!
-//! What is not solved in a model that has a skin: what no skin places, such as hulls for collisions, props and floors, and coarser
+//! Bones of a rig carry the vertices of a model. What is not solved in a model that has a skin: what no skin places, such as hulls for collisions, props and floors, and coarser
 //! levels of detail of what is solved. Rigs are found without it, and clips are solved without it.
 
 use crate::asset::{CarryingJoints, Model, MovingScene, PlayedJoint, Primitive};

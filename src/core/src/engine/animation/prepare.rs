@@ -1,6 +1,4 @@
-//! What is asked for of an animation: its clip and rig, when its frames are, and how they are solved.
-//!
-//! An animation before its first frame: the rig's handles on the body, with fields of their own.
+//! An animation before its first frame: what is asked for of it, and the rig's handles on the body, with fields of their own.
 
 use crate::asset::Model;
 use crate::deform::{HandleConstraint, HandleSetup, HandleSystem};

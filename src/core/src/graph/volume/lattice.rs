@@ -1,8 +1,6 @@
 //! The lattice: nodes of a body-centred cubic grid that lie deep enough inside, and the edges between them.
 //!
-//! Nodes of a grid inside soups, where only the winding number shows what is inside.
-//!
-//! Space is searched as an octree over grid cells, coarse to fine. A block far from the surface is decided as a whole;
+//! Inside soups only the winding number shows what is inside. There space is searched as an octree over grid cells, coarse to fine. A block far from the surface is decided as a whole;
 //! only blocks near the surface are split, so the work grows with the surface, not with the box around it.
 
 use crate::graph::error::Error;

@@ -1,6 +1,4 @@
-//! The body-centred cubic grid that lattice nodes lie on.
-//!
-//! Neighbours in a body-centred cubic grid.
+//! The body-centred cubic grid that lattice nodes lie on, the neighbours in it, and the surface near it.
 //!
 //! Two cubic grids A and B of side `a`, B shifted by half a cell along each axis. Each node has six neighbours in its
 //! own grid and eight in the other. A node is named by a key whose order is sheet by sheet, row by row.
