@@ -13,8 +13,7 @@ use crate::deform::second_pass::state::{PoseMethod, PoseRequest, PoseSolution, S
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::progress::check;
-use crate::solver;
-use crate::solver::{SolveControl, SolveOptions, StoppingCriteria};
+use crate::solver::{self, SolveControl, SolveOptions, StoppingCriteria};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 

@@ -11,7 +11,6 @@ use crate::graph::mesh_graph::{GraphRecipe, GraphStats, MeshGraph};
 use crate::graph::volume::caps::{ClosedHull, HullFaces};
 use crate::graph::volume::lattice::LatticeBody;
 use crate::graph::volume::lattice_grid::NearSurface;
-use crate::graph::volume::options::{InteriorKind, VolumeOptions};
 use crate::graph::volume::placing::{
     NodeRoom, PlacedNodes, SiteFacts, enclosed_volume, fitting_lattice, interior_nodes, join_nodes,
 };
@@ -19,6 +18,7 @@ use crate::graph::volume::principal_axes::PrincipalAxes;
 use crate::graph::volume::shape::{most_lattice_nodes, shape_interior};
 use crate::graph::volume::shell::{InsideHull, VolumeSite, inward_directions, shell};
 use crate::graph::volume::solid::{ClassifiedParts, PartKind};
+use crate::graph::volume::{InteriorKind, VolumeOptions};
 use crate::graph::winding::WindingTree;
 use crate::mesh::query::{VisitBudget, VisitCount};
 use crate::mesh::{Adjacency, Components, Mesh, mean_edge_length};

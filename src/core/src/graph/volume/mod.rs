@@ -10,7 +10,6 @@ pub(in crate::graph) mod build;
 pub(super) mod caps;
 mod lattice;
 pub(super) mod lattice_grid;
-mod options;
 mod placing;
 mod principal_axes;
 mod scan;
@@ -20,4 +19,75 @@ pub(super) mod solid;
 pub(super) mod spread;
 
 pub use build::{estimate_nodes, volume, volume_apart};
-pub use options::{InteriorKind, VolumeOptions};
+
+use crate::graph::error::Error;
+use crate::graph::mesh_graph::EdgeWeights;
+
+/// What interior nodes follow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum InteriorKind {
+    /// The shape: a lattice whose interval follows the thickness of each part, whatever its triangles, along the principal
+    /// axes of the mesh. Places too thin for it have struts across.
+    #[default]
+    Shape,
+    /// The triangles, as in the paper: a copy of each vertex, and a lattice about as dense as the mesh, along the axes of the
+    /// file.
+    Paper,
+}
+
+/// How a volume graph is built.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VolumeOptions {
+    /// What interior nodes follow.
+    pub kind: InteriorKind,
+    /// Side of a lattice cell. By default, of kind [`InteriorKind::Shape`], ¾ of volume ÷ area of each part; of kind
+    /// [`InteriorKind::Paper`] the mean edge length or what gives 1.2 lattice nodes for each vertex, whichever is larger.
+    /// Widened when the graph would have more than `max_nodes` nodes.
+    pub interval: Option<f64>,
+    /// Neighbours of a lattice node: 14 (default), or 8 in the other of the two cubic grids only.
+    pub valence: u32,
+    /// Of kind [`InteriorKind::Paper`], how far the shell is moved inwards; by default the mean edge length, of the mesh or of the part, whichever is
+    /// less. Less where there is less room.
+    pub shell_offset: Option<f64>,
+    /// Weights of the mesh's edges.
+    pub weights: EdgeWeights,
+    /// Most nodes that the graph may have.
+    pub max_nodes: usize,
+}
+
+impl Default for VolumeOptions {
+    fn default() -> Self {
+        Self {
+            kind: InteriorKind::Shape,
+            interval: None,
+            valence: 14,
+            shell_offset: None,
+            weights: EdgeWeights::default(),
+            max_nodes: 50_000_000,
+        }
+    }
+}
+
+impl VolumeOptions {
+    /// The paper's graph with the paper's weights.
+    pub fn paper() -> Self {
+        Self {
+            kind: InteriorKind::Paper,
+            weights: EdgeWeights::Uniform,
+            ..Self::default()
+        }
+    }
+
+    /// Refuses options that make no sense.
+    pub(in crate::graph) fn check(&self) -> Result<(), Error> {
+        for (option, value) in [("interval", self.interval), ("shell offset", self.shell_offset)] {
+            if let Some(seen) = value.filter(|v| !(*v > 0.0 && v.is_finite())) {
+                return Err(Error::Length { option, seen });
+            }
+        }
+        if !matches!(self.valence, 8 | 14) {
+            return Err(Error::Valence { seen: self.valence });
+        }
+        Ok(())
+    }
+}

@@ -11,10 +11,10 @@
 use crate::graph::assemble::InteriorNodes;
 use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphStats, MeshGraph};
+use crate::graph::volume::VolumeOptions;
 use crate::graph::volume::caps::HullFaces;
 use crate::graph::volume::lattice::{self, LatticeBody};
 use crate::graph::volume::lattice_grid::NONE;
-use crate::graph::volume::options::VolumeOptions;
 use crate::graph::volume::placing::{
     NodeRoom, SiteFacts, enclosed_volume, fitting_lattice, join_nodes, nearest_vertices, sort_rows,
 };
