@@ -7,8 +7,6 @@
 use crate::failure::LoadtestFailure;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model};
-use pliant::batch;
-use pliant::engine;
 use pliant::exec::Exec;
 use pliant::mesh::{BoundingBox, Mesh, Weld, self_intersections};
 use pliant::pool::Pool;
@@ -18,6 +16,7 @@ use pliant::render::{
     draw_surface, edge_stretch,
 };
 use pliant::wire::pb;
+use pliant::{batch, engine};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -84,7 +83,7 @@ pub(crate) fn run_sheet(args: &SheetArgs) -> Result<(), LoadtestFailure> {
             args.folder.display()
         )));
     }
-    let pool = Pool::new(args.threads as usize).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let pool = Pool::new(args.threads as usize).map_err(LoadtestFailure::server)?;
     let mut entries = Vec::new();
     for path in &paths {
         let name = path.strip_prefix(&args.folder).unwrap_or(path).display().to_string();
@@ -99,9 +98,7 @@ pub(crate) fn run_sheet(args: &SheetArgs) -> Result<(), LoadtestFailure> {
         entries.push(SheetEntry { name, result });
     }
     let picture = draw_sheet(&entries, args)?;
-    let png = picture
-        .encode_png()
-        .map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let png = picture.encode_png().map_err(LoadtestFailure::server)?;
     fs::write(&args.output, png)
         .map_err(|e| LoadtestFailure::Usage(format!("cannot write {}: {e}", args.output.display())))?;
     println!(
@@ -285,7 +282,7 @@ fn draw_sheet(entries: &[SheetEntry], args: &SheetArgs) -> Result<Picture, Loadt
         sides[1] * u64::from(height) + u64::from(LABEL),
         PAPER,
     )
-    .map_err(|e| LoadtestFailure::Usage(e.to_string()))?;
+    .map_err(LoadtestFailure::usage)?;
     for (k, entry) in entries.iter().enumerate() {
         let k = u32::try_from(k).unwrap_or(u32::MAX);
         let (x, y) = (k % args.columns * width + 4, k / args.columns * height + 4);

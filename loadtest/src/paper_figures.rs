@@ -4,13 +4,12 @@
 use crate::failure::LoadtestFailure;
 use glam::{DQuat, DVec3};
 use pliant::asset::{FileSet, shapes};
-use pliant::batch;
-use pliant::engine;
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::render::{Camera, Picture, PictureSize, Rgb, ShadedSurface, UpAxis, ViewDirection, draw_surface};
 use pliant::wire::pb;
+use pliant::{batch, engine};
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 use std::fs;
@@ -72,7 +71,7 @@ fn ways() -> [(&'static str, pb::Options); 4] {
 
 /// Runs the command.
 pub(crate) fn run_figures(args: &FiguresArgs) -> Result<(), LoadtestFailure> {
-    let pool = Pool::new(args.threads as usize).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let pool = Pool::new(args.threads as usize).map_err(LoadtestFailure::server)?;
     fs::create_dir_all(&args.output)
         .map_err(|e| LoadtestFailure::Usage(format!("cannot make {}: {e}", args.output.display())))?;
     for figure in [bar(), spring()] {

@@ -1,24 +1,24 @@
 //! `loadtest stream`: drags a handle of a model at a steady rate, from one client or several, and accounts for every pose.
 
-use super::args::StreamArgs;
+use super::StreamArgs;
 use super::beside::load_beside_solves;
 use super::client::drag_with_all_clients;
-use super::report::{json_report, text_report};
+use super::ledger::{PoseLedger, Times};
 use super::server::LoadedServer;
 use super::sessions::load_with_many_sessions;
-use crate::failure::LoadtestFailure;
-use crate::shared::drag_scene::DragScene;
+use crate::failure::{LoadtestFailure, block_on};
+use crate::models::DragScene;
+use serde_json::{Value, json};
+use std::fmt::Write as _;
 
 /// Runs `loadtest stream`: loads the server, prints the report, and fails when a pose is not accounted for.
 pub(crate) fn run_stream(args: &StreamArgs) -> Result<(), LoadtestFailure> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
-    let runtime = runtime.map_err(|e| LoadtestFailure::Server(format!("cannot start threads: {e}")))?;
     if let Some(solving) = args.beside {
-        runtime.block_on(load_beside_solves(args, solving))
+        block_on(load_beside_solves(args, solving))
     } else if args.sessions.is_empty() {
-        runtime.block_on(stream_poses(args))
+        block_on(stream_poses(args))
     } else {
-        runtime.block_on(load_with_many_sessions(args))
+        block_on(load_with_many_sessions(args))
     }
 }
 
@@ -28,16 +28,92 @@ async fn stream_poses(args: &StreamArgs) -> Result<(), LoadtestFailure> {
     let outcome = drag_with_all_clients(server.open_channel().await?, &scene, args).await;
     server.stop_own().await?;
     let ledger = outcome?;
-    let unbalanced = ledger.problems();
     if args.json {
         println!("{}", json_report(&ledger, &scene, args));
     } else {
         print!("{}", text_report(&ledger, &scene, args));
     }
-    match unbalanced.is_empty() {
-        true => Ok(()),
-        false => Err(LoadtestFailure::Server(unbalanced.join("; "))),
+    LoadtestFailure::of_problems(&ledger.problems())
+}
+
+fn times(ledger: &PoseLedger) -> [(&'static str, &Times); 3] {
+    [
+        ("latency", &ledger.latency),
+        ("solve", &ledger.solve),
+        ("queue", &ledger.queue),
+    ]
+}
+
+/// A table for people.
+pub(crate) fn text_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamArgs) -> String {
+    let mut text = String::new();
+    let balanced = if ledger.problems().is_empty() {
+        "balanced"
+    } else {
+        "NOT BALANCED"
+    };
+    let seconds = ledger.elapsed.as_secs_f64();
+    let _ = writeln!(
+        text,
+        "{} clients at {} Hz on {} vertices, {seconds:.2} s",
+        ledger.clients, args.hz, scene.vertices
+    );
+    let _ = writeln!(
+        text,
+        "poses    {} sent = {} final frames + {} superseded + {} refused ({balanced})",
+        ledger.sent, ledger.finals, ledger.superseded, ledger.refused
+    );
+    let _ = writeln!(
+        text,
+        "frames   {} final, {} before them, {} parts, {:.1} MiB, {:.1} final frames a second",
+        ledger.finals,
+        ledger.intermediate,
+        ledger.parts,
+        ledger.bytes as f64 / f64::from(1 << 20),
+        ledger.frames_per_second()
+    );
+    let _ = writeln!(
+        text,
+        "{:9}{}",
+        "ms",
+        Times::SHARES.map(|(name, _)| format!("{name:>10}")).concat()
+    );
+    for (name, values) in times(ledger) {
+        let cells = values.cells(2).map(|cell| format!("{cell:>10}"));
+        let _ = writeln!(text, "{name:9}{}", cells.concat());
     }
+    text
+}
+
+/// One JSON document.
+pub(crate) fn json_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamArgs) -> String {
+    let ms: serde_json::Map<String, Value> = (times(ledger).into_iter())
+        .map(|(name, values)| (name.to_owned(), values.to_json()))
+        .collect();
+    let problems = ledger.problems();
+    let report = json!({
+        "clients": ledger.clients,
+        "hz": args.hz,
+        "vertices": scene.vertices,
+        "seconds": ledger.elapsed.as_secs_f64(),
+        "poses": {
+            "sent": ledger.sent,
+            "answered": ledger.finals,
+            "superseded": ledger.superseded,
+            "refused": ledger.refused,
+            "balanced": problems.is_empty(),
+        },
+        "frames": {
+            "final": ledger.finals,
+            "intermediate": ledger.intermediate,
+            "parts": ledger.parts,
+            "bytes": ledger.bytes,
+            "finalPerSecond": ledger.frames_per_second(),
+        },
+        "ms": ms,
+        "problems": problems,
+    });
+    report.to_string()
 }
 
 #[cfg(test)]
