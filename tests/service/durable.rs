@@ -7,20 +7,11 @@ use serde_json::{Value, json};
 
 mod away;
 mod crash_points;
-mod crashes;
 mod damage;
-mod disk_model;
-mod faults;
-mod first_version;
-mod idle;
 mod leaving;
-mod looking;
-mod lost_end;
-mod moved;
+mod memory;
 mod restart;
-mod restored;
-mod tight_memory;
-mod upkeep;
+mod store_commands;
 
 /// A session on a bar, with its ends as handles.
 pub async fn bar_session(server: &ServedProgram) -> String {

@@ -1,15 +1,11 @@
 //! HTTP: sessions and their calls as a client sees them, problems, downloads, forms.
 
-mod addressed;
 mod carry;
 mod connections;
-mod downloads;
-mod forms;
-mod health_command;
 mod ledger;
-mod log_lines;
 mod operators;
 mod problems;
+mod transfers;
 
 use crate::support::server::*;
 use base64::Engine as _;

@@ -1,8 +1,6 @@
 //! Who may do what, from outside: tokens, certificates, and what a server refuses to be started as.
 
-mod access_log;
 mod audit;
-mod certificates;
 mod isolation;
 mod jwt;
 mod quotas;

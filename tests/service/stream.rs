@@ -1,6 +1,5 @@
 //! The deform stream, over gRPC and over a WebSocket: what is counted, what a slow reader costs, how it ends.
 
-mod commit_keys;
 mod differences;
 mod sockets;
 

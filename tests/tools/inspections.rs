@@ -1,30 +1,26 @@
 //! What an inspection tells of a model and of the files that it names.
 
-use crate::program::{pliant, told, workplace};
+use crate::program::Workplace;
 use pliant::asset::sample;
-use serde_json::Value;
-use std::fs;
 
 /// A square of two triangles as an OBJ that names a library.
 pub const SQUARE: &str = "mtllib square.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nusemtl a\nf 1 2 3\nf 1 3 4\n";
 
 #[test]
 fn files_that_an_obj_names_and_that_are_not_there_are_warned_of() {
-    let folder = workplace();
-    let at = |name: &str| folder.path().join(name);
+    let folder = Workplace::new();
     let inspect = || {
-        let (code, text, _) = pliant(folder.path(), &["inspect", "square.obj"]);
-        assert_eq!(code, Some(0));
+        let text = folder.done("inspect square.obj").out;
         text
     };
-    fs::write(at("square.obj"), SQUARE).expect("written");
+    folder.put("square.obj", SQUARE);
     let text = inspect();
     assert!(
         text.contains("warning library-missing") && text.contains("square.mtl"),
         "{text}"
     );
-    fs::write(at("square.mtl"), "newmtl a\nmap_Kd rust.png\nbump bumps.png\n").expect("written");
-    fs::write(at("bumps.png"), "any").expect("written");
+    folder.put("square.mtl", "newmtl a\nmap_Kd rust.png\nbump bumps.png\n");
+    folder.put("bumps.png", "any");
     let text = inspect();
     assert!(!text.contains("library-missing"), "{text}");
     let warning = text.lines().find(|line| line.starts_with("warning image-missing"));
@@ -34,26 +30,22 @@ fn files_that_an_obj_names_and_that_are_not_there_are_warned_of() {
         "{warning}"
     );
     let job = r#"{"handles": [{"id": "a", "region": {"component": {}}, "pose": {"translation": [1, 0, 0]}}]}"#;
-    fs::write(at("job.json"), job).expect("written");
-    let (code, said) = told(
-        folder.path(),
-        &["deform", "square.obj", "--job", "job.json", "-o", "out.obj"],
-    );
-    assert_eq!(code, Some(0), "{said}");
+    folder.put("job.json", job);
+    let ran = folder.done("deform square.obj --job job.json -o out.obj");
+    let said = &ran.err;
     assert!(
         said.contains("warning image-missing: ") && said.contains("rust.png"),
         "{said}"
     );
-    fs::write(at("rust.png"), "any").expect("written");
+    folder.put("rust.png", "any");
     assert!(!inspect().contains("missing"));
 }
 
 #[test]
 fn an_inspection_lists_clips_skins_materials_and_pictures() {
-    let folder = workplace();
-    fs::write(folder.path().join("figure.glb"), sample::figure_glb()).expect("written");
-    let (code, text, _) = pliant(folder.path(), &["inspect", "figure.glb"]);
-    assert_eq!(code, Some(0));
+    let folder = Workplace::new();
+    folder.put("figure.glb", sample::figure_glb());
+    let text = folder.done("inspect figure.glb").out;
     let line = |name: &str| {
         let line = text.lines().find(|line| line.starts_with(name));
         line.unwrap_or_else(|| panic!("{name}: {text}")).to_owned()
@@ -65,14 +57,16 @@ fn an_inspection_lists_clips_skins_materials_and_pictures() {
     assert!(line("skins ").contains(" joints)"), "{text}");
     line("materials ");
     assert!(line("images ").ends_with('0'), "{text}");
-    let (_, json, _) = pliant(folder.path(), &["inspect", "figure.glb", "--json"]);
-    let found: Value = serde_json::from_str(&json).expect("one JSON document");
+    let found = folder.done("inspect figure.glb --json").json();
     assert_eq!(found["clips"][0]["name"], "walk");
-    assert!(found["clips"][1]["seconds"].as_f64().is_some_and(|s| s > 0.1), "{json}");
-    assert!(found["skins"][0]["joints"].as_u64().is_some_and(|n| n > 10), "{json}");
+    assert!(
+        found["clips"][1]["seconds"].as_f64().is_some_and(|s| s > 0.1),
+        "{found}"
+    );
+    assert!(found["skins"][0]["joints"].as_u64().is_some_and(|n| n > 10), "{found}");
     assert!(
         found["materials"].is_array() && found["images"] == serde_json::json!([]),
-        "{json}"
+        "{found}"
     );
     // A picture is called by its file where it has no name.
     let mut gltf = serde_json::json!({
@@ -83,12 +77,11 @@ fn an_inspection_lists_clips_skins_materials_and_pictures() {
         "bufferViews": [{"buffer": 0, "byteLength": 36}], "buffers": [{"uri": "a.bin", "byteLength": 36}],
     });
     gltf["asset"]["generator"] = "test".into();
-    fs::write(folder.path().join("a.gltf"), gltf.to_string()).expect("written");
+    folder.put("a.gltf", gltf.to_string());
     let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
     let bytes: Vec<u8> = corners.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
-    fs::write(folder.path().join("a.bin"), bytes).expect("written");
-    let (code, text, said) = pliant(folder.path(), &["inspect", "a.gltf"]);
-    assert_eq!(code, Some(0), "{said}");
+    folder.put("a.bin", bytes);
+    let text = folder.done("inspect a.gltf").out;
     assert!(
         text.contains("2: \"rust.png\", \"moss\"\n") && text.contains("1: \"old\"\n"),
         "{text}"
@@ -97,14 +90,9 @@ fn an_inspection_lists_clips_skins_materials_and_pictures() {
 
 #[test]
 fn one_of_a_thing_is_told_as_one() {
-    let folder = workplace();
-    fs::write(
-        folder.path().join("square.obj"),
-        SQUARE.replace("mtllib square.mtl\n", ""),
-    )
-    .expect("written");
-    let (code, text, _) = pliant(folder.path(), &["inspect", "square.obj"]);
-    assert_eq!(code, Some(0));
+    let folder = Workplace::new();
+    folder.put("square.obj", SQUARE.replace("mtllib square.mtl\n", ""));
+    let text = folder.done("inspect square.obj").out;
     assert!(text.contains("4 in 1 primitive\n"), "{text}");
     assert!(text.contains("1 hole, "), "{text}");
 }

@@ -1,15 +1,12 @@
 //! Models of several parts on the command line: what is told of ties, and what options make of them.
 
-use crate::support::program::words;
+use crate::program::Workplace;
 use glam::DVec3;
 use pliant::asset::shapes::box_with_cells;
 use serde_json::{Value, json};
-use std::fs;
-use std::path::Path;
-use std::process::Command;
 
 /// Two slabs on top of each other, a hair apart, and a box far from them.
-fn workplace() -> tempfile::TempDir {
+fn workplace() -> Workplace {
     let (mut text, mut first) = (String::new(), 1);
     for (size, place) in [
         (DVec3::new(1.0, 0.5, 1.0), DVec3::ZERO),
@@ -25,24 +22,11 @@ fn workplace() -> tempfile::TempDir {
         }
         first += points.len() as u32;
     }
-    let folder = tempfile::tempdir().expect("a folder");
-    fs::write(folder.path().join("parts.obj"), text).expect("written");
-    folder
-}
-
-/// Runs the program; answers its exit code, and what it wrote to stdout and stderr.
-fn pliant(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
-    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(arguments)
-        .current_dir(folder)
-        .output();
-    let done = done.expect("it runs");
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (done.status.code(), text(&done.stdout), text(&done.stderr))
+    Workplace::with("parts.obj", text)
 }
 
 /// The report of a job that lifts the upper slab, opened with `create`; or what is said when it is refused.
-fn lifted(folder: &Path, create: &Value) -> Result<Value, String> {
+fn lifted(folder: &Workplace, create: &Value) -> Result<Value, String> {
     let half = |normal: f64, offset: f64| json!({"halfSpace": {"normal": [0, normal, 0], "offset": offset}});
     let job = json!({
         "create": create,
@@ -51,19 +35,18 @@ fn lifted(folder: &Path, create: &Value) -> Result<Value, String> {
             {"id": "above", "region": half(1.0, 0.9), "pose": {"translation": [0, 0.2, 0]}},
         ],
     });
-    fs::write(folder.join("job.json"), job.to_string()).expect("written");
-    let arguments = words("deform parts.obj --job job.json -o out.obj --json --force");
-    match pliant(folder, &arguments) {
-        (Some(0), stdout, _) => Ok(serde_json::from_str(&stdout).expect("one JSON document")),
-        (_, _, stderr) => Err(stderr),
+    folder.put("job.json", job.to_string());
+    let ran = folder.run("deform parts.obj --job job.json -o out.obj --json --force");
+    match ran.code {
+        Some(0) => Ok(ran.json()),
+        _ => Err(ran.err),
     }
 }
 
 #[test]
 fn inspection_tells_parts_ties_and_what_is_loose() {
     let folder = workplace();
-    let (code, text, _) = pliant(folder.path(), &["inspect", "parts.obj"]);
-    assert_eq!(code, Some(0));
+    let text = folder.done("inspect parts.obj").out;
     let line = |name: &str| {
         let found = text
             .lines()
@@ -78,13 +61,10 @@ fn inspection_tells_parts_ties_and_what_is_loose() {
     );
     assert!(line("ties ").parse::<u32>().expect("a number") >= 25, "{text}");
     assert_eq!(line("loose parts "), "1: part 2 (98 vertices)");
-    let (_, json, _) = pliant(folder.path(), &["inspect", "parts.obj", "--json"]);
-    let found: Value = serde_json::from_str(&json).expect("one JSON document");
+    let found = folder.done("inspect parts.obj --json").json();
+    let solver = &found["solver"];
     assert_eq!(
-        (
-            &found["solver"]["looseParts"],
-            &found["solver"]["loose"][0]["component"]
-        ),
+        (&solver["looseParts"], &solver["loose"][0]["component"]),
         (&json!(1), &json!(2))
     );
 }
@@ -92,7 +72,7 @@ fn inspection_tells_parts_ties_and_what_is_loose() {
 #[test]
 fn options_tie_parts_or_leave_them_to_themselves() {
     let folder = workplace();
-    let run = |create: Value| lifted(folder.path(), &create).expect("solved");
+    let run = |create: Value| lifted(&folder, &create).expect("solved");
     let tied = run(json!({}));
     let ties = |report: &Value| {
         report["solver"]["ties"]
@@ -133,7 +113,7 @@ fn options_that_do_not_fit_are_refused_with_their_place() {
             "tieDistance: is given, but parts SEPARATE have no ties",
         ),
     ] {
-        let error = lifted(folder.path(), &create).expect_err("refused");
+        let error = lifted(&folder, &create).expect_err("refused");
         assert!(error.contains(told), "{error}");
     }
 }
@@ -146,11 +126,8 @@ fn a_pose_that_pulls_tied_parts_apart_is_told_in_the_report() {
         {"id": "below", "region": half(-1.0, -0.5)},
         {"id": "above", "region": half(1.0, 0.50005), "pose": {"translation": [0, 0.3, 0]}},
     ]});
-    fs::write(folder.path().join("pull.json"), job.to_string()).expect("written");
-    let arguments = ["deform", "parts.obj", "--job", "pull.json", "-o", "out.obj", "--json"];
-    let (code, stdout, stderr) = pliant(folder.path(), &arguments);
-    assert_eq!(code, Some(0), "{stderr}");
-    let report: Value = serde_json::from_str(&stdout).expect("one JSON document");
+    folder.put("pull.json", job.to_string());
+    let report = folder.done("deform parts.obj --job pull.json -o out.obj --json").json();
     let warnings = report["warnings"].as_array().expect("warnings");
     let pulled = warnings
         .iter()

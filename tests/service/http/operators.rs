@@ -1,11 +1,15 @@
 //! What operators and browsers meet: health, counts, the description, compression, origins.
 
 use super::{get, post};
+use crate::support::certificates::{Authority, Files};
 use crate::support::data::tell_skipped;
+use crate::support::program::{ServedProgram, words};
 use crate::support::server::*;
 use reqwest::header::{self, HeaderName};
 use serde_json::Value;
-use std::process::Command;
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn operators_find_health_counts_and_description() {
@@ -215,4 +219,239 @@ async fn pages_of_foreign_origins_may_not_call() {
         preflight.headers()["access-control-allow-headers"],
         "content-type,idempotency-key"
     );
+}
+
+/// Exit code and the last line that was written.
+fn health(arguments: &[&str], variables: &[(&str, &str)]) -> (Option<i32>, String) {
+    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
+        .arg("health")
+        .args(arguments)
+        .env_remove("PLIANT_CONFIG")
+        .env_remove("PLIANT_LISTEN")
+        .envs(variables.iter().copied())
+        .output()
+        .expect("it runs");
+    let said = [done.stdout, done.stderr].concat();
+    let said = String::from_utf8(said).expect("text");
+    (done.status.code(), said.lines().last().unwrap_or_default().to_owned())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn health_tells_whether_a_server_takes_sessions() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let server = ServedProgram::start_in_memory(folder.path().join("log"), &["--drain-deadline", "60s"]);
+    let url = server.url.clone();
+    assert_eq!(health(&[&url], &[]), (Some(0), "ready".into()));
+    assert_eq!(health(&[&url, "--live"], &[]), (Some(0), "ok".into()));
+    // In a container the server listens on every address, as its environment or its file says.
+    let port = url.rsplit(':').next().expect("a port").to_owned();
+    let everywhere = [
+        ("PLIANT_LISTEN", format!("0.0.0.0:{port}")),
+        ("PLIANT_INSECURE_OPEN", "true".into()),
+    ];
+    let everywhere = everywhere.each_ref().map(|(key, value)| (*key, value.as_str()));
+    assert_eq!(health(&[], &everywhere), (Some(0), "ready".into()));
+    let config = folder.path().join("pliant.toml");
+    std::fs::write(&config, format!("listen = \"127.0.0.1:{port}\"\n")).expect("written");
+    assert_eq!(
+        health(&["--config", config.to_str().expect("UTF-8")], &[]),
+        (Some(0), "ready".into())
+    );
+
+    // A session that streams holds the stop up: the process lives, and takes nothing new.
+    let id = server.open(bar_obj(8), "").await;
+    let socket = format!("{}/v1/sessions/{id}/stream", url.replace("http", "ws"));
+    let _stream = within("a socket", tokio_tungstenite::connect_async(socket))
+        .await
+        .expect("a socket");
+    server.ask_to_stop();
+    eventually("it leaves", async || {
+        let (code, said) = health(&[&url], &[]);
+        code == Some(1) && said.starts_with(&format!("pliant: {url} answers 503"))
+    })
+    .await;
+    assert_eq!(health(&[&url, "--live"], &[]).0, Some(0));
+    server.kill();
+    let (code, said) = health(&[&url], &[]);
+    assert!(code == Some(1) && said.contains("does not answer"), "{said}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_with_tls_is_known_by_its_own_certificate() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let authority = Authority::new("an authority that this machine does not know");
+    let files = Files::new(&authority.server(1));
+    let given = |files: &Files, name: &str| files.path(name).to_str().expect("UTF-8").to_owned();
+    let (certificate, key) = (given(&files, "server.pem"), given(&files, "server.key"));
+    let arguments = ["--tls-certificate", &certificate, "--tls-key", &key];
+    let server = ServedProgram::start_in_memory(folder.path().join("log"), &arguments);
+    let address = server.url.strip_prefix("https://").expect("TLS").to_owned();
+    let own = |certificate: &str, key: &str| {
+        let variables = [
+            ("PLIANT_LISTEN", address.as_str()),
+            ("PLIANT_TLS_CERTIFICATE", certificate),
+            ("PLIANT_TLS_KEY", key),
+        ];
+        health(&[], &variables)
+    };
+    assert_eq!(own(&certificate, &key), (Some(0), "ready".into()));
+    let another = Files::new(&authority.server(2));
+    let (code, said) = own(&given(&another, "server.pem"), &given(&another, "server.key"));
+    assert!(code == Some(1) && said.contains("does not answer"), "{said}");
+    let (code, said) = health(&[&server.url], &[]);
+    assert!(
+        code == Some(1) && said.contains("certificate"),
+        "named by a URL it has to be trusted: {said}"
+    );
+}
+
+#[test]
+fn what_is_no_server_s_address_is_refused() {
+    for (arguments, words) in [
+        (["127.0.0.1:7411"].as_slice(), "is not the URL of a server"),
+        (&["ftp://host"], "is not the URL of a server"),
+        (&["--config", "/nowhere.toml"], "/nowhere.toml"),
+        (&["http://127.0.0.1:1", "--ca", "/nowhere.pem"], "/nowhere.pem"),
+    ] {
+        let (code, said) = health(arguments, &[]);
+        assert!(code == Some(2) && said.contains(words), "{arguments:?}: {said}");
+    }
+}
+
+/// Everything that a server wrote, by stream, and its exit code.
+struct WrittenLog {
+    out: String,
+    err: String,
+    code: Option<i32>,
+}
+
+/// Starts a server with a sample and a remark on its configuration, makes calls that succeed and that fail, and stops it.
+async fn life(format: &str) -> WrittenLog {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_pliant"))
+        .args(words(&format!(
+            "serve --sample --listen 0.0.0.0:0 --insecure-open --threads 2 --log-format {format}"
+        )))
+        .env_remove("PLIANT_CONFIG")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let err = BufReader::new(child.stderr.take().expect("piped"));
+    let heard = Arc::new(Mutex::new(String::new()));
+    let hearing = Arc::clone(&heard);
+    let reader = std::thread::spawn(move || {
+        for line in err.lines() {
+            let mut text = hearing.lock().expect("whole");
+            *text += &line.expect("text");
+            text.push('\n');
+        }
+    });
+    let mut stdout = BufReader::new(child.stdout.take().expect("piped"));
+    let mut out = String::new();
+    stdout.read_line(&mut out).expect("a line");
+    let start = out.find("http://").unwrap_or_else(|| panic!("{out}"));
+    let url: String = (out[start..].chars())
+        .take_while(|c| !c.is_whitespace() && *c != '"')
+        .collect();
+    let url = url.replace("0.0.0.0", "127.0.0.1");
+    let get = async |path: &str| {
+        let sent = http().get(format!("{url}{path}")).send();
+        within(path, sent)
+            .await
+            .expect("an answer")
+            .text()
+            .await
+            .expect("a body")
+    };
+    // The last of what is told at the start: what to try with the sample.
+    eventually("the sample", async || {
+        heard.lock().expect("whole").contains("creature.obj")
+    })
+    .await;
+    get("/v1/sessions/nobody").await;
+    get("/no%0Asuch%1B%5B31mplace%22").await;
+    let asked = Command::new("kill").args(["-TERM", &child.id().to_string()]).status();
+    assert!(asked.expect("kill runs").success());
+    let rest = tokio::task::spawn_blocking(move || {
+        stdout.read_to_string(&mut out).expect("text");
+        (out, child.wait().expect("an end").code())
+    });
+    let (out, code) = within("the end", rest).await.expect("it ends");
+    reader.join().expect("all is read");
+    let err = heard.lock().expect("whole").clone();
+    WrittenLog { out, err, code }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_line_is_json_where_the_log_is() {
+    let WrittenLog { out, err, code } = life("json").await;
+    assert_eq!(code, Some(0), "{err}");
+    assert_eq!(out.lines().count(), 1, "{out}");
+    let mut messages = Vec::new();
+    for line in out.lines().chain(err.lines()) {
+        let parsed: Value = serde_json::from_str(line).unwrap_or_else(|e| panic!("{e}: {line}"));
+        for field in ["timestamp", "level", "message", "target"] {
+            assert!(parsed[field].is_string(), "{field} of {line}");
+        }
+        let time = text(&parsed["timestamp"]);
+        assert!(time.len() == 27 && time.ends_with('Z'), "{line}");
+        messages.push(text(&parsed["message"]));
+    }
+    let said = |words: &str| messages.iter().filter(|m| m.starts_with(words)).count();
+    assert_eq!(said("listening on http://0.0.0.0:"), 1, "{messages:?}");
+    assert_eq!(said("what clients send is not encrypted"), 1);
+    assert_eq!(said("GET /v1/sessions/nobody"), 1, "each call has its line");
+    assert_eq!(said("to try: curl"), 4, "what to try is told as lines too");
+    assert_eq!(said("stopped"), 1);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_line_of_the_text_log_has_its_time_level_and_place() {
+    let WrittenLog { out, err, code } = life("text").await;
+    assert_eq!(code, Some(0), "{err}");
+    let url = out.trim_end().strip_prefix("listening on http://0.0.0.0:");
+    assert!(
+        out.lines().count() == 1 && url.is_some_and(|port| port.parse::<u16>().is_ok()),
+        "{out}"
+    );
+    for line in err.lines() {
+        let mut words = line.split_whitespace();
+        let time = words.next().unwrap_or_default();
+        let level = words.next().unwrap_or_default();
+        let target = words.next().unwrap_or_default();
+        let is_line = time.len() == 27
+            && time.ends_with('Z')
+            && ["ERROR", "WARN", "INFO", "DEBUG", "TRACE"].contains(&level)
+            && target.starts_with("pliant")
+            && target.ends_with(':');
+        assert!(is_line, "{line:?} in\n{err}");
+        assert!(!line.contains('\u{1b}'), "{line:?}");
+    }
+    assert!(err.contains("GET /v1/sessions/nobody"), "{err}");
+}
+
+#[test]
+fn why_it_does_not_start_is_told_in_the_log_s_form() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = taken.local_addr().expect("an address").to_string();
+    let run = |format: &str| {
+        let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
+            .args(["serve", "--listen", &address, "--log-format", format])
+            .env_remove("PLIANT_CONFIG")
+            .output()
+            .expect("it runs");
+        assert_eq!((done.status.code(), done.stdout.len()), (Some(2), 0));
+        String::from_utf8(done.stderr).expect("text")
+    };
+    let last = |text: &str| text.lines().last().unwrap_or_default().to_owned();
+    let json = run("json");
+    for line in json.lines() {
+        serde_json::from_str::<Value>(line).unwrap_or_else(|e| panic!("{e}: {line}"));
+    }
+    let told: Value = serde_json::from_str(&last(&json)).expect("JSON");
+    assert!(
+        told["level"] == "ERROR" && text(&told["message"]).contains("cannot listen on"),
+        "{told}"
+    );
+    assert!(last(&run("text")).starts_with("pliant: cannot listen on"));
 }

@@ -18,8 +18,7 @@ fn wave() -> Suite {
 #[test]
 fn a_frame_that_differs_is_told_by_its_number() {
     let suite = wave();
-    let passed = suite.check(&[]);
-    assert_eq!(passed.code, Some(0), "{}", passed.err);
+    suite.passes(&[]);
     let golden: serde_json::Value = serde_json::from_str(&suite.read("wave.golden.json")).expect("JSON");
     let frames: Vec<&str> = golden["frames"]
         .as_array()
@@ -33,12 +32,11 @@ fn a_frame_that_differs_is_told_by_its_number() {
         .read("wave.golden.json")
         .replacen(frames[5], "xxh3:0000000000000000", 1);
     suite.write("wave.golden.json", &other);
-    let failed = suite.check(&[]);
-    assert_eq!(failed.code, Some(1));
+    let failed = suite.fails(&[]);
     let told = "1 of 68 frames differ; the digest of the first of them, number 5, is";
-    assert!(failed.err.contains(told), "{}", failed.err);
-    assert_eq!(suite.check(&["--bless"]).code, Some(0));
-    assert_eq!(suite.check(&[]).code, Some(0));
+    failed.says(&[told]);
+    suite.passes("--bless");
+    suite.passes(&[]);
 }
 
 #[test]
@@ -46,19 +44,12 @@ fn another_clip_makes_the_golden_stale_and_a_damaged_one_is_told() {
     let suite = wave();
     let clip = suite.read("clips/wave.bvh");
     suite.write("clips/wave.bvh", &clip.replacen("0 0 0 0.5 0 0", "0 0 0 1.5 0 0", 1));
-    let stale = suite.check(&[]);
-    assert_eq!(stale.code, Some(1));
-    assert!(
-        stale.err.contains("the golden is stale: the case's job has changed"),
-        "{}",
-        stale.err
-    );
+    let stale = suite.fails(&[]);
+    stale.says(&["the golden is stale: the case's job has changed"]);
     suite.write("clips/wave.bvh", &clip.replacen("Frame Time: 0.05", "Frame Time: 0", 1));
-    let damaged = suite.check(&[]);
-    assert_eq!(damaged.code, Some(1));
-    assert!(damaged.err.contains("clip: line "), "{}", damaged.err);
+    let damaged = suite.fails(&[]);
+    damaged.says(&["clip: line "]);
     suite.remove("clips/wave.bvh");
-    let missing = suite.check(&[]);
-    assert_eq!(missing.code, Some(2));
-    assert!(missing.last().contains("wave.bvh"), "{}", missing.err);
+    let missing = suite.exits(2, &[]);
+    missing.gives(&["wave.bvh"]);
 }

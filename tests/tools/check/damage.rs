@@ -2,7 +2,6 @@
 
 use super::folder::Suite;
 use super::proxy::Proxy;
-use crate::support::program::words;
 use crate::support::server::{Server, bar_obj};
 use glam::DVec3;
 use serde_json::Value;
@@ -87,8 +86,7 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
         folder.case(name, &format!("{name}.obj"));
     }
     // Goldens of the damaged models; then the right models come back, and only the results are others.
-    let blessed = folder.check(&["--bless"]);
-    assert_eq!(blessed.code, Some(0), "{}", blessed.err);
+    folder.passes("--bless");
     for (name, _) in &damaged {
         let file = format!("{name}.obj");
         folder.write(&file, &bar_obj(20));
@@ -101,8 +99,7 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
     folder.write("broken.golden.json", &golden[..golden.len() / 2]);
     folder.write("refused.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
 
-    let ran = folder.check(&["--json", "--junit", "report.xml", "--html", "report.html"]);
-    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    let ran = folder.fails("--json --junit report.xml --html report.html");
     assert!(
         ran.last().starts_with("pliant: 9 of 10 cases failed: "),
         "{}",
@@ -144,7 +141,7 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
             "{name}"
         );
     }
-    assert!(ran.err.contains("passed   good"), "{}", ran.err);
+    ran.says(&["passed   good"]);
     let flips = |name: &str| {
         let cases = report["cases"].as_array().expect("cases");
         let case = cases.iter().find(|c| c["name"] == name).expect(name);
@@ -172,18 +169,12 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
     }
 
     // What blesses is looked at by people; it asserts nothing, and what no golden can be made of still fails.
-    let blessed = folder.check(&["--bless"]);
-    assert_eq!(blessed.code, Some(1), "{}", blessed.err);
-    assert!(
-        blessed.last().contains("1 of 10 cases failed: refused"),
-        "{}",
-        blessed.err
-    );
+    let blessed = folder.fails("--bless");
+    blessed.gives(&["1 of 10 cases failed: refused"]);
     folder.write("refused.obj", &bar_obj(20));
-    assert_eq!(folder.check(&["--bless"]).code, Some(0));
-    let ran = folder.check(&["--no-skip"]);
-    assert_eq!(ran.code, Some(0), "{}", ran.err);
-    assert!(ran.err.contains("10 passed"), "{}", ran.err);
+    folder.passes("--bless");
+    let ran = folder.passes("--no-skip");
+    ran.says(&["10 passed"]);
 }
 
 /// A stale golden is shown beside the result, with all differences, so that nobody has to bless blind.
@@ -228,24 +219,17 @@ async fn a_server_that_answers_wrongly_is_caught_though_its_digest_is_right() {
     ];
     let urls = proxies.each_ref().map(|p| format!("http://{}", p.address));
     let ran = tokio::task::spawn_blocking(move || {
-        let folder = Suite::new();
-        folder.case("bar", "bar.obj");
-        assert_eq!(folder.check(&["--bless"]).code, Some(0));
+        let folder = Suite::of_bar();
+        folder.passes("--bless");
         urls.map(|url| {
-            let ran = folder.check(&words(&format!(
-                "--json --junit r.xml --html r.html --force --server {url}"
-            )));
+            let ran = folder.check(&format!("--json --junit r.xml --html r.html --force --server {url}"));
             let xml = folder.read("r.xml");
             (ran, xml)
         })
     });
     let [(nan, nan_xml), (moved, moved_xml), (good, _)] = ran.await.expect("it ran");
     assert_eq!(nan.code, Some(1), "{}", nan.err);
-    assert!(
-        nan.err.contains("FAILED   bar  not-finite: 1 of ") && nan.err.contains("vertex 0"),
-        "{}",
-        nan.err
-    );
+    nan.says(&["FAILED   bar  not-finite: 1 of ", "vertex 0"]);
     assert_eq!(
         codes(&nan.json()["cases"][0]),
         ["not-finite"],
@@ -253,11 +237,7 @@ async fn a_server_that_answers_wrongly_is_caught_though_its_digest_is_right() {
     );
     assert!(junit(&nan_xml, "bar").contains("type=\"not-finite\""));
     assert_eq!(moved.code, Some(1), "{}", moved.err);
-    assert!(
-        moved.err.contains("maxDisplacement") && moved.err.contains("vertex 30 "),
-        "{}",
-        moved.err
-    );
+    moved.says(&["maxDisplacement", "vertex 30 "]);
     assert_eq!(codes(&moved.json()["cases"][0])[0], "digest");
     assert!(junit(&moved_xml, "bar").contains("the positions that came with it are not"));
     assert_eq!(good.code, Some(0), "{}", good.err);
