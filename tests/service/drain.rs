@@ -33,7 +33,7 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
     let id = server.bar_session().await;
     let _silent = TcpStream::connect(server.address).await.unwrap();
     let (requests, mut responses) = open(&server, &id).await;
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    let mut socket = server.stream_socket(&id).await;
     // Both are really open before the end begins.
     eventually("two streams", async || server.metric("pliant_streams").await == 2.0).await;
 
@@ -74,7 +74,7 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
     let ready = server.get("/readyz").answer().await;
     assert_eq!(ready.status(), 503);
     assert!(ready.headers().contains_key("retry-after"));
-    assert_eq!(server.get("/healthz").answer().await.status(), 200);
+    assert_eq!(server.get("/healthz").status().await, 200);
     let refused = server.post("/v1/sessions").body(bar_obj(4)).answer().await;
     assert_eq!(refused.status(), 503);
     assert_eq!(refused.json::<Value>().await.unwrap()["code"], "UNAVAILABLE");
@@ -127,7 +127,7 @@ async fn a_client_that_does_not_leave_is_cut_at_the_deadline() {
     let id = server.bar_session().await;
     let _silent = TcpStream::connect(server.address).await.unwrap();
     let (_requests, mut responses) = open(&server, &id).await;
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    let mut socket = server.stream_socket(&id).await;
     eventually("two streams", async || server.metric("pliant_streams").await == 2.0).await;
     let asked = Instant::now();
     server.ask_to_stop();
@@ -170,8 +170,7 @@ async fn work_under_way_is_finished_before_the_end() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn work_whose_client_is_gone_is_given_up() {
-    let server = Server::with(|sessions, _| sessions.compute_slots = 1).await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::bar_with(|sessions, _| sessions.compute_slots = 1).await;
     let url = server.url("/v1/sessions");
     let create = tokio::spawn(async move { http().post(url).body(large_bar()).send().await });
     let busy = || server.manager.metrics().pool_busy.get() > 0;
@@ -183,11 +182,7 @@ async fn work_whose_client_is_gone_is_given_up() {
         1,
         "nothing exists of what nobody waited for"
     );
-    let solved = server
-        .post(&format!("/v1/sessions/{id}/solve"))
-        .json(&turn_json(0.1))
-        .answer()
-        .await;
+    let solved = server.post(&path(&id, "/solve")).json(&turn_json(0.1)).answer().await;
     assert_eq!(solved.status(), 200);
 }
 
@@ -196,10 +191,10 @@ async fn a_stream_that_is_dropped_mid_solve_frees_its_slot() {
     let server = Server::with(|sessions, _| sessions.compute_slots = 1).await;
     let id = text(&server.open(large_bar()).await["id"]);
     let handles = server
-        .put(&format!("/v1/sessions/{id}/handles"))
+        .put(&path(&id, "/handles"))
         .json(&serde_json::json!({"handles": ends()}));
-    assert_eq!(handles.answer().await.status(), 200);
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    assert_eq!(handles.status().await, 200);
+    let mut socket = server.stream_socket(&id).await;
     for seq in 1..=20 {
         socket
             .send(deform_request::Message::Pose(turned(seq, seq as f64 * 0.3, false)))
@@ -214,7 +209,7 @@ async fn a_stream_that_is_dropped_mid_solve_frees_its_slot() {
     .await;
     let other = server.bar_session().await;
     let solved = server
-        .post(&format!("/v1/sessions/{other}/solve"))
+        .post(&path(&other, "/solve"))
         .json(&turn_json(0.1))
         .answer()
         .await;

@@ -1,8 +1,10 @@
 //! Sessions with a folder: nothing that was acknowledged is lost, whatever happens to the process, and nothing damaged is served.
 
 pub use crate::support::place;
+use crate::support::place::StorePlace;
 use crate::support::program::ServedProgram;
-use crate::support::server::{AnsweredCall as _, bar_obj, ends, turn_json};
+pub use crate::support::server::path;
+use crate::support::server::{AnsweredCall as _, bar_obj, ends, eventually, turn_json};
 use serde_json::{Value, json};
 
 mod away;
@@ -21,8 +23,24 @@ pub async fn bar_session(server: &ServedProgram) -> String {
     id
 }
 
-pub fn path(id: &str, rest: &str) -> String {
-    format!("/v1/sessions/{id}{rest}")
+/// A server on a place, and such a session.
+pub async fn bar_at(place: &StorePlace, arguments: &[&str]) -> (ServedProgram, String) {
+    let server = place.start(arguments);
+    let id = bar_session(&server).await;
+    (server, id)
+}
+
+/// Asserts that a call was refused with that status and code; the detail.
+#[track_caller]
+pub fn refused((status, told): (u16, Value), expected: u16, code: &str) -> String {
+    assert_eq!((status, &told["code"]), (expected, &code.into()), "{told}");
+    told["detail"].as_str().unwrap_or_default().to_owned()
+}
+
+/// Waits until a server has no session in memory.
+pub async fn out_of_memory(server: &ServedProgram) {
+    let empty = async || metric(server, "pliant_sessions ").await == 0.0;
+    eventually("an empty memory", empty).await;
 }
 
 /// Turns the bar's top and commits that.

@@ -130,7 +130,7 @@ async fn the_transports_give_the_same_bits() {
     let mut client = server.grpc().await;
     let id = server.bar_session().await;
     let body = turn_json(0.5);
-    let url = server.url(&format!("/v1/sessions/{id}/solve"));
+    let url = server.url(&path(&id, "/solve"));
     let over_http = http()
         .post(url)
         .json(&body)
@@ -351,15 +351,15 @@ async fn an_export_tells_what_followed_with_its_first_piece_and_in_a_header() {
     let server = Server::start().await;
     let mut client = server.grpc().await;
     let url = server.url("/v1/sessions?sample=figure");
-    let figure: serde_json::Value = http().post(url).told().await;
+    let figure: serde_json::Value = http().post(url).document().await;
     let id = figure["id"].as_str().unwrap().to_owned();
     let handles = serde_json::json!({"handles": [
         {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.08}}},
         {"id": "head", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.54}}}]});
-    let url = server.url(&format!("/v1/sessions/{id}/handles"));
+    let url = server.url(&path(&id, "/handles"));
     assert!(http().put(url).json(&handles).answer().await.status().is_success());
     let pose = serde_json::json!({"pose": {"handles": [{"id": "head", "pose": {"translation": [0, 0.2, 0]}}]}});
-    let url = server.url(&format!("/v1/sessions/{id}/solve"));
+    let url = server.url(&path(&id, "/solve"));
     assert!(http().post(url).json(&pose).answer().await.status().is_success());
 
     let chunks = export(&mut client, &id, "").await.unwrap();
@@ -371,7 +371,7 @@ async fn an_export_tells_what_followed_with_its_first_piece_and_in_a_header() {
     );
     assert!(told.farthest.iter().any(|joint| joint.name == "head"), "{told:?}");
     assert!(rest.iter().all(|chunk| chunk.followed.is_none()));
-    let url = server.url(&format!("/v1/sessions/{id}/model"));
+    let url = server.url(&path(&id, "/model"));
     let headers = http().get(url).answer().await.headers().clone();
     let wanted = format!(
         "joints={}/17, clips=2/2, morph-targets=0/0, passengers=0/0, passenger-nodes=0/0",

@@ -113,55 +113,41 @@ async fn try_model(
     }
     let moved = handles.last().map(|h| h["id"].clone());
     let url = |end: &str| server.url(&format!("/v1/sessions/{id}{end}"));
-    let held = within(
-        "handles",
-        client.put(url("/handles")).json(&json!({"handles": handles})).send(),
-    )
-    .await
-    .map_err(|e| e.to_string())?;
-    let said = if held.status() == 200 {
-        let pose = json!({"pose": {"handles": [{"id": moved, "pose": {"translation": [0.1, 0, 0]}}]}});
-        let solve = client
-            .post(url("/solve"))
-            .header("accept", "application/octet-stream")
-            .json(&pose)
-            .send();
-        let solved = within("solve", solve).await.map_err(|e| e.to_string())?;
-        if solved.status() == 200 {
-            let bytes = solved.bytes().await.map_err(|e| e.to_string())?;
-            let numbers = floats(&bytes);
-            if numbers.len() as u64 != vertices * 3 {
-                return Err(format!("{} numbers for {vertices} vertices", numbers.len()));
-            }
-            if numbers.iter().any(|n| !n.is_finite()) {
-                return Err("numbers that are not finite".into());
-            }
-            let model = within("export", client.get(url("/model")).send())
-                .await
-                .map_err(|e| e.to_string())?;
-            if model.status() == 200 {
-                "works".to_owned()
-            } else {
-                let status = model.status().as_u16();
-                let body = model.json().await.map_err(|e| e.to_string())?;
-                format!("{status} on export: {}", clear(status, &body)?)
-            }
-        } else {
-            let status = solved.status().as_u16();
-            let body = solved.json().await.map_err(|e| e.to_string())?;
-            format!("{status} on solve: {}", clear(status, &body)?)
-        }
-    } else {
-        let status = held.status().as_u16();
-        let body = held.json().await.map_err(|e| e.to_string())?;
-        format!("{status} on handles: {}", clear(status, &body)?)
-    };
+    let held = client.put(url("/handles")).json(&json!({"handles": handles}));
+    let pose = json!({"pose": {"handles": [{"id": moved, "pose": {"translation": [0.1, 0, 0]}}]}});
+    let solve = client
+        .post(url("/solve"))
+        .header("accept", "application/octet-stream")
+        .json(&pose);
+    let said = pulled([held, solve, client.get(url("/model"))], vertices).await?;
     let deleted = client.delete(url("")).send().await.map_err(|e| e.to_string())?;
     if deleted.status() == 204 {
         Ok(said)
     } else {
         Err(format!("{} on delete", deleted.status()))
     }
+}
+
+/// Sets handles, solves and exports; how that ended, or what was wrong with the answers.
+async fn pulled(calls: [reqwest::RequestBuilder; 3], vertices: u64) -> Result<String, String> {
+    for (step, call) in ["handles", "solve", "export"].into_iter().zip(calls) {
+        let answer = within(step, call.send()).await.map_err(|e| e.to_string())?;
+        let status = answer.status().as_u16();
+        if status != 200 {
+            let body = answer.json().await.map_err(|e| e.to_string())?;
+            return Ok(format!("{status} on {step}: {}", clear(status, &body)?));
+        }
+        if step == "solve" {
+            let numbers = floats(&answer.bytes().await.map_err(|e| e.to_string())?);
+            if numbers.len() as u64 != vertices * 3 {
+                return Err(format!("{} numbers for {vertices} vertices", numbers.len()));
+            }
+            if numbers.iter().any(|n| !n.is_finite()) {
+                return Err("numbers that are not finite".into());
+            }
+        }
+    }
+    Ok("works".to_owned())
 }
 
 /// The detail of a refusal, when it is one that a user can work with.
@@ -297,5 +283,5 @@ async fn connections_that_speak_nonsense_harm_nobody() {
             String::from_utf8_lossy(&answer)
         );
     }
-    assert_eq!(server.get("/healthz").answer().await.status(), 200);
+    assert_eq!(server.get("/healthz").status().await, 200);
 }

@@ -72,7 +72,7 @@ fn is_refusal(status: u16, answer: &Value) -> bool {
 
 /// The paths of the server's own description, with the methods of each.
 async fn described(server: &Server) -> Vec<(String, String, bool)> {
-    let document = server.get("/openapi.json").told().await;
+    let document = server.get("/openapi.json").document().await;
     let mut calls = Vec::new();
     for (path, methods) in document["paths"].as_object().expect("paths") {
         for (method, operation) in methods.as_object().expect("methods") {
@@ -86,8 +86,7 @@ async fn described(server: &Server) -> Vec<(String, String, bool)> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_body_of_json_that_is_none_is_refused() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let mut seen = 0;
     for (method, path, takes_json) in described(&server).await {
         if !takes_json {
@@ -249,8 +248,7 @@ fn nested(depth: usize) -> Vec<u8> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_message_that_is_none_is_refused_by_every_rpc() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let service = json::descriptors()
         .expect("the schema")
         .get_service_by_name("pliant.v1.Deformer");
@@ -272,14 +270,13 @@ async fn every_message_that_is_none_is_refused_by_every_rpc() {
         }
     }
     // Some of it may have closed the session in good form; the server is there.
-    assert_eq!(server.get("/healthz").answer().await.status(), 200);
+    assert_eq!(server.get("/healthz").status().await, 200);
     server.bar_session().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_of_calls_that_nobody_waits_for_leaves_nothing_behind() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let mut client = server.grpc().await;
     for round in 0..300u64 {
         let request = pb::SolveRequest {

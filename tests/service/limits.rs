@@ -215,8 +215,7 @@ fn time(span: Duration) -> String {
 /// Each range of a request is tried at its end and one beyond it.
 #[tokio::test(flavor = "multi_thread")]
 async fn ranges_of_requests_are_kept() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let create = |label: usize| {
         let url = server.url(&format!("/v1/sessions?label={}", "x".repeat(label)));
         http().post(url).body(bar_obj(4))
@@ -255,10 +254,7 @@ async fn ranges_of_requests_are_kept() {
         assert_eq!(bad.status(), 422, "{name}");
     }
     for (window, refused) in [(8, false), (9, true)] {
-        let mut socket = server
-            .socket(&format!("/v1/sessions/{id}/stream"))
-            .await
-            .expect("a socket");
+        let mut socket = server.stream_socket(&id).await;
         let options = pliant::wire::pb::Options {
             window,
             ..Default::default()

@@ -104,6 +104,14 @@ impl StorePlace {
         self.start_at(self.database.as_ref().map(|d| d.url.as_str()), arguments)
     }
 
+    /// Asserts that no server starts on it, for a reason with these words in the last line of its log.
+    #[track_caller]
+    pub fn refuses_to_start(&self, arguments: &[&str], words: &[&str]) {
+        let log = self.try_start(arguments).err().expect("refused");
+        let last = log.lines().last().unwrap_or_default();
+        assert!(words.iter().all(|word| last.contains(word)), "{words:?}: {log}");
+    }
+
     /// As `start`, with the database behind another address.
     pub fn start_at(&self, database: Option<&str>, arguments: &[&str]) -> Result<ServedProgram, String> {
         self.start_logged("log", database, arguments)

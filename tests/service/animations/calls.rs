@@ -89,8 +89,7 @@ async fn a_recording_without_a_rig_drives_the_one_that_pliant_rig_makes() {
     pliant(&words("rig figure.glb --bvh wave.bvh -o rig.json --no-picture"));
     let rig: Value =
         serde_json::from_slice(&std::fs::read(folder.path().join("rig.json")).expect("a rig")).expect("JSON");
-    let opened = server.post("/v1/sessions?sample=figure").send();
-    let opened: Value = (within("a session", opened).await.expect("an answer").json().await).expect("JSON");
+    let opened = server.post("/v1/sessions?sample=figure").document().await;
     let id = text(&opened["id"]);
     let mut told = Vec::new();
     for options in [json!({"rig": rig}), json!({})] {
@@ -198,7 +197,7 @@ async fn http_answers_frames_in_a_row() {
     let form = || animation_form(&json!({"rig": bar_rig(), "skipFirst": "NO"}), Some(clip.clone()));
     let answer = post_animation(&server, &id, "application/vnd.google.protobuf", form()).await;
     assert_eq!(answer.status(), 200);
-    let kind = answer.headers()["content-type"].to_str().expect("text").to_owned();
+    let kind = header(&answer, "content-type").to_owned();
     assert_eq!(
         kind,
         "application/vnd.google.protobuf; proto=pliant.v1.Frame; encoding=delimited"

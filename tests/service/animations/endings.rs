@@ -76,7 +76,7 @@ async fn others_have_their_turn_between_frames_and_the_session_stays_as_it_is() 
         session_id: mine.clone(),
     };
     let positions = async || {
-        let url = server.url(&format!("/v1/sessions/{mine}/positions"));
+        let url = server.url(&path(&mine, "/positions"));
         http().get(url).answer().await.bytes().await.expect("a body")
     };
     let told = |session: pb::Session| (session.revision, session.handles);
@@ -175,8 +175,7 @@ async fn deleting_the_session_ends_it_and_says_why() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_edit_meanwhile_changes_the_next_animation_only() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let mut client = server.grpc().await;
     let options = bar_options(&id, &bending_clip(12));
     let wanted = animated(&server, options.clone()).await;

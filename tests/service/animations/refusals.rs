@@ -18,61 +18,94 @@ async fn damaged_clips_are_refused_with_the_line() {
     let server = Server::start().await;
     let id = text(&server.open(bar_obj(16)).await["id"]);
     let good = bending_clip(3);
-    let rows = |text: &str| good.replace("Frames: 3\nFrame Time: 0.05\n", text);
+    let rows_of = |text: &str| good.replace("Frames: 3\nFrame Time: 0.05\n", text);
     let first_row = good.lines().position(|l| l.starts_with("Frame Time")).expect("a line") + 2;
     let row = good.lines().nth(first_row - 1).expect("a row");
     let short = row.rsplit_once(' ').expect("numbers").0;
+    let line = format!("line {first_row}: ");
+    let in_row = |changed: &str| good.replacen(row, changed, 1);
+    let timed = |text: &str| {
+        rows_of(&text.replacen(
+            '/',
+            "
+Frame Time: ",
+            1,
+        ))
+    };
     let cases = [
-        ("nothing", String::new(), "empty".to_owned()),
-        ("no clip", "hello\n".into(), "line 1: ".into()),
+        ("nothing", String::new(), "empty"),
+        (
+            "no clip",
+            "hello
+"
+            .into(),
+            "line 1: ",
+        ),
         (
             "no motion",
             good[..good.find("MOTION").expect("there")].into(),
-            "MOTION".into(),
+            "MOTION",
         ),
         (
             "an open brace",
-            good.replacen("}\n}\n}\nMOTION", "}\n}\nMOTION", 1),
-            "line ".into(),
+            good.replacen(
+                "}
+}
+}
+MOTION",
+                "}
+}
+MOTION",
+                1,
+            ),
+            "line ",
+        ),
+        ("a short row", in_row(short), &line),
+        ("a long row", in_row(&format!("{row} 5")), &line),
+        ("NaN", in_row(&row.replacen("0 0", "NaN 0", 1)), &line),
+        ("a decimal comma", in_row(&row.replacen("0 0", "0,5 0", 1)), &line),
+        (
+            "no frames",
+            timed(
+                "Frames: 0/0.05
+",
+            ),
+            "line ",
         ),
         (
-            "a short row",
-            good.replacen(row, short, 1),
-            format!("line {first_row}: "),
+            "too few rows",
+            timed(
+                "Frames: 9/0.05
+",
+            ),
+            "9",
         ),
-        (
-            "a long row",
-            good.replacen(row, &format!("{row} 5"), 1),
-            format!("line {first_row}: "),
-        ),
-        (
-            "NaN",
-            good.replacen(row, &row.replacen("0 0", "NaN 0", 1), 1),
-            format!("line {first_row}: "),
-        ),
-        (
-            "a decimal comma",
-            good.replacen(row, &row.replacen("0 0", "0,5 0", 1), 1),
-            format!("line {first_row}: "),
-        ),
-        ("no frames", rows("Frames: 0\nFrame Time: 0.05\n"), "line ".into()),
-        ("too few rows", rows("Frames: 9\nFrame Time: 0.05\n"), "9".into()),
         (
             "countless frames",
-            rows("Frames: 1000000000000\nFrame Time: 0.05\n"),
-            "1000000".into(),
+            timed(
+                "Frames: 1000000000000/0.05
+",
+            ),
+            "1000000",
         ),
-        ("no time", rows("Frames: 3\nFrame Time: 0\n"), "line ".into()),
+        (
+            "no time",
+            timed(
+                "Frames: 3/0
+",
+            ),
+            "line ",
+        ),
         (
             "an unknown channel",
             good.replacen("Xposition", "Wposition", 1),
-            "Wposition".into(),
+            "Wposition",
         ),
     ];
     for (what, clip, told) in cases {
         let (status, detail, field) = refused(&server, &id, &json!({"rig": bar_rig()}), Some(clip)).await;
         assert!(
-            detail.starts_with("clip: ") && detail.contains(&told),
+            detail.starts_with("clip: ") && detail.contains(told),
             "{what}: {detail:?} lacks {told:?}"
         );
         let expected = if status == 413 { (413, "") } else { (400, "clip") };
@@ -83,6 +116,26 @@ async fn damaged_clips_are_refused_with_the_line() {
     assert_eq!(answer.status(), 200, "the session is as good as before");
 }
 
+/// Where the options are changed | to what | the field of the refusal | words of its detail.
+const WRONG_RIGS: &str = r#"
+/rig/bones/1/joint  | "tail"    | rig.joint           | not a joint of the clip
+/rig/bones/1/parent | "high"    | rig.bones           | form a cycle
+/rig/bones/1/to     | "nowhere" | rig.bones[1].to     | nowhere
+/rig/bones/0/radius | 0         | rig.bones[0].radius | is 0
+/rig/version        | 9         | rig.version         | is 9
+/rig/joints         | {"bottom": [900, 0, 0], "middle": [900, 0, 2], "top": [900, 0, 4]} | rig | holds nothing
+"#;
+
+/// Options, in which RIG stands for the rig of the bar | the field of the refusal | words of its detail.
+const WRONG_VALUES: &str = r#"
+{}                                   | rig    | is missing
+{"rig": RIG, "first": 3}             | first  | is 3, the animation has 3 frames
+{"rig": RIG, "refine": 40}           | refine | 0 to 32
+{"rig": RIG, "clip": "walk"}         | clip   | is given twice
+{"rig": RIG, "bvhSize": 5, "fps": 1} | clip   | is given twice
+{"rig": RIG, "output": {"encoding": "DELTA", "changedOnly": 0}} | output.changedOnly | next to nothing
+"#;
+
 #[tokio::test(flavor = "multi_thread")]
 async fn wrong_rigs_and_values_are_refused_with_their_field() {
     let server = Server::start().await;
@@ -92,46 +145,16 @@ async fn wrong_rigs_and_values_are_refused_with_their_field() {
         *options.pointer_mut(pointer).expect("there") = value;
         options
     };
-    let far = json!({"bottom": [900, 0, 0], "middle": [900, 0, 2], "top": [900, 0, 4]});
-    let cases = [
-        (
-            changed("/rig/bones/1/joint", json!("tail")),
-            "rig.joint",
-            "not a joint of the clip",
-        ),
-        (
-            changed("/rig/bones/1/parent", json!("high")),
-            "rig.bones",
-            "form a cycle",
-        ),
-        (
-            changed("/rig/bones/1/to", json!("nowhere")),
-            "rig.bones[1].to",
-            "nowhere",
-        ),
-        (changed("/rig/bones/0/radius", json!(0)), "rig.bones[0].radius", "is 0"),
-        (changed("/rig/version", json!(9)), "rig.version", "is 9"),
-        (changed("/rig/joints", far), "rig", "holds nothing"),
-        (json!({}), "rig", "is missing"),
-        (
-            json!({"rig": bar_rig(), "first": 3}),
-            "first",
-            "is 3, the animation has 3 frames",
-        ),
-        (json!({"rig": bar_rig(), "refine": 40}), "refine", "0 to 32"),
-        (json!({"rig": bar_rig(), "clip": "walk"}), "clip", "is given twice"),
-        (
-            json!({"rig": bar_rig(), "output": {"encoding": "DELTA", "changedOnly": 0}}),
-            "output.changedOnly",
-            "next to nothing",
-        ),
-        (
-            json!({"rig": bar_rig(), "bvhSize": 5, "fps": 1}),
-            "clip",
-            "is given twice",
-        ),
-    ];
-    for (options, wanted, told) in cases {
+    let rig = bar_rig().to_string();
+    let changed = rows(WRONG_RIGS).map(|[pointer, value, field, told]| {
+        let value = serde_json::from_str(value).expect("JSON");
+        (changed(pointer, value), field, told)
+    });
+    let values = rows(WRONG_VALUES).map(|[options, field, told]| {
+        let options = serde_json::from_str(&options.replace("RIG", &rig)).expect("JSON");
+        (options, field, told)
+    });
+    for (options, wanted, told) in changed.chain(values) {
         let (status, detail, field) = refused(&server, &id, &options, Some(bending_clip(3))).await;
         assert_eq!((status, field.as_str()), (422, wanted), "{detail}");
         assert!(detail.contains(told), "{detail:?} lacks {told:?}");

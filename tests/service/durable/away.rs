@@ -1,6 +1,6 @@
 //! A database or a bucket that goes away and comes back, and connections that break off after every single message of a commit.
 
-use super::{bar_session, path, seen, turn};
+use super::{bar_at, bar_session, out_of_memory, path, refused, seen, turn};
 use crate::durable::place::StorePlace;
 use crate::support::bucket::TestBucket;
 use crate::support::postgres::PostgresServer;
@@ -35,13 +35,21 @@ async fn create(server: &ServedProgram) -> u16 {
     within("an answer", created).await.expect("an answer").status().as_u16()
 }
 
-fn assert_unavailable((status, told): (u16, Value)) {
-    assert_eq!((status, &told["code"]), (503, &"UNAVAILABLE".into()), "{told}");
-    let detail = told["detail"].as_str().unwrap_or_default();
+fn assert_unavailable(answer: (u16, Value)) {
+    let detail = refused(answer, 503, "UNAVAILABLE");
     assert!(
         detail.contains("store") && detail.contains("nothing has changed"),
         "{detail}"
     );
+}
+
+/// A place in PostgreSQL, and a proxy between it and a server, with its address.
+async fn behind_proxy() -> Option<(StorePlace, PostgresProxy, String)> {
+    let place = StorePlace::postgres().await?;
+    let database = place.database().expect("a database");
+    let proxy = PostgresProxy::serve(database);
+    let url = database.through(proxy.socket());
+    Some((place, proxy, url))
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -50,8 +58,7 @@ async fn a_database_goes_away_and_comes_back() {
         return;
     };
     let place = StorePlace::in_database(database.database().await).await;
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     turn(&server, &id, 0.4).await;
     for angle in [0.1, 0.2] {
         let before = seen(&server, &id).await;
@@ -82,8 +89,7 @@ async fn a_bucket_goes_away_and_comes_back() {
         return;
     };
     let bucket = place.bucket().expect("a bucket");
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     bucket.set_down(true);
     assert_eq!(create(&server).await, 503);
     // What needs no object goes on.
@@ -91,8 +97,7 @@ async fn a_bucket_goes_away_and_comes_back() {
     drag(&server, &id).await;
     let before = seen(&server, &id).await;
     server.kill();
-    let told = place.try_start(&[]).err().expect("refused");
-    assert!(told.lines().last().is_some_and(|l| l.contains("objects")), "{told}");
+    place.refuses_to_start(&[], &["objects"]);
     bucket.set_down(false);
     let server = place.start(&[]);
     assert_eq!(seen(&server, &id).await, before);
@@ -145,11 +150,9 @@ async fn a_place_that_lacks_the_objects_of_the_database_is_refused() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_connection_that_breaks_off_after_any_message_leaves_nothing_half_done() {
-    let Some(place) = StorePlace::postgres().await else {
+    let Some((place, proxy, url)) = behind_proxy().await else {
         return;
     };
-    let proxy = PostgresProxy::serve(place.database().expect("a database"));
-    let url = place.database().expect("a database").through(proxy.socket());
     let server = place.start_at(Some(&url), &[]).expect("the server starts");
     let id = bar_session(&server).await;
     let (mut refused, mut messages) = (0, 0);
@@ -184,11 +187,9 @@ async fn a_connection_that_breaks_off_after_any_message_leaves_nothing_half_done
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_process_that_ends_after_any_message_leaves_the_state_before_or_after() {
-    let Some(place) = StorePlace::postgres().await else {
+    let Some((place, proxy, url)) = behind_proxy().await else {
         return;
     };
-    let proxy = PostgresProxy::serve(place.database().expect("a database"));
-    let url = place.database().expect("a database").through(proxy.socket());
     let mut server = place.start_at(Some(&url), &[]).expect("the server starts");
     let id = bar_session(&server).await;
     turn(&server, &id, 0.3).await;
@@ -227,11 +228,9 @@ async fn a_process_that_ends_after_any_message_leaves_the_state_before_or_after(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_database_that_does_not_answer_holds_nobody_up_but_the_first_who_changes_something() {
-    let Some(place) = StorePlace::postgres().await else {
+    let Some((place, proxy, url)) = behind_proxy().await else {
         return;
     };
-    let proxy = PostgresProxy::serve(place.database().expect("a database"));
-    let url = place.database().expect("a database").through(proxy.socket());
     let server = place.start_at(Some(&url), &[]).expect("the server starts");
     let id = bar_session(&server).await;
     let before = seen(&server, &id).await;
@@ -287,8 +286,7 @@ async fn refuses_changes(server: &ServedProgram, id: &str, place: &StorePlace) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_that_was_moved_away_takes_no_changes_until_it_is_back() {
     let place = StorePlace::folder().await.expect("a folder");
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     turn(&server, &id, 0.4).await;
     let before = seen(&server, &id).await;
     assert_eq!(ready(&server).await.0, 200);
@@ -327,19 +325,14 @@ async fn a_folder_that_was_moved_away_takes_no_changes_until_it_is_back() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_session_that_left_memory_is_not_damaged_because_its_folder_is_away() {
     let place = StorePlace::folder().await.expect("a folder");
-    let server = place.start(&["--idle", "200ms"]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &["--idle", "200ms"]).await;
     turn(&server, &id, 0.4).await;
     let before = seen(&server, &id).await;
-    eventually("out of memory", async || {
-        super::metric(&server, "pliant_sessions ").await == 0.0
-    })
-    .await;
+    out_of_memory(&server).await;
     let away = place.top().join("away");
     fs::rename(place.data(), &away).expect("moved");
     for (method, rest) in [("GET", "/positions"), ("GET", ""), ("POST", "/undo")] {
-        let (status, told) = server.call(method, &path(&id, rest), None).await;
-        assert_eq!((status, &told["code"]), (503, &"UNAVAILABLE".into()), "{rest}: {told}");
+        refused(server.call(method, &path(&id, rest), None).await, 503, "UNAVAILABLE");
     }
     assert_eq!(ready(&server).await.0, 503);
     fs::rename(&away, place.data()).expect("moved back");
@@ -349,12 +342,9 @@ async fn a_session_that_left_memory_is_not_damaged_because_its_folder_is_away() 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_stays_with_its_server_when_the_lock_file_is_gone() {
     let place = StorePlace::folder().await.expect("a folder");
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     fs::remove_file(place.data().join("lock")).expect("a lock file");
-    let refused = place.try_start(&[]).err().expect("refused");
-    let last = refused.lines().last().unwrap_or_default();
-    assert!(last.contains("in use by another process"), "{refused}");
+    place.refuses_to_start(&[], &["in use by another process"]);
     assert_eq!(place.store(&["prune"]).code, 2);
     turn(&server, &id, 0.4).await;
 }
@@ -362,8 +352,7 @@ async fn a_folder_stays_with_its_server_when_the_lock_file_is_gone() {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_kept_is_for_its_owner_alone() {
     let place = StorePlace::folder().await.expect("a folder");
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     for k in 0..17 {
         turn(&server, &id, f64::from(k) * 0.05).await;
     }
@@ -414,15 +403,10 @@ async fn a_full_disk_refuses_changes_and_nothing_else() {
         ("PATCH", "/handles/top", Some(soft)),
         ("DELETE", "", None),
     ] {
-        let (status, told) = server
+        let answer = server
             .call_with_key(method, &path(&id, rest), body.as_ref(), Some("k"))
             .await;
-        assert_eq!(
-            (status, &told["code"]),
-            (503, &"UNAVAILABLE".into()),
-            "{method} {rest}: {told}"
-        );
-        let detail = told["detail"].as_str().unwrap_or_default();
+        let detail = refused(answer, 503, "UNAVAILABLE");
         assert!(
             detail.contains("store") && detail.contains("nothing has changed"),
             "{detail}"

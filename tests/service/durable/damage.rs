@@ -1,7 +1,7 @@
 //! What is damaged is told and never served; other sessions do not suffer.
 
 use super::place::tamper;
-use super::{bar_session, path, seen, turn};
+use super::{bar_at, bar_session, path, refused, seen, turn};
 use crate::durable::place::{StorePlace, in_every_store};
 use crate::support::program::ServedProgram;
 use crate::support::server::floats;
@@ -39,12 +39,7 @@ async fn damaged_rows_are_told_and_nothing_of_them_is_served(place: StorePlace) 
     let server = place.start(&[]);
     for id in &ids[..5] {
         for (method, rest) in [("GET", ""), ("GET", "/positions"), ("GET", "/model"), ("POST", "/undo")] {
-            let (status, told) = server.call(method, &path(id, rest), None).await;
-            assert_eq!(
-                (status, &told["code"]),
-                (500, &"DATA_LOSS".into()),
-                "{method} {rest}: {told}"
-            );
+            refused(server.call(method, &path(id, rest), None).await, 500, "DATA_LOSS");
         }
     }
     assert_eq!(
@@ -62,8 +57,7 @@ async fn damaged_rows_are_told_and_nothing_of_them_is_served(place: StorePlace) 
 }
 
 async fn damaged_objects_are_told_and_a_damaged_shape_is_solved_again(place: StorePlace) {
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     let model = place.objects();
     assert_eq!(model.len(), 1, "the model");
     // So many that the shape is kept.
@@ -96,8 +90,7 @@ async fn damaged_objects_are_told_and_a_damaged_shape_is_solved_again(place: Sto
             None => fs::remove_file(&model[0]).expect("there"),
         }
         let server = place.start(&[]);
-        let (status, told) = server.call("GET", &path(&id, ""), None).await;
-        assert_eq!((status, &told["code"]), (500, &"DATA_LOSS".into()), "{told}");
+        refused(server.call("GET", &path(&id, ""), None).await, 500, "DATA_LOSS");
         // A new session on the same model mends the object.
         let other = server.open(String::from_utf8(whole.clone()).expect("OBJ"), "").await;
         assert_eq!(seen(&server, &id).await, before);
@@ -107,8 +100,7 @@ async fn damaged_objects_are_told_and_a_damaged_shape_is_solved_again(place: Sto
 }
 
 async fn what_a_later_version_wrote_is_refused(place: StorePlace) {
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     server.kill();
     place.tamper("UPDATE commits SET format = 99 WHERE sequence = 1").await;
     let server = place.start(&[]);
@@ -120,8 +112,7 @@ async fn what_a_later_version_wrote_is_refused(place: StorePlace) {
     );
     server.kill();
     place.tamper("UPDATE pliant_schema SET version = 99").await;
-    let told = place.try_start(&[]).err().expect("refused");
-    assert!(told.lines().last().is_some_and(|l| l.contains("version 99")), "{told}");
+    place.refuses_to_start(&[], &["version 99"]);
 }
 
 const NOTE: &str = "sessions.newest";
@@ -155,8 +146,7 @@ impl Left {
 #[tokio::test(flavor = "multi_thread")]
 async fn commits_that_a_damaged_log_takes_away_are_reported_until_somebody_deals_with_them() {
     let place = StorePlace::folder().await.expect("a folder");
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     // Stopped, so that the log begins with what comes now.
     server.stop().await;
     let server = place.start(&[]);

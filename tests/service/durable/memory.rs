@@ -1,6 +1,6 @@
 //! Sessions that nobody uses leave memory and come back when they are asked for.
 
-use super::{bar_session, metric, path, seen, turn};
+use super::{bar_at, bar_session, metric, out_of_memory, path, seen, turn};
 use crate::durable::place::{StorePlace, in_every_store};
 use crate::support::program::ServedProgram;
 use crate::support::server::{AnsweredCall as _, bar, bar_obj, ends, eventually};
@@ -13,8 +13,7 @@ in_every_store!(
 );
 
 async fn an_idle_session_leaves_memory_and_comes_back_as_it_was(place: StorePlace) {
-    let server = place.start(&["--idle", "200ms"]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &["--idle", "200ms"]).await;
     for angle in [0.4, 0.8, 0.2] {
         turn(&server, &id, angle).await;
     }
@@ -29,15 +28,9 @@ async fn an_idle_session_leaves_memory_and_comes_back_as_it_was(place: StorePlac
         assert_eq!(listed["sessions"][0]["id"], id.as_str());
         assert_eq!(seen(&server, &id).await, before);
     }
-    eventually("an empty memory", async || {
-        metric(&server, "pliant_sessions ").await == 0.0
-    })
-    .await;
+    out_of_memory(&server).await;
     server.done("POST", &path(&id, "/redo"), None).await;
-    eventually("an empty memory", async || {
-        metric(&server, "pliant_sessions ").await == 0.0
-    })
-    .await;
+    out_of_memory(&server).await;
     server.done("DELETE", &path(&id, ""), None).await;
     assert_eq!(server.call("GET", &path(&id, ""), None).await.0, 404);
 }
@@ -108,12 +101,11 @@ async fn seen_apart_from_limits(server: &ServedProgram, id: &str) -> (Value, Val
 
 /// A bar of 3,170 vertices, whose volume graph does not fit whole.
 async fn dense_session(server: &ServedProgram) -> Result<String, Value> {
-    let opened = server
+    let told = server
         .post("/v1/sessions?volumeGraph.kind=PAPER")
         .body(bar([12, 12, 60]))
-        .answer()
+        .document()
         .await;
-    let told: Value = opened.json().await.expect("JSON");
     let Some(id) = told["id"].as_str() else {
         return Err(told);
     };
@@ -144,10 +136,7 @@ async fn sessions_that_do_not_fit_together_come_back_in_any_order_and_under_othe
         );
         assert_eq!(now.2, known[0].1.2);
     }
-    eventually("an empty memory", async || {
-        metric(&server, "pliant_sessions ").await == 0.0
-    })
-    .await;
+    out_of_memory(&server).await;
     for (id, was) in known.iter().rev() {
         assert_eq!(&seen_apart_from_limits(&server, id).await, was);
         turn(&server, id, 0.4).await;
@@ -186,8 +175,7 @@ async fn sessions_that_do_not_fit_together_come_back_in_any_order_and_under_othe
 }
 
 async fn no_time_passes_for_a_session_while_no_server_runs(place: StorePlace) {
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     let before = seen_apart_from_limits(&server, &id).await;
     server.kill();
     // As a backup of the year 2001 would be.

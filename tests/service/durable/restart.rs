@@ -1,6 +1,6 @@
 //! A server that is started again goes on where the one before was.
 
-use super::{bar_session, metric, path, seen, turn};
+use super::{bar_at, bar_session, metric, path, seen, turn};
 use crate::durable::place::{StorePlace, in_every_store};
 use crate::support::program::ServedProgram;
 use crate::support::server::{bar_obj, http, turn_json};
@@ -31,8 +31,7 @@ in_every_store!(
 );
 
 async fn everything_is_as_it_was_after_a_crash(place: StorePlace) {
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     turn(&server, &id, 0.4).await;
     turn(&server, &id, 0.8).await;
     server.done("POST", &path(&id, "/edits"), Some(&cut())).await;
@@ -83,8 +82,7 @@ async fn everything_is_as_it_was_after_a_crash(place: StorePlace) {
 }
 
 async fn a_key_is_answered_again_after_a_crash_and_nothing_is_done_twice(place: StorePlace) {
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     let calls = [
         ("POST", "/solve", Some(turn_json(0.7)), "pose"),
         ("PATCH", "/handles/top", Some(json!({"stiffness": 3.0})), "handle"),
@@ -148,9 +146,7 @@ async fn a_session_that_was_deleted_or_has_expired_does_not_come_back(place: Sto
 
 async fn two_servers_do_not_share_a_store(place: StorePlace) {
     let _server = place.start(&[]);
-    let told = place.try_start(&[]).err().expect("refused");
-    let last = told.lines().last().unwrap_or_default();
-    assert!(last.contains("in use by another process"), "{told}");
+    place.refuses_to_start(&[], &["in use by another process"]);
 }
 
 /// An answer without what tells how long it took, or when it is over.
@@ -175,8 +171,7 @@ fn base64(text: &str) -> String {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_backup_takes_the_place_of_what_was_there() {
     let place = StorePlace::folder().await.expect("a folder");
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     turn(&server, &id, 0.2).await;
     let before = seen(&server, &id).await;
     let backup = place.top().join("backup.sqlite");
@@ -210,17 +205,11 @@ async fn a_backup_takes_the_place_of_what_was_there() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_database_without_its_objects_is_refused() {
     let place = StorePlace::folder().await.expect("a folder");
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     server.kill();
     let (objects, away) = (place.data().join("objects"), place.top().join("away"));
     fs::rename(&objects, &away).expect("moved");
-    let refused = place.try_start(&[]).err().expect("refused");
-    let last = refused.lines().last().unwrap_or_default();
-    assert!(
-        last.contains("objects is missing, where the models of the sessions lie"),
-        "{refused}"
-    );
+    place.refuses_to_start(&[], &["objects is missing, where the models of the sessions lie"]);
     assert!(!objects.exists(), "nothing was made in its place");
     fs::rename(&away, &objects).expect("moved back");
     seen(&place.start(&[]), &id).await;

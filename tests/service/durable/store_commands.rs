@@ -1,6 +1,6 @@
 //! `pliant store`: what operators do with kept sessions while no server holds them.
 
-use super::{bar_session, path, seen, turn};
+use super::{bar_at, bar_session, path, seen, turn};
 use crate::durable::place::{StorePlace, in_every_store};
 use crate::support::process::Nobody;
 use crate::support::server::{AnsweredCall as _, bar_obj, http, turn_json};
@@ -105,8 +105,7 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
 }
 
 async fn what_a_server_holds_is_looked_at_and_left_alone(place: StorePlace) {
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     for command in ["check", "list"] {
         let told = place.store(&[command]);
         assert!(told.code == 0 && told.out.contains(&id), "{} {}", told.out, told.err);
@@ -179,8 +178,7 @@ fn look(place: &StorePlace, id: &str) {
 #[tokio::test(flavor = "multi_thread")]
 async fn looking_changes_nothing_beside_a_server_after_a_crash_and_in_a_backup() {
     let place = StorePlace::folder().await.expect("a folder");
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     turn(&server, &id, 0.2).await;
     turn(&server, &id, 0.4).await;
     look(&place, &id);
@@ -215,8 +213,7 @@ async fn looking_changes_nothing_beside_a_server_after_a_crash_and_in_a_backup()
 #[tokio::test(flavor = "multi_thread")]
 async fn what_a_server_writes_meanwhile_is_no_damage() {
     let place = StorePlace::folder().await.expect("a folder");
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     let writing = async {
         for k in 0..60 {
             server
@@ -305,8 +302,7 @@ async fn a_store_that_may_not_be_read_is_not_told_to_be_missing() {
 #[tokio::test(flavor = "multi_thread")]
 async fn objects_without_their_database_are_left_alone() {
     let place = StorePlace::folder().await.expect("a folder");
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     server.stop().await;
     let database = place.data().join("sessions.sqlite");
     let kept = fs::read(&database).expect("a database");
@@ -324,8 +320,7 @@ async fn objects_without_their_database_are_left_alone() {
             );
             assert_eq!(told.code, 2, "{order:?}");
         }
-        let refused = place.try_start(&[]).err().expect("refused");
-        assert!(refused.contains("sessions.sqlite is missing"), "{refused}");
+        place.refuses_to_start(&[], &["sessions.sqlite is missing"]);
         assert_eq!(place.objects().len(), 1);
         let mut after = contents(&place.data());
         after.retain(|name, _| !name.ends_with("/lock"));

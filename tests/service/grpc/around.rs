@@ -163,8 +163,7 @@ async fn web_bytes(server: &Server, rpc: &str, message: &[u8]) -> (reqwest::Stat
 
 #[tokio::test(flavor = "multi_thread")]
 async fn browsers_call_over_grpc_web() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let (status, messages, code) = web(&server, "GetSession", &named(&id)).await;
     assert_eq!((status.as_u16(), messages.len()), (200, 1));
     assert!(code.contains("grpc-status:0"), "{code}");

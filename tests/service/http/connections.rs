@@ -202,8 +202,7 @@ const ORIGIN: &str = "http://evil.example:7411";
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_name_that_is_not_the_servers_opens_nothing() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let session = format!("/v1/sessions/{id}");
     for (method, path) in [
         (Method::POST, "/v1/sessions"),

@@ -11,8 +11,7 @@ fn held(server: &Server) -> [i64; 2] {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn soft_handles_that_reach_far_are_counted_before_they_are_held() {
-    let server = Server::with(|sessions, _| sessions.memory_bytes = 24 << 20).await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::bar_with(|sessions, _| sessions.memory_bytes = 24 << 20).await;
     let before = held(&server);
     let soft = |k: usize| {
         json!({
@@ -36,11 +35,7 @@ async fn soft_handles_that_reach_far_are_counted_before_they_are_held() {
         text(&told["detail"]).contains("the estimated memory of the session"),
         "{told}"
     );
-    let session: Value = get(&server, &format!("/v1/sessions/{id}"))
-        .await
-        .json()
-        .await
-        .expect("JSON");
+    let session = server.document(&format!("/v1/sessions/{id}")).await;
     assert_eq!(
         session["handles"].as_array().map(Vec::len),
         Some(2),
@@ -58,8 +53,7 @@ async fn soft_handles_that_reach_far_are_counted_before_they_are_held() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_edit_that_would_grow_too_large_is_refused_by_its_estimate() {
-    let server = Server::with(|sessions, _| sessions.memory_bytes = 256 << 20).await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::bar_with(|sessions, _| sessions.memory_bytes = 256 << 20).await;
     let path = format!("/v1/sessions/{id}/edits");
     // Some 4 million triangles.
     let edit = json!({"remesh": {"edgeLength": 0.004}});
@@ -140,7 +134,7 @@ async fn more_answers_than_there_is_memory_for_are_refused() {
         .await
         .expect("small answers go on");
     drop(taken);
-    assert_eq!(http().get(&path).answer().await.status(), 200);
+    assert_eq!(http().get(&path).status().await, 200);
 }
 
 /// Handles that each pull at all of a model.

@@ -13,8 +13,7 @@ use std::sync::{Arc, Mutex};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn operators_find_health_counts_and_description() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     assert_eq!(
         post(&server, &format!("/v1/sessions/{id}/solve"), turn_json(0.1))
             .await
@@ -24,20 +23,10 @@ async fn operators_find_health_counts_and_description() {
     assert_eq!(get(&server, "/healthz").await.status(), 200);
     assert_eq!(get(&server, "/readyz").await.status(), 200);
     let page = get(&server, "/").await;
-    assert!(
-        page.headers()[header::CONTENT_TYPE]
-            .to_str()
-            .unwrap()
-            .starts_with("text/html")
-    );
+    assert!(header(&page, header::CONTENT_TYPE).starts_with("text/html"));
 
     let counts = get(&server, "/metrics").await;
-    assert!(
-        counts.headers()[header::CONTENT_TYPE]
-            .to_str()
-            .unwrap()
-            .starts_with("application/openmetrics-text")
-    );
+    assert!(header(&counts, header::CONTENT_TYPE).starts_with("application/openmetrics-text"));
     let counts = counts.text().await.unwrap();
     for line in [
         "pliant_sessions 1",
@@ -49,7 +38,7 @@ async fn operators_find_health_counts_and_description() {
     }
     assert!(counts.ends_with("# EOF\n"));
 
-    let described: Value = get(&server, "/openapi.json").await.json().await.unwrap();
+    let described = server.document("/openapi.json").await;
     assert_eq!(described["openapi"], "3.1.0");
     // What is described answers: no path is unknown to the router, no method refused.
     for (path, methods) in described["paths"].as_object().unwrap() {
@@ -81,7 +70,7 @@ async fn operators_find_health_counts_and_description() {
     for name in ["Location", "x-pliant-owner", "x-pliant-node"] {
         assert!(sent_on["headers"][name]["schema"].is_object(), "{sent_on}");
     }
-    let limits: Value = get(&server, "/v1/limits").await.json().await.unwrap();
+    let limits = server.document("/v1/limits").await;
     assert_eq!(limits["partBytes"], "1048576");
 }
 
@@ -92,7 +81,7 @@ async fn the_reference_is_a_page_that_loads_nothing_from_elsewhere() {
     let answer = get(&server, "/docs").await;
     assert_eq!(answer.status(), 200);
     assert_eq!(answer.headers()[header::CONTENT_TYPE], "text/html; charset=utf-8");
-    let policy = answer.headers()["content-security-policy"].to_str().unwrap().to_owned();
+    let policy = header(&answer, "content-security-policy").to_owned();
     assert!(
         policy.starts_with("default-src 'none'") && policy.contains("script-src 'self'; connect-src 'self';"),
         "{policy}"
@@ -118,7 +107,7 @@ async fn every_curl_sample_of_the_reference_works() {
         return tell_skipped("the samples in curl", &format!("there is no {program}"));
     }
     let server = Server::start().await;
-    let document: Value = get(&server, "/openapi.json").await.json().await.unwrap();
+    let document = server.document("/openapi.json").await;
     let paths = document["paths"].as_object().unwrap().values();
     let calls = paths.flat_map(|methods| methods.as_object().unwrap());
     let (deletions, others): (Vec<_>, Vec<_>) = calls.partition(|(method, _)| *method == "delete");
@@ -141,8 +130,7 @@ async fn every_curl_sample_of_the_reference_works() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn json_is_compressed_on_request_and_nothing_else() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let gzip = |path: String| server.get(&path).header("accept-encoding", "gzip").send();
     let described = gzip("/openapi.json".into()).await.unwrap();
     assert_eq!(described.headers()[header::CONTENT_ENCODING], "gzip");
@@ -152,8 +140,7 @@ async fn json_is_compressed_on_request_and_nothing_else() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn pages_of_other_origins_may_read_every_fact_of_an_answer() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let origin = "http://localhost:5173";
     let solve = server
         .post(&format!("/v1/sessions/{id}/solve"))
@@ -161,7 +148,7 @@ async fn pages_of_other_origins_may_read_every_fact_of_an_answer() {
         .json(&turn_json(0.1));
     let model = server.get(&format!("/v1/sessions/{id}/model?format=glb"));
     let figure = server.post("/v1/sessions?sample=figure");
-    let figure = figure.told().await;
+    let figure = figure.document().await;
     let walk = server
         .post(&format!("/v1/sessions/{}/animations", text(&figure["id"])))
         .header("accept", "model/gltf-binary")
@@ -170,10 +157,7 @@ async fn pages_of_other_origins_may_read_every_fact_of_an_answer() {
     for call in [solve, model, walk] {
         let answer = call.header("origin", origin).answer().await;
         assert_eq!(answer.status(), 200);
-        let exposed = answer.headers()["access-control-expose-headers"]
-            .to_str()
-            .unwrap()
-            .to_lowercase();
+        let exposed = header(&answer, "access-control-expose-headers").to_lowercase();
         let exposed: Vec<&str> = exposed.split(',').map(str::trim).collect();
         // It tells browsers something, and pages nothing.
         let is_fact = |name: &&HeaderName| name.as_str().starts_with("x-") && **name != header::X_CONTENT_TYPE_OPTIONS;
@@ -209,12 +193,7 @@ async fn pages_of_foreign_origins_may_not_call() {
         .answer()
         .await;
     assert!(preflight.status().is_success());
-    assert!(
-        preflight.headers()["access-control-allow-methods"]
-            .to_str()
-            .unwrap()
-            .contains("PATCH")
-    );
+    assert!(header(&preflight, "access-control-allow-methods").contains("PATCH"));
     assert_eq!(
         preflight.headers()["access-control-allow-headers"],
         "content-type,idempotency-key"

@@ -10,15 +10,15 @@ async fn downloads_honour_tags_and_ranges() {
     let server = Server::start().await;
     let model = bar_obj(24);
     let id = text(&server.open(model.clone()).await["id"]);
-    let url = server.url(&format!("/v1/sessions/{id}/model"));
+    let url = server.url(&path(&id, "/model"));
     let whole = http().get(&url).answer().await;
     assert_eq!(whole.status(), 200);
     assert_eq!(whole.headers()[header::ACCEPT_RANGES], "bytes");
     assert_eq!(
-        whole.headers()[header::CONTENT_DISPOSITION].to_str().unwrap(),
+        header(&whole, header::CONTENT_DISPOSITION),
         format!("attachment; filename=\"{id}.obj\"")
     );
-    let etag = whole.headers()[header::ETAG].to_str().unwrap().to_owned();
+    let etag = header(&whole, header::ETAG).to_owned();
     assert!(etag.starts_with('"'), "a strong tag: {etag}");
     let bytes = whole.bytes().await.unwrap();
     assert_eq!(bytes, model.as_bytes(), "at rest the model comes back byte for byte");
@@ -26,7 +26,7 @@ async fn downloads_honour_tags_and_ranges() {
     let part = http().get(&url).header("range", "bytes=10-19").answer().await;
     assert_eq!(part.status(), 206);
     assert_eq!(
-        part.headers()[header::CONTENT_RANGE].to_str().unwrap(),
+        header(&part, header::CONTENT_RANGE),
         format!("bytes 10-19/{}", bytes.len())
     );
     assert_eq!(part.bytes().await.unwrap(), bytes.slice(10..20));
@@ -53,40 +53,29 @@ async fn downloads_honour_tags_and_ranges() {
         .answer()
         .await;
     assert_eq!(past.status(), 416);
-    assert_eq!(
-        past.headers()[header::CONTENT_RANGE].to_str().unwrap(),
-        format!("bytes */{}", bytes.len())
-    );
+    assert_eq!(header(&past, header::CONTENT_RANGE), format!("bytes */{}", bytes.len()));
 
     let known = http().get(&url).header("if-none-match", &etag).answer().await;
     assert_eq!(
-        (known.status().as_u16(), known.headers()[header::ETAG].to_str().unwrap()),
+        (known.status().as_u16(), header(&known, header::ETAG)),
         (304, etag.as_str())
     );
     let head = http().head(&url).answer().await;
     assert_eq!(
-        (
-            head.status().as_u16(),
-            head.headers()[header::CONTENT_LENGTH].to_str().unwrap()
-        ),
+        (head.status().as_u16(), header(&head, header::CONTENT_LENGTH)),
         (200, bytes.len().to_string().as_str())
     );
     let ply = http().get(format!("{url}?format=ply")).answer().await;
-    assert_ne!(ply.headers()[header::ETAG].to_str().unwrap(), etag);
+    assert_ne!(header(&ply, header::ETAG), etag);
 
     // A changed shape is another thing.
     let handles = server
-        .put(&format!("/v1/sessions/{id}/handles"))
+        .put(&path(&id, "/handles"))
         .json(&json!({"handles": ends()}))
         .answer()
         .await;
     assert_eq!(handles.status(), 200);
-    assert_eq!(
-        post(&server, &format!("/v1/sessions/{id}/solve"), turn_json(0.3))
-            .await
-            .status(),
-        200
-    );
+    assert_eq!(post(&server, &path(&id, "/solve"), turn_json(0.3)).await.status(), 200);
     let changed = http().get(&url).header("if-none-match", &etag).answer().await;
     assert_eq!(changed.status(), 200);
     assert_ne!(changed.bytes().await.unwrap(), bytes);
@@ -162,8 +151,8 @@ async fn a_form_brings_a_model_with_its_companions() {
 
     // The main file names the companion, and both come back as they were.
     let id = text(&session["id"]);
-    let main = get(&server, &format!("/v1/sessions/{id}/model")).await;
-    let link = main.headers()[header::LINK].to_str().unwrap().to_owned();
+    let main = get(&server, &path(&id, "/model")).await;
+    let link = header(&main, header::LINK).to_owned();
     assert_eq!(main.bytes().await.unwrap(), gltf.as_bytes());
     let target = link.split(['<', '>']).nth(1).unwrap();
     let companion = get(&server, target).await;

@@ -2,7 +2,7 @@
 
 use super::{LEASE, answered, drag, node, stream, unmoved};
 use crate::durable::place::StorePlace;
-use crate::durable::{bar_session, metric, path, seen, turn};
+use crate::durable::{bar_at, bar_session, metric, path, seen, turn};
 use crate::support::server::{AnsweredCall as _, Came, bar_obj, eventually, stays, turn_json, turned, within};
 use pliant::wire::pb::{self, deform_request, deform_response};
 use serde_json::{Value, json};
@@ -11,8 +11,7 @@ use std::time::Instant;
 /// What a server alone makes of the same commits.
 async fn seen_alone(angles: &[f64]) -> (Value, Vec<u8>) {
     let place = StorePlace::folder().await.expect("a folder");
-    let server = place.start(&[]);
-    let id = bar_session(&server).await;
+    let (server, id) = bar_at(&place, &[]).await;
     for angle in angles {
         turn(&server, &id, *angle).await;
     }

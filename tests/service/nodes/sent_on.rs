@@ -136,8 +136,7 @@ async fn nobody_has_the_store_for_himself_beside_nodes() {
         return;
     };
     let a = node(&place, "a");
-    let told = place.try_start(&[]).err().expect("refused");
-    assert!(told.contains("in use by another process"), "{told}");
+    place.refuses_to_start(&[], &["in use by another process"]);
     let pruned = place.store(&["prune"]);
     assert_eq!(pruned.code, 2, "{}", pruned.err);
     assert!(pruned.err.contains("in use by another process"), "{}", pruned.err);

@@ -72,7 +72,7 @@ async fn one_of_each(server: &ServedProgram) -> String {
         let get = http()
             .get(format!("{}{}", server.url, path("/history")))
             .bearer_auth("anna's");
-        let history = get.told().await;
+        let history = get.document().await;
         history["commits"]
             .as_array()
             .is_some_and(|c| c.last().is_some_and(|c| c["kind"] == "pose"))
@@ -296,7 +296,7 @@ async fn each_call_has_a_line_and_no_line_has_a_token() {
         .bearer_auth(SECRET);
     let bytes = own.answer().await.bytes().await.expect("a body").len();
     let others = server.get(&format!("/v1/sessions/{id}")).bearer_auth("others-token");
-    assert_eq!(others.answer().await.status(), 404);
+    assert_eq!(others.status().await, 404);
     server.get("/healthz").answer().await;
     let url = format!("{}/v1/sessions/{id}/stream", server.url.replace("http", "ws"));
     let mut request = url.into_client_request().expect("a request");

@@ -89,8 +89,7 @@ fn statuses(text: &str) -> String {
 /// A session of tenant `a` that has handles, a commit, and keys of calls.
 async fn session_of_another(server: &Server) -> String {
     let post = |path: &str| server.post(path).bearer_auth("a");
-    let opened = post("/v1/sessions").body(bar_obj(8)).answer().await;
-    let session: Value = opened.json().await.expect("JSON");
+    let session = post("/v1/sessions").body(bar_obj(8)).document().await;
     let id = text(&session["id"]);
     let handles = server.put(&format!("/v1/sessions/{id}/handles")).bearer_auth("a");
     let set = handles.json(&json!({"handles": ends()})).answer().await;
@@ -136,13 +135,11 @@ async fn every_path_answers_as_for_a_session_that_never_was() {
     }
     assert!(asked > 200, "{asked} calls");
     // Nothing has happened to it.
-    let still = server.get(&format!("/v1/sessions/{theirs}")).bearer_auth("a").send();
-    let still: Value = within("the session", still)
-        .await
-        .expect("an answer")
-        .json()
-        .await
-        .expect("JSON");
+    let still = server
+        .get(&format!("/v1/sessions/{theirs}"))
+        .bearer_auth("a")
+        .document()
+        .await;
     assert_eq!(still["revision"], "3");
 }
 
@@ -216,13 +213,12 @@ async fn nor_do_sockets_lists_merges_and_limits_tell_of_it() {
     };
     assert_eq!(socket(&theirs).await, socket(NOBODYS).await);
 
-    let own = server.post("/v1/sessions").bearer_auth("b").body(bar_obj(8)).send();
-    let own: Value = within("a session", own)
-        .await
-        .expect("an answer")
-        .json()
-        .await
-        .expect("JSON");
+    let own = server
+        .post("/v1/sessions")
+        .bearer_auth("b")
+        .body(bar_obj(8))
+        .document()
+        .await;
     let edits = server.url(&format!("/v1/sessions/{}/edits", text(&own["id"])));
     let merge = async |id: &str| {
         let body = json!({"on": "REST", "merge": {"session": id}});
@@ -272,5 +268,5 @@ async fn sessions_of_the_store_are_their_tenants_alone() {
     let list: Value = serde_json::from_slice(&list.body).expect("JSON");
     assert_eq!(list["sessions"], json!([]));
     let own = server.get(&format!("/v1/sessions/{id}")).bearer_auth("a");
-    assert_eq!(own.answer().await.status(), 200);
+    assert_eq!(own.status().await, 200);
 }

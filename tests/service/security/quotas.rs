@@ -1,6 +1,6 @@
 //! What each tenant may use, and what it is told of it.
 
-use super::{config_file, entry};
+use super::{ConfiguredPlace, config_file, entry};
 use crate::support::program::ServedProgram;
 use crate::support::server::*;
 use pliant::session::TenantQuota;
@@ -10,7 +10,9 @@ use std::time::Duration;
 use tokio_tungstenite::tungstenite::{self, client::IntoClientRequest as _};
 
 /// A server where tenant `a` has a quota and `b` none.
-async fn limited(quota: TenantQuota) -> Server {
+async fn limited(limit: impl FnOnce(&mut TenantQuota)) -> Server {
+    let mut quota = TenantQuota::default();
+    limit(&mut quota);
     Server::with(|sessions, config| {
         sessions.quotas.named.insert("a".into(), quota);
         config.auth.tokens = vec![entry("a", "a"), entry("b", "b")];
@@ -40,20 +42,13 @@ async fn quotas(server: &Server, token: &str) -> Value {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn sessions_are_counted_by_tenant_and_come_free_when_it_was_told() {
-    let quota = TenantQuota {
-        sessions: Some(1),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
+    let server = limited(|quota| quota.sessions = Some(1)).await;
     assert_eq!(
         quotas(&server, "a").await,
         json!({"sessions": {"allowed": 1.0, "left": 1.0}})
     );
     assert_eq!(quotas(&server, "b").await, Value::Null);
-    let mut limits = tonic::Request::new(pb::GetLimitsRequest::default());
-    limits
-        .metadata_mut()
-        .insert("authorization", "Bearer a".parse().expect("ASCII"));
+    let limits = with_token(pb::GetLimitsRequest::default(), "a");
     let limits = within("limits", server.grpc().await.get_limits(limits)).await;
     let told = limits.expect("limits").into_inner().quotas.expect("quotas");
     assert_eq!(told.sessions.map(|s| (s.allowed, s.left)), Some((1.0, 1.0)));
@@ -73,11 +68,7 @@ async fn sessions_are_counted_by_tenant_and_come_free_when_it_was_told() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn memory_is_counted_by_tenant() {
-    let quota = TenantQuota {
-        memory_bytes: Some(3 << 20),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
+    let server = limited(|quota| quota.memory_bytes = Some(3 << 20)).await;
     let mut opened = Vec::new();
     let refused = loop {
         match open(&server, "a", 24).await {
@@ -118,12 +109,8 @@ async fn memory_is_counted_by_tenant() {
 #[tokio::test(flavor = "multi_thread")]
 async fn uploads_are_counted_by_the_minute() {
     let bytes = bar_obj(8).len() as u64;
-    let quota = TenantQuota {
-        // Two fit, and of a third what comes in some seconds.
-        upload_bytes_per_minute: Some(bytes * 2 + bytes / 2),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
+    // Two fit, and of a third what comes in some seconds.
+    let server = limited(|quota| quota.upload_bytes_per_minute = Some(bytes * 2 + bytes / 2)).await;
     assert_eq!(open(&server, "a", 8).await.0, 201);
     assert_eq!(open(&server, "a", 8).await.0, 201);
     assert_eq!(server.manager.metrics().refused.get(), 0);
@@ -158,11 +145,7 @@ async fn uploads_are_counted_by_the_minute() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn computing_is_counted_by_the_minute() {
-    let quota = TenantQuota {
-        solve_seconds_per_minute: Some(1e-6),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
+    let server = limited(|quota| quota.solve_seconds_per_minute = Some(1e-6)).await;
     // The first piece of work begins: nobody knows before how long it takes.
     let (status, _, session) = open(&server, "a", 8).await;
     assert_eq!(status, 201);
@@ -182,20 +165,12 @@ async fn computing_is_counted_by_the_minute() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn streams_are_counted_by_tenant() {
-    let quota = TenantQuota {
-        streams: Some(1),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
+    let server = limited(|quota| quota.streams = Some(1)).await;
     let ids = [open(&server, "a", 8).await.2, open(&server, "a", 8).await.2].map(|s| text(&s["id"]));
     let connect = async |id: &str| {
         let url = format!("ws://{}/v1/sessions/{id}/stream", server.address);
-        let mut request = url.into_client_request().expect("a request");
-        request
-            .headers_mut()
-            .insert("authorization", "Bearer a".parse().expect("ASCII"));
-        match within("a handshake", tokio_tungstenite::connect_async(request)).await {
-            Ok((stream, _)) => Ok(stream),
+        match Socket::connect_with(&url, "authorization", "Bearer a").await {
+            Ok(socket) => Ok(socket),
             Err(tungstenite::Error::Http(refused)) => Err(refused.status().as_u16()),
             Err(other) => panic!("{other}"),
         }
@@ -212,11 +187,9 @@ async fn streams_are_counted_by_tenant() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_stored_is_counted_and_given_back() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
     let bytes = bar_obj(8).len() as u64;
-    let config = config_file(folder.path(), &format!("[quotas]\nstored_bytes = {}\n", bytes * 3));
-    let server = ServedProgram::start(&data, &["--config", &config]);
+    let place = ConfiguredPlace::new(&format!("[quotas]\nstored_bytes = {}\n", bytes * 3));
+    let server = place.start();
     let left = async || {
         let quotas = server.done("GET", "/v1/limits", None).await["quotas"]["storedBytes"].clone();
         quotas["left"].as_f64().expect("a number")
@@ -242,7 +215,7 @@ async fn what_is_stored_is_counted_and_given_back() {
     // As it was, after a start anew too.
     let before = left().await;
     server.kill();
-    let server = ServedProgram::start(&data, &["--config", &config]);
+    let server = place.start();
     let left = async || {
         let quotas = server.done("GET", "/v1/limits", None).await["quotas"]["storedBytes"].clone();
         quotas["left"].as_f64().expect("a number")
@@ -256,12 +229,10 @@ async fn what_is_stored_is_counted_and_given_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn sessions_that_are_opened_at_once_pass_no_quota_of_the_store() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
     let bytes = bar_obj(8).len() as u64;
     let most = bytes * 7 / 2;
-    let config = config_file(folder.path(), &format!("[quotas]\nstored_bytes = {most}\n"));
-    let server = ServedProgram::start(&data, &["--config", &config]);
+    let place = ConfiguredPlace::new(&format!("[quotas]\nstored_bytes = {most}\n"));
+    let server = place.start();
     let mut opened = 0;
     for _ in 0..3 {
         let calls = (0..12).map(|_| {
@@ -278,11 +249,9 @@ async fn sessions_that_are_opened_at_once_pass_no_quota_of_the_store() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn commits_are_refused_where_no_more_may_be_stored_and_reading_goes_on() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
     let bytes = bar_obj(8).len() as u64;
-    let config = config_file(folder.path(), &format!("[quotas]\nstored_bytes = {}\n", bytes + 20_000));
-    let server = ServedProgram::start(&data, &["--config", &config]);
+    let place = ConfiguredPlace::new(&format!("[quotas]\nstored_bytes = {}\n", bytes + 20_000));
+    let server = place.start();
     let id = server.open(bar_obj(8), "").await;
     let path = |rest: &str| format!("/v1/sessions/{id}{rest}");
     let handles = json!({"handles": ends()});
@@ -344,10 +313,8 @@ async fn sessions_that_left_memory_are_counted_and_come_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_tenants_own_idle_sessions_make_room_in_its_quota_of_memory() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
-    let config = config_file(folder.path(), "[quotas]\nmemory_bytes = \"3MiB\"\n");
-    let server = ServedProgram::start(&data, &["--config", &config]);
+    let place = ConfiguredPlace::new("[quotas]\nmemory_bytes = \"3MiB\"\n");
+    let server = place.start();
     let mut ids = Vec::new();
     let in_memory = async || {
         let metrics = server.get("/metrics").send().await;
@@ -374,12 +341,11 @@ async fn a_tenants_own_idle_sessions_make_room_in_its_quota_of_memory() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn times_to_live_are_the_tenants_own() {
-    let quota = TenantQuota {
-        ttl: Some(Duration::from_secs(1)),
-        max_ttl: Some(Duration::from_secs(5)),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
+    let server = limited(|quota| {
+        quota.ttl = Some(Duration::from_secs(1));
+        quota.max_ttl = Some(Duration::from_secs(5));
+    })
+    .await;
     let limits = async |token| answer(server.get("/v1/limits"), token).await.2;
     assert_eq!(limits("a").await["ttlSeconds"], 5.0);
     assert_eq!(limits("a").await["quotas"], Value::Null);

@@ -8,8 +8,7 @@ use pliant::asset::shapes;
 use pliant::engine::{Handle, HandlePose, HandleSet, Region};
 use pliant::graph::VolumeOptions;
 use pliant::session::{ErrorCode, Manager, MemoryUse, SessionConfig};
-use pliant::wire::frames::FrameOutput;
-use pliant::wire::{DeformOptions, SessionEdit, json, session_edit};
+use pliant::wire::{SessionEdit, json, session_edit};
 
 /// An edit, as a request in JSON asks for it.
 pub fn edit_of(request: &str) -> SessionEdit {
@@ -32,11 +31,7 @@ fn merge(other: &str, by: f64) -> SessionEdit {
 #[tokio::test]
 async fn edits_are_undone_and_redone_to_the_bit_and_go_on_alike() {
     for snapshot_bytes in [1 << 24, 0] {
-        let fixture = bent(SessionConfig {
-            snapshot_bytes,
-            ..small()
-        })
-        .await;
+        let fixture = bent(limits(|config| config.snapshot_bytes = snapshot_bytes)).await;
         let mut digests = vec![fixture.digest().await];
         let mut said = Vec::new();
         digests.push(fixture.solve(turned(0.6)).await.digest);
@@ -128,13 +123,7 @@ async fn a_session_can_be_merged_with_another_of_its_tenant() {
 async fn a_stream_goes_on_across_an_edit() {
     let fixture = bent(small()).await;
     let mut client = fixture.client().await;
-    client.options(DeformOptions {
-        output: FrameOutput {
-            changed_only: Some(1e-6),
-            ..Default::default()
-        },
-        ..stream_options()
-    });
+    client.options(|options| options.output.changed_only = Some(1e-6));
     let mut sizes = Vec::new();
     for (seq, angle) in [(1, 0.2), (2, 0.3), (3, 0.4)] {
         client.push(turning(seq, angle, false));
@@ -181,11 +170,7 @@ fn delete(height: f64) -> SessionEdit {
 #[tokio::test]
 async fn a_pose_after_going_back_has_the_bits_that_it_had_before() {
     for snapshot_bytes in [1 << 26, 0] {
-        let fixture = bar(SessionConfig {
-            snapshot_bytes,
-            ..small()
-        })
-        .await;
+        let fixture = bar(limits(|config| config.snapshot_bytes = snapshot_bytes)).await;
         let mut after = Vec::new();
         for k in 0..4 {
             let bent = fixture.solve(turned(0.2)).await;

@@ -3,7 +3,7 @@
 use super::fake::*;
 use crate::support::server::retried;
 use pliant::session::store::StoreLocation;
-use pliant::session::{ErrorCode, HistoryFacts, Manager, MemoryUse, SessionConfig, StreamAnswer};
+use pliant::session::{ErrorCode, HistoryFacts, Manager, MemoryUse, StreamAnswer};
 use pliant::wire::SessionOptions;
 use std::path::Path;
 use std::sync::Arc;
@@ -18,44 +18,22 @@ async fn an_unused_session_expires_and_frees_its_memory() {
         label: "short".into(),
         ..options()
     };
-    let idle = manager
-        .create(tenant(), model("points 4"), options(), None)
-        .await
-        .expect("made")
-        .value;
-    let streaming = manager
-        .create(tenant(), model("points 4"), options(), None)
-        .await
-        .expect("made")
-        .value;
+    let make = async || {
+        let made = manager.create(tenant(), model("points 4"), options(), None).await;
+        made.expect("made").value
+    };
+    let gone = async |id: &str| manager.get(tenant(), id).await.expect_err("expired").http_status();
+    let (idle, streaming) = (make().await, make().await);
     assert_eq!((idle.label.as_str(), idle.expires_at.ends_with('Z')), ("short", true));
     // Times of this form are ordered as texts.
     assert!(idle.created_at.ends_with('Z') && idle.created_at < idle.expires_at);
     let stream = manager.stream(tenant(), &streaming.id).await.expect("a stream");
     until(|| manager.metrics().sessions_expired.get() == 1).await;
-    assert_eq!(
-        manager
-            .get(tenant(), &idle.id)
-            .await
-            .expect_err("expired")
-            .http_status(),
-        404
-    );
+    assert_eq!(gone(&idle.id).await, 404);
     // Twice its lease has passed for the other one by the next expiry of a third.
-    let third = manager
-        .create(tenant(), model("points 4"), options(), None)
-        .await
-        .expect("made")
-        .value;
+    let third = make().await;
     until(|| manager.metrics().sessions_expired.get() == 2).await;
-    assert_eq!(
-        manager
-            .get(tenant(), &third.id)
-            .await
-            .expect_err("expired")
-            .http_status(),
-        404
-    );
+    assert_eq!(gone(&third.id).await, 404);
     manager
         .get(tenant(), &streaming.id)
         .await
@@ -70,11 +48,8 @@ async fn an_unused_session_expires_and_frees_its_memory() {
 
 #[tokio::test]
 async fn deleting_ends_work_and_streams() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
-    control.hold();
-    client.drag(1, &[("a", 1.0)]);
-    control.held_up().await;
+    let (fixture, control, mut client) = Fixture::streamed().await;
+    client.drag_held_up(&control).await;
     let solving = fixture.solving(solve(&[]));
     tokio::task::yield_now().await;
     fixture.manager.delete(tenant(), &fixture.id).await.expect("deleted");
@@ -179,8 +154,7 @@ async fn a_call_that_failed_or_was_given_up_frees_its_key() {
 
 #[tokio::test]
 async fn draining_tells_streams_and_waits_for_them() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
+    let (fixture, control, mut client) = Fixture::streamed().await;
     fixture.manager.start_drain();
     assert!(!fixture.manager.admits());
     let Some(StreamAnswer::Notice { code, session, .. }) = client.next().await else {
@@ -220,15 +194,12 @@ async fn draining_tells_streams_and_waits_for_them() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn many_sessions_share_few_slots() {
-    let (manager, _) = manager(SessionConfig {
-        compute_slots: 1,
-        ..small()
-    });
+    let (manager, _) = manager(limits(|config| config.compute_slots = 1));
     let work = (0..8).map(|k| {
         let manager = manager.clone();
         tokio::spawn(async move {
             let id = open(&manager).await;
-            let mut client = Client::open(&manager, &id).await;
+            let mut client = StreamClient::open(&manager, &id).await;
             for seq in 1..=20 {
                 client.drag(seq, &[("a", f64::from(k))]);
                 assert_eq!(client.frame().await.x[0], f64::from(k));

@@ -74,7 +74,7 @@ async fn memory_that_is_taken_is_asked_for_again_later() {
 
 #[tokio::test]
 async fn there_are_only_so_many_sessions() {
-    let (manager, _) = manager(SessionConfig { sessions: 2, ..small() });
+    let (manager, _) = manager(limits(|config| config.sessions = 2));
     let first = create(&manager, "points 4").await;
     create(&manager, "points 4").await;
     let error = refused(&manager, "points 4", options()).await;
@@ -89,11 +89,7 @@ async fn there_are_only_so_many_sessions() {
 
 #[tokio::test]
 async fn a_session_that_is_busy_takes_only_so_many_calls() {
-    let (fixture, control) = Fixture::fake(SessionConfig {
-        session_queue: 1,
-        ..small()
-    })
-    .await;
+    let (fixture, control) = Fixture::with(|config| config.session_queue = 1).await;
     control.hold();
     let call = || fixture.solving(solve(&[]));
     let first = call();
@@ -117,11 +113,7 @@ async fn a_session_that_is_busy_takes_only_so_many_calls() {
 
 #[tokio::test]
 async fn calls_that_wait_grow_old_together() {
-    let (fixture, control) = Fixture::fake(SessionConfig {
-        solve: Duration::from_millis(200),
-        ..small()
-    })
-    .await;
+    let (fixture, control) = Fixture::with(|config| config.solve = Duration::from_millis(200)).await;
     control.hold();
     let call = || fixture.solving(solve(&[("a", 1.0)]));
     let calls: Vec<_> = (0..20).map(|_| call()).collect();
@@ -135,16 +127,12 @@ async fn calls_that_wait_grow_old_together() {
         "those behind the first were never begun"
     );
     control.release();
-    fixture.solve(solve(&[("a", 1.0)])).await;
+    fixture.solve_a(1.0).await;
 }
 
 #[tokio::test]
 async fn a_pose_never_waits_behind_builds() {
-    let (fixture, control) = Fixture::fake(SessionConfig {
-        compute_slots: 1,
-        ..small()
-    })
-    .await;
+    let (fixture, control) = Fixture::with(|config| config.compute_slots = 1).await;
     control.hold();
     let slow = fixture.manager.clone();
     let build = tokio::spawn(async move { slow.create(tenant(), model("slow 4"), options(), None).await });
@@ -181,7 +169,7 @@ async fn a_panic_costs_its_own_session_only() {
         .set_handles(tenant(), &id, handles(&["panic"]), None)
         .await
         .expect("set");
-    let mut client = Client::open(&manager, &id).await;
+    let mut client = StreamClient::open(&manager, &id).await;
     let error = manager
         .solve(tenant(), &id, solve(&[("panic", 1.0)]), None)
         .await
@@ -202,44 +190,16 @@ async fn a_panic_costs_its_own_session_only() {
 async fn a_tenant_sees_its_own_sessions_only() {
     let (fixture, _) = Fixture::fake(small()).await;
     let stranger = Tenant(Arc::from("stranger"));
-    assert_eq!(
-        fixture
-            .manager
-            .get(&stranger, &fixture.id)
-            .await
-            .expect_err("not theirs")
-            .http_status(),
-        404
-    );
-    assert_eq!(
-        fixture
-            .manager
-            .delete(&stranger, &fixture.id)
-            .await
-            .expect_err("not theirs")
-            .http_status(),
-        404
-    );
-    assert_eq!(
-        fixture
-            .manager
-            .stream(&stranger, &fixture.id)
-            .await
-            .expect_err("not theirs")
-            .http_status(),
-        404
-    );
-    assert_eq!(
-        fixture
-            .manager
-            .solve(&stranger, &fixture.id, solve(&[]), None)
-            .await
-            .expect_err("not theirs")
-            .http_status(),
-        404
-    );
-    let listed = fixture
-        .manager
+    let (manager, id) = (&fixture.manager, &fixture.id);
+    for refused in [
+        manager.get(&stranger, id).await.err(),
+        manager.delete(&stranger, id).await.err(),
+        manager.stream(&stranger, id).await.err(),
+        manager.solve(&stranger, id, solve(&[]), None).await.err(),
+    ] {
+        assert_eq!(refused.expect("not theirs").http_status(), 404);
+    }
+    let listed = manager
         .list(&stranger, SessionPage { size: 100, after: 0 })
         .await
         .expect("a list");
@@ -280,10 +240,7 @@ async fn takes_long(fixture: &Fixture, control: &Control) {
 
 #[tokio::test]
 async fn a_tenant_with_much_work_holds_up_another_by_one_piece_of_it() {
-    let (manager, control) = manager(SessionConfig {
-        compute_slots: 1,
-        ..small()
-    });
+    let (manager, control) = manager(limits(|config| config.compute_slots = 1));
     let (many, few) = (Tenant("many".into()), Tenant("few".into()));
     let mut sessions = Vec::new();
     for k in 0..13 {
@@ -321,11 +278,7 @@ async fn a_tenant_with_much_work_holds_up_another_by_one_piece_of_it() {
 
 #[tokio::test]
 async fn a_line_on_one_session_that_is_too_long_is_told_before_it_was_waited_for() {
-    let (fixture, control) = Fixture::fake(SessionConfig {
-        compute_wait: Duration::from_millis(500),
-        ..small()
-    })
-    .await;
+    let (fixture, control) = Fixture::with(|config| config.compute_wait = Duration::from_millis(500)).await;
     control.hold();
     let begin = || fixture.solving(solve(&[("a", 1.0)]));
     takes_long(&fixture, &control).await;

@@ -155,9 +155,9 @@ async fn large_frames_of_differences_show_what_whole_frames_show() {
     for encoding in [frame::Encoding::Delta, frame::Encoding::F32] {
         let session = server.open(bar([12, 12, 100])).await;
         let id = text(&session["id"]);
-        let url = server.url(&format!("/v1/sessions/{id}/handles"));
+        let url = server.url(&path(&id, "/handles"));
         let handles = json!({"handles": ends()});
-        assert_eq!(http().put(url).json(&handles).answer().await.status(), 200);
+        assert_eq!(http().put(url).json(&handles).status().await, 200);
         let vertices = session["model"]["vertices"].as_u64().expect("a number") as usize;
         assert!(vertices > 4096);
         opened.push(Reading::open(&server, &id, asking(encoding, true), vertices).await);
@@ -177,8 +177,7 @@ async fn large_frames_of_differences_show_what_whole_frames_show() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_edit_begins_with_a_key_frame_and_another_stream_with_its_own() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let mut told = Reading::open(&server, &id, asking(frame::Encoding::Delta, false), VERTICES).await;
     assert!(is_key(&told.pose(1, 0.1, false).await));
     assert!(!is_key(&told.pose(2, 0.11, false).await));
@@ -186,7 +185,7 @@ async fn an_edit_begins_with_a_key_frame_and_another_stream_with_its_own() {
     assert!(is_key(&other.pose(1, 0.1, false).await), "it holds nothing yet");
     drop(other);
     let edit = |body| {
-        let url = server.url(&format!("/v1/sessions/{id}/edits"));
+        let url = server.url(&path(&id, "/edits"));
         http().post(url).json(&body).send()
     };
     let cut = json!({"cut": {"plane": {"normal": [0, 0, 1], "offset": 0.1}, "keep": "ABOVE", "fill": true}});
@@ -204,9 +203,8 @@ async fn an_edit_begins_with_a_key_frame_and_another_stream_with_its_own() {
 /// What is skipped was never a base: differences are formed when a frame is sent.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_websocket_reader_that_stops_reads_on_without_a_gap() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    let (server, id) = Server::start_with_bar().await;
+    let mut socket = server.stream_socket(&id).await;
     let options = asking(frame::Encoding::Delta, false);
     socket.send(deform_request::Message::Options(options)).await;
     for seq in 1..=500u64 {
@@ -248,8 +246,7 @@ async fn a_websocket_reader_that_stops_reads_on_without_a_gap() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn calls_that_answer_one_frame_answer_a_key_frame() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let mut client = server.grpc().await;
     let solve = pb::SolveRequest {
         session_id: id.clone(),
@@ -264,7 +261,7 @@ async fn calls_that_answer_one_frame_answer_a_key_frame() {
     }
     assert_eq!(reader.numbers(frame::Attribute::Position).len(), VERTICES * 3);
 
-    let url = server.url(&format!("/v1/sessions/{id}/solve"));
+    let url = server.url(&path(&id, "/solve"));
     let asked = json!({"options": {"output": {"encoding": "DELTA"}}});
     let answer = answered(http().post(&url).json(&asked)).await;
     assert_eq!(
@@ -275,13 +272,12 @@ async fn calls_that_answer_one_frame_answer_a_key_frame() {
         .post(&url)
         .json(&asked)
         .header("accept", "application/octet-stream");
-    assert_eq!(buffer.answer().await.status(), 422, "floats alone come as a buffer");
+    assert_eq!(buffer.status().await, 422, "floats alone come as a buffer");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn changes_and_differences_together_are_refused() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let both = || {
         let mut options = asking(frame::Encoding::Delta, false);
         options.output.as_mut().expect("some").changed_only = Some(0.0);
@@ -312,7 +308,7 @@ async fn changes_and_differences_together_are_refused() {
     let refused = server.grpc().await.solve(solve).await.expect_err("refused");
     assert_eq!(refused.code(), Code::InvalidArgument);
     let asked = json!({"options": {"output": {"encoding": "DELTA", "changedOnly": 0}}});
-    let url = server.url(&format!("/v1/sessions/{id}/solve"));
+    let url = server.url(&path(&id, "/solve"));
     let answer = http().post(&url).json(&asked).answer().await;
     assert_eq!(answer.status(), 422);
     assert!(answer.text().await.unwrap().contains("options.output.changedOnly"));

@@ -1,75 +1,53 @@
 //! What is particular to WebSockets: how they close, who may open them, and errors on the way.
 
-use super::Books;
+use super::{Books, refused_socket};
 use crate::support::server::*;
 use bytes::Bytes;
 use futures::SinkExt as _;
 use pliant::wire::pb::deform_request::{self, Message};
 use pliant::wire::pb::{self, deform_response};
-use serde_json::Value;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio_tungstenite::tungstenite;
 use tonic::Code;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_wrong_pose_is_told_and_the_stream_goes_on() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    let (server, id) = Server::start_with_bar().await;
+    let mut socket = server.stream_socket(&id).await;
     let mut wrong = turned(1, 0.1, false);
     wrong.handles[0].id = "nose".into();
     socket.send(deform_request::Message::Pose(wrong)).await;
-    let Came::Response(pb::DeformResponse {
-        message: Some(deform_response::Message::Error(error)),
-    }) = socket.next().await
-    else {
+    let Some(deform_response::Message::Error(error)) = socket.response().await else {
         panic!("no error")
     };
     assert_eq!((error.seq, error.code), (1, 3));
     assert!(error.message.contains("nose"), "{}", error.message);
     socket.send(deform_request::Message::Pose(turned(2, 0.1, false))).await;
     let mut books = Books::default();
-    while books.seqs.last() != Some(&2) {
-        let Came::Response(response) = socket.next().await else {
-            panic!("closed")
-        };
-        books.enter(&response);
-    }
+    books.read_socket_to(2, &mut socket).await;
     socket.send(deform_request::Message::Ping(pb::Ping { nonce: 77 })).await;
-    loop {
-        let Came::Response(response) = socket.next().await else {
-            panic!("closed")
-        };
-        if response.message == Some(deform_response::Message::Pong(pb::Ping { nonce: 77 })) {
-            break;
-        }
-    }
+    let pong = deform_response::Message::Pong(pb::Ping { nonce: 77 });
+    while socket.response().await.expect("an open socket") != pong {}
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn streams_of_a_session_are_bounded_and_given_back() {
-    let server = Server::with(|sessions, _| sessions.streams = 1).await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::bar_with(|sessions, _| sessions.streams = 1).await;
     let path = format!("/v1/sessions/{id}/stream");
     let first = server.socket(&path).await.unwrap();
-    let tungstenite::Error::Http(refused) = server.socket(&path).await.map(|_| ()).unwrap_err() else {
-        panic!("no HTTP answer")
-    };
+    let refused = refused_socket(&server, &id).await;
     assert_eq!(refused.status(), 429);
     assert!(refused.headers().contains_key("retry-after"));
     let (_requests, mut responses) = server.stream(&id).await;
-    assert_eq!(
-        within("a refusal", responses.message()).await.unwrap_err().code(),
-        Code::ResourceExhausted
-    );
+    let refused = within("a refusal", responses.message()).await.unwrap_err();
+    assert_eq!(refused.code(), Code::ResourceExhausted);
     drop(first);
     eventually("a free place", async || server.socket(&path).await.is_ok()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn who_sends_far_too_much_hears_why_it_ends() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let path = format!("/v1/sessions/{id}/stream");
     for megabytes in [5, 24] {
         let mut socket = server.socket(&path).await.unwrap();
@@ -92,34 +70,16 @@ async fn closed_after(socket: &mut Socket, broken: tungstenite::Message) -> (u16
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_websocket_says_why_it_closes() {
-    let server = Server::with(|sessions, _| sessions.message_bytes = 64 << 10).await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::bar_with(|sessions, _| sessions.message_bytes = 64 << 10).await;
     let path = format!("/v1/sessions/{id}/stream");
-    let mut socket = server.socket(&path).await.unwrap();
-    assert_eq!(
-        closed_after(&mut socket, tungstenite::Message::text("{}")).await.0,
-        1003
-    );
-    let mut socket = server.socket(&path).await.unwrap();
-    assert_eq!(
-        closed_after(
-            &mut socket,
-            tungstenite::Message::Binary(Bytes::from_static(&[0xff; 9]))
-        )
-        .await
-        .0,
-        1007
-    );
-    let mut socket = server.socket(&path).await.unwrap();
-    assert_eq!(
-        closed_after(
-            &mut socket,
-            tungstenite::Message::Binary(Bytes::from(vec![0; 65 << 10]))
-        )
-        .await
-        .0,
-        1009
-    );
+    for (broken, code) in [
+        (tungstenite::Message::text("{}"), 1003),
+        (tungstenite::Message::Binary(Bytes::from_static(&[0xff; 9])), 1007),
+        (tungstenite::Message::Binary(Bytes::from(vec![0; 65 << 10])), 1009),
+    ] {
+        let mut socket = server.socket(&path).await.unwrap();
+        assert_eq!(closed_after(&mut socket, broken).await.0, code);
+    }
 
     let mut socket = server.socket(&path).await.unwrap();
     let gone = server.delete(&format!("/v1/sessions/{id}")).answer().await;
@@ -160,8 +120,7 @@ async fn closed_after_bytes(server: &Server, path: &str, bytes: &[u8]) -> u16 {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn broken_rules_of_the_protocol_close_with_1002() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let path = format!("/v1/sessions/{id}/stream");
     let broken: [(&str, &[u8]); 5] = [
         ("a frame without a mask", &[0x82, 0x01, 0x00]),
@@ -174,17 +133,14 @@ async fn broken_rules_of_the_protocol_close_with_1002() {
         assert_eq!(closed_after_bytes(&server, &path, bytes).await, 1002, "{what}");
     }
     // A text, masked with zeros, whose bytes are no UTF-8.
-    assert_eq!(
-        closed_after_bytes(&server, &path, &[0x81, 0x81, 0, 0, 0, 0, 0xff]).await,
-        1007
-    );
+    let text = &[0x81, 0x81, 0, 0, 0, 0, 0xff];
+    assert_eq!(closed_after_bytes(&server, &path, text).await, 1007);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_foreign_page_gets_no_websocket_and_a_protocol_is_agreed() {
     use tungstenite::client::IntoClientRequest as _;
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let url = format!("ws://{}/v1/sessions/{id}/stream", server.address);
     let mut foreign = url.as_str().into_client_request().unwrap();
     foreign
@@ -214,12 +170,9 @@ fn keyed(seq: u64, angle: f64, key: &str) -> Message {
 async fn answer(socket: &mut Socket, seq: u64) -> Result<Vec<pb::Frame>, pb::Error> {
     let mut parts = Vec::new();
     loop {
-        let Came::Response(response) = socket.next().await else {
-            panic!("closed")
-        };
-        match response.message {
-            Some(deform_response::Message::Error(error)) if error.seq == seq => return Err(error),
-            Some(deform_response::Message::Frame(frame)) if frame.seq == seq && frame.r#final => {
+        match socket.response().await.expect("an open socket") {
+            deform_response::Message::Error(error) if error.seq == seq => return Err(error),
+            deform_response::Message::Frame(frame) if frame.seq == seq && frame.r#final => {
                 let last = frame.part + 1 == frame.parts;
                 parts.push(frame);
                 if last {
@@ -233,16 +186,14 @@ async fn answer(socket: &mut Socket, seq: u64) -> Result<Vec<pb::Frame>, pb::Err
 }
 
 async fn commits(server: &Server, id: &str) -> usize {
-    let history = server.get(&format!("/v1/sessions/{id}/history")).send();
-    let history: Value = history.await.unwrap().json().await.unwrap();
+    let history = server.document(&path(id, "/history")).await;
     let commits = history["commits"].as_array().expect("commits");
     commits.iter().filter(|commit| commit["kind"] == "pose").count()
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_commit_that_is_sent_again_is_recorded_once() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let stream = format!("/v1/sessions/{id}/stream");
     let mut socket = server.socket(&stream).await.unwrap();
     socket.send(keyed(1, 0.4, "first")).await;
@@ -278,9 +229,8 @@ async fn a_commit_that_is_sent_again_is_recorded_once() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_key_that_is_none_is_refused_and_the_stream_goes_on() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    let (server, id) = Server::start_with_bar().await;
+    let mut socket = server.stream_socket(&id).await;
     socket.send(keyed(1, 0.4, "mine")).await;
     answer(&mut socket, 1).await.expect("a frame");
     let on_a_drag = Message::Pose(pb::Pose {
