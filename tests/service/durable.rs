@@ -32,9 +32,9 @@ pub async fn bar_at(place: &StorePlace, arguments: &[&str]) -> (ServedProgram, S
 
 /// Asserts that a call was refused with that status and code; the detail.
 #[track_caller]
-pub fn refused((status, told): (u16, Value), expected: u16, code: &str) -> String {
-    assert_eq!((status, &told["code"]), (expected, &code.into()), "{told}");
-    told["detail"].as_str().unwrap_or_default().to_owned()
+pub fn refused((status, reply): (u16, Value), expected: u16, code: &str) -> String {
+    assert_eq!((status, &reply["code"]), (expected, &code.into()), "{reply}");
+    reply["detail"].as_str().unwrap_or_default().to_owned()
 }
 
 /// Waits until a server has no session in memory.
@@ -51,9 +51,9 @@ pub async fn turn(server: &ServedProgram, id: &str, angle: f64) -> Value {
 /// All that a client can see of a session, but for times.
 pub async fn seen(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
     let mut session = server.done("GET", &path(id, ""), None).await;
-    let told = session.as_object_mut().expect("an object");
-    told.remove("expiresAt");
-    told.remove("buildMs");
+    let reply = session.as_object_mut().expect("an object");
+    reply.remove("expiresAt");
+    reply.remove("buildMs");
     (
         session,
         server.done("GET", &path(id, "/history"), None).await,

@@ -1,12 +1,13 @@
 //! Broken and malicious models through the front door: every one gets a clear answer, the server serves on, and memory
 //! stays bounded. What the right answer is, the data folder's manifest says.
 
-use crate::support::data::data_folder;
+use crate::support::data::{data_folder, files_below};
+use crate::support::process::needed;
 use crate::support::process::{peak_memory, runs_alone};
 use crate::support::server::*;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// What the manifest asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,22 +36,6 @@ fn manifest(data: &Path) -> BTreeMap<String, Right> {
         right.insert(path.to_owned(), rule);
     }
     right
-}
-
-fn files(folder: &Path) -> Vec<PathBuf> {
-    let (mut found, mut open) = (Vec::new(), vec![folder.to_path_buf()]);
-    while let Some(folder) = open.pop() {
-        for entry in std::fs::read_dir(&folder).expect("a readable folder") {
-            let path = entry.expect("a readable entry").path();
-            if path.is_dir() {
-                open.push(path)
-            } else {
-                found.push(path)
-            }
-        }
-    }
-    found.sort();
-    found
 }
 
 /// The upload of a file: a form with what lies beside it for glTF with files of its own, else the bytes.
@@ -170,9 +155,7 @@ async fn every_hostile_file_gets_a_clear_answer() {
     if !runs_alone("hostile::every_hostile_file_gets_a_clear_answer") {
         return;
     }
-    let Some(data) = data_folder("hostile files") else {
-        return;
-    };
+    let data = needed!(data_folder("hostile files"));
     let right = manifest(&data);
     let server = Server::with(|sessions, _| {
         sessions.memory_bytes = 1 << 30;
@@ -185,7 +168,7 @@ async fn every_hostile_file_gets_a_clear_answer() {
     assert_eq!(ordinary.as_deref(), Ok("works"));
     let before = peak_memory();
     let (mut wrong, mut tried) = (Vec::new(), 0);
-    for path in files(&data.join("hostile")) {
+    for path in files_below(&data.join("hostile"), |_| true) {
         let name = path
             .strip_prefix(&data)
             .expect("below the data folder")
@@ -256,7 +239,7 @@ async fn bytes_that_are_nothing_are_refused_quickly() {
 
 /// Bytes that are no request either.
 #[tokio::test(flavor = "multi_thread")]
-async fn connections_that_speak_nonsense_harm_nobody() {
+async fn connections_that_speak_nonsense_harm_no_one() {
     use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
     let server = Server::start().await;
     let preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".as_slice();

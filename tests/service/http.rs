@@ -20,14 +20,17 @@ async fn post(server: &Server, path: &str, body: Value) -> reqwest::Response {
     server.post(path).json(&body).answer().await
 }
 
+/// The ids of a list in JSON.
+fn ids_in(list: &Value) -> Vec<String> {
+    let list = list.as_array().expect("a list");
+    list.iter().map(|item| text(&item["id"])).collect()
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_session_lives_from_create_to_delete() {
     let server = Server::start().await;
-    let answer = server
-        .post("/v1/sessions?label=bar&volumeGraph=OFF")
-        .body(bar_obj(24))
-        .answer()
-        .await;
+    let open = server.post("/v1/sessions?label=bar&volumeGraph=OFF");
+    let answer = open.body(bar_obj(24)).answer().await;
     assert_eq!(answer.status(), 201);
     let location = header(&answer, header::LOCATION).to_owned();
     let session: Value = answer.json().await.unwrap();
@@ -63,14 +66,7 @@ async fn sessions_are_listed_in_pages() {
     let second = server
         .document(&format!("/v1/sessions?pageSize=2&pageToken={token}"))
         .await;
-    let names = |page: &Value| {
-        page["sessions"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|s| text(&s["id"]))
-            .collect::<Vec<_>>()
-    };
+    let names = |page: &Value| ids_in(&page["sessions"]);
     assert_eq!([names(&first), names(&second)].concat(), ids);
     assert_eq!(second["nextPageToken"], "");
 }
@@ -106,17 +102,14 @@ async fn one_solve_in_three_forms() {
 
     let mut counted = turn_json(0.5);
     counted["options"] = json!({"output": {"selfIntersections": true}});
-    let binary = server
-        .post(&path)
-        .json(&counted)
-        .header("accept", "application/octet-stream")
-        .answer()
-        .await;
+    let call = server.post(&path).json(&counted);
+    let binary = call.header("accept", "application/octet-stream").answer().await;
     assert_eq!(binary.headers()[header::CONTENT_TYPE], "application/octet-stream");
     assert_eq!(header(&binary, header::CONTENT_LENGTH), data.len().to_string());
     assert!(header(&binary, "x-pliant-residual").parse::<f64>().unwrap() < 1e-3);
     // What JSON says in a field, headers say for the other forms.
     let said = |name: &str| header(&binary, name).parse::<f64>().unwrap();
+    assert!(said("x-pliant-residual") < 1e-3);
     assert_eq!(said("x-pliant-edge-rms"), quality["edgeRms"]);
     assert_eq!(said("x-pliant-flipped-triangles"), 0.0);
     assert_eq!(said("x-pliant-self-intersections"), 0.0);
@@ -129,12 +122,8 @@ async fn one_solve_in_three_forms() {
     let positions = server.content(&format!("/v1/sessions/{id}/positions")).await;
     assert_eq!(positions, buffer);
 
-    let model = server
-        .post(&path)
-        .json(&turn_json(0.5))
-        .header("accept", "model/obj")
-        .answer()
-        .await;
+    let call = server.post(&path).json(&turn_json(0.5));
+    let model = call.header("accept", "model/obj").answer().await;
     assert_eq!(model.headers()[header::CONTENT_TYPE], "model/obj");
     let obj = model.text().await.unwrap();
     assert_eq!(obj.lines().filter(|l| l.starts_with("v ")).count(), buffer.len() / 12);
@@ -177,12 +166,8 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
     assert_eq!(server.post(&path("redo")).status().await, 200);
     assert_eq!(server.content(&path("positions")).await, bent);
     let history = server.document(&path("history")).await;
-    let kinds: Vec<&str> = history["commits"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|c| c["kind"].as_str().unwrap())
-        .collect();
+    let commits = history["commits"].as_array().unwrap();
+    let kinds: Vec<&str> = commits.iter().map(|c| c["kind"].as_str().unwrap()).collect();
     assert_eq!(kinds, ["create", "handles", "pose"]);
 }
 
@@ -190,14 +175,7 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
 async fn one_handle_can_be_changed_added_and_removed() {
     let (server, id) = Server::start_with_bar().await;
     let url = |handle: &str| server.url(&format!("/v1/sessions/{id}/handles/{handle}"));
-    let names = |session: &Value| {
-        session["handles"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|h| text(&h["id"]))
-            .collect::<Vec<_>>()
-    };
+    let names = |session: &Value| ids_in(&session["handles"]);
 
     let pose = json!({"pose": {"translation": [0, 0, 1]}});
     let changed = http().patch(url("top")).json(&pose).answer().await;

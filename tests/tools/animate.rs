@@ -1,6 +1,6 @@
 //! `pliant animate` at a terminal, and of a model that brings more than its body.
 
-use crate::program::Workplace;
+use crate::support::commands::Workplace;
 use glam::DVec3;
 use pliant::asset::sample::{BuiltInModel, BuiltInRecording};
 use pliant::asset::shapes;
@@ -177,14 +177,14 @@ fn a_recording_moves_what_a_skin_places_and_leaves_out_the_rest() {
         .fold(figure, |glb, node| without_node(&glb, node));
     folder.put("bare.glb", bare);
     folder.put("clip.bvh", BuiltInRecording::ALL[0].bvh_text());
-    let told = |arguments: &str| -> Value { folder.done(&format!("{arguments} --bvh clip.bvh --json")).json() };
+    let reply = |arguments: &str| -> Value { folder.done(&format!("{arguments} --bvh clip.bvh --json")).json() };
     let says = |report: &Value, words: &str| {
         report["warnings"]
             .as_array()
             .is_some_and(|all| all.iter().any(|w| *w == words))
     };
-    let rig = told("rig figure.glb -o figure.json --no-picture");
-    let bare_rig = told("rig bare.glb -o bare.json --no-picture");
+    let rig = reply("rig figure.glb -o figure.json --no-picture");
+    let bare_rig = reply("rig bare.glb -o bare.json --no-picture");
     let without = |report: &Value, consequence: &str| {
         let reasons = [
             format!("\"hull\" has no skin, and is {consequence}"),
@@ -199,9 +199,9 @@ fn a_recording_moves_what_a_skin_places_and_leaves_out_the_rest() {
     );
 
     // Without a rig, that rig is made; what is measured is the body alone.
-    let played = told("animate figure.glb --frames 5:1");
-    let given = told("animate figure.glb --rig figure.json --frames 5:1");
-    let bare = told("animate bare.glb --frames 5:1");
+    let played = reply("animate figure.glb --frames 5:1");
+    let given = reply("animate figure.glb --rig figure.json --frames 5:1");
+    let bare = reply("animate bare.glb --frames 5:1");
     assert_eq!(without(&played, "not solved"), [true, true], "{}", played["warnings"]);
     assert_eq!(without(&bare, "not solved"), [false, false]);
     let measured = |report: &Value, names: &[&str]| -> Vec<Value> {

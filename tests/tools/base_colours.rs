@@ -1,7 +1,7 @@
 //! `pliant render` in a model's own colours: textures, vertex colours, cut-outs, sides, and pictures that cannot be drawn.
 
-use crate::program::Workplace;
 use crate::render::SeenPicture;
+use crate::support::commands::Workplace;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use std::fs;
@@ -98,8 +98,8 @@ fn textures_lie_where_their_coordinates_say() {
     let folder = Workplace::empty();
     let picture = data_uri("image/png", &row_png(&[[255, 0, 0, 255], [0, 0, 255, 255]]));
     folder.put("board.gltf", board(TEXTURED, &picture));
-    let (told, seen) = render_model(&folder, "board.gltf", "");
-    assert!(!told.contains("warning"), "{told}");
+    let (reply, seen) = render_model(&folder, "board.gltf", "");
+    assert!(!reply.contains("warning"), "{reply}");
     let [left, right] = [pixel(&seen, 60, 50), pixel(&seen, 140, 50)];
     assert!(left[0] > 150 && left[1] == 0 && left[2] == 0, "{left:?}");
     assert!(right[2] > 150 && right[0] == 0 && right[1] == 0, "{right:?}");
@@ -119,11 +119,11 @@ fn textures_lie_where_their_coordinates_say() {
 
     let jpeg = format!("data:image/jpeg;base64,{RED_JPEG}");
     folder.put("jpeg.gltf", board(TEXTURED, &jpeg));
-    let (told, seen) = render_model(&folder, "jpeg.gltf", "");
+    let (reply, seen) = render_model(&folder, "jpeg.gltf", "");
     let middle = pixel(&seen, 100, 50);
     assert!(
-        !told.contains("warning") && middle[0] > 150 && middle[1] < 20,
-        "{middle:?}, {told}"
+        !reply.contains("warning") && middle[0] > 150 && middle[1] < 20,
+        "{middle:?}, {reply}"
     );
 
     // Without `doubleSided` there is nothing to see from behind.
@@ -170,7 +170,7 @@ fn vertex_colours_of_any_format_are_drawn() {
 }
 
 #[test]
-fn a_picture_that_cannot_be_drawn_is_told_and_its_plain_colour_shown() {
+fn a_picture_that_cannot_be_drawn_is_reported_and_its_plain_colour_shown() {
     let folder = Workplace::empty();
     let material = TEXTURED.replace("[1,1,1,1]", "[0,0,1,1]");
     let whole = row_png(&[[255, 0, 0, 255]]);
@@ -184,9 +184,9 @@ fn a_picture_that_cannot_be_drawn_is_told_and_its_plain_colour_shown() {
     ];
     for (image, reason) in cases {
         folder.put("board.gltf", board(&material, &image));
-        let (told, seen) = render_model(&folder, "board.gltf", "");
-        assert!(told.contains("warning: board.gltf: board:"), "{told}");
-        assert!(told.contains(reason) || reason == "outside", "{told}");
+        let (reply, seen) = render_model(&folder, "board.gltf", "");
+        assert!(reply.contains("warning: board.gltf: board:"), "{reply}");
+        assert!(reply.contains(reason) || reason == "outside", "{reply}");
         let blue = pixel(&seen, 100, 50);
         assert!(blue[2] > 150 && blue[0] == 0, "{blue:?} for {reason}");
     }

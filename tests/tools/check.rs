@@ -1,17 +1,14 @@
 //! `pliant check` as a CI job sees it: the sample suite in process and on a server, what each kind of damage does, and
 //! what is refused.
 
-mod animations;
 mod damage;
 mod folder;
 mod pages;
-mod proxy;
 mod refusals;
 mod reports;
 mod shards;
-mod workflows;
 
-use crate::program::Ran;
+use crate::support::commands::Ran;
 use crate::support::server::Server;
 use folder::{Suite, check, sample_suite};
 use serde_json::Value;
@@ -91,7 +88,7 @@ async fn the_sample_suite_passes_on_a_server_with_the_digests_of_the_process() {
 }
 
 #[test]
-fn a_case_without_its_data_is_skipped_by_name_or_fails_when_told_so() {
+fn a_case_without_its_data_is_skipped_by_name_or_fails_on_request() {
     let folder = Suite::new();
     folder.write("arm.case.json", r#"{"model": "data:models/arm.off", "job": {}}"#);
     folder.case("bar", "bar.obj");
@@ -134,7 +131,7 @@ fn blessing_says_what_it_changes_and_leaves_what_is_the_same() {
     let again = folder.check("--bless");
     assert_eq!(again.err.lines().count(), 2, "nothing changes: {}", again.err);
     assert_eq!(folder.read("bar.golden.json"), golden);
-    // Another pose: every number that moves is told.
+    // Another pose: every number that moves is reported.
     folder.job("bar", "bar.obj", 0.9);
     let ran = folder.fails(&[]);
     ran.says(&["stale"]);
@@ -148,20 +145,20 @@ fn blessing_says_what_it_changes_and_leaves_what_is_the_same() {
         assert!(third.err.contains(word), "{word} in {}", third.err);
     }
     folder.passes(&[]);
-    // What a job expects is not asserted, but told.
+    // What a job expects is not asserted, but reported.
     let text =
         folder
             .read("bar.case.json")
             .replacen("\"job\": {", "\"job\": {\"expect\": {\"volumeChange\": 1e-9},", 1);
     folder.write("bar.case.json", &text);
-    let told = folder.passes("--bless");
-    told.says(&["volumeChange is"]);
+    let reply = folder.passes("--bless");
+    reply.says(&["volumeChange is"]);
     let unmet = folder.fails(&[]);
     unmet.says(&["expectation: volumeChange"]);
 }
 
 #[test]
-fn another_digest_is_told_before_the_numbers_and_a_huge_number_in_few_digits() {
+fn another_digest_is_reported_before_the_numbers_and_a_huge_number_in_few_digits() {
     let folder = Suite::of_bar();
     folder.passes("--bless");
     let mut golden: Value = serde_json::from_str(&folder.read("bar.golden.json")).expect("a golden");
@@ -252,10 +249,10 @@ fn an_open_surface_has_no_volume_and_a_golden_that_stores_one_still_passes() {
     for text in [&golden, &old] {
         folder.write("open.golden.json", text);
         let ran = folder.passes("--json --html r.html --junit r.xml --force");
-        let told = volume(&ran);
+        let reply = volume(&ran);
         assert!(
-            told.get("value").is_none() && told.get("stored").is_none() && told["holds"] == true,
-            "{told}"
+            reply.get("value").is_none() && reply.get("stored").is_none() && reply["holds"] == true,
+            "{reply}"
         );
         let row = "<td>volumeChange</td><td>ratio</td><td class=\"number\">n/a</td><td class=\"number\">0</td>\
                    <td class=\"number\">n/a</td><td class=\"number\">n/a</td>";

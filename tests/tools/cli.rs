@@ -1,8 +1,8 @@
 //! The command line as a script sees it: exit codes, the last line of stderr, one document on stdout, no output on refusal.
 
 use crate::inspections::SQUARE;
-use crate::program::{Ran, Workplace, pliant_in};
-use pliant::asset::sample;
+use crate::support::commands::{Ran, Workplace, pliant_in};
+use pliant::asset::{FileSet, Format, Limits, Model, sample};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -22,14 +22,14 @@ fn a_sample_is_written_where_it_may_be() {
     let again = folder.done("sample figure -o figure.glb");
     assert_eq!(again.last(), "", "the same bytes are there");
     assert_eq!(written(), before, "and are left alone");
-    for (arguments, told) in [
+    for (arguments, reply) in [
         ("sample dragon -o dragon.glb", "expected one of: creature, figure, body"),
         ("sample body -o figure.glb", "--force"),
         ("sample figure -o figure.obj", "written as glb"),
         ("sample boxing -o boxing.glb", "written as bvh"),
         ("sample dragon -o dragon.bvh", "body, boxing, ballet, twist"),
     ] {
-        folder.refused(arguments, &[told]);
+        folder.refused(arguments, &[reply]);
     }
 }
 
@@ -179,7 +179,7 @@ fn an_expectation_that_does_not_hold_is_exit_1() {
 }
 
 #[test]
-fn what_rides_along_is_told_and_written_beside_the_result() {
+fn what_rides_along_is_reported_and_written_beside_the_result() {
     let folder = Workplace::new();
     // A plate over the head, and one under the feet.
     folder.put("hat.obj", "v 0.7 1.6 0\nv 0.8 1.6 0\nv 0.75 1.6 0.1\nf 1 2 3\n");
@@ -403,4 +403,80 @@ fn a_terminal_sees_which_stage_is_under_way_and_how_far() {
         "only people are shown stages: {}",
         piped.err
     );
+}
+
+#[test]
+fn a_command_that_fails_says_why_in_the_document_that_was_asked_for() {
+    let folder = Workplace::new();
+    folder.put("job.json", r#"{"handels": []}"#);
+    let cases: [(&str, &str); 6] = [
+        ("deform creature.glb --job job.json -o out.glb", "handels"),
+        ("deform creature.glb --job none.json -o out.glb", "none.json"),
+        ("deform creature.glb", "--job"),
+        ("inspect none.glb", "none.glb"),
+        ("rig creature.glb --preset cmu -o rig.txt", "rig.txt"),
+        ("store list --data-dir none", "no store of sessions"),
+    ];
+    for (arguments, word) in cases {
+        let plain = folder.refused(arguments, &[word]);
+        assert_eq!(plain.out, "", "{arguments:?}");
+        let ran = folder.run(&format!("{arguments} --json"));
+        assert_eq!((ran.code, ran.last()), (Some(2), plain.last()), "{arguments:?}");
+        let (document, out, last) = (ran.json(), &ran.out, ran.last());
+        let error = &document["error"];
+        assert_eq!(
+            (&error["kind"], &error["exitCode"]),
+            (&"input".into(), &2.into()),
+            "{out}"
+        );
+        let message = error["message"].as_str().expect("a text");
+        assert!(message.contains(word) && last == format!("pliant: {message}"), "{out}");
+    }
+}
+
+#[test]
+fn a_check_that_does_not_hold_prints_its_report_and_nothing_more() {
+    let folder = Workplace::new();
+    let job = r#"{"expect": {"digest": "xxh3:0000000000000000"}}"#;
+    folder.put("job.json", job);
+    let arguments = "deform creature.glb --job job.json -o out.glb --json";
+    let report = folder.run(arguments).exits(1).json();
+    assert!(
+        report["digest"].is_string() && report.get("error").is_none(),
+        "{report}"
+    );
+}
+
+#[test]
+fn a_figure_that_was_made_for_other_axes_is_shown_its_turn() {
+    let folder = Workplace::empty();
+    folder.done("sample body -o body.glb");
+    let bytes = folder.bytes("body.glb");
+    let model = Model::read(FileSet::single("body.glb", bytes), None, &Limits::default()).expect("readable");
+    let rig = |name: &str, turned: fn([f64; 3]) -> [f64; 3]| {
+        let places: Vec<_> = model.positions.iter().map(|p| turned(p.to_array()).into()).collect();
+        let written = model.write(&places, Format::STL).expect("writable");
+        folder.put(name, written.main);
+        folder.run(&format!("rig {name} -o rig.json --no-picture --force"))
+    };
+    rig("upright.stl", |p| p).exits(0);
+    for (name, turned, words) in [
+        (
+            "aside.stl",
+            (|[x, y, z]| [-z, y, x]) as fn([f64; 3]) -> [f64; 3],
+            "a turn by 90 degrees about y corrects that",
+        ),
+        (
+            "lying.stl",
+            |[x, y, z]| [x, -z, y],
+            "a turn by -90 degrees about x corrects that",
+        ),
+    ] {
+        rig(name, turned).exits(2).gives(&[words]);
+    }
+    let ran = rig("ball.stl", |[x, y, z]| {
+        let length = (x * x + y * y + z * z).sqrt().max(1e-6);
+        [x / length, y / length, z / length]
+    });
+    assert!(ran.code == Some(2) && !ran.last().contains("a turn by"), "{}", ran.err);
 }

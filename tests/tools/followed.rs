@@ -1,7 +1,7 @@
-//! What the command line tells of skeletons, clips, morph targets and passengers that followed, and bones that keep their
+//! What the command line reports of skeletons, clips, morph targets and passengers that followed, and bones that keep their
 //! lengths in a job.
 
-use crate::program::{Ran, Workplace};
+use crate::support::commands::{Ran, Workplace};
 use crate::support::data::data_folder;
 use pliant::asset::sample;
 use serde_json::{Value, json};
@@ -13,7 +13,7 @@ fn run(folder: &Workplace, model: &str, job: &Value, more: &str) -> Ran {
     folder.run(&format!("deform {model} --job job.json -o out.glb --force {more}"))
 }
 
-/// What a job tells that followed, as numbers and as a line; both agree in being there.
+/// What a job reports that followed, as numbers and as a line; both agree in being there.
 fn followed(folder: &Workplace, model: &str, job: &Value) -> Option<(Value, String)> {
     let report = run(folder, model, job, "--json").exits(0).json();
     let said = run(folder, model, job, "").err;
@@ -54,22 +54,22 @@ fn bone(nodes: &[Value], name: &str) -> f64 {
 }
 
 #[test]
-fn what_followed_of_the_figure_is_told_in_numbers_and_in_a_line() {
+fn what_followed_of_the_figure_is_reported_in_numbers_and_in_a_line() {
     let folder = workplace();
-    let (told, line) = followed(&folder, "figure.glb", &stretched_figure(0.2)).expect("told");
-    let (joints, moved) = (17, told["movedJoints"].as_u64().expect("a number"));
-    assert!(told["joints"] == joints && (10..=joints).contains(&moved), "{told}");
+    let (reply, line) = followed(&folder, "figure.glb", &stretched_figure(0.2)).expect("told");
+    let (joints, moved) = (17, reply["movedJoints"].as_u64().expect("a number"));
+    assert!(reply["joints"] == joints && (10..=joints).contains(&moved), "{reply}");
     assert!(
-        told["clips"] == 2 && told["rewrittenClips"] == 2 && told["morphTargets"] == 0,
-        "{told}"
+        reply["clips"] == 2 && reply["rewrittenClips"] == 2 && reply["morphTargets"] == 0,
+        "{reply}"
     );
-    assert!(told["passengers"] == 3 && told["movedPassengers"] == 3, "{told}");
+    assert!(reply["passengers"] == 3 && reply["movedPassengers"] == 3, "{reply}");
     assert_eq!(
         line,
         format!("{moved} of {joints} joints, 2 of 2 clips, 3 of 3 passenger primitives")
     );
     // The head has gone farthest, and as far as its handle.
-    let farthest = told["farthest"].as_array().expect("a list");
+    let farthest = reply["farthest"].as_array().expect("a list");
     assert_eq!(farthest.len(), 8);
     let distances: Vec<f64> = farthest
         .iter()
@@ -79,7 +79,7 @@ fn what_followed_of_the_figure_is_told_in_numbers_and_in_a_line() {
     let head = farthest.iter().find(|joint| joint["name"] == "head").expect("the head");
     assert!(
         (head["distance"].as_f64().expect("a number") - 0.2).abs() < 0.02,
-        "{told}"
+        "{reply}"
     );
     let old = nodes(&folder, "figure.glb");
     let node = head["node"].as_u64().expect("an index") as usize;
@@ -87,15 +87,15 @@ fn what_followed_of_the_figure_is_told_in_numbers_and_in_a_line() {
 }
 
 #[test]
-fn what_stays_is_told_as_nothing_of_so_many() {
+fn what_stays_is_reported_as_nothing_of_so_many() {
     let folder = workplace();
     let mut job = stretched_figure(0.2);
     job["create"]["rig"] = "KEEP".into();
     let (_, line) = followed(&folder, "figure.glb", &job).expect("told");
     assert_eq!(line, "0 of 17 joints, 0 of 2 clips, 3 of 3 passenger primitives");
-    let (told, line) = followed(&folder, "figure.glb", &json!({})).expect("told");
+    let (reply, line) = followed(&folder, "figure.glb", &json!({})).expect("told");
     assert_eq!(line, "0 of 17 joints, 0 of 2 clips");
-    assert_eq!(told["farthest"], json!([]));
+    assert_eq!(reply["farthest"], json!([]));
 }
 
 #[test]
@@ -106,26 +106,26 @@ fn nodes_that_ride_along_are_counted_beside_primitives() {
         {"nodesNamed": "hatSocket"}]);
     job["create"]["passengers"] = riders.clone();
     let told_of = |job: &Value| followed(&folder, "figure.glb", job).expect("told");
-    let (told, line) = told_of(&job);
+    let (reply, line) = told_of(&job);
     assert!(
         line.ends_with("3 of 3 passenger primitives, 1 of 1 passenger node"),
         "{line}"
     );
     assert!(
-        told["passengerNodes"] == 1 && told["movedPassengerNodes"] == 1,
-        "{told}"
+        reply["passengerNodes"] == 1 && reply["movedPassengerNodes"] == 1,
+        "{reply}"
     );
     // After an edit as before it, and one that stays is counted as such.
     job["steps"].as_array_mut().expect("steps").push(json!({"edit":
         {"subdivide": {"region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.6}}}, "on": "CURRENT"}}));
     assert!(told_of(&job).1.ends_with(", 1 of 1 passenger node"));
-    let (told, line) = told_of(&json!({"create": {"passengers": riders}}));
+    let (reply, line) = told_of(&json!({"create": {"passengers": riders}}));
     assert!(line.ends_with(", 0 of 1 passenger node"), "{line}");
-    assert_eq!(told["movedPassengerNodes"], 0);
+    assert_eq!(reply["movedPassengerNodes"], 0);
 }
 
 #[test]
-fn nothing_is_told_of_a_model_without_anything_of_the_kind() {
+fn nothing_is_reported_of_a_model_without_anything_of_the_kind() {
     let folder = workplace();
     let job = json!({
         "handles": [
@@ -136,7 +136,7 @@ fn nothing_is_told_of_a_model_without_anything_of_the_kind() {
 }
 
 #[test]
-fn an_edited_figure_tells_what_followed_from_the_uploaded_file() {
+fn an_edited_figure_reports_what_followed_from_the_uploaded_file() {
     let folder = workplace();
     let plain = followed(&folder, "figure.glb", &stretched_figure(0.2)).expect("told").0;
     // The shape becomes the rest pose of an edit that takes nothing from what joints hold but some triangles.
@@ -144,7 +144,7 @@ fn an_edited_figure_tells_what_followed_from_the_uploaded_file() {
     let edit = json!({"edit": {"subdivide": {"region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.6}}}, "on": "CURRENT"}});
     let steps = job["steps"].as_array_mut().expect("steps");
     steps.push(edit);
-    let told = followed(&folder, "figure.glb", &job).expect("told").0;
+    let reply = followed(&folder, "figure.glb", &job).expect("told").0;
     for same in [
         "joints",
         "movedJoints",
@@ -153,10 +153,10 @@ fn an_edited_figure_tells_what_followed_from_the_uploaded_file() {
         "passengers",
         "movedPassengers",
     ] {
-        assert_eq!(told[same], plain[same], "{same}");
+        assert_eq!(reply[same], plain[same], "{same}");
     }
-    let distance = |told: &Value| told["farthest"][0]["distance"].as_f64().expect("a number");
-    assert!((distance(&told) - distance(&plain)).abs() < 0.02, "{told} {plain}");
+    let distance = |reply: &Value| reply["farthest"][0]["distance"].as_f64().expect("a number");
+    assert!((distance(&reply) - distance(&plain)).abs() < 0.02, "{reply} {plain}");
 }
 
 #[test]
@@ -214,7 +214,7 @@ fn a_job_keeps_the_lengths_of_all_bones_or_of_named_chains() {
 #[test]
 fn a_chain_that_is_not_there_is_refused_with_those_that_are() {
     let folder = workplace();
-    for (model, create, told) in [
+    for (model, create, reply) in [
         (
             "figure.glb",
             json!({"rigidChains": ["hips", "tail"]}),
@@ -238,6 +238,6 @@ fn a_chain_that_is_not_there_is_refused_with_those_that_are() {
     ] {
         run(&folder, model, &json!({"create": create}), "")
             .exits(2)
-            .says(&[told]);
+            .says(&[reply]);
     }
 }

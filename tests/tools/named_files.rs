@@ -1,6 +1,6 @@
 //! What a job or a suite names is read from where it may lie alone, is a regular file, and is never waited for.
 
-use crate::program::{Ran, Workplace, pliant_in};
+use crate::support::commands::{Ran, Workplace, pliant_in};
 use crate::support::server::bar_obj;
 use std::fs;
 use std::os::unix::fs::{PermissionsExt as _, symlink};
@@ -73,22 +73,22 @@ fn refused_names(folder: &Path) -> Vec<(String, &'static str)> {
         ),
         ("none.obj", "none.obj: No such file"),
     ]
-    .map(|(name, told)| (name.to_owned(), told))
+    .map(|(name, reply)| (name.to_owned(), reply))
     .to_vec()
 }
 
 #[test]
 fn a_job_reads_only_files_below_its_folder() {
     let folder = workplace();
-    for (name, told) in refused_names(folder.path()) {
+    for (name, reply) in refused_names(folder.path()) {
         for (field, text) in jobs(&name) {
             folder.put("job/job.json", text);
             let arguments = "deform job/bar.obj --job job/job.json -o out/out.obj";
-            let ran = folder.refused(&format!("{arguments} --parents"), &[told]);
+            let ran = folder.refused(&format!("{arguments} --parents"), &[reply]);
             let err = &ran.err;
             let start = format!("pliant: job/job.json: {field}: ");
             assert!(ran.last().starts_with(&start), "{name}: {start}: {err}");
-            assert_eq!(told.contains("does not lie"), err.contains("--allow"), "{err}");
+            assert_eq!(reply.contains("does not lie"), err.contains("--allow"), "{err}");
             assert!(!folder.at("out").exists(), "{name} left something behind");
         }
     }
@@ -125,7 +125,7 @@ fn folders_can_be_allowed_and_what_is_no_file_in_them_is_refused_all_the_same() 
         deform(name, "--allow elsewhere").exits(0);
     }
     deform("../elsewhere_too/more.obj", "--allow elsewhere --allow elsewhere_too").exits(0);
-    for (name, allowed, told) in [
+    for (name, allowed, reply) in [
         // A folder whose name only begins alike is another one.
         ("../elsewhere_too/more.obj", "--allow elsewhere", "does not lie in"),
         ("../elsewhere/pipe.obj", "--allow elsewhere", "is not a regular file"),
@@ -141,7 +141,7 @@ fn folders_can_be_allowed_and_what_is_no_file_in_them_is_refused_all_the_same() 
             "--allow is job/bar.obj, which is not a folder",
         ),
     ] {
-        deform(name, allowed).exits(2).gives(&[told]);
+        deform(name, allowed).exits(2).gives(&[reply]);
     }
 }
 
@@ -152,11 +152,11 @@ fn a_suite_reads_only_files_below_its_folder() {
         folder.put("job/one.case.json", text);
         folder.run(&format!("check job --bless {arguments}"))
     };
-    for (name, told) in refused_names(folder.path()) {
+    for (name, reply) in refused_names(folder.path()) {
         for (field, job) in jobs(&name) {
             let text = format!(r#"{{"model": "bar.obj", "job": {job}}}"#);
             let ran = check(&text, "").exits(2);
-            ran.gives(&[told]);
+            ran.gives(&[reply]);
             let err = &ran.err;
             let start = format!("pliant: job/one.case.json: job.{field}: ");
             assert!(ran.last().starts_with(&start), "{name}: {start}: {err}");
@@ -166,13 +166,13 @@ fn a_suite_reads_only_files_below_its_folder() {
     let within = within
         .iter()
         .filter(|(name, _)| !name.contains("..") && !name.starts_with('/'));
-    for (name, told) in within.filter(|(name, _)| !name.is_empty() && name != "none.obj") {
+    for (name, reply) in within.filter(|(name, _)| !name.is_empty() && name != "none.obj") {
         for text in [
             format!(r#"{{"model": "{name}", "job": {{}}}}"#),
             format!(r#"{{"model": "bar.obj", "job": "{name}"}}"#),
             format!(r#"{{"model": "bar.obj", "animate": {{"bvh": "{name}"}}}}"#),
         ] {
-            check(&text, "").exits(2).gives(&[told]);
+            check(&text, "").exits(2).gives(&[reply]);
         }
     }
     assert!(!folder.at("job/one.golden.json").exists(), "something was stored");
@@ -206,7 +206,7 @@ fn a_path_that_was_typed_leads_anywhere_and_to_regular_files_alone() {
     let folder = workplace();
     folder.put("job.json", "{}");
     folder.done("inspect job/way_out.obj");
-    for (path, told) in [
+    for (path, reply) in [
         ("job/pipe.obj", "is not a regular file, a file is needed"),
         ("/dev/zero", "is not a regular file, a file is needed"),
         ("job", "is a folder, a file is needed"),
@@ -220,7 +220,7 @@ fn a_path_that_was_typed_leads_anywhere_and_to_regular_files_alone() {
             &["render", path, "-o", "out.png"],
             &["animate", path, "--bvh", path, "--rig", path, "-o", "out.glb"],
         ] {
-            folder.refused(arguments, &[&format!("{path} {told}")]);
+            folder.refused(arguments, &[&format!("{path} {reply}")]);
         }
     }
 }
@@ -259,7 +259,7 @@ fn no_link_under_the_name_of_a_temporary_file_is_written_through() {
     let left = left.filter(|f| f.file_name().to_string_lossy().ends_with(".part"));
     assert_eq!(left.count(), 1, "only the link is left");
 
-    // The partial file of an animation has a name that is known, and is made anew.
+    // The partial file of an animation has a name that is known, and is made again.
     let animate = "animate creature.glb --clip walk -o walk.glb";
     folder.done("sample figure -o creature.glb");
     for target in ["victim", "nowhere"] {

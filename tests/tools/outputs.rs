@@ -1,6 +1,6 @@
 //! What the command line writes: files that are there and folders that are not, and the files that belong to a model.
 
-use crate::program::{Ran, Workplace, pliant_in};
+use crate::support::commands::{Ran, Workplace, pliant_in};
 use crate::support::data::data_folder;
 use crate::support::khronos;
 use pliant::asset::{FileSet, Limits, Model, sample};
@@ -27,7 +27,7 @@ fn files_in(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// A picture by its first bytes; nobody looks at the rest.
+/// A picture by its first bytes; no one looks at the rest.
 fn picture(mark: &[u8]) -> Vec<u8> {
     [mark, b" not a picture that anybody looks at"].concat()
 }
@@ -256,7 +256,7 @@ fn files_beside_the_result_are_looked_at_before_anything_is_written() {
     folder.done(&[&parents[..], &["--force"]].concat());
     let written = files_in(&path.join("out"));
     assert_eq!(written.len(), 4);
-    // Companions that are there already, byte for byte, are in nobody's way.
+    // Companions that are there already, byte for byte, are in no one's way.
     fs::remove_file(path.join("out/bent.gltf")).expect("removed");
     folder.done(&to("out/bent.gltf"));
     assert_eq!(files_in(&path.join("out")), written);

@@ -1,6 +1,6 @@
 //! `pliant render` as a script sees it: which pixels show what, the same bytes for any number of threads, refusals.
 
-use crate::program::{Ran, Workplace};
+use crate::support::commands::{Ran, Workplace};
 use std::fs;
 use std::path::Path;
 
@@ -197,20 +197,8 @@ fn two_squares() -> String {
 fn a_picture_never_replaces_what_the_model_is_made_of() {
     let folder = workplace();
     let text = String::from_utf8(folder.bytes("rest.obj")).expect("text");
-    folder.put(
-        "skin.obj",
-        format!(
-            "mtllib skin.mtl
-usemtl a
-{text}"
-        ),
-    );
-    folder.put(
-        "skin.mtl",
-        "newmtl a
-map_Kd skin.png
-",
-    );
+    folder.put("skin.obj", format!("mtllib skin.mtl\nusemtl a\n{text}"));
+    folder.put("skin.mtl", "newmtl a\nmap_Kd skin.png\n");
     folder.put("skin.png", "a picture");
     render(&folder, "skin.obj -o skin.png")
         .exits(2)

@@ -13,100 +13,53 @@ async fn refused(server: &Server, id: &str, options: &Value, clip: Option<String
     (status, text(&problem["detail"]), field.to_owned())
 }
 
+/// What is damaged | a text of the clip | what comes in its place | words of the refusal. ROW is the first row, REST the row without
+/// its first digit, SHORT the row without its last number, LINE the row's place, HERE a place, and `\n` the end of a line.
+const DAMAGED_CLIPS: &str = r#"
+an open brace      | }\n}\n}\nMOTION | }\n}\nMOTION | HERE
+a short row        | ROW              | SHORT         | LINE
+a long row         | ROW              | ROW 5         | LINE
+NaN                | ROW              | NaNREST       | LINE
+a decimal comma    | ROW              | 0,5REST       | LINE
+no frames          | Frames: 3        | Frames: 0     | HERE
+too few rows       | Frames: 3        | Frames: 9     | 9
+countless frames   | Frames: 3        | Frames: 1000000000000 | 1000000
+no time            | Frame Time: 0.05 | Frame Time: 0 | HERE
+an unknown channel | Xposition        | Wposition     | Wposition
+"#;
+
 #[tokio::test(flavor = "multi_thread")]
 async fn damaged_clips_are_refused_with_the_line() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (server, id) = opened_bar().await;
     let good = bending_clip(3);
-    let rows_of = |text: &str| good.replace("Frames: 3\nFrame Time: 0.05\n", text);
     let first_row = good.lines().position(|l| l.starts_with("Frame Time")).expect("a line") + 2;
     let row = good.lines().nth(first_row - 1).expect("a row");
     let short = row.rsplit_once(' ').expect("numbers").0;
-    let line = format!("line {first_row}: ");
-    let in_row = |changed: &str| good.replacen(row, changed, 1);
-    let timed = |text: &str| {
-        rows_of(&text.replacen(
-            '/',
-            "
-Frame Time: ",
-            1,
-        ))
+    let fill = |cell: &str| {
+        let cell = cell.replace(r"\n", "\n").replace("ROW", row).replace("REST", &row[1..]);
+        cell.replace("SHORT", short)
+            .replace("LINE", &format!("line {first_row}: "))
+            .replace("HERE", "line ")
     };
+    let damaged = rows(DAMAGED_CLIPS).map(|[what, place, by, reply]| {
+        let clip = good.replacen(&fill(place), &fill(by), 1);
+        assert_ne!(clip, good, "{what}");
+        (what, clip, fill(reply))
+    });
     let cases = [
-        ("nothing", String::new(), "empty"),
-        (
-            "no clip",
-            "hello
-"
-            .into(),
-            "line 1: ",
-        ),
+        ("nothing", String::new(), "empty".to_owned()),
+        ("no clip", "hello\n".into(), "line 1: ".into()),
         (
             "no motion",
             good[..good.find("MOTION").expect("there")].into(),
-            "MOTION",
-        ),
-        (
-            "an open brace",
-            good.replacen(
-                "}
-}
-}
-MOTION",
-                "}
-}
-MOTION",
-                1,
-            ),
-            "line ",
-        ),
-        ("a short row", in_row(short), &line),
-        ("a long row", in_row(&format!("{row} 5")), &line),
-        ("NaN", in_row(&row.replacen("0 0", "NaN 0", 1)), &line),
-        ("a decimal comma", in_row(&row.replacen("0 0", "0,5 0", 1)), &line),
-        (
-            "no frames",
-            timed(
-                "Frames: 0/0.05
-",
-            ),
-            "line ",
-        ),
-        (
-            "too few rows",
-            timed(
-                "Frames: 9/0.05
-",
-            ),
-            "9",
-        ),
-        (
-            "countless frames",
-            timed(
-                "Frames: 1000000000000/0.05
-",
-            ),
-            "1000000",
-        ),
-        (
-            "no time",
-            timed(
-                "Frames: 3/0
-",
-            ),
-            "line ",
-        ),
-        (
-            "an unknown channel",
-            good.replacen("Xposition", "Wposition", 1),
-            "Wposition",
+            "MOTION".into(),
         ),
     ];
-    for (what, clip, told) in cases {
+    for (what, clip, reply) in cases.into_iter().chain(damaged) {
         let (status, detail, field) = refused(&server, &id, &json!({"rig": bar_rig()}), Some(clip)).await;
         assert!(
-            detail.starts_with("clip: ") && detail.contains(told),
-            "{what}: {detail:?} lacks {told:?}"
+            detail.starts_with("clip: ") && detail.contains(&reply),
+            "{what}: {detail:?} lacks {reply:?}"
         );
         let expected = if status == 413 { (413, "") } else { (400, "clip") };
         assert_eq!((status, field.as_str()), expected, "{what}: {detail}");
@@ -138,26 +91,25 @@ const WRONG_VALUES: &str = r#"
 
 #[tokio::test(flavor = "multi_thread")]
 async fn wrong_rigs_and_values_are_refused_with_their_field() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (server, id) = opened_bar().await;
     let changed = |pointer: &str, value: Value| {
         let mut options = json!({"rig": bar_rig()});
         *options.pointer_mut(pointer).expect("there") = value;
         options
     };
     let rig = bar_rig().to_string();
-    let changed = rows(WRONG_RIGS).map(|[pointer, value, field, told]| {
+    let changed = rows(WRONG_RIGS).map(|[pointer, value, field, reply]| {
         let value = serde_json::from_str(value).expect("JSON");
-        (changed(pointer, value), field, told)
+        (changed(pointer, value), field, reply)
     });
-    let values = rows(WRONG_VALUES).map(|[options, field, told]| {
+    let values = rows(WRONG_VALUES).map(|[options, field, reply]| {
         let options = serde_json::from_str(&options.replace("RIG", &rig)).expect("JSON");
-        (options, field, told)
+        (options, field, reply)
     });
-    for (options, wanted, told) in changed.chain(values) {
+    for (options, wanted, reply) in changed.chain(values) {
         let (status, detail, field) = refused(&server, &id, &options, Some(bending_clip(3))).await;
         assert_eq!((status, field.as_str()), (422, wanted), "{detail}");
-        assert!(detail.contains(told), "{detail:?} lacks {told:?}");
+        assert!(detail.contains(reply), "{detail:?} lacks {reply:?}");
     }
     let (status, detail, field) = refused(&server, &id, &json!({"speed": 2}), None).await;
     assert_eq!((status, field.as_str()), (400, "speed"), "{detail}");
@@ -173,7 +125,7 @@ async fn wrong_rigs_and_values_are_refused_with_their_field() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_over_a_limit_is_told_with_it() {
+async fn what_is_over_a_limit_is_reported_with_it() {
     let server = Server::with(|sessions, _| {
         sessions.clip_bytes = 4096;
         sessions.clip_joints = 4;
@@ -187,7 +139,7 @@ async fn what_is_over_a_limit_is_told_with_it() {
     let deep = clip.replacen("End Site\n{\nOFFSET 0 0 2\n}", "JOINT a\n{\nOFFSET 0 0 1\nCHANNELS 0\nJOINT b\n{\nOFFSET 0 0 1\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 0 1\n}\n}\n}", 1);
     let long = format!("{clip}{}", " ".repeat(4096));
     let dense = json!({"rig": bar_rig(), "skipFirst": "NO", "fps": 1000});
-    for (what, options, clip, told) in [
+    for (what, options, clip, reply) in [
         ("bytes", &options, long, "more than the 4096 bytes"),
         ("joints", &options, deep, "at most 4"),
         (
@@ -205,7 +157,7 @@ async fn what_is_over_a_limit_is_told_with_it() {
     ] {
         let (status, detail, _) = refused(&server, &id, options, Some(clip)).await;
         assert_eq!(status, 413, "{what}: {detail}");
-        assert!(detail.contains(told), "{what}: {detail:?} lacks {told:?}");
+        assert!(detail.contains(reply), "{what}: {detail:?} lacks {reply:?}");
     }
     let part = json!({"rig": bar_rig(), "skipFirst": "NO", "first": 9, "count": 3});
     let answer = post_animation(&server, &id, "*/*", animation_form(&part, Some(clip))).await;
@@ -214,8 +166,7 @@ async fn what_is_over_a_limit_is_told_with_it() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stream_begins_with_options_and_brings_what_they_announce() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (server, id) = opened_bar().await;
     let mut client = server.grpc().await;
     let announced = |size: u64| {
         Message::Options(pb::AnimateOptions {
@@ -226,7 +177,7 @@ async fn a_stream_begins_with_options_and_brings_what_they_announce() {
     let chunk = |text: &'static str| Message::Chunk(Bytes::from_static(text.as_bytes()));
     let options = Message::Options(bar_options(&id, &bending_clip(9)));
     let unknown = Message::Options(bar_options("nobody", ""));
-    for (messages, code, field, told) in [
+    for (messages, code, field, reply) in [
         (vec![], Code::InvalidArgument, "options", "the first message"),
         (vec![chunk("x")], Code::InvalidArgument, "options", "the first message"),
         (vec![unknown], Code::NotFound, "", "nobody"),
@@ -265,12 +216,12 @@ async fn a_stream_begins_with_options_and_brings_what_they_announce() {
         animating.half_close();
         let status = loop {
             match animating.next_frame().await {
-                Ok(frame) => assert!(frame.is_some(), "{told}: it came to its end"),
+                Ok(frame) => assert!(frame.is_some(), "{reply}: it came to its end"),
                 Err(status) => break status,
             }
         };
-        assert_eq!(status.code(), code, "{told}: {status}");
-        assert!(status.message().contains(told), "{status} lacks {told:?}");
+        assert_eq!(status.code(), code, "{reply}: {status}");
+        assert!(status.message().contains(reply), "{status} lacks {reply:?}");
         let named = status
             .get_details_bad_request()
             .map(|d| d.field_violations[0].field.clone());

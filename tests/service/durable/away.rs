@@ -3,8 +3,9 @@
 use super::{bar_at, bar_session, out_of_memory, path, refused, seen, turn};
 use crate::durable::place::StorePlace;
 use crate::support::bucket::TestBucket;
+use crate::support::postgres::PostgresProxy;
 use crate::support::postgres::PostgresServer;
-use crate::support::postgres_proxy::PostgresProxy;
+use crate::support::process::needed;
 use crate::support::program::ServedProgram;
 use crate::support::server::{AnsweredCall as _, Came, Socket, bar_obj, eventually, http, turn_json, turned, within};
 use pliant::wire::pb::{deform_request, deform_response};
@@ -54,9 +55,7 @@ async fn behind_proxy() -> Option<(StorePlace, PostgresProxy, String)> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_database_goes_away_and_comes_back() {
-    let Some(database) = PostgresServer::start() else {
-        return;
-    };
+    let database = needed!(PostgresServer::start());
     let place = StorePlace::in_database(database.database().await).await;
     let (server, id) = bar_at(&place, &[]).await;
     turn(&server, &id, 0.4).await;
@@ -85,9 +84,7 @@ async fn a_database_goes_away_and_comes_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_bucket_goes_away_and_comes_back() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+    let place = needed!(StorePlace::remote().await);
     let bucket = place.bucket().expect("a bucket");
     let (server, id) = bar_at(&place, &[]).await;
     bucket.set_down(true);
@@ -111,9 +108,9 @@ async fn objects_of_another_database_are_refused() {
     };
     bar_session(&one.start(&[])).await;
     let url = &other.database().expect("a database").url;
-    let told = one.start_at(Some(url), &[]).err().expect("refused");
-    let last = told.lines().last().unwrap_or_default();
-    assert!(last.contains("belong to another database"), "{told}");
+    let reply = one.start_at(Some(url), &[]).err().expect("refused");
+    let last = reply.lines().last().unwrap_or_default();
+    assert!(last.contains("belong to another database"), "{reply}");
     assert_eq!(one.objects().len(), 1);
 }
 
@@ -135,10 +132,10 @@ async fn a_place_that_lacks_the_objects_of_the_database_is_refused() {
     let id = bar_session(&server).await;
     let before = seen(&server, &id).await;
     server.stop().await;
-    let told = start("s3://models/of/plaint").err().expect("refused");
-    let last = told.lines().last().unwrap_or_default();
+    let reply = start("s3://models/of/plaint").err().expect("refused");
+    let last = reply.lines().last().unwrap_or_default();
     for word in ["sessions.sqlite", "s3://models/of/plaint", "the mark of that database"] {
-        assert!(last.contains(word), "{word} in {told}");
+        assert!(last.contains(word), "{word} in {reply}");
     }
     let mistyped = bucket.files().with_file_name("plaint");
     assert!(!mistyped.exists(), "nothing was marked");
@@ -150,9 +147,7 @@ async fn a_place_that_lacks_the_objects_of_the_database_is_refused() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_connection_that_breaks_off_after_any_message_leaves_nothing_half_done() {
-    let Some((place, proxy, url)) = behind_proxy().await else {
-        return;
-    };
+    let (place, proxy, url) = needed!(behind_proxy().await);
     let server = place.start_at(Some(&url), &[]).expect("the server starts");
     let id = bar_session(&server).await;
     let (mut refused, mut messages) = (0, 0);
@@ -161,13 +156,13 @@ async fn a_connection_that_breaks_off_after_any_message_leaves_nothing_half_done
         let before = seen(&server, &id).await;
         proxy.cut_after(messages, None);
         let angle = turn_json(f64::from(messages) * 0.01);
-        let (status, told) = server.call("POST", &path(&id, "/solve"), Some(&angle)).await;
+        let (status, reply) = server.call("POST", &path(&id, "/solve"), Some(&angle)).await;
         let was_cut = !proxy.take_back();
         let now = seen(&server, &id).await;
         if status == 200 {
             assert_ne!(now, before, "after {messages}");
         } else {
-            assert_unavailable((status, told));
+            assert_unavailable((status, reply));
             assert_eq!(now, before, "after {messages}");
             refused += 1;
         }
@@ -187,9 +182,7 @@ async fn a_connection_that_breaks_off_after_any_message_leaves_nothing_half_done
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_process_that_ends_after_any_message_leaves_the_state_before_or_after() {
-    let Some((place, proxy, url)) = behind_proxy().await else {
-        return;
-    };
+    let (place, proxy, url) = needed!(behind_proxy().await);
     let mut server = place.start_at(Some(&url), &[]).expect("the server starts");
     let id = bar_session(&server).await;
     turn(&server, &id, 0.3).await;
@@ -227,10 +220,8 @@ async fn a_process_that_ends_after_any_message_leaves_the_state_before_or_after(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_database_that_does_not_answer_holds_nobody_up_but_the_first_who_changes_something() {
-    let Some((place, proxy, url)) = behind_proxy().await else {
-        return;
-    };
+async fn a_database_that_does_not_answer_holds_no_one_up_but_the_first_who_changes_something() {
+    let (place, proxy, url) = needed!(behind_proxy().await);
     let server = place.start_at(Some(&url), &[]).expect("the server starts");
     let id = bar_session(&server).await;
     let before = seen(&server, &id).await;
@@ -267,16 +258,16 @@ async fn refuses_changes(server: &ServedProgram, id: &str, place: &StorePlace) {
         ("PATCH", "/handles/top", Some(soft)),
         ("DELETE", "", None),
     ] {
-        let (status, told) = server.call(method, &path(id, rest), body.as_ref()).await;
-        let told_text = told.to_string();
+        let (status, reply) = server.call(method, &path(id, rest), body.as_ref()).await;
+        let told_text = reply.to_string();
         assert_eq!(
-            (status, &told["code"]),
+            (status, &reply["code"]),
             (503, &"UNAVAILABLE".into()),
-            "{method} {rest}: {told}"
+            "{method} {rest}: {reply}"
         );
         let folder = place.top().display().to_string();
         for secret in [&*folder, "sqlite", "os error", "data"] {
-            assert!(!told_text.contains(secret), "{told}");
+            assert!(!told_text.contains(secret), "{reply}");
         }
     }
     let created = server.post("/v1/sessions").body(bar_obj(7)).answer().await;
@@ -415,14 +406,14 @@ async fn a_full_disk_refuses_changes_and_nothing_else() {
             assert!(!detail.contains(secret), "{detail}");
         }
     }
-    // Whoever watches is told.
-    let (status, told) = server.call("GET", "/readyz", None).await;
+    // `/readyz` reports it.
+    let (status, reply) = server.call("GET", "/readyz", None).await;
     assert!(
         status == 503
-            && told["detail"]
+            && reply["detail"]
                 .to_string()
                 .contains("store of sessions cannot be written"),
-        "{told}"
+        "{reply}"
     );
     let created = server.post("/v1/sessions").body(bar_obj(7)).answer().await;
     assert_eq!(created.status(), 503);
@@ -445,7 +436,7 @@ async fn a_full_disk_refuses_changes_and_nothing_else() {
     drop(socket);
     assert_eq!(seen(&server, &id).await, before);
 
-    // There is room again, for commits and not for much more: whoever watches hears of it as soon as they work.
+    // There is room again, for commits and not for much more: `/readyz` says so as soon as they work.
     assert!(limit_files(&server, "1000000"));
     eventually("ready for commits", async || {
         server.call("GET", "/readyz", None).await.0 == 200
@@ -477,14 +468,14 @@ async fn frame_or_failure(socket: &mut Socket) -> deform_response::Message {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_folder_that_cannot_be_had_is_told_and_nothing_starts() {
+async fn a_folder_that_cannot_be_had_is_reported_and_nothing_starts() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("data");
     std::fs::write(&file, "a file").expect("writable");
-    let told = ServedProgram::try_start(&file, &[]).err().expect("refused");
-    let last = told.lines().last().unwrap_or_default();
+    let reply = ServedProgram::try_start(&file, &[]).err().expect("refused");
+    let last = reply.lines().last().unwrap_or_default();
     assert!(
         last.contains("the store of sessions") && last.contains("data"),
-        "{told}"
+        "{reply}"
     );
 }

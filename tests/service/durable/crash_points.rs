@@ -1,7 +1,7 @@
 //! The process ends, or the power fails, after each single write and sync of a commit: the session opens to the state before or after
 //! that commit, never between, and whatever was acknowledged is there.
 //!
-//! A server runs once while every change of its files is told, in order. From that the disk is made as it was after each change, in
+//! A server runs once while every change of its files is reported, in order. From that the disk is made as it was after each change, in
 //! three ways: with all changes (the process ended), with the last one half done (it ended in the middle of a write), and with nothing
 //! but what was synced (the power failed). Each of them is opened.
 
@@ -26,7 +26,7 @@ struct SeenLog {
 }
 
 impl SeenLog {
-    fn told(history: &Value) -> Self {
+    fn reply(history: &Value) -> Self {
         let number = |v: &Value| {
             v.as_str()
                 .map_or_else(|| v.as_u64(), |t| t.parse().ok())
@@ -48,7 +48,7 @@ impl SeenLog {
     }
 }
 
-/// The library that tells changes, built by the compiler of C.
+/// The library that reports changes, built by the compiler of C.
 fn tracer(folder: &Path) -> PathBuf {
     let library = folder.join("disk_trace.so");
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/service/durable/disk_trace.c");
@@ -63,21 +63,21 @@ fn tracer(folder: &Path) -> PathBuf {
     library
 }
 
-/// A session's life under a tracer: what it was after each acknowledged call, and how many changes had been told by then.
+/// A session's life under a tracer: what it was after each acknowledged call, and how many changes had been reported by then.
 async fn traced_life(folder: &Path) -> (String, Vec<(usize, Option<SeenLog>)>, PathBuf) {
     let (library, records) = (tracer(folder), folder.join("changes"));
     let disk = folder.join("disk");
     std::fs::create_dir(&disk).expect("a folder");
     let text = |path: &Path| path.to_str().expect("UTF-8").to_owned();
-    let (preload, root, told, data) = (text(&library), text(&disk), text(&records), text(&disk.join("data")));
+    let (preload, root, reply, data) = (text(&library), text(&disk), text(&records), text(&disk.join("data")));
     let variables = [
         ("LD_PRELOAD", &*preload),
         ("DISK_TRACE_ROOT", &*root),
-        ("DISK_TRACE", &*told),
+        ("DISK_TRACE", &*reply),
     ];
     let server = ServedProgram::start_anywhere(folder.join("log"), &["--data-dir", &data], &variables);
     let server = server.expect("the server starts");
-    let count = || told_changes(&records).len();
+    let count = || reported_changes(&records).len();
     let mut states = vec![(count(), None)];
     let id = server.open(bar_obj(8), "").await;
     let handles = json!({"handles": ends()});
@@ -97,7 +97,7 @@ async fn traced_life(folder: &Path) -> (String, Vec<(usize, Option<SeenLog>)>, P
         server.done(method, &path(&id, rest), body.as_ref()).await;
         let changes = count();
         let history = server.done("GET", &path(&id, "/history"), None).await;
-        states.push((changes, Some(SeenLog::told(&history))));
+        states.push((changes, Some(SeenLog::reply(&history))));
     }
     server.done("DELETE", &path(&id, ""), None).await;
     states.push((count(), None));
@@ -126,7 +126,7 @@ async fn opened(disk: &Path, id: &str) -> Result<Option<SeenLog>, Error> {
 async fn the_state_is_the_one_before_or_after_wherever_the_process_ends() {
     let folder = tempfile::tempdir().expect("a folder");
     let (id, states, records) = traced_life(folder.path()).await;
-    let changes = told_changes(&records);
+    let changes = reported_changes(&records);
     let root = folder.path().join("disk");
     let mut disk = DiskModel::new(&root);
     let mut tried = BTreeSet::new();
@@ -147,13 +147,13 @@ async fn the_state_is_the_one_before_or_after_wherever_the_process_ends() {
             }
             let place = tempfile::tempdir().expect("a folder");
             tree.write(place.path());
-            let told = opened(&place.path().join("data"), &id).await;
+            let reply = opened(&place.path().join("data"), &id).await;
             opens += 1;
-            let told = told.unwrap_or_else(|error| panic!("change {at} ({change:?}), way {way}: {error}"));
-            let is_allowed = states[allowed.clone()].iter().position(|(_, state)| *state == told);
+            let reply = reply.unwrap_or_else(|error| panic!("change {at} ({change:?}), way {way}: {error}"));
+            let is_allowed = states[allowed.clone()].iter().position(|(_, state)| *state == reply);
             let which = is_allowed.unwrap_or_else(|| {
                 panic!(
-                    "change {at} ({change:?}), way {way}: {told:?} is neither of {:?}",
+                    "change {at} ({change:?}), way {way}: {reply:?} is neither of {:?}",
                     &states[allowed.clone()]
                 )
             });
@@ -169,7 +169,7 @@ async fn the_state_is_the_one_before_or_after_wherever_the_process_ends() {
             "state {k} was never seen"
         );
     }
-    // What was told is what is there.
+    // What was reported is what is there.
     assert!(disk.whole().is_same_as(&root), "the model of the disk is not the disk");
 }
 
@@ -195,8 +195,8 @@ impl std::fmt::Debug for DiskChange {
     }
 }
 
-/// The changes that were told so far; one that is being told is left out.
-pub fn told_changes(records: &Path) -> Vec<DiskChange> {
+/// The changes that were reported so far; one that is being reported is left out.
+pub fn reported_changes(records: &Path) -> Vec<DiskChange> {
     let bytes = fs::read(records).unwrap_or_default();
     let mut rest = &bytes[..];
     let mut changes = Vec::new();
@@ -345,7 +345,7 @@ impl DiskModel {
 }
 
 impl DiskTree {
-    /// What tells it from others.
+    /// What distinguishes it from others.
     pub fn digest(&self) -> u128 {
         let mut hasher = Xxh3::new();
         for (path, bytes) in &self.0 {

@@ -1,4 +1,4 @@
-//! What is damaged is told and never served; other sessions do not suffer.
+//! What is damaged is reported and never served; other sessions do not suffer.
 
 use super::place::tamper;
 use super::{bar_at, bar_session, path, refused, seen, turn};
@@ -12,12 +12,12 @@ use std::process::Command;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 in_every_store!(
-    damaged_rows_are_told_and_nothing_of_them_is_served,
-    damaged_objects_are_told_and_a_damaged_shape_is_solved_again,
+    damaged_rows_are_reported_and_nothing_of_them_is_served,
+    damaged_objects_are_reported_and_a_damaged_shape_is_solved_again,
     what_a_later_version_wrote_is_refused,
 );
 
-async fn damaged_rows_are_told_and_nothing_of_them_is_served(place: StorePlace) {
+async fn damaged_rows_are_reported_and_nothing_of_them_is_served(place: StorePlace) {
     let server = place.start(&[]);
     let mut ids = Vec::new();
     for _ in 0..6 {
@@ -51,12 +51,12 @@ async fn damaged_rows_are_told_and_nothing_of_them_is_served(place: StorePlace) 
     let listed = server.done("GET", "/v1/sessions?pageSize=1000", None).await;
     let listed = listed["sessions"].to_string();
     assert!(listed.contains(&ids[5]));
-    // Whoever has a damaged session can get rid of it.
+    // Who has a damaged session can get rid of it.
     server.done("DELETE", &path(&ids[0], ""), None).await;
     assert_eq!(server.call("GET", &path(&ids[0], ""), None).await.0, 404);
 }
 
-async fn damaged_objects_are_told_and_a_damaged_shape_is_solved_again(place: StorePlace) {
+async fn damaged_objects_are_reported_and_a_damaged_shape_is_solved_again(place: StorePlace) {
     let (server, id) = bar_at(&place, &[]).await;
     let model = place.objects();
     assert_eq!(model.len(), 1, "the model");
@@ -104,11 +104,11 @@ async fn what_a_later_version_wrote_is_refused(place: StorePlace) {
     server.kill();
     place.tamper("UPDATE commits SET format = 99 WHERE sequence = 1").await;
     let server = place.start(&[]);
-    let (status, told) = server.call("GET", &path(&id, ""), None).await;
-    assert_eq!(status, 409, "{told}");
+    let (status, reply) = server.call("GET", &path(&id, ""), None).await;
+    assert_eq!(status, 409, "{reply}");
     assert!(
-        told["detail"].as_str().is_some_and(|d| d.contains("format 99")),
-        "{told}"
+        reply["detail"].as_str().is_some_and(|d| d.contains("format 99")),
+        "{reply}"
     );
     server.kill();
     place.tamper("UPDATE pliant_schema SET version = 99").await;
@@ -241,8 +241,8 @@ async fn what_the_first_version_wrote_opens_for_ever() {
     let was: Value = serde_json::from_slice(&fs::read(sample.join("session.json")).expect("readable")).expect("JSON");
     let id = was["session"]["id"].as_str().expect("an id");
     let session = server.done("GET", &path(id, ""), None).await;
-    for told in ["id", "revision", "label", "model", "primitives", "handles"] {
-        assert_eq!(session[told], was["session"][told], "{told}");
+    for reply in ["id", "revision", "label", "model", "primitives", "handles"] {
+        assert_eq!(session[reply], was["session"][reply], "{reply}");
     }
     let history = server.done("GET", &path(id, "/history"), None).await;
     let commits = |history: &Value| -> Vec<(Value, Value)> {

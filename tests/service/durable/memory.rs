@@ -1,4 +1,4 @@
-//! Sessions that nobody uses leave memory and come back when they are asked for.
+//! Sessions that no one uses leave memory and come back when they are asked for.
 
 use super::{bar_at, bar_session, metric, out_of_memory, path, seen, turn};
 use crate::durable::place::{StorePlace, in_every_store};
@@ -94,20 +94,20 @@ in_every_store!(
 
 /// All that a client can see of a session, but for times and for the limits of the server that is asked.
 async fn seen_apart_from_limits(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
-    let mut told = super::seen(server, id).await;
-    told.0.as_object_mut().expect("an object").remove("limits");
-    told
+    let mut reply = super::seen(server, id).await;
+    reply.0.as_object_mut().expect("an object").remove("limits");
+    reply
 }
 
 /// A bar of 3,170 vertices, whose volume graph does not fit whole.
 async fn dense_session(server: &ServedProgram) -> Result<String, Value> {
-    let told = server
+    let reply = server
         .post("/v1/sessions?volumeGraph.kind=PAPER")
         .body(bar([12, 12, 60]))
         .document()
         .await;
-    let Some(id) = told["id"].as_str() else {
-        return Err(told);
+    let Some(id) = reply["id"].as_str() else {
+        return Err(reply);
     };
     let handles = json!({"handles": ends()});
     server.done("PUT", &path(id, "/handles"), Some(&handles)).await;
@@ -165,10 +165,10 @@ async fn sessions_that_do_not_fit_together_come_back_in_any_order_and_under_othe
     }
     let checked = place.store(&["check", "--replay"]);
     assert_eq!(checked.code, 0, "{} {}", checked.out, checked.err);
-    // Less memory than the sessions need is told as that, not as damage.
+    // Less memory than the sessions need is reported as that, not as damage.
     let server = place.start(&["--memory-bytes", "2MiB"]);
-    let (status, told) = server.call("GET", &path(&known[0].0, ""), None).await;
-    assert!(matches!(status, 413 | 429), "{status} {told}");
+    let (status, reply) = server.call("GET", &path(&known[0].0, ""), None).await;
+    assert!(matches!(status, 413 | 429), "{status} {reply}");
     server.kill();
     let server = place.start(&tight);
     assert_eq!(&seen_apart_from_limits(&server, &known[0].0).await, &after[0]);

@@ -149,7 +149,7 @@ async fn two_servers_do_not_share_a_store(place: StorePlace) {
     place.refuses_to_start(&[], &["in use by another process"]);
 }
 
-/// An answer without what tells how long it took, or when it is over.
+/// An answer without what reports how long it took, or when it is over.
 fn without_times(value: &Value) -> Value {
     match value {
         Value::Object(fields) => {

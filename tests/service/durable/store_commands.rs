@@ -3,6 +3,7 @@
 use super::{bar_at, bar_session, path, seen, turn};
 use crate::durable::place::{StorePlace, in_every_store};
 use crate::support::process::Nobody;
+use crate::support::process::needed;
 use crate::support::server::{AnsweredCall as _, bar_obj, http, turn_json};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -36,14 +37,14 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
     assert_eq!((lines[1][0], lines.len()), (&*other, 2));
 
     let checked = place.store(&["check", "--replay", "--json"]);
-    let told: Value = serde_json::from_str(&checked.out).expect("JSON");
+    let reply: Value = serde_json::from_str(&checked.out).expect("JSON");
     assert_eq!(
-        (checked.code, &told["damaged"]),
+        (checked.code, &reply["damaged"]),
         (0, &0.into()),
-        "{told} {}",
+        "{reply} {}",
         checked.err
     );
-    assert_eq!(told["sessions"][0]["commits"], 3);
+    assert_eq!(reply["sessions"][0]["commits"], 3);
 
     let written = place.top().join("out.obj");
     let output = written.to_str().expect("UTF-8");
@@ -57,7 +58,7 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
     );
     assert_eq!(place.store(&["export", "nobody", output, "--force"]).code, 2);
 
-    // What the process left when it ended in the middle of a call, and a session that nobody used for long. That its time to live
+    // What the process left when it ended in the middle of a call, and a session that no one used for long. That its time to live
     // would be over is no reason: only a server ends it.
     let shelves = place.objects()[0].ancestors().nth(2).expect("shelves").to_owned();
     fs::create_dir_all(shelves.join("00")).expect("a shelf");
@@ -92,7 +93,7 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
     let mine = ["prune", "--unused-for", "0s", "--tenant", "somebody"];
     assert!(place.store(&mine).out.contains("0 sessions"));
 
-    // Damage is told, and the exit code is that of a check.
+    // Damage is reported, and the exit code is that of a check.
     let object = place.objects().pop().expect("the model");
     fs::write(&object, "damaged").expect("writable");
     let checked = place.store(&["check"]);
@@ -107,26 +108,29 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
 async fn what_a_server_holds_is_looked_at_and_left_alone(place: StorePlace) {
     let (server, id) = bar_at(&place, &[]).await;
     for command in ["check", "list"] {
-        let told = place.store(&[command]);
-        assert!(told.code == 0 && told.out.contains(&id), "{} {}", told.out, told.err);
+        let reply = place.store(&[command]);
+        assert!(
+            reply.code == 0 && reply.out.contains(&id),
+            "{} {}",
+            reply.out,
+            reply.err
+        );
     }
-    let told = place.store(&["prune"]);
-    let last = told.err.lines().last().unwrap_or_default();
+    let reply = place.store(&["prune"]);
+    let last = reply.err.lines().last().unwrap_or_default();
     assert!(
-        told.code == 2 && last.contains("in use by another process"),
+        reply.code == 2 && last.contains("in use by another process"),
         "{}",
-        told.err
+        reply.err
     );
     turn(&server, &id, 0.4).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_place_where_nothing_is_kept_is_not_made() {
-    let Some(place) = StorePlace::folder().await else {
-        return;
-    };
-    let told = place.store(&["list"]);
-    assert_eq!((told.code, place.data().exists()), (2, false), "{}", told.err);
+    let place = needed!(StorePlace::folder().await);
+    let reply = place.store(&["list"]);
+    assert_eq!((reply.code, place.data().exists()), (2, false), "{}", reply.err);
 }
 
 /// All files below a folder with their bytes, folders with none.
@@ -149,11 +153,11 @@ fn contents(folder: &Path) -> BTreeMap<String, Option<Vec<u8>>> {
 fn look(place: &StorePlace, id: &str) {
     let before = contents(&place.data());
     let checked = place.store(&["check", "--replay", "--json"]);
-    let told: Value = serde_json::from_str(&checked.out).unwrap_or_default();
+    let reply: Value = serde_json::from_str(&checked.out).unwrap_or_default();
     assert_eq!(
-        (checked.code, &told["damaged"], &told["sessions"][0]["commits"]),
+        (checked.code, &reply["damaged"], &reply["sessions"][0]["commits"]),
         (0, &0.into(), &4.into()),
-        "{told} {}",
+        "{reply} {}",
         checked.err
     );
     let listed = place.store(&["list"]);
@@ -200,7 +204,7 @@ async fn looking_changes_nothing_beside_a_server_after_a_crash_and_in_a_backup()
     place.count("sessions").await;
     assert!(!place.data().join("sessions.sqlite-wal").exists());
     look(&place, &id);
-    // A backup has no lock file, and may be where nobody can write.
+    // A backup has no lock file, and may be where no one can write.
     fs::remove_file(place.data().join("lock")).expect("a lock file");
     let readable = |mode| fs::set_permissions(place.data(), fs::Permissions::from_mode(mode)).expect("permissions");
     readable(0o500);
@@ -241,48 +245,46 @@ async fn where_there_is_no_store_none_is_made() {
             fs::create_dir(place.data()).expect("a folder");
         }
         for command in ["check", "list", "prune"] {
-            let told = place.store(&[command]);
-            let last = told.err.lines().last().unwrap_or_default();
+            let reply = place.store(&[command]);
+            let last = reply.err.lines().last().unwrap_or_default();
             assert!(
                 last.contains("there is no store of sessions in"),
                 "{command}: {}",
-                told.err
+                reply.err
             );
-            assert_eq!((told.code, &*told.out), (2, ""), "{command}");
+            assert_eq!((reply.code, &*reply.out), (2, ""), "{command}");
         }
         assert_eq!(place.data().exists(), makes_folder);
         assert!(contents(&place.data()).is_empty());
     }
     // A database of something else is no store either.
-    let Some(place) = StorePlace::postgres().await else {
-        return;
-    };
+    let place = needed!(StorePlace::postgres().await);
     fs::create_dir(place.data()).expect("a folder");
     fs::create_dir(place.data().join("objects")).expect("a folder");
     for command in ["check", "list", "prune"] {
-        let told = place.store(&[command]);
-        assert!(told.err.contains("there is no store of sessions in"), "{}", told.err);
-        assert_eq!(told.code, 2);
+        let reply = place.store(&[command]);
+        assert!(reply.err.contains("there is no store of sessions in"), "{}", reply.err);
+        assert_eq!(reply.code, 2);
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_store_that_may_not_be_read_is_not_told_to_be_missing() {
+async fn a_store_that_may_not_be_read_is_not_reported_to_be_missing() {
     let place = StorePlace::folder().await.expect("a folder");
     let server = place.start(&[]);
     bar_session(&server).await;
     server.stop().await;
-    let Some(nobody) = Nobody::new() else { return };
+    let nobody = needed!(Nobody::new());
     let data = place.data();
     let mode = |of: &Path, mode| fs::set_permissions(of, fs::Permissions::from_mode(mode)).expect("changed");
     let refused = |command: &[&str], unread: &Path| {
-        let told = nobody.program().args(command).arg("--data-dir").arg(&data).output();
-        let told = told.expect("it runs");
-        let err = String::from_utf8_lossy(&told.stderr).to_lowercase();
+        let reply = nobody.program().args(command).arg("--data-dir").arg(&data).output();
+        let reply = reply.expect("it runs");
+        let err = String::from_utf8_lossy(&reply.stderr).to_lowercase();
         let last = err.lines().last().unwrap_or_default();
         let unread = format!("{}: permission denied", unread.display()).to_lowercase();
         assert!(last.contains(&unread), "{command:?}: {err}");
-        assert_eq!(told.status.code(), Some(2), "{command:?}");
+        assert_eq!(reply.status.code(), Some(2), "{command:?}");
     };
     mode(place.top(), 0o755);
     for (folder_mode, file_mode, unread) in [
@@ -311,14 +313,14 @@ async fn objects_without_their_database_are_left_alone() {
         let before = contents(&place.data());
         let orders: [&[&str]; 4] = [&["check"], &["list"], &["prune", "--dry-run"], &["prune"]];
         for order in orders {
-            let told = place.store(order);
-            let last = told.err.lines().last().unwrap_or_default();
+            let reply = place.store(order);
+            let last = reply.err.lines().last().unwrap_or_default();
             assert!(
                 last.contains("sessions.sqlite is missing") && last.contains("restore"),
                 "{order:?}: {}",
-                told.err
+                reply.err
             );
-            assert_eq!(told.code, 2, "{order:?}");
+            assert_eq!(reply.code, 2, "{order:?}");
         }
         place.refuses_to_start(&[], &["sessions.sqlite is missing"]);
         assert_eq!(place.objects().len(), 1);
@@ -335,14 +337,14 @@ async fn objects_without_their_database_are_left_alone() {
 async fn the_page_names_the_version_of_the_tables() {
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/docs/durability.md");
     let page = fs::read_to_string(page).expect("the page");
-    let told = page.split_once("tables a version (`").expect("the version").1;
-    let told: u64 = told.split('`').next().and_then(|n| n.parse().ok()).expect("a number");
+    let reply = page.split_once("tables a version (`").expect("the version").1;
+    let reply: u64 = reply.split('`').next().and_then(|n| n.parse().ok()).expect("a number");
     let place = StorePlace::folder().await.expect("a folder");
     place.start(&[]).stop().await;
     // Fails where no row has this version.
     place
         .tamper(&format!(
-            "UPDATE pliant_schema SET version = {told} WHERE version = {told}"
+            "UPDATE pliant_schema SET version = {reply} WHERE version = {reply}"
         ))
         .await;
 }
@@ -350,7 +352,7 @@ async fn the_page_names_the_version_of_the_tables() {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_an_older_version_wrote_is_read_without_being_changed() {
     let sample = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/service/durable/first_version");
-    let told: Value = serde_json::from_slice(&fs::read(sample.join("session.json")).expect("readable")).expect("JSON");
+    let reply: Value = serde_json::from_slice(&fs::read(sample.join("session.json")).expect("readable")).expect("JSON");
     let place = StorePlace::folder().await.expect("a folder");
     let copied = std::process::Command::new("cp")
         .arg("-r")
@@ -365,7 +367,7 @@ async fn what_an_older_version_wrote_is_read_without_being_changed() {
         place
             .store(&["list"])
             .out
-            .starts_with(told["session"]["id"].as_str().expect("an id"))
+            .starts_with(reply["session"]["id"].as_str().expect("an id"))
     );
     assert!(contents(&place.data()) == before);
 }

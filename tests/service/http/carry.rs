@@ -90,8 +90,8 @@ async fn points_and_a_model_ride_along_through_poses_undo_and_edits() {
         session_id: id.clone(),
         ..request
     };
-    let told = client.carry(request).await.expect("an answer").into_inner();
-    assert_eq!(told.points, now);
+    let reply = client.carry(request).await.expect("an answer").into_inner();
+    assert_eq!(reply.points, now);
 
     // Undo goes back, redo forward, and an edit of the current shape makes it the rest pose.
     for (step, expected) in [("undo", &rest["points"]), ("redo", &posed["points"])] {
@@ -118,7 +118,7 @@ async fn points_and_a_model_ride_along_through_poses_undo_and_edits() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_carried_is_told_by_its_field() {
+async fn what_cannot_be_carried_is_reported_by_its_field() {
     let (server, id) = Server::start_with_bar().await;
     let path = format!("/v1/sessions/{id}/carry");
     for (body, field) in [

@@ -2,12 +2,14 @@
 
 use super::{get, post};
 use crate::support::certificates::{Authority, Files};
+use crate::support::commands::{Ran, Workplace, pliant_in};
 use crate::support::data::tell_skipped;
 use crate::support::program::{ServedProgram, words};
 use crate::support::server::*;
 use reqwest::header::{self, HeaderName};
 use serde_json::Value;
 use std::io::{BufRead as _, BufReader, Read as _};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 
@@ -58,11 +60,11 @@ async fn operators_find_health_counts_and_description() {
     for (path, methods) in described["paths"].as_object().unwrap() {
         for (method, call) in methods.as_object().unwrap() {
             let may_move = path.starts_with("/v1/sessions/") || (path == "/v1/sessions" && method == "post");
-            let told = &call["responses"]["307"]["$ref"];
+            let reply = &call["responses"]["307"]["$ref"];
             assert_eq!(
-                told == "#/components/responses/SentOn",
+                reply == "#/components/responses/SentOn",
                 may_move,
-                "{method} {path}: {told}"
+                "{method} {path}: {reply}"
             );
         }
     }
@@ -153,20 +155,20 @@ async fn pages_of_other_origins_may_read_every_fact_of_an_answer() {
         .post(&format!("/v1/sessions/{}/animations", text(&figure["id"])))
         .header("accept", "model/gltf-binary")
         .json(&serde_json::json!({"clip": "walk", "fps": 2}));
-    let mut told = 0;
+    let mut reply = 0;
     for call in [solve, model, walk] {
         let answer = call.header("origin", origin).answer().await;
         assert_eq!(answer.status(), 200);
         let exposed = header(&answer, "access-control-expose-headers").to_lowercase();
         let exposed: Vec<&str> = exposed.split(',').map(str::trim).collect();
-        // It tells browsers something, and pages nothing.
+        // It instructs browsers, and is no fact for pages.
         let is_fact = |name: &&HeaderName| name.as_str().starts_with("x-") && **name != header::X_CONTENT_TYPE_OPTIONS;
         for name in answer.headers().keys().filter(is_fact) {
             assert!(exposed.contains(&name.as_str()), "{name} is hidden from pages");
-            told += 1;
+            reply += 1;
         }
     }
-    assert!(told > 15, "{told}");
+    assert!(reply > 15, "{reply}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -202,21 +204,14 @@ async fn pages_of_foreign_origins_may_not_call() {
 
 /// Exit code and the last line that was written.
 fn health(arguments: &[&str], variables: &[(&str, &str)]) -> (Option<i32>, String) {
-    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .arg("health")
-        .args(arguments)
-        .env_remove("PLIANT_CONFIG")
-        .env_remove("PLIANT_LISTEN")
-        .envs(variables.iter().copied())
-        .output()
-        .expect("it runs");
-    let said = [done.stdout, done.stderr].concat();
-    let said = String::from_utf8(said).expect("text");
-    (done.status.code(), said.lines().last().unwrap_or_default().to_owned())
+    let arguments = [&["health"], arguments].concat();
+    let ran = Ran::of(pliant_in(Path::new("."), &arguments).envs(variables.iter().copied()));
+    let said = ran.out + &ran.err;
+    (ran.code, said.lines().last().unwrap_or_default().to_owned())
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn health_tells_whether_a_server_takes_sessions() {
+async fn health_reports_whether_a_server_takes_sessions() {
     let folder = tempfile::tempdir().expect("a folder");
     let server = ServedProgram::start_in_memory(folder.path().join("log"), &["--drain-deadline", "60s"]);
     let url = server.url.clone();
@@ -342,7 +337,7 @@ async fn life(format: &str) -> WrittenLog {
             .await
             .expect("a body")
     };
-    // The last of what is told at the start: what to try with the sample.
+    // The last of what is reported at the start: what to try with the sample.
     eventually("the sample", async || {
         heard.lock().expect("whole").contains("creature.obj")
     })
@@ -410,27 +405,23 @@ async fn every_line_of_the_text_log_has_its_time_level_and_place() {
 }
 
 #[test]
-fn why_it_does_not_start_is_told_in_the_log_s_form() {
+fn why_it_does_not_start_is_reported_in_the_log_s_form() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = taken.local_addr().expect("an address").to_string();
     let run = |format: &str| {
-        let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-            .args(["serve", "--listen", &address, "--log-format", format])
-            .env_remove("PLIANT_CONFIG")
-            .output()
-            .expect("it runs");
-        assert_eq!((done.status.code(), done.stdout.len()), (Some(2), 0));
-        String::from_utf8(done.stderr).expect("text")
+        let arguments = ["serve", "--listen", &address, "--log-format", format];
+        let ran = Workplace::empty().run(&arguments).exits(2);
+        assert_eq!(ran.out, "");
+        ran
     };
-    let last = |text: &str| text.lines().last().unwrap_or_default().to_owned();
     let json = run("json");
-    for line in json.lines() {
+    for line in json.err.lines() {
         serde_json::from_str::<Value>(line).unwrap_or_else(|e| panic!("{e}: {line}"));
     }
-    let told: Value = serde_json::from_str(&last(&json)).expect("JSON");
+    let reply: Value = serde_json::from_str(json.last()).expect("JSON");
     assert!(
-        told["level"] == "ERROR" && text(&told["message"]).contains("cannot listen on"),
-        "{told}"
+        reply["level"] == "ERROR" && text(&reply["message"]).contains("cannot listen on"),
+        "{reply}"
     );
-    assert!(last(&run("text")).starts_with("pliant: cannot listen on"));
+    assert!(run("text").last().starts_with("pliant: cannot listen on"));
 }

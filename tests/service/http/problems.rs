@@ -1,4 +1,4 @@
-//! Every class of failure, with the document that tells it.
+//! Every class of failure, with the document that reports it.
 
 use crate::support::server::*;
 use reqwest::header;
@@ -148,22 +148,11 @@ async fn a_wrong_method_names_the_right_ones() {
 async fn what_cannot_be_accepted_is_refused_before_work_is_done() {
     let (server, id) = Server::start_with_bar().await;
     let url = server.url(&format!("/v1/sessions/{id}/solve"));
-    let answer = http()
-        .post(&url)
-        .header("accept", "image/png")
-        .json(&turn_json(0.1))
-        .answer()
-        .await;
-    assert_eq!(answer.status(), 406);
+    let call = |accept| http().post(&url).header("accept", accept);
+    assert_eq!(call("image/png").json(&turn_json(0.1)).status().await, 406);
     let mut packed = turn_json(0.1);
     packed["options"] = json!({"output": {"encoding": "U16"}});
-    let answer = http()
-        .post(&url)
-        .header("accept", "application/octet-stream")
-        .json(&packed)
-        .answer()
-        .await;
-    assert_eq!(answer.status(), 422);
+    assert_eq!(call("application/octet-stream").json(&packed).status().await, 422);
     let history = server.document(&format!("/v1/sessions/{id}/history")).await;
     assert_eq!(history["commits"].as_array().map(Vec::len), Some(2));
 }

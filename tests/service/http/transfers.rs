@@ -23,35 +23,22 @@ async fn downloads_honour_tags_and_ranges() {
     let bytes = whole.bytes().await.unwrap();
     assert_eq!(bytes, model.as_bytes(), "at rest the model comes back byte for byte");
 
-    let part = http().get(&url).header("range", "bytes=10-19").answer().await;
+    let ranged = |range: &str| http().get(&url).header("range", range);
+    let part = ranged("bytes=10-19").answer().await;
     assert_eq!(part.status(), 206);
     assert_eq!(
         header(&part, header::CONTENT_RANGE),
         format!("bytes 10-19/{}", bytes.len())
     );
     assert_eq!(part.bytes().await.unwrap(), bytes.slice(10..20));
-    let tail = http()
-        .get(&url)
-        .header("range", "bytes=-5")
-        .header("if-range", &etag)
-        .answer()
-        .await;
+    let tail = ranged("bytes=-5").header("if-range", &etag).answer().await;
     assert_eq!(
         (tail.status().as_u16(), tail.bytes().await.unwrap()),
         (206, bytes.slice(bytes.len() - 5..))
     );
-    let stale = http()
-        .get(&url)
-        .header("range", "bytes=0-4")
-        .header("if-range", "\"old\"")
-        .answer()
-        .await;
+    let stale = ranged("bytes=0-4").header("if-range", "\"old\"").answer().await;
     assert_eq!(stale.status(), 200);
-    let past = http()
-        .get(&url)
-        .header("range", format!("bytes={}-", bytes.len()))
-        .answer()
-        .await;
+    let past = ranged(&format!("bytes={}-", bytes.len())).answer().await;
     assert_eq!(past.status(), 416);
     assert_eq!(header(&past, header::CONTENT_RANGE), format!("bytes */{}", bytes.len()));
 
@@ -69,12 +56,7 @@ async fn downloads_honour_tags_and_ranges() {
     assert_ne!(header(&ply, header::ETAG), etag);
 
     // A changed shape is another thing.
-    let handles = server
-        .put(&path(&id, "/handles"))
-        .json(&json!({"handles": ends()}))
-        .answer()
-        .await;
-    assert_eq!(handles.status(), 200);
+    server.hold_ends(&id).await;
     assert_eq!(post(&server, &path(&id, "/solve"), turn_json(0.3)).await.status(), 200);
     let changed = http().get(&url).header("if-none-match", &etag).answer().await;
     assert_eq!(changed.status(), 200);
@@ -200,20 +182,15 @@ async fn a_form_with_wrong_parts_is_refused_by_name() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_upload_above_the_limit_is_told_even_while_it_is_sent() {
+async fn an_upload_above_the_limit_is_reported_even_while_it_is_sent() {
     let server = Server::with(|sessions, _| sessions.upload_bytes = 256 << 10).await;
     // Announced: refused at once.
     let announced = server.post("/v1/sessions").body(vec![b'v'; 8 << 20]).answer().await;
     assert_eq!(announced.status(), 413);
     // Not announced: refused when the limit is passed.
     let chunks = futures::stream::iter((0..64).map(|_| Ok::<_, std::io::Error>(vec![b'v'; 64 << 10])));
-    let streamed = server
-        .post("/v1/sessions")
-        .body(reqwest::Body::wrap_stream(chunks))
-        .answer()
-        .await;
-    assert_eq!(streamed.status(), 413);
-    let problem: Value = streamed.json().await.unwrap();
+    let streamed = server.post("/v1/sessions").body(reqwest::Body::wrap_stream(chunks));
+    let problem = streamed.refusal(413).await;
     assert!(text(&problem["detail"]).contains("262144"), "{problem}");
     let formed = send_form(&server, form(&[("model", Some("a.obj"), &vec![b'v'; 2 << 20])])).await;
     assert_eq!(formed.status(), 413);

@@ -6,8 +6,9 @@ use super::{LEASE, answered, drag, node_at, stream};
 use crate::durable::place::StorePlace;
 use crate::durable::{bar_session, path, seen, turn};
 use crate::support::bucket::TestBucket;
+use crate::support::postgres::PostgresProxy;
 use crate::support::postgres::PostgresServer;
-use crate::support::postgres_proxy::PostgresProxy;
+use crate::support::process::needed;
 use crate::support::program::ServedProgram;
 use crate::support::server::{Socket, eventually, pace, retried, turn_json, turned};
 use std::time::{Duration, Instant};
@@ -40,7 +41,7 @@ async fn goes_on(nodes: [(&ServedProgram, &str); 2], commits: [usize; 2]) {
             node.call("POST", &path(id, "/solve"), Some(&turn_json(0.5))).await.0 == 200
         })
         .await;
-        // Each is where it was: nobody asked for it elsewhere.
+        // Each is where it was: no one asked for it elsewhere.
         assert_eq!(answered(node, &path(id, "")).await, 200);
         let history = node.done("GET", &path(id, "/history"), None).await;
         let commits = history["commits"].as_array().map(Vec::len);
@@ -50,7 +51,7 @@ async fn goes_on(nodes: [(&ServedProgram, &str); 2], commits: [usize; 2]) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nodes_outlive_a_database_that_is_away_for_longer_than_their_leases() {
-    let Some(server) = PostgresServer::start() else { return };
+    let server = needed!(PostgresServer::start());
     let place = StorePlace::in_database_and(server.database().await, TestBucket::serve().await);
     let url = place.database().map(|d| d.url.clone());
     let (a, b) = (node_at(&place, "a", url.clone()), node_at(&place, "b", url));
@@ -62,8 +63,8 @@ async fn nodes_outlive_a_database_that_is_away_for_longer_than_their_leases() {
     server.crash();
     drag_meanwhile(&mut dragged).await;
     for (node, id) in [(&a, &one), (&b, &other)] {
-        let (status, told) = node.call("POST", &path(id, "/solve"), Some(&turn_json(0.9))).await;
-        assert_eq!((status, &told["code"]), (503, &"UNAVAILABLE".into()), "{told}");
+        let (status, reply) = node.call("POST", &path(id, "/solve"), Some(&turn_json(0.9))).await;
+        assert_eq!((status, &reply["code"]), (503, &"UNAVAILABLE".into()), "{reply}");
     }
     assert_eq!(
         (seen(&a, &one).await, seen(&b, &other).await),
@@ -76,9 +77,7 @@ async fn nodes_outlive_a_database_that_is_away_for_longer_than_their_leases() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_call_that_breaks_off_after_any_message_is_done_once_when_it_is_repeated() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+    let place = needed!(StorePlace::remote().await);
     let database = place.database().expect("a database");
     let proxy = PostgresProxy::serve(database);
     let a = node_at(&place, "a", Some(database.through(proxy.socket())));
@@ -94,7 +93,7 @@ async fn a_call_that_breaks_off_after_any_message_is_done_once_when_it_is_repeat
         let was_cut = !proxy.take_back();
         refused += u32::from(first.as_ref().is_some_and(|(status, _)| *status != 200));
         // It may be on disk, and is taken back, with its key, before the key is looked for.
-        let (status, told) = retried("an answer", Duration::from_millis(20), async || {
+        let (status, reply) = retried("an answer", Duration::from_millis(20), async || {
             let answer = match first.take() {
                 Some(answer) => answer,
                 None => call().await,
@@ -102,7 +101,7 @@ async fn a_call_that_breaks_off_after_any_message_is_done_once_when_it_is_repeat
             (answer.0 != 503).then_some(answer)
         })
         .await;
-        assert_eq!(status, 200, "after {messages} messages: {told}");
+        assert_eq!(status, 200, "after {messages} messages: {reply}");
         let history = a.done("GET", &path(&id, "/history"), None).await;
         let commits = history["commits"].as_array().map(Vec::len);
         assert_eq!(commits, Some(2 + messages as usize), "{history}");
@@ -115,7 +114,7 @@ async fn a_call_that_breaks_off_after_any_message_is_done_once_when_it_is_repeat
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nodes_outlive_a_database_that_says_nothing_for_longer_than_their_leases() {
-    let Some(server) = PostgresServer::start() else { return };
+    let server = needed!(PostgresServer::start());
     let database = server.database().await;
     let proxy = PostgresProxy::serve(&database);
     let url = Some(database.through(proxy.socket()));
@@ -129,7 +128,7 @@ async fn nodes_outlive_a_database_that_says_nothing_for_longer_than_their_leases
     proxy.set_silent(true);
     let change = turn_json(0.9);
     let asked = path(&other, "/solve");
-    let (_, (status, told)) = tokio::join!(drag_meanwhile(&mut dragged), async {
+    let (_, (status, reply)) = tokio::join!(drag_meanwhile(&mut dragged), async {
         let mut answer = std::pin::pin!(b.call("POST", &asked, Some(&change)));
         if let Ok(answer) = tokio::time::timeout(away(), &mut answer).await {
             return answer;
@@ -139,8 +138,8 @@ async fn nodes_outlive_a_database_that_says_nothing_for_longer_than_their_leases
     });
     // It waits for the database, and may be just in time.
     assert!(
-        status == 200 || (status, &told["code"]) == (503, &"UNAVAILABLE".into()),
-        "{status} {told}"
+        status == 200 || (status, &reply["code"]) == (503, &"UNAVAILABLE".into()),
+        "{status} {reply}"
     );
     proxy.set_silent(false);
     assert_eq!(seen(&a, &one).await, before, "reading goes on");
@@ -162,18 +161,19 @@ fn noted(server: &PostgresServer) -> (usize, f64) {
     let log = std::fs::read_to_string(server.socket().join("log")).expect("a log");
     let lines = log
         .lines()
-        .filter_map(|line| line.split_once("duration: ").map(|(_, told)| told));
+        .filter_map(|line| line.split_once("duration: ").map(|(_, reply)| reply));
     // What the measurement itself asks for is no node's.
-    let lines = lines.filter(|told| !told.contains("pg_current_wal_insert_lsn"));
-    let ms = |told: &str| {
-        told.split(' ')
+    let lines = lines.filter(|reply| !reply.contains("pg_current_wal_insert_lsn"));
+    let ms = |reply: &str| {
+        reply
+            .split(' ')
             .next()
             .and_then(|ms| ms.parse::<f64>().ok())
             .unwrap_or_default()
     };
-    lines.fold((0, 0.0), |(statements, sum), told| {
-        let is_one = told.contains("execute ") || told.contains("statement: ");
-        (statements + usize::from(is_one), sum + ms(told))
+    lines.fold((0, 0.0), |(statements, sum), reply| {
+        let is_one = reply.contains("execute ") || reply.contains("statement: ");
+        (statements + usize::from(is_one), sum + ms(reply))
     })
 }
 
@@ -206,15 +206,13 @@ fn print_load(what: &str, asked: &DatabaseLoad) {
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "a measurement: cargo test --release --test service database_share -- --ignored --nocapture"]
 async fn what_a_node_asks_of_the_database() {
-    let Some(server) = PostgresServer::start() else {
-        return;
-    };
+    let server = needed!(PostgresServer::start());
     let database = server.database().await;
     let notes = format!("ALTER DATABASE {} SET log_min_duration_statement = 0", database.name);
     let place = StorePlace::in_database_and(database, TestBucket::serve().await);
     place.ask(&notes).await;
     let start = |name: &str, times: [&str; 2]| {
-        let told = [
+        let reply = [
             "--advertise",
             "http://127.0.0.1:0",
             "--node",
@@ -228,7 +226,7 @@ async fn what_a_node_asks_of_the_database() {
         place.start_logged(
             &format!("log-{name}"),
             url,
-            &[&told[..], &["--sessions", "200"]].concat(),
+            &[&reply[..], &["--sessions", "200"]].concat(),
         )
     };
     // What it says of being there does not mix with what is measured.

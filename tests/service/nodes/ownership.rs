@@ -3,7 +3,10 @@
 use super::{LEASE, answered, drag, node, stream, unmoved};
 use crate::durable::place::StorePlace;
 use crate::durable::{bar_at, bar_session, metric, path, seen, turn};
-use crate::support::server::{AnsweredCall as _, Came, bar_obj, eventually, stays, turn_json, turned, within};
+use crate::support::process::needed;
+use crate::support::server::{
+    AnsweredCall as _, Came, bar_obj, eventually, header, stays, text, turn_json, turned, within,
+};
 use pliant::wire::pb::{self, deform_request, deform_response};
 use serde_json::{Value, json};
 use std::time::Instant;
@@ -21,9 +24,7 @@ async fn seen_alone(angles: &[f64]) -> (Value, Vec<u8>) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_a_killed_node_had_is_at_another_with_the_same_bits() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+    let place = needed!(StorePlace::remote().await);
     let (a, b, c) = (node(&place, "a"), node(&place, "b"), node(&place, "c"));
     let id = bar_session(&a).await;
     for angle in [0.3, 0.6] {
@@ -32,7 +33,7 @@ async fn what_a_killed_node_had_is_at_another_with_the_same_bits() {
     let before = seen(&a, &id).await;
     a.kill();
     let since = Instant::now();
-    // Until the lease has run out nobody may take it: the dead node might be alive.
+    // Until the lease has run out no one may take it: the dead node might be alive.
     assert_eq!(answered(&b, &path(&id, "")).await, 200);
     assert!(since.elapsed() < LEASE * 10, "{:?}", since.elapsed());
     assert_eq!(seen(&b, &id).await, before);
@@ -47,17 +48,15 @@ async fn what_a_killed_node_had_is_at_another_with_the_same_bits() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_node_that_was_stopped_past_its_lease_neither_writes_nor_tells_what_was() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+async fn a_node_that_was_stopped_past_its_lease_neither_writes_nor_reports_what_was() {
+    let place = needed!(StorePlace::remote().await);
     let (a, b) = (node(&place, "a"), node(&place, "b"));
     let id = bar_session(&a).await;
     turn(&a, &id, 0.3).await;
     let mut dragged = stream(&a, &id).await;
     drag(&mut dragged, turned(1, 0.1, false)).await.expect("a frame");
     a.signal("-STOP");
-    // It may be in the middle of anything; this commit was sent and nobody knows what became of it.
+    // It may be in the middle of anything; this commit was sent and no one knows what became of it.
     dragged.send(deform_request::Message::Pose(turned(2, 0.7, true))).await;
     assert_eq!(answered(&b, &path(&id, "")).await, 200);
     turn(&b, &id, 0.6).await;
@@ -94,9 +93,7 @@ async fn a_node_that_was_stopped_past_its_lease_neither_writes_nor_tells_what_wa
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_drained_node_gives_its_sessions_back_one_by_one() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+    let place = needed!(StorePlace::remote().await);
     let (a, b) = (node(&place, "a"), node(&place, "b"));
     let (idle, used) = (bar_session(&a).await, bar_session(&a).await);
     turn(&a, &idle, 0.3).await;
@@ -114,7 +111,7 @@ async fn a_drained_node_gives_its_sessions_back_one_by_one() {
             Came::Closed(why) => panic!("no notice: {why:?}"),
         }
     };
-    // What nobody uses is free at once, without the lease having to run out, while the stream goes on.
+    // What no one uses is free at once, without the lease having to run out, while the stream goes on.
     let since = Instant::now();
     assert_eq!(answered(&b, &path(&idle, "")).await, 200);
     assert_eq!(seen(&b, &idle).await, before);
@@ -126,11 +123,7 @@ async fn a_drained_node_gives_its_sessions_back_one_by_one() {
         let call = unmoved().request(method.parse().expect("a method"), format!("{}{rest}", a.url));
         let sent = call.answer().await;
         assert_eq!(sent.status().as_u16(), 307, "{method} {rest}");
-        let owner = sent
-            .headers()
-            .get("x-pliant-owner")
-            .and_then(|owner| owner.to_str().ok());
-        assert_eq!(owner, Some(b.url.as_str()), "{method} {rest}");
+        assert_eq!(header(&sent, "x-pliant-owner"), b.url, "{method} {rest}");
     }
     drag(&mut dragged, turned(2, 0.2, true))
         .await
@@ -178,9 +171,7 @@ async fn set_free(place: &StorePlace) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn no_write_of_a_session_lands_that_another_node_has() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+    let place = needed!(StorePlace::remote().await);
     let a = node(&place, "a");
     let id = bar_session(&a).await;
     turn(&a, &id, 0.3).await;
@@ -201,18 +192,9 @@ async fn no_write_of_a_session_lands_that_another_node_has() {
         if let Some(body) = &body {
             call = call.json(body);
         }
-        let refused = call
-            .header("idempotency-key", format!("stale-{method}{rest}"))
-            .answer()
-            .await;
-        assert_eq!(refused.status().as_u16(), 503, "{method} {rest}");
-        let told: Value = refused.json().await.expect("a problem");
-        assert!(
-            told["detail"]
-                .as_str()
-                .is_some_and(|d| d.contains("nothing has changed")),
-            "{told}"
-        );
+        let call = call.header("idempotency-key", format!("stale-{method}{rest}"));
+        let refused = call.refusal(503).await;
+        assert!(text(&refused["detail"]).contains("nothing has changed"), "{refused}");
         assert_eq!(written(&place).await, before.1, "{method} {rest}");
         set_free(&place).await;
         assert_eq!(seen(&a, &id).await, before.0, "{method} {rest}");
@@ -229,9 +211,7 @@ async fn no_write_of_a_session_lands_that_another_node_has() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stale_commit_takes_nothing_of_others_along() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+    let place = needed!(StorePlace::remote().await);
     let a = node(&place, "a");
     let (lost, kept) = (bar_session(&a).await, bar_session(&a).await);
     let taken = format!("UPDATE sessions SET owner = 'another', generation = generation + 1 WHERE id = '{lost}'");
@@ -272,9 +252,7 @@ async fn a_stale_commit_takes_nothing_of_others_along() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn objects_go_only_when_no_node_has_named_them_for_long() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+    let place = needed!(StorePlace::remote().await);
     let (a, b) = (node(&place, "a"), node(&place, "b"));
     let (one, other) = (a.open(bar_obj(12), "").await, b.open(bar_obj(12), "").await);
     assert_eq!(place.objects().len(), 1, "the same model is one object");

@@ -1,8 +1,8 @@
 //! Tokens that an issuer signs.
 
 use crate::support::certificates::replace_file;
+use crate::support::certificates::{Signer, in_seconds, key_set, token_without_key};
 use crate::support::server::*;
-use crate::support::signed_tokens::{Signer, in_seconds, key_set, token_without_key};
 use axum::Router;
 use axum::routing::get;
 use jsonwebtoken::Algorithm;
@@ -118,7 +118,7 @@ a tenant without a name        | studio | ""          | does not name a tenant
 "#;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_token_that_does_not_hold_is_nobodys() {
+async fn a_token_that_does_not_hold_names_no_tenant() {
     let (ed, ec, rsa) = (Signer::ed25519("ed"), Signer::p256("ec"), Signer::rsa("rsa"));
     let (server, _folder) = server_with_file(&[&ed, &rsa]).await;
     let good = ed.token("EdDSA", &claims());
@@ -198,9 +198,9 @@ async fn a_token_that_does_not_hold_is_nobodys() {
         (what, changed(claim, value), words)
     });
     for (what, token, words) in cases.into_iter().chain(of_claims) {
-        let (status, told) = seen(&server, &token).await;
-        assert_eq!(status, 401, "{what}: {told}");
-        assert!(told.contains(words), "{what}: {told}");
+        let (status, reply) = seen(&server, &token).await;
+        assert_eq!(status, 401, "{what}: {reply}");
+        assert!(reply.contains(words), "{what}: {reply}");
     }
     assert_eq!(seen(&server, &good).await.0, 200);
 }
@@ -257,8 +257,8 @@ async fn a_new_key_is_fetched_when_it_is_first_used_but_not_for_everybody() {
     let made_up = Signer::ed25519("made up");
     let token = made_up.token("EdDSA", &claims());
     let flood = (0..50).map(|_| seen(&server, &token));
-    for (status, told) in futures::future::join_all(flood).await {
-        assert_eq!(status, 401, "{told}");
+    for (status, reply) in futures::future::join_all(flood).await {
+        assert_eq!(status, 401, "{reply}");
     }
     let most = begun.elapsed().as_secs() as usize / 3 + 1;
     assert!(
@@ -285,7 +285,7 @@ async fn a_new_key_is_fetched_when_it_is_first_used_but_not_for_everybody() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn without_any_keys_nobody_is_let_in_and_told_to_come_back() {
+async fn without_any_keys_every_caller_is_asked_to_come_back() {
     let signer = Signer::ed25519("key");
     let publisher = Publisher::start(String::new()).await;
     let mut config = believing(KeySource::Url(publisher.url.clone(), None));
@@ -313,7 +313,7 @@ async fn keys_follow_their_file() {
 }
 
 #[test]
-fn what_is_wrong_with_the_table_is_told() {
+fn what_is_wrong_with_the_table_is_reported() {
     let folder = tempfile::tempdir().expect("a folder");
     let (file, keys) = (folder.path().join("pliant.toml"), folder.path().join("keys.json"));
     std::fs::write(&keys, key_set(&[&Signer::ed25519("key")])).expect("written");
@@ -356,9 +356,9 @@ fn what_is_wrong_with_the_table_is_told() {
         (instead(&none), &["auth.jwt.jwks", "none.json"]),
         (instead(&empty), &["empty.json", "none of them"]),
     ] {
-        let told = load(&lines).expect_err(&lines).to_string();
+        let reply = load(&lines).expect_err(&lines).to_string();
         for word in words {
-            assert!(told.contains(word), "{lines}: {told} lacks {word}");
+            assert!(reply.contains(word), "{lines}: {reply} lacks {word}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What each tenant may use, and what it is told of it.
+//! What each tenant may use, and what the server reports of it.
 
 use super::{ConfiguredPlace, config_file, entry};
 use crate::support::program::ServedProgram;
@@ -7,7 +7,7 @@ use pliant::session::TenantQuota;
 use pliant::wire::pb;
 use serde_json::{Value, json};
 use std::time::Duration;
-use tokio_tungstenite::tungstenite::{self, client::IntoClientRequest as _};
+use tokio_tungstenite::tungstenite;
 
 /// A server where tenant `a` has a quota and `b` none.
 async fn limited(limit: impl FnOnce(&mut TenantQuota)) -> Server {
@@ -41,7 +41,7 @@ async fn quotas(server: &Server, token: &str) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn sessions_are_counted_by_tenant_and_come_free_when_it_was_told() {
+async fn sessions_are_counted_by_tenant_and_come_free_when_the_server_said() {
     let server = limited(|quota| quota.sessions = Some(1)).await;
     assert_eq!(
         quotas(&server, "a").await,
@@ -50,15 +50,15 @@ async fn sessions_are_counted_by_tenant_and_come_free_when_it_was_told() {
     assert_eq!(quotas(&server, "b").await, Value::Null);
     let limits = with_token(pb::GetLimitsRequest::default(), "a");
     let limits = within("limits", server.grpc().await.get_limits(limits)).await;
-    let told = limits.expect("limits").into_inner().quotas.expect("quotas");
-    assert_eq!(told.sessions.map(|s| (s.allowed, s.left)), Some((1.0, 1.0)));
+    let reply = limits.expect("limits").into_inner().quotas.expect("quotas");
+    assert_eq!(reply.sessions.map(|s| (s.allowed, s.left)), Some((1.0, 1.0)));
     let short = server.post("/v1/sessions?ttl=2s").body(bar_obj(4));
     let (status, _, _) = answer(short, "a").await;
     assert_eq!(status, 201);
     assert_eq!(quotas(&server, "a").await["sessions"]["left"], 0.0);
-    let (status, wait, told) = open(&server, "a", 4).await;
+    let (status, wait, reply) = open(&server, "a", 4).await;
     assert_eq!(status, 429);
-    assert!(text(&told["detail"]).contains("your quota"), "{told}");
+    assert!(text(&reply["detail"]).contains("your quota"), "{reply}");
     assert_eq!(open(&server, "b", 4).await.0, 201);
     let wait = wait.expect("a time");
     assert!((1..=3).contains(&wait), "{wait} s");
@@ -80,16 +80,16 @@ async fn memory_is_counted_by_tenant() {
     assert!(!opened.is_empty());
     assert_eq!(refused.0, 429, "{}", refused.2);
     assert!(refused.1.is_some());
-    let told = quotas(&server, "a").await["memoryBytes"].clone();
+    let reply = quotas(&server, "a").await["memoryBytes"].clone();
     assert!(
-        told["allowed"] == f64::from(3 << 20) && told["left"].as_f64() < Some(f64::from(3 << 20)),
-        "{told}"
+        reply["allowed"] == f64::from(3 << 20) && reply["left"].as_f64() < Some(f64::from(3 << 20)),
+        "{reply}"
     );
     // A file is refused while it is read, where there is no memory for it.
-    let (status, _, told) = open(&server, "a", 4000).await;
+    let (status, _, reply) = open(&server, "a", 4000).await;
     assert!(
-        status == 429 && text(&told["detail"]).contains("your quota of memory is full"),
-        "{told}"
+        status == 429 && text(&reply["detail"]).contains("your quota of memory is full"),
+        "{reply}"
     );
     for id in opened {
         let gone = server.delete(&format!("/v1/sessions/{id}"));
@@ -101,8 +101,8 @@ async fn memory_is_counted_by_tenant() {
         memory["left"] == memory["allowed"]
     })
     .await;
-    let (status, wait, told) = open(&server, "a", 4000).await;
-    assert_eq!((status, wait), (413, None), "{told}");
+    let (status, wait, reply) = open(&server, "a", 4000).await;
+    assert_eq!((status, wait), (413, None), "{reply}");
     assert_eq!(open(&server, "b", 24).await.0, 201);
 }
 
@@ -114,8 +114,8 @@ async fn uploads_are_counted_by_the_minute() {
     assert_eq!(open(&server, "a", 8).await.0, 201);
     assert_eq!(open(&server, "a", 8).await.0, 201);
     assert_eq!(server.manager.metrics().refused.get(), 0);
-    let (status, wait, told) = open(&server, "a", 8).await;
-    assert_eq!(status, 429, "{told}");
+    let (status, wait, reply) = open(&server, "a", 8).await;
+    assert_eq!(status, 429, "{reply}");
     assert_eq!(server.manager.metrics().refused.get(), 1, "whoever watches is told");
     assert!((1..=60).contains(&wait.expect("a time")), "{wait:?}");
     let left = quotas(&server, "a").await["uploadBytesPerMinute"]["left"]
@@ -146,14 +146,14 @@ async fn uploads_are_counted_by_the_minute() {
 #[tokio::test(flavor = "multi_thread")]
 async fn computing_is_counted_by_the_minute() {
     let server = limited(|quota| quota.solve_seconds_per_minute = Some(1e-6)).await;
-    // The first piece of work begins: nobody knows before how long it takes.
+    // The first piece of work begins: no one knows before how long it takes.
     let (status, _, session) = open(&server, "a", 8).await;
     assert_eq!(status, 201);
     let handles = format!("/v1/sessions/{}/handles", text(&session["id"]));
     let set = || server.put(&handles).json(&json!({"handles": ends()}));
-    let (status, wait, told) = answer(set(), "a").await;
-    assert_eq!(status, 429, "{told}");
-    assert!(text(&told["detail"]).contains("seconds of computing"), "{told}");
+    let (status, wait, reply) = answer(set(), "a").await;
+    assert_eq!(status, 429, "{reply}");
+    assert!(text(&reply["detail"]).contains("seconds of computing"), "{reply}");
     assert_eq!(server.manager.metrics().refused.get(), 1, "whoever watches is told");
     assert!(wait > Some(60), "{wait:?}");
     assert_eq!(quotas(&server, "a").await["solveSecondsPerMinute"]["left"], 0.0);
@@ -206,13 +206,13 @@ async fn what_is_stored_is_counted_and_given_back() {
     assert!(after_handles < after_one);
     let second = server.open(bar_obj(8), "").await;
     let refused = server.post("/v1/sessions").body(bar_obj(8));
-    let (status, wait, told) = answer(refused, "").await;
-    assert_eq!(status, 429, "{told}");
-    assert!(text(&told["detail"]).contains("in the store"), "{told}");
+    let (status, wait, reply) = answer(refused, "").await;
+    assert_eq!(status, 429, "{reply}");
+    assert!(text(&reply["detail"]).contains("in the store"), "{reply}");
     assert!(wait.is_some());
     let refused = server.post("/v1/sessions").body(bar_obj(80));
     assert_eq!(answer(refused, "").await.0, 413);
-    // As it was, after a start anew too.
+    // As it was, after another start too.
     let before = left().await;
     server.kill();
     let server = place.start();
@@ -239,9 +239,9 @@ async fn sessions_that_are_opened_at_once_pass_no_quota_of_the_store() {
             let call = server.post("/v1/sessions").body(bar_obj(8));
             async move { answer(call, "").await.0 }
         });
-        let told = futures::future::join_all(calls).await;
-        assert!(told.iter().all(|status| [201, 429].contains(status)), "{told:?}");
-        opened += told.iter().filter(|status| **status == 201).count();
+        let reply = futures::future::join_all(calls).await;
+        assert!(reply.iter().all(|status| [201, 429].contains(status)), "{reply:?}");
+        opened += reply.iter().filter(|status| **status == 201).count();
     }
     // Each is its model and some words; what was refused takes no room for good.
     assert_eq!(opened, 3);
@@ -256,17 +256,17 @@ async fn commits_are_refused_where_no_more_may_be_stored_and_reading_goes_on() {
     let path = |rest: &str| format!("/v1/sessions/{id}{rest}");
     let handles = json!({"handles": ends()});
     let mut set = 0;
-    let told = loop {
+    let reply = loop {
         match server.call("PUT", &path("/handles"), Some(&handles)).await {
             (200, _) => set += 1,
-            (429, told) => break told,
+            (429, reply) => break reply,
             other => panic!("{other:?}"),
         }
         assert!(set < 10_000);
     };
     assert!(
-        set >= 1 && text(&told["detail"]).contains("in the store"),
-        "{set} {told}"
+        set >= 1 && text(&reply["detail"]).contains("in the store"),
+        "{set} {reply}"
     );
     let session = server.done("GET", &path(""), None).await;
     assert_eq!(session["revision"], (set + 1).to_string());
@@ -351,8 +351,8 @@ async fn times_to_live_are_the_tenants_own() {
     assert_eq!(limits("a").await["quotas"], Value::Null);
     assert!(limits("b").await["ttlSeconds"].as_f64() > Some(5.0));
     let open = async |token, query| answer(server.post(&format!("/v1/sessions{query}")).body(bar_obj(4)), token).await;
-    let (status, _, told) = open("a", "?ttl=6s").await;
-    assert_eq!(status, 422, "{told}");
+    let (status, _, reply) = open("a", "?ttl=6s").await;
+    assert_eq!(status, 422, "{reply}");
     assert_eq!(open("b", "?ttl=6s").await.0, 201);
     assert_eq!(open("a", "?ttl=5s").await.0, 201);
     let short = text(&open("a", "").await.2["id"]);

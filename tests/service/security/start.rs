@@ -2,6 +2,7 @@
 
 use super::entry;
 use crate::support::certificates::{Authority, Files, Identity, ask, replace_file, shake_hands};
+use crate::support::commands::{Workplace, pliant_in};
 use crate::support::server::{AnsweredCall as _, *};
 use pliant::server::CertificateField;
 use pliant::server::grpc::client::DeformerClient;
@@ -9,33 +10,12 @@ use pliant::wire::pb;
 use serde_json::Value;
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio_rustls::rustls::ClientConfig;
 use tonic::transport::Endpoint;
-
-fn program(folder: &Path, arguments: &[&str]) -> Command {
-    let mut program = Command::new(env!("CARGO_BIN_EXE_pliant"));
-    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("PLIANT_")) {
-        program.env_remove(name);
-    }
-    program.args(arguments).current_dir(folder);
-    program
-}
-
-/// Exit code, stdout and the last line of stderr.
-fn done(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
-    let done = program(folder, arguments).output().expect("it runs");
-    let err = String::from_utf8_lossy(&done.stderr).into_owned();
-    let last = err.trim_end().lines().last().unwrap_or_default().to_owned();
-    (
-        done.status.code(),
-        String::from_utf8_lossy(&done.stdout).into_owned(),
-        last,
-    )
-}
 
 /// A server that was started as a program; ended with this value.
 struct Started(Child);
@@ -43,7 +23,7 @@ struct Started(Child);
 impl Started {
     /// Its port, from the one line that it prints.
     fn new(folder: &Path, arguments: &[&str]) -> (Self, u16) {
-        let mut child = program(folder, arguments)
+        let mut child = pliant_in(folder, arguments)
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()
@@ -78,21 +58,21 @@ fn status(port: u16, token: Option<&str>) -> u16 {
     })
 }
 
+/// What opens a server to others, as a refusal lists it.
+const OPENINGS: [&str; 5] = [
+    "[[auth.tokens]]",
+    "[auth.jwt]",
+    "tls_client_ca",
+    "--insecure-open",
+    "flag --listen",
+];
+
 #[test]
 fn an_address_that_others_reach_needs_to_know_who_calls() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     for listen in ["0.0.0.0:0", "[::]:0", "192.0.2.7:0"] {
-        let (code, out, last) = done(folder.path(), &["serve", "--listen", listen]);
-        assert_eq!((code, out.as_str()), (Some(2), ""), "{listen}: {last}");
-        for way in [
-            "[[auth.tokens]]",
-            "[auth.jwt]",
-            "tls_client_ca",
-            "--insecure-open",
-            "flag --listen",
-        ] {
-            assert!(last.contains(way), "{listen}: {last} lacks {way}");
-        }
+        let ran = folder.refused(&["serve", "--listen", listen], &OPENINGS);
+        assert_eq!(ran.out, "", "{listen}");
     }
     let (_open, port) = Started::new(folder.path(), &["serve", "--listen", "0.0.0.0:0", "--insecure-open"]);
     assert_eq!(status(port, None), 200);
@@ -100,14 +80,13 @@ fn an_address_that_others_reach_needs_to_know_who_calls() {
 
 #[test]
 fn a_token_that_the_program_makes_is_known_by_its_lines() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let made = |arguments: &[&str]| {
-        let (code, out, last) = done(folder.path(), arguments);
-        assert_eq!(code, Some(0), "{last}");
-        let (token, lines) = out
+        let out = folder.done(arguments).out;
+        let made = out
             .split_once("\n\n")
-            .expect("a token, an empty line and what to configure");
-        (token.to_owned(), lines.to_owned())
+            .map(|(token, lines)| (token.to_owned(), lines.to_owned()));
+        made.expect("a token, an empty line and what to configure")
     };
     let (token, lines) = made(&["token", "st\"udio", "--name", "anna", "--expires", "2999-01-31"]);
     assert!(
@@ -116,7 +95,7 @@ fn a_token_that_the_program_makes_is_known_by_its_lines() {
     );
     let (other, more) = made(&["token", "other", "--metrics"]);
     assert_ne!(token, other);
-    std::fs::write(folder.path().join("pliant.toml"), lines + &more).expect("written");
+    folder.put("pliant.toml", lines + &more);
     let arguments = ["serve", "--listen", "0.0.0.0:0", "--config", "pliant.toml"];
     let (_started, port) = Started::new(folder.path(), &arguments);
     assert_eq!(status(port, Some(&token)), 200);
@@ -124,16 +103,14 @@ fn a_token_that_the_program_makes_is_known_by_its_lines() {
     assert_eq!(status(port, Some("pliant_")), 401);
     assert_eq!(status(port, None), 401);
 
-    let (code, out, last) = done(folder.path(), &["token", "a", "--expires", "2020-01-01"]);
-    assert_eq!((code, &*out), (Some(2), ""), "{last}");
-    assert!(last.contains("--expires") && last.contains("has passed"), "{last}");
-    let (code, _, last) = done(folder.path(), &["token", "a", "--expires", "tomorrow"]);
-    assert!(code == Some(2) && last.contains("2027-01-31T12:00:00Z"), "{last}");
+    let ran = folder.refused("token a --expires 2020-01-01", &["--expires", "has passed"]);
+    assert_eq!(ran.out, "");
+    folder.refused("token a --expires tomorrow", &["2027-01-31T12:00:00Z"]);
 }
 
 #[test]
-fn what_is_wrong_with_the_files_is_told_before_anything_is_served() {
-    let folder = tempfile::tempdir().expect("a folder");
+fn what_is_wrong_with_the_files_is_reported_before_anything_is_served() {
+    let folder = Workplace::empty();
     let authority = Authority::new("ours");
     let (one, other) = (authority.server(1), authority.server(2));
     let files = Files::new(&one);
@@ -158,15 +135,7 @@ fn what_is_wrong_with_the_files_is_told_before_anything_is_served() {
         ),
     ];
     for (flags, words) in cases {
-        let arguments: Vec<&str> = ["serve", "--listen", "127.0.0.1:0"]
-            .into_iter()
-            .chain(flags.iter().copied())
-            .collect();
-        let (code, _, last) = done(folder.path(), &arguments);
-        assert_eq!(code, Some(2), "{flags:?}: {last}");
-        for word in words {
-            assert!(last.contains(word), "{flags:?}: {last} lacks {word}");
-        }
+        folder.refused(&[&["serve", "--listen", "127.0.0.1:0"], flags].concat(), words);
     }
     let secret = "pliant_something-secret";
     for (lines, words) in [
@@ -184,22 +153,19 @@ fn what_is_wrong_with_the_files_is_told_before_anything_is_served() {
             &["expire", "expires", "no such key"],
         ),
     ] {
-        std::fs::write(folder.path().join("bad.toml"), format!("[[auth.tokens]]\n{lines}\n")).expect("written");
-        let (code, _, last) = done(
-            folder.path(),
-            &["serve", "--listen", "127.0.0.1:0", "--config", "bad.toml"],
+        folder.put("bad.toml", format!("[[auth.tokens]]\n{lines}\n"));
+        let ran = folder.refused("serve --listen 127.0.0.1:0 --config bad.toml", words);
+        assert!(
+            ran.last().contains("bad.toml") && !ran.last().contains(secret),
+            "{}",
+            ran.last()
         );
-        assert_eq!(code, Some(2), "{lines}: {last}");
-        assert!(last.contains("bad.toml") && !last.contains(secret), "{last}");
-        for word in words {
-            assert!(last.contains(word), "{lines}: {last} lacks {word}");
-        }
     }
 }
 
 const HTTP1: &[&str] = &["http/1.1"];
 
-/// The serial number that tells one certificate of the server from another.
+/// The serial number that distinguishes one certificate of the server from another.
 async fn served_certificate(server: &Server, trusting: &Arc<ClientConfig>) -> Vec<u8> {
     let stream = shake_hands(server.address, Arc::clone(trusting))
         .await
@@ -360,7 +326,7 @@ async fn an_authority_that_is_taken_away_opens_nothing_any_more() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_full_server_tells_its_health_over_tls_too() {
+async fn a_full_server_reports_its_health_over_tls_too() {
     let authority = Authority::new("ours");
     let files = Files::new(&authority.server(1));
     let server = Server::with(|_, config| {

@@ -24,7 +24,7 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
             shapes.push(fixture.positions().await.bytes);
         }
         fixture.set_handles(handles(&["b", "c", "d"])).await;
-        let told = fixture.history().await;
+        let reply = fixture.history().await;
         let session = fixture.undo().await;
         let ids: Vec<_> = session.deformer.handles.iter().map(|h| h.id.as_str()).collect();
         assert_eq!(ids, ["a", "b"]);
@@ -43,7 +43,7 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
         let redone = fixture.manager.redo(tenant(), &fixture.id, None).await;
         let error = redone.expect_err("nothing is left");
         assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
-        assert_eq!(fixture.history().await, told);
+        assert_eq!(fixture.history().await, reply);
         let after = fixture.solve(solve(&[("c", 1.0)])).await;
         assert_eq!(after.frame.positions[1].x, 2.0);
     }

@@ -214,7 +214,7 @@ async fn an_edit_of_the_rest_shape_solves_as_the_pose_was_solved() {
 }
 
 #[tokio::test]
-async fn a_session_tells_the_poses_in_force() {
+async fn a_session_reports_the_poses_in_force() {
     let fixture = bar(small()).await;
     let poses = async || fixture.facts().await.poses;
     assert_eq!(poses().await.0.as_slice(), [HandlePose::default(); 2]);

@@ -153,7 +153,7 @@ async fn a_call_that_failed_or_was_given_up_frees_its_key() {
 }
 
 #[tokio::test]
-async fn draining_tells_streams_and_waits_for_them() {
+async fn draining_notifies_streams_and_waits_for_them() {
     let (fixture, control, mut client) = Fixture::streamed().await;
     fixture.manager.start_drain();
     assert!(!fixture.manager.admits());
@@ -267,7 +267,7 @@ async fn other_bits_of_the_same_build_are_damage() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn late_digits_of_another_build_are_recorded_anew() {
+async fn late_digits_of_another_build_are_recorded_again() {
     let folder = tempfile::tempdir().expect("a folder");
     let (id, by_one) = made(folder.path(), 3).await;
     let manager = opened_by(folder.path(), "two", 1).await;

@@ -1,4 +1,4 @@
-//! What is refused, with which code, and that it costs nobody else anything.
+//! What is refused, with which code, and that it costs no one else anything.
 
 use super::fake::*;
 use pliant::session::{Error, Manager, MemoryUse, SessionConfig, Tenant};
@@ -147,7 +147,7 @@ async fn a_pose_never_waits_behind_builds() {
 }
 
 #[tokio::test]
-async fn a_build_that_nobody_waits_for_stops() {
+async fn a_build_that_no_one_waits_for_stops() {
     let (manager, control) = manager(small());
     control.hold();
     let create = tokio::time::timeout(
@@ -175,8 +175,8 @@ async fn a_panic_costs_its_own_session_only() {
         .await
         .expect_err("it panics");
     assert_eq!((error.http_status(), error.code_name()), (500, "INTERNAL"));
-    let (seq, told) = client.error().await;
-    assert_eq!((seq, told.grpc_code()), (0, 13));
+    let (seq, reply) = client.error().await;
+    assert_eq!((seq, reply.grpc_code()), (0, 13));
     assert!(client.next().await.is_none());
     until(|| manager.metrics().sessions.get() == 1).await;
     assert_eq!(manager.get(tenant(), &id).await.expect_err("gone").http_status(), 404);
@@ -277,7 +277,7 @@ async fn a_tenant_with_much_work_holds_up_another_by_one_piece_of_it() {
 }
 
 #[tokio::test]
-async fn a_line_on_one_session_that_is_too_long_is_told_before_it_was_waited_for() {
+async fn a_line_on_one_session_that_is_too_long_is_reported_before_it_was_waited_for() {
     let (fixture, control) = Fixture::with(|config| config.compute_wait = Duration::from_millis(500)).await;
     control.hold();
     let begin = || fixture.solving(solve(&[("a", 1.0)]));

@@ -138,7 +138,7 @@ async fn a_store_that_is_away_refuses_changes_and_lets_reads_and_drags_go_on() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn while_a_commit_waits_for_the_store_it_has_not_happened_and_nobody_else_waits() {
+async fn while_a_commit_waits_for_the_store_it_has_not_happened_and_no_one_else_waits() {
     let folder = tempfile::tempdir().expect("a folder");
     let (manager, store) = opened(folder.path()).await;
     let (id, other) = (open(&manager).await, open(&manager).await);

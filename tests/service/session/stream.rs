@@ -40,7 +40,7 @@ async fn the_latest_pose_wins_and_the_skipped_ones_are_counted() {
 
 #[tokio::test]
 async fn skipped_poses_still_move_the_handles_that_newer_ones_do_not_name() {
-    let (fixture, control, mut client) = Fixture::streamed().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
     client.drag_held_up(&control).await;
     client.drag(2, &[("b", 2.0)]);
     client.drag(3, &[("a", 3.0)]);
@@ -55,8 +55,8 @@ async fn skipped_poses_still_move_the_handles_that_newer_ones_do_not_name() {
 }
 
 #[tokio::test]
-async fn a_wrong_pose_is_told_and_the_stream_goes_on() {
-    let (fixture, _, mut client) = Fixture::streamed().await;
+async fn a_wrong_pose_is_reported_and_the_stream_goes_on() {
+    let (_fixture, _, mut client) = Fixture::streamed().await;
     client.drag(5, &[("a", 1.0)]);
     assert_eq!(client.frame().await.header.seq, 5);
     client.drag(5, &[("a", 2.0)]);
@@ -78,7 +78,7 @@ async fn a_wrong_pose_is_told_and_the_stream_goes_on() {
 
 #[tokio::test]
 async fn a_wrong_pose_among_skipped_ones_takes_no_effect_and_no_part_in_the_count() {
-    let (fixture, control, mut client) = Fixture::streamed().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
     client.drag_held_up(&control).await;
     client.drag(2, &[("b", 2.0), ("a", f64::INFINITY)]);
     client.drag(3, &[("a", 3.0)]);
@@ -116,7 +116,7 @@ async fn without_handles_every_pose_is_refused() {
 
 #[tokio::test]
 async fn no_more_frames_than_the_window_are_on_their_way() {
-    let (fixture, control, mut client) = Fixture::streamed().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
     for seq in 1..=2 {
         client.drag(seq, &[("a", seq as f64)]);
         assert_eq!(client.frame().await.header.seq, seq);
@@ -181,12 +181,12 @@ async fn commits_are_never_skipped_and_stay_in_order() {
     for _ in 0..4 {
         frames.push(client.frame().await);
     }
-    let told: Vec<_> = frames
+    let reply: Vec<_> = frames
         .iter()
         .map(|f| (f.header.seq, f.header.superseded, f.header.revision))
         .collect();
     // Revision 2 made the handles.
-    assert_eq!(told, [(1, 0, 2), (3, 1, 3), (5, 1, 4), (6, 0, 4)]);
+    assert_eq!(reply, [(1, 0, 2), (3, 1, 3), (5, 1, 4), (6, 0, 4)]);
     assert_eq!(
         (&frames[1].x[..2], &frames[2].x[..2]),
         (&[3.0, 2.0][..], &[4.0, 2.0][..])
@@ -249,7 +249,7 @@ async fn a_commit_elsewhere_moves_a_stream_but_not_what_it_drags() {
 
 #[tokio::test]
 async fn progressive_frames_come_from_the_first_cycle_on() {
-    let (fixture, control, mut client) = Fixture::streamed().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
     client.options(|options| (options.progressive, options.window) = (true, 4));
     control.hold();
     client.drag(1, &[("a", 1.0)]);
@@ -302,7 +302,7 @@ async fn a_newer_pose_cuts_a_progressive_solve_short_but_not_another() {
 
 #[tokio::test]
 async fn a_budget_takes_the_best_there_is() {
-    let (fixture, control, mut client) = Fixture::streamed().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
     client.options(|options| options.budget_ms = Some(1.0));
     client.drag_held_up(&control).await;
     tokio::time::sleep(Duration::from_millis(5)).await;
@@ -314,7 +314,7 @@ async fn a_budget_takes_the_best_there_is() {
 
 #[tokio::test]
 async fn pings_are_answered_while_solving() {
-    let (fixture, control, mut client) = Fixture::streamed().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
     client.drag_held_up(&control).await;
     client.silent().await;
     control.release();
@@ -323,7 +323,7 @@ async fn pings_are_answered_while_solving() {
 
 #[tokio::test]
 async fn a_client_that_has_said_everything_gets_its_last_frame_unasked() {
-    let (fixture, control, mut client) = Fixture::streamed().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
     client.drag_held_up(&control).await;
     for seq in 2..=9 {
         if seq % 3 == 0 {
@@ -335,16 +335,16 @@ async fn a_client_that_has_said_everything_gets_its_last_frame_unasked() {
     client.drag(10, &[("b", 10.0)]);
     client.input.finish();
     control.release();
-    let mut told = Vec::new();
+    let mut reply = Vec::new();
     while let Some(message) = client.next().await {
         let StreamAnswer::Frame(frame) = message else {
             panic!("only frames were expected, not {message:?}")
         };
         let header = frame.header;
-        told.push((header.seq, header.superseded, header.is_final));
+        reply.push((header.seq, header.superseded, header.is_final));
     }
     assert_eq!(
-        told,
+        reply,
         [(1, 0, true), (3, 1, true), (6, 2, true), (9, 2, true), (10, 0, true)]
     );
 }
@@ -396,7 +396,7 @@ async fn streams_take_turns() {
 
 #[tokio::test]
 async fn wrong_options_end_the_stream() {
-    let (fixture, _, mut client) = Fixture::streamed().await;
+    let (_fixture, _, mut client) = Fixture::streamed().await;
     let wrong = wire::Error::invalid("options.tolerance", "is -1");
     client.push(StreamRequest::Options(Err(wrong)));
     let (seq, error) = client.error().await;
@@ -408,7 +408,7 @@ async fn wrong_options_end_the_stream() {
 
 #[tokio::test]
 async fn changes_only_are_sent_once_a_frame_is_acknowledged() {
-    let (fixture, _, mut client) = Fixture::streamed().await;
+    let (_fixture, _, mut client) = Fixture::streamed().await;
     client.options(|options| options.output.changed_only = Some(0.01));
     client.drag(1, &[("a", 1.0)]);
     assert_eq!(client.frame().await.selected, Some(vec![0, 1, 2, 3]));

@@ -11,7 +11,7 @@ use tokio_tungstenite::tungstenite;
 use tonic::Code;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_wrong_pose_is_told_and_the_stream_goes_on() {
+async fn a_wrong_pose_is_reported_and_the_stream_goes_on() {
     let (server, id) = Server::start_with_bar().await;
     let mut socket = server.stream_socket(&id).await;
     let mut wrong = turned(1, 0.1, false);
@@ -84,16 +84,16 @@ async fn a_websocket_says_why_it_closes() {
     let mut socket = server.socket(&path).await.unwrap();
     let gone = server.delete(&format!("/v1/sessions/{id}")).answer().await;
     assert_eq!(gone.status(), 204);
-    let mut told = None;
+    let mut reply = None;
     let (code, reason) = loop {
         match socket.next().await {
-            Came::Response(response) => told = response.message,
+            Came::Response(response) => reply = response.message,
             Came::Closed(frame) => break frame.expect("a close frame"),
         }
     };
     assert!(
-        matches!(told, Some(deform_response::Message::Error(ref e)) if e.seq == 0 && e.code == 5),
-        "{told:?}"
+        matches!(reply, Some(deform_response::Message::Error(ref e)) if e.seq == 0 && e.code == 5),
+        "{reply:?}"
     );
     assert_eq!(code, 4005);
     assert!(reason.contains("deleted"), "{reason}");
@@ -202,7 +202,7 @@ async fn a_commit_that_is_sent_again_is_recorded_once() {
     let second = answer(&mut socket, 2).await.expect("a frame");
     assert_eq!(commits(&server, &id).await, 2);
 
-    // On the same stream, and on a later one, where numbers begin anew.
+    // On the same stream, and on a later one, where numbers begin again.
     socket.send(keyed(3, 0.4, "first")).await;
     let again = answer(&mut socket, 3).await.expect("the frame of the first");
     drop(socket);

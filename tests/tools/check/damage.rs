@@ -1,11 +1,17 @@
 //! What a check is for: each kind of damage is caught by a case of its own, with a reason of its own, in every report.
 
 use super::folder::Suite;
-use super::proxy::Proxy;
-use crate::support::server::{Server, bar_obj};
+use crate::support::server::{Server, bar_obj, http};
+use axum::Router;
+use axum::body::{Body, Bytes};
+use axum::extract::Request;
+use axum::response::Response;
 use glam::DVec3;
 use serde_json::Value;
 use std::fmt::Write as _;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use tokio::net::TcpListener;
 
 /// The bar, each vertex and face changed.
 fn bar(vertex: impl Fn(usize, DVec3) -> DVec3, face: impl Fn(usize, [u32; 3]) -> Option<[u32; 3]>) -> String {
@@ -129,13 +135,13 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
             .find(|l| l.starts_with(&format!("FAILED   {name} ")))
             .expect(name);
         assert!(line.contains(words), "{name}: {line}");
-        let told = junit(&xml, name);
+        let reply = junit(&xml, name);
         assert!(
-            told.contains(code) && told.contains(words.split('\'').next().expect("words")),
-            "{name}: {told}"
+            reply.contains(code) && reply.contains(words.split('\'').next().expect("words")),
+            "{name}: {reply}"
         );
         let element = if code == "not-run" { "<error " } else { "<failure " };
-        assert!(told.contains(element), "{name}: {told}");
+        assert!(reply.contains(element), "{name}: {reply}");
         assert!(
             page.contains(&format!("<section id=\"{name}\" class=\"failed\">")),
             "{name}"
@@ -155,7 +161,7 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
     assert_eq!(flips("moved"), Some(0.0), "what moved a little did not turn over");
     assert!(flips("flipped") >= Some(1.0));
     assert_eq!(flips("opened"), None);
-    // The distance is told to the model's units: 1e-3 of a bar about 4 long.
+    // The distance is asked to the model's units: 1e-3 of a bar about 4 long.
     assert!(
         ran.err
             .lines()
@@ -177,7 +183,7 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
     ran.says(&["10 passed"]);
 }
 
-/// A stale golden is shown beside the result, with all differences, so that nobody has to bless blind.
+/// A stale golden is shown beside the result, with all differences, so that no one has to bless blind.
 fn assert_shown_beside(report: &Value, xml: &str, page: &str, name: &str) {
     let cases = report["cases"].as_array().expect("cases");
     let case = cases.iter().find(|c| c["name"] == name).expect(name);
@@ -241,4 +247,65 @@ async fn a_server_that_answers_wrongly_is_caught_though_its_digest_is_right() {
     assert_eq!(codes(&moved.json()["cases"][0])[0], "digest");
     assert!(junit(&moved_xml, "bar").contains("the positions that came with it are not"));
     assert_eq!(good.code, Some(0), "{}", good.err);
+}
+
+/// What is done to the coordinates of a vertex buffer.
+type Damage = Arc<dyn Fn(&mut [f32]) + Send + Sync>;
+
+/// Runs until it is dropped.
+pub struct Proxy {
+    pub address: SocketAddr,
+    task: tokio::task::JoinHandle<()>,
+}
+
+impl Proxy {
+    /// Stands before the server at `behind`; `damage` changes the coordinates of every vertex buffer.
+    pub async fn start(behind: SocketAddr, damage: impl Fn(&mut [f32]) + Send + Sync + 'static) -> Self {
+        let damage: Damage = Arc::new(damage);
+        let pass = move |request: Request| pass(behind, Arc::clone(&damage), request);
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+        let address = listener.local_addr().expect("an address");
+        let router = Router::new().fallback(pass);
+        let task = tokio::spawn(async move {
+            axum::serve(listener, router).await.expect("it serves");
+        });
+        Self { address, task }
+    }
+}
+
+impl Drop for Proxy {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+async fn pass(behind: SocketAddr, damage: Damage, request: Request) -> Response {
+    let (parts, body) = request.into_parts();
+    let body = axum::body::to_bytes(body, 1 << 26).await.expect("a body");
+    let path = parts.uri.path_and_query().map_or("/", |p| p.as_str());
+    let mut call = http()
+        .request(parts.method.clone(), format!("http://{behind}{path}"))
+        .body(body);
+    for name in ["content-type", "accept"] {
+        if let Some(value) = parts.headers.get(name) {
+            call = call.header(name, value);
+        }
+    }
+    let answer = call.send().await.expect("an answer");
+    let status = answer.status();
+    let headers = answer.headers().clone();
+    let mut bytes = answer.bytes().await.expect("a body").to_vec();
+    if parts.uri.path().ends_with("/positions") {
+        let mut floats = crate::support::server::floats(&bytes);
+        damage(&mut floats);
+        bytes = floats.iter().flat_map(|f| f.to_le_bytes()).collect();
+    }
+    let mut response = Response::new(Body::from(Bytes::from(bytes)));
+    *response.status_mut() = status;
+    for (name, value) in &headers {
+        if name != "content-length" && name != "transfer-encoding" && name != "content-encoding" {
+            response.headers_mut().append(name.clone(), value.clone());
+        }
+    }
+    response
 }

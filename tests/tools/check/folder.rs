@@ -1,6 +1,6 @@
 //! A suite in a folder of its own, and the program run on it.
 
-use crate::program::{Arguments, Ran, pliant_in};
+use crate::support::commands::{Arguments, Ran, pliant_in};
 use crate::support::server::{bar_obj, ends};
 use sha2::{Digest as _, Sha256};
 use std::fs;

@@ -1,7 +1,7 @@
 //! Suites and arguments that are wrong: exit 2, the reason in the last line, nothing written.
 
 use super::folder::{Suite, check};
-use crate::program::Ran;
+use crate::support::commands::Ran;
 use std::fs;
 use std::process::Command;
 
@@ -12,7 +12,7 @@ fn a_malformed_suite_is_exit_2_with_what_where_and_what_is_allowed() {
         break_it(&folder);
         for more in ["", "--bless"] {
             let ran = folder.exits(2, &format!("{more} --json --junit r.xml"));
-            assert!(ran.tells_only_why(true), "{}", ran.out);
+            assert!(ran.reports_only_why(true), "{}", ran.out);
             ran.gives(&words.split("; ").collect::<Vec<_>>());
             assert!(!folder.path().join("../r.xml").exists() && !folder.path().join("bar.golden.json").exists());
         }

@@ -1,7 +1,7 @@
 //! Where reports may go: looked at before any case is run.
 
-use super::folder::Suite;
-use crate::program::Ran;
+use super::folder::{Suite, sample_suite};
+use crate::support::commands::Ran;
 use crate::support::process::Nobody;
 use std::collections::BTreeMap;
 use std::fs;
@@ -105,7 +105,7 @@ fn two_reports_are_two_files() {
 }
 
 #[test]
-fn a_place_where_nothing_can_be_written_is_told_before_any_case_is_run() {
+fn a_place_where_nothing_can_be_written_is_reported_before_any_case_is_run() {
     if !Path::new("/proc/self").exists() {
         println!("SKIPPED: there is no /proc, where nobody can make a file");
         return;
@@ -133,4 +133,55 @@ fn a_suite_that_cannot_be_written_is_not_blessed() {
     mode(&suite.path(), 0o755);
     assert_refused(&ran, &["bar.golden.json: permission denied"]);
     assert!(!ran.err.contains(".part"), "{}", ran.err);
+}
+
+/// The sample suite's animation in a folder of its own.
+fn wave() -> Suite {
+    let suite = Suite::new();
+    for folder in ["models", "clips"] {
+        fs::create_dir(suite.path().join(folder)).expect("a folder");
+    }
+    for name in ["wave.case.json", "wave.golden.json", "models/bar.obj", "clips/wave.bvh"] {
+        fs::copy(sample_suite().join(name), suite.path().join(name)).expect("copied");
+    }
+    suite
+}
+
+#[test]
+fn a_frame_that_differs_is_reported_by_its_number() {
+    let suite = wave();
+    suite.passes(&[]);
+    let golden: serde_json::Value = serde_json::from_str(&suite.read("wave.golden.json")).expect("JSON");
+    let frames: Vec<&str> = golden["frames"]
+        .as_array()
+        .expect("a digest a frame")
+        .iter()
+        .filter_map(|digest| digest.as_str())
+        .collect();
+    assert_eq!(frames.len(), 68);
+    assert_eq!(golden["digest"], frames[67], "the shape is that of the last frame");
+    let other = suite
+        .read("wave.golden.json")
+        .replacen(frames[5], "xxh3:0000000000000000", 1);
+    suite.write("wave.golden.json", &other);
+    let failed = suite.fails(&[]);
+    let reply = "1 of 68 frames differ; the digest of the first of them, number 5, is";
+    failed.says(&[reply]);
+    suite.passes("--bless");
+    suite.passes(&[]);
+}
+
+#[test]
+fn another_clip_makes_the_golden_stale_and_a_damaged_one_is_reported() {
+    let suite = wave();
+    let clip = suite.read("clips/wave.bvh");
+    suite.write("clips/wave.bvh", &clip.replacen("0 0 0 0.5 0 0", "0 0 0 1.5 0 0", 1));
+    let stale = suite.fails(&[]);
+    stale.says(&["the golden is stale: the case's job has changed"]);
+    suite.write("clips/wave.bvh", &clip.replacen("Frame Time: 0.05", "Frame Time: 0", 1));
+    let damaged = suite.fails(&[]);
+    damaged.says(&["clip: line "]);
+    suite.remove("clips/wave.bvh");
+    let missing = suite.exits(2, &[]);
+    missing.gives(&["wave.bvh"]);
 }

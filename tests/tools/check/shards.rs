@@ -1,7 +1,7 @@
 //! A suite in shards on several machines: together they are the whole, and joined they say what a run of the whole says.
 
 use super::folder::{Suite, check, run_in, sample_suite};
-use crate::program::{Arguments, Ran};
+use crate::support::commands::{Arguments, Ran};
 use crate::support::data::copied;
 use crate::support::program::words;
 use serde_json::Value;
@@ -92,7 +92,7 @@ fn shards_are_the_suite_and_joined_they_say_what_one_run_says() {
 }
 
 #[test]
-fn a_suite_that_passes_passes_joined_and_shards_hold_times_and_pictures_when_told() {
+fn a_suite_that_passes_passes_joined_and_shards_hold_times_and_pictures_on_request() {
     let suite = Suite::new();
     // As files "a-b.case.json" comes before "a.case.json", as names the other way round.
     for name in ["a", "a-b", "b"] {
@@ -110,7 +110,7 @@ fn a_suite_that_passes_passes_joined_and_shards_hold_times_and_pictures_when_tol
     let joined = merge(&beside, "shards/2.json shards/1.json --json");
     assert_eq!((joined.code, &joined.out), (Some(0), &whole.out), "{}", joined.err);
     assert_eq!(joined.err, whole.err);
-    // Times are told where they are asked for, and then those that the shards measured.
+    // Times are reported where they are asked for, and then those that the shards measured.
     let joined = merge(
         &beside,
         &["shards", "--times", "--report", "merged.json", "--junit", "m.xml"],
@@ -269,7 +269,7 @@ fn reports_that_do_not_belong_together_are_exit_2_and_write_nothing() {
     ];
     for (reports, words) in cases {
         let ran = merge(&beside, &format!("{reports} --json --junit r.xml")).exits(2);
-        assert!(ran.tells_only_why(true), "{}", ran.out);
+        assert!(ran.reports_only_why(true), "{}", ran.out);
         ran.gives(&words.split("; ").collect::<Vec<_>>());
         assert!(!beside.join("r.xml").exists());
     }

@@ -1,16 +1,127 @@
-//! Sessions that this program drives itself, over HTTP and WebSocket: each is dragged and committed at the same time.
+//! A program that drives sessions with one of the clients, for as long as its input is open.
 
 use super::Driven;
-use crate::support::server::{Socket, bar_obj, ends, http, pace, retried, turn_json, turned, within};
+use crate::node::build_typescript;
+use crate::support::process::{root, show};
+use crate::support::server::{HANG, Socket, bar_obj, ends, http, pace, retried, turn_json, turned, within};
+use crate::workflows::program_of_package;
 use futures::{SinkExt as _, StreamExt as _};
 use pliant::wire::pb::{self, deform_request, deform_response};
 use prost::Message as _;
 use serde_json::{Value, json};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
+use std::fs::{self, File};
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::SeqCst;
+use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 use tokio::task::JoinHandle;
 use tokio_tungstenite::tungstenite::Message;
+
+/// A running program. Dropping it kills it.
+pub(super) struct Driver {
+    name: &'static str,
+    child: Child,
+    stdin: Option<ChildStdin>,
+    stdout: Option<BufReader<ChildStdout>>,
+    log: PathBuf,
+}
+
+/// What the Python client needs, by its own words.
+fn python_needs() -> Vec<String> {
+    let project = fs::read_to_string(root().join("proto/clients/python/pyproject.toml")).expect("a project");
+    let (_, listed) = project.split_once("\ndependencies = [").expect("a list");
+    let (listed, _) = listed.split_once(']').expect("its end");
+    listed.split('"').skip(1).step_by(2).map(str::to_owned).collect()
+}
+
+impl Driver {
+    /// The Python client; `None` where Python or its packages cannot be had.
+    pub(super) fn python(url: &str, folder: &Path, sessions: usize) -> Option<Self> {
+        let needs = python_needs();
+        let needs: Vec<&str> = needs.iter().map(String::as_str).collect();
+        let mut command = Command::new(program_of_package("python-client-needs", &needs, "python")?);
+        command
+            .arg(root().join("tests/clients/through_proxy/drive.py"))
+            .env("PYTHONPATH", root().join("proto/clients/python"))
+            .env("PYTHONDONTWRITEBYTECODE", "1");
+        Some(Self::start("Python", command, (url, folder, sessions)))
+    }
+
+    /// The TypeScript client; `None` where node or its packages cannot be had.
+    pub(super) fn typescript(url: &str, folder: &Path, sessions: usize) -> Option<Self> {
+        let _held = crate::hold_typescript_package();
+        if let Err(reason) = build_typescript() {
+            show(&format!("SKIPPED: sessions of the TypeScript client: {reason}"));
+            return None;
+        }
+        let mut command = Command::new("node");
+        command
+            .arg("--experimental-websocket")
+            .arg(root().join("tests/clients/through_proxy/drive.mjs"));
+        Some(Self::start("TypeScript", command, (url, folder, sessions)))
+    }
+
+    /// Starts a program, and waits until all of its sessions are open.
+    fn start(name: &'static str, mut command: Command, (url, folder, sessions): (&str, &Path, usize)) -> Self {
+        let model = folder.join("bar.obj");
+        fs::write(&model, bar_obj(12)).expect("written");
+        let log = folder.join(name);
+        let mut child = command
+            .args([url, model.to_str().expect("UTF-8"), &sessions.to_string()])
+            .env_remove("PLIANT_TOKEN")
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(File::create(&log).expect("a log"))
+            .spawn()
+            .expect("it starts");
+        let mut driver = Self {
+            name,
+            stdin: child.stdin.take(),
+            stdout: child.stdout.take().map(BufReader::new),
+            child,
+            log,
+        };
+        let mut line = String::new();
+        let read = driver.stdout.as_mut().expect("piped").read_line(&mut line);
+        read.expect("a line");
+        assert_eq!(line, "ready\n", "{name}: {}", driver.said());
+        driver
+    }
+
+    fn said(&self) -> String {
+        fs::read_to_string(&self.log).unwrap_or_default()
+    }
+
+    /// Ends it; its name, and what came back.
+    pub(super) fn finish(mut self) -> (&'static str, Vec<Driven>) {
+        drop(self.stdin.take());
+        let (said, heard) = mpsc::channel();
+        let mut stdout = self.stdout.take().expect("piped");
+        std::thread::spawn(move || {
+            let mut reply = String::new();
+            let read = stdout.read_to_string(&mut reply).map(|_| reply);
+            drop(said.send(read));
+        });
+        let reply = heard
+            .recv_timeout(HANG)
+            .unwrap_or_else(|_| panic!("{} does not end: {}", self.name, self.said()))
+            .expect("UTF-8");
+        let status = self.child.wait().expect("it ends");
+        assert!(status.success(), "{}: {status}: {}", self.name, self.said());
+        let driven = serde_json::from_str(&reply).unwrap_or_else(|e| panic!("{}: {e}: {reply}", self.name));
+        (self.name, driven)
+    }
+}
+
+impl Drop for Driver {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
 
 /// Between two poses of a drag, and between two commits.
 const PAUSES: [Duration; 2] = [Duration::from_millis(120), Duration::from_millis(500)];
@@ -163,7 +274,7 @@ async fn say(socket: &mut Socket, message: deform_request::Message) -> Option<()
     socket.stream.send(Message::Binary(bytes)).await.ok()
 }
 
-/// Drags until it is told to stop.
+/// Drags until it is asked to stop.
 async fn keep_dragging((url, id, stop): (String, String, Arc<AtomicBool>)) -> Dragged {
     let (mut asked, mut seq) = (None, 0);
     let mut dragged = Dragged {
@@ -185,7 +296,7 @@ async fn keep_dragging((url, id, stop): (String, String, Arc<AtomicBool>)) -> Dr
         // A pose that got no answer is asked again on the next stream.
         let since = *asked.get_or_insert_with(Instant::now);
         let pose = turned(seq, 0.01 * (seq % 50) as f64, false);
-        // One that says nothing for so long is looked for anew, as the clients do.
+        // One that says nothing for so long is looked for again, as the clients do.
         match tokio::time::timeout(Duration::from_millis(1500), try_drag(open, pose)).await {
             Ok(Some(())) => {
                 dragged.answers += 1;
@@ -199,7 +310,7 @@ async fn keep_dragging((url, id, stop): (String, String, Arc<AtomicBool>)) -> Dr
     dragged
 }
 
-/// Commits until it is told to stop, each under its key; what was acknowledged.
+/// Commits until it is asked to stop, each under its key; what was acknowledged.
 async fn keep_committing((url, id, stop): (String, String, Arc<AtomicBool>)) -> Vec<(f64, u64)> {
     let mut acknowledged: Vec<(f64, u64)> = Vec::new();
     let path = format!("/v1/sessions/{id}/solve");

@@ -39,13 +39,13 @@ impl Ran {
     }
 
     /// Whether stdout says what the last line of stderr does, where a document was asked for, and nothing else.
-    pub fn tells_only_why(&self, asked: bool) -> bool {
+    pub fn reports_only_why(&self, asked: bool) -> bool {
         if !asked {
             return self.out.is_empty();
         }
         let error = &self.json()["error"];
-        let told = format!("pliant: {}", error["message"].as_str().unwrap_or_default());
-        error["exitCode"].as_i64() == self.code.map(i64::from) && told == self.last()
+        let reply = format!("pliant: {}", error["message"].as_str().unwrap_or_default());
+        error["exitCode"].as_i64() == self.code.map(i64::from) && reply == self.last()
     }
 
     /// Asserts the exit code.
@@ -109,12 +109,12 @@ impl Arguments for Vec<&str> {
     }
 }
 
-/// The program in a folder, with nothing said of stores and data by the surroundings.
+/// The program in a folder, with no variable of its own from the surroundings.
 pub fn pliant_in(folder: &Path, arguments: &(impl Arguments + ?Sized)) -> Command {
     let mut program = Command::new(env!("CARGO_BIN_EXE_pliant"));
     program.args(arguments.list()).current_dir(folder);
-    for variable in ["PLIANT_DATA", "PLIANT_DATA_DIR", "PLIANT_TOKEN", "PLIANT_CONFIG"] {
-        program.env_remove(variable);
+    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("PLIANT_")) {
+        program.env_remove(name);
     }
     program
 }
