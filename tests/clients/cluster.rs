@@ -1,8 +1,9 @@
 //! The manifests of `deploy/kubernetes`: they fit the schemas of Kubernetes, put together they do as well, and what they say of the
 //! server (paths, ports, keys, times, sizes, metrics) is true of it. What cannot be fetched or is not installed here is said and skipped.
 
-use crate::node::{said, tell};
 use crate::support::data::copied;
+use crate::support::process::needed;
+use crate::support::process::{said, show};
 use crate::support::program::ServedProgram;
 use crate::support::server::http;
 use crate::workflows::program_of_package;
@@ -77,7 +78,7 @@ fn fits_schema(checker: &Path, version: &str, file: &Path) -> Result<(), String>
 
 #[test]
 fn manifests_fit_the_schemas_of_kubernetes() {
-    let Some(checker) = schema_checker() else { return };
+    let checker = needed!(schema_checker());
     for name in NODES.into_iter().chain([PROXY]).chain(CHECK) {
         for version in VERSIONS {
             let fit = fits_schema(&checker, version, &at("kubernetes").join(name));
@@ -102,7 +103,7 @@ fn manifests_fit_the_schemas_of_kubernetes() {
 /// What kubectl makes of a folder; `None` where there is no kubectl.
 fn built(folder: &Path) -> Option<Result<String, String>> {
     let Ok(done) = Command::new("kubectl").arg("kustomize").arg(folder).output() else {
-        tell("SKIPPED: kubectl is not installed");
+        show("SKIPPED: kubectl is not installed");
         return None;
     };
     Some(match done.status.success() {
@@ -113,9 +114,7 @@ fn built(folder: &Path) -> Option<Result<String, String>> {
 
 #[test]
 fn kubectl_puts_the_manifests_together() {
-    let Some(nodes) = built(&at("kubernetes/nodes")) else {
-        return;
-    };
+    let nodes = needed!(built(&at("kubernetes/nodes")));
     let nodes = nodes.expect("the nodes are put together");
     let own = "value: http://$(POD_NAME).pliant-nodes.$(POD_NAMESPACE).svc:7411";
     assert!(
@@ -271,8 +270,8 @@ async fn the_configuration_of_the_cluster_starts_with_a_token_and_not_without() 
     let file = folder.path().join("config.toml");
     let start = |config: &str| {
         fs::write(&file, config).expect("written");
-        let told = ["--config", file.to_str().expect("UTF-8"), "--listen", "0.0.0.0:0"];
-        ServedProgram::start_anywhere(folder.path().join("log"), &told, &[])
+        let reply = ["--config", file.to_str().expect("UTF-8"), "--listen", "0.0.0.0:0"];
+        ServedProgram::start_anywhere(folder.path().join("log"), &reply, &[])
     };
     let config = manifest("nodes/config.toml");
     let refused = start(&config).err().expect("nobody was told who may call");
@@ -290,12 +289,12 @@ async fn the_configuration_of_the_cluster_starts_with_a_token_and_not_without() 
     };
     let probes = [status("/healthz", "").await, status("/readyz", "").await];
     assert_eq!(probes, [200; 2], "probes carry no token");
-    let told = [
+    let reply = [
         status("/metrics", token).await,
         status("/v1/sessions", token).await,
         status("/v1/sessions", "x").await,
     ];
-    assert_eq!(told, [200, 200, 401]);
+    assert_eq!(reply, [200, 200, 401]);
 }
 
 /// A proxy's configuration without comments, its nodes, and how they are found.
@@ -327,7 +326,7 @@ fn the_proxy_of_the_cluster_does_what_the_tested_one_does() {
         proxy.envs(namespace.map(|name| ("POD_NAMESPACE", name))).output()
     };
     let Ok(done) = checked(Some("studio")) else {
-        return tell("SKIPPED: HAProxy is not installed");
+        return show("SKIPPED: HAProxy is not installed");
     };
     assert!(done.status.success(), "{}", said(&done));
     assert!(

@@ -1,7 +1,6 @@
 //! Clients as their authors run them, with Python, Node and a browser, and the commands that the documentation shows.
 
 mod cluster;
-mod described;
 mod monitoring;
 mod node;
 mod packages;
@@ -14,7 +13,7 @@ mod workflows;
 
 use std::sync::{Mutex, MutexGuard};
 
-/// Held by whoever installs or builds the TypeScript package: `npm ci` empties its folder of packages before it fills it.
+/// Held by who installs or builds the TypeScript package: `npm ci` empties its folder of packages before it fills it.
 static TYPESCRIPT_PACKAGE: Mutex<()> = Mutex::new(());
 
 fn hold_typescript_package() -> MutexGuard<'static, ()> {

@@ -2,7 +2,9 @@
 //! server's, Prometheus reads and plays the rules, and Grafana's own types hold the dashboard. What is not installed or cannot be fetched
 //! here is said and skipped.
 
-use crate::node::{lacks_node, said, tell};
+use crate::node::lacks_node;
+use crate::support::process::needed;
+use crate::support::process::{said, show};
 use crate::support::program::ServedProgram;
 use crate::workflows::fetched;
 use serde_json::Value;
@@ -132,9 +134,9 @@ async fn every_metric_and_label_that_is_asked_for_is_exported() {
         "kubernetes/adapter.yaml",
     ] {
         let text = read(name);
-        let told = behind(&text, &keys);
-        assert!(told.len() > 4, "{name}: {told:?}");
-        queries.extend(told.into_iter().map(str::to_owned));
+        let reply = behind(&text, &keys);
+        assert!(reply.len() > 4, "{name}: {reply:?}");
+        queries.extend(reply.into_iter().map(str::to_owned));
     }
     for query in &queries {
         assert_eq!(exported.lacks(query), Vec::<&str>::new(), "{query}");
@@ -157,7 +159,7 @@ async fn every_metric_and_label_that_is_asked_for_is_exported() {
 /// Runs promtool in a folder; `None` where it is not installed.
 fn promtool(folder: &Path, arguments: &[&str]) -> Option<Result<(), String>> {
     let Ok(done) = Command::new("promtool").args(arguments).current_dir(folder).output() else {
-        tell("SKIPPED: promtool is not installed (apt-get install prometheus)");
+        show("SKIPPED: promtool is not installed (apt-get install prometheus)");
         return None;
     };
     Some(match done.status.success() {
@@ -169,9 +171,7 @@ fn promtool(folder: &Path, arguments: &[&str]) -> Option<Result<(), String>> {
 #[test]
 fn prometheus_reads_the_rules_and_plays_them() {
     let own = at("prometheus");
-    let Some(checked) = promtool(&own, &["check", "rules", "recording.yml", "alerts.yml"]) else {
-        return;
-    };
+    let checked = needed!(promtool(&own, &["check", "rules", "recording.yml", "alerts.yml"]));
     checked.expect("the rules can be read");
     let run = |folder: &Path, arguments: &[&str]| promtool(folder, arguments).expect("promtool is installed");
     let play = ["test", "rules", "alerts_test.yml"];
@@ -207,7 +207,7 @@ fn prometheus_reads_its_configuration() {
         fs::write(folder.path().join("prometheus.yml"), text).expect("written");
         promtool(folder.path(), &["check", "config", "--syntax-only", "prometheus.yml"])
     };
-    let Some(checked) = check(&text) else { return };
+    let checked = needed!(check(&text));
     checked.expect("it can be read");
     assert!(
         check(&text.replace("action: keep", "action: stay"))
@@ -229,7 +229,7 @@ fn prometheus_reads_every_query_of_the_dashboard() {
         promtool(folder.path(), &["check", "rules", "queries.yml"])
     };
     let mut queries = queries_of_dashboard();
-    let Some(checked) = check(&queries) else { return };
+    let checked = needed!(check(&queries));
     checked.expect("every query can be read");
     queries[0] = queries[0].replacen('(', "((", 1);
     assert!(check(&queries).expect("promtool").is_err(), "the check can fail");
@@ -238,7 +238,7 @@ fn prometheus_reads_every_query_of_the_dashboard() {
 #[test]
 fn the_dashboard_has_the_types_of_grafana() {
     if let Some(lack) = lacks_node() {
-        return tell(&format!("SKIPPED: {lack}"));
+        return show(&format!("SKIPPED: {lack}"));
     }
     let home = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/dashboard-types");
     fs::create_dir_all(&home).expect("a folder");
@@ -261,21 +261,21 @@ fn the_dashboard_has_the_types_of_grafana() {
             "--target",
             "es2022",
         ]);
-        let told = tsc
+        let reply = tsc
             .args(["--module", "esnext", "--moduleResolution", "node", "dashboard.ts"])
             .current_dir(&home)
             .output();
-        let told = told.expect("node runs");
-        (told.status.success(), said(&told))
+        let reply = reply.expect("node runs");
+        (reply.status.success(), said(&reply))
     };
     let dashboard = read("grafana/pliant.json");
-    let (fits, told) = check(&dashboard);
-    assert!(fits, "{told}");
+    let (fits, reply) = check(&dashboard);
+    assert!(fits, "{reply}");
     for (right, wrong) in [
         ("\"gridPos\"", "\"gridPosition\""),
         ("\"editable\": true", "\"editable\": \"yes\""),
     ] {
-        let (fits, told) = check(&dashboard.replacen(right, wrong, 1));
-        assert!(!fits && told.contains("error TS2"), "{wrong}: {told}");
+        let (fits, reply) = check(&dashboard.replacen(right, wrong, 1));
+        assert!(!fits && reply.contains("error TS2"), "{wrong}: {reply}");
     }
 }

@@ -4,27 +4,16 @@
 //! What this machine lacks (node, npm, a network for packages, Chromium) is said and skipped; everything else must hold.
 //! What the browser measured goes to stderr, so that a log has it also when the test passes.
 
+use crate::support::process::{said, show};
 use std::fs;
-use std::io::Write as _;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
 /// The oldest node that the clients run on.
 const NODE: (u32, u32) = (20, 19);
 
 fn folder(name: &str) -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
-}
-
-/// Says something that is seen also when the test passes.
-pub(super) fn tell(text: &str) {
-    let _ = writeln!(std::io::stderr(), "{text}");
-}
-
-pub(super) fn said(output: &Output) -> String {
-    [&output.stdout[..], &output.stderr[..]]
-        .map(|text| String::from_utf8_lossy(text).into_owned())
-        .concat()
 }
 
 /// Why nothing of node can run here, if so.
@@ -77,8 +66,8 @@ fn install(package: &str) -> Result<(), String> {
     if done.status.success() {
         return Ok(());
     }
-    let told = said(&done);
-    assert!(is_offline(&told), "npm ci in {package} failed:\n{told}");
+    let reply = said(&done);
+    assert!(is_offline(&reply), "npm ci in {package} failed:\n{reply}");
     Err(format!("the packages of {package} cannot be fetched"))
 }
 
@@ -98,13 +87,13 @@ fn npm(package: &str, script: &str) -> String {
         .env("PLIANT_BIN", env!("CARGO_BIN_EXE_pliant"))
         .env_remove("PLIANT_SERVER");
     let done = npm.output().expect("npm runs");
-    let told = said(&done);
+    let reply = said(&done);
     assert!(
         done.status.success(),
-        "npm run {script} in {package} ended with {}:\n{told}",
+        "npm run {script} in {package} ended with {}:\n{reply}",
         done.status
     );
-    told
+    reply
 }
 
 #[test]
@@ -113,19 +102,19 @@ fn the_typescript_client_keeps_its_types_and_tests() {
     let package = "proto/clients/typescript";
     let _held = super::hold_typescript_package();
     if let Err(reason) = install(package) {
-        return tell(&format!("SKIPPED: {package}: {reason}"));
+        return show(&format!("SKIPPED: {package}: {reason}"));
     }
     npm(package, "check");
-    let told = npm(package, "test");
+    let reply = npm(package, "test");
     let figure = |name: &str| {
-        let line = told
+        let line = reply
             .lines()
             .find_map(|line| line.trim_start_matches(['#', 'ℹ', ' ']).strip_prefix(name));
         line.and_then(|n| n.trim().parse::<u32>().ok())
     };
-    assert!(figure("pass").is_some_and(|n| n > 20), "too few tests ran:\n{told}");
-    for line in told.lines().filter(|line| line.contains("# SKIP")) {
-        tell(&format!("SKIPPED: {package}: {line}"));
+    assert!(figure("pass").is_some_and(|n| n > 20), "too few tests ran:\n{reply}");
+    for line in reply.lines().filter(|line| line.contains("# SKIP")) {
+        show(&format!("SKIPPED: {package}: {line}"));
     }
 }
 
@@ -133,7 +122,7 @@ fn the_typescript_client_keeps_its_types_and_tests() {
 fn the_viewer_keeps_its_types() {
     let package = "src/server/viewer";
     if let Err(reason) = install(package) {
-        return tell(&format!("SKIPPED: {package}: {reason}"));
+        return show(&format!("SKIPPED: {package}: {reason}"));
     }
     npm(package, "check");
 }
@@ -143,14 +132,14 @@ fn the_viewer_keeps_its_types() {
 fn the_viewer_in_a_browser() {
     let driver = "tests/clients/viewer";
     if let Err(reason) = install(driver) {
-        return tell(&format!("SKIPPED: the viewer in a browser: {reason}"));
+        return show(&format!("SKIPPED: the viewer in a browser: {reason}"));
     }
     let mut browser = Command::new(folder(driver).join("run"));
     browser
         .env("PLIANT_BIN", env!("CARGO_BIN_EXE_pliant"))
         .env_remove("PLIANT_VIEWER_PAGE");
     let done = browser.output().expect("bash runs");
-    let told = said(&done);
-    assert!(done.status.success(), "{told}");
-    tell(told.trim_end());
+    let reply = said(&done);
+    assert!(done.status.success(), "{reply}");
+    show(reply.trim_end());
 }

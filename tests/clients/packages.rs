@@ -3,14 +3,12 @@
 //! The program of this build stands in for the one that a release links; what this machine lacks (python3, node, a network for
 //! packages) is said and skipped.
 
-use crate::node::{is_offline, lacks_node, said, tell};
+use crate::node::{is_offline, lacks_node};
+use crate::support::process::needed;
+use crate::support::process::{root, said, show};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
 
 fn is_unreachable(said: &str) -> bool {
     let signs = [
@@ -33,12 +31,12 @@ fn release(out: &Path) -> Option<()> {
         .arg("-o")
         .arg(out);
     let Ok(made) = command.output() else {
-        tell("SKIPPED: python3 is not installed");
+        show("SKIPPED: python3 is not installed");
         return None;
     };
     let said = said(&made);
     if !made.status.success() && is_unreachable(&said) {
-        tell("SKIPPED: packages cannot be fetched");
+        show("SKIPPED: packages cannot be fetched");
         return None;
     }
     assert!(made.status.success(), "{said}");
@@ -74,18 +72,18 @@ fn packages_work_where_nothing_else_is() {
         .arg(&out)
         .output();
     let first = first.expect("bash runs");
-    let told = said(&first);
-    if !first.status.success() && is_unreachable(&told) {
-        return tell("SKIPPED: packages cannot be fetched");
+    let reply = said(&first);
+    if !first.status.success() && is_unreachable(&reply) {
+        return show("SKIPPED: packages cannot be fetched");
     }
-    assert!(first.status.success(), "{told}");
-    assert!(told.contains("pip: 8628 vertices, b'glTF'"), "{told}");
+    assert!(first.status.success(), "{reply}");
+    assert!(reply.contains("pip: 8628 vertices, b'glTF'"), "{reply}");
     match lacks_node() {
-        Some(lack) => tell(&format!("SKIPPED: {lack}")),
-        None => assert!(told.contains("npm: 8628 vertices, glTF"), "{told}"),
+        Some(lack) => show(&format!("SKIPPED: {lack}")),
+        None => assert!(reply.contains("npm: 8628 vertices, glTF"), "{reply}"),
     }
-    for line in told.lines().filter(|line| line.ends_with(" s")) {
-        tell(line);
+    for line in reply.lines().filter(|line| line.ends_with(" s")) {
+        show(line);
     }
 }
 
@@ -99,7 +97,7 @@ fn tags_of(program: &Path) -> Option<String> {
         .arg(root().join("deploy/release"))
         .arg(program);
     let Ok(done) = command.output() else {
-        tell("SKIPPED: python3 is not installed");
+        show("SKIPPED: python3 is not installed");
         return None;
     };
     assert!(done.status.success(), "{}", said(&done));
@@ -158,9 +156,7 @@ fn a_wheel_is_tagged_by_what_its_program_needs() {
         fs::write(&program, program_that_needs(libraries, versions)).expect("written");
         tags_of(&program)
     };
-    let Some(own) = tags_of(Path::new(env!("CARGO_BIN_EXE_pliant"))) else {
-        return;
-    };
+    let own = needed!(tags_of(Path::new(env!("CARGO_BIN_EXE_pliant"))));
     assert!(own == "linux_x86_64" || own.starts_with("manylinux_2_"), "{own}");
     for (libraries, versions, wanted) in [
         (&[][..], &[][..], "manylinux2014_x86_64.musllinux_1_1_x86_64"),

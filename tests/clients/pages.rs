@@ -6,11 +6,11 @@
 //! environment that the page made, `text` is what the commands before it write, `…` standing for anything.
 
 use crate::support::book;
+use crate::support::process::{root, show};
 mod checkout;
 
-use checkout::{Checkout, Played, root};
+use checkout::{Checkout, Played};
 use std::fs;
-use std::io::Write as _;
 use std::path::Path;
 use std::process::Command;
 
@@ -47,11 +47,6 @@ fn read(name: &str) -> String {
     fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
 }
 
-/// Says something that is seen also when the test passes.
-fn tell(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{line}");
-}
-
 /// Whether a test quotes how a block of commands begins, so that it can find and run it, or names the scripts that it runs.
 fn is_run_by(commands: &str, test: &str) -> bool {
     let words: Vec<&str> = commands.split_whitespace().collect();
@@ -69,7 +64,7 @@ fn is_run_by(commands: &str, test: &str) -> bool {
 fn play(page: &str) -> Checkout {
     let mut checkout = Checkout::new();
     if !checkout::has("bash") {
-        tell(&format!("SKIPPED: {page}: there is no bash"));
+        show(&format!("SKIPPED: {page}: there is no bash"));
         return checkout;
     }
     let mut was_skipped = false;
@@ -95,8 +90,8 @@ fn play(page: &str) -> Checkout {
         let played = checkout.play(&block);
         was_skipped = matches!(played, Played::Skipped(_));
         if let Played::Skipped(reason) = played {
-            tell(&format!("SKIPPED: {page}:{}: {reason}", block.line));
-            // What follows may build on it; a missing compiler stops nobody else.
+            show(&format!("SKIPPED: {page}:{}: {reason}", block.line));
+            // What follows may build on it; a missing compiler stops no one else.
             if block.word("needs").is_none() || checkout::is_offline(&reason) {
                 break;
             }
@@ -244,7 +239,7 @@ fn cookbook_for_the_web() {
         npm.args(["ci", "--no-audit", "--no-fund", "--silent"])
             .current_dir(root().join("tests/clients/viewer"));
         if !npm.status().is_ok_and(|status| status.success()) {
-            return tell("SKIPPED: the cookbook's page in a browser: playwright-core cannot be fetched");
+            return show("SKIPPED: the cookbook's page in a browser: playwright-core cannot be fetched");
         }
     }
     let arrows = checkout.path("target/arrows.png");
@@ -264,7 +259,7 @@ fn cookbook_for_the_web() {
             .map(|b| String::from_utf8_lossy(&b).into_owned())
             .concat();
         assert!(done.status.success(), "{said}");
-        tell(said.trim());
+        show(said.trim());
     }
     if arrows.exists() {
         shows_what_it_draws(&checkout, &[("arrows", "arrows")]);

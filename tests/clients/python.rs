@@ -5,58 +5,13 @@
 //! python3, a network to fetch packages) is said and skipped; everything else must hold.
 
 use crate::support::data::{data_root, tell_skipped};
+use crate::support::process::{root, said};
+use crate::support::program::ServedProgram;
 use pliant::asset::{FileSet, Limits, Model};
 use std::fs;
-use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::OnceLock;
-
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
-
-/// The program as users start it, on a free port; killed when dropped.
-struct Server {
-    process: Child,
-    /// `http://127.0.0.1:PORT`.
-    url: String,
-    /// Kept open: the server may write to it.
-    _stdout: BufReader<ChildStdout>,
-}
-
-impl Server {
-    fn start() -> Self {
-        let mut process = Command::new(env!("CARGO_BIN_EXE_pliant"))
-            .args(["serve", "--listen", "127.0.0.1:0", "--log", "warn"])
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("the server starts");
-        let mut stdout = BufReader::new(process.stdout.take().expect("stdout is piped"));
-        let mut line = String::new();
-        stdout.read_line(&mut line).expect("the server says where it listens");
-        let url = line
-            .trim()
-            .strip_prefix("listening on ")
-            .unwrap_or_else(|| panic!("the server said {line:?} first"));
-        Self {
-            url: url.to_owned(),
-            process,
-            _stdout: stdout,
-        }
-    }
-
-    fn host(&self) -> &str {
-        self.url.trim_start_matches("http://")
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
-    }
-}
 
 /// Whether a program answers to being asked for its version.
 fn has(program: &str) -> bool {
@@ -133,12 +88,6 @@ fn prepare() -> Result<PathBuf, String> {
     Ok(python)
 }
 
-fn said(output: &Output) -> String {
-    [&output.stdout[..], &output.stderr[..]]
-        .map(|text| String::from_utf8_lossy(text).into_owned())
-        .concat()
-}
-
 /// Whether pip failed because it reached no package index.
 fn is_offline(said: &str) -> bool {
     let signs = [
@@ -194,18 +143,18 @@ fn the_tour_of_the_readme() {
             return tell_skipped("the tour", &format!("there is no {program}"));
         }
     }
-    let server = Server::start();
     let folder = tempfile::tempdir().expect("a temporary folder");
+    let server = ServedProgram::start_in_memory(folder.path().join("log"), &["--log", "warn"]);
     let at = |name: &str| folder.path().join(name);
     let script = root().join("tests/clients/tour.sh");
-    let told = run(Command::new("bash")
+    let reply = run(Command::new("bash")
         .arg(&script)
         .arg(&server.url)
         .current_dir(folder.path()));
     let rest = positions(&at("creature.glb"));
     assert!(
-        told.contains(&format!("{} vertices", rest.len())),
-        "the tour counts the vertices: {told}"
+        reply.contains(&format!("{} vertices", rest.len())),
+        "the tour counts the vertices: {reply}"
     );
     assert_bent(&rest, &positions(&at("bent.glb")));
     assert_eq!(
@@ -221,10 +170,10 @@ fn the_tour_of_the_readme() {
     let mut client = Command::new(python);
     client
         .arg(root().join("tests/clients/tour.py"))
-        .arg(server.host())
+        .arg(server.url.trim_start_matches("http://"))
         .current_dir(folder.path());
-    let told = run(client.env("PYTHONPATH", root().join("target/clients")));
-    assert!(told.contains("pose 30: solved"), "the last pose is answered: {told}");
+    let reply = run(client.env("PYTHONPATH", root().join("target/clients")));
+    assert!(reply.contains("pose 30: solved"), "the last pose is answered: {reply}");
     assert_bent(&rest, &positions(&at("nodding.glb")));
 
     let listed = run(Command::new("curl").args(["-sSf", &format!("{}/v1/sessions", server.url)]));
@@ -242,13 +191,14 @@ fn a_pipeline_script_over_grpc() {
         Ok(python) => python,
         Err(reason) => return tell_skipped("the pipeline script", reason),
     };
-    let server = Server::start();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let server = ServedProgram::start_in_memory(folder.path().join("log"), &["--log", "warn"]);
     let mut client = Command::new(python);
     client.arg(root().join("tests/clients/pipeline.py")).arg(&server.url);
-    let told = run(client.env("PYTHONPATH", root().join("target/clients")));
+    let reply = run(client.env("PYTHONPATH", root().join("target/clients")));
     assert!(
-        told.contains("50 poses sent") && told.contains("the session is deleted"),
-        "{told}"
+        reply.contains("50 poses sent") && reply.contains("the session is deleted"),
+        "{reply}"
     );
 }
 
@@ -264,16 +214,16 @@ fn the_python_package_passes_its_own_tests() {
     let done = tests.output().expect("sh runs");
     let said = said(&done);
     // Seen also when the test passes: what was skipped, and why.
-    let tell = |text: &str| writeln!(std::io::stderr(), "proto/clients/python: {text}");
+    let show = |text: &str| crate::support::process::show(&format!("proto/clients/python: {text}"));
     if done.status.code() == Some(77) {
-        return tell(said.trim()).unwrap_or(());
+        return show(said.trim());
     }
     assert!(done.status.success(), "{said}");
     for line in said
         .lines()
         .filter(|l| l.starts_with("SKIPPED") || l.contains(" passed"))
     {
-        tell(line).unwrap_or(());
+        show(line);
     }
     let armadillo = data_root().join("meshes/armadillo.obj").is_file();
     let skipped = said.contains("there is no folder of test models") || said.contains("armadillo.obj");

@@ -4,18 +4,17 @@
 //!
 //! `PLIANT_FAULTS` says how many faults there are, on 24 sessions; the suite has three, on six.
 
-mod driver;
-mod own;
+mod drivers;
 
-use crate::node::tell;
 use crate::support::bucket::TestBucket;
 use crate::support::haproxy::{HaProxy, free_port};
 use crate::support::place::StorePlace;
 use crate::support::postgres::PostgresServer;
+use crate::support::process::needed;
+use crate::support::process::show;
 use crate::support::program::ServedProgram;
 use crate::support::server::{bar_obj, ends, eventually, turn_json};
-use driver::Driver;
-use own::OwnDriver;
+use drivers::{Driver, OwnDriver};
 use pliant::server::grpc::client::DeformerClient;
 use pliant::wire::pb;
 use serde::Deserialize;
@@ -65,7 +64,7 @@ struct Driven {
     answers: u64,
     /// The longest that its stream owed a frame, in seconds: over a cut, from the pose before it to the frame after it.
     away: f64,
-    /// How often its stream was looked for anew.
+    /// How often its stream was looked for again.
     reconnects: u64,
 }
 
@@ -104,13 +103,13 @@ impl Cluster {
         let listen = format!("127.0.0.1:{}", self.ports[k]);
         let who = ["--advertise", &self.proxy.url, "--node", NAMES[k], "--listen", &listen];
         let how = ["--lease", "1s", "--heartbeat", "200ms", "--drain-deadline", "5s"];
-        let told = [&who[..], &how[..], &["--history", "10000"]].concat();
+        let reply = [&who[..], &how[..], &["--history", "10000"]].concat();
         let database = self.place.database().map(|d| d.url.as_str());
-        // One that does not come up is started again, as by whoever looks after nodes; ten times are a fault.
+        // One that does not come up is started again, as an operator would; ten times are a fault.
         let started = (0..10).find_map(|attempt| {
             self.starts += 1;
             let log = format!("log-{}-{}", NAMES[k], self.starts);
-            let started = self.place.start_logged(&log, database, &told);
+            let started = self.place.start_logged(&log, database, &reply);
             started
                 .inspect_err(|why| println!("node {}, start {attempt}: {why}", NAMES[k]))
                 .ok()
@@ -186,8 +185,8 @@ async fn metric(node: &ServedProgram, name: &str) -> f64 {
     line.and_then(|l| l.rsplit(' ').next()?.parse().ok()).unwrap_or(0.0)
 }
 
-/// The id of a session as gRPC tells it: the call goes where its session hashes to, and from there to the node that has it.
-async fn told_by_grpc(url: &str, id: &str) -> String {
+/// The id of a session as gRPC reports it: the call goes where its session hashes to, and from there to the node that has it.
+async fn reported_by_grpc(url: &str, id: &str) -> String {
     let mut client = DeformerClient::connect(url.to_owned()).await.expect("a connection");
     let mut node = None;
     for _ in 0..4 {
@@ -240,9 +239,7 @@ fn plan() -> (Vec<Fault>, usize) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn sessions_outlive_their_nodes_behind_a_proxy() {
-    let Some(mut cluster) = Cluster::start().await else {
-        return;
-    };
+    let mut cluster = needed!(Cluster::start().await);
     let (faults, sessions) = plan();
     let url = cluster.proxy.url.clone();
     // A third each, and what is missing here is left to the others.
@@ -254,7 +251,7 @@ async fn sessions_outlive_their_nodes_behind_a_proxy() {
     }
     let own = OwnDriver::start(&url, sessions - drivers.len() * (sessions / 3)).await;
     for id in &own.ids {
-        assert_eq!(told_by_grpc(&url, id).await, *id);
+        assert_eq!(reported_by_grpc(&url, id).await, *id);
     }
     lasting(BETWEEN).await;
     let begun = Instant::now();
@@ -266,10 +263,10 @@ async fn sessions_outlive_their_nodes_behind_a_proxy() {
     let mut all = own.finish().await;
     for driver in drivers {
         let (name, driven) = tokio::task::block_in_place(|| driver.finish());
-        tell(&figures(name, &driven));
+        show(&figures(name, &driven));
         all.extend(driven);
     }
-    tell(&format!(
+    show(&format!(
         "{} faults in {:.0} s: {}",
         faults.len(),
         took.as_secs_f64(),
@@ -282,7 +279,7 @@ async fn sessions_outlive_their_nodes_behind_a_proxy() {
     for driven in &all {
         assert!(driven.acknowledged().count() > faults.len(), "{driven:?}");
         let asked = format!("/v1/sessions/{}/history", driven.id);
-        let history = own::insist(&url, ("GET", &asked), None, "").await;
+        let history = drivers::insist(&url, ("GET", &asked), None, "").await;
         let angles = driven.angles_of(&revisions(&history));
         rows += angles.len() + 2;
         assert_eq!(
@@ -291,7 +288,7 @@ async fn sessions_outlive_their_nodes_behind_a_proxy() {
             "with the digests of a single server"
         );
     }
-    // Nothing lies beside what histories tell, and every shape can be made again.
+    // Nothing lies beside what histories report, and every shape can be made again.
     for k in 0..NAMES.len() {
         cluster.take(k).stop().await;
     }
@@ -312,7 +309,7 @@ impl Driven {
             .filter(|revision| *revision > 0)
     }
 
-    /// How far the bar was turned by each of these revisions, which a history tells: every acknowledged commit is there once, and no other
+    /// How far the bar was turned by each of these revisions, which a history reports: every acknowledged commit is there once, and no other
     /// but one that was refused. Such a one may be there where its node has lost the database in the middle of it and then the
     /// session, before it could take it back.
     fn angles_of(&self, revisions: &[u64]) -> Vec<f64> {

@@ -1,7 +1,11 @@
 //! The workflow files of `deploy/ci/` as the forges read them: by the published schemas of GitHub and GitLab, and GitHub's by a linter
-//! that knows its expressions. What cannot be fetched here is said and skipped; `tests/tools/check/workflows.rs` plays the scripts.
+//! that knows its expressions. What cannot be fetched here is said and skipped; `tests/tools/check/pages.rs` plays the scripts.
 
-use crate::node::{is_offline, lacks_node, said, tell};
+use crate::node::{is_offline, lacks_node};
+use crate::support::process::needed;
+use crate::support::process::{root, said, show};
+use crate::support::program::{ServedProgram, words};
+use serde_json::json;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -23,10 +27,6 @@ for (const file of process.argv.slice(2)) {
 }
 "#;
 
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
-
 fn file(name: &str) -> PathBuf {
     root().join("deploy/ci").join(name)
 }
@@ -34,22 +34,22 @@ fn file(name: &str) -> PathBuf {
 /// Runs what fetches packages; `None` where they cannot be had.
 pub(super) fn fetched(command: &mut Command) -> Option<()> {
     let Ok(done) = command.output() else {
-        tell(&format!("SKIPPED: {:?} is not installed", command.get_program()));
+        show(&format!("SKIPPED: {:?} is not installed", command.get_program()));
         return None;
     };
     if done.status.success() {
         return Some(());
     }
-    let told = said(&done);
+    let reply = said(&done);
     let pip_lacks = [
         "No matching distribution",
         "NewConnectionError",
         "Temporary failure",
         "ensurepip",
     ];
-    let is_unreachable = is_offline(&told) || pip_lacks.iter().any(|sign| told.contains(sign));
-    assert!(is_unreachable, "{command:?}: {told}");
-    tell("SKIPPED: packages cannot be fetched");
+    let is_unreachable = is_offline(&reply) || pip_lacks.iter().any(|sign| reply.contains(sign));
+    assert!(is_unreachable, "{command:?}: {reply}");
+    show("SKIPPED: packages cannot be fetched");
     None
 }
 
@@ -83,7 +83,7 @@ fn fits_schema(checker: &Path, schema: &[&str], file: &Path) -> Result<(), Strin
 
 #[test]
 fn workflows_fit_the_schemas_of_their_forges() {
-    let Some(checker) = schema_checker() else { return };
+    let checker = needed!(schema_checker());
     let github = ["--builtin-schema", "vendor.github-workflows"];
     let gitlab = ["--builtin-schema", "vendor.gitlab-ci", "--data-transform", "gitlab-ci"];
     for (schema, name) in [
@@ -104,7 +104,7 @@ fn workflows_fit_the_schemas_of_their_forges() {
 #[test]
 fn a_linter_finds_nothing_in_the_workflows_for_github() {
     if let Some(lack) = lacks_node() {
-        return tell(&format!("SKIPPED: {lack}"));
+        return show(&format!("SKIPPED: {lack}"));
     }
     let home = root().join("target/workflow-linter");
     fs::create_dir_all(&home).expect("a folder");
@@ -118,8 +118,8 @@ fn a_linter_finds_nothing_in_the_workflows_for_github() {
     }
     let lint = |files: &[PathBuf]| {
         let done = Command::new("node").arg(home.join("lint.mjs")).args(files).output();
-        let told = said(&done.expect("node runs"));
-        let lines = told.lines().map(str::to_owned);
+        let reply = said(&done.expect("node runs"));
+        let lines = reply.lines().map(str::to_owned);
         lines
             .filter(|line| !YOUNGER.iter().any(|known| line.contains(known)))
             .collect::<Vec<_>>()
@@ -134,4 +134,47 @@ fn a_linter_finds_nothing_in_the_workflows_for_github() {
     let text = fs::read_to_string(file("github-shards.yml")).expect("a file");
     fs::write(&broken, text.replace("github.token", "github.tokn")).expect("written");
     assert!(!lint(&[broken]).is_empty(), "the check can fail");
+}
+
+/// The generator of calls (PyPI), which invents requests for every operation and method of a description.
+const GENERATOR: &str = "schemathesis==4.32.5";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn whatever_is_sent_is_answered_as_described() {
+    let generator = needed!(program_of_package("schemathesis", &[GENERATOR], "st"));
+    let folder = tempfile::tempdir().expect("a folder");
+    let server = ServedProgram::start(&folder.path().join("data"), &["--log", "warn"]);
+    let id = server.open(String::new(), "?sample=creature").await;
+    let handles = json!({"handles": [
+        {"id": "head", "region": {"sphere": {"center": [0.76, 1.22, 0], "radius": 0.36}}},
+        {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.14}}},
+    ]});
+    server
+        .done("PUT", &format!("/v1/sessions/{id}/handles"), Some(&handles))
+        .await;
+    let settings = folder.path().join("schemathesis.toml");
+    fs::write(&settings, format!("[parameters]\nid = \"{id}\"\nhandleId = \"head\"\n")).expect("writes");
+    let mut command = Command::new(generator);
+    command
+        .arg("--config-file")
+        .arg(&settings)
+        .args(["run", &format!("{}/openapi.json", server.url)])
+        // The session stays, so that calls reach more than its absence.
+        .args(words(
+            "--seed 1 --max-examples 20 --exclude-method DELETE --phases coverage,fuzzing --request-timeout 60 \
+             --checks not_a_server_error,status_code_conformance,content_type_conformance,response_schema_conformance \
+             --no-color --no-shrink",
+        ))
+        .current_dir(folder.path());
+    let done = tokio::task::spawn_blocking(move || command.output());
+    let done = done.await.expect("a thread").expect("the generator runs");
+    let reply = String::from_utf8_lossy(&done.stdout);
+    assert!(
+        done.status.success(),
+        "{reply}\n{}",
+        String::from_utf8_lossy(&done.stderr)
+    );
+    assert!(reply.contains("generated"), "{reply}");
+    let after = server.done("GET", &format!("/v1/sessions/{id}"), None).await;
+    assert_eq!(after["id"], id.as_str(), "the session is still there: {after}");
 }

@@ -81,7 +81,7 @@ fn bar_options(id: &str, clip: &str) -> pb::AnimateOptions {
 /// A whole frame of an animation.
 #[derive(Debug, Clone, PartialEq)]
 struct WholeFrame {
-    told: pb::Animated,
+    reply: pb::Animated,
     quality: Option<pb::Quality>,
     seq: u64,
     data: Vec<u8>,
@@ -119,7 +119,7 @@ impl Animating {
     fn send(&self, message: Message) {
         let request = pb::AnimateRequest { message: Some(message) };
         if let Some(requests) = &self.requests {
-            // Of an animation that has ended nobody listens.
+            // Of an animation that has ended no one listens.
             let _ = requests.send(request);
         }
     }
@@ -141,25 +141,30 @@ impl Animating {
                 assert!(self.report.is_some(), "a report comes last");
                 return Ok(None);
             };
-            let told = part.animated.expect("of an animation");
+            let reply = part.animated.expect("of an animation");
             if part.parts == 0 {
                 assert!(data.is_empty() && self.report.is_none());
-                match told.report {
+                match reply.report {
                     Some(report) => self.report = Some(report),
-                    None => self.stages.push(told.stage),
+                    None => self.stages.push(reply.stage),
                 }
                 continue;
             }
             data.extend_from_slice(&part.data);
             if part.part + 1 == part.parts {
                 return Ok(Some(WholeFrame {
-                    told,
+                    reply,
                     quality: part.quality,
                     seq: part.seq,
                     data,
                 }));
             }
         }
+    }
+
+    /// The next frame, which must come.
+    async fn frame(&mut self) -> WholeFrame {
+        self.next_frame().await.expect("no failure").expect("a frame")
     }
 
     /// All frames, each acknowledged.
@@ -171,6 +176,13 @@ impl Animating {
         }
         all
     }
+}
+
+/// A server, and a session on a bar without handles.
+async fn opened_bar() -> (Server, String) {
+    let server = Server::start().await;
+    let id = text(&server.open(bar_obj(16)).await["id"]);
+    (server, id)
 }
 
 /// All frames of an animation.
@@ -192,7 +204,7 @@ fn animation_form(options: &Value, clip: Option<String>) -> String {
 
 /// Asks for an animation over HTTP.
 async fn post_animation(server: &Server, id: &str, accept: &str, form: String) -> reqwest::Response {
-    let url = server.url(&format!("/v1/sessions/{id}/animations"));
+    let url = server.url(&path(&id, "/animations"));
     let request = http().post(url).header("Accept", accept).body(form);
     let answer = request
         .header("Content-Type", "multipart/form-data; boundary=cut")

@@ -33,7 +33,7 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
     let id = server.bar_session().await;
     let _silent = TcpStream::connect(server.address).await.unwrap();
     let (requests, mut responses) = open(&server, &id).await;
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    let mut socket = server.stream_socket(&id).await;
     // Both are really open before the end begins.
     eventually("two streams", async || server.metric("pliant_streams").await == 2.0).await;
 
@@ -49,7 +49,7 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
     );
 
     server.ask_to_stop();
-    let told = within("the notice", async {
+    let reply = within("the notice", async {
         loop {
             let response = responses.message().await.unwrap().expect("an open stream");
             if is_notice(&response) {
@@ -58,7 +58,7 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
         }
     })
     .await;
-    let Some(deform_response::Message::Notice(notice)) = told.message else {
+    let Some(deform_response::Message::Notice(notice)) = reply.message else {
         unreachable!()
     };
     assert_eq!(notice.resume_token, id);
@@ -74,17 +74,15 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
     let ready = server.get("/readyz").answer().await;
     assert_eq!(ready.status(), 503);
     assert!(ready.headers().contains_key("retry-after"));
-    assert_eq!(server.get("/healthz").answer().await.status(), 200);
+    assert_eq!(server.get("/healthz").status().await, 200);
     let refused = server.post("/v1/sessions").body(bar_obj(4)).answer().await;
     assert_eq!(refused.status(), 503);
     assert_eq!(refused.json::<Value>().await.unwrap()["code"], "UNAVAILABLE");
     let mut client = server.grpc().await;
-    let solve = pb::SolveRequest {
-        session_id: id.clone(),
-        pose: Some(turned(1, 0.1, true)),
-        options: None,
-    };
-    assert_eq!(client.solve(solve).await.unwrap_err().code(), Code::Unavailable);
+    assert_eq!(
+        client.solve(turn_request(&id, 1, 0.1)).await.unwrap_err().code(),
+        Code::Unavailable
+    );
     assert_eq!(
         health.check(check()).await.unwrap().into_inner().status(),
         ServingStatus::NotServing
@@ -100,13 +98,7 @@ async fn a_drain_ends_as_soon_as_the_streams_have_left() {
 
     // A last pose is still answered; then both leave, and nothing holds the end up any more.
     let last = deform_request::Message::Pose(turned(2, 0.2, true));
-    requests
-        .send(pb::DeformRequest {
-            session_id: String::new(),
-            message: Some(last),
-        })
-        .await
-        .unwrap();
+    requests.send(message(last)).await.unwrap();
     drop(requests);
     let mut answered = false;
     while let Some(response) = within("the last frame", responses.message()).await.unwrap() {
@@ -127,7 +119,7 @@ async fn a_client_that_does_not_leave_is_cut_at_the_deadline() {
     let id = server.bar_session().await;
     let _silent = TcpStream::connect(server.address).await.unwrap();
     let (_requests, mut responses) = open(&server, &id).await;
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    let mut socket = server.stream_socket(&id).await;
     eventually("two streams", async || server.metric("pliant_streams").await == 2.0).await;
     let asked = Instant::now();
     server.ask_to_stop();
@@ -170,8 +162,7 @@ async fn work_under_way_is_finished_before_the_end() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn work_whose_client_is_gone_is_given_up() {
-    let server = Server::with(|sessions, _| sessions.compute_slots = 1).await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::bar_with(|sessions, _| sessions.compute_slots = 1).await;
     let url = server.url("/v1/sessions");
     let create = tokio::spawn(async move { http().post(url).body(large_bar()).send().await });
     let busy = || server.manager.metrics().pool_busy.get() > 0;
@@ -183,11 +174,7 @@ async fn work_whose_client_is_gone_is_given_up() {
         1,
         "nothing exists of what nobody waited for"
     );
-    let solved = server
-        .post(&format!("/v1/sessions/{id}/solve"))
-        .json(&turn_json(0.1))
-        .answer()
-        .await;
+    let solved = server.post(&path(&id, "/solve")).json(&turn_json(0.1)).answer().await;
     assert_eq!(solved.status(), 200);
 }
 
@@ -195,11 +182,8 @@ async fn work_whose_client_is_gone_is_given_up() {
 async fn a_stream_that_is_dropped_mid_solve_frees_its_slot() {
     let server = Server::with(|sessions, _| sessions.compute_slots = 1).await;
     let id = text(&server.open(large_bar()).await["id"]);
-    let handles = server
-        .put(&format!("/v1/sessions/{id}/handles"))
-        .json(&serde_json::json!({"handles": ends()}));
-    assert_eq!(handles.answer().await.status(), 200);
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    server.hold_ends(&id).await;
+    let mut socket = server.stream_socket(&id).await;
     for seq in 1..=20 {
         socket
             .send(deform_request::Message::Pose(turned(seq, seq as f64 * 0.3, false)))
@@ -213,12 +197,8 @@ async fn a_stream_that_is_dropped_mid_solve_frees_its_slot() {
     })
     .await;
     let other = server.bar_session().await;
-    let solved = server
-        .post(&format!("/v1/sessions/{other}/solve"))
-        .json(&turn_json(0.1))
-        .answer()
-        .await;
-    assert_eq!(solved.status(), 200);
+    let solve = server.post(&path(&other, "/solve")).json(&turn_json(0.1));
+    assert_eq!(solve.status().await, 200);
 }
 
 /// A process that is killed when a test fails.
@@ -271,7 +251,7 @@ async fn the_program_listens_serves_and_ends_well_on_sigterm() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_wrong_configuration_is_told_in_the_last_line() {
+async fn a_wrong_configuration_is_reported_in_the_last_line() {
     let cases: [(&[&str], &[&str]); 3] = [
         (&["--upload-bytes", "much"], &["upload_bytes", "much", "--upload-bytes"]),
         (&["--listen", "256.0.0.1:1"], &["listen", "256.0.0.1:1"]),
@@ -281,9 +261,9 @@ async fn a_wrong_configuration_is_told_in_the_last_line() {
         let mut process = serve(arguments);
         let status = process.0.wait().unwrap();
         assert_eq!(status.code(), Some(2), "{arguments:?}");
-        let mut told = String::new();
-        process.0.stderr.take().unwrap().read_to_string(&mut told).unwrap();
-        let last = told.lines().last().unwrap_or_default();
+        let mut reply = String::new();
+        process.0.stderr.take().unwrap().read_to_string(&mut reply).unwrap();
+        let last = reply.lines().last().unwrap_or_default();
         for word in words {
             assert!(last.contains(word), "{last:?} lacks {word:?}");
         }

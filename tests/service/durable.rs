@@ -1,26 +1,19 @@
 //! Sessions with a folder: nothing that was acknowledged is lost, whatever happens to the process, and nothing damaged is served.
 
 pub use crate::support::place;
+use crate::support::place::StorePlace;
 use crate::support::program::ServedProgram;
-use crate::support::server::{AnsweredCall as _, bar_obj, ends, turn_json};
+pub use crate::support::server::path;
+use crate::support::server::{AnsweredCall as _, bar_obj, ends, eventually, turn_json};
 use serde_json::{Value, json};
 
 mod away;
 mod crash_points;
-mod crashes;
 mod damage;
-mod disk_model;
-mod faults;
-mod first_version;
-mod idle;
 mod leaving;
-mod looking;
-mod lost_end;
-mod moved;
+mod memory;
 mod restart;
-mod restored;
-mod tight_memory;
-mod upkeep;
+mod store_commands;
 
 /// A session on a bar, with its ends as handles.
 pub async fn bar_session(server: &ServedProgram) -> String {
@@ -30,8 +23,24 @@ pub async fn bar_session(server: &ServedProgram) -> String {
     id
 }
 
-pub fn path(id: &str, rest: &str) -> String {
-    format!("/v1/sessions/{id}{rest}")
+/// A server on a place, and such a session.
+pub async fn bar_at(place: &StorePlace, arguments: &[&str]) -> (ServedProgram, String) {
+    let server = place.start(arguments);
+    let id = bar_session(&server).await;
+    (server, id)
+}
+
+/// Asserts that a call was refused with that status and code; the detail.
+#[track_caller]
+pub fn refused((status, reply): (u16, Value), expected: u16, code: &str) -> String {
+    assert_eq!((status, &reply["code"]), (expected, &code.into()), "{reply}");
+    reply["detail"].as_str().unwrap_or_default().to_owned()
+}
+
+/// Waits until a server has no session in memory.
+pub async fn out_of_memory(server: &ServedProgram) {
+    let empty = async || metric(server, "pliant_sessions ").await == 0.0;
+    eventually("an empty memory", empty).await;
 }
 
 /// Turns the bar's top and commits that.
@@ -42,9 +51,9 @@ pub async fn turn(server: &ServedProgram, id: &str, angle: f64) -> Value {
 /// All that a client can see of a session, but for times.
 pub async fn seen(server: &ServedProgram, id: &str) -> (Value, Value, Vec<u8>) {
     let mut session = server.done("GET", &path(id, ""), None).await;
-    let told = session.as_object_mut().expect("an object");
-    told.remove("expiresAt");
-    told.remove("buildMs");
+    let reply = session.as_object_mut().expect("an object");
+    reply.remove("expiresAt");
+    reply.remove("buildMs");
     (
         session,
         server.done("GET", &path(id, "/history"), None).await,

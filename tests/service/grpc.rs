@@ -25,6 +25,12 @@ fn chunks(model: &str, size: usize) -> Vec<Upload> {
         .collect()
 }
 
+/// The field that a refusal names; empty where it names none.
+fn field_of(refused: &tonic::Status) -> String {
+    let request = refused.get_error_details().bad_request().cloned();
+    request.map(|b| b.field_violations[0].field.clone()).unwrap_or_default()
+}
+
 fn named(id: &str) -> pb::SessionRequest {
     pb::SessionRequest {
         session_id: id.to_owned(),
@@ -49,12 +55,8 @@ async fn every_rpc_answers() {
     );
 
     assert_eq!(client.get_session(named(&id)).await.unwrap().into_inner().id, id);
-    let list = client
-        .list_sessions(pb::ListSessionsRequest::default())
-        .await
-        .unwrap()
-        .into_inner();
-    assert_eq!(list.sessions.len(), 1);
+    let list = client.list_sessions(pb::ListSessionsRequest::default()).await.unwrap();
+    assert_eq!(list.into_inner().sessions.len(), 1);
     let limits = client.get_limits(pb::GetLimitsRequest {}).await.unwrap().into_inner();
     assert_eq!(limits.part_bytes, 1 << 20);
 
@@ -67,19 +69,8 @@ async fn every_rpc_answers() {
     assert_eq!(held.handles.len(), 2);
     assert!(held.revision > session.revision);
 
-    let solve = pb::SolveRequest {
-        session_id: id.clone(),
-        pose: Some(turned(7, 0.5, true)),
-        options: None,
-    };
-    let frames: Vec<pb::Frame> = client
-        .solve(solve)
-        .await
-        .unwrap()
-        .into_inner()
-        .map(Result::unwrap)
-        .collect()
-        .await;
+    let frames = client.solve(turn_request(&id, 7, 0.5)).await.unwrap().into_inner();
+    let frames: Vec<pb::Frame> = frames.map(Result::unwrap).collect().await;
     assert_eq!(frames.len(), 1);
     assert_eq!((frames[0].seq, frames[0].r#final, frames[0].parts), (7, true, 1));
     let bent = floats(&frames[0].data);
@@ -90,20 +81,15 @@ async fn every_rpc_answers() {
     let text = String::from_utf8(exported).unwrap();
     assert_ne!(text, model);
     assert_eq!(text.lines().count(), model.lines().count());
-    assert!(
-        export(&mut client, &id, "ply").await.unwrap()[0]
-            .data
-            .starts_with(b"ply")
-    );
+    let ply = export(&mut client, &id, "ply").await.unwrap();
+    assert!(ply[0].data.starts_with(b"ply"));
 
     let undone = client.undo(named(&id)).await.unwrap().into_inner();
     let redone = client.redo(named(&id)).await.unwrap().into_inner();
     assert!(redone.revision > undone.revision);
     let history = client.history(named(&id)).await.unwrap().into_inner();
-    assert_eq!(
-        history.commits.iter().map(|c| c.kind.as_str()).collect::<Vec<_>>(),
-        ["create", "handles", "pose"]
-    );
+    let kinds: Vec<&str> = history.commits.iter().map(|c| c.kind.as_str()).collect();
+    assert_eq!(kinds, ["create", "handles", "pose"]);
 
     client.delete_session(named(&id)).await.unwrap();
     assert_eq!(client.get_session(named(&id)).await.unwrap_err().code(), Code::NotFound);
@@ -130,7 +116,7 @@ async fn the_transports_give_the_same_bits() {
     let mut client = server.grpc().await;
     let id = server.bar_session().await;
     let body = turn_json(0.5);
-    let url = server.url(&format!("/v1/sessions/{id}/solve"));
+    let url = server.url(&path(&id, "/solve"));
     let over_http = http()
         .post(url)
         .json(&body)
@@ -138,20 +124,8 @@ async fn the_transports_give_the_same_bits() {
         .answer()
         .await;
     let over_http = over_http.bytes().await.unwrap();
-    let solve = pb::SolveRequest {
-        session_id: id,
-        pose: Some(turned(0, 0.5, true)),
-        options: None,
-    };
-    let frame = client
-        .solve(solve)
-        .await
-        .unwrap()
-        .into_inner()
-        .message()
-        .await
-        .unwrap()
-        .unwrap();
+    let mut frames = client.solve(turn_request(&id, 0, 0.5)).await.unwrap().into_inner();
+    let frame = frames.message().await.unwrap().unwrap();
     assert_eq!(frame.data, over_http);
 }
 
@@ -162,13 +136,8 @@ async fn failures_carry_code_and_details() {
     let id = server.bar_session().await;
 
     let missing = client.get_session(named("nobody")).await.unwrap_err();
-    assert_eq!(
-        (
-            missing.code(),
-            missing.get_error_details().error_info().unwrap().reason.as_str()
-        ),
-        (Code::NotFound, "NOT_FOUND")
-    );
+    assert_eq!(missing.code(), Code::NotFound);
+    assert_eq!(missing.get_error_details().error_info().unwrap().reason, "NOT_FOUND");
 
     let mut handles = end_handles();
     handles[1].pose = Some(pb::HandlePose {
@@ -182,12 +151,7 @@ async fn failures_carry_code_and_details() {
     };
     let wrong = client.set_handles(handles).await.unwrap_err();
     assert_eq!(wrong.code(), Code::InvalidArgument);
-    let details = wrong.get_error_details();
-    assert_eq!(
-        details.bad_request().unwrap().field_violations[0].field,
-        "handles[1].pose.scale",
-        "{wrong}"
-    );
+    assert_eq!(field_of(&wrong), "handles[1].pose.scale", "{wrong}");
 
     let full = client
         .create_session(upload(chunks(&bar_obj(4), 1000)))
@@ -209,12 +173,7 @@ async fn failures_carry_code_and_details() {
 
     let format = export(&mut client, &id, "doc").await.unwrap_err();
     assert_eq!(
-        (
-            format.code(),
-            format.get_error_details().bad_request().unwrap().field_violations[0]
-                .field
-                .as_str()
-        ),
+        (format.code(), field_of(&format).as_str()),
         (Code::InvalidArgument, "format")
     );
 
@@ -248,12 +207,10 @@ async fn an_upload_keeps_its_order_and_its_limit() {
     for (messages, code, word) in cases {
         let refused = client.create_session(upload(messages)).await.unwrap_err();
         assert_eq!(refused.code(), code, "{refused}");
-        let details = refused.get_error_details();
-        let field = details
-            .bad_request()
-            .map(|b| b.field_violations[0].field.clone())
-            .unwrap_or_default();
-        assert!(refused.message().contains(word) || field == word, "{refused}");
+        assert!(
+            refused.message().contains(word) || field_of(&refused) == word,
+            "{refused}"
+        );
     }
     // Refused while it is being sent: an upload without end does end.
     let endless = futures::stream::repeat_with(move || pb::CreateSessionRequest {
@@ -347,35 +304,35 @@ async fn a_client_that_hangs_up_stops_its_call() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_export_tells_what_followed_with_its_first_piece_and_in_a_header() {
+async fn an_export_reports_what_followed_with_its_first_piece_and_in_a_header() {
     let server = Server::start().await;
     let mut client = server.grpc().await;
     let url = server.url("/v1/sessions?sample=figure");
-    let figure: serde_json::Value = http().post(url).told().await;
+    let figure: serde_json::Value = http().post(url).document().await;
     let id = figure["id"].as_str().unwrap().to_owned();
     let handles = serde_json::json!({"handles": [
         {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.08}}},
         {"id": "head", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.54}}}]});
-    let url = server.url(&format!("/v1/sessions/{id}/handles"));
+    let url = server.url(&path(&id, "/handles"));
     assert!(http().put(url).json(&handles).answer().await.status().is_success());
     let pose = serde_json::json!({"pose": {"handles": [{"id": "head", "pose": {"translation": [0, 0.2, 0]}}]}});
-    let url = server.url(&format!("/v1/sessions/{id}/solve"));
+    let url = server.url(&path(&id, "/solve"));
     assert!(http().post(url).json(&pose).answer().await.status().is_success());
 
     let chunks = export(&mut client, &id, "").await.unwrap();
     let (first, rest) = chunks.split_first().unwrap();
-    let told = first.followed.as_ref().unwrap();
+    let reply = first.followed.as_ref().unwrap();
     assert!(
-        told.joints == 17 && told.moved_joints > 9 && told.rewritten_clips == 2,
-        "{told:?}"
+        reply.joints == 17 && reply.moved_joints > 9 && reply.rewritten_clips == 2,
+        "{reply:?}"
     );
-    assert!(told.farthest.iter().any(|joint| joint.name == "head"), "{told:?}");
+    assert!(reply.farthest.iter().any(|joint| joint.name == "head"), "{reply:?}");
     assert!(rest.iter().all(|chunk| chunk.followed.is_none()));
-    let url = server.url(&format!("/v1/sessions/{id}/model"));
+    let url = server.url(&path(&id, "/model"));
     let headers = http().get(url).answer().await.headers().clone();
     let wanted = format!(
         "joints={}/17, clips=2/2, morph-targets=0/0, passengers=0/0, passenger-nodes=0/0",
-        told.moved_joints
+        reply.moved_joints
     );
     assert_eq!(headers["x-pliant-followed"], wanted.as_str());
 

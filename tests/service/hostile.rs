@@ -1,12 +1,13 @@
 //! Broken and malicious models through the front door: every one gets a clear answer, the server serves on, and memory
 //! stays bounded. What the right answer is, the data folder's manifest says.
 
-use crate::support::data::data_folder;
+use crate::support::data::{data_folder, files_below};
+use crate::support::process::needed;
 use crate::support::process::{peak_memory, runs_alone};
 use crate::support::server::*;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// What the manifest asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,22 +36,6 @@ fn manifest(data: &Path) -> BTreeMap<String, Right> {
         right.insert(path.to_owned(), rule);
     }
     right
-}
-
-fn files(folder: &Path) -> Vec<PathBuf> {
-    let (mut found, mut open) = (Vec::new(), vec![folder.to_path_buf()]);
-    while let Some(folder) = open.pop() {
-        for entry in std::fs::read_dir(&folder).expect("a readable folder") {
-            let path = entry.expect("a readable entry").path();
-            if path.is_dir() {
-                open.push(path)
-            } else {
-                found.push(path)
-            }
-        }
-    }
-    found.sort();
-    found
 }
 
 /// The upload of a file: a form with what lies beside it for glTF with files of its own, else the bytes.
@@ -113,55 +98,41 @@ async fn try_model(
     }
     let moved = handles.last().map(|h| h["id"].clone());
     let url = |end: &str| server.url(&format!("/v1/sessions/{id}{end}"));
-    let held = within(
-        "handles",
-        client.put(url("/handles")).json(&json!({"handles": handles})).send(),
-    )
-    .await
-    .map_err(|e| e.to_string())?;
-    let said = if held.status() == 200 {
-        let pose = json!({"pose": {"handles": [{"id": moved, "pose": {"translation": [0.1, 0, 0]}}]}});
-        let solve = client
-            .post(url("/solve"))
-            .header("accept", "application/octet-stream")
-            .json(&pose)
-            .send();
-        let solved = within("solve", solve).await.map_err(|e| e.to_string())?;
-        if solved.status() == 200 {
-            let bytes = solved.bytes().await.map_err(|e| e.to_string())?;
-            let numbers = floats(&bytes);
-            if numbers.len() as u64 != vertices * 3 {
-                return Err(format!("{} numbers for {vertices} vertices", numbers.len()));
-            }
-            if numbers.iter().any(|n| !n.is_finite()) {
-                return Err("numbers that are not finite".into());
-            }
-            let model = within("export", client.get(url("/model")).send())
-                .await
-                .map_err(|e| e.to_string())?;
-            if model.status() == 200 {
-                "works".to_owned()
-            } else {
-                let status = model.status().as_u16();
-                let body = model.json().await.map_err(|e| e.to_string())?;
-                format!("{status} on export: {}", clear(status, &body)?)
-            }
-        } else {
-            let status = solved.status().as_u16();
-            let body = solved.json().await.map_err(|e| e.to_string())?;
-            format!("{status} on solve: {}", clear(status, &body)?)
-        }
-    } else {
-        let status = held.status().as_u16();
-        let body = held.json().await.map_err(|e| e.to_string())?;
-        format!("{status} on handles: {}", clear(status, &body)?)
-    };
+    let held = client.put(url("/handles")).json(&json!({"handles": handles}));
+    let pose = json!({"pose": {"handles": [{"id": moved, "pose": {"translation": [0.1, 0, 0]}}]}});
+    let solve = client
+        .post(url("/solve"))
+        .header("accept", "application/octet-stream")
+        .json(&pose);
+    let said = pulled([held, solve, client.get(url("/model"))], vertices).await?;
     let deleted = client.delete(url("")).send().await.map_err(|e| e.to_string())?;
     if deleted.status() == 204 {
         Ok(said)
     } else {
         Err(format!("{} on delete", deleted.status()))
     }
+}
+
+/// Sets handles, solves and exports; how that ended, or what was wrong with the answers.
+async fn pulled(calls: [reqwest::RequestBuilder; 3], vertices: u64) -> Result<String, String> {
+    for (step, call) in ["handles", "solve", "export"].into_iter().zip(calls) {
+        let answer = within(step, call.send()).await.map_err(|e| e.to_string())?;
+        let status = answer.status().as_u16();
+        if status != 200 {
+            let body = answer.json().await.map_err(|e| e.to_string())?;
+            return Ok(format!("{status} on {step}: {}", clear(status, &body)?));
+        }
+        if step == "solve" {
+            let numbers = floats(&answer.bytes().await.map_err(|e| e.to_string())?);
+            if numbers.len() as u64 != vertices * 3 {
+                return Err(format!("{} numbers for {vertices} vertices", numbers.len()));
+            }
+            if numbers.iter().any(|n| !n.is_finite()) {
+                return Err("numbers that are not finite".into());
+            }
+        }
+    }
+    Ok("works".to_owned())
 }
 
 /// The detail of a refusal, when it is one that a user can work with.
@@ -184,9 +155,7 @@ async fn every_hostile_file_gets_a_clear_answer() {
     if !runs_alone("hostile::every_hostile_file_gets_a_clear_answer") {
         return;
     }
-    let Some(data) = data_folder("hostile files") else {
-        return;
-    };
+    let data = needed!(data_folder("hostile files"));
     let right = manifest(&data);
     let server = Server::with(|sessions, _| {
         sessions.memory_bytes = 1 << 30;
@@ -199,7 +168,7 @@ async fn every_hostile_file_gets_a_clear_answer() {
     assert_eq!(ordinary.as_deref(), Ok("works"));
     let before = peak_memory();
     let (mut wrong, mut tried) = (Vec::new(), 0);
-    for path in files(&data.join("hostile")) {
+    for path in files_below(&data.join("hostile"), |_| true) {
         let name = path
             .strip_prefix(&data)
             .expect("below the data folder")
@@ -270,7 +239,7 @@ async fn bytes_that_are_nothing_are_refused_quickly() {
 
 /// Bytes that are no request either.
 #[tokio::test(flavor = "multi_thread")]
-async fn connections_that_speak_nonsense_harm_nobody() {
+async fn connections_that_speak_nonsense_harm_no_one() {
     use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
     let server = Server::start().await;
     let preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".as_slice();
@@ -297,5 +266,5 @@ async fn connections_that_speak_nonsense_harm_nobody() {
             String::from_utf8_lossy(&answer)
         );
     }
-    assert_eq!(server.get("/healthz").answer().await.status(), 200);
+    assert_eq!(server.get("/healthz").status().await, 200);
 }

@@ -1,4 +1,4 @@
-//! Every call of every protocol, with what nobody should send: the answer is a refusal that says why, and the server goes on.
+//! Every call of every protocol, with what no one should send: the answer is a refusal that says why, and the server goes on.
 
 use crate::support::server::*;
 use pliant::wire::{json, pb};
@@ -72,7 +72,7 @@ fn is_refusal(status: u16, answer: &Value) -> bool {
 
 /// The paths of the server's own description, with the methods of each.
 async fn described(server: &Server) -> Vec<(String, String, bool)> {
-    let document = server.get("/openapi.json").told().await;
+    let document = server.get("/openapi.json").document().await;
     let mut calls = Vec::new();
     for (path, methods) in document["paths"].as_object().expect("paths") {
         for (method, operation) in methods.as_object().expect("methods") {
@@ -86,8 +86,7 @@ async fn described(server: &Server) -> Vec<(String, String, bool)> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_body_of_json_that_is_none_is_refused() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let mut seen = 0;
     for (method, path, takes_json) in described(&server).await {
         if !takes_json {
@@ -101,12 +100,12 @@ async fn every_body_of_json_that_is_none_is_refused() {
                 .body(body);
             let answer = request.answer().await;
             let status = answer.status().as_u16();
-            let told: Value = answer.json().await.unwrap_or_default();
+            let reply: Value = answer.json().await.unwrap_or_default();
             // Nothing at all is a message with nothing in it, which some calls take.
             let is_fine = status < 300 && ["nothing", "a long text"].contains(&what);
             assert!(
-                is_fine || is_refusal(status, &told),
-                "{method} {path}, {what}: {status} {told}"
+                is_fine || is_refusal(status, &reply),
+                "{method} {path}, {what}: {status} {reply}"
             );
             seen += 1;
         }
@@ -132,12 +131,12 @@ async fn every_name_that_is_no_session_is_not_found() {
             }
             let answer = request.answer().await;
             let status = answer.status().as_u16();
-            let told: Value = answer.json().await.unwrap_or_default();
+            let reply: Value = answer.json().await.unwrap_or_default();
             // `..` leads to another path before it is sent.
             let elsewhere = name == ".." && [200, 405].contains(&status);
             assert!(
-                elsewhere || is_refusal(status, &told),
-                "{method} {path}: {status} {told}"
+                elsewhere || is_refusal(status, &reply),
+                "{method} {path}: {status} {reply}"
             );
         }
     }
@@ -249,8 +248,7 @@ fn nested(depth: usize) -> Vec<u8> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_message_that_is_none_is_refused_by_every_rpc() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let service = json::descriptors()
         .expect("the schema")
         .get_service_by_name("pliant.v1.Deformer");
@@ -266,27 +264,22 @@ async fn every_message_that_is_none_is_refused_by_every_rpc() {
             let headers = answer.headers().clone();
             let body = within(&what, answer.bytes()).await.expect("a body");
             let status = grpc_web_status(&headers, &body);
-            // Neither UNKNOWN nor INTERNAL: what is wrong is told, and it is not the server.
+            // Neither UNKNOWN nor INTERNAL: what is wrong is reported, and it is not the server.
             let is_told = status.is_some_and(|status| ![2, 13].contains(&status));
             assert!(is_told, "{} {what}: {status:?} {headers:?}", method.name());
         }
     }
     // Some of it may have closed the session in good form; the server is there.
-    assert_eq!(server.get("/healthz").answer().await.status(), 200);
+    assert_eq!(server.get("/healthz").status().await, 200);
     server.bar_session().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_flood_of_calls_that_nobody_waits_for_leaves_nothing_behind() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+async fn a_flood_of_calls_that_no_one_waits_for_leaves_nothing_behind() {
+    let (server, id) = Server::start_with_bar().await;
     let mut client = server.grpc().await;
     for round in 0..300u64 {
-        let request = pb::SolveRequest {
-            session_id: id.clone(),
-            pose: Some(turned(round, 0.01 * round as f64, true)),
-            ..Default::default()
-        };
+        let request = turn_request(&id, round, 0.01 * round as f64);
         let mut caller = client.clone();
         let call = tokio::spawn(async move { caller.solve(request).await.map(drop) });
         if round % 3 == 0 {

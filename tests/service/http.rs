@@ -1,15 +1,11 @@
 //! HTTP: sessions and their calls as a client sees them, problems, downloads, forms.
 
-mod addressed;
 mod carry;
 mod connections;
-mod downloads;
-mod forms;
-mod health_command;
 mod ledger;
-mod log_lines;
 mod operators;
 mod problems;
+mod transfers;
 
 use crate::support::server::*;
 use base64::Engine as _;
@@ -24,16 +20,19 @@ async fn post(server: &Server, path: &str, body: Value) -> reqwest::Response {
     server.post(path).json(&body).answer().await
 }
 
+/// The ids of a list in JSON.
+fn ids_in(list: &Value) -> Vec<String> {
+    let list = list.as_array().expect("a list");
+    list.iter().map(|item| text(&item["id"])).collect()
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_session_lives_from_create_to_delete() {
     let server = Server::start().await;
-    let answer = server
-        .post("/v1/sessions?label=bar&volumeGraph=OFF")
-        .body(bar_obj(24))
-        .answer()
-        .await;
+    let open = server.post("/v1/sessions?label=bar&volumeGraph=OFF");
+    let answer = open.body(bar_obj(24)).answer().await;
     assert_eq!(answer.status(), 201);
-    let location = answer.headers()[header::LOCATION].to_str().unwrap().to_owned();
+    let location = header(&answer, header::LOCATION).to_owned();
     let session: Value = answer.json().await.unwrap();
     let id = text(&session["id"]);
     assert_eq!(location, format!("/v1/sessions/{id}"));
@@ -43,16 +42,16 @@ async fn a_session_lives_from_create_to_delete() {
     );
     assert!(session["buildMs"]["hierarchy"].is_number(), "{session}");
 
-    let seen: Value = get(&server, &location).await.json().await.unwrap();
+    let seen = server.document(&location).await;
     assert_eq!((&seen["id"], &seen["model"]), (&session["id"], &session["model"]));
-    let list: Value = get(&server, "/v1/sessions?pageSize=10").await.json().await.unwrap();
+    let list = server.document("/v1/sessions?pageSize=10").await;
     assert_eq!(list["sessions"].as_array().map(Vec::len), Some(1));
 
     let gone = server.delete(&location).answer().await;
     assert_eq!(gone.status(), 204);
     assert_eq!(gone.text().await.unwrap(), "");
     assert_eq!(get(&server, &location).await.status(), 404);
-    assert_eq!(server.delete(&location).answer().await.status(), 404);
+    assert_eq!(server.delete(&location).status().await, 404);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -62,35 +61,25 @@ async fn sessions_are_listed_in_pages() {
     for _ in 0..3 {
         ids.push(text(&server.open(bar_obj(4)).await["id"]));
     }
-    let first: Value = get(&server, "/v1/sessions?pageSize=2").await.json().await.unwrap();
+    let first = server.document("/v1/sessions?pageSize=2").await;
     let token = text(&first["nextPageToken"]);
-    let second: Value = get(&server, &format!("/v1/sessions?pageSize=2&pageToken={token}"))
-        .await
-        .json()
-        .await
-        .unwrap();
-    let names = |page: &Value| {
-        page["sessions"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|s| text(&s["id"]))
-            .collect::<Vec<_>>()
-    };
+    let second = server
+        .document(&format!("/v1/sessions?pageSize=2&pageToken={token}"))
+        .await;
+    let names = |page: &Value| ids_in(&page["sessions"]);
     assert_eq!([names(&first), names(&second)].concat(), ids);
     assert_eq!(second["nextPageToken"], "");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn one_solve_in_three_forms() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let path = format!("/v1/sessions/{id}/solve");
 
     let answer = post(&server, &path, turn_json(0.5)).await;
     assert_eq!(answer.status(), 200);
-    let revision = answer.headers()["x-pliant-revision"].to_str().unwrap().to_owned();
-    let digest = answer.headers()["x-pliant-digest"].to_str().unwrap().to_owned();
+    let revision = header(&answer, "x-pliant-revision").to_owned();
+    let digest = header(&answer, "x-pliant-digest").to_owned();
     let solved: Value = answer.json().await.unwrap();
     assert_eq!(
         (solved["revision"].as_str(), solved["digest"].as_str()),
@@ -113,27 +102,14 @@ async fn one_solve_in_three_forms() {
 
     let mut counted = turn_json(0.5);
     counted["options"] = json!({"output": {"selfIntersections": true}});
-    let binary = server
-        .post(&path)
-        .json(&counted)
-        .header("accept", "application/octet-stream")
-        .answer()
-        .await;
+    let call = server.post(&path).json(&counted);
+    let binary = call.header("accept", "application/octet-stream").answer().await;
     assert_eq!(binary.headers()[header::CONTENT_TYPE], "application/octet-stream");
-    assert_eq!(
-        binary.headers()[header::CONTENT_LENGTH].to_str().unwrap(),
-        data.len().to_string()
-    );
-    assert!(
-        binary.headers()["x-pliant-residual"]
-            .to_str()
-            .unwrap()
-            .parse::<f64>()
-            .unwrap()
-            < 1e-3
-    );
+    assert_eq!(header(&binary, header::CONTENT_LENGTH), data.len().to_string());
+    assert!(header(&binary, "x-pliant-residual").parse::<f64>().unwrap() < 1e-3);
     // What JSON says in a field, headers say for the other forms.
-    let said = |name: &str| binary.headers()[name].to_str().unwrap().parse::<f64>().unwrap();
+    let said = |name: &str| header(&binary, name).parse::<f64>().unwrap();
+    assert!(said("x-pliant-residual") < 1e-3);
     assert_eq!(said("x-pliant-edge-rms"), quality["edgeRms"]);
     assert_eq!(said("x-pliant-flipped-triangles"), 0.0);
     assert_eq!(said("x-pliant-self-intersections"), 0.0);
@@ -143,19 +119,11 @@ async fn one_solve_in_three_forms() {
         floats(&data),
         "the same pose gives the same bits in every form"
     );
-    let positions = get(&server, &format!("/v1/sessions/{id}/positions"))
-        .await
-        .bytes()
-        .await
-        .unwrap();
+    let positions = server.content(&format!("/v1/sessions/{id}/positions")).await;
     assert_eq!(positions, buffer);
 
-    let model = server
-        .post(&path)
-        .json(&turn_json(0.5))
-        .header("accept", "model/obj")
-        .answer()
-        .await;
+    let call = server.post(&path).json(&turn_json(0.5));
+    let model = call.header("accept", "model/obj").answer().await;
     assert_eq!(model.headers()[header::CONTENT_TYPE], "model/obj");
     let obj = model.text().await.unwrap();
     assert_eq!(obj.lines().filter(|l| l.starts_with("v ")).count(), buffer.len() / 12);
@@ -167,8 +135,7 @@ async fn one_solve_in_three_forms() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn normals_follow_as_a_block_of_their_own() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let mut body = turn_json(0.2);
     body["options"] = json!({"output": {"normals": true}});
     let answer = server
@@ -176,7 +143,7 @@ async fn normals_follow_as_a_block_of_their_own() {
         .json(&body)
         .header("accept", "application/octet-stream");
     let answer = answer.answer().await;
-    let vertices: usize = answer.headers()["x-pliant-vertices"].to_str().unwrap().parse().unwrap();
+    let vertices: usize = header(&answer, "x-pliant-vertices").parse().unwrap();
     let numbers = floats(&answer.bytes().await.unwrap());
     assert_eq!(numbers.len(), vertices * 6);
     for normal in numbers[vertices * 3..].chunks(3) {
@@ -187,41 +154,28 @@ async fn normals_follow_as_a_block_of_their_own() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn undo_and_redo_restore_positions_to_the_bit() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let path = |end: &str| format!("/v1/sessions/{id}/{end}");
-    let rest = get(&server, &path("positions")).await.bytes().await.unwrap();
+    let rest = server.content(&path("positions")).await;
     assert_eq!(post(&server, &path("solve"), turn_json(1.0)).await.status(), 200);
-    let bent = get(&server, &path("positions")).await.bytes().await.unwrap();
+    let bent = server.content(&path("positions")).await;
     assert_ne!(rest, bent);
     let undone = server.post(&path("undo")).answer().await;
     assert_eq!(undone.status(), 200);
-    assert_eq!(get(&server, &path("positions")).await.bytes().await.unwrap(), rest);
-    assert_eq!(server.post(&path("redo")).answer().await.status(), 200);
-    assert_eq!(get(&server, &path("positions")).await.bytes().await.unwrap(), bent);
-    let history: Value = get(&server, &path("history")).await.json().await.unwrap();
-    let kinds: Vec<&str> = history["commits"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|c| c["kind"].as_str().unwrap())
-        .collect();
+    assert_eq!(server.content(&path("positions")).await, rest);
+    assert_eq!(server.post(&path("redo")).status().await, 200);
+    assert_eq!(server.content(&path("positions")).await, bent);
+    let history = server.document(&path("history")).await;
+    let commits = history["commits"].as_array().unwrap();
+    let kinds: Vec<&str> = commits.iter().map(|c| c["kind"].as_str().unwrap()).collect();
     assert_eq!(kinds, ["create", "handles", "pose"]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn one_handle_can_be_changed_added_and_removed() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let url = |handle: &str| server.url(&format!("/v1/sessions/{id}/handles/{handle}"));
-    let names = |session: &Value| {
-        session["handles"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|h| text(&h["id"]))
-            .collect::<Vec<_>>()
-    };
+    let names = |session: &Value| ids_in(&session["handles"]);
 
     let pose = json!({"pose": {"translation": [0, 0, 1]}});
     let changed = http().patch(url("top")).json(&pose).answer().await;
@@ -232,7 +186,7 @@ async fn one_handle_can_be_changed_added_and_removed() {
     assert_eq!(names(&added.json().await.unwrap()), ["base", "top", "middle"]);
     let removed = http().delete(url("middle")).answer().await;
     assert_eq!(names(&removed.json().await.unwrap()), ["base", "top"]);
-    assert_eq!(http().delete(url("middle")).answer().await.status(), 404);
+    assert_eq!(http().delete(url("middle")).status().await, 404);
     let other = http().patch(url("top")).json(&json!({"id": "base"})).answer().await;
     assert_eq!(other.status(), 422);
 }
@@ -279,14 +233,7 @@ async fn a_full_server_says_when_to_come_back() {
     server.open(bar_obj(4)).await;
     let answer = server.post("/v1/sessions").body(bar_obj(4)).answer().await;
     assert_eq!(answer.status(), 429);
-    assert!(
-        answer.headers()[header::RETRY_AFTER]
-            .to_str()
-            .unwrap()
-            .parse::<u32>()
-            .unwrap()
-            >= 1
-    );
+    assert!(header(&answer, header::RETRY_AFTER).parse::<u32>().unwrap() >= 1);
     assert_eq!(answer.json::<Value>().await.unwrap()["code"], "RESOURCE_EXHAUSTED");
 }
 

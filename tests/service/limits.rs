@@ -1,5 +1,5 @@
 //! The tables of `deploy/docs/limits.md` are the program's: every key with its default, every limit without a key, every
-//! range of a request; and `/v1/limits` tells them by the names that the page gives.
+//! range of a request; and `/v1/limits` reports them by the names that the page gives.
 
 use crate::support::book;
 
@@ -20,10 +20,10 @@ fn page() -> String {
 #[test]
 fn keys_and_defaults_are_those_of_the_program() {
     let rows = book::table(&page(), "| key | default |");
-    let told: BTreeSet<&str> = rows.iter().map(|row| row[0].as_str()).collect();
+    let reply: BTreeSet<&str> = rows.iter().map(|row| row[0].as_str()).collect();
     let keys = ConfigKeys::names();
     assert_eq!(
-        told,
+        reply,
         keys.iter().map(String::as_str).collect(),
         "every key of the configuration, and no other"
     );
@@ -32,19 +32,19 @@ fn keys_and_defaults_are_those_of_the_program() {
     let flags = given.map(|row| format!("--{}={}", row[0].replace('_', "-"), row[1]));
     let command = ConfigKeys::augment_args(clap::Command::new("serve").no_binary_name(true));
     let flags = ConfigKeys::from_arg_matches(&command.get_matches_from(flags)).expect("flags");
-    let told = ServeSettings::load(None, &flags).expect("the page's defaults are values that the program takes");
+    let reply = ServeSettings::load(None, &flags).expect("the page's defaults are values that the program takes");
     let defaults = ServeSettings::load(None, &ConfigKeys::default()).expect("the defaults");
-    assert_eq!(told.listen, defaults.listen);
-    assert_eq!(told.server, defaults.server);
-    assert_eq!(told.session, defaults.session);
+    assert_eq!(reply.listen, defaults.listen);
+    assert_eq!(reply.server, defaults.server);
+    assert_eq!(reply.session, defaults.session);
     assert_eq!(
-        (told.log, told.log_format, told.sample),
+        (reply.log, reply.log_format, reply.sample),
         (defaults.log, defaults.log_format, defaults.sample)
     );
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_server_tells_them_by_these_names() {
+async fn a_server_reports_them_by_these_names() {
     let server = Server::start().await;
     let answer = server.get("/v1/limits").answer().await;
     let answer: BTreeMap<String, Value> = answer.json().await.expect("JSON");
@@ -55,14 +55,14 @@ async fn a_server_tells_them_by_these_names() {
             assert!(page().contains("`partBytes`"));
             continue;
         }
-        let told = named
+        let reply = named
             .get(name.as_str())
             .unwrap_or_else(|| panic!("{name} is told and not on the page"));
         let seen = match value {
             Value::String(text) => text.parse().expect("a number"),
             number => number.as_f64().expect("a number"),
         };
-        assert_eq!(seen, number(told), "{name}");
+        assert_eq!(seen, number(reply), "{name}");
     }
     for row in rows.iter().filter(|row| row[2] != "-") {
         assert!(answer.contains_key(&row[2]), "{} is not told", row[2]);
@@ -186,7 +186,7 @@ fn limits_without_a_key_are_those_of_the_program() {
             size(pliant::server::LARGEST_TLS_FILE),
         ),
     ];
-    let told: Vec<(String, String)> = book::table(&page(), "| limit | value |")
+    let reply: Vec<(String, String)> = book::table(&page(), "| limit | value |")
         .into_iter()
         .map(|row| (row[0].clone(), row[1].clone()))
         .collect();
@@ -194,7 +194,7 @@ fn limits_without_a_key_are_those_of_the_program() {
         .into_iter()
         .map(|(name, value)| (name.to_owned(), value))
         .collect();
-    assert_eq!(told, wanted);
+    assert_eq!(reply, wanted);
 }
 
 fn size(bytes: u64) -> String {
@@ -215,8 +215,7 @@ fn time(span: Duration) -> String {
 /// Each range of a request is tried at its end and one beyond it.
 #[tokio::test(flavor = "multi_thread")]
 async fn ranges_of_requests_are_kept() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let create = |label: usize| {
         let url = server.url(&format!("/v1/sessions?label={}", "x".repeat(label)));
         http().post(url).body(bar_obj(4))
@@ -255,10 +254,7 @@ async fn ranges_of_requests_are_kept() {
         assert_eq!(bad.status(), 422, "{name}");
     }
     for (window, refused) in [(8, false), (9, true)] {
-        let mut socket = server
-            .socket(&format!("/v1/sessions/{id}/stream"))
-            .await
-            .expect("a socket");
+        let mut socket = server.stream_socket(&id).await;
         let options = pliant::wire::pb::Options {
             window,
             ..Default::default()
@@ -269,10 +265,10 @@ async fn ranges_of_requests_are_kept() {
         socket
             .send(pliant::wire::pb::deform_request::Message::Pose(turned(1, 0.1, false)))
             .await;
-        let told = match socket.next().await {
+        let reply = match socket.next().await {
             Came::Response(response) => format!("{response:?}").contains("window"),
             Came::Closed(_) => true,
         };
-        assert_eq!(told, refused, "window {window}");
+        assert_eq!(reply, refused, "window {window}");
     }
 }

@@ -7,11 +7,9 @@ use crate::support::server::{Came, Socket, retried};
 use pliant::wire::pb::{self, deform_request, deform_response};
 use std::time::Duration;
 
-mod database_away;
-mod database_share;
-mod going_and_coming;
+mod database;
+mod ownership;
 mod sent_on;
-mod stale_writes;
 
 /// How long nodes of tests keep their sessions without a word.
 const LEASE: Duration = Duration::from_secs(1);

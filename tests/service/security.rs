@@ -1,14 +1,13 @@
 //! Who may do what, from outside: tokens, certificates, and what a server refuses to be started as.
 
-mod access_log;
 mod audit;
-mod certificates;
 mod isolation;
 mod jwt;
 mod quotas;
 mod start;
 mod tokens;
 
+use crate::support::program::ServedProgram;
 use crate::support::server::*;
 use pliant::server::auth::{AuthConfig, TokenEntry, token_digest};
 use pliant::session::Tenant;
@@ -20,6 +19,24 @@ fn config_file(folder: &Path, tables: &str) -> String {
     let path = folder.join("pliant.toml");
     std::fs::write(&path, tables).expect("writable");
     path.to_string_lossy().into_owned()
+}
+
+/// A folder for sessions, and a configuration beside it.
+struct ConfiguredPlace {
+    folder: tempfile::TempDir,
+    config: String,
+}
+
+impl ConfiguredPlace {
+    fn new(tables: &str) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let config = config_file(folder.path(), tables);
+        Self { folder, config }
+    }
+
+    fn start(&self) -> ServedProgram {
+        ServedProgram::start(&self.folder.path().join("data"), &["--config", &self.config])
+    }
 }
 
 /// A token as such a file has it.

@@ -4,13 +4,10 @@
 use crate::support::bench;
 mod commits;
 mod edits;
-mod fairness;
 mod fake;
 mod faulty_store;
-mod following;
 mod life;
 mod limits;
-mod other_build;
 mod real;
 mod store_faults;
 mod stream;

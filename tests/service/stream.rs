@@ -1,10 +1,10 @@
 //! The deform stream, over gRPC and over a WebSocket: what is counted, what a slow reader costs, how it ends.
 
-mod commit_keys;
 mod differences;
 mod sockets;
 
 use crate::support::data::{data_folder, tell_skipped};
+use crate::support::process::needed;
 use crate::support::process::{memory, runs_alone};
 use crate::support::server::*;
 use pliant::wire::pb::{self, deform_request, deform_response};
@@ -62,6 +62,33 @@ impl Books {
         }
     }
 
+    /// Reads and acknowledges frames up to the final one of a pose.
+    async fn read_to(
+        &mut self,
+        last: u64,
+        requests: &mpsc::Sender<pb::DeformRequest>,
+        responses: &mut tonic::Streaming<pb::DeformResponse>,
+    ) {
+        while self.seqs.last() != Some(&last) {
+            let response = within("a response", responses.message()).await.unwrap();
+            if let Some(seq) = self.enter(&response.expect("an open stream")) {
+                requests.send(message(ack(seq))).await.unwrap();
+            }
+        }
+    }
+
+    /// As `read_to`, over a WebSocket.
+    async fn read_socket_to(&mut self, last: u64, socket: &mut Socket) {
+        while self.seqs.last() != Some(&last) {
+            let Came::Response(response) = socket.next().await else {
+                panic!("closed")
+            };
+            if let Some(seq) = self.enter(&response) {
+                socket.send(ack(seq)).await;
+            }
+        }
+    }
+
     fn total(&self) -> u64 {
         self.finals + self.errors + self.superseded
     }
@@ -71,12 +98,20 @@ fn ack(seq: u64) -> deform_request::Message {
     deform_request::Message::Ack(pb::Ack { seq })
 }
 
+/// The answer of HTTP to who is given no WebSocket.
+async fn refused_socket(server: &Server, id: &str) -> tungstenite::handshake::client::Response {
+    match server.socket(&path(id, "/stream")).await {
+        Err(tungstenite::Error::Http(refused)) => *refused,
+        Err(other) => panic!("no HTTP answer, but {other}"),
+        Ok(_) => panic!("a WebSocket"),
+    }
+}
+
 const POSES: u64 = 200;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_pose_at_60_hz_is_accounted_for_over_grpc() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     drag_at_60_hz(&server, &id).await;
 }
 
@@ -86,9 +121,7 @@ async fn a_scan_at_60_hz_ends_with_the_last_pose_and_holds_no_growing_memory() {
     if !runs_alone("stream::a_scan_at_60_hz_ends_with_the_last_pose_and_holds_no_growing_memory") {
         return;
     }
-    let Some(data) = data_folder("the stream on armadillo.obj") else {
-        return;
-    };
+    let data = needed!(data_folder("the stream on armadillo.obj"));
     let Ok(model) = std::fs::read_to_string(data.join("meshes/armadillo.obj")) else {
         tell_skipped("the stream on armadillo.obj", "it is not in the data folder");
         return;
@@ -100,8 +133,7 @@ async fn a_scan_at_60_hz_ends_with_the_last_pose_and_holds_no_growing_memory() {
         {"id": "legs", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": 0.05}}},
         {"id": "top", "region": {"box": {"min": [-1, 0.05, -1], "max": [-0.33, 1, 1]}}},
     ]});
-    let url = server.url(&format!("/v1/sessions/{id}/handles"));
-    let answer = http().put(url).json(&handles).answer().await;
+    let answer = server.put(&path(&id, "/handles")).json(&handles).answer().await;
     assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap());
     let before = memory();
     let books = drag_at_60_hz(&server, &id).await;
@@ -123,20 +155,14 @@ async fn drag_at_60_hz(server: &Server, id: &str) -> Books {
         let mut tick = tokio::time::interval(Duration::from_micros(16_667));
         for seq in 1..=POSES {
             tick.tick().await;
-            let pose = turned(seq, seq as f64 * 0.005, false);
-            sender.send(message(deform_request::Message::Pose(pose))).await.unwrap();
+            sender
+                .send(turned_request(seq, seq as f64 * 0.005, false))
+                .await
+                .unwrap();
         }
     });
     let mut books = Books::default();
-    while books.seqs.last() != Some(&POSES) {
-        let response = within("a response", responses.message())
-            .await
-            .unwrap()
-            .expect("an open stream");
-        if let Some(seq) = books.enter(&response) {
-            requests.send(message(ack(seq))).await.unwrap();
-        }
-    }
+    books.read_to(POSES, &requests, &mut responses).await;
     dragging.await.unwrap();
     assert_eq!(books.total(), POSES, "{books:?}");
     assert_eq!(books.errors, 0);
@@ -156,9 +182,8 @@ async fn drag_at_60_hz(server: &Server, id: &str) -> Books {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_pose_at_60_hz_is_accounted_for_over_a_websocket() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    let (server, id) = Server::start_with_bar().await;
+    let mut socket = server.stream_socket(&id).await;
     let mut books = Books::default();
     let mut tick = tokio::time::interval(Duration::from_micros(16_667));
     let mut next = 1;
@@ -188,13 +213,9 @@ async fn every_pose_at_60_hz_is_accounted_for_over_a_websocket() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_only_half_closes_still_gets_its_last_frame() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let (requests, mut responses) = server.stream(&id).await;
-    requests
-        .send(message(deform_request::Message::Pose(turned(9, 0.3, false))))
-        .await
-        .unwrap();
+    requests.send(turned_request(9, 0.3, false)).await.unwrap();
     drop(requests);
     let mut books = Books::default();
     while let Some(response) = within("a response", responses.message()).await.unwrap() {
@@ -205,40 +226,21 @@ async fn a_client_that_only_half_closes_still_gets_its_last_frame() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_committed_pose_equals_a_solve_call_to_the_bit() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let (requests, mut responses) = server.stream(&id).await;
     for seq in 1..=5 {
         requests
-            .send(message(deform_request::Message::Pose(turned(
-                seq,
-                0.1 * seq as f64,
-                seq == 5,
-            ))))
+            .send(turned_request(seq, 0.1 * seq as f64, seq == 5))
             .await
             .unwrap();
     }
     let mut books = Books::default();
-    while books.seqs.last() != Some(&5) {
-        let response = within("a response", responses.message())
-            .await
-            .unwrap()
-            .expect("an open stream");
-        if let Some(seq) = books.enter(&response) {
-            requests.send(message(ack(seq))).await.unwrap();
-        }
-    }
-    let stored = server
-        .get(&format!("/v1/sessions/{id}/positions"))
-        .answer()
-        .await
-        .bytes()
-        .await
-        .unwrap();
+    books.read_to(5, &requests, &mut responses).await;
+    let stored = server.content(&path(&id, "/positions")).await;
     assert_eq!(floats(&stored), books.last, "what was acknowledged is what is stored");
     let twin = server.bar_session().await;
     let solve = server
-        .post(&format!("/v1/sessions/{twin}/solve"))
+        .post(&path(&twin, "/solve"))
         .json(&turn_json(0.5))
         .header("accept", "application/octet-stream");
     assert_eq!(solve.answer().await.bytes().await.unwrap(), stored);
@@ -250,17 +252,12 @@ async fn a_reader_that_stops_gets_fewer_frames_not_older_ones() {
     if !runs_alone("stream::a_reader_that_stops_gets_fewer_frames_not_older_ones") {
         return;
     }
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let (requests, mut responses) = server.stream(&id).await;
     let before = memory();
     for seq in 1..=2000u64 {
         requests
-            .send(message(deform_request::Message::Pose(turned(
-                seq,
-                seq as f64 * 0.0005,
-                false,
-            ))))
+            .send(turned_request(seq, seq as f64 * 0.0005, false))
             .await
             .unwrap();
     }
@@ -273,24 +270,15 @@ async fn a_reader_that_stops_gets_fewer_frames_not_older_ones() {
     let grown = memory().saturating_sub(before);
     assert!(grown < 256 << 20, "{grown} bytes more");
     let mut books = Books::default();
-    while books.seqs.last() != Some(&2000) {
-        let response = within("a response", responses.message())
-            .await
-            .unwrap()
-            .expect("an open stream");
-        if let Some(seq) = books.enter(&response) {
-            requests.send(message(ack(seq))).await.unwrap();
-        }
-    }
+    books.read_to(2000, &requests, &mut responses).await;
     assert_eq!(books.total(), 2000);
     assert!(books.finals < 100, "{} frames", books.finals);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_websocket_reader_that_stops_costs_no_growing_memory() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    let (server, id) = Server::start_with_bar().await;
+    let mut socket = server.stream_socket(&id).await;
     for seq in 1..=2000u64 {
         socket
             .send(deform_request::Message::Pose(turned(seq, seq as f64 * 0.0005, false)))
@@ -302,26 +290,16 @@ async fn a_websocket_reader_that_stops_costs_no_growing_memory() {
     .await;
     assert!(server.metric("pliant_frames_sent_total").await <= 10.0);
     let mut books = Books::default();
-    while books.seqs.last() != Some(&2000) {
-        let Came::Response(response) = socket.next().await else {
-            panic!("closed")
-        };
-        if let Some(seq) = books.enter(&response) {
-            socket.send(ack(seq)).await;
-        }
-    }
+    books.read_socket_to(2000, &mut socket).await;
     assert_eq!(books.total(), 2000);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stream_belongs_to_one_session_that_exists() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let (_requests, mut responses) = server.stream("nobody").await;
-    assert_eq!(
-        within("a refusal", responses.message()).await.unwrap_err().code(),
-        Code::NotFound
-    );
+    let refused = within("a refusal", responses.message()).await.unwrap_err();
+    assert_eq!(refused.code(), Code::NotFound);
     let (requests, mut responses) = server.stream(&id).await;
     requests
         .send(pb::DeformRequest {
@@ -330,20 +308,10 @@ async fn a_stream_belongs_to_one_session_that_exists() {
         })
         .await
         .unwrap();
-    assert_eq!(
-        within("a refusal", responses.message()).await.unwrap_err().code(),
-        Code::InvalidArgument
-    );
+    let refused = within("a refusal", responses.message()).await.unwrap_err();
+    assert_eq!(refused.code(), Code::InvalidArgument);
 
-    let tungstenite::Error::Http(refused) = server
-        .socket("/v1/sessions/nobody/stream")
-        .await
-        .map(|_| ())
-        .unwrap_err()
-    else {
-        panic!("no HTTP answer")
-    };
-    assert_eq!(refused.status(), 404);
+    assert_eq!(refused_socket(&server, "nobody").await.status(), 404);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -358,14 +326,9 @@ async fn a_client_that_never_names_a_session_is_not_waited_for() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn large_frames_come_in_parts_that_fit_default_limits() {
-    let server = Server::with(|sessions, _| sessions.part_bytes = 1024).await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::bar_with(|sessions, _| sessions.part_bytes = 1024).await;
     let mut client = server.grpc().await;
-    let solve = pb::SolveRequest {
-        session_id: id.clone(),
-        pose: Some(turned(1, 0.5, true)),
-        options: None,
-    };
+    let solve = turn_request(&id, 1, 0.5);
     let mut parts = Vec::new();
     let mut stream = client.solve(solve).await.unwrap().into_inner();
     while let Some(frame) = stream.message().await.unwrap() {
@@ -383,11 +346,10 @@ async fn large_frames_come_in_parts_that_fit_default_limits() {
         next_vertex += part.vertex_count;
     }
     let whole: Vec<u8> = parts.iter().flat_map(|p| p.data.to_vec()).collect();
-    let url = server.url(&format!("/v1/sessions/{id}/positions"));
-    assert_eq!(http().get(url).answer().await.bytes().await.unwrap(), whole);
+    assert_eq!(server.content(&path(&id, "/positions")).await, whole);
     let body = json!({"options": {"output": {"normals": true}}});
     let answer = server
-        .post(&format!("/v1/sessions/{id}/solve"))
+        .post(&path(&id, "/solve"))
         .header("accept", "application/octet-stream")
         .json(&body)
         .send();

@@ -153,7 +153,7 @@ async fn a_collector_gets_the_calls_and_their_work_as_part_of_the_callers_trace(
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_collector_that_is_not_there_hinders_nobody() {
+async fn a_collector_that_is_not_there_stops_no_call() {
     let folder = tempfile::tempdir().expect("a folder");
     let server = ServedProgram::start(&folder.path().join("data"), &["--otlp-endpoint", "http://127.0.0.1:9"]);
     let id = server.open(bar_obj(8), "").await;

@@ -18,7 +18,7 @@ pub struct Said {
 }
 
 /// The rows' texts.
-fn told() -> BTreeSet<String> {
+fn listed() -> BTreeSet<String> {
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/docs/troubleshooting.md");
     let page = std::fs::read_to_string(page).expect("the page");
     let heads: Vec<&str> = page.lines().filter(|line| line.starts_with("| it says |")).collect();
@@ -39,12 +39,12 @@ fn told() -> BTreeSet<String> {
 async fn every_row_is_what_is_said() {
     let mut said = program::provoke();
     said.extend(server::provoke().await);
-    let told = told();
+    let listed = listed();
     // Quotes of code are not in a cell.
     let heard: Vec<(&str, String)> = said.iter().map(|s| (s.by, s.text.replace('`', ""))).collect();
     let missing: Vec<String> = heard
         .iter()
-        .filter(|(_, text)| !told.iter().any(|row| book::is_like(text, row)))
+        .filter(|(_, text)| !listed.iter().any(|row| book::is_like(text, row)))
         .map(|(by, text)| format!("{by}: {text}"))
         .collect();
     assert!(
@@ -52,7 +52,7 @@ async fn every_row_is_what_is_said() {
         "said, and not in the table:\n{}",
         missing.join("\n")
     );
-    let invented = told
+    let invented = listed
         .iter()
         .filter(|row| !heard.iter().any(|(_, text)| book::is_like(text, row)));
     let invented: Vec<&String> = invented.collect();

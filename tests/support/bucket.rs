@@ -60,7 +60,7 @@ impl TestBucket {
         self.is_down.send_replace(is_down);
     }
 
-    /// Where the objects are, as the server is told.
+    /// Where the objects are, as the server is given it.
     pub fn url(&self) -> &'static str {
         "s3://models/of/pliant"
     }

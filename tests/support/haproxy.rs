@@ -18,7 +18,7 @@ impl Drop for HaProxy {
     }
 }
 
-/// A port that nobody uses at the moment.
+/// A port that no one uses at the moment.
 pub fn free_port() -> u16 {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     listener.local_addr().expect("an address").port()
@@ -62,9 +62,9 @@ fn configuration(port: u16, nodes: [u16; 3]) -> String {
     let mut text = std::fs::read_to_string(file).expect("the file of deploy/");
     text = text.replace("bind :7411\n", &format!("bind 127.0.0.1:{port}\n"));
     for (k, node) in nodes.iter().enumerate() {
-        let told = format!("10.0.0.{}:7411", 5 + k);
-        assert!(text.contains(&told), "deploy/haproxy.cfg names {told}");
-        text = text.replace(&told, &format!("127.0.0.1:{node}"));
+        let reply = format!("10.0.0.{}:7411", 5 + k);
+        assert!(text.contains(&reply), "deploy/haproxy.cfg names {reply}");
+        text = text.replace(&reply, &format!("127.0.0.1:{node}"));
     }
     text
 }

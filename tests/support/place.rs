@@ -82,8 +82,8 @@ impl StorePlace {
 
     /// The same place, with the database behind another address.
     pub fn location(&self, database: Option<&str>) -> Vec<String> {
-        let mut told = Vec::new();
-        let mut say = |flag: &str, value: &str| told.extend([flag.to_owned(), value.to_owned()]);
+        let mut reply = Vec::new();
+        let mut say = |flag: &str, value: &str| reply.extend([flag.to_owned(), value.to_owned()]);
         if let Some(url) = database {
             say("--database", url);
         }
@@ -91,7 +91,7 @@ impl StorePlace {
             Some(bucket) => say("--objects", bucket.url()),
             None => say("--data-dir", self.data().to_str().expect("UTF-8")),
         }
-        told
+        reply
     }
 
     /// Starts a server on it.
@@ -104,6 +104,14 @@ impl StorePlace {
         self.start_at(self.database.as_ref().map(|d| d.url.as_str()), arguments)
     }
 
+    /// Asserts that no server starts on it, for a reason with these words in the last line of its log.
+    #[track_caller]
+    pub fn refuses_to_start(&self, arguments: &[&str], words: &[&str]) {
+        let log = self.try_start(arguments).err().expect("refused");
+        let last = log.lines().last().unwrap_or_default();
+        assert!(words.iter().all(|word| last.contains(word)), "{words:?}: {log}");
+    }
+
     /// As `start`, with the database behind another address.
     pub fn start_at(&self, database: Option<&str>, arguments: &[&str]) -> Result<ServedProgram, String> {
         self.start_logged("log", database, arguments)
@@ -111,8 +119,8 @@ impl StorePlace {
 
     /// As `start_at`, with a log of that name.
     pub fn start_logged(&self, log: &str, database: Option<&str>, arguments: &[&str]) -> Result<ServedProgram, String> {
-        let told = self.location(database);
-        let arguments: Vec<&str> = told
+        let reply = self.location(database);
+        let arguments: Vec<&str> = reply
             .iter()
             .map(String::as_str)
             .chain(arguments.iter().copied())

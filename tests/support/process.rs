@@ -1,8 +1,10 @@
 //! Processes of tests: this one as they measure it, its memory, alone; and the program as somebody who may not do everything.
 
+use std::io::Write as _;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 use std::os::unix::process::CommandExt as _;
-use std::process::Command;
+use std::path::Path;
+use std::process::{Command, Output};
 
 /// Says that this process runs one test and nothing else.
 const ALONE: &str = "PLIANT_TEST_ALONE";
@@ -19,31 +21,50 @@ pub fn runs_alone(test: &str) -> bool {
     let mut command = Command::new(program);
     command.args([test, "--exact", "--nocapture"]).env(ALONE, "1");
     let answer = command.output().expect("a test can be run again");
-    let said = [answer.stdout, answer.stderr]
-        .map(|text| String::from_utf8_lossy(&text).into_owned())
-        .concat();
+    let said = said(&answer);
     print!("{said}");
     assert!(answer.status.success(), "{test} fails in a process of its own");
     assert!(said.contains("1 passed"), "no test is called {test}");
     false
 }
 
+/// The folder of the repository.
+pub fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// A file of the repository.
+pub fn file_of_repository(name: &str) -> String {
+    std::fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+}
+
+/// What a program wrote, stdout first.
+pub fn said(output: &Output) -> String {
+    [&output.stdout[..], &output.stderr[..]]
+        .map(|text| String::from_utf8_lossy(text).into_owned())
+        .concat()
+}
+
+/// Writes a line that is seen also when the test passes.
+pub fn show(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
 /// Peak memory of this process so far, in bytes.
 pub fn peak_memory() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status
-        .lines()
-        .find_map(|l| l.strip_prefix("VmHWM:"))
-        .unwrap_or_default();
-    line.trim().trim_end_matches(" kB").trim().parse::<u64>().unwrap_or(0) << 10
+    status_bytes("VmHWM:")
 }
 
 /// Memory of this process now, in bytes.
 pub fn memory() -> u64 {
+    status_bytes("VmRSS:")
+}
+
+fn status_bytes(key: &str) -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status
         .lines()
-        .find_map(|l| l.strip_prefix("VmRSS:"))
+        .find_map(|line| line.strip_prefix(key))
         .unwrap_or_default();
     line.trim().trim_end_matches(" kB").trim().parse::<u64>().unwrap_or(0) << 10
 }
@@ -88,3 +109,14 @@ impl Nobody {
         }
     }
 }
+
+/// What a test needs and the machine may lack; the test returns without it.
+macro_rules! needed {
+    ($thing:expr) => {
+        match $thing {
+            Some(thing) => thing,
+            None => return,
+        }
+    };
+}
+pub(crate) use needed;

@@ -35,7 +35,7 @@ impl ServedProgram {
 
     /// Starts the server with arguments and variables alone; the log when it does not come up.
     pub fn start_anywhere(log: PathBuf, arguments: &[&str], variables: &[(&str, &str)]) -> Result<Self, String> {
-        // A limit on the size of files ends a process that has not asked to be told otherwise.
+        // A limit on the size of files ends a process that has not asked for something else.
         let mut command = Command::new("sh");
         let somewhere = ["--listen", "127.0.0.1:0"];
         let is_told = arguments.contains(&"--listen");

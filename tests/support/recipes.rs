@@ -17,7 +17,7 @@ pub struct Edited {
 
 impl Edited {
     /// Every triangle cut into four at the middles of its edges where `subdivide`; else the first triangle of every
-    /// primitive put last, which changes nothing but makes everything be written anew.
+    /// primitive put last, which changes nothing but makes everything be written again.
     pub fn of(model: &Model, subdivide: bool) -> Self {
         let mut edited = Self {
             runs: Vec::new(),

@@ -17,7 +17,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 use tokio_stream::wrappers::ReceiverStream;
-use tokio_tungstenite::tungstenite::{self, protocol::CloseFrame};
+use tokio_tungstenite::tungstenite::{self, client::IntoClientRequest as _, protocol::CloseFrame};
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream};
 use tonic::transport::{Channel, Endpoint};
 
@@ -44,6 +44,18 @@ impl Server {
     /// A server with default limits and two compute threads.
     pub async fn start() -> Self {
         Self::with(|_, _| {}).await
+    }
+
+    /// As `start`, with the session of `bar_session`.
+    pub async fn start_with_bar() -> (Self, String) {
+        Self::bar_with(|_, _| {}).await
+    }
+
+    /// As `with`, with the session of `bar_session`.
+    pub async fn bar_with(change: impl FnOnce(&mut session::SessionConfig, &mut ServerConfig)) -> (Self, String) {
+        let server = Self::with(change).await;
+        let id = server.bar_session().await;
+        (server, id)
     }
 
     /// A server with changed limits.
@@ -149,11 +161,30 @@ impl Server {
     pub async fn bar_session(&self) -> String {
         let session = self.open(bar_obj(24)).await;
         let id = text(&session["id"]);
-        let handles = json!({"handles": ends()});
-        let call = self.put(&format!("/v1/sessions/{id}/handles")).json(&handles);
-        let answer = call.answer().await;
-        assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap_or_default());
+        self.hold_ends(&id).await;
         id
+    }
+
+    /// Sets the bar's ends as handles of a session.
+    pub async fn hold_ends(&self, id: &str) {
+        let handles = self.put(&path(id, "/handles")).json(&json!({"handles": ends()}));
+        let answer = handles.answer().await;
+        assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap_or_default());
+    }
+
+    /// The JSON at a path.
+    pub async fn document(&self, path: &str) -> Value {
+        self.get(path).document().await
+    }
+
+    /// The bytes at a path.
+    pub async fn content(&self, path: &str) -> Bytes {
+        self.get(path).content().await
+    }
+
+    /// The stream of a session as a WebSocket.
+    pub async fn stream_socket(&self, id: &str) -> Socket {
+        self.socket(&path(id, "/stream")).await.expect("a socket")
     }
 
     /// Opens a session over HTTP.
@@ -230,6 +261,22 @@ impl Socket {
         Ok(Self { stream })
     }
 
+    /// As `connect`, with another header.
+    pub async fn connect_with(url: &str, name: &'static str, value: &str) -> Result<Self, tungstenite::Error> {
+        let mut request = url.into_client_request()?;
+        request.headers_mut().insert(name, value.parse().expect("a value"));
+        let (stream, _) = within("a WebSocket", tokio_tungstenite::connect_async(request)).await?;
+        Ok(Self { stream })
+    }
+
+    /// The next response; none where the socket closes.
+    pub async fn response(&mut self) -> Option<pb::deform_response::Message> {
+        match self.next().await {
+            Came::Response(response) => Some(response.message.expect("a message")),
+            Came::Closed(_) => None,
+        }
+    }
+
     pub async fn send(&mut self, sent: pb::deform_request::Message) {
         let bytes = Bytes::from(message(sent).encode_to_vec());
         within("sending", self.stream.send(tungstenite::Message::Binary(bytes)))
@@ -259,7 +306,16 @@ pub trait AnsweredCall {
     async fn answer(self) -> Response;
 
     /// The JSON of the answer, whatever its status.
-    async fn told(self) -> Value;
+    async fn document(self) -> Value;
+
+    /// The bytes of the answer, whatever its status.
+    async fn content(self) -> Bytes;
+
+    /// The status of the answer.
+    async fn status(self) -> u16;
+
+    /// The problem document of a refusal with that status.
+    async fn refusal(self, status: u16) -> Value;
 }
 
 impl AnsweredCall for RequestBuilder {
@@ -267,14 +323,58 @@ impl AnsweredCall for RequestBuilder {
         within("an answer", self.send()).await.expect("an answer")
     }
 
-    async fn told(self) -> Value {
+    async fn document(self) -> Value {
         self.answer().await.json().await.expect("JSON")
+    }
+
+    async fn content(self) -> Bytes {
+        self.answer().await.bytes().await.expect("a body")
+    }
+
+    async fn status(self) -> u16 {
+        self.answer().await.status().as_u16()
+    }
+
+    async fn refusal(self, status: u16) -> Value {
+        let answer = self.answer().await;
+        let seen = answer.status().as_u16();
+        let problem = answer.json().await.unwrap_or(Value::Null);
+        assert_eq!(seen, status, "{problem}");
+        problem
     }
 }
 
 /// A client that does not follow proxies of the environment.
 pub fn http() -> reqwest::Client {
     reqwest::Client::builder().no_proxy().build().expect("a client")
+}
+
+/// A header of an answer, which has it.
+pub fn header(answer: &Response, name: impl reqwest::header::AsHeaderName) -> &str {
+    let value = answer.headers().get(name).expect("the header");
+    value.to_str().expect("a text")
+}
+
+/// A path of a session.
+pub fn path(id: &str, rest: &str) -> String {
+    format!("/v1/sessions/{id}{rest}")
+}
+
+/// A request of gRPC with a bearer token.
+pub fn with_token<T>(message: T, token: &str) -> tonic::Request<T> {
+    let mut request = tonic::Request::new(message);
+    let bearer = format!("Bearer {token}").parse().expect("ASCII");
+    request.metadata_mut().insert("authorization", bearer);
+    request
+}
+
+/// The rows of a table in a text: cells stand between bars.
+pub fn rows<const N: usize>(table: &'static str) -> impl Iterator<Item = [&'static str; N]> {
+    let lines = table.lines().filter(|line| !line.trim().is_empty());
+    lines.map(|line| {
+        let cells: Vec<&str> = line.split(" | ").map(str::trim).collect();
+        cells.try_into().unwrap_or_else(|_| panic!("not {N} cells: {line}"))
+    })
 }
 
 /// The text of a JSON string.
@@ -321,6 +421,20 @@ pub fn end_handles() -> Vec<pb::Handle> {
     let request: pb::SetHandlesRequest =
         pliant::wire::json::from_json(json!({"handles": ends()}).to_string().as_bytes()).expect("handles");
     request.handles
+}
+
+/// Such a pose as a request of a stream.
+pub fn turned_request(seq: u64, angle: f64, commit: bool) -> pb::DeformRequest {
+    message(pb::deform_request::Message::Pose(turned(seq, angle, commit)))
+}
+
+/// A solve call that commits such a pose.
+pub fn turn_request(id: &str, seq: u64, angle: f64) -> pb::SolveRequest {
+    pb::SolveRequest {
+        session_id: id.to_owned(),
+        pose: Some(turned(seq, angle, true)),
+        options: None,
+    }
 }
 
 /// A pose that turns the bar's top about z and lifts it.

@@ -1,6 +1,6 @@
 //! `pliant animate` at a terminal, and of a model that brings more than its body.
 
-use crate::program::pliant;
+use crate::support::commands::Workplace;
 use glam::DVec3;
 use pliant::asset::sample::{BuiltInModel, BuiltInRecording};
 use pliant::asset::shapes;
@@ -96,12 +96,12 @@ fn counts_before(drawn: &str, text: &str) -> Vec<usize> {
 
 #[test]
 fn a_stopped_animation_says_what_it_kept_and_continues_from_there() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
+    let place = Workplace::empty();
+    let folder = place.path();
     write_bar(folder);
     let of = |output: &[&'static str]| [&BAR[..], output].concat();
-    let (code, _, last) = pliant(folder, &of(&["-o", "whole.pc2"]));
-    assert_eq!((code, last.as_str()), (Some(0), "bar.obj -> whole.pc2"));
+    let whole = place.done(&of(&["-o", "whole.pc2"]));
+    assert_eq!(whole.last(), "bar.obj -> whole.pc2");
     let Some((code, drawn)) = stopped_at_a_terminal(folder, &of(&["-o", "bar.pc2"])) else {
         return;
     };
@@ -115,25 +115,12 @@ fn a_stopped_animation_says_what_it_kept_and_continues_from_there() {
     let shown = counts_before(&drawn, " of 1000 frames");
     assert!(shown.is_sorted() && 0 < kept && kept < FRAMES, "{kept} of {shown:?}");
     assert!(drawn.contains("/s, ") && drawn.contains("s left"), "{drawn}");
-    let (code, _, last) = pliant(folder, &of(&["-o", "bar.pc2"]));
-    assert!(
-        code == Some(2) && last.contains("--resume continues with them"),
-        "{last}"
-    );
-    let (code, report, _) = pliant(folder, &of(&["-o", "bar.pc2", "--resume", "--json"]));
-    let report: Value = serde_json::from_str(&report).expect("one JSON document");
-    assert_eq!(
-        (code, report["frames"].as_array().map(Vec::len)),
-        (Some(0), Some(FRAMES))
-    );
-    assert!(
-        report["frames"]
-            .as_array()
-            .expect("frames")
-            .iter()
-            .all(|frame| frame["ms"].as_f64() > Some(0.0))
-    );
-    let read = |name: &str| fs::read(folder.join(name)).expect("written");
+    place.refused(&of(&["-o", "bar.pc2"]), &["--resume continues with them"]);
+    let report = place.done(&of(&["-o", "bar.pc2", "--resume", "--json"])).json();
+    let frames = report["frames"].as_array().expect("frames");
+    assert_eq!(frames.len(), FRAMES);
+    assert!(frames.iter().all(|frame| frame["ms"].as_f64() > Some(0.0)));
+    let read = |name: &str| place.bytes(name);
     assert!(read("bar.pc2") == read("whole.pc2") && !folder.join("bar.pc2.part").exists());
 
     // Numbered models are kept as they are.
@@ -182,27 +169,22 @@ fn without_node(glb: &[u8], name: &str) -> Vec<u8> {
 
 #[test]
 fn a_recording_moves_what_a_skin_places_and_leaves_out_the_rest() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
+    let folder = Workplace::empty();
     let figure = BuiltInModel::Figure.glb().to_vec();
-    fs::write(folder.join("figure.glb"), &figure).expect("written");
+    folder.put("figure.glb", &figure);
     let bare = ["hull", "lod1", "lod2"]
         .iter()
         .fold(figure, |glb, node| without_node(&glb, node));
-    fs::write(folder.join("bare.glb"), bare).expect("written");
-    fs::write(folder.join("clip.bvh"), BuiltInRecording::ALL[0].bvh_text()).expect("written");
-    let told = |arguments: &[&str]| -> Value {
-        let (code, report, last) = pliant(folder, &[arguments, &["--bvh", "clip.bvh", "--json"]].concat());
-        assert_eq!(code, Some(0), "{last}");
-        serde_json::from_str(&report).expect("one JSON document")
-    };
+    folder.put("bare.glb", bare);
+    folder.put("clip.bvh", BuiltInRecording::ALL[0].bvh_text());
+    let reply = |arguments: &str| -> Value { folder.done(&format!("{arguments} --bvh clip.bvh --json")).json() };
     let says = |report: &Value, words: &str| {
         report["warnings"]
             .as_array()
             .is_some_and(|all| all.iter().any(|w| *w == words))
     };
-    let rig = told(&["rig", "figure.glb", "-o", "figure.json", "--no-picture"]);
-    let bare_rig = told(&["rig", "bare.glb", "-o", "bare.json", "--no-picture"]);
+    let rig = reply("rig figure.glb -o figure.json --no-picture");
+    let bare_rig = reply("rig bare.glb -o bare.json --no-picture");
     let without = |report: &Value, consequence: &str| {
         let reasons = [
             format!("\"hull\" has no skin, and is {consequence}"),
@@ -217,10 +199,9 @@ fn a_recording_moves_what_a_skin_places_and_leaves_out_the_rest() {
     );
 
     // Without a rig, that rig is made; what is measured is the body alone.
-    let few = ["--frames", "5:1"];
-    let played = told(&[&["animate", "figure.glb"][..], &few].concat());
-    let given = told(&[&["animate", "figure.glb", "--rig", "figure.json"][..], &few].concat());
-    let bare = told(&[&["animate", "bare.glb"][..], &few].concat());
+    let played = reply("animate figure.glb --frames 5:1");
+    let given = reply("animate figure.glb --rig figure.json --frames 5:1");
+    let bare = reply("animate bare.glb --frames 5:1");
     assert_eq!(without(&played, "not solved"), [true, true], "{}", played["warnings"]);
     assert_eq!(without(&bare, "not solved"), [false, false]);
     let measured = |report: &Value, names: &[&str]| -> Vec<Value> {

@@ -1,34 +1,18 @@
 //! `pliant render` in a model's own colours: textures, vertex colours, cut-outs, sides, and pictures that cannot be drawn.
 
+use crate::render::SeenPicture;
+use crate::support::commands::Workplace;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use std::fs;
-use std::path::Path;
-use std::process::Command;
 
 /// Runs `pliant render` on a model with 200 × 100 pixels; what it says, and its pixels.
-fn render_model(folder: &Path, model: &str, more: &[&str]) -> (String, Vec<[u8; 3]>) {
-    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(["render", model, "-o", "seen.png", "--size", "200x100"])
-        .args(if more.contains(&"--view") {
-            &[][..]
-        } else {
-            &["--view", "0,0"]
-        })
-        .args(more)
-        .current_dir(folder)
-        .output()
-        .expect("it runs");
-    let told = String::from_utf8_lossy(&done.stderr).into_owned();
-    assert!(done.status.success(), "{told}");
-    let file = fs::File::open(folder.join("seen.png")).expect("a picture");
-    let mut reader = png::Decoder::new(std::io::BufReader::new(file))
-        .read_info()
-        .expect("a PNG");
-    let mut bytes = vec![0; reader.output_buffer_size().expect("it fits")];
-    reader.next_frame(&mut bytes).expect("an image");
-    fs::remove_file(folder.join("seen.png")).expect("it is there");
-    (told, bytes.as_chunks().0.to_vec())
+fn render_model(folder: &Workplace, model: &str, more: &str) -> (String, Vec<[u8; 3]>) {
+    let view = if more.contains("--view") { "" } else { "--view 0,0" };
+    let ran = folder.done(&format!("render {model} -o seen.png --size 200x100 {view} {more}"));
+    let pixels = SeenPicture::open(&folder.at("seen.png")).pixels;
+    fs::remove_file(folder.at("seen.png")).expect("it is there");
+    (ran.err, pixels)
 }
 
 fn pixel(pixels: &[[u8; 3]], x: usize, y: usize) -> [u8; 3] {
@@ -109,65 +93,61 @@ const RED_JPEG: &str = concat!(
     "AQEBAAAAAAAAAAAAAAAAAAAFB//EABQRAQAAAAAAAAAAAAAAAAAAAAD/2gAMAwEAAhEDEQA/AD4ZSX//2Q==",
 );
 
-fn write_file(folder: &Path, name: &str, text: impl AsRef<[u8]>) {
-    fs::write(folder.join(name), text).expect("written");
-}
-
 #[test]
 fn textures_lie_where_their_coordinates_say() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let picture = data_uri("image/png", &row_png(&[[255, 0, 0, 255], [0, 0, 255, 255]]));
-    write_file(folder.path(), "board.gltf", board(TEXTURED, &picture));
-    let (told, seen) = render_model(folder.path(), "board.gltf", &[]);
-    assert!(!told.contains("warning"), "{told}");
+    folder.put("board.gltf", board(TEXTURED, &picture));
+    let (reply, seen) = render_model(&folder, "board.gltf", "");
+    assert!(!reply.contains("warning"), "{reply}");
     let [left, right] = [pixel(&seen, 60, 50), pixel(&seen, 140, 50)];
     assert!(left[0] > 150 && left[1] == 0 && left[2] == 0, "{left:?}");
     assert!(right[2] > 150 && right[0] == 0 && right[1] == 0, "{right:?}");
 
     // The same from a file beside it, turned by the texture's transform, and by any number of threads.
-    write_file(folder.path(), "two.png", row_png(&[[255, 0, 0, 255], [0, 0, 255, 255]]));
+    folder.put("two.png", row_png(&[[255, 0, 0, 255], [0, 0, 255, 255]]));
     let turned = TEXTURED.replace(
         r#"{"index":0}"#,
         r#"{"index":0,"extensions":{"KHR_texture_transform":{"scale":[-1,1],"offset":[1,0]}}}"#,
     );
-    write_file(folder.path(), "turned.gltf", board(&turned, "two.png"));
-    let (_, other) = render_model(folder.path(), "turned.gltf", &["--threads", "2"]);
+    folder.put("turned.gltf", board(&turned, "two.png"));
+    let (_, other) = render_model(&folder, "turned.gltf", "--threads 2");
     assert_eq!((pixel(&other, 60, 50), pixel(&other, 140, 50)), (right, left));
-    let (_, plain) = render_model(folder.path(), "board.gltf", &["--color", "plain"]);
+    let (_, plain) = render_model(&folder, "board.gltf", "--color plain");
     let clay = pixel(&plain, 60, 50);
     assert!(clay[0].abs_diff(clay[2]) < 40, "{clay:?}");
 
     let jpeg = format!("data:image/jpeg;base64,{RED_JPEG}");
-    write_file(folder.path(), "jpeg.gltf", board(TEXTURED, &jpeg));
-    let (told, seen) = render_model(folder.path(), "jpeg.gltf", &[]);
+    folder.put("jpeg.gltf", board(TEXTURED, &jpeg));
+    let (reply, seen) = render_model(&folder, "jpeg.gltf", "");
     let middle = pixel(&seen, 100, 50);
     assert!(
-        !told.contains("warning") && middle[0] > 150 && middle[1] < 20,
-        "{middle:?}, {told}"
+        !reply.contains("warning") && middle[0] > 150 && middle[1] < 20,
+        "{middle:?}, {reply}"
     );
 
     // Without `doubleSided` there is nothing to see from behind.
-    let (_, behind) = render_model(folder.path(), "board.gltf", &["--view", "180,0"]);
+    let (_, behind) = render_model(&folder, "board.gltf", "--view 180,0");
     assert_eq!(pixel(&behind, 60, 50), pixel(&behind, 0, 50));
     let both = format!(r#""doubleSided":true,{TEXTURED}"#);
-    write_file(folder.path(), "both.gltf", board(&both, &picture));
-    let (_, behind) = render_model(folder.path(), "both.gltf", &["--view", "180,0"]);
+    folder.put("both.gltf", board(&both, &picture));
+    let (_, behind) = render_model(&folder, "both.gltf", "--view 180,0");
     assert!(pixel(&behind, 140, 50)[0] > 100, "red on the other side");
 }
 
 #[test]
 fn opacity_cuts_out_and_lets_through() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let picture = data_uri("image/png", &row_png(&[[0, 255, 0, 0], [0, 255, 0, 255]]));
     let masked = format!(r#""alphaMode":"MASK",{TEXTURED}"#);
-    write_file(folder.path(), "masked.gltf", board(&masked, &picture));
-    let (_, seen) = render_model(folder.path(), "masked.gltf", &[]);
+    folder.put("masked.gltf", board(&masked, &picture));
+    let (_, seen) = render_model(&folder, "masked.gltf", "");
     assert_eq!(pixel(&seen, 60, 50), pixel(&seen, 0, 50), "the left half is cut out");
     assert!(pixel(&seen, 140, 50)[1] > 150);
 
     let glass = r#""alphaMode":"BLEND","pbrMetallicRoughness":{"baseColorFactor":[0,1,0,0.5]}"#;
-    write_file(folder.path(), "glass.gltf", board(glass, &picture));
-    let (_, seen) = render_model(folder.path(), "glass.gltf", &[]);
+    folder.put("glass.gltf", board(glass, &picture));
+    let (_, seen) = render_model(&folder, "glass.gltf", "");
     let [through, sky] = [pixel(&seen, 60, 50), pixel(&seen, 0, 50)];
     assert!(
         through[0] > 80 && through[0] < sky[0] - 20 && through[1] > 150,
@@ -177,21 +157,21 @@ fn opacity_cuts_out_and_lets_through() {
 
 #[test]
 fn vertex_colours_of_any_format_are_drawn() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
                 property uchar red\nproperty uchar green\nproperty uchar blue\n\
                 element face 2\nproperty list uchar int vertex_indices\nend_header\n";
     let corner = |x: i32, y: i32| format!("{x} {y} 0 255 0 0\n");
     let corners = [corner(-2, -1), corner(2, -1), corner(2, 1), corner(-2, 1)].concat();
-    write_file(folder.path(), "red.ply", format!("{head}{corners}3 0 1 2\n3 0 2 3\n"));
-    let (_, seen) = render_model(folder.path(), "red.ply", &[]);
+    folder.put("red.ply", format!("{head}{corners}3 0 1 2\n3 0 2 3\n"));
+    let (_, seen) = render_model(&folder, "red.ply", "");
     let red = pixel(&seen, 100, 50);
     assert!(red[0] > 150 && red[1] == 0 && red[2] == 0, "{red:?}");
 }
 
 #[test]
-fn a_picture_that_cannot_be_drawn_is_told_and_its_plain_colour_shown() {
-    let folder = tempfile::tempdir().expect("a folder");
+fn a_picture_that_cannot_be_drawn_is_reported_and_its_plain_colour_shown() {
+    let folder = Workplace::empty();
     let material = TEXTURED.replace("[1,1,1,1]", "[0,0,1,1]");
     let whole = row_png(&[[255, 0, 0, 255]]);
     let cases = [
@@ -203,10 +183,10 @@ fn a_picture_that_cannot_be_drawn_is_told_and_its_plain_colour_shown() {
         ("../outside.png".to_owned(), "outside"),
     ];
     for (image, reason) in cases {
-        write_file(folder.path(), "board.gltf", board(&material, &image));
-        let (told, seen) = render_model(folder.path(), "board.gltf", &[]);
-        assert!(told.contains("warning: board.gltf: board:"), "{told}");
-        assert!(told.contains(reason) || reason == "outside", "{told}");
+        folder.put("board.gltf", board(&material, &image));
+        let (reply, seen) = render_model(&folder, "board.gltf", "");
+        assert!(reply.contains("warning: board.gltf: board:"), "{reply}");
+        assert!(reply.contains(reason) || reason == "outside", "{reply}");
         let blue = pixel(&seen, 100, 50);
         assert!(blue[2] > 150 && blue[0] == 0, "{blue:?} for {reason}");
     }

@@ -1,18 +1,16 @@
 //! `pliant check` as a CI job sees it: the sample suite in process and on a server, what each kind of damage does, and
 //! what is refused.
 
-mod animations;
 mod damage;
 mod folder;
 mod pages;
-mod proxy;
 mod refusals;
 mod reports;
 mod shards;
-mod workflows;
 
+use crate::support::commands::Ran;
 use crate::support::server::Server;
-use folder::{Ran, check, sample_suite};
+use folder::{Suite, check, sample_suite};
 use serde_json::Value;
 use std::fs;
 
@@ -69,7 +67,7 @@ async fn the_sample_suite_passes_on_a_server_with_the_digests_of_the_process() {
     let url = format!("http://{}", server.address);
     let ran = tokio::task::spawn_blocking(move || {
         let suite = sample_suite();
-        let local = check(&suite, &["--json"]);
+        let local = check(&suite, "--json");
         let remote = [
             check(&suite, &["--json", "--threads", "1", "--server", &url]),
             check(
@@ -90,20 +88,15 @@ async fn the_sample_suite_passes_on_a_server_with_the_digests_of_the_process() {
 }
 
 #[test]
-fn a_case_without_its_data_is_skipped_by_name_or_fails_when_told_so() {
-    let folder = folder::Suite::new();
+fn a_case_without_its_data_is_skipped_by_name_or_fails_on_request() {
+    let folder = Suite::new();
     folder.write("arm.case.json", r#"{"model": "data:models/arm.off", "job": {}}"#);
     folder.case("bar", "bar.obj");
-    assert_eq!(folder.check(&["--bless"]).code, Some(0));
+    folder.passes("--bless");
     let empty = tempfile::tempdir().expect("a folder");
     let data = empty.path().to_string_lossy().into_owned();
-    let ran = folder.check(&["--json", "--data", &data, "--junit", "r.xml", "--html", "r.html"]);
-    assert_eq!(ran.code, Some(0), "{}", ran.err);
-    assert!(
-        ran.err.contains("skipped  arm") && ran.err.contains("1 passed, 1 skipped"),
-        "{}",
-        ran.err
-    );
+    let ran = folder.passes(&["--json", "--data", &data, "--junit", "r.xml", "--html", "r.html"]);
+    ran.says(&["skipped  arm", "1 passed, 1 skipped"]);
     assert_eq!(ran.json()["cases"][0]["status"], "skipped");
     assert!(
         folder
@@ -111,13 +104,9 @@ fn a_case_without_its_data_is_skipped_by_name_or_fails_when_told_so() {
             .contains("<skipped message=\"data:models/arm.off is absent")
     );
     assert!(folder.read("r.html").contains("data:models/arm.off is absent"));
-    let ran = folder.check(&["--no-skip", "--data", &data, "--junit", "r.xml", "--force"]);
-    assert_eq!(ran.code, Some(1));
-    assert!(
-        ran.err.contains("FAILED   arm") && ran.last().contains("1 of 2 cases failed: arm"),
-        "{}",
-        ran.err
-    );
+    let ran = folder.fails(&["--no-skip", "--data", &data, "--junit", "r.xml", "--force"]);
+    ran.says(&["FAILED   arm"]);
+    ran.gives(&["1 of 2 cases failed: arm"]);
     assert!(folder.read("r.xml").contains("<failure message=\"data:models/arm.off"));
     // With the data there it is a case like any other.
     fs::create_dir(empty.path().join("models")).expect("a folder");
@@ -126,38 +115,27 @@ fn a_case_without_its_data_is_skipped_by_name_or_fails_when_told_so() {
         "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
     )
     .expect("written");
-    let ran = folder.check(&["--data", &data]);
-    assert!(ran.code == Some(1) && ran.err.contains("missing-golden"), "{}", ran.err);
-    assert_eq!(folder.check(&["--data", &data, "--bless"]).code, Some(0));
-    assert_eq!(folder.check(&["--data", &data, "--no-skip"]).code, Some(0));
+    let ran = folder.fails(&["--data", &data]);
+    ran.says(&["missing-golden"]);
+    folder.passes(&["--data", &data, "--bless"]);
+    folder.passes(&["--data", &data, "--no-skip"]);
 }
 
 #[test]
 fn blessing_says_what_it_changes_and_leaves_what_is_the_same() {
-    let folder = folder::Suite::new();
-    folder.case("bar", "bar.obj");
-    let first = folder.check(&["--bless"]);
-    assert_eq!(first.code, Some(0), "{}", first.err);
-    assert!(
-        first.err.contains("blessed  bar") && first.err.contains("new: "),
-        "{}",
-        first.err
-    );
-    assert!(
-        first.err.contains("volumeChange ") && first.err.contains("cycles "),
-        "{}",
-        first.err
-    );
+    let folder = Suite::of_bar();
+    let first = folder.passes("--bless");
+    first.says(&["blessed  bar", "new: "]);
+    first.says(&["volumeChange ", "cycles "]);
     let golden = folder.read("bar.golden.json");
-    let again = folder.check(&["--bless"]);
+    let again = folder.check("--bless");
     assert_eq!(again.err.lines().count(), 2, "nothing changes: {}", again.err);
     assert_eq!(folder.read("bar.golden.json"), golden);
-    // Another pose: every number that moves is told.
+    // Another pose: every number that moves is reported.
     folder.job("bar", "bar.obj", 0.9);
-    let ran = folder.check(&[]);
-    assert!(ran.code == Some(1) && ran.err.contains("stale"), "{}", ran.err);
-    let third = folder.check(&["--bless"]);
-    assert_eq!(third.code, Some(0));
+    let ran = folder.fails(&[]);
+    ran.says(&["stale"]);
+    let third = folder.passes("--bless");
     for word in [
         "job ",
         "digest xxh3:",
@@ -166,38 +144,28 @@ fn blessing_says_what_it_changes_and_leaves_what_is_the_same() {
     ] {
         assert!(third.err.contains(word), "{word} in {}", third.err);
     }
-    assert_eq!(folder.check(&[]).code, Some(0));
-    // What a job expects is not asserted, but told.
+    folder.passes(&[]);
+    // What a job expects is not asserted, but reported.
     let text =
         folder
             .read("bar.case.json")
             .replacen("\"job\": {", "\"job\": {\"expect\": {\"volumeChange\": 1e-9},", 1);
     folder.write("bar.case.json", &text);
-    let told = folder.check(&["--bless"]);
-    assert!(
-        told.code == Some(0) && told.err.contains("volumeChange is"),
-        "{}",
-        told.err
-    );
-    let unmet = folder.check(&[]);
-    assert!(
-        unmet.code == Some(1) && unmet.err.contains("expectation: volumeChange"),
-        "{}",
-        unmet.err
-    );
+    let reply = folder.passes("--bless");
+    reply.says(&["volumeChange is"]);
+    let unmet = folder.fails(&[]);
+    unmet.says(&["expectation: volumeChange"]);
 }
 
 #[test]
-fn another_digest_is_told_before_the_numbers_and_a_huge_number_in_few_digits() {
-    let folder = folder::Suite::new();
-    folder.case("bar", "bar.obj");
-    assert_eq!(folder.check(&["--bless"]).code, Some(0));
+fn another_digest_is_reported_before_the_numbers_and_a_huge_number_in_few_digits() {
+    let folder = Suite::of_bar();
+    folder.passes("--bless");
     let mut golden: Value = serde_json::from_str(&folder.read("bar.golden.json")).expect("a golden");
     golden["digest"] = "xxh3:0011223344556677".into();
     golden["metrics"]["bytes"] = 1.into();
     folder.write("bar.golden.json", &golden.to_string());
-    let ran = folder.check(&["--html", "r.html", "--junit", "r.xml"]);
-    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    let ran = folder.fails("--html r.html --junit r.xml");
     let line = ran.err.lines().next().unwrap_or_default();
     assert!(
         line.starts_with("FAILED   bar  digest: the digest is xxh3:") && line.contains("; bytes "),
@@ -209,23 +177,21 @@ fn another_digest_is_told_before_the_numbers_and_a_huge_number_in_few_digits() {
     let loose = r#""tolerances": [{"metrics": ["bytes"], "most": 1e300, "reason": "a test"}], "job": {"#;
     let text = folder.read("bar.case.json").replacen("\"job\": {", loose, 1);
     folder.write("bar.case.json", &text);
-    let ran = folder.check(&["--junit", "r.xml", "--force"]);
-    assert_eq!(ran.code, Some(0), "{}", ran.err);
-    assert!(ran.err.contains(", limit 1.00e300"), "{}", ran.err);
+    let ran = folder.passes("--junit r.xml --force");
+    ran.says(&[", limit 1.00e300"]);
     assert!(folder.read("r.xml").contains("name=\"bytes.allowed\" value=\"1e300\""));
 }
 
 #[test]
 fn a_small_difference_passes_within_a_tolerance_that_has_a_reason() {
-    let folder = folder::Suite::new();
-    folder.case("bar", "bar.obj");
-    assert_eq!(folder.check(&["--bless"]).code, Some(0));
+    let folder = Suite::of_bar();
+    folder.passes("--bless");
     // The stored result is that of a slightly looser solve.
     let exact = folder.read("bar.case.json");
     let loose = exact.replace("1e-8", "1e-5");
     assert_ne!(loose, exact);
     folder.write("bar.case.json", &loose);
-    let ran = folder.check(&["--bless"]);
+    let ran = folder.check("--bless");
     assert!(
         ran.err.contains("digest"),
         "the looser solve ends elsewhere: {}",
@@ -233,7 +199,7 @@ fn a_small_difference_passes_within_a_tolerance_that_has_a_reason() {
     );
     folder.pretend_job("bar", &exact);
     folder.write("bar.case.json", &exact);
-    let ran = folder.check(&["--json"]);
+    let ran = folder.check("--json");
     // "limit 0", and not "limit 0.1".
     let zero = ran.err.split(", limit 0").nth(1);
     assert!(
@@ -253,21 +219,20 @@ fn a_small_difference_passes_within_a_tolerance_that_has_a_reason() {
         metrics.join(", ")
     );
     folder.write("bar.case.json", &exact.replacen("\"job\": {", &tolerances, 1));
-    let ran = folder.check(&["--json", "--junit", "r.xml"]);
-    assert_eq!(ran.code, Some(0), "{}", ran.err);
-    assert!(ran.err.contains("within tolerance"), "{}", ran.err);
+    let ran = folder.passes("--json --junit r.xml");
+    ran.says(&["within tolerance"]);
     assert_eq!(ran.json()["cases"][0]["identical"], false);
     assert!(folder.read("r.xml").contains("value=\"the solve is looser\""));
 }
 
 #[test]
 fn an_open_surface_has_no_volume_and_a_golden_that_stores_one_still_passes() {
-    let folder = folder::Suite::new();
+    let folder = Suite::new();
     let bar = crate::support::server::bar_obj(20);
     let (open, _) = bar.trim_end().rsplit_once('\n').expect("triangles");
     folder.write("open.obj", open);
     folder.job("open", "open.obj", 0.8);
-    let blessed = folder.check(&["--bless"]);
+    let blessed = folder.check("--bless");
     assert!(
         blessed.code == Some(0) && !blessed.err.contains("volumeChange") && blessed.err.contains("areaChange "),
         "{}",
@@ -283,27 +248,22 @@ fn an_open_surface_has_no_volume_and_a_golden_that_stores_one_still_passes() {
     let old = golden.replacen("\"metrics\": {", "\"metrics\": {\n    \"volumeChange\": 0.0,", 1);
     for text in [&golden, &old] {
         folder.write("open.golden.json", text);
-        let ran = folder.check(&["--json", "--html", "r.html", "--junit", "r.xml", "--force"]);
-        assert_eq!(ran.code, Some(0), "{}", ran.err);
-        let told = volume(&ran);
+        let ran = folder.passes("--json --html r.html --junit r.xml --force");
+        let reply = volume(&ran);
         assert!(
-            told.get("value").is_none() && told.get("stored").is_none() && told["holds"] == true,
-            "{told}"
+            reply.get("value").is_none() && reply.get("stored").is_none() && reply["holds"] == true,
+            "{reply}"
         );
         let row = "<td>volumeChange</td><td>ratio</td><td class=\"number\">n/a</td><td class=\"number\">0</td>\
                    <td class=\"number\">n/a</td><td class=\"number\">n/a</td>";
         assert!(folder.read("r.html").contains(row));
         assert!(folder.read("r.xml").contains("name=\"volumeChange\" value=\"n/a\""));
     }
-    let again = folder.check(&["--bless"]);
-    assert!(
-        again.code == Some(0) && again.err.contains("volumeChange 0 -> n/a"),
-        "{}",
-        again.err
-    );
+    let again = folder.passes("--bless");
+    again.says(&["volumeChange 0 -> n/a"]);
     assert_eq!(folder.read("open.golden.json"), golden);
     // What has a volume keeps it.
     folder.case("open", "open.obj");
-    let closed = folder.check(&["--bless"]);
-    assert!(closed.err.contains("volumeChange n/a -> 0."), "{}", closed.err);
+    let closed = folder.check("--bless");
+    closed.says(&["volumeChange n/a -> 0."]);
 }

@@ -1,9 +1,8 @@
 //! The command line as a script sees it: exit codes, the last line of stderr, one document on stdout, no output on refusal.
 
 use crate::inspections::SQUARE;
-use crate::program::{pliant, told, workplace};
-use crate::support::program::words;
-use pliant::asset::sample;
+use crate::support::commands::{Ran, Workplace, pliant_in};
+use pliant::asset::{FileSet, Format, Limits, Model, sample};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -11,32 +10,26 @@ use std::process::Command;
 
 #[test]
 fn a_sample_is_written_where_it_may_be() {
-    let folder = workplace();
-    let written = pliant(folder.path(), &["sample", "figure", "-o", "figure.glb"]);
-    assert_eq!(written.0, Some(0), "{}", written.2);
-    assert_eq!(
-        fs::read(folder.path().join("figure.glb")).expect("a file"),
-        sample::figure_glb()
-    );
-    let path = folder.path().join("figure.glb");
-    let written = || fs::metadata(&path).and_then(|facts| facts.modified()).expect("a file");
+    let folder = Workplace::new();
+    folder.done("sample figure -o figure.glb");
+    assert_eq!(folder.bytes("figure.glb"), sample::figure_glb());
+    let written = || {
+        fs::metadata(folder.at("figure.glb"))
+            .and_then(|facts| facts.modified())
+            .expect("a file")
+    };
     let before = written();
-    let again = pliant(folder.path(), &["sample", "figure", "-o", "figure.glb"]);
-    assert_eq!((again.0, again.2.as_str()), (Some(0), ""), "the same bytes are there");
+    let again = folder.done("sample figure -o figure.glb");
+    assert_eq!(again.last(), "", "the same bytes are there");
     assert_eq!(written(), before, "and are left alone");
-    for (arguments, told) in [
-        (
-            ["sample", "dragon", "-o", "dragon.glb"],
-            "expected one of: creature, figure, body",
-        ),
-        (["sample", "body", "-o", "figure.glb"], "--force"),
-        (["sample", "figure", "-o", "figure.obj"], "written as glb"),
-        (["sample", "boxing", "-o", "boxing.glb"], "written as bvh"),
-        (["sample", "dragon", "-o", "dragon.bvh"], "body, boxing, ballet, twist"),
+    for (arguments, reply) in [
+        ("sample dragon -o dragon.glb", "expected one of: creature, figure, body"),
+        ("sample body -o figure.glb", "--force"),
+        ("sample figure -o figure.obj", "written as glb"),
+        ("sample boxing -o boxing.glb", "written as bvh"),
+        ("sample dragon -o dragon.bvh", "body, boxing, ballet, twist"),
     ] {
-        let (code, _, last) = pliant(folder.path(), &arguments);
-        assert_eq!(code, Some(2), "{arguments:?}");
-        assert!(last.contains(told), "{arguments:?}: {last}");
+        folder.refused(arguments, &[reply]);
     }
 }
 
@@ -48,18 +41,17 @@ const JOB: &str = r#"{
 
 #[test]
 fn a_refusal_is_exit_2_with_its_reason_last_and_no_output() {
-    let folder = workplace();
-    let job = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
-    job("job.json", JOB);
-    job("unknown.json", r#"{"handles": [{"id": "a", "regoin": {}}]}"#);
-    job("edit.json", r#"{"steps": [{"edit": {"weld": {}}}]}"#);
-    job("refine.json", r#"{"options": {"refine": 1001}}"#);
-    job(
+    let folder = Workplace::new();
+    folder.put("job.json", JOB);
+    folder.put("unknown.json", r#"{"handles": [{"id": "a", "regoin": {}}]}"#);
+    folder.put("edit.json", r#"{"steps": [{"edit": {"weld": {}}}]}"#);
+    folder.put("refine.json", r#"{"options": {"refine": 1001}}"#);
+    folder.put(
         "empty.json",
         r#"{"handles": [{"id": "a", "region": {"sphere": {"center": [99, 0, 0], "radius": 1}}}]}"#,
     );
-    job("nobody.json", r#"{"handles": [], "steps": [{"pose": {}}]}"#);
-    fs::write(folder.path().join("broken.obj"), "v 0 0 nan\nf 1 1 1\n").expect("written");
+    folder.put("nobody.json", r#"{"handles": [], "steps": [{"pose": {}}]}"#);
+    folder.put("broken.obj", "v 0 0 nan\nf 1 1 1\n");
     let cases: [(&str, &str); 11] = [
         ("frobnicate", "frobnicate"),
         ("deform creature.glb", "--job"),
@@ -80,8 +72,8 @@ fn a_refusal_is_exit_2_with_its_reason_last_and_no_output() {
         ("inspect broken.obj", "line 1"),
     ];
     for (arguments, reason) in cases {
-        let (code, stdout, last) = pliant(folder.path(), &words(arguments));
-        assert_eq!(code, Some(2), "{arguments:?}: {last}");
+        let ran = folder.refused(arguments, &[]);
+        let (stdout, last) = (&ran.out, ran.last());
         assert!(
             last.starts_with("pliant: ") && last.contains(reason),
             "{arguments:?}: {last}"
@@ -99,34 +91,18 @@ fn a_refusal_is_exit_2_with_its_reason_last_and_no_output() {
 
 #[test]
 fn a_report_is_one_document_and_its_digest_is_the_same_for_any_thread_count() {
-    let folder = workplace();
-    fs::write(folder.path().join("job.json"), JOB).expect("written");
+    let folder = Workplace::new();
+    folder.put("job.json", JOB);
     let digest = |threads: &str| {
-        let arguments = [
-            "deform",
-            "creature.glb",
-            "--job",
-            "job.json",
-            "-o",
-            "out.glb",
-            "--force",
-            "--json",
-            "--threads",
-            threads,
-        ];
-        let (code, stdout, last) = pliant(folder.path(), &arguments);
-        assert_eq!(code, Some(0), "{last}");
-        let report: Value = serde_json::from_str(&stdout).expect("one JSON document");
+        let line = format!("deform creature.glb --job job.json -o out.glb --force --json --threads {threads}");
+        let report = folder.done(&line).json();
         assert_eq!(report["steps"][0]["kind"], "pose");
         assert!(
             report["steps"][0]["residual"].as_f64().is_some_and(|r| r <= 1e-4),
-            "{stdout}"
+            "{report}"
         );
         assert_eq!(report["quality"]["flippedTriangles"], 0);
-        (
-            report["digest"].clone(),
-            fs::read(folder.path().join("out.glb")).expect("an output"),
-        )
+        (report["digest"].clone(), folder.bytes("out.glb"))
     };
     let one = digest("1");
     assert!(one.0.as_str().is_some_and(|d| d.starts_with("xxh3:") && d.len() == 21));
@@ -138,16 +114,13 @@ fn a_report_is_one_document_and_its_digest_is_the_same_for_any_thread_count() {
 
 #[test]
 fn a_job_can_ask_for_the_papers_operators() {
-    let folder = workplace();
+    let folder = Workplace::new();
     let paper = JOB.replacen('{', r#"{"create": {"operators": "PAPER"},"#, 1);
     let report = |name: &str, text: &str| {
-        fs::write(folder.path().join(name), text).expect("written");
-        let (code, stdout, last) = pliant(
-            folder.path(),
-            &words(&format!("deform creature.glb --job {name} -o out.glb --json --force")),
-        );
-        assert_eq!(code, Some(0), "{last}");
-        serde_json::from_str::<Value>(&stdout).expect("one JSON document")
+        folder.put(name, text);
+        folder
+            .done(&format!("deform creature.glb --job {name} -o out.glb --json --force"))
+            .json()
     };
     let (ours, theirs) = (report("job.json", JOB), report("paper.json", &paper));
     assert_eq!(ours["steps"][0]["solver"], "multigrid");
@@ -162,7 +135,7 @@ fn a_job_can_ask_for_the_papers_operators() {
 
 #[test]
 fn every_step_of_a_job_is_written_where_it_is_asked_for() {
-    let folder = workplace();
+    let folder = Workplace::new();
     let job = r#"{
       "handles": [
         {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.14}}},
@@ -171,19 +144,11 @@ fn every_step_of_a_job_is_written_where_it_is_asked_for() {
         {"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, 0.4, 0]}}]}},
         {"edit": {"subdivide": {"region": {"sphere": {"center": [0.76, 1.22, 0], "radius": 0.2}}}}},
         {"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, 0.8, 0]}}]}}]}"#;
-    fs::write(folder.path().join("job.json"), job).expect("written");
-    let run = |more: &[&str]| {
-        let mut arguments = words("deform creature.glb --job job.json --json -o turned.obj");
-        arguments.extend(more);
-        pliant(folder.path(), &arguments)
-    };
-    let (code, _, last) = run(&["--steps", "steps"]);
-    assert_eq!(code, Some(2), "a folder that is missing: {last}");
-    assert!(last.contains("--parents makes it"), "{last}");
-    let (code, report, last) = run(&["--steps", "steps", "--parents"]);
-    assert_eq!(code, Some(0), "{last}");
-    let report: Value = serde_json::from_str(&report).expect("one document");
-    let read = |name: &str| fs::read(folder.path().join(name)).expect(name);
+    folder.put("job.json", job);
+    let line = |more: &str| format!("deform creature.glb --job job.json --json -o turned.obj --steps steps {more}");
+    folder.refused(&line(""), &["--parents makes it"]);
+    let report = folder.done(&line("--parents")).json();
+    let read = |name: &str| folder.bytes(name);
     let steps = [0, 1, 2].map(|k| read(&format!("steps/step_{k:05}.obj")));
     assert_eq!(steps[2], read("turned.obj"), "the last step is the result");
     let vertices = |obj: &[u8]| {
@@ -199,34 +164,26 @@ fn every_step_of_a_job_is_written_where_it_is_asked_for() {
         "{}",
         report["output"]
     );
-    let (code, _, last) = run(&["--steps", "steps", "--force"]);
-    assert_eq!(code, Some(0), "{last}");
-    let twice = words("deform creature.glb --job job.json -o step_00000.obj --steps .");
-    let (code, _, last) = pliant(folder.path(), &twice);
-    assert_eq!(code, Some(2), "{last}");
-    assert!(last.contains("where the result is written"), "{last}");
+    folder.done(&line("--force"));
+    let twice = "deform creature.glb --job job.json -o step_00000.obj --steps .";
+    folder.refused(twice, &["where the result is written"]);
 }
 
 #[test]
 fn an_expectation_that_does_not_hold_is_exit_1() {
-    let folder = workplace();
+    let folder = Workplace::new();
     let strict = JOB.replacen('{', r#"{"expect": {"digest": "xxh3:0000000000000000"},"#, 1);
-    fs::write(folder.path().join("job.json"), strict).expect("written");
-    let (code, _, last) = pliant(
-        folder.path(),
-        &["deform", "creature.glb", "--job", "job.json", "-o", "out.glb"],
-    );
-    assert_eq!(code, Some(1));
-    assert!(last.contains("digest is xxh3:"), "{last}");
+    folder.put("job.json", strict);
+    let ran = folder.run("deform creature.glb --job job.json -o out.glb").exits(1);
+    ran.gives(&["digest is xxh3:"]);
 }
 
 #[test]
-fn what_rides_along_is_told_and_written_beside_the_result() {
-    let folder = workplace();
-    let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
+fn what_rides_along_is_reported_and_written_beside_the_result() {
+    let folder = Workplace::new();
     // A plate over the head, and one under the feet.
-    put("hat.obj", "v 0.7 1.6 0\nv 0.8 1.6 0\nv 0.75 1.6 0.1\nf 1 2 3\n");
-    put("floor.obj", "v -0.1 -0.1 0\nv 0.1 -0.1 0\nv 0 -0.1 0.1\nf 1 2 3\n");
+    folder.put("hat.obj", "v 0.7 1.6 0\nv 0.8 1.6 0\nv 0.75 1.6 0.1\nf 1 2 3\n");
+    folder.put("floor.obj", "v -0.1 -0.1 0\nv 0.1 -0.1 0\nv 0 -0.1 0.1\nf 1 2 3\n");
     let passengers = |extra: &str| {
         let create = format!(
             r#"{{"create": {{"passengers": [
@@ -236,12 +193,9 @@ fn what_rides_along_is_told_and_written_beside_the_result() {
         );
         JOB.replacen('{', &create, 1)
     };
-    put("job.json", &passengers(""));
-    let result = folder.path().join("results");
-    let job = words("deform creature.glb --job job.json -o results/out.glb --json --parents");
-    let (code, stdout, last) = pliant(folder.path(), &job);
-    assert_eq!(code, Some(0), "{last}");
-    let report: Value = serde_json::from_str(&stdout).expect("one JSON document");
+    folder.put("job.json", passengers(""));
+    let job = "deform creature.glb --job job.json -o results/out.glb --json --parents";
+    let report = folder.done(job).json();
     let crown = &report["passengers"][0];
     let numbers = |name: &str| -> Vec<f64> {
         let list = crown[name].as_array().expect("a list");
@@ -261,56 +215,37 @@ fn what_rides_along_is_told_and_written_beside_the_result() {
         "{positions:?} {rotations:?}"
     );
     assert_eq!(report["passengers"][1]["output"], "beside/hat.ply");
-    let hat = fs::read(result.join("beside/hat.ply")).expect("the hat is written");
-    assert!(hat.starts_with(b"ply"));
-    assert_ne!(
-        fs::read(result.join("floor.obj")).expect("the floor is written"),
-        b"",
-        "{report}"
-    );
+    assert!(folder.bytes("results/beside/hat.ply").starts_with(b"ply"));
+    assert_ne!(folder.bytes("results/floor.obj"), b"", "{report}");
     assert_eq!(report["output"].as_array().map(Vec::len), Some(3));
 
+    let output = "passengers[3].file.output";
     for (extra, reason) in [
+        (r#"{"file": {"file": "hat.obj", "output": "floor.obj"}}"#, output),
+        (r#"{"file": {"file": "hat.obj", "output": "../hat.obj"}}"#, output),
+        (r#"{"file": {"file": "hat.obj", "output": "out.glb"}}"#, output),
+        (r#"{"file": {"file": "none.obj", "output": "none.obj"}}"#, "none.obj"),
         (
-            r#", {"file": {"file": "hat.obj", "output": "floor.obj"}}"#,
-            "passengers[3].file.output",
-        ),
-        (
-            r#", {"file": {"file": "hat.obj", "output": "../hat.obj"}}"#,
-            "passengers[3].file.output",
-        ),
-        (
-            r#", {"file": {"file": "hat.obj", "output": "out.glb"}}"#,
-            "passengers[3].file.output",
-        ),
-        (r#", {"file": {"file": "none.obj", "output": "none.obj"}}"#, "none.obj"),
-        (
-            r#", {"file": {"file": "job.json", "output": "job.obj"}}"#,
+            r#"{"file": {"file": "job.json", "output": "job.obj"}}"#,
             "passengers[3].file",
         ),
-        (r#", {"primitive": 7}"#, "passengers[3]"),
-        (r#", {"primitivesNamed": "nobody"}"#, "passengers[3]"),
-        (r#", {}"#, "passengers[3]"),
+        (r#"{"primitive": 7}"#, "passengers[3]"),
+        (r#"{"primitivesNamed": "nobody"}"#, "passengers[3]"),
+        (r#"{}"#, "passengers[3]"),
     ] {
-        put("wrong.json", &passengers(extra));
-        let (code, _, last) = pliant(
-            folder.path(),
-            &words("deform creature.glb --job wrong.json -o none/out.glb --parents"),
+        folder.put("wrong.json", passengers(&format!(", {extra}")));
+        folder.refused(
+            "deform creature.glb --job wrong.json -o none/out.glb --parents",
+            &[reason],
         );
-        assert_eq!(code, Some(2), "{extra}: {last}");
-        assert!(last.contains(reason), "{extra}: {last}");
         assert!(!folder.path().join("none").exists(), "{extra} left something behind");
     }
 }
 
 #[test]
 fn every_region_of_the_page_is_taken() {
-    let folder = workplace();
-    fs::write(
-        folder.path().join("square.obj"),
-        SQUARE.replace("mtllib square.mtl\n", ""),
-    )
-    .expect("written");
+    let folder = Workplace::new();
+    folder.put("square.obj", SQUARE.replace("mtllib square.mtl\n", ""));
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/docs/concepts.md");
     let page = fs::read_to_string(page).expect("the page");
     let rows = page.lines().filter_map(|line| line.strip_prefix("| `{\""));
@@ -322,10 +257,9 @@ fn every_region_of_the_page_is_taken() {
         kinds.extend(value.as_object().into_iter().flatten().map(|(kind, _)| kind.clone()));
         let job =
             format!(r#"{{"handles": [{{"id": "a", "region": {region}, "pose": {{"translation": [1, 0, 0]}}}}]}}"#);
-        fs::write(folder.path().join("job.json"), job).expect("written");
-        let arguments = ["deform", "square.obj", "--job", "job.json", "-o", "out.obj", "--force"];
-        let (code, said) = told(folder.path(), &arguments);
-        assert_eq!(code, Some(0), "{region}: {said}");
+        folder.put("job.json", job);
+        let arguments = "deform square.obj --job job.json -o out.obj --force";
+        let said = folder.done(arguments).err;
         assert!(!said.contains("idle-handle"), "{region}: {said}");
     }
     let all = "vertices halfSpace sphere box capsule tube component primitive weights";
@@ -334,7 +268,7 @@ fn every_region_of_the_page_is_taken() {
 
 #[test]
 fn a_handle_that_holds_nothing_and_is_moved_is_warned_of() {
-    let folder = workplace();
+    let folder = Workplace::new();
     let job = |order: [&str; 2]| {
         let handle = |id: &str| {
             let radius = if id == "all" { 9.0 } else { 0.36 };
@@ -347,10 +281,9 @@ fn a_handle_that_holds_nothing_and_is_moved_is_warned_of() {
         )
     };
     for (order, is_idle) in [(["head", "all"], true), (["all", "head"], false)] {
-        fs::write(folder.path().join("job.json"), job(order)).expect("written");
-        let arguments = words("deform creature.glb --job job.json -o out.glb --force");
-        let (code, said) = told(folder.path(), &arguments);
-        assert_eq!(code, Some(0), "{said}");
+        folder.put("job.json", job(order));
+        let arguments = "deform creature.glb --job job.json -o out.glb --force";
+        let said = folder.done(arguments).err;
         assert_eq!(said.contains("warning idle-handle: "), is_idle, "{said}");
         assert!(
             !is_idle || said.contains("a step moves handle \"head\", which holds nothing"),
@@ -361,23 +294,13 @@ fn a_handle_that_holds_nothing_and_is_moved_is_warned_of() {
 
 #[test]
 fn help_and_version_are_answers() {
-    let folder = workplace();
-    for arguments in [
-        &["--help"][..],
-        &["--version"],
-        &["deform", "--help"],
-        &["render", "--help"],
-    ] {
-        let (code, stdout, _) = pliant(folder.path(), arguments);
-        assert_eq!(code, Some(0));
+    let folder = Workplace::new();
+    for arguments in ["--help", "--version", "deform --help", "render --help"] {
+        let stdout = folder.done(arguments).out;
         assert!(stdout.contains("pliant"), "{stdout}");
     }
-    let (code, stdout, _) = pliant(folder.path(), &["inspect", "creature.glb", "--json"]);
-    let found: Value = serde_json::from_str(&stdout).expect("one JSON document");
-    assert_eq!(
-        (code, &found["closed"], &found["components"]),
-        (Some(0), &Value::Bool(true), &Value::from(1))
-    );
+    let found = folder.done("inspect creature.glb --json").json();
+    assert_eq!((&found["closed"], &found["components"]), (&true.into(), &1.into()));
 }
 
 #[test]
@@ -393,14 +316,9 @@ fn wrong_usage_has_one_reason_in_one_line() {
         ("", "no command is named", "Usage: pliant"),
         ("store", "no command is named", "Usage: pliant store"),
     ] {
-        let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-            .args(words(arguments))
-            .output();
-        let done = done.expect("it runs");
-        assert_eq!((done.status.code(), done.stdout.len()), (Some(2), 0), "{arguments:?}");
-        let err = String::from_utf8_lossy(&done.stderr).into_owned();
-        let last = err.trim_end().lines().last().unwrap_or_default();
-        assert!(last.starts_with("pliant: ") && last.contains(reason), "{err}");
+        let ran = Workplace::empty().refused(arguments, &[reason]);
+        assert_eq!(ran.out, "", "{arguments:?}");
+        let err = ran.err;
         assert_eq!(err.matches(reason).count(), 1, "{err}");
         assert!(err.contains(listed_by), "{err}");
         assert!(listed_by.starts_with("Usage") || err.lines().count() == 1, "{err}");
@@ -409,7 +327,7 @@ fn wrong_usage_has_one_reason_in_one_line() {
 
 #[test]
 fn arguments_of_other_programs_are_answered_with_those_of_this_one() {
-    let folder = workplace();
+    let folder = Workplace::new();
     for (arguments, hint) in [
         ("defrom creature.glb", "'defrom'; a similar subcommand exists: 'deform'"),
         ("deform creature.glb job.json -o x.glb", "a job is named by --job FILE"),
@@ -420,62 +338,37 @@ fn arguments_of_other_programs_are_answered_with_those_of_this_one() {
             "30,20, and front, back, side",
         ),
     ] {
-        let (code, _, last) = pliant(folder.path(), &words(arguments));
-        assert_eq!(code, Some(2));
-        assert!(last.starts_with("pliant: ") && last.contains(hint), "{last}");
+        folder.refused(arguments, &[hint]);
     }
     let picture = |view: &str, name: &str| {
         let arguments = ["render", "creature.glb", "-o", name, "--size", "64x64", "--view", view];
-        let (code, _, last) = pliant(folder.path(), &arguments);
-        assert_eq!(code, Some(0), "{last}");
-        fs::read(folder.path().join(name)).expect("a picture")
+        folder.done(&arguments);
+        folder.bytes(name)
     };
     assert_eq!(picture("top", "top.png"), picture("0,90", "same.png"));
-    fs::write(folder.path().join("clip.bvh"), "HIERARCHY\nROOT hips\n").expect("written");
-    let (code, _, last) = pliant(folder.path(), &["inspect", "clip.bvh"]);
-    assert_eq!(code, Some(2));
-    assert!(
-        last.contains("it is a BVH clip, not a model; `pliant animate MODEL --bvh clip.bvh`"),
-        "{last}"
+    folder.put("clip.bvh", "HIERARCHY\nROOT hips\n");
+    folder.refused(
+        "inspect clip.bvh",
+        &["it is a BVH clip, not a model; `pliant animate MODEL --bvh clip.bvh`"],
     );
 }
 
 #[test]
 fn a_variable_that_is_called_as_a_key_and_is_none_stops_the_server() {
     let serve = |name: &str, value: &str| {
-        let mut program = Command::new(env!("CARGO_BIN_EXE_pliant"));
-        program
-            .args(["serve", "--listen", "nowhere"])
-            .env_remove("PLIANT_CONFIG")
-            .env(name, value);
-        let done = program.output().expect("it runs");
-        let err = String::from_utf8_lossy(&done.stderr).into_owned();
-        (
-            done.status.code(),
-            err.trim_end().lines().last().unwrap_or_default().to_owned(),
-        )
+        Ran::of(pliant_in(Path::new("."), "serve --listen nowhere").env(name, value)).exits(2)
     };
-    let (code, last) = serve("PLIANT_MEMRY_BYTES", "1GiB");
-    assert_eq!(code, Some(2), "{last}");
-    assert!(
-        last.contains(
-            "environment variable PLIANT_MEMRY_BYTES is not a key of the configuration; did you mean PLIANT_MEMORY_BYTES?"
-        ),
-        "{last}"
-    );
-    let (_, last) = serve("PLIANT_ZEBRA", "1");
-    assert!(
-        last.contains("PLIANT_ZEBRA") && last.contains("pliant serve --help"),
-        "{last}"
-    );
+    serve("PLIANT_MEMRY_BYTES", "1GiB").gives(&[
+        "environment variable PLIANT_MEMRY_BYTES is not a key of the configuration; did you mean PLIANT_MEMORY_BYTES?",
+    ]);
+    serve("PLIANT_ZEBRA", "1").gives(&["PLIANT_ZEBRA", "pliant serve --help"]);
     // What the clients, the tests and Kubernetes set is left alone: the address is what is refused.
     for (name, value) in [
         ("PLIANT_DATA", "/data"),
         ("PLIANT_SERVER", "http://h"),
         ("PLIANT_PORT", "tcp://10.0.0.1:7411"),
     ] {
-        let (code, last) = serve(name, value);
-        assert!(code == Some(2) && last.contains("nowhere"), "{last}");
+        serve(name, value).gives(&["nowhere"]);
     }
 }
 
@@ -499,15 +392,91 @@ fn on_a_terminal(folder: &Path, arguments: &[&str]) -> Option<String> {
 
 #[test]
 fn a_terminal_sees_which_stage_is_under_way_and_how_far() {
-    let folder = workplace();
+    let folder = Workplace::new();
     let Some(drawn) = on_a_terminal(folder.path(), &["inspect", "creature.glb"]) else {
         return;
     };
     assert!(drawn.contains("graph") && drawn.contains(" %"), "{drawn}");
-    let piped = pliant(folder.path(), &["inspect", "creature.glb"]);
+    let piped = folder.done("inspect creature.glb");
     assert!(
-        !piped.1.contains(" %") && piped.2.is_empty(),
+        !piped.out.contains(" %") && piped.last().is_empty(),
         "only people are shown stages: {}",
-        piped.2
+        piped.err
     );
+}
+
+#[test]
+fn a_command_that_fails_says_why_in_the_document_that_was_asked_for() {
+    let folder = Workplace::new();
+    folder.put("job.json", r#"{"handels": []}"#);
+    let cases: [(&str, &str); 6] = [
+        ("deform creature.glb --job job.json -o out.glb", "handels"),
+        ("deform creature.glb --job none.json -o out.glb", "none.json"),
+        ("deform creature.glb", "--job"),
+        ("inspect none.glb", "none.glb"),
+        ("rig creature.glb --preset cmu -o rig.txt", "rig.txt"),
+        ("store list --data-dir none", "no store of sessions"),
+    ];
+    for (arguments, word) in cases {
+        let plain = folder.refused(arguments, &[word]);
+        assert_eq!(plain.out, "", "{arguments:?}");
+        let ran = folder.run(&format!("{arguments} --json"));
+        assert_eq!((ran.code, ran.last()), (Some(2), plain.last()), "{arguments:?}");
+        let (document, out, last) = (ran.json(), &ran.out, ran.last());
+        let error = &document["error"];
+        assert_eq!(
+            (&error["kind"], &error["exitCode"]),
+            (&"input".into(), &2.into()),
+            "{out}"
+        );
+        let message = error["message"].as_str().expect("a text");
+        assert!(message.contains(word) && last == format!("pliant: {message}"), "{out}");
+    }
+}
+
+#[test]
+fn a_check_that_does_not_hold_prints_its_report_and_nothing_more() {
+    let folder = Workplace::new();
+    let job = r#"{"expect": {"digest": "xxh3:0000000000000000"}}"#;
+    folder.put("job.json", job);
+    let arguments = "deform creature.glb --job job.json -o out.glb --json";
+    let report = folder.run(arguments).exits(1).json();
+    assert!(
+        report["digest"].is_string() && report.get("error").is_none(),
+        "{report}"
+    );
+}
+
+#[test]
+fn a_figure_that_was_made_for_other_axes_is_shown_its_turn() {
+    let folder = Workplace::empty();
+    folder.done("sample body -o body.glb");
+    let bytes = folder.bytes("body.glb");
+    let model = Model::read(FileSet::single("body.glb", bytes), None, &Limits::default()).expect("readable");
+    let rig = |name: &str, turned: fn([f64; 3]) -> [f64; 3]| {
+        let places: Vec<_> = model.positions.iter().map(|p| turned(p.to_array()).into()).collect();
+        let written = model.write(&places, Format::STL).expect("writable");
+        folder.put(name, written.main);
+        folder.run(&format!("rig {name} -o rig.json --no-picture --force"))
+    };
+    rig("upright.stl", |p| p).exits(0);
+    for (name, turned, words) in [
+        (
+            "aside.stl",
+            (|[x, y, z]| [-z, y, x]) as fn([f64; 3]) -> [f64; 3],
+            "a turn by 90 degrees about y corrects that",
+        ),
+        (
+            "lying.stl",
+            |[x, y, z]| [x, -z, y],
+            "a turn by -90 degrees about x corrects that",
+        ),
+    ] {
+        rig(name, turned).exits(2).gives(&[words]);
+    }
+    let ran = rig("ball.stl", |[x, y, z]| {
+        let length = (x * x + y * y + z * z).sqrt().max(1e-6);
+        [x / length, y / length, z / length]
+    });
+    assert!(ran.code == Some(2) && !ran.last().contains("a turn by"), "{}", ran.err);
 }

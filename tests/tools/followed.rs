@@ -1,42 +1,30 @@
-//! What the command line tells of skeletons, clips, morph targets and passengers that followed, and bones that keep their
+//! What the command line reports of skeletons, clips, morph targets and passengers that followed, and bones that keep their
 //! lengths in a job.
 
+use crate::support::commands::{Ran, Workplace};
 use crate::support::data::data_folder;
 use pliant::asset::sample;
 use serde_json::{Value, json};
-use std::fs;
-use std::path::Path;
-use std::process::Command;
 
 const FIGURE_PASSENGERS: [&str; 3] = ["lod1", "lod2", "hull"];
 
-fn run(folder: &Path, model: &str, job: &Value, more: &[&str]) -> (Option<i32>, String, String) {
-    fs::write(folder.join("job.json"), job.to_string()).expect("written");
-    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(["deform", model, "--job", "job.json", "-o", "out.glb", "--force"])
-        .args(more)
-        .current_dir(folder)
-        .output()
-        .expect("it runs");
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (done.status.code(), text(&done.stdout), text(&done.stderr))
+fn run(folder: &Workplace, model: &str, job: &Value, more: &str) -> Ran {
+    folder.put("job.json", job.to_string());
+    folder.run(&format!("deform {model} --job job.json -o out.glb --force {more}"))
 }
 
-/// What a job tells that followed, as numbers and as a line; both agree in being there.
-fn followed(folder: &Path, model: &str, job: &Value) -> Option<(Value, String)> {
-    let (code, report, said) = run(folder, model, job, &["--json"]);
-    assert_eq!(code, Some(0), "{said}");
-    let report: Value = serde_json::from_str(&report).expect("JSON");
-    let (_, _, said) = run(folder, model, job, &[]);
+/// What a job reports that followed, as numbers and as a line; both agree in being there.
+fn followed(folder: &Workplace, model: &str, job: &Value) -> Option<(Value, String)> {
+    let report = run(folder, model, job, "--json").exits(0).json();
+    let said = run(folder, model, job, "").err;
     let line = said.lines().find_map(|line| line.strip_prefix("followed: "));
     assert_eq!(report["followed"].is_null(), line.is_none(), "{said}");
     line.map(|line| (report["followed"].clone(), line.to_owned()))
 }
 
-fn workplace() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().expect("a folder");
-    fs::write(folder.path().join("figure.glb"), sample::figure_glb()).expect("written");
-    fs::write(folder.path().join("creature.glb"), sample::creature_glb()).expect("written");
+fn workplace() -> Workplace {
+    let folder = Workplace::new();
+    folder.put("figure.glb", sample::figure_glb());
     folder
 }
 
@@ -51,8 +39,8 @@ fn stretched_figure(up: f64) -> Value {
     })
 }
 
-fn nodes(folder: &Path, file: &str) -> Vec<Value> {
-    let bytes = fs::read(folder.join(file)).expect("a file");
+fn nodes(folder: &Workplace, file: &str) -> Vec<Value> {
+    let bytes = folder.bytes(file);
     let length = u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize;
     let json: Value = serde_json::from_slice(&bytes[20..20 + length]).expect("JSON");
     json["nodes"].as_array().expect("nodes").clone()
@@ -66,22 +54,22 @@ fn bone(nodes: &[Value], name: &str) -> f64 {
 }
 
 #[test]
-fn what_followed_of_the_figure_is_told_in_numbers_and_in_a_line() {
+fn what_followed_of_the_figure_is_reported_in_numbers_and_in_a_line() {
     let folder = workplace();
-    let (told, line) = followed(folder.path(), "figure.glb", &stretched_figure(0.2)).expect("told");
-    let (joints, moved) = (17, told["movedJoints"].as_u64().expect("a number"));
-    assert!(told["joints"] == joints && (10..=joints).contains(&moved), "{told}");
+    let (reply, line) = followed(&folder, "figure.glb", &stretched_figure(0.2)).expect("told");
+    let (joints, moved) = (17, reply["movedJoints"].as_u64().expect("a number"));
+    assert!(reply["joints"] == joints && (10..=joints).contains(&moved), "{reply}");
     assert!(
-        told["clips"] == 2 && told["rewrittenClips"] == 2 && told["morphTargets"] == 0,
-        "{told}"
+        reply["clips"] == 2 && reply["rewrittenClips"] == 2 && reply["morphTargets"] == 0,
+        "{reply}"
     );
-    assert!(told["passengers"] == 3 && told["movedPassengers"] == 3, "{told}");
+    assert!(reply["passengers"] == 3 && reply["movedPassengers"] == 3, "{reply}");
     assert_eq!(
         line,
         format!("{moved} of {joints} joints, 2 of 2 clips, 3 of 3 passenger primitives")
     );
     // The head has gone farthest, and as far as its handle.
-    let farthest = told["farthest"].as_array().expect("a list");
+    let farthest = reply["farthest"].as_array().expect("a list");
     assert_eq!(farthest.len(), 8);
     let distances: Vec<f64> = farthest
         .iter()
@@ -91,23 +79,23 @@ fn what_followed_of_the_figure_is_told_in_numbers_and_in_a_line() {
     let head = farthest.iter().find(|joint| joint["name"] == "head").expect("the head");
     assert!(
         (head["distance"].as_f64().expect("a number") - 0.2).abs() < 0.02,
-        "{told}"
+        "{reply}"
     );
-    let old = nodes(folder.path(), "figure.glb");
+    let old = nodes(&folder, "figure.glb");
     let node = head["node"].as_u64().expect("an index") as usize;
     assert_eq!(old[node]["name"], "head");
 }
 
 #[test]
-fn what_stays_is_told_as_nothing_of_so_many() {
+fn what_stays_is_reported_as_nothing_of_so_many() {
     let folder = workplace();
     let mut job = stretched_figure(0.2);
     job["create"]["rig"] = "KEEP".into();
-    let (_, line) = followed(folder.path(), "figure.glb", &job).expect("told");
+    let (_, line) = followed(&folder, "figure.glb", &job).expect("told");
     assert_eq!(line, "0 of 17 joints, 0 of 2 clips, 3 of 3 passenger primitives");
-    let (told, line) = followed(folder.path(), "figure.glb", &json!({})).expect("told");
+    let (reply, line) = followed(&folder, "figure.glb", &json!({})).expect("told");
     assert_eq!(line, "0 of 17 joints, 0 of 2 clips");
-    assert_eq!(told["farthest"], json!([]));
+    assert_eq!(reply["farthest"], json!([]));
 }
 
 #[test]
@@ -117,48 +105,46 @@ fn nodes_that_ride_along_are_counted_beside_primitives() {
     let riders = json!([{"primitivesNamed": "lod1"}, {"primitivesNamed": "lod2"}, {"primitivesNamed": "hull"},
         {"nodesNamed": "hatSocket"}]);
     job["create"]["passengers"] = riders.clone();
-    let told_of = |job: &Value| followed(folder.path(), "figure.glb", job).expect("told");
-    let (told, line) = told_of(&job);
+    let told_of = |job: &Value| followed(&folder, "figure.glb", job).expect("told");
+    let (reply, line) = told_of(&job);
     assert!(
         line.ends_with("3 of 3 passenger primitives, 1 of 1 passenger node"),
         "{line}"
     );
     assert!(
-        told["passengerNodes"] == 1 && told["movedPassengerNodes"] == 1,
-        "{told}"
+        reply["passengerNodes"] == 1 && reply["movedPassengerNodes"] == 1,
+        "{reply}"
     );
     // After an edit as before it, and one that stays is counted as such.
     job["steps"].as_array_mut().expect("steps").push(json!({"edit":
         {"subdivide": {"region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.6}}}, "on": "CURRENT"}}));
     assert!(told_of(&job).1.ends_with(", 1 of 1 passenger node"));
-    let (told, line) = told_of(&json!({"create": {"passengers": riders}}));
+    let (reply, line) = told_of(&json!({"create": {"passengers": riders}}));
     assert!(line.ends_with(", 0 of 1 passenger node"), "{line}");
-    assert_eq!(told["movedPassengerNodes"], 0);
+    assert_eq!(reply["movedPassengerNodes"], 0);
 }
 
 #[test]
-fn nothing_is_told_of_a_model_without_anything_of_the_kind() {
+fn nothing_is_reported_of_a_model_without_anything_of_the_kind() {
     let folder = workplace();
     let job = json!({
         "handles": [
             {"id": "feet", "region": {"halfSpace": {"normal": [0, -1, 0], "offset": -0.14}}},
             {"id": "head", "region": {"sphere": {"center": [0.76, 1.22, 0], "radius": 0.36}},
              "pose": {"rotationVector": [0, 0.8, 0]}}]});
-    assert_eq!(followed(folder.path(), "creature.glb", &job), None);
+    assert_eq!(followed(&folder, "creature.glb", &job), None);
 }
 
 #[test]
-fn an_edited_figure_tells_what_followed_from_the_uploaded_file() {
+fn an_edited_figure_reports_what_followed_from_the_uploaded_file() {
     let folder = workplace();
-    let plain = followed(folder.path(), "figure.glb", &stretched_figure(0.2))
-        .expect("told")
-        .0;
+    let plain = followed(&folder, "figure.glb", &stretched_figure(0.2)).expect("told").0;
     // The shape becomes the rest pose of an edit that takes nothing from what joints hold but some triangles.
     let mut job = stretched_figure(0.2);
     let edit = json!({"edit": {"subdivide": {"region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.6}}}, "on": "CURRENT"}});
     let steps = job["steps"].as_array_mut().expect("steps");
     steps.push(edit);
-    let told = followed(folder.path(), "figure.glb", &job).expect("told").0;
+    let reply = followed(&folder, "figure.glb", &job).expect("told").0;
     for same in [
         "joints",
         "movedJoints",
@@ -167,10 +153,10 @@ fn an_edited_figure_tells_what_followed_from_the_uploaded_file() {
         "passengers",
         "movedPassengers",
     ] {
-        assert_eq!(told[same], plain[same], "{same}");
+        assert_eq!(reply[same], plain[same], "{same}");
     }
-    let distance = |told: &Value| told["farthest"][0]["distance"].as_f64().expect("a number");
-    assert!((distance(&told) - distance(&plain)).abs() < 0.02, "{told} {plain}");
+    let distance = |reply: &Value| reply["farthest"][0]["distance"].as_f64().expect("a number");
+    assert!((distance(&reply) - distance(&plain)).abs() < 0.02, "{reply} {plain}");
 }
 
 #[test]
@@ -185,12 +171,25 @@ fn morph_targets_that_turned_are_counted_and_those_that_did_not() {
         json!({"handles": [{"id": "all", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": -1e6}},
             "pose": {"rotationVector": vector, "translation": [1, 0, 0]}}]})
     };
-    let line = |job: &Value| followed(folder.path(), model, job).expect("told").1;
+    let line = |job: &Value| followed(&folder, model, job).expect("told").1;
     assert_eq!(line(&turned([0.0, 0.5, 0.0])), "2 of 2 morph targets");
     assert_eq!(line(&turned([0.0; 3])), "0 of 2 morph targets");
     let mut edited = turned([0.0, 0.5, 0.0]);
     edited["steps"] = json!([{"pose": {}}, {"edit": {"subdivide": {}}}]);
     assert_eq!(line(&edited), "2 of 2 morph targets");
+}
+
+/// The lengths of two bones of the trunk, one of an arm, and three of a leg.
+fn bones(nodes: &[Value]) -> [f64; 6] {
+    [
+        "spine",
+        "chest",
+        "leftLowerArm",
+        "leftUpperLeg",
+        "leftLowerLeg",
+        "leftFoot",
+    ]
+    .map(|name| bone(nodes, name))
 }
 
 #[test]
@@ -199,29 +198,10 @@ fn a_job_keeps_the_lengths_of_all_bones_or_of_named_chains() {
     let lengths = |key: &str, value: Value| {
         let mut job = stretched_figure(0.3);
         job["create"][key] = value;
-        let (code, _, said) = run(folder.path(), "figure.glb", &job, &[]);
-        assert_eq!(code, Some(0), "{said}");
-        let nodes = nodes(folder.path(), "out.glb");
-        [
-            "spine",
-            "chest",
-            "leftLowerArm",
-            "leftUpperLeg",
-            "leftLowerLeg",
-            "leftFoot",
-        ]
-        .map(|name| bone(&nodes, name))
+        run(&folder, "figure.glb", &job, "").exits(0);
+        bones(&nodes(&folder, "out.glb"))
     };
-    let old = nodes(folder.path(), "figure.glb");
-    let old = [
-        "spine",
-        "chest",
-        "leftLowerArm",
-        "leftUpperLeg",
-        "leftLowerLeg",
-        "leftFoot",
-    ]
-    .map(|name| bone(&old, name));
+    let old = bones(&nodes(&folder, "figure.glb"));
     let is_kept = |now: [f64; 6]| std::array::from_fn::<bool, 6, _>(|i| (now[i] - old[i]).abs() < 1e-6);
     assert_eq!(is_kept(lengths("boneLengths", "KEEP".into())), [true; 6]);
     let free = is_kept(lengths("boneLengths", "FOLLOW".into()));
@@ -234,7 +214,7 @@ fn a_job_keeps_the_lengths_of_all_bones_or_of_named_chains() {
 #[test]
 fn a_chain_that_is_not_there_is_refused_with_those_that_are() {
     let folder = workplace();
-    for (model, create, told) in [
+    for (model, create, reply) in [
         (
             "figure.glb",
             json!({"rigidChains": ["hips", "tail"]}),
@@ -256,7 +236,8 @@ fn a_chain_that_is_not_there_is_refused_with_those_that_are() {
             "leave one out",
         ),
     ] {
-        let (code, _, said) = run(folder.path(), model, &json!({"create": create}), &[]);
-        assert!(code == Some(2) && said.contains(told), "{said}");
+        run(&folder, model, &json!({"create": create}), "")
+            .exits(2)
+            .says(&[reply]);
     }
 }

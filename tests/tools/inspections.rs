@@ -1,30 +1,29 @@
-//! What an inspection tells of a model and of the files that it names.
+//! What an inspection reports of a model and of the files that it names.
 
-use crate::program::{pliant, told, workplace};
+use crate::support::commands::Workplace;
+use glam::DVec3;
 use pliant::asset::sample;
-use serde_json::Value;
-use std::fs;
+use pliant::asset::shapes::box_with_cells;
+use serde_json::{Value, json};
 
 /// A square of two triangles as an OBJ that names a library.
 pub const SQUARE: &str = "mtllib square.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nusemtl a\nf 1 2 3\nf 1 3 4\n";
 
 #[test]
 fn files_that_an_obj_names_and_that_are_not_there_are_warned_of() {
-    let folder = workplace();
-    let at = |name: &str| folder.path().join(name);
+    let folder = Workplace::new();
     let inspect = || {
-        let (code, text, _) = pliant(folder.path(), &["inspect", "square.obj"]);
-        assert_eq!(code, Some(0));
+        let text = folder.done("inspect square.obj").out;
         text
     };
-    fs::write(at("square.obj"), SQUARE).expect("written");
+    folder.put("square.obj", SQUARE);
     let text = inspect();
     assert!(
         text.contains("warning library-missing") && text.contains("square.mtl"),
         "{text}"
     );
-    fs::write(at("square.mtl"), "newmtl a\nmap_Kd rust.png\nbump bumps.png\n").expect("written");
-    fs::write(at("bumps.png"), "any").expect("written");
+    folder.put("square.mtl", "newmtl a\nmap_Kd rust.png\nbump bumps.png\n");
+    folder.put("bumps.png", "any");
     let text = inspect();
     assert!(!text.contains("library-missing"), "{text}");
     let warning = text.lines().find(|line| line.starts_with("warning image-missing"));
@@ -34,26 +33,22 @@ fn files_that_an_obj_names_and_that_are_not_there_are_warned_of() {
         "{warning}"
     );
     let job = r#"{"handles": [{"id": "a", "region": {"component": {}}, "pose": {"translation": [1, 0, 0]}}]}"#;
-    fs::write(at("job.json"), job).expect("written");
-    let (code, said) = told(
-        folder.path(),
-        &["deform", "square.obj", "--job", "job.json", "-o", "out.obj"],
-    );
-    assert_eq!(code, Some(0), "{said}");
+    folder.put("job.json", job);
+    let ran = folder.done("deform square.obj --job job.json -o out.obj");
+    let said = &ran.err;
     assert!(
         said.contains("warning image-missing: ") && said.contains("rust.png"),
         "{said}"
     );
-    fs::write(at("rust.png"), "any").expect("written");
+    folder.put("rust.png", "any");
     assert!(!inspect().contains("missing"));
 }
 
 #[test]
 fn an_inspection_lists_clips_skins_materials_and_pictures() {
-    let folder = workplace();
-    fs::write(folder.path().join("figure.glb"), sample::figure_glb()).expect("written");
-    let (code, text, _) = pliant(folder.path(), &["inspect", "figure.glb"]);
-    assert_eq!(code, Some(0));
+    let folder = Workplace::new();
+    folder.put("figure.glb", sample::figure_glb());
+    let text = folder.done("inspect figure.glb").out;
     let line = |name: &str| {
         let line = text.lines().find(|line| line.starts_with(name));
         line.unwrap_or_else(|| panic!("{name}: {text}")).to_owned()
@@ -65,14 +60,16 @@ fn an_inspection_lists_clips_skins_materials_and_pictures() {
     assert!(line("skins ").contains(" joints)"), "{text}");
     line("materials ");
     assert!(line("images ").ends_with('0'), "{text}");
-    let (_, json, _) = pliant(folder.path(), &["inspect", "figure.glb", "--json"]);
-    let found: Value = serde_json::from_str(&json).expect("one JSON document");
+    let found = folder.done("inspect figure.glb --json").json();
     assert_eq!(found["clips"][0]["name"], "walk");
-    assert!(found["clips"][1]["seconds"].as_f64().is_some_and(|s| s > 0.1), "{json}");
-    assert!(found["skins"][0]["joints"].as_u64().is_some_and(|n| n > 10), "{json}");
+    assert!(
+        found["clips"][1]["seconds"].as_f64().is_some_and(|s| s > 0.1),
+        "{found}"
+    );
+    assert!(found["skins"][0]["joints"].as_u64().is_some_and(|n| n > 10), "{found}");
     assert!(
         found["materials"].is_array() && found["images"] == serde_json::json!([]),
-        "{json}"
+        "{found}"
     );
     // A picture is called by its file where it has no name.
     let mut gltf = serde_json::json!({
@@ -83,12 +80,11 @@ fn an_inspection_lists_clips_skins_materials_and_pictures() {
         "bufferViews": [{"buffer": 0, "byteLength": 36}], "buffers": [{"uri": "a.bin", "byteLength": 36}],
     });
     gltf["asset"]["generator"] = "test".into();
-    fs::write(folder.path().join("a.gltf"), gltf.to_string()).expect("written");
+    folder.put("a.gltf", gltf.to_string());
     let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
     let bytes: Vec<u8> = corners.iter().flatten().flat_map(|x| x.to_le_bytes()).collect();
-    fs::write(folder.path().join("a.bin"), bytes).expect("written");
-    let (code, text, said) = pliant(folder.path(), &["inspect", "a.gltf"]);
-    assert_eq!(code, Some(0), "{said}");
+    folder.put("a.bin", bytes);
+    let text = folder.done("inspect a.gltf").out;
     assert!(
         text.contains("2: \"rust.png\", \"moss\"\n") && text.contains("1: \"old\"\n"),
         "{text}"
@@ -96,15 +92,147 @@ fn an_inspection_lists_clips_skins_materials_and_pictures() {
 }
 
 #[test]
-fn one_of_a_thing_is_told_as_one() {
-    let folder = workplace();
-    fs::write(
-        folder.path().join("square.obj"),
-        SQUARE.replace("mtllib square.mtl\n", ""),
-    )
-    .expect("written");
-    let (code, text, _) = pliant(folder.path(), &["inspect", "square.obj"]);
-    assert_eq!(code, Some(0));
+fn one_of_a_thing_is_reported_as_one() {
+    let folder = Workplace::new();
+    folder.put("square.obj", SQUARE.replace("mtllib square.mtl\n", ""));
+    let text = folder.done("inspect square.obj").out;
     assert!(text.contains("4 in 1 primitive\n"), "{text}");
     assert!(text.contains("1 hole, "), "{text}");
+}
+
+/// Two slabs on top of each other, a hair apart, and a box far from them.
+fn workplace() -> Workplace {
+    let (mut text, mut first) = (String::new(), 1);
+    for (size, place) in [
+        (DVec3::new(1.0, 0.5, 1.0), DVec3::ZERO),
+        (DVec3::new(1.0, 0.5, 1.0), DVec3::new(0.0, 0.5001, 0.0)),
+        (DVec3::splat(0.3), DVec3::new(2.0, 0.0, 0.0)),
+    ] {
+        let (points, faces) = box_with_cells(size, [4; 3]);
+        for p in points.iter().map(|p| *p + place) {
+            text += &format!("v {} {} {}\n", p.x, p.y, p.z);
+        }
+        for t in &faces {
+            text += &format!("f {} {} {}\n", t[0] + first, t[1] + first, t[2] + first);
+        }
+        first += points.len() as u32;
+    }
+    Workplace::with("parts.obj", text)
+}
+
+/// The report of a job that lifts the upper slab, opened with `create`; or what is said when it is refused.
+fn lifted(folder: &Workplace, create: &Value) -> Result<Value, String> {
+    let half = |normal: f64, offset: f64| json!({"halfSpace": {"normal": [0, normal, 0], "offset": offset}});
+    let job = json!({
+        "create": create,
+        "handles": [
+            {"id": "below", "region": half(-1.0, -0.4)},
+            {"id": "above", "region": half(1.0, 0.9), "pose": {"translation": [0, 0.2, 0]}},
+        ],
+    });
+    folder.put("job.json", job.to_string());
+    let ran = folder.run("deform parts.obj --job job.json -o out.obj --json --force");
+    match ran.code {
+        Some(0) => Ok(ran.json()),
+        _ => Err(ran.err),
+    }
+}
+
+#[test]
+fn inspection_reports_parts_ties_and_what_is_loose() {
+    let folder = workplace();
+    let text = folder.done("inspect parts.obj").out;
+    let line = |name: &str| {
+        let found = text
+            .lines()
+            .find(|l| l.starts_with(name))
+            .unwrap_or_else(|| panic!("{name} in {text}"));
+        found[22..].trim().to_owned()
+    };
+    assert_eq!(line("parts "), "3");
+    assert_eq!(
+        line("primitive 0"),
+        "without a name: 294 vertices from 0, 576 triangles"
+    );
+    assert!(line("ties ").parse::<u32>().expect("a number") >= 25, "{text}");
+    assert_eq!(line("loose parts "), "1: part 2 (98 vertices)");
+    let found = folder.done("inspect parts.obj --json").json();
+    let solver = &found["solver"];
+    assert_eq!(
+        (&solver["looseParts"], &solver["loose"][0]["component"]),
+        (&json!(1), &json!(2))
+    );
+}
+
+#[test]
+fn options_tie_parts_or_leave_them_to_themselves() {
+    let folder = workplace();
+    let run = |create: Value| lifted(&folder, &create).expect("solved");
+    let tied = run(json!({}));
+    let ties = |report: &Value| {
+        report["solver"]["ties"]
+            .as_str()
+            .map_or(0, |t| t.parse::<u32>().unwrap_or(0))
+    };
+    assert!(ties(&tied) > 0, "{}", tied["solver"]);
+    let separate = run(json!({"parts": "SEPARATE"}));
+    assert_eq!(ties(&separate), 0);
+    assert_ne!(tied["digest"], separate["digest"]);
+    let apart = run(json!({"keepApart": {"components": [1]}}));
+    assert_eq!(apart["digest"], separate["digest"], "nothing else was tied");
+    assert_eq!(
+        run(json!({"tieDistance": 1e-6}))["digest"],
+        separate["digest"],
+        "nothing is that near"
+    );
+}
+
+#[test]
+fn options_that_do_not_fit_are_refused_with_their_place() {
+    let folder = workplace();
+    for (create, reply) in [
+        (
+            json!({"keepApart": {"components": [3]}}),
+            "keepApart.components[0]: is 3, the model has 3 connected parts",
+        ),
+        (
+            json!({"keepApart": {"primitives": [0, 9]}}),
+            "keepApart.primitives[1]: is 9, the model has 1 primitive,",
+        ),
+        (
+            json!({"tieDistance": -1}),
+            "tieDistance: is -1, it must not be negative",
+        ),
+        (
+            json!({"parts": "SEPARATE", "tieDistance": 1}),
+            "tieDistance: is given, but parts SEPARATE have no ties",
+        ),
+    ] {
+        let error = lifted(&folder, &create).expect_err("refused");
+        assert!(error.contains(reply), "{error}");
+    }
+}
+
+#[test]
+fn a_pose_that_pulls_tied_parts_apart_is_reported_in_the_report() {
+    let folder = workplace();
+    let half = |normal: f64, offset: f64| json!({"halfSpace": {"normal": [0, normal, 0], "offset": offset}});
+    let job = json!({"handles": [
+        {"id": "below", "region": half(-1.0, -0.5)},
+        {"id": "above", "region": half(1.0, 0.50005), "pose": {"translation": [0, 0.3, 0]}},
+    ]});
+    folder.put("pull.json", job.to_string());
+    let report = folder.done("deform parts.obj --job pull.json -o out.obj --json").json();
+    let warnings = report["warnings"].as_array().expect("warnings");
+    let pulled = warnings
+        .iter()
+        .find(|w| w["code"] == "parts-pulled-apart")
+        .expect("the warning");
+    let message = pulled["message"].as_str().unwrap_or_default();
+    assert!(
+        ["\"below\"", "\"above\"", "0.300"]
+            .iter()
+            .all(|word| message.contains(word)),
+        "{message}"
+    );
 }

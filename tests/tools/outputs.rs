@@ -1,6 +1,6 @@
 //! What the command line writes: files that are there and folders that are not, and the files that belong to a model.
 
-use crate::program::told as pliant;
+use crate::support::commands::{Ran, Workplace, pliant_in};
 use crate::support::data::data_folder;
 use crate::support::khronos;
 use pliant::asset::{FileSet, Limits, Model, sample};
@@ -8,22 +8,6 @@ use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-
-fn refused(folder: &Path, arguments: &[&str], wanted: &str) {
-    let (code, said) = pliant(folder, arguments);
-    let last = said.trim_end().lines().last().unwrap_or_default();
-    assert_eq!(code, Some(2), "{arguments:?}: {said}");
-    assert!(
-        last.starts_with("pliant: ") && last.contains(wanted),
-        "{arguments:?}: {last}"
-    );
-}
-
-fn done(folder: &Path, arguments: &[&str]) -> String {
-    let (code, said) = pliant(folder, arguments);
-    assert_eq!(code, Some(0), "{arguments:?}: {said}");
-    said
-}
 
 /// Every file below a folder, by its path there.
 fn files_in(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
@@ -43,7 +27,7 @@ fn files_in(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// A picture by its first bytes; nobody looks at the rest.
+/// A picture by its first bytes; no one looks at the rest.
 fn picture(mark: &[u8]) -> Vec<u8> {
     [mark, b" not a picture that anybody looks at"].concat()
 }
@@ -156,7 +140,7 @@ fn check_companions(model: &Path, folder: &Path) -> Vec<PathBuf> {
     let mut written = Vec::new();
     for (name, more) in [("out.gltf", named), ("alone/out.glb", BTreeSet::new())] {
         let arguments = ["deform", &model_name, "--job", &job, "-o", name, "--parents"];
-        let said = done(folder, &arguments);
+        let said = Ran::of(&mut pliant_in(folder, &arguments)).exits(0).err;
         assert!(!said.contains("image-missing"), "{said}");
         let (images, still_named) = images_of(&folder.join(name));
         assert_eq!(images, before, "{name}");
@@ -169,51 +153,44 @@ fn check_companions(model: &Path, folder: &Path) -> Vec<PathBuf> {
 
 #[test]
 fn nothing_is_replaced_without_force_and_no_folder_made_without_parents() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let path = folder.path();
-    fs::write(path.join("creature.glb"), sample::creature_glb()).expect("written");
-    fs::write(path.join("job.json"), r#"{"handles": []}"#).expect("written");
-    fs::write(path.join("precious.obj"), "not a model").expect("written");
-    fs::write(path.join("precious.png"), "not a picture").expect("written");
+    folder.put("creature.glb", sample::creature_glb());
+    folder.put("job.json", r#"{"handles": []}"#);
+    folder.put("precious.obj", "not a model");
+    folder.put("precious.png", "not a picture");
     fs::create_dir(path.join("folder.obj")).expect("made");
     let before = files_in(path);
-    let deform = ["deform", "creature.glb", "--job", "job.json", "-o"];
-    let render = ["render", "creature.glb", "-o"];
-    let with = |command: &[&'static str], more: &[&'static str]| [command, more].concat();
-    for (arguments, why) in [
+    let (deform, render) = ("deform creature.glb --job job.json -o", "render creature.glb -o");
+    for (command, output, why) in [
+        (deform, "precious.obj", "precious.obj: it exists; --force replaces it"),
+        (render, "precious.png", "precious.png: it exists; --force replaces it"),
+        (deform, "precious.obj --parents", "--force"),
         (
-            with(&deform, &["precious.obj"]),
-            "precious.obj: it exists; --force replaces it",
-        ),
-        (
-            with(&render, &["precious.png"]),
-            "precious.png: it exists; --force replaces it",
-        ),
-        (with(&deform, &["precious.obj", "--parents"]), "--force"),
-        (
-            with(&deform, &["a/b/out.obj"]),
+            deform,
+            "a/b/out.obj",
             "the folder a/b does not exist; --parents makes it",
         ),
         (
-            with(&render, &["a/out.png", "--force"]),
+            render,
+            "a/out.png --force",
             "the folder a does not exist; --parents makes it",
         ),
-        (with(&deform, &["folder.obj", "--force", "--parents"]), "it is a folder"),
+        (deform, "folder.obj --force --parents", "it is a folder"),
+        (deform, "precious.png/out.obj --parents", "precious.png is not a folder"),
         (
-            with(&deform, &["precious.png/out.obj", "--parents"]),
-            "precious.png is not a folder",
-        ),
-        (
-            vec!["check", "suite", "--junit", "precious.obj"],
+            "check suite --junit",
+            "precious.obj",
             "precious.obj: it exists; --force replaces it",
         ),
     ] {
-        refused(path, &arguments, why);
+        let arguments = format!("{command} {output}");
+        folder.refused(&arguments, &[why]);
         assert_eq!(files_in(path), before, "{arguments:?} wrote something");
     }
-    done(path, &with(&deform, &["precious.obj", "--force"]));
-    done(path, &with(&render, &["precious.png", "--force", "--size", "64x64"]));
-    done(path, &with(&deform, &["a/b/out.obj", "--parents"]));
+    folder.done(&format!("{deform} precious.obj --force"));
+    folder.done(&format!("{render} precious.png --force --size 64x64"));
+    folder.done(&format!("{deform} a/b/out.obj --parents"));
     let after = files_in(path);
     assert!(after[Path::new("precious.png")].starts_with(b"\x89PNG"));
     assert_eq!(after[Path::new("precious.obj")], after[Path::new("a/b/out.obj")]);
@@ -223,46 +200,42 @@ fn nothing_is_replaced_without_force_and_no_folder_made_without_parents() {
 #[cfg(unix)]
 #[test]
 fn a_link_stays_a_link_and_a_device_is_never_replaced() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let path = folder.path();
-    fs::write(path.join("creature.glb"), sample::creature_glb()).expect("written");
-    fs::write(path.join("job.json"), r#"{"handles": []}"#).expect("written");
+    folder.put("creature.glb", sample::creature_glb());
+    folder.put("job.json", r#"{"handles": []}"#);
     fs::create_dir(path.join("elsewhere")).expect("made");
-    fs::write(path.join("elsewhere/real.obj"), "old").expect("written");
+    folder.put("elsewhere/real.obj", "old");
     std::os::unix::fs::symlink("elsewhere/real.obj", path.join("link.obj")).expect("a link");
     std::os::unix::fs::symlink("/dev/null", path.join("null.obj")).expect("a link");
-    let to = |name| ["deform", "creature.glb", "--job", "job.json", "-o", name, "--force"];
-    done(path, &to("link.obj"));
+    let to = |name| format!("deform creature.glb --job job.json -o {name} --force");
+    folder.done(&to("link.obj"));
     assert!(fs::symlink_metadata(path.join("link.obj")).expect("there").is_symlink());
-    assert!(
-        fs::read(path.join("elsewhere/real.obj"))
-            .expect("there")
-            .starts_with(b"# pliant")
-    );
-    refused(path, &to("null.obj"), "it is not a regular file");
+    assert!(folder.bytes("elsewhere/real.obj").starts_with(b"# pliant"));
+    folder.refused(&to("null.obj"), &["it is not a regular file"]);
 }
 
 #[test]
-fn a_file_that_only_bears_the_name_of_a_companion_is_replaced_by_force() {
-    let folder = tempfile::tempdir().expect("a folder");
+fn a_file_with_the_name_of_a_companion_alone_is_replaced_by_force() {
+    let folder = Workplace::empty();
     let path = folder.path();
     box_gltf(path);
     let job = job_for(&path.join("box.gltf"), path);
     let job = job.to_string_lossy();
     let to = vec!["deform", "box.gltf", "--job", &job, "-o", "bent.obj"];
-    done(path, &to);
-    let library = fs::read(path.join("box.mtl")).expect("a library is written beside the result");
+    folder.done(&to);
+    let library = folder.bytes("box.mtl");
     // The model was read without it, so it is not the model's.
-    fs::write(path.join("box.mtl"), "newmtl other\n").expect("written");
+    folder.put("box.mtl", "newmtl other\n");
     fs::remove_file(path.join("bent.obj")).expect("removed");
-    refused(path, &to, "box.mtl: it exists; --force replaces it");
-    done(path, &[&to[..], &["--force"]].concat());
-    assert_eq!(fs::read(path.join("box.mtl")).expect("a library"), library);
+    folder.refused(&to, &["box.mtl: it exists; --force replaces it"]);
+    folder.done(&[&to[..], &["--force"]].concat());
+    assert_eq!(folder.bytes("box.mtl"), library);
 }
 
 #[test]
 fn files_beside_the_result_are_looked_at_before_anything_is_written() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let path = folder.path();
     box_gltf(path);
     let job = job_for(&path.join("box.gltf"), path);
@@ -271,28 +244,24 @@ fn files_beside_the_result_are_looked_at_before_anything_is_written() {
     let before = files_in(path);
     // In the model's own folder its buffer would be replaced, with --force too.
     for arguments in [to("bent.gltf"), [to("bent.gltf"), vec!["--force"]].concat()] {
-        refused(path, &arguments, "the model's own the box.bin");
+        folder.refused(&arguments, &["the model's own the box.bin"]);
     }
     fs::create_dir_all(path.join("out")).expect("made");
-    refused(
-        path,
-        &to("out/bent.gltf"),
-        "textures does not exist; --parents makes it",
-    );
+    folder.refused(&to("out/bent.gltf"), &["textures does not exist; --parents makes it"]);
     assert_eq!(files_in(path), before);
-    fs::write(path.join("out/normal.jpg"), "precious").expect("written");
+    folder.put("out/normal.jpg", "precious");
     let parents = [to("out/bent.gltf"), vec!["--parents"]].concat();
-    refused(path, &parents, "out/normal.jpg: it exists; --force replaces it");
+    folder.refused(&parents, &["out/normal.jpg: it exists; --force replaces it"]);
     assert_eq!(files_in(&path.join("out")).len(), 1);
-    done(path, &[&parents[..], &["--force"]].concat());
+    folder.done(&[&parents[..], &["--force"]].concat());
     let written = files_in(&path.join("out"));
     assert_eq!(written.len(), 4);
-    // Companions that are there already, byte for byte, are in nobody's way.
+    // Companions that are there already, byte for byte, are in no one's way.
     fs::remove_file(path.join("out/bent.gltf")).expect("removed");
-    done(path, &to("out/bent.gltf"));
+    folder.done(&to("out/bent.gltf"));
     assert_eq!(files_in(&path.join("out")), written);
     // Over itself a model takes its buffer along.
-    done(path, &[to("box.gltf"), vec!["--force"]].concat());
+    folder.done(&[to("box.gltf"), vec!["--force"]].concat());
     let after = files_in(path);
     assert_eq!(after[Path::new("the box.bin")], written[Path::new("the box.bin")]);
     assert_ne!(after[Path::new("the box.bin")], before[Path::new("the box.bin")]);
@@ -300,31 +269,30 @@ fn files_beside_the_result_are_looked_at_before_anything_is_written() {
 
 #[test]
 fn images_and_buffers_come_along_and_a_glb_stands_alone() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     box_gltf(folder.path());
     check_companions(&folder.path().join("box.gltf"), &folder.path().join("made"));
 
     // Without its image the model is read all the same, and says so.
     fs::remove_file(folder.path().join("normal.jpg")).expect("removed");
     let job = job_for(&folder.path().join("box.gltf"), folder.path());
-    let said = done(
-        folder.path(),
-        &["deform", "box.gltf", "--job", &job.to_string_lossy(), "-o", "less.glb"],
-    );
+    let said = folder
+        .done(&["deform", "box.gltf", "--job", &job.to_string_lossy(), "-o", "less.glb"])
+        .err;
     assert!(
         said.contains("warning image-missing: ") && said.contains("normal.jpg"),
         "{said}"
     );
     fs::remove_file(folder.path().join("the box.bin")).expect("removed");
-    refused(folder.path(), &["inspect", "box.gltf"], "\"the box.bin\" is missing");
+    folder.refused("inspect box.gltf", &["\"the box.bin\" is missing"]);
 }
 
 #[test]
 fn nothing_outside_the_folder_of_a_model_is_read() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let inside = folder.path().join("model");
     box_gltf(&inside);
-    fs::write(folder.path().join("secret.png"), picture(b"\x89PNG\r\n\x1a\n")).expect("written");
+    folder.put("secret.png", picture(b"\x89PNG\r\n\x1a\n"));
     let text = fs::read_to_string(inside.join("box.gltf")).expect("text");
     let job = job_for(&inside.join("box.gltf"), folder.path());
     let job = job.to_string_lossy();
@@ -346,9 +314,9 @@ fn nothing_outside_the_folder_of_a_model_is_read() {
             "out.glb",
             "--force",
         ];
-        let said = done(folder.path(), &arguments);
+        let said = folder.done(&arguments).err;
         assert!(said.contains(&format!("warning {code}: ")), "{uri}: {said}");
-        let out = fs::read(folder.path().join("out.glb")).expect("written");
+        let out = folder.bytes("out.glb");
         let secret = picture(b"\x89PNG\r\n\x1a\n");
         let times = out.windows(secret.len()).filter(|w| *w == secret).count();
         assert_eq!(times, 1, "the model's own picture and no other");
@@ -360,7 +328,7 @@ fn real_models_keep_every_image() {
     let Some(data) = data_folder("images of real models") else {
         return;
     };
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let (mut models, mut written) = (Vec::new(), Vec::new());
     for name in ["WaterBottle", "BoomBox", "AnimatedCube"] {
         let model = data.join(format!("gltf/{name}_separate/{name}.gltf"));
@@ -398,33 +366,30 @@ fn figure_beside(folder: &Path, buffer: &str) {
 #[test]
 fn nothing_that_is_written_replaces_a_file_of_its_model() {
     let still = r#"{"handles": [{"id": "a", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": 0}}}]}"#;
-    let animate = ["animate", "fox.gltf", "--clip", "walk", "--frames", "0:2", "-o"];
-    let ways: [(&str, &[&str]); 5] = [
-        ("fox.pc2", &animate),
-        ("fox.png", &animate),
-        ("fox.glb", &animate),
-        ("fox.obj", &["deform", "fox.gltf", "--job", "job.json", "-o"]),
-        (
-            "fox.png",
-            &["rig", "fox.gltf", "--preset", "cmu", "-o", "rig.json", "--picture"],
-        ),
+    let animate = "animate fox.gltf --clip walk --frames 0:2 -o";
+    let ways = [
+        ("fox.pc2", animate),
+        ("fox.png", animate),
+        ("fox.glb", animate),
+        ("fox.obj", "deform fox.gltf --job job.json -o"),
+        ("fox.png", "rig fox.gltf --preset cmu -o rig.json --picture"),
     ];
     for (buffer, way) in ways {
-        let folder = tempfile::tempdir().expect("a folder");
-        fs::write(folder.path().join("job.json"), still).expect("written");
+        let folder = Workplace::empty();
+        folder.put("job.json", still);
         figure_beside(folder.path(), buffer);
         let before = files_in(folder.path());
         let wanted = format!("fox.gltf is made of it, as \"{buffer}\"");
-        refused(folder.path(), &[way, &[buffer, "--force"]].concat(), &wanted);
+        folder.refused(&format!("{way} {buffer} --force"), &[&wanted]);
         assert_eq!(files_in(folder.path()), before, "{way:?}");
         // Beside it there is room.
-        done(folder.path(), &[way, &[&format!("new-{buffer}")]].concat());
+        folder.done(&format!("{way} new-{buffer}"));
     }
 }
 
 #[test]
 fn an_edited_text_stl_keeps_its_solids() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let (points, faces) = pliant::asset::shapes::box_with_cells(glam::DVec3::new(1.0, 4.0, 1.0), [2, 8, 2]);
     let mut text = String::new();
     for (name, low) in [("Lower Half", true), ("upper half", false)] {
@@ -439,13 +404,10 @@ fn an_edited_text_stl_keeps_its_solids() {
         }
         text += &format!("ENDSOLID {name}\r\n");
     }
-    fs::write(folder.path().join("bar.stl"), &text).expect("written");
+    folder.put("bar.stl", &text);
     let job = r#"{"steps": [{"edit": {"decimate": {"ratio": 0.5}}}]}"#;
-    fs::write(folder.path().join("job.json"), job).expect("written");
-    done(
-        folder.path(),
-        &["deform", "bar.stl", "--job", "job.json", "-o", "thin.stl"],
-    );
+    folder.put("job.json", job);
+    folder.done("deform bar.stl --job job.json -o thin.stl");
     let thin = fs::read_to_string(folder.path().join("thin.stl")).expect("a text");
     let (lower, upper) = thin
         .split_once("endsolid Lower Half\r\nsolid upper half\r\n")

@@ -1,36 +1,29 @@
 //! `pliant render` as a script sees it: which pixels show what, the same bytes for any number of threads, refusals.
 
-use crate::support::program::words;
+use crate::support::commands::{Ran, Workplace};
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
-/// Runs `pliant render`; returns (exit code, stdout, last line of stderr).
-fn render(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
-    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(["render", "--force"])
-        .args(arguments)
-        .current_dir(folder)
-        .output()
-        .expect("it runs");
-    let err = String::from_utf8_lossy(&done.stderr).into_owned();
-    let last = err.trim_end().lines().last().unwrap_or_default().to_owned();
-    (
-        done.status.code(),
-        String::from_utf8_lossy(&done.stdout).into_owned(),
-        last,
-    )
+/// Runs `pliant render`, which may replace pictures.
+fn render(folder: &Workplace, arguments: &str) -> Ran {
+    folder.run(&format!("render --force {arguments}"))
+}
+
+/// Draws a picture, and reads it back.
+fn drawn(folder: &Workplace, arguments: &str, name: &str) -> SeenPicture {
+    render(folder, &format!("{arguments} -o {name}")).exits(0);
+    SeenPicture::open(&folder.at(name))
 }
 
 /// A picture read back.
-struct Seen {
+pub struct SeenPicture {
     width: usize,
     height: usize,
-    pixels: Vec<[u8; 3]>,
+    pub pixels: Vec<[u8; 3]>,
 }
 
-impl Seen {
-    fn open(path: &Path) -> Self {
+impl SeenPicture {
+    pub fn open(path: &Path) -> Self {
         let file = std::io::BufReader::new(fs::File::open(path).expect("a picture"));
         let mut reader = png::Decoder::new(file).read_info().expect("a PNG");
         let mut bytes = vec![0; reader.output_buffer_size().expect("it fits")];
@@ -54,6 +47,17 @@ impl Seen {
     /// Whether something is drawn there: the background has one colour in every row.
     fn drawn(&self, x: usize, y: usize) -> bool {
         self.at(x, y) != self.at(0, y)
+    }
+
+    /// How many pixels are dark, as wires are.
+    fn dark(&self) -> usize {
+        self.pixels.iter().filter(|p| p.iter().all(|&c| c < 110)).count()
+    }
+
+    /// What is drawn in a row, from a column up to another.
+    fn row(&self, y: usize, columns: std::ops::Range<usize>) -> Vec<[u8; 3]> {
+        let drawn = columns.filter(|&x| self.drawn(x, y));
+        drawn.map(|x| self.at(x, y)).collect()
     }
 
     /// First and last column and row where something is drawn, between two columns.
@@ -101,80 +105,69 @@ fn strip(place: impl Fn(f64, f64) -> [f64; 3]) -> String {
 }
 
 /// A folder with the strip at rest, and one whose right half is twice as long and left half two thirds as long.
-fn workplace() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().expect("a folder");
-    let write = |name: &str, text: String| fs::write(folder.path().join(name), text).expect("written");
-    write("rest.obj", strip(|x, y| [x, y, 0.0]));
-    write(
-        "pulled.obj",
-        strip(|x, y| {
-            [
-                if x > 0.0 { 2.0 * x } else { x / 1.5 },
-                if x > 0.0 { y } else { y / 1.5 },
-                0.0,
-            ]
-        }),
-    );
-    write(
-        "moved.obj",
-        strip(|x, y| [x, y + if x > 1.0 { 0.25 * (x - 1.0) } else { 0.0 }, 0.0]),
-    );
+fn workplace() -> Workplace {
+    let folder = Workplace::empty();
+    folder.put("rest.obj", strip(|x, y| [x, y, 0.0]));
+    let pulled = |x: f64, y: f64| {
+        if x > 0.0 {
+            [2.0 * x, y, 0.0]
+        } else {
+            [x / 1.5, y / 1.5, 0.0]
+        }
+    };
+    folder.put("pulled.obj", strip(pulled));
+    let moved = |x: f64, y: f64| [x, y + if x > 1.0 { 0.25 * (x - 1.0) } else { 0.0 }, 0.0];
+    folder.put("moved.obj", strip(moved));
     folder
 }
 
 #[test]
 fn a_shape_covers_the_pixels_that_it_should() {
     let folder = workplace();
-    let arguments = ["rest.obj", "-o", "rest.png", "--size", "200x100", "--view", "0,0"];
-    let (code, stdout, last) = render(folder.path(), &arguments);
-    assert_eq!((code, stdout.as_str()), (Some(0), ""), "{last}");
+    let ran = render(&folder, "rest.obj -o rest.png --size 200x100 --view 0,0").exits(0);
+    assert_eq!(ran.out, "", "{}", ran.err);
+    let last = ran.last();
     assert!(last.contains("rest.png") && last.contains("200x100"), "{last}");
-    let seen = Seen::open(&folder.path().join("rest.png"));
+    let seen = SeenPicture::open(&folder.at("rest.png"));
     assert_eq!((seen.width, seen.height), (200, 100));
     // Four times as wide as high, in the middle, 92 % of the width: 184 by 46 pixels.
     assert_eq!(seen.reach(0..200), [8, 191, 27, 72]);
     assert!((30..70).all(|y| (10..190).all(|x| seen.drawn(x, y))), "it has no hole");
     // From the side nothing but an edge is left.
-    let arguments = ["rest.obj", "-o", "edge.png", "--size", "200x100", "--view", "0,90"];
-    assert_eq!(render(folder.path(), &arguments).0, Some(0));
-    let edge = Seen::open(&folder.path().join("edge.png"));
+    let edge = drawn(&folder, "rest.obj --size 200x100 --view 0,90", "edge.png");
     assert!((0..100).all(|y| (0..200).all(|x| !edge.drawn(x, y))));
 }
 
 #[test]
 fn chosen_primitives_are_seen_alone_and_fill_the_picture() {
-    let folder = tempfile::tempdir().expect("a folder");
-    fs::write(folder.path().join("figure.glb"), pliant::asset::sample::figure_glb()).expect("written");
-    let drawn = |chosen: &[&str]| {
-        let arguments = ["figure.glb", "-o", "p.png", "--size", "160x160", "--view", "0,0"];
-        let (code, _, last) = render(folder.path(), &[&arguments, chosen].concat());
-        assert_eq!(code, Some(0), "{last}");
-        fs::read(folder.path().join("p.png")).expect("a picture")
+    let folder = Workplace::with("figure.glb", pliant::asset::sample::figure_glb());
+    let picture = |chosen: &str| {
+        drawn(
+            &folder,
+            &format!("figure.glb --size 160x160 --view 0,0 {chosen}"),
+            "p.png",
+        );
+        folder.bytes("p.png")
     };
-    let [all, hull, body] = [&[][..], &["--primitive", "hull"], &["--primitive", "body"]].map(drawn);
+    let [all, hull, body] = ["", "--primitive hull", "--primitive body"].map(picture);
     assert!(hull != body, "the hull lies around the body");
-    assert_eq!(drawn(&["--primitive", "3"]), hull, "by its number as well");
-    let every: Vec<&str> = ["body", "lod1", "lod2", "hull"]
-        .iter()
-        .flat_map(|name| ["--primitive", name])
-        .collect();
-    assert_eq!(drawn(&every), all);
-    let (code, _, last) = render(folder.path(), &["figure.glb", "-o", "p.png", "--primitive", "hat"]);
-    assert_eq!(code, Some(2));
-    assert!(
-        last.contains(r#"--primitive hat: no primitive is named so; there are 0 "body", 1 "lod1""#),
-        "{last}"
-    );
+    assert_eq!(picture("--primitive 3"), hull, "by its number as well");
+    let every = "--primitive body --primitive lod1 --primitive lod2 --primitive hull";
+    assert_eq!(picture(every), all);
+    let ran = render(&folder, "figure.glb -o p.png --primitive hat").exits(2);
+    ran.gives(&[r#"--primitive hat: no primitive is named so; there are 0 "body", 1 "lod1""#]);
     // Two squares far apart: alone, one of them fills what both share.
-    fs::write(folder.path().join("two.gltf"), two_squares()).expect("written");
-    let arguments = ["two.gltf", "-o", "two.png", "--size", "100x100", "--view", "0,0"];
-    let reach = |chosen: &[&str]| {
-        let (code, _, last) = render(folder.path(), &[&arguments, chosen].concat());
-        assert_eq!(code, Some(0), "{last}");
-        let [left, right, top, bottom] = Seen::open(&folder.path().join("two.png")).reach(0..100);
+    folder.put("two.gltf", two_squares());
+    let reach = |chosen: &str| {
+        let seen = drawn(
+            &folder,
+            &format!("two.gltf --size 100x100 --view 0,0 {chosen}"),
+            "two.png",
+        );
+        let [left, right, top, bottom] = seen.reach(0..100);
         [right - left, bottom - top]
     };
-    let [both, far] = [&[][..], &["--primitive", "far"]].map(reach);
+    let [both, far] = ["", "--primitive far"].map(reach);
     assert!(both[0] > 80 && both[1] < 20, "{both:?}");
     assert!(far[0] > 80 && far[1] > 80, "{far:?}");
 }
@@ -203,30 +196,24 @@ fn two_squares() -> String {
 #[test]
 fn a_picture_never_replaces_what_the_model_is_made_of() {
     let folder = workplace();
-    let text = fs::read_to_string(folder.path().join("rest.obj")).expect("a model");
-    fs::write(
-        folder.path().join("skin.obj"),
-        format!("mtllib skin.mtl\nusemtl a\n{text}"),
-    )
-    .expect("written");
-    fs::write(folder.path().join("skin.mtl"), "newmtl a\nmap_Kd skin.png\n").expect("written");
-    fs::write(folder.path().join("skin.png"), "a picture").expect("written");
-    let (code, _, last) = render(folder.path(), &["skin.obj", "-o", "skin.png"]);
-    assert_eq!(code, Some(2), "{last}");
-    assert!(last.contains("skin.obj is made of it"), "{last}");
-    assert_eq!(
-        fs::read(folder.path().join("skin.png")).expect("it is there"),
-        b"a picture"
-    );
+    let text = String::from_utf8(folder.bytes("rest.obj")).expect("text");
+    folder.put("skin.obj", format!("mtllib skin.mtl\nusemtl a\n{text}"));
+    folder.put("skin.mtl", "newmtl a\nmap_Kd skin.png\n");
+    folder.put("skin.png", "a picture");
+    render(&folder, "skin.obj -o skin.png")
+        .exits(2)
+        .gives(&["skin.obj is made of it"]);
+    assert_eq!(folder.bytes("skin.png"), b"a picture");
 }
 
 #[test]
 fn colours_say_where_edges_are_longer_and_where_shorter() {
     let folder = workplace();
-    let arguments = words("pulled.obj --before rest.obj -o two.png --size 240x160 --view 0,0");
-    let (code, _, last) = render(folder.path(), &arguments);
-    assert_eq!(code, Some(0), "{last}");
-    let seen = Seen::open(&folder.path().join("two.png"));
+    let seen = drawn(
+        &folder,
+        "pulled.obj --before rest.obj --size 240x160 --view 0,0",
+        "two.png",
+    );
     assert_eq!(
         (seen.width, seen.height),
         (480, 160),
@@ -241,10 +228,7 @@ fn colours_say_where_edges_are_longer_and_where_shorter() {
     let columns = |from: usize| (from..from + 240).filter(|&x| seen.drawn(x, middle)).count() as f64;
     let ratio = columns(240) / columns(0);
     assert!((ratio - 5.333 / 4.0).abs() < 0.02, "{ratio}");
-    let row: Vec<[u8; 3]> = (240..480)
-        .filter(|&x| seen.drawn(x, middle))
-        .map(|x| seen.at(x, middle))
-        .collect();
+    let row = seen.row(middle, 240..480);
     let end = row.len() - 1;
     assert!(
         red(row[end - 5]) && red(row[end / 2 + end / 4]),
@@ -264,20 +248,10 @@ fn colours_say_where_edges_are_longer_and_where_shorter() {
 #[test]
 fn differences_and_wires_show_where_they_are() {
     let folder = workplace();
-    let view = ["--size", "240x160", "--view", "0,0"];
-    let difference = [
-        &words("moved.obj --before rest.obj --color difference -o d.png"),
-        &view[..],
-    ]
-    .concat();
-    let (code, _, last) = render(folder.path(), &difference);
-    assert_eq!(code, Some(0), "{last}");
-    let seen = Seen::open(&folder.path().join("d.png"));
+    let draw = |arguments: &str, name: &str| drawn(&folder, &format!("{arguments} --size 240x160 --view 0,0"), name);
+    let seen = draw("moved.obj --before rest.obj --color difference", "d.png");
     let middle = 75;
-    let row: Vec<[u8; 3]> = (240..480)
-        .filter(|&x| seen.drawn(x, middle))
-        .map(|x| seen.at(x, middle))
-        .collect();
+    let row = seen.row(middle, 240..480);
     let end = row[row.len() - 4];
     assert!(red(end), "the end moved: {end:?}");
     let light = |p: [u8; 3]| p.iter().all(|&c| c > 150);
@@ -287,45 +261,25 @@ fn differences_and_wires_show_where_they_are() {
         row[0]
     );
 
-    let wires = [&["rest.obj", "--color", "wire", "-o", "w.png"], &view[..]].concat();
-    assert_eq!(render(folder.path(), &wires).0, Some(0));
-    let plain = [&["rest.obj", "-o", "p.png"], &view[..]].concat();
-    assert_eq!(render(folder.path(), &plain).0, Some(0));
-    let dark = |name: &str| {
-        let seen = Seen::open(&folder.path().join(name));
-        seen.pixels.iter().filter(|p| p.iter().all(|&c| c < 110)).count()
-    };
-    assert_eq!(dark("p.png"), 0);
-    assert!(dark("w.png") > 300, "{}", dark("w.png"));
+    let (wires, plain) = (draw("rest.obj --color wire", "w.png"), draw("rest.obj", "p.png"));
+    assert_eq!(plain.dark(), 0);
+    assert!(wires.dark() > 300, "{}", wires.dark());
 }
 
 #[test]
 fn wires_lie_over_colours_and_a_range_makes_pictures_comparable() {
     let folder = workplace();
-    let draw = |name: &str, more: &[&str]| {
-        let arguments = [
-            &["moved.obj", "--before", "rest.obj", "--color", "difference", "-o", name],
-            &["--size", "240x160", "--view", "0,0"][..],
-            more,
-        ]
-        .concat();
-        let (code, _, last) = render(folder.path(), &arguments);
-        assert_eq!(code, Some(0), "{last}");
-        Seen::open(&folder.path().join(name))
+    let draw = |name: &str, more: &str| {
+        let arguments = "moved.obj --before rest.obj --color difference --size 240x160 --view 0,0";
+        drawn(&folder, &format!("{arguments} {more}"), name)
     };
-    let plain = draw("plain.png", &[]);
-    let wired = draw("wired.png", &["--wire"]);
-    let row = |seen: &Seen| -> Vec<[u8; 3]> {
-        (240..480)
-            .filter(|&x| seen.drawn(x, 75))
-            .map(|x| seen.at(x, 75))
-            .collect()
-    };
-    let dark = |seen: &Seen| seen.pixels.iter().filter(|p| p.iter().all(|&c| c < 110)).count();
-    assert!(dark(&wired) > dark(&plain) + 200);
+    let plain = draw("plain.png", "");
+    let wired = draw("wired.png", "--wire");
+    let row = |seen: &SeenPicture| seen.row(75, 240..480);
+    assert!(wired.dark() > plain.dark() + 200);
     assert!(wired.pixels.iter().any(|&p| red(p)), "the colours are still there");
     // A quarter of a unit is the most; on a scale of ten units it is nearly nothing.
-    let wide = draw("wide.png", &["--range", "10"]);
+    let wide = draw("wide.png", "--range 10");
     assert!(row(&plain).iter().any(|&p| red(p)) && !row(&wide).iter().any(|&p| red(p)));
 }
 
@@ -333,14 +287,8 @@ fn wires_lie_over_colours_and_a_range_makes_pictures_comparable() {
 fn marks_are_rings_around_what_differs_most() {
     let folder = workplace();
     let draw = |name: &str, marks: &str| {
-        let arguments = [
-            &["moved.obj", "--before", "rest.obj", "--color", "difference", "-o", name],
-            &["--size", "240x160", "--view", "0,0", "--marks", marks][..],
-        ]
-        .concat();
-        let (code, _, last) = render(folder.path(), &arguments);
-        assert_eq!(code, Some(0), "{last}");
-        Seen::open(&folder.path().join(name))
+        let arguments = "moved.obj --before rest.obj --color difference --size 240x160 --view 0,0";
+        drawn(&folder, &format!("{arguments} --marks {marks}"), name)
     };
     let (none, some) = (draw("none.png", "0"), draw("some.png", "2"));
     let changed: Vec<usize> = (0..some.pixels.len())
@@ -353,18 +301,16 @@ fn marks_are_rings_around_what_differs_most() {
         "{:?}",
         changed.iter().map(|k| k % some.width).min()
     );
-    let nothing = ["rest.obj", "--marks", "2", "-o", "no.png"];
-    let (code, _, last) = render(folder.path(), &nothing);
-    assert!(code == Some(2) && last.contains("--marks"), "{last}");
+    render(&folder, "rest.obj --marks 2 -o no.png")
+        .exits(2)
+        .gives(&["--marks"]);
 }
 
 #[test]
 fn a_turntable_is_a_strip_once_around() {
     let folder = workplace();
-    let arguments = words("moved.obj -o t.png --size 64x48 --view -45,10 --turntable 8 --up z");
-    let (code, _, last) = render(folder.path(), &arguments);
-    assert_eq!(code, Some(0), "{last}");
-    let seen = Seen::open(&folder.path().join("t.png"));
+    let arguments = "moved.obj --size 64x48 --view -45,10 --turntable 8 --up z";
+    let seen = drawn(&folder, arguments, "t.png");
     assert_eq!((seen.width, seen.height), (512, 48));
     let tile = |k: usize| -> Vec<[u8; 3]> {
         (0..48)
@@ -384,82 +330,66 @@ fn a_turntable_is_a_strip_once_around() {
 #[test]
 fn the_same_bytes_for_any_number_of_threads_and_twice() {
     let folder = workplace();
-    fs::write(
-        folder.path().join("creature.glb"),
-        pliant::asset::sample::creature_glb(),
-    )
-    .expect("written");
-    let bytes = |model: &str, more: &[&str], threads: &str| {
-        let arguments = [&[model, "-o", "x.png", "--size", "300x200", "--threads", threads], more].concat();
-        let (code, _, last) = render(folder.path(), &arguments);
-        assert_eq!(code, Some(0), "{last}");
-        fs::read(folder.path().join("x.png")).expect("a picture")
-    };
-    for (model, more) in [
-        ("creature.glb", &["--color", "wire"][..]),
-        ("creature.glb", &["--before", "creature.glb", "--color", "difference"]),
-        ("pulled.obj", &["--before", "rest.obj", "--turntable", "3"]),
-    ] {
-        let one = bytes(model, more, "1");
-        assert!(
-            one == bytes(model, more, "2") && one == bytes(model, more, "3"),
-            "{model} {more:?}"
+    folder.put("creature.glb", pliant::asset::sample::creature_glb());
+    let bytes = |arguments: &str, threads: &str| {
+        drawn(
+            &folder,
+            &format!("{arguments} --size 300x200 --threads {threads}"),
+            "x.png",
         );
-        assert!(one == bytes(model, more, "1"));
+        folder.bytes("x.png")
+    };
+    for arguments in [
+        "creature.glb --color wire",
+        "creature.glb --before creature.glb --color difference",
+        "pulled.obj --before rest.obj --turntable 3",
+    ] {
+        let one = bytes(arguments, "1");
+        for threads in ["2", "3", "1"] {
+            assert!(one == bytes(arguments, threads), "{arguments}, {threads} threads");
+        }
     }
 }
 
 #[test]
 fn a_refusal_is_exit_2_with_its_reason_last_and_no_picture() {
     let folder = workplace();
-    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
-    write("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
-    write("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n");
-    write("flat.obj", "v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n");
-    write("empty.obj", "");
-    write("other.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
-    let cases: [(&[&str], &str); 19] = [
-        (&["none.obj"], "none.obj"),
-        (&["nan.obj"], "line 1"),
-        (&["points.obj"], "no triangle"),
-        (&["flat.obj"], "none of 1 triangles"),
-        (&["empty.obj"], "empty.obj"),
-        (&["rest.obj", "--size", "15x100"], "16 to 8192"),
-        (&["rest.obj", "--size", "100x9000"], "16 to 8192"),
-        (&["rest.obj", "--size", "big"], "800x600"),
-        (&["rest.obj", "--view", "10"], "30,20"),
-        (&["rest.obj", "--view", "0,nan"], "-90 to 90"),
-        (&["rest.obj", "--turntable", "1"], "--turntable"),
-        (&["rest.obj", "--turntable", "64", "--size", "8192x8192"], "pixels"),
-        (&["rest.obj", "--color", "distortion"], "--before"),
-        (&["rest.obj", "--color", "rainbow"], "rainbow"),
-        (
-            &["rest.obj", "--before", "other.obj", "--color", "difference"],
-            "85 vertices",
-        ),
-        (&["rest.obj", "--threads", "5000"], "0 to 1024"),
-        (&["rest.obj", "--range", "0"], "above 0"),
-        (&["rest.obj", "--before", "moved.obj", "--range", "0.5"], "above 1"),
-        (&["rest.obj", "--before", "moved.obj", "--marks", "10"], "--marks"),
+    folder.put("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    folder.put("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n");
+    folder.put("flat.obj", "v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n");
+    folder.put("empty.obj", "");
+    folder.put("other.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    let cases: [(&str, &str); 19] = [
+        ("none.obj", "none.obj"),
+        ("nan.obj", "line 1"),
+        ("points.obj", "no triangle"),
+        ("flat.obj", "none of 1 triangles"),
+        ("empty.obj", "empty.obj"),
+        ("rest.obj --size 15x100", "16 to 8192"),
+        ("rest.obj --size 100x9000", "16 to 8192"),
+        ("rest.obj --size big", "800x600"),
+        ("rest.obj --view 10", "30,20"),
+        ("rest.obj --view 0,nan", "-90 to 90"),
+        ("rest.obj --turntable 1", "--turntable"),
+        ("rest.obj --turntable 64 --size 8192x8192", "pixels"),
+        ("rest.obj --color distortion", "--before"),
+        ("rest.obj --color rainbow", "rainbow"),
+        ("rest.obj --before other.obj --color difference", "85 vertices"),
+        ("rest.obj --threads 5000", "0 to 1024"),
+        ("rest.obj --range 0", "above 0"),
+        ("rest.obj --before moved.obj --range 0.5", "above 1"),
+        ("rest.obj --before moved.obj --marks 10", "--marks"),
     ];
     for (arguments, reason) in cases {
-        let arguments = [arguments, &["-o", "out.png"]].concat();
-        let (code, stdout, last) = render(folder.path(), &arguments);
-        assert_eq!(code, Some(2), "{arguments:?}: {last}");
-        assert!(
-            last.starts_with("pliant: ") && last.contains(reason),
-            "{arguments:?}: {last}"
-        );
-        assert!(
-            stdout.is_empty() && !folder.path().join("out.png").exists(),
-            "{arguments:?}"
-        );
+        let ran = render(&folder, &format!("{arguments} -o out.png")).exits(2);
+        ran.gives(&[reason]);
+        assert!(ran.out.is_empty() && !folder.at("out.png").exists(), "{arguments:?}");
     }
     for output in ["out.jpg", "out", "folder/"] {
-        let (code, _, last) = render(folder.path(), &["rest.obj", "-o", output]);
-        assert!(code == Some(2) && last.contains("png"), "{output}: {last}");
+        render(&folder, &format!("rest.obj -o {output}"))
+            .exits(2)
+            .gives(&["png"]);
     }
     // Models that cannot be compared vertex by vertex can still be seen side by side.
-    let (code, _, last) = render(folder.path(), &["rest.obj", "--before", "other.obj", "-o", "both.png"]);
-    assert_eq!(code, Some(0), "{last}");
+    render(&folder, "rest.obj --before other.obj -o both.png").exits(0);
 }

@@ -164,9 +164,9 @@ fn try_model(path: &Path, work: &Path) -> Result<String, String> {
         }
         Some(2) => {
             let reason = reason.trim_start_matches("pliant: ").trim_end();
-            let told: Option<serde_json::Value> = serde_json::from_str(&stdout).ok();
+            let reply: Option<serde_json::Value> = serde_json::from_str(&stdout).ok();
             let error = json!({"error": {"kind": "input", "exitCode": 2, "message": reason}});
-            return match told == Some(error) {
+            return match reply == Some(error) {
                 true => Ok(format!("refused: {reason}")),
                 false => Err(format!("stdout does not tell the refusal \"{reason}\": {stdout}")),
             };
@@ -210,19 +210,19 @@ fn try_model(path: &Path, work: &Path) -> Result<String, String> {
     );
     let exception = EXCEPTIONS.iter().find(|e| name == e.0);
     let bounds = exception.map_or(BOUNDS, |e| e.1);
-    let told = format!("volume {volume:+.3}, flipped {flipped:.4}, stretch {stretch:.2}");
+    let reply = format!("volume {volume:+.3}, flipped {flipped:.4}, stretch {stretch:.2}");
     // Written so that what is no number is beyond every bound.
     let within = |bounds: Bounds| {
         volume.abs() <= bounds.volume && flipped <= bounds.flipped && (thin || stretch <= bounds.stretch)
     };
     if !within(bounds) {
-        return Err(format!("beyond its bounds: {told}"));
+        return Err(format!("beyond its bounds: {reply}"));
     }
     if let Some((_, _, reason)) = exception.filter(|_| within(BOUNDS)) {
-        return Err(format!("needs no exception any more ({reason}): {told}"));
+        return Err(format!("needs no exception any more ({reason}): {reply}"));
     }
     Ok(format!(
-        "deformed: {} vertices, {} graph, {} cycles, residual {:.0e}, {told}, {ms} ms",
+        "deformed: {} vertices, {} graph, {} cycles, residual {:.0e}, {reply}, {ms} ms",
         model.positions.len(),
         report["solver"]["graphVertices"],
         step["cycles"],

@@ -1,9 +1,9 @@
 //! Clients: each opens a session, drags, keeps its ledger and closes its session.
 
-use super::args::StreamArgs;
+use super::StreamArgs;
 use super::ledger::PoseLedger;
 use crate::failure::LoadtestFailure;
-use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
+use crate::models::{DragScene, FARTHEST_POSE};
 use pliant::server::grpc::client::DeformerClient;
 use pliant::wire::frames::FrameReader;
 use pliant::wire::pb::{self, create_session_request, deform_request, deform_response, frame};

@@ -1,8 +1,10 @@
 //! What was sent and what came back.
 
-use super::times::Times;
+use hdrhistogram::Histogram;
 use pliant::wire::pb;
+use serde_json::{Value, json};
 use std::time::Duration;
+use tonic::{Code, Status};
 
 /// A pose ledger counts what one client, or several together, sent and got back.
 #[derive(Debug, Default)]
@@ -148,6 +150,116 @@ impl PoseLedger {
     }
 }
 
+/// The longest time, in microseconds; longer ones count as this one.
+const LONGEST: u64 = 3_600_000_000;
+
+/// Times by how often they occurred, to three digits.
+#[derive(Debug, Clone)]
+pub(crate) struct Times(Histogram<u64>);
+
+impl Default for Times {
+    fn default() -> Self {
+        #[allow(clippy::expect_used)]
+        Self(Histogram::new_with_bounds(1, LONGEST, 3).expect("the bounds fit each other"))
+    }
+}
+
+impl Times {
+    /// Enters a time.
+    pub fn enter(&mut self, time: Duration) {
+        let micros = u64::try_from(time.as_micros()).unwrap_or(LONGEST);
+        self.0.saturating_record(micros.max(1));
+    }
+
+    /// Enters a time in milliseconds; an invalid one counts as 0.
+    pub fn enter_ms(&mut self, ms: f64) {
+        self.enter(Duration::try_from_secs_f64(ms / 1e3).unwrap_or_default());
+    }
+
+    /// Enters all times of another.
+    pub fn add(&mut self, other: &Self) {
+        // Both have the same bounds.
+        let _ = self.0.add(&other.0);
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> u64 {
+        self.0.len()
+    }
+
+    /// Milliseconds that the share `q` (0 to 1) of all does not exceed; `None` where there is none.
+    pub fn share_ms(&self, q: f64) -> Option<f64> {
+        (self.count() > 0).then(|| self.0.value_at_quantile(q) as f64 / 1e3)
+    }
+
+    /// The reported quantiles with their names.
+    pub const SHARES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("max", 1.0)];
+
+    /// The reported quantiles as cells of a table: milliseconds with so many digits after the point.
+    pub fn cells(&self, digits: usize) -> [String; 4] {
+        let cell = |(_, q)| match self.share_ms(q) {
+            Some(ms) => format!("{ms:.digits$}"),
+            None => "-".to_owned(),
+        };
+        Self::SHARES.map(cell)
+    }
+
+    /// The reported quantiles for programs, in milliseconds.
+    pub fn to_json(&self) -> Value {
+        let share = |(name, q): (&str, f64)| (name.to_owned(), json!(self.share_ms(q)));
+        Value::Object(Self::SHARES.into_iter().map(share).collect())
+    }
+}
+
+/// Outcomes of unary solves.
+#[derive(Debug, Default, Clone)]
+pub(crate) struct AnswerTally {
+    /// Solves that were answered.
+    pub solved: u64,
+    /// From request to the last part of the answer.
+    pub latency: Times,
+    /// From request to the rejection for lack of room.
+    pub refusal: Times,
+    /// Other errors.
+    pub failed: u64,
+    /// One of them.
+    pub failure: Option<String>,
+    /// How long solves were requested.
+    pub elapsed: Duration,
+}
+
+impl AnswerTally {
+    /// Solves answered a second.
+    pub fn solves_per_second(&self) -> f64 {
+        self.solved as f64 / self.elapsed.as_secs_f64().max(1e-9)
+    }
+
+    /// Enters what came of a request, and the time it took.
+    pub fn enter_answer(&mut self, outcome: &Result<(), Status>, took: Duration) {
+        match outcome {
+            Ok(()) => {
+                self.solved += 1;
+                self.latency.enter(took);
+            }
+            Err(status) if status.code() == Code::ResourceExhausted => self.refusal.enter(took),
+            Err(status) => {
+                self.failed += 1;
+                self.failure = Some(status.to_string());
+            }
+        }
+    }
+
+    /// Adds another client's tally.
+    pub fn add_tally(&mut self, other: Self) {
+        self.solved += other.solved;
+        self.latency.add(&other.latency);
+        self.refusal.add(&other.refusal);
+        self.failed += other.failed;
+        self.failure = self.failure.take().or(other.failure);
+        self.elapsed = self.elapsed.max(other.elapsed);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -198,5 +310,35 @@ mod tests {
             problems.contains("part 1 of frame 1 came where part 0") && problems.contains("frame 1 came after frame 2"),
             "{problems}"
         );
+    }
+
+    #[test]
+    fn shares_are_known_to_three_digits() {
+        let mut times = Times::default();
+        assert_eq!(times.share_ms(0.5), None);
+        (1..=100).for_each(|ms| times.enter_ms(f64::from(ms)));
+        for (q, wanted) in [(0.5, 50.0), (0.99, 99.0), (1.0, 100.0)] {
+            let ms = times.share_ms(q).expect("there are times");
+            assert!((ms / wanted - 1.0).abs() < 2e-3, "{q}: {ms}");
+        }
+        let mut both = times.clone();
+        both.add(&times);
+        both.enter(Duration::from_secs(100_000));
+        assert_eq!(both.count(), 201);
+        assert!(both.share_ms(1.0).is_some_and(|ms| ms >= 3.5e6));
+    }
+
+    #[test]
+    fn a_tally_tells_answers_refusals_and_failures_apart() {
+        let (ms, mut tally) = (Duration::from_millis, AnswerTally::default());
+        tally.enter_answer(&Ok(()), ms(100));
+        tally.enter_answer(&Err(Status::resource_exhausted("full")), ms(2));
+        tally.enter_answer(&Err(Status::internal("broken")), ms(3));
+        tally.elapsed = ms(500);
+        let mut both = tally.clone();
+        both.add_tally(tally);
+        assert_eq!((both.solved, both.refusal.count(), both.failed), (2, 2, 2));
+        assert_eq!(both.solves_per_second(), 4.0);
+        assert!(both.failure.is_some_and(|text| text.contains("broken")));
     }
 }

@@ -1,16 +1,21 @@
 //! Which server is loaded: one on loopback, or one in this process.
 
 use crate::failure::LoadtestFailure;
-use pliant::{server, session};
+use pliant::server::{self, ServerConfig};
+use pliant::session::{Manager, SessionConfig};
 use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::Stdio;
 use std::time::Duration;
+use tokio::io::{AsyncBufReadExt as _, AsyncReadExt as _, BufReader};
 use tokio::net::{TcpListener, lookup_host};
+use tokio::process::{Child, Command};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tonic::transport::{Channel, Endpoint, Uri};
 
 /// How long connecting may take.
-const PATIENCE: Duration = Duration::from_secs(10);
+const CONNECT_PATIENCE: Duration = Duration::from_secs(10);
 
 /// A server that may be loaded.
 pub(crate) struct LoadedServer {
@@ -35,26 +40,21 @@ impl LoadedServer {
                 address: resolve_loopback(url).await?,
                 own: None,
             }),
-            None => Self::start_own()
+            None => Self::serve(Manager::new(SessionConfig::default()).map_err(LoadtestFailure::server)?)
                 .await
                 .map_err(|problem| LoadtestFailure::Server(format!("cannot start a server: {problem}"))),
         }
     }
 
-    async fn start_own() -> Result<Self, String> {
-        let manager = session::Manager::new(session::SessionConfig::default()).map_err(|e| e.to_string())?;
-        Self::serve(manager).await
-    }
-
     /// A server of this process with these sessions.
-    pub async fn serve(manager: session::Manager) -> Result<Self, String> {
+    pub async fn serve(manager: Manager) -> Result<Self, String> {
         let listener = TcpListener::bind(("127.0.0.1", 0)).await.map_err(|e| e.to_string())?;
         let address = listener.local_addr().map_err(|e| e.to_string())?;
         let (stop, stopped) = oneshot::channel::<()>();
         let wait = async move {
             let _ = stopped.await;
         };
-        let done = tokio::spawn(server::run(listener, manager, server::ServerConfig::default(), wait));
+        let done = tokio::spawn(server::run(listener, manager, ServerConfig::default(), wait));
         Ok(Self {
             address,
             own: Some(OwnServer { stop, done }),
@@ -65,8 +65,8 @@ impl LoadedServer {
     pub async fn open_channel(&self) -> Result<Channel, LoadtestFailure> {
         let endpoint = Endpoint::from_shared(format!("http://{}", self.address));
         let endpoint = endpoint
-            .map_err(|e| LoadtestFailure::Usage(e.to_string()))?
-            .connect_timeout(PATIENCE);
+            .map_err(LoadtestFailure::usage)?
+            .connect_timeout(CONNECT_PATIENCE);
         endpoint.connect().await.map_err(|e| {
             let cause = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
             LoadtestFailure::Server(format!("cannot connect to {}: {cause}", self.address))
@@ -109,6 +109,132 @@ async fn resolve_loopback(url: &str) -> Result<SocketAddr, LoadtestFailure> {
         .first()
         .copied()
         .ok_or_else(|| refuse("has no address; name a loopback address"))
+}
+
+/// How long the process may take to start, and to end.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// The hidden command of this program that is the server.
+pub(crate) const SERVER_COMMAND: &str = "own-server";
+
+/// Arguments of the server.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct OwnServerArgs {
+    /// Pieces of work that may wait to be computed; the server's own choice without it
+    #[arg(long)]
+    queue: Option<usize>,
+}
+
+/// Runs the server until the standard input ends.
+pub(crate) fn run_own_server(args: &OwnServerArgs) -> Result<(), LoadtestFailure> {
+    let failed = |e: &dyn std::fmt::Display| LoadtestFailure::Server(e.to_string());
+    server::use_one_heap();
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
+    runtime.map_err(|e| failed(&e))?.block_on(async {
+        let listener = TcpListener::bind(("127.0.0.1", 0)).await.map_err(|e| failed(&e))?;
+        let address = listener.local_addr().map_err(|e| failed(&e))?;
+        let defaults = SessionConfig::default();
+        let config = SessionConfig {
+            sessions: 256,
+            compute_queue: args.queue.unwrap_or(defaults.compute_queue),
+            ..defaults
+        };
+        let manager = Manager::new(config).map_err(|e| failed(&e))?;
+        println!("http://{address}");
+        let input_ends = async {
+            let _ = tokio::io::stdin().read(&mut [0]).await;
+        };
+        let served = server::run(listener, manager, ServerConfig::default(), input_ends).await;
+        served.map_err(|e| failed(&e))
+    })
+}
+
+/// What a process uses.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct ProcessUse {
+    /// Resident bytes.
+    pub resident: u64,
+    /// The most that were resident so far.
+    pub peak: u64,
+    /// Open files and connections.
+    pub files: usize,
+    /// Threads.
+    pub threads: u64,
+}
+
+/// A server in a process of its own; it ends with this one.
+pub(crate) struct ServerProcess {
+    child: Child,
+    /// `http://127.0.0.1:PORT`.
+    pub url: String,
+}
+
+impl ServerProcess {
+    /// Starts it; so many pieces of work may wait to be computed.
+    pub async fn start(queue: Option<u32>) -> Result<Self, LoadtestFailure> {
+        let failed = |e: std::io::Error| LoadtestFailure::Server(format!("cannot start a server: {e}"));
+        let program: PathBuf = std::env::current_exe().map_err(failed)?;
+        let mut command = Command::new(program);
+        command
+            .arg(SERVER_COMMAND)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .kill_on_drop(true);
+        if let Some(queue) = queue {
+            command.arg("--queue").arg(queue.to_string());
+        }
+        let mut child = command.spawn().map_err(failed)?;
+        let mut line = String::new();
+        if let Some(stdout) = child.stdout.take() {
+            let read = tokio::time::timeout(PATIENCE, BufReader::new(stdout).read_line(&mut line)).await;
+            read.map_err(|_| LoadtestFailure::Server("the server does not start".into()))?
+                .map_err(failed)?;
+        }
+        let url = line.trim().to_owned();
+        if !url.starts_with("http://127.0.0.1:") {
+            return Err(LoadtestFailure::Server(format!("the server printed {url:?}")));
+        }
+        Ok(Self { child, url })
+    }
+
+    /// A connection.
+    pub async fn open_channel(&self) -> Result<Channel, LoadtestFailure> {
+        let endpoint = Endpoint::from_shared(self.url.clone()).map_err(LoadtestFailure::server)?;
+        let connected = endpoint.connect_timeout(PATIENCE).connect().await;
+        connected.map_err(|e| LoadtestFailure::Server(format!("cannot connect to {}: {e}", self.url)))
+    }
+
+    /// What the process uses now; zeros where the system has no figures.
+    pub fn now_used(&self) -> ProcessUse {
+        let Some(id) = self.child.id() else {
+            return ProcessUse::default();
+        };
+        let status = std::fs::read_to_string(format!("/proc/{id}/status")).unwrap_or_default();
+        let number = |key: &str| {
+            let line = status
+                .lines()
+                .find_map(|line| line.strip_prefix(key)?.strip_prefix(':'));
+            let word = line.and_then(|line| line.split_whitespace().next());
+            word.and_then(|word| word.parse::<u64>().ok()).unwrap_or(0)
+        };
+        ProcessUse {
+            resident: number("VmRSS") << 10,
+            peak: number("VmHWM") << 10,
+            files: std::fs::read_dir(format!("/proc/{id}/fd")).map_or(0, Iterator::count),
+            threads: number("Threads"),
+        }
+    }
+
+    /// Stops it, and waits for its end.
+    pub async fn stop(mut self) -> Result<(), LoadtestFailure> {
+        drop(self.child.stdin.take());
+        match tokio::time::timeout(PATIENCE, self.child.wait()).await {
+            Ok(Ok(status)) if status.success() => Ok(()),
+            Ok(Ok(status)) => Err(LoadtestFailure::Server(format!("the server ended with {status}"))),
+            Ok(Err(e)) => Err(LoadtestFailure::Server(format!("the server: {e}"))),
+            Err(_) => Err(LoadtestFailure::Server("the server does not end".into())),
+        }
+    }
 }
 
 #[cfg(test)]

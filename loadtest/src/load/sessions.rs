@@ -1,11 +1,11 @@
 //! Many sessions at once: a row for each number of them, up to and past what the server can do.
 
-use super::args::StreamArgs;
+use super::StreamArgs;
 use super::client::LoadClient;
 use super::ledger::PoseLedger;
-use super::process::{ProcessUse, ServerProcess};
+use super::server::{ProcessUse, ServerProcess};
 use crate::failure::LoadtestFailure;
-use crate::shared::drag_scene::DragScene;
+use crate::models::DragScene;
 use serde_json::json;
 use tokio::task::JoinSet;
 use tonic::Code;
@@ -30,7 +30,7 @@ pub(crate) async fn load_with_many_sessions(args: &StreamArgs) -> Result<(), Loa
     let scene = DragScene::load(args.model.as_deref())?;
     let mut rows = Vec::new();
     for &sessions in &args.sessions {
-        let server = ServerProcess::start().await?;
+        let server = ServerProcess::start(None).await?;
         let row = load_row(&server, &scene, args, sessions).await?;
         server.stop().await?;
         if !args.json {
@@ -44,10 +44,7 @@ pub(crate) async fn load_with_many_sessions(args: &StreamArgs) -> Result<(), Loa
         print!("{}", text_table(&rows, &scene, args));
     }
     let problems: Vec<String> = rows.iter().flat_map(problems_of).collect();
-    match problems.is_empty() {
-        true => Ok(()),
-        false => Err(LoadtestFailure::Server(problems.join("; "))),
-    }
+    LoadtestFailure::of_problems(&problems)
 }
 
 fn problems_of(row: &LoadRow) -> Vec<String> {
@@ -147,25 +144,16 @@ fn text_table(rows: &[LoadRow], scene: &DragScene, args: &StreamArgs) -> String 
             ledger,
             server,
         } = row;
-        let share = |q: f64| {
-            ledger
-                .latency
-                .share_ms(q)
-                .map_or_else(|| "-".to_owned(), |ms| format!("{ms:.1}"))
-        };
         let seconds = ledger.elapsed.as_secs_f64().max(1e-9);
         text += &format!(
-            "{sessions:8}  {turned_away:11}  {:8.1}  {:6.0}%  {:10}  {:7}  {:6}  {:6.1}  {:>7}  {:>7}  {:>7}  {:>7}  {:8.0}\n",
+            "{sessions:8}  {turned_away:11}  {:8.1}  {:6.0}%  {:10}  {:7}  {:6}  {:6.1}  {}  {:8.0}\n",
             ledger.frames_per_second(),
             100.0 * ledger.frames_per_second() / peak_of(rows).max(1e-9),
             ledger.superseded,
             ledger.refused,
             ledger.failed,
             mebibytes(ledger.bytes) / seconds,
-            share(0.5),
-            share(0.9),
-            share(0.99),
-            share(1.0),
+            ledger.latency.cells(1).map(|cell| format!("{cell:>7}")).join("  "),
             mebibytes(server.peak),
         );
     }
@@ -189,12 +177,7 @@ fn json_table(rows: &[LoadRow], scene: &DragScene, args: &StreamArgs) -> String 
                 "failed": ledger.failed,
                 "bytes": ledger.bytes,
                 "seconds": seconds,
-                "latencyMs": {
-                    "p50": ledger.latency.share_ms(0.5),
-                    "p90": ledger.latency.share_ms(0.9),
-                    "p99": ledger.latency.share_ms(0.99),
-                    "max": ledger.latency.share_ms(1.0),
-                },
+                "latencyMs": ledger.latency.to_json(),
                 "peakResidentBytes": row.server.peak,
                 "problems": problems_of(row),
             })

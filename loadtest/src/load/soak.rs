@@ -2,9 +2,9 @@
 //! at the end.
 
 use super::client::LoadClient;
-use super::process::{ProcessUse, ServerProcess};
-use crate::failure::LoadtestFailure;
-use crate::shared::drag_scene::DragScene;
+use super::server::{ProcessUse, ServerProcess};
+use crate::failure::{LoadtestFailure, block_on};
+use crate::models::DragScene;
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
@@ -43,14 +43,12 @@ const OWN: [&str; 3] = ["pliant_connections", "pliant_requests_in_flight", "plia
 
 /// Runs `loadtest soak`.
 pub(crate) fn run_soak(args: &SoakArgs) -> Result<(), LoadtestFailure> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
-    let runtime = runtime.map_err(|e| LoadtestFailure::Server(format!("cannot start threads: {e}")))?;
-    runtime.block_on(soak(args))
+    block_on(soak(args))
 }
 
 async fn soak(args: &SoakArgs) -> Result<(), LoadtestFailure> {
     let scene = DragScene::small_bar()?;
-    let server = ServerProcess::start().await?;
+    let server = ServerProcess::start(None).await?;
     let channel = server.open_channel().await?;
     let begun = Instant::now();
     let warm_up = (args.rounds / 10).max(1);
@@ -58,12 +56,12 @@ async fn soak(args: &SoakArgs) -> Result<(), LoadtestFailure> {
     let (warm, held_warm) = settled(&server, usize::MAX).await?;
     let mut seen = vec![(warm_up, warm)];
     println!("{:>8}  {:>9}  {:>5}  {:>7}", "rounds", "MiB", "files", "threads");
-    tell(warm_up, warm);
+    print_row(warm_up, warm);
     for k in 1..10 {
         let (from, to) = (args.rounds / 10 * k, args.rounds / 10 * (k + 1));
         run_rounds(&channel, &scene, from.max(warm_up)..to.max(warm_up), args.at_once).await?;
         let (used, _) = settled(&server, warm.files).await?;
-        tell(to, used);
+        print_row(to, used);
         seen.push((to, used));
     }
     let (end, held) = settled(&server, warm.files).await?;
@@ -91,13 +89,10 @@ async fn soak(args: &SoakArgs) -> Result<(), LoadtestFailure> {
             problems.push(format!("{name} is {after}, it was {before}"));
         }
     }
-    match problems.is_empty() {
-        true => Ok(()),
-        false => Err(LoadtestFailure::Server(problems.join("; "))),
-    }
+    LoadtestFailure::of_problems(&problems)
 }
 
-fn tell(rounds: u32, used: ProcessUse) {
+fn print_row(rounds: u32, used: ProcessUse) {
     println!(
         "{rounds:8}  {:9.1}  {:5}  {:7}",
         used.resident as f64 / f64::from(1 << 20),

@@ -1,8 +1,6 @@
 //! A dancing armadillo: volume, flips, stretch, edges, steadiness over time, seams between blocks, and what is made of its frames.
 
-use super::blend_skinning::{bind, skinned};
-use super::figure::MotionFigure;
-use super::stage::{MotionFolders, MotionStage, failed, solve};
+use super::stage::{MotionFigure, MotionFolders, MotionStage, bind, skinned, solve};
 use crate::failure::LoadtestFailure;
 use glam::{DQuat, DVec3};
 use pliant::engine::{AnimationRefinement, BLOCK_FRAMES, FrameTimes, QualityReport};
@@ -36,7 +34,7 @@ pub(super) fn measure_dance(
     let times = stage.times(RATE, most);
     let animation = stage.animation(times, CARRIED, pool)?;
     let step = times.count.div_ceil(DECOMPOSED).max(1);
-    let mut sequence = ShapeSequence::new(stage.deformer.rest()).map_err(failed)?;
+    let mut sequence = ShapeSequence::new(stage.deformer.rest()).map_err(LoadtestFailure::server)?;
     let mut told: Vec<QualityReport> = Vec::new();
     let mut refused = None;
     solve(&animation, 0..times.count, pool, &mut |frame| {
@@ -46,7 +44,7 @@ pub(super) fn measure_dance(
         }
     })?;
     if let Some(e) = refused {
-        return Err(failed(e));
+        return Err(LoadtestFailure::server(e));
     }
     let count = told.len() as f64;
     let mean = |of: &dyn Fn(&QualityReport) -> f64| told.iter().map(of).sum::<f64>() / count;
@@ -56,66 +54,49 @@ pub(super) fn measure_dance(
             .fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a })
     };
     let mut figures = Vec::new();
-    let bounds = |must: f64, aim: f64| [Some(must), Some(aim)];
     if rows.contains(&1) {
         let volume = |q: &QualityReport| 100.0 * q.volume_change;
-        figures.push(MotionFigure::below(
-            1,
-            format!("dance, {} frames: volume, mean", told.len()),
-            (mean(&volume), " %"),
-            bounds(2.5, 1.5),
-        ));
-        figures.push(MotionFigure::below(
-            1,
-            "volume, worst",
-            (worst(&volume), " %"),
-            bounds(5.0, 3.0),
-        ));
+        figures.push(
+            MotionFigure::new(
+                1,
+                format!("dance, {} frames: volume, mean", told.len()),
+                mean(&volume),
+                " %",
+            )
+            .at_most(2.5, 1.5),
+        );
+        figures.push(MotionFigure::new(1, "volume, worst", worst(&volume), " %").at_most(5.0, 3.0));
     }
     if rows.contains(&2) {
         let flips = |q: &QualityReport| f64::from(q.flipped_triangles);
-        figures.push(MotionFigure::below(
-            2,
-            "dance: flipped triangles a frame, mean",
-            (mean(&flips), ""),
-            bounds(5.0, 1.0),
-        ));
-        figures.push(MotionFigure::below(
-            2,
-            "stretch, worst",
-            (worst(&|q| q.max_stretch), ""),
-            bounds(3.5, 2.5),
-        ));
+        figures
+            .push(MotionFigure::new(2, "dance: flipped triangles a frame, mean", mean(&flips), "").at_most(5.0, 1.0));
+        figures.push(MotionFigure::new(2, "stretch, worst", worst(&|q| q.max_stretch), "").at_most(3.5, 2.5));
     }
     if rows.contains(&3) {
-        figures.push(MotionFigure::below(
-            3,
-            "dance: edges, root mean square",
-            (mean(&|q| q.edge_rms), ""),
-            bounds(0.095, 0.085),
-        ));
-        figures.push(MotionFigure::below(
-            3,
-            "second difference over that of blend skinning",
-            (second_difference(&stage, pool)?, ""),
-            bounds(1.05, 1.01),
-        ));
+        figures.push(
+            MotionFigure::new(3, "dance: edges, root mean square", mean(&|q| q.edge_rms), "").at_most(0.095, 0.085),
+        );
+        figures.push(
+            MotionFigure::new(
+                3,
+                "second difference over that of blend skinning",
+                second_difference(&stage, pool)?,
+                "",
+            )
+            .at_most(1.05, 1.01),
+        );
     }
     if rows.contains(&12) {
         let exec = Exec::new(pool, &Silent);
-        let skin = decompose(&sequence, &DecompositionOptions::default(), &exec).map_err(failed)?;
+        let skin = decompose(&sequence, &DecompositionOptions::default(), &exec).map_err(LoadtestFailure::server)?;
         let percent = 100.0 / stage.deformer.diagonal();
         let what = format!(
             "40 bones for {} frames of dance: rms of the diagonal",
             sequence.frames()
         );
-        figures.push(MotionFigure::below(
-            12,
-            what,
-            (percent * skin.rms, " %"),
-            bounds(0.15, 0.10),
-        ));
-        figures.push(MotionFigure::told(12, "worst", (percent * skin.max, " %")));
+        figures.push(MotionFigure::new(12, what, percent * skin.rms, " %").at_most(0.15, 0.10));
+        figures.push(MotionFigure::new(12, "worst", percent * skin.max, " %"));
     }
     Ok(figures)
 }
@@ -211,13 +192,14 @@ pub(super) fn measure_seams(
     let percent = 100.0 / stage.deformer.diagonal();
     let rms = percent * (squares / count.max(1) as f64).sqrt();
     Ok(vec![
-        MotionFigure::below(
+        MotionFigure::new(
             4,
             format!("{} borders of blocks: rms of the diagonal", borders.len()),
-            (rms, " %"),
-            [Some(0.1), Some(0.03)],
-        ),
-        MotionFigure::below(4, "largest", (percent * farthest.sqrt(), " %"), [Some(1.0), Some(0.3)]),
+            rms,
+            " %",
+        )
+        .at_most(0.1, 0.03),
+        MotionFigure::new(4, "largest", percent * farthest.sqrt(), " %").at_most(1.0, 0.3),
     ])
 }
 
@@ -236,18 +218,14 @@ pub(super) fn measure_weights(folders: &MotionFolders<'_>, pool: &Pool) -> Resul
         flips += f64::from(quality.flipped_triangles);
     }
     Ok(vec![
-        MotionFigure::below(
+        MotionFigure::new(
             14,
             "weights, six frames of dance: edges over bone heat's .135",
-            (edges / BONE_HEAT_EDGES, ""),
-            [Some(1.0), Some(0.85)],
-        ),
-        MotionFigure::below(
-            14,
-            "flipped triangles of all six",
-            (flips, ""),
-            [Some(60.0), Some(38.0)],
-        ),
+            edges / BONE_HEAT_EDGES,
+            "",
+        )
+        .at_most(1.0, 0.85),
+        MotionFigure::new(14, "flipped triangles of all six", flips, "").at_most(60.0, 38.0),
     ])
 }
 
@@ -269,12 +247,9 @@ pub(super) fn measure_heading(
     }
     let pairs = shapes[0].iter().zip(&shapes[1]).flat_map(|(a, b)| a.iter().zip(b));
     let off = pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max) / stage.deformer.diagonal();
-    Ok(vec![MotionFigure::below(
-        16,
-        "a clip turned by 180 degrees: off by, of the diagonal",
-        (off, ""),
-        [Some(1e-5), None],
-    )])
+    Ok(vec![
+        MotionFigure::new(16, "a clip turned by 180 degrees: off by, of the diagonal", off, "").at_most(1e-5, None),
+    ])
 }
 
 /// Hangs a clip on a joint that is turned half around the vertical.

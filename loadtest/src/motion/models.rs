@@ -1,25 +1,27 @@
 //! Other models: a skinned one with its own clip, a man of many parts, a horse that boxes, and weights for soups.
 
-use super::figure::MotionFigure;
-use super::stage::{MotionFolders, failed, open, solve};
+use super::ballet::BALLET;
+use super::stage::{MotionFigure, MotionFolders, MotionStage, bind, open, skinned, solve};
 use crate::failure::LoadtestFailure;
-use crate::shared::input_files::read_model_file;
-use crate::shared::timing::time_once;
-use glam::DVec3;
+use crate::measurements::time_once;
+use crate::models::read_model_file;
+use glam::{DQuat, DVec3};
 use pliant::asset::{Limits, Model};
 use pliant::engine::{
     Animation, AnimationLimits, AnimationRefinement, AnimationSettings, ClipRequest, ClipSource, Deformer, FrameChoice,
-    QualityReport, bind_model,
+    FrameTimes, QualityReport, bind_model,
 };
 use pliant::exec::Exec;
 use pliant::motion::bvh::ClipLimits;
-use pliant::motion::rig::{MotionRig, RigidMotion, rig_of_skin};
-use pliant::motion::{MotionClip, NodeOrder, clip_of_scene};
+use pliant::motion::rig::{MotionRig, ReferencePose, RestAttitude, RigidMotion, rig_of_skin};
+use pliant::motion::{
+    Interpolation, JointCurves, JointPose, KeyedCurve, MotionClip, NodeOrder, RecordedFrames, Skeleton, SkeletonJoint,
+    clip_of_scene,
+};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 
 /// Frames a second.
-const RATE: f64 = 30.0;
 /// A joint is followed where its vertices are so near to where blend skinning has them, in shares of the diagonal.
 const FOLLOWED: f64 = 0.02;
 
@@ -56,18 +58,19 @@ pub(super) fn measure_recorded(
         .map(|v| 100.0 * v)
         .fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a });
     let (name, flips, volumes) = match row {
-        10 => ("doorman, a walk", [Some(10.0), None], [Some(4.0), None]),
-        _ => ("horse, boxing", [Some(60.0), Some(10.0)], [Some(6.0), None]),
+        10 => ("doorman, a walk", (10.0, None), (4.0, None)),
+        _ => ("horse, boxing", (60.0, Some(10.0)), (6.0, None)),
     };
     Ok(vec![
-        MotionFigure::below(
+        MotionFigure::new(
             row,
             format!("{name}, {} frames: flipped triangles, mean", told.len()),
-            (mean, ""),
-            flips,
-        ),
-        MotionFigure::told(row, "flipped triangles, worst", (worst, "")),
-        MotionFigure::below(row, "volume, worst", (volume, " %"), volumes),
+            mean,
+            "",
+        )
+        .at_most(flips.0, flips.1),
+        MotionFigure::new(row, "flipped triangles, worst", worst, ""),
+        MotionFigure::new(row, "volume, worst", volume, " %").at_most(volumes.0, volumes.1),
     ])
 }
 
@@ -102,7 +105,7 @@ pub(super) fn measure_own_clip(
         frames: usize::MAX,
         vertices: u64::MAX,
     };
-    let animation = Animation::prepare(&deformer, &request, &limits, &exec).map_err(failed)?;
+    let animation = Animation::prepare(&deformer, &request, &limits, &exec).map_err(LoadtestFailure::server)?;
     let (rig, clip) = (animation.moving_rig(), animation.driver().clip());
     let skin = OwnSkin::of(&deformer, rig, clip)?;
     let (mut volumes, mut blended_volume) = ([0.0f64; 2], 0.0);
@@ -127,30 +130,23 @@ pub(super) fn measure_own_clip(
     })?;
     let followed = off.iter().filter(|off| **off < FOLLOWED).count();
     Ok(vec![
-        MotionFigure::below(
+        MotionFigure::new(
             9,
             format!("CesiumMan's clip, {count} frames: volume, worst"),
-            (volumes[1], " %"),
-            [Some(2.0), None],
-        ),
-        MotionFigure::told(9, "volume, mean", (volumes[0] / count as f64, " %")),
-        MotionFigure::told(9, "blend skinning: volume, mean", (blended_volume / count as f64, " %")),
-        MotionFigure::below(
-            9,
-            "edges over those of blend skinning",
-            (edges / blended_edges, ""),
-            [Some(0.75), None],
-        ),
-        MotionFigure::above(
-            9,
-            format!("joints followed, of {}", off.len()),
-            (followed as f64, ""),
-            [Some(off.len() as f64), None],
-        ),
-        MotionFigure::told(
+            volumes[1],
+            " %",
+        )
+        .at_most(2.0, None),
+        MotionFigure::new(9, "volume, mean", volumes[0] / count as f64, " %"),
+        MotionFigure::new(9, "blend skinning: volume, mean", blended_volume / count as f64, " %"),
+        MotionFigure::new(9, "edges over those of blend skinning", edges / blended_edges, "").at_most(0.75, None),
+        MotionFigure::new(9, format!("joints followed, of {}", off.len()), followed as f64, "")
+            .at_least(off.len() as f64, None),
+        MotionFigure::new(
             9,
             "farthest joint, of the diagonal",
-            (100.0 * off.iter().copied().fold(0.0, f64::max), " %"),
+            100.0 * off.iter().copied().fold(0.0, f64::max),
+            " %",
         ),
     ])
 }
@@ -160,7 +156,11 @@ struct OwnSkin(Vec<Vec<(usize, f64)>>);
 
 impl OwnSkin {
     fn of(deformer: &Deformer, rig: &MotionRig, clip: &MotionClip) -> Result<Self, LoadtestFailure> {
-        let scene = deformer.model().moving_scene().map_err(failed)?.unwrap_or_default();
+        let scene = deformer
+            .model()
+            .moving_scene()
+            .map_err(LoadtestFailure::server)?
+            .unwrap_or_default();
         let order = NodeOrder::of(&scene);
         let bone_of = |node: u32| {
             let name = &clip.skeleton.joints[order.joints[node as usize]].name;
@@ -211,30 +211,151 @@ pub(super) fn measure_soups(folders: &MotionFolders<'_>, pool: &Pool) -> Result<
             eprintln!("row 13: {missing}");
             continue;
         }
-        let model =
-            Model::read(read_model_file(&folders.data.join(name))?, None, &Limits::default()).map_err(failed)?;
+        let model = Model::read(read_model_file(&folders.data.join(name))?, None, &Limits::default())
+            .map_err(LoadtestFailure::server)?;
         let rig = match rig {
             Some(rig) => folders.rig(rig)?,
             None => own_rig(&model)?,
         };
         let exec = Exec::new(pool, &Silent);
         let (bound, seconds) = time_once(|| bind_model(&model, &rig, 4, &exec));
-        let influences = bound.map_err(failed)?.influences;
+        let influences = bound.map_err(LoadtestFailure::server)?.influences;
         let unweighted = influences.iter().filter(|own| own.iter().next().is_none()).count();
-        figures.push(MotionFigure::below(
-            13,
-            format!("{name}: unweighted vertices"),
-            (unweighted as f64, ""),
-            [Some(0.0), None],
-        ));
-        figures.push(MotionFigure::below(13, "seconds", (seconds, " s"), [Some(3.0), None]));
+        figures.push(
+            MotionFigure::new(13, format!("{name}: unweighted vertices"), unweighted as f64, "").at_most(0.0, None),
+        );
+        figures.push(MotionFigure::new(13, "seconds", seconds, " s").at_most(3.0, None));
     }
     Ok(figures)
 }
 
 fn own_rig(model: &Model) -> Result<MotionRig, LoadtestFailure> {
-    let scene = model.moving_scene().map_err(failed)?.unwrap_or_default();
+    let scene = model
+        .moving_scene()
+        .map_err(LoadtestFailure::server)?
+        .unwrap_or_default();
     let order = NodeOrder::of(&scene);
     let skeleton = clip_of_scene(&scene, &order, None);
-    rig_of_skin(&scene, &order, &skeleton, &model.positions).map_err(failed)
+    rig_of_skin(&scene, &order, &skeleton, &model.positions).map_err(LoadtestFailure::server)
+}
+
+/// By how much it is turned, in degrees.
+const TURN: f64 = 150.0;
+/// Frames on the way, one in a 30th of a second.
+const FRAMES: usize = 31;
+const RATE: f64 = 30.0;
+/// The hand, which is turned about the axis of the bone that it hangs on.
+const HAND: &str = "lHand";
+/// How far around the wrist volume counts, in radii of the hand.
+const AROUND: f64 = 1.5;
+
+/// Row 8.
+pub(super) fn measure_wrist(folders: &MotionFolders<'_>, pool: &Pool) -> Result<Vec<MotionFigure>, LoadtestFailure> {
+    let mut stage = folders.stage(BALLET, 0, pool)?;
+    let Some(hand) = stage.rig.bones.iter().position(|bone| bone.id == HAND) else {
+        return Err(LoadtestFailure::Server(format!("the rig has no bone \"{HAND}\"")));
+    };
+    turn_hand(&mut stage, hand);
+    let times = FrameTimes {
+        start: 0.0,
+        rate: RATE,
+        count: FRAMES,
+    };
+    let animation = stage.animation(times, AnimationRefinement::Carried, pool)?;
+    let mut last = Vec::new();
+    solve(&animation, 0..FRAMES, pool, &mut |frame| last = frame.positions)?;
+    let pose = animation.driver().pose_at(times.at(FRAMES - 1));
+    let blended = skinned(stage.deformer.rest(), &bind(&stage, pool)?, &pose.bones);
+    let patch = WristPatch::find(&stage, hand);
+    let rest = patch.volume(stage.deformer.rest());
+    let change = |shape: &[DVec3]| 100.0 * (patch.volume(shape) / rest - 1.0);
+    let flips = |shape: &[DVec3]| f64::from(stage.deformer.quality(shape, pool).flipped_triangles);
+    Ok(vec![
+        MotionFigure::new(8, "wrist by 150 degrees: volume around it", change(&last), " %").at_most(12.0, 5.0),
+        MotionFigure::new(8, "flipped triangles", flips(&last), "").at_most(0.0, None),
+        MotionFigure::new(8, "blend skinning: volume around it", change(&blended), " %"),
+        MotionFigure::new(8, "blend skinning: flipped triangles", flips(&blended), ""),
+    ])
+}
+
+/// Gives a stage a clip of its own rig's joints in which the hand is turned, and nothing else.
+fn turn_hand(stage: &mut MotionStage, hand: usize) {
+    let bones = &mut stage.rig.bones;
+    let starts: Vec<DVec3> = bones.iter().map(|bone| bone.from).collect();
+    let mut clip = MotionClip {
+        curves: vec![JointCurves::default(); bones.len()],
+        duration: (FRAMES - 1) as f64 / RATE,
+        recorded: Some(RecordedFrames {
+            count: FRAMES,
+            interval: 1.0 / RATE,
+        }),
+        ..Default::default()
+    };
+    let mut joints = Vec::with_capacity(bones.len());
+    for bone in bones.iter_mut() {
+        bone.joint.clone_from(&bone.id);
+        bone.aim = None;
+        bone.rest = RestAttitude::Orientation;
+        let above = bone.parent.map_or(DVec3::ZERO, |p| starts[p]);
+        joints.push(SkeletonJoint {
+            name: bone.id.clone(),
+            parent: bone.parent,
+            rest: JointPose::at(bone.from - above),
+        });
+    }
+    let arm = bones[hand]
+        .parent
+        .and_then(|p| bones[p].direction())
+        .unwrap_or(DVec3::X);
+    let times: Vec<f64> = (0..FRAMES).map(|k| k as f64 / RATE).collect();
+    let turn = |k: usize| DQuat::from_axis_angle(arm, (TURN * k as f64 / (FRAMES - 1) as f64).to_radians());
+    let turns: Vec<DQuat> = (0..FRAMES).map(turn).collect();
+    clip.curves[hand].rotation = KeyedCurve::through(times.into(), turns, Interpolation::Linear);
+    clip.skeleton = Skeleton { joints };
+    stage.clip = clip;
+    stage.rig.reference = ReferencePose::Rest;
+    stage.rig.scale = Some(1.0);
+}
+
+/// The surface around a wrist.
+struct WristPatch {
+    wrist: DVec3,
+    triangles: Vec<[usize; 3]>,
+}
+
+impl WristPatch {
+    /// Triangles near the wrist, and nearer to the hand and the forearm than to any other bone.
+    fn find(stage: &MotionStage, hand: usize) -> Self {
+        let bones = &stage.rig.bones;
+        let wrist = bones[hand].from;
+        let reach = AROUND * bones[hand].radius;
+        let rest = stage.deformer.rest();
+        let is_own = |p: DVec3| {
+            let distance = |bone: &pliant::motion::rig::RigBone| {
+                let along = bone.to - bone.from;
+                let share = (p - bone.from).dot(along) / along.length_squared().max(f64::MIN_POSITIVE);
+                p.distance(bone.from + along * share.clamp(0.0, 1.0))
+            };
+            let nearest = (0..bones.len()).min_by(|a, b| distance(&bones[*a]).total_cmp(&distance(&bones[*b])));
+            nearest == Some(hand) || nearest == bones[hand].parent
+        };
+        let is_near = |v: &usize| rest[*v].distance(wrist) < reach && is_own(rest[*v]);
+        let triangles = stage.deformer.geometry().triangles.iter();
+        let triangles = triangles
+            .map(|t| t.map(|v| v as usize))
+            .filter(|t| t.iter().all(is_near));
+        Self {
+            wrist,
+            triangles: triangles.collect(),
+        }
+    }
+
+    /// The volume between the wrist, which stays where it is, and the surface.
+    fn volume(&self, shape: &[DVec3]) -> f64 {
+        let cone = |t: &[usize; 3]| {
+            let [a, b, c] = t.map(|v| shape[v] - self.wrist);
+            a.dot(b.cross(c)) / 6.0
+        };
+        self.triangles.iter().map(cone).sum()
+    }
 }

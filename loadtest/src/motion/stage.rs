@@ -1,20 +1,21 @@
 //! A model with a rig and a clip on it, as the command line would have them.
 
 use crate::failure::LoadtestFailure;
-use crate::shared::input_files::read_model_file;
-use crate::shared::subdivide::{subdivide_model, write_ply};
+use crate::models::{read_model_file, subdivide_model, write_ply};
 use glam::DVec3;
 use pliant::asset::{FileSet, Limits, Model};
 use pliant::engine::{
-    AnimatedFrame, Animation, AnimationRefinement, AnimationSettings, Deformer, DeformerLimits, FrameTimes, OpenOptions,
+    AnimatedFrame, Animation, AnimationRefinement, AnimationSettings, Deformer, DeformerLimits, FrameTimes,
+    OpenOptions, bind_model,
 };
 use pliant::exec::Exec;
-use pliant::motion::MotionClip;
 use pliant::motion::bvh::{ClipLimits, read_bvh};
-use pliant::motion::rig::{DriveOptions, MotionRig, RigDriver};
+use pliant::motion::rig::{DriveOptions, MotionRig, RigDriver, RigidMotion};
+use pliant::motion::{BoneInfluences, MotionClip};
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::wire;
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::Path;
@@ -34,11 +35,6 @@ pub(super) struct MotionStage {
     pub clip: MotionClip,
 }
 
-/// Anything that goes wrong in between.
-pub(super) fn failed(e: impl std::fmt::Display) -> LoadtestFailure {
-    LoadtestFailure::Server(e.to_string())
-}
-
 impl MotionFolders<'_> {
     /// Which of these files are missing, in words; `None` where all are there.
     pub fn missing(&self, data: &[&str], rigs: &[&str]) -> Option<String> {
@@ -55,15 +51,15 @@ impl MotionFolders<'_> {
     /// Reads a clip.
     pub fn clip(&self, name: &str) -> Result<MotionClip, LoadtestFailure> {
         let path = self.data.join("bvh").join(name);
-        let text = std::fs::read(&path).map_err(|e| failed(format!("{}: {e}", path.display())))?;
-        read_bvh(&text, &ClipLimits::default()).map_err(|e| failed(format!("{}: {e}", path.display())))
+        let text = std::fs::read(&path).map_err(|e| LoadtestFailure::server(format!("{}: {e}", path.display())))?;
+        read_bvh(&text, &ClipLimits::default()).map_err(|e| LoadtestFailure::server(format!("{}: {e}", path.display())))
     }
 
     /// Reads a rig.
     pub fn rig(&self, name: &str) -> Result<MotionRig, LoadtestFailure> {
         let path = self.rigs.join(name);
-        let text = std::fs::read(&path).map_err(|e| failed(format!("{}: {e}", path.display())))?;
-        wire::rig_from_json(&text).map_err(|e| failed(format!("{}: {e}", path.display())))
+        let text = std::fs::read(&path).map_err(|e| LoadtestFailure::server(format!("{}: {e}", path.display())))?;
+        wire::rig_from_json(&text).map_err(|e| LoadtestFailure::server(format!("{}: {e}", path.display())))
     }
 
     /// Opens a model of the folder with a rig and a clip, its triangles cut into four so many times.
@@ -84,7 +80,7 @@ impl MotionFolders<'_> {
 /// Opens a model as the command line does.
 pub(super) fn open(files: FileSet, pool: &Pool) -> Result<Deformer, LoadtestFailure> {
     let exec = Exec::new(pool, &Silent);
-    Deformer::open(files, &OpenOptions::default(), &DeformerLimits::default(), &exec).map_err(failed)
+    Deformer::open(files, &OpenOptions::default(), &DeformerLimits::default(), &exec).map_err(LoadtestFailure::server)
 }
 
 /// The scanned horse as its rig was made for it: y up, its head to +z, one unit long, its trunk in the plane x = 0, its outside
@@ -92,7 +88,7 @@ pub(super) fn open(files: FileSet, pool: &Pool) -> Result<Deformer, LoadtestFail
 fn turned_horse(files: FileSet) -> Result<FileSet, LoadtestFailure> {
     const SCALE: f64 = 5.4496;
     const BESIDE: f64 = 0.0147;
-    let model = Model::read(files, None, &Limits::default()).map_err(failed)?;
+    let model = Model::read(files, None, &Limits::default()).map_err(LoadtestFailure::server)?;
     let turned = |p: &DVec3| DVec3::new(BESIDE - p.x, p.z, p.y) * SCALE;
     let positions: Vec<DVec3> = model.positions.iter().map(turned).collect();
     let mut triangles = model.triangles.clone();
@@ -125,7 +121,7 @@ impl MotionStage {
             start: times.start,
             ..Default::default()
         };
-        let driver = RigDriver::new(&self.rig, self.clip.clone(), &options).map_err(failed)?;
+        let driver = RigDriver::new(&self.rig, self.clip.clone(), &options).map_err(LoadtestFailure::server)?;
         let settings = AnimationSettings {
             refinement,
             ..Default::default()
@@ -134,7 +130,7 @@ impl MotionStage {
         let animation = self
             .deformer
             .animation(self.rig.clone(), driver, times, &settings, &exec);
-        animation.map_err(failed)
+        animation.map_err(LoadtestFailure::server)
     }
 }
 
@@ -156,5 +152,133 @@ pub(super) fn solve(
         true
     };
     let solved = animation.solve(&[range], pool.threads(), &|| 0.0, &exec, &mut take_solved);
-    solved.map_err(failed)
+    solved.map_err(LoadtestFailure::server)
+}
+
+/// A measured number.
+#[derive(Debug, Clone)]
+pub(super) struct MotionFigure {
+    row: u8,
+    what: String,
+    value: f64,
+    unit: &'static str,
+    /// Must, and aim.
+    bounds: [Option<f64>; 2],
+    /// Whether more is better.
+    is_floor: bool,
+}
+
+impl MotionFigure {
+    /// A number without bounds, for comparison.
+    pub fn new(row: u8, what: impl Into<String>, value: f64, unit: &'static str) -> Self {
+        Self {
+            row,
+            what: what.into(),
+            value,
+            unit,
+            bounds: [None, None],
+            is_floor: false,
+        }
+    }
+
+    /// The number with upper bounds on its magnitude.
+    pub fn at_most(self, must: f64, aim: impl Into<Option<f64>>) -> Self {
+        let bounds = [Some(must), aim.into()];
+        Self { bounds, ..self }
+    }
+
+    /// The number with lower bounds.
+    pub fn at_least(self, must: f64, aim: impl Into<Option<f64>>) -> Self {
+        let is_floor = true;
+        Self {
+            is_floor,
+            ..self.at_most(must, aim)
+        }
+    }
+
+    fn reaches(&self, bound: Option<f64>) -> Option<bool> {
+        bound.map(|bound| match self.is_floor {
+            true => self.value >= bound,
+            false => self.value.abs() <= bound,
+        })
+    }
+
+    fn verdict(&self) -> &'static str {
+        match self.bounds.map(|bound| self.reaches(bound)) {
+            [_, Some(true)] => "aim",
+            [Some(true), _] => "must",
+            [Some(false), _] => "SHORT",
+            _ => "",
+        }
+    }
+
+    /// Whether it is not what it must be.
+    pub fn is_short(&self) -> bool {
+        self.reaches(self.bounds[0]) == Some(false)
+    }
+
+    /// A line of the table.
+    pub fn line(&self) -> String {
+        let bound = |bound: Option<f64>| bound.map_or_else(|| "-".to_owned(), |bound| number(bound, self.unit));
+        let [must, aim] = self.bounds.map(bound);
+        let value = number(self.value, self.unit);
+        format!(
+            "{:>2}  {:<58} {value:>12} {must:>10} {aim:>10}  {}",
+            self.row,
+            self.what,
+            self.verdict()
+        )
+    }
+
+    /// The same for programs.
+    pub fn json(&self) -> Value {
+        let [must, aim] = self.bounds;
+        json!({"row": self.row, "what": self.what, "value": self.value, "unit": self.unit, "must": must, "aim": aim,
+            "verdict": self.verdict()})
+    }
+}
+
+/// A number with three digits and its unit.
+fn number(value: f64, unit: &str) -> String {
+    let digits = match value.abs() {
+        v if v == 0.0 || v >= 100.0 => 0,
+        v if v >= 10.0 => 1,
+        v if v >= 1.0 => 2,
+        v if v >= 0.01 => 3,
+        _ => return format!("{value:.1e}{unit}"),
+    };
+    format!("{value:.digits$}{unit}")
+}
+
+/// Bones that a vertex follows.
+const INFLUENCES: usize = 4;
+
+/// Weights for a stage's model and rig.
+pub(super) fn bind(stage: &MotionStage, pool: &Pool) -> Result<Vec<BoneInfluences>, LoadtestFailure> {
+    let exec = Exec::new(pool, &Silent);
+    let bound = bind_model(stage.deformer.model(), &stage.rig, INFLUENCES, &exec);
+    Ok(bound.map_err(LoadtestFailure::server)?.influences)
+}
+
+/// Where vertices are when each follows its bones.
+pub(super) fn skinned(rest: &[DVec3], influences: &[BoneInfluences], bones: &[RigidMotion]) -> Vec<DVec3> {
+    let pairs = rest.iter().zip(influences);
+    pairs.map(|(p, own)| own.blend(|bone| bones[bone].place(*p))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_held_against_their_bounds() {
+        let verdict = |value: f64| MotionFigure::new(1, "v", value, " %").at_most(2.5, 1.5).verdict();
+        assert_eq!([verdict(-1.0), verdict(2.0), verdict(-2.6)], ["aim", "must", "SHORT"]);
+        let rate = |value: f64| MotionFigure::new(5, "f", value, "").at_least(8.0, None);
+        assert_eq!([rate(9.0).verdict(), rate(7.0).verdict()], ["must", "SHORT"]);
+        assert!(rate(7.0).is_short() && !MotionFigure::new(3, "t", 9.0, "").is_short());
+        let line = rate(0.0123).line();
+        assert!(line.starts_with(" 5  f ") && line.contains("0.012"), "{line}");
+        assert_eq!(number(-12.34, " %"), "-12.3 %");
+    }
 }

@@ -1,13 +1,10 @@
 //! `loadtest edits`: from an edit of a few hundred vertices to the first frame after it, with graph and hierarchy
 //! repaired, and with both rebuilt.
 
+use super::{MeasuredModel, PassClock, encode_positions};
 use crate::failure::LoadtestFailure;
-use crate::pipeline::pass_clock::PassClock;
-use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
-use crate::shared::input_files::read_model_file;
-use crate::shared::measurements::Measurements;
-use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
-use crate::shared::timing::RunTimes;
+use crate::measurements::{Measurements, RunTimes};
+use crate::models::{DragScene, FARTHEST_POSE};
 use pliant::asset::FileSet;
 use pliant::engine::{
     Deformer, DeformerLimits, EditCommand, HandlePoses, HandleSet, ModelShape, OpenOptions, SolveMode, SolveSettings,
@@ -17,11 +14,9 @@ use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::stage_clock::StageClock;
-use pliant::wire::frames::{Frame, FrameHeader, FrameOutput, encode};
 use pliant::wire::pb::edit_request::{Delete, Operation, Remesh};
 use pliant::wire::{self, Error, pb};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -40,11 +35,8 @@ const STAGES: [(&str, &str); 8] = [
 /// Arguments of `loadtest edits`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct EditsArgs {
-    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
-    model: PathBuf,
-    /// Number of subdivisions of every triangle into four beforehand, not timed
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
-    subdivide: u8,
+    #[command(flatten)]
+    model: MeasuredModel,
     /// Approximate number of vertices of the edited region
     #[arg(long, default_value_t = 500, value_parser = clap::value_parser!(u32).range(10..=1_000_000))]
     region: u32,
@@ -54,9 +46,6 @@ pub(crate) struct EditsArgs {
     /// Edit the rest pose, not a committed pose
     #[arg(long)]
     at_rest: bool,
-    /// Threads; 0 means one per core
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
-    threads: u16,
     /// Maximum runs of each; the report shows the fastest
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
     repeat: u32,
@@ -107,13 +96,10 @@ impl EditRun {
 
 /// Runs the command.
 pub(crate) fn run_edits(args: &EditsArgs) -> Result<(), LoadtestFailure> {
-    let pool = Pool::new(usize::from(args.threads)).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
-    let files = match args.subdivide {
-        0 => read_model_file(&args.model)?,
-        times => subdivide_model(read_model_file(&args.model)?, times)?,
-    };
-    let scene = DragScene::load(Some(&args.model))?;
-    let refuse = |e: Error| LoadtestFailure::Usage(format!("{}: {e}", args.model.display()));
+    let pool = args.model.pool()?;
+    let files = args.model.files()?;
+    let scene = args.model.scene()?;
+    let refuse = |e: Error| args.model.refusal(e);
     let (mut stand, region) = open_edit_bench(args, files, &scene, &pool).map_err(refuse)?;
     let (mut repaired, mut rebuilt): (Option<EditRun>, Option<EditRun>) = (None, None);
     let mut times = RunTimes::from_one(0.0);
@@ -138,9 +124,7 @@ pub(crate) fn run_edits(args: &EditsArgs) -> Result<(), LoadtestFailure> {
     let vertices = stand.shape.len();
     let solver_vertices = stand.bench.facts().solver.solver_vertices;
     if args.json {
-        let mut measurements = Measurements::default();
-        let name = args.model.file_name().unwrap_or_default();
-        measurements.set_value("model", name.to_string_lossy().as_ref());
+        let mut measurements = Measurements::of_model(&args.model.path);
         measurements.set_value("threads", pool.threads());
         measurements.set_value("vertices", vertices);
         measurements.set_value("solver_vertices", solver_vertices);
@@ -161,7 +145,7 @@ pub(crate) fn run_edits(args: &EditsArgs) -> Result<(), LoadtestFailure> {
     }
     println!(
         "{}: {vertices} vertices ({solver_vertices} of the solver), a region of {region}, {} threads",
-        args.model.display(),
+        args.model.path.display(),
         pool.threads()
     );
     println!("{:<10} {:>11} {:>11}", "stage", "repaired", "rebuilt");
@@ -229,15 +213,7 @@ fn open_edit_bench<'a>(
     let mut shape = bench.rest_shape();
     if !args.at_rest {
         poses = wire::change_poses(&bench, &poses, &scene.pose_number(FARTHEST_POSE / 2))?;
-        let settings = SolveSettings::default();
-        let solved = bench.solve(
-            &poses,
-            &settings,
-            SolveMode::Commit,
-            &Exec::new(pool, &Silent),
-            &mut |_| true,
-        )?;
-        shape = solved.shape();
+        shape = solve_commit(&mut bench, &poses, pool)?;
     }
     let (sphere, region) = sphere_around_middle(&shape, args.region as usize);
     let region_of = || {
@@ -273,6 +249,11 @@ fn open_edit_bench<'a>(
     Ok((stand, region))
 }
 
+fn solve_commit(bench: &mut Deformer, poses: &HandlePoses, pool: &Pool) -> Result<ModelShape, Error> {
+    let (settings, exec) = (SolveSettings::default(), Exec::new(pool, &Silent));
+    Ok((bench.solve(poses, &settings, SolveMode::Commit, &exec, &mut |_| true)?).shape())
+}
+
 /// Finds a sphere around the vertex nearest to the middle of the shape, with `count` vertices inside.
 fn sphere_around_middle(shape: &[glam::DVec3], count: usize) -> (pb::region::Sphere, usize) {
     let (low, high) = shape
@@ -301,17 +282,9 @@ impl EditBench<'_> {
         bench.restore_topology(&self.trail, &Exec::new(pool, &Silent))?;
         bench.set_handles(&self.handles, &Exec::new(pool, &Silent))?;
         if self.shape.id != bench.rest_shape().id {
-            let settings = SolveSettings::default();
-            self.shape = (bench.solve(
-                &self.poses,
-                &settings,
-                SolveMode::Commit,
-                &Exec::new(pool, &Silent),
-                &mut |_| true,
-            )?)
-            .shape();
+            self.shape = solve_commit(bench, &self.poses, pool)?;
         }
-        // A shape that the bench knows nothing of but the vertices is built on anew.
+        // A shape that the bench knows nothing of but the vertices is built on from the start.
         let shape = match follow {
             true => self.shape.clone(),
             false => ModelShape::from_positions(Arc::new(self.shape.to_vec())),
@@ -337,15 +310,7 @@ impl EditBench<'_> {
         let solved = bench.solve(&poses, &settings, SolveMode::Drag, &exec, &mut |_| true)?;
         let passes = clock.take();
         stages.begin_stage("encode");
-        let parts = encode(Frame {
-            header: FrameHeader::default(),
-            positions: solved.positions,
-            shading: None,
-            output: FrameOutput::default(),
-            selected: None,
-            part_bytes: 256 << 10,
-        });
-        std::hint::black_box(parts.map(|part| part.data.len()).sum::<usize>());
+        encode_positions(solved.positions);
         Ok(EditRun {
             ms: stages.take_stage_ms(),
             passes,

@@ -1,27 +1,19 @@
 //! `loadtest pipeline`: every stage from a model's file to the first frame's bytes.
 
+use super::{GRAPH_STAGES, GraphStageClock, MeasuredModel, PassClock, encode_positions, open_for_job, set_job_handles};
 use crate::failure::LoadtestFailure;
-use crate::pipeline::graph_stages::{GRAPH_STAGES, GraphStageClock};
-use crate::pipeline::pass_clock::PassClock;
-use crate::shared::drag_scene::{DragScene, FARTHEST_POSE};
-use crate::shared::input_files::{read_job_file, read_model_file};
-use crate::shared::measurements::Measurements;
-use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
-use crate::shared::timing::{RunTimes, time_once};
+use crate::measurements::{Measurements, RunTimes, time_once};
 use pliant::asset::FileSet;
-use pliant::batch::pose_steps;
-use pliant::engine::{Deformer, DeformerLimits, SolveMode};
+use pliant::deform::{Error, FirstPass, FitOrder, PoseRequest, Refinement, SolutionExtent, SolveStart, SolveState};
+use pliant::engine::SolveMode;
 use pliant::exec::Exec;
 use pliant::pool::Pool;
+use pliant::progress::Silent;
 use pliant::stage_clock::StageClock;
-use pliant::wire::frames::{Frame, FrameHeader, FrameOutput, encode};
-use pliant::wire::{self, DeformOptions, pb};
+use pliant::wire::{DeformOptions, pb};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-
-/// Bytes of a frame's part, as servers send them.
-const PART: usize = 256 << 10;
 
 /// The stages in the order in which they run, and what they are.
 const STAGES: [(&str, &str); 9] = [
@@ -39,17 +31,11 @@ const STAGES: [(&str, &str); 9] = [
 /// Arguments of `loadtest pipeline`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct PipelineArgs {
-    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
-    model: PathBuf,
+    #[command(flatten)]
+    model: MeasuredModel,
     /// Job file [default: fix one end of the model's longest side and turn the other]
     #[arg(long, value_name = "FILE")]
     job: Option<PathBuf>,
-    /// Number of subdivisions of every triangle into four beforehand, not timed
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
-    subdivide: u8,
-    /// Threads; 0 means one per core
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
-    threads: u16,
     /// Maximum runs, none begins after 4 s; the report shows the fastest
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     repeat: u32,
@@ -82,17 +68,17 @@ impl FirstFrameRun {
 
 /// Runs the command.
 pub(crate) fn run_pipeline(args: &PipelineArgs) -> Result<(), LoadtestFailure> {
-    let pool = Pool::new(usize::from(args.threads)).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
-    let job = read_or_make_job(args)?;
-    let made = match args.subdivide {
+    let pool = args.model.pool()?;
+    let job = args.model.job(args.job.as_deref())?;
+    let made = match args.model.subdivide {
         0 => None,
-        times => Some(subdivide_model(read_model_file(&args.model)?, times)?),
+        _ => Some(args.model.files()?),
     };
     let source = || -> Result<FileSet, LoadtestFailure> {
         match &made {
             // Already in memory: loading it takes nothing.
             Some(files) => Ok(files.clone()),
-            None => read_model_file(&args.model),
+            None => args.model.files(),
         }
     };
     let mut best: Option<FirstFrameRun> = None;
@@ -102,8 +88,7 @@ pub(crate) fn run_pipeline(args: &PipelineArgs) -> Result<(), LoadtestFailure> {
             break;
         }
         let (files, load) = time_once(source);
-        let mut now = run_once(files?, &job, &pool)
-            .map_err(|e| LoadtestFailure::Usage(format!("{}: {e}", args.model.display())))?;
+        let mut now = run_once(files?, &job, &pool).map_err(|e| args.model.refusal(e))?;
         now.seconds.insert("load".into(), load);
         let total = now.total_seconds();
         match &mut times {
@@ -116,27 +101,11 @@ pub(crate) fn run_pipeline(args: &PipelineArgs) -> Result<(), LoadtestFailure> {
     }
     let best = best.ok_or_else(|| LoadtestFailure::Usage("nothing was run".into()))?;
     if args.json {
-        println!("{}", run_measurements(&best, &args.model, &pool).to_json());
+        println!("{}", run_measurements(&best, &args.model.path, &pool).to_json());
     } else {
-        print!("{}", run_table(&best, &args.model, &pool));
+        print!("{}", run_table(&best, &args.model.path, &pool));
     }
     Ok(())
-}
-
-/// Reads the job given, or makes one for the ends of the model.
-fn read_or_make_job(args: &PipelineArgs) -> Result<pb::Job, LoadtestFailure> {
-    if let Some(path) = &args.job {
-        return read_job_file(path);
-    }
-    let scene = DragScene::load(Some(&args.model))?;
-    let step = pb::Step {
-        step: Some(pb::step::Step::Pose(scene.pose_number(FARTHEST_POSE))),
-    };
-    Ok(pb::Job {
-        handles: scene.handles(),
-        steps: vec![step],
-        ..Default::default()
-    })
 }
 
 /// Runs everything from files to the bytes of the first frame.
@@ -146,26 +115,10 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
     let millis = || start.elapsed().as_secs_f64() * 1e3;
     let graph_stages = GraphStageClock::new(millis);
     let stages = StageClock::new(millis, &graph_stages);
-    let create = job.create.clone().unwrap_or_default();
-    let mut bench = Deformer::open(
-        files,
-        &wire::open_options(&create)?,
-        &DeformerLimits::default(),
-        &Exec::new(pool, &stages),
-    )?;
-    // Regions are resolved before the stage tells that it begins.
+    let mut bench = open_for_job(files, job, &Exec::new(pool, &stages))?;
+    // Regions are resolved before the stage reports that it begins.
     stages.begin_stage("fields");
-    let request = pb::SetHandlesRequest {
-        handles: job.handles.clone(),
-        symmetry_plane: job.symmetry_plane.clone(),
-        region_of_interest: job.region_of_interest.clone(),
-        ..Default::default()
-    };
-    bench.set_handles(wire::handle_set(&request)?, &Exec::new(pool, &stages))?;
-    let mut poses = bench.initial_poses();
-    for pose in pose_steps(job)? {
-        poses = wire::change_poses(&bench, &poses, &pose)?;
-    }
+    let poses = set_job_handles(&mut bench, job, &Exec::new(pool, &stages))?;
     stages.begin_stage("solve");
     let clock = PassClock::new();
     let solved = bench.solve(
@@ -177,15 +130,7 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
     )?;
     let solve_passes = clock.take();
     stages.begin_stage("encode");
-    let parts = encode(Frame {
-        header: FrameHeader::default(),
-        positions: solved.positions,
-        shading: None,
-        output: FrameOutput::default(),
-        selected: None,
-        part_bytes: PART,
-    });
-    let frame_bytes = parts.map(|part| part.data.len()).sum();
+    let frame_bytes = encode_positions(solved.positions);
     let seconds = stages
         .take_stage_ms()
         .into_iter()
@@ -206,11 +151,7 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
 }
 
 fn run_measurements(run: &FirstFrameRun, model: &Path, pool: &Pool) -> Measurements {
-    let mut measurements = Measurements::default();
-    measurements.set_value(
-        "model",
-        model.file_name().unwrap_or_default().to_string_lossy().as_ref(),
-    );
+    let mut measurements = Measurements::of_model(model);
     measurements.set_value("threads", pool.threads());
     measurements.set_value("vertices", run.vertices);
     measurements.set_value("nodes", run.nodes);
@@ -265,23 +206,87 @@ fn run_table(run: &FirstFrameRun, model: &Path, pool: &Pool) -> String {
     )
 }
 
+/// Arguments of `loadtest energy`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct EnergyArgs {
+    #[command(flatten)]
+    model: MeasuredModel,
+    /// Job file [default: fix one end of the model's longest side and turn the other]
+    #[arg(long, value_name = "FILE")]
+    job: Option<PathBuf>,
+    /// Refinements of each row
+    #[arg(long, value_delimiter = ',', default_value = "0,1,2,4,8")]
+    refine: Vec<u32>,
+    /// Refinements of the reference
+    #[arg(long, default_value_t = 300)]
+    least: u32,
+}
+
+/// Runs the command.
+pub(crate) fn run_energy(args: &EnergyArgs) -> Result<(), LoadtestFailure> {
+    let usage = |e: &dyn std::fmt::Display| args.model.refusal(e);
+    let pool = args.model.pool()?;
+    let exec = Exec::new(&pool, &Silent);
+    let job = args.model.job(args.job.as_deref())?;
+    let files = args.model.files()?;
+    let mut bench = open_for_job(files, &job, &exec).map_err(|e| usage(&e))?;
+    let poses = set_job_handles(&mut bench, &job, &exec).map_err(|e| usage(&e))?;
+    let transforms = bench.transforms(&poses).map_err(|e| usage(&e))?;
+    let Some(rig) = bench.rig() else {
+        return Err(usage(&"no handles"));
+    };
+    let body = bench.body();
+    let mut state = SolveState::default();
+    let mut solve = |steps: u32, order: FitOrder| -> Result<(f64, f64, usize), Error> {
+        let request = PoseRequest {
+            transforms: &transforms,
+            tolerance: Some(1e-4),
+            max_error: None,
+            start: SolveStart::Fresh,
+            first_pass: FirstPass::Harmonic,
+            refinement: Refinement {
+                steps,
+                order,
+                ..Refinement::default()
+            },
+            extent: SolutionExtent::Graph,
+        };
+        let start = Instant::now();
+        let solution = rig.solve(body, &request, &mut state, &exec, &mut |_| true)?;
+        let ms = start.elapsed().as_secs_f64() * 1e3;
+        let energy = rig.energy(body, &transforms, &solution.positions, &pool);
+        Ok((energy, ms, solution.iterations))
+    };
+    let (least, ms, cycles) = solve(args.least, FitOrder::GraphAlone).map_err(|e| usage(&e))?;
+    println!(
+        "{} nodes; energy {least:.4e} after {} re-fits on the graph alone, {ms:.0} ms, {cycles} cycles",
+        body.nodes(),
+        args.least
+    );
+    println!(
+        "{:>7}  {:>8} {:>8} {:>6}   {:>8} {:>8} {:>6}",
+        "re-fits", "energy", "ms", "cycles", "alone", "ms", "cycles"
+    );
+    for &steps in &args.refine {
+        let (energy, ms, cycles) = solve(steps, FitOrder::CoarseFirst).map_err(|e| usage(&e))?;
+        let (alone, alone_ms, alone_cycles) = solve(steps, FitOrder::GraphAlone).map_err(|e| usage(&e))?;
+        let (energy, alone) = (energy / least, alone / least);
+        println!("{steps:>7}  {energy:>8.4} {ms:>8.1} {cycles:>6}   {alone:>8.4} {alone_ms:>8.1} {alone_cycles:>6}");
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::models::{DragScene, FARTHEST_POSE};
     use pliant::asset::sample;
 
     #[test]
     fn every_stage_takes_time_and_the_frame_is_whole() {
         let pool = Pool::new(1).unwrap();
         let scene = DragScene::load(None).unwrap();
-        let step = pb::Step {
-            step: Some(pb::step::Step::Pose(scene.pose_number(FARTHEST_POSE))),
-        };
-        let job = pb::Job {
-            handles: scene.handles(),
-            steps: vec![step],
-            ..Default::default()
-        };
+        let job = scene.job(Some(FARTHEST_POSE));
         let files = FileSet::single("creature.glb", sample::creature_glb());
         let run = run_once(files, &job, &pool).unwrap();
         let timed: Vec<&str> = STAGES

@@ -1,22 +1,15 @@
 //! `loadtest frame`: one frame of a drag followed through, pass by pass, beside what the machine could do at best.
 
+use super::{MeasuredModel, PassClock, encode_positions, open_for_job, set_job_handles};
 use crate::failure::LoadtestFailure;
-use crate::pipeline::pass_clock::PassClock;
-use crate::shared::drag_scene::DragScene;
-use crate::shared::input_files::read_model_file;
-use crate::shared::measurements::Measurements;
-use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
-use crate::shared::timing::time_once;
-use pliant::engine::{Deformer, DeformerLimits, SolveMode};
+use crate::measurements::{Measurements, median, time_once};
+use crate::models::DragScene;
+use pliant::engine::{Deformer, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::frames::{Frame, FrameHeader, FrameOutput, encode};
 use pliant::wire::{self, DeformOptions, pb};
-use std::path::{Path, PathBuf};
-
-/// Bytes of a frame's part, as servers send them.
-const PART: usize = 256 << 10;
+use std::path::Path;
 
 /// Frames before those that are counted.
 const WARM_UP: u64 = 8;
@@ -43,14 +36,8 @@ const PASSES: [(&str, &str); 12] = [
 /// Arguments of `loadtest frame`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct FrameArgs {
-    /// Model file: glb or gltf with embedded buffers, obj, ply, off or stl
-    model: PathBuf,
-    /// Number of subdivisions of every triangle into four beforehand
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=i64::from(MOST_SUBDIVISIONS)))]
-    subdivide: u8,
-    /// Threads; 0 means one per core
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(0..=1024))]
-    threads: u16,
+    #[command(flatten)]
+    model: MeasuredModel,
     /// Frames to measure; a swing there and back is 120
     #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     frames: u64,
@@ -87,30 +74,17 @@ struct FrameRun {
 
 /// Runs the command.
 pub(crate) fn run_frame(args: &FrameArgs) -> Result<(), LoadtestFailure> {
-    let pool = Pool::new(usize::from(args.threads)).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
-    let files = match args.subdivide {
-        0 => read_model_file(&args.model)?,
-        times => subdivide_model(read_model_file(&args.model)?, times)?,
-    };
-    let deformer = Deformer::open(
-        files,
-        &wire::open_options(&pb::CreateOptions::default()).map_err(usage)?,
-        &DeformerLimits::default(),
-        &Exec::new(&pool, &Silent),
-    )
-    .map_err(usage)?;
-    let scene = DragScene::load(Some(&args.model))?;
-    let run = drag_frames(deformer, &scene, args, &pool).map_err(usage)?;
+    let pool = args.model.pool()?;
+    let files = args.model.files()?;
+    let scene = args.model.scene()?;
+    let deformer = open_for_job(files, &scene.job(None), &Exec::new(&pool, &Silent)).map_err(LoadtestFailure::usage)?;
+    let run = drag_frames(deformer, &scene, args, &pool).map_err(LoadtestFailure::usage)?;
     if args.json {
-        println!("{}", run.measurements(&args.model, &pool).to_json());
+        println!("{}", run.measurements(&args.model.path, &pool).to_json());
     } else {
-        print!("{}", run.table(&args.model, &pool));
+        print!("{}", run.table(&args.model.path, &pool));
     }
     Ok(())
-}
-
-fn usage(error: impl std::fmt::Display) -> LoadtestFailure {
-    LoadtestFailure::Usage(error.to_string())
 }
 
 /// Swings one end of the model and measures every frame.
@@ -126,13 +100,8 @@ fn drag_frames(
         ..Default::default()
     };
     let settings = DeformOptions::check(&options, "options", u32::MAX)?.solve;
-    let request = pb::SetHandlesRequest {
-        handles: scene.handles(),
-        ..Default::default()
-    };
-    deformer.set_handles(wire::handle_set(&request)?, &Exec::new(pool, &Silent))?;
     let clock = PassClock::new();
-    let mut poses = deformer.initial_poses();
+    let mut poses = set_job_handles(&mut deformer, &scene.job(None), &Exec::new(pool, &Silent))?;
     let mut run = FrameRun {
         vertices: deformer.rest().len(),
         nodes: deformer.body().nodes(),
@@ -152,18 +121,7 @@ fn drag_frames(
         let (solved, solve) = time_once(|| deformer.solve(&poses, &settings, SolveMode::Drag, &exec, &mut |_| true));
         let (solved, passes) = (solved?, clock.take());
         let of_pass = |(name, _): &(&str, &str)| passes.iter().find(|(pass, _)| pass == name).map_or(0.0, |p| p.1);
-        let (parts, encode) = time_once(|| {
-            let parts = encode(Frame {
-                header: FrameHeader::default(),
-                positions: solved.positions,
-                shading: None,
-                output: FrameOutput::default(),
-                selected: None,
-                part_bytes: PART,
-            });
-            parts.map(|part| part.data.len()).sum::<usize>()
-        });
-        debug_assert!(parts > 0);
+        let (_, encode) = time_once(|| encode_positions(solved.positions));
         let is_ahead = deformer.is_worth_settling();
         let (settled, settle) = time_once(|| deformer.settle(&Exec::new(pool, &Silent)));
         settled.map_err(wire::Error::from)?;
@@ -199,10 +157,6 @@ fn measure_bandwidth(pool: &Pool) -> f64 {
         .fold(0.0, f64::max)
 }
 
-fn median(sorted: &[f64]) -> f64 {
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// The 99th percentile.
 fn p99(sorted: &[f64]) -> f64 {
     let last = sorted.len().saturating_sub(1);
@@ -216,11 +170,7 @@ impl FrameRun {
     }
 
     fn measurements(&self, model: &Path, pool: &Pool) -> Measurements {
-        let mut m = Measurements::default();
-        m.set_value(
-            "model",
-            model.file_name().unwrap_or_default().to_string_lossy().as_ref(),
-        );
+        let mut m = Measurements::of_model(model);
         m.set_value("threads", pool.threads());
         m.set_value("vertices", self.vertices);
         m.set_value("nodes", self.nodes);

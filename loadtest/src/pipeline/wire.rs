@@ -1,12 +1,11 @@
 //! `loadtest wire`: what a frame of a drag takes on its way from positions to a socket, encoding by encoding.
 
+use super::{open_for_job, set_job_handles};
 use crate::failure::LoadtestFailure;
-use crate::shared::drag_scene::DragScene;
-use crate::shared::input_files::read_model_file;
-use crate::shared::measurements::Measurements;
-use crate::shared::timing::time_once;
+use crate::measurements::{Measurements, median, time_once};
+use crate::models::{DragScene, read_model_file};
 use glam::DVec3;
-use pliant::engine::{Deformer, DeformerLimits, Shader, Shading, SolveMode};
+use pliant::engine::{Shader, Shading, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
@@ -178,7 +177,7 @@ fn predicted(name: &str, shapes: &[(Arc<Vec<DVec3>>, Arc<Shading>)], prediction:
     let mut earlier = shapes.first().map(|(p, _)| steps(p)).unwrap_or_default();
     let mut last = earlier.clone();
     for (positions, _) in shapes.iter().skip(1) {
-        let (told, seconds) = time_once(|| {
+        let ((now, coded), seconds) = time_once(|| {
             let now = steps(positions);
             let differs = |v: usize| {
                 let of = |k: usize| (now[v][k] - prediction([earlier[v][k], last[v][k]])) as u16;
@@ -188,9 +187,9 @@ fn predicted(name: &str, shapes: &[(Arc<Vec<DVec3>>, Arc<Shading>)], prediction:
             let coded = meshopt::encode_vertex_buffer(&differences).map_or(0, |coded| coded.len());
             (now, coded)
         });
-        row.bytes += told.1;
+        row.bytes += coded;
         row.seconds.push(seconds);
-        earlier = std::mem::replace(&mut last, told.0);
+        earlier = std::mem::replace(&mut last, now);
     }
     row.seconds.sort_by(f64::total_cmp);
     row
@@ -203,32 +202,22 @@ fn moved(positions: &[DVec3], before: &[DVec3], distance: f64) -> Vec<u32> {
     all.filter(|(_, pair)| far(*pair)).map(|(v, _)| v).collect()
 }
 
-fn usage(error: impl std::fmt::Display) -> LoadtestFailure {
-    LoadtestFailure::Usage(error.to_string())
-}
-
 /// Swings one end of the model and keeps every shape.
 fn drag(args: &WireArgs) -> Result<DraggedShapes, LoadtestFailure> {
-    let pool = Pool::new(0).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let pool = Pool::new(0).map_err(LoadtestFailure::server)?;
     let exec = Exec::new(&pool, &Silent);
     let scene = DragScene::load(Some(&args.model))?;
-    let options = wire::open_options(&pb::CreateOptions::default()).map_err(usage)?;
-    let files = read_model_file(&args.model)?;
-    let mut deformer = Deformer::open(files, &options, &DeformerLimits::default(), &exec).map_err(usage)?;
-    let request = pb::SetHandlesRequest {
-        handles: scene.handles(),
-        ..Default::default()
-    };
-    let handles = wire::handle_set(&request).map_err(usage)?;
-    deformer.set_handles(handles, &exec).map_err(usage)?;
-    let settings = DeformOptions::check(&pb::Options::default(), "options", u32::MAX).map_err(usage)?;
+    let (job, files) = (scene.job(None), read_model_file(&args.model)?);
+    let mut deformer = open_for_job(files, &job, &exec).map_err(LoadtestFailure::usage)?;
+    let mut poses = set_job_handles(&mut deformer, &job, &exec).map_err(LoadtestFailure::usage)?;
+    let settings =
+        DeformOptions::check(&pb::Options::default(), "options", u32::MAX).map_err(LoadtestFailure::usage)?;
     let shader = Shader::from_geometry(deformer.geometry(), deformer.rest());
-    let mut poses = deformer.initial_poses();
     let mut shapes = Vec::new();
     for seq in 1..=WARM_UP + args.frames {
-        poses = wire::change_poses(&deformer, &poses, &scene.pose_number(seq)).map_err(usage)?;
+        poses = wire::change_poses(&deformer, &poses, &scene.pose_number(seq)).map_err(LoadtestFailure::usage)?;
         let solved = deformer.solve(&poses, &settings.solve, SolveMode::Drag, &exec, &mut |_| true);
-        let positions = solved.map_err(usage)?.positions;
+        let positions = solved.map_err(LoadtestFailure::usage)?.positions;
         // Each frame goes out beside the one before.
         if seq >= WARM_UP {
             let shading = Arc::new(shader.shade(&positions));
@@ -239,16 +228,8 @@ fn drag(args: &WireArgs) -> Result<DraggedShapes, LoadtestFailure> {
     Ok(DraggedShapes { shapes, diagonal })
 }
 
-fn median(sorted: &[f64]) -> f64 {
-    sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
-}
-
 fn measurements(model: &Path, vertices: usize, rows: &[WireRow]) -> Measurements {
-    let mut m = Measurements::default();
-    m.set_value(
-        "model",
-        model.file_name().unwrap_or_default().to_string_lossy().as_ref(),
-    );
+    let mut m = Measurements::of_model(model);
     m.set_value("vertices", vertices);
     for row in rows {
         let name = row.name.to_lowercase().replace(' ', "_");

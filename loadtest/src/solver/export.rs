@@ -1,19 +1,17 @@
 //! `loadtest export-system`: the second-pass system of a pose as files that any solver can read.
 
 use super::companion::{CompanionFile, PoseSystem};
-use super::matrix::CompressedRows;
-use super::problem::LinearProblem;
+use super::problem::{CompressedRows, LinearProblem};
 use crate::failure::LoadtestFailure;
-use crate::shared::input_files::{read_job_file, read_model_file};
-use crate::shared::subdivide::{MOST_SUBDIVISIONS, subdivide_model};
+use crate::models::{MOST_SUBDIVISIONS, read_job_file, read_model_file, subdivide_model};
+use crate::pipeline::{open_for_job, set_job_handles};
 use glam::DVec3;
-use pliant::batch::pose_steps;
 use pliant::deform::{DeformableBody, HandleSystem, SecondPassEquations, Transform};
-use pliant::engine::{Deformer, DeformerLimits, HandlePoses};
+use pliant::engine::{Deformer, HandlePoses};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::{self, pb};
+use pliant::wire::pb;
 use std::path::PathBuf;
 
 /// Largest displacement of a handle from the first pose to the second, as a fraction of the diagonal.
@@ -41,7 +39,7 @@ pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
         let problem = "ends in aux, which its companion is named with";
         return Err(LoadtestFailure::Usage(format!("{} {problem}", args.output.display())));
     }
-    let pool = Pool::new(0).map_err(|e| LoadtestFailure::Server(e.to_string()))?;
+    let pool = Pool::new(0).map_err(LoadtestFailure::server)?;
     let job = read_job_file(&args.job)?;
     let model = subdivide_model(read_model_file(&args.model)?, args.subdivide)?;
     let refuse = |e: pliant::wire::Error| match e {
@@ -74,24 +72,9 @@ fn open_posed(
     job: &pb::Job,
     pool: &Pool,
 ) -> Result<(Deformer, HandlePoses), pliant::wire::Error> {
-    let create = job.create.clone().unwrap_or_default();
-    let mut bench = Deformer::open(
-        model,
-        &wire::open_options(&create)?,
-        &DeformerLimits::default(),
-        &Exec::new(pool, &Silent),
-    )?;
-    let request = pb::SetHandlesRequest {
-        handles: job.handles.clone(),
-        symmetry_plane: job.symmetry_plane.clone(),
-        region_of_interest: job.region_of_interest.clone(),
-        ..Default::default()
-    };
-    bench.set_handles(wire::handle_set(&request)?, &Exec::new(pool, &Silent))?;
-    let mut poses = bench.initial_poses();
-    for pose in pose_steps(job)? {
-        poses = wire::change_poses(&bench, &poses, &pose)?;
-    }
+    let exec = Exec::new(pool, &Silent);
+    let mut bench = open_for_job(model, job, &exec)?;
+    let poses = set_job_handles(&mut bench, job, &exec)?;
     Ok((bench, poses))
 }
 

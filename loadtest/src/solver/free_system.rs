@@ -1,12 +1,11 @@
 //! The free system alone, as the peers see it: set-up, solves from zero, memory.
 
-use super::matrix::GraphLaplacian;
-use super::memory::peak_bytes;
-use super::problem::LinearProblem;
-use super::ready::{BenchTerms, EXACT_RESIDUAL, ReadySystem, largest_distance, options_to_residual, solver_failure};
+use super::problem::{GraphLaplacian, LinearProblem};
+use super::ready::{
+    BenchTerms, EXACT_RESIDUAL, ReadySystem, largest_distance, options_to_residual, peak_bytes, solver_failure,
+};
 use crate::failure::LoadtestFailure;
-use crate::shared::measurements::Measurements;
-use crate::shared::timing::{RunTimes, time_once};
+use crate::measurements::{Measurements, RunTimes, time_once};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::solver::{

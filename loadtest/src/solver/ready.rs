@@ -1,11 +1,13 @@
 //! A system ready to solve, and the terms under which it is measured.
 
+use super::problem::CompressedRows;
 use crate::failure::LoadtestFailure;
-use crate::shared::timing::{RunTimes, time_best_of};
+use crate::measurements::{RunTimes, time_best_of, time_once};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::solver::{Hierarchy, IterationReport, LinearSystem, SolveControl, SolveOptions, SolveStats, Workspace};
+use std::time::Instant;
 
 /// Most iterations of a solve that must reach the limits of double precision.
 const MOST_ITERATIONS: usize = 1000;
@@ -102,4 +104,64 @@ pub(super) fn options_to_residual(tolerance: f64) -> SolveOptions<'static> {
 pub(super) fn largest_distance(a: &[[f64; 3]], b: &[[f64; 3]]) -> f64 {
     let apart = |(a, b): (&[f64; 3], &[f64; 3])| (0..3).map(|c| (a[c] - b[c]) * (a[c] - b[c])).sum::<f64>();
     a.iter().zip(b).map(apart).fold(0.0, f64::max).sqrt()
+}
+
+/// Bytes of a line of this process's status, 0 where there is none.
+fn process_status(key: &str) -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|l| l.strip_prefix(key));
+    let kilobytes = line.and_then(|l| l.trim().trim_end_matches("kB").trim().parse::<u64>().ok());
+    kilobytes.unwrap_or(0) * 1024
+}
+
+/// Bytes resident now.
+pub(super) fn resident_bytes() -> u64 {
+    process_status("VmRSS:")
+}
+
+/// Most bytes resident since [`reset_peak`], or since the start where that is not possible.
+pub(super) fn peak_bytes() -> u64 {
+    process_status("VmHWM:")
+}
+
+/// Resets the peak; false where the system does not allow it.
+pub(super) fn reset_peak() -> bool {
+    std::fs::write("/proc/self/clear_refs", "5").is_ok()
+}
+
+/// Measures the seconds of one work unit: the matrix times three columns on one thread, the fastest of at least 5 runs and as many as
+/// fit 0.3 s (at most 40), after one that is not counted.
+pub(super) fn measure_work_unit(matrix: &CompressedRows) -> f64 {
+    let x: Vec<[f64; 3]> = (0..matrix.rows())
+        .map(|i| [0, 1, 2].map(|c| 1.0 + ((3 * i + c) % 7) as f64))
+        .collect();
+    let mut y = vec![[0.0; 3]; matrix.rows()];
+    matrix.multiply(&x, &mut y);
+    let (mut best, start) = (f64::INFINITY, Instant::now());
+    for run in 0..40 {
+        if run >= 5 && start.elapsed().as_secs_f64() >= 0.3 {
+            break;
+        }
+        let ((), seconds) = time_once(|| matrix.multiply(&x, &mut y));
+        best = best.min(seconds);
+        // The product must be wanted, or the compiler may leave it out.
+        std::hint::black_box(&mut y);
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_peak_sees_what_is_gone_again() {
+        if !std::path::Path::new("/proc/self/status").exists() || !reset_peak() {
+            println!("skipped: no /proc/self/status, or no way to reset the peak");
+            return;
+        }
+        let before = peak_bytes();
+        drop(std::hint::black_box(vec![1u8; 256 << 20]));
+        assert!(peak_bytes() >= before + (128 << 20), "{before} {}", peak_bytes());
+    }
 }

@@ -5,6 +5,7 @@
 //! take a free port, and `127.0.0.1:7411` is replaced by theirs.
 
 use super::book::{Block, is_like};
+use crate::support::process::root;
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::os::unix::fs::symlink;
@@ -19,10 +20,6 @@ const PROGRAM: [&str; 2] = ["cargo run --release -- ", "target/release/pliant "]
 
 /// Folders whose small files are copied, so that the port in them can be replaced.
 const COPIED: &str = "tests/clients";
-
-pub fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
 
 /// How a block went.
 pub enum Played {

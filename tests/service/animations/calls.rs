@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::process::Command;
 
 /// The report of the program's own command on the same files.
-fn told_by_command(model: &str, clip: &str) -> Value {
+fn reported_by_command(model: &str, clip: &str) -> Value {
     let folder = tempfile::tempdir().expect("a folder");
     for (name, text) in [
         ("bar.obj", model),
@@ -37,26 +37,26 @@ async fn frames_are_those_of_the_command_line() {
     let mut client = server.grpc().await;
     let mut animating = Animating::begin(&mut client, bar_options(&id, &clip)).await;
     let frames = animating.all_frames().await;
-    let report = told_by_command(&model, &clip);
+    let report = reported_by_command(&model, &clip);
     let wanted = report["frames"].as_array().expect("frames");
     assert_eq!((frames.len(), wanted.len()), (70, 70));
     for (k, (seen, wanted)) in frames.iter().zip(wanted).enumerate() {
-        assert_eq!(seen.told.digest, text(&wanted["digest"]), "frame {k}");
+        assert_eq!(seen.reply.digest, text(&wanted["digest"]), "frame {k}");
         assert_eq!(
-            (seen.seq, seen.told.index, seen.told.count),
+            (seen.seq, seen.reply.index, seen.reply.count),
             (k as u64 + 1, k as u32, 70)
         );
-        assert_eq!(seen.told.time, wanted["time"].as_f64().unwrap_or(0.0));
+        assert_eq!(seen.reply.time, wanted["time"].as_f64().unwrap_or(0.0));
         let quality = seen.quality.as_ref().expect("measured");
         assert_eq!(quality.edge_rms, wanted["edgeRms"].as_f64().unwrap_or(0.0));
-        let rotation: Vec<f64> = seen.told.root_rotation.clone();
-        let told: Vec<f64> = wanted["rootRotation"]
+        let rotation: Vec<f64> = seen.reply.root_rotation.clone();
+        let reply: Vec<f64> = wanted["rootRotation"]
             .as_array()
             .expect("four")
             .iter()
             .filter_map(Value::as_f64)
             .collect();
-        assert_eq!(rotation, told);
+        assert_eq!(rotation, reply);
     }
     assert!(
         !animating.stages.is_empty(),
@@ -89,10 +89,9 @@ async fn a_recording_without_a_rig_drives_the_one_that_pliant_rig_makes() {
     pliant(&words("rig figure.glb --bvh wave.bvh -o rig.json --no-picture"));
     let rig: Value =
         serde_json::from_slice(&std::fs::read(folder.path().join("rig.json")).expect("a rig")).expect("JSON");
-    let opened = server.post("/v1/sessions?sample=figure").send();
-    let opened: Value = (within("a session", opened).await.expect("an answer").json().await).expect("JSON");
+    let opened = server.post("/v1/sessions?sample=figure").document().await;
     let id = text(&opened["id"]);
-    let mut told = Vec::new();
+    let mut reply = Vec::new();
     for options in [json!({"rig": rig}), json!({})] {
         let form = animation_form(&options, Some(waving_clip()));
         let answer = post_animation(&server, &id, "application/x-ndjson", form).await;
@@ -103,15 +102,14 @@ async fn a_recording_without_a_rig_drives_the_one_that_pliant_rig_makes() {
             .map(|f| text(&f["animated"]["digest"]))
             .collect();
         assert_eq!(digests.len(), 3, "{}", lines.chars().take(300).collect::<String>());
-        told.push(digests);
+        reply.push(digests);
     }
-    assert_eq!(told[0], told[1], "bit for bit");
+    assert_eq!(reply[0], reply[1], "bit for bit");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_part_of_it_has_the_same_bits() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (server, id) = opened_bar().await;
     let options = bar_options(&id, &bending_clip(90));
     let all = animated(&server, options.clone()).await;
     for (first, count) in [(0, 5), (63, 3), (70, 4), (80, 0)] {
@@ -127,9 +125,8 @@ async fn a_part_of_it_has_the_same_bits() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_motion_of_the_root_goes_where_it_is_told_to() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+async fn the_motion_of_the_root_goes_where_it_is_asked_to() {
+    let (server, id) = opened_bar().await;
     let options = pb::AnimateOptions {
         first: 8,
         count: 1,
@@ -146,17 +143,17 @@ async fn the_motion_of_the_root_goes_where_it_is_told_to() {
     let still = (vec![0.0; 3], vec![0.0, 0.0, 0.0, 1.0]);
     for frame in [&baked, &dropped] {
         assert_eq!(
-            (frame.told.root_translation.clone(), frame.told.root_rotation.clone()),
+            (frame.reply.root_translation.clone(), frame.reply.root_rotation.clone()),
             still
         );
         assert_eq!(
-            frame.told.digest, apart.told.digest,
+            frame.reply.digest, apart.reply.digest,
             "digests are of what the root bone sees"
         );
     }
     assert_eq!(dropped.data, apart.data);
-    let rotation = glam::DQuat::from_slice(&apart.told.root_rotation);
-    let translation = glam::DVec3::from_slice(&apart.told.root_translation);
+    let rotation = glam::DQuat::from_slice(&apart.reply.root_rotation);
+    let translation = glam::DVec3::from_slice(&apart.reply.root_translation);
     assert!(rotation.to_axis_angle().1 > 0.05 && translation.length() > 0.05);
     for (p, q) in floats(&apart.data)
         .chunks_exact(3)
@@ -169,8 +166,7 @@ async fn the_motion_of_the_root_goes_where_it_is_told_to() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_clip_comes_whole_or_in_chunks() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (server, id) = opened_bar().await;
     let clip = bending_clip(6);
     let options = bar_options(&id, &clip);
     let whole = animated(&server, options.clone()).await;
@@ -191,14 +187,13 @@ async fn a_clip_comes_whole_or_in_chunks() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn http_answers_frames_in_a_row() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (server, id) = opened_bar().await;
     let clip = bending_clip(7);
     let wanted = animated(&server, bar_options(&id, &clip)).await;
     let form = || animation_form(&json!({"rig": bar_rig(), "skipFirst": "NO"}), Some(clip.clone()));
     let answer = post_animation(&server, &id, "application/vnd.google.protobuf", form()).await;
     assert_eq!(answer.status(), 200);
-    let kind = answer.headers()["content-type"].to_str().expect("text").to_owned();
+    let kind = header(&answer, "content-type").to_owned();
     assert_eq!(
         kind,
         "application/vnd.google.protobuf; proto=pliant.v1.Frame; encoding=delimited"

@@ -23,8 +23,7 @@ async fn all_ended(server: &Server) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn frames_that_are_not_acknowledged_hold_it_up_and_none_is_left_out() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (server, id) = opened_bar().await;
     let mut client = server.grpc().await;
     let options = pb::AnimateOptions {
         window: 3,
@@ -33,7 +32,7 @@ async fn frames_that_are_not_acknowledged_hold_it_up_and_none_is_left_out() {
     let mut animating = Animating::begin(&mut client, options).await;
     let mut seqs = Vec::new();
     for _ in 0..3 {
-        seqs.push(animating.next_frame().await.expect("no failure").expect("a frame").seq);
+        seqs.push(animating.frame().await.seq);
     }
     {
         let next = animating.next_frame();
@@ -48,7 +47,7 @@ async fn frames_that_are_not_acknowledged_hold_it_up_and_none_is_left_out() {
     }
     animating.acknowledge(2);
     for _ in 0..2 {
-        seqs.push(animating.next_frame().await.expect("no failure").expect("a frame").seq);
+        seqs.push(animating.frame().await.seq);
     }
     animating.half_close();
     while let Some(frame) = animating.next_frame().await.expect("no failure") {
@@ -66,33 +65,23 @@ async fn others_have_their_turn_between_frames_and_the_session_stays_as_it_is() 
     .await;
     let (mine, other) = (server.bar_session().await, server.bar_session().await);
     let mut client = server.grpc().await;
-    let solve = |id: &str| pb::SolveRequest {
-        session_id: id.into(),
-        pose: Some(turned(1, 0.4, true)),
-        options: None,
-    };
+    let solve = |id: &str| turn_request(&id, 1, 0.4);
     client.solve(solve(&mine)).await.expect("solved");
     let named = || pb::SessionRequest {
         session_id: mine.clone(),
     };
     let positions = async || {
-        let url = server.url(&format!("/v1/sessions/{mine}/positions"));
+        let url = server.url(&path(&mine, "/positions"));
         http().get(url).answer().await.bytes().await.expect("a body")
     };
-    let told = |session: pb::Session| (session.revision, session.handles);
-    let before = told(client.get_session(named()).await.expect("there").into_inner());
+    let reply = |session: pb::Session| (session.revision, session.handles);
+    let before = reply(client.get_session(named()).await.expect("there").into_inner());
     let history = client.history(named()).await.expect("there").into_inner();
     let shape = positions().await;
 
     let mut animating = Animating::begin(&mut client, endless(bar_options(&mine, &bending_clip(200)))).await;
     animating.half_close();
-    let count = animating
-        .next_frame()
-        .await
-        .expect("no failure")
-        .expect("a frame")
-        .told
-        .count as usize;
+    let count = animating.frame().await.reply.count as usize;
     let seen = Arc::new(AtomicUsize::new(1));
     let counted = Arc::clone(&seen);
     let reading = tokio::spawn(async move {
@@ -107,7 +96,7 @@ async fn others_have_their_turn_between_frames_and_the_session_stays_as_it_is() 
     }
     assert!(seen.load(SeqCst) < count, "the animation was still under way");
     assert_eq!(
-        told(client.get_session(named()).await.expect("there").into_inner()),
+        reply(client.get_session(named()).await.expect("there").into_inner()),
         before
     );
     assert_eq!(client.history(named()).await.expect("there").into_inner(), history);
@@ -126,7 +115,7 @@ async fn cancelling_and_leaving_give_its_place_back() {
     let options = endless(bar_options(&id, &bending_clip(200)));
 
     let mut animating = Animating::begin(&mut client, options.clone()).await;
-    let first = animating.next_frame().await.expect("no failure").expect("a frame");
+    let first = animating.frame().await;
     let mut second = Animating::begin(&mut client, options.clone()).await;
     let refused = second.next_frame().await.expect_err("one is under way");
     assert_eq!(refused.code(), Code::ResourceExhausted);
@@ -144,7 +133,7 @@ async fn cancelling_and_leaving_give_its_place_back() {
     all_ended(&server).await;
 
     let mut animating = Animating::begin(&mut client, options.clone()).await;
-    animating.next_frame().await.expect("no failure").expect("a frame");
+    animating.frame().await;
     drop(animating);
     all_ended(&server).await;
     let options = pb::AnimateOptions { count: 2, ..options };
@@ -153,12 +142,11 @@ async fn cancelling_and_leaving_give_its_place_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn deleting_the_session_ends_it_and_says_why() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (server, id) = opened_bar().await;
     let mut client = server.grpc().await;
     let mut animating = Animating::begin(&mut client, endless(bar_options(&id, &bending_clip(200)))).await;
     animating.half_close();
-    animating.next_frame().await.expect("no failure").expect("a frame");
+    animating.frame().await;
     let named = pb::SessionRequest { session_id: id };
     client.delete_session(named).await.expect("deleted");
     let ended = loop {
@@ -175,13 +163,12 @@ async fn deleting_the_session_ends_it_and_says_why() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_edit_meanwhile_changes_the_next_animation_only() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let mut client = server.grpc().await;
     let options = bar_options(&id, &bending_clip(12));
     let wanted = animated(&server, options.clone()).await;
     let mut animating = Animating::begin(&mut client, options.clone()).await;
-    let first = animating.next_frame().await.expect("no failure").expect("a frame");
+    let first = animating.frame().await;
     let edit = json!({"sessionId": id, "subdivide": {"region": {"halfSpace": {"normal": [0, 0, 1], "offset": 2}}}});
     let edit: pb::EditRequest = pliant::wire::json::from_json(edit.to_string().as_bytes()).expect("an edit");
     client.edit(edit).await.expect("edited");

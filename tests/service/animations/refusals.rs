@@ -13,15 +13,39 @@ async fn refused(server: &Server, id: &str, options: &Value, clip: Option<String
     (status, text(&problem["detail"]), field.to_owned())
 }
 
+/// What is damaged | a text of the clip | what comes in its place | words of the refusal. ROW is the first row, REST the row without
+/// its first digit, SHORT the row without its last number, LINE the row's place, HERE a place, and `\n` the end of a line.
+const DAMAGED_CLIPS: &str = r#"
+an open brace      | }\n}\n}\nMOTION | }\n}\nMOTION | HERE
+a short row        | ROW              | SHORT         | LINE
+a long row         | ROW              | ROW 5         | LINE
+NaN                | ROW              | NaNREST       | LINE
+a decimal comma    | ROW              | 0,5REST       | LINE
+no frames          | Frames: 3        | Frames: 0     | HERE
+too few rows       | Frames: 3        | Frames: 9     | 9
+countless frames   | Frames: 3        | Frames: 1000000000000 | 1000000
+no time            | Frame Time: 0.05 | Frame Time: 0 | HERE
+an unknown channel | Xposition        | Wposition     | Wposition
+"#;
+
 #[tokio::test(flavor = "multi_thread")]
 async fn damaged_clips_are_refused_with_the_line() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (server, id) = opened_bar().await;
     let good = bending_clip(3);
-    let rows = |text: &str| good.replace("Frames: 3\nFrame Time: 0.05\n", text);
     let first_row = good.lines().position(|l| l.starts_with("Frame Time")).expect("a line") + 2;
     let row = good.lines().nth(first_row - 1).expect("a row");
     let short = row.rsplit_once(' ').expect("numbers").0;
+    let fill = |cell: &str| {
+        let cell = cell.replace(r"\n", "\n").replace("ROW", row).replace("REST", &row[1..]);
+        cell.replace("SHORT", short)
+            .replace("LINE", &format!("line {first_row}: "))
+            .replace("HERE", "line ")
+    };
+    let damaged = rows(DAMAGED_CLIPS).map(|[what, place, by, reply]| {
+        let clip = good.replacen(&fill(place), &fill(by), 1);
+        assert_ne!(clip, good, "{what}");
+        (what, clip, fill(reply))
+    });
     let cases = [
         ("nothing", String::new(), "empty".to_owned()),
         ("no clip", "hello\n".into(), "line 1: ".into()),
@@ -30,50 +54,12 @@ async fn damaged_clips_are_refused_with_the_line() {
             good[..good.find("MOTION").expect("there")].into(),
             "MOTION".into(),
         ),
-        (
-            "an open brace",
-            good.replacen("}\n}\n}\nMOTION", "}\n}\nMOTION", 1),
-            "line ".into(),
-        ),
-        (
-            "a short row",
-            good.replacen(row, short, 1),
-            format!("line {first_row}: "),
-        ),
-        (
-            "a long row",
-            good.replacen(row, &format!("{row} 5"), 1),
-            format!("line {first_row}: "),
-        ),
-        (
-            "NaN",
-            good.replacen(row, &row.replacen("0 0", "NaN 0", 1), 1),
-            format!("line {first_row}: "),
-        ),
-        (
-            "a decimal comma",
-            good.replacen(row, &row.replacen("0 0", "0,5 0", 1), 1),
-            format!("line {first_row}: "),
-        ),
-        ("no frames", rows("Frames: 0\nFrame Time: 0.05\n"), "line ".into()),
-        ("too few rows", rows("Frames: 9\nFrame Time: 0.05\n"), "9".into()),
-        (
-            "countless frames",
-            rows("Frames: 1000000000000\nFrame Time: 0.05\n"),
-            "1000000".into(),
-        ),
-        ("no time", rows("Frames: 3\nFrame Time: 0\n"), "line ".into()),
-        (
-            "an unknown channel",
-            good.replacen("Xposition", "Wposition", 1),
-            "Wposition".into(),
-        ),
     ];
-    for (what, clip, told) in cases {
+    for (what, clip, reply) in cases.into_iter().chain(damaged) {
         let (status, detail, field) = refused(&server, &id, &json!({"rig": bar_rig()}), Some(clip)).await;
         assert!(
-            detail.starts_with("clip: ") && detail.contains(&told),
-            "{what}: {detail:?} lacks {told:?}"
+            detail.starts_with("clip: ") && detail.contains(&reply),
+            "{what}: {detail:?} lacks {reply:?}"
         );
         let expected = if status == 413 { (413, "") } else { (400, "clip") };
         assert_eq!((status, field.as_str()), expected, "{what}: {detail}");
@@ -83,58 +69,47 @@ async fn damaged_clips_are_refused_with_the_line() {
     assert_eq!(answer.status(), 200, "the session is as good as before");
 }
 
+/// Where the options are changed | to what | the field of the refusal | words of its detail.
+const WRONG_RIGS: &str = r#"
+/rig/bones/1/joint  | "tail"    | rig.joint           | not a joint of the clip
+/rig/bones/1/parent | "high"    | rig.bones           | form a cycle
+/rig/bones/1/to     | "nowhere" | rig.bones[1].to     | nowhere
+/rig/bones/0/radius | 0         | rig.bones[0].radius | is 0
+/rig/version        | 9         | rig.version         | is 9
+/rig/joints         | {"bottom": [900, 0, 0], "middle": [900, 0, 2], "top": [900, 0, 4]} | rig | holds nothing
+"#;
+
+/// Options, in which RIG stands for the rig of the bar | the field of the refusal | words of its detail.
+const WRONG_VALUES: &str = r#"
+{}                                   | rig    | is missing
+{"rig": RIG, "first": 3}             | first  | is 3, the animation has 3 frames
+{"rig": RIG, "refine": 40}           | refine | 0 to 32
+{"rig": RIG, "clip": "walk"}         | clip   | is given twice
+{"rig": RIG, "bvhSize": 5, "fps": 1} | clip   | is given twice
+{"rig": RIG, "output": {"encoding": "DELTA", "changedOnly": 0}} | output.changedOnly | next to nothing
+"#;
+
 #[tokio::test(flavor = "multi_thread")]
 async fn wrong_rigs_and_values_are_refused_with_their_field() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (server, id) = opened_bar().await;
     let changed = |pointer: &str, value: Value| {
         let mut options = json!({"rig": bar_rig()});
         *options.pointer_mut(pointer).expect("there") = value;
         options
     };
-    let far = json!({"bottom": [900, 0, 0], "middle": [900, 0, 2], "top": [900, 0, 4]});
-    let cases = [
-        (
-            changed("/rig/bones/1/joint", json!("tail")),
-            "rig.joint",
-            "not a joint of the clip",
-        ),
-        (
-            changed("/rig/bones/1/parent", json!("high")),
-            "rig.bones",
-            "form a cycle",
-        ),
-        (
-            changed("/rig/bones/1/to", json!("nowhere")),
-            "rig.bones[1].to",
-            "nowhere",
-        ),
-        (changed("/rig/bones/0/radius", json!(0)), "rig.bones[0].radius", "is 0"),
-        (changed("/rig/version", json!(9)), "rig.version", "is 9"),
-        (changed("/rig/joints", far), "rig", "holds nothing"),
-        (json!({}), "rig", "is missing"),
-        (
-            json!({"rig": bar_rig(), "first": 3}),
-            "first",
-            "is 3, the animation has 3 frames",
-        ),
-        (json!({"rig": bar_rig(), "refine": 40}), "refine", "0 to 32"),
-        (json!({"rig": bar_rig(), "clip": "walk"}), "clip", "is given twice"),
-        (
-            json!({"rig": bar_rig(), "output": {"encoding": "DELTA", "changedOnly": 0}}),
-            "output.changedOnly",
-            "next to nothing",
-        ),
-        (
-            json!({"rig": bar_rig(), "bvhSize": 5, "fps": 1}),
-            "clip",
-            "is given twice",
-        ),
-    ];
-    for (options, wanted, told) in cases {
+    let rig = bar_rig().to_string();
+    let changed = rows(WRONG_RIGS).map(|[pointer, value, field, reply]| {
+        let value = serde_json::from_str(value).expect("JSON");
+        (changed(pointer, value), field, reply)
+    });
+    let values = rows(WRONG_VALUES).map(|[options, field, reply]| {
+        let options = serde_json::from_str(&options.replace("RIG", &rig)).expect("JSON");
+        (options, field, reply)
+    });
+    for (options, wanted, reply) in changed.chain(values) {
         let (status, detail, field) = refused(&server, &id, &options, Some(bending_clip(3))).await;
         assert_eq!((status, field.as_str()), (422, wanted), "{detail}");
-        assert!(detail.contains(told), "{detail:?} lacks {told:?}");
+        assert!(detail.contains(reply), "{detail:?} lacks {reply:?}");
     }
     let (status, detail, field) = refused(&server, &id, &json!({"speed": 2}), None).await;
     assert_eq!((status, field.as_str()), (400, "speed"), "{detail}");
@@ -150,7 +125,7 @@ async fn wrong_rigs_and_values_are_refused_with_their_field() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_over_a_limit_is_told_with_it() {
+async fn what_is_over_a_limit_is_reported_with_it() {
     let server = Server::with(|sessions, _| {
         sessions.clip_bytes = 4096;
         sessions.clip_joints = 4;
@@ -164,7 +139,7 @@ async fn what_is_over_a_limit_is_told_with_it() {
     let deep = clip.replacen("End Site\n{\nOFFSET 0 0 2\n}", "JOINT a\n{\nOFFSET 0 0 1\nCHANNELS 0\nJOINT b\n{\nOFFSET 0 0 1\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 0 1\n}\n}\n}", 1);
     let long = format!("{clip}{}", " ".repeat(4096));
     let dense = json!({"rig": bar_rig(), "skipFirst": "NO", "fps": 1000});
-    for (what, options, clip, told) in [
+    for (what, options, clip, reply) in [
         ("bytes", &options, long, "more than the 4096 bytes"),
         ("joints", &options, deep, "at most 4"),
         (
@@ -182,7 +157,7 @@ async fn what_is_over_a_limit_is_told_with_it() {
     ] {
         let (status, detail, _) = refused(&server, &id, options, Some(clip)).await;
         assert_eq!(status, 413, "{what}: {detail}");
-        assert!(detail.contains(told), "{what}: {detail:?} lacks {told:?}");
+        assert!(detail.contains(reply), "{what}: {detail:?} lacks {reply:?}");
     }
     let part = json!({"rig": bar_rig(), "skipFirst": "NO", "first": 9, "count": 3});
     let answer = post_animation(&server, &id, "*/*", animation_form(&part, Some(clip))).await;
@@ -191,8 +166,7 @@ async fn what_is_over_a_limit_is_told_with_it() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stream_begins_with_options_and_brings_what_they_announce() {
-    let server = Server::start().await;
-    let id = text(&server.open(bar_obj(16)).await["id"]);
+    let (server, id) = opened_bar().await;
     let mut client = server.grpc().await;
     let announced = |size: u64| {
         Message::Options(pb::AnimateOptions {
@@ -203,7 +177,7 @@ async fn a_stream_begins_with_options_and_brings_what_they_announce() {
     let chunk = |text: &'static str| Message::Chunk(Bytes::from_static(text.as_bytes()));
     let options = Message::Options(bar_options(&id, &bending_clip(9)));
     let unknown = Message::Options(bar_options("nobody", ""));
-    for (messages, code, field, told) in [
+    for (messages, code, field, reply) in [
         (vec![], Code::InvalidArgument, "options", "the first message"),
         (vec![chunk("x")], Code::InvalidArgument, "options", "the first message"),
         (vec![unknown], Code::NotFound, "", "nobody"),
@@ -242,12 +216,12 @@ async fn a_stream_begins_with_options_and_brings_what_they_announce() {
         animating.half_close();
         let status = loop {
             match animating.next_frame().await {
-                Ok(frame) => assert!(frame.is_some(), "{told}: it came to its end"),
+                Ok(frame) => assert!(frame.is_some(), "{reply}: it came to its end"),
                 Err(status) => break status,
             }
         };
-        assert_eq!(status.code(), code, "{told}: {status}");
-        assert!(status.message().contains(told), "{status} lacks {told:?}");
+        assert_eq!(status.code(), code, "{reply}: {status}");
+        assert!(status.message().contains(reply), "{status} lacks {reply:?}");
         let named = status
             .get_details_bad_request()
             .map(|d| d.field_violations[0].field.clone());

@@ -1,4 +1,4 @@
-//! SIGTERM in the middle of work: streams are told, commits are stored, the program ends whatever its clients do, and a client that
+//! SIGTERM in the middle of work: streams are notified, commits are stored, the program ends whatever its clients do, and a client that
 //! comes back with its token goes on where it was.
 
 use super::{bar_session, path, turn};
@@ -53,7 +53,7 @@ async fn pose_commits(server: &ServedProgram, id: &str) -> Vec<Value> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn commits_are_stored_before_the_end_also_those_whose_frames_nobody_takes() {
+async fn commits_are_stored_before_the_end_also_those_whose_frames_no_one_takes() {
     let (_kept, folder) = folder();
     let server = ServedProgram::start(&folder, &["--drain-deadline", "3s"]);
     let id = bar_session(&server).await;
@@ -169,7 +169,7 @@ async fn the_program_ends_whatever_its_clients_do() {
         deaf.send(Message::Pose(turned(seq, 0.01 * seq as f64, false))).await;
         deaf.send(Message::Ack(pb::Ack { seq })).await;
     }
-    // One goes on dragging after it was told, for as long as it is let.
+    // One goes on dragging after the notice, for as long as it is let.
     let mut stubborn = stream(&server, &id).await;
     // One has work of its own under way.
     let url = format!("{}/v1/sessions", server.url);

@@ -51,7 +51,7 @@ async fn a_deadline_ends_a_call_before_and_during_its_answer() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn health_is_told_and_watched() {
+async fn health_is_reported_and_watched() {
     use tonic_health::pb::{HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient};
     let server = Server::start().await;
     let mut client = HealthClient::new(server.channel().await);
@@ -75,7 +75,7 @@ async fn health_is_told_and_watched() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn reflection_tells_the_schema_with_its_imports() {
+async fn reflection_reports_the_schema_with_its_imports() {
     use tonic_reflection::pb::v1::{
         ServerReflectionRequest, server_reflection_client::ServerReflectionClient,
         server_reflection_request::MessageRequest, server_reflection_response::MessageResponse,
@@ -163,18 +163,13 @@ async fn web_bytes(server: &Server, rpc: &str, message: &[u8]) -> (reqwest::Stat
 
 #[tokio::test(flavor = "multi_thread")]
 async fn browsers_call_over_grpc_web() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let (status, messages, code) = web(&server, "GetSession", &named(&id)).await;
     assert_eq!((status.as_u16(), messages.len()), (200, 1));
     assert!(code.contains("grpc-status:0"), "{code}");
     assert_eq!(pb::Session::decode(messages[0].clone()).unwrap().id, id);
 
-    let solve = pb::SolveRequest {
-        session_id: id,
-        pose: Some(turned(3, 0.2, true)),
-        options: None,
-    };
+    let solve = turn_request(&id, 3, 0.2);
     let (_, messages, code) = web(&server, "Solve", &solve).await;
     assert!(code.contains("grpc-status:0"), "{code}");
     assert_eq!(pb::Frame::decode(messages[0].clone()).unwrap().seq, 3);

@@ -1,6 +1,6 @@
 //! Points and models carried along with a session's shape.
 
-use super::{get, post};
+use super::post;
 use crate::support::gltf_parsed::parse;
 use crate::support::server::*;
 use crate::support::skinning::world_transforms;
@@ -22,8 +22,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn points_and_a_model_ride_along_through_poses_undo_and_edits() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     // Above the top of the bar, beside it, and inside its held base.
     let points = json!([0.25, 0.25, 4.3, 0.65, 0.25, 3.95, 0.25, 0.25, 0.125]);
     let rest = carry(&server, &id, json!({"points": points})).await;
@@ -91,8 +90,8 @@ async fn points_and_a_model_ride_along_through_poses_undo_and_edits() {
         session_id: id.clone(),
         ..request
     };
-    let told = client.carry(request).await.expect("an answer").into_inner();
-    assert_eq!(told.points, now);
+    let reply = client.carry(request).await.expect("an answer").into_inner();
+    assert_eq!(reply.points, now);
 
     // Undo goes back, redo forward, and an edit of the current shape makes it the rest pose.
     for (step, expected) in [("undo", &rest["points"]), ("redo", &posed["points"])] {
@@ -114,18 +113,13 @@ async fn points_and_a_model_ride_along_through_poses_undo_and_edits() {
     );
     let again = carry(&server, &id, json!({"points": now})).await;
     assert_eq!(numbers(&again["points"]), now);
-    let session: Value = get(&server, &format!("/v1/sessions/{id}"))
-        .await
-        .json()
-        .await
-        .expect("JSON");
+    let session = server.document(&format!("/v1/sessions/{id}")).await;
     assert_eq!(session["revision"], again["revision"], "carrying commits nothing");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_carried_is_told_by_its_field() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+async fn what_cannot_be_carried_is_reported_by_its_field() {
+    let (server, id) = Server::start_with_bar().await;
     let path = format!("/v1/sessions/{id}/carry");
     for (body, field) in [
         (json!({}), "points"),
@@ -174,13 +168,13 @@ async fn a_node_of_the_model_rides_along_through_poses_edits_and_undo() {
         percent_encoding::utf8_percent_encode(&options.to_string(), percent_encoding::NON_ALPHANUMERIC).to_string();
     let opened = server
         .post(&format!("/v1/sessions?sample=figure&options={options}"))
-        .send();
-    let opened: Value = within("a session", opened).await.unwrap().json().await.unwrap();
+        .document()
+        .await;
     let id = opened["id"].as_str().expect("an id");
     let path = |rest: &str| format!("/v1/sessions/{id}/{rest}");
     // Where the exported file has the socket, seen by another reader.
     let exported = async || {
-        let file = get(&server, &path("model?format=glb")).await.bytes().await.unwrap();
+        let file = server.content(&path("model?format=glb")).await;
         let file = parse(&file, &Default::default());
         let mut nodes = file.json["nodes"].as_array().into_iter().flatten();
         let socket = nodes.position(|node| node["name"] == "hatSocket").expect("a socket");

@@ -1,4 +1,4 @@
-//! Memory and work that are refused before they are taken: handles, edits, and answers that nobody reads.
+//! Memory and work that are refused before they are taken: handles, edits, and answers that no one reads.
 
 use super::*;
 use pliant::session::MemoryUse;
@@ -11,8 +11,7 @@ fn held(server: &Server) -> [i64; 2] {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn soft_handles_that_reach_far_are_counted_before_they_are_held() {
-    let server = Server::with(|sessions, _| sessions.memory_bytes = 24 << 20).await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::bar_with(|sessions, _| sessions.memory_bytes = 24 << 20).await;
     let before = held(&server);
     let soft = |k: usize| {
         json!({
@@ -26,21 +25,14 @@ async fn soft_handles_that_reach_far_are_counted_before_they_are_held() {
     let put = |count: usize| {
         let mut handles: Vec<Value> = (0..count).map(soft).collect();
         handles.extend(ends().as_array().cloned().unwrap_or_default());
-        server.put(&path).json(&json!({ "handles": handles })).send()
+        server.put(&path).json(&json!({ "handles": handles }))
     };
-    let refused = within("handles", put(900)).await.expect("an answer");
-    let status = refused.status();
-    let told: Value = refused.json().await.expect("a problem");
-    assert_eq!(status, 413, "{told}");
+    let reply = put(900).refusal(413).await;
     assert!(
-        text(&told["detail"]).contains("the estimated memory of the session"),
-        "{told}"
+        text(&reply["detail"]).contains("the estimated memory of the session"),
+        "{reply}"
     );
-    let session: Value = get(&server, &format!("/v1/sessions/{id}"))
-        .await
-        .json()
-        .await
-        .expect("JSON");
+    let session = server.document(&format!("/v1/sessions/{id}")).await;
     assert_eq!(
         session["handles"].as_array().map(Vec::len),
         Some(2),
@@ -53,23 +45,19 @@ async fn soft_handles_that_reach_far_are_counted_before_they_are_held() {
         "{:?} and {before:?}",
         held(&server)
     );
-    assert_eq!(within("handles", put(20)).await.expect("an answer").status(), 200);
+    assert_eq!(put(20).status().await, 200);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_edit_that_would_grow_too_large_is_refused_by_its_estimate() {
-    let server = Server::with(|sessions, _| sessions.memory_bytes = 256 << 20).await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::bar_with(|sessions, _| sessions.memory_bytes = 256 << 20).await;
     let path = format!("/v1/sessions/{id}/edits");
     // Some 4 million triangles.
     let edit = json!({"remesh": {"edgeLength": 0.004}});
-    let refused = post(&server, &path, edit).await;
-    let status = refused.status();
-    let told: Value = refused.json().await.expect("a problem");
-    assert_eq!(status, 413, "{told}");
+    let reply = server.post(&path).json(&edit).refusal(413).await;
     assert!(
-        text(&told["detail"]).contains("the estimated memory of the session"),
-        "{told}"
+        text(&reply["detail"]).contains("the estimated memory of the session"),
+        "{reply}"
     );
     let cycles = server.metric("pliant_commits_total").await;
     let fine = post(&server, &path, json!({"remesh": {"edgeLength": 0.2}})).await;
@@ -78,7 +66,7 @@ async fn an_edit_that_would_grow_too_large_is_refused_by_its_estimate() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn answers_that_nobody_reads_are_counted_and_given_up() {
+async fn answers_that_no_one_reads_are_counted_and_given_up() {
     let server = Server::with(|_, config| config.unread_deadline = Duration::from_millis(300)).await;
     let session = server.open(large_bar()).await;
     let id = text(&session["id"]);
@@ -132,15 +120,15 @@ async fn more_answers_than_there_is_memory_for_are_refused() {
         ),
         (429, Some("2"))
     );
-    let told: Value = refused.json().await.expect("a problem");
-    assert_eq!(told["code"], "RESOURCE_EXHAUSTED", "{told} for {length:?} bytes");
+    let reply: Value = refused.json().await.expect("a problem");
+    assert_eq!(reply["code"], "RESOURCE_EXHAUSTED", "{reply} for {length:?} bytes");
     let mut client = server.grpc().await;
     let request = pliant::wire::pb::SessionRequest { session_id: id.clone() };
     within("a small answer", client.get_session(request))
         .await
         .expect("small answers go on");
     drop(taken);
-    assert_eq!(http().get(&path).answer().await.status(), 200);
+    assert_eq!(http().get(&path).status().await, 200);
 }
 
 /// Handles that each pull at all of a model.

@@ -1,6 +1,5 @@
-//! Every class of failure, with the document that tells it.
+//! Every class of failure, with the document that reports it.
 
-use super::get;
 use crate::support::server::*;
 use reqwest::header;
 use serde_json::{Value, json};
@@ -81,11 +80,7 @@ async fn problems_say_what_where_and_what_is_allowed() {
             .replace("{bare}", &bare)
             .replace("{nobody}", NOBODY),
     };
-    for case in CASES.lines().filter(|line| !line.is_empty()) {
-        let cells: Vec<&str> = case.split(" | ").map(str::trim).collect();
-        let [call, kind, body, outcome, field, words] = cells[..] else {
-            panic!("not six cells: {case}")
-        };
+    for case @ [call, kind, body, outcome, field, words] in rows(CASES) {
         let (method, path) = call.split_once(' ').expect("method and path");
         let path = fill(path);
         let mut request = http()
@@ -100,36 +95,32 @@ async fn problems_say_what_where_and_what_is_allowed() {
         assert_eq!(
             answer.headers()[header::CONTENT_TYPE],
             "application/problem+json",
-            "{case}"
+            "{case:?}"
         );
-        assert!(answer.headers().contains_key("x-request-id"), "{case}");
+        assert!(answer.headers().contains_key("x-request-id"), "{case:?}");
         let problem: Value = answer.json().await.unwrap();
         assert_eq!(
             (seen.to_string().as_str(), problem["code"].as_str()),
             (status, Some(code)),
-            "{case}: {problem}"
+            "{case:?}: {problem}"
         );
-        assert_eq!(problem["status"], seen, "{case}");
-        assert_eq!(problem["instance"], path.split('?').next().unwrap(), "{case}");
+        assert_eq!(problem["status"], seen, "{case:?}");
+        assert_eq!(problem["instance"], path.split('?').next().unwrap(), "{case:?}");
         assert!(
             text(&problem["type"]).starts_with("urn:pliant:problem:"),
-            "{case}: {problem}"
+            "{case:?}: {problem}"
         );
         let detail = text(&problem["detail"]);
         for word in words.split("; ").filter(|word| *word != "-") {
-            assert!(detail.contains(word), "{case}: {detail:?} lacks {word:?}");
+            assert!(detail.contains(word), "{case:?}: {detail:?} lacks {word:?}");
         }
         match field {
-            "?" => assert!(problem["errors"][0]["field"].is_string(), "{case}: {problem}"),
-            "-" => assert!(problem.get("errors").is_none(), "{case}: {problem}"),
-            field => assert_eq!(problem["errors"][0]["field"], field, "{case}: {problem}"),
+            "?" => assert!(problem["errors"][0]["field"].is_string(), "{case:?}: {problem}"),
+            "-" => assert!(problem.get("errors").is_none(), "{case:?}: {problem}"),
+            field => assert_eq!(problem["errors"][0]["field"], field, "{case:?}: {problem}"),
         }
     }
-    let whole: Value = get(&server, &format!("/v1/sessions/{NOBODY}"))
-        .await
-        .json()
-        .await
-        .unwrap();
+    let whole = server.document(&format!("/v1/sessions/{NOBODY}")).await;
     let expected = json!({
         "type": "urn:pliant:problem:not-found",
         "title": "not found",
@@ -140,11 +131,7 @@ async fn problems_say_what_where_and_what_is_allowed() {
     });
     assert_eq!(whole, expected);
     // Nothing that was refused left a trace.
-    let history: Value = get(&server, &format!("/v1/sessions/{id}/history"))
-        .await
-        .json()
-        .await
-        .unwrap();
+    let history = server.document(&format!("/v1/sessions/{id}/history")).await;
     assert_eq!(history["commits"].as_array().map(Vec::len), Some(2));
     assert_eq!(server.metric("pliant_sessions").await, 2.0);
 }
@@ -153,43 +140,26 @@ async fn problems_say_what_where_and_what_is_allowed() {
 async fn a_wrong_method_names_the_right_ones() {
     let server = Server::start().await;
     let answer = server.put("/v1/sessions").answer().await;
-    let allow = answer.headers()[header::ALLOW].to_str().unwrap();
+    let allow = header(&answer, header::ALLOW);
     assert!(allow.contains("GET") && allow.contains("POST"), "{allow}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_cannot_be_accepted_is_refused_before_work_is_done() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let url = server.url(&format!("/v1/sessions/{id}/solve"));
-    let answer = http()
-        .post(&url)
-        .header("accept", "image/png")
-        .json(&turn_json(0.1))
-        .answer()
-        .await;
-    assert_eq!(answer.status(), 406);
+    let call = |accept| http().post(&url).header("accept", accept);
+    assert_eq!(call("image/png").json(&turn_json(0.1)).status().await, 406);
     let mut packed = turn_json(0.1);
     packed["options"] = json!({"output": {"encoding": "U16"}});
-    let answer = http()
-        .post(&url)
-        .header("accept", "application/octet-stream")
-        .json(&packed)
-        .answer()
-        .await;
-    assert_eq!(answer.status(), 422);
-    let history: Value = get(&server, &format!("/v1/sessions/{id}/history"))
-        .await
-        .json()
-        .await
-        .unwrap();
+    assert_eq!(call("application/octet-stream").json(&packed).status().await, 422);
+    let history = server.document(&format!("/v1/sessions/{id}/history")).await;
     assert_eq!(history["commits"].as_array().map(Vec::len), Some(2));
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_body_in_an_encoding_that_is_not_read_is_415() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     for path in ["/v1/sessions".to_owned(), format!("/v1/sessions/{id}/solve")] {
         for (encoding, status) in [("gzip", 415), ("identity, br", 415), ("identity", 0), ("", 0)] {
             let call = server.post(&path).header("content-encoding", encoding).body(bar_obj(4));

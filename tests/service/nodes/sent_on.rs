@@ -3,7 +3,8 @@
 use super::{node, node_with, unmoved};
 use crate::durable::place::StorePlace;
 use crate::durable::{bar_session, metric, path, seen, turn};
-use crate::support::server::{AnsweredCall as _, bar_obj, http, within};
+use crate::support::process::needed;
+use crate::support::server::{AnsweredCall as _, bar_obj, header, http, within};
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use pliant::server::grpc::client::DeformerClient;
@@ -12,20 +13,15 @@ use serde_json::{Value, json};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_call_to_the_wrong_node_is_sent_to_the_right_one() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+    let place = needed!(StorePlace::remote().await);
     let (a, b) = (node(&place, "a"), node(&place, "b"));
     let id = bar_session(&a).await;
     turn(&a, &id, 0.4).await;
     let asked = format!("{}{}", b.url, path(&id, "/positions"));
     let sent = unmoved().get(&asked).answer().await;
     let header = |answer: &reqwest::Response, name: &str| {
-        let value = answer
-            .headers()
-            .get(name)
-            .map(|value| value.to_str().expect("a text").to_owned());
-        value.unwrap_or_default()
+        let value = answer.headers().get(name);
+        value.map_or_else(String::new, |value| value.to_str().expect("a text").to_owned())
     };
     assert_eq!(sent.status().as_u16(), 307);
     assert_eq!(header(&sent, "x-pliant-owner"), a.url);
@@ -34,34 +30,34 @@ async fn a_call_to_the_wrong_node_is_sent_to_the_right_one() {
     assert_eq!(header(&sent, "location"), location);
     // As the description of the server says of this call.
     let described: Value = b.done("GET", "/openapi.json", None).await;
-    let told = &described["paths"]["/v1/sessions/{id}/positions"]["get"]["responses"]["307"]["$ref"];
-    assert_eq!(told, "#/components/responses/SentOn");
+    let reply = &described["paths"]["/v1/sessions/{id}/positions"]["get"]["responses"]["307"]["$ref"];
+    assert_eq!(reply, "#/components/responses/SentOn");
     let promised = described["components"]["responses"]["SentOn"]["headers"].as_object();
     for name in promised.expect("headers").keys() {
         assert!(!header(&sent, name).is_empty(), "{name}");
     }
-    // Who goes there by itself is told the same in an answer that no library follows.
-    let told = unmoved().get(&asked).header("x-pliant-hops", "0").answer().await;
-    assert_eq!(told.status().as_u16(), 503);
+    // A client that goes there by itself gets the same in an answer that no library follows.
+    let reply = unmoved().get(&asked).header("x-pliant-hops", "0").answer().await;
+    assert_eq!(reply.status().as_u16(), 503);
     assert_eq!(
-        (header(&told, "x-pliant-owner"), header(&told, "location")),
+        (header(&reply, "x-pliant-owner"), header(&reply, "location")),
         (a.url.clone(), String::new())
     );
-    let problem: Value = told.json().await.expect("a problem");
+    let problem: Value = reply.json().await.expect("a problem");
     assert_eq!(problem["code"], "UNAVAILABLE");
 
     let mut client = DeformerClient::connect(b.url.clone()).await.expect("a connection");
     let request = pb::SessionRequest { session_id: id.clone() };
     let refused = client.get_session(request).await.expect_err("it is elsewhere");
     assert_eq!(refused.code(), tonic::Code::Unavailable);
-    let told = |name: &str| {
+    let reply = |name: &str| {
         refused
             .metadata()
             .get(name)
             .map(|value| value.to_str().expect("a text").to_owned())
     };
-    assert_eq!(told("x-pliant-owner"), Some(a.url.clone()));
-    assert_eq!(told("x-pliant-node").as_deref(), Some("a"));
+    assert_eq!(reply("x-pliant-owner"), Some(a.url.clone()));
+    assert_eq!(reply("x-pliant-node").as_deref(), Some("a"));
 
     // Who follows sees at one node what the other one has, and changes it there.
     assert_eq!(seen(&b, &id).await, seen(&a, &id).await);
@@ -75,9 +71,7 @@ async fn a_call_to_the_wrong_node_is_sent_to_the_right_one() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_call_that_comes_twice_happens_once_wherever_it_comes_to() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+    let place = needed!(StorePlace::remote().await);
     let (a, b) = (node(&place, "a"), node(&place, "b"));
     let create = async |url: &str, model: String| {
         let sent = http()
@@ -87,7 +81,7 @@ async fn a_call_that_comes_twice_happens_once_wherever_it_comes_to() {
         let status = answer.status().as_u16();
         (status, answer.json::<Value>().await.expect("JSON"))
     };
-    // Both at the same time: one is first, the other one is told to ask again or gets the same.
+    // Both at the same time: one is first, the other one is asked to ask again or gets the same.
     let model = bar_obj(12);
     let (one, other) = tokio::join!(create(&a.url, model.clone()), create(&b.url, model.clone()));
     let statuses = [one.0, other.0];
@@ -120,7 +114,7 @@ async fn a_call_that_comes_twice_happens_once_wherever_it_comes_to() {
         revisions.push(answer["revision"].clone());
     }
     assert!(revisions.iter().all(|r| r == &revisions[0]), "{revisions:?}");
-    // Sessions are numbered across nodes, so that lists tell each of them once.
+    // Sessions are numbered across nodes, so that lists report each of them once.
     for server in [&a, &b, &a] {
         server.open(bar_obj(7), "").await;
     }
@@ -131,13 +125,10 @@ async fn a_call_that_comes_twice_happens_once_wherever_it_comes_to() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nobody_has_the_store_for_himself_beside_nodes() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+async fn no_server_has_the_store_for_itself_beside_nodes() {
+    let place = needed!(StorePlace::remote().await);
     let a = node(&place, "a");
-    let told = place.try_start(&[]).err().expect("refused");
-    assert!(told.contains("in use by another process"), "{told}");
+    place.refuses_to_start(&[], &["in use by another process"]);
     let pruned = place.store(&["prune"]);
     assert_eq!(pruned.code, 2, "{}", pruned.err);
     assert!(pruned.err.contains("in use by another process"), "{}", pruned.err);
@@ -151,8 +142,8 @@ async fn nobody_has_the_store_for_himself_beside_nodes() {
     let other = bar_session(&alone).await;
     let arguments = ["--advertise", "http://127.0.0.1:0"];
     let refused = place.start_logged("log-b", place.database().map(|d| d.url.as_str()), &arguments);
-    let told = refused.err().expect("refused");
-    assert!(told.contains("in use by another process"), "{told}");
+    let reply = refused.err().expect("refused");
+    assert!(reply.contains("in use by another process"), "{reply}");
     let after = (seen(&alone, &id).await, seen(&alone, &other).await);
     alone.stop().await;
     let b = node(&place, "b");
@@ -169,9 +160,7 @@ async fn nobody_has_the_store_for_himself_beside_nodes() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_new_session_goes_where_there_is_more_room() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+    let place = needed!(StorePlace::remote().await);
     let (small, large) = (node_with(&place, "small", &["--sessions", "2"]), node(&place, "large"));
     let create = async |client: reqwest::Client, to: &str| {
         let sent = client.post(format!("{to}/v1/sessions")).body(bar_obj(7)).send();
@@ -181,11 +170,7 @@ async fn a_new_session_goes_where_there_is_more_room() {
     assert_eq!(create(unmoved(), &small.url).await.status().as_u16(), 201);
     let sent = create(unmoved(), &small.url).await;
     assert_eq!(sent.status().as_u16(), 307);
-    let location = sent
-        .headers()
-        .get("location")
-        .and_then(|l| l.to_str().ok())
-        .expect("a place");
+    let location = header(&sent, "location");
     assert_eq!(location, format!("{}/v1/sessions?pliant-node=large", large.url));
     for _ in 0..3 {
         assert_eq!(
@@ -196,7 +181,7 @@ async fn a_new_session_goes_where_there_is_more_room() {
     }
     assert_eq!(metric(&small, "pliant_sessions ").await, 1.0);
     assert_eq!(metric(&large, "pliant_sessions ").await, 3.0);
-    // Whom another node has sent stays: nobody is sent around.
+    // Whom another node has sent stays: no one is sent around.
     let stays = unmoved()
         .post(format!("{}/v1/sessions", small.url))
         .header("x-pliant-node", "small");
@@ -206,9 +191,7 @@ async fn a_new_session_goes_where_there_is_more_room() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_merge_with_a_session_of_another_node_says_where_that_is() {
-    let Some(place) = StorePlace::remote().await else {
-        return;
-    };
+    let place = needed!(StorePlace::remote().await);
     let (a, b) = (node(&place, "a"), node(&place, "b"));
     let (here, there) = (bar_session(&a).await, bar_session(&b).await);
     turn(&b, &there, 0.4).await;
@@ -217,10 +200,14 @@ async fn a_merge_with_a_session_of_another_node_says_where_that_is() {
     let merged = a
         .call("POST", &path(&here, "/edits"), Some(&merge("session", &there)))
         .await;
-    let (status, told) = merged;
-    assert_eq!((status, &told["code"]), (409, &"FAILED_PRECONDITION".into()), "{told}");
-    let said = told["detail"].as_str().unwrap_or_default();
-    assert!(said.contains(&b.url) && said.contains("\"b\""), "{told}");
+    let (status, reply) = merged;
+    assert_eq!(
+        (status, &reply["code"]),
+        (409, &"FAILED_PRECONDITION".into()),
+        "{reply}"
+    );
+    let said = reply["detail"].as_str().unwrap_or_default();
+    assert!(said.contains(&b.url) && said.contains("\"b\""), "{reply}");
     assert_eq!(seen(&a, &here).await, before);
     // What it says to do works, from the node that was asked first.
     let model = format!("{}{}?format=obj", a.url, path(&there, "/model"));

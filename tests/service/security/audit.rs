@@ -1,7 +1,9 @@
-//! Who did what is told: in the store with the change itself, without one in the log.
+//! Who did what is reported: in the store with the change itself, without one in the log.
 
 use super::{config_file, token_table};
+use crate::support::commands::Workplace;
 use crate::support::postgres::PostgresServer;
+use crate::support::process::needed;
 use crate::support::program::ServedProgram;
 use crate::support::server::*;
 use pliant::session::store::{AuditFilter, DatabaseStore, KeepSessions as _, StoreLocation, read_audit};
@@ -10,8 +12,6 @@ use pliant::wire::pb::deform_request;
 use reqwest::Method;
 use serde_json::{Value, json};
 use std::path::Path;
-use std::process::Command;
-use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 
 async fn ask(server: &ServedProgram, token: &str, method: Method, path: &str, body: Option<Value>) -> u16 {
     let mut request = http()
@@ -38,15 +38,12 @@ async fn one_of_each(server: &ServedProgram) -> String {
     let path = |rest: &str| format!("/v1/sessions/{id}{rest}");
     let handles = json!({"handles": ends()});
     let cut = json!({"on": "REST", "cut": {"plane": {"normal": [0, 0, 1], "offset": 1.5}}});
+    let wrong = json!({"pose": {"handles": [{"id": "none"}]}});
     for (method, rest, body) in [
         (Method::PUT, "/handles", Some(handles)),
         (Method::POST, "/solve", Some(turn_json(0.3))),
         // What is refused is not noted.
-        (
-            Method::POST,
-            "/solve",
-            Some(json!({"pose": {"handles": [{"id": "none"}]}})),
-        ),
+        (Method::POST, "/solve", Some(wrong)),
         (Method::POST, "/undo", None),
         (Method::POST, "/redo", None),
         (Method::GET, "/model", None),
@@ -59,20 +56,15 @@ async fn one_of_each(server: &ServedProgram) -> String {
     }
     // A commit on a stream is that of who opened the stream.
     let url = format!("{}{}", server.url.replace("http", "ws"), path("/stream"));
-    let mut request = url.into_client_request().expect("a request");
-    let bearer = "Bearer bert's".parse().expect("ASCII");
-    request.headers_mut().insert("authorization", bearer);
-    let socket = within("a socket", tokio_tungstenite::connect_async(request)).await;
-    let mut socket = Socket {
-        stream: socket.expect("a stream").0,
-    };
+    let socket = Socket::connect_with(&url, "authorization", "Bearer bert's").await;
+    let mut socket = socket.expect("a stream");
     let pose = deform_request::Message::Pose(turned(1, 0.2, true));
     socket.send(pose).await;
     eventually("a commit", async || {
         let get = http()
             .get(format!("{}{}", server.url, path("/history")))
             .bearer_auth("anna's");
-        let history = get.told().await;
+        let history = get.document().await;
         history["commits"]
             .as_array()
             .is_some_and(|c| c.last().is_some_and(|c| c["kind"] == "pose"))
@@ -113,15 +105,9 @@ fn audit(folder: &Path, arguments: &[&str]) -> Vec<Value> {
 
 /// What `pliant audit` prints.
 fn audit_at(arguments: &[&str]) -> Vec<Value> {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_pliant"));
-    let command = command.arg("audit").args(arguments).env_remove("PLIANT_DATA_DIR");
-    let done = command.output().expect("it runs");
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
-    let lines = String::from_utf8(done.stdout).expect("UTF-8");
-    lines
-        .lines()
-        .map(|line| serde_json::from_str(line).expect("JSON"))
-        .collect()
+    let lines = Workplace::empty().done(&[&["audit"], arguments].concat()).out;
+    let documents = lines.lines().map(|line| serde_json::from_str(line).expect("JSON"));
+    documents.collect()
 }
 
 fn who_what(lines: &[Value]) -> Vec<(String, String)> {
@@ -133,26 +119,26 @@ fn expected() -> Vec<(String, String)> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_store_tells_who_did_what_while_the_server_runs_and_after() {
+async fn the_store_reports_who_did_what_while_the_server_runs_and_after() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let place = ["--data-dir", data.to_str().expect("UTF-8")];
-    tells_who_did_what(folder.path(), &place, &place).await;
+    reports_who_did_what(folder.path(), &place, &place).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn postgres_tells_who_did_what_while_the_server_runs_and_after() {
-    let Some(server) = PostgresServer::shared() else { return };
+async fn postgres_reports_who_did_what_while_the_server_runs_and_after() {
+    let server = needed!(PostgresServer::shared());
     let database = server.database().await;
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let place = ["--database", &database.url];
     let objects = ["--data-dir", data.to_str().expect("UTF-8")];
-    tells_who_did_what(folder.path(), &[place, objects].concat(), &place).await;
+    reports_who_did_what(folder.path(), &[place, objects].concat(), &place).await;
 }
 
-/// A server whose store is told by `served`, and what `pliant audit` tells by `audited`.
-async fn tells_who_did_what(folder: &Path, served: &[&str], audited: &[&str]) {
+/// A server whose store is known by `served`, and what `pliant audit` reports by `audited`.
+async fn reports_who_did_what(folder: &Path, served: &[&str], audited: &[&str]) {
     let audit = |arguments: &[&str]| audit_at(&[audited, arguments].concat());
     let config = config_file(folder, &tables());
     let arguments = [served, &["--config", &config]].concat();
@@ -183,20 +169,12 @@ async fn tells_who_did_what(folder: &Path, served: &[&str], audited: &[&str]) {
     let kept = folder.join("kept.toml");
     std::fs::write(&kept, keys.collect::<String>()).expect("written");
     assert_eq!(audit_at(&["--config", kept.to_str().expect("UTF-8")]), running);
-    let mut nothing = Command::new(env!("CARGO_BIN_EXE_pliant"));
-    let nothing = nothing
-        .args(["audit", "--config", &config])
-        .env_remove("PLIANT_DATA_DIR");
-    let nothing = nothing.output().expect("it runs");
-    let told = String::from_utf8_lossy(&nothing.stderr).into_owned();
-    assert!(
-        nothing.status.code() == Some(2) && told.contains("sets neither data_dir nor database"),
-        "{told}"
-    );
+    let words = ["sets neither data_dir nor database"];
+    Workplace::empty().refused(&["audit", "--config", &config], &words);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn without_a_store_the_log_tells_it() {
+async fn without_a_store_the_log_reports_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let config = config_file(folder.path(), &tables());
     let arguments = ["--config", &config, "--log-format", "json"];
@@ -216,7 +194,7 @@ async fn without_a_store_the_log_tells_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn sessions_that_end_by_themselves_are_told_too() {
+async fn sessions_that_end_by_themselves_are_reported_too() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let server = ServedProgram::start(&data, &[]);
@@ -227,8 +205,8 @@ async fn sessions_that_end_by_themselves_are_told_too() {
             .is_some_and(|(_, what)| what == "expire")
     })
     .await;
-    let told = [("anyone", "create"), ("pliant", "expire")].map(|(who, what)| (who.to_owned(), what.to_owned()));
-    assert_eq!(who_what(&audit(&data, &[])), told);
+    let reply = [("anyone", "create"), ("pliant", "expire")].map(|(who, what)| (who.to_owned(), what.to_owned()));
+    assert_eq!(who_what(&audit(&data, &[])), reply);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -264,4 +242,105 @@ async fn what_is_old_is_forgotten_of_one_tenant_and_kept_of_another() {
     .await
     .expect("a trail");
     assert_eq!(left, ["b"]);
+}
+
+const SECRET: &str = "pliant_a-secret-that-must-not-be-seen";
+
+fn lines(server: &ServedProgram) -> Vec<Value> {
+    (server.log().lines())
+        .map(|line| serde_json::from_str::<Value>(line).expect("JSON"))
+        .filter(|line| line["target"] == "pliant::access")
+        .collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_call_has_a_line_and_no_line_has_a_token() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let tables = token_table("studio", SECRET, "anna") + &token_table("others", "others-token", "bert");
+    let config = config_file(folder.path(), &tables);
+    let arguments = ["--config", &config, "--log-format", "json", "--log", "debug"];
+    let server = ServedProgram::start(&folder.path().join("data"), &arguments);
+    let open = server.post(&format!("/v1/sessions?format=obj&token={SECRET}"));
+    let refused = within("an answer", open.bearer_auth(SECRET).body(bar_obj(8)).send()).await;
+    assert_eq!(refused.expect("an answer").status(), 400);
+    let open = server.post("/v1/sessions");
+    let answer = within("a session", open.bearer_auth(SECRET).body(bar_obj(8)).send()).await;
+    let body = answer.expect("an answer").text().await.expect("a body");
+    let id = text(&serde_json::from_str::<Value>(&body).expect("JSON")["id"]);
+    let positions = format!("{}/v1/sessions/{id}/positions?access_token={SECRET}", server.url);
+    http().get(&positions).answer().await;
+    let own = http()
+        .get(positions.split('?').next().expect("a path"))
+        .bearer_auth(SECRET);
+    let bytes = own.answer().await.bytes().await.expect("a body").len();
+    let others = server.get(&format!("/v1/sessions/{id}")).bearer_auth("others-token");
+    assert_eq!(others.status().await, 404);
+    server.get("/healthz").answer().await;
+    let url = format!("{}/v1/sessions/{id}/stream", server.url.replace("http", "ws"));
+    let protocols = format!("pliant.v1, pliant.bearer.{SECRET}");
+    let socket = Socket::connect_with(&url, "sec-websocket-protocol", &protocols).await;
+    drop(socket.expect("a stream"));
+    let limits = with_token(pliant::wire::pb::GetLimitsRequest::default(), SECRET);
+    let channel = tonic::transport::Endpoint::new(server.url.clone()).expect("an address");
+    let channel = channel.connect().await.expect("a connection");
+    let mut client = pliant::server::grpc::client::DeformerClient::new(channel);
+    within("limits", client.get_limits(limits)).await.expect("limits");
+
+    eventually("all lines", async || {
+        lines(&server).iter().filter(|l| l["level"] == "INFO").count() >= 7
+    })
+    .await;
+    let reply: Vec<_> = (lines(&server).iter())
+        .map(|l| {
+            let message = text(&l["message"]).replace(&id, "ID");
+            let caller = l["caller"].as_str().unwrap_or("-").to_owned();
+            (text(&l["level"]), message, text(&l["status"]), caller)
+        })
+        .collect();
+    let line = |level: &str, message: &str, status: &str, caller: &str| {
+        [level, message, status, caller].map(str::to_owned).into()
+    };
+    let expected: [(String, String, String, String); 8] = [
+        line("INFO", "POST /v1/sessions", "400", "anna"),
+        line("INFO", "POST /v1/sessions", "201", "anna"),
+        line("INFO", "GET /v1/sessions/ID/positions", "401", "-"),
+        line("INFO", "GET /v1/sessions/ID/positions", "200", "anna"),
+        line("INFO", "GET /v1/sessions/ID", "404", "bert"),
+        line("DEBUG", "GET /healthz", "200", "-"),
+        line("INFO", "GET /v1/sessions/ID/stream", "101", "anna"),
+        line("INFO", "POST /pliant.v1.Deformer/GetLimits", "OK", "anna"),
+    ];
+    assert_eq!(reply, expected);
+    let of_positions = &lines(&server)[3];
+    assert_eq!(of_positions["tenant"], "studio");
+    assert_eq!(of_positions["size_bytes"], bytes);
+    assert!(of_positions["duration_ms"].as_f64().is_some_and(|ms| ms >= 0.0));
+    assert!(of_positions["request.id"].is_string());
+    let log = server.log();
+    for secret in [SECRET, "others-token"] {
+        assert!(
+            !log.contains(secret),
+            "{}",
+            log.lines().find(|l| l.contains(secret)).unwrap_or_default()
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn counts_tell_of_no_tenant() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let tables = token_table("studio", "a", "anna") + &token_table("others", "b", "bert") + "metrics = true\n";
+    let config = config_file(folder.path(), &tables);
+    let server = ServedProgram::start(&folder.path().join("data"), &["--config", &config]);
+    let open = server.post("/v1/sessions").bearer_auth("a");
+    let answer = open.body(bar_obj(8)).answer().await;
+    let id = text(&answer.json::<Value>().await.expect("JSON")["id"]);
+    let counts = server.get("/metrics").bearer_auth("b");
+    let counts = counts.answer().await;
+    assert_eq!(counts.status(), 200);
+    let counts = counts.text().await.expect("a text");
+    assert!(counts.contains("pliant_sessions 1"), "{counts}");
+    for secret in ["studio", "others", "anna", "bert", &id] {
+        assert!(!counts.contains(secret), "{secret}");
+    }
 }

@@ -12,7 +12,7 @@ use prost_reflect::{DynamicMessage, Kind, Value as Reflected};
 use reqwest::Method;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use tokio_tungstenite::tungstenite::{self, client::IntoClientRequest as _};
+use tokio_tungstenite::tungstenite;
 
 const NOBODYS: &str = "0123456789abcdef0123456789abcdef";
 
@@ -49,7 +49,7 @@ fn without_id(bytes: &[u8], id: &str) -> Vec<u8> {
     String::from_utf8_lossy(bytes).replace(id, "ID").into_bytes()
 }
 
-async fn told(request: reqwest::RequestBuilder, id: &str) -> Told {
+async fn reply(request: reqwest::RequestBuilder, id: &str) -> Told {
     let answer = request.bearer_auth("b").answer().await;
     let passing = ["x-request-id", "date"];
     let headers = answer
@@ -89,8 +89,7 @@ fn statuses(text: &str) -> String {
 /// A session of tenant `a` that has handles, a commit, and keys of calls.
 async fn session_of_another(server: &Server) -> String {
     let post = |path: &str| server.post(path).bearer_auth("a");
-    let opened = post("/v1/sessions").body(bar_obj(8)).answer().await;
-    let session: Value = opened.json().await.expect("JSON");
+    let session = post("/v1/sessions").body(bar_obj(8)).document().await;
     let id = text(&session["id"]);
     let handles = server.put(&format!("/v1/sessions/{id}/handles")).bearer_auth("a");
     let set = handles.json(&json!({"handles": ends()})).answer().await;
@@ -124,7 +123,7 @@ async fn every_path_answers_as_for_a_session_that_never_was() {
                         if let Some(key) = key {
                             request = request.header("idempotency-key", key);
                         }
-                        told(request.body(body), id).await
+                        reply(request.body(body), id).await
                     };
                     let (other, none) = (ask(&theirs).await, ask(NOBODYS).await);
                     assert_eq!(other, none, "{method} {path} {body}");
@@ -136,13 +135,11 @@ async fn every_path_answers_as_for_a_session_that_never_was() {
     }
     assert!(asked > 200, "{asked} calls");
     // Nothing has happened to it.
-    let still = server.get(&format!("/v1/sessions/{theirs}")).bearer_auth("a").send();
-    let still: Value = within("the session", still)
-        .await
-        .expect("an answer")
-        .json()
-        .await
-        .expect("JSON");
+    let still = server
+        .get(&format!("/v1/sessions/{theirs}"))
+        .bearer_auth("a")
+        .document()
+        .await;
     assert_eq!(still["revision"], "3");
 }
 
@@ -181,14 +178,14 @@ async fn every_rpc_answers_as_for_a_session_that_never_was() {
             framed.extend(u32::try_from(message.len()).expect("short").to_be_bytes());
             framed.extend(message);
             let call = server.post(&path).header("content-type", "application/grpc-web+proto");
-            told(call.header("idempotency-key", "key").body(framed), id).await
+            reply(call.header("idempotency-key", "key").body(framed), id).await
         };
         let (other, none) = (ask(&theirs).await, ask(NOBODYS).await);
         assert_eq!(other, none, "{path}");
-        let told = format!("{:?} {}", other.headers, String::from_utf8_lossy(&other.body));
+        let reply = format!("{:?} {}", other.headers, String::from_utf8_lossy(&other.body));
         assert!(
-            told.contains("grpc-status\": \"5\"") || told.contains("grpc-status:5"),
-            "{path}: {told}"
+            reply.contains("grpc-status\": \"5\"") || reply.contains("grpc-status:5"),
+            "{path}: {reply}"
         );
         asked.push(path);
     }
@@ -201,12 +198,8 @@ async fn nor_do_sockets_lists_merges_and_limits_tell_of_it() {
     let theirs = session_of_another(&server).await;
     let socket = async |id: &str| {
         let url = format!("ws://{}/v1/sessions/{id}/stream", server.address);
-        let mut request = url.into_client_request().expect("a request");
-        request
-            .headers_mut()
-            .insert("authorization", "Bearer b".parse().expect("ASCII"));
-        let refused = within("a handshake", tokio_tungstenite::connect_async(request)).await;
-        let Err(tungstenite::Error::Http(answer)) = refused else {
+        let Err(tungstenite::Error::Http(answer)) = Socket::connect_with(&url, "authorization", "Bearer b").await
+        else {
             panic!("no refusal")
         };
         (
@@ -216,23 +209,22 @@ async fn nor_do_sockets_lists_merges_and_limits_tell_of_it() {
     };
     assert_eq!(socket(&theirs).await, socket(NOBODYS).await);
 
-    let own = server.post("/v1/sessions").bearer_auth("b").body(bar_obj(8)).send();
-    let own: Value = within("a session", own)
-        .await
-        .expect("an answer")
-        .json()
-        .await
-        .expect("JSON");
+    let own = server
+        .post("/v1/sessions")
+        .bearer_auth("b")
+        .body(bar_obj(8))
+        .document()
+        .await;
     let edits = server.url(&format!("/v1/sessions/{}/edits", text(&own["id"])));
     let merge = async |id: &str| {
         let body = json!({"on": "REST", "merge": {"session": id}});
-        told(http().post(&edits).json(&body), id).await
+        reply(http().post(&edits).json(&body), id).await
     };
     let (other, none) = (merge(&theirs).await, merge(NOBODYS).await);
     assert_eq!(other, none);
     assert!((400..500).contains(&other.status), "{other:?}");
 
-    let list = async |query: &str| told(server.get(&format!("/v1/sessions{query}")), &theirs).await;
+    let list = async |query: &str| reply(server.get(&format!("/v1/sessions{query}")), &theirs).await;
     let told_all = String::from_utf8(list("").await.body).expect("UTF-8");
     assert!(
         told_all.contains(&text(&own["id"])) && !told_all.contains("ID"),
@@ -255,7 +247,7 @@ async fn sessions_of_the_store_are_their_tenants_alone() {
     let server = ServedProgram::start(&data, &["--config", &config]);
     let ask = async |method: Method, rest: &str, id: &str| {
         let url = format!("{}/v1/sessions/{id}{rest}", server.url);
-        told(http().request(method, url), id).await
+        reply(http().request(method, url), id).await
     };
     for (method, rest) in [
         (Method::GET, ""),
@@ -268,9 +260,9 @@ async fn sessions_of_the_store_are_their_tenants_alone() {
         assert_eq!(other.status, 404, "{other:?}");
         assert_eq!(other, ask(method, rest, NOBODYS).await);
     }
-    let list = told(server.get("/v1/sessions"), &id).await;
+    let list = reply(server.get("/v1/sessions"), &id).await;
     let list: Value = serde_json::from_slice(&list.body).expect("JSON");
     assert_eq!(list["sessions"], json!([]));
     let own = server.get(&format!("/v1/sessions/{id}")).bearer_auth("a");
-    assert_eq!(own.answer().await.status(), 200);
+    assert_eq!(own.status().await, 200);
 }

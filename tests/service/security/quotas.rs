@@ -1,16 +1,18 @@
-//! What each tenant may use, and what it is told of it.
+//! What each tenant may use, and what the server reports of it.
 
-use super::{config_file, entry};
+use super::{ConfiguredPlace, config_file, entry};
 use crate::support::program::ServedProgram;
 use crate::support::server::*;
 use pliant::session::TenantQuota;
 use pliant::wire::pb;
 use serde_json::{Value, json};
 use std::time::Duration;
-use tokio_tungstenite::tungstenite::{self, client::IntoClientRequest as _};
+use tokio_tungstenite::tungstenite;
 
 /// A server where tenant `a` has a quota and `b` none.
-async fn limited(quota: TenantQuota) -> Server {
+async fn limited(limit: impl FnOnce(&mut TenantQuota)) -> Server {
+    let mut quota = TenantQuota::default();
+    limit(&mut quota);
     Server::with(|sessions, config| {
         sessions.quotas.named.insert("a".into(), quota);
         config.auth.tokens = vec![entry("a", "a"), entry("b", "b")];
@@ -39,31 +41,24 @@ async fn quotas(server: &Server, token: &str) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn sessions_are_counted_by_tenant_and_come_free_when_it_was_told() {
-    let quota = TenantQuota {
-        sessions: Some(1),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
+async fn sessions_are_counted_by_tenant_and_come_free_when_the_server_said() {
+    let server = limited(|quota| quota.sessions = Some(1)).await;
     assert_eq!(
         quotas(&server, "a").await,
         json!({"sessions": {"allowed": 1.0, "left": 1.0}})
     );
     assert_eq!(quotas(&server, "b").await, Value::Null);
-    let mut limits = tonic::Request::new(pb::GetLimitsRequest::default());
-    limits
-        .metadata_mut()
-        .insert("authorization", "Bearer a".parse().expect("ASCII"));
+    let limits = with_token(pb::GetLimitsRequest::default(), "a");
     let limits = within("limits", server.grpc().await.get_limits(limits)).await;
-    let told = limits.expect("limits").into_inner().quotas.expect("quotas");
-    assert_eq!(told.sessions.map(|s| (s.allowed, s.left)), Some((1.0, 1.0)));
+    let reply = limits.expect("limits").into_inner().quotas.expect("quotas");
+    assert_eq!(reply.sessions.map(|s| (s.allowed, s.left)), Some((1.0, 1.0)));
     let short = server.post("/v1/sessions?ttl=2s").body(bar_obj(4));
     let (status, _, _) = answer(short, "a").await;
     assert_eq!(status, 201);
     assert_eq!(quotas(&server, "a").await["sessions"]["left"], 0.0);
-    let (status, wait, told) = open(&server, "a", 4).await;
+    let (status, wait, reply) = open(&server, "a", 4).await;
     assert_eq!(status, 429);
-    assert!(text(&told["detail"]).contains("your quota"), "{told}");
+    assert!(text(&reply["detail"]).contains("your quota"), "{reply}");
     assert_eq!(open(&server, "b", 4).await.0, 201);
     let wait = wait.expect("a time");
     assert!((1..=3).contains(&wait), "{wait} s");
@@ -73,11 +68,7 @@ async fn sessions_are_counted_by_tenant_and_come_free_when_it_was_told() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn memory_is_counted_by_tenant() {
-    let quota = TenantQuota {
-        memory_bytes: Some(3 << 20),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
+    let server = limited(|quota| quota.memory_bytes = Some(3 << 20)).await;
     let mut opened = Vec::new();
     let refused = loop {
         match open(&server, "a", 24).await {
@@ -89,16 +80,16 @@ async fn memory_is_counted_by_tenant() {
     assert!(!opened.is_empty());
     assert_eq!(refused.0, 429, "{}", refused.2);
     assert!(refused.1.is_some());
-    let told = quotas(&server, "a").await["memoryBytes"].clone();
+    let reply = quotas(&server, "a").await["memoryBytes"].clone();
     assert!(
-        told["allowed"] == f64::from(3 << 20) && told["left"].as_f64() < Some(f64::from(3 << 20)),
-        "{told}"
+        reply["allowed"] == f64::from(3 << 20) && reply["left"].as_f64() < Some(f64::from(3 << 20)),
+        "{reply}"
     );
     // A file is refused while it is read, where there is no memory for it.
-    let (status, _, told) = open(&server, "a", 4000).await;
+    let (status, _, reply) = open(&server, "a", 4000).await;
     assert!(
-        status == 429 && text(&told["detail"]).contains("your quota of memory is full"),
-        "{told}"
+        status == 429 && text(&reply["detail"]).contains("your quota of memory is full"),
+        "{reply}"
     );
     for id in opened {
         let gone = server.delete(&format!("/v1/sessions/{id}"));
@@ -110,25 +101,21 @@ async fn memory_is_counted_by_tenant() {
         memory["left"] == memory["allowed"]
     })
     .await;
-    let (status, wait, told) = open(&server, "a", 4000).await;
-    assert_eq!((status, wait), (413, None), "{told}");
+    let (status, wait, reply) = open(&server, "a", 4000).await;
+    assert_eq!((status, wait), (413, None), "{reply}");
     assert_eq!(open(&server, "b", 24).await.0, 201);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn uploads_are_counted_by_the_minute() {
     let bytes = bar_obj(8).len() as u64;
-    let quota = TenantQuota {
-        // Two fit, and of a third what comes in some seconds.
-        upload_bytes_per_minute: Some(bytes * 2 + bytes / 2),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
+    // Two fit, and of a third what comes in some seconds.
+    let server = limited(|quota| quota.upload_bytes_per_minute = Some(bytes * 2 + bytes / 2)).await;
     assert_eq!(open(&server, "a", 8).await.0, 201);
     assert_eq!(open(&server, "a", 8).await.0, 201);
     assert_eq!(server.manager.metrics().refused.get(), 0);
-    let (status, wait, told) = open(&server, "a", 8).await;
-    assert_eq!(status, 429, "{told}");
+    let (status, wait, reply) = open(&server, "a", 8).await;
+    assert_eq!(status, 429, "{reply}");
     assert_eq!(server.manager.metrics().refused.get(), 1, "whoever watches is told");
     assert!((1..=60).contains(&wait.expect("a time")), "{wait:?}");
     let left = quotas(&server, "a").await["uploadBytesPerMinute"]["left"]
@@ -158,19 +145,15 @@ async fn uploads_are_counted_by_the_minute() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn computing_is_counted_by_the_minute() {
-    let quota = TenantQuota {
-        solve_seconds_per_minute: Some(1e-6),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
-    // The first piece of work begins: nobody knows before how long it takes.
+    let server = limited(|quota| quota.solve_seconds_per_minute = Some(1e-6)).await;
+    // The first piece of work begins: no one knows before how long it takes.
     let (status, _, session) = open(&server, "a", 8).await;
     assert_eq!(status, 201);
     let handles = format!("/v1/sessions/{}/handles", text(&session["id"]));
     let set = || server.put(&handles).json(&json!({"handles": ends()}));
-    let (status, wait, told) = answer(set(), "a").await;
-    assert_eq!(status, 429, "{told}");
-    assert!(text(&told["detail"]).contains("seconds of computing"), "{told}");
+    let (status, wait, reply) = answer(set(), "a").await;
+    assert_eq!(status, 429, "{reply}");
+    assert!(text(&reply["detail"]).contains("seconds of computing"), "{reply}");
     assert_eq!(server.manager.metrics().refused.get(), 1, "whoever watches is told");
     assert!(wait > Some(60), "{wait:?}");
     assert_eq!(quotas(&server, "a").await["solveSecondsPerMinute"]["left"], 0.0);
@@ -182,20 +165,12 @@ async fn computing_is_counted_by_the_minute() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn streams_are_counted_by_tenant() {
-    let quota = TenantQuota {
-        streams: Some(1),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
+    let server = limited(|quota| quota.streams = Some(1)).await;
     let ids = [open(&server, "a", 8).await.2, open(&server, "a", 8).await.2].map(|s| text(&s["id"]));
     let connect = async |id: &str| {
         let url = format!("ws://{}/v1/sessions/{id}/stream", server.address);
-        let mut request = url.into_client_request().expect("a request");
-        request
-            .headers_mut()
-            .insert("authorization", "Bearer a".parse().expect("ASCII"));
-        match within("a handshake", tokio_tungstenite::connect_async(request)).await {
-            Ok((stream, _)) => Ok(stream),
+        match Socket::connect_with(&url, "authorization", "Bearer a").await {
+            Ok(socket) => Ok(socket),
             Err(tungstenite::Error::Http(refused)) => Err(refused.status().as_u16()),
             Err(other) => panic!("{other}"),
         }
@@ -212,11 +187,9 @@ async fn streams_are_counted_by_tenant() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_stored_is_counted_and_given_back() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
     let bytes = bar_obj(8).len() as u64;
-    let config = config_file(folder.path(), &format!("[quotas]\nstored_bytes = {}\n", bytes * 3));
-    let server = ServedProgram::start(&data, &["--config", &config]);
+    let place = ConfiguredPlace::new(&format!("[quotas]\nstored_bytes = {}\n", bytes * 3));
+    let server = place.start();
     let left = async || {
         let quotas = server.done("GET", "/v1/limits", None).await["quotas"]["storedBytes"].clone();
         quotas["left"].as_f64().expect("a number")
@@ -233,16 +206,16 @@ async fn what_is_stored_is_counted_and_given_back() {
     assert!(after_handles < after_one);
     let second = server.open(bar_obj(8), "").await;
     let refused = server.post("/v1/sessions").body(bar_obj(8));
-    let (status, wait, told) = answer(refused, "").await;
-    assert_eq!(status, 429, "{told}");
-    assert!(text(&told["detail"]).contains("in the store"), "{told}");
+    let (status, wait, reply) = answer(refused, "").await;
+    assert_eq!(status, 429, "{reply}");
+    assert!(text(&reply["detail"]).contains("in the store"), "{reply}");
     assert!(wait.is_some());
     let refused = server.post("/v1/sessions").body(bar_obj(80));
     assert_eq!(answer(refused, "").await.0, 413);
-    // As it was, after a start anew too.
+    // As it was, after another start too.
     let before = left().await;
     server.kill();
-    let server = ServedProgram::start(&data, &["--config", &config]);
+    let server = place.start();
     let left = async || {
         let quotas = server.done("GET", "/v1/limits", None).await["quotas"]["storedBytes"].clone();
         quotas["left"].as_f64().expect("a number")
@@ -256,21 +229,19 @@ async fn what_is_stored_is_counted_and_given_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn sessions_that_are_opened_at_once_pass_no_quota_of_the_store() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
     let bytes = bar_obj(8).len() as u64;
     let most = bytes * 7 / 2;
-    let config = config_file(folder.path(), &format!("[quotas]\nstored_bytes = {most}\n"));
-    let server = ServedProgram::start(&data, &["--config", &config]);
+    let place = ConfiguredPlace::new(&format!("[quotas]\nstored_bytes = {most}\n"));
+    let server = place.start();
     let mut opened = 0;
     for _ in 0..3 {
         let calls = (0..12).map(|_| {
             let call = server.post("/v1/sessions").body(bar_obj(8));
             async move { answer(call, "").await.0 }
         });
-        let told = futures::future::join_all(calls).await;
-        assert!(told.iter().all(|status| [201, 429].contains(status)), "{told:?}");
-        opened += told.iter().filter(|status| **status == 201).count();
+        let reply = futures::future::join_all(calls).await;
+        assert!(reply.iter().all(|status| [201, 429].contains(status)), "{reply:?}");
+        opened += reply.iter().filter(|status| **status == 201).count();
     }
     // Each is its model and some words; what was refused takes no room for good.
     assert_eq!(opened, 3);
@@ -278,26 +249,24 @@ async fn sessions_that_are_opened_at_once_pass_no_quota_of_the_store() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn commits_are_refused_where_no_more_may_be_stored_and_reading_goes_on() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
     let bytes = bar_obj(8).len() as u64;
-    let config = config_file(folder.path(), &format!("[quotas]\nstored_bytes = {}\n", bytes + 20_000));
-    let server = ServedProgram::start(&data, &["--config", &config]);
+    let place = ConfiguredPlace::new(&format!("[quotas]\nstored_bytes = {}\n", bytes + 20_000));
+    let server = place.start();
     let id = server.open(bar_obj(8), "").await;
     let path = |rest: &str| format!("/v1/sessions/{id}{rest}");
     let handles = json!({"handles": ends()});
     let mut set = 0;
-    let told = loop {
+    let reply = loop {
         match server.call("PUT", &path("/handles"), Some(&handles)).await {
             (200, _) => set += 1,
-            (429, told) => break told,
+            (429, reply) => break reply,
             other => panic!("{other:?}"),
         }
         assert!(set < 10_000);
     };
     assert!(
-        set >= 1 && text(&told["detail"]).contains("in the store"),
-        "{set} {told}"
+        set >= 1 && text(&reply["detail"]).contains("in the store"),
+        "{set} {reply}"
     );
     let session = server.done("GET", &path(""), None).await;
     assert_eq!(session["revision"], (set + 1).to_string());
@@ -344,10 +313,8 @@ async fn sessions_that_left_memory_are_counted_and_come_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_tenants_own_idle_sessions_make_room_in_its_quota_of_memory() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
-    let config = config_file(folder.path(), "[quotas]\nmemory_bytes = \"3MiB\"\n");
-    let server = ServedProgram::start(&data, &["--config", &config]);
+    let place = ConfiguredPlace::new("[quotas]\nmemory_bytes = \"3MiB\"\n");
+    let server = place.start();
     let mut ids = Vec::new();
     let in_memory = async || {
         let metrics = server.get("/metrics").send().await;
@@ -374,19 +341,18 @@ async fn a_tenants_own_idle_sessions_make_room_in_its_quota_of_memory() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn times_to_live_are_the_tenants_own() {
-    let quota = TenantQuota {
-        ttl: Some(Duration::from_secs(1)),
-        max_ttl: Some(Duration::from_secs(5)),
-        ..TenantQuota::default()
-    };
-    let server = limited(quota).await;
+    let server = limited(|quota| {
+        quota.ttl = Some(Duration::from_secs(1));
+        quota.max_ttl = Some(Duration::from_secs(5));
+    })
+    .await;
     let limits = async |token| answer(server.get("/v1/limits"), token).await.2;
     assert_eq!(limits("a").await["ttlSeconds"], 5.0);
     assert_eq!(limits("a").await["quotas"], Value::Null);
     assert!(limits("b").await["ttlSeconds"].as_f64() > Some(5.0));
     let open = async |token, query| answer(server.post(&format!("/v1/sessions{query}")).body(bar_obj(4)), token).await;
-    let (status, _, told) = open("a", "?ttl=6s").await;
-    assert_eq!(status, 422, "{told}");
+    let (status, _, reply) = open("a", "?ttl=6s").await;
+    assert_eq!(status, 422, "{reply}");
     assert_eq!(open("b", "?ttl=6s").await.0, 201);
     assert_eq!(open("a", "?ttl=5s").await.0, 201);
     let short = text(&open("a", "").await.2["id"]);

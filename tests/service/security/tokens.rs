@@ -39,16 +39,14 @@ async fn socket(server: &Server, path: &str, header: Option<(&'static str, &str)
     if let Some((name, value)) = header {
         request.headers_mut().insert(name, value.parse().expect("a value"));
     }
-    let (status, headers) = match within("a handshake", tokio_tungstenite::connect_async(request)).await {
-        Ok((_, answer)) => (answer.status(), answer.headers().clone()),
-        Err(tungstenite::Error::Http(answer)) => (answer.status(), answer.headers().clone()),
+    let answer = match within("a handshake", tokio_tungstenite::connect_async(request)).await {
+        Ok((_, answer)) => answer,
+        Err(tungstenite::Error::Http(answer)) => *answer,
         Err(other) => panic!("{other}"),
     };
-    let agreed = headers.get("sec-websocket-protocol");
-    (
-        status.as_u16(),
-        agreed.map(|name| name.to_str().expect("ASCII").to_owned()),
-    )
+    let agreed = answer.headers().get("sec-websocket-protocol");
+    let agreed = agreed.map(|name| name.to_str().expect("ASCII").to_owned());
+    (answer.status().as_u16(), agreed)
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -60,8 +58,8 @@ async fn every_transport_asks_who_is_there() {
         assert_eq!(answer.status(), if known { 200 } else { 401 }, "{shown:?}");
         if !known {
             assert_eq!(answer.headers()["www-authenticate"], "Bearer realm=\"pliant\"");
-            let told: Value = answer.json().await.expect("a problem");
-            assert_eq!(told["code"], "UNAUTHENTICATED");
+            let reply: Value = answer.json().await.expect("a problem");
+            assert_eq!(reply["code"], "UNAUTHENTICATED");
         }
         let mut call = tonic::Request::new(pb::GetLimitsRequest::default());
         if let Some(shown) = shown {
@@ -112,24 +110,16 @@ async fn a_page_gives_its_websocket_the_token_as_a_sub_protocol() {
     let agreed = socket(&server, &path, named("pliant.v1, pliant.bearer.a")).await;
     assert_eq!(agreed, (101, Some("pliant.v1".to_owned())));
     assert_eq!(socket(&server, &path, named("pliant.bearer.a, pliant.v1")).await.0, 101);
-    assert_eq!(
-        socket(&server, &path, named("pliant.v1, pliant.bearer.nobody's"))
-            .await
-            .0,
-        401
-    );
-    assert_eq!(socket(&server, &path, named("pliant.v1, pliant.bearer.b")).await.0, 404);
+    for (token, status) in [("nobody's", 401), ("b", 404)] {
+        let protocols = format!("pliant.v1, pliant.bearer.{token}");
+        let asked = Some(("sec-websocket-protocol", protocols.as_str()));
+        assert_eq!(socket(&server, &path, asked).await.0, status, "{token}");
+    }
     for query in ["token=a", "access_token=a", "authorization=Bearer%20a"] {
-        assert_eq!(
-            socket(&server, &format!("{path}?{query}"), None).await.0,
-            401,
-            "{query}"
-        );
-        assert_eq!(
-            get(&server, &format!("/v1/limits?{query}"), None).await.status(),
-            401,
-            "{query}"
-        );
+        let (status, _) = socket(&server, &format!("{path}?{query}"), None).await;
+        assert_eq!(status, 401, "{query}");
+        let answer = get(&server, &format!("/v1/limits?{query}"), None).await;
+        assert_eq!(answer.status(), 401, "{query}");
     }
 }
 
@@ -161,15 +151,8 @@ async fn what_is_the_same_for_everybody_needs_no_token() {
     for path in ["/healthz", "/readyz", "/", "/docs", "/openapi.json"] {
         assert_eq!(get(&server, path, None).await.status(), 200, "{path}");
     }
-    for path in [
-        "/v1/limits",
-        "/v1/sessions",
-        "/v1/sample.glb",
-        "/metrics",
-        "/metrics/",
-        "/healthz/",
-        "/nothing",
-    ] {
+    let guarded = "/v1/limits /v1/sessions /v1/sample.glb /metrics /metrics/ /healthz/ /nothing";
+    for path in guarded.split(' ') {
         assert_eq!(get(&server, path, None).await.status(), 401, "{path}");
     }
     let channel = server.channel().await;
@@ -212,9 +195,8 @@ async fn tokens_follow_their_file_and_a_broken_one_changes_nothing() {
     let settings = ServeSettings::load(Some(&file), &ConfigKeys::default()).expect("a configuration");
     let server = Server::with(|_, config| config.auth = settings.server.auth).await;
     let status = async |token: &str| {
-        get(&server, "/v1/limits", Some(&format!("Bearer {token}")))
-            .await
-            .status()
+        let shown = format!("Bearer {token}");
+        get(&server, "/v1/limits", Some(&shown)).await.status()
     };
     assert_eq!(status("first").await, 200);
 
@@ -230,21 +212,21 @@ async fn tokens_follow_their_file_and_a_broken_one_changes_nothing() {
     eventually("the first token gone", async || status("first").await == 401).await;
     assert_eq!(status("second").await, 200);
 
-    // Nobody is known any more; that opens nothing.
+    // No one is known any more; that opens nothing.
     replace_file(&file, "");
     eventually("no token", async || status("second").await == 401).await;
     assert_eq!(get(&server, "/v1/limits", None).await.status(), 401);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_key_that_counts_from_the_next_start_on_is_told_once_when_it_changes() {
+async fn a_key_that_counts_from_the_next_start_on_is_reported_once_when_it_changes() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("pliant.toml");
     let token = token_table("a", "first", "a");
     replace_file(&file, &format!("history = 7\n{token}"));
     let arguments = ["--config", file.to_str().expect("UTF-8")];
     let server = ServedProgram::start_in_memory(folder.path().join("log"), &arguments);
-    let told = || {
+    let reply = || {
         let log = server.log();
         log.lines()
             .filter(|line| line.contains("from the next start on"))
@@ -265,16 +247,16 @@ async fn a_key_that_counts_from_the_next_start_on_is_told_once_when_it_changes()
         &format!("history = 7\n{token}{}", token_table("a", "second", "a")),
     );
     followed("second").await;
-    assert_eq!(told(), 0, "{}", server.log());
+    assert_eq!(reply(), 0, "{}", server.log());
     let tokens = token + &token_table("a", "third", "a");
     replace_file(&file, &format!("history = 8\nsessions = 3\n{tokens}"));
     followed("third").await;
-    eventually("the keys", async || told() > 0).await;
+    eventually("the keys", async || reply() > 0).await;
     assert!(server.log().contains("history, sessions"), "{}", server.log());
     replace_file(
         &file,
         &format!("history = 8\nsessions = 3\n{tokens}{}", token_table("a", "fourth", "a")),
     );
     followed("fourth").await;
-    assert_eq!(told(), 1, "{}", server.log());
+    assert_eq!(reply(), 1, "{}", server.log());
 }

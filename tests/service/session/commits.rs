@@ -12,11 +12,7 @@ use std::time::Duration;
 async fn undo_and_redo_restore_positions_to_the_bit() {
     // With no bytes for snapshots, every step back is a replay.
     for snapshot_bytes in [1 << 20, 0] {
-        let (fixture, _) = Fixture::fake(SessionConfig {
-            snapshot_bytes,
-            ..small()
-        })
-        .await;
+        let (fixture, _) = Fixture::with(|config| config.snapshot_bytes = snapshot_bytes).await;
         let mut shapes = vec![fixture.positions().await.bytes];
         for (k, x) in [0.1, -0.7, 3.3].into_iter().enumerate() {
             let solved = fixture.solve(solve(&[(["a", "b"][k % 2], x)])).await;
@@ -28,17 +24,10 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
             shapes.push(fixture.positions().await.bytes);
         }
         fixture.set_handles(handles(&["b", "c", "d"])).await;
-        let told = fixture.history().await;
+        let reply = fixture.history().await;
         let session = fixture.undo().await;
-        assert_eq!(
-            session
-                .deformer
-                .handles
-                .iter()
-                .map(|h| h.id.as_str())
-                .collect::<Vec<_>>(),
-            ["a", "b"]
-        );
+        let ids: Vec<_> = session.deformer.handles.iter().map(|h| h.id.as_str()).collect();
+        assert_eq!(ids, ["a", "b"]);
         let mut revision = session.revision;
         for back in (0..3).rev() {
             let session = fixture.undo().await;
@@ -51,13 +40,10 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
             assert_eq!(fixture.positions().await.bytes, *shape);
         }
         fixture.redo().await;
-        let error = fixture
-            .manager
-            .redo(tenant(), &fixture.id, None)
-            .await
-            .expect_err("nothing is left");
+        let redone = fixture.manager.redo(tenant(), &fixture.id, None).await;
+        let error = redone.expect_err("nothing is left");
         assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
-        assert_eq!(fixture.history().await, told);
+        assert_eq!(fixture.history().await, reply);
         let after = fixture.solve(solve(&[("c", 1.0)])).await;
         assert_eq!(after.frame.positions[1].x, 2.0);
     }
@@ -69,17 +55,15 @@ async fn nothing_to_undo_is_a_precondition() {
     let id = create(&manager, "points 4").await;
     let error = manager.undo(tenant(), &id, None).await.expect_err("only the creation");
     assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
-    let error = manager
-        .solve(tenant(), &id, solve(&[]), None)
-        .await
-        .expect_err("no handles");
+    let solved = manager.solve(tenant(), &id, solve(&[]), None).await;
+    let error = solved.expect_err("no handles");
     assert_eq!((error.http_status(), error.code_name()), (409, "FAILED_PRECONDITION"));
 }
 
 #[tokio::test]
 async fn handles_leave_the_shape_alone_and_start_at_their_poses() {
     let (fixture, _) = Fixture::fake(small()).await;
-    fixture.solve(solve(&[("a", 4.0)])).await;
+    fixture.solve_a(4.0).await;
     let before = fixture.positions().await;
     let mut request = handles(&["a", "b"]);
     request.handles[1].pose = Some(HandlePose::translation([6.0, 0.0, 0.0]));
@@ -129,7 +113,7 @@ async fn handles_leave_the_shape_alone_and_start_at_their_poses() {
 #[tokio::test]
 async fn a_call_that_fails_changes_nothing() {
     let (fixture, _) = Fixture::fake(small()).await;
-    fixture.solve(solve(&[("a", 4.0)])).await;
+    fixture.solve_a(4.0).await;
     let before = (
         fixture.facts().await,
         fixture.manager.history(tenant(), &fixture.id).await,
@@ -192,11 +176,7 @@ async fn a_caller_that_goes_leaves_the_old_state() {
 
 #[tokio::test]
 async fn a_solve_that_takes_too_long_is_given_up() {
-    let (fixture, control) = Fixture::fake(SessionConfig {
-        solve: Duration::from_millis(10),
-        ..small()
-    })
-    .await;
+    let (fixture, control) = Fixture::with(|config| config.solve = Duration::from_millis(10)).await;
     control.hold();
     let error = fixture.refuses(solve(&[("a", 1.0)])).await;
     assert_eq!((error.http_status(), error.code_name()), (504, "DEADLINE_EXCEEDED"));
@@ -209,7 +189,7 @@ async fn a_solve_that_takes_too_long_is_given_up() {
 #[tokio::test]
 async fn exports_and_positions_are_of_the_committed_shape() {
     let (fixture, _) = Fixture::fake(small()).await;
-    fixture.solve(solve(&[("a", 2.0)])).await;
+    fixture.solve_a(2.0).await;
     let positions = fixture.positions().await;
     assert_eq!(positions.bytes.len(), 4 * 12);
     assert_eq!(
@@ -220,23 +200,16 @@ async fn exports_and_positions_are_of_the_committed_shape() {
     assert!(own.format == Format::OBJ && own.written.main.starts_with(b"obj [DVec3(2.0"));
     let other = fixture.export(Some(Format::PLY)).await;
     assert!(own.etag != other.etag && own.etag.starts_with('"') && own.etag.ends_with('"'));
-    assert_eq!(
-        fixture
+    let etag = async || {
+        let etag = fixture
             .manager
             .export_etag(tenant(), &fixture.id, Some(Format::PLY))
-            .await
-            .expect("open"),
-        other.etag
-    );
-    fixture.solve(solve(&[("a", 3.0)])).await;
-    assert_ne!(
-        fixture
-            .manager
-            .export_etag(tenant(), &fixture.id, Some(Format::PLY))
-            .await
-            .expect("open"),
-        other.etag
-    );
+            .await;
+        etag.expect("open")
+    };
+    assert_eq!(etag().await, other.etag);
+    fixture.solve_a(3.0).await;
+    assert_ne!(etag().await, other.etag);
 }
 
 #[derive(Debug, Clone)]

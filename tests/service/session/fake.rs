@@ -345,14 +345,26 @@ impl Fixture {
         (Self::of(&manager).await, control)
     }
 
+    /// As [`Fixture::fake`], with a stream of the session.
+    pub async fn streamed() -> (Self, Arc<Control>, StreamClient) {
+        let (fixture, control) = Self::fake(small()).await;
+        let client = fixture.client().await;
+        (fixture, control, client)
+    }
+
+    /// As [`Fixture::fake`], with changed limits.
+    pub async fn with(change: impl FnOnce(&mut SessionConfig)) -> (Self, Arc<Control>) {
+        Self::fake(limits(change)).await
+    }
+
     /// As [`Fixture::fake`], in a manager that there is.
     pub async fn of(manager: &Manager) -> Self {
         let (id, manager) = (open(manager).await, manager.clone());
         Self { manager, id }
     }
 
-    pub async fn client(&self) -> Client {
-        Client::open(&self.manager, &self.id).await
+    pub async fn client(&self) -> StreamClient {
+        StreamClient::open(&self.manager, &self.id).await
     }
 
     pub async fn solve(&self, commit: PoseCommit) -> CommittedPose {
@@ -370,6 +382,11 @@ impl Fixture {
     pub async fn refuses(&self, commit: PoseCommit) -> session::Error {
         let solved = self.manager.solve(tenant(), &self.id, commit, None).await;
         solved.map(|_| ()).expect_err("the pose is refused")
+    }
+
+    /// Poses `a`, which the session solves.
+    pub async fn solve_a(&self, x: f64) -> CommittedPose {
+        self.solve(solve(&[("a", x)])).await
     }
 
     pub async fn edit(&self, edit: SessionEdit) -> CommittedEdit {
@@ -439,6 +456,13 @@ pub fn small() -> SessionConfig {
         compute_threads: 2,
         ..SessionConfig::default()
     }
+}
+
+/// Such a configuration with other limits.
+pub fn limits(change: impl FnOnce(&mut SessionConfig)) -> SessionConfig {
+    let mut config = small();
+    change(&mut config);
+    config
 }
 
 pub fn manager(config: SessionConfig) -> (Manager, Arc<Control>) {
@@ -532,20 +556,20 @@ pub fn stream_options() -> DeformOptions {
 }
 
 /// The client of one stream.
-pub struct Client {
+pub struct StreamClient {
     pub input: StreamInput,
     pub output: StreamOutput,
 }
 
-/// A frame: what it tells, how far each of its vertices is from rest along x, and which they are when it carries changes only.
+/// A frame: its header, how far each of its vertices is from rest along x, and which they are when it carries changes only.
 #[derive(Debug, Clone)]
-pub struct Seen {
+pub struct SeenFrame {
     pub header: FrameHeader,
     pub x: Vec<f64>,
     pub selected: Option<Vec<u32>>,
 }
 
-impl Client {
+impl StreamClient {
     pub async fn open(manager: &Manager, id: &str) -> Self {
         Self::of(manager.stream(tenant(), id).await.expect("a stream"))
     }
@@ -571,8 +595,18 @@ impl Client {
         self.push(StreamRequest::Ack(seq));
     }
 
-    pub fn options(&self, options: DeformOptions) {
+    /// Sends options that differ from those that ask for nothing.
+    pub fn options(&self, change: impl FnOnce(&mut DeformOptions)) {
+        let mut options = stream_options();
+        change(&mut options);
         self.push(StreamRequest::Options(Ok(options)));
+    }
+
+    /// Drags `a` to 1, and waits until that is held up in its first cycle.
+    pub async fn drag_held_up(&self, control: &Control) {
+        control.hold();
+        self.drag(1, &[("a", 1.0)]);
+        control.held_up().await;
     }
 
     /// The next answer; panics when none comes.
@@ -582,11 +616,11 @@ impl Client {
     }
 
     /// The next answer, which must be a frame.
-    pub async fn frame(&mut self) -> Seen {
+    pub async fn frame(&mut self) -> SeenFrame {
         match self.next().await {
             Some(StreamAnswer::Frame(frame)) => {
                 let x = frame.positions.iter().enumerate().map(|(v, p)| p.x - v as f64);
-                Seen {
+                SeenFrame {
                     x: x.map(|x| (x * 1e4).round() / 1e4).collect(),
                     header: frame.header,
                     selected: frame.selected,

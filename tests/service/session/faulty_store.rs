@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
 use tokio::sync::watch;
 
-/// A store that fails when it is told to.
+/// A store that fails when it is asked to.
 #[derive(Debug)]
 pub struct FaultyStore {
     inner: Arc<DatabaseStore>,

@@ -2,9 +2,12 @@
 
 use super::fake::*;
 use crate::support::server::retried;
-use pliant::session::MemoryUse;
-use pliant::session::{ErrorCode, SessionConfig, StreamAnswer};
+use pliant::session::store::StoreLocation;
+use pliant::session::{ErrorCode, HistoryFacts, Manager, MemoryUse, StreamAnswer};
 use pliant::wire::SessionOptions;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
 
 #[tokio::test]
@@ -15,44 +18,22 @@ async fn an_unused_session_expires_and_frees_its_memory() {
         label: "short".into(),
         ..options()
     };
-    let idle = manager
-        .create(tenant(), model("points 4"), options(), None)
-        .await
-        .expect("made")
-        .value;
-    let streaming = manager
-        .create(tenant(), model("points 4"), options(), None)
-        .await
-        .expect("made")
-        .value;
+    let make = async || {
+        let made = manager.create(tenant(), model("points 4"), options(), None).await;
+        made.expect("made").value
+    };
+    let gone = async |id: &str| manager.get(tenant(), id).await.expect_err("expired").http_status();
+    let (idle, streaming) = (make().await, make().await);
     assert_eq!((idle.label.as_str(), idle.expires_at.ends_with('Z')), ("short", true));
     // Times of this form are ordered as texts.
     assert!(idle.created_at.ends_with('Z') && idle.created_at < idle.expires_at);
     let stream = manager.stream(tenant(), &streaming.id).await.expect("a stream");
     until(|| manager.metrics().sessions_expired.get() == 1).await;
-    assert_eq!(
-        manager
-            .get(tenant(), &idle.id)
-            .await
-            .expect_err("expired")
-            .http_status(),
-        404
-    );
+    assert_eq!(gone(&idle.id).await, 404);
     // Twice its lease has passed for the other one by the next expiry of a third.
-    let third = manager
-        .create(tenant(), model("points 4"), options(), None)
-        .await
-        .expect("made")
-        .value;
+    let third = make().await;
     until(|| manager.metrics().sessions_expired.get() == 2).await;
-    assert_eq!(
-        manager
-            .get(tenant(), &third.id)
-            .await
-            .expect_err("expired")
-            .http_status(),
-        404
-    );
+    assert_eq!(gone(&third.id).await, 404);
     manager
         .get(tenant(), &streaming.id)
         .await
@@ -67,11 +48,8 @@ async fn an_unused_session_expires_and_frees_its_memory() {
 
 #[tokio::test]
 async fn deleting_ends_work_and_streams() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
-    control.hold();
-    client.drag(1, &[("a", 1.0)]);
-    control.held_up().await;
+    let (fixture, control, mut client) = Fixture::streamed().await;
+    client.drag_held_up(&control).await;
     let solving = fixture.solving(solve(&[]));
     tokio::task::yield_now().await;
     fixture.manager.delete(tenant(), &fixture.id).await.expect("deleted");
@@ -175,9 +153,8 @@ async fn a_call_that_failed_or_was_given_up_frees_its_key() {
 }
 
 #[tokio::test]
-async fn draining_tells_streams_and_waits_for_them() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
+async fn draining_notifies_streams_and_waits_for_them() {
+    let (fixture, control, mut client) = Fixture::streamed().await;
     fixture.manager.start_drain();
     assert!(!fixture.manager.admits());
     let Some(StreamAnswer::Notice { code, session, .. }) = client.next().await else {
@@ -217,15 +194,12 @@ async fn draining_tells_streams_and_waits_for_them() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn many_sessions_share_few_slots() {
-    let (manager, _) = manager(SessionConfig {
-        compute_slots: 1,
-        ..small()
-    });
+    let (manager, _) = manager(limits(|config| config.compute_slots = 1));
     let work = (0..8).map(|k| {
         let manager = manager.clone();
         tokio::spawn(async move {
             let id = open(&manager).await;
-            let mut client = Client::open(&manager, &id).await;
+            let mut client = StreamClient::open(&manager, &id).await;
             for seq in 1..=20 {
                 client.drag(seq, &[("a", f64::from(k))]);
                 assert_eq!(client.frame().await.x[0], f64::from(k));
@@ -250,4 +224,95 @@ async fn many_sessions_share_few_slots() {
         (0, 0, 0)
     );
     assert_eq!((metrics.poses_solved.get(), metrics.commits.get()), (8 * 21, 8 * 2));
+}
+
+/// Sessions of a folder, opened by a build whose results are so many billionths off.
+async fn opened_by(folder: &Path, build: &str, late_digits: u64) -> Manager {
+    let location = StoreLocation {
+        build: Some(build.into()),
+        ..StoreLocation::in_folder(folder)
+    };
+    let store = store_at(&location).await;
+    let control = Arc::new(Control::default());
+    control.late_digits.store(late_digits, SeqCst);
+    let opened = Manager::with_store(small(), OpenFake(control), Arc::new(store)).await;
+    opened.expect("a store")
+}
+
+async fn history(manager: &Manager, id: &str) -> HistoryFacts {
+    manager.history(tenant(), id).await.expect("served")
+}
+
+/// A session with so many poses, made by the build "one".
+async fn made(folder: &Path, poses: u32) -> (String, HistoryFacts) {
+    let manager = opened_by(folder, "one", 0).await;
+    let id = open(&manager).await;
+    for k in 1..=poses {
+        let pose = solve(&[("a", f64::from(k))]);
+        manager.solve(tenant(), &id, pose, None).await.expect("solved");
+    }
+    let made = history(&manager, &id).await;
+    close(manager).await;
+    (id, made)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn other_bits_of_the_same_build_are_damage() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (id, _) = made(folder.path(), 3).await;
+    let manager = opened_by(folder.path(), "one", 1).await;
+    let error = manager.get(tenant(), &id).await.expect_err("not served");
+    assert_eq!(error.code, ErrorCode::DataLoss, "{error}");
+    close(manager).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn late_digits_of_another_build_are_recorded_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (id, by_one) = made(folder.path(), 3).await;
+    let manager = opened_by(folder.path(), "two", 1).await;
+    let by_two = history(&manager, &id).await;
+    let revisions = |h: &HistoryFacts| -> Vec<_> { h.commits.iter().map(|c| (c.revision, c.kind)).collect() };
+    assert_eq!(revisions(&by_two), revisions(&by_one));
+    for (one, two) in by_one.commits.iter().zip(&by_two.commits) {
+        assert_eq!(one.digest == two.digest, one.kind != "pose", "{one:?} {two:?}");
+    }
+    close(manager).await;
+    // From now on it is the build "two" that has to make the same bits.
+    let manager = opened_by(folder.path(), "two", 1).await;
+    assert_eq!(history(&manager, &id).await, by_two);
+    manager.undo(tenant(), &id, None).await.expect("undone");
+    close(manager).await;
+    let manager = opened_by(folder.path(), "two", 2).await;
+    let error = manager.get(tenant(), &id).await.expect_err("not served");
+    assert_eq!(error.code, ErrorCode::DataLoss, "{error}");
+    close(manager).await;
+    let manager = opened_by(folder.path(), "three", 500_000_000).await;
+    let error = manager.get(tenant(), &id).await.expect_err("another shape");
+    assert_eq!(error.code, ErrorCode::FailedPrecondition, "{error}");
+    assert!(error.message.contains("another build (two)"), "{error}");
+    close(manager).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_kept_shape_is_trusted_and_older_ones_are_made_again_when_they_are_gone_to() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (id, by_one) = made(folder.path(), 16).await;
+    let manager = opened_by(folder.path(), "one", 0).await;
+    // Idle for no time at all: its shape is kept on the way out.
+    manager.get(tenant(), &id).await.expect("served");
+    close(manager).await;
+    let manager = opened_by(folder.path(), "two", 1).await;
+    assert_eq!(history(&manager, &id).await, by_one, "nothing is solved again");
+    let undone = manager.undo(tenant(), &id, None).await.expect("undone");
+    assert_eq!(undone.revision, by_one.current + 1);
+    let now = history(&manager, &id).await;
+    let before = by_one.commits.len() - 2;
+    assert_ne!(now.commits[before].digest, by_one.commits[before].digest);
+    manager.redo(tenant(), &id, None).await.expect("redone");
+    close(manager).await;
+    let manager = opened_by(folder.path(), "two", 1).await;
+    let again = history(&manager, &id).await;
+    assert_eq!(again.commits[before].digest, now.commits[before].digest);
+    close(manager).await;
 }

@@ -81,11 +81,7 @@ pub fn turning(seq: u64, angle: f64, commit: bool) -> StreamRequest {
 #[tokio::test]
 async fn commits_undo_and_replay_to_the_bit() {
     for snapshot_bytes in [1 << 24, 0] {
-        let fixture = bent(SessionConfig {
-            snapshot_bytes,
-            ..small()
-        })
-        .await;
+        let fixture = bent(limits(|config| config.snapshot_bytes = snapshot_bytes)).await;
         let session = fixture.facts().await;
         assert_eq!(
             (session.deformer.handles.len(), session.deformer.primitives.len()),
@@ -188,7 +184,7 @@ async fn every_commit_is_measured_and_crossings_are_counted_when_asked() {
 
     // On a stream commits are measured, and drags are not.
     let mut client = fixture.client().await;
-    client.options(options(true));
+    client.options(|asked| *asked = options(true));
     for (seq, commit) in [(1, false), (2, true)] {
         client.push(turning(seq, 1.0, commit));
         let frame = client.frame().await.header;

@@ -118,7 +118,7 @@ async fn a_store_that_is_away_refuses_changes_and_lets_reads_and_drags_go_on() {
     let folder = tempfile::tempdir().expect("a folder");
     let (manager, store) = opened(folder.path()).await;
     let id = open(&manager).await;
-    let mut stream = Client::open(&manager, &id).await;
+    let mut stream = StreamClient::open(&manager, &id).await;
     for round in 1..=3 {
         step(&manager, &id, LifeStep::Solve(round)).await.expect("solved");
         let before = manager.history(tenant(), &id).await.expect("served");
@@ -138,12 +138,12 @@ async fn a_store_that_is_away_refuses_changes_and_lets_reads_and_drags_go_on() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn while_a_commit_waits_for_the_store_it_has_not_happened_and_nobody_else_waits() {
+async fn while_a_commit_waits_for_the_store_it_has_not_happened_and_no_one_else_waits() {
     let folder = tempfile::tempdir().expect("a folder");
     let (manager, store) = opened(folder.path()).await;
     let (id, other) = (open(&manager).await, open(&manager).await);
     let before = manager.history(tenant(), &id).await.expect("served");
-    let mut stream = Client::open(&manager, &other).await;
+    let mut stream = StreamClient::open(&manager, &other).await;
     let calls = store.calls.load(SeqCst);
     store.held.send_replace(true);
     let committing = tokio::spawn({

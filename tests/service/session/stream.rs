@@ -2,19 +2,16 @@
 
 use super::fake::*;
 use crate::support::server::stays;
-use pliant::session::{ErrorCode, SessionConfig, StreamAnswer};
-use pliant::wire::frames::{FrameOutput, encode};
-use pliant::wire::{self, DeformOptions, StreamRequest};
+use pliant::session::{ErrorCode, StreamAnswer};
+use pliant::wire::frames::encode;
+use pliant::wire::{self, StreamRequest};
 use std::sync::atomic::Ordering::SeqCst;
 use std::time::Duration;
 
 #[tokio::test]
 async fn the_latest_pose_wins_and_the_skipped_ones_are_counted() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
-    control.hold();
-    client.drag(1, &[("a", 1.0)]);
-    control.held_up().await;
+    let (fixture, control, mut client) = Fixture::streamed().await;
+    client.drag_held_up(&control).await;
     (2..=10).for_each(|seq| client.drag(seq, &[("a", seq as f64)]));
     control.release();
     let first = client.frame().await;
@@ -43,11 +40,8 @@ async fn the_latest_pose_wins_and_the_skipped_ones_are_counted() {
 
 #[tokio::test]
 async fn skipped_poses_still_move_the_handles_that_newer_ones_do_not_name() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
-    control.hold();
-    client.drag(1, &[("a", 1.0)]);
-    control.held_up().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
+    client.drag_held_up(&control).await;
     client.drag(2, &[("b", 2.0)]);
     client.drag(3, &[("a", 3.0)]);
     control.release();
@@ -61,9 +55,8 @@ async fn skipped_poses_still_move_the_handles_that_newer_ones_do_not_name() {
 }
 
 #[tokio::test]
-async fn a_wrong_pose_is_told_and_the_stream_goes_on() {
-    let (fixture, _) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
+async fn a_wrong_pose_is_reported_and_the_stream_goes_on() {
+    let (_fixture, _, mut client) = Fixture::streamed().await;
     client.drag(5, &[("a", 1.0)]);
     assert_eq!(client.frame().await.header.seq, 5);
     client.drag(5, &[("a", 2.0)]);
@@ -85,11 +78,8 @@ async fn a_wrong_pose_is_told_and_the_stream_goes_on() {
 
 #[tokio::test]
 async fn a_wrong_pose_among_skipped_ones_takes_no_effect_and_no_part_in_the_count() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
-    control.hold();
-    client.drag(1, &[("a", 1.0)]);
-    control.held_up().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
+    client.drag_held_up(&control).await;
     client.drag(2, &[("b", 2.0), ("a", f64::INFINITY)]);
     client.drag(3, &[("a", 3.0)]);
     client.drag(4, &[("nobody", 4.0)]);
@@ -112,7 +102,7 @@ async fn a_wrong_pose_among_skipped_ones_takes_no_effect_and_no_part_in_the_coun
 async fn without_handles_every_pose_is_refused() {
     let (manager, _) = manager(small());
     let id = create(&manager, "points 4").await;
-    let mut client = Client::open(&manager, &id).await;
+    let mut client = StreamClient::open(&manager, &id).await;
     client.drag(1, &[]);
     let (seq, error) = client.error().await;
     assert_eq!((seq, error.grpc_code()), (1, 9), "{}", error.message);
@@ -126,8 +116,7 @@ async fn without_handles_every_pose_is_refused() {
 
 #[tokio::test]
 async fn no_more_frames_than_the_window_are_on_their_way() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
     for seq in 1..=2 {
         client.drag(seq, &[("a", seq as f64)]);
         assert_eq!(client.frame().await.header.seq, seq);
@@ -142,18 +131,14 @@ async fn no_more_frames_than_the_window_are_on_their_way() {
     client.ack(1);
     let frame = client.frame().await;
     assert_eq!((frame.header.seq, frame.header.superseded), (9, 6));
-    client.options(DeformOptions {
-        window: 3,
-        ..stream_options()
-    });
+    client.options(|options| options.window = 3);
     client.drag(10, &[]);
     assert_eq!(client.frame().await.header.seq, 10, "a wider window holds one more");
 }
 
 #[tokio::test]
 async fn a_reader_that_stops_costs_no_more_than_its_window() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
+    let (fixture, control, mut client) = Fixture::streamed().await;
     let before = fixture.held_bytes();
     for half in [1..=10_000, 10_001..=20_000] {
         for seq in half {
@@ -183,15 +168,9 @@ async fn a_reader_that_stops_costs_no_more_than_its_window() {
 
 #[tokio::test]
 async fn commits_are_never_skipped_and_stay_in_order() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
-    client.options(DeformOptions {
-        window: 8,
-        ..stream_options()
-    });
-    control.hold();
-    client.drag(1, &[("a", 1.0)]);
-    control.held_up().await;
+    let (fixture, control, mut client) = Fixture::streamed().await;
+    client.options(|options| options.window = 8);
+    client.drag_held_up(&control).await;
     client.drag(2, &[("b", 2.0)]);
     client.commit(3, &[("a", 3.0)]);
     client.drag(4, &[("a", 4.0)]);
@@ -202,12 +181,12 @@ async fn commits_are_never_skipped_and_stay_in_order() {
     for _ in 0..4 {
         frames.push(client.frame().await);
     }
-    let told: Vec<_> = frames
+    let reply: Vec<_> = frames
         .iter()
         .map(|f| (f.header.seq, f.header.superseded, f.header.revision))
         .collect();
     // Revision 2 made the handles.
-    assert_eq!(told, [(1, 0, 2), (3, 1, 3), (5, 1, 4), (6, 0, 4)]);
+    assert_eq!(reply, [(1, 0, 2), (3, 1, 3), (5, 1, 4), (6, 0, 4)]);
     assert_eq!(
         (&frames[1].x[..2], &frames[2].x[..2]),
         (&[3.0, 2.0][..], &[4.0, 2.0][..])
@@ -224,16 +203,9 @@ async fn commits_are_never_skipped_and_stay_in_order() {
 
 #[tokio::test]
 async fn too_many_waiting_commits_are_refused_by_number() {
-    let (fixture, control) = Fixture::fake(SessionConfig {
-        stream_commits: 2,
-        ..small()
-    })
-    .await;
+    let (fixture, control) = Fixture::with(|config| config.stream_commits = 2).await;
     let mut client = fixture.client().await;
-    client.options(DeformOptions {
-        window: 8,
-        ..stream_options()
-    });
+    client.options(|options| options.window = 8);
     control.hold();
     client.commit(1, &[("a", 1.0)]);
     control.held_up().await;
@@ -262,8 +234,7 @@ async fn what_was_dragged_and_not_committed_goes_with_the_stream() {
 
 #[tokio::test]
 async fn a_commit_elsewhere_moves_a_stream_but_not_what_it_drags() {
-    let (fixture, _) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
+    let (fixture, _, mut client) = Fixture::streamed().await;
     client.drag(1, &[("a", 5.0)]);
     client.frame().await;
     fixture.solve(solve(&[("b", 2.0)])).await;
@@ -278,13 +249,8 @@ async fn a_commit_elsewhere_moves_a_stream_but_not_what_it_drags() {
 
 #[tokio::test]
 async fn progressive_frames_come_from_the_first_cycle_on() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
-    client.options(DeformOptions {
-        progressive: true,
-        window: 4,
-        ..stream_options()
-    });
+    let (_fixture, control, mut client) = Fixture::streamed().await;
+    client.options(|options| (options.progressive, options.window) = (true, 4));
     control.hold();
     client.drag(1, &[("a", 1.0)]);
     let mut residuals = Vec::new();
@@ -311,11 +277,7 @@ async fn a_newer_pose_cuts_a_progressive_solve_short_but_not_another() {
     let (fixture, control) = Fixture::fake(small()).await;
     for progressive in [true, false] {
         let mut client = fixture.client().await;
-        client.options(DeformOptions {
-            progressive,
-            window: 8,
-            ..stream_options()
-        });
+        client.options(|options| (options.progressive, options.window) = (progressive, 8));
         control.hold();
         client.drag(1, &[("a", 1.0)]);
         control.step(1);
@@ -325,7 +287,7 @@ async fn a_newer_pose_cuts_a_progressive_solve_short_but_not_another() {
         let mut frames = Vec::new();
         while frames
             .last()
-            .is_none_or(|f: &Seen| f.header.seq < 2 || !f.header.is_final)
+            .is_none_or(|f: &SeenFrame| f.header.seq < 2 || !f.header.is_final)
         {
             frames.push(client.frame().await);
             client.ack(2);
@@ -340,15 +302,9 @@ async fn a_newer_pose_cuts_a_progressive_solve_short_but_not_another() {
 
 #[tokio::test]
 async fn a_budget_takes_the_best_there_is() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
-    client.options(DeformOptions {
-        budget_ms: Some(1.0),
-        ..stream_options()
-    });
-    control.hold();
-    client.drag(1, &[("a", 1.0)]);
-    control.held_up().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
+    client.options(|options| options.budget_ms = Some(1.0));
+    client.drag_held_up(&control).await;
     tokio::time::sleep(Duration::from_millis(5)).await;
     control.step(1);
     let frame = client.frame().await;
@@ -358,11 +314,8 @@ async fn a_budget_takes_the_best_there_is() {
 
 #[tokio::test]
 async fn pings_are_answered_while_solving() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
-    control.hold();
-    client.drag(1, &[("a", 1.0)]);
-    control.held_up().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
+    client.drag_held_up(&control).await;
     client.silent().await;
     control.release();
     assert_eq!(client.frame().await.header.seq, 1);
@@ -370,11 +323,8 @@ async fn pings_are_answered_while_solving() {
 
 #[tokio::test]
 async fn a_client_that_has_said_everything_gets_its_last_frame_unasked() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
-    control.hold();
-    client.drag(1, &[("a", 1.0)]);
-    control.held_up().await;
+    let (_fixture, control, mut client) = Fixture::streamed().await;
+    client.drag_held_up(&control).await;
     for seq in 2..=9 {
         if seq % 3 == 0 {
             client.commit(seq, &[("a", seq as f64)])
@@ -385,24 +335,23 @@ async fn a_client_that_has_said_everything_gets_its_last_frame_unasked() {
     client.drag(10, &[("b", 10.0)]);
     client.input.finish();
     control.release();
-    let mut told = Vec::new();
+    let mut reply = Vec::new();
     while let Some(message) = client.next().await {
         let StreamAnswer::Frame(frame) = message else {
             panic!("only frames were expected, not {message:?}")
         };
         let header = frame.header;
-        told.push((header.seq, header.superseded, header.is_final));
+        reply.push((header.seq, header.superseded, header.is_final));
     }
     assert_eq!(
-        told,
+        reply,
         [(1, 0, true), (3, 1, true), (6, 2, true), (9, 2, true), (10, 0, true)]
     );
 }
 
 #[tokio::test]
 async fn dropping_a_stream_stops_its_solve_and_changes_nothing() {
-    let (fixture, control) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
+    let (fixture, control, mut client) = Fixture::streamed().await;
     client.drag(1, &[("b", 1.0)]);
     client.frame().await;
     control.hold();
@@ -419,7 +368,7 @@ async fn dropping_a_stream_stops_its_solve_and_changes_nothing() {
     control.release();
     let session = fixture.facts().await;
     assert_eq!((session.revision, fixture.metrics().streams.get()), (2, 0));
-    let solved = fixture.solve(solve(&[("a", 1.0)])).await;
+    let solved = fixture.solve_a(1.0).await;
     assert_eq!(solved.frame.positions[1].x, 1.0, "b is at rest");
 }
 
@@ -447,8 +396,7 @@ async fn streams_take_turns() {
 
 #[tokio::test]
 async fn wrong_options_end_the_stream() {
-    let (fixture, _) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
+    let (_fixture, _, mut client) = Fixture::streamed().await;
     let wrong = wire::Error::invalid("options.tolerance", "is -1");
     client.push(StreamRequest::Options(Err(wrong)));
     let (seq, error) = client.error().await;
@@ -460,16 +408,8 @@ async fn wrong_options_end_the_stream() {
 
 #[tokio::test]
 async fn changes_only_are_sent_once_a_frame_is_acknowledged() {
-    let (fixture, _) = Fixture::fake(small()).await;
-    let mut client = fixture.client().await;
-    let output = FrameOutput {
-        changed_only: Some(0.01),
-        ..Default::default()
-    };
-    client.options(DeformOptions {
-        output,
-        ..stream_options()
-    });
+    let (_fixture, _, mut client) = Fixture::streamed().await;
+    client.options(|options| options.output.changed_only = Some(0.01));
     client.drag(1, &[("a", 1.0)]);
     assert_eq!(client.frame().await.selected, Some(vec![0, 1, 2, 3]));
     client.ack(1);
@@ -483,16 +423,13 @@ async fn changes_only_are_sent_once_a_frame_is_acknowledged() {
 
 #[tokio::test]
 async fn large_frames_come_in_parts_made_one_by_one() {
-    let (manager, _) = manager(SessionConfig {
-        part_bytes: 1200,
-        ..small()
-    });
+    let (manager, _) = manager(limits(|config| config.part_bytes = 1200));
     let id = create(&manager, "points 1000").await;
     manager
         .set_handles(tenant(), &id, handles(&["a"]), None)
         .await
         .expect("one handle");
-    let mut client = Client::open(&manager, &id).await;
+    let mut client = StreamClient::open(&manager, &id).await;
     client.drag(1, &[("a", 1.0)]);
     let Some(StreamAnswer::Frame(frame)) = client.next().await else {
         panic!("a frame was expected")
@@ -509,7 +446,7 @@ async fn large_frames_come_in_parts_made_one_by_one() {
 
 #[tokio::test]
 async fn there_are_only_so_many_streams() {
-    let (fixture, _) = Fixture::fake(SessionConfig { streams: 2, ..small() }).await;
+    let (fixture, _) = Fixture::with(|config| config.streams = 2).await;
     let _first = fixture.manager.stream(tenant(), &fixture.id).await.expect("one");
     let second = fixture.manager.stream(tenant(), &fixture.id).await.expect("two");
     let error = fixture.manager.stream(tenant(), &fixture.id).await.expect_err("three");

@@ -4,7 +4,7 @@ use super::ack;
 use crate::support::server::*;
 use pliant::wire::frames::FrameReader;
 use pliant::wire::pb::{self, deform_request, deform_response, frame};
-use serde_json::{Value, json};
+use serde_json::json;
 use tokio::sync::mpsc;
 use tonic::{Code, Streaming};
 
@@ -71,12 +71,6 @@ impl Reading {
     }
 }
 
-/// The JSON that answers a request.
-async fn answered(request: reqwest::RequestBuilder) -> Value {
-    let answer = request.answer().await;
-    answer.json().await.expect("JSON")
-}
-
 fn is_key(parts: &[pb::Frame]) -> bool {
     parts.iter().all(|part| part.encoding() != frame::Encoding::Delta)
 }
@@ -100,23 +94,23 @@ fn half_step(part: &pb::Frame) -> f64 {
 async fn frames_of_differences_show_what_whole_frames_show() {
     let server = Server::with(|sessions, _| sessions.part_bytes = 1024).await;
     let (id, twin) = (server.bar_session().await, server.bar_session().await);
-    let mut told = Reading::open(&server, &id, asking(frame::Encoding::Delta, false), VERTICES).await;
+    let mut reply = Reading::open(&server, &id, asking(frame::Encoding::Delta, false), VERTICES).await;
     let mut whole = Reading::open(&server, &twin, asking(frame::Encoding::F32, false), VERTICES).await;
     let before = server.manager.ledger().used();
     let mut keys = Vec::new();
     for seq in 1..=24u64 {
         let normals = seq >= 9;
         match seq {
-            // The same options again, as who lacks what differences are told from sends them.
-            5 => told.ask(asking(frame::Encoding::Delta, false)).await,
+            // The same options again, as a client sends them that lacks the base of differences.
+            5 => reply.ask(asking(frame::Encoding::Delta, false)).await,
             9 => {
-                told.ask(asking(frame::Encoding::Delta, true)).await;
+                reply.ask(asking(frame::Encoding::Delta, true)).await;
                 whole.ask(asking(frame::Encoding::F32, true)).await;
             }
             _ => {}
         }
         let (angle, commit) = (0.02 * seq as f64, seq % 8 == 0);
-        let parts = told.pose(seq, angle, commit).await;
+        let parts = reply.pose(seq, angle, commit).await;
         whole.pose(seq, angle, commit).await;
         assert!(parts.len() > 1, "frame {seq} comes in parts");
         assert!(
@@ -129,11 +123,11 @@ async fn frames_of_differences_show_what_whole_frames_show() {
         }
         let seen = |reading: &Reading, attribute| reading.reader.numbers(attribute).to_vec();
         let position = frame::Attribute::Position;
-        let apart = farthest(&seen(&told, position), &seen(&whole, position));
+        let apart = farthest(&seen(&reply, position), &seen(&whole, position));
         assert!(apart <= half_step(&parts[0]), "frame {seq}: {apart}");
         if normals {
             let apart = farthest(
-                &seen(&told, frame::Attribute::Normal),
+                &seen(&reply, frame::Attribute::Normal),
                 &seen(&whole, frame::Attribute::Normal),
             );
             assert!(apart <= 1.0 / 65535.0 + 1e-6, "normals of frame {seq}: {apart}");
@@ -155,58 +149,54 @@ async fn large_frames_of_differences_show_what_whole_frames_show() {
     for encoding in [frame::Encoding::Delta, frame::Encoding::F32] {
         let session = server.open(bar([12, 12, 100])).await;
         let id = text(&session["id"]);
-        let url = server.url(&format!("/v1/sessions/{id}/handles"));
-        let handles = json!({"handles": ends()});
-        assert_eq!(http().put(url).json(&handles).answer().await.status(), 200);
+        server.hold_ends(&id).await;
         let vertices = session["model"]["vertices"].as_u64().expect("a number") as usize;
         assert!(vertices > 4096);
         opened.push(Reading::open(&server, &id, asking(encoding, true), vertices).await);
     }
-    let [told, whole] = &mut opened[..] else {
+    let [reply, whole] = &mut opened[..] else {
         panic!("two streams")
     };
     for seq in 1..=6 {
-        let parts = told.pose(seq, 0.05 * seq as f64, false).await;
+        let parts = reply.pose(seq, 0.05 * seq as f64, false).await;
         whole.pose(seq, 0.05 * seq as f64, false).await;
         assert_eq!((parts.len() > 4, is_key(&parts)), (true, seq == 1), "frame {seq}");
         let seen = |reading: &Reading| reading.reader.numbers(frame::Attribute::Position).to_vec();
-        let apart = farthest(&seen(told), &seen(whole));
+        let apart = farthest(&seen(reply), &seen(whole));
         assert!(apart <= half_step(&parts[0]), "frame {seq}: {apart}");
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_edit_begins_with_a_key_frame_and_another_stream_with_its_own() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
-    let mut told = Reading::open(&server, &id, asking(frame::Encoding::Delta, false), VERTICES).await;
-    assert!(is_key(&told.pose(1, 0.1, false).await));
-    assert!(!is_key(&told.pose(2, 0.11, false).await));
+    let (server, id) = Server::start_with_bar().await;
+    let mut reply = Reading::open(&server, &id, asking(frame::Encoding::Delta, false), VERTICES).await;
+    assert!(is_key(&reply.pose(1, 0.1, false).await));
+    assert!(!is_key(&reply.pose(2, 0.11, false).await));
     let mut other = Reading::open(&server, &id, asking(frame::Encoding::Delta, false), VERTICES).await;
     assert!(is_key(&other.pose(1, 0.1, false).await), "it holds nothing yet");
     drop(other);
     let edit = |body| {
-        let url = server.url(&format!("/v1/sessions/{id}/edits"));
+        let url = server.url(&path(&id, "/edits"));
         http().post(url).json(&body).send()
     };
     let cut = json!({"cut": {"plane": {"normal": [0, 0, 1], "offset": 0.1}, "keep": "ABOVE", "fill": true}});
     let answer = edit(cut).await.expect("an answer");
     assert_eq!(answer.status(), 200, "{}", answer.text().await.unwrap());
-    let session = answered(server.get(&format!("/v1/sessions/{id}"))).await;
+    let session = server.get(&format!("/v1/sessions/{id}")).document().await;
     let left = session["model"]["vertices"].as_u64().expect("a number") as usize;
     assert_ne!(left, VERTICES);
-    told.reader = FrameReader::new(left);
-    assert!(is_key(&told.pose(3, 0.12, false).await), "after an edit");
-    assert!(!is_key(&told.pose(4, 0.13, false).await));
-    assert_eq!(told.reader.numbers(frame::Attribute::Position).len(), left * 3);
+    reply.reader = FrameReader::new(left);
+    assert!(is_key(&reply.pose(3, 0.12, false).await), "after an edit");
+    assert!(!is_key(&reply.pose(4, 0.13, false).await));
+    assert_eq!(reply.reader.numbers(frame::Attribute::Position).len(), left * 3);
 }
 
 /// What is skipped was never a base: differences are formed when a frame is sent.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_websocket_reader_that_stops_reads_on_without_a_gap() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
-    let mut socket = server.socket(&format!("/v1/sessions/{id}/stream")).await.unwrap();
+    let (server, id) = Server::start_with_bar().await;
+    let mut socket = server.stream_socket(&id).await;
     let options = asking(frame::Encoding::Delta, false);
     socket.send(deform_request::Message::Options(options)).await;
     for seq in 1..=500u64 {
@@ -219,10 +209,7 @@ async fn a_websocket_reader_that_stops_reads_on_without_a_gap() {
     .await;
     let (mut reader, mut skipped, mut keys) = (FrameReader::new(VERTICES), 0, 0);
     let last = loop {
-        let Came::Response(response) = socket.next().await else {
-            panic!("closed")
-        };
-        let Some(deform_response::Message::Frame(part)) = response.message else {
+        let Some(deform_response::Message::Frame(part)) = socket.response().await else {
             panic!("a frame was expected")
         };
         assert!(reader.take(&part).expect("is read"), "one part");
@@ -248,13 +235,11 @@ async fn a_websocket_reader_that_stops_reads_on_without_a_gap() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn calls_that_answer_one_frame_answer_a_key_frame() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let mut client = server.grpc().await;
     let solve = pb::SolveRequest {
-        session_id: id.clone(),
-        pose: Some(turned(1, 0.5, true)),
         options: Some(asking(frame::Encoding::Delta, false)),
+        ..turn_request(&id, 1, 0.5)
     };
     let mut parts = client.solve(solve).await.expect("a frame").into_inner();
     let mut reader = FrameReader::new(VERTICES);
@@ -264,9 +249,9 @@ async fn calls_that_answer_one_frame_answer_a_key_frame() {
     }
     assert_eq!(reader.numbers(frame::Attribute::Position).len(), VERTICES * 3);
 
-    let url = server.url(&format!("/v1/sessions/{id}/solve"));
+    let url = server.url(&path(&id, "/solve"));
     let asked = json!({"options": {"output": {"encoding": "DELTA"}}});
-    let answer = answered(http().post(&url).json(&asked)).await;
+    let answer = http().post(&url).json(&asked).document().await;
     assert_eq!(
         (&answer["frames"][0]["encoding"], &answer["frames"][0]["number"]),
         (&json!("MESHOPT"), &json!("1"))
@@ -275,13 +260,12 @@ async fn calls_that_answer_one_frame_answer_a_key_frame() {
         .post(&url)
         .json(&asked)
         .header("accept", "application/octet-stream");
-    assert_eq!(buffer.answer().await.status(), 422, "floats alone come as a buffer");
+    assert_eq!(buffer.status().await, 422, "floats alone come as a buffer");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn changes_and_differences_together_are_refused() {
-    let server = Server::start().await;
-    let id = server.bar_session().await;
+    let (server, id) = Server::start_with_bar().await;
     let both = || {
         let mut options = asking(frame::Encoding::Delta, false);
         options.output.as_mut().expect("some").changed_only = Some(0.0);
@@ -295,9 +279,9 @@ async fn changes_and_differences_together_are_refused() {
         panic!("no error")
     };
     assert_eq!((error.seq, error.code), (0, 3));
-    let told = ["options.output.changedOnly", "DELTA", "next to nothing", "MESHOPT"];
+    let reply = ["options.output.changedOnly", "DELTA", "next to nothing", "MESHOPT"];
     assert!(
-        told.iter().all(|word| error.message.contains(word)),
+        reply.iter().all(|word| error.message.contains(word)),
         "{}",
         error.message
     );
@@ -305,14 +289,13 @@ async fn changes_and_differences_together_are_refused() {
     assert_eq!(ended.code(), Code::InvalidArgument);
 
     let solve = pb::SolveRequest {
-        session_id: id.clone(),
-        pose: Some(turned(1, 0.5, true)),
         options: Some(both()),
+        ..turn_request(&id, 1, 0.5)
     };
     let refused = server.grpc().await.solve(solve).await.expect_err("refused");
     assert_eq!(refused.code(), Code::InvalidArgument);
     let asked = json!({"options": {"output": {"encoding": "DELTA", "changedOnly": 0}}});
-    let url = server.url(&format!("/v1/sessions/{id}/solve"));
+    let url = server.url(&path(&id, "/solve"));
     let answer = http().post(&url).json(&asked).answer().await;
     assert_eq!(answer.status(), 422);
     assert!(answer.text().await.unwrap().contains("options.output.changedOnly"));

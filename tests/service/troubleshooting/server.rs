@@ -49,6 +49,11 @@ async fn detail(request: reqwest::RequestBuilder) -> String {
     text(&problem["detail"])
 }
 
+async fn said_of(by: &'static str, request: reqwest::RequestBuilder) -> Said {
+    let text = detail(request).await;
+    Said { by, text }
+}
+
 pub async fn provoke() -> Vec<Said> {
     let server = Server::with(|sessions, _| {
         sessions.upload_bytes = 256 << 10;
@@ -76,11 +81,7 @@ pub async fn provoke() -> Vec<Said> {
             .replace("{nobody}", NOBODY),
     };
     let mut said = Vec::new();
-    for case in CALLS.lines().filter(|line| !line.is_empty()) {
-        let cells: Vec<&'static str> = case.split(" | ").map(str::trim).collect();
-        let [by, call, kind, body] = cells[..] else {
-            panic!("not four cells: {case}")
-        };
+    for [by, call, kind, body] in rows(CALLS) {
         let (method, path) = call.split_once(' ').expect("method and path");
         let mut request = http()
             .request(method.parse().expect("a method"), server.url(&fill(path)))
@@ -124,14 +125,8 @@ async fn of_quotas() -> Vec<Said> {
     let ask = http().get(one.url(&path));
     let streams = upgrade.iter().fold(ask, |ask, (name, value)| ask.header(*name, *value));
     let mut said = vec![
-        Said {
-            by: "a session beyond the quota",
-            text: detail(open(&one, 4)).await,
-        },
-        Said {
-            by: "a stream beyond the quota",
-            text: detail(streams).await,
-        },
+        said_of("a session beyond the quota", open(&one, 4)).await,
+        said_of("a stream beyond the quota", streams).await,
     ];
     let slow = of_default(TenantQuota {
         upload_bytes_per_minute: Some(bar_obj(8).len() as u64 + 10),
@@ -141,14 +136,8 @@ async fn of_quotas() -> Vec<Said> {
     .await;
     let id = text(&slow.open(bar_obj(8)).await["id"]);
     let handles = http().put(slow.url(&format!("/v1/sessions/{id}/handles")));
-    said.push(Said {
-        by: "an upload beyond the quota",
-        text: detail(open(&slow, 8)).await,
-    });
-    said.push(Said {
-        by: "work beyond the quota",
-        text: detail(handles.json(&json!({"handles": ends()}))).await,
-    });
+    said.push(said_of("an upload beyond the quota", open(&slow, 8)).await);
+    said.push(said_of("work beyond the quota", handles.json(&json!({"handles": ends()}))).await);
     let small = of_default(TenantQuota {
         memory_bytes: Some(1 << 20),
         ..unlimited
@@ -194,10 +183,7 @@ async fn of_stores() -> Vec<Said> {
             by: "a session that is damaged",
             text: damaged,
         },
-        Said {
-            by: "a store that cannot be written",
-            text: detail(created).await,
-        },
+        said_of("a store that cannot be written", created).await,
     ]
 }
 
@@ -216,10 +202,7 @@ async fn of_full_store() -> String {
 async fn of_streams(server: &Server, id: &str) -> Vec<Said> {
     let mut said = Vec::new();
     let mut refused = async |by: &'static str, message: deform_request::Message| {
-        let mut socket = server
-            .socket(&format!("/v1/sessions/{id}/stream"))
-            .await
-            .expect("a socket");
+        let mut socket = server.stream_socket(&id).await;
         socket.send(message).await;
         let text = loop {
             match socket.next().await {
@@ -252,26 +235,22 @@ async fn of_origins_and_room(server: &Server) -> Vec<Said> {
         .post("/v1/sessions")
         .header("origin", "https://example.org")
         .body(bar_obj(4));
-    let foreign = Said {
-        by: "a page of another origin",
-        text: detail(foreign).await,
-    };
-    let misaddressed = Said {
-        by: "a name that is not the server's",
-        text: detail(server.get("/v1/limits").header("host", "mesh.example.org:7411")).await,
-    };
+    let foreign = said_of("a page of another origin", foreign).await;
+    let misaddressed = said_of(
+        "a name that is not the server's",
+        server.get("/v1/limits").header("host", "mesh.example.org:7411"),
+    )
+    .await;
     server.open(bar_obj(4)).await;
     server.open(bar_obj(4)).await;
-    let full = Said {
-        by: "no room for another session",
-        text: detail(server.post("/v1/sessions").body(bar_obj(4))).await,
-    };
+    let full = said_of(
+        "no room for another session",
+        server.post("/v1/sessions").body(bar_obj(4)),
+    )
+    .await;
     let open = |server: &Server| server.post("/v1/sessions").body(bar_obj(2000));
     let small = Server::with(|sessions, _| sessions.memory_bytes = 2 << 20).await;
-    let alone = Said {
-        by: "a model that needs more memory than there is",
-        text: detail(open(&small)).await,
-    };
+    let alone = said_of("a model that needs more memory than there is", open(&small)).await;
     // The least room in which one such model can be opened has none for two.
     let mut room = 14 << 20;
     let one = loop {
@@ -283,10 +262,7 @@ async fn of_origins_and_room(server: &Server) -> Vec<Said> {
         assert!(room < 128 << 20, "{}", answer.text().await.unwrap_or_default());
         room += 2 << 20;
     };
-    let both = Said {
-        by: "no memory for another session",
-        text: detail(open(&one)).await,
-    };
+    let both = said_of("no memory for another session", open(&one)).await;
     vec![foreign, misaddressed, full, alone, both]
 }
 
@@ -318,7 +294,7 @@ async fn of_warnings() -> Vec<Said> {
         .post("/v1/sessions")
         .header("content-type", "multipart/form-data; boundary=edge")
         .body(parts.concat() + "--edge--\r\n");
-    let opened = opened.told().await;
+    let opened = opened.document().await;
     let image = warning(&opened, "an OBJ without its picture", "image-missing");
     let heights = warning(&opened, "a picture of heights", "bump-map");
     let id = server.bar_session().await;
@@ -327,7 +303,7 @@ async fn of_warnings() -> Vec<Said> {
         {"id": "top", "region": {"halfSpace": {"normal": [0, 0, 1], "offset": 1}}},
     ]});
     let set = server.put(&format!("/v1/sessions/{id}/handles")).json(&over);
-    let set = set.told().await;
+    let set = set.document().await;
     let overlap = warning(&set, "handles that overlap", "overlapping-handles");
     vec![without, library, image, heights, overlap]
 }
@@ -370,10 +346,7 @@ async fn of_leaving() -> Said {
     // A connection that is open already is still answered.
     let first = client.get(server.url("/healthz")).answer().await;
     first.bytes().await.expect("a body");
-    let mut socket = server
-        .socket(&format!("/v1/sessions/{id}/stream"))
-        .await
-        .expect("a socket");
+    let mut socket = server.stream_socket(&id).await;
     let pose = deform_request::Message::Pose(turned(1, 0.1, false));
     socket.send(pose).await;
     socket.next().await;

@@ -1,12 +1,17 @@
 //! What a check is for: each kind of damage is caught by a case of its own, with a reason of its own, in every report.
 
 use super::folder::Suite;
-use super::proxy::Proxy;
-use crate::support::program::words;
-use crate::support::server::{Server, bar_obj};
+use crate::support::server::{Server, bar_obj, http};
+use axum::Router;
+use axum::body::{Body, Bytes};
+use axum::extract::Request;
+use axum::response::Response;
 use glam::DVec3;
 use serde_json::Value;
 use std::fmt::Write as _;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use tokio::net::TcpListener;
 
 /// The bar, each vertex and face changed.
 fn bar(vertex: impl Fn(usize, DVec3) -> DVec3, face: impl Fn(usize, [u32; 3]) -> Option<[u32; 3]>) -> String {
@@ -87,8 +92,7 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
         folder.case(name, &format!("{name}.obj"));
     }
     // Goldens of the damaged models; then the right models come back, and only the results are others.
-    let blessed = folder.check(&["--bless"]);
-    assert_eq!(blessed.code, Some(0), "{}", blessed.err);
+    folder.passes("--bless");
     for (name, _) in &damaged {
         let file = format!("{name}.obj");
         folder.write(&file, &bar_obj(20));
@@ -101,8 +105,7 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
     folder.write("broken.golden.json", &golden[..golden.len() / 2]);
     folder.write("refused.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
 
-    let ran = folder.check(&["--json", "--junit", "report.xml", "--html", "report.html"]);
-    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    let ran = folder.fails("--json --junit report.xml --html report.html");
     assert!(
         ran.last().starts_with("pliant: 9 of 10 cases failed: "),
         "{}",
@@ -132,19 +135,19 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
             .find(|l| l.starts_with(&format!("FAILED   {name} ")))
             .expect(name);
         assert!(line.contains(words), "{name}: {line}");
-        let told = junit(&xml, name);
+        let reply = junit(&xml, name);
         assert!(
-            told.contains(code) && told.contains(words.split('\'').next().expect("words")),
-            "{name}: {told}"
+            reply.contains(code) && reply.contains(words.split('\'').next().expect("words")),
+            "{name}: {reply}"
         );
         let element = if code == "not-run" { "<error " } else { "<failure " };
-        assert!(told.contains(element), "{name}: {told}");
+        assert!(reply.contains(element), "{name}: {reply}");
         assert!(
             page.contains(&format!("<section id=\"{name}\" class=\"failed\">")),
             "{name}"
         );
     }
-    assert!(ran.err.contains("passed   good"), "{}", ran.err);
+    ran.says(&["passed   good"]);
     let flips = |name: &str| {
         let cases = report["cases"].as_array().expect("cases");
         let case = cases.iter().find(|c| c["name"] == name).expect(name);
@@ -158,7 +161,7 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
     assert_eq!(flips("moved"), Some(0.0), "what moved a little did not turn over");
     assert!(flips("flipped") >= Some(1.0));
     assert_eq!(flips("opened"), None);
-    // The distance is told to the model's units: 1e-3 of a bar about 4 long.
+    // The distance is asked to the model's units: 1e-3 of a bar about 4 long.
     assert!(
         ran.err
             .lines()
@@ -172,21 +175,15 @@ fn each_kind_of_damage_is_caught_by_its_own_case() {
     }
 
     // What blesses is looked at by people; it asserts nothing, and what no golden can be made of still fails.
-    let blessed = folder.check(&["--bless"]);
-    assert_eq!(blessed.code, Some(1), "{}", blessed.err);
-    assert!(
-        blessed.last().contains("1 of 10 cases failed: refused"),
-        "{}",
-        blessed.err
-    );
+    let blessed = folder.fails("--bless");
+    blessed.gives(&["1 of 10 cases failed: refused"]);
     folder.write("refused.obj", &bar_obj(20));
-    assert_eq!(folder.check(&["--bless"]).code, Some(0));
-    let ran = folder.check(&["--no-skip"]);
-    assert_eq!(ran.code, Some(0), "{}", ran.err);
-    assert!(ran.err.contains("10 passed"), "{}", ran.err);
+    folder.passes("--bless");
+    let ran = folder.passes("--no-skip");
+    ran.says(&["10 passed"]);
 }
 
-/// A stale golden is shown beside the result, with all differences, so that nobody has to bless blind.
+/// A stale golden is shown beside the result, with all differences, so that no one has to bless blind.
 fn assert_shown_beside(report: &Value, xml: &str, page: &str, name: &str) {
     let cases = report["cases"].as_array().expect("cases");
     let case = cases.iter().find(|c| c["name"] == name).expect(name);
@@ -228,24 +225,17 @@ async fn a_server_that_answers_wrongly_is_caught_though_its_digest_is_right() {
     ];
     let urls = proxies.each_ref().map(|p| format!("http://{}", p.address));
     let ran = tokio::task::spawn_blocking(move || {
-        let folder = Suite::new();
-        folder.case("bar", "bar.obj");
-        assert_eq!(folder.check(&["--bless"]).code, Some(0));
+        let folder = Suite::of_bar();
+        folder.passes("--bless");
         urls.map(|url| {
-            let ran = folder.check(&words(&format!(
-                "--json --junit r.xml --html r.html --force --server {url}"
-            )));
+            let ran = folder.check(&format!("--json --junit r.xml --html r.html --force --server {url}"));
             let xml = folder.read("r.xml");
             (ran, xml)
         })
     });
     let [(nan, nan_xml), (moved, moved_xml), (good, _)] = ran.await.expect("it ran");
     assert_eq!(nan.code, Some(1), "{}", nan.err);
-    assert!(
-        nan.err.contains("FAILED   bar  not-finite: 1 of ") && nan.err.contains("vertex 0"),
-        "{}",
-        nan.err
-    );
+    nan.says(&["FAILED   bar  not-finite: 1 of ", "vertex 0"]);
     assert_eq!(
         codes(&nan.json()["cases"][0]),
         ["not-finite"],
@@ -253,12 +243,69 @@ async fn a_server_that_answers_wrongly_is_caught_though_its_digest_is_right() {
     );
     assert!(junit(&nan_xml, "bar").contains("type=\"not-finite\""));
     assert_eq!(moved.code, Some(1), "{}", moved.err);
-    assert!(
-        moved.err.contains("maxDisplacement") && moved.err.contains("vertex 30 "),
-        "{}",
-        moved.err
-    );
+    moved.says(&["maxDisplacement", "vertex 30 "]);
     assert_eq!(codes(&moved.json()["cases"][0])[0], "digest");
     assert!(junit(&moved_xml, "bar").contains("the positions that came with it are not"));
     assert_eq!(good.code, Some(0), "{}", good.err);
+}
+
+/// What is done to the coordinates of a vertex buffer.
+type Damage = Arc<dyn Fn(&mut [f32]) + Send + Sync>;
+
+/// Runs until it is dropped.
+pub struct Proxy {
+    pub address: SocketAddr,
+    task: tokio::task::JoinHandle<()>,
+}
+
+impl Proxy {
+    /// Stands before the server at `behind`; `damage` changes the coordinates of every vertex buffer.
+    pub async fn start(behind: SocketAddr, damage: impl Fn(&mut [f32]) + Send + Sync + 'static) -> Self {
+        let damage: Damage = Arc::new(damage);
+        let pass = move |request: Request| pass(behind, Arc::clone(&damage), request);
+        let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+        let address = listener.local_addr().expect("an address");
+        let router = Router::new().fallback(pass);
+        let task = tokio::spawn(async move {
+            axum::serve(listener, router).await.expect("it serves");
+        });
+        Self { address, task }
+    }
+}
+
+impl Drop for Proxy {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+async fn pass(behind: SocketAddr, damage: Damage, request: Request) -> Response {
+    let (parts, body) = request.into_parts();
+    let body = axum::body::to_bytes(body, 1 << 26).await.expect("a body");
+    let path = parts.uri.path_and_query().map_or("/", |p| p.as_str());
+    let mut call = http()
+        .request(parts.method.clone(), format!("http://{behind}{path}"))
+        .body(body);
+    for name in ["content-type", "accept"] {
+        if let Some(value) = parts.headers.get(name) {
+            call = call.header(name, value);
+        }
+    }
+    let answer = call.send().await.expect("an answer");
+    let status = answer.status();
+    let headers = answer.headers().clone();
+    let mut bytes = answer.bytes().await.expect("a body").to_vec();
+    if parts.uri.path().ends_with("/positions") {
+        let mut floats = crate::support::server::floats(&bytes);
+        damage(&mut floats);
+        bytes = floats.iter().flat_map(|f| f.to_le_bytes()).collect();
+    }
+    let mut response = Response::new(Body::from(Bytes::from(bytes)));
+    *response.status_mut() = status;
+    for (name, value) in &headers {
+        if name != "content-length" && name != "transfer-encoding" && name != "content-encoding" {
+            response.headers_mut().append(name.clone(), value.clone());
+        }
+    }
+    response
 }

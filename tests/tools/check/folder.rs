@@ -1,66 +1,26 @@
 //! A suite in a folder of its own, and the program run on it.
 
+use crate::support::commands::{Arguments, Ran, pliant_in};
+use crate::support::server::{bar_obj, ends};
 use sha2::{Digest as _, Sha256};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 /// The suite that people start from.
 pub fn sample_suite() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/ci/sample-suite")
 }
 
-/// What the program said.
-#[derive(Debug)]
-pub struct Ran {
-    pub code: Option<i32>,
-    pub out: String,
-    pub err: String,
-}
-
-impl Ran {
-    /// The last line of stderr.
-    pub fn last(&self) -> &str {
-        self.err.trim_end().lines().last().unwrap_or_default()
-    }
-
-    /// Whether stdout says what the last line of stderr does, where a document was asked for, and nothing else.
-    pub fn tells_only_why(&self, asked: bool) -> bool {
-        if !asked {
-            return self.out.is_empty();
-        }
-        let error = &self.json()["error"];
-        let told = format!("pliant: {}", error["message"].as_str().unwrap_or_default());
-        error["exitCode"].as_i64() == self.code.map(i64::from) && told == self.last()
-    }
-
-    /// The document on stdout.
-    pub fn json(&self) -> serde_json::Value {
-        serde_json::from_str(&self.out).unwrap_or_else(|e| panic!("{e}: {}{}", self.out, self.err))
-    }
-}
-
 /// Runs `pliant check` on a suite, in its folder, without the data of this machine.
-pub fn check(suite: &Path, arguments: &[&str]) -> Ran {
+pub fn check(suite: &Path, arguments: &(impl Arguments + ?Sized)) -> Ran {
     let folder = suite.parent().filter(|p| p.is_dir()).unwrap_or(Path::new("/"));
     let suite = suite.to_str().expect("UTF-8");
-    run_in(folder, &[&["check", suite], arguments].concat())
+    run_in(folder, &[vec!["check", suite], arguments.list()].concat())
 }
 
-/// Runs the program in a folder, without the data of this machine.
-pub fn run_in(folder: &Path, arguments: &[&str]) -> Ran {
-    let done = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(arguments)
-        .current_dir(folder)
-        .env_remove("PLIANT_DATA")
-        .env_remove("PLIANT_TOKEN")
-        .output()
-        .expect("it runs");
-    Ran {
-        code: done.status.code(),
-        out: String::from_utf8(done.stdout).expect("text"),
-        err: String::from_utf8(done.stderr).expect("text"),
-    }
+/// Runs the program in a folder.
+pub fn run_in(folder: &Path, arguments: &(impl Arguments + ?Sized)) -> Ran {
+    Ran::of(&mut pliant_in(folder, arguments))
 }
 
 /// A folder with a suite in it; reports are written beside that.
@@ -99,19 +59,42 @@ impl Suite {
         fs::remove_file(self.path().join(name)).expect("it was there");
     }
 
-    pub fn check(&self, arguments: &[&str]) -> Ran {
+    pub fn check(&self, arguments: &(impl Arguments + ?Sized)) -> Ran {
         check(&self.path(), arguments)
+    }
+
+    /// Checks, with this exit code.
+    #[track_caller]
+    pub fn exits(&self, code: i32, arguments: &(impl Arguments + ?Sized)) -> Ran {
+        self.check(arguments).exits(code)
+    }
+
+    #[track_caller]
+    pub fn passes(&self, arguments: &(impl Arguments + ?Sized)) -> Ran {
+        self.exits(0, arguments)
+    }
+
+    #[track_caller]
+    pub fn fails(&self, arguments: &(impl Arguments + ?Sized)) -> Ran {
+        self.exits(1, arguments)
+    }
+
+    /// A suite of one case that bends a bar.
+    pub fn of_bar() -> Self {
+        let suite = Self::new();
+        suite.case("bar", "bar.obj");
+        suite
     }
 
     /// A case that bends a bar, with the bar.
     pub fn case(&self, name: &str, model: &str) {
-        self.write(model, &crate::support::server::bar_obj(20));
+        self.write(model, &bar_obj(20));
         self.job(name, model, 0.8);
     }
 
     /// The case alone, with the angle of its bend.
     pub fn job(&self, name: &str, model: &str, angle: f64) {
-        let handles = crate::support::server::ends();
+        let handles = ends();
         let text = format!(
             r#"{{"model": "{model}", "job": {{"handles": {handles},
                 "steps": [{{"pose": {{"handles": [{{"id": "top", "pose": {{"rotationVector": [0, {angle}, 0]}}}}]}}}}],
@@ -122,8 +105,8 @@ impl Suite {
 
     /// A case whose result is its model, with the model.
     pub fn still(&self, name: &str, model: &str) {
-        self.write(model, &crate::support::server::bar_obj(20));
-        let handles = crate::support::server::ends();
+        self.write(model, &bar_obj(20));
+        let handles = ends();
         let text = format!(r#"{{"model": "{model}", "job": {{"handles": {handles}}}}}"#);
         self.write(&format!("{name}.case.json"), &text);
     }

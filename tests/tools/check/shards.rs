@@ -1,17 +1,17 @@
 //! A suite in shards on several machines: together they are the whole, and joined they say what a run of the whole says.
 
-use super::folder::{Ran, Suite, check, run_in, sample_suite};
+use super::folder::{Suite, check, run_in, sample_suite};
+use crate::support::commands::{Arguments, Ran};
 use crate::support::data::copied;
 use crate::support::program::words;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 /// Runs `pliant check --merge` in a folder.
-fn merge(folder: &Path, arguments: &[&str]) -> Ran {
-    run_in(folder, &[&["check", "--merge"], arguments].concat())
+fn merge(folder: &Path, arguments: &(impl Arguments + ?Sized)) -> Ran {
+    run_in(folder, &[vec!["check", "--merge"], arguments.list()].concat())
 }
 
 fn names(report: &Value) -> Vec<String> {
@@ -47,8 +47,7 @@ fn run_shards(suite: &Suite, of: usize, more: &[&str]) -> Vec<Ran> {
 fn shards_are_the_suite_and_joined_they_say_what_one_run_says() {
     let suite = broken_sample();
     let beside = suite.path().join("..");
-    let whole = suite.check(&words("--json --report whole.json --junit whole.xml --html whole.html"));
-    assert_eq!(whole.code, Some(1), "{}", whole.err);
+    let whole = suite.fails("--json --report whole.json --junit whole.xml --html whole.html");
     assert_eq!(suite.read("whole.json"), whole.out);
     let cases = names(&whole.json());
     for of in [1, 3, 8] {
@@ -93,25 +92,25 @@ fn shards_are_the_suite_and_joined_they_say_what_one_run_says() {
 }
 
 #[test]
-fn a_suite_that_passes_passes_joined_and_shards_hold_times_and_pictures_when_told() {
+fn a_suite_that_passes_passes_joined_and_shards_hold_times_and_pictures_on_request() {
     let suite = Suite::new();
     // As files "a-b.case.json" comes before "a.case.json", as names the other way round.
     for name in ["a", "a-b", "b"] {
         suite.still(name, "bar.obj");
     }
-    assert_eq!(suite.check(&["--bless"]).code, Some(0));
+    suite.passes("--bless");
     let beside = suite.path().join("..");
-    let whole = suite.check(&["--json", "--html", "whole.html"]);
+    let whole = suite.check("--json --html whole.html");
     run_shards(&suite, 2, &["--times"]);
     let timed: Value = serde_json::from_str(&suite.read("shards/1.json")).expect("a report");
     assert!(
         timed["cases"][0]["milliseconds"].as_f64().is_some_and(|ms| ms > 0.0),
         "{timed}"
     );
-    let joined = merge(&beside, &["shards/2.json", "shards/1.json", "--json"]);
+    let joined = merge(&beside, "shards/2.json shards/1.json --json");
     assert_eq!((joined.code, &joined.out), (Some(0), &whole.out), "{}", joined.err);
     assert_eq!(joined.err, whole.err);
-    // Times are told where they are asked for, and then those that the shards measured.
+    // Times are reported where they are asked for, and then those that the shards measured.
     let joined = merge(
         &beside,
         &["shards", "--times", "--report", "merged.json", "--junit", "m.xml"],
@@ -122,14 +121,11 @@ fn a_suite_that_passes_passes_joined_and_shards_hold_times_and_pictures_when_tol
     assert!(cases.iter().all(|c| c["milliseconds"].as_f64().is_some()), "{merged}");
     assert!(suite.read("m.xml").contains("name=\"a-b\" time=\""));
     // A page without pictures says so.
-    let bare = merge(&beside, &["shards", "--html", "bare.html"]);
-    assert!(
-        bare.code == Some(0) && bare.err.contains("3 cases have no pictures"),
-        "{}",
-        bare.err
-    );
+    let bare = merge(&beside, "shards --html bare.html");
+    assert_eq!(bare.code, Some(0), "{}", bare.err);
+    bare.says(&["3 cases have no pictures"]);
     run_shards(&suite, 2, &["--pictures"]);
-    let drawn = merge(&beside, &["shards", "--html", "drawn.html", "--json", "--pictures"]);
+    let drawn = merge(&beside, "shards --html drawn.html --json --pictures");
     assert_eq!(drawn.err, whole.err);
     assert!(suite.read("drawn.html") == suite.read("whole.html"), "the pages differ");
     assert!(
@@ -139,7 +135,7 @@ fn a_suite_that_passes_passes_joined_and_shards_hold_times_and_pictures_when_tol
     );
     // Where somebody else judges, failed cases are no failure of the program.
     suite.job("a", "bar.obj", 0.4);
-    let failed = suite.check(&["--shard", "0+1/1", "--exit-zero"]);
+    let failed = suite.check("--shard 0+1/1 --exit-zero");
     assert!(
         failed.code == Some(0) && failed.last().contains("1 of 3 cases failed: a"),
         "{}",
@@ -153,12 +149,11 @@ fn a_split_follows_from_the_suite_or_from_times_alone() {
     for name in ["a", "b", "c", "d"] {
         suite.still(name, "bar.obj");
     }
-    assert_eq!(suite.check(&["--bless"]).code, Some(0));
+    suite.passes("--bless");
     let dealt = |suite: &Suite, more: &[&str]| -> Vec<Vec<String>> {
         let run = |k: usize| {
             let shard = format!("{k}/2");
-            let ran = suite.check(&[&["--shard", &shard, "--json"], more].concat());
-            assert_eq!(ran.code, Some(0), "{}", ran.err);
+            let ran = suite.passes(&[&["--shard", &shard, "--json"], more].concat());
             names(&ran.json())
         };
         (1..=2).map(run).collect()
@@ -170,7 +165,7 @@ fn a_split_follows_from_the_suite_or_from_times_alone() {
     copied(&suite.path(), &elsewhere.path());
     assert_eq!(dealt(&elsewhere, &["--threads", "1", "--data", "/nowhere"]), alike);
     // By the times of a run that took longest for "d", and knew no "c": it is as dear as the others' mean.
-    assert_eq!(suite.check(&["--times", "--report", "times.json"]).code, Some(0));
+    suite.passes("--times --report times.json");
     let mut times: Value = serde_json::from_str(&suite.read("times.json")).expect("a report");
     for (k, took) in [(0, 10.0), (1, 20.0), (3, 90.0)] {
         times["cases"][k]["milliseconds"] = took.into();
@@ -190,55 +185,30 @@ fn a_split_follows_from_the_suite_or_from_times_alone() {
 fn shards_that_there_are_not_are_exit_2() {
     let suite = Suite::new();
     suite.still("bar", "bar.obj");
-    assert_eq!(suite.check(&["--bless"]).code, Some(0));
+    suite.passes("--bless");
     fs::write(suite.path().join("../none.json"), "{}").expect("written");
-    let untimed = suite.check(&["--report", "untimed.json"]);
-    assert_eq!(untimed.code, Some(0), "{}", untimed.err);
-    let cases: [(&[&str], &[&str]); 10] = [
-        (&["--shard", "0/8"], &["0/8", "allowed are 1/8 to 8/8"]),
-        (&["--shard", "9/8"], &["no shard 9 of 8"]),
-        (&["--shard", "a/b"], &["a/b", "K/N is needed, such as 3/8"]),
-        (&["--shard", "1/0"], &["1 to 10000 shards"]),
-        (&["--shard", "1/2", "--bless"], &["--shard", "--bless"]),
-        (&["--costs", "untimed.json"], &["--shard"]),
-        (&["--shard", "1/2", "--costs", "nowhere.json"], &["nowhere.json"]),
-        (
-            &["--shard", "1/2", "--costs", "none.json"],
-            &["none.json", "missing field `suite`"],
-        ),
-        (
-            &["--shard", "1/2", "--costs", "untimed.json"],
-            &["untimed.json", "--times"],
-        ),
-        (&["--pictures"], &["--json"]),
+    suite.passes("--report untimed.json");
+    let cases: [(&str, &str); 10] = [
+        ("--shard 0/8", "0/8; allowed are 1/8 to 8/8"),
+        ("--shard 9/8", "no shard 9 of 8"),
+        ("--shard a/b", "a/b; K/N is needed, such as 3/8"),
+        ("--shard 1/0", "1 to 10000 shards"),
+        ("--shard 1/2 --bless", "--shard; --bless"),
+        ("--costs untimed.json", "--shard"),
+        ("--shard 1/2 --costs nowhere.json", "nowhere.json"),
+        ("--shard 1/2 --costs none.json", "none.json; missing field `suite`"),
+        ("--shard 1/2 --costs untimed.json", "untimed.json; --times"),
+        ("--pictures", "--json"),
     ];
     for (arguments, words) in cases {
-        let ran = suite.check(arguments);
-        assert_eq!(
-            (ran.code, ran.out.as_str()),
-            (Some(2), ""),
-            "{arguments:?}: {}",
-            ran.err
-        );
-        assert!(
-            words.iter().all(|w| ran.last().contains(w)),
-            "{arguments:?}: {}",
-            ran.last()
-        );
+        let ran = suite.exits(2, arguments);
+        assert_eq!(ran.out, "", "{arguments:?}");
+        ran.gives(&words.split("; ").collect::<Vec<_>>());
     }
     // One case on eight machines: seven have nothing to do, and say so.
     let empty: BTreeSet<bool> = (1..=8)
         .map(|k| {
-            let ran = suite.check(&[
-                "--shard",
-                &format!("{k}/8"),
-                "--junit",
-                "r.xml",
-                "--html",
-                "r.html",
-                "--force",
-            ]);
-            assert_eq!(ran.code, Some(0), "{}", ran.err);
+            let ran = suite.passes(&format!("--shard {k}/8 --junit r.xml --html r.html --force"));
             let is_empty = ran.last().contains("has no case");
             assert_eq!(is_empty, suite.read("r.xml").contains("tests=\"0\""));
             assert_eq!(
@@ -257,11 +227,10 @@ fn reports_that_do_not_belong_together_are_exit_2_and_write_nothing() {
     for name in ["a", "b", "c"] {
         suite.still(name, "bar.obj");
     }
-    assert_eq!(suite.check(&["--bless", "--report", "whole.json"]).code, Some(0));
+    suite.passes("--bless --report whole.json");
     let beside = suite.path().join("..");
     assert!(run_shards(&suite, 3, &[]).iter().all(|ran| ran.code == Some(0)));
-    let split = suite.check(&["--shard", "2/2", "--report", "half.json"]);
-    assert_eq!(split.code, Some(0), "{}", split.err);
+    suite.passes("--shard 2/2 --report half.json");
     let text = suite.read("shards/2.json");
     let put = |name: &str, from: &str, to: &str| {
         let changed = text.replacen(from, to, 1);
@@ -274,67 +243,43 @@ fn reports_that_do_not_belong_together_are_exit_2_and_write_nothing() {
     // A golden of the suite that has changed makes another suite.
     let golden = suite.read("c.golden.json");
     suite.write("c.golden.json", &golden.replacen("xxh3:", "xxh3:0", 1));
-    suite.check(&["--shard", "2/3", "--report", "changed.json"]);
+    suite.check("--shard 2/3 --report changed.json");
     fs::create_dir(beside.join("empty")).expect("a folder");
-    let cases: [(&[&str], &[&str]); 11] = [
+    let cases: [(&str, &str); 11] = [
         (
-            &["shards/1.json", "shards/3.json"],
-            &["shard 2/3 is missing: 2 of 3 cases are there"],
+            "shards/1.json shards/3.json",
+            "shard 2/3 is missing: 2 of 3 cases are there",
         ),
-        (&["shards/3.json"], &["shards 1/3, 2/3 are missing"]),
-        (&["shards", "shards/2.json"], &["shard 2/3 is there twice", "2.json"]),
+        ("shards/3.json", "shards 1/3, 2/3 are missing"),
+        ("shards shards/2.json", "shard 2/3 is there twice; 2.json"),
         (
-            &["shards/1.json", "whole.json"],
-            &["whole.json is the report of a whole suite", "--shard"],
+            "shards/1.json whole.json",
+            "whole.json is the report of a whole suite; --shard",
         ),
+        ("shards/1.json half.json", "different numbers of shards: 1/3, 2/2"),
         (
-            &["shards/1.json", "half.json"],
-            &["different numbers of shards: 1/3, 2/2"],
+            "shards/1.json changed.json shards/3.json",
+            "changed.json are of different suites",
         ),
-        (
-            &["shards/1.json", "changed.json", "shards/3.json"],
-            &["changed.json are of different suites"],
-        ),
-        (
-            &["shards/1.json", "build.json", "shards/3.json"],
-            &["different builds", "9.9"],
-        ),
-        (
-            &["shards/1.json", "edited.json", "shards/3.json"],
-            &["a report was changed"],
-        ),
-        (&["shards/1.json", "cut.json"], &["cut.json: ", "--report"]),
-        (&["nowhere.json"], &["cannot read nowhere.json"]),
-        (&["empty"], &["the folder empty holds no report"]),
+        ("shards/1.json build.json shards/3.json", "different builds; 9.9"),
+        ("shards/1.json edited.json shards/3.json", "a report was changed"),
+        ("shards/1.json cut.json", "cut.json: ; --report"),
+        ("nowhere.json", "cannot read nowhere.json"),
+        ("empty", "the folder empty holds no report"),
     ];
     for (reports, words) in cases {
-        let ran = merge(&beside, &[reports, &["--json", "--junit", "r.xml"]].concat());
-        assert_eq!(ran.code, Some(2), "{reports:?}: {}", ran.err);
-        assert!(ran.tells_only_why(true), "{}", ran.out);
-        assert!(
-            words.iter().all(|w| ran.last().contains(w)),
-            "{reports:?}: {}",
-            ran.last()
-        );
+        let ran = merge(&beside, &format!("{reports} --json --junit r.xml")).exits(2);
+        assert!(ran.reports_only_why(true), "{}", ran.out);
+        ran.gives(&words.split("; ").collect::<Vec<_>>());
         assert!(!beside.join("r.xml").exists());
     }
     for (arguments, word) in [
-        (&["shards", "--bless"][..], "--bless"),
-        (&["shards", "--shard", "1/3"], "--shard"),
-        (&["--json"], "--merge"),
+        ("shards --bless", "--bless"),
+        ("shards --shard 1/3", "--shard"),
+        ("--json", "--merge"),
     ] {
-        let ran = merge(&beside, arguments);
-        assert!(
-            ran.code == Some(2) && ran.last().contains(word),
-            "{arguments:?}: {}",
-            ran.err
-        );
+        merge(&beside, arguments).exits(2).gives(&[word]);
     }
-    let both = check(&suite.path(), &["--merge", "shards"]);
-    assert!(both.code == Some(2) && both.last().contains("SUITE"), "{}", both.err);
-    let neither = Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .arg("check")
-        .output()
-        .expect("it runs");
-    assert_eq!(neither.status.code(), Some(2));
+    check(&suite.path(), "--merge shards").exits(2).gives(&["SUITE"]);
+    run_in(&beside, "check").exits(2);
 }
