@@ -25,18 +25,17 @@
 //! ```
 
 mod case;
-mod case_pictures;
 mod case_result;
 mod comparison;
 mod golden;
 mod metric;
 pub mod report;
 mod shard;
-mod suite_json;
 mod verdict;
 
+pub use case::SuiteError;
 pub use case::{AnimationCase, CASE_SUFFIX, GOLDEN_SUFFIX, JobSource, ModelSource, SuiteCase, job_hash, model_hash};
-pub use case_pictures::{CasePicture, Viewpoint, draw_case_pictures};
+pub use case_result::{CasePicture, Viewpoint, draw_case_pictures};
 pub use case_result::{CaseResult, TopologyDigests};
 pub use comparison::hausdorff_distance;
 pub use comparison::{GoldenComparison, compare_with_golden};
@@ -47,5 +46,4 @@ pub use metric::{Tolerance, Tolerances};
 pub use shard::Shard;
 pub use shard::{CaseWork, measured_costs};
 pub use shard::{digest_texts, split_cases, split_digest};
-pub use suite_json::SuiteError;
 pub use verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason, judge_result};

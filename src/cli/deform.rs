@@ -1,9 +1,9 @@
 //! `pliant deform`: the engine in process, without a server.
 
-use super::failure::CliFailure;
 use super::input_files::{AllowedFolders, LARGEST, NamedFiles, folder_of, read_file};
 use super::input_files::{in_file, output_format, read_model};
 use super::output_files::{OutputPermission, is_same_place};
+use super::terminal::CliFailure;
 use super::terminal::StageSpinner;
 use super::terminal::ThreadArgs;
 use super::terminal::print_json;

@@ -1,6 +1,6 @@
 //! Files that commands read: models with their companions, jobs and texts.
 
-use super::failure::CliFailure;
+use super::terminal::CliFailure;
 use crate::asset::{FileSet, Format, missing_companions};
 use crate::wire::Error as WireError;
 use clap::Args;

@@ -1,7 +1,7 @@
 //! `pliant inspect`: what the solver sees in a model.
 
-use super::failure::CliFailure;
 use super::input_files::read_model;
+use super::terminal::CliFailure;
 use super::terminal::StageSpinner;
 use super::terminal::ThreadArgs;
 use super::terminal::print_value;

@@ -1,6 +1,6 @@
 //! `pliant serve`: the server as a program.
 
-use super::failure::CliFailure;
+use super::terminal::CliFailure;
 use super::terminal::StopSignals;
 use crate::asset::FileSet;
 use crate::asset::sample::BuiltInModel;

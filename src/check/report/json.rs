@@ -1,13 +1,13 @@
 //! The report as one JSON document: what `--json` prints, and what `--merge` and `--costs` read.
 
 use super::super::case::check_case_name;
-use super::super::case_pictures::CasePicture;
+use super::super::case::{SuiteError, from_json_object, suite_error};
+use super::super::case_result::CasePicture;
 use super::super::golden::InputHashes;
 use super::super::metric::Metric;
 use super::super::shard::Shard;
-use super::super::suite_json::{SuiteError, from_json_object, suite_error};
 use super::super::verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason};
-use super::suite_report::{CaseReport, ShardFacts, SuiteReport, printable};
+use super::{CaseReport, ShardFacts, SuiteReport, printable};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,7 @@
 
 use super::super::metric::format_exact;
 use super::super::verdict::{CaseStatus, VerdictReason};
-use super::suite_report::{CaseReport, SuiteReport, printable};
+use super::{CaseReport, SuiteReport, printable};
 use quick_xml::events::{BytesDecl, BytesText, Event};
 use quick_xml::writer::Writer;
 use std::io;

@@ -1,7 +1,7 @@
 //! The reports of a suite's shards, joined into the one that a run of the whole suite would have made.
 
 use super::super::shard::split_digest;
-use super::suite_report::{ShardFacts, SuiteReport, printable};
+use super::{ShardFacts, SuiteReport, printable};
 use std::collections::BTreeMap;
 
 /// Most shards that are named where they are missing.

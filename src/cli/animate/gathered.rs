@@ -1,10 +1,10 @@
 //! Frames that become one file: kept in a partial file until the last one is there.
 
-use super::numbered::first_difference;
+use super::output::first_difference;
 use super::play::{FrameTaker, PlayedAnimation, kept_frames, missing_ranges};
 use crate::asset::{NodePlace, UsdClip, VertexCache};
-use crate::cli::failure::CliFailure;
 use crate::cli::input_files::open_regular_file;
+use crate::cli::terminal::CliFailure;
 use crate::engine::{AnimatedFrame, FrameSource, PlayedForm, WrittenError, node_place};
 use crate::exec::Exec;
 use crate::motion::rig::RigidMotion;

@@ -4,9 +4,9 @@
 
 use super::flat_cap::cap_opening_alike;
 use super::flat_cap::warn_of_open_section;
-use super::plane::{CutOptions, KeptSide};
 use super::trace::{FacePosition, TriangleRuns};
 use super::trace::{SNAP, TraceFailure, TraceStep, trace_along_edges, trace_straight};
+use super::{CutOptions, KeptSide};
 use crate::edit::error::{EditSubject, Error};
 use crate::edit::patch::SurfacePatch;
 use crate::edit::region_mesh::{RegionMesh, edge_key};

@@ -12,10 +12,492 @@
 //! is done on a sample of vertices and frames (`decompose`), as a bone's motion is known well from a few hundred vertices.
 
 mod bone_fit;
-mod clusters;
-mod decompose;
-mod sequence;
 mod weight_fit;
 
-pub use decompose::{DecompositionOptions, SkinDecomposition, decompose, fit_weights};
-pub use sequence::{DecompositionError, ShapeSequence};
+use super::rig::RigidMotion;
+use super::skeleton::BoneInfluences;
+use crate::exec::Exec;
+use crate::mesh::rotation::{fit_rotation, outer_product};
+use crate::progress::Cancelled;
+use bone_fit::{BoneFrames, fit_bones};
+use bone_fit::{FittedSkin, cluster_bones, move_bones};
+use glam::{DMat3, DVec3};
+use weight_fit::fit_influences;
+
+/// Why an animation cannot be decomposed.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum DecompositionError {
+    /// A shape is not one of finite positions, one for each vertex.
+    #[error("{what}: {problem}")]
+    Shape {
+        /// Which: the rest shape, or a frame by its number.
+        what: String,
+        /// What is wrong, and what is allowed.
+        problem: String,
+    },
+    /// An option is not what it may be.
+    #[error("{option} is {seen}, allowed are {allowed}")]
+    Option {
+        /// Which.
+        option: &'static str,
+        /// What it is.
+        seen: usize,
+        /// What it may be.
+        allowed: String,
+    },
+    /// The caller cancelled.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// The shapes that a mesh goes through: its rest shape, and frames with a position for each of its vertices.
+///
+/// Frames are kept in single precision, relative to the rest shape moved along rigidly with them and in units of its size, so
+/// that 12 bytes a vertex are exact to 1e-7 of it, however far the animation travels.
+#[derive(Debug, Clone)]
+pub struct ShapeSequence {
+    samples: ShapeSamples,
+    /// By frame: the motion of the whole shape, in model units.
+    carried: Vec<RigidMotion>,
+    /// Of the rest shape, in model units.
+    centre: DVec3,
+    /// Model units for one unit of the samples: the diagonal of the rest shape's bounding box.
+    diagonal: f64,
+}
+
+/// Some vertices in some frames.
+#[derive(Debug, Clone, Default)]
+struct ShapeSamples {
+    /// Rest positions by vertex.
+    rest: Vec<DVec3>,
+    /// Frame after frame, vertex after vertex: x, y, z.
+    places: Vec<f32>,
+    frames: usize,
+}
+
+impl ShapeSamples {
+    fn vertices(&self) -> usize {
+        self.rest.len()
+    }
+
+    fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// x, y, z of all vertices in a frame, one after the other.
+    fn frame(&self, frame: usize) -> &[f32] {
+        let size = 3 * self.rest.len();
+        &self.places[frame * size..(frame + 1) * size]
+    }
+
+    /// Some vertices in some frames of these.
+    fn pick(&self, vertices: &[u32], frames: &[usize]) -> Self {
+        let mut places = Vec::with_capacity(3 * vertices.len() * frames.len());
+        for &frame in frames {
+            let all = self.frame(frame);
+            for &v in vertices {
+                let at = 3 * v as usize;
+                places.extend_from_slice(&all[at..at + 3]);
+            }
+        }
+        Self {
+            rest: vertices.iter().map(|&v| self.rest[v as usize]).collect(),
+            places,
+            frames: frames.len(),
+        }
+    }
+}
+
+impl ShapeSequence {
+    /// Begins with a rest shape, in model units.
+    ///
+    /// # Errors
+    /// [`DecompositionError::Shape`] without a vertex, or when a position is not finite.
+    pub fn new(rest: &[DVec3]) -> Result<Self, DecompositionError> {
+        if rest.is_empty() {
+            return Err(refused(
+                "the rest shape",
+                "has no vertex, at least one is needed".into(),
+            ));
+        }
+        check("the rest shape", rest)?;
+        let low = rest.iter().fold(DVec3::INFINITY, |a, p| a.min(*p));
+        let high = rest.iter().fold(DVec3::NEG_INFINITY, |a, p| a.max(*p));
+        let length = (high - low).length();
+        let diagonal = if length > 0.0 && length.is_finite() {
+            length
+        } else {
+            1.0
+        };
+        let centre = rest.iter().sum::<DVec3>() / rest.len() as f64;
+        Ok(Self {
+            samples: ShapeSamples {
+                rest: rest.iter().map(|p| (*p - centre) / diagonal).collect(),
+                ..ShapeSamples::default()
+            },
+            carried: Vec::new(),
+            centre,
+            diagonal,
+        })
+    }
+
+    /// Adds a frame: a position for each vertex of the rest shape, in model units.
+    ///
+    /// # Errors
+    /// [`DecompositionError::Shape`] for another number of positions, or when one is not finite.
+    pub fn push(&mut self, positions: &[DVec3]) -> Result<(), DecompositionError> {
+        let what = || format!("frame {}", self.carried.len());
+        let rest = &self.samples.rest;
+        if positions.len() != rest.len() {
+            let problem = format!("has {} positions, the rest shape has {}", positions.len(), rest.len());
+            return Err(refused(&what(), problem));
+        }
+        check(&what(), positions)?;
+        let middle = positions.iter().sum::<DVec3>() / rest.len() as f64;
+        let covariance: DMat3 = (rest.iter().zip(positions))
+            .map(|(p, x)| outer_product((*x - middle) / self.diagonal, *p))
+            .fold(DMat3::ZERO, |a, b| a + b);
+        let rotation = fit_rotation(covariance);
+        let back = rotation.inverse();
+        for x in positions {
+            let seen = back * ((*x - middle) / self.diagonal);
+            self.samples.places.extend(seen.to_array().map(|c| c as f32));
+        }
+        self.samples.frames += 1;
+        self.carried.push(RigidMotion {
+            rotation,
+            from: self.centre,
+            to: middle,
+        });
+        Ok(())
+    }
+
+    /// Number of vertices.
+    pub fn vertices(&self) -> usize {
+        self.samples.vertices()
+    }
+
+    /// Number of frames so far.
+    pub fn frames(&self) -> usize {
+        self.samples.frames()
+    }
+
+    /// The diagonal of the rest shape's bounding box, in model units; 1 for a single point.
+    pub fn diagonal(&self) -> f64 {
+        self.diagonal
+    }
+}
+
+fn refused(what: &str, problem: String) -> DecompositionError {
+    DecompositionError::Shape {
+        what: what.into(),
+        problem,
+    }
+}
+
+fn check(what: &str, positions: &[DVec3]) -> Result<(), DecompositionError> {
+    match positions.iter().position(|p| !p.is_finite()) {
+        Some(vertex) => Err(refused(
+            what,
+            format!("position {vertex} is not a point of finite numbers"),
+        )),
+        None => Ok(()),
+    }
+}
+
+/// How an animation is decomposed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DecompositionOptions {
+    /// Bones, 1 to 256.
+    pub bones: usize,
+    /// Bones that a vertex follows at most, 1 to 4.
+    pub influences: usize,
+    /// Times that bones and weights are fitted in turn on a sample.
+    pub iterations: usize,
+}
+
+impl Default for DecompositionOptions {
+    fn default() -> Self {
+        Self {
+            bones: 40,
+            influences: 4,
+            iterations: 40,
+        }
+    }
+}
+
+impl DecompositionOptions {
+    /// The most bones.
+    pub const MOST_BONES: usize = 256;
+    /// The most bones that a vertex follows.
+    pub const MOST_INFLUENCES: usize = 4;
+
+    fn check(&self) -> Result<(), DecompositionError> {
+        let refuse = |option, seen, most: usize| {
+            let allowed = format!("1 to {most}");
+            Err(DecompositionError::Option { option, seen, allowed })
+        };
+        if !(1..=Self::MOST_BONES).contains(&self.bones) {
+            return refuse("bones", self.bones, Self::MOST_BONES);
+        }
+        if !(1..=Self::MOST_INFLUENCES).contains(&self.influences) {
+            return refuse("influences", self.influences, Self::MOST_INFLUENCES);
+        }
+        Ok(())
+    }
+}
+
+/// Bones, their motions and weights that play an animation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SkinDecomposition {
+    /// By bone: the mean rest position of its vertices by weight. It turns about this point.
+    pub centres: Vec<DVec3>,
+    /// By frame and bone: the motion from the rest pose.
+    pub motions: Vec<Vec<RigidMotion>>,
+    /// By vertex.
+    pub influences: Vec<BoneInfluences>,
+    /// Root of the mean squared distance between played and given positions, in model units.
+    pub rms: f64,
+    /// The largest of these distances.
+    pub max: f64,
+}
+
+/// Vertices of the sample for each bone, and at least.
+const SAMPLE_A_BONE: usize = 160;
+const SMALLEST_SAMPLE: usize = 4000;
+/// Frames of the sample at most.
+const SAMPLE_FRAMES: usize = 64;
+/// Sweeps over the bones between two fits of weights.
+const SWEEPS: usize = 6;
+/// Fits in turn with all vertices, and with all frames.
+const LAST_ITERATIONS: usize = 6;
+/// Rounds after which bones that hardly matter are moved.
+const MOVE_EVERY: usize = 5;
+
+/// Finds bones and weights together.
+///
+/// # Errors
+/// [`DecompositionError`] for options out of range, a sequence without a frame, and when the caller cancels.
+pub fn decompose(
+    sequence: &ShapeSequence,
+    options: &DecompositionOptions,
+    exec: &Exec<'_>,
+) -> Result<SkinDecomposition, DecompositionError> {
+    options.check()?;
+    if sequence.frames() == 0 {
+        return Err(DecompositionError::Option {
+            option: "frames",
+            seen: 0,
+            allowed: "1 and more".into(),
+        });
+    }
+    let all = &sequence.samples;
+    let count = options.bones.min(all.vertices());
+    let most = options.influences;
+    let vertices = spread(all.vertices(), (SAMPLE_A_BONE * count).max(SMALLEST_SAMPLE));
+    let frames = spread(all.frames(), SAMPLE_FRAMES);
+    let frames: Vec<usize> = frames.into_iter().map(|f| f as usize).collect();
+    let sample = all.pick(&vertices, &frames);
+    let bones = cluster_bones(&sample, count, exec)?;
+    let (influences, errors) = fit_influences(&sample, &bones, most, None, exec)?;
+    let mut skin = FittedSkin {
+        bones,
+        influences,
+        errors,
+    };
+    improve(&sample, options, &mut skin, exec)?;
+    let mut bones = skin.bones;
+    let mut influences: Option<Vec<BoneInfluences>> = None;
+    for frames_of_all in [false, true] {
+        let (samples, picked);
+        if frames_of_all {
+            samples = all;
+            bones = unpick(&bones, &frames, all.frames());
+        } else {
+            let whole: Vec<u32> = (0..all.vertices() as u32).collect();
+            picked = all.pick(&whole, &frames);
+            samples = &picked;
+        }
+        if frames_of_all && frames.len() == all.frames() {
+            break;
+        }
+        if let Some(influences) = &influences {
+            fit_bones(samples, influences, 3 * SWEEPS, &mut bones, exec)?;
+        }
+        for _ in 0..if frames_of_all { 2 } else { LAST_ITERATIONS } {
+            let found = fit_influences(samples, &bones, most, influences.as_deref(), exec)?.0;
+            fit_bones(samples, &found, SWEEPS, &mut bones, exec)?;
+            influences = Some(found);
+        }
+    }
+    let influences = influences.unwrap_or_default();
+    Ok(in_model_units(sequence, &bones, influences, exec)?)
+}
+
+/// Bones and weights in turn, with bones moved to where they are missed as long as that helps.
+fn improve(
+    samples: &ShapeSamples,
+    options: &DecompositionOptions,
+    skin: &mut FittedSkin,
+    exec: &Exec<'_>,
+) -> Result<(), DecompositionError> {
+    let most = options.influences;
+    let mut moves = (skin.bones.bones() / 8).max(1);
+    let mut best: Option<FittedSkin> = None;
+    for round in 0..options.iterations {
+        skin.alternate(samples, most, SWEEPS, exec)?;
+        if round % MOVE_EVERY != MOVE_EVERY - 1 || moves == 0 {
+            continue;
+        }
+        if let Some(before) = best.take_if(|b| b.total() <= skin.total()) {
+            *skin = before;
+            moves /= 2;
+        }
+        best = Some(skin.clone());
+        if moves > 0 && round + 2 * MOVE_EVERY < options.iterations {
+            *skin = move_bones(samples, skin, moves, most, exec)?;
+        } else {
+            moves = 0;
+        }
+    }
+    if let Some(before) = best.filter(|b| b.total() < skin.total()) {
+        *skin = before;
+    }
+    Ok(())
+}
+
+/// Fits weights where the bones' motions are given: by frame and bone, in model units. At most `most` bones a vertex.
+///
+/// # Errors
+/// [`DecompositionError`] for options out of range, frames without all bones, and when the caller cancels.
+pub fn fit_weights(
+    sequence: &ShapeSequence,
+    motions: &[Vec<RigidMotion>],
+    most: usize,
+    exec: &Exec<'_>,
+) -> Result<SkinDecomposition, DecompositionError> {
+    let count = motions.first().map_or(0, Vec::len);
+    let options = DecompositionOptions {
+        bones: count,
+        influences: most,
+        iterations: 0,
+    };
+    options.check()?;
+    if motions.len() != sequence.frames() {
+        return Err(DecompositionError::Option {
+            option: "frames of motions",
+            seen: motions.len(),
+            allowed: format!("as many as shapes, {}", sequence.frames()),
+        });
+    }
+    let mut bones = BoneFrames::at_rest(count, sequence.frames());
+    for (frame, (own, carried)) in motions.iter().zip(&sequence.carried).enumerate() {
+        if own.len() != count {
+            return Err(DecompositionError::Option {
+                option: "bones of a frame",
+                seen: own.len(),
+                allowed: format!("as many as in the first, {count}"),
+            });
+        }
+        for (bone, motion) in own.iter().enumerate() {
+            let seen = motion.seen_from(carried);
+            let at = (seen.place(sequence.centre) - sequence.centre) / sequence.diagonal;
+            bones.set(frame, bone, DMat3::from_quat(seen.rotation), at);
+        }
+    }
+    let (influences, _) = fit_influences(&sequence.samples, &bones, most, None, exec)?;
+    Ok(in_model_units(sequence, &bones, influences, exec)?)
+}
+
+/// At most `most` of `count` numbers, spread evenly but not regularly, in rising order.
+fn spread(count: usize, most: usize) -> Vec<u32> {
+    if count <= most {
+        return (0..count as u32).collect();
+    }
+    let mut seed = 0x9e37_79b9_7f4a_7c15u64;
+    let mut next = || {
+        seed = seed
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (seed >> 33) as usize
+    };
+    let picked = (0..most).map(|k| {
+        let (low, high) = (k * count / most, (k + 1) * count / most);
+        (low + next() % (high - low)) as u32
+    });
+    picked.collect()
+}
+
+/// Bones in all frames, those in frames that were not picked as in the nearest that was.
+fn unpick(bones: &BoneFrames, picked: &[usize], frames: usize) -> BoneFrames {
+    let mut nearest = Vec::with_capacity(frames);
+    let mut at = 0;
+    for frame in 0..frames {
+        while at + 1 < picked.len() && picked[at + 1].abs_diff(frame) <= picked[at].abs_diff(frame) {
+            at += 1;
+        }
+        nearest.push(at);
+    }
+    bones.pick(&nearest)
+}
+
+/// The result in model units.
+fn in_model_units(
+    sequence: &ShapeSequence,
+    bones: &BoneFrames,
+    influences: Vec<BoneInfluences>,
+    exec: &Exec<'_>,
+) -> Result<SkinDecomposition, Cancelled> {
+    let samples = &sequence.samples;
+    let count = bones.bones();
+    let mut sums = vec![(DVec3::ZERO, 0.0); count];
+    for (p, vertex) in samples.rest.iter().zip(&influences) {
+        for (bone, w) in vertex.iter() {
+            sums[bone].0 += *p * w;
+            sums[bone].1 += w;
+        }
+    }
+    let centres: Vec<DVec3> = sums
+        .iter()
+        .map(|(sum, w)| if *w > 0.0 { *sum / *w } else { DVec3::ZERO })
+        .collect();
+    let to_model = |p: DVec3| p * sequence.diagonal + sequence.centre;
+    let mut motions: Vec<Vec<RigidMotion>> = Vec::with_capacity(bones.frames());
+    let (mut square, mut largest) = (0.0f64, 0.0f64);
+    for (frame, carried) in sequence.carried.iter().enumerate() {
+        exec.check()?;
+        let placed: Vec<_> = (0..count).map(|b| bones.get(frame, b)).collect();
+        let before = motions.last();
+        let moved = (0..count).map(|bone| {
+            let (rotation, translation) = placed[bone];
+            let turn = (carried.rotation * bones.rotation(frame, bone)).normalize();
+            let near = before.is_none_or(|b: &Vec<RigidMotion>| b[bone].rotation.dot(turn) >= 0.0);
+            RigidMotion {
+                rotation: if near { turn } else { -turn },
+                from: to_model(centres[bone]),
+                to: carried.place(to_model(rotation * centres[bone] + translation)),
+            }
+        });
+        let moved = moved.collect();
+        motions.push(moved);
+        for ((p, vertex), v) in samples
+            .rest
+            .iter()
+            .zip(&influences)
+            .zip(samples.frame(frame).chunks_exact(3))
+        {
+            let v = DVec3::new(f64::from(v[0]), f64::from(v[1]), f64::from(v[2]));
+            let off = (vertex.blend(|b| placed[b].0 * *p + placed[b].1) - v).length_squared();
+            square += off;
+            largest = largest.max(off);
+        }
+    }
+    let all = (samples.vertices() * samples.frames()).max(1) as f64;
+    Ok(SkinDecomposition {
+        centres: centres.into_iter().map(to_model).collect(),
+        motions,
+        influences,
+        rms: (square / all).sqrt() * sequence.diagonal,
+        max: largest.sqrt() * sequence.diagonal,
+    })
+}

@@ -5,7 +5,7 @@
 //! Bones that a clip twists nearly half around.
 
 use super::bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError, listed_names};
-use super::rigid_motion::{RigidMotion, rotation_about, twist_angle};
+use super::handles::{RigidMotion, rotation_about, twist_angle};
 use crate::mesh::rotation::fit_rotation;
 use crate::motion::skeleton::MotionClip;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
