@@ -5,8 +5,9 @@ mod cycles;
 mod script;
 mod sessions;
 
+use crate::support::bench::obj;
 use crate::support::data::data_bytes;
-use crate::support::messages::DeformerMessages;
+use crate::support::messages::{DeformerMessages, message};
 use checks::Before;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
@@ -17,7 +18,7 @@ use pliant::exec::Exec;
 use pliant::graph::VolumeOptions;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::{DeformOptions, json, pb};
+use pliant::wire::{DeformOptions, pb};
 use script::{Draw, Seen};
 use serde_json::Value;
 
@@ -179,21 +180,6 @@ impl Run {
             }
         }
     }
-}
-
-fn message<M: prost::Message + Default + prost::Name>(value: &Value) -> M {
-    json::from_json(value.to_string().as_bytes()).expect("a message")
-}
-
-fn obj((points, faces): &shapes::Shape) -> FileSet {
-    let mut text = String::new();
-    points
-        .iter()
-        .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
-    faces
-        .iter()
-        .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
-    FileSet::single("shape.obj", text)
 }
 
 /// The same run on one thread and on two, and back to the beginning: on a graph that is built again after edits, and on one that

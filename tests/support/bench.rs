@@ -58,6 +58,13 @@ pub fn half_space(normal: [f64; 3], offset: f64) -> pb::Region {
     }
 }
 
+pub fn ball(center: [f64; 3], radius: f64) -> pb::Region {
+    let center = center.to_vec();
+    pb::Region {
+        region: Some(pb::region::Region::Sphere(pb::region::Sphere { center, radius })),
+    }
+}
+
 pub fn handle(id: &str, region: pb::Region) -> pb::Handle {
     pb::Handle {
         id: id.into(),

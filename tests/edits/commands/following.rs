@@ -15,13 +15,6 @@ fn fine_bar() -> bench::Shape {
     )
 }
 
-fn ball(center: [f64; 3], radius: f64) -> pb::Region {
-    let center = center.to_vec();
-    pb::Region {
-        region: Some(pb::region::Region::Sphere(pb::region::Sphere { center, radius })),
-    }
-}
-
 /// A graph that follows edits: of kind PAPER.
 fn paper_bench(shape: &bench::Shape, pool: &Pool) -> Deformer {
     let create = pb::CreateOptions {

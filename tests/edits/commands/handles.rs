@@ -5,8 +5,7 @@ use crate::support::messages::DeformerMessages;
 
 #[test]
 fn handles_hold_what_lies_in_their_regions_after_an_edit() {
-    let mut bench = bench(&bar());
-    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    let mut bench = held();
     let counts = |bench: &Deformer| -> Vec<u32> { bench.facts_message().handles.iter().map(|h| h.vertices).collect() };
     let before = counts(&bench);
     edited(&mut bench, &midpoint(Some(half_space([0.0, 0.0, 1.0], 1.4))));
@@ -24,8 +23,7 @@ fn handles_hold_what_lies_in_their_regions_after_an_edit() {
 
 #[test]
 fn a_region_that_a_pose_has_moved_is_the_list_of_its_vertices() {
-    let mut bench = bench(&bar());
-    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    let mut bench = held();
     let before = bench.facts_message().handles[1].vertices;
     let shape = solve(&mut bench, &[("top", turn(DVec3::X * 1.2, DVec3::ZERO))], 1e-5).shape();
     edit(&mut bench, &midpoint(Some(half_space([0.0, 0.0, -1.0], 1.4))), &shape).expect("an edit");

@@ -5,12 +5,6 @@ use crate::support::messages::DeformerMessages;
 use pb::edit_request::{self as wire, merge};
 use pliant::exec::Exec;
 
-fn held() -> Deformer {
-    let mut bench = bench(&bar());
-    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
-    bench
-}
-
 /// A tetrahedron as a file, `size` long.
 fn other(size: f64) -> Vec<u8> {
     format!("v 0 0 0\nv {size} 0 0\nv 0 {size} 0\nv 0 0 {size}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n").into_bytes()
@@ -57,35 +51,29 @@ fn a_curve_without_a_length_is_refused() {
     let rest = bench.rest_shape();
     let point = [0.5, 0.0, 0.1];
     let line = [point, point].concat();
-    let cut = request(Operation::Cut(wire::Cut {
-        polyline: line.clone(),
-        ..Default::default()
-    }));
-    let along = request(Operation::Cut(wire::Cut {
-        path: vec![3, 3],
-        ..Default::default()
-    }));
-    let curve = request(Operation::InsertCurve(wire::InsertCurve {
-        points: line,
-        closed: false,
-    }));
-    for request in [cut, along, curve] {
+    let inserted = |points| request(Operation::InsertCurve(wire::InsertCurve { points, closed: false }));
+    let cut = |polyline, path| {
+        let along = wire::Cut {
+            polyline,
+            path,
+            ..Default::default()
+        };
+        request(Operation::Cut(along))
+    };
+    let curves = [
+        cut(line.clone(), Vec::new()),
+        cut(Vec::new(), vec![3, 3]),
+        inserted(line),
+    ];
+    for request in curves {
         let told = refusal(&mut bench, &request, &rest);
         assert!(told.contains("all points lie at one place"), "{told}");
     }
     let points = vec![0.5, 0.0, 0.1, 0.5, f64::NAN, 0.3];
-    let told = refusal(
-        &mut bench,
-        &request(Operation::InsertCurve(wire::InsertCurve { points, closed: false })),
-        &rest,
-    );
+    let told = refusal(&mut bench, &inserted(points), &rest);
     assert!(told.starts_with("insertCurve.points[4]: "), "{told}");
     let points = vec![0.25; 3 * 5000];
-    let told = refusal(
-        &mut bench,
-        &request(Operation::InsertCurve(wire::InsertCurve { points, closed: false })),
-        &rest,
-    );
+    let told = refusal(&mut bench, &inserted(points), &rest);
     assert!(told.contains("2 to 4096 points"), "{told}");
 }
 
