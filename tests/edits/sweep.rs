@@ -2,6 +2,7 @@
 
 use crate::support::data::{data_folder, files_below, of_each};
 use crate::support::messages::{DeformerMessages, broken, message, unreferenced};
+use crate::support::recipes::file_set;
 use pliant::asset::{FileSet, Format, Model};
 use pliant::engine::{Deformer, DeformerLimits, ModelShape, digest};
 use pliant::exec::Exec;
@@ -149,16 +150,7 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
     match bench.write(&shape, format, &Exec::new(&pool, &Silent)) {
         Err(e) => line += &format!(" | not written as {format}: {e}"),
         Ok(written) => {
-            let companions = written
-                .companions
-                .into_iter()
-                .map(|(name, bytes)| (name, bytes.into()))
-                .collect();
-            let files = FileSet {
-                name: "written".into(),
-                main: written.main.into(),
-                companions,
-            };
+            let files = file_set("written", written);
             match Model::read(files, Some(format), &limits.model) {
                 Ok(back) if back.triangles.len() == bench.geometry().triangles.len() => {}
                 Ok(back) => {
