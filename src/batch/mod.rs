@@ -15,7 +15,9 @@ use super::wire::{
     quality_message, session_message, warning_message,
 };
 use glam::DVec3;
-pub use inspect::{ClipContents, MOST_NODES_TOLD, ModelContents, SkinContents, contents_of, inspect, inspect_contents};
+pub use inspect::{
+    ClipContents, MOST_NODES_LISTED, ModelContents, SkinContents, contents_of, inspect, inspect_contents,
+};
 pub use riders::CarriedFile;
 use riders::Riders;
 use std::collections::BTreeSet;

@@ -403,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_with_file_and_place() {
+    fn what_is_wrong_is_reported_with_file_and_place() {
         let job = r#""job": {}"#;
         let reported = refused(&format!(r#"{{"model": "a.obj", {job}, "tolerance": 1}}"#));
         assert!(
@@ -541,7 +541,7 @@ mod suite_json_tests {
     }
 
     #[test]
-    fn a_place_is_told_wherever_a_text_breaks_off() {
+    fn a_place_is_reported_wherever_a_text_breaks_off() {
         for text in ["", "{", r#"{"left"#, r#"{"left": 1, "ri"#, r#"{"left": 1"#] {
             let reported = refused(text.as_bytes());
             assert!(reported.starts_with("x.json: EOF while parsing"), "{text}: {reported}");

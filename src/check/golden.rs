@@ -460,7 +460,7 @@ mod tests {
     }
 
     #[test]
-    fn a_move_beyond_the_cell_is_told_and_one_inside_is_not() {
+    fn a_move_beyond_the_cell_is_reported_and_one_inside_is_not() {
         let points = [DVec3::ZERO, DVec3::new(2.0, 1.0, 0.5), DVec3::new(1.0, 0.5, 0.25)];
         let places = QuantizedPositions::from_positions(&points);
         let step = 2.0 / STEPS;

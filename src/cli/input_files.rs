@@ -191,7 +191,7 @@ impl NamedFiles {
             });
         }
         let file = open_regular_file(&real, OpenOptions::new().read(true)).map_err(|e| match e {
-            // Told as it was named.
+            // Reported under the name that was given.
             UnreadFile::Folder(_) => UnreadFile::Folder(path.clone()),
             UnreadFile::Irregular(_) => UnreadFile::Irregular(path.clone()),
             other => other,

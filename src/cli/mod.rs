@@ -98,7 +98,7 @@ pub fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => tell_and_exit(&failure),
+        Err(failure) => failure.report_and_exit(),
     }
 }
 
@@ -111,19 +111,13 @@ fn answer_usage(problem: &clap::Error) -> ExitCode {
     }
     if problem.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let _ = problem.print();
-        return tell_and_exit(&CliFailure::Input("no command is named; see above".into()));
+        return CliFailure::Input("no command is named; see above".into()).report_and_exit();
     }
     let hint = match problem.get(ContextKind::InvalidArg) {
         Some(ContextValue::String(argument)) => hint_for(argument),
         _ => None,
     };
-    tell_and_exit(&CliFailure::Input(usage_reason(&problem.to_string(), hint)))
-}
-
-/// Says why a command has failed: on stdout too where `--json` asks for a document, and in the last line of stderr.
-fn tell_and_exit(failure: &CliFailure) -> ExitCode {
-    terminal::print_failure(failure);
-    failure.report_and_exit()
+    CliFailure::Input(usage_reason(&problem.to_string(), hint)).report_and_exit()
 }
 
 /// The parser's message in one line: what is wrong, what may have been meant, and the command that lists the arguments.

@@ -4,8 +4,7 @@
 
 use super::input_files::{in_file, read_file, read_model};
 use super::output_files::{OutputPermission, spare_companions};
-use super::terminal::CliFailure;
-use super::terminal::{StageSpinner, ThreadArgs, print_value};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_value};
 use crate::asset::{CarryingJoints, Limits, Model, SkinnedClip};
 use crate::engine::{MadeRig, RigOrder, bind_model, carrying_joints, left_out_of_rig, left_out_primitives, make_rig};
 use crate::exec::Exec;

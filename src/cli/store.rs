@@ -5,8 +5,7 @@
 
 use super::input_files::output_format;
 use super::output_files::OutputPermission;
-use super::terminal::CliFailure;
-use super::terminal::print_value;
+use super::terminal::{CliFailure, print_value};
 use crate::asset::FileSet;
 use crate::server::config::{ConfigKeys, KeyValue, stored_in};
 use crate::session;
@@ -89,7 +88,7 @@ async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
         true => Some(lookers(&store).await?),
         false => None,
     };
-    let (mut damaged, mut told) = (u64::from(in_database.is_err()), Vec::new());
+    let (mut damaged, mut reported) = (u64::from(in_database.is_err()), Vec::new());
     let mut total = CheckedSession::default();
     if let (Err(error), false) = (&in_database, args.json) {
         println!("damaged  the database: {error}");
@@ -106,7 +105,7 @@ async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
             total.object_bytes += found.object_bytes;
         }
         match args.json {
-            true => told.push(checked_json(session, &checked)),
+            true => reported.push(checked_json(session, &checked)),
             false => println!("{}", as_line(session, &checked)),
         }
     }
@@ -114,7 +113,7 @@ async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
     if args.json {
         print_value(&json!({
             "database": in_database.err().map_or_else(|| "ok".to_owned(), |e| e.to_string()),
-            "sessions": told, "damaged": damaged, "unusedObjects": unused,
+            "sessions": reported, "damaged": damaged, "unusedObjects": unused,
         }))?;
     } else {
         println!(
@@ -317,8 +316,8 @@ async fn run_store_list(args: &StoreListArgs) -> Result<(), CliFailure> {
     let is_asked = |s: &StoredFacts| args.tenant.as_ref().is_none_or(|name| **name == *s.tenant.0);
     sessions.retain(is_asked);
     if args.json {
-        let told: Vec<Value> = sessions.iter().map(as_json).collect();
-        return print_value(&json!({ "sessions": told }));
+        let reported: Vec<Value> = sessions.iter().map(as_json).collect();
+        return print_value(&json!({ "sessions": reported }));
     }
     for session in &sessions {
         let (id, tenant, commits) = (&session.id, &session.tenant.0, session.commits);

@@ -96,7 +96,7 @@ pub(super) fn print_text(text: &str) -> Result<(), CliFailure> {
 
 /// Prints a command's failure as its JSON document, with `--json` and where none was printed; a failed check has
 /// printed one.
-pub(super) fn print_failure(failure: &CliFailure) {
+fn print_failure(failure: &CliFailure) {
     let is_asked = std::env::args_os().skip(1).any(|argument| argument == "--json");
     if !is_asked || IS_PRINTED.load(Ordering::Relaxed) {
         return;
@@ -211,8 +211,9 @@ impl CliFailure {
         }
     }
 
-    /// Says why in the last line of stderr.
+    /// Says why a command has failed: on stdout too where `--json` asks for a document, and in the last line of stderr.
     pub(super) fn report_and_exit(&self) -> ExitCode {
+        print_failure(self);
         if !matches!(self, Self::Logged(_)) {
             eprintln!("pliant: {}", self.message());
         }
@@ -257,7 +258,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stages_tell_how_far_they_are() {
+    fn stages_say_how_far_they_are() {
         assert_eq!(stage_text("graph", 0.0), "graph");
         assert_eq!(stage_text("graph", 0.5), "graph 50 %");
         assert_eq!(stage_text("graph", 7.0), "graph 100 %");

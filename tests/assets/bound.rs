@@ -102,7 +102,7 @@ fn what_cannot_be_bound_is_refused_and_nothing_is_written() {
     let folder = &bar_folder();
     let cycle = RIG.replace(r#""id": "trunk", "#, r#""id": "trunk", "parent": "hand", "#);
     fs::write(folder.join("cycle.json"), cycle).expect("written");
-    for (arguments, told) in [
+    for (arguments, reported) in [
         (
             "rig.json -o bar.glb --influences 9",
             "influences: are 9, allowed are 1 to 8",
@@ -116,7 +116,7 @@ fn what_cannot_be_bound_is_refused_and_nothing_is_written() {
         ("rig.json -o far/bar.glb", "--parents makes it"),
         ("cycle.json -o bar.glb", "form a cycle"),
     ] {
-        skin(folder, &format!("bar.obj --rig {arguments}")).refused(&[told]);
+        skin(folder, &format!("bar.obj --rig {arguments}")).refused(&[reported]);
     }
     assert!(!folder.join("bar.glb").exists());
     skin(folder, "bar.obj --rig rig.json -o far/bar.glb --parents").well();

@@ -222,7 +222,7 @@ fn gltf_of(stream: &[u8], extension: &str) -> FileSet {
 }
 
 #[test]
-fn what_is_wrong_with_a_stream_is_told_with_its_place() {
+fn what_is_wrong_with_a_stream_is_reported_with_its_place() {
     let whole = r#"{"bufferView":0,"attributes":{"POSITION":0}}"#;
     for (stream, extension, wanted) in [
         (&b"no Draco at all"[..], whole, "the Draco stream cannot be decoded"),

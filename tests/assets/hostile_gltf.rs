@@ -240,9 +240,9 @@ fn empty_items_are_refused_before_they_take_memory() {
         let bytes = json.len();
         let refused = Model::read(FileSet::single("a.gltf", json), None, &Limits::default()).expect_err("refused");
         let text = refused.to_string();
-        let told = "1000000 items, of which many are empty, take";
+        let reported = "1000000 items, of which many are empty, take";
         assert!(
-            text.contains(told) && text.contains(&format!("{bytes} bytes of text")),
+            text.contains(reported) && text.contains(&format!("{bytes} bytes of text")),
             "{text}"
         );
     }
@@ -264,7 +264,7 @@ fn empty_items_are_refused_before_they_take_memory() {
 }
 
 #[test]
-fn a_read_that_nobody_wants_any_more_stops() {
+fn a_read_that_is_cancelled_stops() {
     let flag = CancelFlag::default();
     flag.cancel();
     let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";

@@ -113,7 +113,7 @@ fn materials_of_a_library_become_those_of_a_gltf_and_come_back() {
 }
 
 #[test]
-fn a_picture_of_normals_goes_along_and_one_of_heights_is_told() {
+fn a_picture_of_normals_goes_along_and_one_of_heights_is_reported() {
     let library = LIBRARY.replace("map_Bump", "norm normals.png\nmap_Bump");
     let mut files = obj_files();
     files
@@ -121,19 +121,19 @@ fn a_picture_of_normals_goes_along_and_one_of_heights_is_told() {
         .insert("my things.mtl".into(), library.into_bytes().into());
     let normals = [PICTURE, b" of normals"].concat();
     files.companions.insert("normals.png".into(), normals.clone().into());
-    let told = |model: &Model, code: &str| {
+    let reported = |model: &Model, code: &str| {
         let mut warnings = model.warnings.iter();
         warnings.find(|w| w.0 == code).map(|w| w.1.clone())
     };
-    assert!(told(&read(files.clone()), "image-missing").is_some_and(|text| text.contains("bump.png")));
+    assert!(reported(&read(files.clone()), "image-missing").is_some_and(|text| text.contains("bump.png")));
     assert_eq!(
-        told(&read(files.clone()), "bump-map"),
+        reported(&read(files.clone()), "bump-map"),
         None,
-        "what is missing is told as that"
+        "what is missing is reported as that"
     );
     files.companions.insert("bump.png".into(), PICTURE.into());
     let model = read(files);
-    let text = told(&model, "bump-map").expect("a warning");
+    let text = reported(&model, "bump-map").expect("a warning");
     assert!(
         text.contains("bump.png") && text.contains("norm") && !text.contains("normals.png"),
         "{text}"

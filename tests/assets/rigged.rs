@@ -103,11 +103,11 @@ fn every_recording_drives_the_figure_at_the_first_try() {
         );
         let bones = rig["bones"].as_array().expect("bones");
         assert!(bones.len() >= 9, "{clip}: {rig}");
-        let told = run_well(
+        let reported = run_well(
             folder,
             &format!("animate figure.glb --bvh {clip} --rig rig.json --frames 0:2 --json"),
         );
-        for frame in told["frames"].as_array().expect("frames") {
+        for frame in reported["frames"].as_array().expect("frames") {
             let volume = frame["volumeChange"].as_f64().unwrap_or(0.0);
             let edges = frame["edgeRms"].as_f64().unwrap_or(0.0);
             assert!(
@@ -121,19 +121,19 @@ fn every_recording_drives_the_figure_at_the_first_try() {
 #[test]
 fn a_skin_has_its_rig_and_takes_it_back() {
     let folder = &figure_folder();
-    let told = run_well(folder, "rig figure.glb -o own.json --json");
-    assert_eq!(told["source"], "skin");
+    let reported = run_well(folder, "rig figure.glb -o own.json --json");
+    assert_eq!(reported["source"], "skin");
     let picture = fs::read(folder.join("own.png")).expect("a picture");
     assert!(picture.starts_with(b"\x89PNG"));
     let rig: Value = serde_json::from_slice(&fs::read(folder.join("own.json")).expect("a rig")).expect("json");
     let ids: Vec<&str> = list(&rig["bones"]).iter().filter_map(|b| b["id"].as_str()).collect();
     assert!(ids.contains(&"leftLowerArm") && ids[0] == "hips", "{ids:?}");
-    let told = run_well(
+    let reported = run_well(
         folder,
         "animate figure.glb --clip walk --rig own.json --frames 3:1 --json",
     );
-    let edges = told["frames"][0]["edgeRms"].as_f64().expect("a number");
-    assert!(edges < 0.1, "{told}");
+    let edges = reported["frames"][0]["edgeRms"].as_f64().expect("a number");
+    assert!(edges < 0.1, "{reported}");
     let bound = run_well(folder, "skin figure.glb --rig own.json -o again.glb --json");
     assert_eq!((&bound["unweighted"], &bound["bones"]), (&0.into(), &ids.len().into()));
 }
@@ -173,13 +173,13 @@ fn joints_of_statues_are_found_where_limbs_are() {
         ),
     ] {
         let path = meshes.join(name);
-        let told = run_well(
+        let reported = run_well(
             &folder,
             &format!("rig {} -o r.json --no-picture --force --json", path.display()),
         );
-        assert_eq!(told["source"], "shape");
+        assert_eq!(reported["source"], "shape");
         for (name, at) in wanted {
-            let found = joint(&told, name);
+            let found = joint(&reported, name);
             assert_eq!(found["inside"], true, "{name}: {found}");
             let off = (0..3)
                 .map(|k| (found["at"][k].as_f64().expect("a number") - at[k]).powi(2))
@@ -202,7 +202,7 @@ fn what_cannot_be_is_refused_with_what_can() {
     let one = "HIERARCHY\nROOT pipe\n{\nOFFSET 0 0 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\nMOTION\nFrames: 1\nFrame Time: 1\n\n";
     fs::write(folder.join("pipe.bvh"), one).expect("written");
     fs::write(folder.join("marks.json"), r#"{"lElbow": [1, 2]}"#).expect("written");
-    for (arguments, told) in [
+    for (arguments, reported) in [
         (
             &["--preset", "alien"][..],
             "preset: is \"alien\", allowed are cmu and mixamo",
@@ -220,14 +220,14 @@ fn what_cannot_be_is_refused_with_what_can() {
             folder,
             &[&["rig", "figure.glb", "-o", "rig.json"][..], arguments].concat(),
         )
-        .refused(&[told]);
+        .refused(&[reported]);
         assert!(!folder.join("rig.json").exists());
     }
-    let told = run_well(
+    let reported = run_well(
         folder,
         "rig figure.glb --preset mixamo --at lElbow=0.4,1.4,0.01 -o rig.json --json --no-picture",
     );
-    let elbow = joint(&told, "lElbow");
+    let elbow = joint(&reported, "lElbow");
     assert_eq!(
         elbow["at"],
         serde_json::json!([0.4, 1.4, 0.01]),

@@ -193,7 +193,7 @@ fn hostile_texts_get_the_answer_they_should() {
 }
 
 #[test]
-fn a_name_or_a_first_word_tells_the_format() {
+fn a_name_or_a_first_word_gives_the_format() {
     let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
     assert_eq!(read(FileSet::single("", obj)).map(|m| m.format), Ok(Format::OBJ));
     assert_eq!(

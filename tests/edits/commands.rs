@@ -5,7 +5,6 @@ use crate::support::messages::{DeformerMessages, EditedByMessage};
 mod following;
 mod handles;
 mod operations;
-mod refusals;
 
 use bench::*;
 use glam::DVec3;

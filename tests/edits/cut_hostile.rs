@@ -135,7 +135,7 @@ fn deleting_corner_to_corner_leaves_no_pinched_point() {
 }
 
 #[test]
-fn work_that_nobody_wants_stops() {
+fn cancelled_work_stops() {
     let whole = Model::of(sphere(4, 1.0));
     let flag = CancelFlag::default();
     flag.cancel();
@@ -158,7 +158,7 @@ fn work_that_nobody_wants_stops() {
     );
 }
 
-/// Whether two triangles have the same three points: front and back of nothing, which a split cannot tell apart.
+/// Whether two triangles have the same three points: front and back of nothing, which a split cannot distinguish.
 fn twins(model: &Model) -> bool {
     let mut corners: Vec<[u32; 3]> = model
         .triangles

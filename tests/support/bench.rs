@@ -78,9 +78,13 @@ pub fn set(bench: &mut Deformer, handles: Vec<pb::Handle>) {
         handles,
         ..Default::default()
     };
-    bench
-        .set_handles_message(&request, &Exec::new(&pool(2), &Silent))
-        .expect("the handles fit");
+    set_all(bench, &request);
+}
+
+pub fn set_all(bench: &mut Deformer, request: &pb::SetHandlesRequest) {
+    let exec_pool = pool(2);
+    let done = bench.set_handles_message(request, &Exec::new(&exec_pool, &Silent));
+    done.expect("the handles fit");
 }
 
 pub fn settings(tolerance: f64) -> SolveSettings {

@@ -8,6 +8,7 @@ pub mod certificates;
 pub mod data;
 pub mod draw;
 pub mod fbx_text;
+pub mod gltf_draft;
 pub mod gltf_parsed;
 pub mod gltf_sets;
 pub mod haproxy;

@@ -11,7 +11,7 @@ mod merge;
 mod samples;
 
 use super::case::CASE_SUFFIX;
-use super::case_result::CasePicture;
+use super::case_pictures::CasePicture;
 use super::golden::{Golden, InputHashes};
 use super::metric::{Metric, MetricKind};
 use super::shard::Shard;
@@ -140,11 +140,11 @@ fn verdict_line(verdict: &CaseVerdict) -> String {
         };
     };
     let has = |code: &str| reasons.iter().any(|r| r.code == code);
-    let tell = |r: &VerdictReason| format!("{}: {}", r.code, r.text);
+    let describe = |r: &VerdictReason| format!("{}: {}", r.code, r.text);
     let mut parts = Vec::new();
     // What is more basic than numbers comes before them, as in the list of reasons.
     if !matches!(first.code, "metric" | "expectation") {
-        parts.push(tell(first));
+        parts.push(describe(first));
     }
     let over: Vec<&MetricDifference> = verdict.measures.iter().filter(|m| !m.is_within_bound()).collect();
     if let Some(worst) = worst_difference(&over).filter(|_| has("metric")) {
@@ -155,7 +155,7 @@ fn verdict_line(verdict: &CaseVerdict) -> String {
             parts.push(format!("also {}", more.join(", ")));
         }
     }
-    parts.extend(reasons.iter().find(|r| r.code == "expectation").map(tell));
+    parts.extend(reasons.iter().find(|r| r.code == "expectation").map(describe));
     parts.join("; ")
 }
 

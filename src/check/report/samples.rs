@@ -1,6 +1,6 @@
 //! Reports for the tests of this room.
 
-use super::super::case_result::CasePicture;
+use super::super::case_pictures::CasePicture;
 use super::super::golden::InputHashes;
 use super::super::metric::Metric;
 use super::super::shard::Shard;

@@ -1,18 +1,18 @@
 //! `pliant animate`: a clip drives a model, frame by frame.
 //!
-//! This file reads arguments and runs; [`output`] names the outputs and writes each frame as a model. For one file, [`gathered`]
-//! collects frames in a partial file, so that a stopped animation can go on, and then writes a point cache or a GLB
+//! This file reads arguments and runs; [`output`] names the outputs. [`numbered`] writes each frame as a model. For one file,
+//! [`gathered`] collects frames in a partial file, so that a stopped animation can go on, and then writes a point cache or a GLB
 //! ([`crate::engine::Animation::write_clip`] makes it). [`pictures`] draws frames, with the shapes of another method if asked.
 
 mod gathered;
+mod numbered;
 mod output;
 mod pictures;
 mod play;
 
 use super::deform::describe_change;
 use super::input_files::{in_file, read_file, read_model};
-use super::terminal::CliFailure;
-use super::terminal::{StageSpinner, ThreadArgs, print_json, raised_on_stop};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_json, raised_on_stop};
 use crate::asset::{FileSet, Model};
 use crate::deform::EdgeWeights;
 use crate::engine::{

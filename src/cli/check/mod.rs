@@ -11,8 +11,7 @@ mod suite;
 
 use super::input_files::{AllowedFolders, folder_of, read_file, read_model};
 use super::output_files::{OutputPermission, is_same_target, spare_companions};
-use super::terminal::CliFailure;
-use super::terminal::{StageSpinner, ThreadArgs, pretty_text, print_text};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_text};
 use crate::check::report::{CaseReport, ShardFacts, SuiteReport, merge_reports, read_report};
 use crate::check::{CaseStatus, Shard, digest_texts, measured_costs, report, split_cases, split_digest};
 use crate::session::store::build_identity;

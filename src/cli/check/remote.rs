@@ -6,6 +6,7 @@ use crate::asset::{FileSet, Model};
 use crate::check::{AnimationCase, CaseResult, Metric};
 use crate::server::https_client::https_connector;
 use crate::wire::pb;
+use crate::wire::pb::step::Step;
 use crate::{asset, batch, wire};
 use bytes::Bytes;
 use glam::DVec3;
@@ -30,7 +31,15 @@ const BUFFER: &str = "application/octet-stream";
 /// # Errors
 /// Why not.
 pub(super) fn ask_limits(client: &HttpClient) -> Result<(), String> {
-    get_document(client, "/v1/limits", "/v1/limits", JSON).map(drop)
+    let call = HttpCall {
+        method: Method::GET,
+        path: "/v1/limits",
+        name: "/v1/limits",
+        content_type: "",
+        accept: JSON,
+        body: Bytes::new(),
+    };
+    client.send(&call).map(drop)
 }
 
 /// Runs a job on a model. The caller adds the shape before, and the triangles where no step edits. The numbers lack
@@ -81,7 +90,7 @@ fn with_session(
     }
     let session = RemoteSession { client, id: &id };
     let found = run(&session);
-    // Also after a failure: a session that nobody closes would only wait for its expiry.
+    // Also after a failure: a session that is left open would only wait for its expiry.
     let closed = session.send_below(Method::DELETE, "", JSON, Bytes::new()).map(drop);
     let found = found?;
     closed.map(|()| found)
@@ -172,7 +181,7 @@ impl RemoteSession<'_> {
             let at_step = |e: String| format!("steps[{k}]: {e}");
             quality = None;
             match step {
-                RemoteStep::Pose(pose) => {
+                Step::Pose(pose) => {
                     let request = pb::SolveRequest {
                         session_id: String::new(),
                         pose: Some(pose.clone()),
@@ -186,7 +195,7 @@ impl RemoteSession<'_> {
                     let most = found.numbers.entry(Metric::Residual).or_insert(0.0);
                     *most = most.max(residual);
                 }
-                RemoteStep::Edit(edit) => {
+                Step::Edit(edit) => {
                     self.send_message(Method::POST, "/edits", JSON, edit).map_err(at_step)?;
                     edited = true;
                 }
@@ -202,16 +211,10 @@ impl RemoteSession<'_> {
                 None,
                 &asset::Limits::default(),
             );
-            found.triangles = model
-                .map_err(|e| format!("the model that came back: {e}"))?
-                .geometry
-                .triangles;
-            if found
-                .triangles
-                .as_flattened()
-                .iter()
-                .any(|&v| v as usize >= found.positions.len())
-            {
+            let model = model.map_err(|e| format!("the model that came back: {e}"))?;
+            found.triangles = model.geometry.triangles;
+            let vertices = found.positions.len();
+            if found.triangles.as_flattened().iter().any(|&v| v as usize >= vertices) {
                 return Err("the model and the positions that came back have other vertices".into());
             }
         }
@@ -239,23 +242,12 @@ impl RemoteSession<'_> {
     }
 }
 
-enum RemoteStep {
-    Pose(pb::Pose),
-    Edit(pb::EditRequest),
-}
-
 /// Lists the steps as [`batch::run`] does them: without steps the poses that the handles come with are one.
-fn remote_steps(job: &pb::Job) -> Vec<RemoteStep> {
+fn remote_steps(job: &pb::Job) -> Vec<Step> {
     if job.steps.is_empty() && job.handles.iter().any(|h| h.pose.is_some()) {
-        return vec![RemoteStep::Pose(pb::Pose::default())];
+        return vec![Step::Pose(pb::Pose::default())];
     }
-    let steps = job.steps.iter().filter_map(|s| s.step.as_ref());
-    steps
-        .map(|step| match step {
-            pb::step::Step::Pose(pose) => RemoteStep::Pose(pose.clone()),
-            pb::step::Step::Edit(edit) => RemoteStep::Edit(edit.clone()),
-        })
-        .collect()
+    job.steps.iter().filter_map(|s| s.step.clone()).collect()
 }
 
 /// Changes options so that the answer is a whole buffer of plain floats.
@@ -302,17 +294,6 @@ fn session_body(files: &FileSet) -> (String, Bytes) {
         .for_each(|(name, bytes)| part("companion", name, bytes));
     body.extend_from_slice(format!("--{boundary}--\r\n").as_bytes());
     (format!("multipart/form-data; boundary={boundary}"), body.into())
-}
-
-fn get_document(client: &HttpClient, path: &str, name: &str, accept: &str) -> Result<HttpAnswer, String> {
-    client.send(&HttpCall {
-        method: Method::GET,
-        path,
-        name,
-        content_type: "",
-        accept,
-        body: Bytes::new(),
-    })
 }
 
 fn parse_document(answer: &HttpAnswer) -> Result<Value, String> {
@@ -582,7 +563,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_server_says_is_told() {
+    fn what_a_server_says_is_reported() {
         let reported = server_problem(
             StatusCode::UNPROCESSABLE_ENTITY,
             br#"{"detail": "handles[0].id: is empty"}"#,

@@ -10,8 +10,7 @@ use crate::check::{
     AnimationCase, CaseResult, CaseStatus, CaseVerdict, Golden, InputHashes, Metric, Viewpoint, draw_case_pictures,
     judge_result, model_hash,
 };
-use crate::cli::terminal::CliFailure;
-use crate::cli::terminal::StageSpinner;
+use crate::cli::terminal::{CliFailure, StageSpinner};
 use crate::engine::{Animation, Deformer, DeformerLimits, digest};
 use crate::exec::Exec;
 use crate::pool::Pool;

@@ -69,7 +69,7 @@ fn a_scale_beyond_what_floats_hold_is_refused() {
 }
 
 #[test]
-fn what_a_rig_says_that_cannot_be_meant_is_told() {
+fn what_a_rig_says_that_cannot_be_meant_is_reported() {
     let folder = &bar_folder();
     let rig = fs::read_to_string(folder.join("rig.json")).expect("a rig");
     let said = animate_bar(folder, &["-o", "there.pc2"]);

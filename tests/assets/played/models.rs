@@ -1,4 +1,4 @@
-//! Real skinned models whose own clips are solved anew: what is drawn is what was solved, and nothing else is lost.
+//! Real skinned models whose own clips are solved again: what is drawn is what was solved, and nothing else is lost.
 
 use super::{animate, farthest, read_cache, read_glb};
 use crate::support::data::{data_path, files_below};

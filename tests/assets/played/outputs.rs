@@ -116,24 +116,24 @@ fn every_output_holds_the_same_positions() {
 }
 
 #[test]
-fn fewer_shapes_than_frames_are_blended_within_the_error_that_is_told() {
+fn fewer_shapes_than_frames_are_blended_within_the_error_that_is_reported() {
     let folder = &bar_folder();
     animate_bar(folder, &["-o", "bar.pc2"]);
     let said = animate_bar(folder, &["-o", "bar.glb", "--max-targets", "8"]);
     let (_, line) = said.split_once("blended from 8 shapes").expect(&said);
     let words: Vec<&str> = line.split_whitespace().collect();
     let percent = words.iter().position(|w| *w == "%").expect("a percentage") - 1;
-    let told: f64 = words[percent].parse().expect("a number");
+    let reported: f64 = words[percent].parse().expect("a number");
     let file = read_glb(&folder.join("bar.glb"));
     let targets = &file.json["meshes"][0]["primitives"][0]["targets"];
     assert_eq!(targets.as_array().expect("targets").len(), 8);
     let worst = farthest_of_bar(folder, &file);
     let diagonal = DVec3::new(6.0, 1.0, 1.0).length();
     assert!(
-        (100.0 * worst / diagonal - told).abs() < 2e-3,
-        "{worst} is told as {told} %"
+        (100.0 * worst / diagonal - reported).abs() < 2e-3,
+        "{worst} is reported as {reported} %"
     );
-    assert!(told > 0.01 && told < 10.0, "{told}");
+    assert!(reported > 0.01 && reported < 10.0, "{reported}");
 }
 
 #[test]
@@ -145,18 +145,18 @@ fn the_report_has_how_far_what_is_written_is_off_as_numbers() {
     animate_bar(folder, &["-o", "bar.pc2"]);
     let diagonal = DVec3::new(6.0, 1.0, 1.0).length();
     for (options, parts) in [(["--max-targets", "6"], 6), (["--as", "skin"], 40)] {
-        let told = &report(&[&["-o", "bar.glb"][..], &options].concat())["writtenError"];
-        assert_eq!(told["parts"], parts, "{told}");
-        let [rms, max] = ["rmsPercent", "maxPercent"].map(|key| told[key].as_f64().expect("a number"));
+        let reported = &report(&[&["-o", "bar.glb"][..], &options].concat())["writtenError"];
+        assert_eq!(reported["parts"], parts, "{reported}");
+        let [rms, max] = ["rmsPercent", "maxPercent"].map(|key| reported[key].as_f64().expect("a number"));
         let file = read_glb(&folder.join("bar.glb"));
         let offs = offs_of_bar(folder, &file);
         let squares: f64 = offs.iter().map(|off| off * off).sum();
         let worst = offs.iter().copied().fold(0.0, f64::max);
-        for (seen, told) in [((squares / offs.len() as f64).sqrt(), rms), (worst, max)] {
+        for (seen, reported) in [((squares / offs.len() as f64).sqrt(), rms), (worst, max)] {
             let seen = 100.0 * seen / diagonal;
             assert!(
-                (seen - told).abs() < 2e-3 + 0.02 * told,
-                "{options:?}: {seen} % is told as {told} %"
+                (seen - reported).abs() < 2e-3 + 0.02 * reported,
+                "{options:?}: {seen} % is reported as {reported} %"
             );
         }
     }

@@ -100,7 +100,7 @@ fn a_recording_for_which_no_rig_can_be_made_says_why() {
 }
 
 #[test]
-fn a_clip_that_moves_no_skin_is_told_as_one() {
+fn a_clip_that_moves_no_skin_is_reported_as_one() {
     let folder = &Scratch::new();
     let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
     let numbers = corners

@@ -19,17 +19,17 @@ fn percent_after(said: &str, text: &str) -> f64 {
 }
 
 #[test]
-fn bones_of_the_rig_play_the_frames_as_nearly_as_is_told() {
+fn bones_of_the_rig_play_the_frames_as_nearly_as_is_reported() {
     let folder = &bar_folder();
     animate_bar(folder, &["-o", "bar.pc2"]);
     let percent = |file: &str| {
         100.0 * farthest_of_bar(folder, &read_glb(&folder.join(file))) / DVec3::new(6.0, 1.0, 1.0).length()
     };
     let said = animate_bar(folder, &["-o", "rig.glb", "--as", "skin", "--skeleton", "rig"]);
-    let told = percent_after(&said, "(root mean square), ");
+    let reported = percent_after(&said, "(root mean square), ");
     assert!(
-        (percent("rig.glb") - told).abs() < 5e-3,
-        "{} is told as {told}",
+        (percent("rig.glb") - reported).abs() < 5e-3,
+        "{} is reported as {reported}",
         percent("rig.glb")
     );
     let file = read_glb(&folder.join("rig.glb"));
@@ -46,8 +46,8 @@ fn bones_of_the_rig_play_the_frames_as_nearly_as_is_told() {
     animate_bar(folder, &["-o", "bar.pc2", "--force"]);
     let said = animate_bar(folder, &["-o", "twist.glb", "--as", "skin", "--skeleton", "twist"]);
     assert!(said.contains("5 bones play"), "{said}");
-    let told = percent_after(&said, "(root mean square), ");
-    assert!((percent("twist.glb") - told).abs() < 5e-3);
+    let reported = percent_after(&said, "(root mean square), ");
+    assert!((percent("twist.glb") - reported).abs() < 5e-3);
     assert!(fs::read(folder.join("twist.glb")).is_ok_and(|b| String::from_utf8_lossy(&b).contains("high twist 3")));
     khronos::assert_valid("skins of rigs", &[folder.join("twist.glb")]);
 }
@@ -87,7 +87,7 @@ fn a_skins_own_clip_is_corrected_on_its_own_weights() {
 #[test]
 fn options_of_other_skins_are_refused() {
     let folder = &bar_folder();
-    for (arguments, told) in [
+    for (arguments, reported) in [
         ("--skeleton rig", "--skeleton is for --as skin"),
         (
             "--as skin --skeleton rig --bones 3",
@@ -96,24 +96,27 @@ fn options_of_other_skins_are_refused() {
         ("--as skin --poses 3", "--poses is for --as correctives"),
         ("--as correctives --poses 0", "--poses is 0, allowed are 1 to 256"),
     ] {
-        refuse(folder, &[&["-o", "a.glb"], &words(arguments)[..]].concat()).refused(&[told]);
+        refuse(folder, &[&["-o", "a.glb"], &words(arguments)[..]].concat()).refused(&[reported]);
     }
     assert!(!folder.join("a.glb").exists());
 }
 
 #[test]
-fn a_few_bones_play_the_frames_as_nearly_as_is_told() {
+fn a_few_bones_play_the_frames_as_nearly_as_is_reported() {
     let folder = &bar_folder();
     animate_bar(folder, &["-o", "bar.pc2"]);
     let said = animate_bar(folder, &["-o", "bar.glb", "--as", "skin", "--bones", "12"]);
     let (_, line) = said.split_once("12 bones play the frames").expect(&said);
-    let told = percent_after(line, "mean square), ");
+    let reported = percent_after(line, "mean square), ");
     let file = read_glb(&folder.join("bar.glb"));
     assert_eq!(file.json["skins"][0]["joints"].as_array().map(Vec::len), Some(12));
     assert!(file.json["meshes"][0]["primitives"][0].get("targets").is_none());
     let worst = farthest_of_bar(folder, &file);
     let percent = 100.0 * worst / DVec3::new(6.0, 1.0, 1.0).length();
-    assert!((percent - told).abs() < 5e-3, "{percent} % is told as {told} %");
-    assert!(told < 1.0, "{told} %");
+    assert!(
+        (percent - reported).abs() < 5e-3,
+        "{percent} % is reported as {reported} %"
+    );
+    assert!(reported < 1.0, "{reported} %");
     khronos::assert_valid("skins", &[folder.join("bar.glb")]);
 }

@@ -2,8 +2,7 @@
 
 use super::edit_support::*;
 use super::measures::*;
-use pliant::edit::decimate_region;
-use pliant::edit::{EditSubject, Error};
+use pliant::edit::{EditSubject, Error, decimate_region};
 use pliant::progress::Silent;
 
 #[test]

@@ -3,9 +3,7 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::Error;
-use pliant::edit::{LoopPair, stitch_boundaries};
-use pliant::edit::{weld_boundaries, weld_points};
+use pliant::edit::{Error, LoopPair, stitch_boundaries, weld_boundaries, weld_points};
 use pliant::progress::Silent;
 
 /// Two models in one list, each point of its own, the second in a primitive of its own if asked.

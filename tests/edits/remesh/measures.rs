@@ -17,7 +17,7 @@ pub fn region(model: &Model, inside: impl Fn(DVec3) -> bool) -> Vec<u32> {
     model.triangles_where(|t| t.iter().all(|&v| inside(model.positions[v as usize])))
 }
 
-/// The model with vertices of its own for each of its sides, as `side` tells from a face's middle; in one primitive, or
+/// The model with vertices of its own for each of its sides, as `side` finds from a face's middle; in one primitive, or
 /// in one each.
 pub fn with_seams(model: &Model, side: impl Fn(DVec3) -> u32, primitives: bool) -> Model {
     let mut faces: Vec<(u32, [u32; 3])> = Vec::new();

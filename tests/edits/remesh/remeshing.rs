@@ -3,8 +3,7 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::{EditSubject, Error};
-use pliant::edit::{MENDED, RemeshOptions, RemeshTarget, SurfacePatch, remesh_region};
+use pliant::edit::{EditSubject, Error, MENDED, RemeshOptions, RemeshTarget, SurfacePatch, remesh_region};
 use pliant::progress::{CancelFlag, Progress, Silent};
 use std::sync::atomic::{AtomicUsize, Ordering};
 

@@ -492,7 +492,7 @@ mod close_pairs_tests {
     use crate::progress::{CancelFlag, Silent};
 
     #[test]
-    fn a_comparison_of_each_with_each_ends_when_nobody_wants_it() {
+    fn a_comparison_of_each_with_each_ends_when_cancelled() {
         let flag = CancelFlag::default();
         flag.cancel();
         let (from, to): (Vec<u32>, Vec<u32>) = ((0..1000).collect(), (1000..2000).collect());

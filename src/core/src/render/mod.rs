@@ -21,6 +21,7 @@
 
 mod camera;
 mod colour;
+mod colour_key;
 mod dress;
 mod font;
 mod picture;
@@ -28,17 +29,18 @@ mod raster;
 mod ring_mark;
 mod surface;
 mod texture;
+mod view_sheet;
 
 pub use camera::{Camera, PictureSize, UpAxis, ViewDirection};
-pub use colour::ColourKey;
 pub use colour::{ColourRamp, Rgb};
+pub use colour_key::ColourKey;
 pub use dress::{STRETCH_RANGE, SurfaceDress, edge_stretch, vertex_displacements};
-pub use picture::ViewSheet;
 pub use picture::{Picture, encode_moving_png};
 pub use raster::{background_end, draw_surface};
 pub use ring_mark::{BoneMarks, POSITION_COLOUR, ROTATION_COLOUR, RingMark};
 pub use surface::{DrawnBall, ShadedSurface, open_surface};
 pub use texture::Texture;
+pub use view_sheet::ViewSheet;
 
 /// Why something cannot be drawn.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

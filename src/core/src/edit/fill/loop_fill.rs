@@ -13,8 +13,8 @@
 //! section 3): a triangle that is too large for its corners gets a point in its middle, then edges are exchanged until
 //! opposite angles are no more than half a turn together.
 
+use super::opening::{OpeningRim, split_double_edges};
 use super::polygon::triangulate_polygon;
-use super::{OpeningRim, split_double_edges};
 use crate::edit::error::Error;
 use crate::edit::region_mesh::{CAP, RegionMesh, edge_key};
 use crate::progress::{Progress, check};

@@ -1,6 +1,6 @@
 //! What a patch says, checked against the surface that it is for.
 
-use super::{NewVertex, PatchedSurface, SurfacePatch};
+use super::surface_patch::{NewVertex, PatchedSurface, SurfacePatch};
 use crate::edit::error::{EditSubject, Error};
 use crate::edit::surface::SurfaceView;
 use crate::mesh::NONE;

@@ -5,7 +5,7 @@
 
 use super::deviation::WORK;
 use super::remesher::{PointConstraint, Remesher};
-use super::{ASPECT, STRETCH};
+use super::sizing::{ASPECT, STRETCH};
 use crate::edit::error::Error;
 use crate::edit::region_mesh::RegionMesh;
 use crate::edit::surface::{BitSet, SurfaceView};

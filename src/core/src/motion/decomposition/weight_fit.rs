@@ -6,8 +6,8 @@
 //!
 //! The smallest value of wᵀ G w over weights that are not negative and add up to one, for up to five of them.
 
-use super::ShapeSamples;
 use super::bone_fit::{BoneFrames, BoneProducts, VertexTargets, gather_targets};
+use super::sequence::ShapeSamples;
 use crate::exec::Exec;
 use crate::motion::skeleton::BoneInfluences;
 use crate::progress::Cancelled;

@@ -106,10 +106,10 @@ pub fn rig_of_body(
         });
         parents.push(parent_of(bone, clip).map(str::to_owned));
     }
-    let mut told: BTreeMap<&str, PlacedJoint> = BTreeMap::new();
+    let mut reported: BTreeMap<&str, PlacedJoint> = BTreeMap::new();
     for name in kept.iter().flat_map(|b| [b.from, end_of(b, clip)]) {
         let at = places[name];
-        told.entry(name).or_insert_with(|| PlacedJoint {
+        reported.entry(name).or_insert_with(|| PlacedJoint {
             name: name.to_owned(),
             at,
             inside: tree.contains(at),
@@ -118,7 +118,7 @@ pub fn rig_of_body(
     }
     Ok(BodyRig {
         rig: MotionRig::from_named_parents(bones, &parents, reference, None)?,
-        joints: told.into_values().collect(),
+        joints: reported.into_values().collect(),
     })
 }
 
@@ -202,7 +202,7 @@ fn middle_of_section(tree: &TriangleBvh<'_>, joint: DVec3, axis: DVec3, reach: f
         if met.len() < LEAST_HITS {
             return joint;
         }
-        // Rays are even in angle; opposite ones together tell the middle between both walls.
+        // Rays are even in angle; opposite ones together give the middle between both walls.
         let mut shift = DVec3::ZERO;
         let mut pairs = 0.0;
         for k in 0..RAYS / 2 {

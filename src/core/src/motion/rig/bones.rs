@@ -1,13 +1,6 @@
 //! What a rig is made of, and whether it holds together.
-//!
-//! The bones of a rig as joints of a skin.
 
-use super::drive::RigPose;
-use super::handles::RigidMotion;
-use super::handles::{RigHandle, rig_handles};
-use crate::asset::{NodePlace, PlayedJoint};
-use crate::motion::skin_weights::SkinBone;
-use glam::{DMat3, DQuat, DVec3};
+use glam::DVec3;
 use std::collections::BTreeMap;
 
 /// How many characters of a name are shown.
@@ -303,95 +296,6 @@ fn parents_first(bones: &[RigBone], above: &[Option<usize>]) -> Result<Vec<usize
     Err(RigError::field("bones", format!("the parents of {names} form a cycle")))
 }
 
-/// How nearly a bone may point along z where that axis defines its turn about itself.
-const ALONG: f64 = 0.9;
-
-/// The bones as vertices can follow them.
-pub fn skin_bones(rig: &MotionRig) -> Vec<SkinBone> {
-    let bone = |own: &RigBone| SkinBone {
-        ends: [own.from, own.to],
-        parent: own.parent,
-    };
-    rig.bones.iter().map(bone).collect()
-}
-
-/// A joint where each bone begins, named as the bone. Its y axis points along the bone and its z axis to the model's z as
-/// nearly as it can, as Blender has bones.
-pub fn rig_joints(rig: &MotionRig) -> Vec<PlayedJoint> {
-    let joint = |own: &RigBone| PlayedJoint {
-        name: own.id.clone(),
-        parent: own.parent,
-        rest: NodePlace {
-            translation: own.from,
-            rotation: bone_attitude(own),
-        },
-    };
-    rig.bones.iter().map(joint).collect()
-}
-
-/// The joints of a rig's skin, and how a pose moves them.
-#[derive(Debug, Clone)]
-pub struct RigSkeleton {
-    /// One for each bone, then one for each slice of a limb where twists are spread.
-    pub joints: Vec<PlayedJoint>,
-    slices: Vec<RigHandle>,
-}
-
-impl RigSkeleton {
-    /// The joints of a rig; with `has_twists` limbs have joints along them among which their twists are spread.
-    pub fn of_rig(rig: &MotionRig, has_twists: bool) -> Self {
-        let mut joints = rig_joints(rig);
-        let all = if has_twists { rig_handles(rig) } else { Vec::new() };
-        let slices: Vec<RigHandle> = all
-            .into_iter()
-            .filter(|handle| handle.sliced_bone().is_some())
-            .collect();
-        for (bone, middle) in slices.iter().filter_map(RigHandle::sliced_bone) {
-            let own = joints
-                .iter()
-                .filter(|j| j.parent == Some(bone) && j.name.contains(" twist "))
-                .count();
-            joints.push(PlayedJoint {
-                name: format!("{} twist {}", rig.bones[bone].id, own + 1),
-                parent: Some(bone),
-                rest: NodePlace {
-                    translation: middle,
-                    rotation: joints[bone].rest.rotation,
-                },
-            });
-        }
-        Self { joints, slices }
-    }
-
-    /// The motion of each joint from its rest pose to `pose`, relative to the motion `frame`.
-    pub fn motions_in(&self, rig: &MotionRig, pose: &RigPose, frame: &RigidMotion) -> Vec<RigidMotion> {
-        let slices = self.slices.iter().map(|slice| slice.motion(rig, pose));
-        let all = pose.bones.iter().copied().chain(slices);
-        all.map(|motion| motion.followed_by(&pose.root).seen_from(frame))
-            .collect()
-    }
-}
-
-/// Where joints are that move as the bones do.
-pub fn moved_joints(joints: &[PlayedJoint], motions: &[RigidMotion]) -> Vec<NodePlace> {
-    let pairs = joints.iter().zip(motions);
-    pairs
-        .map(|(joint, motion)| NodePlace {
-            translation: motion.place(joint.rest.translation),
-            rotation: (motion.rotation * joint.rest.rotation).normalize(),
-        })
-        .collect()
-}
-
-fn bone_attitude(bone: &RigBone) -> DQuat {
-    let Some(y) = bone.direction() else {
-        return DQuat::IDENTITY;
-    };
-    let hint = if y.z.abs() < ALONG { DVec3::Z } else { DVec3::NEG_Y };
-    let z = (hint - y * y.dot(hint)).normalize_or(DVec3::Z);
-    DQuat::from_mat3(&DMat3::from_cols(y.cross(z), y, z)).normalize()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -425,21 +329,24 @@ mod tests {
             &[Some("arm"), Some("trunk"), None],
         );
         let bones = found.expect("a rig").bones;
-        let told: Vec<_> = bones.iter().map(|b| (b.id.as_str(), b.parent)).collect();
-        assert_eq!(told, [("trunk", None), ("arm", Some(0)), ("hand", Some(1))]);
+        let reported: Vec<_> = bones.iter().map(|b| (b.id.as_str(), b.parent)).collect();
+        assert_eq!(reported, [("trunk", None), ("arm", Some(0)), ("hand", Some(1))]);
     }
 
     #[test]
     fn rigs_that_do_not_hold_together_are_refused_with_the_bone() {
         let refused =
             |bones: Vec<RigBone>, parents: &[Option<&str>]| rig(bones, parents).expect_err("refused").to_string();
-        let told = refused(vec![bone("a"), bone("b")], &[None, None]);
-        assert_eq!(told, "bones: \"a\", \"b\" have no parent; all but one bone need one");
-        let told = refused(vec![bone("a"), bone("b"), bone("c")], &[None, Some("c"), Some("b")]);
-        assert_eq!(told, "bones: the parents of \"b\", \"c\" form a cycle");
-        let told = refused(vec![bone("a")], &[Some("x")]);
+        let reported = refused(vec![bone("a"), bone("b")], &[None, None]);
         assert_eq!(
-            told,
+            reported,
+            "bones: \"a\", \"b\" have no parent; all but one bone need one"
+        );
+        let reported = refused(vec![bone("a"), bone("b"), bone("c")], &[None, Some("c"), Some("b")]);
+        assert_eq!(reported, "bones: the parents of \"b\", \"c\" form a cycle");
+        let reported = refused(vec![bone("a")], &[Some("x")]);
+        assert_eq!(
+            reported,
             "bones[0].parent: is \"x\", there is no such bone; there are \"a\""
         );
         assert_eq!(refused(vec![], &[]), "bones: has 0 entries, allowed are 1 to 1024");
@@ -459,39 +366,5 @@ mod tests {
         assert!(wrong(&|b| b.span = [0.9, 0.1]).starts_with("bones[0].span: is [0.9, 0.1]"));
         assert!(wrong(&|b| b.slices = 0).starts_with("bones[0].slices: is 0"));
         assert!(wrong(&|b| b.limit_degrees = Some(-1.0)).starts_with("bones[0].limitDegrees"));
-    }
-}
-
-#[cfg(test)]
-mod joints_tests {
-    use super::*;
-    use crate::motion::rig::{ReferencePose, RestAttitude};
-
-    #[test]
-    fn joints_point_along_their_bones_wherever_these_go() {
-        for way in [DVec3::Y, DVec3::NEG_Y, DVec3::X, DVec3::Z, DVec3::new(-0.1, 0.2, -3.0)] {
-            let bone = RigBone {
-                id: "b".into(),
-                parent: None,
-                from: DVec3::ONE,
-                to: DVec3::ONE + way,
-                joint: "b".into(),
-                aim: None,
-                rest: RestAttitude::Orientation,
-                radius: 1.0,
-                slices: 1,
-                span: [0.15, 0.85],
-                joint_radius: None,
-                limit_degrees: None,
-            };
-            let rig = MotionRig {
-                bones: vec![bone],
-                reference: ReferencePose::Rest,
-                scale: None,
-            };
-            let joint = &rig_joints(&rig)[0];
-            assert!((joint.rest.rotation * DVec3::Y).distance(way.normalize()) < 1e-12);
-            assert!((joint.rest.rotation.length() - 1.0).abs() < 1e-12);
-        }
     }
 }

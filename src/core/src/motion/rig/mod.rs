@@ -9,11 +9,14 @@
 mod bones;
 mod drive;
 mod handles;
+mod joints;
+mod of_skin;
+mod rigid_motion;
 
 pub(in crate::motion) use bones::listed_names;
 pub use bones::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
-pub use bones::{RigSkeleton, moved_joints, rig_joints, skin_bones};
 pub use drive::{DriveOptions, RigDriver, RigPose};
-pub use handles::RigidMotion;
-pub use handles::rig_of_skin;
 pub use handles::{RigHandle, RigHandleShape, rig_handles};
+pub use joints::{RigSkeleton, moved_joints, rig_joints, skin_bones};
+pub use of_skin::rig_of_skin;
+pub use rigid_motion::RigidMotion;
