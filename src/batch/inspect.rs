@@ -8,7 +8,7 @@ use crate::wire::{Error, open_options, pb, session_message};
 use serde::{Deserialize, Serialize};
 
 /// How many nodes an inspection lists.
-pub const MOST_NODES_TOLD: usize = 1000;
+pub const MOST_NODES_LISTED: usize = 1000;
 
 fn node_message((index, node): (u32, &ModelNode)) -> pb::ModelNode {
     pb::ModelNode {
@@ -68,7 +68,7 @@ pub fn inspect_contents(
         solver: facts.solver,
         warnings: facts.warnings,
         node_count: count(nodes.len()),
-        nodes: (0..).zip(&nodes).take(MOST_NODES_TOLD).map(node_message).collect(),
+        nodes: (0..).zip(&nodes).take(MOST_NODES_LISTED).map(node_message).collect(),
     };
     Ok((inspection, contents_of(bench.model())))
 }

@@ -136,9 +136,9 @@ impl Riders {
                     }
                     message.nodes = own.iter().map(|node| node.node as u32).collect();
                     let frames: Vec<CarriedFrame> = own.iter().map(|node| node.frame).collect();
-                    tell_frames(&mut message, &frames);
+                    report_frames(&mut message, &frames);
                 }
-                RiderKind::Points(frames) => tell_frames(&mut message, &frames),
+                RiderKind::Points(frames) => report_frames(&mut message, &frames),
                 RiderKind::Model {
                     model,
                     positions,
@@ -156,7 +156,7 @@ impl Riders {
     }
 }
 
-fn tell_frames(message: &mut pb::report::Passenger, frames: &[CarriedFrame]) {
+fn report_frames(message: &mut pb::report::Passenger, frames: &[CarriedFrame]) {
     message.positions = frames.iter().flat_map(|f| f.position.to_array()).collect();
     message.rotations = frames.iter().flat_map(|f| f.rotation.to_array()).collect();
     message.scales = frames.iter().map(|f| f.scale).collect();

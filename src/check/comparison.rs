@@ -328,7 +328,7 @@ mod tests {
         let comparison = measured(&finer, &found());
         assert_eq!(comparison.numbers.keys().collect::<Vec<_>>(), [&Metric::Hausdorff]);
         assert!(comparison.numbers[&Metric::Hausdorff] < 1e-4);
-        // Nor can that be reported when nobody knows the stored triangles.
+        // Nor can that be reported without the stored triangles.
         let lost = CaseResult {
             before: Default::default(),
             ..finer

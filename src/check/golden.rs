@@ -1,8 +1,8 @@
 //! The golden of a case: what is stored of its result, with positions in whole steps.
 
+use super::case::{SuiteError, from_json_object, suite_error};
 use super::case_result::{CaseResult, TopologyDigests};
 use super::metric::Metric;
-use super::suite_json::{self, SuiteError};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
@@ -100,8 +100,8 @@ impl Golden {
     /// # Errors
     /// What is wrong with it and where.
     pub fn from_file(file: &str, text: &[u8]) -> Result<Self, SuiteError> {
-        let refuse = |place: &str, problem: String| suite_json::suite_error(file, place, problem);
-        let read: GoldenFile = suite_json::from_json_object(file, text)?;
+        let refuse = |place: &str, problem: String| suite_error(file, place, problem);
+        let read: GoldenFile = from_json_object(file, text)?;
         if read.layout != LAYOUT {
             let problem = format!("is {}, this version reads {LAYOUT}", read.layout);
             return Err(refuse("layout", problem));
@@ -460,7 +460,7 @@ mod tests {
     }
 
     #[test]
-    fn a_move_beyond_the_cell_is_told_and_one_inside_is_not() {
+    fn a_move_beyond_the_cell_is_reported_and_one_inside_is_not() {
         let points = [DVec3::ZERO, DVec3::new(2.0, 1.0, 0.5), DVec3::new(1.0, 0.5, 0.25)];
         let places = QuantizedPositions::from_positions(&points);
         let step = 2.0 / STEPS;

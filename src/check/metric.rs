@@ -166,7 +166,7 @@ impl Metric {
         let number = format_short(value);
         match self.unit() {
             MetricUnit::Degrees => format!("{number}°"),
-            // A tolerance may be any number, of which all digits would help nobody.
+            // A tolerance may be any number, and not all of its digits would help.
             MetricUnit::Count if value.abs() >= 1e15 => number,
             MetricUnit::Count => format!("{value:.0}"),
             MetricUnit::Diagonal | MetricUnit::Ratio => number,
@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_with_its_place_and_what_is_allowed() {
+    fn what_is_wrong_is_reported_with_its_place_and_what_is_allowed() {
         let refused = |text: &str, place: &str, words: &str| {
             let (at, problem) = check(text).expect_err(text);
             assert_eq!(at, place, "{text}");

@@ -32,20 +32,15 @@ mod golden;
 mod metric;
 pub mod report;
 mod shard;
-mod suite_json;
 mod verdict;
 
-pub use case::{AnimationCase, CASE_SUFFIX, GOLDEN_SUFFIX, JobSource, ModelSource, SuiteCase, job_hash, model_hash};
+pub use case::{
+    AnimationCase, CASE_SUFFIX, GOLDEN_SUFFIX, JobSource, ModelSource, SuiteCase, SuiteError, job_hash, model_hash,
+};
 pub use case_pictures::{CasePicture, Viewpoint, draw_case_pictures};
 pub use case_result::{CaseResult, TopologyDigests};
-pub use comparison::hausdorff_distance;
-pub use comparison::{GoldenComparison, compare_with_golden};
-pub use golden::QuantizedPositions;
-pub use golden::{Golden, InputHashes};
-pub use metric::{Metric, MetricKind, MetricUnit};
-pub use metric::{Tolerance, Tolerances};
-pub use shard::Shard;
-pub use shard::{CaseWork, measured_costs};
-pub use shard::{digest_texts, split_cases, split_digest};
-pub use suite_json::SuiteError;
+pub use comparison::{GoldenComparison, compare_with_golden, hausdorff_distance};
+pub use golden::{Golden, InputHashes, QuantizedPositions};
+pub use metric::{Metric, MetricKind, MetricUnit, Tolerance, Tolerances};
+pub use shard::{CaseWork, Shard, digest_texts, measured_costs, split_cases, split_digest};
 pub use verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason, judge_result};

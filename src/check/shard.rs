@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn a_digest_tells_splits_apart() {
+    fn a_digest_distinguishes_splits() {
         let one = split_digest(&[("a", 1), ("b", 2)], 2);
         assert_eq!(one, split_digest(&[("b", 2), ("a", 1)], 2));
         for other in [

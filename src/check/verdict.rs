@@ -3,8 +3,7 @@
 use super::case_result::{CaseResult, TopologyDigests};
 use super::comparison::{GoldenComparison, compare_with_golden};
 use super::golden::{Golden, InputHashes};
-use super::metric::Tolerances;
-use super::metric::{Metric, MetricKind, format_short};
+use super::metric::{Metric, MetricKind, Tolerances, format_short};
 use crate::pool::Pool;
 use crate::wire::pb;
 
@@ -217,7 +216,7 @@ pub fn judge_result(
         code: "expectation",
         text,
     }));
-    // What differs from a stale golden is reported too, so that nobody has to bless blind.
+    // What differs from a stale golden is reported too, so that no change is blessed unseen.
     if let Some(text) = golden.stale_reason(inputs) {
         let code = "stale-golden";
         reasons.insert(0, VerdictReason { code, text });
@@ -475,7 +474,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_basic_is_told_before_what_is_measured() {
+    fn what_is_basic_is_reported_before_what_is_measured() {
         let pool = Pool::new(1).expect("a thread");
         let golden = || Some(Ok(Golden::from_result(&found(), inputs())));
         let code = |found: &CaseResult, golden, inputs: &InputHashes| {

@@ -1,6 +1,6 @@
 //! `pliant audit`: prints the audit trail in a server's store.
 
-use super::failure::CliFailure;
+use super::terminal::CliFailure;
 use crate::server::config::{ConfigKeys, KeyValue, stored_in};
 use crate::session::StoredAuditEntry;
 use crate::session::store::{AuditFilter, StoreError, StoreLocation, read_audit};

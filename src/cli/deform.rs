@@ -1,12 +1,10 @@
 //! `pliant deform`: the engine in process, without a server.
 
-use super::failure::CliFailure;
-use super::input_files::{AllowedFolders, LARGEST, NamedFiles, folder_of, read_file};
-use super::input_files::{in_file, output_format, read_model};
+use super::input_files::{
+    AllowedFolders, LARGEST, NamedFiles, folder_of, in_file, output_format, read_file, read_model,
+};
 use super::output_files::{OutputPermission, is_same_place};
-use super::terminal::StageSpinner;
-use super::terminal::ThreadArgs;
-use super::terminal::print_json;
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_json};
 use crate::asset::{FileSet, FollowedCounts, Format, WrittenFiles};
 use crate::batch::{self, BatchOutput};
 use crate::engine::DeformerLimits;
@@ -230,7 +228,7 @@ pub(super) fn read_named_models(job: &mut pb::Job, place: &str, files: &NamedFil
         };
         if let Some(merge::Source::File(name)) = &merge.source {
             let bytes = models.read_once(name, || format!("{place}steps[{k}].merge.file"))?;
-            tell_format(&mut merge.format, name);
+            report_format(&mut merge.format, name);
             merge.source = Some(merge::Source::Model(bytes));
         }
     }
@@ -241,7 +239,7 @@ pub(super) fn read_named_models(job: &mut pb::Job, place: &str, files: &NamedFil
         };
         if let Some(file::Source::File(name)) = &file.source {
             let bytes = models.read_once(name, || format!("{place}passengers[{k}].file.file"))?;
-            tell_format(&mut file.format, name);
+            report_format(&mut file.format, name);
             file.source = Some(file::Source::Model(bytes));
         }
     }
@@ -278,7 +276,7 @@ pub(super) fn largest_named() -> u64 {
 }
 
 /// Takes the format from a file's name, unless the job says it.
-fn tell_format(format: &mut String, name: &str) {
+fn report_format(format: &mut String, name: &str) {
     if format.is_empty() {
         let reported = Format::from_file_name(name);
         *format = reported.map_or_else(String::new, |f| f.name().to_owned());

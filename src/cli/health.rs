@@ -1,6 +1,6 @@
 //! `pliant health`: whether a server takes new sessions, for those who watch it where there is no other program to ask.
 
-use super::failure::CliFailure;
+use super::terminal::CliFailure;
 use crate::server::config::{ConfigKeys, ServeSettings};
 use crate::server::https_client::{https_connector, own_connector};
 use bytes::Bytes;

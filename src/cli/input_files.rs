@@ -1,6 +1,6 @@
 //! Files that commands read: models with their companions, jobs and texts.
 
-use super::failure::CliFailure;
+use super::terminal::CliFailure;
 use crate::asset::{FileSet, Format, missing_companions};
 use crate::wire::Error as WireError;
 use clap::Args;
@@ -191,7 +191,7 @@ impl NamedFiles {
             });
         }
         let file = open_regular_file(&real, OpenOptions::new().read(true)).map_err(|e| match e {
-            // Told as it was named.
+            // Reported under the name that was given.
             UnreadFile::Folder(_) => UnreadFile::Folder(path.clone()),
             UnreadFile::Irregular(_) => UnreadFile::Irregular(path.clone()),
             other => other,

@@ -1,10 +1,7 @@
 //! `pliant inspect`: what the solver sees in a model.
 
-use super::failure::CliFailure;
 use super::input_files::read_model;
-use super::terminal::StageSpinner;
-use super::terminal::ThreadArgs;
-use super::terminal::print_value;
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_value};
 use crate::batch::{self, ModelContents};
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;

@@ -8,24 +8,21 @@ mod audit;
 mod check;
 mod deform;
 mod examples;
-mod failure;
 mod health;
 mod input_files;
 mod inspect;
 mod output_files;
 mod render;
 mod rig;
-mod sample;
 pub mod serve;
-mod skin;
 mod store;
 mod terminal;
 mod token;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Parser, Subcommand};
-use failure::CliFailure;
 use std::process::ExitCode;
+use terminal::CliFailure;
 
 /// Deforms large meshes: a headless service, and the same engine in process.
 #[derive(Debug, Parser)]
@@ -57,13 +54,13 @@ enum PliantCommand {
     Rig(rig::RigArgs),
     /// Bind a model to the bones of a rig
     #[command(after_help = examples::SKIN)]
-    Skin(skin::SkinArgs),
+    Skin(rig::SkinArgs),
     /// Draw a model as a PNG picture, optionally beside an earlier state
     #[command(after_help = examples::RENDER)]
     Render(render::RenderArgs),
     /// Write a built-in model or recording to a file
     #[command(after_help = examples::SAMPLE)]
-    Sample(sample::SampleArgs),
+    Sample(examples::SampleArgs),
     /// Create an access token
     #[command(after_help = examples::TOKEN)]
     Token(token::TokenArgs),
@@ -91,9 +88,9 @@ pub fn main() -> ExitCode {
         PliantCommand::Check(args) => check::run_check(&args),
         PliantCommand::Animate(args) => animate::run_animate(&args),
         PliantCommand::Rig(args) => rig::run_rig(&args),
-        PliantCommand::Skin(args) => skin::run_skin(&args),
+        PliantCommand::Skin(args) => rig::run_skin(&args),
         PliantCommand::Render(args) => render::run_render(&args),
-        PliantCommand::Sample(args) => sample::run_sample(&args),
+        PliantCommand::Sample(args) => examples::run_sample(&args),
         PliantCommand::Token(args) => token::run_token(&args),
         PliantCommand::Store(args) => store::run_store(&args),
         PliantCommand::Audit(args) => audit::run_audit(&args),
@@ -101,7 +98,7 @@ pub fn main() -> ExitCode {
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => tell_and_exit(&failure),
+        Err(failure) => failure.report_and_exit(),
     }
 }
 
@@ -114,19 +111,13 @@ fn answer_usage(problem: &clap::Error) -> ExitCode {
     }
     if problem.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         let _ = problem.print();
-        return tell_and_exit(&CliFailure::Input("no command is named; see above".into()));
+        return CliFailure::Input("no command is named; see above".into()).report_and_exit();
     }
     let hint = match problem.get(ContextKind::InvalidArg) {
         Some(ContextValue::String(argument)) => hint_for(argument),
         _ => None,
     };
-    tell_and_exit(&CliFailure::Input(usage_reason(&problem.to_string(), hint)))
-}
-
-/// Says why a command has failed: on stdout too where `--json` asks for a document, and in the last line of stderr.
-fn tell_and_exit(failure: &CliFailure) -> ExitCode {
-    terminal::print_failure(failure);
-    failure.report_and_exit()
+    CliFailure::Input(usage_reason(&problem.to_string(), hint)).report_and_exit()
 }
 
 /// The parser's message in one line: what is wrong, what may have been meant, and the command that lists the arguments.

@@ -3,9 +3,8 @@
 //! Every obstacle is reported before anything is written, and where possible before any work. Files are written beside
 //! their places and renamed, so a stopped command leaves no partial file.
 
-use super::failure::CliFailure;
-use super::input_files::stays_inside;
-use super::input_files::{folder_of, read_regular_file};
+use super::input_files::{folder_of, read_regular_file, stays_inside};
+use super::terminal::CliFailure;
 use crate::asset::{FileSet, WrittenFiles};
 use clap::Args;
 use std::collections::BTreeMap;

@@ -1,9 +1,8 @@
 //! `pliant render`: a picture of a model, drawn without a display.
 
-use super::failure::CliFailure;
 use super::input_files::{in_file, read_file, read_model};
 use super::output_files::{OutputPermission, spare_companions};
-use super::terminal::ThreadArgs;
+use super::terminal::{CliFailure, ThreadArgs};
 use crate::asset::{Geometry, Limits, Model, Primitive, SurfaceLook};
 use crate::engine::{Deformer, DeformerLimits, OpenOptions, RigNodes, left_out_passengers};
 use crate::exec::Exec;

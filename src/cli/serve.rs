@@ -1,7 +1,6 @@
 //! `pliant serve`: the server as a program.
 
-use super::failure::CliFailure;
-use super::terminal::StopSignals;
+use super::terminal::{CliFailure, StopSignals};
 use crate::asset::FileSet;
 use crate::asset::sample::BuiltInModel;
 use crate::engine::{HandlePose, HandleSet, OpenOptions};
@@ -147,12 +146,12 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
         let (manager, url, format) = (manager.clone(), url.clone(), settings.log_format);
         tokio::spawn(async move {
             match open_sample(&manager).await {
-                Ok(id) => tell_sample(&url, &id, format),
+                Ok(id) => print_sample_address(&url, &id, format),
                 Err(error) => tracing::warn!("the sample session cannot be opened: {error}"),
             }
         });
     }
-    tell_listening(&url, settings.log_format);
+    print_listening(&url, settings.log_format);
     let hurried = manager.clone();
     let shutdown = async move {
         signals.next().await;
@@ -206,7 +205,7 @@ async fn open_sample(manager: &Manager) -> Result<String, session::Error> {
 
 /// Writes to stdout where the server listens; a parent process may wait for this line. A write error does not stop the
 /// server.
-pub(super) fn tell_listening(url: &str, format: LogFormat) {
+pub(super) fn print_listening(url: &str, format: LogFormat) {
     let words = format!("listening on {url}");
     let line = match format {
         LogFormat::Text => words,
@@ -223,7 +222,7 @@ pub(super) fn tell_listening(url: &str, format: LogFormat) {
 }
 
 /// Prints what to try with the sample session: a text to copy on a terminal, else lines of the log.
-pub(super) fn tell_sample(base: &str, id: &str, format: LogFormat) {
+pub(super) fn print_sample_address(base: &str, id: &str, format: LogFormat) {
     let session = format!("{base}/v1/sessions/{id}");
     let body = r#"{"pose": {"handles": [{"id": "head", "pose": {"rotationVector": [0, -0.8, 0.4]}}]}}"#;
     let tries = [

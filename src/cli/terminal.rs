@@ -1,13 +1,16 @@
 //! What commands share at a terminal: progress, JSON on stdout, signals that stop, and threads.
+//!
+//! Why a command ends badly, and with which exit code.
 
-use super::failure::CliFailure;
 use crate::pool::Pool;
 use crate::progress::{CancelFlag, Progress};
 use crate::wire;
+use crate::wire::Error as WireError;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::io::Write as _;
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -93,7 +96,7 @@ pub(super) fn print_text(text: &str) -> Result<(), CliFailure> {
 
 /// Prints a command's failure as its JSON document, with `--json` and where none was printed; a failed check has
 /// printed one.
-pub(super) fn print_failure(failure: &CliFailure) {
+fn print_failure(failure: &CliFailure) {
     let is_asked = std::env::args_os().skip(1).any(|argument| argument == "--json");
     if !is_asked || IS_PRINTED.load(Ordering::Relaxed) {
         return;
@@ -172,12 +175,90 @@ impl ThreadArgs {
     }
 }
 
+/// Why a command ends with something other than 0.
+#[derive(Debug)]
+pub enum CliFailure {
+    /// A check did not hold: exit code 1.
+    Check(String),
+    /// Bad input or usage: exit code 2.
+    Input(String),
+    /// A defect or a broken machine: exit code 3.
+    Internal(String),
+    /// A signal asked the command to stop: exit code 130, as shells have it for SIGINT.
+    Stopped(String),
+    /// Logged already; with its exit code.
+    Logged(u8),
+}
+
+impl CliFailure {
+    pub(super) fn exit_code(&self) -> u8 {
+        match self {
+            Self::Check(_) => 1,
+            Self::Input(_) => 2,
+            Self::Internal(_) => 3,
+            Self::Stopped(_) => 130,
+            Self::Logged(code) => *code,
+        }
+    }
+
+    /// What the exit code means, for programs.
+    pub(super) fn kind(&self) -> &'static str {
+        match self.exit_code() {
+            1 => "check",
+            2 => "input",
+            130 => "stopped",
+            _ => "internal",
+        }
+    }
+
+    /// Says why a command has failed: on stdout too where `--json` asks for a document, and in the last line of stderr.
+    pub(super) fn report_and_exit(&self) -> ExitCode {
+        print_failure(self);
+        if !matches!(self, Self::Logged(_)) {
+            eprintln!("pliant: {}", self.message());
+        }
+        ExitCode::from(self.exit_code())
+    }
+
+    /// The same failure, with the place of the mistake in the input.
+    pub(super) fn in_place(self, place: impl std::fmt::Display) -> Self {
+        match self {
+            Self::Input(text) => Self::Input(format!("{place}: {text}")),
+            other => other,
+        }
+    }
+
+    /// What went wrong, in words.
+    pub(super) fn message(&self) -> &str {
+        match self {
+            Self::Check(text) | Self::Input(text) | Self::Internal(text) | Self::Stopped(text) => text,
+            Self::Logged(_) => "the log says why",
+        }
+    }
+}
+
+impl From<crate::engine::Error> for CliFailure {
+    fn from(e: crate::engine::Error) -> Self {
+        WireError::from(e).into()
+    }
+}
+
+impl From<WireError> for CliFailure {
+    fn from(e: WireError) -> Self {
+        match e {
+            WireError::Internal(_) => Self::Internal(e.to_string()),
+            WireError::Cancelled => Self::Stopped(e.to_string()),
+            other => Self::Input(other.to_string()),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn stages_tell_how_far_they_are() {
+    fn stages_say_how_far_they_are() {
         assert_eq!(stage_text("graph", 0.0), "graph");
         assert_eq!(stage_text("graph", 0.5), "graph 50 %");
         assert_eq!(stage_text("graph", 7.0), "graph 100 %");

@@ -1,6 +1,6 @@
 //! `pliant token`: a new token, and the lines by which a server knows its bearer.
 
-use super::failure::CliFailure;
+use super::terminal::CliFailure;
 use crate::server::auth::{parse_expiry, token_digest};
 use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;

@@ -1,18 +1,18 @@
-//! Bones keep their lengths where they are told to: at rest, in clips, and without tearing what is drawn. Runs over the built-in
+//! Bones keep their lengths where the option asks for it: at rest, in clips, and without tearing what is drawn. Runs over the built-in
 //! figure and every skinned model of the data folder.
 
-use crate::rigs::{Reshaping, joints, largest, stretches, worst_distance};
+use crate::rigs::{Reshaping, joints, largest, stretches};
 use crate::skins::{diagonal, off_from_drawn, read_back, skinned_models};
+use crate::support::bench::largest_distance;
 use crate::support::gltf_parsed::{Parsed, parse};
-use crate::support::skinning::{ClipTime, clip_length, world_transforms};
+use crate::support::skinning::{ClipTime, clip_length, list, world_transforms};
 use glam::DVec3;
 use pliant::asset::sample::BuiltInModel;
 use pliant::asset::{BoneLengthRule, FileSet, Following, Limits, Model, WrittenFiles};
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 /// The figure, and the skinned models of the data folder.
-fn models(what: &str) -> Vec<(PathBuf, Model, Parsed)> {
+fn models(what: &str) -> Vec<(String, Model, Parsed)> {
     let bytes = BuiltInModel::Figure.glb();
     let files = FileSet::single("figure.glb", bytes);
     let figure = Model::read(files, None, &Limits::default()).expect("readable");
@@ -32,10 +32,10 @@ fn write_with(model: &Model, positions: &[DVec3], bone_lengths: BoneLengthRule) 
 }
 
 fn parents(file: &Parsed) -> Vec<Option<usize>> {
-    let nodes = file.json["nodes"].as_array().expect("nodes");
+    let nodes = list(&file.json["nodes"]);
     let mut parents = vec![None; nodes.len()];
     for (i, node) in nodes.iter().enumerate() {
-        for child in node["children"].as_array().into_iter().flatten() {
+        for child in list(&node["children"]) {
             parents[child.as_u64().expect("an index") as usize] = Some(i);
         }
     }
@@ -72,7 +72,7 @@ fn kept_bones_are_as_long_as_they_were_and_draw_the_shape_all_the_same() {
         let before = lengths(&file, None, &bones).expect("transforms are never compressed");
         let size = diagonal(&model.positions);
         for how in Reshaping::ALL {
-            let name = format!("{} {how:?}", path.display());
+            let name = format!("{path} {how:?}");
             let wanted = how.of(&model.positions);
             let written = write_with(&model, &wanted, BoneLengthRule::Keep);
             let (again, after) = read_back(&written, model.format);
@@ -84,7 +84,7 @@ fn kept_bones_are_as_long_as_they_were_and_draw_the_shape_all_the_same() {
                 );
                 checked += 1;
             }
-            let off = worst_distance(&again.positions, &wanted);
+            let off = largest_distance(&again.positions, &wanted);
             let size = diagonal(&wanted);
             assert!(off <= 1e-5 * size, "{name}: off by {off} of {size}");
             if let Some(off) = off_from_drawn(&wanted, &model, &after) {
@@ -95,7 +95,7 @@ fn kept_bones_are_as_long_as_they_were_and_draw_the_shape_all_the_same() {
             let free = lengths(&read_back(&free, model.format).1, None, &bones).expect("as above");
             let longest = before.iter().zip(&free).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             grown += usize::from(longest > 0.01 * size);
-            let has_moved = worst_distance(&model.positions, &wanted) > 1e-3 * size;
+            let has_moved = largest_distance(&model.positions, &wanted) > 1e-3 * size;
             assert_eq!(file.json["nodes"] != after.json["nodes"], has_moved, "{name}");
         }
     }
@@ -111,11 +111,11 @@ fn clips_keep_the_lengths_of_bones_and_do_not_tear_the_body_much_more() {
         let bones = bones(&file);
         let size = diagonal(&model.positions);
         for how in Reshaping::ALL {
-            let name = format!("{} {how:?}", path.display());
+            let name = format!("{path} {how:?}");
             let wanted = how.of(&model.positions);
             let of_rule = |rule| read_back(&write_with(&model, &wanted, rule), model.format);
             let (again, kept) = of_rule(BoneLengthRule::Keep);
-            for clip in 0..file.json["animations"].as_array().map_or(0, Vec::len) {
+            for clip in 0..list(&file.json["animations"]).len() {
                 for step in 0..4 {
                     let seconds = clip_length(&file, clip) * f64::from(step) / 4.0;
                     let at = Some(ClipTime { clip, seconds });

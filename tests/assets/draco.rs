@@ -1,9 +1,13 @@
 //! Draco: compressed primitives are read as their uncompressed twins are, come back uncompressed, and hostile streams are
 //! refused.
 
+use crate::support::bench::largest_distance;
 use crate::support::data::data_folder;
-use crate::support::gltf_sets::file_set;
+use crate::support::gltf_parsed::parse;
+use crate::support::gltf_sets::{file_set, gltf_files};
 use crate::support::khronos;
+use crate::support::recipes::read_back;
+use crate::support::skinning::list;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model, WrittenFiles};
 use serde_json::Value;
@@ -21,14 +25,14 @@ fn draco_models() -> Vec<PathBuf> {
     let Some(folder) = data_folder("Draco").map(|data| data.join("gltf")) else {
         return Vec::new();
     };
-    let found = crate::support::gltf_sets::gltf_files(&folder)
-        .into_iter()
-        .filter(|path| {
-            let bytes = std::fs::read(path).expect("a file");
-            let name = b"\"KHR_draco_mesh_compression\"";
-            bytes.windows(name.len()).any(|w| w == name)
-        });
-    let found: Vec<PathBuf> = found.collect();
+    let name = b"\"KHR_draco_mesh_compression\"";
+    let has_draco = |path: &PathBuf| {
+        std::fs::read(path)
+            .expect("a file")
+            .windows(name.len())
+            .any(|w| w == name)
+    };
+    let found: Vec<PathBuf> = gltf_files(&folder).into_iter().filter(has_draco).collect();
     assert!(found.len() >= MODELS.len(), "{found:?}");
     found
 }
@@ -40,19 +44,15 @@ fn read(files: FileSet) -> Model {
 
 /// The JSON of a written model.
 fn document(written: &WrittenFiles) -> Value {
-    let json = if written.main.starts_with(b"glTF") {
-        let length = u32::from_le_bytes(written.main[12..16].try_into().expect("four bytes")) as usize;
-        &written.main[20..20 + length]
-    } else {
-        &written.main[..]
-    };
-    serde_json::from_slice(json).expect("JSON")
+    parse(&written.main, &written.companions).json
 }
 
 /// The sum of a number of every item of a section.
 fn sum_of(json: &Value, section: &str) -> u64 {
-    let items = json[section].as_array().map_or(&[][..], Vec::as_slice);
-    items.iter().filter_map(|item| item["byteLength"].as_u64()).sum()
+    list(&json[section])
+        .iter()
+        .filter_map(|item| item["byteLength"].as_u64())
+        .sum()
 }
 
 fn buffer_bytes(json: &Value) -> u64 {
@@ -77,7 +77,7 @@ fn unnamed_views(json: &Value) -> Vec<usize> {
     }
     let mut named = Vec::new();
     collect(json, &mut named);
-    let count = json["bufferViews"].as_array().map_or(0, Vec::len);
+    let count = list(&json["bufferViews"]).len();
     (0..count).filter(|view| !named.contains(&(*view as u64))).collect()
 }
 
@@ -116,7 +116,7 @@ fn compressed_models_come_back_as_they_were_or_uncompressed() {
                 "{place}: {after:?} of {before:?}"
             );
             // What lies between views is no more than alignment: the streams are gone.
-            let (bytes, views) = (buffer_bytes(&json), json["bufferViews"].as_array().map_or(0, Vec::len));
+            let (bytes, views) = (buffer_bytes(&json), list(&json["bufferViews"]).len());
             let idle = bytes.saturating_sub(view_bytes(&json));
             let idle_before = buffer_bytes(&compressed).saturating_sub(view_bytes(&compressed));
             assert!(
@@ -125,16 +125,9 @@ fn compressed_models_come_back_as_they_were_or_uncompressed() {
             );
             let at = folder.path().join(format!("{k}{name}/model.{format}"));
             khronos::store(&written, &at);
-            let mut again = FileSet::single(format!("model.{format}"), written.main);
-            again.companions = written.companions.into_iter().map(|(n, b)| (n, b.into())).collect();
-            let again = read(again);
+            let again = read_back(&written, format);
             assert_eq!(again.triangles, model.triangles, "{place}");
-            let worst = again
-                .positions
-                .iter()
-                .zip(&moved)
-                .map(|(a, b)| (*a - *b).length())
-                .fold(0.0, f64::max);
+            let worst = largest_distance(&again.positions, &moved);
             let size = moved.iter().map(|p| p.length()).fold(0.0, f64::max);
             assert!(worst <= 1e-6 * size, "{place}: off by {worst}");
             written_files.push((path.clone(), at));
@@ -148,7 +141,7 @@ fn compressed_models_come_back_as_they_were_or_uncompressed() {
         return;
     };
     for (before, after) in &written_files {
-        // The validator does not look into Draco: weights that it rounded were so before, and nobody told.
+        // The validator does not look into Draco: weights that it rounded were so before, and it reported none.
         let unseen = "ACCESSOR_WEIGHTS_NON_NORMALIZED";
         let found = findings[after].difference(&findings[before]);
         let new: Vec<_> = found.filter(|code| *code != unseen).collect();
@@ -162,16 +155,12 @@ fn an_edge_of_a_box_is_where_it_was_before_compression() {
     let compressed = read(file_set(&folder.join("gltf/BoxDraco/BoxDraco.gltf")));
     let plain = read(file_set(&folder.join("gltf/Box.glb")));
     let sorted = |model: &Model| {
-        let mut corners: Vec<[i64; 3]> = model
-            .triangles
-            .as_flattened()
-            .iter()
-            .map(|&v| {
-                model.positions[v as usize]
-                    .to_array()
-                    .map(|x| (x * 1000.0).round() as i64)
-            })
-            .collect();
+        let place = |&v: &u32| {
+            model.positions[v as usize]
+                .to_array()
+                .map(|x| (x * 1000.0).round() as i64)
+        };
+        let mut corners: Vec<[i64; 3]> = model.triangles.as_flattened().iter().map(place).collect();
         corners.sort_unstable();
         corners
     };
@@ -233,7 +222,7 @@ fn gltf_of(stream: &[u8], extension: &str) -> FileSet {
 }
 
 #[test]
-fn what_is_wrong_with_a_stream_is_told_with_its_place() {
+fn what_is_wrong_with_a_stream_is_reported_with_its_place() {
     let whole = r#"{"bufferView":0,"attributes":{"POSITION":0}}"#;
     for (stream, extension, wanted) in [
         (&b"no Draco at all"[..], whole, "the Draco stream cannot be decoded"),

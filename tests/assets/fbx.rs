@@ -1,8 +1,10 @@
 //! FBX files, which become GLBs. Their figures stand in the files that the tests make themselves.
 
+use crate::support::bench::largest_distance;
 use crate::support::fbx_text::{CUBE, CUBE_FACES, FbxText, bar, cube, shaped_cube};
 use crate::support::gltf_parsed::{Parsed, parse};
-use crate::support::skinning::{ClipTime, clip_length, draw};
+use crate::support::shapes::bounds;
+use crate::support::skinning::{ClipTime, clip_length, draw, list};
 use glam::DVec3;
 use pliant::asset::{Error, FileSet, Format, Limits, Model, missing_companions};
 use proptest::prelude::*;
@@ -14,11 +16,6 @@ fn read(text: impl Into<Vec<u8>>) -> Result<Model, Error> {
 
 fn parsed(model: &Model) -> Parsed {
     parse(&model.files.main, &BTreeMap::new())
-}
-
-fn bounds(positions: &[DVec3]) -> (DVec3, DVec3) {
-    let low = positions.iter().fold(DVec3::INFINITY, |a, &p| a.min(p));
-    (low, positions.iter().fold(DVec3::NEG_INFINITY, |a, &p| a.max(p)))
 }
 
 fn assert_near(seen: DVec3, wanted: DVec3) {
@@ -114,20 +111,12 @@ fn a_skin_stands_where_its_bones_stand_and_its_clip_turns_it() {
         .into_iter()
         .flat_map(|d| d.positions)
         .collect();
-    assert!(
-        drawn
-            .iter()
-            .zip(&model.positions)
-            .all(|(a, b)| (*a - *b).length() < 1e-6)
-    );
+    assert!(largest_distance(&drawn, &model.positions) < 1e-6);
     // The clip ends with the upper bone turned by a right angle about its own place.
     let animation = &file.json["animations"][0];
     assert_eq!(animation["name"], "wave");
-    let turned = animation["channels"].as_array().expect("channels");
-    let rotation = turned
-        .iter()
-        .find(|c| c["target"]["path"] == "rotation")
-        .expect("it turns");
+    let mut channels = list(&animation["channels"]).iter();
+    let rotation = channels.find(|c| c["target"]["path"] == "rotation").expect("it turns");
     let node = rotation["target"]["node"].as_u64().expect("a node") as usize;
     assert_eq!(file.json["nodes"][node]["name"], "upper");
     assert!((clip_length(&file, 0) - 1.0).abs() < 1e-6);
@@ -146,16 +135,10 @@ fn a_deformed_skin_is_written_back_through_its_bones() {
     let positions: Vec<DVec3> = model.positions.iter().map(|p| *p * DVec3::new(1.0, 1.2, 1.0)).collect();
     let written = model.write(&positions, Format::GLB).expect("writable");
     let again = Model::read(FileSet::single("again.glb", written.main), None, &Limits::default()).expect("a model");
-    assert!(
-        again
-            .positions
-            .iter()
-            .zip(&positions)
-            .all(|(a, b)| (*a - *b).length() < 1e-5)
-    );
+    assert!(largest_distance(&again.positions, &positions) < 1e-5);
     let file = parsed(&again);
-    assert_eq!(file.json["skins"].as_array().map(Vec::len), Some(1));
-    assert_eq!(file.json["animations"].as_array().map(Vec::len), Some(1));
+    assert_eq!(list(&file.json["skins"]).len(), 1);
+    assert_eq!(list(&file.json["animations"]).len(), 1);
 }
 
 #[test]
@@ -239,19 +222,24 @@ fn broken_files_say_what_and_where() {
     let error = |text: &str| read(text).expect_err("it is broken").to_string();
     let cut = error(&whole[..whole.len() / 2]);
     assert!(cut.starts_with("fbx: "), "{cut}");
-    let index = error(&whole.replace("0,1,2,-4", "0,1,2,-400"));
-    assert_eq!(index, "fbx: file: is broken: a list, number or index in it cannot be");
-    let coordinates = error(&whole.replace("UVIndex: *24 { a: 0,1,2,3", "UVIndex: *24 { a: 0,1,2,900"));
-    assert_eq!(
-        coordinates,
-        "fbx: meshes: an index of a polygon or attribute is out of range of what it counts"
-    );
     let mut bare = FbxText::new();
     bare.node(200, "Null", "nothing", [0.; 3], 0);
-    assert_eq!(
-        error(&bare.text()),
-        "fbx: no mesh: 2 nodes, 0 meshes and no polygon that a node shows"
-    );
+    for (broken, wanted) in [
+        (
+            whole.replace("0,1,2,-4", "0,1,2,-400"),
+            "fbx: file: is broken: a list, number or index in it cannot be",
+        ),
+        (
+            whole.replace("UVIndex: *24 { a: 0,1,2,3", "UVIndex: *24 { a: 0,1,2,900"),
+            "fbx: meshes: an index of a polygon or attribute is out of range of what it counts",
+        ),
+        (
+            bare.text(),
+            "fbx: no mesh: 2 nodes, 0 meshes and no polygon that a node shows",
+        ),
+    ] {
+        assert_eq!(error(&broken), wanted);
+    }
     let far = error(&whole.replace("100,200,100", "1e300,200,100"));
     assert!(far.contains("fbx: mesh 0 \"mesh\"") || far.contains("finite"), "{far}");
     let limits = Limits {

@@ -4,6 +4,7 @@
 use crate::support::gltf_sets;
 
 use crate::support::data::data_folder;
+use crate::support::recipes::read_back;
 use glam::DVec3;
 use gltf_sets::{file_set, gltf_files};
 use pliant::asset::{Error, FileSet, Format, Limits, Model};
@@ -73,11 +74,8 @@ fn nudged(model: &Model) -> Vec<DVec3> {
         .positions
         .iter()
         .fold(0.0, |a: f64, p| a.max(p.abs().max_element()));
-    model
-        .positions
-        .iter()
-        .map(|&p| p + DVec3::new(0.1, -0.05, 0.2) * size.max(1e-3))
-        .collect()
+    let shift = DVec3::new(0.1, -0.05, 0.2) * size.max(1e-3);
+    model.positions.iter().map(|&p| p + shift).collect()
 }
 
 /// Reads, and where that succeeds, moves everything, writes and reads again.
@@ -95,14 +93,7 @@ fn exercise(files: FileSet, format: Format) -> Result<Model, Error> {
     for format in [Format::GLB, Format::GLTF] {
         match model.write(&nudged(&model), format) {
             Ok(written) => {
-                let companions = written.companions.into_iter().map(|(n, b)| (n, b.into())).collect();
-                let files = FileSet {
-                    name: "again".into(),
-                    main: written.main.into(),
-                    companions,
-                };
-                let again =
-                    Model::read(files, Some(format), &Limits::default()).expect("what was written is read again");
+                let again = read_back(&written, format);
                 assert!(again.triangles == model.triangles, "topology is kept");
                 assert_eq!(again.positions.len(), model.positions.len());
                 assert!(again.positions.iter().all(|p| p.is_finite()));
@@ -199,12 +190,8 @@ fn moving_under_a_flattening_node_is_refused_when_writing() {
     let Some(data) = data_folder("a node with scale zero") else {
         return;
     };
-    let model = Model::read(
-        file_set(&data.join("hostile/nodes/scale_zero.glb")),
-        None,
-        &Limits::default(),
-    )
-    .expect("readable");
+    let flat = file_set(&data.join("hostile/nodes/scale_zero.glb"));
+    let model = Model::read(flat, None, &Limits::default()).expect("readable");
     assert!(model.warnings.iter().any(|(code, ..)| code == "singular-transform"));
     assert!(model.write(&model.positions, Format::GLB).is_ok());
     let text = model
@@ -253,9 +240,9 @@ fn empty_items_are_refused_before_they_take_memory() {
         let bytes = json.len();
         let refused = Model::read(FileSet::single("a.gltf", json), None, &Limits::default()).expect_err("refused");
         let text = refused.to_string();
-        let told = "1000000 items, of which many are empty, take";
+        let reported = "1000000 items, of which many are empty, take";
         assert!(
-            text.contains(told) && text.contains(&format!("{bytes} bytes of text")),
+            text.contains(reported) && text.contains(&format!("{bytes} bytes of text")),
             "{text}"
         );
     }
@@ -277,7 +264,7 @@ fn empty_items_are_refused_before_they_take_memory() {
 }
 
 #[test]
-fn a_read_that_nobody_wants_any_more_stops() {
+fn a_read_that_is_cancelled_stops() {
     let flag = CancelFlag::default();
     flag.cancel();
     let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";

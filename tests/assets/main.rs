@@ -2,20 +2,17 @@
 
 mod bones;
 mod bound;
-mod clips;
 mod decoded_memory;
 mod draco;
 mod fbx;
-mod figure;
 mod hostile_gltf;
-mod hostile_motion;
 mod materials;
 mod morphs;
+mod motion;
 mod nodes;
 mod nodes_of_files;
 mod played;
 mod polygons;
-mod recordings;
 mod rigged;
 mod rigs;
 mod roundtrip_gltf;

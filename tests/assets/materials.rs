@@ -3,6 +3,7 @@
 
 use crate::support::data::data_folder;
 use crate::support::gltf_sets::file_set;
+use crate::support::recipes;
 use pliant::asset::{FileSet, Format, Limits, Model, WrittenFiles, missing_companions};
 use serde_json::{Value, json};
 
@@ -28,9 +29,7 @@ fn read(files: FileSet) -> Model {
 }
 
 fn again(format: Format, written: WrittenFiles) -> Model {
-    let mut files = FileSet::single(format!("again.{format}"), written.main);
-    files.companions = written.companions.into_iter().map(|(n, b)| (n, b.into())).collect();
-    read(files)
+    read(recipes::file_set(&format!("again.{format}"), written))
 }
 
 fn write(model: &Model, format: Format) -> WrittenFiles {
@@ -104,12 +103,8 @@ fn materials_of_a_library_become_those_of_a_gltf_and_come_back() {
     ] {
         assert!(library.contains(wanted), "{library}");
     }
-    let pictures: Vec<&Vec<u8>> = obj
-        .companions
-        .iter()
-        .filter(|(n, _)| n.ends_with(".png"))
-        .map(|(_, b)| b)
-        .collect();
+    let pictures = obj.companions.iter().filter(|(n, _)| n.ends_with(".png"));
+    let pictures: Vec<&Vec<u8>> = pictures.map(|(_, b)| b).collect();
     assert_eq!(pictures, [PICTURE]);
     // And once more: the same colours and the same picture.
     let (back, bin) = glb_parts(&write(&again(Format::OBJ, obj), Format::GLB));
@@ -118,7 +113,7 @@ fn materials_of_a_library_become_those_of_a_gltf_and_come_back() {
 }
 
 #[test]
-fn a_picture_of_normals_goes_along_and_one_of_heights_is_told() {
+fn a_picture_of_normals_goes_along_and_one_of_heights_is_reported() {
     let library = LIBRARY.replace("map_Bump", "norm normals.png\nmap_Bump");
     let mut files = obj_files();
     files
@@ -126,19 +121,19 @@ fn a_picture_of_normals_goes_along_and_one_of_heights_is_told() {
         .insert("my things.mtl".into(), library.into_bytes().into());
     let normals = [PICTURE, b" of normals"].concat();
     files.companions.insert("normals.png".into(), normals.clone().into());
-    let told = |model: &Model, code: &str| {
+    let reported = |model: &Model, code: &str| {
         let mut warnings = model.warnings.iter();
         warnings.find(|w| w.0 == code).map(|w| w.1.clone())
     };
-    assert!(told(&read(files.clone()), "image-missing").is_some_and(|text| text.contains("bump.png")));
+    assert!(reported(&read(files.clone()), "image-missing").is_some_and(|text| text.contains("bump.png")));
     assert_eq!(
-        told(&read(files.clone()), "bump-map"),
+        reported(&read(files.clone()), "bump-map"),
         None,
-        "what is missing is told as that"
+        "what is missing is reported as that"
     );
     files.companions.insert("bump.png".into(), PICTURE.into());
     let model = read(files);
-    let text = told(&model, "bump-map").expect("a warning");
+    let text = reported(&model, "bump-map").expect("a warning");
     assert!(
         text.contains("bump.png") && text.contains("norm") && !text.contains("normals.png"),
         "{text}"
@@ -183,14 +178,12 @@ fn normals_on_other_coordinates_than_the_colours_do_not_go_to_an_obj() {
         document["buffers"][0]["uri"] = uri.into();
         let model = read(FileSet::single("a.gltf", document.to_string()));
         let obj = write(&model, Format::OBJ);
-        String::from_utf8(
-            obj.companions
-                .values()
-                .find(|b| b.starts_with(b"# pliant"))
-                .expect("a library")
-                .clone(),
-        )
-        .expect("text")
+        let library = obj
+            .companions
+            .values()
+            .find(|b| b.starts_with(b"# pliant"))
+            .expect("a library");
+        String::from_utf8(library.clone()).expect("text")
     };
     assert!(library(&document).contains("\nnorm "));
     document["materials"][0]["normalTexture"]["texCoord"] = 1.into();
@@ -350,12 +343,11 @@ fn a_real_model_keeps_its_base_colour_from_gltf_to_obj_and_back() {
     ] {
         let model = read(file_set(&data.join(name)));
         let obj = write(&model, Format::OBJ);
-        let picture = obj
-            .companions
-            .iter()
-            .find(|(n, _)| !n.ends_with(".mtl"))
-            .map(|(_, b)| b.clone());
-        let picture = picture.unwrap_or_else(|| panic!("{name}: {:?}", obj.companions.keys()));
+        let picture = obj.companions.iter().find(|(n, _)| !n.ends_with(".mtl"));
+        let picture = picture
+            .unwrap_or_else(|| panic!("{name}: {:?}", obj.companions.keys()))
+            .1
+            .clone();
         let (document, bin) = glb_parts(&write(&again(Format::OBJ, obj), Format::GLB));
         assert_eq!(
             document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["index"], 0,

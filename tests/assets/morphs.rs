@@ -1,35 +1,17 @@
 //! Morph targets follow the shape under them. Runs over every model of the data folder that has any.
 
-use crate::support::data::data_folder;
+use crate::skins::models_where;
 use crate::support::gltf_parsed::{Parsed, parse};
-use crate::support::gltf_sets::{companions_of, file_set, gltf_files};
-use crate::support::skinning::{draw, numbers};
+use crate::support::skinning::{draw, list, numbers};
 use glam::{DQuat, DVec3};
-use pliant::asset::{Following, Limits, Model, MorphTargetRule, WrittenFiles};
-use std::path::PathBuf;
+use pliant::asset::{Following, Model, MorphTargetRule, WrittenFiles};
 
 /// Every model with morph targets that is read and not compressed.
-fn morphed_models(what: &str) -> Vec<(PathBuf, Model, Parsed)> {
-    let Some(data) = data_folder(what) else {
-        return Vec::new();
-    };
-    let read = |path: PathBuf| {
-        let files = file_set(&path);
-        let companions = companions_of(&files);
-        let model = Model::read(files, None, &Limits::default()).ok()?;
-        let parsed = parse(&model.files.main, &companions);
-        let meshes = parsed.json["meshes"].as_array()?;
-        let mut primitives = meshes.iter().flat_map(|m| m["primitives"].as_array()).flatten();
-        let has_targets = primitives.any(|p| p["targets"].is_array());
-        (has_targets && draw(&parsed, None, &[]).is_some()).then_some((path, model, parsed))
-    };
-    let models: Vec<_> = gltf_files(&data.join("gltf")).into_iter().filter_map(read).collect();
-    assert!(
-        models.len() > 7,
-        "the data folder has more models with targets than {}",
-        models.len()
-    );
-    models
+fn morphed_models(what: &str) -> Vec<(String, Model, Parsed)> {
+    models_where(what, 7, |parsed| {
+        let mut primitives = list(&parsed.json["meshes"]).iter().flat_map(|m| list(&m["primitives"]));
+        primitives.any(|p| p["targets"].is_array()) && draw(parsed, None, &[]).is_some()
+    })
 }
 
 fn reread(written: &WrittenFiles) -> Parsed {
@@ -56,12 +38,11 @@ fn a_turned_and_grown_model_shows_its_targets_turned_and_grown() {
                 .zip(&after)
                 .map(|(a, b)| (place(*a) - *b).length())
                 .fold(0.0, f64::max);
-            assert!(off <= 2e-6 * size, "{}: off by {off} of {size}", path.display());
+            assert!(off <= 2e-6 * size, "{path}: off by {off} of {size}");
             let still = drawn(&again, &[]);
             assert!(
                 after.iter().zip(&still).any(|(a, b)| a != b),
-                "{}: the targets do something",
-                path.display()
+                "{path}: the targets do something"
             );
         }
     }
@@ -81,12 +62,11 @@ fn targets_that_are_to_stay_keep_their_numbers() {
                 .expect("writable"),
         );
         let targets = |file: &Parsed| -> Vec<Vec<f64>> {
-            let meshes = file.json["meshes"].as_array().expect("meshes").iter();
-            let primitives = meshes.flat_map(|m| m["primitives"].as_array()).flatten();
-            let targets = primitives.flat_map(|p| p["targets"].as_array()).flatten();
+            let primitives = list(&file.json["meshes"]).iter().flat_map(|m| list(&m["primitives"]));
+            let targets = primitives.flat_map(|p| list(&p["targets"]));
             let accessors = targets.flat_map(|t| t.as_object().expect("an object").values());
             accessors.map(|a| numbers(file, a).expect("not compressed")).collect()
         };
-        assert_eq!(targets(&again), targets(&file), "{}", path.display());
+        assert_eq!(targets(&again), targets(&file), "{path}");
     }
 }

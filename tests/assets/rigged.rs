@@ -1,37 +1,28 @@
 //! `pliant rig` as a script sees it: what it finds drives a model at the first try.
 
 use crate::support::data::{data_folder, data_path, files_below};
-use crate::support::program::words;
+use crate::support::program::{Scratch, pliant, words};
+use crate::support::skinning::list;
 use pliant::asset::sample::BuiltInModel;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 
-fn pliant(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .args(arguments)
-        .current_dir(folder)
-        .output()
-        .expect("it runs")
+/// A folder with the built-in figure.
+fn figure_folder() -> Scratch {
+    let folder = Scratch::new();
+    fs::write(folder.join("figure.glb"), BuiltInModel::Figure.glb()).expect("written");
+    folder
 }
 
-fn run_well(folder: &Path, arguments: &[&str]) -> Value {
-    let done = pliant(folder, arguments);
-    assert!(
-        done.status.success(),
-        "{arguments:?}: {}",
-        String::from_utf8_lossy(&done.stderr)
-    );
-    serde_json::from_slice(&done.stdout).expect("one document")
+/// The report of a run that ends well.
+fn run_well(folder: &Path, arguments: &str) -> Value {
+    pliant(folder, &words(arguments)).well().report()
 }
 
-fn last_line(done: &Output) -> String {
-    String::from_utf8_lossy(&done.stderr)
-        .lines()
-        .last()
-        .unwrap_or_default()
-        .to_owned()
+/// A joint of a report.
+fn joint<'a>(report: &'a Value, name: &str) -> &'a Value {
+    list(&report["joints"]).iter().find(|j| j["name"] == name).expect(name)
 }
 
 /// A recording of a person in names of one's own, who bends an elbow and a knee.
@@ -86,13 +77,7 @@ fn make_clip(names: [&str; 6]) -> String {
 
 #[test]
 fn every_recording_drives_the_figure_at_the_first_try() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    fs::write(
-        folder.join("figure.glb"),
-        BuiltInModel::from_name("figure").expect("a figure").glb(),
-    )
-    .expect("written");
+    let folder = &figure_folder();
     let mut clips = Vec::new();
     for (k, names) in [
         ["Hips", "Chest", "*_UpperArm", "*_LowerArm", "*_Thigh", "*_Shin"],
@@ -114,19 +99,15 @@ fn every_recording_drives_the_figure_at_the_first_try() {
         let clip = clip.to_str().expect("a path");
         let rig = run_well(
             folder,
-            &words(&format!(
-                "rig figure.glb --bvh {clip} -o rig.json --no-picture --force --json"
-            )),
+            &format!("rig figure.glb --bvh {clip} -o rig.json --no-picture --force --json"),
         );
         let bones = rig["bones"].as_array().expect("bones");
         assert!(bones.len() >= 9, "{clip}: {rig}");
-        let told = run_well(
+        let reported = run_well(
             folder,
-            &words(&format!(
-                "animate figure.glb --bvh {clip} --rig rig.json --frames 0:2 --json"
-            )),
+            &format!("animate figure.glb --bvh {clip} --rig rig.json --frames 0:2 --json"),
         );
-        for frame in told["frames"].as_array().expect("frames") {
+        for frame in reported["frames"].as_array().expect("frames") {
             let volume = frame["volumeChange"].as_f64().unwrap_or(0.0);
             let edges = frame["edgeRms"].as_f64().unwrap_or(0.0);
             assert!(
@@ -139,38 +120,21 @@ fn every_recording_drives_the_figure_at_the_first_try() {
 
 #[test]
 fn a_skin_has_its_rig_and_takes_it_back() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    fs::write(
-        folder.join("figure.glb"),
-        BuiltInModel::from_name("figure").expect("a figure").glb(),
-    )
-    .expect("written");
-    let told = run_well(folder, &["rig", "figure.glb", "-o", "own.json", "--json"]);
-    assert_eq!(told["source"], "skin");
-    assert!(
-        fs::read(folder.join("own.png"))
-            .expect("a picture")
-            .starts_with(b"\x89PNG")
-    );
+    let folder = &figure_folder();
+    let reported = run_well(folder, "rig figure.glb -o own.json --json");
+    assert_eq!(reported["source"], "skin");
+    let picture = fs::read(folder.join("own.png")).expect("a picture");
+    assert!(picture.starts_with(b"\x89PNG"));
     let rig: Value = serde_json::from_slice(&fs::read(folder.join("own.json")).expect("a rig")).expect("json");
-    let ids: Vec<&str> = rig["bones"]
-        .as_array()
-        .expect("bones")
-        .iter()
-        .filter_map(|b| b["id"].as_str())
-        .collect();
+    let ids: Vec<&str> = list(&rig["bones"]).iter().filter_map(|b| b["id"].as_str()).collect();
     assert!(ids.contains(&"leftLowerArm") && ids[0] == "hips", "{ids:?}");
-    let told = run_well(
+    let reported = run_well(
         folder,
-        &words("animate figure.glb --clip walk --rig own.json --frames 3:1 --json"),
+        "animate figure.glb --clip walk --rig own.json --frames 3:1 --json",
     );
-    let edges = told["frames"][0]["edgeRms"].as_f64().expect("a number");
-    assert!(edges < 0.1, "{told}");
-    let bound = run_well(
-        folder,
-        &["skin", "figure.glb", "--rig", "own.json", "-o", "again.glb", "--json"],
-    );
+    let edges = reported["frames"][0]["edgeRms"].as_f64().expect("a number");
+    assert!(edges < 0.1, "{reported}");
+    let bound = run_well(folder, "skin figure.glb --rig own.json -o again.glb --json");
     assert_eq!((&bound["unweighted"], &bound["bones"]), (&0.into(), &ids.len().into()));
 }
 
@@ -180,7 +144,7 @@ fn joints_of_statues_are_found_where_limbs_are() {
     let Some(meshes) = data_path(what, "meshes") else {
         return;
     };
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Scratch::new();
     // Joints that were put by hand, and how far off, over the height, one may be.
     for (name, height, wanted) in [
         (
@@ -209,26 +173,13 @@ fn joints_of_statues_are_found_where_limbs_are() {
         ),
     ] {
         let path = meshes.join(name);
-        let told = run_well(
-            folder.path(),
-            &[
-                "rig",
-                path.to_str().expect("a path"),
-                "-o",
-                "r.json",
-                "--no-picture",
-                "--force",
-                "--json",
-            ],
+        let reported = run_well(
+            &folder,
+            &format!("rig {} -o r.json --no-picture --force --json", path.display()),
         );
-        assert_eq!(told["source"], "shape");
-        for (joint, at) in wanted {
-            let found = told["joints"]
-                .as_array()
-                .expect("joints")
-                .iter()
-                .find(|j| j["name"] == joint)
-                .expect(joint);
+        assert_eq!(reported["source"], "shape");
+        for (name, at) in wanted {
+            let found = joint(&reported, name);
             assert_eq!(found["inside"], true, "{name}: {found}");
             let off = (0..3)
                 .map(|k| (found["at"][k].as_f64().expect("a number") - at[k]).powi(2))
@@ -239,33 +190,19 @@ fn joints_of_statues_are_found_where_limbs_are() {
     }
     for beast in ["horse.ply", "cow.off", "teapot.obj", "camelhead.off"] {
         let path = meshes.join(beast);
-        let done = pliant(
-            folder.path(),
-            &["rig", path.to_str().expect("a path"), "-o", "beast.json"],
-        );
-        assert_eq!(done.status.code(), Some(2), "{beast}");
-        assert!(
-            last_line(&done).contains("give joints with --at"),
-            "{}",
-            last_line(&done)
-        );
-        assert!(!folder.path().join("beast.json").exists());
+        pliant(&folder, &["rig", path.to_str().expect("a path"), "-o", "beast.json"])
+            .refused(&["give joints with --at"]);
+        assert!(!folder.join("beast.json").exists());
     }
 }
 
 #[test]
 fn what_cannot_be_is_refused_with_what_can() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    fs::write(
-        folder.join("figure.glb"),
-        BuiltInModel::from_name("figure").expect("a figure").glb(),
-    )
-    .expect("written");
+    let folder = &figure_folder();
     let one = "HIERARCHY\nROOT pipe\n{\nOFFSET 0 0 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\nMOTION\nFrames: 1\nFrame Time: 1\n\n";
     fs::write(folder.join("pipe.bvh"), one).expect("written");
     fs::write(folder.join("marks.json"), r#"{"lElbow": [1, 2]}"#).expect("written");
-    for (arguments, told) in [
+    for (arguments, reported) in [
         (
             &["--preset", "alien"][..],
             "preset: is \"alien\", allowed are cmu and mixamo",
@@ -279,26 +216,18 @@ fn what_cannot_be_is_refused_with_what_can() {
         (&["--landmarks", "marks.json"], "needs three finite numbers"),
         (&["--picture", "a.jpg"], "use a .png file name"),
     ] {
-        let all: Vec<&str> = ["rig", "figure.glb", "-o", "rig.json"]
-            .iter()
-            .chain(arguments)
-            .copied()
-            .collect();
-        let done = pliant(folder, &all);
-        assert_eq!(done.status.code(), Some(2), "{arguments:?}: {}", last_line(&done));
-        assert!(last_line(&done).contains(told), "{arguments:?}: {}", last_line(&done));
+        pliant(
+            folder,
+            &[&["rig", "figure.glb", "-o", "rig.json"][..], arguments].concat(),
+        )
+        .refused(&[reported]);
         assert!(!folder.join("rig.json").exists());
     }
-    let told = run_well(
+    let reported = run_well(
         folder,
-        &words("rig figure.glb --preset mixamo --at lElbow=0.4,1.4,0.01 -o rig.json --json --no-picture"),
+        "rig figure.glb --preset mixamo --at lElbow=0.4,1.4,0.01 -o rig.json --json --no-picture",
     );
-    let elbow = told["joints"]
-        .as_array()
-        .expect("joints")
-        .iter()
-        .find(|j| j["name"] == "lElbow")
-        .expect("an elbow");
+    let elbow = joint(&reported, "lElbow");
     assert_eq!(
         elbow["at"],
         serde_json::json!([0.4, 1.4, 0.01]),

@@ -1,9 +1,11 @@
 //! Skeletons follow the body: what is written at rest, what clips do to it, what a rigid motion does, and what stays.
 //! Runs over every skinned model of the data folder.
 
-use crate::skins::{corners, diagonal, off_from_drawn, read_back, skinned_models};
+use crate::skins::{diagonal, off_from_drawn, read_back, skinned_models};
+use crate::support::bench::largest_distance;
 use crate::support::gltf_parsed::Parsed;
-use crate::support::skinning::{ClipTime, DrawnPrimitive, clip_length, draw, numbers, world_transforms};
+use crate::support::shapes::bounds;
+use crate::support::skinning::{ClipTime, DrawnPrimitive, clip_length, draw, list, numbers, world_transforms};
 use glam::{DAffine3, DQuat, DVec3};
 use pliant::asset::{
     BaseModel, EditedModel, Following, Model, Primitive, PrimitiveRun, RigRule, VertexBlends, WrittenFiles,
@@ -23,7 +25,7 @@ impl Reshaping {
     pub const ALL: [Self; 4] = [Self::Turned, Self::Twisted, Self::Scaled, Self::Longer];
 
     pub fn of(self, positions: &[DVec3]) -> Vec<DVec3> {
-        let (low, high) = corners(positions);
+        let (low, high) = bounds(positions);
         let middle = (low + high) * 0.5;
         let tall = (high - low).y.max(1e-9);
         let reshape = |&p: &DVec3| {
@@ -76,7 +78,7 @@ pub fn stretches(model: &Model, file: &Parsed) -> Option<Vec<f64>> {
     let rest = edge_lengths(model, &draw(file, None, &[])?);
     let size = diagonal(&model.positions);
     let mut all = Vec::new();
-    for clip in 0..file.json["animations"].as_array().map_or(0, Vec::len) {
+    for clip in 0..list(&file.json["animations"]).len() {
         let length = clip_length(file, clip);
         for step in 0..8 {
             let seconds = length * f64::from(step) / 8.0;
@@ -95,15 +97,10 @@ pub fn largest(ascending: &[f64]) -> [f64; 2] {
     [ascending[last], ascending[last - last / 1000]]
 }
 
-pub fn worst_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
-    assert_eq!(a.len(), b.len());
-    a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max)
-}
-
 /// The nodes that are joints.
 pub fn joints(file: &Parsed) -> Vec<usize> {
-    let skins = file.json["skins"].as_array().into_iter().flatten();
-    let all = skins.flat_map(|skin| skin["joints"].as_array().into_iter().flatten());
+    let skins = list(&file.json["skins"]).iter();
+    let all = skins.flat_map(|skin| list(&skin["joints"]).iter());
     let mut all: Vec<usize> = all.filter_map(|j| j.as_u64()).map(|j| j as usize).collect();
     all.sort_unstable();
     all.dedup();
@@ -117,18 +114,14 @@ fn a_reshaped_model_is_drawn_at_rest_as_it_was_put() {
             let wanted = how.of(&model.positions);
             let (again, after) = read_back(&write_with(&model, &wanted, RigRule::Follow), model.format);
             let size = diagonal(&wanted);
-            let off = worst_distance(&again.positions, &wanted);
-            assert!(off <= 1e-5 * size, "{} {how:?}: off by {off} of {size}", path.display());
+            let off = largest_distance(&again.positions, &wanted);
+            assert!(off <= 1e-5 * size, "{path} {how:?}: off by {off} of {size}");
             if let Some(off) = off_from_drawn(&wanted, &model, &after) {
-                assert!(
-                    off <= 1e-5 * size,
-                    "{} {how:?}: drawn off by {off} of {size}",
-                    path.display()
-                );
+                assert!(off <= 1e-5 * size, "{path} {how:?}: drawn off by {off} of {size}");
             }
             let nodes = |file: &Parsed| file.json["nodes"].clone();
-            let has_moved = worst_distance(&model.positions, &wanted) > 1e-3 * size;
-            assert_eq!(nodes(&file) != nodes(&after), has_moved, "{} {how:?}", path.display());
+            let has_moved = largest_distance(&model.positions, &wanted) > 1e-3 * size;
+            assert_eq!(nodes(&file) != nodes(&after), has_moved, "{path} {how:?}");
         }
     }
 }
@@ -144,14 +137,13 @@ fn clips_play_on_the_reshaped_body_without_tearing_it() {
             let written = write_with(&model, &how.of(&model.positions), RigRule::Follow);
             let (again, after) = read_back(&written, model.format);
             let [worst, many] = largest(&stretches(&again, &after).expect("as readable as the original"));
-            let name = path.display();
             assert!(
                 many <= 1.35 * many_before,
-                "{name} {how:?}: one edge in a thousand becomes {many} times as long, it was {many_before}"
+                "{path} {how:?}: one edge in a thousand becomes {many} times as long, it was {many_before}"
             );
             assert!(
                 worst <= 1.6 * worst_before,
-                "{name} {how:?}: an edge becomes {worst} times as long, it was {worst_before}"
+                "{path} {how:?}: an edge becomes {worst} times as long, it was {worst_before}"
             );
         }
     }
@@ -170,23 +162,15 @@ fn a_rigid_motion_takes_the_whole_skeleton_and_its_clips_along() {
         for joint in joints(&file) {
             let expected = motion * old[joint];
             let off = (expected.translation - new[joint].translation).length();
-            assert!(
-                off <= 3e-6 * size,
-                "{}: joint {joint} is off by {off} of {size}",
-                path.display()
-            );
+            assert!(off <= 3e-6 * size, "{path}: joint {joint} is off by {off} of {size}");
             let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| {
                 let (a, b) = (expected.transform_vector3(axis), new[joint].transform_vector3(axis));
                 (a - b).length() / a.length()
             });
-            assert!(
-                axes.iter().all(|&off| off < 1e-5),
-                "{}: joint {joint}: {axes:?}",
-                path.display()
-            );
+            assert!(axes.iter().all(|&off| off < 1e-5), "{path}: joint {joint}: {axes:?}");
         }
         // A clip does to the moved model what it did to the other, moved.
-        let clips = file.json["animations"].as_array().map_or(0, Vec::len);
+        let clips = list(&file.json["animations"]).len();
         for clip in 0..clips {
             let at = Some(ClipTime {
                 clip,
@@ -197,12 +181,8 @@ fn a_rigid_motion_takes_the_whole_skeleton_and_its_clips_along() {
             };
             for (old, new) in old.iter().zip(&new) {
                 let expected: Vec<DVec3> = old.positions.iter().map(|&p| motion.transform_point3(p)).collect();
-                let off = worst_distance(&expected, &new.positions);
-                assert!(
-                    off <= 1e-5 * size,
-                    "{}: clip {clip} is off by {off} of {size}",
-                    path.display()
-                );
+                let off = largest_distance(&expected, &new.positions);
+                assert!(off <= 1e-5 * size, "{path}: clip {clip} is off by {off} of {size}");
             }
         }
     }
@@ -211,11 +191,11 @@ fn a_rigid_motion_takes_the_whole_skeleton_and_its_clips_along() {
 /// Everything of a file that a skeleton consists of, as numbers.
 fn skeleton(file: &Parsed) -> Vec<Option<Vec<f64>>> {
     let json = &file.json;
-    let skins = json["skins"].as_array().into_iter().flatten();
+    let skins = list(&json["skins"]).iter();
     let binds = skins.filter(|s| !s["inverseBindMatrices"].is_null());
     let mut all: Vec<_> = binds.map(|s| numbers(file, &s["inverseBindMatrices"])).collect();
-    for animation in json["animations"].as_array().into_iter().flatten() {
-        let samplers = animation["samplers"].as_array().into_iter().flatten();
+    for animation in list(&json["animations"]).iter() {
+        let samplers = list(&animation["samplers"]).iter();
         all.extend(samplers.flat_map(|s| [numbers(file, &s["input"]), numbers(file, &s["output"])]));
     }
     all
@@ -227,11 +207,11 @@ fn a_rig_that_is_to_stay_is_written_as_it_was() {
         let wanted = Reshaping::Twisted.of(&model.positions);
         let (again, after) = read_back(&write_with(&model, &wanted, RigRule::Keep), model.format);
         for section in ["nodes", "skins", "animations"] {
-            assert_eq!(file.json[section], after.json[section], "{}: {section}", path.display());
+            assert_eq!(file.json[section], after.json[section], "{path}: {section}");
         }
-        assert_eq!(skeleton(&file), skeleton(&after), "{}", path.display());
-        let off = worst_distance(&again.positions, &wanted);
-        assert!(off <= 1e-5 * diagonal(&wanted), "{}: {off}", path.display());
+        assert_eq!(skeleton(&file), skeleton(&after), "{path}");
+        let off = largest_distance(&again.positions, &wanted);
+        assert!(off <= 1e-5 * diagonal(&wanted), "{path}: {off}");
     }
 }
 
@@ -247,11 +227,7 @@ fn what_stays_keeps_its_bytes_while_joints_move() {
             p.y += 0.1 * size;
         }
         let (again, after) = read_back(&write_with(&model, &wanted, RigRule::Follow), model.format);
-        assert!(
-            worst_distance(&again.positions, &wanted) <= 3e-6 * size,
-            "{}",
-            path.display()
-        );
+        assert!(largest_distance(&again.positions, &wanted) <= 3e-6 * size, "{path}");
         let is_skinned = |row: &&Primitive| !file.json["nodes"][row.node as usize]["skin"].is_null();
         for row in rest.iter().filter(is_skinned) {
             for name in ["POSITION", "NORMAL", "JOINTS_0", "WEIGHTS_0"] {
@@ -259,7 +235,7 @@ fn what_stays_keeps_its_bytes_while_joints_move() {
                     let primitive = &file.json["meshes"][row.mesh as usize]["primitives"][row.primitive as usize];
                     numbers(file, &primitive["attributes"][name])
                 };
-                assert_eq!(stored(&file), stored(&after), "{}: {name}", path.display());
+                assert_eq!(stored(&file), stored(&after), "{path}: {path}");
             }
         }
     }
@@ -272,12 +248,8 @@ fn a_skeleton_follows_through_an_edit_of_the_topology() {
         let (mut runs, mut triangles) = (Vec::new(), Vec::new());
         for (p, row) in model.primitives.iter().enumerate() {
             let range = row.first_vertex..row.first_vertex + row.vertex_count;
-            let own: Vec<[u32; 3]> = model
-                .triangles
-                .iter()
-                .filter(|t| range.contains(&t[0]))
-                .copied()
-                .collect();
+            let own = model.triangles.iter().filter(|t| range.contains(&t[0]));
+            let own: Vec<[u32; 3]> = own.copied().collect();
             let left = (own.len() - 1).max(1);
             runs.push(PrimitiveRun {
                 base: 0,
@@ -306,21 +278,12 @@ fn a_skeleton_follows_through_an_edit_of_the_topology() {
         let written = write_edited_model(&edited, &wanted, model.format).expect("writable");
         let (again, after) = read_back(&written, model.format);
         let size = diagonal(&wanted);
-        let off = worst_distance(&again.positions, &wanted);
-        assert!(off <= 1e-5 * size, "{}: off by {off} of {size}", path.display());
-        assert_ne!(
-            file.json["nodes"],
-            after.json["nodes"],
-            "{}: no joint moved",
-            path.display()
-        );
+        let off = largest_distance(&again.positions, &wanted);
+        assert!(off <= 1e-5 * size, "{path}: off by {off} of {size}");
+        assert_ne!(file.json["nodes"], after.json["nodes"], "{path}: no joint moved");
         if let (Some(before), Some(stretched)) = (stretches(&model, &file), stretches(&again, &after)) {
             let (before, after) = (largest(&before)[1], largest(&stretched)[1]);
-            assert!(
-                after <= 1.35 * before,
-                "{}: {after} times as long, it was {before}",
-                path.display()
-            );
+            assert!(after <= 1.35 * before, "{path}: {after} times as long, it was {before}");
         }
     }
 }

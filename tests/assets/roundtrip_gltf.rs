@@ -6,6 +6,8 @@ use crate::support::khronos;
 
 use crate::support::data::data_folder;
 use crate::support::recipes::read_back;
+use crate::support::shapes::bounds;
+use crate::support::skinning::list;
 use glam::DVec3;
 use gltf_parsed::{Parsed, parse};
 use gltf_sets::{companions_of, file_set, gltf_files};
@@ -42,8 +44,7 @@ fn models(what: &str) -> Vec<(PathBuf, Model)> {
 
 /// A smooth motion of the whole of space that keeps nothing where it was.
 fn swayed(model: &Model) -> Vec<DVec3> {
-    let low = model.positions.iter().fold(DVec3::INFINITY, |a, &p| a.min(p));
-    let high = model.positions.iter().fold(DVec3::NEG_INFINITY, |a, &p| a.max(p));
+    let (low, high) = bounds(&model.positions);
     let size = (high - low).max_element().max(f64::MIN_POSITIVE);
     // A parabola is as good as a sine and the same on every machine.
     let sway = |p: &DVec3| {
@@ -183,21 +184,17 @@ fn a_part_that_stays_keeps_its_bytes() {
         let again = read_back(&write_without_rig(&model, &wanted), model.format);
         for p in rest {
             let run = p.first_vertex as usize..(p.first_vertex + p.vertex_count) as usize;
-            let used: BTreeSet<u32> = model
+            let used = model
                 .triangles
                 .iter()
                 .flatten()
                 .copied()
-                .filter(|v| run.contains(&(*v as usize)))
-                .collect();
+                .filter(|v| run.contains(&(*v as usize)));
+            let used: BTreeSet<u32> = used.collect();
             for v in used.into_iter().map(|v| v as usize) {
-                assert_eq!(again.positions[v], model.positions[v], "{}: vertex {v}", path.display());
-                assert_eq!(
-                    again.normals.get(v),
-                    model.normals.get(v),
-                    "{}: vertex {v}",
-                    path.display()
-                );
+                let name = path.display();
+                assert_eq!(again.positions[v], model.positions[v], "{name}: vertex {v}");
+                assert_eq!(again.normals.get(v), model.normals.get(v), "{name}: vertex {v}");
             }
         }
     }
@@ -207,28 +204,16 @@ fn a_part_that_stays_keeps_its_bytes() {
 fn may_change(pointer: &str, before: &Parsed) -> bool {
     let parts: Vec<&str> = pointer.split('/').skip(1).collect();
     let beyond = |section: &str, index: &str| {
-        let count = before.json[section].as_array().map_or(0, Vec::len);
+        let count = list(&before.json[section]).len();
         index.parse::<usize>().is_ok_and(|i| i >= count)
     };
     match parts[..] {
         ["accessors", _, "min" | "max", ..] | ["buffers", _, "byteLength" | "uri"] | ["nodes", _, "mesh"] => true,
-        [
-            "meshes",
-            _,
-            "primitives",
-            _,
-            "attributes",
-            "POSITION" | "NORMAL" | "TANGENT",
-        ] => true,
-        [
-            "meshes",
-            _,
-            "primitives",
-            _,
-            "targets",
-            _,
-            "POSITION" | "NORMAL" | "TANGENT",
-        ] => true,
+        ["meshes", _, "primitives", _, "attributes", name] | ["meshes", _, "primitives", _, "targets", _, name]
+            if ["POSITION", "NORMAL", "TANGENT"].contains(&name) =>
+        {
+            true
+        }
         ["accessors" | "bufferViews" | "buffers" | "meshes" | "extensionsUsed" | "extensionsRequired"] => true,
         [section, index, ..] => beyond(section, index),
         _ => false,
@@ -270,13 +255,7 @@ fn geometry_bytes(file: &Parsed) -> Vec<Vec<bool>> {
     let json = &file.json;
     let mut mask: Vec<Vec<bool>> = file.buffers.iter().map(|b| vec![false; b.len()]).collect();
     let whole = |v: &Value, missing: u64| v.as_u64().unwrap_or(missing) as usize;
-    for primitive in json["meshes"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .flat_map(|m| m["primitives"].as_array())
-        .flatten()
-    {
+    for primitive in list(&json["meshes"]).iter().flat_map(|m| list(&m["primitives"])) {
         if whole(&primitive["mode"], 4) < 4 {
             continue;
         }
@@ -335,11 +314,7 @@ fn a_moved_model_differs_in_geometry_only() {
             assert_eq!(changed, None, "{name}: a byte of buffer {b} that is not geometry");
         }
         for (uri, bytes) in &model.files.companions {
-            let is_buffer = before.json["buffers"]
-                .as_array()
-                .into_iter()
-                .flatten()
-                .any(|x| x["uri"] == uri.as_str());
+            let is_buffer = list(&before.json["buffers"]).iter().any(|x| x["uri"] == uri.as_str());
             assert!(written.companions[uri][..] == bytes[..] || is_buffer, "{name}: {uri}");
         }
         check_bounds(&after, &name.to_string());
@@ -349,13 +324,7 @@ fn a_moved_model_differs_in_geometry_only() {
 /// The stated bounds of every float POSITION of triangles are those of its values.
 fn check_bounds(file: &Parsed, name: &str) {
     let json = &file.json;
-    for primitive in json["meshes"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .flat_map(|m| m["primitives"].as_array())
-        .flatten()
-    {
+    for primitive in list(&json["meshes"]).iter().flat_map(|m| list(&m["primitives"])) {
         let accessor = &json["accessors"][primitive["attributes"]["POSITION"].as_u64().unwrap_or(u64::MAX) as usize];
         let view = &json["bufferViews"][accessor["bufferView"].as_u64().unwrap_or(u64::MAX) as usize];
         let skip = primitive["mode"].as_u64().is_some_and(|m| m < 4) || accessor["componentType"] != 5126;

@@ -1,19 +1,17 @@
 //! OBJ, PLY, OFF and STL in and out: real meshes survive a round trip, hostile files are refused, nothing panics.
 
-use crate::support::data::{data_path, tell_skipped};
+use crate::support::data::{data_path, files_below, tell_skipped};
+use crate::support::recipes::file_set;
+use crate::support::shapes::bounds;
 use glam::DVec3;
 use pliant::asset::{Error, FileSet, Format, Geometry, Limits, Model, sample};
 use proptest::prelude::*;
 use std::path::{Path, PathBuf};
 
 fn files_of(folder: &Path, extensions: &[&str]) -> Vec<PathBuf> {
-    let mut found: Vec<_> = std::fs::read_dir(folder)
-        .expect("the folder can be read")
-        .map(|entry| entry.expect("so can its entries").path())
-        .filter(|p| p.extension().is_some_and(|e| extensions.iter().any(|x| e == *x)))
-        .collect();
-    found.sort();
-    found
+    files_below(folder, |p| {
+        p.parent() == Some(folder) && p.extension().is_some_and(|e| extensions.iter().any(|x| e == *x))
+    })
 }
 
 fn load(path: &Path) -> FileSet {
@@ -25,11 +23,14 @@ fn read(files: FileSet) -> Result<Model, Error> {
     Model::read(files, None, &Limits::default())
 }
 
+fn write(model: &Model, positions: &[DVec3], format: Format, name: impl std::fmt::Display) -> Vec<u8> {
+    let written = model.write(positions, format).unwrap_or_else(|e| panic!("{name}: {e}"));
+    written.main
+}
+
 /// A smooth motion that moves every vertex, so that rounding shows everywhere.
 fn twist(positions: &[DVec3]) -> Vec<DVec3> {
-    let (low, high) = positions
-        .iter()
-        .fold((DVec3::MAX, DVec3::MIN), |(l, h), p| (l.min(*p), h.max(*p)));
+    let (low, high) = bounds(positions);
     let size = (high - low).max_element();
     let turn = |p: &DVec3| {
         let (sin, cos) = libm::sincos((p.y - low.y) / size + 0.3);
@@ -51,16 +52,12 @@ fn every_mesh_comes_back_as_it_was_and_as_it_was_moved() {
         let model = read(files.clone()).unwrap_or_else(|e| panic!("{name}: {e}"));
         assert_eq!(Some(model.format), Format::from_file_name(&files.name), "{name}");
 
-        let same = model
-            .write(&model.positions, model.format)
-            .unwrap_or_else(|e| panic!("{name}: {e}"));
-        assert!(same.main == files.main, "{name}: the rest pose changes the file");
+        let same = write(&model, &model.positions, model.format, &name);
+        assert!(same == files.main[..], "{name}: the rest pose changes the file");
 
         let moved = twist(&model.positions);
-        let written = model
-            .write(&moved, model.format)
-            .unwrap_or_else(|e| panic!("{name}: {e}"));
-        let reread = read(FileSet::single(files.name.clone(), written.main)).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let written = write(&model, &moved, model.format, &name);
+        let reread = read(FileSet::single(files.name.clone(), written)).unwrap_or_else(|e| panic!("{name}: {e}"));
         let single = model.format == Format::PLY;
         for (i, (seen, wanted)) in reread.positions.iter().zip(&moved).enumerate() {
             let wanted = if single { wanted.as_vec3().as_dvec3() } else { *wanted };
@@ -89,10 +86,8 @@ fn every_mesh_comes_back_as_it_was_and_as_it_was_moved() {
         );
 
         // Moving back gives the file's own numbers, if perhaps in other digits.
-        let back = reread
-            .write(&model.positions, reread.format)
-            .unwrap_or_else(|e| panic!("{name}: {e}"));
-        let back = read(FileSet::single(files.name.clone(), back.main)).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let back = write(&reread, &model.positions, reread.format, &name);
+        let back = read(FileSet::single(files.name.clone(), back)).unwrap_or_else(|e| panic!("{name}: {e}"));
         assert!(
             back.positions == model.positions,
             "{name}: moving back does not restore the positions"
@@ -111,11 +106,9 @@ fn one_moved_vertex_changes_one_line() {
         let mut moved = model.positions.clone();
         let middle = moved.len() / 2;
         moved[middle] += DVec3::splat(0.1);
-        let written = model
-            .write(&moved, model.format)
-            .unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        let written = write(&model, &moved, model.format, path.display());
         let lines = |bytes: &[u8]| bytes.split(|&b| b == b'\n').map(<[u8]>::to_vec).collect::<Vec<_>>();
-        let (old, new) = (lines(&files.main), lines(&written.main));
+        let (old, new) = (lines(&files.main), lines(&written));
         let has_normals = old.iter().any(|l| l.starts_with(b"vn"));
         let differing = old.iter().zip(&new).filter(|(a, b)| a != b).count();
         assert!(
@@ -135,11 +128,9 @@ fn conversion_keeps_positions_triangles_and_normals() {
         let model = read(load(&folder.join(name))).unwrap_or_else(|e| panic!("{name}: {e}"));
         let moved = twist(&model.positions);
         for format in Format::ALL.into_iter().filter(|f| *f != model.format) {
-            let written = model
-                .write(&moved, format)
-                .unwrap_or_else(|e| panic!("{name} to {format}: {e}"));
+            let written = write(&model, &moved, format, format!("{name} to {format}"));
             let reread =
-                read(FileSet::single("converted", written.main)).unwrap_or_else(|e| panic!("{name} to {format}: {e}"));
+                read(FileSet::single("converted", written)).unwrap_or_else(|e| panic!("{name} to {format}: {e}"));
             assert_eq!(reread.format, format);
             assert_eq!(reread.triangles.len(), model.triangles.len(), "{name} to {format}");
             if name == "suzanne.obj" && [Format::PLY, Format::OFF].contains(&format) {
@@ -186,11 +177,9 @@ fn hostile_texts_get_the_answer_they_should() {
         match read(load(&path)) {
             Ok(model) => {
                 assert!(good, "{name} should be refused");
-                let out = model
-                    .write(&twist(&model.positions), model.format)
-                    .unwrap_or_else(|e| panic!("{name}: {e}"));
+                let out = write(&model, &twist(&model.positions), model.format, &name);
                 assert_eq!(
-                    read(FileSet::single(name, out.main)).map(|m| m.triangles.len()),
+                    read(FileSet::single(name, out)).map(|m| m.triangles.len()),
                     Ok(model.triangles.len())
                 );
             }
@@ -204,7 +193,7 @@ fn hostile_texts_get_the_answer_they_should() {
 }
 
 #[test]
-fn a_name_or_a_first_word_tells_the_format() {
+fn a_name_or_a_first_word_gives_the_format() {
     let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
     assert_eq!(read(FileSet::single("", obj)).map(|m| m.format), Ok(Format::OBJ));
     assert_eq!(
@@ -294,16 +283,7 @@ fn exercise(bytes: Vec<u8>, format: Option<Format>) {
     );
     for format in [model.format, Format::OBJ, Format::PLY] {
         if let Ok(written) = model.write(&twist(&model.positions), format) {
-            let companions = written
-                .companions
-                .into_iter()
-                .map(|(uri, bytes)| (uri, bytes.into()))
-                .collect();
-            let files = FileSet {
-                name: String::new(),
-                main: written.main.into(),
-                companions,
-            };
+            let files = file_set("", written);
             let reread = Model::read(files, Some(format), &Limits::default());
             assert_eq!(
                 reread.map(|m| m.positions.len()),
@@ -366,11 +346,9 @@ proptest! {
 fn the_sample_can_be_had_in_every_format() {
     let model = read(FileSet::single("creature.glb", sample::creature_glb())).expect("the sample is a model");
     for format in Format::ALL {
-        let written = model
-            .write(&twist(&model.positions), format)
-            .unwrap_or_else(|e| panic!("{format}: {e}"));
+        let written = write(&model, &twist(&model.positions), format, format);
         assert_eq!(
-            read(FileSet::single("", written.main)).map(|m| m.triangles.len()),
+            read(FileSet::single("", written)).map(|m| m.triangles.len()),
             Ok(model.triangles.len())
         );
     }

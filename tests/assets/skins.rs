@@ -1,15 +1,18 @@
 //! Skinned models stand where they are drawn, and come back so. Runs over every skinned model of the data folder.
 
+use crate::support::bench::largest_distance;
 use crate::support::data::data_folder;
 use crate::support::gltf_parsed::{Parsed, parse};
 use crate::support::gltf_sets::{companions_of, file_set, gltf_files};
-use crate::support::skinning::{draw, numbers};
+use crate::support::recipes;
+use crate::support::shapes::bounds;
+use crate::support::skinning::{draw, list, numbers, world_transforms};
 use glam::DVec3;
 use pliant::asset::{Format, Limits, Model, WrittenFiles};
 use std::path::PathBuf;
 
-/// Every skinned model of data/gltf that is read, with its path and the document.
-pub fn skinned_models(what: &str) -> Vec<(PathBuf, Model, Parsed)> {
+/// Every model of data/gltf that is read and whose document fits, with its path and the document; there are more than `least`.
+pub fn models_where(what: &str, least: usize, fits: impl Fn(&Parsed) -> bool) -> Vec<(String, Model, Parsed)> {
     let Some(data) = data_folder(what) else {
         return Vec::new();
     };
@@ -18,24 +21,24 @@ pub fn skinned_models(what: &str) -> Vec<(PathBuf, Model, Parsed)> {
         let companions = companions_of(&files);
         let model = Model::read(files, None, &Limits::default()).ok()?;
         let parsed = parse(&model.files.main, &companions);
-        parsed.json["skins"].is_array().then_some((path, model, parsed))
+        fits(&parsed).then(|| (path.display().to_string(), model, parsed))
     };
     let models: Vec<_> = gltf_files(&data.join("gltf")).into_iter().filter_map(read).collect();
     assert!(
-        models.len() > 12,
-        "the data folder has more skinned models than {}",
+        models.len() > least,
+        "{what}: the data folder has more than {}",
         models.len()
     );
     models
 }
 
-pub fn corners(positions: &[DVec3]) -> (DVec3, DVec3) {
-    let low = positions.iter().fold(DVec3::INFINITY, |a, &p| a.min(p));
-    (low, positions.iter().fold(DVec3::NEG_INFINITY, |a, &p| a.max(p)))
+/// Every skinned model.
+pub fn skinned_models(what: &str) -> Vec<(String, Model, Parsed)> {
+    models_where(what, 12, |parsed| parsed.json["skins"].is_array())
 }
 
 pub fn diagonal(positions: &[DVec3]) -> f64 {
-    let (low, high) = corners(positions);
+    let (low, high) = bounds(positions);
     (high - low).length()
 }
 
@@ -63,16 +66,11 @@ fn a_skinned_model_stands_where_it_is_drawn() {
     for (path, model, file) in skinned_models("rest poses") {
         let size = diagonal(&model.positions);
         if let Some(off) = off_from_drawn(&model.positions, &model, &file) {
-            assert!(off <= 3e-6 * size, "{}: off by {off} of {size}", path.display());
+            assert!(off <= 3e-6 * size, "{path}: off by {off} of {size}");
             compared += 1;
         }
         let codes: Vec<&str> = model.warnings.iter().map(|w| w.0.as_str()).collect();
-        assert!(
-            !codes.contains(&"skin-not-applied"),
-            "{}: {:?}",
-            path.display(),
-            model.warnings
-        );
+        assert!(!codes.contains(&"skin-not-applied"), "{path}: {:?}", model.warnings);
     }
     assert!(compared == 0 || compared > 9, "{compared}");
 }
@@ -82,7 +80,7 @@ fn compressed_skins_stand_where_their_originals_do() {
     let models = skinned_models("compressed rest poses");
     let size_of = |name: &str| {
         let found = models.iter().find(|(path, _, _)| path.ends_with(name))?;
-        Some(corners(&found.1.positions))
+        Some(bounds(&found.1.positions))
     };
     for (packed, original) in [
         ("BrainStem_gltfpack_c.glb", "BrainStem.glb"),
@@ -100,9 +98,10 @@ fn compressed_skins_stand_where_their_originals_do() {
 
 /// What a joint node is an ancestor of, itself included.
 fn is_below(file: &Parsed, node: u64, ancestor: u64) -> bool {
-    let children = file.json["nodes"][ancestor as usize]["children"].as_array();
-    node == ancestor
-        || children.is_some_and(|list| list.iter().any(|c| c.as_u64().is_some_and(|c| is_below(file, node, c))))
+    let mut children = list(&file.json["nodes"][ancestor as usize]["children"])
+        .iter()
+        .filter_map(|c| c.as_u64());
+    node == ancestor || children.any(|c| is_below(file, node, c))
 }
 
 #[test]
@@ -113,15 +112,13 @@ fn the_lowest_vertices_in_the_world_are_those_of_the_feet() {
         let Some((_, model, file)) = models.iter().find(|(path, _, _)| path.ends_with(name)) else {
             continue;
         };
-        let (low, high) = corners(&model.positions);
+        let (low, high) = bounds(&model.positions);
         assert!(
             low.y.abs() < 0.06 * (high.y - low.y),
             "{name} stands on the ground: {low} {high}"
         );
-        let world = crate::support::skinning::world_transforms(file, None).expect("not compressed");
-        let joints: Vec<u64> = file.json["skins"][0]["joints"]
-            .as_array()
-            .expect("joints")
+        let world = world_transforms(file, None).expect("not compressed");
+        let joints: Vec<u64> = list(&file.json["skins"][0]["joints"])
             .iter()
             .filter_map(|j| j.as_u64())
             .collect();
@@ -157,7 +154,7 @@ fn the_lowest_vertices_in_the_world_are_those_of_the_feet() {
 
 /// A smooth motion that turns and stretches.
 fn leant(positions: &[DVec3]) -> Vec<DVec3> {
-    let (low, high) = corners(positions);
+    let (low, high) = bounds(positions);
     let size = (high - low).max_element();
     let lean = |p: &DVec3| {
         let t = (p.y - low.y) / size;
@@ -167,19 +164,9 @@ fn leant(positions: &[DVec3]) -> Vec<DVec3> {
 }
 
 pub fn read_back(written: &WrittenFiles, format: Format) -> (Model, Parsed) {
-    let files = pliant::asset::FileSet {
-        name: "written".into(),
-        main: written.main.clone().into(),
-        companions: written
-            .companions
-            .iter()
-            .map(|(n, b)| (n.clone(), b.clone().into()))
-            .collect(),
-    };
-    let parsed = parse(&written.main, &written.companions);
     (
-        Model::read(files, Some(format), &Limits::default()).expect("readable"),
-        parsed,
+        recipes::read_back(written, format),
+        parse(&written.main, &written.companions),
     )
 }
 
@@ -189,19 +176,10 @@ fn what_is_written_is_drawn_where_it_was_put() {
         let wanted = leant(&model.positions);
         let (again, file) = read_back(&model.write(&wanted, model.format).expect("writable"), model.format);
         let size = diagonal(&wanted);
-        let off = again
-            .positions
-            .iter()
-            .zip(&wanted)
-            .map(|(a, b)| (*a - *b).length())
-            .fold(0.0, f64::max);
-        assert!(
-            off <= 1e-5 * size,
-            "{}: read again off by {off} of {size}",
-            path.display()
-        );
+        let off = largest_distance(&again.positions, &wanted);
+        assert!(off <= 1e-5 * size, "{path}: read again off by {off} of {size}");
         if let Some(off) = off_from_drawn(&wanted, &model, &file) {
-            assert!(off <= 1e-5 * size, "{}: drawn off by {off} of {size}", path.display());
+            assert!(off <= 1e-5 * size, "{path}: drawn off by {off} of {size}");
         }
     }
 }

@@ -1,18 +1,16 @@
 //! OBJ, PLY, OFF and STL after edits of the topology, and what goes along from one format to another.
 
 use crate::support::bench::largest_distance;
-use crate::support::gltf_parsed;
-use crate::support::khronos;
-use crate::support::recipes;
+use crate::support::{gltf_parsed, khronos, recipes};
 
-use crate::support::data::data_path;
+use crate::support::data::{data_path, files_below};
 use glam::{DAffine3, DVec3};
 use pliant::asset::{
     BaseModel, EditedModel, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends, sample, write_edited_model,
 };
 use proptest::prelude::*;
 use recipes::{Edited, at_rest, read_back, size};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 fn open(name: &str, main: impl Into<Vec<u8>>) -> Model {
     Model::read(FileSet::single(name, main.into()), None, &Limits::default()).expect("readable")
@@ -62,6 +60,15 @@ const SEAM: &str = "# by hand\n# two squares\nmtllib both.mtl\no pair\nv 0 0 0\n
     vt 0 0\nvt 0.5 0\nvt 0.5 0.5\nvt 0 0.5\nvt 0.75 0.75\nvt 1 0.75\nvt 1 1\nvt 0.75 1\nvn 0 0 9\nvn 0 0.6 0.8\n\
     usemtl left\ns 1\ng a\nf 1/1/1 2/2/1 5/3/1 4/4/1\nusemtl right\ns off\ng b\nf 2/5/2 3/6/2 6/7/2 5/8/2\n";
 
+/// The texture coordinates of a place on either side.
+fn seam_uv(left: bool, x: f64, y: f64) -> [f64; 2] {
+    if left {
+        [x * 0.5, y * 0.5]
+    } else {
+        [0.75 + (x - 1.0) * 0.25, 0.75 + y * 0.25]
+    }
+}
+
 #[test]
 fn an_obj_keeps_both_sides_of_its_seams() {
     let model = open("seam.obj", SEAM);
@@ -78,12 +85,7 @@ fn an_obj_keeps_both_sides_of_its_seams() {
         assert_eq!(material, if left { "left" } else { "right" });
         for ([x, y, _], uv, normal) in corners {
             // Both maps are affine, so every corner can be checked, also the middles on the seam itself.
-            let wanted = if left {
-                [x * 0.5, y * 0.5]
-            } else {
-                [0.75 + (x - 1.0) * 0.25, 0.75 + y * 0.25]
-            };
-            assert_eq!(*uv, Some(wanted), "at {x} {y}");
+            assert_eq!(*uv, Some(seam_uv(left, *x, *y)), "at {x} {y}");
             let wanted = if left { [0.0, 0.0, 9.0] } else { [0.0, 0.6, 0.8] };
             assert_eq!(*normal, Some(wanted), "unmoved lines stay as they are");
         }
@@ -116,7 +118,7 @@ fn an_obj_keeps_both_sides_of_its_seams() {
 }
 
 #[test]
-fn an_obj_tells_back_to_back_faces_apart_and_keeps_objects_whole() {
+fn an_obj_distinguishes_back_to_back_faces_and_keeps_objects_whole() {
     let text = "o one\nusemtl front\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nusemtl back\nf 3 2 1\no two\nusemtl front\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf 4 5 6\n";
     let model = open("sides.obj", text);
     let mut edited = Edited::of(&model, false);
@@ -249,15 +251,11 @@ fn real_models() -> Vec<(String, Model)> {
     let Some(folder) = data_path("text formats after edits", "meshes") else {
         return Vec::new();
     };
-    let mut paths: Vec<PathBuf> = std::fs::read_dir(folder)
-        .expect("a readable folder")
-        .map(|entry| entry.expect("a readable entry").path())
-        .filter(|p| {
-            p.extension()
-                .is_some_and(|e| e == "obj" || e == "ply" || e == "off" || e == "stl")
-        })
-        .collect();
-    paths.sort();
+    let is_text = |p: &Path| {
+        p.extension()
+            .is_some_and(|e| e == "obj" || e == "ply" || e == "off" || e == "stl")
+    };
+    let paths = files_below(&folder, |p| p.parent() == Some(&folder) && is_text(p));
     let read = |path: PathBuf| {
         let name = path.file_name()?.to_string_lossy().into_owned();
         let bytes = std::fs::read(&path).ok().filter(|b| b.len() < 8 << 20)?;
@@ -355,12 +353,7 @@ fn coordinates_colours_and_materials_go_from_one_format_to_another() {
         let left = i < 2;
         assert_eq!(material, if left { "left" } else { "right" });
         for ([x, y, _], uv, normal) in corners {
-            let wanted = if left {
-                [x * 0.5, y * 0.5]
-            } else {
-                [0.75 + (x - 1.0) * 0.25, 0.75 + y * 0.25]
-            };
-            assert_eq!(*uv, Some(wanted));
+            assert_eq!(*uv, Some(seam_uv(left, *x, *y)));
             assert!(normal.is_some());
         }
     }
@@ -392,14 +385,14 @@ fn vertex_rows(ply: &[u8], property: &str) -> Vec<Vec<u8>> {
     let mark = b"end_header\n";
     let end = ply.windows(mark.len()).position(|w| w == mark).expect("a header");
     let head = String::from_utf8_lossy(&ply[..end]).into_owned();
-    let told = head.split_once("element vertex ").expect("vertices").1;
-    let count: usize = told
+    let reported = head.split_once("element vertex ").expect("vertices").1;
+    let count: usize = reported
         .lines()
         .next()
         .and_then(|n| n.trim().parse().ok())
         .expect("a count");
     let (mut size, mut start) = (0, None);
-    for line in told.lines().skip(1).take_while(|line| line.starts_with("property")) {
+    for line in reported.lines().skip(1).take_while(|line| line.starts_with("property")) {
         let [kind, name] = [1, 2].map(|k| line.split_whitespace().nth(k).expect("a word"));
         start = start.or((name == property).then_some(size));
         size += match kind {
@@ -414,7 +407,7 @@ fn vertex_rows(ply: &[u8], property: &str) -> Vec<Vec<u8>> {
     rows.map(|row| row[start..].to_vec()).collect()
 }
 
-/// What a shape is told by without the order of its triangles: its area as a vector, and area times place.
+/// Measures of a shape that do not depend on the order of its triangles: its area as a vector, and area times place.
 fn moments(positions: &[DVec3], triangles: &[[u32; 3]]) -> [DVec3; 2] {
     let mut sum = [DVec3::ZERO; 2];
     for t in triangles {

@@ -5,7 +5,6 @@ use crate::support::messages::{DeformerMessages, EditedByMessage};
 mod following;
 mod handles;
 mod operations;
-mod refusals;
 
 use bench::*;
 use glam::DVec3;
@@ -89,6 +88,12 @@ fn bar() -> Shape {
     (positions, triangles)
 }
 
+fn held() -> Deformer {
+    let mut bench = bench(&bar());
+    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    bench
+}
+
 fn solved(bench: &mut Deformer, entries: &[(&str, pb::HandlePose)]) -> SolvedShape {
     solve(bench, entries, 1e-8)
 }
@@ -114,15 +119,11 @@ fn both_halves_of_a_filled_cut_add_up() {
 
 #[test]
 fn a_cut_that_keeps_both_sides_leaves_two_parts_that_move_apart() {
-    let mut bench = bench(&bar());
-    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    let mut bench = held();
     let outcome = edited(&mut bench, &cut_at(0.1, cut::Keep::Both, true));
     assert_eq!(outcome.result.handles_kept, ["base", "top"]);
     assert_eq!(bench.facts_message().solver.map(|s| s.components), Some(2));
-    let up = pb::HandlePose {
-        translation: vec![0.0, 0.0, 1.0],
-        ..Default::default()
-    };
+    let up = shift(DVec3::new(0.0, 0.0, 1.0));
     let moved = solved(&mut bench, &[("top", up)]);
     let rest = bench.rest();
     let (mut low, mut high) = (0, 0);
@@ -139,8 +140,7 @@ fn a_cut_that_keeps_both_sides_leaves_two_parts_that_move_apart() {
 
 #[test]
 fn what_is_seen_becomes_the_rest_shape() {
-    let mut bench = bench(&bar());
-    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    let mut bench = held();
     let bent = solved(&mut bench, &[("top", turn(DVec3::new(0.7, 0.0, 0.0), DVec3::ZERO))]);
     let outcome = edit(&mut bench, &midpoint(Some(above(1.2))), &bent.shape()).expect("subdivided");
     let before = bent.positions.len();
@@ -165,8 +165,7 @@ fn what_is_seen_becomes_the_rest_shape() {
 
 #[test]
 fn on_the_rest_shape_poses_stay() {
-    let mut bench = bench(&bar());
-    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    let mut bench = held();
     let turned = turn(DVec3::new(0.0, 0.0, 0.9), DVec3::ZERO);
     let poses = bench
         .change_poses_message(&bench.initial_poses(), &pose(&[("top", turned)]))
@@ -198,16 +197,9 @@ fn on_the_rest_shape_poses_stay() {
 
 #[test]
 fn what_cannot_be_done_is_refused_whole() {
-    let mut bench = bench(&bar());
-    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    let mut bench = held();
     let (before, facts) = (digest(bench.rest()), bench.facts_message());
-    let far = pb::region::Sphere {
-        center: vec![9.0, 9.0, 9.0],
-        radius: 0.1,
-    };
-    let far = pb::Region {
-        region: Some(pb::region::Region::Sphere(far)),
-    };
+    let far = ball([9.0; 3], 0.1);
     let everywhere = half_space([0.0, 0.0, 1.0], -99.0);
     let merge = |transform: Vec<f64>| {
         request(Operation::Merge(pb::edit_request::Merge {

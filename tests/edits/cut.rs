@@ -3,41 +3,36 @@
 use super::edit_support;
 use edit_support::*;
 use glam::DVec3;
-use pliant::edit::{
-    CutPlane, KeptSide, SurfaceCurve, SurfaceTopology, cut_along_curve, cut_by_plane, delete_faces, fill_holes,
-    insert_curve,
-};
-use pliant::progress::Silent;
+use pliant::edit::{CutPlane, KeptSide, SurfaceCurve};
 use proptest::prelude::*;
+
+fn plane_at(normal: DVec3, offset: f64) -> CutPlane {
+    CutPlane { normal, offset }
+}
 
 /// Cuts a model three ways and checks everything that a cut promises of a closed manifold surface.
 fn check_cut(whole: &Model, plane: &CutPlane) -> Result<(), String> {
-    let before = SurfaceTopology::from_surface(&whole.surface());
-    let both = match cut_by_plane(
-        &whole.surface(),
-        plane,
-        &cut_options(KeptSide::Both, true, &[true]),
-        &Silent,
-    ) {
-        Ok(patch) => patch,
-        Err(e) => return Err(e.to_string()),
-    };
-    let moved = volume(&only_moved(whole, &both).surface());
-    let original = volume(&whole.surface());
+    let before = topology(&whole);
+    let both = whole
+        .cut(plane, &cut_options(KeptSide::Both, true, &[true]))
+        .map_err(|e| e.to_string())?;
+    let moved = volume(&only_moved(whole, &both));
+    let original = volume(&whole);
     assert!(
         (moved - original).abs() <= 1e-5 * original.abs(),
         "snapping moved {moved} from {original}"
     );
     let parted = after(whole, &both);
-    let t = SurfaceTopology::from_surface(&parted.surface());
+    let t = topology(&parted);
     let mut sum = 0.0;
     let unit = plane.normal.normalize();
     for (keep, sign) in [(KeptSide::Above, 1.0), (KeptSide::Below, -1.0)] {
-        let patch = cut_by_plane(&whole.surface(), plane, &cut_options(keep, true, &[true]), &Silent)
+        let patch = whole
+            .cut(plane, &cut_options(keep, true, &[true]))
             .expect("cuts as the other way");
         let half = after(whole, &patch);
-        sum += volume(&half.surface());
-        let side = SurfaceTopology::from_surface(&half.surface());
+        sum += volume(&half);
+        let side = topology(&half);
         if before.is_closed() {
             assert!(side.is_closed(), "{keep:?} {side:?}");
         }
@@ -64,26 +59,19 @@ fn check_cut(whole: &Model, plane: &CutPlane) -> Result<(), String> {
         (sum - moved).abs() <= 1e-9 * original.abs(),
         "halves {sum}, whole {moved}"
     );
-    assert!((volume(&parted.surface()) - moved).abs() <= 1e-9 * original.abs());
+    assert!((volume(&parted) - moved).abs() <= 1e-9 * original.abs());
     Ok(())
 }
 
 #[test]
 fn a_torus_cut_along_its_ring_gets_caps_with_holes() {
     let whole = Model::of(torus(48, 24, 2.0, 0.7));
-    let plane = CutPlane {
-        normal: DVec3::new(0.0, 0.01, 1.0),
-        offset: 0.1,
-    };
+    let plane = plane_at(DVec3::new(0.0, 0.01, 1.0), 0.1);
     check_cut(&whole, &plane).expect("cuts");
-    let patch = cut_by_plane(
-        &whole.surface(),
-        &plane,
-        &cut_options(KeptSide::Both, true, &[true]),
-        &Silent,
-    )
-    .expect("cuts");
-    let t = SurfaceTopology::from_surface(&after(&whole, &patch).surface());
+    let patch = whole
+        .cut(&plane, &cut_options(KeptSide::Both, true, &[true]))
+        .expect("cuts");
+    let t = topology(&after(&whole, &patch));
     // Each half of a ring cut so is a ring again.
     assert!(t.is_closed() && t.components == 2 && t.euler == 0, "{t:?}");
 }
@@ -91,21 +79,14 @@ fn a_torus_cut_along_its_ring_gets_caps_with_holes() {
 #[test]
 fn without_fill_the_sides_have_rims_at_the_same_places() {
     let whole = Model::of(sphere(4, 1.0));
-    let plane = CutPlane {
-        normal: DVec3::Z * 3.0,
-        offset: 0.9,
-    };
-    let patch = cut_by_plane(
-        &whole.surface(),
-        &plane,
-        &cut_options(KeptSide::Both, false, &[]),
-        &Silent,
-    )
-    .expect("cuts");
+    let plane = plane_at(DVec3::Z * 3.0, 0.9);
+    let patch = whole
+        .cut(&plane, &cut_options(KeptSide::Both, false, &[]))
+        .expect("cuts");
     let parted = after(&whole, &patch);
-    let t = SurfaceTopology::from_surface(&parted.surface());
+    let t = topology(&parted);
     assert!(t.is_manifold() && t.components == 2 && t.euler == 2, "two discs: {t:?}");
-    let same = (volume(&parted.surface()) - volume(&whole.surface())).abs();
+    let same = (volume(&parted) - volume(&whole)).abs();
     assert!(same < 1e-4, "{same}");
     let normal = |t: &[u32; 3]| {
         let [a, b, c] = t.map(|v| parted.positions[v as usize]);
@@ -155,55 +136,36 @@ fn a_terrace_in_the_plane_stays_with_the_part_below() {
         all
     };
     let whole = Model::of((positions, faces));
-    assert!(SurfaceTopology::from_surface(&whole.surface()).is_closed());
-    check_cut(
-        &whole,
-        &CutPlane {
-            normal: DVec3::Z,
-            offset: 1.0,
-        },
-    )
-    .expect("cuts");
-    let above = CutPlane {
-        normal: DVec3::Z,
-        offset: 1.0,
-    };
-    let patch = cut_by_plane(
-        &whole.surface(),
-        &above,
-        &cut_options(KeptSide::Below, true, &[]),
-        &Silent,
-    )
-    .expect("cuts");
-    assert!((volume(&after(&whole, &patch).surface()) - 8.0).abs() < 1e-12);
+    assert!(topology(&whole).is_closed());
+    let above = plane_at(DVec3::Z, 1.0);
+    check_cut(&whole, &above).expect("cuts");
+    let patch = whole
+        .cut(&above, &cut_options(KeptSide::Below, true, &[]))
+        .expect("cuts");
+    assert!((volume(&after(&whole, &patch)) - 8.0).abs() < 1e-12);
 }
 
 #[test]
 fn refusals_say_what_would_work() {
     let whole = Model::of(cube(2));
     let cut = |normal, offset| {
-        let plane = CutPlane { normal, offset };
-        let refused = cut_by_plane(
-            &whole.surface(),
-            &plane,
-            &cut_options(KeptSide::Above, false, &[]),
-            &Silent,
-        );
+        let refused = whole.cut(&plane_at(normal, offset), &cut_options(KeptSide::Above, false, &[]));
         refused.expect_err("refused").to_string()
     };
-    assert!(
-        cut(DVec3::Z, 2.0).contains("between -1 and 1"),
-        "{}",
-        cut(DVec3::Z, 2.0)
-    );
-    assert!(cut(DVec3::Z, 1.0).contains("nothing of the surface on its upper side"));
-    assert!(cut(DVec3::ZERO, 0.0).contains("longer than 0"));
-    assert!(cut(DVec3::NAN, 0.0).contains("finite"));
+    for (normal, offset, reason) in [
+        (DVec3::Z, 2.0, "between -1 and 1"),
+        (DVec3::Z, 1.0, "nothing of the surface on its upper side"),
+        (DVec3::ZERO, 0.0, "longer than 0"),
+        (DVec3::NAN, 0.0, "finite"),
+    ] {
+        let refused = cut(normal, offset);
+        assert!(refused.contains(reason), "{reason}: {refused}");
+    }
     let all: Vec<u32> = (0..whole.triangles.len() as u32).collect();
     for faces in [&all[..], &[]] {
-        assert!(delete_faces(&whole.surface(), faces, true, &Silent).is_err());
+        assert!(whole.delete(faces, true).is_err());
     }
-    let none = fill_holes(&whole.surface(), None, &Silent).expect_err("a cube has no hole");
+    let none = whole.fill(None).expect_err("a cube has no hole");
     assert!(none.to_string().contains("no hole"), "{none}");
 }
 
@@ -211,33 +173,21 @@ fn refusals_say_what_would_work() {
 fn a_hole_in_a_sphere_is_filled_to_a_sphere_again() {
     let whole = Model::of(sphere(4, 1.0));
     let center = |t: &[u32; 3]| t.iter().map(|&v| whole.positions[v as usize]).sum::<DVec3>() / 3.0;
-    let cap: Vec<u32> = (whole.triangles.iter().zip(0u32..))
-        .filter(|(t, _)| center(t).dot(DVec3::new(0.6, 0.0, 0.8)) > 0.9)
-        .map(|(_, f)| f)
-        .collect();
-    let open = after(
-        &whole,
-        &delete_faces(&whole.surface(), &cap, false, &Silent).expect("deletes"),
-    );
-    let t = SurfaceTopology::from_surface(&open.surface());
+    let cap = whole.triangles_where(|t| center(t).dot(DVec3::new(0.6, 0.0, 0.8)) > 0.9);
+    let open = after(&whole, &whole.delete(&cap, false).expect("deletes"));
+    let t = topology(&open);
     assert!(t.is_manifold() && t.rim_edges > 8 && t.euler == 1, "{t:?}");
-    let by_delete = after(
-        &whole,
-        &delete_faces(&whole.surface(), &cap, true, &Silent).expect("deletes"),
-    );
-    let by_fill = after(&open, &fill_holes(&open.surface(), None, &Silent).expect("fills"));
+    let by_delete = after(&whole, &whole.delete(&cap, true).expect("deletes"));
+    let by_fill = after(&open, &open.fill(None).expect("fills"));
     let some: Vec<u32> = vec![
         open.triangles
             .iter()
             .position(|t| center_in(&open, t))
             .expect("near the rim") as u32,
     ];
-    let by_region = after(
-        &open,
-        &fill_holes(&open.surface(), Some(&some), &Silent).expect("fills"),
-    );
+    let by_region = after(&open, &open.fill(Some(&some)).expect("fills"));
     for closed in [by_delete, by_fill, by_region] {
-        let t = SurfaceTopology::from_surface(&closed.surface());
+        let t = topology(&closed);
         assert!(t.is_closed() && t.euler == 2, "{t:?}");
         let added = closed.triangles.len() - open.triangles.len();
         assert!(
@@ -264,24 +214,14 @@ fn circle(count: u32, radius: f64, height: f64) -> Vec<DVec3> {
 
 /// Inserts a curve and checks that it is a path of edges and that the surface is the same one. Answers its places.
 fn check_curve(whole: &Model, drawn: &[DVec3], closed: bool) -> Vec<DVec3> {
-    let (patch, points) =
-        insert_curve(&whole.surface(), &SurfaceCurve::Drawn(drawn), closed, &Silent).expect("inserts");
+    let (patch, points) = whole.insert(drawn, closed).expect("inserts");
     let with = after(whole, &patch);
-    let (before, now) = (
-        SurfaceTopology::from_surface(&whole.surface()),
-        SurfaceTopology::from_surface(&with.surface()),
-    );
+    let (before, now) = (topology(&whole), topology(&with));
     assert_eq!(
         (now.euler, now.components, now.is_manifold()),
         (before.euler, before.components, before.is_manifold())
     );
-    let area = |m: &Model| -> f64 {
-        let double = |t: &[u32; 3]| {
-            let [a, b, c] = t.map(|v| m.positions[v as usize]);
-            (b - a).cross(c - a).length()
-        };
-        m.triangles.iter().map(double).sum()
-    };
+    let area = |m: &Model| pliant::mesh::surface_area(&m.positions, &m.triangles);
     assert!((area(&with) - area(whole)).abs() <= 1e-9 * area(whole));
     let mut edges = std::collections::BTreeSet::new();
     for t in &with.triangles {
@@ -335,17 +275,12 @@ fn a_closed_curve_parts_a_sphere_and_an_open_one_opens_a_slit() {
     let whole = Model::of(sphere(4, 1.0));
     let drawn = circle(12, 1.0, 0.3);
     let cut = |keep, fill| {
-        cut_along_curve(
-            &whole.surface(),
-            &SurfaceCurve::Drawn(&drawn),
-            true,
-            &cut_options(keep, fill, &[true]),
-            &Silent,
-        )
-        .expect("cuts")
+        whole
+            .cut_along(&SurfaceCurve::Drawn(&drawn), true, &cut_options(keep, fill, &[true]))
+            .expect("cuts")
     };
     let both = after(&whole, &cut(KeptSide::Both, true));
-    let t = SurfaceTopology::from_surface(&both.surface());
+    let t = topology(&both);
     assert!(t.is_closed() && t.components == 2, "{t:?}");
     let (above, below) = (
         after(&whole, &cut(KeptSide::Above, true)),
@@ -359,35 +294,28 @@ fn a_closed_curve_parts_a_sphere_and_an_open_one_opens_a_slit() {
         top(&above),
         top(&below)
     );
-    let sum = volume(&above.surface()) + volume(&below.surface());
-    assert!((sum - volume(&whole.surface())).abs() < 1e-9, "{sum}");
+    let sum = volume(&above) + volume(&below);
+    assert!((sum - volume(&whole)).abs() < 1e-9, "{sum}");
 
     let line = [
         DVec3::new(1.0, -0.4, 0.1),
         DVec3::new(1.0, 0.0, 0.0),
         DVec3::new(1.0, 0.5, 0.2),
     ];
-    let slit = cut_along_curve(
-        &whole.surface(),
-        &SurfaceCurve::Drawn(&line),
-        false,
-        &cut_options(KeptSide::Both, false, &[]),
-        &Silent,
-    )
-    .expect("cuts");
-    let t = SurfaceTopology::from_surface(&after(&whole, &slit).surface());
+    let slit = whole
+        .cut_along(
+            &SurfaceCurve::Drawn(&line),
+            false,
+            &cut_options(KeptSide::Both, false, &[]),
+        )
+        .expect("cuts");
+    let t = topology(&after(&whole, &slit));
     assert!(
         t.is_manifold() && t.euler == 1 && t.components == 1 && t.rim_edges > 8,
         "{t:?}"
     );
     for (keep, fill) in [(KeptSide::Above, false), (KeptSide::Both, true)] {
-        let refused = cut_along_curve(
-            &whole.surface(),
-            &SurfaceCurve::Drawn(&line),
-            false,
-            &cut_options(keep, fill, &[]),
-            &Silent,
-        );
+        let refused = whole.cut_along(&SurfaceCurve::Drawn(&line), false, &cut_options(keep, fill, &[]));
         assert!(
             refused
                 .expect_err("no sides")
@@ -406,16 +334,11 @@ fn a_sheet_is_cut_from_rim_to_rim() {
         DVec3::new(9.0, 2.7, 0.0),
     ];
     let area = |keep| {
-        let patch = cut_along_curve(
-            &whole.surface(),
-            &SurfaceCurve::Drawn(&line),
-            false,
-            &cut_options(keep, false, &[]),
-            &Silent,
-        )
-        .expect("cuts");
+        let patch = whole
+            .cut_along(&SurfaceCurve::Drawn(&line), false, &cut_options(keep, false, &[]))
+            .expect("cuts");
         let half = after(&whole, &patch);
-        let t = SurfaceTopology::from_surface(&half.surface());
+        let t = topology(&half);
         assert!(t.is_manifold() && t.euler == t.components as i64, "{t:?}");
         let double = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|v| half.positions[v as usize]);
@@ -446,24 +369,21 @@ fn a_path_of_points_is_cut_along_its_edges() {
     let points: Vec<u32> = [DVec3::X, DVec3::Y, DVec3::NEG_X, DVec3::NEG_Y]
         .map(|x| whole.point_of[find(x)])
         .to_vec();
-    let patch = cut_along_curve(
-        &whole.surface(),
-        &SurfaceCurve::Along(&points),
-        true,
-        &cut_options(KeptSide::Both, false, &[]),
-        &Silent,
-    )
-    .expect("cuts");
+    let patch = whole
+        .cut_along(
+            &SurfaceCurve::Along(&points),
+            true,
+            &cut_options(KeptSide::Both, false, &[]),
+        )
+        .expect("cuts");
     let halves = after(&whole, &patch);
-    let t = SurfaceTopology::from_surface(&halves.surface());
+    let t = topology(&halves);
     assert_eq!((t.components, t.euler, t.rim_edges), (2, 2, 2 * 32));
     assert_eq!(halves.triangles.len(), whole.triangles.len());
-    let lost = cut_along_curve(
-        &whole.surface(),
+    let lost = whole.cut_along(
         &SurfaceCurve::Along(&[0, 9999]),
         false,
         &cut_options(KeptSide::Both, false, &[]),
-        &Silent,
     );
     assert!(lost.expect_err("no such point").to_string().contains("9999"));
 }
@@ -472,9 +392,9 @@ fn a_path_of_points_is_cut_along_its_edges() {
 fn curves_between_parts_are_refused() {
     let apart = Model::of(both(sphere(2, 1.0), moved(sphere(2, 1.0), |p| p + DVec3::X * 5.0)));
     let line = [DVec3::Z, DVec3::new(5.0, 0.0, 1.0)];
-    let refused = insert_curve(&apart.surface(), &SurfaceCurve::Drawn(&line), false, &Silent).expect_err("two parts");
+    let refused = apart.insert(&line, false).expect_err("two parts");
     assert!(refused.to_string().contains("different parts"), "{refused}");
-    let few = insert_curve(&apart.surface(), &SurfaceCurve::Drawn(&line[..1]), false, &Silent).expect_err("one point");
+    let few = apart.insert(&line[..1], false).expect_err("one point");
     assert!(few.to_string().starts_with("inserted curve: 1 points"), "{few}");
 }
 
@@ -503,17 +423,12 @@ fn data_meshes_are_cut_watertight() {
             continue;
         };
         seen += 1;
-        println!("{name}: {:?}", SurfaceTopology::from_surface(&whole.surface()));
-        let bounds = whole
-            .positions
-            .iter()
-            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), &p| {
-                (l.min(p), h.max(p))
-            });
-        let middle = (bounds.0 + bounds.1) * 0.5;
+        println!("{name}: {:?}", topology(&whole));
+        let (low, high) = bounds(&whole.positions);
+        let middle = (low + high) * 0.5;
         for normal in [DVec3::X, DVec3::Y, DVec3::Z, DVec3::new(0.3, 0.5, -0.8)] {
             for shift in [0.0, 0.1] {
-                let offset = normal.dot(middle + (bounds.1 - bounds.0) * shift);
+                let offset = normal.dot(middle + (high - low) * shift);
                 if let Err(e) = check_cut(&whole, &CutPlane { normal, offset }) {
                     panic!("{name} {normal} {offset}: {e}");
                 }
@@ -521,6 +436,14 @@ fn data_meshes_are_cut_watertight() {
         }
     }
     println!("{seen} meshes cut");
+}
+
+fn one_of_three(shape: i32) -> Model {
+    Model::of(match shape {
+        0 => sphere(3, 1.0),
+        1 => torus(31, 17, 1.0, 0.4),
+        _ => cube(3),
+    })
 }
 
 proptest! {
@@ -533,15 +456,11 @@ proptest! {
         shape in 0..3,
     ) {
         let drawn: Vec<DVec3> = points.iter().map(|&(x, y, z)| DVec3::new(x, y, z)).collect();
-        let whole = match shape {
-            0 => Model::of(sphere(3, 1.0)),
-            1 => Model::of(torus(31, 17, 1.0, 0.4)),
-            _ => Model::of(cube(3)),
-        };
+        let whole = one_of_three(shape);
         check_curve(&whole, &drawn, closed);
-        let patch = cut_along_curve(&whole.surface(), &SurfaceCurve::Drawn(&drawn), closed, &cut_options(KeptSide::Both, false, &[]), &Silent);
+        let patch = whole.cut_along(&SurfaceCurve::Drawn(&drawn), closed, &cut_options(KeptSide::Both, false, &[]));
         let cut = after(&whole, &patch.expect("opens"));
-        let t = SurfaceTopology::from_surface(&cut.surface());
+        let t = topology(&cut);
         prop_assert!(t.is_manifold(), "{:?}", t);
     }
 
@@ -549,11 +468,7 @@ proptest! {
     fn random_cuts_lose_nothing(x in -1.0..1.0f64, y in -1.0..1.0f64, z in -1.0..1.0f64, offset in -0.28..0.28f64, shape in 0..3) {
         let normal = DVec3::new(x, y, z);
         prop_assume!(normal.length() > 0.1);
-        let whole = match shape {
-            0 => Model::of(sphere(3, 1.0)),
-            1 => Model::of(torus(31, 17, 1.0, 0.4)),
-            _ => Model::of(cube(3)),
-        };
+        let whole = one_of_three(shape);
         let plane = CutPlane { normal, offset: offset * normal.length() };
         check_cut(&whole, &plane).expect("passes through");
     }

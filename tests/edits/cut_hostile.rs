@@ -66,15 +66,15 @@ fn check_blends(model: &Model, side: &[u32], patch: &SurfacePatch, near: f64) {
 #[test]
 fn seams_and_primitives_stay_apart_and_blends_are_exact() {
     let (model, side) = sided_cube();
-    assert!(SurfaceTopology::from_surface(&model.surface()).is_closed());
+    assert!(topology(&model).is_closed());
     let plane = CutPlane {
         normal: DVec3::new(0.3, 0.4, 1.0),
         offset: 0.13,
     };
     for keep in [KeptSide::Both, KeptSide::Above, KeptSide::Below] {
-        let patch = cut_by_plane(&model.surface(), &plane, &cut_options(keep, false, &[]), &Silent).expect("cuts");
+        let patch = model.cut(&plane, &cut_options(keep, false, &[])).expect("cuts");
         check_blends(&model, &side, &patch, 1e-12);
-        let t = SurfaceTopology::from_surface(&after(&model, &patch).surface());
+        let t = topology(&after(&model, &patch));
         assert!(t.is_manifold() && t.rim_edges > 0, "{t:?}");
     }
     let ring = [
@@ -84,9 +84,9 @@ fn seams_and_primitives_stay_apart_and_blends_are_exact() {
         DVec3::new(-0.1, -1.0, 0.1),
     ]
     .map(|p| p * 1.2);
-    let (patch, points) = insert_curve(&model.surface(), &SurfaceCurve::Drawn(&ring), true, &Silent).expect("inserts");
+    let (patch, points) = model.insert(&ring, true).expect("inserts");
     check_blends(&model, &side, &patch, 1e-12);
-    assert!(points.len() > 16 && SurfaceTopology::from_surface(&after(&model, &patch).surface()).is_closed());
+    assert!(points.len() > 16 && topology(&after(&model, &patch)).is_closed());
 }
 
 #[test]
@@ -97,15 +97,11 @@ fn caps_take_the_primitive_of_most_of_their_rim_and_hard_ones_their_own_vertices
         offset: 0.3,
     };
     for (hard, own) in [(&[true, true], true), (&[false, false], false)] {
-        let patch = cut_by_plane(
-            &model.surface(),
-            &plane,
-            &cut_options(KeptSide::Below, true, hard),
-            &Silent,
-        )
-        .expect("cuts");
+        let patch = model
+            .cut(&plane, &cut_options(KeptSide::Below, true, hard))
+            .expect("cuts");
         let whole = after(&model, &patch);
-        assert!(SurfaceTopology::from_surface(&whole.surface()).is_closed());
+        assert!(topology(&whole).is_closed());
         let flat = |t: &&[u32; 3]| t.iter().all(|&v| whole.positions[v as usize].z == 0.3);
         let cap: BTreeSet<u32> = whole.triangles.iter().filter(flat).flatten().copied().collect();
         let wall: BTreeSet<u32> = whole.triangles.iter().filter(|t| !flat(t)).flatten().copied().collect();
@@ -123,14 +119,14 @@ fn deleting_corner_to_corner_leaves_no_pinched_point() {
         .flat_map(|&f| [f, f + 1])
         .collect();
     for fill in [false, true] {
-        let patch = delete_faces(&whole.surface(), &picked, fill, &Silent).expect("deletes");
+        let patch = whole.delete(&picked, fill).expect("deletes");
         let rest = after(&whole, &patch);
-        let t = SurfaceTopology::from_surface(&rest.surface());
+        let t = topology(&rest);
         assert!(t.is_manifold(), "{t:?}");
         assert_eq!(t.euler, if fill { 1 } else { 0 }, "{t:?}");
     }
     // At the rim there is nothing to close.
-    let corner = delete_faces(&whole.surface(), &[0, 1], true, &Silent).expect("deletes");
+    let corner = whole.delete(&[0, 1], true).expect("deletes");
     assert!(
         corner.triangles.is_empty() && corner.warnings[0].code == "open-rim",
         "{:?}",
@@ -139,7 +135,7 @@ fn deleting_corner_to_corner_leaves_no_pinched_point() {
 }
 
 #[test]
-fn work_that_nobody_wants_stops() {
+fn cancelled_work_stops() {
     let whole = Model::of(sphere(4, 1.0));
     let flag = CancelFlag::default();
     flag.cancel();
@@ -162,7 +158,7 @@ fn work_that_nobody_wants_stops() {
     );
 }
 
-/// Whether two triangles have the same three points: front and back of nothing, which a split cannot tell apart.
+/// Whether two triangles have the same three points: front and back of nothing, which a split cannot distinguish.
 fn twins(model: &Model) -> bool {
     let mut corners: Vec<[u32; 3]> = model
         .triangles
@@ -247,12 +243,7 @@ fn scanned_and_broken_meshes_give_results_or_reasons() {
         let Some(model) = data(name) else {
             continue;
         };
-        let (low, high) = model
-            .positions
-            .iter()
-            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, h), &p| {
-                (l.min(p), h.max(p))
-            });
+        let (low, high) = bounds(&model.positions);
         let middle = (low + high) * 0.5;
         let plane = CutPlane {
             normal: DVec3::new(0.2, 0.9, 0.1),
@@ -261,22 +252,10 @@ fn scanned_and_broken_meshes_give_results_or_reasons() {
         let around = model.positions[model.triangles[model.triangles.len() / 3][0] as usize];
         let size = (high - low).length();
         let drawn = [DVec3::X, DVec3::Y, DVec3::Z].map(|e| around + e * 0.05 * size);
-        let near = |t: &[u32; 3]| {
-            t.iter()
-                .all(|&v| model.positions[v as usize].distance(around) < 0.07 * size)
-        };
-        let faces: Vec<u32> = model
-            .triangles
-            .iter()
-            .zip(0u32..)
-            .filter(|(t, _)| near(t))
-            .map(|(_, f)| f)
-            .collect();
+        let is_near = |v: &u32| model.positions[*v as usize].distance(around) < 0.07 * size;
+        let faces = model.triangles_where(|t| t.iter().all(is_near));
         let done = everything(&model, &plane, &drawn, &faces).len();
-        println!(
-            "{name}: {done} of 18 done, {:?}",
-            SurfaceTopology::from_surface(&model.surface())
-        );
+        println!("{name}: {done} of 18 done, {:?}", topology(&model));
     }
 }
 

@@ -1,14 +1,15 @@
 //! A tail pulled to more than four times its length in several commits, with automatic remeshing in between.
 
+use crate::support::bench::obj;
 use crate::support::data::data_bytes;
-use crate::support::messages::DeformerMessages;
+use crate::support::messages::{DeformerMessages, message};
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{Deformer, DeformerLimits, HandlePoses, QualityReport, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::{DeformOptions, json, pb};
+use pliant::wire::{DeformOptions, pb};
 use serde_json::json;
 use std::sync::Arc;
 
@@ -52,17 +53,13 @@ fn tail() -> (Tail, &'static str) {
 /// A ridged horn along x from 0 to 0.6.
 fn horn() -> Tail {
     let (positions, faces) = shapes::cylinder(0.1, 0.6, 32, 90, true);
-    let mut text = String::new();
-    for p in positions {
+    let ridged = |p: DVec3| {
         let ridges = 1.0 + 0.15 * (p.z * 120.0).sin();
-        let (x, y, z) = (p.z, p.x * ridges, p.y * ridges);
-        text += &format!("v {x} {y} {z}\n");
-    }
-    faces
-        .iter()
-        .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
+        DVec3::new(p.z, p.x * ridges, p.y * ridges)
+    };
+    let shape = (positions.into_iter().map(ridged).collect(), faces);
     Tail {
-        files: FileSet::single("horn.obj", text),
+        files: obj(&shape),
         along: DVec3::X,
         root: 0.18,
         tip: 0.55,
@@ -78,10 +75,6 @@ struct Pulled {
     stretch: f64,
     aspects: Vec<f64>,
     triangles: usize,
-}
-
-fn message<M: prost::Message + Default + prost::Name>(value: serde_json::Value) -> M {
-    json::from_json(value.to_string().as_bytes()).expect("a message")
 }
 
 /// Longest side over shortest height of the triangles beyond the root, rising.
@@ -116,9 +109,9 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         {"id": "tip", "region": {"halfSpace": {"normal": [1, 0, 0], "offset": tail.tip}}},
     ]});
     bench
-        .set_handles_message(&message(handles), &Exec::new(&pool, &Silent))
+        .set_handles_message(&message(&handles), &Exec::new(&pool, &Silent))
         .expect("the handles fit");
-    let options: pb::Options = message(json!({"tolerance": 1e-5}));
+    let options: pb::Options = message(&json!({"tolerance": 1e-5}));
     let settings = DeformOptions::check(&options, "options", 8).expect("valid").solve;
     let start = (tail.tip - tail.root) / tail.along.x;
     let (mut length, mut poses): (f64, HandlePoses) = (start, bench.initial_poses());
@@ -131,7 +124,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         // After an edit what is seen is the rest shape.
         let shift = tail.along * if remesh { by } else { length - start };
         let pose = json!({"handles": [{"id": "tip", "pose": {"translation": shift.to_array()}}]});
-        poses = bench.change_poses_message(&poses, &message(pose)).expect("a pose");
+        poses = bench.change_poses_message(&poses, &message(&pose)).expect("a pose");
         let solved = bench.solve(
             &poses,
             &settings,
@@ -146,7 +139,7 @@ fn pull(tail: &Tail, remesh: bool) -> Pulled {
         }
         assert_eq!(quality.flipped_triangles, 0, "step {step}");
         stretch = stretch.max(quality.max_stretch);
-        let request: pb::EditRequest = message(json!({"remesh": {"auto": true}}));
+        let request: pb::EditRequest = message(&json!({"remesh": {"auto": true}}));
         let outcome = bench
             .edit_message(&request, &shape, &poses, &Exec::new(&pool, &Silent))
             .expect("remeshed");

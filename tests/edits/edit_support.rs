@@ -5,8 +5,12 @@ use crate::support::data::{data_bytes, data_path, tell_skipped};
 pub use crate::support::shapes;
 
 use glam::DVec3;
-use pliant::edit::{CutOptions, KeptSide, PatchedSurface, SurfaceView};
+use pliant::edit::{
+    CutOptions, CutPlane, Error, KeptSide, PatchedSurface, SurfaceCurve, SurfacePatch, SurfaceTopology, SurfaceView,
+    apply_patch, cut_along_curve, cut_by_plane, delete_faces, fill_holes, insert_curve, verify_surface,
+};
 use pliant::mesh::{Mesh, Weld};
+use pliant::progress::Silent;
 pub use shapes::*;
 
 /// A surface with its arrays.
@@ -51,6 +55,42 @@ impl Model {
             points: self.points,
         }
     }
+
+    pub fn cut(&self, plane: &CutPlane, options: &CutOptions<'_>) -> Result<SurfacePatch, Error> {
+        cut_by_plane(&self.surface(), plane, options, &Silent)
+    }
+
+    pub fn cut_along(
+        &self,
+        curve: &SurfaceCurve<'_>,
+        closed: bool,
+        options: &CutOptions<'_>,
+    ) -> Result<SurfacePatch, Error> {
+        cut_along_curve(&self.surface(), curve, closed, options, &Silent)
+    }
+
+    /// The patch, and the points of the curve.
+    pub fn insert(&self, drawn: &[DVec3], closed: bool) -> Result<(SurfacePatch, Vec<u32>), Error> {
+        insert_curve(&self.surface(), &SurfaceCurve::Drawn(drawn), closed, &Silent)
+    }
+
+    pub fn delete(&self, faces: &[u32], fill: bool) -> Result<SurfacePatch, Error> {
+        delete_faces(&self.surface(), faces, fill, &Silent)
+    }
+
+    pub fn fill(&self, faces: Option<&[u32]>) -> Result<SurfacePatch, Error> {
+        fill_holes(&self.surface(), faces, &Silent)
+    }
+
+    /// The numbers of the triangles that fit.
+    pub fn triangles_where(&self, fits: impl Fn(&[u32; 3]) -> bool) -> Vec<u32> {
+        let numbered = self.triangles.iter().zip(0u32..);
+        numbered.filter(|(t, _)| fits(t)).map(|(_, i)| i).collect()
+    }
+}
+
+pub fn topology(model: &Model) -> SurfaceTopology {
+    SurfaceTopology::from_surface(&model.surface())
 }
 
 /// What a cut does with its sides, in one line.
@@ -58,21 +98,20 @@ pub fn cut_options(keep: KeptSide, fill: bool, hard_caps: &[bool]) -> CutOptions
     CutOptions { keep, fill, hard_caps }
 }
 
-/// The volume that a surface encloses.
-pub fn volume(surface: &SurfaceView<'_>) -> f64 {
-    let origin = surface.positions.first().copied().unwrap_or(DVec3::ZERO);
+/// The volume that a model encloses.
+pub fn volume(model: &Model) -> f64 {
+    let origin = model.positions.first().copied().unwrap_or(DVec3::ZERO);
     let part = |t: &[u32; 3]| {
-        let [a, b, c] = t.map(|v| surface.positions[v as usize] - origin);
+        let [a, b, c] = t.map(|v| model.positions[v as usize] - origin);
         a.dot(b.cross(c))
     };
-    surface.triangles.iter().map(part).sum::<f64>() / 6.0
+    model.triangles.iter().map(part).sum::<f64>() / 6.0
 }
 
 /// What an edit made of a model, as a model, after the arrays were checked.
-pub fn after(model: &Model, patch: &pliant::edit::SurfacePatch) -> Model {
-    let applied: PatchedSurface =
-        pliant::edit::apply_patch(&model.surface(), patch, &model.first_vertex).expect("the patch applies");
-    pliant::edit::verify_surface(&applied.surface()).expect("the result is consistent");
+pub fn after(model: &Model, patch: &SurfacePatch) -> Model {
+    let applied: PatchedSurface = apply_patch(&model.surface(), patch, &model.first_vertex).expect("the patch applies");
+    verify_surface(&applied.surface()).expect("the result is consistent");
     Model {
         positions: applied.positions,
         triangles: applied.triangles,
@@ -84,8 +123,8 @@ pub fn after(model: &Model, patch: &pliant::edit::SurfacePatch) -> Model {
 }
 
 /// The model with the moves of a patch and nothing else of it.
-pub fn only_moved(model: &Model, patch: &pliant::edit::SurfacePatch) -> Model {
-    let moved = pliant::edit::SurfacePatch {
+pub fn only_moved(model: &Model, patch: &SurfacePatch) -> Model {
+    let moved = SurfacePatch {
         moved: patch.moved.clone(),
         ..Default::default()
     };

@@ -26,16 +26,16 @@ fn triangle_without_coordinates() -> String {
 }
 
 #[test]
-fn texture_coordinates_that_are_no_numbers_are_told_and_never_written_anew() {
+fn texture_coordinates_that_are_no_numbers_are_reported_and_never_written_again() {
     let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.25 0.5\nvt nan 0.5\nvt 0.75 -inf\nf 1/1 2/2 3/3\n";
     let sources = [("a.gltf", triangle_without_coordinates()), ("a.obj", obj.to_owned())];
     for (name, text) in sources {
         let model = Model::read(FileSet::single(name, text), None, &Limits::default()).expect("readable");
-        let told = |model: &Model| {
+        let reported = |model: &Model| {
             let mut warnings = model.warnings.iter();
             warnings.any(|(code, ..)| code == "bad-texture-coordinate")
         };
-        assert!(told(&model), "{name}: {:?}", model.warnings);
+        assert!(reported(&model), "{name}: {:?}", model.warnings);
         for format in [Format::GLB, Format::GLTF, Format::OBJ, Format::PLY] {
             let patched = format == model.format || (name == "a.gltf" && format == Format::GLB);
             let written = match patched {
@@ -45,7 +45,7 @@ fn texture_coordinates_that_are_no_numbers_are_told_and_never_written_anew() {
             };
             let written = written.unwrap_or_else(|e| panic!("{name} as {format}: {e}"));
             let again = read_back(&written, format);
-            assert!(!told(&again), "{name} as {format}");
+            assert!(!reported(&again), "{name} as {format}");
             let text = String::from_utf8_lossy(&written.main).to_ascii_lowercase();
             let is_text = [Format::OBJ, Format::PLY].contains(&format);
             assert!(

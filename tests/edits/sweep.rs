@@ -1,7 +1,8 @@
 //! Edits on every model of the data folder, hostile ones included: a result or a reason in one line, never a panic.
 
 use crate::support::data::{data_folder, files_below, of_each};
-use crate::support::messages::DeformerMessages;
+use crate::support::messages::{DeformerMessages, broken, message, unreferenced};
+use crate::support::recipes::file_set;
 use pliant::asset::{FileSet, Format, Model};
 use pliant::engine::{Deformer, DeformerLimits, ModelShape, digest};
 use pliant::exec::Exec;
@@ -75,18 +76,6 @@ fn edits(bench: &Deformer, k: usize) -> Vec<(&'static str, Value)> {
     }
 }
 
-fn unreferenced(bench: &Deformer) -> usize {
-    let mut used = vec![false; bench.rest().len()];
-    let triangles = bench.geometry().triangles.iter();
-    triangles.flatten().for_each(|&v| used[v as usize] = true);
-    used.iter().filter(|u| !**u).count()
-}
-
-fn broken(bench: &Deformer) -> usize {
-    let report = bench.report();
-    report.non_manifold_edges + report.non_manifold_vertices + report.winding_conflicts
-}
-
 /// One edit: what the table says, or what went wrong.
 fn one(bench: &mut Deformer, shape: &mut ModelShape, edit: &Value, pool: &Pool) -> Result<String, String> {
     let request: pb::EditRequest = json::from_json(edit.to_string().as_bytes()).map_err(|e| e.to_string())?;
@@ -94,10 +83,7 @@ fn one(bench: &mut Deformer, shape: &mut ModelShape, edit: &Value, pool: &Pool) 
     let (idle, defects, was) = (unreferenced(bench), broken(bench), digest(bench.rest()));
     match bench.edit_message(&request, shape, &poses, &Exec::new(pool, &Silent)) {
         Ok(outcome) => {
-            let (before, after) = (
-                outcome.result.before.unwrap_or_default(),
-                outcome.result.after.unwrap_or_default(),
-            );
+            let [before, after] = [outcome.result.before, outcome.result.after].map(Option::unwrap_or_default);
             let agree = after.vertices as usize == bench.rest().len()
                 && after.faces as usize == bench.geometry().triangles.len()
                 && outcome.result.digest == digest(&outcome.shape);
@@ -138,8 +124,7 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
         ..Default::default()
     };
     let mode = if files.main.len() > 1_200_000 { "OFF" } else { "AUTO" };
-    let create: pb::CreateOptions =
-        json::from_json(json!({"volumeGraph": {"mode": mode}}).to_string().as_bytes()).expect("options");
+    let create: pb::CreateOptions = message(&json!({"volumeGraph": {"mode": mode}}));
     let mut bench = match Deformer::open(
         files,
         &pliant::wire::open_options(&create).expect("valid"),
@@ -165,16 +150,7 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
     match bench.write(&shape, format, &Exec::new(&pool, &Silent)) {
         Err(e) => line += &format!(" | not written as {format}: {e}"),
         Ok(written) => {
-            let companions = written
-                .companions
-                .into_iter()
-                .map(|(name, bytes)| (name, bytes.into()))
-                .collect();
-            let files = FileSet {
-                name: "written".into(),
-                main: written.main.into(),
-                companions,
-            };
+            let files = file_set("written", written);
             match Model::read(files, Some(format), &limits.model) {
                 Ok(back) if back.triangles.len() == bench.geometry().triangles.len() => {}
                 Ok(back) => {

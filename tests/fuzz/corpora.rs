@@ -1,10 +1,10 @@
 //! What the runs begin with: small inputs of every kind, generated ones and, where the data folder is there, files of it.
 
-use crate::found::found_inputs;
+use crate::found_inputs;
 use crate::support::data::{data_root, files_below};
 use crate::support::fbx_text::FbxText;
 use crate::support::packed_models::{draco_of_faces, embedded_zeros, fbx_of_zeros, meshopt_of_zeros, placed_often};
-use crate::targets::jobs::{LIMITS, box_file};
+use crate::targets::sessions::{JOB_LIMITS, box_file};
 use crate::targets::{self, TARGETS};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model, sample};
@@ -19,7 +19,7 @@ use prost::Message;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Larger files tell nothing more and are slow to mutate.
+/// Larger files add nothing and are slow to mutate.
 const LARGEST: u64 = 24 << 10;
 
 const JOBS: [&str; 6] = [
@@ -97,11 +97,11 @@ fn frames() -> Vec<Vec<u8>> {
         FrameEncoding::Meshopt,
         FrameEncoding::Delta,
     ];
-    let told = |encoding| {
+    let reported = |encoding| {
         let (mut sent, mut bytes) = (SentSteps::default(), Vec::new());
         for k in 0..3 {
             let place = |v: usize| DVec3::new(v as f64, libm::sin(v as f64 + f64::from(k) * 0.01), 0.5);
-            let positions: Vec<DVec3> = (0..targets::frames::VERTICES).map(place).collect();
+            let positions: Vec<DVec3> = (0..targets::messages::VERTICES).map(place).collect();
             let output = FrameOutput {
                 encoding,
                 ..FrameOutput::default()
@@ -122,7 +122,7 @@ fn frames() -> Vec<Vec<u8>> {
         }
         bytes
     };
-    encodings.map(told).to_vec()
+    encodings.map(reported).to_vec()
 }
 
 fn box_model() -> Model {
@@ -282,8 +282,8 @@ fn animation() -> pb::AnimateOptions {
 fn texts() -> Vec<Vec<u8>> {
     let job = |text: &&str| [b"\0", text.as_bytes()].concat();
     let mut inputs: Vec<Vec<u8>> = JOBS.iter().map(job).collect();
-    let told = json::to_json(&animation()).expect("options").to_string();
-    inputs.push([b"\x05", told.as_bytes()].concat());
+    let reported = json::to_json(&animation()).expect("options").to_string();
+    inputs.push([b"\x05", reported.as_bytes()].concat());
     inputs.push([b"\x06".to_vec(), rig()].concat());
     inputs.push(br#"{"pose": {"seq": "7", "handles": [{"id": "a"}], "commit": true}}"#.to_vec());
     inputs
@@ -291,7 +291,12 @@ fn texts() -> Vec<Vec<u8>> {
 
 fn commits() -> Vec<Vec<u8>> {
     let pool = Pool::new(1).expect("one thread");
-    let opened = Deformer::open(box_file(), &OpenOptions::default(), &LIMITS, &Exec::new(&pool, &Silent));
+    let opened = Deformer::open(
+        box_file(),
+        &OpenOptions::default(),
+        &JOB_LIMITS,
+        &Exec::new(&pool, &Silent),
+    );
     let facts = opened.expect("the box opens").facts();
     let poses = HandlePoses(vec![HandlePose::rotation([0.1, 0.2, 0.3])].into());
     let probe = ShapeProbe::of(&[DVec3::ONE; 4]);

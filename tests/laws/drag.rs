@@ -4,8 +4,8 @@ use crate::support::bench::largest_distance;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{
-    Deformer, DeformerLimits, Falloff, FalloffCurve, Handle, HandleConstrains, HandlePose, HandleRotation, HandleScale,
-    OpenOptions, Plane, Region, SolveMode, SolveSettings, SolvedShape,
+    Deformer, DeformerLimits, Falloff, FalloffCurve, Handle, HandlePose, HandleRotation, HandleScale, OpenOptions,
+    Plane, Region, SolveMode, SolveSettings, SolvedShape,
 };
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -35,19 +35,7 @@ fn boxes(beside: bool) -> FileSet {
 }
 
 fn beyond(id: &str, normal: DVec3, offset: f64) -> Handle {
-    Handle {
-        id: id.into(),
-        region: Region::HalfSpace(Plane { normal, offset }),
-        constrains: HandleConstrains {
-            position: true,
-            rotation: true,
-            scale: true,
-        },
-        stiffness: None,
-        rigid: false,
-        pose: None,
-        falloff: None,
-    }
+    Handle::new(id, Region::HalfSpace(Plane { normal, offset }))
 }
 
 /// What the handles of a scene are.
@@ -100,11 +88,7 @@ fn pose(scene: Scene, t: f64, scaled: bool) -> Vec<(&'static str, HandlePose)> {
         },
     )];
     if scene == Scene::Soft {
-        let up = HandlePose {
-            translation: Some(DVec3::Y * (0.5 * t)),
-            ..HandlePose::default()
-        };
-        poses.push(("soft", up));
+        poses.push(("soft", HandlePose::translation(DVec3::Y * (0.5 * t))));
     }
     poses
 }
@@ -122,6 +106,14 @@ fn frame(
         .unwrap()
 }
 
+/// Solves to the last digits.
+fn exact() -> SolveSettings {
+    SolveSettings {
+        tolerance: Some(1e-10),
+        ..SolveSettings::default()
+    }
+}
+
 /// The largest distance of a vertex, as a fraction of the diagonal.
 fn distance(deformer: &Deformer, a: &[DVec3], b: &[DVec3]) -> f64 {
     largest_distance(a, b) / deformer.diagonal()
@@ -130,10 +122,6 @@ fn distance(deformer: &Deformer, a: &[DVec3], b: &[DVec3]) -> f64 {
 #[test]
 fn frames_are_as_near_to_the_exact_shape_as_asked_for() {
     let pool = Pool::new(2).unwrap();
-    let exact = SolveSettings {
-        tolerance: Some(1e-10),
-        ..SolveSettings::default()
-    };
     let mut none = 0;
     for scene in [Scene::Ends, Scene::Tied, Scene::Soft] {
         for scaled in [false, true] {
@@ -145,12 +133,12 @@ fn frames_are_as_near_to_the_exact_shape_as_asked_for() {
                 none += u32::from(shown.cycles == 0);
                 assert!(shown.residual <= 1e-4, "{scene:?} {k}: {}", shown.residual);
                 if k % 4 == 0 {
-                    let wanted = frame(&mut beside, pose(scene, t, scaled), &exact, &pool);
+                    let wanted = frame(&mut beside, pose(scene, t, scaled), &exact(), &pool);
                     let far = distance(&dragged, &shown.positions, &wanted.positions);
                     assert!(far < 2e-4, "{scene:?} scaled {scaled} frame {k}: {far:.1e}");
                     assert!(
                         far < 4.0 * shown.max_error + 2e-6,
-                        "{far:.1e} where {:.1e} was told",
+                        "{far:.1e} where {:.1e} was reported",
                         shown.max_error
                     );
                 }
@@ -171,19 +159,15 @@ fn an_error_that_is_asked_for_is_kept() {
         max_error: Some(5e-5),
         ..SolveSettings::default()
     };
-    let exact = SolveSettings {
-        tolerance: Some(1e-10),
-        ..SolveSettings::default()
-    };
     let (mut dragged, mut beside) = (deformer(Scene::Ends, &pool), deformer(Scene::Ends, &pool));
     for k in 1..=20 {
         let t = f64::from(k) / 20.0;
         let shown = frame(&mut dragged, pose(Scene::Ends, t, false), &asked, &pool);
-        let wanted = frame(&mut beside, pose(Scene::Ends, t, false), &exact, &pool);
+        let wanted = frame(&mut beside, pose(Scene::Ends, t, false), &exact(), &pool);
         let far = distance(&dragged, &shown.positions, &wanted.positions);
         assert!(
             far < 1e-4 && shown.max_error <= 5e-5,
-            "frame {k}: {far:.1e}, told {:.1e}",
+            "frame {k}: {far:.1e}, reported {:.1e}",
             shown.max_error
         );
     }
@@ -215,10 +199,6 @@ fn frames_have_the_same_bits_on_any_number_of_threads() {
 fn frames_of_a_smooth_drag_need_no_iteration_where_the_time_between_them_is_used() {
     let pool = Pool::new(2).unwrap();
     let settings = SolveSettings::default();
-    let exact = SolveSettings {
-        tolerance: Some(1e-10),
-        ..SolveSettings::default()
-    };
     let mut cycles = [0, 0];
     let mut settled = 0;
     let (mut dragged, mut ahead, mut beside) = (
@@ -240,7 +220,7 @@ fn frames_of_a_smooth_drag_need_no_iteration_where_the_time_between_them_is_used
         (cycles.iter_mut().zip(&shown)).for_each(|(cycles, shown)| *cycles += shown.cycles);
         assert!(shown[1].residual <= 1e-4);
         if k % 7 == 0 {
-            let wanted = frame(&mut beside, now(), &exact, &pool);
+            let wanted = frame(&mut beside, now(), &exact(), &pool);
             let far = distance(&ahead, &shown[1].positions, &wanted.positions);
             assert!(
                 far < 1e-4 && far < 4.0 * shown[1].max_error + 2e-6,
@@ -314,15 +294,7 @@ fn a_drag_goes_on_from_a_commit_and_a_commit_knows_nothing_of_it() {
         ..settings
     };
     let shown = frame(&mut dragged, last.clone(), &quick, &pool);
-    let wanted = frame(
-        &mut fresh,
-        last,
-        &SolveSettings {
-            tolerance: Some(1e-10),
-            ..quick.clone()
-        },
-        &pool,
-    );
+    let wanted = frame(&mut fresh, last, &exact(), &pool);
     assert!(distance(&dragged, &shown.positions, &wanted.positions) < 2e-4);
 }
 
@@ -331,16 +303,7 @@ fn poses_beyond_the_range_of_numbers_leave_the_drag_usable() {
     let pool = Pool::new(2).unwrap();
     let mut dragged = deformer(Scene::Ends, &pool);
     let settings = SolveSettings::default();
-    let far = |distance: f64| {
-        let translation = Some(DVec3::X * distance);
-        vec![(
-            "high",
-            HandlePose {
-                translation,
-                ..HandlePose::default()
-            },
-        )]
-    };
+    let far = |distance: f64| vec![("high", HandlePose::translation(DVec3::X * distance))];
     for distance in [1e5, 1e20, 1e37, 1e150, 1e300] {
         let poses = dragged.change_poses(&dragged.initial_poses(), far(distance)).unwrap();
         let exec = Exec::new(&pool, &Silent);
@@ -350,14 +313,6 @@ fn poses_beyond_the_range_of_numbers_leave_the_drag_usable() {
     }
     let shown = frame(&mut dragged, far(0.5), &settings, &pool);
     let mut beside = deformer(Scene::Ends, &pool);
-    let wanted = frame(
-        &mut beside,
-        far(0.5),
-        &SolveSettings {
-            tolerance: Some(1e-10),
-            ..settings
-        },
-        &pool,
-    );
+    let wanted = frame(&mut beside, far(0.5), &exact(), &pool);
     assert!(distance(&dragged, &shown.positions, &wanted.positions) < 2e-4);
 }

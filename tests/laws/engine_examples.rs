@@ -46,7 +46,7 @@ fn a_listed_region_goes_where_its_pose_says() {
 }
 
 #[test]
-fn opening_tells_its_stages_and_can_be_given_up() {
+fn opening_reports_its_stages_and_can_be_given_up() {
     let (stages, refused) = progress_and_cancel::watch_and_cancel().expect("it opens");
     assert_eq!(stages, ["read", "mesh", "graph", "hierarchy"]);
     assert_eq!(refused, "cancelled");

@@ -1,9 +1,11 @@
 //! Laws of graphs: symmetry, connectivity, where nodes may lie, and the same bits for any thread count.
 
+use crate::support::data::data_bytes;
 use glam::{DQuat, DVec3};
+use pliant::asset::{FileSet, Limits, Model};
 use pliant::exec::Exec;
 use pliant::graph::{EdgeWeights, Error, InteriorKind, MeshGraph, VolumeOptions, WindingTree, surface, volume};
-use pliant::mesh::{Mesh, Weld};
+use pliant::mesh::{Adjacency, Mesh, Weld, mean_edge_length};
 use pliant::pool::Pool;
 use pliant::progress::{CancelFlag, Cancelled, Silent};
 use proptest::prelude::*;
@@ -21,6 +23,23 @@ fn volume_with(shape: &Shape, options: &VolumeOptions, threads: usize) -> Option
 
 fn volume_of(shape: &Shape, kind: InteriorKind) -> Option<MeshGraph> {
     volume_with(shape, &of_kind(kind), 2)
+}
+
+/// The graph of a shape with an inside, after all that it promises was checked.
+fn sound(shape: &Shape, kind: InteriorKind) -> MeshGraph {
+    let graph = volume_of(shape, kind).expect("an inside");
+    shapes::check_graph(&graph, &shapes::mesh(shape));
+    graph
+}
+
+/// Checks that a graph encloses so much, as a share of a ball of radius 1.
+fn encloses(graph: &MeshGraph, share: std::ops::Range<f64>) {
+    let ball = 4.0 / 3.0 * std::f64::consts::PI;
+    assert!(
+        share.contains(&(graph.stats.enclosed_volume / ball)),
+        "{:?}",
+        graph.stats
+    );
 }
 
 const KINDS: [InteriorKind; 2] = [InteriorKind::Shape, InteriorKind::Paper];
@@ -97,8 +116,7 @@ fn a_thin_part_has_a_finer_lattice_and_leaves_that_of_a_thick_one_alone() {
 #[test]
 fn what_is_too_thin_for_a_lattice_has_struts_across() {
     let plate = shapes::moved(shapes::cube(6), |p| p * DVec3::new(1.0, 1.0, 0.01));
-    let graph = volume_of(&plate, InteriorKind::Shape).expect("an inside");
-    shapes::check_graph(&graph, &shapes::mesh(&plate));
+    let graph = sound(&plate, InteriorKind::Shape);
     assert_eq!(graph.stats.lattice_nodes, 0);
     assert_eq!(graph.stats.component_has_volume, [true]);
     let is_across = |i: u32| {
@@ -174,8 +192,7 @@ fn inner_nodes_lie_inside_and_away_from_the_surface() {
 fn a_hollow_ball_has_no_nodes_in_its_hollow() {
     for kind in KINDS {
         let wall = shapes::both(shapes::sphere(5, 1.0), shapes::inside_out(shapes::sphere(4, 0.5)));
-        let graph = volume_of(&wall, kind).expect("an inside");
-        shapes::check_graph(&graph, &shapes::mesh(&wall));
+        let graph = sound(&wall, kind);
         assert_eq!(graph.components, 1, "the wall joins its two surfaces");
         assert!(
             graph.positions.iter().all(|p| p.length() > 0.48),
@@ -189,8 +206,7 @@ fn a_hollow_ball_has_no_nodes_in_its_hollow() {
         );
         // Wound the same way, the inner surface bounds nothing: the ball is solid and shares one lattice.
         let ball = shapes::both(shapes::sphere(5, 1.0), shapes::sphere(4, 0.5));
-        let graph = volume_of(&ball, kind).expect("an inside");
-        shapes::check_graph(&graph, &shapes::mesh(&ball));
+        let graph = sound(&ball, kind);
         assert_eq!(graph.components, 1);
         assert!(graph.positions.iter().any(|p| p.length() < 0.2), "nodes in the middle");
     }
@@ -202,8 +218,7 @@ fn separate_parts_stay_separate_however_close() {
         // Two bars side by side, closer to each other than a lattice cell is wide.
         let bar = shapes::moved(shapes::cube(5), |p| p * DVec3::new(1.0, 1.0, 4.0));
         let gap = shapes::both(bar.clone(), shapes::moved(bar, |p| p + DVec3::X * 2.01));
-        let graph = volume_of(&gap, kind).expect("an inside");
-        shapes::check_graph(&graph, &shapes::mesh(&gap));
+        let graph = sound(&gap, kind);
         assert!(
             graph.stats.lattice_nodes > 100 && graph.stats.interval > 0.05,
             "{:?}",
@@ -212,12 +227,8 @@ fn separate_parts_stay_separate_however_close() {
         assert_eq!((graph.components, graph.stats.component_has_volume.len()), (2, 2));
         for i in 0..graph.nodes() as u32 {
             let side = graph.positions[i as usize].x < 1.005;
-            assert!(
-                graph
-                    .row(i)
-                    .iter()
-                    .all(|&j| (graph.positions[j as usize].x < 1.005) == side)
-            );
+            let is_here = |&j: &u32| (graph.positions[j as usize].x < 1.005) == side;
+            assert!(graph.row(i).iter().all(is_here));
         }
     }
 }
@@ -230,8 +241,7 @@ fn a_sheet_beside_a_ball_keeps_surface_edges_only() {
             shapes::moved(shapes::sheet(20, 20), |p| p * 0.2 - DVec3::Z * 3.0),
         );
         let scene = shapes::both(ball, sheet);
-        let graph = volume_of(&scene, kind).expect("the ball has an inside");
-        shapes::check_graph(&graph, &shapes::mesh(&scene));
+        let graph = sound(&scene, kind);
         assert_eq!(graph.stats.component_has_volume, [true, false]);
     }
 }
@@ -264,14 +274,8 @@ fn a_model_with_holes_still_has_an_inside() {
     let (p, f) = shapes::sphere(5, 1.0);
     let holed: Vec<[u32; 3]> = f.into_iter().filter(|t| p[t[0] as usize].z < 0.9).collect();
     let shape = (p, holed);
-    let graph = volume_of(&shape, Paper).expect("an inside");
-    shapes::check_graph(&graph, &shapes::mesh(&shape));
-    let ball = 4.0 / 3.0 * std::f64::consts::PI;
-    assert!(
-        (0.85..1.05).contains(&(graph.stats.enclosed_volume / ball)),
-        "{:?}",
-        graph.stats
-    );
+    let graph = sound(&shape, Paper);
+    encloses(&graph, 0.85..1.05);
     assert!(graph.stats.lattice_nodes > graph.surface / 2);
 }
 
@@ -292,8 +296,7 @@ fn parts_too_thin_for_a_shell_are_surfaces_and_others_keep_their_inside() {
     assert!(volume_of(&foil, Paper).is_none(), "a foil alone is a surface");
     let beside = shapes::moved(foil, |p| p + DVec3::Z * 3.0);
     let scene = shapes::both(shapes::sphere(5, 1.0), beside);
-    let graph = volume_of(&scene, Paper).expect("the ball has an inside");
-    shapes::check_graph(&graph, &shapes::mesh(&scene));
+    let graph = sound(&scene, Paper);
     assert_eq!(graph.stats.component_has_volume, [true, false]);
     let alone = volume_of(&shapes::sphere(5, 1.0), Paper).expect("an inside");
     assert!(
@@ -323,8 +326,7 @@ fn parts_that_overlap_share_one_lattice_and_nested_ones_too() {
             ("touching", touching),
             ("open", open),
         ] {
-            let graph = volume_of(&scene, kind).expect("an inside");
-            shapes::check_graph(&graph, &shapes::mesh(&scene));
+            let graph = sound(&scene, kind);
             assert_eq!(graph.components, 1, "{name}: {:?}", graph.stats);
         }
     }
@@ -342,16 +344,10 @@ fn soups_have_an_inside() {
             soup.0.extend(t.map(|v| middle + (p[v as usize] - middle) * 0.97));
             soup.1.push([first, first + 1, first + 2]);
         }
-        let graph = volume_of(&soup, kind).expect("an inside");
-        shapes::check_graph(&graph, &shapes::mesh(&soup));
+        let graph = sound(&soup, kind);
         let least = [200, 500][usize::from(kind == Paper)];
         assert!(graph.stats.lattice_nodes > least, "{:?}", graph.stats);
-        let ball = 4.0 / 3.0 * std::f64::consts::PI;
-        assert!(
-            (0.8..1.1).contains(&(graph.stats.enclosed_volume / ball)),
-            "{:?}",
-            graph.stats
-        );
+        encloses(&graph, 0.8..1.1);
         assert!(
             graph.components < soup.1.len() / 2,
             "the lattice joins faces: {} of {}",
@@ -374,15 +370,9 @@ fn a_surface_parted_by_cracks_still_has_an_inside() {
             let own = f.iter().copied().filter(|t| (middle(t) * toward).min_element() > 0.0);
             cracked = shapes::both(cracked, (p.iter().map(|&p| p + toward * 1e-3).collect(), own.collect()));
         }
-        let graph = volume_of(&cracked, kind).expect("an inside");
-        shapes::check_graph(&graph, &shapes::mesh(&cracked));
+        let graph = sound(&cracked, kind);
         assert_eq!(graph.components, 1, "one lattice holds the patches together");
-        let ball = 4.0 / 3.0 * std::f64::consts::PI;
-        assert!(
-            (0.9..1.1).contains(&(graph.stats.enclosed_volume / ball)),
-            "{:?}",
-            graph.stats
-        );
+        encloses(&graph, 0.9..1.1);
     }
 }
 
@@ -429,18 +419,12 @@ fn turning_and_shifting_a_model_hardly_changes_the_counts() {
         for to in moves {
             let graph = volume_of(&shapes::moved(shape.clone(), to), kind).expect("an inside");
             let close = |a: usize, b: usize| (a as f64 / b as f64 - 1.0).abs() < 0.02;
-            assert!(
-                close(graph.nodes(), rest.nodes()),
-                "{} nodes, {} at rest",
-                graph.nodes(),
-                rest.nodes()
-            );
-            assert!(
-                close(graph.edges(), rest.edges()),
-                "{} edges, {} at rest",
-                graph.edges(),
-                rest.edges()
-            );
+            for (what, now, then) in [
+                ("nodes", graph.nodes(), rest.nodes()),
+                ("edges", graph.edges(), rest.edges()),
+            ] {
+                assert!(close(now, then), "{now} {what}, {then} at rest");
+            }
         }
     }
 }
@@ -451,18 +435,14 @@ fn options_do_what_they_say() {
     let mesh = shapes::mesh(&shape);
     let base = of_kind(Paper);
     let rest = volume_with(&shape, &base, 2).expect("an inside");
-    let coarse = volume_with(
-        &shape,
-        &VolumeOptions {
-            interval: Some(0.3),
-            ..base
-        },
-        2,
-    )
-    .expect("an inside");
+    let with = |options: VolumeOptions| volume_with(&shape, &options, 2).expect("an inside");
+    let coarse = with(VolumeOptions {
+        interval: Some(0.3),
+        ..base
+    });
     assert_eq!(coarse.stats.interval, 0.3);
     assert!(coarse.stats.lattice_nodes < rest.stats.lattice_nodes);
-    let eight = volume_with(&shape, &VolumeOptions { valence: 8, ..base }, 2).expect("an inside");
+    let eight = with(VolumeOptions { valence: 8, ..base });
     shapes::check_graph(&eight, &mesh);
     assert_eq!(eight.nodes(), rest.nodes());
     let most = |g: &MeshGraph| {
@@ -472,15 +452,10 @@ fn options_do_what_they_say() {
             .max()
     };
     assert_eq!((most(&rest), most(&eight)), (Some(14), Some(8)));
-    let shallow = volume_with(
-        &shape,
-        &VolumeOptions {
-            shell_offset: Some(0.01),
-            ..base
-        },
-        2,
-    )
-    .expect("an inside");
+    let shallow = with(VolumeOptions {
+        shell_offset: Some(0.01),
+        ..base
+    });
     for i in shallow.surface..shallow.surface + shallow.stats.shell_nodes {
         let way = shallow.positions[i].distance(shallow.positions[shallow.nearest_surface[i] as usize]);
         assert!((way - 0.01).abs() < 1e-9);
@@ -489,7 +464,7 @@ fn options_do_what_they_say() {
         weights: EdgeWeights::Cotangent,
         ..base
     };
-    shapes::check_graph(&volume_with(&shape, &cotangent, 2).expect("an inside"), &mesh);
+    shapes::check_graph(&with(cotangent), &mesh);
 }
 
 #[test]
@@ -558,37 +533,30 @@ fn the_node_limit_widens_the_lattice_before_anything_large_is_made() {
 fn senseless_options_are_refused_with_the_value_seen() {
     let mesh = shapes::mesh(&shapes::cube(2));
     let base = VolumeOptions::default();
-    let refusal = |options: VolumeOptions| {
-        volume(&mesh, &options, &Exec::new(&pool(1), &Silent))
-            .expect_err("refused")
-            .to_string()
+    let spaced = |interval| VolumeOptions {
+        interval: Some(interval),
+        ..base
     };
-    assert!(
-        refusal(VolumeOptions {
-            interval: Some(0.0),
-            ..base
-        })
-        .starts_with("interval is 0")
-    );
-    assert!(
-        refusal(VolumeOptions {
-            interval: Some(f64::NAN),
-            ..base
-        })
-        .starts_with("interval is NaN")
-    );
-    assert!(
-        refusal(VolumeOptions {
-            shell_offset: Some(-1.0),
-            ..base
-        })
-        .starts_with("shell offset is -1")
-    );
-    assert!(refusal(VolumeOptions { valence: 6, ..base }).contains("allowed are 14 and 8"));
+    let offset = VolumeOptions {
+        shell_offset: Some(-1.0),
+        ..base
+    };
+    for (options, reason) in [
+        (spaced(0.0), "interval is 0"),
+        (spaced(f64::NAN), "interval is NaN"),
+        (offset, "shell offset is -1"),
+        (VolumeOptions { valence: 6, ..base }, "allowed are 14 and 8"),
+    ] {
+        let refused = volume(&mesh, &options, &Exec::new(&pool(1), &Silent))
+            .expect_err(reason)
+            .to_string();
+        assert!(refused.contains(reason), "{refused}");
+        assert!(refused.starts_with(reason) || options.valence == 6, "{refused}");
+    }
 }
 
 #[test]
-fn work_that_nobody_wants_stops() {
+fn cancelled_work_stops() {
     let flag = CancelFlag::default();
     flag.cancel();
     let mesh = shapes::mesh(&shapes::cube(3));
@@ -630,6 +598,25 @@ fn extreme_sizes_and_flat_boxes_are_no_trouble() {
     }
     let one_point = Mesh::build(&[DVec3::ONE; 3], &[[0, 1, 2]], Weld::Exact);
     assert!(one_point.is_err());
+}
+
+#[test]
+fn real_meshes_get_the_node_counts_of_the_paper() {
+    let Some(bytes) = data_bytes("meshes/armadillo.obj") else {
+        return;
+    };
+    let read = Model::read(FileSet::single("armadillo.obj", bytes), None, &Limits::default()).expect("a model");
+    let shape: Shape = (read.positions.clone(), read.triangles.clone());
+    let mesh = shapes::mesh(&shape);
+    let graph = sound(&shape, Paper);
+    assert_eq!((graph.surface, graph.components), (43_243, 1));
+    assert!((125_000..132_000).contains(&graph.nodes()), "{} nodes", graph.nodes());
+    let degree = graph.neighbours.len() as f64 / graph.nodes() as f64;
+    assert!((11.4..11.9).contains(&degree), "{degree} neighbours per node");
+    let report = shapes::report(&shape.0, &shape.1);
+    assert!(report.closed && report.warnings.is_empty() && (graph.stats.enclosed_volume - report.volume).abs() < 1e-12);
+    let edges = Adjacency::build(mesh.positions.len(), &mesh.triangles).edges;
+    assert_eq!(graph.stats.shell_offset, mean_edge_length(&mesh.positions, &edges));
 }
 
 proptest! {

@@ -6,7 +6,7 @@ use glam::DVec3;
 use laws::*;
 use pliant::asset::{FileSet, Limits, Model};
 use pliant::exec::Exec;
-use pliant::graph::{EdgeWeights, MeshGraph, VolumeOptions, WindingTree, resample, surface, volume};
+use pliant::graph::{EdgeWeights, MeshGraph, VolumeOptions, WindingTree, surface, volume};
 use pliant::mesh::{Mesh, Weld};
 use pliant::progress::Silent;
 use resampling::{Plan, Surface};
@@ -33,8 +33,7 @@ fn an_edit_that_changes_nothing_touches_nothing() {
         ..Plan::default()
     };
     let edited = ball.apply(&plan);
-    let after = follow(&graph, &edited);
-    check(&graph, &edited, &after);
+    let after = followed(&graph, &edited);
     assert!(after.touched.is_empty(), "{} touched", after.touched.len());
     assert_eq!(after.graph, graph);
 }
@@ -49,24 +48,13 @@ fn a_disc_filled_with_others_is_followed() {
         let graph = volume_of(&surface);
         let edge = surface.mean_edge();
         let normal = DVec3::new(0.3, 0.5, 0.2);
-        try_edit(
-            &format!("{name} refilled"),
-            &surface,
-            &graph,
-            &surface.refill(seed, 5, normal * edge * 0.2),
-        );
-        try_edit(
-            &format!("{name} collapsed"),
-            &surface,
-            &graph,
-            &surface.collapse(seed, 4),
-        );
-        try_edit(
-            &format!("{name} subdivided"),
-            &surface,
-            &graph,
-            &surface.subdivide(seed, 5),
-        );
+        for (how, plan) in [
+            ("refilled", surface.refill(seed, 5, normal * edge * 0.2)),
+            ("collapsed", surface.collapse(seed, 4)),
+            ("subdivided", surface.subdivide(seed, 5)),
+        ] {
+            try_edit(&format!("{name} {how}"), &surface, &graph, &plan);
+        }
     }
 }
 
@@ -85,8 +73,7 @@ fn pulling_out_and_pushing_in_make_and_take_nodes() {
             moved: back,
             ..Plan::default()
         });
-        let there = follow(&after.graph, &again);
-        check(&after.graph, &again, &there);
+        let there = followed(&after.graph, &again);
         let sorted = |g: &MeshGraph| {
             let mut all: Vec<[u64; 3]> = g.positions.iter().map(|p| p.to_array().map(f64::to_bits)).collect();
             all.sort_unstable();
@@ -171,8 +158,7 @@ fn parts_that_come_have_an_inside_and_parts_that_go_leave_none() {
             ..Plan::default()
         };
         let edited = ball.apply(&plan);
-        let after = follow(&graph, &edited);
-        check(&graph, &edited, &after);
+        let after = followed(&graph, &edited);
         assert_eq!(
             (
                 after.graph.components,
@@ -183,12 +169,8 @@ fn parts_that_come_have_an_inside_and_parts_that_go_leave_none() {
         check_places(&edited, &after.graph, 1.25 * graph.stats.shell_offset * (1.0 - 1e-9));
         // And gone again.
         let removed = edited.surface.faces_in(|v| v >= first);
-        let back = edited.surface.apply(&Plan {
-            removed,
-            ..Plan::default()
-        });
-        let there = follow(&after.graph, &back);
-        check(&after.graph, &back, &there);
+        let back = edited.surface.apply(&Plan::without(removed));
+        let there = followed(&after.graph, &back);
         assert_eq!(there.graph.nodes(), graph.nodes());
         assert_eq!(there.graph.positions, graph.positions);
         assert_eq!(there.graph.neighbours, graph.neighbours);
@@ -204,8 +186,7 @@ fn parts_that_come_have_an_inside_and_parts_that_go_leave_none() {
         ..Plan::default()
     };
     let edited = ball.apply(&plan);
-    let after = follow(&graph, &edited);
-    check(&graph, &edited, &after);
+    let after = followed(&graph, &edited);
     assert_eq!(after.graph.stats.component_has_volume, [true, false]);
 }
 
@@ -215,12 +196,8 @@ fn holes_keep_the_inside_and_filling_them_closes_it() {
     let graph = volume_of(&ball);
     let disc = ball.disc(100, 5);
     let removed = ball.faces_in(|v| disc.contains(&v));
-    let open = ball.apply(&Plan {
-        removed: removed.clone(),
-        ..Plan::default()
-    });
-    let after = follow(&graph, &open);
-    check(&graph, &open, &after);
+    let open = ball.apply(&Plan::without(removed.clone()));
+    let after = followed(&graph, &open);
     let tree = WindingTree::build(&open.surface.points, &open.surface.faces, &pool(1));
     let inside = (after.graph.surface..after.graph.nodes())
         .filter(|&i| tree.winding_number(after.graph.positions[i]).abs() > 0.5)
@@ -245,23 +222,10 @@ fn wide_openings_and_large_edits_are_left_to_a_new_graph() {
     let graph = volume_of(&ball);
     let ask = |plan: Plan| {
         let edited = ball.apply(&plan);
-        resample(
-            &graph,
-            &graph.positions,
-            &edited.change(),
-            &Exec::new(&pool(2), &Silent),
-        )
-        .expect("not cancelled")
-        .is_none()
+        try_follow(&graph, &edited, 2).is_none()
     };
     let above = |h: f64| ball.faces_in(|v| ball.points[v as usize].z > h);
-    assert!(
-        ask(Plan {
-            removed: above(0.6),
-            ..Plan::default()
-        }),
-        "a bowl"
-    );
+    assert!(ask(Plan::without(above(0.6))), "a bowl");
     assert!(ask(ball.capped(above(0.2))), "more than a quarter goes");
     assert!(!ask(ball.capped(above(0.6))));
 }
@@ -281,8 +245,7 @@ fn weights_near_the_edit_are_found_again() {
         surface(&mesh, EdgeWeights::Cotangent),
     ] {
         let edited = ball.apply(&ball.refill(100, 5, DVec3::splat(0.005)));
-        let after = follow(&graph, &edited);
-        check(&graph, &edited, &after);
+        let after = followed(&graph, &edited);
         let fresh = surface(&mesh_of(&edited.surface), EdgeWeights::Cotangent);
         let scale = |g: &MeshGraph, from: u32, to: u32| {
             let at = g.row(from).binary_search(&to).expect("an edge");
@@ -304,18 +267,11 @@ fn a_surface_without_inside_is_followed() {
     for plan in [
         sheet.subdivide(800, 4),
         sheet.collapse(800, 4),
-        Plan {
-            removed: sheet.faces_in(|v| (400..600).contains(&v)),
-            ..Plan::default()
-        },
-        Plan {
-            removed: sheet.faces_in(|v| (700..782).contains(&v)),
-            ..Plan::default()
-        },
+        Plan::without(sheet.faces_in(|v| (400..600).contains(&v))),
+        Plan::without(sheet.faces_in(|v| (700..782).contains(&v))),
     ] {
         let edited = sheet.apply(&plan);
-        let after = follow(&graph, &edited);
-        check(&graph, &edited, &after);
+        let after = followed(&graph, &edited);
         let fresh = surface(&mesh_of(&edited.surface), EdgeWeights::Uniform);
         assert_eq!(
             (&after.graph.neighbours, &after.graph.offsets),
@@ -348,10 +304,9 @@ fn a_deformed_lattice_is_filled_up() {
         ),
     ] {
         let edited = surface.apply(&plan);
-        let after = follow(&moved, &edited);
-        check(&moved, &edited, &after);
+        let after = followed(&moved, &edited);
         let places = edited.changed_places(&surface);
-        let fresh = anew(&edited.surface, &graph);
+        let fresh = built_new(&edited.surface, &graph);
         let within = 3.0 * graph.stats.interval;
         println!(
             "{name}: {:?}, new {:?}, touched {}",
@@ -409,24 +364,11 @@ fn two_hundred_edits_in_sequence_keep_what_a_graph_promises() {
         {
             continue;
         }
-        match resample(
-            &graph,
-            &graph.positions,
-            &edited.change(),
-            &Exec::new(&pool(1), &Silent),
-        )
-        .expect("not cancelled")
-        {
+        match try_follow(&graph, &edited, 1) {
             Some(after) => {
                 check(&graph, &edited, &after);
                 if step % 20 == 0 {
-                    let three = resample(
-                        &graph,
-                        &graph.positions,
-                        &edited.change(),
-                        &Exec::new(&pool(3), &Silent),
-                    )
-                    .expect("not cancelled");
+                    let three = try_follow(&graph, &edited, 3);
                     assert!(
                         three.as_ref() == Some(&after),
                         "step {step}: the same bits for any number of threads"
@@ -447,17 +389,7 @@ fn two_hundred_edits_in_sequence_keep_what_a_graph_promises() {
         graph.nodes()
     );
     assert!(rebuilt < 20);
-    let fresh = volume(
-        &mesh_of(&now),
-        &VolumeOptions {
-            interval: Some(graph.stats.interval),
-            shell_offset: Some(graph.stats.shell_offset),
-            ..shapes::paper_graph()
-        },
-        &Exec::new(&pool(2), &Silent),
-    )
-    .expect("valid")
-    .expect("an inside");
+    let fresh = built_new(&now, &graph);
     let (ours, theirs) = (graph.stats.lattice_nodes as f64, fresh.stats.lattice_nodes as f64);
     println!(
         "lattice {ours}, new {theirs}; shell {}, new {}",
@@ -480,11 +412,7 @@ fn edits_of_a_real_mesh_are_followed() {
         faces: read.triangles.clone(),
     };
     let mut graph = volume_of(&model);
-    let same = VolumeOptions {
-        interval: Some(graph.stats.interval),
-        shell_offset: Some(graph.stats.shell_offset),
-        ..shapes::paper_graph()
-    };
+    let first = graph.clone();
     let edge = model.mean_edge();
     let below = model.points.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
     for step in 0..6 {
@@ -499,11 +427,8 @@ fn edits_of_a_real_mesh_are_followed() {
             _ => model.capped(model.faces_in(|v| model.points[v as usize].y < below + 12.0 * edge)),
         };
         let edited = model.apply(&plan);
-        let after = follow(&graph, &edited);
-        check(&graph, &edited, &after);
-        let fresh = volume(&mesh_of(&edited.surface), &same, &Exec::new(&pool(2), &Silent))
-            .expect("valid")
-            .expect("an inside");
+        let after = followed(&graph, &edited);
+        let fresh = built_new(&edited.surface, &first);
         let tree = WindingTree::build(&edited.surface.points, &edited.surface.faces, &pool(2));
         for &n in after.touched.iter().filter(|&&n| n as usize >= after.graph.surface) {
             let p = after.graph.positions[n as usize];

@@ -159,12 +159,12 @@ fn every_option_of_a_handle_goes_with_every_other_or_is_refused() {
         let done = match (done, reason_to_refuse(&value)) {
             (Ok(done), None) => done,
             (Ok(_), Some(reason)) => panic!("to be refused for {reason}: {text}"),
-            (Err(told), Some(reason)) => {
-                assert!(told.to_string().contains(reason), "{told}: {text}");
+            (Err(reported), Some(reason)) => {
+                assert!(reported.to_string().contains(reason), "{reported}: {text}");
                 refused += 1;
                 continue;
             }
-            (Err(told), None) => panic!("{told}: {text}"),
+            (Err(reported), None) => panic!("{reported}: {text}"),
         };
         let files = FileSet::single("bar.obj", done.written.main);
         let model = Model::read(files, Some(Format::OBJ), &Limits::default()).expect("it reads");

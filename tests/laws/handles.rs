@@ -76,9 +76,7 @@ fn outside_the_region_of_interest_no_bit_changes() {
         region_of_interest: Some(above(2.0)),
         ..Default::default()
     };
-    bench
-        .set_handles_message(&request, &Exec::new(&pool(2), &Silent))
-        .expect("the handles fit");
+    set_all(&mut bench, &request);
     let solved = solve(&mut bench, &[("top", shift(DVec3::new(1.0, 0.0, 0.3)))], 1e-5);
     let mut moved = 0;
     for (now, rest) in solved.positions.iter().zip(&shape.0) {
@@ -114,9 +112,7 @@ fn a_symmetry_plane_does_what_mirrored_handles_would() {
         }),
         ..Default::default()
     };
-    by_plane
-        .set_handles_message(&request, &Exec::new(&pool(2), &Silent))
-        .expect("the handles fit");
+    set_all(&mut by_plane, &request);
     let mirrored = solve(&mut by_plane, &[("side", moved.clone())], 1e-8);
 
     let mut by_hand = bench(&shape);
@@ -313,9 +309,9 @@ fn a_handle_may_hold_nodes_inside_alone() {
         ..Default::default()
     };
     let refused = bench.set_handles_message(&request, &Exec::new(&pool(1), &Silent));
-    let told = refused.expect_err("it holds nothing").to_string();
-    assert!(told.starts_with("handles[0].region: holds no vertex"), "{told}");
-    assert!(told.contains("the model's box is from ["), "{told}");
+    let reported = refused.expect_err("it holds nothing").to_string();
+    assert!(reported.starts_with("handles[0].region: holds no vertex"), "{reported}");
+    assert!(reported.contains("the model's box is from ["), "{reported}");
     assert_eq!(bench.facts().handles.len(), 2, "the handles in force stay");
 }
 
@@ -460,8 +456,8 @@ fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing()
         bench.set_handles_message(&request, &Exec::new(&pool(1), &Silent)),
         Err(Error::Precondition(_))
     ));
-    let nobody = pose(&[("nobody", pb::HandlePose::default())]);
-    match bench.change_poses_message(&bench.initial_poses(), &nobody) {
+    let absent = pose(&[("nobody", pb::HandlePose::default())]);
+    match bench.change_poses_message(&bench.initial_poses(), &absent) {
         Err(Error::Invalid { field, problem }) => {
             assert_eq!(field, "pose.handles[0].id");
             assert!(problem.contains("\"base\""), "{problem}");

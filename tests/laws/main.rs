@@ -5,7 +5,6 @@ mod engine_examples;
 mod equivariance;
 mod first_pass;
 mod graph;
-mod graph_data;
 mod graph_resample;
 mod handle_options;
 mod handles;
@@ -16,4 +15,3 @@ mod solver_slivers;
 #[path = "../support/mod.rs"]
 mod support;
 mod when_set;
-mod winding;

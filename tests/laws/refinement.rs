@@ -258,9 +258,7 @@ fn parts_and_regions_that_do_not_move_keep_their_bits() {
         region_of_interest: Some(above(2.0)),
         ..Default::default()
     };
-    bench
-        .set_handles_message(&request, &Exec::new(&pool(2), &Silent))
-        .expect("the handles fit");
+    set_all(&mut bench, &request);
     let now = refined(&mut bench, &[("top", shift(DVec3::new(1.0, 0.0, 0.3)))], 6);
     let mut still = 0;
     for (now, rest) in now.iter().zip(&shape.0).filter(|(_, rest)| rest.z < 2.0) {

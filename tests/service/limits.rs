@@ -134,7 +134,7 @@ fn limits_without_a_key_are_those_of_the_program() {
         ("points that ride along in one job passenger", (1 << 24).to_string()),
         (
             "nodes that one inspection lists",
-            pliant::batch::MOST_NODES_TOLD.to_string(),
+            pliant::batch::MOST_NODES_LISTED.to_string(),
         ),
         ("commits waiting on one stream", stream_commits.to_string()),
         ("calls waiting on one session", session_queue.to_string()),

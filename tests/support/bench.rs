@@ -58,6 +58,13 @@ pub fn half_space(normal: [f64; 3], offset: f64) -> pb::Region {
     }
 }
 
+pub fn ball(center: [f64; 3], radius: f64) -> pb::Region {
+    let center = center.to_vec();
+    pb::Region {
+        region: Some(pb::region::Region::Sphere(pb::region::Sphere { center, radius })),
+    }
+}
+
 pub fn handle(id: &str, region: pb::Region) -> pb::Handle {
     pb::Handle {
         id: id.into(),
@@ -71,9 +78,13 @@ pub fn set(bench: &mut Deformer, handles: Vec<pb::Handle>) {
         handles,
         ..Default::default()
     };
-    bench
-        .set_handles_message(&request, &Exec::new(&pool(2), &Silent))
-        .expect("the handles fit");
+    set_all(bench, &request);
+}
+
+pub fn set_all(bench: &mut Deformer, request: &pb::SetHandlesRequest) {
+    let exec_pool = pool(2);
+    let done = bench.set_handles_message(request, &Exec::new(&exec_pool, &Silent));
+    done.expect("the handles fit");
 }
 
 pub fn settings(tolerance: f64) -> SolveSettings {

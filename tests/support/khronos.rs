@@ -65,6 +65,32 @@ pub fn validate(files: &[PathBuf]) -> Option<Findings> {
     Some(text.lines().map(line).collect())
 }
 
+/// Checks that the validator finds nothing in files, where it can be had.
+pub fn assert_valid(what: &str, files: &[PathBuf]) {
+    let Some(findings) = validate(files) else {
+        return tell_skipped(what, "the validator cannot be had");
+    };
+    for file in files {
+        assert!(findings[file].is_empty(), "{}: {:?}", file.display(), findings[file]);
+    }
+}
+
+/// Checks that the validator finds nothing in files that it does not find in what each was made from, where it can be had.
+pub fn assert_nothing_new(what: &str, made: &[(PathBuf, PathBuf)]) {
+    if made.is_empty() {
+        return;
+    }
+    let asked: BTreeSet<&PathBuf> = made.iter().flat_map(|(file, source)| [file, source]).collect();
+    let Some(findings) = validate(&asked.into_iter().cloned().collect::<Vec<_>>()) else {
+        return tell_skipped(what, "the validator cannot be had");
+    };
+    let new = made
+        .iter()
+        .map(|(file, source)| (file, findings[file].difference(&findings[source]).collect::<Vec<_>>()));
+    let wrong: Vec<_> = new.filter(|(_, found)| !found.is_empty()).collect();
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
 /// Writes a model and its companions beside it.
 pub fn store(written: &WrittenFiles, at: &Path) {
     std::fs::create_dir_all(at.parent().expect("a folder")).expect("a writable folder");

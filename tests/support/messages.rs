@@ -2,7 +2,7 @@
 
 use pliant::engine::{Deformer, EditCommand, HandlePoses, ModelShape, SolveSettings};
 use pliant::exec::Exec;
-use pliant::wire::{self, Error, pb};
+use pliant::wire::{self, Error, json, pb};
 
 /// What an edit came to, as a message.
 #[derive(Debug, Clone)]
@@ -70,4 +70,23 @@ impl DeformerMessages for Deformer {
             shape: outcome.shape,
         })
     }
+}
+
+/// A message of the schema, from its JSON.
+pub fn message<M: prost::Message + Default + prost::Name>(value: &serde_json::Value) -> M {
+    json::from_json(value.to_string().as_bytes()).expect("a message")
+}
+
+/// Render vertices in no triangle.
+pub fn unreferenced(deformer: &Deformer) -> usize {
+    let mut used = vec![false; deformer.rest().len()];
+    let triangles = deformer.geometry().triangles.iter();
+    triangles.flatten().for_each(|&v| used[v as usize] = true);
+    used.iter().filter(|u| !**u).count()
+}
+
+/// Places that are not manifold.
+pub fn broken(deformer: &Deformer) -> usize {
+    let report = deformer.report();
+    report.non_manifold_edges + report.non_manifold_vertices + report.winding_conflicts
 }

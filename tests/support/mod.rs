@@ -9,6 +9,7 @@ pub mod commands;
 pub mod data;
 pub mod draw;
 pub mod fbx_text;
+pub mod gltf_draft;
 pub mod gltf_parsed;
 pub mod gltf_sets;
 pub mod haproxy;

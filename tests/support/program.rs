@@ -201,6 +201,70 @@ impl ServedProgram {
     }
 }
 
+/// A folder of a test's own, in which it runs the program.
+pub struct Scratch(tempfile::TempDir);
+
+impl Scratch {
+    pub fn new() -> Self {
+        Self(tempfile::tempdir().expect("a folder"))
+    }
+}
+
+impl std::ops::Deref for Scratch {
+    type Target = Path;
+
+    fn deref(&self) -> &Path {
+        self.0.path()
+    }
+}
+
+/// How a run of the program ended.
+#[derive(Debug)]
+pub struct Finished {
+    pub code: Option<i32>,
+    /// What it wrote to stderr.
+    pub said: String,
+    pub stdout: Vec<u8>,
+}
+
+/// Runs the program in a folder to its end.
+pub fn pliant(folder: &Path, arguments: &[&str]) -> Finished {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pliant"));
+    let done = command.args(arguments).current_dir(folder).output().expect("it runs");
+    Finished {
+        code: done.status.code(),
+        said: String::from_utf8_lossy(&done.stderr).into_owned(),
+        stdout: done.stdout,
+    }
+}
+
+impl Finished {
+    /// Fails with what the program said unless it ended well.
+    pub fn well(self) -> Self {
+        assert_eq!(self.code, Some(0), "{}", self.said);
+        self
+    }
+
+    /// Fails unless the program refused its input and each of these texts stands in the last line.
+    pub fn refused(&self, wanted: &[&str]) {
+        assert_eq!(self.code, Some(2), "{wanted:?}: {}", self.said);
+        let last = self.last();
+        for text in wanted {
+            assert!(last.contains(text), "{text}: {last}");
+        }
+    }
+
+    /// The last line of stderr.
+    pub fn last(&self) -> &str {
+        self.said.trim_end().lines().last().unwrap_or_default()
+    }
+
+    /// The document on stdout.
+    pub fn report(&self) -> Value {
+        serde_json::from_slice(&self.stdout).unwrap_or_else(|e| panic!("{e}: {}", self.said))
+    }
+}
+
 /// The arguments of a command line in which none holds a space.
 pub fn words(line: &str) -> Vec<&str> {
     line.split_whitespace().collect()

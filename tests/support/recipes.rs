@@ -118,17 +118,21 @@ pub fn at_rest(model: &Model) -> BaseModel<'_> {
 
 /// What was written, read again.
 pub fn read_back(written: &WrittenFiles, format: Format) -> Model {
-    let companions = written
-        .companions
-        .iter()
-        .map(|(name, b)| (name.clone(), b.clone().into()))
-        .collect();
-    let files = FileSet {
-        name: "written".into(),
-        main: written.main.clone().into(),
-        companions,
-    };
+    let files = file_set("written", written.clone());
     Model::read(files, Some(format), &Limits::default()).expect("what was written is read again")
+}
+
+/// What was written, as files to be read.
+pub fn file_set(name: &str, written: WrittenFiles) -> FileSet {
+    FileSet {
+        name: name.into(),
+        main: written.main.into(),
+        companions: written
+            .companions
+            .into_iter()
+            .map(|(name, b)| (name, b.into()))
+            .collect(),
+    }
 }
 
 /// The largest extent of points.

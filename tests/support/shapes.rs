@@ -122,6 +122,12 @@ pub fn moved((points, faces): Shape, to: impl FnMut(DVec3) -> DVec3) -> Shape {
     (points.into_iter().map(to).collect(), faces)
 }
 
+/// The least and the largest corner of the box around points.
+pub fn bounds(points: &[DVec3]) -> (DVec3, DVec3) {
+    let ends = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    points.iter().fold(ends, |(low, high), &p| (low.min(p), high.max(p)))
+}
+
 /// Welded exactly.
 pub fn mesh(shape: &Shape) -> Mesh {
     Mesh::build(&shape.0, &shape.1, Weld::Exact).expect("a generated shape is a mesh")

@@ -24,7 +24,8 @@ fn whole(value: &Value, missing: usize) -> usize {
     value.as_u64().map_or(missing, |v| v as usize)
 }
 
-fn list(value: &Value) -> &[Value] {
+/// The items of a list; none of what is not one.
+pub fn list(value: &Value) -> &[Value] {
     value.as_array().map_or(&[], Vec::as_slice)
 }
 

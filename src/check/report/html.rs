@@ -2,8 +2,7 @@
 
 use super::super::metric::MetricKind;
 use super::super::verdict::{CaseStatus, MetricDifference};
-use super::suite_report::verdict_line;
-use super::suite_report::{CaseReport, SuiteReport, printable};
+use super::{CaseReport, SuiteReport, printable, verdict_line};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use quick_xml::escape::escape;

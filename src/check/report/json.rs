@@ -1,13 +1,12 @@
 //! The report as one JSON document: what `--json` prints, and what `--merge` and `--costs` read.
 
-use super::super::case::check_case_name;
+use super::super::case::{SuiteError, check_case_name, from_json_object, suite_error};
 use super::super::case_pictures::CasePicture;
 use super::super::golden::InputHashes;
 use super::super::metric::Metric;
 use super::super::shard::Shard;
-use super::super::suite_json::{SuiteError, from_json_object, suite_error};
 use super::super::verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason};
-use super::suite_report::{CaseReport, ShardFacts, SuiteReport, printable};
+use super::{CaseReport, ShardFacts, SuiteReport, printable};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::{Deserialize, Serialize};
@@ -201,7 +200,7 @@ pub fn read_report(file: &str, text: &[u8]) -> Result<SuiteReport, SuiteError> {
         how: read.how,
         notes: read.notes,
         shard: shard.transpose()?,
-        cases: read.cases.into_iter().enumerate().map(case).collect::<Result<_, _>>()?,
+        cases: read_each(read.cases, case)?,
     })
 }
 
@@ -247,6 +246,10 @@ fn metric_entry(difference: &MetricDifference) -> MetricEntry {
     }
 }
 
+fn read_each<T, U, E>(entries: Vec<T>, read: impl FnMut((usize, T)) -> Result<U, E>) -> Result<Vec<U>, E> {
+    entries.into_iter().enumerate().map(read).collect()
+}
+
 /// Reads a case. Errors are (place in the case, what is wrong).
 fn read_case(entry: CaseEntry) -> Result<CaseReport, (String, String)> {
     check_case_name(&entry.name).map_err(|problem| ("name".to_owned(), problem))?;
@@ -255,10 +258,8 @@ fn read_case(entry: CaseEntry) -> Result<CaseReport, (String, String)> {
         return Err(("status".into(), problem));
     };
     if let Some(took) = entry.milliseconds.filter(|t| !(t.is_finite() && *t >= 0.0)) {
-        return Err((
-            "milliseconds".into(),
-            format!("is {took}, a number of at least 0 is needed"),
-        ));
+        let problem = format!("is {took}, a number of at least 0 is needed");
+        return Err(("milliseconds".into(), problem));
     }
     let reason = |(k, entry): (usize, ReasonEntry)| match VerdictReason::known_code(&entry.code) {
         Some(code) => Ok(VerdictReason { code, text: entry.text }),
@@ -295,38 +296,23 @@ fn read_case(entry: CaseEntry) -> Result<CaseReport, (String, String)> {
         stored_digest: entry.stored_digest,
         verdict: CaseVerdict {
             status,
-            reasons: entry
-                .reasons
-                .into_iter()
-                .enumerate()
-                .map(reason)
-                .collect::<Result<_, _>>()?,
+            reasons: read_each(entry.reasons, reason)?,
             identical: entry.identical,
-            measures: entry
-                .metrics
-                .into_iter()
-                .enumerate()
-                .map(metric)
-                .collect::<Result<_, _>>()?,
+            measures: read_each(entry.metrics, metric)?,
         },
-        pictures: entry
-            .pictures
-            .into_iter()
-            .enumerate()
-            .map(picture)
-            .collect::<Result<_, _>>()?,
+        pictures: read_each(entry.pictures, picture)?,
         notes: entry.notes,
         milliseconds: entry.milliseconds,
     })
 }
 
 fn read_picture(entry: PictureEntry) -> Result<CasePicture, (&'static str, String)> {
-    let Some(caption) = CasePicture::known_caption(&entry.caption) else {
-        return Err((
+    let caption = CasePicture::known_caption(&entry.caption).ok_or_else(|| {
+        (
             "caption",
             format!("\"{}\" is not a caption of this version", entry.caption),
-        ));
-    };
+        )
+    })?;
     let png = STANDARD
         .decode(&entry.png)
         .map_err(|e| ("png", format!("is not base64: {e}")))?;
@@ -388,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_a_report_is_told_with_its_place() {
+    fn what_is_wrong_with_a_report_is_reported_with_its_place() {
         let mut report = samples::sample_suite();
         report.shard = Some(samples::sample_shard(2, 3));
         report.cases[3].pictures[0].png = PNG.to_vec();

@@ -2,7 +2,7 @@
 
 use super::super::metric::format_exact;
 use super::super::verdict::{CaseStatus, VerdictReason};
-use super::suite_report::{CaseReport, SuiteReport, printable};
+use super::{CaseReport, SuiteReport, printable};
 use quick_xml::events::{BytesDecl, BytesText, Event};
 use quick_xml::writer::Writer;
 use std::io;
@@ -84,8 +84,8 @@ fn write_case(xml: &mut XmlWriter, suite: &str, case: &CaseReport) -> io::Result
             element.write_empty()?;
             return Ok(());
         }
-        let tell = |r: &VerdictReason| format!("{}: {}", r.code, printable(&r.text));
-        let text: Vec<String> = reasons.iter().map(tell).collect();
+        let describe = |r: &VerdictReason| format!("{}: {}", r.code, printable(&r.text));
+        let text: Vec<String> = reasons.iter().map(describe).collect();
         let element = element.with_attribute(("type", first.code));
         element.write_text_content(BytesText::new(&text.join("\n")))?;
         Ok(())
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn times_and_the_shard_are_told_where_they_are_known() {
+    fn times_and_the_shard_are_reported_where_they_are_known() {
         let mut report = samples::sample_suite();
         report.cases[0].milliseconds = Some(1500.0);
         report.cases[1].milliseconds = Some(0.25);

@@ -1,7 +1,7 @@
 //! The reports of a suite's shards, joined into the one that a run of the whole suite would have made.
 
 use super::super::shard::split_digest;
-use super::suite_report::{ShardFacts, SuiteReport, printable};
+use super::{ShardFacts, SuiteReport, printable};
 use std::collections::BTreeMap;
 
 /// Most shards that are named where they are missing.
@@ -73,10 +73,10 @@ fn check_same(
         Err(format!("{one} and {other} are of different {what}: {a}, {b}; {needed}"))
     };
     if (&a.suite, &of_a.suite, of_a.cases) != (&b.suite, &of_b.suite, of_b.cases) {
-        let tell =
+        let describe =
             |r: &SuiteReport, f: &ShardFacts| format!("\"{}\" with {} cases, {}", r.suite, f.cases, clipped(&f.suite));
         let needed = "the same cases, jobs and goldens are needed for all shards";
-        return differ("suites", tell(a, of_a), tell(b, of_b), needed);
+        return differ("suites", describe(a, of_a), describe(b, of_b), needed);
     }
     if of_a.shard.of() != of_b.shard.of() {
         let needed = "all shards are needed of one split";
@@ -117,20 +117,14 @@ fn check_all_there(shards: &BTreeMap<u32, NamedReport>, facts: &ShardFacts) -> R
     if missing.is_empty() {
         return Ok(());
     }
-    let named = missing
-        .iter()
-        .take(NAMED)
-        .map(String::as_str)
-        .collect::<Vec<_>>()
-        .join(", ");
+    let named = missing[..missing.len().min(NAMED)].join(", ");
     let more = match missing.len().saturating_sub(NAMED) {
         0 => String::new(),
         n => format!(" and {n} more"),
     };
-    let (word, verb) = if missing.len() == 1 {
-        ("shard", "is")
-    } else {
-        ("shards", "are")
+    let (word, verb) = match missing.len() {
+        1 => ("shard", "is"),
+        _ => ("shards", "are"),
     };
     let there: usize = shards.values().map(|(_, report)| report.cases.len()).sum();
     Err(format!(

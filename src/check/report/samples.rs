@@ -5,7 +5,7 @@ use super::super::golden::InputHashes;
 use super::super::metric::Metric;
 use super::super::shard::Shard;
 use super::super::verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason};
-use super::suite_report::{CaseReport, ShardFacts, SuiteReport};
+use super::{CaseReport, ShardFacts, SuiteReport};
 
 fn sample_case(name: &str, title: &str, verdict: CaseVerdict) -> CaseReport {
     CaseReport {

@@ -3,8 +3,8 @@
 use super::numbered::first_difference;
 use super::play::{FrameTaker, PlayedAnimation, kept_frames, missing_ranges};
 use crate::asset::{NodePlace, UsdClip, VertexCache};
-use crate::cli::failure::CliFailure;
 use crate::cli::input_files::open_regular_file;
+use crate::cli::terminal::CliFailure;
 use crate::engine::{AnimatedFrame, FrameSource, PlayedForm, WrittenError, node_place};
 use crate::exec::Exec;
 use crate::motion::rig::RigidMotion;
@@ -248,7 +248,7 @@ impl FramesFile {
         range: Range<usize>,
     ) -> Result<Self, CliFailure> {
         let make = || {
-            // Taken away first, and made anew: through a link that lies there, another file would be written over.
+            // Removed first, then made again: through a link that lies there, another file would be written over.
             match fs::remove_file(path) {
                 Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
                 _ => {}

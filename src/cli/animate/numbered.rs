@@ -5,8 +5,8 @@
 
 use super::play::{FrameTaker, PlayedAnimation, kept_frames, missing_ranges};
 use crate::asset::Format;
-use crate::cli::failure::CliFailure;
 use crate::cli::input_files::read_file;
+use crate::cli::terminal::CliFailure;
 use crate::engine::AnimatedFrame;
 use crate::exec::Exec;
 use crate::wire::{Error, pb};

@@ -2,12 +2,11 @@
 
 use super::gathered::{GatheredFrames, GatheredKind};
 use super::numbered::NumberedFrames;
-use super::pictures::PicturedFrames;
-use super::pictures::{FramePicture, FramePictureArgs};
+use super::pictures::{FramePicture, FramePictureArgs, PicturedFrames};
 use super::play::{FrameTaker, MeasuredFrames, PlayedAnimation};
 use crate::asset::{FileSet, Format, VertexCache};
-use crate::cli::failure::CliFailure;
 use crate::cli::output_files::{OutputPermission, spare_companions};
+use crate::cli::terminal::CliFailure;
 use crate::engine::PlayedForm;
 use crate::motion::decomposition::DecompositionOptions;
 use clap::{Args, ValueEnum};

@@ -1,7 +1,7 @@
 //! Frames as one picture: a sheet of some of them side by side, or a picture that moves.
 
 use super::play::{FrameTaker, PlayedAnimation};
-use crate::cli::failure::CliFailure;
+use crate::cli::terminal::CliFailure;
 use crate::engine::{AnimatedFrame, bind_model, influences_of_skin};
 use crate::exec::Exec;
 use crate::motion::BoneInfluences;

@@ -1,8 +1,8 @@
 //! The frames of an animation, solved, shown and reported one by one, and what takes them.
 
 use crate::asset::{FileSet, Primitive};
-use crate::cli::failure::CliFailure;
 use crate::cli::output_files::OutputPermission;
+use crate::cli::terminal::CliFailure;
 use crate::engine::{AnimatedFrame, Animation, Deformer, FrameSums, QualityReport, digest};
 use crate::exec::Exec;
 use crate::progress::{CancelFlag, Progress};

@@ -1,7 +1,7 @@
 //! All cases of a suite, several at a time, with a report that does not depend on how many.
 
-use super::http::{HttpClient, ServerAddress};
 use super::remote;
+use super::remote::{HttpClient, ServerAddress};
 use super::suite::LoadedCase;
 use crate::asset::{self, FileSet, Format, Model};
 use crate::batch;
@@ -10,8 +10,7 @@ use crate::check::{
     AnimationCase, CaseResult, CaseStatus, CaseVerdict, Golden, InputHashes, Metric, Viewpoint, draw_case_pictures,
     judge_result, model_hash,
 };
-use crate::cli::failure::CliFailure;
-use crate::cli::terminal::StageSpinner;
+use crate::cli::terminal::{CliFailure, StageSpinner};
 use crate::engine::{Animation, Deformer, DeformerLimits, digest};
 use crate::exec::Exec;
 use crate::pool::Pool;

@@ -6,9 +6,8 @@ use crate::check::{
     job_hash,
 };
 use crate::cli::deform::{job_from_text, largest_named, read_named_models};
-use crate::cli::failure::CliFailure;
-use crate::cli::input_files::with_companions;
-use crate::cli::input_files::{AllowedFolders, NamedFiles, UnreadFile, folder_of};
+use crate::cli::input_files::{AllowedFolders, NamedFiles, UnreadFile, folder_of, with_companions};
+use crate::cli::terminal::CliFailure;
 use crate::wire::pb;
 use std::collections::BTreeSet;
 use std::fs;

@@ -13,11 +13,11 @@ mod counting_allocator;
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
 
-/// Calls of the allocator that a frame may cost on one thread: what is posed is told handle by handle.
+/// Calls of the allocator that a frame may cost on one thread: what is posed is reported handle by handle.
 const CALLS: usize = 40;
 /// The same with more threads, where work is handed out.
 const CALLS_OF_THREADS: usize = 400;
-/// Bytes beside the shape: what is told of thin faces, and of handles.
+/// Bytes beside the shape: what is reported of thin faces, and of handles.
 const BYTES: usize = 24 << 10;
 /// With more threads every block of rows hands over its sums: so many bytes for a node.
 const BYTES_A_NODE: usize = 1;

@@ -186,7 +186,7 @@ fn wrong_passengers_are_refused_with_their_number() {
     let exec = Exec::new(&pool, &Silent);
     let (bar, sleeve) = bar_and_sleeve();
     let files = || model_of(&[("body", &bar), ("sleeve", &sleeve)]);
-    let told = |kinds: Vec<PassengerKind>| {
+    let reported = |kinds: Vec<PassengerKind>| {
         let passengers = kinds.into_iter().map(|kind| Passenger {
             name: String::new(),
             kind,
@@ -204,11 +204,13 @@ fn wrong_passengers_are_refused_with_their_number() {
         }
     };
     let (first, second) = (PassengerKind::Primitive(0), PassengerKind::Primitive(1));
-    assert!(matches!(told(vec![PassengerKind::Primitive(2)]), (0, p) if p.contains("has 2 primitives")));
+    assert!(matches!(reported(vec![PassengerKind::Primitive(2)]), (0, p) if p.contains("has 2 primitives")));
     let named = PassengerKind::PrimitivesNamed("cape".into());
-    assert!(matches!(told(vec![second.clone(), named]), (1, p) if p.contains("\"cape\"") && p.contains("\"sleeve\"")));
-    assert!(matches!(told(vec![second.clone(), second.clone()]), (1, p) if p.contains("already")));
-    assert!(matches!(told(vec![second, first]), (1, p) if p.contains("nothing is left")));
+    assert!(
+        matches!(reported(vec![second.clone(), named]), (1, p) if p.contains("\"cape\"") && p.contains("\"sleeve\""))
+    );
+    assert!(matches!(reported(vec![second.clone(), second.clone()]), (1, p) if p.contains("already")));
+    assert!(matches!(reported(vec![second, first]), (1, p) if p.contains("nothing is left")));
 }
 
 #[test]
@@ -281,7 +283,7 @@ fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
         for edit in [&cut, &halves, &thin] {
             let bend = [("high", HandlePose::rotation([0.5, 0.0, 0.0]))];
             let bent = deformer.commit(bend, &settings, &exec).expect("solved");
-            let seat = vertices_of(&deformer, own, &bent.positions).to_vec();
+            let place = vertices_of(&deformer, own, &bent.positions).to_vec();
             let (state, rest) = (deformer.topology_state(), deformer.rest().to_vec());
             let before = faces_of(&deformer, other).len();
             let command = EditCommand {
@@ -297,7 +299,7 @@ fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
             assert_eq!(outcome.report.after.faces as usize, deformer.geometry().triangles.len());
             assert_eq!(
                 vertices_of(&deformer, own, deformer.rest()),
-                seat,
+                place,
                 "it stays where the bent body took it"
             );
             assert!(
@@ -311,7 +313,7 @@ fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
             // It goes on riding, and it is written.
             let on = deformer.commit([("high", HandlePose::translation([0.2, 0.3, 0.0]))], &settings, &exec);
             let on = on.expect("solved").positions;
-            let moved = seat
+            let moved = place
                 .iter()
                 .zip(vertices_of(&deformer, own, &on))
                 .map(|(a, b)| a.distance(*b));

@@ -1,27 +1,25 @@
 //! Clips, rigs and skins that are damaged, row by row: what is wrong, where, and what is allowed stand in the last line.
 
-use super::beside::make_scene;
-use super::{BAR, animate, make_bar};
+use super::beside::scene_folder;
+use super::{BAR, animate, bar_folder};
+use crate::support::program::Finished;
 use std::fs;
 use std::path::Path;
 
-/// Runs `pliant animate` on files of a folder; its exit code, and stderr. Nothing is written when it is refused.
-fn run(folder: &Path, arguments: &[&str]) -> (Option<i32>, String) {
-    let all: Vec<&str> = arguments.iter().copied().chain(["-o", "out.pc2", "--force"]).collect();
-    let done = animate(folder, &all);
-    let said = String::from_utf8_lossy(&done.stderr).into_owned();
-    assert_eq!(folder.join("out.pc2").exists(), done.status.success(), "{said}");
-    assert!(!folder.join("out.pc2.part").exists(), "{said}");
-    (done.status.code(), said)
+/// Runs `pliant animate` on files of a folder. Nothing is written when it is refused.
+fn run(folder: &Path, arguments: &[&str]) -> Finished {
+    let done = animate(folder, &[arguments, &["-o", "out.pc2", "--force"]].concat());
+    assert_eq!(folder.join("out.pc2").exists(), done.code == Some(0), "{}", done.said);
+    assert!(!folder.join("out.pc2.part").exists(), "{}", done.said);
+    done
 }
 
-/// Checks that a run is refused with these words in its last line.
-fn refused(folder: &Path, arguments: &[&str], wanted: &[&str]) {
-    let (code, said) = run(folder, arguments);
-    assert_eq!(code, Some(2), "{wanted:?}: {said}");
-    let last = said.trim_end().lines().last().unwrap_or_default();
-    for words in wanted {
-        assert!(last.contains(words), "{words}: {last}");
+/// Checks that a run is refused with the words of each row in its last line where the row's change is made in a file.
+fn refuse_each(folder: &Path, arguments: &[&str], name: &str, cases: &[(&str, &str, &[&str])]) {
+    for (from, to, wanted) in cases {
+        let whole = change(folder, name, from, to);
+        run(folder, arguments).refused(wanted);
+        fs::write(folder.join(name), whole).expect("written");
     }
 }
 
@@ -35,11 +33,9 @@ fn change(folder: &Path, name: &str, from: &str, to: &str) -> String {
 
 #[test]
 fn damaged_clips_are_refused_with_their_line() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     let row = "0 0 0 0 0 0 0 0 0\n";
-    let cases: [(&str, &str, &[&str]); 14] = [
+    let cases: &[(&str, &str, &[&str])] = &[
         ("MOTION\n", "", &["bar.bvh: line", "MOTION"]),
         ("}\nMOTION", "MOTION", &["bar.bvh: line", "not closed"]),
         (row, "0 0 0 nan 0 0 0 0 0\n", &["line 19", "not finite"]),
@@ -67,36 +63,29 @@ fn damaged_clips_are_refused_with_their_line() {
         ("Xposition", "Wposition", &["line 5", "Xposition"]),
         ("MOTION", "ROOT b\n{\nOFFSET 0 0 0\n}\nMOTION", &["line", "second ROOT"]),
     ];
-    for (from, to, wanted) in cases {
-        let whole = change(folder, "bar.bvh", from, to);
-        refused(folder, &BAR, wanted);
-        fs::write(folder.join("bar.bvh"), whole).expect("written");
-    }
+    refuse_each(folder, &BAR, "bar.bvh", cases);
     let whole = fs::read(folder.join("bar.bvh")).expect("the clip");
     fs::write(folder.join("bar.bvh"), "").expect("written");
-    refused(folder, &BAR, &["bar.bvh", "empty"]);
+    run(folder, &BAR).refused(&["bar.bvh", "empty"]);
     let chain = |count: usize| {
         let joints = "JOINT a\n{\nOFFSET 0 1 0\nCHANNELS 0\n".repeat(count - 1);
         let ends = "}\n".repeat(count);
         format!("HIERARCHY\nROOT low\n{{\nOFFSET 0 0 0\nCHANNELS 0\n{joints}{ends}MOTION\nFrames: 1\nFrame Time: 1\n")
     };
     fs::write(folder.join("bar.bvh"), chain(6000)).expect("written");
-    refused(folder, &BAR, &["bar.bvh", "joints", "4096"]);
+    run(folder, &BAR).refused(&["bar.bvh", "joints", "4096"]);
     // A row more than is declared counts, with a warning.
     fs::write(folder.join("bar.bvh"), whole).expect("written");
     change(folder, "bar.bvh", "Frames: 12", "Frames: 11");
-    let (code, said) = run(folder, &BAR);
-    assert_eq!(code, Some(0), "{said}");
+    let said = run(folder, &BAR).well().said;
     assert!(said.contains("warning:") && said.contains("12 frames, "), "{said}");
 }
 
 #[test]
 fn rigs_that_cannot_be_are_refused_with_the_bone() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     let high = r#"{"id": "high", "from": "b", "to": "c", "parent": "low""#;
-    let cases: [(&str, &str, &[&str]); 10] = [
+    let cases: &[(&str, &str, &[&str])] = &[
         (
             "\"joint\": \"low\"",
             "\"joint\": \"pelvis\"",
@@ -144,11 +133,7 @@ fn rigs_that_cannot_be_are_refused_with_the_bone() {
         ),
         ("{\"version\"", "\"version\"", &["rig.json"]),
     ];
-    for (from, to, wanted) in cases {
-        let whole = change(folder, "rig.json", from, to);
-        refused(folder, &BAR, wanted);
-        fs::write(folder.join("rig.json"), whole).expect("written");
-    }
+    refuse_each(folder, &BAR, "rig.json", cases);
     // A bone without length makes no handle, and a warning.
     change(
         folder,
@@ -156,16 +141,13 @@ fn rigs_that_cannot_be_are_refused_with_the_bone() {
         r#""bones": ["#,
         r#""bones": [{"id": "none", "from": "b", "to": "b", "parent": "low", "joint": "high", "radius": 0.5},"#,
     );
-    let (code, said) = run(folder, &BAR);
-    assert_eq!(code, Some(0), "{said}");
+    let said = run(folder, &BAR).well().said;
     assert!(said.contains("warning: bone \"none\" has no length"), "{said}");
 }
 
 #[test]
 fn a_long_chain_of_bones_is_refused_without_recursion() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     let bone = |k: usize| {
         let parent = if k == 0 {
             String::new()
@@ -180,16 +162,14 @@ fn a_long_chain_of_bones_is_refused_without_recursion() {
         bones.join(",")
     );
     fs::write(folder.join("rig.json"), rig).expect("written");
-    refused(folder, &BAR, &["rig.json: bones: has", "allowed are 1 to 1024"]);
+    run(folder, &BAR).refused(&["rig.json: bones: has", "allowed are 1 to 1024"]);
 }
 
 #[test]
 fn skins_and_clips_of_a_model_that_name_what_is_not_there_are_refused() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_scene(folder, false);
+    let folder = &scene_folder();
     let act = ["scene.gltf", "--clip", "act", "--fps", "5", "--refine", "0"];
-    let cases: [(&str, &str, &[&str]); 7] = [
+    let cases: &[(&str, &str, &[&str])] = &[
         (
             r#""joints":[1,2]"#,
             r#""joints":[1,99]"#,
@@ -226,16 +206,9 @@ fn skins_and_clips_of_a_model_that_name_what_is_not_there_are_refused() {
             &["\"LEAP\", allowed are LINEAR, STEP and CUBICSPLINE"],
         ),
     ];
-    for (from, to, wanted) in cases {
-        let whole = change(folder, "scene.gltf", from, to);
-        refused(folder, &act, wanted);
-        fs::write(folder.join("scene.gltf"), whole).expect("written");
-    }
-    refused(
-        folder,
-        &["scene.gltf", "--clip", "sing"],
-        &["clip: \"sing\" is not a clip of the model; there are 0 \"act\""],
-    );
+    refuse_each(folder, &act, "scene.gltf", cases);
+    let reason = "clip: \"sing\" is not a clip of the model; there are 0 \"act\"";
+    run(folder, &["scene.gltf", "--clip", "sing"]).refused(&[reason]);
     // Of a joint's matrix that shears, the nearest rotation is taken, with a warning.
     change(
         folder,
@@ -244,8 +217,7 @@ fn skins_and_clips_of_a_model_that_name_what_is_not_there_are_refused() {
         r#""name":"low","matrix":[1,0,0,0, 0.3,1,0,0, 0,0,1,0, 0,0,0,1],"#,
     );
     change(folder, "scene.gltf", r#""target":{"node":1,"#, r#""target":{"node":4,"#);
-    let (code, said) = run(folder, &act);
-    assert_eq!(code, Some(0), "{said}");
+    let said = run(folder, &act).well().said;
     assert!(
         said.contains("warning: ") && said.contains("\"low\"") && said.contains("shear"),
         "{said}"

@@ -1,9 +1,9 @@
 //! Clips and rigs at the ends of what numbers can say: what comes out is finite, or refused before anything is written.
 
-use super::beside::make_scene;
+use super::beside::{make_scene, scene_folder};
 use super::refusals::refuse;
-use super::{animate, animate_bar, make_bar, read_cache};
-use crate::support::program::words;
+use super::{animate, animate_bar, bar_folder, read_cache};
+use crate::support::program::{Finished, words};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::Vec3;
@@ -27,39 +27,25 @@ fn replace_numbers(folder: &Path, from: &[f32], to: &[f32]) {
     fs::write(&path, format!("{head}base64,{}\"{end}", STANDARD.encode(&bytes))).expect("written");
 }
 
-/// Plays the clip of a scene; the exit code and what is said.
-fn act(folder: &Path) -> (Option<i32>, String) {
-    let clip = words("scene.gltf --clip act --refine 0 -o act.pc2 --force");
-    let done = animate(folder, &clip);
-    let said = String::from_utf8_lossy(&done.stderr).into_owned();
-    (done.status.code(), said)
+/// Plays the clip of a scene.
+fn act(folder: &Path) -> Finished {
+    animate(folder, &words("scene.gltf --clip act --refine 0 -o act.pc2 --force"))
 }
 
 #[test]
 fn a_clip_of_endless_seconds_or_endless_ways_is_refused() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_scene(folder, false);
+    let folder = &scene_folder();
     replace_numbers(folder, &TIMES, &[0.0, 0.5, 1.1, 1e30]);
-    let (code, said) = act(folder);
-    assert_eq!(code, Some(2), "{said}");
-    assert!(
-        said.contains("frames are asked for, at most 1000000 are allowed"),
-        "{said}"
-    );
+    act(folder).refused(&["frames are asked for, at most 1000000 are allowed"]);
     make_scene(folder, false);
     replace_numbers(folder, &WALK[3..], &[3e38, 3e38, 3e38]);
-    let (code, said) = act(folder);
-    assert_eq!(code, Some(2), "{said}");
-    assert!(said.contains("farther than 1e37 from the origin in frame"), "{said}");
+    act(folder).refused(&["farther than 1e37 from the origin in frame"]);
     assert!(!folder.join("act.pc2").exists() && !folder.join("act.pc2.part").exists());
 }
 
 #[test]
 fn a_clip_that_scales_only_for_a_while_is_warned_of() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_scene(folder, false);
+    let folder = &scene_folder();
     replace_numbers(folder, &TIMES, &[0.0, 0.5, 1.0, 2.0]);
     let sizes = [1.0, 1.0, 1.0, 1.5, 1.5, 1.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0];
     replace_numbers(folder, &WALK, &sizes);
@@ -68,32 +54,23 @@ fn a_clip_that_scales_only_for_a_while_is_warned_of() {
     let walks = r#"{"node":1,"path":"translation"}"#;
     assert!(text.contains(walks));
     fs::write(&path, text.replace(walks, r#"{"node":1,"path":"scale"}"#)).expect("written");
-    let (code, said) = act(folder);
-    assert_eq!(code, Some(0), "{said}");
+    let said = act(folder).well().said;
     assert!(said.contains("warning: the clip scales or shears \"low\""), "{said}");
 }
 
 #[test]
 fn a_scale_beyond_what_floats_hold_is_refused() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     for scale in ["1e300", "1e-300", "inf"] {
-        let (code, said) = refuse(folder, &["-o", "out.pc2", "--scale", scale]);
-        assert_eq!(code, Some(2), "{said}");
-        assert!(
-            said.contains("allowed are auto and numbers from 1e-12 to 1e12"),
-            "{said}"
-        );
+        let reason = "allowed are auto and numbers from 1e-12 to 1e12";
+        refuse(folder, &["-o", "out.pc2", "--scale", scale]).refused(&[reason]);
     }
     assert!(!folder.join("out.pc2").exists());
 }
 
 #[test]
-fn what_a_rig_says_that_cannot_be_meant_is_told() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+fn what_a_rig_says_that_cannot_be_meant_is_reported() {
+    let folder = &bar_folder();
     let rig = fs::read_to_string(folder.join("rig.json")).expect("a rig");
     let said = animate_bar(folder, &["-o", "there.pc2"]);
     assert!(!said.contains("bones of the rig"), "{said}");
@@ -116,41 +93,31 @@ fn what_a_rig_says_that_cannot_be_meant_is_told() {
     );
 
     fs::write(folder.join("rig.json"), rig.replacen(r#""ORIENTATION""#, "99", 1)).expect("written");
-    let (code, last) = refuse(folder, &["-o", "out.pc2"]);
-    assert_eq!(code, Some(2), "{last}");
-    assert!(
-        last.contains("rig.json: bones[0].rest: is 99, which is not a value of this enum"),
-        "{last}"
-    );
+    let reason = "rig.json: bones[0].rest: is 99, which is not a value of this enum";
+    refuse(folder, &["-o", "out.pc2"]).refused(&[reason]);
 
     let long = format!("x\\u001b[31m{}", "y".repeat(100_000));
-    fs::write(
-        folder.join("rig.json"),
-        rig.replacen(r#""parent": "low""#, r#""parent": "none""#, 1)
-            .replace("\"low\"", &format!("\"{long}\"")),
-    )
-    .expect("written");
-    let (code, last) = refuse(folder, &["-o", "out.pc2"]);
-    assert_eq!(code, Some(2), "{last}");
+    let far = rig.replacen(r#""parent": "low""#, r#""parent": "none""#, 1);
+    fs::write(folder.join("rig.json"), far.replace("\"low\"", &format!("\"{long}\""))).expect("written");
+    let done = refuse(folder, &["-o", "out.pc2"]);
+    done.refused(&["there is no such bone"]);
     assert!(
-        last.len() < 500 && !last.contains('\u{1b}') && last.contains("there is no such bone"),
-        "{last}"
+        done.last().len() < 500 && !done.last().contains('\u{1b}'),
+        "{}",
+        done.last()
     );
 }
 
 #[test]
 fn weights_of_morph_targets_may_be_whole_numbers() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_scene(folder, false);
+    let folder = &scene_folder();
     let path = folder.join("scene.gltf");
     let text = fs::read_to_string(&path).expect("a scene");
     let floats = r#""componentType":5126,"count":24,"type":"SCALAR""#;
     assert!(text.contains(floats));
     let bytes = r#""componentType":5121,"normalized":true,"count":24,"type":"SCALAR""#;
     fs::write(&path, text.replace(floats, bytes)).expect("written");
-    let (code, said) = act(folder);
-    assert_eq!(code, Some(0), "{said}");
+    act(folder).well();
     // The last key's weight is byte 20 of the floats that stood there: 0.8 begins with 0xcd.
     let (_, frames) = read_cache(&folder.join("act.pc2"));
     let smiling = Vec3::new(0.5 + 205.0 / 255.0, 5.0, 0.0);

@@ -2,7 +2,6 @@
 
 mod bad_input;
 mod beside;
-mod bones;
 mod extremes;
 mod models;
 mod outputs;
@@ -14,13 +13,13 @@ mod skinned;
 mod usd;
 
 use crate::support::gltf_parsed::{Parsed, parse};
+use crate::support::program::{Finished, Scratch, pliant};
 use glam::{DVec3, Vec3};
 use pliant::asset::shapes;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 
 /// Frames of [`make_bar`]'s clip, and seconds between them.
 const FRAMES: usize = 12;
@@ -56,14 +55,15 @@ fn make_bar(folder: &Path) {
     fs::write(folder.join("rig.json"), rig).expect("written");
 }
 
+fn bar_folder() -> Scratch {
+    let folder = Scratch::new();
+    make_bar(&folder);
+    folder
+}
+
 /// Runs `pliant animate` in a folder.
-fn animate(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_pliant"))
-        .arg("animate")
-        .args(arguments)
-        .current_dir(folder)
-        .output()
-        .expect("it runs")
+fn animate(folder: &Path, arguments: &[&str]) -> Finished {
+    pliant(folder, &[&["animate"], arguments].concat())
 }
 
 /// What a run of [`make_bar`]'s clip is asked for before its output.
@@ -71,11 +71,7 @@ const BAR: [&str; 7] = ["bar.obj", "--bvh", "bar.bvh", "--rig", "rig.json", "--s
 
 /// Runs that clip into an output; the lines of stderr.
 fn animate_bar(folder: &Path, arguments: &[&str]) -> String {
-    let all: Vec<&str> = BAR.iter().chain(arguments).copied().collect();
-    let done = animate(folder, &all);
-    let said = String::from_utf8_lossy(&done.stderr).into_owned();
-    assert!(done.status.success(), "{arguments:?}: {said}");
-    said
+    animate(folder, &[&BAR[..], arguments].concat()).well().said
 }
 
 /// A point cache read back: times where it has them, and positions by frame.

@@ -1,16 +1,16 @@
-//! Real skinned models whose own clips are solved anew: what is drawn is what was solved, and nothing else is lost.
+//! Real skinned models whose own clips are solved again: what is drawn is what was solved, and nothing else is lost.
 
 use super::{animate, farthest, read_cache, read_glb};
-use crate::support::data::{data_path, files_below, tell_skipped};
+use crate::support::data::{data_path, files_below};
 use crate::support::gltf_parsed::Parsed;
 use crate::support::khronos;
 use crate::support::program::words;
+use crate::support::shapes::bounds;
 use crate::support::skinning::{ClipTime, draw};
 use glam::{DVec3, Vec3};
 use pliant::asset::{
     FileSet, Format, Limits, Model, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip, missing_companions,
 };
-use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -29,21 +29,14 @@ fn everything(file: &Parsed, at: Option<ClipTime>) -> Vec<DVec3> {
 /// Runs the first frames of a model's first clip.
 fn solve(folder: &Path, model: &Path, output: &str) {
     let model = model.display().to_string();
-    let done = animate(
-        folder,
-        &words(&format!(
-            "{model} --clip 0 --frames 0:3 --fps 10 --refine 0 -o {output}"
-        )),
-    );
-    let said = String::from_utf8_lossy(&done.stderr).into_owned();
-    assert!(done.status.success(), "{model}: {said}");
+    let options = format!("{model} --clip 0 --frames 0:3 --fps 10 --refine 0 -o {output}");
+    animate(folder, &words(&options)).well();
 }
 
 #[test]
 fn skinned_models_play_what_was_solved_as_morphs() {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut written = Vec::new();
-    let mut sources = Vec::new();
+    let mut made = Vec::new();
     for name in MODELS {
         let Some(model) = find(name) else { continue };
         let (glb, cache) = (format!("{name}.glb"), format!("{name}.pc2"));
@@ -52,10 +45,8 @@ fn skinned_models_play_what_was_solved_as_morphs() {
         let (before, after) = (read_glb(&model), read_glb(&folder.path().join(&glb)));
         let rest = everything(&before, None);
         let rest: Vec<Vec3> = rest.iter().map(|p| p.as_vec3()).collect();
-        let (low, high) = rest
-            .iter()
-            .fold((rest[0], rest[0]), |(low, high), p| (low.min(*p), high.max(*p)));
-        let diagonal = f64::from(low.distance(high));
+        let (low, high) = bounds(&everything(&before, None));
+        let diagonal = low.distance(high);
         let off = farthest(&everything(&after, None), &rest);
         assert!(off < 1e-5 * diagonal, "{name} at rest: {off} of {diagonal}");
         let (_, frames) = read_cache(&folder.path().join(&cache));
@@ -72,27 +63,9 @@ fn skinned_models_play_what_was_solved_as_morphs() {
         }
         let uses_skin = |n: &serde_json::Value| !n["skin"].is_null();
         assert!(!after.json["nodes"].as_array().expect("nodes").iter().any(uses_skin));
-        written.push(folder.path().join(&glb));
-        sources.push(model);
+        made.push((folder.path().join(&glb), model));
     }
-    if written.is_empty() {
-        return;
-    }
-    let asked: Vec<PathBuf> = written.iter().chain(&sources).cloned().collect();
-    let Some(findings) = khronos::validate(&asked) else {
-        return tell_skipped("played models by the validator", "it cannot be had");
-    };
-    for (file, source) in written.iter().zip(&sources) {
-        let new: BTreeSet<&String> = findings[file].difference(&findings[source]).collect();
-        assert!(new.is_empty(), "{}: {new:?}", file.display());
-    }
-}
-
-/// The box around positions.
-fn bounds(positions: &[DVec3]) -> [DVec3; 2] {
-    let first = [positions[0]; 2];
-    let grow = |[low, high]: [DVec3; 2], p: &DVec3| [low.min(*p), high.max(*p)];
-    positions.iter().fold(first, grow)
+    khronos::assert_nothing_new("played models", &made);
 }
 
 /// Reads a model with the files beside it; `None` for one that is refused.
@@ -117,7 +90,7 @@ fn every_model_takes_shapes_and_joints() {
         let Some(model) = read_with_companions(&path) else {
             continue;
         };
-        let [low, high] = bounds(&model.positions);
+        let (low, high) = bounds(&model.positions);
         let diagonal = low.distance(high);
         let rest: Vec<Vec3> = model.positions.iter().map(|p| p.as_vec3()).collect();
         let shift = (DVec3::new(0.3, -0.2, 0.1) * diagonal).as_vec3();
@@ -158,7 +131,7 @@ fn every_model_takes_shapes_and_joints() {
             khronos::store(&written, &at);
             let played = read_with_companions(&at).unwrap_or_else(|| panic!("{}", path.display()));
             assert_eq!(played.triangles.len(), model.triangles.len(), "{}", path.display());
-            for (seen, wanted) in bounds(&played.positions).iter().zip([low, high]) {
+            for (seen, wanted) in <[DVec3; 2]>::from(bounds(&played.positions)).iter().zip([low, high]) {
                 let off = seen.distance(wanted);
                 assert!(
                     off < 1e-5 * diagonal,
@@ -170,16 +143,5 @@ fn every_model_takes_shapes_and_joints() {
         }
     }
     assert!(pairs.len() > 20, "the folder has models");
-    let asked: BTreeSet<PathBuf> = pairs.iter().flat_map(|(a, b)| [a.clone(), b.clone()]).collect();
-    let Some(findings) = khronos::validate(&asked.into_iter().collect::<Vec<PathBuf>>()) else {
-        return tell_skipped("played models by the validator", "it cannot be had");
-    };
-    let mut wrong = Vec::new();
-    for (file, source) in &pairs {
-        let new: BTreeSet<&String> = findings[file].difference(&findings[source]).collect();
-        if !new.is_empty() {
-            wrong.push(format!("{} of {}: {new:?}", file.display(), source.display()));
-        }
-    }
-    assert!(wrong.is_empty(), "{wrong:#?}");
+    khronos::assert_nothing_new("clips on every model", &pairs);
 }

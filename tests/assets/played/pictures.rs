@@ -1,11 +1,10 @@
 //! Pictures of animations beside another method's, near by, begun at rest; and of what a rig holds in a model.
 
 use super::refusals::{contents, refuse};
-use super::{animate, animate_bar, make_bar};
-use crate::support::program::words;
+use super::{animate, animate_bar, bar_folder};
+use crate::support::program::{Scratch, pliant, words};
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 /// A picture read back.
 struct SeenPicture {
@@ -38,24 +37,13 @@ impl SeenPicture {
     }
 }
 
-/// Runs the program in a folder, and fails with what it says.
-fn run_well(folder: &Path, arguments: &[&str]) -> String {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_pliant"));
-    let done = command.args(arguments).current_dir(folder).output().expect("it runs");
-    let said = String::from_utf8_lossy(&done.stderr).into_owned();
-    assert!(done.status.success(), "{arguments:?}: {said}");
-    said
-}
-
 fn is_strong(pixel: &[u8; 3]) -> bool {
     pixel[0].abs_diff(pixel[2]) > 60
 }
 
 #[test]
 fn frames_stand_beside_linear_blend_skinning_after_the_rest_shape() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     let more = words("--rest --tiles 3 --tile 64x48 --color stretch --beside lbs");
     animate_bar(folder, &[&["-o", "sheet.png"][..], &more].concat());
     let seen = SeenPicture::read_from(&folder.join("sheet.png"));
@@ -80,16 +68,13 @@ fn frames_stand_beside_linear_blend_skinning_after_the_rest_shape() {
 
 #[test]
 fn a_wrist_that_is_turned_over_stays_thick_where_skinning_wrings_it() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    run_well(folder, &["sample", "body", "-o", "body.glb"]);
-    run_well(folder, &["sample", "twist", "-o", "twist.bvh"]);
-    run_well(folder, &words("rig body.glb --bvh twist.bvh -o rig.json --no-picture"));
+    let folder = &Scratch::new();
+    pliant(folder, &["sample", "body", "-o", "body.glb"]).well();
+    pliant(folder, &["sample", "twist", "-o", "twist.bvh"]).well();
+    pliant(folder, &words("rig body.glb --bvh twist.bvh -o rig.json --no-picture")).well();
     let arguments = "body.glb --bvh twist.bvh --rig rig.json -o twist.png --tiles 2 --tile 160x90 --view 0,0 --beside lbs \
                      --close-up lHand,0.18 --frames 0:51 --fps 30";
-    let arguments: Vec<&str> = arguments.split_whitespace().collect();
-    let done = animate(folder, &arguments);
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    animate(folder, &words(arguments)).well();
     let seen = SeenPicture::read_from(&folder.join("twist.png"));
     assert_eq!((seen.width, seen.height), (320, 180));
     // How many pixels the arm has at its thinnest near the wrist, which is in the middle; right of the hand there is the sky.
@@ -109,9 +94,7 @@ fn a_wrist_that_is_turned_over_stays_thick_where_skinning_wrings_it() {
 
 #[test]
 fn pictures_that_make_no_sense_are_refused_before_anything_is_written() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     let before = contents(folder);
     let cases: [(&[&str], &str); 7] = [
         (&["-o", "a.apng", "--rest"], "--tiles and --rest are for .png"),
@@ -129,23 +112,21 @@ fn pictures_that_make_no_sense_are_refused_before_anything_is_written() {
         ),
     ];
     for (arguments, wanted) in cases {
-        let (code, said) = refuse(folder, arguments);
-        assert_eq!(code, Some(2), "{arguments:?}: {said}");
-        assert!(said.contains(wanted), "{arguments:?}: {said}");
+        refuse(folder, arguments).refused(&[wanted]);
         assert_eq!(contents(folder), before, "{arguments:?}");
     }
 }
 
 #[test]
 fn a_model_is_opened_towards_the_eye_with_what_a_rig_holds_in_it() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     let arguments = ["render", "bar.obj", "--rig", "rig.json", "-o", "cut.png"];
-    let said = run_well(
+    let said = pliant(
         folder,
         &[&arguments[..], &["--size", "200x100", "--view", "0,0"]].concat(),
-    );
+    )
+    .well()
+    .said;
     assert!(
         said.contains("rotations of ") && said.contains(" nodes and positions of "),
         "{said}"
@@ -177,15 +158,7 @@ fn a_model_is_opened_towards_the_eye_with_what_a_rig_holds_in_it() {
         (["--rig", "far.json"], "far.json: "),
         (["--rig", "bar.bvh"], "bar.bvh: "),
     ] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_pliant"));
-        command
-            .args(["render", "bar.obj", "-o", "no.png"])
-            .args(more)
-            .current_dir(folder);
-        let done = command.output().expect("it runs");
-        let said = String::from_utf8_lossy(&done.stderr).into_owned();
-        assert_eq!(done.status.code(), Some(2), "{said}");
-        assert!(said.contains(wanted), "{said}");
+        pliant(folder, &[&["render", "bar.obj", "-o", "no.png"][..], &more].concat()).refused(&[wanted]);
         assert!(!folder.join("no.png").exists());
     }
 }

@@ -1,17 +1,14 @@
 //! What `pliant animate` does not write, and what it says then.
 
-use super::{BAR, animate, animate_bar, make_bar};
-use crate::support::program::words;
+use super::{BAR, animate, animate_bar, bar_folder};
+use crate::support::bench::obj;
+use crate::support::program::{Finished, Scratch, words};
 use std::fs;
 use std::path::Path;
 
-/// Runs the bar's clip; the exit code and the last line of stderr.
-pub(super) fn refuse(folder: &Path, arguments: &[&str]) -> (Option<i32>, String) {
-    let all: Vec<&str> = BAR.iter().chain(arguments).copied().collect();
-    let done = animate(folder, &all);
-    let said = String::from_utf8_lossy(&done.stderr).into_owned();
-    let last = said.trim_end().lines().last().unwrap_or_default();
-    (done.status.code(), last.to_owned())
+/// Runs the bar's clip.
+pub(super) fn refuse(folder: &Path, arguments: &[&str]) -> Finished {
+    animate(folder, &[&BAR[..], arguments].concat())
 }
 
 /// Everything in a folder with its bytes.
@@ -28,9 +25,7 @@ pub(super) fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
 
 #[test]
 fn bad_arguments_say_what_is_allowed_and_write_nothing() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     fs::create_dir(folder.join("there")).expect("a folder");
     let before = contents(folder);
     let cases: [(&str, &str); 19] = [
@@ -73,27 +68,21 @@ fn bad_arguments_say_what_is_allowed_and_write_nothing() {
         ("-o new/", "--parents makes it"),
     ];
     for (arguments, wanted) in cases {
-        let (code, said) = refuse(folder, &words(arguments));
-        assert_eq!(code, Some(2), "{arguments:?}: {said}");
-        assert!(said.contains(wanted), "{arguments:?}: {said}");
+        refuse(folder, &words(arguments)).refused(&[wanted]);
         assert_eq!(contents(folder), before, "{arguments:?}");
     }
 }
 
 #[test]
 fn nothing_is_replaced_unless_forced() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     fs::create_dir(folder.join("frames")).expect("a folder");
     let there = ["bar.glb", "bar.mdd", "frames/frame_00003.obj"];
     for name in there {
         fs::write(folder.join(name), "mine").expect("written");
     }
     for (output, name) in ["bar.glb", "bar.mdd", "frames/"].into_iter().zip(there) {
-        let (code, said) = refuse(folder, &["-o", output, "--frames", "0:4"]);
-        assert_eq!(code, Some(2));
-        assert!(said.contains("it exists; --force replaces it"), "{said}");
+        refuse(folder, &["-o", output, "--frames", "0:4"]).refused(&["it exists; --force replaces it"]);
         assert_eq!(fs::read(folder.join(name)).expect("still there"), b"mine");
         animate_bar(folder, &["-o", output, "--frames", "0:4", "--force"]);
         assert_ne!(fs::read(folder.join(name)).expect("a file"), b"mine");
@@ -106,21 +95,13 @@ fn nothing_is_replaced_unless_forced() {
 
 #[test]
 fn a_recording_for_which_no_rig_can_be_made_says_why() {
-    let folder = tempfile::tempdir().expect("a folder");
-    make_bar(folder.path());
-    let done = animate(folder.path(), &["bar.obj", "--bvh", "bar.bvh"]);
-    let said = String::from_utf8_lossy(&done.stderr);
-    assert_eq!(done.status.code(), Some(2), "{said}");
-    assert!(
-        said.contains("pliant: rig: is missing, and pliant rig finds none: clip: "),
-        "{said}"
-    );
+    let reason = "pliant: rig: is missing, and pliant rig finds none: clip: ";
+    animate(&bar_folder(), &["bar.obj", "--bvh", "bar.bvh"]).refused(&[reason]);
 }
 
 #[test]
-fn a_clip_that_moves_no_skin_is_told_as_one() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
+fn a_clip_that_moves_no_skin_is_reported_as_one() {
+    let folder = &Scratch::new();
     let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
     let numbers = corners
         .into_iter()
@@ -148,21 +129,14 @@ fn a_clip_that_moves_no_skin_is_told_as_one() {
         "buffers": [{"uri": "a.bin", "byteLength": bytes.len()}],
     });
     fs::write(folder.join("a.gltf"), gltf.to_string()).expect("written");
-    let done = animate(folder, &["a.gltf", "--clip", "lift"]);
-    let said = String::from_utf8_lossy(&done.stderr);
-    assert_eq!(done.status.code(), Some(2), "{said}");
-    assert!(
-        said.contains("rig: the model has no skin, and clip 0 \"lift\" moves nodes or morph targets alone"),
-        "{said}"
-    );
+    let reason = "rig: the model has no skin, and clip 0 \"lift\" moves nodes or morph targets alone";
+    animate(folder, &["a.gltf", "--clip", "lift"]).refused(&[reason]);
 }
 
 #[test]
 fn an_open_model_has_no_change_of_volume() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
-    let whole = super::animate_bar(folder, &["--frames", "0:2"]);
+    let folder = &bar_folder();
+    let whole = animate_bar(folder, &["--frames", "0:2"]);
     assert!(
         whole.contains("; volume ") && whole.contains(" %, at worst "),
         "{whole}"
@@ -171,27 +145,25 @@ fn an_open_model_has_no_change_of_volume() {
     let text = fs::read_to_string(folder.join("bar.obj")).expect("the bar");
     let (kept, _) = text.trim_end().rsplit_once('\n').expect("lines");
     fs::write(folder.join("bar.obj"), format!("{kept}\n")).expect("written");
-    let open = super::animate_bar(folder, &["--frames", "0:2"]);
+    let open = animate_bar(folder, &["--frames", "0:2"]);
     assert!(open.contains("; volume n/a (the surface is open); "), "{open}");
 }
 
 #[test]
 fn faces_too_large_for_the_bends_of_a_rig_are_warned_of() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
-    let fine = super::animate_bar(folder, &["--frames", "0:2"]);
+    let folder = &bar_folder();
+    let fine = animate_bar(folder, &["--frames", "0:2"]);
     assert!(!fine.contains("faces-too-large"), "{fine}");
     let (positions, triangles) = pliant::asset::shapes::box_with_cells(glam::DVec3::new(6.0, 1.0, 1.0), [2, 1, 1]);
-    let mut text = String::new();
-    for p in &positions {
-        text += &format!("v {} {} {}\n", p.x - 3.0, p.y - 0.5, p.z - 0.5);
-    }
-    for t in &triangles {
-        text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1);
-    }
-    fs::write(folder.join("bar.obj"), text).expect("written");
-    let coarse = super::animate_bar(folder, &["--frames", "0:2"]);
+    let text = obj(&(
+        positions
+            .into_iter()
+            .map(|p| p - glam::DVec3::new(3.0, 0.5, 0.5))
+            .collect(),
+        triangles,
+    ));
+    fs::write(folder.join("bar.obj"), text.main).expect("written");
+    let coarse = animate_bar(folder, &["--frames", "0:2"]);
     assert!(
         coarse.contains("warning: faces-too-large: ") && coarse.contains("the edit \"subdivide\" with \"auto\""),
         "{coarse}"

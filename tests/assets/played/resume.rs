@@ -1,6 +1,8 @@
 //! An animation that was stopped goes on, and comes to the same bytes.
 
-use super::{BAR, FRAMES, animate, animate_bar, make_bar};
+use super::refusals::refuse;
+use super::{BAR, FRAMES, animate_bar, bar_folder};
+use crate::support::skinning::list;
 use serde_json::Value;
 use std::fs;
 use std::os::unix::process::ExitStatusExt as _;
@@ -22,10 +24,8 @@ fn animate_until_killed(folder: &Path, blocks: usize, arguments: &[&str]) {
     assert!(done.status.signal().is_some(), "it is killed: {:?} {said}", done.status);
 }
 
-fn digests(report: &[u8]) -> Vec<String> {
-    let report: Value = serde_json::from_slice(report).expect("a report");
-    let frames = report["frames"].as_array().expect("frames");
-    frames
+fn digests(report: &Value) -> Vec<String> {
+    list(&report["frames"])
         .iter()
         .map(|f| f["digest"].as_str().expect("a digest").to_owned())
         .collect()
@@ -33,21 +33,14 @@ fn digests(report: &[u8]) -> Vec<String> {
 
 #[test]
 fn a_killed_animation_goes_on_to_the_same_bytes() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     // About four and a half of its twelve frames fit.
-    let frame = 12
-        * fs::read_to_string(folder.join("bar.obj"))
-            .expect("the bar")
-            .matches("\nv ")
-            .count()
-        + 300;
+    let bar = fs::read_to_string(folder.join("bar.obj")).expect("the bar");
+    let frame = 12 * bar.matches("\nv ").count() + 300;
     let blocks = 9 * frame / 1024;
     for name in ["bar.pc2", "bar.mdd", "bar.glb", "bar.usda"] {
         let whole = format!("whole_{name}");
-        let all: Vec<&str> = BAR.iter().copied().chain(["-o", &whole, "--json"]).collect();
-        let wanted = digests(&animate(folder, &all).stdout);
+        let wanted = digests(&refuse(folder, &["-o", &whole, "--json"]).report());
         assert_eq!(wanted.len(), FRAMES);
         animate_until_killed(folder, blocks, &["-o", name]);
         let part = folder.join(format!("{name}.part"));
@@ -55,20 +48,19 @@ fn a_killed_animation_goes_on_to_the_same_bytes() {
         assert!(kept > 3 * frame as u64 && kept < 6 * frame as u64, "{kept}");
         assert!(!folder.join(name).exists());
 
-        let again = BAR.iter().copied().chain(["-o", name]);
-        let plain = animate(folder, &again.clone().collect::<Vec<&str>>());
-        assert!(String::from_utf8_lossy(&plain.stderr).contains("--resume continues with them"));
-        let other: Vec<&str> = again.clone().chain(["--resume", "--refine", "0"]).collect();
-        let refused = animate(folder, &other);
-        let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+        let plain = refuse(folder, &["-o", name]);
+        assert!(plain.said.contains("--resume continues with them"));
+        let other = refuse(folder, &["-o", name, "--resume", "--refine", "0"]).said;
         assert!(
-            said.contains("of another animation (refine carried, not refine 0)"),
-            "{said}"
+            other.contains("of another animation (refine carried, not refine 0)"),
+            "{other}"
         );
         assert_eq!(fs::metadata(&part).expect("still there").len(), kept);
 
-        let resumed: Vec<&str> = again.chain(["--resume", "--json"]).collect();
-        assert_eq!(digests(&animate(folder, &resumed).stdout), wanted);
+        assert_eq!(
+            digests(&refuse(folder, &["-o", name, "--resume", "--json"]).report()),
+            wanted
+        );
         let read = |name: &str| fs::read(folder.join(name)).expect("written");
         assert!(read(name) == read(&whole), "{name} differs");
         assert!(!part.exists());
@@ -77,18 +69,16 @@ fn a_killed_animation_goes_on_to_the_same_bytes() {
 
 #[test]
 fn a_folder_is_filled_up_where_it_was_left() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     animate_bar(folder, &["-o", "whole/", "--parents"]);
     fs::create_dir(folder.join("left")).expect("a folder");
     // The last frame is larger than any other file of the run, so it kills: the rest and the mark are there.
-    let sizes = (0..FRAMES).map(|k| {
+    let size = |k| {
         fs::metadata(folder.join(format!("whole/frame_{k:05}.obj")))
             .expect("a frame")
             .len()
-    });
-    let sizes: Vec<u64> = sizes.collect();
+    };
+    let sizes: Vec<u64> = (0..FRAMES).map(size).collect();
     let first = sizes[0].div_ceil(512) as usize;
     let killing = sizes
         .iter()
@@ -109,8 +99,6 @@ fn a_folder_is_filled_up_where_it_was_left() {
         assert!(read("left", k) == read("whole", k), "frame {k} differs");
     }
     assert!(!folder.join("left/frames.part").exists());
-    let all: Vec<&str> = BAR.iter().copied().chain(["-o", "left/", "--resume"]).collect();
-    let refused = animate(folder, &all);
-    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    let said = refuse(folder, &["-o", "left/", "--resume"]).said;
     assert!(said.contains("there is no frames.part"), "{said}");
 }

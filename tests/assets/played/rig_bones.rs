@@ -1,22 +1,15 @@
 //! Animations that leave with the bones of their rig: fitted weights, twists and correctives.
 
 use super::outputs::farthest_of_bar;
-use super::{BAR, animate, animate_bar, make_bar, read_glb};
-use crate::support::data::tell_skipped;
+use super::refusals::refuse;
+use super::{animate, animate_bar, bar_folder, read_glb};
 use crate::support::khronos;
-use crate::support::program::words;
+use crate::support::program::{Scratch, words};
+use crate::support::skinning::list;
 use glam::DVec3;
 use pliant::asset::sample::BuiltInModel;
 use serde_json::Value;
 use std::fs;
-use std::path::Path;
-
-fn assert_valid(file: &Path) {
-    match khronos::validate(&[file.to_owned()]) {
-        Some(findings) => assert!(findings[file].is_empty(), "{:?}", findings[file]),
-        None => tell_skipped("skins of rigs by the validator", "it cannot be had"),
-    }
-}
 
 /// The percentage after a text in a line of what was said.
 fn percent_after(said: &str, text: &str) -> f64 {
@@ -26,19 +19,17 @@ fn percent_after(said: &str, text: &str) -> f64 {
 }
 
 #[test]
-fn bones_of_the_rig_play_the_frames_as_nearly_as_is_told() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+fn bones_of_the_rig_play_the_frames_as_nearly_as_is_reported() {
+    let folder = &bar_folder();
     animate_bar(folder, &["-o", "bar.pc2"]);
     let percent = |file: &str| {
         100.0 * farthest_of_bar(folder, &read_glb(&folder.join(file))) / DVec3::new(6.0, 1.0, 1.0).length()
     };
     let said = animate_bar(folder, &["-o", "rig.glb", "--as", "skin", "--skeleton", "rig"]);
-    let told = percent_after(&said, "(root mean square), ");
+    let reported = percent_after(&said, "(root mean square), ");
     assert!(
-        (percent("rig.glb") - told).abs() < 5e-3,
-        "{} is told as {told}",
+        (percent("rig.glb") - reported).abs() < 5e-3,
+        "{} is reported as {reported}",
         percent("rig.glb")
     );
     let file = read_glb(&folder.join("rig.glb"));
@@ -47,28 +38,23 @@ fn bones_of_the_rig_play_the_frames_as_nearly_as_is_told() {
     assert!(names.contains(&"low") && names.contains(&"high"), "{names:?}");
     let low = nodes.iter().find(|n| n["name"] == "low").expect("a bone");
     assert_eq!(low["children"].as_array().map(Vec::len), Some(1), "high hangs on low");
-    assert_valid(&folder.join("rig.glb"));
+    khronos::assert_valid("skins of rigs", &[folder.join("rig.glb")]);
 
     let rig = fs::read_to_string(folder.join("rig.json")).expect("a rig");
-    fs::write(
-        folder.join("rig.json"),
-        rig.replace(r#""joint": "high","#, r#""joint": "high", "slices": 3,"#),
-    )
-    .expect("written");
+    let sliced = rig.replace(r#""joint": "high","#, r#""joint": "high", "slices": 3,"#);
+    fs::write(folder.join("rig.json"), sliced).expect("written");
     animate_bar(folder, &["-o", "bar.pc2", "--force"]);
     let said = animate_bar(folder, &["-o", "twist.glb", "--as", "skin", "--skeleton", "twist"]);
     assert!(said.contains("5 bones play"), "{said}");
-    let told = percent_after(&said, "(root mean square), ");
-    assert!((percent("twist.glb") - told).abs() < 5e-3);
+    let reported = percent_after(&said, "(root mean square), ");
+    assert!((percent("twist.glb") - reported).abs() < 5e-3);
     assert!(fs::read(folder.join("twist.glb")).is_ok_and(|b| String::from_utf8_lossy(&b).contains("high twist 3")));
-    assert_valid(&folder.join("twist.glb"));
+    khronos::assert_valid("skins of rigs", &[folder.join("twist.glb")]);
 }
 
 #[test]
 fn correctives_make_up_for_what_bones_do_not_play() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     animate_bar(folder, &["-o", "bar.pc2"]);
     let said = animate_bar(folder, &["-o", "few.glb", "--as", "correctives", "--poses", "2"]);
     let before = percent_after(&said, "bones are off by ");
@@ -80,65 +66,57 @@ fn correctives_make_up_for_what_bones_do_not_play() {
     let file = read_glb(&folder.join("all.glb"));
     let worst = 100.0 * farthest_of_bar(folder, &file) / DVec3::new(6.0, 1.0, 1.0).length();
     assert!(worst < 0.02, "{worst} % of the diagonal: {said}");
-    let targets = file.json["meshes"][0]["primitives"][0]["targets"]
-        .as_array()
-        .map_or(0, Vec::len);
+    let targets = list(&file.json["meshes"][0]["primitives"][0]["targets"]).len();
     assert!(targets > 2, "{targets} correctives");
-    assert_valid(&folder.join("few.glb"));
-    assert_valid(&folder.join("all.glb"));
+    khronos::assert_valid("skins of rigs", &[folder.join("few.glb"), folder.join("all.glb")]);
 }
 
 #[test]
 fn a_skins_own_clip_is_corrected_on_its_own_weights() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    fs::write(
-        folder.join("figure.glb"),
-        BuiltInModel::from_name("figure").expect("a figure").glb(),
-    )
-    .expect("written");
-    let done = animate(
-        folder,
-        &words("figure.glb --clip walk -o walk.glb --as correctives --poses 3 --frames 0:8"),
-    );
-    let said = String::from_utf8_lossy(&done.stderr).into_owned();
-    assert!(done.status.success(), "{said}");
+    let folder = &Scratch::new();
+    fs::write(folder.join("figure.glb"), BuiltInModel::Figure.glb()).expect("written");
+    let options = "figure.glb --clip walk -o walk.glb --as correctives --poses 3 --frames 0:8";
+    animate(folder, &words(options)).well();
     let file = read_glb(&folder.join("walk.glb"));
     let clips = file.json["animations"].as_array().expect("clips");
-    let weights = |clip: &Value| {
-        clip["channels"]
-            .as_array()
-            .is_some_and(|all| all.iter().any(|c| c["target"]["path"] == "weights"))
-    };
+    let weights = |clip: &Value| list(&clip["channels"]).iter().any(|c| c["target"]["path"] == "weights");
     assert!(clips.iter().any(weights), "weights are animated");
-    assert_valid(&folder.join("walk.glb"));
+    khronos::assert_valid("skins of rigs", &[folder.join("walk.glb")]);
 }
 
 #[test]
 fn options_of_other_skins_are_refused() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
-    for (arguments, told) in [
-        (&["-o", "a.glb", "--skeleton", "rig"][..], "--skeleton is for --as skin"),
+    let folder = &bar_folder();
+    for (arguments, reported) in [
+        ("--skeleton rig", "--skeleton is for --as skin"),
         (
-            &["-o", "a.glb", "--as", "skin", "--skeleton", "rig", "--bones", "3"],
+            "--as skin --skeleton rig --bones 3",
             "--bones is for --as skin with free bones",
         ),
-        (
-            &["-o", "a.glb", "--as", "skin", "--poses", "3"],
-            "--poses is for --as correctives",
-        ),
-        (
-            &["-o", "a.glb", "--as", "correctives", "--poses", "0"],
-            "--poses is 0, allowed are 1 to 256",
-        ),
+        ("--as skin --poses 3", "--poses is for --as correctives"),
+        ("--as correctives --poses 0", "--poses is 0, allowed are 1 to 256"),
     ] {
-        let all: Vec<&str> = BAR.iter().chain(arguments).copied().collect();
-        let done = animate(folder, &all);
-        let said = String::from_utf8_lossy(&done.stderr).into_owned();
-        assert_eq!(done.status.code(), Some(2), "{said}");
-        assert!(said.lines().last().is_some_and(|l| l.contains(told)), "{said}");
+        refuse(folder, &[&["-o", "a.glb"], &words(arguments)[..]].concat()).refused(&[reported]);
     }
     assert!(!folder.join("a.glb").exists());
+}
+
+#[test]
+fn a_few_bones_play_the_frames_as_nearly_as_is_reported() {
+    let folder = &bar_folder();
+    animate_bar(folder, &["-o", "bar.pc2"]);
+    let said = animate_bar(folder, &["-o", "bar.glb", "--as", "skin", "--bones", "12"]);
+    let (_, line) = said.split_once("12 bones play the frames").expect(&said);
+    let reported = percent_after(line, "mean square), ");
+    let file = read_glb(&folder.join("bar.glb"));
+    assert_eq!(file.json["skins"][0]["joints"].as_array().map(Vec::len), Some(12));
+    assert!(file.json["meshes"][0]["primitives"][0].get("targets").is_none());
+    let worst = farthest_of_bar(folder, &file);
+    let percent = 100.0 * worst / DVec3::new(6.0, 1.0, 1.0).length();
+    assert!(
+        (percent - reported).abs() < 5e-3,
+        "{percent} % is reported as {reported} %"
+    );
+    assert!(reported < 1.0, "{reported} %");
+    khronos::assert_valid("skins", &[folder.join("bar.glb")]);
 }

@@ -1,21 +1,21 @@
 //! Clips of joints: every vertex is carried by them and nothing else.
 
-use super::{make_bar, read_glb};
-use crate::support::data::{data_path, tell_skipped};
+use super::{bar_folder, read_glb};
+use crate::support::data::data_path;
 use crate::support::khronos;
+use crate::support::shapes::bounds;
 use crate::support::skinning::{ClipTime, draw};
 use glam::{DQuat, DVec3};
 use pliant::asset::sample::BuiltInModel;
 use pliant::asset::{
     CarryingJoints, FileSet, Format, Limits, Model, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip,
 };
-use std::collections::BTreeSet;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Joints at the ends of the longest side of a model, and how much of each every vertex has.
 fn two_joints(model: &Model) -> (Vec<PlayedJoint>, Vec<CarryingJoints>) {
-    let (low, high) = bounds(model);
+    let (low, high) = bounds(&model.positions);
     let side = (high - low).max_position();
     let joint = |name: &str, at: DVec3| PlayedJoint {
         name: name.into(),
@@ -34,16 +34,10 @@ fn two_joints(model: &Model) -> (Vec<PlayedJoint>, Vec<CarryingJoints>) {
     (vec![joint("low", low), joint("high", high)], influences.collect())
 }
 
-fn bounds(model: &Model) -> (DVec3, DVec3) {
-    let first = model.positions[0];
-    let points = model.positions.iter();
-    points.fold((first, first), |(low, high), p| (low.min(*p), high.max(*p)))
-}
-
 /// Writes a model with a clip of two joints, and checks that a plain player puts every vertex where they do.
 fn check_skinned(model: &Model, at: &Path) {
     let (joints, influences) = two_joints(model);
-    let (low, high) = bounds(model);
+    let (low, high) = bounds(&model.positions);
     let diagonal = low.distance(high);
     let moved = |joint: &PlayedJoint, angle: f64| NodePlace {
         translation: joint.rest.translation + DVec3::Y * (0.1 * angle * diagonal),
@@ -130,9 +124,7 @@ fn read_model(path: &Path) -> Model {
 
 #[test]
 fn joints_carry_models_of_every_kind() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     let mut models = vec![(folder.join("bar.obj"), None)];
     let figure = folder.join("figure.glb");
     fs::write(&figure, BuiltInModel::Figure.glb()).expect("written");
@@ -140,23 +132,14 @@ fn joints_carry_models_of_every_kind() {
     for name in ["CesiumMan", "Fox", "BrainStem"] {
         models.extend(data_path(name, &format!("gltf/{name}.glb")).map(|path| (path.clone(), Some(path))));
     }
-    let mut written = Vec::new();
+    let mut made = Vec::new();
     for (k, (path, source)) in models.into_iter().enumerate() {
         let at = folder.join(format!("skinned_{k}.glb"));
         check_skinned(&read_model(&path), &at);
-        written.push((at, source));
+        made.extend(source.map(|source| (at, source)));
     }
-    let asked = written.iter().flat_map(|(at, source)| [Some(at), source.as_ref()]);
-    let asked: Vec<PathBuf> = asked.flatten().cloned().collect();
-    let Some(findings) = khronos::validate(&asked) else {
-        return tell_skipped("skinned clips by the validator", "it cannot be had");
-    };
-    for (at, source) in &written {
-        let none = BTreeSet::new();
-        let known = source.as_ref().map_or(&none, |source| &findings[source]);
-        let new: BTreeSet<&String> = findings[at].difference(known).collect();
-        assert!(new.is_empty(), "{}: {new:?}", at.display());
-    }
+    khronos::assert_nothing_new("skinned clips", &made);
+    khronos::assert_valid("a skinned bar", &[folder.join("skinned_0.glb")]);
 }
 
 #[test]
@@ -186,11 +169,16 @@ fn clips_that_cannot_be_are_refused() {
         };
         model.write_skinned_clip(&clip).expect_err("refused").to_string()
     };
-    assert!(skinned((1, 0.25), &[0.0], 3).contains("joint 1 of 1"));
-    assert!(skinned((0, f32::NAN), &[0.0], 3).contains("by NaN"));
-    assert!(skinned((0, 0.25), &[0.0], 2).contains("2 influences are given, the model has 3 vertices"));
-    assert!(skinned((0, 0.25), &[0.0, 1.0], 3).contains("2 times and 1 keys"));
-    assert!(skinned((0, 0.25), &[f64::NAN], 3).contains("not finite"));
+    for (influence, times, count, reason) in [
+        ((1, 0.25), &[0.0][..], 3, "joint 1 of 1"),
+        ((0, f32::NAN), &[0.0], 3, "by NaN"),
+        ((0, 0.25), &[0.0], 2, "2 influences are given, the model has 3 vertices"),
+        ((0, 0.25), &[0.0, 1.0], 3, "2 times and 1 keys"),
+        ((0, 0.25), &[f64::NAN], 3, "not finite"),
+    ] {
+        let refused = skinned(influence, times, count);
+        assert!(refused.contains(reason), "{reason}: {refused}");
+    }
     let shape = vec![glam::Vec3::ZERO; 3];
     let morphs = |times: &[f64], shapes: &[Vec<glam::Vec3>]| {
         let clip = MorphClip {

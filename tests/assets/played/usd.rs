@@ -1,6 +1,6 @@
 //! Animations as USD text: the same points as in every other output, under what carries them.
 
-use super::{FRAMES, animate_bar, farthest, make_bar, read_cache};
+use super::{FRAMES, animate_bar, bar_folder, farthest, read_cache};
 use crate::support::data::tell_skipped;
 use glam::{DQuat, DVec3};
 use std::fs;
@@ -31,9 +31,7 @@ fn read(path: &Path) -> String {
 
 #[test]
 fn usd_has_the_points_of_every_frame_below_what_carries_them() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let folder = folder.path();
-    make_bar(folder);
+    let folder = &bar_folder();
     animate_bar(folder, &["-o", "bar.pc2"]);
     animate_bar(folder, &["-o", "baked.usda", "--root", "baked"]);
     animate_bar(folder, &["-o", "node.usda"]);

@@ -15,13 +15,6 @@ fn fine_bar() -> bench::Shape {
     )
 }
 
-fn ball(center: [f64; 3], radius: f64) -> pb::Region {
-    let center = center.to_vec();
-    pb::Region {
-        region: Some(pb::region::Region::Sphere(pb::region::Sphere { center, radius })),
-    }
-}
-
 /// A graph that follows edits: of kind PAPER.
 fn paper_bench(shape: &bench::Shape, pool: &Pool) -> Deformer {
     let create = pb::CreateOptions {
@@ -62,7 +55,7 @@ fn bend() -> Vec<(&'static str, pb::HandlePose)> {
 }
 
 #[test]
-fn edits_are_followed_and_the_next_pose_is_that_of_a_model_opened_anew() {
+fn edits_are_followed_and_the_next_pose_is_that_of_a_freshly_opened_model() {
     let mut bench = paper_bench(&fine_bar(), &pool(2));
     set(&mut bench, handles());
     for (k, request) in [
@@ -83,7 +76,7 @@ fn edits_are_followed_and_the_next_pose_is_that_of_a_model_opened_anew() {
         assert!(apart < 0.01, "edit {k}: {apart} of the diagonal apart");
         assert!(
             here.cycles <= there.cycles + 1,
-            "edit {k}: {} cycles, {} anew",
+            "edit {k}: {} cycles, {} rebuilt",
             here.cycles,
             there.cycles
         );
@@ -109,7 +102,7 @@ fn an_interior_of_the_shape_is_that_of_the_edited_model_opened() {
 }
 
 #[test]
-fn a_deformed_shape_is_followed_like_one_that_is_built_anew() {
+fn a_deformed_shape_is_followed_like_one_that_is_rebuilt() {
     let shaped = || {
         let mut bench = paper_bench(&fine_bar(), &pool(2));
         set(&mut bench, handles());
@@ -124,11 +117,11 @@ fn a_deformed_shape_is_followed_like_one_that_is_built_anew() {
     let (mut here, shape) = shaped();
     let followed = next(&mut here, &shape);
     let (mut there, shape) = shaped();
-    let anew = next(&mut there, &ModelShape::from_positions(Arc::new(shape.to_vec())));
-    assert_eq!((followed.0, anew.0), (true, false));
-    let apart = largest_distance(&followed.1.positions, &anew.1.positions) / here.diagonal();
+    let rebuilt = next(&mut there, &ModelShape::from_positions(Arc::new(shape.to_vec())));
+    assert_eq!((followed.0, rebuilt.0), (true, false));
+    let apart = largest_distance(&followed.1.positions, &rebuilt.1.positions) / here.diagonal();
     assert!(apart < 0.01, "{apart} of the diagonal apart");
-    assert!(followed.1.cycles <= anew.1.cycles + 1);
+    assert!(followed.1.cycles <= rebuilt.1.cycles + 1);
 }
 
 #[test]
@@ -137,13 +130,13 @@ fn fields_after_an_edit_are_those_of_handles_that_are_set_then() {
     set(&mut bench, handles());
     edited(&mut bench, &delete(ball([0.5, 0.0, 2.0], 0.2), true));
     let (body, rig) = (bench.body(), bench.rig().expect("handles"));
-    let anew =
+    let rebuilt =
         pliant::deform::HandleSystem::build(body, rig.setup().clone(), &Exec::new(&pool(2), &Silent)).expect("a rig");
     let bits = |rig: &pliant::deform::HandleSystem, k: usize| -> Vec<u32> {
         rig.rotation_fields().of(k).iter().map(|u| u.to_bits()).collect()
     };
     for k in 0..2 {
-        assert_eq!(bits(rig, k), bits(&anew, k), "handle {k}");
+        assert_eq!(bits(rig, k), bits(&rebuilt, k), "handle {k}");
     }
 }
 
@@ -169,7 +162,7 @@ fn handles_hold_what_is_inside_of_them_after_an_edit() {
 }
 
 #[test]
-fn large_edits_and_shapes_of_unknown_origin_are_built_anew() {
+fn large_edits_and_shapes_of_unknown_origin_are_rebuilt() {
     let mut bench = paper_bench(&fine_bar(), &pool(2));
     set(&mut bench, handles());
     assert!(!edited(&mut bench, &midpoint(None)).result.repaired);

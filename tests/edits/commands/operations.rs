@@ -4,19 +4,6 @@ use super::*;
 use crate::support::messages::{DeformerMessages, EditedByMessage};
 use pb::edit_request::{self as wire, merge};
 
-fn sphere(center: [f64; 3], radius: f64) -> pb::Region {
-    let center = center.to_vec();
-    pb::Region {
-        region: Some(pb::region::Region::Sphere(pb::region::Sphere { center, radius })),
-    }
-}
-
-fn held() -> Deformer {
-    let mut bench = bench(&bar());
-    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
-    bench
-}
-
 /// What holds after every edit: counts agree, every vertex is used and finite, the model is written and read back, and the
 /// handles that are left can be moved.
 fn sound(bench: &mut Deformer, outcome: &EditedByMessage) {
@@ -32,10 +19,7 @@ fn sound(bench: &mut Deformer, outcome: &EditedByMessage) {
         let back = read_back(bench, format);
         assert_eq!(back.triangles.len(), triangles.len(), "{format}");
     }
-    let up = pb::HandlePose {
-        translation: vec![0.1, 0.0, 0.2],
-        ..Default::default()
-    };
+    let up = shift(DVec3::new(0.1, 0.0, 0.2));
     let moved = solved(bench, &[("top", up)]);
     assert!(moved.positions.iter().all(|p| p.is_finite()));
     assert!(moved.residual <= 1e-8);
@@ -53,7 +37,7 @@ fn bar_volume(bench: &Deformer) -> f64 {
 fn loop_subdivision_rounds_a_region_and_midpoints_keep_the_shape() {
     for (scheme, change) in [(subdivide::Scheme::Midpoint, 1e-12), (subdivide::Scheme::Loop, 0.1)] {
         let mut bench = held();
-        let region = Some(sphere([0.5, 0.5, 0.0], 0.6));
+        let region = Some(ball([0.5, 0.5, 0.0], 0.6));
         let outcome = edited(
             &mut bench,
             &request(Operation::Subdivide(wire::Subdivide {
@@ -101,10 +85,7 @@ fn remeshing_makes_edges_of_the_length_asked_for() {
 #[test]
 fn automatic_remeshing_mends_what_was_stretched_and_only_that() {
     let mut bench = held();
-    let far = pb::HandlePose {
-        translation: vec![0.0, 0.0, 6.0],
-        ..Default::default()
-    };
+    let far = shift(DVec3::new(0.0, 0.0, 6.0));
     let stretched = solved(&mut bench, &[("top", far)]);
     let auto = request(Operation::Remesh(wire::Remesh {
         auto: true,
@@ -154,7 +135,7 @@ fn decimating_thins_out_and_welding_joins() {
 #[test]
 fn holes_are_made_and_closed() {
     let mut bench = held();
-    let hole = sphere([0.5, 0.0, 0.0], 0.35);
+    let hole = ball([0.5, 0.0, 0.0], 0.35);
     let opened = edited(&mut bench, &delete(hole.clone(), false));
     assert!(!closed(&bench));
     sound(&mut bench, &opened);
@@ -202,10 +183,7 @@ fn a_drawn_line_becomes_edges_that_can_be_held() {
         region: Some(pb::region::Region::Vertices(line)),
     };
     set(&mut bench, vec![handle("base", below(-1.5)), handle("line", line)]);
-    let out = pb::HandlePose {
-        translation: vec![0.2, 0.0, 0.0],
-        ..Default::default()
-    };
+    let out = shift(DVec3::new(0.2, 0.0, 0.0));
     let moved = solved(&mut bench, &[("line", out)]);
     let first = curve[0] as usize;
     assert!((moved.positions[first] - bench.rest()[first] - DVec3::new(0.2, 0.0, 0.0)).length() < 1e-9);

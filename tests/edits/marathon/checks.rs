@@ -1,7 +1,7 @@
 //! What holds after every edit, done or refused.
 
 use crate::support::bench::pool;
-use crate::support::messages::{DeformerMessages, EditedByMessage};
+use crate::support::messages::{DeformerMessages, EditedByMessage, broken, unreferenced};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model};
 use pliant::engine::{Deformer, TopologyState, digest};
@@ -25,19 +25,6 @@ pub struct Before {
     shape: Vec<DVec3>,
 }
 
-fn is_manifold(bench: &Deformer) -> bool {
-    let report = bench.report();
-    report.non_manifold_edges + report.non_manifold_vertices + report.winding_conflicts == 0
-}
-
-/// Render vertices in no triangle.
-fn unreferenced(bench: &Deformer) -> usize {
-    let mut used = vec![false; bench.rest().len()];
-    let triangles = bench.geometry().triangles.iter();
-    triangles.flatten().for_each(|&v| used[v as usize] = true);
-    used.iter().filter(|u| !**u).count()
-}
-
 impl Before {
     pub fn of(bench: &Deformer, shape: &[DVec3]) -> Self {
         Self {
@@ -46,7 +33,7 @@ impl Before {
             rest: digest(bench.rest()),
             triangles: bench.geometry().triangles.clone(),
             trail: bench.topology_state(),
-            manifold: is_manifold(bench),
+            manifold: broken(bench) == 0,
             closed: bench.report().closed,
             unreferenced: unreferenced(bench),
             shape: shape.to_vec(),
@@ -119,7 +106,7 @@ impl Before {
                 report.non_manifold_vertices,
                 report.winding_conflicts,
             ];
-            assert!(is_manifold(bench), "manifold stays manifold: {counts:?} after {edit}");
+            assert!(broken(bench) == 0, "manifold stays manifold: {counts:?} after {edit}");
         }
         let opens = edit["cut"].is_object() || edit["delete"].is_object();
         if self.manifold && self.closed && !opens {

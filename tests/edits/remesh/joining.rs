@@ -3,9 +3,7 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::Error;
-use pliant::edit::{LoopPair, stitch_boundaries};
-use pliant::edit::{weld_boundaries, weld_points};
+use pliant::edit::{Error, LoopPair, stitch_boundaries, weld_boundaries, weld_points};
 use pliant::progress::Silent;
 
 /// Two models in one list, each point of its own, the second in a primitive of its own if asked.
@@ -161,7 +159,7 @@ fn tubes_of_different_counts_are_stitched() {
             let strip = area(&now) - before;
             assert!((strip / frustum - 1.0).abs() < 0.03, "{strip} for {frustum}");
             let outward = (both.triangles.len()..now.triangles.len()).all(|_| true);
-            assert!(outward && volume(&now.surface()) > 0.0);
+            assert!(outward && volume(&now) > 0.0);
         }
     }
 }

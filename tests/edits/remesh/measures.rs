@@ -14,12 +14,10 @@ pub fn all(model: &Model) -> Vec<u32> {
 
 /// The triangles whose corners all satisfy `inside`.
 pub fn region(model: &Model, inside: impl Fn(DVec3) -> bool) -> Vec<u32> {
-    let holds = |t: &[u32; 3]| t.iter().all(|&v| inside(model.positions[v as usize]));
-    let numbered = model.triangles.iter().zip(0u32..);
-    numbered.filter(|(t, _)| holds(t)).map(|(_, i)| i).collect()
+    model.triangles_where(|t| t.iter().all(|&v| inside(model.positions[v as usize])))
 }
 
-/// The model with vertices of its own for each of its sides, as `side` tells from a face's middle; in one primitive, or
+/// The model with vertices of its own for each of its sides, as `side` finds from a face's middle; in one primitive, or
 /// in one each.
 pub fn with_seams(model: &Model, side: impl Fn(DVec3) -> u32, primitives: bool) -> Model {
     let mut faces: Vec<(u32, [u32; 3])> = Vec::new();
@@ -149,10 +147,6 @@ pub fn lengths_within(model: &Model, target: f64, range: std::ops::RangeInclusiv
 
 pub fn area(model: &Model) -> f64 {
     pliant::mesh::surface_area(&model.positions, &model.triangles)
-}
-
-pub fn topology(model: &Model) -> SurfaceTopology {
-    SurfaceTopology::from_surface(&model.surface())
 }
 
 /// What no operation may change that keeps the topology: Euler characteristic, parts, and edges and points that are not

@@ -3,8 +3,7 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::{EditSubject, Error};
-use pliant::edit::{MENDED, RemeshOptions, RemeshTarget, SurfacePatch, remesh_region};
+use pliant::edit::{EditSubject, Error, MENDED, RemeshOptions, RemeshTarget, SurfacePatch, remesh_region};
 use pliant::progress::{CancelFlag, Progress, Silent};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -37,7 +36,7 @@ fn closed_shapes_stay_closed_and_keep_their_shape() {
                 t.is_closed() && t.euler == before.euler && t.components == 1,
                 "{name} × {factor}: {t:?}"
             );
-            let (v, w) = (volume(&model.surface()), volume(&now.surface()));
+            let (v, w) = (volume(&model), volume(&now));
             // A coarser polyhedron in a curved surface holds less.
             let bound = 0.02 * factor * factor;
             assert!((v - w).abs() <= bound * v, "{name} × {factor}: volume {v} became {w}");
@@ -77,7 +76,7 @@ fn very_many_faces_that_meet_at_one_point_are_remeshed() {
     let now = remeshed(&model, &all(&model), 0.1);
     let t = topology(&now);
     assert!(t.is_closed() && t.euler == 2 && t.components == 1, "{t:?}");
-    let (v, w) = (volume(&model.surface()), volume(&now.surface()));
+    let (v, w) = (volume(&model), volume(&now));
     assert!((v - w).abs() <= 0.05 * v, "volume {v} became {w}");
 }
 
@@ -107,7 +106,7 @@ fn sharp_edges_of_a_cube_stay_to_the_last_corner() {
     let model = Model::of(cube(4));
     for length in [0.13, 0.3, 0.7] {
         let now = remeshed(&model, &all(&model), length);
-        assert!((volume(&now.surface()) - 8.0).abs() < 1e-9, "{length}");
+        assert!((volume(&now) - 8.0).abs() < 1e-9, "{length}");
         assert!((area(&now) - 24.0).abs() < 1e-9, "{length}");
     }
 }
@@ -201,7 +200,7 @@ fn a_region_is_remeshed_and_its_surroundings_are_not() {
         let now = remeshed(&model, &faces, length);
         let t = topology(&now);
         assert!(t.is_closed() && t.euler == 2, "{t:?}");
-        assert!((volume(&now.surface()) / volume(&model.surface()) - 1.0).abs() < 0.01);
+        assert!((volume(&now) / volume(&model) - 1.0).abs() < 0.01);
         assert!(worst_aspect(&now) < MENDED, "{factor}: {}", worst_aspect(&now));
         let count = now.triangles.len() as f64 - model.triangles.len() as f64;
         assert!(if factor < 1.0 {
@@ -235,7 +234,7 @@ fn the_same_again_changes_little() {
         once.triangles.len(),
         twice.triangles.len()
     );
-    assert!((volume(&once.surface()) / volume(&twice.surface()) - 1.0).abs() < 0.005);
+    assert!((volume(&once) / volume(&twice) - 1.0).abs() < 0.005);
 }
 
 #[test]
@@ -252,7 +251,7 @@ fn auto_mends_what_is_stretched_and_leaves_the_rest() {
     assert!(topology(&now).is_closed() && topology(&now).euler == 2);
     assert!(worst_aspect(&now) < MENDED, "{}", worst_aspect(&now));
     assert!(least_agreement(&pulled, &now, |_| true) > 0.0);
-    assert!((volume(&now.surface()) / volume(&pulled.surface()) - 1.0).abs() < 0.01);
+    assert!((volume(&now) / volume(&pulled) - 1.0).abs() < 0.01);
     let low = patch.removed.iter().filter(|&&t| corners(&rest, t)[0].z < 0.0).count();
     assert_eq!(low, 0, "the lower half was not stretched");
     assert!(now.triangles.len() > rest.triangles.len() + 1000);

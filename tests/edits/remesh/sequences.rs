@@ -3,11 +3,9 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::decimate_region;
-use pliant::edit::weld_points;
-use pliant::edit::{Error, SurfacePatch};
-use pliant::edit::{RemeshTarget, remesh_region};
-use pliant::edit::{SubdivisionScheme, subdivide_region};
+use pliant::edit::{
+    Error, RemeshTarget, SubdivisionScheme, SurfacePatch, decimate_region, remesh_region, subdivide_region, weld_points,
+};
 use pliant::progress::Silent;
 use proptest::prelude::*;
 

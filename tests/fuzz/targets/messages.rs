@@ -1,6 +1,10 @@
-//! Messages of the schema, as protobuf and as JSON, up to the values that they mean.
+//! Messages of the schema, as protobuf and as JSON, up to the values that they mean; frames as a client reads them; records of a
+//! store, as bytes that a dying disk has changed; reports of `pliant check`, which come from other machines to be joined.
 
+use pliant::check::report::{html_report, json_report, junit_report, merge_reports, read_report};
 use pliant::engine::HandleSet;
+use pliant::wire::frames::FrameReader;
+use pliant::wire::record::{LoggedCommit, RecordedModel};
 use pliant::wire::{self, StreamLimits, json, pb};
 use prost::Message;
 use std::time::Duration;
@@ -48,12 +52,12 @@ fn decoded<M: Message + Default>(bytes: &[u8], check: impl FnOnce(M)) {
     }
 }
 
-/// Handles that were accepted are the same when they are told and read again.
+/// Handles that were accepted are the same when they are written and read again.
 fn check_handles(request: pb::SetHandlesRequest) {
     let Ok(set) = wire::handle_set(&request) else { return };
-    let told = wire::handle_set_message(&set);
-    let again = wire::handle_set(&told).expect("handles that were told");
-    assert_eq!(wire::handle_set_message(&again), told);
+    let written = wire::handle_set_message(&set);
+    let again = wire::handle_set(&written).expect("handles that were written");
+    assert_eq!(wire::handle_set_message(&again), written);
 }
 
 /// The first byte says which message the text is.
@@ -62,24 +66,84 @@ pub fn json(bytes: &[u8]) {
         return;
     };
     match which % 8 {
-        0 => read_and_told::<pb::Job>(rest),
-        1 => read_and_told::<pb::SetHandlesRequest>(rest),
-        2 => read_and_told::<pb::EditRequest>(rest),
-        3 => read_and_told::<pb::SolveRequest>(rest),
-        4 => read_and_told::<pb::CreateOptions>(rest),
-        5 => read_and_told::<pb::AnimateOptions>(rest),
-        6 => read_and_told::<pb::Rig>(rest),
-        _ => read_and_told::<pb::DeformRequest>(rest),
+        0 => read_and_write::<pb::Job>(rest),
+        1 => read_and_write::<pb::SetHandlesRequest>(rest),
+        2 => read_and_write::<pb::EditRequest>(rest),
+        3 => read_and_write::<pb::SolveRequest>(rest),
+        4 => read_and_write::<pb::CreateOptions>(rest),
+        5 => read_and_write::<pb::AnimateOptions>(rest),
+        6 => read_and_write::<pb::Rig>(rest),
+        _ => read_and_write::<pb::DeformRequest>(rest),
     }
 }
 
-/// A message that was read is the same when it is told and read again.
-fn read_and_told<M: Message + Default + prost::Name + PartialEq>(text: &[u8]) {
+/// A message that was read is the same when it is written and read again.
+fn read_and_write<M: Message + Default + prost::Name + PartialEq>(text: &[u8]) {
     let Ok(message) = json::from_json::<M>(text) else {
         return;
     };
-    let told = json::to_json(&message).expect("a message of the schema").to_string();
-    let again: M = json::from_json(told.as_bytes()).expect("a message that was told");
+    let written = json::to_json(&message).expect("a message of the schema").to_string();
+    let again: M = json::from_json(written.as_bytes()).expect("a message that was written");
     // Bytes, so that what is no number equals itself.
     assert_eq!(again.encode_to_vec(), message.encode_to_vec());
+}
+
+/// Vertices of the model that the frames are of.
+pub const VERTICES: usize = 48;
+
+/// Parts that follow one another; what was refused is followed by what may still be read.
+pub fn frames(mut bytes: &[u8]) {
+    let mut reader = FrameReader::new(VERTICES);
+    while let Ok(part) = pb::Frame::decode_length_delimited(&mut bytes) {
+        let _ = reader.take(&part);
+        let position = pb::frame::Attribute::Position;
+        let numbers = reader.numbers(position).len();
+        assert!(numbers == 0 || numbers == 3 * VERTICES, "{numbers} numbers");
+        if bytes.is_empty() {
+            return;
+        }
+    }
+}
+
+pub fn commit_records(bytes: &[u8]) {
+    let Ok(commit) = LoggedCommit::read(bytes) else { return };
+    assert!(!commit.kind().is_empty());
+    let written = commit.write();
+    let again = LoggedCommit::read(&written).expect("a record that was just written");
+    assert_eq!(again.write(), written, "a record changes when it is written again");
+}
+
+pub fn model_records(bytes: &[u8]) {
+    let Ok(model) = RecordedModel::read(bytes) else { return };
+    let Ok(written) = model.write() else { return };
+    let again = RecordedModel::read(&written).expect("a record that was just written");
+    assert_eq!(
+        again.write().expect("as before"),
+        written,
+        "a record changes when it is written again"
+    );
+}
+
+pub fn reports(bytes: &[u8]) {
+    let Ok(report) = read_report("r.json", bytes) else {
+        return;
+    };
+    let written = json_report(&report, true).expect("a document").to_string();
+    let again = read_report("r.json", written.as_bytes()).expect("a document that was just written");
+    assert_eq!(
+        json_report(&again, true).expect("as before").to_string(),
+        written,
+        "a report changes when it is written again"
+    );
+    // Whatever it says, it is text in a page and in XML.
+    assert!(!html_report(&report).contains("<script"));
+    let xml = junit_report(&report).expect("texts in memory");
+    assert!(
+        String::from_utf8(xml)
+            .expect("UTF-8")
+            .trim_end()
+            .ends_with("</testsuites>")
+    );
+    let joined = merge_reports(vec![("a".into(), report.clone()), ("b".into(), report)]);
+    assert!(joined.is_err(), "one shard, twice");
 }

@@ -1,8 +1,7 @@
 //! Sequences of edits on a file that repeats each vertex for every triangle, and on its welded twin: after each the same
 //! surface.
 
-use super::byte_draw::ByteDraw;
-use super::edits;
+use super::{ByteDraw, sessions};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model, shapes};
 use pliant::deform::VolumeMode;
@@ -119,7 +118,7 @@ pub fn soups(bytes: &[u8]) {
         if draw.is_done() {
             break;
         }
-        let edit = edits::edit(&mut draw);
+        let edit = sessions::edit(&mut draw);
         if names_vertices(&edit) {
             continue;
         }

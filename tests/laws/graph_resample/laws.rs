@@ -15,7 +15,7 @@ pub fn pool(threads: usize) -> Pool {
 }
 
 /// A new graph of a surface, with the lengths of another graph.
-pub fn anew(surface: &Surface, graph: &MeshGraph) -> MeshGraph {
+pub fn built_new(surface: &Surface, graph: &MeshGraph) -> MeshGraph {
     let same = VolumeOptions {
         interval: Some(graph.stats.interval),
         shell_offset: Some(graph.stats.shell_offset),
@@ -37,10 +37,22 @@ pub fn volume_of(surface: &Surface) -> MeshGraph {
         .expect("an inside")
 }
 
+/// The graph after an edit; `None` where it is left to a new graph.
+pub fn try_follow(graph: &MeshGraph, edited: &Edited, threads: usize) -> Option<ResampledGraph> {
+    let exec_pool = pool(threads);
+    let exec = Exec::new(&exec_pool, &Silent);
+    resample(graph, &graph.positions, &edited.change(), &exec).expect("not cancelled")
+}
+
 pub fn follow(graph: &MeshGraph, edited: &Edited) -> ResampledGraph {
-    resample(graph, &graph.positions, &edited.change(), &Exec::new(&pool(2), &Silent))
-        .expect("not cancelled")
-        .expect("can be followed")
+    try_follow(graph, edited, 2).expect("can be followed")
+}
+
+/// The graph after an edit, once all that must hold was checked.
+pub fn followed(graph: &MeshGraph, edited: &Edited) -> ResampledGraph {
+    let after = follow(graph, edited);
+    check(graph, edited, &after);
+    after
 }
 
 /// What must hold after any edit.
@@ -164,7 +176,7 @@ pub fn try_edit(name: &str, before: &Surface, graph: &MeshGraph, plan: &Plan) ->
     check_places(&edited, &after.graph, depth * (1.0 - 1e-9));
     let places = edited.changed_places(before);
     let within = 4.0 * graph.stats.interval;
-    // Far from the edit nothing is touched, and nobody is gone.
+    // Far from the edit nothing is touched, and no node is gone.
     let bounds = pliant::mesh::BoundingBox::of(&places);
     let far = |p: DVec3| (p - p.clamp(bounds.min, bounds.max)).length() > 6.0 * graph.stats.interval;
     for &n in &after.touched {
@@ -177,7 +189,7 @@ pub fn try_edit(name: &str, before: &Surface, graph: &MeshGraph, plan: &Plan) ->
         assert!(!far(graph.positions[o]), "{name}: old node {o} is far from the edit");
     }
     // As many nodes near the edit as with the same lengths from scratch.
-    let fresh = anew(&edited.surface, graph);
+    let fresh = built_new(&edited.surface, graph);
     let (ours, theirs) = (near(&after.graph, &places, within), near(&fresh, &places, within));
     println!(
         "{name}: {} points, {} nodes, {} touched; near the edit {ours:?}, in a new graph {theirs:?}; components {} {}; volume {} {}",

@@ -21,6 +21,16 @@ pub struct Plan {
     pub moved: Vec<(u32, DVec3)>,
 }
 
+impl Plan {
+    /// Faces that go, and nothing else.
+    pub fn without(removed: Vec<u32>) -> Self {
+        Self {
+            removed,
+            ..Self::default()
+        }
+    }
+}
+
 /// A surface after an edit, with what led to it.
 pub struct Edited {
     pub surface: Surface,

@@ -1,6 +1,6 @@
 //! Where a picture is taken from: a direction, and a frame that several shapes can share.
 
-use super::error::Error;
+use super::Error;
 use super::surface::ShadedSurface;
 use glam::DVec3;
 

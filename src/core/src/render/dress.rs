@@ -2,7 +2,7 @@
 //!
 //! The numbers that a picture shows as colours, one for each vertex.
 
-use super::error::Error;
+use super::Error;
 use super::texture::{Texture, TextureLookup};
 use crate::asset::{AlphaMode, Primitive, SurfaceLook};
 use crate::mesh::{Mesh, Weld};

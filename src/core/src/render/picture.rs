@@ -1,8 +1,7 @@
 //! A picture in memory: pixels, what is put on it, and its PNG bytes.
 
 use super::colour::Rgb;
-use super::error::Error;
-use super::font;
+use super::{Error, font};
 
 /// The colour of words and numbers on a picture.
 pub(super) const INK: Rgb = [52, 58, 66];

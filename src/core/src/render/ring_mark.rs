@@ -180,8 +180,8 @@ mod tests {
     fn the_largest_come_first_and_keep_apart() {
         let p = [0.0, 0.1, 5.0, 9.0].map(|x| DVec3::X * x);
         let marks = RingMark::at_largest_values(&p, &[2.0, 3.0, 0.0, 1.0], 9, 0.5);
-        let told: Vec<(f64, &str)> = marks.iter().map(|m| (m.at.x, m.label.as_str())).collect();
-        assert_eq!(told, [(0.1, "1"), (9.0, "2")]);
+        let reported: Vec<(f64, &str)> = marks.iter().map(|m| (m.at.x, m.label.as_str())).collect();
+        assert_eq!(reported, [(0.1, "1"), (9.0, "2")]);
         assert_eq!(RingMark::at_largest_values(&p, &[1.0; 4], 1, 0.0).len(), 1);
         assert!(RingMark::at_largest_values(&p, &[0.0; 4], 3, 0.0).is_empty());
     }

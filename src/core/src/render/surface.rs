@@ -5,9 +5,9 @@
 //! What of the surface faces the eye is left out; what faces away stays, and is seen from inside. So nothing that lies in the model is
 //! hidden, whatever limb it lies in.
 
+use super::Error;
 use super::colour::{Rgb, linear_from_hex};
 use super::dress::SurfaceDress;
-use super::error::Error;
 use crate::mesh::{Lists, Mesh, Weld};
 use crate::pool::Pool;
 use glam::{DVec3, Vec3};

@@ -1,7 +1,7 @@
 //! Pictures that lie on a surface: decoded within bounds, kept in halving sizes, looked up by texture coordinates.
 //!
 //! PNG and JPEG, by crates that decode without instructions of a certain processor, so that a picture is the same
-//! everywhere. A header is not believed: what it asks for is checked before anything is allocated.
+//! everywhere. A header is not trusted: what it asks for is checked before anything is allocated.
 
 use super::colour::{SrgbTable, linear_from_hex};
 use crate::asset::TextureWrap;

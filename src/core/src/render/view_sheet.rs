@@ -1,8 +1,8 @@
 //! Several views on one picture, by cameras that share a frame, with a key to the colours.
 
+use super::Error;
 use super::camera::{Camera, PictureSize, ViewDirection};
 use super::colour_key::ColourKey;
-use super::error::Error;
 use super::picture::{INK, Picture};
 use super::raster::{background_end, draw_surface};
 use super::ring_mark::RingMark;

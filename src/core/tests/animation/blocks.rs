@@ -18,19 +18,19 @@ fn wave(count: usize) -> Vec<[f64; 2]> {
 fn bits_depend_neither_on_threads_nor_on_the_range() {
     let (one, three) = (Pool::new(1).expect("a thread"), Pool::new(3).expect("threads"));
     let text = clip_text(0.0, &wave(BLOCK_FRAMES + 20));
-    let told = |pool: &Pool, range: std::ops::Range<usize>, at_once: usize| -> Vec<(usize, String)> {
+    let reported = |pool: &Pool, range: std::ops::Range<usize>, at_once: usize| -> Vec<(usize, String)> {
         let exec = Exec::new(pool, &Silent);
         let deformer = open_arm(&exec);
         let animation = animate(&deformer, &text, arm_rig(3), AnimationRefinement::Carried, &exec);
         let frames = frames(&animation, range, at_once, &exec);
         frames.iter().map(|f| (f.index, digest(&f.positions))).collect()
     };
-    let whole = told(&one, 0..usize::MAX, 1);
+    let whole = reported(&one, 0..usize::MAX, 1);
     assert_eq!(whole.len(), BLOCK_FRAMES + 20);
-    assert_eq!(whole, told(&three, 0..usize::MAX, 4));
+    assert_eq!(whole, reported(&three, 0..usize::MAX, 4));
     let from = BLOCK_FRAMES + 3;
-    assert_eq!(whole[from..from + 4], told(&three, from..from + 4, 2)[..]);
-    assert_eq!(whole[60..70], told(&one, 60..70, 2)[..]);
+    assert_eq!(whole[from..from + 4], reported(&three, from..from + 4, 2)[..]);
+    assert_eq!(whole[60..70], reported(&one, 60..70, 2)[..]);
 }
 
 #[test]
@@ -64,7 +64,7 @@ fn one_frame_at_a_time_gives_the_same_frames_as_blocks() {
 }
 
 #[test]
-fn nobody_sees_where_a_block_begins() {
+fn no_frame_shows_where_a_block_begins() {
     let pool = Pool::new(2).expect("threads");
     let exec = Exec::new(&pool, &Silent);
     let deformer = open_arm(&exec);
@@ -97,7 +97,7 @@ impl Progress for Impatient {
 }
 
 #[test]
-fn an_animation_ends_when_nobody_wants_it() {
+fn an_animation_ends_when_cancelled() {
     let pool = Pool::new(2).expect("threads");
     let exec = Exec::new(&pool, &Silent);
     let deformer = open_arm(&exec);
@@ -134,13 +134,13 @@ fn an_animation_ends_when_nobody_wants_it() {
 struct Follower {
     until: usize,
     looks: AtomicUsize,
-    told: Mutex<Vec<f32>>,
+    reported: Mutex<Vec<f32>>,
 }
 
 impl Progress for Follower {
     fn report(&self, stage: &'static str, fraction: f32) {
         assert_eq!(stage, "frames");
-        self.told.lock().expect("no panic").push(fraction);
+        self.reported.lock().expect("no panic").push(fraction);
     }
 
     fn cancelled(&self) -> bool {
@@ -159,7 +159,7 @@ fn frames_of_blocks_come_as_they_are_solved_and_none_is_lost_when_the_work_is_gi
         let follower = Follower {
             until,
             looks: AtomicUsize::default(),
-            told: Mutex::default(),
+            reported: Mutex::default(),
         };
         let millis = || follower.looks.fetch_add(1, Ordering::Relaxed) as f64;
         let mut taken = Vec::new();
@@ -168,21 +168,24 @@ fn frames_of_blocks_come_as_they_are_solved_and_none_is_lost_when_the_work_is_gi
             taken.push((frame.index, digest(&frame.positions)));
             true
         });
-        (solved.is_ok(), taken, follower.told.into_inner().expect("no panic"))
+        (solved.is_ok(), taken, follower.reported.into_inner().expect("no panic"))
     };
     let all = 0..2 * BLOCK_FRAMES;
-    let (done, mut whole, told) = solve(std::slice::from_ref(&all), usize::MAX);
-    assert!(done && told.is_sorted() && told.last() == Some(&1.0), "{told:?}");
+    let (done, mut whole, reported) = solve(std::slice::from_ref(&all), usize::MAX);
+    assert!(
+        done && reported.is_sorted() && reported.last() == Some(&1.0),
+        "{reported:?}"
+    );
     // Counted are frames too that only lead to the second block.
-    let steps = told.len();
+    let steps = reported.len();
     assert!(steps > 2 * BLOCK_FRAMES, "{steps}");
     whole.sort();
     let indices: Vec<usize> = whole.iter().map(|(index, _)| *index).collect();
     assert_eq!(indices, (0..2 * BLOCK_FRAMES).collect::<Vec<_>>());
     // Given up once more is done than either block has, where the clock is looked at twice a frame and two are under way.
     let until = 2 * (steps - BLOCK_FRAMES + 2) + 2;
-    let (done, mut kept, told) = solve(std::slice::from_ref(&all), until);
-    assert!(!done && kept.len() < 2 * BLOCK_FRAMES && told.len() < steps);
+    let (done, mut kept, reported) = solve(std::slice::from_ref(&all), until);
+    assert!(!done && kept.len() < 2 * BLOCK_FRAMES && reported.len() < steps);
     let count =
         |frames: &[(usize, String)], block: usize| frames.iter().filter(|f| f.0 / BLOCK_FRAMES == block).count();
     let [first, second] = [0, 1].map(|block| count(&kept, block));

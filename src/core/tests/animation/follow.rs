@@ -34,7 +34,7 @@ fn the_model_stands_at_rest_where_the_clip_does_and_turns_with_its_root() {
     for (p, q) in rest.iter().zip(&frames[0].positions) {
         assert!(p.distance(*q) < 1e-6, "{p} {q}");
     }
-    // The upper arm is the root: what turns about its axis is told apart, and nothing is left of it in the shape.
+    // The upper arm is the root: what turns about its axis is distinguished, and nothing is left of it in the shape.
     let root = frames[1].root;
     let end = root.place(DVec3::X * ENDS[1]);
     let expected = DVec3::X * ENDS[0] + glam::DQuat::from_rotation_y(35f64.to_radians()) * (DVec3::X * 2.4);
@@ -77,22 +77,22 @@ fn a_joint_that_the_clip_lacks_is_refused_with_those_that_it_has() {
     let refused = |rig: &MotionRig| RigDriver::new(rig, clip.clone(), &DriveOptions::default()).map(drop);
     let mut rig = arm_rig(1);
     rig.bones[1].joint = "LeftForeArm".into();
-    let told = refused(&rig).expect_err("refused").to_string();
+    let reported = refused(&rig).expect_err("refused").to_string();
     let expected =
         "joint: \"LeftForeArm\" of bone \"fore\" is not a joint of the clip; it has \"upper\", \"fore\", \"hand\"";
-    assert!(told.starts_with(expected), "{told}");
+    assert!(reported.starts_with(expected), "{reported}");
     rig = arm_rig(1);
     rig.reference = pliant_core::motion::rig::ReferencePose::Frame(3);
-    let told = refused(&rig);
+    let reported = refused(&rig);
     assert!(
         matches!(
-            &told,
+            &reported,
             Err(RigError::Field {
                 field: "referenceFrame",
                 ..
             })
         ),
-        "{told:?}"
+        "{reported:?}"
     );
 }
 
@@ -112,15 +112,15 @@ fn a_rig_outside_the_model_is_refused() {
     let refused = deformer
         .animation(rig, driver, times, &Default::default(), &exec)
         .map(drop);
-    let told = refused.expect_err("refused").to_string();
+    let reported = refused.expect_err("refused").to_string();
     assert!(
-        told.contains("holds nothing; its joints have to lie inside the model"),
-        "{told}"
+        reported.contains("holds nothing; its joints have to lie inside the model"),
+        "{reported}"
     );
 }
 
 #[test]
-fn a_bone_that_is_twisted_nearly_half_around_is_told_once_with_its_frame() {
+fn a_bone_that_is_twisted_nearly_half_around_is_reported_once_with_its_frame() {
     let warnings = |rows: &[[f64; 2]], heading: f64| {
         let clip = read_bvh(clip_text(heading, rows).as_bytes(), &ClipLimits::default()).expect("a clip");
         let rig = arm_rig(3);
@@ -130,11 +130,29 @@ fn a_bone_that_is_twisted_nearly_half_around_is_told_once_with_its_frame() {
         driver.warnings().to_vec()
     };
     for heading in [0.0, 130.0] {
-        let told = warnings(&[[0.0, 0.0], [40.0, 172.0], [10.0, -178.0], [0.0, 171.0]], heading);
-        assert_eq!(told.len(), 1, "{told:?}");
+        let reported = warnings(&[[0.0, 0.0], [40.0, 172.0], [10.0, -178.0], [0.0, 171.0]], heading);
+        assert_eq!(reported.len(), 1, "{reported:?}");
         let wanted = "bone \"hand\" is twisted by 178 degrees about its own axis in frame 2, against how it stands";
-        assert!(told[0].starts_with(wanted), "{told:?}");
+        assert!(reported[0].starts_with(wanted), "{reported:?}");
         let none = warnings(&[[0.0, 0.0], [178.0, 168.0], [0.0, -169.0]], heading);
         assert!(none.is_empty(), "turns of the whole count for nothing: {none:?}");
     }
+}
+
+#[test]
+fn a_wrist_turned_by_150_degrees_keeps_its_volume() {
+    let pool = Pool::new(2).expect("threads");
+    let exec = Exec::new(&pool, &Silent);
+    let deformer = open_arm(&exec);
+    let volume = |slices: usize, refinement: AnimationRefinement| {
+        let text = clip_text(0.0, &[[0.0, 150.0]]);
+        let animation = animate(&deformer, &text, arm_rig(slices), refinement, &exec);
+        let frame = frames(&animation, 0..1, 1, &exec).remove(0);
+        let quality = deformer.quality(&frame.positions, &pool);
+        (quality.volume_change, quality.flipped_triangles)
+    };
+    let (sliced, flipped) = volume(3, AnimationRefinement::Carried);
+    assert!(sliced > -0.12 && flipped == 0, "{sliced}, {flipped} flipped");
+    let (whole, _) = volume(1, AnimationRefinement::Steps(0));
+    assert!(whole < sliced - 0.02, "three slices {sliced}, one {whole}");
 }

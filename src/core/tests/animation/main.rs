@@ -3,4 +3,3 @@
 mod arm;
 mod blocks;
 mod follow;
-mod twist;

@@ -1,7 +1,6 @@
 //! How finely a part is divided does not decide where it goes.
 
-use crate::bend::LongSide;
-use crate::models::{data_models, open_model, open_shape, open_surface};
+use crate::models::{LongSide, data_models, open_model, open_shape, open_surface};
 use glam::DVec3;
 use pliant_core::asset::shapes;
 use pliant_core::edit::SubdivisionScheme;
@@ -101,7 +100,7 @@ fn even_shapes() -> Vec<(&'static str, shapes::Shape)> {
 fn how_finely_half_of_a_surface_is_divided_does_not_decide_where_vertices_go() {
     let pool = Pool::new(2).expect("threads");
     let exec = Exec::new(&pool, &Silent);
-    // Cotangents tell where a triangle beside the finer half was cut in two, and uniform weights do not.
+    // Cotangents show where a triangle beside the finer half was cut in two, and uniform weights do not.
     for (weights, most) in [(EdgeWeights::Uniform, 0.01), (EdgeWeights::Cotangent, 0.012)] {
         for (name, (positions, triangles)) in even_shapes() {
             let mut deformer = open_surface(&positions, &triangles, weights, &exec);

@@ -1,7 +1,6 @@
-//! Faces too large for a bend are told, and divided on request.
+//! Faces too large for a bend are reported, and divided on request.
 
-use crate::bend::LongSide;
-use crate::models::open_shape;
+use crate::models::{LongSide, open_shape};
 use glam::DVec3;
 use pliant_core::asset::shapes;
 use pliant_core::engine::{
@@ -70,7 +69,7 @@ fn edit_at_rest(bar: &mut BentBar, edit: &Edit, exec: &Exec<'_>) -> EditOutcome 
 }
 
 #[test]
-fn faces_too_large_for_a_bend_are_told_before_and_after_and_divided_in_one_edit() {
+fn faces_too_large_for_a_bend_are_reported_before_and_after_and_divided_in_one_edit() {
     let pool = Pool::new(2).expect("threads");
     let exec = Exec::new(&pool, &Silent);
     let shape = bare_bar();

@@ -1,6 +1,5 @@
-//! Hard-surface and low-poly models: thin faces follow, large ones are told and divided, density does not decide the bend.
+//! Hard-surface and low-poly models: thin faces follow, large ones are reported and divided, density does not decide the bend.
 
-mod bend;
 mod density;
 mod large_faces;
 mod models;

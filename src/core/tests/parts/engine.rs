@@ -1,7 +1,6 @@
 //! Parts of a model as its user has them: opened, posed, edited, taken back.
 
-use crate::offsets::{offset_errors, quantile, side_by_side};
-use crate::shapes::{axe, block, obj, slices, together};
+use crate::shapes::{axe, block, obj, offset_errors, quantile, side_by_side, slices, together};
 use glam::DVec3;
 use pliant_core::asset::shapes::Shape;
 use pliant_core::edit::{KeptSide, SubdivisionScheme};
@@ -73,7 +72,7 @@ fn an_axe_bends_as_one_and_a_cake_keeps_its_slices_together() {
 }
 
 #[test]
-fn facts_tell_parts_ties_and_what_stays_loose() {
+fn facts_list_parts_ties_and_what_stays_loose() {
     let pool = pool();
     let exec = Exec::new(&pool, &Silent);
     let shape = together([axe(), block([3.0, 0.0, 0.0], [0.5; 3], [4; 3])]);
@@ -109,7 +108,7 @@ fn parts_that_are_kept_apart_get_no_ties_and_wrong_numbers_are_refused() {
         (loose(&[], &[]), loose(&[2], &[]), loose(&[1], &[]), loose(&[], &[0])),
         (0, 1, 3, 3)
     );
-    for (components, primitives, told) in [
+    for (components, primitives, reported) in [
         (
             &[3][..],
             &[][..],
@@ -123,14 +122,14 @@ fn parts_that_are_kept_apart_get_no_ties_and_wrong_numbers_are_refused() {
     ] {
         let error = open_with(components, primitives).err().expect("refused");
         assert!(
-            matches!(error, Error::Invalid { .. }) && error.to_string() == told,
+            matches!(error, Error::Invalid { .. }) && error.to_string() == reported,
             "{error}"
         );
     }
 }
 
 #[test]
-fn a_pose_that_pulls_tied_parts_apart_is_told_with_the_names() {
+fn a_pose_that_pulls_tied_parts_apart_is_reported_with_the_names() {
     let pool = pool();
     let exec = Exec::new(&pool, &Silent);
     let mut deformer = open(&slices(2, 1e-4), &OpenOptions::default(), &exec);
@@ -139,7 +138,7 @@ fn a_pose_that_pulls_tied_parts_apart_is_told_with_the_names() {
         Handle::new("upper", Region::half_space([0.0, 1.0, 0.0], 0.25005)),
     ];
     deformer.set_handles(halves, &exec).expect("handles");
-    let told = |by: [f64; 3], both: bool| {
+    let reported = |by: [f64; 3], both: bool| {
         let mut poses = vec![("upper", HandlePose::translation(by))];
         poses.extend(both.then(|| ("lower", HandlePose::translation(by))));
         let poses = deformer
@@ -147,17 +146,17 @@ fn a_pose_that_pulls_tied_parts_apart_is_told_with_the_names() {
             .expect("handles of that name");
         deformer.pose_warnings(&poses)
     };
-    let warnings = told([0.0, 0.5, 0.0], false);
+    let warnings = reported([0.0, 0.5, 0.0], false);
     assert_eq!(warnings.len(), 1);
     assert_eq!(warnings[0].code, "parts-pulled-apart");
     for word in ["\"lower\"", "\"upper\"", "0.500", "keepApart"] {
         assert!(warnings[0].message.contains(word), "{}", warnings[0].message);
     }
     assert!(
-        told([0.0, 0.001, 0.0], false).is_empty(),
+        reported([0.0, 0.001, 0.0], false).is_empty(),
         "a hair's breadth is not worth a word"
     );
-    assert!(told([0.0, 0.5, 0.0], true).is_empty(), "both go together");
+    assert!(reported([0.0, 0.5, 0.0], true).is_empty(), "both go together");
 }
 
 /// The digest of the bent shape in the present state of the topology.

@@ -214,8 +214,8 @@ fn a_distance_that_is_asked_for_is_kept_to() {
     let pool = Pool::new(1).expect("a thread");
     for seen in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         let graph = untied(&mesh, 1);
-        let told = tie_parts(graph, &mesh, &reach(seen), &Exec::new(&pool, &Silent)).expect_err("refused");
-        assert!(matches!(told, Error::Length { .. }), "{told}");
+        let reported = tie_parts(graph, &mesh, &reach(seen), &Exec::new(&pool, &Silent)).expect_err("refused");
+        assert!(matches!(reported, Error::Length { .. }), "{reported}");
     }
 }
 
@@ -234,7 +234,7 @@ fn nearer_is_firmer_and_touching_is_as_firm_as_all_edges_together() {
 }
 
 #[test]
-fn any_number_of_parts_in_one_place_is_bounded_and_told_apart_from_nothing() {
+fn any_number_of_parts_in_one_place_is_bounded_and_distinguished_from_nothing() {
     // A thousand boxes in one place, and a soup in which every triangle is its own part.
     let pile = together((0..1000).map(|_| block([0.0; 3], [1.0; 3], [1; 3])));
     let mut state = 1u64;

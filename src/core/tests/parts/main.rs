@@ -6,7 +6,5 @@ mod cost;
 mod data;
 mod engine;
 mod laws;
-mod offsets;
 mod shapes;
-mod soup;
 mod sweep;

@@ -1,8 +1,7 @@
 //! Every model of several parts, bent: held at one end, turned by 45° at the other.
 
 use crate::data;
-use crate::offsets::{offset_errors, quantile, side_by_side};
-use crate::shapes::obj;
+use crate::shapes::{obj, offset_errors, quantile, side_by_side};
 use glam::DVec3;
 use pliant_core::asset::FileSet;
 use pliant_core::engine::{Deformer, DeformerLimits, Handle, HandlePose, OpenOptions, Region, SolveSettings};
@@ -126,7 +125,7 @@ fn every_model_of_several_parts_bends_as_one() {
             continue;
         };
         let separate = bent(files, &name, false, &exec);
-        let told = |b: &Bent| {
+        let reported = |b: &Bent| {
             format!(
                 "{:6.3} % (most {:6.3} %), {:2} cycles",
                 100.0 * b.torn[0],
@@ -139,8 +138,8 @@ fn every_model_of_several_parts_bends_as_one() {
             tied.parts,
             tied.ties,
             tied.neighbours,
-            told(&tied),
-            separate.as_ref().map_or_else(String::new, told),
+            reported(&tied),
+            separate.as_ref().map_or_else(String::new, reported),
         );
         if tied.neighbours < FEWEST {
             continue;

@@ -1,14 +1,15 @@
 //! Laws of the decomposition.
 
-use crate::bar::{bar_motions, bar_points, bar_sequence, largest_error, placed, rigid_influences, smooth_influences};
 use glam::{DQuat, DVec3};
 use pliant_core::exec::Exec;
 use pliant_core::motion::BoneInfluences;
 use pliant_core::motion::decomposition::{
     DecompositionError, DecompositionOptions, ShapeSequence, SkinDecomposition, decompose, fit_weights,
 };
+use pliant_core::motion::rig::RigidMotion;
 use pliant_core::pool::Pool;
 use pliant_core::progress::{CancelFlag, Silent};
+use std::f64::consts::TAU;
 
 fn options(bones: usize) -> DecompositionOptions {
     DecompositionOptions {
@@ -44,7 +45,7 @@ fn rigid_parts_are_found_again_to_a_millionth() {
 }
 
 #[test]
-fn blended_parts_are_found_again_with_bones_that_they_were_not_told() {
+fn blended_parts_are_found_again_with_bones_that_they_were_not_given() {
     let points = bar_points();
     let (sequence, given) = bar_sequence(&smooth_influences(&points), 24);
     let found = run(&sequence, &options(3), 2);
@@ -72,15 +73,15 @@ fn weights_of_given_bones_are_found_again() {
     let found = fit_weights(&sequence, &motions, 4, &exec).expect("weights");
     assert!(largest_error(&found, &points, &given) / sequence.diagonal() < 1e-6);
     assert_weights_hold(&found.influences, 4);
-    for (own, told) in found.influences.iter().zip(&influences) {
-        for (bone, weight) in told.iter() {
+    for (own, reported) in found.influences.iter().zip(&influences) {
+        for (bone, weight) in reported.iter() {
             let seen = own.iter().find(|i| i.0 == bone).map_or(0.0, |i| i.1);
             assert!((seen - weight).abs() < 1e-5, "{seen} instead of {weight}");
         }
     }
-    for (own, told) in found.motions.iter().zip(&motions) {
-        for (own, told) in own.iter().zip(told) {
-            assert!(own.place(DVec3::ONE).distance(told.place(DVec3::ONE)) < 1e-9);
+    for (own, reported) in found.motions.iter().zip(&motions) {
+        for (own, reported) in own.iter().zip(reported) {
+            assert!(own.place(DVec3::ONE).distance(reported.place(DVec3::ONE)) < 1e-9);
         }
     }
     let one = fit_weights(&sequence, &motions, 1, &exec).expect("weights");
@@ -193,30 +194,30 @@ fn degenerate_animations_have_skins() {
 
 #[test]
 fn what_cannot_be_is_refused_with_what_may() {
-    let told = |e: DecompositionError| e.to_string();
+    let reported = |e: DecompositionError| e.to_string();
     assert_eq!(
-        told(ShapeSequence::new(&[]).expect_err("refused")),
+        reported(ShapeSequence::new(&[]).expect_err("refused")),
         "the rest shape: has no vertex, at least one is needed"
     );
     assert_eq!(
-        told(ShapeSequence::new(&[DVec3::ZERO, DVec3::NAN]).expect_err("refused")),
+        reported(ShapeSequence::new(&[DVec3::ZERO, DVec3::NAN]).expect_err("refused")),
         "the rest shape: position 1 is not a point of finite numbers"
     );
     let mut sequence = ShapeSequence::new(&[DVec3::ZERO; 3]).expect("points");
     assert_eq!(
-        told(sequence.push(&[DVec3::ZERO; 2]).expect_err("refused")),
+        reported(sequence.push(&[DVec3::ZERO; 2]).expect_err("refused")),
         "frame 0: has 2 positions, the rest shape has 3"
     );
     sequence.push(&[DVec3::ZERO; 3]).expect("a frame");
     let infinite = [DVec3::ZERO, DVec3::ZERO, DVec3::INFINITY];
     assert_eq!(
-        told(sequence.push(&infinite).expect_err("refused")),
+        reported(sequence.push(&infinite).expect_err("refused")),
         "frame 1: position 2 is not a point of finite numbers"
     );
     let pool = Pool::new(1).expect("a thread");
     let exec = Exec::new(&pool, &Silent);
     let refused = |sequence: &ShapeSequence, options: &DecompositionOptions| {
-        told(decompose(sequence, options, &exec).expect_err("refused"))
+        reported(decompose(sequence, options, &exec).expect_err("refused"))
     };
     assert_eq!(refused(&sequence, &options(0)), "bones is 0, allowed are 1 to 256");
     assert_eq!(refused(&sequence, &options(257)), "bones is 257, allowed are 1 to 256");
@@ -227,8 +228,8 @@ fn what_cannot_be_is_refused_with_what_may() {
     assert_eq!(refused(&sequence, &five), "influences is 5, allowed are 1 to 4");
     let empty = ShapeSequence::new(&[DVec3::ZERO; 3]).expect("points");
     assert_eq!(refused(&empty, &options(2)), "frames is 0, allowed are 1 and more");
-    let told = told(fit_weights(&sequence, &[], 4, &exec).expect_err("refused"));
-    assert!(told.starts_with("bones is 0"), "{told}");
+    let reported = reported(fit_weights(&sequence, &[], 4, &exec).expect_err("refused"));
+    assert!(reported.starts_with("bones is 0"), "{reported}");
 }
 
 #[test]
@@ -239,4 +240,91 @@ fn cancelled_work_ends() {
     flag.cancel();
     let ended = decompose(&sequence, &options(3), &Exec::new(&pool, &flag)).expect_err("cancelled");
     assert!(matches!(ended, DecompositionError::Cancelled(_)));
+}
+
+/// Points of a bar of 6 by 1 by 1 along x, in no regular order of distances.
+pub fn bar_points() -> Vec<DVec3> {
+    let part = |k: usize, s: f64| (k as f64 * s).fract();
+    let points = (0..1200).map(|k| {
+        DVec3::new(
+            6.0 * (k as f64 + 0.5) / 1200.0,
+            part(k, 0.618_033_988_7) - 0.5,
+            part(k, 0.414_213_562_3) - 0.5,
+        )
+    });
+    points.collect()
+}
+
+/// Where three bones are in a frame: each turned about the end of the one before, all of them carried.
+pub fn bar_motions(frame: usize) -> Vec<RigidMotion> {
+    let wave = |s: f64| (frame as f64 * s * TAU).sin();
+    let carried = RigidMotion {
+        rotation: DQuat::from_euler(
+            glam::EulerRot::XYZ,
+            0.3 * wave(0.11),
+            0.8 * wave(0.05),
+            0.2 * wave(0.17),
+        ),
+        from: DVec3::ZERO,
+        to: DVec3::new(3.0 * wave(0.03), wave(0.02), 0.5 * frame as f64),
+    };
+    let mut rotation = carried.rotation;
+    let mut to = carried.place(DVec3::ZERO);
+    let mut motions = Vec::new();
+    for bone in 0..3 {
+        let s = 0.07 + 0.04 * bone as f64;
+        rotation *= DQuat::from_euler(glam::EulerRot::XYZ, wave(s), 0.9 * wave(s * 1.3), 0.7 * wave(s * 0.6));
+        let from = DVec3::X * (2.0 * bone as f64);
+        motions.push(RigidMotion { rotation, from, to });
+        to += rotation * (DVec3::X * 2.0);
+    }
+    motions
+}
+
+/// Each point with the bone around it.
+pub fn rigid_influences(points: &[DVec3]) -> Vec<BoneInfluences> {
+    let bones = points.iter().map(|p| (p.x / 2.0).clamp(0.0, 2.0) as u16);
+    bones.map(BoneInfluences::one).collect()
+}
+
+/// Each point with the two bones next to it, one fading out where the other fades in.
+pub fn smooth_influences(points: &[DVec3]) -> Vec<BoneInfluences> {
+    let blended = points.iter().map(|p| {
+        let along = (p.x / 2.0 - 0.5).clamp(0.0, 2.0);
+        let bone = (along as u16).min(1);
+        let share = along - f64::from(bone);
+        BoneInfluences::from_pairs(&mut [(bone, 1.0 - share), (bone + 1, share)]).expect("weights")
+    });
+    blended.collect()
+}
+
+/// What a skin makes of points.
+pub fn placed(points: &[DVec3], influences: &[BoneInfluences], motions: &[RigidMotion]) -> Vec<DVec3> {
+    let blend = |(p, v): (&DVec3, &BoneInfluences)| v.blend(|bone| motions[bone].place(*p));
+    points.iter().zip(influences).map(blend).collect()
+}
+
+/// Frames of the bar, as a sequence and as they are.
+pub fn bar_sequence(influences: &[BoneInfluences], frames: usize) -> (ShapeSequence, Vec<Vec<DVec3>>) {
+    let points = bar_points();
+    let mut sequence = ShapeSequence::new(&points).expect("a shape");
+    let given: Vec<_> = (0..frames)
+        .map(|f| placed(&points, influences, &bar_motions(f)))
+        .collect();
+    given.iter().for_each(|x| sequence.push(x).expect("a frame"));
+    (sequence, given)
+}
+
+/// The largest distance between what a decomposition plays and the frames.
+pub fn largest_error(found: &SkinDecomposition, rest: &[DVec3], given: &[Vec<DVec3>]) -> f64 {
+    let mut largest = 0.0f64;
+    for (motions, given) in found.motions.iter().zip(given) {
+        let played = placed(rest, &found.influences, motions);
+        largest = played
+            .iter()
+            .zip(given)
+            .map(|(a, b)| a.distance(*b))
+            .fold(largest, f64::max);
+    }
+    largest
 }

@@ -1,5 +1,4 @@
 //! Laws of skins: of the decomposition of an animation, and of weights for the bones of a rig.
 
-mod bar;
 mod decomposition;
 mod weights;

@@ -2,10 +2,12 @@
 
 use pliant_solver::exec::Exec;
 use pliant_solver::pool::Pool;
-use pliant_solver::progress::Silent;
+use pliant_solver::progress::{Progress, Silent};
 use pliant_solver::{
-    BuildOptions, Constraints, Hierarchy, LinearSystem, SolveControl, SolveOptions, SolveStats, Workspace,
+    BuildOptions, Constraints, Error, Hierarchy, InitialGuess, IterationReport, LinearSystem, SolveControl,
+    SolveOptions, SolveStats, Workspace,
 };
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 use super::graphs::{SplitMix, TestGraph};
 
@@ -50,13 +52,29 @@ impl SolverCase {
     }
 
     pub fn solve(&self, columns: usize, rhs: &[f64], x: &mut [f64], options: &SolveOptions<'_>) -> SolveStats {
-        let mut workspace = Workspace::default();
-        self.system
-            .equations(&self.hierarchy, columns, rhs)
-            .solve(x, options, &mut workspace, &Exec::new(&self.pool, &Silent), &mut |_| {
-                SolveControl::Continue
-            })
-            .unwrap()
+        let mut go_on = |_: &IterationReport<'_>| SolveControl::Continue;
+        self.watched(columns, rhs, x, options, &Silent, &mut go_on).unwrap()
+    }
+
+    /// Solves in a workspace of its own while `progress` allows it; `watch` sees each iteration.
+    pub fn watched(
+        &self,
+        columns: usize,
+        rhs: &[f64],
+        x: &mut [f64],
+        options: &SolveOptions<'_>,
+        progress: &dyn Progress,
+        watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl,
+    ) -> Result<SolveStats, Error> {
+        let (mut workspace, exec) = (Workspace::default(), Exec::new(&self.pool, progress));
+        let equations = self.system.equations(&self.hierarchy, columns, rhs);
+        equations.solve(x, options, &mut workspace, &exec, watch)
+    }
+
+    /// The residuals that the solver itself finds.
+    pub fn own_residuals(&self, columns: usize, rhs: &[f64], x: &[f64]) -> Vec<f64> {
+        let equations = self.system.equations(&self.hierarchy, columns, rhs);
+        equations.residual(x, None, &self.pool).unwrap()
     }
 
     /// Solves to `tolerance` from zero.
@@ -87,12 +105,30 @@ impl SolverCase {
             .map(|(r, b): (&f64, &f64)| if *r == 0.0 { 0.0 } else { (r / b).sqrt() })
             .collect()
     }
-}
 
-impl SolverCase {
     pub fn without_positions(self) -> SolverCase {
         SolverCase::new(self.graph.without_positions(), self.fixed, self.stiffness, 1)
     }
+}
+
+/// Is cancelled at the n-th question.
+pub struct CancelAfter(pub AtomicUsize);
+
+impl Progress for CancelAfter {
+    fn cancelled(&self) -> bool {
+        let asked = self.0.fetch_update(Relaxed, Relaxed, |n| Some(n.saturating_sub(1)));
+        asked.unwrap_or(0) == 0
+    }
+}
+
+/// The full multigrid start.
+pub fn full<'a>(frames: Option<&'a [[f32; 9]]>, rest: Option<&'a [[f64; 3]]>) -> InitialGuess<'a> {
+    InitialGuess::FullMultigrid { frames, rest }
+}
+
+/// A solve to a tolerance from a start.
+pub fn started(start: InitialGuess<'_>, tolerance: f64) -> SolveOptions<'_> {
+    SolveOptions { start, ..to(tolerance) }
 }
 
 pub fn to(tolerance: f64) -> SolveOptions<'static> {

@@ -2,7 +2,7 @@
 
 use pliant_solver::{Constraints, InitialGuess, SolveMethod, SolveOptions};
 
-use super::case::{SolverCase, largest_distance, noise, to, twist};
+use super::case::{SolverCase, full, largest_distance, noise, started, to, twist};
 use super::graphs::{TestGraph, lattice};
 
 #[test]
@@ -75,15 +75,7 @@ fn loose_parts_keep_their_mean() {
     (rhs[pair as usize], rhs[pair as usize + 1]) = (1.0, -1.0);
     let start = noise(n, 5);
     let mut x = start.clone();
-    let stats = case.solve(
-        1,
-        &rhs,
-        &mut x,
-        &SolveOptions {
-            start: InitialGuess::Given,
-            ..to(1e-8)
-        },
-    );
+    let stats = case.solve(1, &rhs, &mut x, &started(InitialGuess::Given, 1e-8));
     assert!(stats.converged && x.iter().all(|v| v.is_finite()), "{stats:?}");
     let mean = |x: &[f64], from: usize, to: usize| x[from..to].iter().sum::<f64>() / (to - from) as f64;
     let (a, b) = (base as usize, pair as usize);
@@ -97,19 +89,9 @@ fn loose_parts_keep_their_mean() {
         x[b + 2] == start[b + 2] && x[b + 3] == start[b + 3],
         "loose points stay"
     );
-    let relative = case
-        .system
-        .equations(&case.hierarchy, 1, &rhs)
-        .residual(&x, None, &case.pool)
-        .unwrap();
+    let relative = case.own_residuals(1, &rhs, &x);
     assert!(relative[0] < 1e-7);
-    for start in [
-        InitialGuess::Zero,
-        InitialGuess::FullMultigrid {
-            frames: None,
-            rest: None,
-        },
-    ] {
+    for start in [InitialGuess::Zero, full(None, None)] {
         let mut y = x.clone();
         assert!(
             case.solve(1, &rhs, &mut y, &SolveOptions { start, ..to(1e-8) })

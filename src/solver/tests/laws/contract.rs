@@ -6,7 +6,7 @@ use pliant_solver::{
     BuildOptions, Constraints, Error, Hierarchy, InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace,
 };
 
-use super::case::{SolverCase, to, twist};
+use super::case::{CancelAfter, SolverCase, full, started, to, twist};
 use super::graphs::lattice;
 
 #[test]
@@ -15,7 +15,6 @@ fn watchers_see_every_iteration_and_can_stop() {
     let (rhs, start, _) = twist(&case, 1.0);
     let (mut x, mut shown) = (start.clone(), start.clone());
     let mut indices = Vec::new();
-    let mut workspace = Workspace::default();
     let mut watch = |iteration: &IterationReport<'_>| {
         indices.push(iteration.index);
         iteration.copy_to(&mut shown);
@@ -25,17 +24,7 @@ fn watchers_see_every_iteration_and_can_stop() {
             SolveControl::Continue
         }
     };
-    let stats = case
-        .system
-        .equations(&case.hierarchy, 3, &rhs)
-        .solve(
-            &mut x,
-            &to(1e-9),
-            &mut workspace,
-            &Exec::new(&case.pool, &Silent),
-            &mut watch,
-        )
-        .unwrap();
+    let stats = case.watched(3, &rhs, &mut x, &to(1e-9), &Silent, &mut watch).unwrap();
     assert!(stats.stopped && !stats.converged && stats.iterations == 3);
     assert_eq!(indices, [1, 2, 3]);
     assert_eq!(shown, x, "the last thing shown is what the caller gets");
@@ -49,19 +38,6 @@ fn watchers_see_every_iteration_and_can_stop() {
         },
     );
     assert!(!limited.converged && limited.iterations == 2);
-}
-
-/// Cancels at the n-th question.
-struct CancelAfter(std::sync::atomic::AtomicUsize);
-
-impl Progress for CancelAfter {
-    fn cancelled(&self) -> bool {
-        use std::sync::atomic::Ordering::Relaxed;
-        self.0
-            .fetch_update(Relaxed, Relaxed, |n| Some(n.saturating_sub(1)))
-            .unwrap_or(0)
-            == 0
-    }
 }
 
 #[test]
@@ -83,14 +59,7 @@ fn cancelling_stops_within_a_cycle() {
             iterations += 1;
             SolveControl::Continue
         };
-        let mut workspace = Workspace::default();
-        let result = case.system.equations(&case.hierarchy, 3, &rhs).solve(
-            &mut x,
-            &to(1e-12),
-            &mut workspace,
-            &Exec::new(&case.pool, &progress),
-            &mut watch,
-        );
+        let result = case.watched(3, &rhs, &mut x, &to(1e-12), &progress, &mut watch);
         assert_eq!(result, Err(Error::Cancelled));
         assert!(
             iterations <= questions / 3,
@@ -103,15 +72,8 @@ fn cancelling_stops_within_a_cycle() {
 fn a_cancelled_solve_stops_within_an_iteration_and_leaves_its_workspace_usable() {
     let case = SolverCase::ends(lattice(12, 12, 16), 2);
     let (rhs, start, frames) = twist(&case, 1.0);
-    let full = InitialGuess::FullMultigrid {
-        frames: Some(&frames),
-        rest: None,
-    };
-    for start_at in [InitialGuess::Zero, full] {
-        let options = SolveOptions {
-            start: start_at,
-            ..to(1e-9)
-        };
+    for start_at in [InitialGuess::Zero, full(Some(&frames), None)] {
+        let options = started(start_at, 1e-9);
         let mut want = start.clone();
         case.solve(3, &rhs, &mut want, &options);
         let mut workspace = Workspace::default();
@@ -184,19 +146,10 @@ fn bad_arguments_are_named() {
     let inside = case.fixed.iter().position(|f| !f).unwrap();
     bad[3 * inside + 1] = f64::INFINITY;
     assert!(solve(&case, h, 3, &bad, &mut zeros.clone(), &to(1e-3)).contains("column 1 of the right-hand side"));
-    let given = SolveOptions {
-        start: InitialGuess::Given,
-        ..to(1e-3)
-    };
+    let given = started(InitialGuess::Given, 1e-3);
     assert!(solve(&case, h, 3, &zeros, &mut bad, &given).contains("column 1 of the start"));
     let frames = vec![[f32::NAN; 9]; n];
-    let framed = |frames| SolveOptions {
-        start: InitialGuess::FullMultigrid {
-            frames: Some(frames),
-            rest: None,
-        },
-        ..to(1e-3)
-    };
+    let framed = |frames| started(full(Some(frames), None), 1e-3);
     assert!(solve(&case, h, 3, &zeros, &mut zeros.clone(), &framed(&frames)).contains("finite"));
     assert!(solve(&case, h, 3, &zeros, &mut zeros.clone(), &framed(&frames[1..])).contains("frames"));
 

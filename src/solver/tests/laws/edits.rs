@@ -155,7 +155,7 @@ impl EditableGraph {
         }
     }
 
-    /// A local edit of a random kind around a random vertex: a hole, a lump, a hole filled anew, edges that change,
+    /// A local edit of a random kind around a random vertex: a hole, a lump, a hole filled again, edges that change,
     /// vertices that move. New vertices get up to `degree` neighbours.
     pub fn edit(&mut self, degree: usize) {
         let at = self.any();

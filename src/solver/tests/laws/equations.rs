@@ -2,9 +2,9 @@
 
 use pliant_solver::exec::Exec;
 use pliant_solver::progress::Silent;
-use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveMethod, SolveOptions, Workspace};
+use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveMethod, Workspace};
 
-use super::case::{SolverCase, largest_distance, noise, to, twist};
+use super::case::{SolverCase, full, largest_distance, noise, started, twist};
 use super::graphs::{lattice, random_graph, surface};
 
 #[test]
@@ -40,11 +40,7 @@ fn equations_hold_to_every_tolerance() {
                     "{name}: claimed {claimed:e}, true {r:e}"
                 );
             }
-            let own = case
-                .system
-                .equations(&case.hierarchy, 3, &rhs)
-                .residual(&x, None, &case.pool)
-                .unwrap();
+            let own = case.own_residuals(3, &rhs, &x);
             for (a, b) in own.iter().zip(&seen) {
                 assert!((a - b).abs() <= 1e-3 * b + 1e-14, "{name}: {a:e} against {b:e}");
             }
@@ -150,23 +146,9 @@ fn bits_do_not_depend_on_threads() {
             let (rhs, start, frames) = twist(&case, 1.0);
             let rest = Some(case.graph.positions.as_slice());
             let mut bits = Vec::new();
-            for start_at in [
-                InitialGuess::Zero,
-                InitialGuess::FullMultigrid {
-                    frames: Some(&frames),
-                    rest,
-                },
-            ] {
+            for start_at in [InitialGuess::Zero, full(Some(&frames), rest)] {
                 let mut x = start.clone();
-                let stats = case.solve(
-                    3,
-                    &rhs,
-                    &mut x,
-                    &SolveOptions {
-                        start: start_at,
-                        ..to(1e-8)
-                    },
-                );
+                let stats = case.solve(3, &rhs, &mut x, &started(start_at, 1e-8));
                 assert!(stats.converged);
                 bits.extend(x.iter().map(|v| v.to_bits()));
                 bits.push(stats.max_error.to_bits());
@@ -190,13 +172,7 @@ fn a_workspace_leaves_no_trace() {
         for case in &cases {
             let (rhs, start, frames) = twist(case, 0.7);
             let (mut a, mut b) = (start.clone(), start.clone());
-            let options = SolveOptions {
-                start: InitialGuess::FullMultigrid {
-                    frames: Some(&frames),
-                    rest: None,
-                },
-                ..to(1e-6)
-            };
+            let options = started(full(Some(&frames), None), 1e-6);
             case.solve(3, &rhs, &mut a, &options);
             let (system, hierarchy) = (&case.system, &case.hierarchy);
             let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;

@@ -8,7 +8,7 @@ pub struct TestGraph {
     offsets: Vec<u32>,
     neighbours: Vec<u32>,
     weights: Option<Vec<f32>>,
-    /// One per vertex, also where the solver is not told.
+    /// One per vertex, also where the solver is given none.
     pub positions: Vec<[f64; 3]>,
     positioned: bool,
 }

@@ -5,11 +5,10 @@ use pliant_solver::pool::Pool;
 use pliant_solver::progress::{Progress, Silent};
 use pliant_solver::{
     BuildOptions, CoarseOperators, Constraints, Error, Hierarchy, InitialGuess, IterationReport, SolveControl,
-    SolveMethod, SolveOptions, Workspace,
+    SolveMethod, SolveOptions,
 };
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-use super::case::{SolverCase, largest_distance, to, twist};
+use super::case::{CancelAfter, SolverCase, full, largest_distance, started, to, twist};
 use super::graphs::{TestGraph, lattice, random_graph, star, surface};
 
 /// The same case with the paper's operators.
@@ -48,7 +47,7 @@ fn soft(graph: TestGraph) -> SolverCase {
 fn framed<'a>(frames: &'a [[f32; 9]], options: SolveOptions<'a>) -> SolveOptions<'a> {
     let frames = Some(frames);
     SolveOptions {
-        start: InitialGuess::FullMultigrid { frames, rest: None },
+        start: full(frames, None),
         ..options
     }
 }
@@ -88,13 +87,7 @@ fn when_cycles_stall_conjugate_gradients_finish_and_say_so() {
         for (interleave, begin) in [
             (None, InitialGuess::Zero),
             (Some(0), InitialGuess::Zero),
-            (
-                Some(0),
-                InitialGuess::FullMultigrid {
-                    frames: None,
-                    rest: None,
-                },
-            ),
+            (Some(0), full(None, None)),
         ] {
             let case = paper(
                 SolverCase::new(case.graph.clone(), case.fixed.clone(), case.stiffness.clone(), 1),
@@ -102,10 +95,7 @@ fn when_cycles_stall_conjugate_gradients_finish_and_say_so() {
                 1,
             );
             let mut x = start.clone();
-            let options = SolveOptions {
-                start: begin,
-                ..to(1e-8)
-            };
+            let options = started(begin, 1e-8);
             let stats = case.solve(3, &rhs, &mut x, &options);
             assert!(stats.converged, "{stats:?}");
             // Some get there without, above all with two steps after each cycle.
@@ -178,16 +168,6 @@ fn the_bits_do_not_depend_on_the_pool() {
     }
 }
 
-/// Cancels at the n-th question.
-struct CancelAfterChecks(AtomicUsize);
-
-impl Progress for CancelAfterChecks {
-    fn cancelled(&self) -> bool {
-        let asked = self.0.fetch_update(Relaxed, Relaxed, |n| Some(n.saturating_sub(1)));
-        asked.unwrap_or(0) == 0
-    }
-}
-
 #[test]
 fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
     let case = paper(SolverCase::ends(lattice(12, 12, 16), 2), Some(2), 1);
@@ -205,19 +185,12 @@ fn cancelling_stops_between_sweeps_and_watchers_can_stop() {
                 SolveControl::Continue
             }
         };
-        let mut workspace = Workspace::default();
-        let result = case.system.equations(&case.hierarchy, 3, &rhs).solve(
-            &mut x,
-            &to(1e-12),
-            &mut workspace,
-            &Exec::new(&case.pool, progress),
-            &mut watch,
-        );
+        let result = case.watched(3, &rhs, &mut x, &to(1e-12), progress, &mut watch);
         (result, seen, x, shown)
     };
     // Four sweeps on each of several levels and two conjugate-gradient steps ask at least ten times per cycle.
     for questions in [0, 1, 2, 5, 9, 20, 40] {
-        let (result, seen, ..) = run(&CancelAfterChecks(questions.into()), usize::MAX);
+        let (result, seen, ..) = run(&CancelAfter(questions.into()), usize::MAX);
         assert_eq!(result, Err(Error::Cancelled));
         assert!(seen <= questions / 10, "{seen} cycles after {questions} questions");
     }
@@ -259,11 +232,7 @@ fn hard_graphs_end_with_a_result() {
             );
             assert!(stats.converged || k == 2, "case {k}: {stats:?}");
             if stats.converged {
-                let own = case
-                    .system
-                    .equations(&case.hierarchy, 2, &rhs)
-                    .residual(&x, None, &case.pool)
-                    .unwrap();
+                let own = case.own_residuals(2, &rhs, &x);
                 assert!(own.iter().all(|r| *r <= 1.01 * tolerance), "case {k}: {own:?}");
             }
         }

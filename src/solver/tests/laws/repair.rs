@@ -170,7 +170,7 @@ fn systems_from_before_are_refused() {
 }
 
 #[test]
-fn large_changes_and_other_kinds_of_graphs_are_built_anew() {
+fn large_changes_and_other_kinds_of_graphs_are_rebuilt() {
     let graph = lattice(14, 14, 14);
     let pool = Pool::new(1).unwrap();
     let same: Vec<u32> = (0..graph.len() as u32).collect();

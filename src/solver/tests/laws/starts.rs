@@ -4,7 +4,7 @@ use pliant_solver::exec::Exec;
 use pliant_solver::progress::Silent;
 use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace};
 
-use super::case::{SolverCase, largest_distance, to, twist};
+use super::case::{SolverCase, full, largest_distance, started, twist};
 use super::graphs::{lattice, random_graph, surface};
 
 #[test]
@@ -17,30 +17,14 @@ fn a_warm_start_needs_fewer_iterations() {
     for i in (0..case.n()).filter(|&i| case.fixed[i] && case.graph.positions[i][2] > 10.0) {
         x[3 * i] += 0.2;
     }
-    let warm = case.solve(
-        3,
-        &rhs,
-        &mut x,
-        &SolveOptions {
-            start: InitialGuess::Given,
-            ..to(1e-6)
-        },
-    );
+    let warm = case.solve(3, &rhs, &mut x, &started(InitialGuess::Given, 1e-6));
     assert!(
         warm.converged && warm.iterations + 2 <= cold.iterations,
         "{} against {}",
         warm.iterations,
         cold.iterations
     );
-    let again = case.solve(
-        3,
-        &rhs,
-        &mut x,
-        &SolveOptions {
-            start: InitialGuess::Given,
-            ..to(1e-6)
-        },
-    );
+    let again = case.solve(3, &rhs, &mut x, &started(InitialGuess::Given, 1e-6));
     assert_eq!(again.iterations, 1, "a solution is recognised, and its error estimated");
 }
 
@@ -53,28 +37,14 @@ fn the_full_multigrid_start_saves_iterations() {
         let (rhs, start, frames) = twist(&case, 1.5);
         let iterations = |start_at: InitialGuess<'_>| {
             let mut x = start.clone();
-            let stats = case.solve(
-                3,
-                &rhs,
-                &mut x,
-                &SolveOptions {
-                    start: start_at,
-                    ..to(1e-3)
-                },
-            );
+            let stats = case.solve(3, &rhs, &mut x, &started(start_at, 1e-3));
             assert!(stats.converged && case.residuals(3, &rhs, &x).iter().all(|r| *r <= 1e-3));
             stats.iterations
         };
         let zero = iterations(InitialGuess::Zero);
-        let framed = iterations(InitialGuess::FullMultigrid {
-            frames: Some(&frames),
-            rest: None,
-        });
+        let framed = iterations(full(Some(&frames), None));
         let rest = Some(case.graph.positions.as_slice());
-        let given = iterations(InitialGuess::FullMultigrid {
-            frames: Some(&frames),
-            rest,
-        });
+        let given = iterations(full(Some(&frames), rest));
         assert!(
             framed < zero && given == framed,
             "{framed}, {given} iterations instead of {zero}"
@@ -83,19 +53,8 @@ fn the_full_multigrid_start_saves_iterations() {
         let mut field: Vec<f64> = (0..case.n())
             .map(|i| if start[3 * i + 2] > 1.0 { 1.0 } else { 0.0 })
             .collect();
-        let start_at = InitialGuess::FullMultigrid {
-            frames: None,
-            rest: None,
-        };
-        let stats = case.solve(
-            1,
-            &vec![0.0; case.n()],
-            &mut field,
-            &SolveOptions {
-                start: start_at,
-                ..to(1e-6)
-            },
-        );
+        let start_at = full(None, None);
+        let stats = case.solve(1, &vec![0.0; case.n()], &mut field, &started(start_at, 1e-6));
         assert!(stats.converged);
     }
 }
@@ -116,13 +75,7 @@ fn a_rigid_motion_is_found_by_the_start_alone() {
         }
     }
     let mut x = moved.clone();
-    let options = SolveOptions {
-        start: InitialGuess::FullMultigrid {
-            frames: Some(&frames),
-            rest: None,
-        },
-        ..to(1e-5)
-    };
+    let options = started(full(Some(&frames), None), 1e-5);
     assert_eq!(case.solve(3, &rhs, &mut x, &options).iterations, 1);
     assert!(largest_distance(3, &x, &moved) < 1e-3);
 }
@@ -141,13 +94,7 @@ fn error_estimates_are_close_to_the_truth() {
         let (rhs, start, frames) = twist(case, 1.0);
         let mut exact = start.clone();
         case.solve_to(3, &rhs, &mut exact, 1e-12);
-        for start_at in [
-            InitialGuess::Zero,
-            InitialGuess::FullMultigrid {
-                frames: Some(&frames),
-                rest: None,
-            },
-        ] {
+        for start_at in [InitialGuess::Zero, full(Some(&frames), None)] {
             let (mut x, mut now) = (start.clone(), start.clone());
             let mut ratios = Vec::new();
             let mut watch = |iteration: &IterationReport<'_>| {
@@ -163,10 +110,7 @@ fn error_estimates_are_close_to_the_truth() {
                 }
                 SolveControl::Continue
             };
-            let options = SolveOptions {
-                start: start_at,
-                ..to(1e-7)
-            };
+            let options = started(start_at, 1e-7);
             let mut workspace = Workspace::default();
             let (hierarchy, pool) = (&case.hierarchy, &case.pool);
             case.system

@@ -75,7 +75,7 @@ pub struct Asked {
     pub traces: Vec<String>,
 }
 
-/// Counts what `work` asks for. One caller at a time, and nobody else in the process at work.
+/// Counts what `work` asks for. One caller at a time, and no other thread of the process at work.
 pub fn counted<R>(work: impl FnOnce() -> R) -> (R, Asked) {
     CALLS.store(0, SeqCst);
     BYTES.store(0, SeqCst);

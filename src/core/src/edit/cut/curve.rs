@@ -2,11 +2,9 @@
 //!
 //! Cutting along a curve on the surface.
 
-use super::flat_cap::cap_opening_alike;
-use super::flat_cap::warn_of_open_section;
-use super::plane::{CutOptions, KeptSide};
-use super::trace::{FacePosition, TriangleRuns};
-use super::trace::{SNAP, TraceFailure, TraceStep, trace_along_edges, trace_straight};
+use super::flat_cap::{cap_opening_alike, warn_of_open_section};
+use super::trace::{FacePosition, SNAP, TraceFailure, TraceStep, TriangleRuns, trace_along_edges, trace_straight};
+use super::{CutOptions, KeptSide};
 use crate::edit::error::{EditSubject, Error};
 use crate::edit::patch::SurfacePatch;
 use crate::edit::region_mesh::{RegionMesh, edge_key};
@@ -39,7 +37,7 @@ impl SurfaceCurve<'_> {
 /// The most points that a curve may be given by.
 pub const MOST_POINTS: usize = 4096;
 
-/// How far around each stretch of the curve faces are taken, in stretches; the last: all faces.
+/// How far around each section of the curve faces are taken, in lengths of the section; the last: all faces.
 const REACH: [f64; 4] = [0.25, 1.5, 6.0, f64::INFINITY];
 
 /// A mesh with a curve in it.

@@ -1,7 +1,6 @@
 //! The mesh while it is remeshed, with what each of its points knows about the original surface.
 
-use super::deviation::{ChangedFaces, DeviationBound, WORK};
-use super::deviation::{OriginalPoint, OriginalSurface, SLIVER};
+use super::deviation::{ChangedFaces, DeviationBound, OriginalPoint, OriginalSurface, SLIVER, WORK};
 use super::feature_lines::{Chain, ChainPoint, FeatureLines, LineKind};
 use crate::edit::error::Error;
 use crate::edit::region_mesh::{EdgeFaces, RegionMesh, Wedge};

@@ -4,7 +4,7 @@
 //!
 //! How large a clip may be.
 
-use crate::motion::error::Error;
+use crate::motion::Error;
 use crate::motion::skeleton::{JointPose, Skeleton, SkeletonJoint};
 use glam::DVec3;
 use std::borrow::Cow;

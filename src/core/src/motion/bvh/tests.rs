@@ -103,7 +103,7 @@ fn what_is_no_clip_is_refused_with_its_line() {
         assert!(TWO_BONES.contains(from), "{from}");
         TWO_BONES.replacen(from, to, 1)
     };
-    for (text, line, told) in [
+    for (text, line, reported) in [
         ("v 0 0 0\n".to_owned(), 1, "begins with HIERARCHY"),
         (with("MOTION", "MOVEMENT"), 16, "MOVEMENT"),
         (
@@ -142,10 +142,10 @@ fn what_is_no_clip_is_refused_with_its_line() {
     ] {
         match read(&text) {
             Err(Error::Malformed { line: at, problem }) => {
-                assert!(problem.contains(told), "{told}: {problem}");
+                assert!(problem.contains(reported), "{reported}: {problem}");
                 assert_eq!(at, line, "{problem}");
             }
-            other => panic!("{told}: {other:?}"),
+            other => panic!("{reported}: {other:?}"),
         }
     }
     assert_eq!(read(" \n"), Err(Error::Empty));

@@ -405,7 +405,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sides_are_told_however_they_are_written() {
+    fn sides_are_reported_however_they_are_written() {
         for (name, side, rest) in [
             ("mixamorig:LeftUpLeg", 'l', "upleg"),
             ("RThumb", 'r', "thumb"),
@@ -423,7 +423,7 @@ mod tests {
     }
 
     #[test]
-    fn every_bone_of_a_preset_is_told() {
+    fn every_bone_of_a_preset_is_reported() {
         for preset in ["cmu", "mixamo"] {
             let skeleton = preset_skeleton(preset).expect("a preset");
             let bones = bones_of_names(&skeleton).expect("bones");
@@ -440,8 +440,11 @@ mod tests {
             .joints
             .iter_mut()
             .for_each(|j| j.name = j.name.replace("LeftLeg", "pipe"));
-        let told = bones_of_names(&other).expect_err("refused").to_string();
-        assert!(told.contains("\"lShin\"") && told.contains("such as \"leg\""), "{told}");
+        let reported = bones_of_names(&other).expect_err("refused").to_string();
+        assert!(
+            reported.contains("\"lShin\"") && reported.contains("such as \"leg\""),
+            "{reported}"
+        );
     }
 }
 
@@ -451,7 +454,7 @@ mod shape_bones_tests {
     use crate::motion::skeleton::{JointPose, SkeletonJoint};
 
     #[test]
-    fn a_figure_without_names_is_told_by_its_branches() {
+    fn a_figure_without_names_is_reported_by_its_branches() {
         let mut joints: Vec<SkeletonJoint> = Vec::new();
         let mut add = |parent: Option<usize>, x: f64, y: f64| {
             joints.push(SkeletonJoint {

@@ -220,15 +220,15 @@ impl BodySearch {
     /// Adds the joints of an arm; its length.
     fn add_arm(&self, side: &SideNames, found: &mut FoundBody) -> Option<f64> {
         let height = self.extent.y;
-        let heart = DVec3::new(self.middle, self.height_at(0.6), 0.5 * self.extent.z + self.low.z);
-        let heart = self.lattice.cell_near(heart);
-        let from_heart = self.lattice.distances_from(heart);
+        let trunk = DVec3::new(self.middle, self.height_at(0.6), 0.5 * self.extent.z + self.low.z);
+        let trunk = self.lattice.cell_near(trunk);
+        let from_trunk = self.lattice.distances_from(trunk);
         let side_way = |p: DVec3| (p.x - self.middle) * side.sign;
         let candidates = (0..self.lattice.places.len()).filter(|c| {
             let p = self.lattice.places[*c];
-            from_heart[*c] != FAR && p.y > self.height_at(0.28) && side_way(p) > 0.1 * self.extent.x
+            from_trunk[*c] != FAR && p.y > self.height_at(0.28) && side_way(p) > 0.1 * self.extent.x
         });
-        let reach = |c: usize| f64::from(from_heart[c]) / 10.0 + side_way(self.lattice.places[c]) / self.lattice.side;
+        let reach = |c: usize| f64::from(from_trunk[c]) / 10.0 + side_way(self.lattice.places[c]) / self.lattice.side;
         let ranked = candidates.map(|c| (reach(c), c));
         let tip = ranked.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))?.1;
         let from_tip = self.lattice.distances_from(tip);

@@ -329,21 +329,24 @@ mod tests {
             &[Some("arm"), Some("trunk"), None],
         );
         let bones = found.expect("a rig").bones;
-        let told: Vec<_> = bones.iter().map(|b| (b.id.as_str(), b.parent)).collect();
-        assert_eq!(told, [("trunk", None), ("arm", Some(0)), ("hand", Some(1))]);
+        let reported: Vec<_> = bones.iter().map(|b| (b.id.as_str(), b.parent)).collect();
+        assert_eq!(reported, [("trunk", None), ("arm", Some(0)), ("hand", Some(1))]);
     }
 
     #[test]
     fn rigs_that_do_not_hold_together_are_refused_with_the_bone() {
         let refused =
             |bones: Vec<RigBone>, parents: &[Option<&str>]| rig(bones, parents).expect_err("refused").to_string();
-        let told = refused(vec![bone("a"), bone("b")], &[None, None]);
-        assert_eq!(told, "bones: \"a\", \"b\" have no parent; all but one bone need one");
-        let told = refused(vec![bone("a"), bone("b"), bone("c")], &[None, Some("c"), Some("b")]);
-        assert_eq!(told, "bones: the parents of \"b\", \"c\" form a cycle");
-        let told = refused(vec![bone("a")], &[Some("x")]);
+        let reported = refused(vec![bone("a"), bone("b")], &[None, None]);
         assert_eq!(
-            told,
+            reported,
+            "bones: \"a\", \"b\" have no parent; all but one bone need one"
+        );
+        let reported = refused(vec![bone("a"), bone("b"), bone("c")], &[None, Some("c"), Some("b")]);
+        assert_eq!(reported, "bones: the parents of \"b\", \"c\" form a cycle");
+        let reported = refused(vec![bone("a")], &[Some("x")]);
+        assert_eq!(
+            reported,
             "bones[0].parent: is \"x\", there is no such bone; there are \"a\""
         );
         assert_eq!(refused(vec![], &[]), "bones: has 0 entries, allowed are 1 to 1024");

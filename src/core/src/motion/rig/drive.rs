@@ -477,9 +477,9 @@ fn scale(bones: &[RigBone], pairs: &[BonePair]) -> f64 {
 /// From how many degrees on a twist is reported: near half a turn, the next frame may turn the other way round.
 const LARGEST_TWIST: f64 = 170.0;
 /// The twist of a bone that swings by more than 160 degrees is ignored: the square of the cosine of half of that.
-const LEAST_TOLD: f64 = 0.03;
+const LEAST_REPORTED: f64 = 0.03;
 /// How many bones are reported.
-const MOST_TOLD: usize = 8;
+const MOST_REPORTED: usize = 8;
 
 impl RigDriver {
     /// Warns of bones that are twisted about their own axes by more than 170 degrees against their parents, from how they stand in
@@ -493,7 +493,7 @@ impl RigDriver {
                     continue;
                 };
                 let along = turn.xyz().dot(axis);
-                if along * along + turn.w * turn.w < LEAST_TOLD {
+                if along * along + turn.w * turn.w < LEAST_REPORTED {
                     continue;
                 }
                 let degrees = twist_angle(turn, axis).to_degrees().abs();
@@ -502,15 +502,15 @@ impl RigDriver {
                 }
             }
         }
-        let told = rig.bones.iter().zip(worst);
-        let twisted: Vec<_> = told.filter_map(|(bone, worst)| Some((&bone.id, worst?))).collect();
-        for (bone, (degrees, frame)) in twisted.iter().take(MOST_TOLD) {
+        let reported = rig.bones.iter().zip(worst);
+        let twisted: Vec<_> = reported.filter_map(|(bone, worst)| Some((&bone.id, worst?))).collect();
+        for (bone, (degrees, frame)) in twisted.iter().take(MOST_REPORTED) {
             self.warn(format!(
                 "bone \"{bone}\" is twisted by {degrees:.0} degrees about its own axis in frame {frame}, against how it stands in \
                  the reference pose; near half a turn it may flip to the other side"
             ));
         }
-        if let Some(more @ 1..) = twisted.len().checked_sub(MOST_TOLD) {
+        if let Some(more @ 1..) = twisted.len().checked_sub(MOST_REPORTED) {
             self.warn(format!(
                 "{more} more bones are twisted by more than {LARGEST_TWIST} degrees"
             ));

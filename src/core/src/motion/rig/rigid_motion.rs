@@ -72,7 +72,7 @@ pub(super) fn twist_angle(rotation: DQuat, axis: DVec3) -> f64 {
     }
     let half = libm::atan2(along, w);
     let turn = std::f64::consts::TAU;
-    // Half the angle is told up to half a turn.
+    // Half the angle is known up to half a turn.
     match 2.0 * half {
         angle if angle > 0.5 * turn => angle - turn,
         angle if angle < -0.5 * turn => angle + turn,

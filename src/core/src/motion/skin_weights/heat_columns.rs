@@ -2,7 +2,7 @@
 //!
 //! Cells of a cubic lattice that a mesh occupies, all its parts together.
 
-use super::four_heaviest::HeaviestWeights;
+use super::HeaviestWeights;
 use crate::exec::Exec;
 use crate::graph::WindingTree;
 use crate::mesh::query::closest_point::closest_point_on_segment;

@@ -1,20 +1,185 @@
-//! Which points are joined, and whether the faces around them stay a surface.
+//! Points that lie close together become one.
 //!
-//! Which boundary points of two parts lie close together.
+//! [`weld_points`] does so everywhere, [`weld_boundaries`] along the rim of a model that was appended. A join is left out, and
+//! warned of, where it would give an edge a third face, make two faces touch at a point only, lay two faces on one
+//! another, or turn one over.
 
-use crate::edit::surface::{BitSet, SurfaceView};
-use crate::edit::triangle;
-use crate::mesh::BoundingBox;
+use super::error::{EditSubject, Error};
+use super::patch::{EditWarning, SurfacePatch};
+use super::surface::{BitSet, SurfaceView};
+use super::topology::boundary_points;
+use super::triangle;
 use crate::mesh::query::closest_surface_point::group_fans;
+use crate::mesh::{BoundingBox, Mesh, NONE, Weld};
 use crate::progress::{Cancelled, Progress, check};
 use glam::DVec3;
 use std::collections::BTreeSet;
+
+/// The code of the warning that no two points are close enough.
+pub const NOTHING_TO_WELD: &str = "weld-nothing";
+
+/// Joins points no further apart than `tolerance`: each, in order of number, to the nearest earlier one that joined none.
+/// Triangles that lose a corner by it go. Says with `weld-nothing` when there is nothing to join, and with `weld-left`
+/// what was left out.
+///
+/// # Errors
+/// [`Error::Invalid`] when the tolerance is negative or not finite; [`Error::Impossible`] when no triangle would be left;
+/// [`Error::Cancelled`].
+pub fn weld_points(surface: &SurfaceView, tolerance: f64, progress: &dyn Progress) -> Result<SurfacePatch, Error> {
+    check_tolerance(tolerance, EditSubject::WeldTolerance)?;
+    let positions = point_positions(surface);
+    let corners: Vec<[u32; 3]> = (surface.triangles.iter())
+        .map(|t| t.map(|v| surface.point_of[v as usize]))
+        .filter(|p| !p.contains(&NONE))
+        .collect();
+    let classes = Mesh::build(&positions, &corners, Weld::Tolerance(tolerance)).map_err(|e| {
+        let problem = format!("welding within {tolerance} leaves nothing: {e}");
+        Error::impossible(problem, "the whole surface")
+    })?;
+    check(progress)?;
+    let mut pairs = Vec::new();
+    for (p, &class) in classes.solver_from_render.iter().enumerate() {
+        if class == NONE {
+            continue;
+        }
+        let first = classes.render_vertices_of(class)[0];
+        if first as usize != p {
+            pairs.push((p as u32, first));
+        }
+    }
+    join_pairs(surface, &positions, pairs, progress)
+}
+
+/// Joins the rim of an appended model, whose points are those from `first_new_point` on, to rims of the old one: each
+/// point to the nearest within `tolerance`, the closest pairs first, one to one. The old points stay where they are.
+///
+/// # Errors
+/// [`Error::Invalid`] when the tolerance is negative or not finite or a part is empty; [`Error::Impossible`] when one of
+/// the models has no rim or no two points of both are close enough; [`Error::Cancelled`].
+pub fn weld_boundaries(
+    surface: &SurfaceView,
+    first_new_point: u32,
+    tolerance: f64,
+    progress: &dyn Progress,
+) -> Result<SurfacePatch, Error> {
+    check_tolerance(tolerance, EditSubject::BoundaryWeldTolerance)?;
+    let rim = boundary_points(surface);
+    let (old, new) = rim.split_at(rim.partition_point(|&p| p < first_new_point));
+    for (part, name) in [(old, "model"), (new, "appended model")] {
+        if part.is_empty() {
+            return Err(Error::impossible(
+                format!("the {name} has no boundary to weld; cut it open, or merge without joining"),
+                format!("the {name}"),
+            ));
+        }
+    }
+    check(progress)?;
+    let positions = point_positions(surface);
+    let at = |p: u32| positions[p as usize];
+    let matches = find_close_pairs(new, old, tolerance, at, progress)?;
+    if matches.is_empty() {
+        let (distance, p, q) = find_closest(new, old, at);
+        return Err(Error::impossible(
+            format!(
+                "no boundary point of the appended model is within {tolerance} of a boundary of the model, the closest is {distance} away; \
+                 place it nearer, raise the tolerance or stitch"
+            ),
+            format!("{} and {}", at(p), at(q)),
+        ));
+    }
+    let mut patch = join_pairs(surface, &positions, matches, progress)?;
+    let open = new.len()
+        - new
+            .iter()
+            .filter(|p| patch.joined.binary_search_by_key(*p, |j| j.0).is_ok())
+            .count();
+    if open > 0 {
+        patch.warnings.push(EditWarning::new(
+            "weld-open",
+            format!(
+                "{open} of {} boundary points of the appended model stay unjoined",
+                new.len()
+            ),
+            "the appended model",
+        ));
+    }
+    Ok(patch)
+}
+
+fn check_tolerance(tolerance: f64, subject: EditSubject) -> Result<(), Error> {
+    if tolerance >= 0.0 && tolerance.is_finite() {
+        return Ok(());
+    }
+    let problem = format!("{tolerance} is not a distance, it must be finite and at least 0");
+    Err(Error::invalid(subject, problem))
+}
+
+/// Where each point is.
+fn point_positions(surface: &SurfaceView) -> Vec<DVec3> {
+    let mut positions = vec![DVec3::ZERO; surface.points as usize];
+    for (&p, &x) in surface.point_of.iter().zip(surface.positions) {
+        if p != NONE {
+            positions[p as usize] = x;
+        }
+    }
+    positions
+}
+
+/// Makes the joins that may be made, the closest first, into a patch.
+fn join_pairs(
+    surface: &SurfaceView,
+    positions: &[DVec3],
+    mut pairs: Vec<(u32, u32)>,
+    progress: &dyn Progress,
+) -> Result<SurfacePatch, Error> {
+    let distance = |&(p, q): &(u32, u32)| positions[p as usize].distance(positions[q as usize]);
+    pairs.sort_by(|a, b| distance(a).total_cmp(&distance(b)).then(a.cmp(b)));
+    let mut patch = SurfacePatch::default();
+    if pairs.is_empty() {
+        let message = "no two points are within the tolerance";
+        patch
+            .warnings
+            .push(EditWarning::new(NOTHING_TO_WELD, message, "the whole surface"));
+        return Ok(patch);
+    }
+    let mut joins = PointJoins::gather_faces(surface, positions, &pairs);
+    for (i, &(p, q)) in pairs.iter().enumerate() {
+        if i % 4096 == 0 {
+            check(progress)?;
+        }
+        joins.join_points(p, q);
+    }
+    joins.undo_pinching_joins();
+    patch.joined = joins.joined_pairs();
+    patch.removed = joins.collapsed_triangles();
+    let left: Vec<&(u32, u32)> = (pairs.iter())
+        .filter(|pair| patch.joined.binary_search_by_key(&pair.0, |j| j.0).is_err())
+        .collect();
+    if let Some(first) = left.first() {
+        patch.warnings.push(EditWarning::new(
+            "weld-left",
+            format!(
+                "{} of {} pairs of points were left apart: joined, faces would overlap, turn over or meet at an edge with more than two faces",
+                left.len(),
+                pairs.len()
+            ),
+            format!("{}", positions[first.0 as usize]),
+        ));
+    }
+    if patch.removed.len() == surface.triangles.len() {
+        return Err(Error::impossible(
+            "the weld would leave no triangle; a smaller tolerance keeps some",
+            "the whole surface",
+        ));
+    }
+    Ok(patch)
+}
 
 /// At most this many points become one: more are of no use, and comparing all of them takes long.
 const MOST_MEMBERS: usize = 64;
 
 /// The faces around the points of some pairs, with the joins made so far. A point that another joins joins none.
-pub(super) struct PointJoins {
+struct PointJoins {
     /// The surface's numbers of the points here, rising.
     points: Vec<u32>,
     positions: Vec<DVec3>,
@@ -231,7 +396,7 @@ const COMPARED: usize = 1 << 16;
 /// closest first.
 ///
 /// A tolerance as long as both are compares each with each, so the progress is asked on the way.
-pub(super) fn find_close_pairs(
+fn find_close_pairs(
     from: &[u32],
     to: &[u32],
     tolerance: f64,
@@ -307,7 +472,7 @@ fn find_nearest(
 }
 
 /// The closest two points of both, or of a sample of both, with their distance. Neither is empty.
-pub(super) fn find_closest(from: &[u32], to: &[u32], at: impl Fn(u32) -> DVec3) -> (f64, u32, u32) {
+fn find_closest(from: &[u32], to: &[u32], at: impl Fn(u32) -> DVec3) -> (f64, u32, u32) {
     const SAMPLE: usize = 2000;
     let mut best = (f64::INFINITY, from[0], to[0]);
     for &p in from.iter().step_by(from.len().div_ceil(SAMPLE)) {
@@ -327,7 +492,7 @@ mod close_pairs_tests {
     use crate::progress::{CancelFlag, Silent};
 
     #[test]
-    fn a_comparison_of_each_with_each_ends_when_nobody_wants_it() {
+    fn a_comparison_of_each_with_each_ends_when_cancelled() {
         let flag = CancelFlag::default();
         flag.cancel();
         let (from, to): (Vec<u32>, Vec<u32>) = ((0..1000).collect(), (1000..2000).collect());
