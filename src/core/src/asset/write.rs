@@ -1,7 +1,6 @@
 //! The ways in and out: which codec reads a model, and which one writes it, by patching, building or editing.
 
-use super::codec::EditedOutput;
-use super::codec::Translation;
+use super::codec::{EditedOutput, Translation};
 use super::edited::{self, BaseModel, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
 use super::files::ReadWatch;
 use super::formats::{codec_of, translator_of, writer_of};

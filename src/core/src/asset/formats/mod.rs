@@ -43,9 +43,9 @@ mod polygons;
 mod stl;
 mod text;
 
-use super::Error;
-use super::codec::{FormatCodec, FormatTranslator};
-use super::format::{Format, Recognition};
+use crate::asset::Error;
+use crate::asset::codec::{FormatCodec, FormatTranslator};
+use crate::asset::format::{Format, Recognition};
 
 /// Makes the constants of [`Format`] and the tables of codecs and translators from the rows of the registry.
 macro_rules! registry {

@@ -7,7 +7,7 @@ use super::container;
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::fault::GltfFault;
 use super::scene::Warnings;
-use super::text::{items, value_of};
+use super::text::{list_of, value_of};
 use super::uri::{self, RelativeName};
 use crate::asset::{FileSet, Format};
 
@@ -31,7 +31,7 @@ pub(super) fn companion_names(files: &FileSet, format: Format) -> Vec<String> {
     let mut names = Vec::new();
     let mut seen = std::collections::BTreeSet::new();
     for key in ["buffers", "images"] {
-        for item in items_of(text, key) {
+        for item in list_of(text, key) {
             if let Some(RelativeName::Inside(name)) = uri_of(item).as_deref().map(uri::relative_name)
                 && seen.insert(name.clone())
             {
@@ -45,7 +45,7 @@ pub(super) fn companion_names(files: &FileSet, format: Format) -> Vec<String> {
 /// Warns of images whose files are not among those given.
 pub(super) fn warn_of_missing(doc: &GltfDocument<'_>, files: &FileSet, warnings: &mut Warnings) {
     let (mut missing, mut outside) = (Vec::new(), Vec::new());
-    for (i, item) in items_of(doc.text, "images").into_iter().enumerate() {
+    for (i, item) in list_of(doc.text, "images").into_iter().enumerate() {
         let Some(uri) = uri_of(item) else { continue };
         match uri::relative_name(&uri) {
             RelativeName::Inside(name) if !files.companions.contains_key(&name) => missing.push((i, name)),
@@ -77,12 +77,6 @@ pub(super) fn warn_of_missing(doc: &GltfDocument<'_>, files: &FileSet, warnings:
         &outside,
         "images outside of the model's folder are never opened; the model names them as before",
     );
-}
-
-fn items_of<'a>(text: &'a str, key: &str) -> Vec<&'a str> {
-    value_of(text, key)
-        .and_then(|array| items(array).ok())
-        .unwrap_or_default()
 }
 
 /// The URI of a buffer or image; `None` without one, and for data that is embedded.

@@ -8,14 +8,13 @@
 use super::accessors::{AccessorLayout, ComponentType};
 use super::buffers::{BufferBytes, BufferOrigin};
 use super::builder::{BufferBuilder, INDICES, VERTICES, embedded_buffer_text};
-use super::container;
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::fault::GltfFault;
 use super::float_json::bounds;
 use super::reclaimed::{BufferCuts, count_view_uses};
 use super::schema::{MeshPrimitive, WholeNumber};
 use super::text::{JsonEdits, items, members, quoted, value_of};
-use super::uri;
+use super::{container, uri};
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, FileSet};
 use draco_core::{DataType, DecodeLimits, DecoderBuffer, ErrorKind, Mesh, MeshDecoder, PointAttribute, PointIndex};
@@ -391,8 +390,8 @@ impl<'a> DracoUncompressor<'_, 'a> {
     fn set_accessor(&mut self, accessor: usize, count: usize, (least, most): &(String, String)) {
         let text = self.doc.accessors.items[accessor];
         let view = self.next_view();
-        self.edits.set(text, "bufferView", &view.to_string());
-        self.edits.set(text, "count", &count.to_string());
+        self.edits.set(text, "bufferView", view);
+        self.edits.set(text, "count", count);
         if value_of(text, "byteOffset").is_some() {
             self.edits.set(text, "byteOffset", "0");
         }
@@ -444,7 +443,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
         match target {
             Some(i) => {
                 let item = doc.buffers.items[i];
-                self.edits.set(item, "byteLength", &bytes.len().to_string());
+                self.edits.set(item, "byteLength", bytes.len());
                 match &buffers.stored[i].origin {
                     BufferOrigin::Bin => bin = Some(bytes),
                     BufferOrigin::Companion(name) => drop(plain.companions.insert(name.clone(), bytes.into())),

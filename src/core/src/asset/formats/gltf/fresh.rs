@@ -1,13 +1,12 @@
 //! A new, minimal asset for geometry that came from another format.
 
 use super::builder::{BufferBuilder, INDICES, NewAccessor, VERTICES, index_bytes};
-use super::container;
 use super::document::GLB_FORMAT;
 use super::fault::GltfFault;
 use super::float_json::json_floats;
 use super::media_type::media_type_of;
 use super::text::quoted;
-use super::uri;
+use super::{container, uri};
 use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial};
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
 use crate::asset::{Error, Format, Geometry, Primitive, WrittenFiles};
@@ -67,11 +66,7 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
     } else {
         json.into_bytes()
     };
-    Ok(WrittenFiles {
-        main,
-        companions,
-        ..WrittenFiles::default()
-    })
+    Ok(WrittenFiles::of(main, companions))
 }
 
 fn name_of(primitive: &Primitive) -> String {

@@ -8,7 +8,7 @@ use super::buffers::BufferBytes;
 use super::document::GltfDocument;
 use super::read::{GltfNotes, PlacedPrimitive};
 use super::schema::WholeNumber;
-use super::text::{items, value_of};
+use super::text::{items, list_of, value_of};
 use super::uri::{self, UriTarget};
 use crate::asset::look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
 use crate::asset::{Error, Model};
@@ -117,7 +117,7 @@ struct MaterialInUse {
 /// Reads what a model looks like.
 pub(super) fn surface_look(model: &Model, notes: &GltfNotes) -> Result<SurfaceLook, Error> {
     let (doc, mut buffers) = notes.document_and_bytes(model)?;
-    let list = |key: &str| value_of(doc.text, key).and_then(|s| items(s).ok()).unwrap_or_default();
+    let list = |key: &str| list_of(doc.text, key);
     let sections = LookSections {
         materials: list("materials"),
         textures: list("textures"),

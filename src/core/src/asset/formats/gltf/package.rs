@@ -2,11 +2,10 @@
 
 use super::buffers::{BufferBytes, BufferOrigin};
 use super::builder::embedded_buffer_text;
-use super::container;
 use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
 use super::fault::GltfFault;
 use super::text::quoted;
-use super::uri;
+use super::{container, uri};
 use crate::asset::{Error, FileSet, Format, WrittenFiles};
 use std::borrow::Cow;
 
@@ -88,11 +87,7 @@ pub(super) fn package(
     } else {
         json.into_bytes()
     };
-    Ok(WrittenFiles {
-        main,
-        companions,
-        ..WrittenFiles::default()
-    })
+    Ok(WrittenFiles::of(main, companions))
 }
 
 /// A buffer's bytes without what lies beyond its length. One that has grown has a new length: all of it.

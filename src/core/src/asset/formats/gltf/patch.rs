@@ -7,7 +7,7 @@ use super::document::{GltfDocument, PatchedDocument};
 use super::float_json::bounds;
 use super::sharing::{AccessorOverwrite, AppendedAccessor, MeshRef, SharingPlan};
 use super::slots::AttributeSlot;
-use super::text::{JsonEdits, items, value_of};
+use super::text::{JsonEdits, items, list_of, value_of};
 use crate::asset::Error;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -213,9 +213,7 @@ fn edit_mesh<'a>(
     changes: &[(usize, AttributeSlot, usize)],
     stale: impl Iterator<Item = usize>,
 ) {
-    let primitives = value_of(mesh, "primitives")
-        .and_then(|p| items(p).ok())
-        .unwrap_or_default();
+    let primitives = list_of(mesh, "primitives");
     for (primitive, slot, accessor) in changes {
         let primitive = primitives.get(*primitive);
         let attributes = match slot.target {
@@ -226,7 +224,7 @@ fn edit_mesh<'a>(
             }
         };
         if let Some(attributes) = attributes {
-            edits.set(attributes, slot.role.name(), &accessor.to_string());
+            edits.set(attributes, slot.role.name(), accessor);
         }
     }
     const DRACO: &str = "KHR_draco_mesh_compression";

@@ -202,7 +202,7 @@ impl BufferCuts {
     fn move_offset<'a>(&self, object: &'a str, offset: u64, edits: &mut JsonEdits<'a>) {
         let before = self.ranges.partition_point(|r| r.end as u64 <= offset);
         if before > 0 {
-            edits.set(object, "byteOffset", &(offset - self.gone[before - 1]).to_string());
+            edits.set(object, "byteOffset", offset - self.gone[before - 1]);
         }
     }
 }

@@ -5,7 +5,7 @@ use super::companions::uri_of;
 use super::container;
 use super::fault::GltfFault;
 use super::media_type::media_type_of;
-use super::text::{JsonEdits, items, quoted, value_of};
+use super::text::{JsonEdits, index_of, list_of, quoted, value_of};
 use super::uri::{self, RelativeName};
 use crate::asset::{Error, WrittenFiles};
 use std::collections::BTreeMap;
@@ -48,8 +48,8 @@ pub(super) fn embed_companions(written: WrittenFiles, fault: GltfFault) -> Resul
             followed,
         });
     }
-    if let Some(first) = section_items(text, "buffers").first() {
-        edits.set(first, "byteLength", &bin.len().to_string());
+    if let Some(first) = list_of(text, "buffers").first() {
+        edits.set(first, "byteLength", bin.len());
     }
     let json = edits.apply();
     let main = container::join(json.trim_end(), Some(&bin), &parts.rest, fault)?;
@@ -59,17 +59,6 @@ pub(super) fn embed_companions(written: WrittenFiles, fault: GltfFault) -> Resul
         companions,
         followed,
     })
-}
-
-fn section_items<'a>(text: &'a str, key: &str) -> Vec<&'a str> {
-    value_of(text, key)
-        .and_then(|array| items(array).ok())
-        .unwrap_or_default()
-}
-
-fn number_in(object: &str, key: &str) -> Option<usize> {
-    let value: f64 = value_of(object, key)?.parse().ok()?;
-    (value >= 0.0 && value < u32::MAX.into()).then_some(value as usize)
 }
 
 struct CompanionEmbedder<'a> {
@@ -105,12 +94,12 @@ impl<'a> CompanionEmbedder<'a> {
 
     /// Appends external buffers to the first one; views follow them.
     fn embed_buffers(&mut self) {
-        let buffers = section_items(self.text, "buffers");
+        let buffers = list_of(self.text, "buffers");
         // For each buffer its new number, and where it begins there.
         let mut moved = Vec::with_capacity(buffers.len());
         let mut kept = Vec::new();
         for (i, item) in buffers.iter().enumerate() {
-            let declared = number_in(item, "byteLength").unwrap_or(0);
+            let declared = index_of(item, "byteLength").unwrap_or(0);
             match self.companion_of(item) {
                 // The first buffer is the chunk; a file that is shorter than it says was refused when it was read.
                 Some((name, bytes)) if i > 0 && bytes.len() >= declared => {
@@ -134,7 +123,7 @@ impl<'a> CompanionEmbedder<'a> {
         {
             self.edits.remove_item(item);
         }
-        for view in section_items(self.text, "bufferViews") {
+        for view in list_of(self.text, "bufferViews") {
             self.move_reference(view, &moved);
             let extensions = value_of(view, "extensions").unwrap_or("{}");
             MESHOPT
@@ -146,26 +135,26 @@ impl<'a> CompanionEmbedder<'a> {
 
     /// Renumbers the buffer of a view, or of its compressed form.
     fn move_reference(&mut self, object: &'a str, moved: &[(usize, usize)]) {
-        let Some(buffer) = number_in(object, "buffer") else {
+        let Some(buffer) = index_of(object, "buffer") else {
             return;
         };
         let Some(&(number, at)) = moved.get(buffer) else { return };
         if number != buffer {
-            self.edits.set(object, "buffer", &number.to_string());
+            self.edits.set(object, "buffer", number);
         }
         if at > 0 {
-            let offset = number_in(object, "byteOffset").unwrap_or(0);
-            self.edits.set(object, "byteOffset", &(at + offset).to_string());
+            let offset = index_of(object, "byteOffset").unwrap_or(0);
+            self.edits.set(object, "byteOffset", at + offset);
         }
     }
 
     /// Gives every image that lies in a companion a view of its own.
     fn embed_images(&mut self) {
         let mut pictures = BufferBuilder::default();
-        let first = section_items(self.text, "bufferViews").len();
+        let first = list_of(self.text, "bufferViews").len();
         // Images that name one file share one view.
         let mut view_of: BTreeMap<String, usize> = BTreeMap::new();
-        for image in section_items(self.text, "images") {
+        for image in list_of(self.text, "images") {
             let Some((name, bytes)) = self.companion_of(image) else {
                 continue;
             };
@@ -226,15 +215,7 @@ mod tests {
             companion("odd.xyz", b"?"),
             companion("no-media.txt", b"text"),
         ]);
-        let written = embed_companions(
-            WrittenFiles {
-                main,
-                companions,
-                ..WrittenFiles::default()
-            },
-            fault,
-        )
-        .expect("fits");
+        let written = embed_companions(WrittenFiles::of(main, companions), fault).expect("fits");
         let left: Vec<&String> = written.companions.keys().collect();
         assert_eq!(left, ["no-media.txt", "odd.xyz"]);
         let parts = container::split(&written.main, fault).expect("valid");

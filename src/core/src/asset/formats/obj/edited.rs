@@ -4,8 +4,9 @@ use super::super::text::{NumberPrecision, push_number};
 use super::library::{MaterialLibrary, read_libraries};
 use super::parted::{CornerAttributes, TextureCoordinate, divide_corners};
 use super::read::{ObjNotes, has_no_number};
-use super::statements::{FaceState, ObjStatements, name_in, object_numbers, printable, read};
-use super::statements::{RunCoordinates, coordinates_of};
+use super::statements::{
+    FaceState, ObjStatements, RunCoordinates, coordinates_of, name_in, object_numbers, printable, read,
+};
 use super::write::{push_corner, push_line, push_numbers};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun, RunFaces};

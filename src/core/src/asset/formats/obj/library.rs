@@ -3,8 +3,7 @@
 //! Colours go through as they are written, as other converters do it. Pictures are named from the OBJ's folder.
 
 use super::super::text::{NumberPrecision, TextLexer, number, push_number};
-use super::statements::STYLE;
-use super::statements::{name_in, printable};
+use super::statements::{STYLE, name_in, printable};
 use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use crate::asset::{FileSet, Geometry};
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,7 +1,6 @@
 //! Texture coordinates and normals of an edited run, corner by corner.
 
-use super::statements::NO_NORMAL;
-use super::statements::{FaceState, NO_TEXTURE, ObjStatements, parse_numbers};
+use super::statements::{FaceState, NO_NORMAL, NO_TEXTURE, ObjStatements, parse_numbers};
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins, VertexBlends};
 use crate::asset::geometry::unit_or_zero;
 use crate::mesh::{NONE, shading};

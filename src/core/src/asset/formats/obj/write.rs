@@ -4,8 +4,7 @@ use super::super::text::{NumberPrecision, TextLexer, TextPatch, newline_of, push
 use super::library::write_library;
 use super::normals::{NormalLines, NormalPlan};
 use super::read::ObjNotes;
-use super::statements::printable;
-use super::statements::{FaceCorner, STYLE, resolve, three_words};
+use super::statements::{FaceCorner, STYLE, printable, resolve, three_words};
 use crate::asset::material::NamedMaterial;
 use crate::asset::model::position_bits;
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};

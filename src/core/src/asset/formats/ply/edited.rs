@@ -1,8 +1,7 @@
 //! PLY out after edits of the topology, and what an edited PLY gives to other formats.
 
 use super::super::text::newline_of;
-use super::body::push;
-use super::body::{PlyElement, PlyEncoding, PlyProperty, PlyScalar};
+use super::body::{PlyElement, PlyEncoding, PlyProperty, PlyScalar, push};
 use super::read::{FORMAT, PlyNotes, VertexRole, is_indices};
 use super::table::{PlyTable, read};
 use super::write::stored_types;

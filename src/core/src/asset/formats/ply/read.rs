@@ -1,8 +1,7 @@
 //! PLY in: positions, normals and faces; whatever else there is is stepped over.
 
 use super::super::polygons::Polygons;
-use super::body::PlyBody;
-use super::body::{PlyElement, PlyEncoding, PlyHeader};
+use super::body::{PlyBody, PlyElement, PlyEncoding, PlyHeader};
 use crate::asset::edited::FaceOutlines;
 use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};

@@ -1,8 +1,7 @@
 //! The numbers of a PLY file beyond positions and triangles, read again when they are needed.
 
 use super::super::polygons::Polygons;
-use super::body::PlyBody;
-use super::body::{PlyElement, PlyEncoding, PlyHeader, PlyProperty, PlyScalar};
+use super::body::{PlyBody, PlyElement, PlyEncoding, PlyHeader, PlyProperty, PlyScalar};
 use super::read::{TriangleStrip, is_indices};
 use crate::asset::Error;
 use crate::mesh::NONE;

@@ -1,5 +1,4 @@
-use super::body::push;
-use super::body::{PlyEncoding, PlyScalar};
+use super::body::{PlyEncoding, PlyScalar, push};
 use super::write::build;
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Limits, Model};

@@ -1,8 +1,7 @@
 //! PLY out: the uploaded file with the changed numbers replaced, or a fresh file.
 
 use super::super::text::TextPatch;
-use super::body::{PlyBody, push};
-use super::body::{PlyEncoding, PlyScalar};
+use super::body::{PlyBody, PlyEncoding, PlyScalar, push};
 use super::read::{FORMAT, PlyNotes, VertexRole};
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, Geometry};

@@ -1,10 +1,9 @@
 //! What an edited glTF gives to other formats.
 
 use super::super::read::GltfNotes;
-use super::super::text::{items, value_of};
+use super::super::text::{items, list_of, parse_index, value_of};
 use super::channels::{AttributeBlender, read};
 use super::looks::read_looks;
-use super::places;
 use crate::asset::Error;
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::neutral::RunAttributes;
@@ -28,13 +27,11 @@ pub(in super::super) fn run_attributes(
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
         let mixer = AttributeBlender::new(edited, run);
         let mut extras = RunAttributes::default();
-        let stored = value_of(doc.meshes.items[row.mesh], "primitives")
-            .and_then(|p| items(p).ok())
-            .unwrap_or_default();
+        let stored = list_of(doc.meshes.items[row.mesh], "primitives");
         let material = stored
             .get(row.primitive)
             .and_then(|p| value_of(p, "material"))
-            .and_then(places::index)
+            .and_then(parse_index)
             .and_then(|m| materials.get(m));
         extras.material = material.map(|(material, _)| Arc::clone(material));
         // The coordinates that the picture of the base colour uses.

@@ -2,9 +2,11 @@
 
 use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
-use super::super::text::{JsonEdits, items, value_of};
+use super::super::text::{
+    JsonEdits, items, json_array, list_of, parse_index, value_of, with_member, without_extensions, without_keys,
+};
 use super::handles::AccessorHandle;
-use super::places::{self, DRACO};
+use super::places::DRACO;
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
 use crate::asset::Error;
 use crate::asset::edited::PrimitiveRun;
@@ -103,9 +105,7 @@ fn version_of_mesh<'a>(
     runs_of: &BTreeMap<usize, Vec<&'a PrimitiveRun>>,
 ) -> Result<MeshVersion, Error> {
     let text = maker.doc.meshes.items[mesh];
-    let stored = value_of(text, "primitives")
-        .and_then(|p| items(p).ok())
-        .unwrap_or_default();
+    let stored = list_of(text, "primitives");
     let mut primitives = Vec::with_capacity(stored.len());
     let mut as_stored = true;
     for (p, &old) in stored.iter().enumerate() {
@@ -131,11 +131,7 @@ fn version_of_mesh<'a>(
     } else if primitives.is_empty() {
         MeshVersion::Gone
     } else {
-        MeshVersion::Text(places::with_member(
-            text,
-            "primitives",
-            &places::json_array(&primitives),
-        ))
+        MeshVersion::Text(with_member(text, "primitives", &json_array(&primitives)))
     })
 }
 
@@ -151,19 +147,19 @@ fn primitive_text(stored: &str, made: &MadePrimitive, old_accessors: usize) -> S
         };
         format!("{{{}}}", all.iter().map(one).collect::<Vec<_>>().join(","))
     };
-    let mut text = places::without_extensions(stored, &[DRACO]);
+    let mut text = without_extensions(stored, &[DRACO]);
     if let Some(indices) = &made.indices {
-        text = places::without_extensions(&text, &OF_STORED_TRIANGLES);
-        text = places::with_member(&text, "indices", &number(indices).to_string());
+        text = without_extensions(&text, &OF_STORED_TRIANGLES);
+        text = with_member(&text, "indices", number(indices));
         if value_of(&text, "mode").is_some() {
-            text = places::with_member(&text, "mode", "4");
+            text = with_member(&text, "mode", "4");
         }
     }
     if !made.targets.is_empty() {
         let targets: Vec<String> = made.targets.iter().map(object).collect();
-        text = places::with_member(&text, "targets", &places::json_array(&targets));
+        text = with_member(&text, "targets", &json_array(&targets));
     }
-    places::with_member(&text, "attributes", &object(&made.attributes))
+    with_member(&text, "attributes", &object(&made.attributes))
 }
 
 impl EditedMeshes {
@@ -179,7 +175,7 @@ impl EditedMeshes {
         }
         for (node, version) in nodes {
             if version == MeshVersion::Gone {
-                let text = places::without_keys(doc.nodes.items[node], &["mesh", "skin", "weights"]);
+                let text = without_keys(doc.nodes.items[node], &["mesh", "skin", "weights"]);
                 self.nodes.insert(node, text);
                 continue;
             }
@@ -199,10 +195,7 @@ impl EditedMeshes {
                 }
             };
             if at != mesh {
-                self.nodes.insert(
-                    node,
-                    places::with_member(doc.nodes.items[node], "mesh", &at.to_string()),
-                );
+                self.nodes.insert(node, with_member(doc.nodes.items[node], "mesh", at));
             }
         }
     }
@@ -210,12 +203,10 @@ impl EditedMeshes {
 
 /// An animation without what moves the morph targets of nodes that draw nothing any more.
 fn animation_without(text: &str, gone: &impl Fn(usize) -> bool) -> Option<String> {
-    let channels = value_of(text, "channels")
-        .and_then(|c| items(c).ok())
-        .unwrap_or_default();
+    let channels = list_of(text, "channels");
     let is_lost = |channel: &&str| {
         let target = value_of(channel, "target");
-        let node = target.and_then(|t| value_of(t, "node")).and_then(places::index);
+        let node = target.and_then(|t| value_of(t, "node")).and_then(parse_index);
         target.and_then(|t| value_of(t, "path")) == Some("\"weights\"") && node.is_some_and(gone)
     };
     let left: Vec<String> = channels
@@ -230,6 +221,6 @@ fn animation_without(text: &str, gone: &impl Fn(usize) -> bool) -> Option<String
         return None;
     }
     let mut edits = JsonEdits::new(text);
-    edits.set(text, "channels", &places::json_array(&left));
+    edits.set(text, "channels", &json_array(&left));
     Some(edits.apply())
 }

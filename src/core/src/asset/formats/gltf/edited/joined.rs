@@ -13,12 +13,11 @@ use super::super::fault::GltfFault;
 use super::super::read::GltfNotes;
 use super::super::scene;
 use super::super::targets::TargetTally;
-use super::super::text::{items, quoted, value_of};
+use super::super::text::{index_of, items, json_array, list_of, quoted, value_of, with_member};
 use super::frame::EditedMeshes;
 use super::handles::AccessorHandle;
 use super::joined_bases::JoinedBases;
 use super::material::MaterialCopier;
-use super::places;
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
 use super::targets::EditedTurns;
 use crate::asset::codec::EditedOutput;
@@ -113,9 +112,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             let here = node_for(&root_from_mesh);
             let root_from_mesh = here.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
             let mut primitives = Vec::new();
-            let stored = value_of(mesh, "primitives")
-                .and_then(|p| items(p).ok())
-                .unwrap_or_default();
+            let stored = list_of(mesh, "primitives");
             for (p, stored) in stored.into_iter().enumerate() {
                 let runs = runs_of.get(&(placement.node, p)).map_or(&[][..], Vec::as_slice);
                 for &run in runs {
@@ -133,7 +130,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                     let row = &notes.rows[run.primitive as usize];
                     let space = MeshSpace::OfNode(world_from_root * root_from_mesh);
                     let made = maker.make_primitive(run, row, space)?;
-                    let material = match value_of(stored, "material").and_then(places::index) {
+                    let material = match index_of(stored, "material") {
                         Some(m) => palette.copy_material(m, self.frame, &buffers, self.fresh, self.joined)?,
                         None => None,
                     };
@@ -145,7 +142,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             if primitives.is_empty() {
                 continue;
             }
-            let mut text = format!("{{\"primitives\":{}}}", places::json_array(&primitives));
+            let mut text = format!("{{\"primitives\":{}}}", json_array(&primitives));
             let keys = if here.is_some() || grown {
                 &["name", "weights", "extras"][..]
             } else {
@@ -153,13 +150,13 @@ impl<'a> BaseJoiner<'_, 'a> {
             };
             for key in keys {
                 if let Some(value) = value_of(mesh, key) {
-                    text = places::with_member(&text, key, value);
+                    text = with_member(&text, key, value);
                 }
             }
             self.joined.meshes.push(text);
             let mut node = "{}".to_owned();
             if let Some(name) = value_of(doc.nodes.items[placement.node], "name") {
-                node = places::with_member(&node, "name", name);
+                node = with_member(&node, "name", name);
             }
             if let Some(here) = &here {
                 node = here.write_into_node(node);
@@ -248,7 +245,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             let primitives = [self.primitive_text(&made, None, false)];
             self.joined
                 .meshes
-                .push(format!("{{\"primitives\":{}}}", places::json_array(&primitives)));
+                .push(format!("{{\"primitives\":{}}}", json_array(&primitives)));
             let name = if primitive.name.is_empty() {
                 "{}".into()
             } else {
@@ -276,7 +273,7 @@ impl<'a> BaseJoiner<'_, 'a> {
         }
         if with_targets && !made.targets.is_empty() {
             let targets: Vec<String> = made.targets.iter().map(object).collect();
-            text += &format!(",\"targets\":{}", places::json_array(&targets));
+            text += &format!(",\"targets\":{}", json_array(&targets));
         }
         if let Some(material) = material {
             text += &format!(",\"material\":{material}");
@@ -300,7 +297,7 @@ impl<'a> BaseJoiner<'_, 'a> {
     fn set_children(&mut self, root: usize, children: &[String]) {
         let at = root - self.frame.nodes.len();
         if let Some((text, _)) = self.joined.nodes.get_mut(at).filter(|_| !children.is_empty()) {
-            *text = places::with_member(text, "children", &places::json_array(children));
+            *text = with_member(text, "children", &json_array(children));
         }
     }
 }
@@ -346,7 +343,7 @@ impl NodeTransform {
         let transform = DAffine3::from_scale_rotation_translation(scale, rotation, translation);
         let list = |numbers: &[f64]| {
             let texts: Vec<String> = numbers.iter().map(|v| format!("{v:?}")).collect();
-            places::json_array(&texts)
+            json_array(&texts)
         };
         let text = [
             ("translation", list(&translation.to_array())),
@@ -362,6 +359,6 @@ impl NodeTransform {
         }
         self.text
             .iter()
-            .fold(node, |node, (key, value)| places::with_member(&node, key, value))
+            .fold(node, |node, (key, value)| with_member(&node, key, value))
     }
 }

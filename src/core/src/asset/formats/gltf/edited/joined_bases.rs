@@ -1,8 +1,7 @@
 //! What other models bring into the document of the first.
 
 use super::super::document::GltfDocument;
-use super::kept::unparsed_items;
-use super::places;
+use super::super::text::{list_of, with_member};
 use std::collections::BTreeMap;
 
 /// What joins the document. Accessors are numbered virtually, as in the frame.
@@ -31,7 +30,7 @@ impl JoinedBases {
     /// The new nodes, with joined meshes numbered from `first_mesh` on.
     pub(super) fn node_texts(&self, first_mesh: usize) -> Vec<String> {
         let one = |(text, mesh): &(String, Option<usize>)| match mesh {
-            Some(mesh) => places::with_member(text, "mesh", &(first_mesh + mesh).to_string()),
+            Some(mesh) => with_member(text, "mesh", first_mesh + mesh),
             None => text.clone(),
         };
         self.nodes.iter().map(one).collect()
@@ -40,7 +39,7 @@ impl JoinedBases {
     /// The new images, with new views numbered from `first_view` on.
     pub(super) fn image_texts(&self, first_view: usize) -> Vec<String> {
         let one = |(text, view): &(String, Option<usize>)| match view {
-            Some(view) => places::with_member(text, "bufferView", &(first_view + view).to_string()),
+            Some(view) => with_member(text, "bufferView", first_view + view),
             None => text.clone(),
         };
         self.images.iter().map(one).collect()
@@ -49,5 +48,5 @@ impl JoinedBases {
 
 /// The stored items of a section and those that have joined it.
 pub(super) fn next_number(frame: &GltfDocument<'_>, key: &str, joined: usize) -> usize {
-    unparsed_items(frame, key).len() + joined
+    list_of(frame.text, key).len() + joined
 }

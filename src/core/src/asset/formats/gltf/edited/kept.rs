@@ -4,12 +4,11 @@
 //! dropped, and the rest renumbered and packed, when every extension of the file is known not to name accessors, views
 //! or meshes in places that are not looked at here. Else the numbers stay as they are and new data is only added.
 
-use super::super::accessors::AccessorLayout;
-use super::super::accessors::ComponentType;
+use super::super::accessors::{AccessorLayout, ComponentType};
 use super::super::buffers::BufferBytes;
 use super::super::document::GltfDocument;
 use super::super::schema::GltfMesh;
-use super::super::text::{items, value_of};
+use super::super::text::{items, list_of, parse_index, with_member, without_extensions};
 use super::frame::EditedMeshes;
 use super::places::{self, DRACO, References};
 use crate::asset::Error;
@@ -63,7 +62,7 @@ pub(super) fn pack_kept_data(
     buffers: &mut BufferBytes,
     frame: &EditedMeshes,
 ) -> Result<Option<KeptData>, Error> {
-    let images = unparsed_items(doc, "images");
+    let images = list_of(doc.text, "images");
     let places = (frame.meshes.iter().flatten().map(|mesh| places::of_mesh(mesh)))
         .chain(doc.skins.iter().map(|skin| places::of_skin(skin)))
         .chain(
@@ -79,14 +78,14 @@ pub(super) fn pack_kept_data(
     for References { accessors: a, views: v } in places {
         accessors.extend(
             a.into_iter()
-                .filter_map(places::index)
+                .filter_map(parse_index)
                 .filter(|&a| a < doc.accessors.len()),
         );
-        views.extend(v.into_iter().filter_map(places::index));
+        views.extend(v.into_iter().filter_map(parse_index));
     }
     for &accessor in &accessors {
         let named = places::of_accessor(doc.accessors.items[accessor]);
-        views.extend(named.views.into_iter().filter_map(places::index));
+        views.extend(named.views.into_iter().filter_map(parse_index));
     }
     if buffers.decode_for(doc, &accessors).is_err() {
         return Ok(None);
@@ -116,11 +115,10 @@ pub(super) fn pack_kept_data(
             let key = (view.buffer.index(), view.offset(), view.byte_length.0);
             *stored.entry(key).or_insert_with(|| place(bytes))
         };
-        let text = places::without_extensions(doc.views.items[old], &MESHOPT);
-        let text = places::with_member(&text, "buffer", "0");
+        let text = without_extensions(doc.views.items[old], &MESHOPT);
+        let text = with_member(&text, "buffer", "0");
         kept.view_numbers.insert(old, kept.views.len());
-        kept.views
-            .push(places::with_member(&text, "byteOffset", &start.to_string()));
+        kept.views.push(with_member(&text, "byteOffset", start));
     }
     let renumber = |text| {
         places::renumber_references(
@@ -135,11 +133,6 @@ pub(super) fn pack_kept_data(
         .map(|&old| renumber(doc.accessors.items[old]))
         .collect();
     Ok(Some(kept))
-}
-
-/// The items of a section that the document does not parse.
-pub(super) fn unparsed_items<'a>(doc: &GltfDocument<'a>, key: &str) -> Vec<&'a str> {
-    value_of(doc.text, key).and_then(|s| items(s).ok()).unwrap_or_default()
 }
 
 /// Which extensions are no longer used: compression, when everything is repacked, and quantisation, when every

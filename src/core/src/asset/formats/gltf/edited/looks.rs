@@ -3,8 +3,8 @@
 use super::super::buffers::BufferBytes;
 use super::super::document::GltfDocument;
 use super::super::media_type::file_extension;
+use super::super::text::list_of;
 use super::super::uri::{self, RelativeName};
-use super::kept::unparsed_items;
 use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use crate::asset::{Error, FileSet};
 use bytes::Bytes;
@@ -46,7 +46,7 @@ fn parsed_items(doc: &GltfDocument<'_>, key: &str) -> Result<Vec<Value>, Error> 
         let parsed = serde_json::from_str(text);
         parsed.map_err(|e| doc.fault.malformed(format!("{key}/{i}"), e.to_string()))
     };
-    unparsed_items(doc, key).into_iter().enumerate().map(parse).collect()
+    list_of(doc.text, key).into_iter().enumerate().map(parse).collect()
 }
 
 /// What a material says of its base; `None` where it says nothing that another format knows.

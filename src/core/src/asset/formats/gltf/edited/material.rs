@@ -3,10 +3,8 @@
 use super::super::buffers::BufferBytes;
 use super::super::builder::BufferBuilder;
 use super::super::document::GltfDocument;
-use super::super::text::quoted;
+use super::super::text::{list_of, quoted, with_member, without_keys};
 use super::joined_bases::{JoinedBases, next_number};
-use super::kept::unparsed_items;
-use super::places;
 use crate::asset::{Error, FileSet};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -86,7 +84,7 @@ impl<'p> MaterialCopier<'p> {
     }
 
     fn parse_item(&self, key: &str, index: usize) -> Result<Option<Value>, Error> {
-        let Some(text) = unparsed_items(self.doc, key).get(index).copied() else {
+        let Some(text) = list_of(self.doc.text, key).get(index).copied() else {
             return Ok(None);
         };
         let parsed = serde_json::from_str(text);
@@ -186,7 +184,7 @@ impl<'p> MaterialCopier<'p> {
         if let Some(new) = self.samplers.get(&old) {
             return Ok(*new);
         }
-        let new = unparsed_items(self.doc, "samplers").get(old).map(|text| {
+        let new = list_of(self.doc.text, "samplers").get(old).map(|text| {
             to.joined.samplers.push((*text).to_owned());
             next_number(to.frame, "samplers", to.joined.samplers.len() - 1)
         });
@@ -201,13 +199,12 @@ impl<'p> MaterialCopier<'p> {
         let new = match self.parse_item("images", old)? {
             None => None,
             Some(image) => {
-                let mut text =
-                    places::without_keys(unparsed_items(self.doc, "images")[old], &["bufferView", "extensions"]);
+                let mut text = without_keys(list_of(self.doc.text, "images")[old], &["bufferView", "extensions"]);
                 let mut view = None;
                 if let Some(stored) = image.as_object().and_then(|i| index_member(i, "bufferView")) {
                     view = Some(to.fresh.add_view(to.buffers.view(self.doc, stored)?, None));
                 } else if let Some(uri) = image["uri"].as_str() {
-                    text = places::with_member(&text, "uri", &quoted(&self.free_companion_uri(uri, to)));
+                    text = with_member(&text, "uri", &quoted(&self.free_companion_uri(uri, to)));
                 }
                 to.joined.images.push((text, view));
                 Some(next_number(to.frame, "images", to.joined.images.len() - 1))

@@ -25,15 +25,16 @@ pub(super) use places::References;
 
 use super::buffers::{BufferBytes, BufferOrigin};
 use super::builder::BufferBuilder;
-use super::container;
 use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
 use super::fault::GltfFault;
 use super::package::package;
 use super::read::GltfNotes;
 use super::rig::FollowedNodeTree;
 use super::targets::TargetTally;
-use super::text::{JsonEdits, members, quoted};
-use super::uri;
+use super::text::{
+    JsonEdits, index_of, json_array, list_of, members, quoted, with_member, without_extensions, without_keys,
+};
+use super::{container, uri};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::PrimitiveRun;
 use crate::asset::{Error, FileSet, WrittenFiles};
@@ -152,29 +153,29 @@ impl EditedGltfWriter<'_> {
         for (i, stored) in doc.nodes.items.iter().enumerate() {
             let text = self.frame.nodes.get(&i).map_or(*stored, String::as_str);
             let text = renumber(text, places::of_node);
-            let mesh = super::text::value_of(&text, "mesh").and_then(places::index);
+            let mesh = index_of(&text, "mesh");
             nodes.push(match mesh.and_then(|m| mesh_numbers.get(m).copied().flatten()) {
-                Some(new) if Some(new) != mesh => places::with_member(&text, "mesh", &new.to_string()),
+                Some(new) if Some(new) != mesh => with_member(&text, "mesh", new),
                 _ => text,
             });
         }
         nodes.extend(self.joined.node_texts(first_joined));
 
         let mut sections = JsonSections::new();
-        sections.insert("meshes", Some(places::json_array(&meshes)));
-        sections.insert("nodes", Some(places::json_array(&nodes)));
+        sections.insert("meshes", Some(json_array(&meshes)));
+        sections.insert("nodes", Some(json_array(&nodes)));
         let skins: Vec<String> = doc.skins.iter().map(|text| renumber(text, places::of_skin)).collect();
         let animations = self.frame.animations.iter().flatten();
         let animations: Vec<String> = animations.map(|text| renumber(text, places::of_animation)).collect();
         for (key, list) in [("skins", skins), ("animations", animations)] {
-            sections.insert(key, (!list.is_empty()).then(|| places::json_array(&list)));
+            sections.insert(key, (!list.is_empty()).then(|| json_array(&list)));
         }
-        let mut images: Vec<String> = kept::unparsed_items(doc, "images")
+        let mut images: Vec<String> = list_of(doc.text, "images")
             .into_iter()
             .map(|text| renumber(text, places::of_image))
             .collect();
         images.extend(self.joined.image_texts(kept.views.len()));
-        sections.insert("images", (!images.is_empty()).then(|| places::json_array(&images)));
+        sections.insert("images", (!images.is_empty()).then(|| json_array(&images)));
         self.joined_sections(&mut sections);
         self.set_extensions(&mut sections, &unneeded);
 
@@ -189,8 +190,8 @@ impl EditedGltfWriter<'_> {
         accessors.extend(self.fresh.accessor_texts(views.len()));
         views.extend(self.fresh.view_texts(0, bytes.len()));
         bytes.extend_from_slice(self.fresh.bytes());
-        sections.insert("accessors", Some(places::json_array(&accessors)));
-        sections.insert("bufferViews", Some(places::json_array(&views)));
+        sections.insert("accessors", Some(json_array(&accessors)));
+        sections.insert("bufferViews", Some(json_array(&views)));
         self.package_files(sections, bytes, buffers)
     }
 
@@ -215,19 +216,19 @@ impl EditedGltfWriter<'_> {
         }
         companions.extend(self.joined.companions.clone());
         let stored = doc.buffers.items.first().copied().unwrap_or("{}");
-        let mut buffer = places::without_extensions(stored, &["EXT_meshopt_compression", "KHR_meshopt_compression"]);
-        buffer = places::with_member(&buffer, "byteLength", &bytes.len().to_string());
+        let mut buffer = without_extensions(stored, &["EXT_meshopt_compression", "KHR_meshopt_compression"]);
+        buffer = with_member(&buffer, "byteLength", bytes.len());
         let is_glb = self.fault.0 == GLB_FORMAT;
         let companion = match buffers.stored.first().map(|s| &s.origin) {
             Some(BufferOrigin::Companion(name)) if !is_glb && buffers.is_exclusive(0) => Some(name.clone()),
             _ => None,
         };
         if is_glb {
-            buffer = places::without_keys(&buffer, &["uri"]);
+            buffer = without_keys(&buffer, &["uri"]);
         } else if companion.is_none() {
-            buffer = places::with_member(&buffer, "uri", &quoted(&uri::embed(&bytes)));
+            buffer = with_member(&buffer, "uri", &quoted(&uri::embed(&bytes)));
         }
-        sections.insert("buffers", Some(places::json_array(&[buffer])));
+        sections.insert("buffers", Some(json_array(&[buffer])));
         let json = replace_members(doc.text, sections);
         let main = if is_glb {
             let rest = doc.container.as_ref().map_or(&[][..], |c| &c.rest);
@@ -238,11 +239,7 @@ impl EditedGltfWriter<'_> {
         if let Some(name) = companion {
             companions.insert(name, bytes);
         }
-        Ok(WrittenFiles {
-            main,
-            companions,
-            ..WrittenFiles::default()
-        })
+        Ok(WrittenFiles::of(main, companions))
     }
 
     /// The document with all of its old data where it was, and new data behind it.
@@ -259,7 +256,7 @@ impl EditedGltfWriter<'_> {
         let accessor_texts = self.fresh.accessor_texts(doc.views.len());
         bytes.extend_from_slice(self.fresh.bytes());
 
-        let whole = |list: Vec<String>| (!list.is_empty()).then(|| places::json_array(&list));
+        let whole = |list: Vec<String>| (!list.is_empty()).then(|| json_array(&list));
         let mut sections = JsonSections::new();
         let mut meshes: Vec<String> = Vec::new();
         for (i, mesh) in self.frame.meshes.iter().enumerate() {
@@ -282,8 +279,7 @@ impl EditedGltfWriter<'_> {
                 whole(self.frame.animations.iter().flatten().cloned().collect()),
             );
         }
-        let old =
-            |key: &str| -> Vec<String> { kept::unparsed_items(doc, key).into_iter().map(str::to_owned).collect() };
+        let old = |key: &str| -> Vec<String> { list_of(doc.text, key).into_iter().map(str::to_owned).collect() };
         let mut images = old("images");
         images.extend(self.joined.image_texts(doc.views.len()));
         sections.insert("images", whole(images));
@@ -312,9 +308,7 @@ impl EditedGltfWriter<'_> {
         };
         match target {
             Some(i) => {
-                patched
-                    .edits
-                    .set(doc.buffers.items[i], "byteLength", &bytes.len().to_string());
+                patched.edits.set(doc.buffers.items[i], "byteLength", bytes.len());
                 patched.buffers.insert(i, bytes);
             }
             None => patched.added_buffer = Some(bytes),
@@ -332,12 +326,9 @@ impl EditedGltfWriter<'_> {
             ("samplers", &self.joined.samplers),
         ] {
             if !more.is_empty() {
-                let mut list: Vec<String> = kept::unparsed_items(self.doc, key)
-                    .into_iter()
-                    .map(str::to_owned)
-                    .collect();
+                let mut list: Vec<String> = list_of(self.doc.text, key).into_iter().map(str::to_owned).collect();
                 list.extend(more.iter().cloned());
-                sections.insert(key, Some(places::json_array(&list)));
+                sections.insert(key, Some(json_array(&list)));
             }
         }
         let roots = &self.joined.roots;
@@ -350,8 +341,8 @@ impl EditedGltfWriter<'_> {
                 .collect();
             nodes.extend(roots.iter().map(ToString::to_string));
             let mut scenes: Vec<String> = self.doc.scenes.items.iter().map(|text| (*text).to_owned()).collect();
-            scenes[scene] = places::with_member(stored, "nodes", &places::json_array(&nodes));
-            sections.insert("scenes", Some(places::json_array(&scenes)));
+            scenes[scene] = with_member(stored, "nodes", &json_array(&nodes));
+            sections.insert("scenes", Some(json_array(&scenes)));
         }
     }
 
@@ -373,7 +364,7 @@ impl EditedGltfWriter<'_> {
             list.extend(more.iter().filter(|e| !stored.contains(e)));
             if list.len() != stored.len() || !more.is_empty() {
                 let texts: Vec<String> = list.into_iter().map(|e| quoted(e)).collect();
-                sections.insert(key, (!texts.is_empty()).then(|| places::json_array(&texts)));
+                sections.insert(key, (!texts.is_empty()).then(|| json_array(&texts)));
             }
         }
     }

@@ -1,7 +1,6 @@
 //! Where a document names accessors and buffer views, as slices of its text.
 
-use super::super::schema::WholeNumber;
-use super::super::text::{JsonEdits, items, members, value_of};
+use super::super::text::{JsonEdits, list_of, members, parse_index, value_at, value_of};
 
 /// Numbers in one item of a section.
 #[derive(Default)]
@@ -12,21 +11,8 @@ pub(in super::super) struct References<'a> {
     pub(super) views: Vec<&'a str>,
 }
 
-/// The index that a text holds.
-pub(in super::super) fn index(json: &str) -> Option<usize> {
-    serde_json::from_str::<WholeNumber>(json).ok().map(WholeNumber::index)
-}
-
-fn array_items<'a>(object: &'a str, key: &str) -> Vec<&'a str> {
-    value_of(object, key).and_then(|a| items(a).ok()).unwrap_or_default()
-}
-
 fn member_values(object: &str) -> Vec<&str> {
     members(object).map_or_else(|_| Vec::new(), |list| list.into_iter().map(|m| m.value).collect())
-}
-
-fn value_at_path<'a>(object: &'a str, path: &[&str]) -> Option<&'a str> {
-    path.iter().try_fold(object, |object, key| value_of(object, key))
 }
 
 /// The name of the extension that keeps a compressed twin of a primitive.
@@ -35,17 +21,17 @@ pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
 /// In a mesh.
 pub(in super::super) fn of_mesh(mesh: &str) -> References<'_> {
     let mut places = References::default();
-    for primitive in array_items(mesh, "primitives") {
+    for primitive in list_of(mesh, "primitives") {
         places
             .accessors
             .extend(value_of(primitive, "attributes").map(member_values).unwrap_or_default());
         places
             .accessors
-            .extend(array_items(primitive, "targets").into_iter().flat_map(member_values));
+            .extend(list_of(primitive, "targets").into_iter().flat_map(member_values));
         places.accessors.extend(value_of(primitive, "indices"));
         places
             .views
-            .extend(value_at_path(primitive, &["extensions", DRACO, "bufferView"]));
+            .extend(value_at(primitive, &["extensions", DRACO, "bufferView"]));
     }
     places
 }
@@ -66,14 +52,14 @@ pub(in super::super) fn of_animation(animation: &str) -> References<'_> {
             .filter_map(move |key| value_of(sampler, key))
     };
     References {
-        accessors: array_items(animation, "samplers").into_iter().flat_map(named).collect(),
+        accessors: list_of(animation, "samplers").into_iter().flat_map(named).collect(),
         views: Vec::new(),
     }
 }
 
 /// In a node: the attributes of its instances.
 pub(in super::super) fn of_node(node: &str) -> References<'_> {
-    let attributes = value_at_path(node, &["extensions", "EXT_mesh_gpu_instancing", "attributes"]);
+    let attributes = value_at(node, &["extensions", "EXT_mesh_gpu_instancing", "attributes"]);
     References {
         accessors: attributes.map(member_values).unwrap_or_default(),
         views: Vec::new(),
@@ -89,10 +75,7 @@ pub(super) fn of_accessor(accessor: &str) -> References<'_> {
     ];
     References {
         accessors: Vec::new(),
-        views: paths
-            .into_iter()
-            .filter_map(|path| value_at_path(accessor, path))
-            .collect(),
+        views: paths.into_iter().filter_map(|path| value_at(accessor, path)).collect(),
     }
 }
 
@@ -114,58 +97,16 @@ pub(super) fn renumber_references<'a>(
     let places = of(text);
     let mut edits = JsonEdits::new(text);
     for place in places.accessors {
-        if let Some(new) = index(place).and_then(&accessor) {
+        if let Some(new) = parse_index(place).and_then(&accessor) {
             edits.replace(place, new.to_string());
         }
     }
     for place in places.views {
-        if let Some(new) = index(place).and_then(&view) {
+        if let Some(new) = parse_index(place).and_then(&view) {
             edits.replace(place, new.to_string());
         }
     }
     edits.apply()
-}
-
-/// The object without some of its keys.
-pub(in super::super) fn without_keys(object: &str, keys: &[&str]) -> String {
-    let mut text = object.to_owned();
-    for key in keys {
-        if value_of(&text, key).is_some() {
-            let mut edits = JsonEdits::new(&text);
-            edits.remove(&text, key);
-            text = edits.apply();
-        }
-    }
-    text
-}
-
-/// The object without some extensions; and without `extensions` when none is left.
-pub(in super::super) fn without_extensions(object: &str, names: &[&str]) -> String {
-    let Some(extensions) = value_of(object, "extensions") else {
-        return object.to_owned();
-    };
-    let left = without_keys(extensions, names);
-    if left.len() == extensions.len() {
-        return object.to_owned();
-    }
-    if members(&left).is_ok_and(|list| list.is_empty()) {
-        return without_keys(object, &["extensions"]);
-    }
-    let mut edits = JsonEdits::new(object);
-    edits.set(object, "extensions", &left);
-    edits.apply()
-}
-
-/// The object with a key set.
-pub(in super::super) fn with_member(object: &str, key: &str, json: &str) -> String {
-    let mut edits = JsonEdits::new(object);
-    edits.set(object, key, json);
-    edits.apply()
-}
-
-/// A list of texts as one JSON array.
-pub(in super::super) fn json_array(texts: &[String]) -> String {
-    format!("[{}]", texts.join(","))
 }
 
 #[cfg(test)]
@@ -180,17 +121,5 @@ mod tests {
         let expected = r#"{"primitives":[{"attributes":{"POSITION":11,"_X":12},"indices":13,"targets":[{"POSITION":14}],
             "extensions":{"KHR_draco_mesh_compression":{"bufferView":21,"attributes":{"POSITION":1}}},"extras":{"indices":9}}]}"#;
         assert_eq!(new, expected);
-    }
-
-    #[test]
-    fn extensions_go_and_take_an_empty_object_with_them() {
-        let text = r#"{"a":1,"extensions":{"X":{},"Y":{}},"b":2}"#;
-        assert_eq!(
-            without_extensions(text, &["X"]),
-            r#"{"a":1,"extensions":{"Y":{}},"b":2}"#
-        );
-        assert_eq!(without_extensions(text, &["X", "Y"]), r#"{"a":1,"b":2}"#);
-        assert_eq!(without_extensions(text, &["Z"]), text);
-        assert_eq!(without_keys(r#"{"a":1,"b":2}"#, &["a", "b"]), "{}");
     }
 }

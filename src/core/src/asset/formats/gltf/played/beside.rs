@@ -2,8 +2,8 @@
 
 use super::super::builder::AccessorKind;
 use super::super::document::GltfDocument;
-use super::super::edited::{JsonSections, places};
-use super::super::text::{items, quoted, value_of};
+use super::super::edited::JsonSections;
+use super::super::text::{index_of, items, list_of, parse_index, quoted, value_of, with_member};
 use super::channels::{NewClip, add_root};
 use super::cut_keys::{KeyKind, SamplerKeys};
 use super::document::PlayedDocument;
@@ -68,11 +68,7 @@ fn add_channels(
         return Ok(());
     };
     let living = living_nodes(doc, nodes);
-    let list = |key: &str| {
-        value_of(clip, key)
-            .and_then(|list| items(list).ok())
-            .unwrap_or_default()
-    };
+    let list = |key: &str| list_of(clip, key);
     let samplers = list("samplers");
     let played_nodes: BTreeSet<usize> = nodes.iter().map(|n| n.node).collect();
     // Channels may share samplers, and still do; a turn is cut otherwise than numbers.
@@ -82,11 +78,11 @@ fn add_channels(
             continue;
         };
         let path = value_of(target, "path").unwrap_or_default();
-        let Some(node) = value_of(target, "node").and_then(places::index) else {
+        let Some(node) = index_of(target, "node") else {
             continue;
         };
         let moves = living.contains(&node) && !(path == "\"weights\"" && played_nodes.contains(&node));
-        let Some(sampler) = value_of(channel, "sampler").and_then(places::index).filter(|_| moves) else {
+        let Some(sampler) = index_of(channel, "sampler").filter(|_| moves) else {
             continue;
         };
         let is_turn = path == "\"rotation\"";
@@ -102,7 +98,7 @@ fn add_channels(
                 number
             }
         };
-        new.add_channel_text(places::with_member(channel, "sampler", &number.to_string()));
+        new.add_channel_text(with_member(channel, "sampler", number));
     }
     Ok(())
 }
@@ -114,7 +110,7 @@ fn cut_sampler(
     is_turn: bool,
     seconds: [f64; 2],
 ) -> Result<Option<String>, Error> {
-    let accessor = |key: &str| value_of(sampler, key).and_then(places::index);
+    let accessor = |key: &str| value_of(sampler, key).and_then(parse_index);
     let Some((input, output)) = accessor("input").zip(accessor("output")) else {
         return Ok(None);
     };

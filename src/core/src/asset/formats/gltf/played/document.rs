@@ -5,9 +5,9 @@ use super::super::buffers::{BufferBytes, BufferOrigin};
 use super::super::builder::{AccessorKind, BufferBuilder, embedded_buffer_text};
 use super::super::container;
 use super::super::document::{GLB_FORMAT, GltfDocument};
-use super::super::edited::{JsonSections, places, replace_members};
+use super::super::edited::{JsonSections, replace_members};
 use super::super::fault::GltfFault;
-use super::super::text::{items, value_of};
+use super::super::text::{items, json_array, value_of, with_member};
 use crate::asset::{Error, FileSet, WrittenFiles};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -109,7 +109,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
         let new_accessors = self.fresh.accessor_texts(views);
         bytes.extend_from_slice(self.fresh.bytes());
         if own.is_some() {
-            buffers[0] = places::with_member(&buffers[0], "byteLength", &bytes.len().to_string());
+            buffers[0] = with_member(&buffers[0], "byteLength", bytes.len());
         } else if buffers.is_empty() {
             buffers.push(format!(r#"{{"byteLength":{}}}"#, bytes.len()));
         } else {
@@ -128,7 +128,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
                 let old = old.unwrap_or_default().into_iter().map(str::to_owned);
                 list.splice(0..0, old);
             }
-            sections.insert(key, (!list.is_empty()).then(|| places::json_array(&list)));
+            sections.insert(key, (!list.is_empty()).then(|| json_array(&list)));
         }
         let json = replace_members(self.doc.text.trim_end(), sections);
         let rest = self.doc.container.as_ref().map_or(&[][..], |c| &c.rest);
@@ -141,10 +141,6 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
             .iter()
             .map(|(name, bytes)| (name.clone(), bytes.to_vec()))
             .collect();
-        Ok(WrittenFiles {
-            main,
-            companions,
-            ..WrittenFiles::default()
-        })
+        Ok(WrittenFiles::of(main, companions))
     }
 }

@@ -1,10 +1,10 @@
 //! Frames as joints that carry every vertex.
 
 use super::super::builder::AccessorKind;
-use super::super::edited::{JsonSections, places};
+use super::super::edited::JsonSections;
 use super::super::float_json::json_floats;
 use super::super::read::GltfNotes;
-use super::super::text::quoted;
+use super::super::text::{json_array, quoted};
 use super::beside::go_on_beside;
 use super::channels::{NewClip, add_times};
 use super::document::PlayedDocument;
@@ -62,8 +62,8 @@ pub(super) fn add_clip(
         }
         clips.push(new.text());
     }
-    sections.insert("animations", (!clips.is_empty()).then(|| places::json_array(&clips)));
-    sections.insert("skins", Some(places::json_array(&skins)));
+    sections.insert("animations", (!clips.is_empty()).then(|| json_array(&clips)));
+    sections.insert("skins", Some(json_array(&skins)));
     Ok(sections)
 }
 
@@ -138,7 +138,7 @@ fn add_joints(played: &mut PlayedDocument<'_, '_>, new: &mut NewClip, skeleton: 
 
 fn number_list(numbers: &[usize]) -> String {
     let texts: Vec<String> = numbers.iter().map(ToString::to_string).collect();
-    places::json_array(&texts)
+    json_array(&texts)
 }
 
 /// A place in model space as one that hangs on another has it.

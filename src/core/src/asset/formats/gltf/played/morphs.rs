@@ -1,8 +1,9 @@
 //! Frames as morph targets.
 
 use super::super::builder::AccessorKind;
-use super::super::edited::{JsonSections, places};
+use super::super::edited::JsonSections;
 use super::super::read::GltfNotes;
+use super::super::text::{json_array, with_member, without_keys};
 use super::beside::go_on_beside;
 use super::channels::{NewClip, add_root, add_times};
 use super::document::PlayedDocument;
@@ -43,8 +44,8 @@ pub(super) fn add_clip(
             moved.push(played.add_node(format!(r#"{{"mesh":{mesh}{name}}}"#)));
             drawing.extend(moved.last().copied());
         } else {
-            let bare = places::without_keys(played.node(node.node), &["weights"]);
-            played.set_node(node.node, places::with_member(&bare, "mesh", &mesh.to_string()));
+            let bare = without_keys(played.node(node.node), &["weights"]);
+            played.set_node(node.node, with_member(&bare, "mesh", &mesh.to_string()));
             drawing.push(node.node);
         }
     }
@@ -77,9 +78,9 @@ pub(super) fn add_clip(
     }
     let mut clips = kept_clips(doc, &nodes, clip.beside.as_ref());
     clips.push(new.text());
-    sections.insert("animations", Some(places::json_array(&clips)));
+    sections.insert("animations", Some(json_array(&clips)));
     let skins = kept_skins(doc, &nodes);
-    sections.insert("skins", skins.map(|list| places::json_array(&list)));
+    sections.insert("skins", skins.map(|list| json_array(&list)));
     Ok(sections)
 }
 

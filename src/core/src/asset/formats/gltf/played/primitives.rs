@@ -2,10 +2,9 @@
 
 use super::super::accessors::ShapeAttribute;
 use super::super::builder::AccessorKind;
-use super::super::edited::places;
 use super::super::placement::{Placement, invert};
 use super::super::read::{GltfNotes, PlacedPrimitive, normal_matrix};
-use super::super::text::{items, members, quoted, value_of};
+use super::super::text::{items, json_array, members, quoted, value_of, with_member, without_extensions, without_keys};
 use super::document::PlayedDocument;
 use crate::asset::played_clip::ClipBeside;
 use crate::asset::{Error, Geometry};
@@ -194,12 +193,12 @@ pub(super) fn changed_mesh(mesh: &str, changes: &[PrimitiveChanges]) -> String {
     let primitives: Vec<String> = primitives
         .map(|(text, changes)| changed_primitive(text, changes))
         .collect();
-    let mut mesh = places::without_keys(mesh, &["weights"]);
+    let mut mesh = without_keys(mesh, &["weights"]);
     let names = value_of(&mesh, "extras").filter(|extras| value_of(extras, "targetNames").is_some());
-    if let Some(left) = names.map(|extras| places::without_keys(extras, &["targetNames"])) {
-        mesh = places::with_member(&mesh, "extras", &left);
+    if let Some(left) = names.map(|extras| without_keys(extras, &["targetNames"])) {
+        mesh = with_member(&mesh, "extras", &left);
     }
-    places::with_member(&mesh, "primitives", &places::json_array(&primitives))
+    with_member(&mesh, "primitives", &json_array(&primitives))
 }
 
 fn changed_primitive(primitive: &str, changes: &PrimitiveChanges) -> String {
@@ -211,15 +210,15 @@ fn changed_primitive(primitive: &str, changes: &PrimitiveChanges) -> String {
     });
     let mut attributes: Vec<String> = stored.map(|m| format!("{}:{}", quoted(&m.key), m.value)).collect();
     attributes.extend(changes.attributes.iter().map(|(key, at)| format!(r#""{key}":{at}"#)));
-    let mut text = places::without_keys(primitive, &["targets"]);
-    text = places::without_extensions(&text, &["KHR_draco_mesh_compression"]);
-    text = places::with_member(&text, "attributes", &format!("{{{}}}", attributes.join(",")));
+    let mut text = without_keys(primitive, &["targets"]);
+    text = without_extensions(&text, &["KHR_draco_mesh_compression"]);
+    text = with_member(&text, "attributes", &format!("{{{}}}", attributes.join(",")));
     if let Some(indices) = changes.indices {
-        text = places::without_keys(&text, &["mode"]);
-        text = places::with_member(&text, "indices", &indices.to_string());
+        text = without_keys(&text, &["mode"]);
+        text = with_member(&text, "indices", indices);
     }
     if !changes.targets.is_empty() {
-        text = places::with_member(&text, "targets", &places::json_array(&changes.targets));
+        text = with_member(&text, "targets", &json_array(&changes.targets));
     }
     text
 }

@@ -1,9 +1,9 @@
 //! New nodes in the scenes of a document, and which of its clips still say something true.
 
 use super::super::document::GltfDocument;
-use super::super::edited::{JsonSections, places};
+use super::super::edited::JsonSections;
 use super::super::schema::GltfSkin;
-use super::super::text::{items, value_of};
+use super::super::text::{items, json_array, parse_index, value_of, with_member, without_keys};
 use super::document::PlayedDocument;
 use super::primitives::PlayedNode;
 use crate::asset::played_clip::ClipBeside;
@@ -62,24 +62,20 @@ pub(super) fn scene_sections(
         let more = if i == target { added } else { &[] };
         let nodes = moved.chain(more.iter().copied()).filter(|node| seen.insert(*node));
         let nodes: Vec<String> = nodes.map(|node| node.to_string()).collect();
-        scenes.push(places::with_member(
-            doc.scenes.items[i],
-            "nodes",
-            &places::json_array(&nodes),
-        ));
+        scenes.push(with_member(doc.scenes.items[i], "nodes", &json_array(&nodes)));
     }
     if scenes.is_empty() {
         let taken = above.map_or_else(|| top_nodes(doc), |(above, _)| vec![above]);
         let nodes: Vec<String> = taken.iter().chain(added).map(ToString::to_string).collect();
-        scenes.push(format!(r#"{{"nodes":{}}}"#, places::json_array(&nodes)));
+        scenes.push(format!(r#"{{"nodes":{}}}"#, json_array(&nodes)));
     }
-    sections.insert("scenes", Some(places::json_array(&scenes)));
+    sections.insert("scenes", Some(json_array(&scenes)));
     sections.insert("scene", Some(target.to_string()));
 }
 
 /// Takes the mesh off a node; `name` and whatever else it has stay.
 pub(super) fn take_mesh(played: &mut PlayedDocument<'_, '_>, node: usize) {
-    let bare = places::without_keys(played.node(node), &["mesh", "skin", "weights"]);
+    let bare = without_keys(played.node(node), &["mesh", "skin", "weights"]);
     played.set_node(node, bare);
 }
 
@@ -111,7 +107,7 @@ pub(super) fn kept_clips(
     let weighted: BTreeSet<usize> = nodes.iter().map(|n| n.node).collect();
     let moves_lost = |channel: &str| {
         let target = value_of(channel, "target");
-        let node = target.and_then(|t| value_of(t, "node")).and_then(places::index);
+        let node = target.and_then(|t| value_of(t, "node")).and_then(parse_index);
         let is_weights = target.and_then(|t| value_of(t, "path")) == Some("\"weights\"");
         node.is_some_and(|node| lost.contains(&node) || (is_weights && weighted.contains(&node)))
     };

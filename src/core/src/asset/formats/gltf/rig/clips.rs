@@ -5,9 +5,8 @@
 //! frame a clip so does what it did. Where a bone keeps its length, translations turn with the bone instead. All of it is linear in what interpolation mixes, tangents of splines included.
 
 use super::super::document::GltfDocument;
-use super::super::text::{items, value_of};
+use super::super::text::{index_of, items, list_of, value_of};
 use super::nodes::{MovedNode, MovedNodes};
-use crate::asset::formats::gltf::schema::WholeNumber;
 use glam::{DQuat, DVec3};
 use std::collections::BTreeMap;
 
@@ -49,7 +48,7 @@ impl ClipTarget {
 pub(super) fn changed_samplers<'a>(doc: &GltfDocument<'a>, nodes: &MovedNodes) -> Vec<ChangedSampler<'a>> {
     let mut all = Vec::new();
     for (animation, &text) in doc.animations.iter().enumerate() {
-        let list = |key: &str| value_of(text, key).and_then(|l| items(l).ok()).unwrap_or_default();
+        let list = |key: &str| list_of(text, key);
         let samplers = list("samplers");
         let mut users: BTreeMap<usize, Vec<(Option<ClipTarget>, &'a str)>> = BTreeMap::new();
         for channel in list("channels") {
@@ -83,11 +82,6 @@ pub(super) fn changed_samplers<'a>(doc: &GltfDocument<'a>, nodes: &MovedNodes) -
         }
     }
     all
-}
-
-fn index_of(object: &str, key: &str) -> Option<usize> {
-    let number: WholeNumber = serde_json::from_str(value_of(object, key)?).ok()?;
-    Some(number.index())
 }
 
 /// Which node a channel moves, and how; `None` for what no joint's motion changes.

@@ -9,7 +9,7 @@ use super::super::float_json::{bounds, json_floats};
 use super::super::package::package;
 use super::super::read::{load_bytes, parse_written};
 use super::super::sharing::ByteSpans;
-use super::super::text::{JsonEdits, value_of};
+use super::super::text::{JsonEdits, index_of, parse_index, value_of, with_member};
 use super::clips::{ChangedSampler, ClipTarget, SampledValues, carried_values, changed_samplers};
 use super::{BindChanges, FollowedNodeTree};
 use crate::asset::{Error, FileSet, Format, WrittenFiles};
@@ -104,7 +104,7 @@ impl<'a> RigWriter<'_, 'a> {
         let (Some(&text), count) = (doc.skins.get(skin), super::joint_count(doc, skin)) else {
             return Ok(());
         };
-        let accessor = value_of(text, "inverseBindMatrices").and_then(places::index);
+        let accessor = index_of(text, "inverseBindMatrices");
         let mut values: Vec<f32> = match accessor {
             Some(accessor) => self.read(accessor, 16)?.unwrap_or_default(),
             None => Vec::new(),
@@ -124,7 +124,7 @@ impl<'a> RigWriter<'_, 'a> {
         // Skins that share their matrices come one by one; the first to come would spoil those of the others.
         let in_place = accessor.filter(|_| self.names(accessor) == 1);
         if let Some(at) = self.store(in_place, &new)? {
-            self.edits.set(text, "inverseBindMatrices", &at.to_string());
+            self.edits.set(text, "inverseBindMatrices", at);
         }
         Ok(())
     }
@@ -186,7 +186,7 @@ impl<'a> RigWriter<'_, 'a> {
     /// Points a sampler at new values, or the channels that part from it at a new sampler.
     fn point_sampler(&mut self, user: &ChangedSampler<'a>, accessor: usize, parted: &mut BTreeMap<usize, Vec<String>>) {
         if user.parting.is_empty() {
-            self.edits.set(user.sampler, "output", &accessor.to_string());
+            self.edits.set(user.sampler, "output", accessor);
             return;
         }
         let stored = value_of(self.doc.animations[user.animation], "samplers");
@@ -195,7 +195,7 @@ impl<'a> RigWriter<'_, 'a> {
             .map_or(0, |list| list.len());
         let new = parted.entry(user.animation).or_default();
         let number = (stored + new.len()).to_string();
-        new.push(places::with_member(user.sampler, "output", &accessor.to_string()));
+        new.push(with_member(user.sampler, "output", accessor));
         for channel in &user.parting {
             self.edits.set(channel, "sampler", &number);
         }
@@ -307,7 +307,7 @@ impl<'a> RigWriter<'_, 'a> {
 fn accessor_uses(doc: &GltfDocument<'_>) -> Vec<u32> {
     let mut uses = vec![0; doc.accessors.len()];
     let mut count = |places: References<'_>| {
-        for index in places.accessors.into_iter().filter_map(places::index) {
+        for index in places.accessors.into_iter().filter_map(parse_index) {
             if let Some(uses) = uses.get_mut(index) {
                 *uses += 1;
             }

@@ -3,7 +3,7 @@
 use super::super::accessors::AccessorLayout;
 use super::super::document::GltfDocument;
 use super::super::schema::WholeNumber;
-use super::indices::parse_index;
+use super::super::text::parse_index;
 use std::collections::BTreeSet;
 
 /// Bytes that something uses.

@@ -4,6 +4,14 @@
 //! accessor is overwritten only when all attributes that use it or share its bytes become the same; else the changed
 //! ones get an accessor of their own.
 
+mod bytes;
+mod mesh_ref;
+mod variants;
+
+pub(super) use bytes::ByteSpans;
+pub(super) use mesh_ref::MeshRef;
+pub(super) use variants::MeshCopy;
+
 use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, sparse_indices};
 use super::buffers::BufferBytes;
 use super::changes::{ChangedAttribute, DeformedAttributes};
@@ -11,19 +19,9 @@ use super::document::GltfDocument;
 use super::read::GltfNotes;
 use super::schema::WholeNumber;
 use super::slots::AttributeSlot;
-use super::text;
+use super::text::{self, index_of, list_of, parse_index, value_of};
 use crate::asset::Geometry;
-use indices::{member_index, parse_index};
 use std::collections::{BTreeMap, BTreeSet};
-
-mod bytes;
-mod indices;
-mod mesh_ref;
-mod variants;
-
-pub(super) use bytes::ByteSpans;
-pub(super) use mesh_ref::MeshRef;
-pub(super) use variants::MeshCopy;
 
 /// An accessor whose bytes are overwritten where they are.
 pub(super) struct AccessorOverwrite {
@@ -292,23 +290,21 @@ impl AccessorUses {
             }
         }
         for animation in &doc.animations {
-            let samplers = text::value_of(animation, "samplers")
-                .and_then(|s| text::items(s).ok())
-                .unwrap_or_default();
+            let samplers = list_of(animation, "samplers");
             for sampler in samplers {
                 uses.strangers
-                    .extend(["input", "output"].iter().filter_map(|key| member_index(sampler, key)));
+                    .extend(["input", "output"].iter().filter_map(|key| index_of(sampler, key)));
             }
         }
         uses.strangers.extend(
             doc.skins
                 .iter()
-                .filter_map(|skin| member_index(skin, "inverseBindMatrices")),
+                .filter_map(|skin| index_of(skin, "inverseBindMatrices")),
         );
         for node in &doc.nodes.items {
-            let instances = text::value_of(node, "extensions")
-                .and_then(|e| text::value_of(e, "EXT_mesh_gpu_instancing"))
-                .and_then(|e| text::value_of(e, "attributes"));
+            let instances = value_of(node, "extensions")
+                .and_then(|e| value_of(e, "EXT_mesh_gpu_instancing"))
+                .and_then(|e| value_of(e, "attributes"));
             let attributes = instances.and_then(|a| text::members(a).ok()).unwrap_or_default();
             uses.strangers
                 .extend(attributes.iter().filter_map(|m| parse_index(m.value)));
