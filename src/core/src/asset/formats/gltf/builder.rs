@@ -4,7 +4,7 @@ use super::buffers::BufferBytes;
 use super::document::{GltfDocument, PatchedDocument};
 use super::fault::GltfFault;
 use super::float_json::bounds;
-use super::text::quoted;
+use super::text::{json_object, quoted};
 use super::uri;
 use crate::asset::Error;
 use std::collections::BTreeMap;
@@ -204,10 +204,14 @@ impl BufferBuilder {
     /// The views as JSON, with their bytes beginning at `offset` of `buffer`.
     pub(super) fn view_texts(&self, buffer: usize, offset: usize) -> Vec<String> {
         let one = |view: &NewView| {
-            let stride = view.stride.map(|s| format!(r#","byteStride":{s}"#)).unwrap_or_default();
-            let target = view.target.map(|t| format!(r#","target":{t}"#)).unwrap_or_default();
-            let (start, length) = (offset + view.start, view.length);
-            format!(r#"{{"buffer":{buffer},"byteOffset":{start},"byteLength":{length}{stride}{target}}}"#)
+            let place = [
+                ("buffer", buffer),
+                ("byteOffset", offset + view.start),
+                ("byteLength", view.length),
+            ];
+            let stride = view.stride.map(|stride| ("byteStride", stride));
+            let target = view.target.map(|target| ("target", target as usize));
+            json_object(place.into_iter().chain(stride).chain(target))
         };
         self.views.iter().map(one).collect()
     }
@@ -215,27 +219,25 @@ impl BufferBuilder {
     /// The accessors as JSON, with their views numbered from `first_view` on.
     pub(super) fn accessor_texts(&self, first_view: usize) -> Vec<String> {
         let one = |accessor: &NewAccessor| {
-            let view = accessor
-                .view
-                .map(|view| format!(r#""bufferView":{},"#, first_view + view));
-            let bounds = accessor.bounds.as_ref();
-            let bounds = bounds.map(|(least, most)| format!(r#","min":{least},"max":{most}"#));
-            let sparse = accessor.sparse.as_ref().map(|sparse| {
-                let (indices, values) = (first_view + sparse.indices, first_view + sparse.values);
-                format!(
-                    r#","sparse":{{"count":{},"indices":{{"bufferView":{indices},"componentType":5125}},"values":{{"bufferView":{values}}}}}"#,
-                    sparse.count
-                )
-            });
-            format!(
-                r#"{{{}"componentType":{},"count":{},"type":"{}"{}{}}}"#,
-                view.unwrap_or_default(),
-                accessor.component,
-                accessor.count,
-                accessor.shape,
-                bounds.unwrap_or_default(),
-                sparse.unwrap_or_default()
-            )
+            let number = |key, number: usize| (key, number.to_string());
+            let mut text: Vec<(&str, String)> = Vec::new();
+            text.extend(accessor.view.map(|view| number("bufferView", first_view + view)));
+            text.push(number("componentType", accessor.component as usize));
+            text.push(number("count", accessor.count));
+            text.push(("type", quoted(accessor.shape)));
+            if let Some((least, most)) = accessor.bounds.clone() {
+                text.extend([("min", least), ("max", most)]);
+            }
+            if let Some(sparse) = &accessor.sparse {
+                let indices = [("bufferView", first_view + sparse.indices), ("componentType", 5125)];
+                let parts = [
+                    number("count", sparse.count),
+                    ("indices", json_object(indices)),
+                    ("values", json_object([("bufferView", first_view + sparse.values)])),
+                ];
+                text.push(("sparse", json_object(parts)));
+            }
+            json_object(text)
         };
         self.accessors.iter().map(one).collect()
     }

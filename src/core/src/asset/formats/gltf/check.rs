@@ -19,13 +19,17 @@ pub(super) fn check(doc: &GltfDocument<'_>) -> Result<(), Error> {
     check_nodes(doc)
 }
 
-fn in_range(
-    doc: &GltfDocument<'_>,
-    place: impl Fn() -> String,
-    index: usize,
-    count: usize,
-    what: &str,
-) -> Result<(), Error> {
+/// Refuses the index of something that the document does not have; `what` names one of its sections, nodes where it names none.
+fn in_range(doc: &GltfDocument<'_>, place: impl Fn() -> String, index: usize, what: &str) -> Result<(), Error> {
+    let count = match what {
+        "buffer" => doc.buffers.len(),
+        "buffer view" => doc.views.len(),
+        "accessor" => doc.accessors.len(),
+        "mesh" => doc.meshes.len(),
+        "skin" => doc.skins.len(),
+        "scene" => doc.scenes.len(),
+        _ => doc.nodes.len(),
+    };
     if index < count {
         return Ok(());
     }
@@ -41,13 +45,7 @@ fn fits(offset: u64, length: u64, size: u64) -> bool {
 
 fn check_view(doc: &GltfDocument<'_>, i: usize, view: &BufferView) -> Result<(), Error> {
     let place = || format!("bufferViews/{i}");
-    in_range(
-        doc,
-        || place() + "/buffer",
-        view.buffer.index(),
-        doc.buffers.len(),
-        "buffer",
-    )?;
+    in_range(doc, || place() + "/buffer", view.buffer.index(), "buffer")?;
     let size = doc.buffers.values[view.buffer.index()].byte_length.0;
     if !fits(view.offset(), view.byte_length.0, size) {
         let problem = format!(
@@ -70,13 +68,7 @@ fn check_view(doc: &GltfDocument<'_>, i: usize, view: &BufferView) -> Result<(),
 
 fn check_compression(doc: &GltfDocument<'_>, i: usize, view: &BufferView, c: &ViewCompression) -> Result<(), Error> {
     let place = || format!("bufferViews/{i}/extensions/meshopt_compression");
-    in_range(
-        doc,
-        || place() + "/buffer",
-        c.buffer.index(),
-        doc.buffers.len(),
-        "buffer",
-    )?;
+    in_range(doc, || place() + "/buffer", c.buffer.index(), "buffer")?;
     let size = doc.buffers.values[c.buffer.index()].byte_length.0;
     if !fits(c.offset(), c.byte_length.0, size) {
         let problem = format!(
@@ -101,13 +93,7 @@ fn check_accessor(doc: &GltfDocument<'_>, i: usize) -> Result<(), Error> {
     let place = || format!("accessors/{i}");
     let accessor = &doc.accessors.values[i];
     if let Some(view) = accessor.buffer_view {
-        in_range(
-            doc,
-            || place() + "/bufferView",
-            view.index(),
-            doc.views.len(),
-            "buffer view",
-        )?;
+        in_range(doc, || place() + "/bufferView", view.index(), "buffer view")?;
     }
     // An accessor of a type we do not know is some extension's; whoever uses it as geometry is refused there.
     let Some(layout) = AccessorLayout::of(accessor, doc.views.values) else {
@@ -173,7 +159,7 @@ fn check_accessor(doc: &GltfDocument<'_>, i: usize) -> Result<(), Error> {
     ];
     for (what, view, offset, size) in parts {
         let place = || format!("accessors/{i}/sparse/{what}");
-        in_range(doc, place, view.index(), doc.views.len(), "buffer view")?;
+        in_range(doc, place, view.index(), "buffer view")?;
         let available = doc.views.values[view.index()].byte_length.0;
         if !sparse
             .count
@@ -199,13 +185,7 @@ fn check_mesh(doc: &GltfDocument<'_>, mesh: usize) -> Result<(), Error> {
             return Err(doc.fault.malformed(place() + "/mode", problem));
         }
         if let Some(indices) = primitive.indices {
-            in_range(
-                doc,
-                || place() + "/indices",
-                indices.index(),
-                doc.accessors.len(),
-                "accessor",
-            )?;
+            in_range(doc, || place() + "/indices", indices.index(), "accessor")?;
         }
         let vertices = primitive
             .attribute("POSITION")
@@ -226,13 +206,7 @@ fn check_attributes(
     vertices: Option<u64>,
 ) -> Result<(), Error> {
     for (name, accessor) in attributes {
-        in_range(
-            doc,
-            || format!("{}/{name}", place()),
-            accessor.index(),
-            doc.accessors.len(),
-            "accessor",
-        )?;
+        in_range(doc, || format!("{}/{name}", place()), accessor.index(), "accessor")?;
         let count = doc.accessors.values[accessor.index()].count.0;
         // Without POSITION the first attribute is as good as any to compare with; such a primitive draws nothing.
         if vertices.is_some_and(|vertices| vertices != count) {
@@ -246,40 +220,22 @@ fn check_attributes(
 fn check_nodes(doc: &GltfDocument<'_>) -> Result<(), Error> {
     for (i, node) in doc.nodes.values.iter().enumerate() {
         for child in &node.children {
-            in_range(
-                doc,
-                || format!("nodes/{i}/children"),
-                child.index(),
-                doc.nodes.len(),
-                "node",
-            )?;
+            in_range(doc, || format!("nodes/{i}/children"), child.index(), "node")?;
         }
         if let Some(mesh) = node.mesh {
-            in_range(
-                doc,
-                || format!("nodes/{i}/mesh"),
-                mesh.index(),
-                doc.meshes.len(),
-                "mesh",
-            )?;
+            in_range(doc, || format!("nodes/{i}/mesh"), mesh.index(), "mesh")?;
         }
         if let Some(skin) = node.skin {
-            in_range(doc, || format!("nodes/{i}/skin"), skin.index(), doc.skins.len(), "skin")?;
+            in_range(doc, || format!("nodes/{i}/skin"), skin.index(), "skin")?;
         }
     }
     for (i, scene) in doc.scenes.values.iter().enumerate() {
         for node in &scene.nodes {
-            in_range(
-                doc,
-                || format!("scenes/{i}/nodes"),
-                node.index(),
-                doc.nodes.len(),
-                "node",
-            )?;
+            in_range(doc, || format!("scenes/{i}/nodes"), node.index(), "node")?;
         }
     }
     if let Some(scene) = doc.scene {
-        in_range(doc, || "scene".into(), scene, doc.scenes.len(), "scene")?;
+        in_range(doc, || "scene".into(), scene, "scene")?;
     }
     Ok(())
 }

@@ -13,7 +13,7 @@ use super::fault::GltfFault;
 use super::float_json::bounds;
 use super::reclaimed::{BufferCuts, count_view_uses};
 use super::schema::{MeshPrimitive, WholeNumber};
-use super::text::{JsonEdits, items, members, quoted, value_of};
+use super::text::{JsonEdits, json_array, list_of, members, quoted, value_of};
 use super::{container, uri};
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, FileSet};
@@ -140,8 +140,8 @@ struct DracoUncompressor<'d, 'a> {
 
 impl<'a> DracoUncompressor<'_, 'a> {
     fn primitive_text(&self, m: usize, p: usize) -> &'a str {
-        let all = value_of(self.doc.meshes.items[m], "primitives").and_then(|list| items(list).ok());
-        all.and_then(|list| list.get(p).copied()).unwrap_or("{}")
+        let all = list_of(self.doc.meshes.items[m], "primitives");
+        all.get(p).copied().unwrap_or("{}")
     }
 
     /// Counts off that a primitive names its stream, which it will not.
@@ -447,7 +447,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
                 match &buffers.stored[i].origin {
                     BufferOrigin::Bin => bin = Some(bytes),
                     BufferOrigin::Companion(name) => drop(plain.companions.insert(name.clone(), bytes.into())),
-                    _ => self.edits.set(item, "uri", &quoted(&uri::embed(&bytes))),
+                    _ => self.edits.set(item, "uri", quoted(&uri::embed(&bytes))),
                 }
             }
             None => {
@@ -476,7 +476,7 @@ fn without_draco(text: String, key: &str) -> String {
     let Some(array) = value_of(&text, key) else {
         return text;
     };
-    let list: Vec<&str> = items(array).unwrap_or_default();
+    let list = list_of(&text, key);
     let kept: Vec<&str> = list.iter().copied().filter(|name| *name != quoted(DRACO)).collect();
     if kept.len() == list.len() {
         return text;
@@ -485,7 +485,7 @@ fn without_draco(text: String, key: &str) -> String {
     if kept.is_empty() {
         edits.remove(&text, key);
     } else {
-        edits.replace(array, format!("[{}]", kept.join(",")));
+        edits.replace(array, json_array(kept));
     }
     edits.apply()
 }
@@ -519,9 +519,8 @@ fn whole_bounds(bytes: &[u8], stride: usize, layout: AccessorLayout) -> (String,
             *lane = (lane.0.min(value), lane.1.max(value));
         }
     }
-    let list = |of: fn(&(i64, i64)) -> i64| {
-        let texts: Vec<String> = lanes.iter().map(|lane| of(lane).to_string()).collect();
-        format!("[{}]", texts.join(","))
-    };
-    (list(|l| l.0), list(|l| l.1))
+    (
+        json_array(lanes.iter().map(|lane| lane.0)),
+        json_array(lanes.iter().map(|lane| lane.1)),
+    )
 }

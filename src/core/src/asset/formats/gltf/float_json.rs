@@ -1,5 +1,7 @@
 //! 32-bit floats as JSON, so that they read back as exactly the same floats.
 
+use super::text::json_array;
+
 /// The least and the largest value of each lane as JSON, which read back as exactly the same floats.
 pub(super) fn bounds(values: &[f32], lanes: usize) -> (String, String) {
     let mut least = vec![f32::INFINITY; lanes];
@@ -15,6 +17,5 @@ pub(super) fn bounds(values: &[f32], lanes: usize) -> (String, String) {
 
 /// As doubles: readers of doubles and of floats get the same number.
 pub(super) fn json_floats(values: &[f32]) -> String {
-    let texts: Vec<String> = values.iter().map(|&v| format!("{:?}", f64::from(v))).collect();
-    format!("[{}]", texts.join(","))
+    json_array(values.iter().map(|&v| format!("{:?}", f64::from(v))))
 }

@@ -22,17 +22,9 @@ pub(super) fn package(
         buffers: mut changed,
         added_buffer,
     } = patched;
-    let mut companions: std::collections::BTreeMap<String, Vec<u8>> = files
-        .companions
-        .iter()
-        .map(|(name, bytes)| (name.clone(), bytes.to_vec()))
-        .collect();
+    let mut companions = files.owned_companions();
     if edits.is_empty() && changed.is_empty() && format == doc.fault.0 {
-        return Ok(WrittenFiles {
-            main: files.main.to_vec(),
-            companions,
-            ..WrittenFiles::default()
-        });
+        return Ok(WrittenFiles::from_upload(files));
     }
 
     let mut bin: Option<Cow<'_, [u8]>> = None;
@@ -68,9 +60,9 @@ pub(super) fn package(
                 let bytes = stored.bytes.as_deref().unwrap_or_default();
                 let now = new.map_or(Cow::Borrowed(bytes), Cow::Owned);
                 let now = declared_part(now, bytes.len(), doc.buffers.values[i].byte_length.index());
-                edits.set(text, "uri", &quoted(&uri::embed(&now)));
+                edits.set(text, "uri", quoted(&uri::embed(&now)));
             }
-            (BufferOrigin::Embedded, Some(new)) => edits.set(text, "uri", &quoted(&uri::embed(&new))),
+            (BufferOrigin::Embedded, Some(new)) => edits.set(text, "uri", quoted(&uri::embed(&new))),
             (BufferOrigin::Companion(name), Some(new)) => drop(companions.insert(name.clone(), new)),
             (_, _) => {}
         }

@@ -1,7 +1,7 @@
 //! What an edited glTF gives to other formats.
 
 use super::super::read::GltfNotes;
-use super::super::text::{items, list_of, parse_index, value_of};
+use super::super::text::{list_of, parse_index, value_of};
 use super::channels::{AttributeBlender, read};
 use super::looks::read_looks;
 use crate::asset::Error;

@@ -3,9 +3,9 @@
 use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
 use super::super::text::{
-    JsonEdits, items, json_array, list_of, parse_index, value_of, with_member, without_extensions, without_keys,
+    JsonEdits, json_array, list_of, parse_index, value_of, with_member, without_extensions, without_keys,
 };
-use super::handles::AccessorHandle;
+use super::handles::attributes_text;
 use super::places::DRACO;
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
 use crate::asset::Error;
@@ -131,35 +131,25 @@ fn version_of_mesh<'a>(
     } else if primitives.is_empty() {
         MeshVersion::Gone
     } else {
-        MeshVersion::Text(with_member(text, "primitives", &json_array(&primitives)))
+        MeshVersion::Text(with_member(text, "primitives", json_array(&primitives)))
     })
 }
 
 /// A stored primitive with other accessors.
 fn primitive_text(stored: &str, made: &MadePrimitive, old_accessors: usize) -> String {
-    let number = |handle: &AccessorHandle| match *handle {
-        AccessorHandle::Old(at) => at,
-        AccessorHandle::New(at) => old_accessors + at,
-    };
-    let object = |all: &BTreeMap<String, AccessorHandle>| {
-        let one = |(name, handle): (&String, &AccessorHandle)| {
-            format!("{}:{}", super::super::text::quoted(name), number(handle))
-        };
-        format!("{{{}}}", all.iter().map(one).collect::<Vec<_>>().join(","))
-    };
     let mut text = without_extensions(stored, &[DRACO]);
     if let Some(indices) = &made.indices {
         text = without_extensions(&text, &OF_STORED_TRIANGLES);
-        text = with_member(&text, "indices", number(indices));
+        text = with_member(&text, "indices", indices.number(old_accessors));
         if value_of(&text, "mode").is_some() {
             text = with_member(&text, "mode", "4");
         }
     }
     if !made.targets.is_empty() {
-        let targets: Vec<String> = made.targets.iter().map(object).collect();
-        text = with_member(&text, "targets", &json_array(&targets));
+        let targets = made.targets.iter().map(|target| attributes_text(target, old_accessors));
+        text = with_member(&text, "targets", json_array(targets));
     }
-    with_member(&text, "attributes", &object(&made.attributes))
+    with_member(&text, "attributes", attributes_text(&made.attributes, old_accessors))
 }
 
 impl EditedMeshes {
@@ -221,6 +211,6 @@ fn animation_without(text: &str, gone: &impl Fn(usize) -> bool) -> Option<String
         return None;
     }
     let mut edits = JsonEdits::new(text);
-    edits.set(text, "channels", &json_array(&left));
+    edits.set(text, "channels", json_array(&left));
     Some(edits.apply())
 }

@@ -13,9 +13,9 @@ use super::super::fault::GltfFault;
 use super::super::read::GltfNotes;
 use super::super::scene;
 use super::super::targets::TargetTally;
-use super::super::text::{index_of, items, json_array, list_of, quoted, value_of, with_member};
+use super::super::text::{index_of, items, json_array, json_object, list_of, quoted, value_of, with_member};
 use super::frame::EditedMeshes;
-use super::handles::AccessorHandle;
+use super::handles::{AccessorHandle, attributes_text};
 use super::joined_bases::JoinedBases;
 use super::material::MaterialCopier;
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
@@ -142,7 +142,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             if primitives.is_empty() {
                 continue;
             }
-            let mut text = format!("{{\"primitives\":{}}}", json_array(&primitives));
+            let mut text = json_object([("primitives", json_array(&primitives))]);
             let keys = if here.is_some() || grown {
                 &["name", "weights", "extras"][..]
             } else {
@@ -161,7 +161,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             if let Some(here) = &here {
                 node = here.write_into_node(node);
             }
-            children.push(self.add_node(node, Some(self.joined.meshes.len() - 1)).to_string());
+            children.push(self.add_node(node, Some(self.joined.meshes.len() - 1)));
         }
         self.set_children(root, &children);
         Ok(())
@@ -199,40 +199,30 @@ impl<'a> BaseJoiner<'_, 'a> {
             let mut add = |name: &str, at: usize| {
                 made.attributes.insert(name.into(), AccessorHandle::New(at));
             };
-            let positions: Vec<f32> = geometry.positions[range.clone()]
-                .iter()
-                .flat_map(|p| p.as_vec3().to_array())
-                .collect();
+            let positions = geometry.positions[range.clone()].iter();
+            let positions: Vec<f32> = positions.flat_map(|p| p.as_vec3().to_array()).collect();
             if positions.iter().any(|v| !v.is_finite()) {
                 return Err(self.fault.unwritable("a position is beyond 32-bit floats"));
             }
-            add(
-                "POSITION",
-                self.fresh.add_floats(&positions, 3, "VEC3", AccessorKind::Positions),
-            );
+            let bounded = AccessorKind::Positions;
+            add("POSITION", self.fresh.add_floats(&positions, 3, "VEC3", bounded));
+            let mut add_plain = |name: &str, values: &[f32], lanes: usize, shape| {
+                add(name, self.fresh.add_floats(values, lanes, shape, AccessorKind::Floats));
+            };
             if primitive.has_normals {
-                let values: Vec<f32> = geometry.normals[range.clone()]
-                    .iter()
-                    .flat_map(|n| n.to_array())
-                    .collect();
-                add(
+                let normals = geometry.normals[range.clone()].iter();
+                add_plain(
                     "NORMAL",
-                    self.fresh.add_floats(&values, 3, "VEC3", AccessorKind::Floats),
+                    &normals.flat_map(|n| n.to_array()).collect::<Vec<_>>(),
+                    3,
+                    "VEC3",
                 );
             }
             if part.has_uv {
-                add(
-                    "TEXCOORD_0",
-                    self.fresh
-                        .add_floats(uv[range.clone()].as_flattened(), 2, "VEC2", AccessorKind::Floats),
-                );
+                add_plain("TEXCOORD_0", uv[range.clone()].as_flattened(), 2, "VEC2");
             }
             if part.has_colours {
-                add(
-                    "COLOR_0",
-                    self.fresh
-                        .add_floats(colours[range].as_flattened(), 4, "VEC4", AccessorKind::Floats),
-                );
+                add_plain("COLOR_0", colours[range].as_flattened(), 4, "VEC4");
             }
             let local: Vec<[u32; 3]> = own
                 .triangles
@@ -245,44 +235,32 @@ impl<'a> BaseJoiner<'_, 'a> {
             let primitives = [self.primitive_text(&made, None, false)];
             self.joined
                 .meshes
-                .push(format!("{{\"primitives\":{}}}", json_array(&primitives)));
+                .push(json_object([("primitives", json_array(&primitives))]));
             let name = if primitive.name.is_empty() {
                 "{}".into()
             } else {
-                format!("{{\"name\":{}}}", quoted(&primitive.name))
+                json_object([("name", quoted(&primitive.name))])
             };
-            children.push(self.add_node(name, Some(self.joined.meshes.len() - 1)).to_string());
+            children.push(self.add_node(name, Some(self.joined.meshes.len() - 1)));
         }
         self.set_children(root, &children);
         Ok(())
     }
 
     fn primitive_text(&self, made: &MadePrimitive, material: Option<usize>, with_targets: bool) -> String {
-        let number = |handle: &AccessorHandle| match *handle {
-            // Never: joined primitives have new accessors only.
-            AccessorHandle::Old(at) => at,
-            AccessorHandle::New(at) => self.frame.accessors.len() + at,
-        };
-        let object = |all: &BTreeMap<String, AccessorHandle>| {
-            let one = |(name, handle): (&String, &AccessorHandle)| format!("{}:{}", quoted(name), number(handle));
-            format!("{{{}}}", all.iter().map(one).collect::<Vec<_>>().join(","))
-        };
-        let mut text = format!("{{\"attributes\":{}", object(&made.attributes));
-        if let Some(indices) = &made.indices {
-            text += &format!(",\"indices\":{}", number(indices));
-        }
+        let old = self.frame.accessors.len();
+        let mut members = vec![("attributes", attributes_text(&made.attributes, old))];
+        members.extend(made.indices.map(|at| ("indices", at.number(old).to_string())));
         if with_targets && !made.targets.is_empty() {
-            let targets: Vec<String> = made.targets.iter().map(object).collect();
-            text += &format!(",\"targets\":{}", json_array(&targets));
+            let targets = made.targets.iter().map(|target| attributes_text(target, old));
+            members.push(("targets", json_array(targets)));
         }
-        if let Some(material) = material {
-            text += &format!(",\"material\":{material}");
-        }
-        text + "}"
+        members.extend(material.map(|material| ("material", material.to_string())));
+        json_object(members)
     }
 
     fn add_root(&mut self, name: &str, placing: Option<&NodeTransform>) -> usize {
-        let text = format!("{{\"name\":{}}}", quoted(name));
+        let text = json_object([("name", quoted(name))]);
         let text = placing.map_or(text.clone(), |p| p.write_into_node(text));
         let root = self.add_node(text, None);
         self.joined.roots.push(root);
@@ -294,10 +272,10 @@ impl<'a> BaseJoiner<'_, 'a> {
         self.frame.nodes.len() + self.joined.nodes.len() - 1
     }
 
-    fn set_children(&mut self, root: usize, children: &[String]) {
+    fn set_children(&mut self, root: usize, children: &[usize]) {
         let at = root - self.frame.nodes.len();
         if let Some((text, _)) = self.joined.nodes.get_mut(at).filter(|_| !children.is_empty()) {
-            *text = with_member(text, "children", &json_array(children));
+            *text = with_member(text, "children", json_array(children));
         }
     }
 }
@@ -341,10 +319,7 @@ impl NodeTransform {
         let (scale, rotation, translation) = transform.to_scale_rotation_translation();
         let rotation = rotation.normalize();
         let transform = DAffine3::from_scale_rotation_translation(scale, rotation, translation);
-        let list = |numbers: &[f64]| {
-            let texts: Vec<String> = numbers.iter().map(|v| format!("{v:?}")).collect();
-            json_array(&texts)
-        };
+        let list = |numbers: &[f64]| json_array(numbers.iter().map(|v| format!("{v:?}")));
         let text = [
             ("translation", list(&translation.to_array())),
             ("rotation", list(&rotation.to_array())),

@@ -8,7 +8,7 @@ use super::super::accessors::{AccessorLayout, ComponentType};
 use super::super::buffers::BufferBytes;
 use super::super::document::GltfDocument;
 use super::super::schema::GltfMesh;
-use super::super::text::{items, list_of, parse_index, with_member, without_extensions};
+use super::super::text::{list_of, parse_index, with_member, without_extensions};
 use super::frame::EditedMeshes;
 use super::places::{self, DRACO, References};
 use crate::asset::Error;

@@ -204,7 +204,7 @@ impl<'p> MaterialCopier<'p> {
                 if let Some(stored) = image.as_object().and_then(|i| index_member(i, "bufferView")) {
                     view = Some(to.fresh.add_view(to.buffers.view(self.doc, stored)?, None));
                 } else if let Some(uri) = image["uri"].as_str() {
-                    text = with_member(&text, "uri", &quoted(&self.free_companion_uri(uri, to)));
+                    text = with_member(&text, "uri", quoted(&self.free_companion_uri(uri, to)));
                 }
                 to.joined.images.push((text, view));
                 Some(next_number(to.frame, "images", to.joined.images.len() - 1))

@@ -32,7 +32,8 @@ use super::read::GltfNotes;
 use super::rig::FollowedNodeTree;
 use super::targets::TargetTally;
 use super::text::{
-    JsonEdits, index_of, json_array, list_of, members, quoted, with_member, without_extensions, without_keys,
+    JsonEdits, index_of, json_array, json_object, list_of, members, quoted, with_member, without_extensions,
+    without_keys,
 };
 use super::{container, uri};
 use crate::asset::codec::EditedOutput;
@@ -203,12 +204,7 @@ impl EditedGltfWriter<'_> {
         buffers: &BufferBytes,
     ) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
-        let mut companions: BTreeMap<String, Vec<u8>> = self
-            .files
-            .companions
-            .iter()
-            .map(|(name, bytes)| (name.clone(), bytes.to_vec()))
-            .collect();
+        let mut companions = self.files.owned_companions();
         for stored in &buffers.stored {
             if let BufferOrigin::Companion(name) = &stored.origin {
                 companions.remove(name);
@@ -226,7 +222,7 @@ impl EditedGltfWriter<'_> {
         if is_glb {
             buffer = without_keys(&buffer, &["uri"]);
         } else if companion.is_none() {
-            buffer = with_member(&buffer, "uri", &quoted(&uri::embed(&bytes)));
+            buffer = with_member(&buffer, "uri", quoted(&uri::embed(&bytes)));
         }
         sections.insert("buffers", Some(json_array(&[buffer])));
         let json = replace_members(doc.text, sections);
@@ -334,14 +330,10 @@ impl EditedGltfWriter<'_> {
         let roots = &self.joined.roots;
         let scene = self.doc.scene.unwrap_or(0);
         if let Some(stored) = self.doc.scenes.items.get(scene).filter(|_| !roots.is_empty()) {
-            let mut nodes: Vec<String> = self.doc.scenes.values[scene]
-                .nodes
-                .iter()
-                .map(|n| n.0.to_string())
-                .collect();
-            nodes.extend(roots.iter().map(ToString::to_string));
+            let listed = self.doc.scenes.values[scene].nodes.iter().map(|n| n.index());
+            let nodes = listed.chain(roots.iter().copied());
             let mut scenes: Vec<String> = self.doc.scenes.items.iter().map(|text| (*text).to_owned()).collect();
-            scenes[scene] = with_member(stored, "nodes", &json_array(&nodes));
+            scenes[scene] = with_member(stored, "nodes", json_array(nodes));
             sections.insert("scenes", Some(json_array(&scenes)));
         }
     }
@@ -363,8 +355,10 @@ impl EditedGltfWriter<'_> {
             let mut list: Vec<&String> = stored.iter().filter(|e| !unneeded.contains(&e.as_str())).collect();
             list.extend(more.iter().filter(|e| !stored.contains(e)));
             if list.len() != stored.len() || !more.is_empty() {
-                let texts: Vec<String> = list.into_iter().map(|e| quoted(e)).collect();
-                sections.insert(key, (!texts.is_empty()).then(|| json_array(&texts)));
+                sections.insert(
+                    key,
+                    (!list.is_empty()).then(|| json_array(list.into_iter().map(|e| quoted(e)))),
+                );
             }
         }
     }
@@ -374,13 +368,15 @@ impl EditedGltfWriter<'_> {
 pub(super) fn replace_members(text: &str, mut sections: JsonSections) -> String {
     let mut out = Vec::new();
     for member in members(text).unwrap_or_default() {
-        match sections.remove(member.key.as_str()) {
-            Some(Some(value)) => out.push(format!("{}:{value}", quoted(&member.key))),
-            Some(None) => {}
-            None => out.push(format!("{}:{}", quoted(&member.key), member.value)),
-        }
+        let value = sections.remove(member.key.as_str());
+        out.extend(
+            value
+                .unwrap_or_else(|| Some(member.value.to_owned()))
+                .map(|value| (member.key, value)),
+        );
     }
-    let added = sections.into_iter().filter_map(|(key, value)| Some((key, value?)));
-    out.extend(added.map(|(key, value)| format!("{}:{value}", quoted(key))));
-    format!("{{{}}}", out.join(","))
+    let added = sections
+        .into_iter()
+        .filter_map(|(key, value)| Some((key.to_owned(), value?)));
+    json_object(out.into_iter().chain(added))
 }

@@ -3,7 +3,7 @@
 use super::super::builder::AccessorKind;
 use super::super::document::GltfDocument;
 use super::super::edited::JsonSections;
-use super::super::text::{index_of, items, list_of, parse_index, quoted, value_of, with_member};
+use super::super::text::{index_of, list_of, parse_index, quoted, value_of, with_member};
 use super::channels::{NewClip, add_root};
 use super::cut_keys::{KeyKind, SamplerKeys};
 use super::document::PlayedDocument;

@@ -1,7 +1,6 @@
 //! The text of a clip.
 
 use super::super::builder::AccessorKind;
-use super::super::edited::places;
 use super::super::text::{json_array, quoted};
 use super::document::PlayedDocument;
 use crate::asset::played_clip::{NodeKeys, NodePlace};
@@ -111,8 +110,7 @@ pub(super) fn add_root(
     keys: &NodeKeys<'_>,
     below: &[usize],
 ) -> usize {
-    let below: Vec<String> = below.iter().map(ToString::to_string).collect();
-    let below = json_array(&below);
+    let below = json_array(below);
     let root = played.add_node(format!(r#"{{"name":"root motion","children":{below}}}"#));
     clip.add_keys(played, root, keys);
     root

@@ -9,7 +9,7 @@ use super::super::edited::{JsonSections, replace_members};
 use super::super::fault::GltfFault;
 use super::super::text::{items, json_array, value_of, with_member};
 use crate::asset::{Error, FileSet, WrittenFiles};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 /// A document and what becomes of it.
 pub(super) struct PlayedDocument<'d, 'a> {
@@ -136,11 +136,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
         let unused = self.doc.container.as_ref().and_then(|c| c.bin);
         let chunk = if is_chunk { Some(&bytes[..]) } else { unused };
         let main = container::join(&json, chunk, rest, fault)?;
-        let companions: BTreeMap<String, Vec<u8>> = files
-            .companions
-            .iter()
-            .map(|(name, bytes)| (name.clone(), bytes.to_vec()))
-            .collect();
+        let companions = files.owned_companions();
         Ok(WrittenFiles::of(main, companions))
     }
 }

@@ -40,7 +40,7 @@ pub(super) fn add_clip(
     let skeleton = add_skeleton(played, clip);
     let back: Vec<f32> = skeleton.stands.iter().flat_map(inverse_matrix).collect();
     let back = played.add_floats(&back, "MAT4", AccessorKind::Numbers);
-    let (root, numbers) = (skeleton.root, number_list(&skeleton.nodes));
+    let (root, numbers) = (skeleton.root, json_array(&skeleton.nodes));
     skins.push(format!(
         r#"{{"inverseBindMatrices":{back},"joints":{numbers},"skeleton":{root}}}"#
     ));
@@ -95,7 +95,7 @@ fn add_skeleton(played: &mut PlayedDocument<'_, '_>, clip: &SkinnedClip<'_>) -> 
         let nodes: Vec<usize> = hang.map(|(joint, _)| node_of(joint)).collect();
         match nodes.is_empty() {
             true => String::new(),
-            false => format!(r#","children":{}"#, number_list(&nodes)),
+            false => format!(r#","children":{}"#, json_array(&nodes)),
         }
     };
     for (number, (joint, place)) in clip.joints.iter().zip(&own).enumerate() {
@@ -134,11 +134,6 @@ fn add_joints(played: &mut PlayedDocument<'_, '_>, new: &mut NewClip, skeleton: 
     if let Some(keys) = &clip.root {
         new.add_keys(played, skeleton.root, keys);
     }
-}
-
-fn number_list(numbers: &[usize]) -> String {
-    let texts: Vec<String> = numbers.iter().map(ToString::to_string).collect();
-    json_array(&texts)
 }
 
 /// A place in model space as one that hangs on another has it.

@@ -4,7 +4,9 @@ use super::super::accessors::ShapeAttribute;
 use super::super::builder::AccessorKind;
 use super::super::placement::{Placement, invert};
 use super::super::read::{GltfNotes, PlacedPrimitive, normal_matrix};
-use super::super::text::{items, json_array, members, quoted, value_of, with_member, without_extensions, without_keys};
+use super::super::text::{
+    json_array, json_object, list_of, members, value_of, with_member, without_extensions, without_keys,
+};
 use super::document::PlayedDocument;
 use crate::asset::played_clip::ClipBeside;
 use crate::asset::{Error, Geometry};
@@ -152,18 +154,17 @@ impl RestPrimitive {
             let new = from_model.and_then(|m| (m.matrix3 * new.truncate().as_dvec3()).try_normalize());
             put(&mut twists, new, old);
         }
-        let mut text = String::new();
+        let mut members = Vec::new();
         for (key, values, kind) in [
             ("POSITION", &shifts, AccessorKind::Positions),
             ("NORMAL", &turns, AccessorKind::Floats),
             ("TANGENT", &twists, AccessorKind::Floats),
         ] {
             if !values.is_empty() {
-                let comma = if text.is_empty() { "" } else { "," };
-                text += &format!(r#"{comma}"{key}":{}"#, played.add_floats(values, "VEC3", kind));
+                members.push((key, played.add_floats(values, "VEC3", kind)));
             }
         }
-        format!("{{{text}}}")
+        json_object(members)
     }
 }
 
@@ -188,8 +189,7 @@ pub(super) struct PrimitiveChanges {
 
 /// A mesh with changes of all of its primitives.
 pub(super) fn changed_mesh(mesh: &str, changes: &[PrimitiveChanges]) -> String {
-    let primitives = value_of(mesh, "primitives").and_then(|list| items(list).ok());
-    let primitives = primitives.unwrap_or_default().into_iter().zip(changes);
+    let primitives = list_of(mesh, "primitives").into_iter().zip(changes);
     let primitives: Vec<String> = primitives
         .map(|(text, changes)| changed_primitive(text, changes))
         .collect();
@@ -198,7 +198,7 @@ pub(super) fn changed_mesh(mesh: &str, changes: &[PrimitiveChanges]) -> String {
     if let Some(left) = names.map(|extras| without_keys(extras, &["targetNames"])) {
         mesh = with_member(&mesh, "extras", &left);
     }
-    with_member(&mesh, "primitives", &json_array(&primitives))
+    with_member(&mesh, "primitives", json_array(&primitives))
 }
 
 fn changed_primitive(primitive: &str, changes: &PrimitiveChanges) -> String {
@@ -208,17 +208,18 @@ fn changed_primitive(primitive: &str, changes: &PrimitiveChanges) -> String {
         let is_dropped = changes.drops_joints && is_joint(&m.key);
         !is_dropped && !changes.attributes.contains_key(m.key.as_str())
     });
-    let mut attributes: Vec<String> = stored.map(|m| format!("{}:{}", quoted(&m.key), m.value)).collect();
-    attributes.extend(changes.attributes.iter().map(|(key, at)| format!(r#""{key}":{at}"#)));
+    let mut attributes: Vec<(String, String)> = stored.map(|m| (m.key, m.value.to_owned())).collect();
+    let added = changes.attributes.iter();
+    attributes.extend(added.map(|(key, at)| ((*key).to_owned(), at.to_string())));
     let mut text = without_keys(primitive, &["targets"]);
     text = without_extensions(&text, &["KHR_draco_mesh_compression"]);
-    text = with_member(&text, "attributes", &format!("{{{}}}", attributes.join(",")));
+    text = with_member(&text, "attributes", json_object(attributes));
     if let Some(indices) = changes.indices {
         text = without_keys(&text, &["mode"]);
         text = with_member(&text, "indices", indices);
     }
     if !changes.targets.is_empty() {
-        text = with_member(&text, "targets", &json_array(&changes.targets));
+        text = with_member(&text, "targets", json_array(&changes.targets));
     }
     text
 }

@@ -3,7 +3,7 @@
 use super::super::document::GltfDocument;
 use super::super::edited::JsonSections;
 use super::super::schema::GltfSkin;
-use super::super::text::{items, json_array, parse_index, value_of, with_member, without_keys};
+use super::super::text::{items, json_array, json_object, parse_index, value_of, with_member, without_keys};
 use super::document::PlayedDocument;
 use super::primitives::PlayedNode;
 use crate::asset::played_clip::ClipBeside;
@@ -61,13 +61,11 @@ pub(super) fn scene_sections(
         });
         let more = if i == target { added } else { &[] };
         let nodes = moved.chain(more.iter().copied()).filter(|node| seen.insert(*node));
-        let nodes: Vec<String> = nodes.map(|node| node.to_string()).collect();
-        scenes.push(with_member(doc.scenes.items[i], "nodes", &json_array(&nodes)));
+        scenes.push(with_member(doc.scenes.items[i], "nodes", json_array(nodes)));
     }
     if scenes.is_empty() {
         let taken = above.map_or_else(|| top_nodes(doc), |(above, _)| vec![above]);
-        let nodes: Vec<String> = taken.iter().chain(added).map(ToString::to_string).collect();
-        scenes.push(format!(r#"{{"nodes":{}}}"#, json_array(&nodes)));
+        scenes.push(json_object([("nodes", json_array(taken.iter().chain(added)))]));
     }
     sections.insert("scenes", Some(json_array(&scenes)));
     sections.insert("scene", Some(target.to_string()));

@@ -5,7 +5,7 @@
 //! frame a clip so does what it did. Where a bone keeps its length, translations turn with the bone instead. All of it is linear in what interpolation mixes, tangents of splines included.
 
 use super::super::document::GltfDocument;
-use super::super::text::{index_of, items, list_of, value_of};
+use super::super::text::{index_of, list_of, value_of};
 use super::nodes::{MovedNode, MovedNodes};
 use glam::{DQuat, DVec3};
 use std::collections::BTreeMap;
@@ -102,11 +102,8 @@ fn target_of(channel: &str) -> Option<ClipTarget> {
 
 /// Whether a clip moves or turns any node. Others, such as those of morph weights alone, never change.
 pub(in super::super) fn moves_nodes(animation: &str) -> bool {
-    let channels = value_of(animation, "channels").and_then(|list| items(list).ok());
-    channels
-        .unwrap_or_default()
-        .into_iter()
-        .any(|channel| target_of(channel).is_some())
+    let channels = list_of(animation, "channels");
+    channels.into_iter().any(|channel| target_of(channel).is_some())
 }
 
 fn is_changed(nodes: &MovedNodes, target: ClipTarget) -> bool {
