@@ -215,8 +215,8 @@ pub fn agrees_with_facet(facet: Option<DVec3>, normal: Vec3) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{FileSet, Limits, Model};
     use super::*;
+    use crate::asset::{FileSet, Limits, Model};
     use crate::progress::Silent;
 
     fn attributes(name: &str, text: &str) -> (Model, VertexAttributes) {

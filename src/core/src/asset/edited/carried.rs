@@ -1,7 +1,7 @@
 //! How normals and tangents follow an edit and the deformations around it.
 
-use super::super::geometry::unit_or_zero;
 use super::{EditedModel, PrimitiveRun, VertexBlend};
+use crate::asset::geometry::unit_or_zero;
 use crate::mesh::shading;
 use glam::{DMat3, DVec3, Vec3, Vec4};
 

@@ -121,10 +121,10 @@ impl BuiltInRecording {
 
 #[cfg(test)]
 mod tests {
-    use super::super::shapes::Shape;
-    use super::super::shapes::tests::{boundary_edges, euler, volume};
-    use super::super::{FileSet, Limits, Model};
     use super::*;
+    use crate::asset::shapes::Shape;
+    use crate::asset::shapes::tests::{boundary_edges, euler, volume};
+    use crate::asset::{FileSet, Limits, Model};
     use glam::DVec3;
 
     fn read(glb: &'static [u8]) -> Model {

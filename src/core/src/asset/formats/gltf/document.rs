@@ -1,7 +1,6 @@
 //! A glTF document: its text, and the sections that geometry needs, item by item.
 
-use super::container::{self, GlbContainer};
-use super::fault::GltfFault;
+use super::container::{self, GlbContainer, GltfFault};
 use super::schema::{AssetHeader, BufferView, GltfAccessor, GltfBuffer, GltfMesh, GltfNode, GltfScene, WholeNumber};
 use super::text::{JsonEdits, count_items, items, members, place_in};
 use crate::asset::files::ReadWatch;

@@ -7,22 +7,18 @@
 
 use super::accessors::{AccessorLayout, ComponentType};
 use super::buffers::{BufferBytes, BufferOrigin};
-use super::builder::{BufferBuilder, INDICES, VERTICES, embedded_buffer_text};
+use super::builder::{BufferBuilder, INDICES, VERTICES, bounds, embedded_buffer_text};
+use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument};
-use super::fault::GltfFault;
-use super::float_json::bounds;
-use super::reclaimed::{BufferCuts, count_view_uses};
-use super::schema::{MeshPrimitive, WholeNumber};
+use super::schema::{DRACO, MeshPrimitive, WholeNumber};
 use super::text::{JsonEdits, json_array, list_of, members, quoted, value_of};
-use super::{container, uri};
+use super::uri;
+use super::used_bytes::{BufferCuts, count_view_uses};
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, FileSet};
 use draco_core::{DataType, DecodeLimits, DecoderBuffer, ErrorKind, Mesh, MeshDecoder, PointAttribute, PointIndex};
 use serde::Deserialize;
 use std::collections::BTreeMap;
-
-/// The extension's name.
-pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
 
 /// Bytes of memory that a stream is decoded within first for each of its bytes, and at least.
 const BYTES_PER_BYTE: u64 = 64;

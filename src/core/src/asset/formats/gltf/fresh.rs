@@ -1,12 +1,10 @@
 //! A new, minimal asset for geometry that came from another format.
 
-use super::builder::{BufferBuilder, INDICES, NewAccessor, VERTICES, index_bytes};
+use super::builder::{BufferBuilder, INDICES, NewAccessor, VERTICES, index_bytes, json_floats};
+use super::container::{self, GltfFault};
 use super::document::GLB_FORMAT;
-use super::fault::GltfFault;
-use super::float_json::json_floats;
-use super::media_type::media_type_of;
 use super::text::quoted;
-use super::{container, uri};
+use super::uri::{self, media_type_of};
 use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial};
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
 use crate::asset::{Error, Format, Geometry, Primitive, WrittenFiles};

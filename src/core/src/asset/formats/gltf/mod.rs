@@ -47,49 +47,36 @@
 mod accessors;
 mod buffers;
 mod builder;
-mod changes;
 mod check;
-mod companions;
 mod compressed;
 mod container;
-mod counts;
 mod deformed;
 mod document;
 mod draco;
 mod edited;
-mod fault;
-mod float_json;
 mod fresh;
-mod glb_writer;
-mod influences;
 mod looks;
-mod media_type;
 mod moving;
-mod moving_shapes;
-mod nodes;
 mod package;
 mod patch;
 mod placement;
 mod played;
 mod read;
-mod reclaimed;
+mod references;
 mod rig;
 mod scene;
 mod schema;
-mod seams;
-mod self_contained;
 mod sharing;
-mod skin;
-mod slots;
 mod targets;
 #[cfg(test)]
 mod tests;
 mod text;
 mod uri;
+mod used_bytes;
 
+pub(in crate::asset) use builder::{ElementShape, GlbWriter};
 pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
-pub(in crate::asset) use glb_writer::{ElementShape, GlbWriter};
-pub(super) use media_type::media_type_of;
+pub(super) use uri::media_type_of;
 pub(super) use uri::of_file_name as uri_of_name;
 
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
@@ -150,14 +137,14 @@ impl FormatCodec for GltfCodec {
             rest,
             positions,
             turns: follows.then(|| local_turns(&rest.positions, positions, &rest.triangles)),
-            fault: fault::GltfFault(format),
+            fault: container::GltfFault(format),
         };
         let mut tally = targets::TargetTally::default();
         let wanted = deformed::wanted_attributes(&doc, &mut buffers, notes, &shape, &mut tally)?;
         let plan = sharing::plan_overwrites(&doc, &buffers, notes, &model.geometry, wanted);
         let patched = patch::patch(&doc, &buffers, plan)?;
         let mut written = package::package(&doc, notes.files(model), &buffers, patched, format)?;
-        let mut followed = counts::followable(&doc, doc.animations.iter().copied());
+        let mut followed = deformed::followable(&doc, doc.animations.iter().copied());
         tally.count_into(&mut followed);
         if let Some((tree, _)) = tree {
             written = tree.rewrite(written, format)?;
@@ -175,13 +162,13 @@ impl FormatCodec for GltfCodec {
     fn nothing_followed(&self, model: &Model) -> Result<FollowedCounts, Error> {
         let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
         let doc = notes.document(model)?;
-        Ok(counts::nothing_followed(&doc, notes))
+        Ok(deformed::nothing_followed(&doc, notes))
     }
 
     fn joint_names(&self, model: &Model) -> Result<BTreeSet<String>, Error> {
         let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
         let doc = notes.document(model)?;
-        let joints = skin::joint_nodes(&doc).into_iter();
+        let joints = placement::joint_nodes(&doc).into_iter();
         Ok(joints
             .filter_map(|joint| doc.nodes.values[joint].name.clone())
             .collect())
@@ -198,7 +185,7 @@ impl FormatCodec for GltfCodec {
 
     fn nodes(&self, model: &Model) -> Result<Option<Vec<ModelNode>>, Error> {
         let notes = model.notes_or_refuse(model.format)?;
-        nodes::model_nodes(model, notes).map(Some)
+        moving::model_nodes(model, notes).map(Some)
     }
 
     fn moving_scene(&self, model: &Model) -> Result<Option<MovingScene>, Error> {
@@ -206,7 +193,7 @@ impl FormatCodec for GltfCodec {
     }
 
     fn primitive_shapes(&self, model: &Model) -> Result<Option<Vec<PrimitiveShapes>>, Error> {
-        moving_shapes::primitive_shapes(model, model.notes_or_refuse(model.format)?).map(Some)
+        moving::primitive_shapes(model, model.notes_or_refuse(model.format)?).map(Some)
     }
 
     fn scene_clip(&self, model: &Model, index: usize) -> Result<Option<SceneClip>, Error> {
@@ -227,7 +214,7 @@ impl FormatCodec for GltfCodec {
     }
 
     fn companion_names(&self, files: &FileSet, format: Format) -> Vec<String> {
-        companions::companion_names(files, format)
+        package::companion_names(files, format)
     }
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
@@ -242,7 +229,7 @@ impl FormatCodec for GltfCodec {
 /// A GLB that was made of a .gltf needs no file beside it; one that came with files keeps them.
 fn self_contained_if_new(written: WrittenFiles, from: Format, to: Format) -> Result<WrittenFiles, Error> {
     if from == GLTF_FORMAT && to == GLB_FORMAT {
-        return self_contained::embed_companions(written, fault::GltfFault(to));
+        return package::embed_companions(written, container::GltfFault(to));
     }
     Ok(written)
 }

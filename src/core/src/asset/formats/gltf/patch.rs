@@ -2,11 +2,11 @@
 
 use super::accessors::{AccessorLayout, ShapeAttribute};
 use super::buffers::BufferBytes;
-use super::builder::{BufferBuilder, NewAccessor, VERTICES};
+use super::builder::{BufferBuilder, NewAccessor, VERTICES, bounds};
 use super::document::{GltfDocument, PatchedDocument};
-use super::float_json::bounds;
+use super::schema::DRACO;
 use super::sharing::{AccessorOverwrite, AppendedAccessor, MeshRef, SharingPlan};
-use super::slots::AttributeSlot;
+use super::targets::AttributeSlot;
 use super::text::{JsonEdits, items, list_of, value_of};
 use crate::asset::Error;
 use std::collections::{BTreeMap, BTreeSet};
@@ -227,7 +227,6 @@ fn edit_mesh<'a>(
             edits.set(attributes, slot.role.name(), accessor);
         }
     }
-    const DRACO: &str = "KHR_draco_mesh_compression";
     for primitive in stale.filter_map(|p| primitives.get(p)) {
         let Some(extensions) = value_of(primitive, "extensions") else {
             continue;

@@ -4,12 +4,9 @@ use super::accessors::{self, AccessorLayout, ComponentType, ShapeAttribute};
 use super::buffers::BufferBytes;
 use super::document::{GltfDocument, ParsedDocument};
 use super::draco;
-use super::influences::VertexInfluences;
-use super::placement::{Placement, VertexTransforms};
+use super::placement::{Placement, SkinPose, SkinSeams, VertexInfluences, VertexTransforms};
 use super::scene::{self, MeshPlacement, PlacedScene, Warnings};
-use super::schema::MeshPrimitive;
-use super::seams::SkinSeams;
-use super::skin::SkinPose;
+use super::schema::{DRACO, MeshPrimitive};
 use crate::asset::files::ReadWatch;
 use crate::asset::model::FileNotes;
 use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, Primitive};
@@ -110,7 +107,7 @@ pub(super) fn read(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Re
     let parsed = Arc::new(ParsedDocument::parse(files, format, watch)?);
     let doc = parsed.of(files)?;
     super::check::check(&doc)?;
-    if doc.uses(draco::DRACO) {
+    if doc.uses(DRACO) {
         let mut buffers = BufferBytes::load(&doc, files, watch)?;
         if let Some((plain, count)) = draco::uncompress(&doc, files, &mut buffers, watch)? {
             drop(buffers);
@@ -150,7 +147,7 @@ fn read_document(
         let message = format!("its length of {length} is not a multiple of 4; what is written has padding");
         reader.warn("chunk-length", message, format!("chunk at byte {at}"));
     }
-    super::companions::warn_of_missing(doc, files, &mut reader.geometry.warnings);
+    super::package::warn_of_missing(doc, files, &mut reader.geometry.warnings);
     let placements = &scene.placements;
     // What draws no triangles under one node draws none under any other, and must not cost anything there.
     let mut drawn: Vec<Option<Vec<usize>>> = vec![None; doc.meshes.len()];
@@ -430,7 +427,7 @@ impl GltfReader<'_, '_> {
         stored: &[f32],
         place: &str,
     ) -> Result<Result<(Placement, VertexTransforms), String>, Error> {
-        let used: BTreeSet<usize> = super::influences::influence_accessors(primitive)
+        let used: BTreeSet<usize> = super::placement::influence_accessors(primitive)
             .into_iter()
             .flat_map(|(joints, weights)| [joints, weights])
             .collect();

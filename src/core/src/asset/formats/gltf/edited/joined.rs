@@ -8,18 +8,16 @@
 //! format comes as plain geometry.
 
 use super::super::builder::{AccessorKind, BufferBuilder};
+use super::super::container::GltfFault;
 use super::super::document::GltfDocument;
-use super::super::fault::GltfFault;
 use super::super::read::GltfNotes;
 use super::super::scene;
 use super::super::targets::TargetTally;
 use super::super::text::{index_of, items, json_array, json_object, list_of, quoted, value_of, with_member};
+use super::blended::{AccessorHandle, EditedTurns, attributes_text};
 use super::frame::EditedMeshes;
-use super::handles::{AccessorHandle, attributes_text};
-use super::joined_bases::JoinedBases;
-use super::material::MaterialCopier;
+use super::material::{JoinedBases, MaterialCopier};
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
-use super::targets::EditedTurns;
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::neutral::NeutralModel;

@@ -4,7 +4,6 @@ use super::super::buffers::BufferBytes;
 use super::super::builder::BufferBuilder;
 use super::super::document::GltfDocument;
 use super::super::text::{list_of, quoted, with_member, without_keys};
-use super::joined_bases::{JoinedBases, next_number};
 use crate::asset::{Error, FileSet};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -254,4 +253,51 @@ fn index_member(object: &Map<String, Value>, key: &str) -> Option<usize> {
         .get(key)
         .and_then(Value::as_u64)
         .and_then(|n| usize::try_from(n).ok())
+}
+
+/// What joins the document. Accessors are numbered virtually, as in the frame.
+#[derive(Default)]
+pub(super) struct JoinedBases {
+    pub(super) meshes: Vec<String>,
+    /// Nodes; their meshes count from 0 among the joined ones.
+    pub(super) nodes: Vec<(String, Option<usize>)>,
+    /// The new nodes that the scene lists.
+    pub(super) roots: Vec<usize>,
+    pub(super) materials: Vec<String>,
+    pub(super) textures: Vec<String>,
+    pub(super) samplers: Vec<String>,
+    /// Images; with their new view, if they have one.
+    pub(super) images: Vec<(String, Option<usize>)>,
+    pub(super) extensions_used: Vec<String>,
+    pub(super) extensions_required: Vec<String>,
+    pub(super) companions: BTreeMap<String, Vec<u8>>,
+}
+
+impl JoinedBases {
+    pub(super) fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// The new nodes, with joined meshes numbered from `first_mesh` on.
+    pub(super) fn node_texts(&self, first_mesh: usize) -> Vec<String> {
+        let one = |(text, mesh): &(String, Option<usize>)| match mesh {
+            Some(mesh) => with_member(text, "mesh", first_mesh + mesh),
+            None => text.clone(),
+        };
+        self.nodes.iter().map(one).collect()
+    }
+
+    /// The new images, with new views numbered from `first_view` on.
+    pub(super) fn image_texts(&self, first_view: usize) -> Vec<String> {
+        let one = |(text, view): &(String, Option<usize>)| match view {
+            Some(view) => with_member(text, "bufferView", first_view + view),
+            None => text.clone(),
+        };
+        self.images.iter().map(one).collect()
+    }
+}
+
+/// The stored items of a section and those that have joined it.
+pub(super) fn next_number(frame: &GltfDocument<'_>, key: &str, joined: usize) -> usize {
+    list_of(frame.text, key).len() + joined
 }

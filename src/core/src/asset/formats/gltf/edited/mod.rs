@@ -4,47 +4,39 @@
 //! differ get meshes of their own ([`frame`]). What nothing uses any more is dropped where that is safe ([`kept`]), so
 //! that compressed and quantised files come back as plain floats without the extensions they needed.
 
-mod channels;
-mod extras;
+mod blended;
 mod frame;
-mod handles;
 mod joined;
-mod joined_bases;
-mod kept;
 mod looks;
 mod material;
-pub(super) mod places;
 mod primitives;
-mod rigged;
-mod skins;
-mod targets;
 
-pub(super) use channels::tell_apart;
-pub(super) use extras::run_attributes;
-pub(super) use places::References;
+pub(super) use blended::tell_apart;
+pub(super) use looks::run_attributes;
 
 use super::buffers::{BufferBytes, BufferOrigin};
 use super::builder::BufferBuilder;
+use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
-use super::fault::GltfFault;
 use super::package::package;
 use super::read::GltfNotes;
 use super::rig::FollowedNodeTree;
+use super::schema::MESHOPT;
 use super::targets::TargetTally;
 use super::text::{
     JsonEdits, index_of, json_array, json_object, list_of, members, quoted, with_member, without_extensions,
     without_keys,
 };
-use super::{container, uri};
+use super::uri;
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::PrimitiveRun;
 use crate::asset::{Error, FileSet, WrittenFiles};
+use blended::EditedTurns;
 use frame::EditedMeshes;
-use joined_bases::JoinedBases;
-use kept::KeptData;
+use frame::KeptData;
+use material::JoinedBases;
 use primitives::PrimitiveMaker;
 use std::collections::BTreeMap;
-use targets::EditedTurns;
 
 /// New texts of top-level members; `None` for those that go.
 pub(super) type JsonSections = BTreeMap<&'static str, Option<String>>;
@@ -60,8 +52,8 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let (doc, mut buffers) = notes.document_and_bytes(model)?;
     let mut tree = None;
     if super::rig::may_move_nodes(notes, output.followers) {
-        let before = rigged::positions_before(edited);
-        let shape = rigged::shape_of_runs((&doc, &mut buffers), notes, output, &before)?;
+        let before = primitives::positions_before(edited);
+        let shape = primitives::shape_of_runs((&doc, &mut buffers), notes, output, &before)?;
         tree = FollowedNodeTree::fit(&doc, &mut buffers, notes, &shape, output.followers)?.map(|tree| {
             let to_write = tree.positions_to_write(&shape);
             (tree, to_write)
@@ -95,8 +87,8 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         joined,
         fault,
     };
-    let kept = match kept::may_drop(&doc) {
-        true => kept::pack_kept_data(&doc, &mut buffers, &writer.frame)?,
+    let kept = match frame::may_drop(&doc) {
+        true => frame::pack_kept_data(&doc, &mut buffers, &writer.frame)?,
         false => None,
     };
     let mut written = match kept {
@@ -104,7 +96,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         None => writer.write_appended(&buffers)?,
     };
     let clips = writer.frame.animations.iter().flatten().map(String::as_str);
-    let mut followed = super::counts::followable(&doc, clips);
+    let mut followed = super::deformed::followable(&doc, clips);
     tally.count_into(&mut followed);
     if let Some((tree, _)) = &tree {
         written = tree.rewrite(written, output.format)?;
@@ -128,15 +120,15 @@ impl EditedGltfWriter<'_> {
     /// The document with all of its data packed into one buffer.
     fn write_packed(&mut self, kept: KeptData, buffers: &BufferBytes) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
-        let unneeded = kept::unneeded_extensions(doc, &self.frame.meshes);
+        let unneeded = frame::unneeded_extensions(doc, &self.frame.meshes);
         let old = doc.accessors.len();
         let new_accessor = |a: usize| match a.checked_sub(old) {
             Some(fresh) => Some(kept.accessors.len() + fresh),
             None => kept.accessor_numbers.get(&a).copied(),
         };
         let new_view = |v: usize| kept.view_numbers.get(&v).copied();
-        let renumber = |text: &str, of: fn(&str) -> places::References<'_>| {
-            places::renumber_references(text, of, new_accessor, new_view)
+        let renumber = |text: &str, of: fn(&str) -> super::references::References<'_>| {
+            super::references::renumber_references(text, of, new_accessor, new_view)
         };
 
         // Meshes that nothing draws any more go, so the others move up.
@@ -145,15 +137,20 @@ impl EditedGltfWriter<'_> {
         for (mesh, number) in self.frame.meshes.iter().zip(&mut mesh_numbers) {
             if let Some(text) = mesh {
                 *number = Some(meshes.len());
-                meshes.push(renumber(text, places::of_mesh));
+                meshes.push(renumber(text, super::references::of_mesh));
             }
         }
         let first_joined = meshes.len();
-        meshes.extend(self.joined.meshes.iter().map(|text| renumber(text, places::of_mesh)));
+        meshes.extend(
+            self.joined
+                .meshes
+                .iter()
+                .map(|text| renumber(text, super::references::of_mesh)),
+        );
         let mut nodes: Vec<String> = Vec::with_capacity(doc.nodes.len());
         for (i, stored) in doc.nodes.items.iter().enumerate() {
             let text = self.frame.nodes.get(&i).map_or(*stored, String::as_str);
-            let text = renumber(text, places::of_node);
+            let text = renumber(text, super::references::of_node);
             let mesh = index_of(&text, "mesh");
             nodes.push(match mesh.and_then(|m| mesh_numbers.get(m).copied().flatten()) {
                 Some(new) if Some(new) != mesh => with_member(&text, "mesh", new),
@@ -165,15 +162,21 @@ impl EditedGltfWriter<'_> {
         let mut sections = JsonSections::new();
         sections.insert("meshes", Some(json_array(&meshes)));
         sections.insert("nodes", Some(json_array(&nodes)));
-        let skins: Vec<String> = doc.skins.iter().map(|text| renumber(text, places::of_skin)).collect();
+        let skins: Vec<String> = doc
+            .skins
+            .iter()
+            .map(|text| renumber(text, super::references::of_skin))
+            .collect();
         let animations = self.frame.animations.iter().flatten();
-        let animations: Vec<String> = animations.map(|text| renumber(text, places::of_animation)).collect();
+        let animations: Vec<String> = animations
+            .map(|text| renumber(text, super::references::of_animation))
+            .collect();
         for (key, list) in [("skins", skins), ("animations", animations)] {
             sections.insert(key, (!list.is_empty()).then(|| json_array(&list)));
         }
         let mut images: Vec<String> = list_of(doc.text, "images")
             .into_iter()
-            .map(|text| renumber(text, places::of_image))
+            .map(|text| renumber(text, super::references::of_image))
             .collect();
         images.extend(self.joined.image_texts(kept.views.len()));
         sections.insert("images", (!images.is_empty()).then(|| json_array(&images)));
@@ -212,7 +215,7 @@ impl EditedGltfWriter<'_> {
         }
         companions.extend(self.joined.companions.clone());
         let stored = doc.buffers.items.first().copied().unwrap_or("{}");
-        let mut buffer = without_extensions(stored, &["EXT_meshopt_compression", "KHR_meshopt_compression"]);
+        let mut buffer = without_extensions(stored, &MESHOPT);
         buffer = with_member(&buffer, "byteLength", bytes.len());
         let is_glb = self.fault.0 == GLB_FORMAT;
         let companion = match buffers.stored.first().map(|s| &s.origin) {

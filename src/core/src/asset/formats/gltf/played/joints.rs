@@ -1,15 +1,14 @@
 //! Frames as joints that carry every vertex.
 
-use super::super::builder::AccessorKind;
+use super::super::builder::{AccessorKind, json_floats};
 use super::super::edited::JsonSections;
-use super::super::float_json::json_floats;
 use super::super::read::GltfNotes;
 use super::super::text::{json_array, quoted};
 use super::beside::go_on_beside;
-use super::channels::{NewClip, add_times};
-use super::document::PlayedDocument;
-use super::primitives::{PlayedNode, PrimitiveChanges, RestPrimitive, changed_mesh, played_nodes, still_target};
-use super::scene::{kept_clips, kept_skins, name_member, take_mesh};
+use super::document::{
+    NewClip, PlayedDocument, PlayedNode, add_times, kept_clips, kept_skins, name_member, played_nodes, take_mesh,
+};
+use super::morphs::{PrimitiveChanges, RestPrimitive, changed_mesh, still_target};
 use crate::asset::played_clip::{CarryingJoints, NodePlace, SkinnedClip};
 use crate::asset::{Error, Geometry, Model};
 use glam::{DAffine3, DQuat, DVec3, Vec3};

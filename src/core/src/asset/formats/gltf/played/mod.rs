@@ -17,13 +17,9 @@
 //! - Data that nothing uses any more stays in the file's buffer.
 
 mod beside;
-mod channels;
-mod cut_keys;
 mod document;
 mod joints;
 mod morphs;
-mod primitives;
-mod scene;
 
 use super::read::GltfNotes;
 use crate::asset::played_clip::PlayedClip;

@@ -15,29 +15,22 @@
 //!
 //! A joint that moves no further than rounding keeps every byte: its node, its matrix, its clips.
 
-mod bones;
-mod clips;
-mod counts;
-mod moments;
 mod motions;
 mod nodes;
-mod rewrite;
+pub(super) mod rewrite;
 
-pub(super) use clips::moves_nodes;
 pub(super) use motions::{JointHeldVertices, SkinnedShape};
 
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
-use super::influences::{VertexInfluences, influence_accessors};
-use super::placement::{Placement, invert};
+use super::placement::{Placement, SkinPose, VertexInfluences, affine_of, influence_accessors, invert, joint_nodes};
 use super::read::GltfNotes;
 use super::scene::{PlacedScene, place_meshes};
-use super::skin::{SkinPose, affine_of};
-use crate::asset::{BoneLengthRule, Error, Geometry, RigRule, ShapeFollowers};
+use crate::asset::{BoneLengthRule, Error, FollowedCounts, Geometry, JointTravel, RigRule, ShapeFollowers};
 use crate::mesh::BoundingBox;
-use bones::RigidBones;
 use glam::{DAffine3, DVec3};
 use motions::joint_motions;
+use nodes::RigidBones;
 use nodes::{MovedNodes, move_nodes};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -248,4 +241,29 @@ fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
     }
     matrix[15] = 1.0;
     matrix
+}
+
+impl FollowedNodeTree {
+    /// Adds the joints that moved to the counts of a file.
+    pub(in super::super) fn count_into(&self, doc: &GltfDocument<'_>, counts: &mut FollowedCounts) {
+        let joints = joint_nodes(doc);
+        let moved = joints.into_iter().filter(|&joint| self.has_moved(joint));
+        let travel = |joint: usize| JointTravel {
+            node: u32::try_from(joint).unwrap_or(u32::MAX),
+            name: doc.nodes.values[joint].name.clone().unwrap_or_default(),
+            distance: (self.nodes.world_from_node[joint].translation).distance(self.world_from_node[joint].translation),
+        };
+        let travels: Vec<JointTravel> = moved.map(travel).collect();
+        counts.moved_joints = u32::try_from(travels.len()).unwrap_or(u32::MAX);
+        counts.tell_farthest(travels);
+    }
+
+    /// Whether a node stands or is turned differently; one that was held back under a parent that goes does not.
+    fn has_moved(&self, node: usize) -> bool {
+        let (before, after) = (&self.world_from_node[node], &self.nodes.world_from_node[node]);
+        let lengths = before.matrix3.x_axis.length() + before.matrix3.y_axis.length() + before.matrix3.z_axis.length();
+        let is_still = before.translation.distance(after.translation) <= ROUNDING * self.size
+            && (0..3).all(|k| before.matrix3.col(k).distance(after.matrix3.col(k)) <= ROUNDING * lengths);
+        self.nodes.is_elsewhere[node] && !is_still
+    }
 }

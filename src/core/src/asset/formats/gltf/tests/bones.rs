@@ -1,7 +1,6 @@
 //! Bones of small skeletons made by hand, where lengths are to stay: what stands between joints, scales, and shared joints.
 
-use super::super::container;
-use super::super::fault::GltfFault;
+use super::super::container::{self, GltfFault};
 use super::super::read::parse_written;
 use super::super::scene::place_meshes;
 use super::rigs::{RigDraft, raised};

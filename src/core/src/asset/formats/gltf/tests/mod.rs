@@ -66,7 +66,7 @@ impl DocumentDraft {
             &self.json(body, ""),
             Some(&self.bin),
             &[],
-            super::fault::GltfFault(Format::GLB),
+            super::container::GltfFault(Format::GLB),
         );
         FileSet::single("draft.glb", glb.expect("small"))
     }
@@ -133,7 +133,7 @@ fn again(written: &WrittenFiles) -> FileSet {
 /// The JSON of a file, as text.
 fn text(main: &[u8]) -> String {
     if main.starts_with(b"glTF") {
-        let parts = super::container::split(main, super::fault::GltfFault(Format::GLB)).expect("valid");
+        let parts = super::container::split(main, super::container::GltfFault(Format::GLB)).expect("valid");
         return String::from_utf8(parts.json.to_vec())
             .expect("text")
             .trim_end()
@@ -148,6 +148,6 @@ fn json(written: &WrittenFiles) -> serde_json::Value {
 
 /// The BIN chunk of a GLB.
 fn bin(main: &[u8]) -> Vec<u8> {
-    let parts = super::container::split(main, super::fault::GltfFault(Format::GLB)).expect("valid");
+    let parts = super::container::split(main, super::container::GltfFault(Format::GLB)).expect("valid");
     parts.bin.expect("a BIN chunk").to_vec()
 }

@@ -259,7 +259,7 @@ fn one_mesh_under_two_skins_stands_in_two_places_and_parts_when_they_differ() {
         &json,
         Some(&bin(&files.main)),
         &[],
-        super::super::fault::GltfFault(Format::GLB),
+        super::super::container::GltfFault(Format::GLB),
     );
     let files = FileSet::single("two.glb", glb.expect("small"));
     let model = open(&files);

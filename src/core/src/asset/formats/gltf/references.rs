@@ -1,12 +1,13 @@
 //! Where a document names accessors and buffer views, as slices of its text.
 
-use super::super::text::{JsonEdits, list_of, members, parse_index, value_at, value_of};
+use super::schema::DRACO;
+use super::text::{JsonEdits, list_of, members, parse_index, value_at, value_of};
 
 /// Numbers in one item of a section.
 #[derive(Default)]
-pub(in super::super) struct References<'a> {
+pub(super) struct References<'a> {
     /// Those that name accessors.
-    pub(in super::super) accessors: Vec<&'a str>,
+    pub(super) accessors: Vec<&'a str>,
     /// Those that name buffer views.
     pub(super) views: Vec<&'a str>,
 }
@@ -15,11 +16,8 @@ fn member_values(object: &str) -> Vec<&str> {
     members(object).map_or_else(|_| Vec::new(), |list| list.into_iter().map(|m| m.value).collect())
 }
 
-/// The name of the extension that keeps a compressed twin of a primitive.
-pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
-
 /// In a mesh.
-pub(in super::super) fn of_mesh(mesh: &str) -> References<'_> {
+pub(super) fn of_mesh(mesh: &str) -> References<'_> {
     let mut places = References::default();
     for primitive in list_of(mesh, "primitives") {
         places
@@ -37,7 +35,7 @@ pub(in super::super) fn of_mesh(mesh: &str) -> References<'_> {
 }
 
 /// In a skin.
-pub(in super::super) fn of_skin(skin: &str) -> References<'_> {
+pub(super) fn of_skin(skin: &str) -> References<'_> {
     References {
         accessors: value_of(skin, "inverseBindMatrices").into_iter().collect(),
         views: Vec::new(),
@@ -45,7 +43,7 @@ pub(in super::super) fn of_skin(skin: &str) -> References<'_> {
 }
 
 /// In an animation.
-pub(in super::super) fn of_animation(animation: &str) -> References<'_> {
+pub(super) fn of_animation(animation: &str) -> References<'_> {
     let named = |sampler| {
         ["input", "output"]
             .into_iter()
@@ -58,7 +56,7 @@ pub(in super::super) fn of_animation(animation: &str) -> References<'_> {
 }
 
 /// In a node: the attributes of its instances.
-pub(in super::super) fn of_node(node: &str) -> References<'_> {
+pub(super) fn of_node(node: &str) -> References<'_> {
     let attributes = value_at(node, &["extensions", "EXT_mesh_gpu_instancing", "attributes"]);
     References {
         accessors: attributes.map(member_values).unwrap_or_default(),
