@@ -1,6 +1,6 @@
 //! Animation stacks as clips: curves of any kind, layers and rotation orders sampled to keys that are joined by lines.
 
-use super::buffer::GlbBuffer;
+use super::super::gltf::GlbWriter;
 use super::fault::place_of;
 use super::nodes::{MorphedNode, SceneNodes};
 use super::notes::TranslationNotes;
@@ -23,7 +23,7 @@ impl AddedClips {
     pub(super) fn build(
         scene: &Scene,
         nodes: &SceneNodes,
-        buffer: &mut GlbBuffer<'_>,
+        buffer: &mut GlbWriter<'_>,
         notes: &mut TranslationNotes,
         watch: &ReadWatch<'_>,
     ) -> Result<Self, Error> {
@@ -85,7 +85,7 @@ impl AddedClips {
 
 /// One clip in the making.
 struct ClipBuilder<'a, 'w> {
-    buffer: &'a mut GlbBuffer<'w>,
+    buffer: &'a mut GlbWriter<'w>,
     place: &'a str,
     samplers: Vec<Value>,
     channels: Vec<Value>,

@@ -1,7 +1,6 @@
 //! Base colours, opacity and pictures of materials.
 
-use super::super::gltf;
-use super::buffer::GlbBuffer;
+use super::super::gltf::{self, GlbWriter};
 use super::notes::TranslationNotes;
 use super::scene::{embedded_bytes, texture_file};
 use crate::asset::{Error, FileSet};
@@ -126,7 +125,7 @@ impl<'a> MaterialTable<'a> {
     }
 
     /// The sections, with pictures put into the buffer; those of kinds that it cannot hold are files beside the asset.
-    pub(super) fn finish(self, buffer: &mut GlbBuffer) -> Result<(MaterialSections, BTreeMap<String, Bytes>), Error> {
+    pub(super) fn finish(self, buffer: &mut GlbWriter) -> Result<(MaterialSections, BTreeMap<String, Bytes>), Error> {
         let (mut images, mut companions) = (Vec::new(), BTreeMap::new());
         for ShownPicture { name, bytes } in self.pictures {
             let kind = bytes.as_deref().and_then(|bytes| gltf::media_type_of(&name, bytes));

@@ -1,6 +1,6 @@
 //! Meshes: one primitive for the faces of each material.
 
-use super::buffer::GlbBuffer;
+use super::super::gltf::GlbWriter;
 use super::corners::{self, CornerAttribute, FbxCornerAttributes, PartVertices};
 use super::fault::place_of;
 use super::materials::MaterialTable;
@@ -21,7 +21,7 @@ const BYTES_PER_POINT: u64 = 24;
 
 /// What meshes are put into, and what has been put there.
 pub(super) struct MeshSink<'a, 'f, 'w> {
-    pub buffer: &'a mut GlbBuffer<'w>,
+    pub buffer: &'a mut GlbWriter<'w>,
     pub materials: &'a mut MaterialTable<'f>,
     pub notes: &'a mut TranslationNotes,
     pub watch: &'a ReadWatch<'a>,

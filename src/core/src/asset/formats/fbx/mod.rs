@@ -6,9 +6,8 @@
 //!
 //! [`scene`] opens the file, [`corners`] makes vertices of the corners of polygons, [`meshes`] primitives of them with
 //! [`morphs`] and [`skins`], [`materials`] base colours and pictures, [`nodes`] places them, [`clips`] samples animation
-//! stacks, [`buffer`] holds the numbers, and [`notes`] the warnings.
+//! stacks, and [`notes`] holds the warnings.
 
-mod buffer;
 mod clips;
 mod corners;
 mod fault;
@@ -22,11 +21,10 @@ mod skins;
 
 pub(super) use fault::FORMAT;
 
-use super::gltf;
+use super::gltf::{self, GlbWriter};
 use crate::asset::codec::{FormatTranslator, Translation};
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, FileSet};
-use buffer::GlbBuffer;
 use clips::AddedClips;
 use materials::MaterialTable;
 use nodes::SceneNodes;
@@ -48,7 +46,7 @@ impl FormatTranslator for FbxTranslator {
         let message = format!("an FBX {version} file is read as the GLB that comes back, in metres and with Y up");
         notes.warn("fbx-as-glb", message, "file");
         scene::tell_of_repairs(&opened, &mut notes);
-        let mut buffer = GlbBuffer::new(watch);
+        let mut buffer = GlbWriter::new(FORMAT, watch);
         let mut materials = MaterialTable::new(files);
         let nodes = SceneNodes::build(&opened, &mut buffer, &mut materials, &mut notes, watch)?;
         let clips = AddedClips::build(&opened, &nodes, &mut buffer, &mut notes, watch)?;

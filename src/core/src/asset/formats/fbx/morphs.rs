@@ -1,6 +1,6 @@
 //! Blend shapes as morph targets.
 
-use super::buffer::GlbBuffer;
+use super::super::gltf::GlbWriter;
 use super::corners::PartVertices;
 use crate::asset::Error;
 use serde_json::{Value, json};
@@ -62,7 +62,7 @@ impl VerticesAt {
 
 /// Adds the morph targets of one primitive.
 pub(super) fn add_targets(
-    buffer: &mut GlbBuffer,
+    buffer: &mut GlbWriter,
     mesh: &Mesh,
     part: &PartVertices,
     channels: &[&BlendChannel],
@@ -76,10 +76,10 @@ pub(super) fn add_targets(
         let place = format!("{place}, blend shape \"{}\"", &*channel.element.name);
         let count = part.control_point.len();
         let (at, moved) = spread(shape, &shape.position_offsets, &vertices);
-        let mut target = json!({"POSITION": buffer.add_displacements(count, (&at, &moved), &place)?});
+        let mut target = json!({"POSITION": buffer.add_displacements(count, &at, &moved, &place)?});
         if with_normals {
             let (at, turned) = spread(shape, &shape.normal_offsets, &vertices);
-            target["NORMAL"] = json!(buffer.add_displacements(count, (&at, &turned), &place)?);
+            target["NORMAL"] = json!(buffer.add_displacements(count, &at, &turned, &place)?);
         }
         targets.push(target);
     }

@@ -1,6 +1,6 @@
 //! The hierarchy of nodes, with their meshes and skins.
 
-use super::buffer::GlbBuffer;
+use super::super::gltf::GlbWriter;
 use super::fault::{FORMAT, place_of, refuse};
 use super::materials::MaterialTable;
 use super::meshes::MeshSink;
@@ -40,7 +40,7 @@ impl SceneNodes {
     /// Puts nodes, meshes and skins of a file into an asset.
     pub(super) fn build(
         scene: &Scene,
-        buffer: &mut GlbBuffer<'_>,
+        buffer: &mut GlbWriter<'_>,
         materials: &mut MaterialTable<'_>,
         notes: &mut TranslationNotes,
         watch: &ReadWatch<'_>,

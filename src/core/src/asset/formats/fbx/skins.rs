@@ -1,6 +1,6 @@
 //! Skin deformers as glTF skins: joints, inverse bind matrices, weights.
 
-use super::buffer::GlbBuffer;
+use super::super::gltf::GlbWriter;
 use super::fault::{place_of, refuse};
 use super::notes::TranslationNotes;
 use crate::asset::Error;
@@ -113,7 +113,7 @@ impl<'a> MeshSkin<'a> {
     /// Adds joints and weights of a primitive's vertices to its attributes.
     pub(super) fn add_attributes(
         &self,
-        buffer: &mut GlbBuffer,
+        buffer: &mut GlbWriter,
         control_points: &[u32],
         attributes: &mut Value,
         place: &str,
@@ -136,7 +136,7 @@ impl<'a> MeshSkin<'a> {
 
     /// The bones of the joints by their numbers among the file's nodes, `own` for the mesh's own node, and the skin's JSON
     /// without its joints.
-    pub(super) fn add_skin(&self, buffer: &mut GlbBuffer, own: u32) -> Result<(Vec<u32>, Value), Error> {
+    pub(super) fn add_skin(&self, buffer: &mut GlbWriter, own: u32) -> Result<(Vec<u32>, Value), Error> {
         let place = place_of("skin", &self.deformer.element);
         let bones = self.clusters.iter().filter_map(|cluster| cluster.bone_node.as_ref());
         let mut joints: Vec<u32> = bones.map(|bone| bone.element.typed_id).collect();

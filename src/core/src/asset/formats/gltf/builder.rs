@@ -5,7 +5,8 @@ use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
 use super::text::{json_array, json_object, quoted};
 use super::uri;
-use crate::asset::Error;
+use crate::asset::files::ReadWatch;
+use crate::asset::{Error, Format};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::hash::Hasher as _;
@@ -58,6 +59,20 @@ pub(super) struct NewAccessor {
     pub(super) sparse: Option<NewSparse>,
 }
 
+impl NewAccessor {
+    /// An accessor of these numbers, without a view, bounds or replaced elements.
+    pub(super) fn of(component: u32, count: usize, shape: &'static str) -> Self {
+        Self {
+            view: None,
+            component,
+            count,
+            shape,
+            bounds: None,
+            sparse: None,
+        }
+    }
+}
+
 /// Elements of an accessor that other values replace; both views are among the new ones.
 #[derive(Debug, PartialEq)]
 pub(super) struct NewSparse {
@@ -101,7 +116,7 @@ impl BufferBuilder {
         shape: &'static str,
         kind: AccessorKind,
     ) -> usize {
-        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let bytes = float_bytes(values);
         let is_bounded = matches!(kind, AccessorKind::Positions | AccessorKind::Times);
         let bounds = is_bounded.then(|| bounds(values, lanes));
         self.add_accessor(&bytes, kind, values.len() / lanes.max(1), shape, bounds)
@@ -157,6 +172,12 @@ impl BufferBuilder {
         self.accessors.len() - 1
     }
 
+    /// Adds an accessor with a view of its own, which no other accessor shares; its number.
+    pub(super) fn push_packed(&mut self, bytes: &[u8], target: Option<u32>, accessor: NewAccessor) -> usize {
+        let view = Some(self.add_view(bytes, target));
+        self.push_accessor(NewAccessor { view, ..accessor })
+    }
+
     /// Adds an accessor with a view of its own, or finds one that is equal.
     fn add_accessor(
         &mut self,
@@ -175,12 +196,8 @@ impl BufferBuilder {
             AccessorKind::Indices32 => (5125, Some(INDICES)),
         };
         let mut accessor = NewAccessor {
-            view: None,
-            component,
-            count,
-            shape,
             bounds,
-            sparse: None,
+            ..NewAccessor::of(component, count, shape)
         };
         let mut hasher = std::hash::DefaultHasher::new();
         hasher.write(bytes);
@@ -295,6 +312,11 @@ pub(super) fn embedded_buffer_text(bytes: &[u8]) -> String {
     format!(r#"{{"byteLength":{},"uri":{data}}}"#, bytes.len())
 }
 
+/// Floats as they are stored.
+pub(super) fn float_bytes(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
 /// Indices over so many vertices in 16 bits where they fit, else in 32, and the type of one number.
 pub(super) fn index_bytes(indices: &[u32], vertices: usize) -> (Vec<u8>, u32) {
     // The largest value of a type is the restart mark, which no index may be.
@@ -323,120 +345,146 @@ pub(super) fn json_floats(values: &[f32]) -> String {
     json_array(values.iter().map(|&v| format!("{:?}", f64::from(v))))
 }
 
-/// What an accessor's elements are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in crate::asset) enum ElementShape {
-    Scalar,
-    Vec2,
-    Vec3,
-    Vec4,
-    Mat4,
-}
+/// How often the numbers of an accessor are in memory at most: as they are, as bytes, and in the buffer as it grows.
+const COPIES: u64 = 3;
 
-impl ElementShape {
-    fn name_and_lanes(self) -> (&'static str, usize) {
-        match self {
-            Self::Scalar => ("SCALAR", 1),
-            Self::Vec2 => ("VEC2", 2),
-            Self::Vec3 => ("VEC3", 3),
-            Self::Vec4 => ("VEC4", 4),
-            Self::Mat4 => ("MAT4", 16),
-        }
-    }
-}
-
-/// The buffer of a new GLB and the accessors over it.
-#[derive(Default)]
-pub(in crate::asset) struct GlbWriter {
+/// The buffer of a new GLB, and the accessors over it. It refuses numbers that are not finite, and reserves what it is about
+/// to hold.
+pub(in crate::asset::formats) struct GlbWriter<'a> {
     data: BufferBuilder,
     /// The least and the largest value of each lane, by accessor.
     bounds: BTreeMap<usize, [Vec<f64>; 2]>,
+    watch: ReadWatch<'a>,
+    /// The format that the numbers come from.
+    source: Format,
 }
 
-impl GlbWriter {
-    /// Adds floats with their bounds, as positions and times of keys must have; returns the accessor's number.
-    pub(in crate::asset) fn add_bounded(&mut self, values: &[f32], shape: ElementShape) -> usize {
-        let lanes = shape.name_and_lanes().1;
-        let of = |pick: fn(f32, f32) -> f32, start: f32| -> Vec<f64> {
-            let over = |lane: usize| values.iter().skip(lane).step_by(lanes).copied().fold(start, pick);
-            (0..lanes).map(|lane| f64::from(over(lane))).collect()
-        };
-        let bounds = [of(f32::min, f32::INFINITY), of(f32::max, f32::NEG_INFINITY)];
-        let accessor = self.add_floats(values, shape);
-        self.bounds.insert(accessor, bounds);
-        accessor
+impl<'a> GlbWriter<'a> {
+    /// An empty buffer for numbers of a file in the format `source`.
+    pub(in crate::asset::formats) fn new(source: Format, watch: &ReadWatch<'a>) -> Self {
+        Self {
+            data: BufferBuilder::default(),
+            bounds: BTreeMap::new(),
+            watch: watch.clone(),
+            source,
+        }
     }
 
-    /// Adds vectors of `count` vertices that are zero but for those of `places`, which ascend; returns the accessor's number.
-    pub(in crate::asset) fn add_sparse(&mut self, count: usize, places: &[u32], values: &[[f32; 3]]) -> usize {
-        let sparse = (!places.is_empty()).then(|| {
-            let indices: Vec<u8> = places.iter().flat_map(|p| p.to_le_bytes()).collect();
-            let numbers: Vec<u8> = values.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
-            NewSparse {
-                count: places.len(),
-                indices: self.add_view(&indices),
-                values: self.add_view(&numbers),
+    fn make_room(&self, bytes: usize) -> Result<(), Error> {
+        self.watch.reserve(COPIES * bytes as u64)
+    }
+
+    /// Makes room for elements, every one of which has to be finite; `place` says whose they are.
+    fn check<const N: usize>(&self, values: &[[f32; N]], place: &str) -> Result<(), Error> {
+        self.make_room(size_of_val(values))?;
+        match values.iter().position(|v| v.iter().any(|x| !x.is_finite())) {
+            Some(i) => {
+                let problem = format!("value {i} is {:?}, not finite in 32 bits", values[i]);
+                Err(Error::malformed(self.source, place, problem))
             }
-        });
-        let with_zero = |pick: fn(f32, f32) -> f32| -> Vec<f64> {
-            let over = |lane: usize| values.iter().map(|v| v[lane]).fold(0.0, pick);
-            (0..3).map(|lane| f64::from(over(lane))).collect()
+            None => Ok(()),
+        }
+    }
+
+    fn push_floats<const N: usize>(&mut self, values: &[[f32; N]]) -> usize {
+        let shape = match N {
+            1 => "SCALAR",
+            2 => "VEC2",
+            3 => "VEC3",
+            4 => "VEC4",
+            _ => "MAT4",
         };
-        let accessor = self.data.push_accessor(NewAccessor {
-            view: None,
-            component: 5126,
-            count,
-            shape: "VEC3",
-            bounds: None,
-            sparse,
-        });
-        let bounds = [with_zero(f32::min), with_zero(f32::max)];
-        self.bounds.insert(accessor, bounds);
-        accessor
-    }
-
-    /// Adds floats; returns the accessor's number.
-    pub(in crate::asset) fn add_floats(&mut self, values: &[f32], shape: ElementShape) -> usize {
-        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        self.add_accessor(&bytes, 5126, values.len(), shape)
-    }
-
-    /// Adds the numbers of the joints that hold each vertex; returns the accessor's number.
-    pub(in crate::asset) fn add_joints(&mut self, joints: &[[u16; 4]]) -> usize {
-        let bytes: Vec<u8> = joints.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
-        self.add_accessor(&bytes, 5123, joints.len() * 4, ElementShape::Vec4)
-    }
-
-    /// Adds the corners of triangles; returns the accessor's number.
-    pub(in crate::asset) fn add_triangles(&mut self, triangles: &[[u32; 3]]) -> usize {
-        let corners = triangles.as_flattened();
-        let bytes: Vec<u8> = corners.iter().flat_map(|v| v.to_le_bytes()).collect();
-        self.add_accessor(&bytes, 5125, corners.len(), ElementShape::Scalar)
-    }
-
-    fn add_accessor(&mut self, bytes: &[u8], component: u32, numbers: usize, shape: ElementShape) -> usize {
-        let (shape, lanes) = shape.name_and_lanes();
-        let view = self.add_view(bytes);
-        self.data.push_accessor(NewAccessor {
-            view: Some(view),
-            component,
-            count: numbers / lanes,
-            shape,
-            bounds: None,
-            sparse: None,
-        })
+        let accessor = NewAccessor::of(5126, values.len(), shape);
+        self.data
+            .push_packed(&float_bytes(values.as_flattened()), None, accessor)
     }
 
     /// Adds bytes as a view of their own, such as a picture; returns its number.
-    pub(in crate::asset) fn add_view(&mut self, bytes: &[u8]) -> usize {
-        self.data.add_view(bytes, None)
+    pub(in crate::asset::formats) fn add_view(&mut self, bytes: &[u8]) -> Result<usize, Error> {
+        self.make_room(bytes.len())?;
+        Ok(self.data.add_view(bytes, None))
+    }
+
+    /// Adds elements of N numbers each; returns the accessor's number. `place` says whose they are.
+    pub(in crate::asset::formats) fn add_floats<const N: usize>(
+        &mut self,
+        values: &[[f32; N]],
+        place: &str,
+    ) -> Result<usize, Error> {
+        self.check(values, place)?;
+        Ok(self.push_floats(values))
+    }
+
+    /// As [`GlbWriter::add_floats`], with the bounds that positions and times must have.
+    pub(in crate::asset::formats) fn add_bounded<const N: usize>(
+        &mut self,
+        values: &[[f32; N]],
+        place: &str,
+    ) -> Result<usize, Error> {
+        self.check(values, place)?;
+        let accessor = self.push_floats(values);
+        let bounds = [
+            folded(values, f32::INFINITY, f32::min),
+            folded(values, f32::NEG_INFINITY, f32::max),
+        ];
+        self.bounds.insert(accessor, bounds);
+        Ok(accessor)
+    }
+
+    /// Adds displacements of `count` vertices of which those of `places` (ascending) are not zero.
+    pub(in crate::asset::formats) fn add_displacements(
+        &mut self,
+        count: usize,
+        places: &[u32],
+        values: &[[f32; 3]],
+        place: &str,
+    ) -> Result<usize, Error> {
+        if places.len() >= count / 4 * 3 {
+            let bytes = 12 * count as u64;
+            self.watch.reserve(bytes)?;
+            let mut all = vec![[0.0; 3]; count];
+            for (&at, value) in places.iter().zip(values) {
+                all[at as usize] = *value;
+            }
+            let added = self.add_bounded(&all, place);
+            self.watch.release(bytes);
+            return added;
+        }
+        self.make_room(16 * places.len())?;
+        self.check(values, place)?;
+        let sparse = (!places.is_empty()).then(|| NewSparse {
+            count: places.len(),
+            indices: self.data.add_view(&index_bytes(places, usize::MAX).0, None),
+            values: self.data.add_view(&float_bytes(values.as_flattened()), None),
+        });
+        let accessor = NewAccessor::of(5126, count, "VEC3");
+        let accessor = self.data.push_accessor(NewAccessor { sparse, ..accessor });
+        let bounds = [folded(values, 0.0, f32::min), folded(values, 0.0, f32::max)];
+        self.bounds.insert(accessor, bounds);
+        Ok(accessor)
+    }
+
+    /// Adds the joints of vertices, four each; returns the accessor's number.
+    pub(in crate::asset::formats) fn add_joints(&mut self, joints: &[[u16; 4]]) -> Result<usize, Error> {
+        self.make_room(size_of_val(joints))?;
+        let bytes: Vec<u8> = joints.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+        let accessor = NewAccessor::of(5123, joints.len(), "VEC4");
+        Ok(self.data.push_packed(&bytes, None, accessor))
+    }
+
+    /// Adds the corners of triangles; returns the accessor's number.
+    pub(in crate::asset::formats) fn add_triangles(&mut self, triangles: &[[u32; 3]]) -> Result<usize, Error> {
+        self.make_room(size_of_val(triangles))?;
+        let (bytes, component) = index_bytes(triangles.as_flattened(), usize::MAX);
+        let accessor = NewAccessor::of(component, 3 * triangles.len(), "SCALAR");
+        Ok(self.data.push_packed(&bytes, None, accessor))
     }
 
     /// The file: `document` with the asset, the accessors and the buffer added.
     ///
     /// # Errors
     /// When it would be larger than a GLB can be.
-    pub(in crate::asset) fn finish(self, mut document: Value) -> Result<Vec<u8>, Error> {
+    pub(in crate::asset::formats) fn finish(self, mut document: Value) -> Result<Vec<u8>, Error> {
         let mut bytes = self.data.bytes().to_vec();
         bytes.resize(bytes.len().next_multiple_of(4), 0);
         let values = |texts: Vec<String>| -> Vec<Value> {
@@ -454,4 +502,10 @@ impl GlbWriter {
         document["buffers"] = json!([{"byteLength": bytes.len()}]);
         container::join(&document.to_string(), Some(&bytes), &[], GltfFault(GLB_FORMAT))
     }
+}
+
+/// For each lane of some elements what `pick` makes of its numbers, from `start` on.
+fn folded<const N: usize>(values: &[[f32; N]], start: f32, pick: fn(f32, f32) -> f32) -> Vec<f64> {
+    let of_lane = |lane: usize| values.iter().map(|v| v[lane]).fold(start, pick);
+    (0..N).map(|lane| f64::from(of_lane(lane))).collect()
 }

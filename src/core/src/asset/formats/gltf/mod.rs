@@ -74,7 +74,7 @@ mod text;
 mod uri;
 mod used_bytes;
 
-pub(in crate::asset) use builder::{ElementShape, GlbWriter};
+pub(super) use builder::GlbWriter;
 pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
 pub(super) use uri::media_type_of;
 pub(super) use uri::of_file_name as uri_of_name;

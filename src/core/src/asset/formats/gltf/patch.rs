@@ -2,7 +2,7 @@
 
 use super::accessors::{AccessorLayout, ShapeAttribute};
 use super::buffers::BufferBytes;
-use super::builder::{BufferBuilder, NewAccessor, VERTICES, bounds};
+use super::builder::{BufferBuilder, NewAccessor, VERTICES, bounds, float_bytes};
 use super::document::{GltfDocument, PatchedDocument};
 use super::schema::DRACO;
 use super::sharing::{AccessorOverwrite, AppendedAccessor, MeshRef, SharingPlan};
@@ -128,16 +128,12 @@ impl<'a> DocumentPatcher<'_, 'a> {
             let Some((_, _, slot)) = append.users.first() else {
                 continue;
             };
-            let bytes: Vec<u8> = append.values.iter().flat_map(|v| v.to_le_bytes()).collect();
-            let view = new.add_view(&bytes, Some(VERTICES));
-            new.push_accessor(NewAccessor {
-                view: Some(view),
-                component: 5126,
-                count: append.values.len() / slot.lanes(),
-                shape: slot.shape(),
-                bounds: (slot.role == ShapeAttribute::Position).then(|| bounds(&append.values, 3)),
-                sparse: None,
-            });
+            let is_bounded = slot.role == ShapeAttribute::Position;
+            let accessor = NewAccessor {
+                bounds: is_bounded.then(|| bounds(&append.values, 3)),
+                ..NewAccessor::of(5126, append.values.len() / slot.lanes(), slot.shape())
+            };
+            new.push_packed(&float_bytes(&append.values), Some(VERTICES), accessor);
         }
         let target = self.stored.growing_buffer(self.doc);
         let stored = target.and_then(|i| self.stored.stored[i].bytes.as_ref());

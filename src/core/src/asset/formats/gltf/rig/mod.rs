@@ -30,8 +30,7 @@ use crate::asset::{BoneLengthRule, Error, FollowedCounts, Geometry, JointTravel,
 use crate::mesh::BoundingBox;
 use glam::{DAffine3, DVec3};
 use motions::joint_motions;
-use nodes::RigidBones;
-use nodes::{MovedNodes, move_nodes};
+use nodes::{MovedNodes, RigidBones, move_nodes};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
