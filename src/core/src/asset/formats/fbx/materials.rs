@@ -1,8 +1,7 @@
 //! Base colours, opacity and pictures of materials.
 
 use super::super::gltf::{self, GlbWriter};
-use super::notes::TranslationNotes;
-use super::scene::{embedded_bytes, texture_file};
+use super::scene::{TranslationNotes, embedded_bytes, texture_file};
 use crate::asset::{Error, FileSet};
 use bytes::Bytes;
 use serde_json::{Value, json};

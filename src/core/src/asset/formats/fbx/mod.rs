@@ -4,31 +4,25 @@
 //! an equivalent GLB, in metres and with Y up, and is written as GLB. `ufbx` (one C file, under limits of memory)
 //! parses the bytes; this module checks all its output.
 //!
-//! [`scene`] opens the file, [`corners`] makes vertices of the corners of polygons, [`meshes`] primitives of them with
-//! [`morphs`] and [`skins`], [`materials`] base colours and pictures, [`nodes`] places them, [`clips`] samples animation
-//! stacks, and [`notes`] holds the warnings.
+//! [`scene`] opens the file and gathers warnings, [`corners`] makes vertices of the corners of polygons and morph targets of
+//! blend shapes, [`meshes`] primitives and skins, [`materials`] base colours and pictures, [`nodes`] places them and samples
+//! animation stacks.
 
-mod clips;
 mod corners;
-mod fault;
 mod materials;
 mod meshes;
-mod morphs;
 mod nodes;
-mod notes;
 mod scene;
-mod skins;
 
-pub(super) use fault::FORMAT;
+pub(super) use scene::FORMAT;
 
 use super::gltf::{self, GlbWriter};
 use crate::asset::codec::{FormatTranslator, Translation};
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, FileSet};
-use clips::AddedClips;
 use materials::MaterialTable;
-use nodes::SceneNodes;
-use notes::TranslationNotes;
+use nodes::{AddedClips, SceneNodes};
+use scene::TranslationNotes;
 use serde_json::{Value, json};
 
 /// Reads FBX by way of GLB.

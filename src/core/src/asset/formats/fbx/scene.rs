@@ -1,10 +1,9 @@
 //! Opening an FBX with `ufbx`: options, limits, and what its errors and repairs are called here.
 
-use super::fault::{FORMAT, refuse};
-use super::notes::TranslationNotes;
 use crate::asset::files::ReadWatch;
-use crate::asset::material::inside_folder;
-use crate::asset::{Error, FileSet, Limits};
+use crate::asset::format::{FormatDetails, Recognition};
+use crate::asset::look::inside_folder;
+use crate::asset::{Error, FileSet, Format, Limits};
 use crate::progress::Silent;
 use std::collections::BTreeSet;
 use ufbx::ErrorType;
@@ -191,4 +190,55 @@ pub(super) fn texture_names(files: &FileSet) -> Vec<String> {
         .filter_map(texture_file)
         .filter(|name| seen.insert(name.clone()))
         .collect()
+}
+
+/// FBX, by what it is known.
+pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
+    name: "fbx",
+    media_types: &["application/vnd.autodesk.fbx", "model/fbx", "application/fbx"],
+    recognise: |bytes| {
+        let begins = |mark: &[u8]| bytes.starts_with(mark);
+        Recognition::mark(begins(b"Kaydara FBX Binary") || begins(b"; FBX") || begins(b"FBXHeaderExtension"))
+    },
+});
+
+/// The refusal of a file at a place.
+pub(super) fn refuse(place: impl Into<String>, problem: impl Into<String>) -> Error {
+    Error::malformed(FORMAT, place, problem)
+}
+
+/// An element as texts name it.
+pub(super) fn place_of(kind: &str, element: &ufbx::Element) -> String {
+    format!("{kind} {} \"{}\"", element.typed_id, &*element.name)
+}
+
+/// Warnings, gathered while a file is translated.
+#[derive(Default)]
+pub(super) struct TranslationNotes {
+    /// (code, message, place).
+    pub warnings: Vec<(String, String, String)>,
+    /// What the file has and glTF cannot express, or is not used, each once.
+    left_out: Vec<&'static str>,
+}
+
+impl TranslationNotes {
+    pub(super) fn warn(&mut self, code: &str, message: impl Into<String>, place: impl Into<String>) {
+        self.warnings.push((code.into(), message.into(), place.into()));
+    }
+
+    /// Notes a kind of thing that does not come along.
+    pub(super) fn leave_out(&mut self, what: &'static str) {
+        if !self.left_out.contains(&what) {
+            self.left_out.push(what);
+        }
+    }
+
+    /// All warnings, the last of which says what does not come along.
+    pub(super) fn finish(mut self) -> Vec<(String, String, String)> {
+        if !self.left_out.is_empty() {
+            let message = format!("not carried over: {}", self.left_out.join(", "));
+            self.warn("fbx-left-out", message, "file");
+        }
+        self.warnings
+    }
 }

@@ -5,7 +5,7 @@ use super::container::{self, GltfFault};
 use super::document::GLB_FORMAT;
 use super::text::{json_array, json_object, quoted};
 use super::uri::{self, media_type_of};
-use crate::asset::material::{AlphaCoverage, MaterialPicture, NamedMaterial};
+use crate::asset::look::{AlphaCoverage, MaterialPicture, NamedMaterial};
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
 use crate::asset::{Error, Format, Geometry, Primitive, WrittenFiles};
 use crate::mesh::shading;

@@ -4,17 +4,18 @@
 //! binary data outside the changed attributes, unknown extensions, extras, custom attributes, animations, skins. Existing indices never change; what is new is appended.
 //!
 //! Displacements of morph targets turn and grow with the surface around their vertices ([`targets`]), and skeletons follow
-//! the body ([`rig`]), unless they are to stay. Other [`nodes`] follow on request. [`counts`] counts what followed.
+//! the body ([`rig`]), unless they are to stay. Other nodes follow on request. [`deformed`] counts what followed.
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
-//! [`text`], [`check`] checks references and ranges, [`companions`] lists the files it names, [`buffers`] finds bytes
-//! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`draco`] decodes Draco, [`reclaimed`] removes its
-//! bytes, [`scene`] places meshes, [`skin`], [`influences`] and [`placement`] their vertices, [`read`] puts triangles
-//! together. A model owns its parsed document for life. Writing: [`deformed`] computes what each attribute should
-//! become, [`sharing`] decides what must be copied, [`patch`] edits text and bytes, [`package`] makes the files, and
-//! [`self_contained`] puts files beside a .gltf into a GLB. [`builder`] writes every new accessor, buffer view and
-//! embedded buffer. [`fresh`] makes an asset from other formats' geometry. After edits of the topology, [`edited`]
-//! rewrites primitives.
+//! [`text`], [`check`] checks references and ranges, [`buffers`] finds bytes (with [`uri`] and [`compressed`]),
+//! [`accessors`] reads them, [`draco`] decodes Draco, [`scene`] places meshes and [`placement`] their vertices, [`read`]
+//! puts triangles together. A model owns its parsed document for life. [`moving`] reads nodes and clips, [`looks`] materials.
+//!
+//! Writing: [`deformed`] computes what each attribute should become, [`sharing`] decides what must be copied (with
+//! [`used_bytes`]), [`patch`] edits text and bytes, [`package`] makes the files and puts files beside a .gltf into a GLB.
+//! [`builder`] writes every new accessor, buffer view and embedded buffer. [`fresh`] makes an asset from other formats'
+//! geometry. After edits of the topology, [`edited`] rewrites primitives; [`references`] finds where a document names
+//! accessors and views.
 //!
 //! # Conventions
 //! - Positions are in world space; a skinned mesh stands where its joints put it in the rest pose of the scene, its node's
@@ -83,9 +84,8 @@ use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::files::ReadWatch;
 use crate::asset::look::SurfaceLook;
-use crate::asset::moving_scene::{MovingScene, PrimitiveShapes, SceneClip};
+use crate::asset::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
-use crate::asset::played_clip::PlayedClip;
 use crate::asset::vertex_attributes::AttributeKeys;
 use crate::asset::{
     Error, FileSet, FollowedCounts, Format, Model, ModelNode, MorphTargetRule, ShapeFollowers, WrittenFiles,

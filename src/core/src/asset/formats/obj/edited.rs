@@ -10,7 +10,7 @@ use super::statements::{
 use super::write::{push_corner, push_line, push_numbers};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun, RunFaces};
-use crate::asset::material::NamedMaterial;
+use crate::asset::look::NamedMaterial;
 use crate::asset::neutral::{RunAttributes, SeamPart};
 use crate::asset::{Error, WrittenFiles};
 use glam::DVec3;

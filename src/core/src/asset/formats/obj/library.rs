@@ -4,7 +4,7 @@
 
 use super::super::text::{NumberPrecision, TextLexer, number, push_number};
 use super::statements::{STYLE, name_in, printable};
-use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
+use crate::asset::look::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use crate::asset::{FileSet, Geometry};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

@@ -5,7 +5,6 @@
 
 mod edited;
 mod library;
-mod normals;
 mod parted;
 mod read;
 mod statements;

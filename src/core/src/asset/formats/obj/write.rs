@@ -2,10 +2,9 @@
 
 use super::super::text::{NumberPrecision, TextLexer, TextPatch, newline_of, push_number, push_triple};
 use super::library::write_library;
-use super::normals::{NormalLines, NormalPlan};
-use super::read::ObjNotes;
+use super::read::{NormalLines, NormalPlan, ObjNotes};
 use super::statements::{FaceCorner, STYLE, printable, resolve, three_words};
-use crate::asset::material::NamedMaterial;
+use crate::asset::look::NamedMaterial;
 use crate::asset::model::position_bits;
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
 use crate::asset::{Geometry, WrittenFiles};

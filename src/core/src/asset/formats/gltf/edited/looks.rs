@@ -7,7 +7,7 @@ use super::super::text::{list_of, parse_index, value_of};
 use super::super::uri::{self, RelativeName, file_extension};
 use super::blended::{AttributeBlender, read};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
-use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
+use crate::asset::look::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use crate::asset::neutral::RunAttributes;
 use crate::asset::{Error, FileSet};
 use bytes::Bytes;

@@ -1,7 +1,7 @@
 //! glTF out after edits of the topology: the first base's document with edited primitives, other bases joined to it.
 //!
-//! EditedModel primitives get accessors of their own ([`primitives`], stored by [`BufferBuilder`]); nodes that drew one mesh and now
-//! differ get meshes of their own ([`frame`]). What nothing uses any more is dropped where that is safe ([`kept`]), so
+//! Edited primitives get accessors of their own ([`primitives`], stored by [`BufferBuilder`]); nodes that drew one mesh and now
+//! differ get meshes of their own ([`frame`]). What nothing uses any more is dropped where that is safe as well, so
 //! that compressed and quantised files come back as plain floats without the extensions they needed.
 
 mod blended;

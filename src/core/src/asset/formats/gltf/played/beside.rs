@@ -6,7 +6,7 @@ use super::super::edited::JsonSections;
 use super::super::text::{index_of, list_of, parse_index, quoted, value_of, with_member};
 use super::document::{NewClip, PlayedDocument, PlayedNode, add_root, parents, scene_sections, top_nodes};
 use crate::asset::Error;
-use crate::asset::played_clip::ClipBeside;
+use crate::asset::moving_scene::ClipBeside;
 use glam::DQuat;
 use std::collections::{BTreeMap, BTreeSet};
 

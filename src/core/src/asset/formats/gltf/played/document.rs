@@ -9,7 +9,7 @@ use super::super::edited::{JsonSections, replace_members};
 use super::super::read::{GltfNotes, PlacedPrimitive};
 use super::super::schema::GltfSkin;
 use super::super::text::{items, json_array, json_object, parse_index, quoted, value_of, with_member, without_keys};
-use crate::asset::played_clip::{ClipBeside, NodeKeys, NodePlace};
+use crate::asset::moving_scene::{ClipBeside, NodeKeys, NodePlace};
 use crate::asset::{Error, FileSet, WrittenFiles};
 use glam::DQuat;
 use std::collections::{BTreeMap, BTreeSet};

@@ -9,7 +9,7 @@ use super::document::{
     NewClip, PlayedDocument, PlayedNode, add_times, kept_clips, kept_skins, name_member, played_nodes, take_mesh,
 };
 use super::morphs::{PrimitiveChanges, RestPrimitive, changed_mesh, still_target};
-use crate::asset::played_clip::{CarryingJoints, NodePlace, SkinnedClip};
+use crate::asset::moving_scene::{CarryingJoints, NodePlace, SkinnedClip};
 use crate::asset::{Error, Geometry, Model};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 

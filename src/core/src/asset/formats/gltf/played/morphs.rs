@@ -14,7 +14,7 @@ use super::document::{
     NewClip, PlayedDocument, PlayedNode, add_root, add_times, kept_clips, kept_skins, name_member, played_nodes,
     scene_sections, take_mesh, top_nodes,
 };
-use crate::asset::played_clip::MorphClip;
+use crate::asset::moving_scene::MorphClip;
 use crate::asset::{Error, Geometry, Model};
 use glam::{DAffine3, DVec3, Vec3};
 use std::collections::BTreeMap;

@@ -1,15 +1,14 @@
 //! Nodes follow the body: joints move and turn with their vertices, other nodes by given motions. Clips play on the new
 //! rest pose.
 //!
-//! When the rest shape of a skinned model changes, each joint gets the rigid motion of its vertices ([`motions`], by
-//! sums of [`moments`]). Nodes get new local transforms, from parents to children ([`nodes`]), and skins new inverse
+//! When the rest shape of a skinned model changes, each joint gets the rigid motion of its vertices ([`motions`]). Nodes get new local transforms, from parents to children ([`nodes`]), and skins new inverse
 //! bind matrices, so that joint times inverse bind matrix does not change: the rest pose draws every vertex in its new
-//! place, and the bind shape is the new one. Clips are rewritten relative to the new rest pose ([`clips`]): where a
+//! place, and the bind shape is the new one. Clips are rewritten relative to the new rest pose ([`rewrite`]): where a
 //! clip equals the old rest pose it equals the new one, and it turns joints about their own new axes. [`rewrite`]
 //! changes files that were written as if no node had moved, by patches or after an edit.
 //!
-//! Bones may keep their lengths ([`bones`]); the matrices then compensate for joints that the body would put elsewhere.
-//! What followed is counted for reports ([`counts`]). Nodes that are not joints move only by the motions in
+//! Bones may keep their lengths; the matrices then compensate for joints that the body would put elsewhere.
+//! What followed is counted for reports. Nodes that are not joints move only by the motions in
 //! [`ShapeFollowers`]. Children of a moved node move rigidly with it, except meshes that are part of the shape: their
 //! vertices are drawn where the shape has them. Joints that are to stay do so even under a node that moves.
 //!

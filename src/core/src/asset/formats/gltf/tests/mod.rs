@@ -1,9 +1,6 @@
 //! Small documents made by hand, read and written through the module's own interface.
 
-mod bones;
-mod instances;
 mod morphs;
-mod places;
 mod reading;
 mod rigs;
 mod skins;
