@@ -68,6 +68,14 @@ impl Default for Limits {
 }
 
 impl Limits {
+    /// For reading again what was already read once within the caller's limits.
+    pub(super) const UNLIMITED: Self = Self {
+        vertices: u64::MAX,
+        triangles: u64::MAX,
+        decoded_bytes: u64::MAX,
+        document_bytes: u64::MAX,
+    };
+
     /// Refuses more render vertices than allowed.
     pub(super) fn check_vertices(&self, seen: u64) -> Result<(), Error> {
         within("vertices", seen, self.vertices)

@@ -1,4 +1,8 @@
 //! What every reader hands back: the mesh that the file describes, free of its format.
+//!
+//! Point caches: where the vertices of a model are, frame by frame, without the model. Modelling programs play them on it.
+//!
+//! Both kinds are a header and then, frame after frame, three 32-bit floats for each vertex.
 
 use super::{Error, Format, Limits};
 use crate::mesh::shading;

@@ -78,14 +78,6 @@ impl Model {
     }
 }
 
-/// For reading what was just written.
-const UNLIMITED: Limits = Limits {
-    vertices: u64::MAX,
-    triangles: u64::MAX,
-    decoded_bytes: u64::MAX,
-    document_bytes: u64::MAX,
-};
-
 impl Model {
     /// Writes the rest pose as a GLB, with a morph target for each shape of a clip and an animation of their weights.
     ///
@@ -191,7 +183,7 @@ impl Model {
             main: written.main.into(),
             companions: companions.map(|(name, bytes)| (name, bytes.into())).collect(),
         };
-        let still = Self::read(files, Some(Format::GLB), &UNLIMITED)?;
+        let still = Self::read(files, Some(Format::GLB), &Limits::UNLIMITED)?;
         let seen = still.positions.len();
         if seen != vertices.len() {
             let problem = format!("as a GLB the model has {seen} vertices, not {}", vertices.len());

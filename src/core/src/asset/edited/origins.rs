@@ -3,6 +3,11 @@
 //! In OBJ a vertex may have other texture coordinates in each face around it. A blend names vertices only, so for each
 //! new triangle one old triangle is found that it lies on, its *origin*, and the blend's vertices are looked up in the
 //! faces around the origin, without crossing a seam where that can be avoided.
+//!
+//! Polygons through conversions and edits: which faces of a file still stand as they did.
+//!
+//! A model is triangles; where a file's faces have more corners, the reader notes which triangles each was cut into. A
+//! writer that knows polygons puts those together again whose triangles are all there, on the same vertices.
 
 use super::{EditedModel, PrimitiveRun, VertexBlend};
 use crate::mesh::NONE;

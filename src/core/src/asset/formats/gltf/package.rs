@@ -1,4 +1,9 @@
 //! From an edited document to files, in the container that it came in or in the other one.
+//!
+//! The files that a document names: external buffers and images.
+//!
+//! A missing buffer is an error of [`buffers`](super::buffers): it holds the shape. A missing image is a warning:
+//! nothing is computed from it.
 
 use super::buffers::{BufferBytes, BufferOrigin};
 use super::builder::{BufferBuilder, embedded_buffer_text};

@@ -78,16 +78,8 @@ impl FileNotes for GltfNotes {
     }
 }
 
-/// For reading again what was already read once within the caller's limits.
-const UNLIMITED: Limits = Limits {
-    vertices: u64::MAX,
-    triangles: u64::MAX,
-    decoded_bytes: u64::MAX,
-    document_bytes: u64::MAX,
-};
-
 fn unlimited() -> ReadWatch<'static> {
-    ReadWatch::new(&UNLIMITED, &Silent, 0)
+    ReadWatch::new(&Limits::UNLIMITED, &Silent, 0)
 }
 
 /// Parses a document that was just written, and so is within limits.

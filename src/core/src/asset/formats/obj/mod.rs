@@ -76,7 +76,7 @@ impl FormatCodec for ObjCodec {
     }
 
     fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
-        statements::tell_apart(model, keys);
+        edited::tell_apart(model, keys);
         Ok(())
     }
 }

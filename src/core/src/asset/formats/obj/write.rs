@@ -3,7 +3,7 @@
 use super::super::text::{NumberPrecision, TextLexer, TextPatch, newline_of, push_number, push_triple};
 use super::library::write_library;
 use super::read::{NormalLines, NormalPlan, ObjNotes};
-use super::statements::{FaceCorner, STYLE, printable, resolve, three_words};
+use super::statements::{FaceCorner, STYLE, printable, resolve};
 use crate::asset::look::NamedMaterial;
 use crate::asset::model::position_bits;
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
@@ -37,7 +37,7 @@ pub(super) fn patch(bytes: &[u8], notes: &ObjNotes, rest: &Geometry, positions: 
             b"v" => {
                 let (old, new) = (rest.positions[vertices as usize], positions[vertices as usize]);
                 if position_bits(old) != position_bits(new)
-                    && let Ok(words) = three_words(&mut lexer)
+                    && let Ok(words) = lexer.three_on_line()
                 {
                     patch.replace_changed(words, old, new, NumberPrecision::Double);
                 }
@@ -47,7 +47,7 @@ pub(super) fn patch(bytes: &[u8], notes: &ObjNotes, rest: &Geometry, positions: 
                 let new = shading
                     .as_ref()
                     .and_then(|(_, plan)| plan.rewritten[normal_lines as usize]);
-                if let (Some(new), Ok(words)) = (new, three_words(&mut lexer)) {
+                if let (Some(new), Ok(words)) = (new, lexer.three_on_line()) {
                     let place = words[0].start..words[2].end;
                     push_triple(patch.replace(place), new.as_dvec3(), NumberPrecision::Single);
                 }

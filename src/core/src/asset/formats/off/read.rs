@@ -3,9 +3,7 @@
 //! OFF out: the uploaded text with the changed numbers replaced, or a fresh text.
 
 use super::super::polygons::Polygons;
-use super::super::text::{
-    NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, coordinate, integer, number, push_triple, shown,
-};
+use super::super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, integer, push_triple, shown};
 use crate::asset::edited::FaceOutlines;
 use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};
@@ -91,11 +89,7 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Off
         watch.check_at(i as usize)?;
         read_face(&mut lexer, i, vertex_count, &mut faces, watch)?;
     }
-    let (slots, crude) = faces.triangulate(&positions, || watch.check())?;
-    let outlines = faces.find_outlines(&slots);
-    let triangles = slots.iter().map(|t| t.map(|s| faces.corners[s as usize])).collect();
-    let mut geometry = Geometry::from_one_mesh(positions, normals, triangles);
-    geometry.warn_about_crude_polygons(crude);
+    let (geometry, outlines) = faces.into_geometry(positions, normals, watch)?;
     Ok((
         geometry,
         OffNotes {
@@ -172,38 +166,28 @@ pub(super) fn read_count(lexer: &mut TextLexer<'_>, what: &str) -> Result<(u64, 
         .ok_or_else(|| malformed(token.line, problem()))
 }
 
-/// The next three words, on whatever lines.
-pub(super) fn three_words(lexer: &mut TextLexer<'_>) -> Option<[TextToken; 3]> {
-    Some([lexer.token()?, lexer.token()?, lexer.token()?])
-}
-
 fn read_triple(lexer: &mut TextLexer<'_>, what: &dyn std::fmt::Display) -> Result<DVec3, Error> {
-    let Some(words) = three_words(lexer) else {
+    let Some(words) = lexer.three_tokens() else {
         return Err(malformed(lexer.line(), format!("the file ends inside {what}")));
     };
-    let mut values = DVec3::ZERO;
-    for (i, word) in words.into_iter().enumerate() {
-        values[i] = coordinate(lexer.text(word), NumberPrecision::Double)
-            .map_err(|problem| malformed(word.line, format!("{what}: {problem}")))?;
-    }
-    Ok(values)
+    let position = lexer.position(words);
+    position.map_err(|(line, problem)| malformed(line, format!("{what}: {problem}")))
 }
 
 /// A normal that is not finite is common in exports of degenerate faces; it counts as none.
 fn read_normal(lexer: &mut TextLexer<'_>, vertex: u64) -> Result<Vec3, Error> {
-    let Some(words) = three_words(lexer) else {
-        return Err(malformed(
-            lexer.line(),
-            format!("the file ends inside the normal of vertex {vertex}"),
-        ));
+    let Some(words) = lexer.three_tokens() else {
+        let problem = format!("the file ends inside the normal of vertex {vertex}");
+        return Err(malformed(lexer.line(), problem));
     };
-    let mut values = DVec3::ZERO;
-    for (i, word) in words.into_iter().enumerate() {
-        let text = lexer.text(word);
-        let problem = || format!("the normal of vertex {vertex} has {} for a number", shown(text));
-        values[i] = number(text).ok_or_else(|| malformed(word.line, problem()))?;
-    }
-    Ok(unit_or_zero(values))
+    let normal = lexer.numbers(words).map_err(|word| {
+        let seen = shown(lexer.text(word));
+        malformed(
+            word.line,
+            format!("the normal of vertex {vertex} has {seen} for a number"),
+        )
+    })?;
+    Ok(unit_or_zero(normal))
 }
 
 fn read_face(
@@ -258,11 +242,11 @@ pub(super) fn patch(bytes: &[u8], notes: &OffNotes, rest: &Geometry, positions: 
     let mut lexer = TextLexer::starting_at(bytes, notes.vertices_at as usize, 1, STYLE);
     let mut patch = TextPatch::new(bytes);
     for (i, (&old, &new)) in rest.positions.iter().zip(positions).enumerate() {
-        if let Some(words) = three_words(&mut lexer) {
+        if let Some(words) = lexer.three_tokens() {
             patch.replace_changed(words, old, new, NumberPrecision::Double);
         }
         if let Some(gradients) = &gradients
-            && let Some(words) = three_words(&mut lexer)
+            && let Some(words) = lexer.three_tokens()
             && let Some(gradient) = &gradients[i]
         {
             let (old, new) = (rest.normals[i], shading::carry_normal(gradient, rest.normals[i]));

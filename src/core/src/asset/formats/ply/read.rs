@@ -88,11 +88,8 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Ply
             _ => body.skip_rows(element)?,
         }
     }
-    let (slots, crude) = faces.triangulate(&positions, || watch.check())?;
-    notes.outlines = faces.find_outlines(&slots);
-    let triangles = slots.iter().map(|t| t.map(|s| faces.corners[s as usize])).collect();
-    let mut geometry = Geometry::from_one_mesh(positions, normals, triangles);
-    geometry.warn_about_crude_polygons(crude);
+    let (geometry, outlines) = faces.into_geometry(positions, normals, watch)?;
+    notes.outlines = outlines;
     Ok((geometry, notes))
 }
 
@@ -150,11 +147,7 @@ fn read_faces(
     faces: &mut Polygons,
     watch: &ReadWatch<'_>,
 ) -> Result<(), Error> {
-    let list = element
-        .properties
-        .iter()
-        .position(|p| is_indices(&p.name) && p.count.is_some());
-    let Some(list) = list.filter(|&i| element.properties[i].scalar.is_integer()) else {
+    let Some(list) = index_list(element) else {
         return body.skip_rows(element);
     };
     let strips = element.name == "tristrips";
@@ -191,6 +184,13 @@ fn read_faces(
         }
     }
     Ok(())
+}
+
+/// The property of faces or strips that lists their vertices.
+pub(super) fn index_list(element: &PlyElement) -> Option<usize> {
+    let mut properties = element.properties.iter();
+    let list = properties.position(|p| is_indices(&p.name) && p.count.is_some());
+    list.filter(|&i| element.properties[i].scalar.is_integer())
 }
 
 /// Whether a list property names the vertices of a face.

@@ -2,7 +2,7 @@
 
 use super::super::polygons::Polygons;
 use super::body::{PlyBody, PlyElement, PlyEncoding, PlyHeader, PlyProperty, PlyScalar};
-use super::read::{TriangleStrip, is_indices};
+use super::read::{TriangleStrip, index_list};
 use crate::asset::Error;
 use crate::mesh::NONE;
 use glam::DVec3;
@@ -126,11 +126,7 @@ impl PlyTable<'_> {
         faces: &mut Polygons,
         rows: &mut Vec<(u32, u32)>,
     ) -> Result<(), Error> {
-        let list = element
-            .properties
-            .iter()
-            .position(|p| is_indices(&p.name) && p.count.is_some());
-        let Some(list) = list.filter(|&i| element.properties[i].scalar.is_integer()) else {
+        let Some(list) = index_list(element) else {
             return body.skip_rows(element);
         };
         let strips = element.name == "tristrips";

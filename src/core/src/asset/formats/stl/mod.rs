@@ -7,9 +7,7 @@
 #[cfg(test)]
 mod tests;
 
-use super::text::{
-    NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, coordinate, newline_of, push_triple, shown,
-};
+use super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, newline_of, push_triple, shown};
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
 use crate::asset::edited::{BaseModel, EditedModel, TriangleOrigins};
 use crate::asset::files::{ReadWatch, check_main_size};
@@ -264,17 +262,12 @@ impl<'a> FacetReader<'a> {
         if !self.lexer.text(keyword).eq_ignore_ascii_case(b"normal") {
             return None;
         }
-        Some([
-            self.lexer.token_on_line()?,
-            self.lexer.token_on_line()?,
-            self.lexer.token_on_line()?,
-        ])
+        self.lexer.three_on_line().ok()
     }
 
     fn read_vertex(&mut self) -> Result<[TextToken; 3], Error> {
         self.expect_word(b"vertex")?;
-        let mut next = || self.lexer.token();
-        let words = next().zip(next()).zip(next()).map(|((x, y), z)| [x, y, z]);
+        let words = self.lexer.three_tokens();
         words.ok_or_else(|| malformed(self.lexer.line(), "the file ends inside a vertex"))
     }
 
@@ -297,12 +290,8 @@ impl<'a> FacetReader<'a> {
     }
 
     fn read_position(&self, words: [TextToken; 3]) -> Result<DVec3, Error> {
-        let mut position = DVec3::ZERO;
-        for (i, word) in words.into_iter().enumerate() {
-            position[i] = coordinate(self.lexer.text(word), NumberPrecision::Double)
-                .map_err(|problem| malformed(word.line, problem))?;
-        }
-        Ok(position)
+        let position = self.lexer.position(words);
+        position.map_err(|(line, problem)| malformed(line, problem))
     }
 }
 

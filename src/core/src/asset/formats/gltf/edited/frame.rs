@@ -1,4 +1,10 @@
 //! The first base's own document: its meshes with edited primitives, and the nodes that draw them.
+//!
+//! What stays of the first base's own data.
+//!
+//! Accessors that only edited primitives used are dead weight, and nothing else is gained by keeping them. They can be
+//! dropped, and the rest renumbered and packed, when every extension of the file is known not to name accessors, views
+//! or meshes in places that are not looked at here. Else the numbers stay as they are and new data is only added.
 
 use super::super::accessors::{AccessorLayout, ComponentType};
 use super::super::buffers::BufferBytes;

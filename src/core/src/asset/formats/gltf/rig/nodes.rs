@@ -1,4 +1,11 @@
 //! Nodes after joints and others have moved: new local transforms, from parents to children.
+//!
+//! Bones that keep their lengths while joints follow the body.
+//!
+//! A bone is what lies between a joint and the nearest joint above it; nodes that are no joints may stand between. Where one
+//! is rigid, the lower joint goes to the place at the old distance from where the joint above is now, on the line to where it
+//! would have gone: the direction follows the body, the length does not. Joints are placed from parents to children, so that
+//! each corrects what those above it could not reach.
 
 use super::super::document::GltfDocument;
 use super::super::placement::{invert, joint_nodes};

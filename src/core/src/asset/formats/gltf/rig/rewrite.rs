@@ -1,4 +1,10 @@
 //! Puts moved nodes into files: nodes, inverse bind matrices, and clips.
+//!
+//! Clips after joints have moved: the samplers whose values change, and how.
+//!
+//! Old and new rest pose of a node differ by a turn in its parent's frame and by where it stands there. A rotation of a clip is
+//! turned by the same, and a translation's difference from the old rest is turned and added to the new. In the node's own
+//! frame a clip so does what it did. Where a bone keeps its length, translations turn with the bone instead. All of it is linear in what interpolation mixes, tangents of splines included.
 
 use super::super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_values};
 use super::super::buffers::BufferBytes;

@@ -81,11 +81,9 @@ fn displacements_turn_and_grow_with_the_surface() {
             .expect("a number");
         assert!(own > 4, "an accessor that something else reads is not written over");
         assert_eq!(stored[144..192], bin(&files.main)[144..192]);
-        let view = &document["bufferViews"][document["accessors"][own as usize]["bufferView"]
-            .as_u64()
-            .expect("a view") as usize];
-        let turned = floats(&stored, view["byteOffset"].as_u64().expect("an offset") as usize, 4);
-        for (now, was) in turned.iter().zip(&PUSH) {
+        let turned = floats_of(&written, own as usize);
+        let turned = turned.as_chunks::<3>().0.iter().map(|v| Vec3::from_array(*v));
+        for (now, was) in turned.zip(&PUSH) {
             let expected = in_mesh * Vec3::from_array(*was).as_dvec3();
             assert!(
                 (now.as_dvec3() - expected).length() < 1e-6,

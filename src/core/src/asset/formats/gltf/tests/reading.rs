@@ -8,9 +8,7 @@ fn square(node: &str, more: &str) -> FileSet {
     let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.points(&[[1.0, 0.0, 0.0]; 4]);
-    let tangents: Vec<u8> = [0.0, 0.0, 1.0, 1.0_f32].iter().flat_map(|v| v.to_le_bytes()).collect();
-    let view = draft.view(&tangents.repeat(4), "");
-    draft.accessor(view, 5126, 4, "VEC4", "");
+    draft.elements(&[[0.0, 0.0, 1.0, 1.0]; 4], "VEC4", "");
     draft.indices(&CORNERS);
     draft.glb(&format!(
         r#""scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0{node}}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"NORMAL":1,"TANGENT":2}},"indices":3}}]}}]{more}"#
@@ -52,9 +50,7 @@ fn a_skinned_mesh_ignores_its_node() {
 
 #[test]
 fn transforms_multiply_down_the_tree_and_rotations_need_not_be_of_unit_length() {
-    let mut draft = DocumentDraft::default();
-    draft.points(&SQUARE);
-    draft.indices(&CORNERS);
+    let draft = square_draft();
     let body = concat!(
         r#""scenes":[{"nodes":[2]},{"nodes":[2,3]}],"nodes":[{"name":"leaf","mesh":0,"translation":[1,0,0]},"#,
         r#"{"children":[0],"rotation":[0,0,7,7]},{"children":[1],"matrix":[2,0,0,0, 0,2,0,0, 0,0,2,0, 10,0,0,1]},{"mesh":0}],"#,
@@ -148,10 +144,8 @@ fn all_quantised_types_follow_the_rules_of_normalisation() {
 
 #[test]
 fn versions_and_extensions_decide_what_is_read() {
-    let mut draft = DocumentDraft::default();
-    draft.points(&SQUARE);
-    draft.indices(&CORNERS);
-    let body = one(r#"{"attributes":{"POSITION":0},"indices":1}"#);
+    let draft = square_draft();
+    let body = one(PLAIN);
     let with = |asset: &str, more: &str| {
         let uri = format!(r#","uri":"{}""#, crate::asset::formats::gltf::uri::embed(&draft.bin));
         let json = draft
@@ -214,21 +208,10 @@ fn instances_on_the_gpu_are_told_of_and_their_data_is_left_alone() {
     );
 }
 
-fn square_draft() -> DocumentDraft {
-    let mut draft = DocumentDraft::default();
-    draft.points(&SQUARE);
-    draft.indices(&CORNERS);
-    draft
-}
-
-fn body() -> String {
-    one(r#"{"attributes":{"POSITION":0},"indices":1}"#)
-}
-
 /// A .gltf whose buffer is the companion "my data.bin", beside one that nobody names.
 fn separate() -> FileSet {
     let draft = square_draft();
-    let mut files = FileSet::single("a.gltf", draft.json(&body(), r#","uri":"my%20data.bin""#));
+    let mut files = FileSet::single("a.gltf", draft.json(&one(PLAIN), r#","uri":"my%20data.bin""#));
     let longer = [&draft.bin[..], b"more than declared"].concat();
     files.companions.insert("my data.bin".into(), longer.into());
     files.companions.insert("picture.png".into(), "png".into());
@@ -281,7 +264,10 @@ fn the_first_buffer_moves_into_the_chunk_and_out_of_it() {
 fn embedded_buffers_stay_embedded() {
     let draft = square_draft();
     let uri = super::super::uri::embed(&draft.bin);
-    let files = FileSet::single("a.gltf", draft.json(&body(), &format!(r#","uri":"{uri}","name":"b""#)));
+    let files = FileSet::single(
+        "a.gltf",
+        draft.json(&one(PLAIN), &format!(r#","uri":"{uri}","name":"b""#)),
+    );
     let written = convert(&files, Format::GLTF, DVec3::X);
     assert_eq!(json(&written)["buffers"][0]["name"], "b");
     assert_eq!(open(&again(&written)).positions[1], DVec3::new(2.0, 0.0, 0.0));
@@ -303,7 +289,7 @@ fn two_buffers_in_one_file_are_not_overwritten() {
 
 #[test]
 fn unknown_chunks_come_along() {
-    let mut main = square_draft().glb(&body()).main.to_vec();
+    let mut main = square_draft().glb(&one(PLAIN)).main.to_vec();
     main.extend_from_slice(&[4, 0, 0, 0, b'A', b'C', b'M', b'E', 1, 2, 3, 4]);
     let length = main.len() as u32;
     main[8..12].copy_from_slice(&length.to_le_bytes());
@@ -331,12 +317,12 @@ fn a_missing_companion_is_named_with_a_way_to_send_it() {
 
 fn text_with_fallback() -> String {
     let mark = r#","uri":"gone.bin","extensions":{"EXT_meshopt_compression":{"fallback":true}}"#;
-    square_draft().json(&body(), mark)
+    square_draft().json(&one(PLAIN), mark)
 }
 
 #[test]
 fn a_fresh_asset_holds_what_other_formats_gave() {
-    let mut geometry = open(&square_draft().glb(&body())).geometry;
+    let mut geometry = open(&square_draft().glb(&one(PLAIN))).geometry;
     geometry.primitives[0].name = "say \"hi\"".into();
     geometry.primitives[0].has_normals = true;
     geometry.normals = vec![glam::Vec3::ZERO, glam::Vec3::Z * 2.0, glam::Vec3::Z, glam::Vec3::Z];

@@ -31,25 +31,16 @@ impl Default for RigDraft {
 
 impl RigDraft {
     pub(super) fn files(&self) -> FileSet {
-        let mut draft = DocumentDraft::default();
-        draft.points(&SQUARE);
-        draft.indices(&CORNERS);
+        let mut draft = square_draft();
         let joints = draft.view(&[0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0], "");
         draft.accessor(joints, 5121, 4, "VEC4", "");
-        let weights = [[1.0_f32, 0.0, 0.0, 0.0]; 4];
-        let floats = |values: &[f32]| -> Vec<u8> { values.iter().flat_map(|v| v.to_le_bytes()).collect() };
-        let view = draft.view(&floats(weights.as_flattened()), "");
-        draft.accessor(view, 5126, 4, "VEC4", "");
+        draft.elements(&[[1.0, 0.0, 0.0, 0.0]; 4], "VEC4", "");
         let mut binds = [glam::Mat4::IDENTITY.to_cols_array(); 2];
         (binds[1][12], binds[1][13]) = (-0.5, -1.0);
-        let view = draft.view(&floats(binds.as_flattened()), "");
-        draft.accessor(view, 5126, 2, "MAT4", "");
-        let view = draft.view(&floats(&[0.0, 1.0]), "");
-        draft.accessor(view, 5126, 2, "SCALAR", r#","min":[0],"max":[1]"#);
-        let view = draft.view(&floats(self.rotations.as_flattened()), "");
-        draft.accessor(view, 5126, self.rotations.len(), "VEC4", "");
-        let view = draft.view(&floats(self.translations.as_flattened()), "");
-        draft.accessor(view, 5126, self.translations.len(), "VEC3", "");
+        draft.elements(&binds, "MAT4", "");
+        draft.elements(&[[0.0], [1.0]], "SCALAR", r#","min":[0],"max":[1]"#);
+        draft.elements(&self.rotations, "VEC4", "");
+        draft.points(&self.translations);
         let (nodes, animations) = (&self.nodes, &self.animations);
         draft.glb(&format!(
             r#""scene":0,"scenes":[{{"nodes":[0,1]}}],"nodes":[{nodes}],"skins":[{{"joints":[1,2],"inverseBindMatrices":4}}],{animations}"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"JOINTS_0":2,"WEIGHTS_0":3}},"indices":1}}]}}]"#
@@ -70,21 +61,6 @@ pub(super) fn raised(i: usize, p: DVec3) -> DVec3 {
 
 fn quarter_turn() -> DQuat {
     DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2)
-}
-
-fn floats_of(written: &WrittenFiles, accessor: usize) -> Vec<f32> {
-    let json = json(written);
-    let accessor = &json["accessors"][accessor];
-    let view = &json["bufferViews"][accessor["bufferView"].as_u64().expect("a view") as usize];
-    let start = view["byteOffset"].as_u64().unwrap_or(0) as usize;
-    let length = view["byteLength"].as_u64().expect("a length") as usize;
-    let bytes = bin(&written.main)[start..start + length].to_vec();
-    bytes
-        .as_chunks::<4>()
-        .0
-        .iter()
-        .map(|b| f32::from_le_bytes(*b))
-        .collect()
 }
 
 fn numbers(value: &serde_json::Value) -> Vec<f64> {
