@@ -166,7 +166,7 @@ pub(super) trait FormatCodec: Sync {
 
     /// Adds to `keys` what a model's files give to each vertex or to the faces around it, beside positions, normals and
     /// tangents. Vertices that no reader can distinguish get equal keys.
-    fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+    fn distinguish_vertices(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
         let _ = (model, keys);
         Ok(())
     }

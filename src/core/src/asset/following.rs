@@ -1,4 +1,4 @@
-//! What else of a file follows when the shape of its model changes.
+//! What else of a file follows when the shape of its model changes: by rule, by motions of nodes, and how much did, in numbers.
 
 use glam::DAffine3;
 use std::collections::BTreeMap;
@@ -59,7 +59,7 @@ pub struct Following {
 }
 
 /// How many joints are listed by name.
-const MOST_TOLD: usize = 8;
+const MOST_LISTED_JOINTS: usize = 8;
 
 /// What there is in a written file that can follow its model's shape, and how much of it did. All zeros for files that hold
 /// nothing of the kind.
@@ -127,10 +127,10 @@ impl FollowedCounts {
     }
 
     /// Keeps those that moved farthest of joints in the order of their nodes.
-    pub(super) fn tell_farthest(&mut self, mut travels: Vec<JointTravel>) {
+    pub(super) fn list_farthest(&mut self, mut travels: Vec<JointTravel>) {
         travels.retain(|travel| travel.distance > 0.0);
         travels.sort_by(|a, b| b.distance.total_cmp(&a.distance));
-        travels.truncate(MOST_TOLD);
+        travels.truncate(MOST_LISTED_JOINTS);
         self.farthest = travels;
     }
 }

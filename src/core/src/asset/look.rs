@@ -1,4 +1,4 @@
-//! What the surface of a model looks like: base colours, pictures, texture coordinates, vertex colours.
+//! What the surface of a model looks like, and materials on their way from one format to another.
 
 use bytes::Bytes;
 

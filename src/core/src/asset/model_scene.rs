@@ -1,4 +1,4 @@
-//! What a model looks like, whatever its format.
+//! What a model looks like, what moves in its scene, and its rest pose with the frames of an animation, as a GLB that any engine plays.
 
 use super::formats::{codec_of, writer_of};
 use super::look::SurfaceLook;

@@ -1,4 +1,4 @@
-//! What moves in a scene: nodes, clips, and which nodes hold which vertices.
+//! What moves in a scene: nodes, clips, and which nodes hold which vertices; and clips that play solved frames.
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use std::ops::Range;

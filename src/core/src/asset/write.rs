@@ -87,7 +87,8 @@ impl Model {
     pub fn vertex_attributes(&self, progress: &dyn Progress) -> Result<&VertexAttributes, Error> {
         if self.attributes.get().is_none() {
             let codec = codec_of(self.format);
-            let read = VertexAttributes::gather(&self.geometry, |keys| codec.tell_apart(self, keys), progress)?;
+            let read =
+                VertexAttributes::gather(&self.geometry, |keys| codec.distinguish_vertices(self, keys), progress)?;
             // Another thread may have read the same meanwhile.
             let _ = self.attributes.set(read);
         }

@@ -1,4 +1,4 @@
-//! What the vertices of an edited model are made of: old vertices and weights.
+//! What the vertices of an edited model are made of: old vertices and weights; and how normals and tangents follow.
 
 use super::{EditedModel, PrimitiveRun};
 use crate::asset::geometry::unit_or_zero;

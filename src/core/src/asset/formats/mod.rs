@@ -51,11 +51,11 @@ use crate::asset::format::{Format, Recognition};
 macro_rules! registry {
     (
         read and written { $($(#[$about:meta])* $name:ident = $format:expr, $codec:expr;)* }
-        only read { $($(#[$told:meta])* $source:ident = $source_format:expr, $translator:expr;)* }
+        only read { $($(#[$note:meta])* $source:ident = $source_format:expr, $translator:expr;)* }
     ) => {
         impl Format {
             $($(#[$about])* pub const $name: Self = $format;)*
-            $($(#[$told])* pub const $source: Self = $source_format;)*
+            $($(#[$note])* pub const $source: Self = $source_format;)*
 
             /// Every format that is read and written, in the order in which texts list them.
             pub const ALL: [Self; [$(stringify!($name)),*].len()] = [$(Self::$name),*];

@@ -1,9 +1,8 @@
-//! Meshes: one primitive for the faces of each material.
+//! Meshes: one primitive for the faces of each material, and skin deformers as glTF skins.
 
 use super::super::gltf::GlbWriter;
 use super::corners::{self, CornerAttribute, FbxCornerAttributes, PartVertices};
-use super::materials::MaterialTable;
-use super::scene::{TranslationNotes, place_of, refuse};
+use super::scene::{MaterialTable, TranslationNotes, place_of, refuse};
 use crate::asset::Error;
 use crate::asset::files::ReadWatch;
 use crate::mesh::shading;

@@ -9,7 +9,6 @@
 //! animation stacks.
 
 mod corners;
-mod materials;
 mod meshes;
 mod nodes;
 mod scene;
@@ -20,9 +19,8 @@ use super::gltf::{self, GlbWriter};
 use crate::asset::codec::{FormatTranslator, Translation};
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, FileSet};
-use materials::MaterialTable;
 use nodes::{AddedClips, SceneNodes};
-use scene::TranslationNotes;
+use scene::{MaterialTable, TranslationNotes};
 use serde_json::{Value, json};
 
 /// Reads FBX by way of GLB.
@@ -39,7 +37,7 @@ impl FormatTranslator for FbxTranslator {
         let version = opened.metadata.version;
         let message = format!("an FBX {version} file is read as the GLB that comes back, in metres and with Y up");
         notes.warn("fbx-as-glb", message, "file");
-        scene::tell_of_repairs(&opened, &mut notes);
+        scene::report_repairs(&opened, &mut notes);
         let mut buffer = GlbWriter::new(FORMAT, watch);
         let mut materials = MaterialTable::new(files);
         let nodes = SceneNodes::build(&opened, &mut buffer, &mut materials, &mut notes, watch)?;
@@ -59,7 +57,7 @@ impl FormatTranslator for FbxTranslator {
 }
 
 /// The document of the whole asset, without what its buffer adds.
-fn document(nodes: SceneNodes, clips: AddedClips, looks: materials::MaterialSections) -> Value {
+fn document(nodes: SceneNodes, clips: AddedClips, looks: scene::MaterialSections) -> Value {
     let mut root = json!({"scene": 0, "scenes": [{"nodes": nodes.roots}]});
     let sections = [
         ("nodes", nodes.nodes),

@@ -1,10 +1,9 @@
-//! The hierarchy of nodes, with their meshes and skins.
+//! The hierarchy of nodes, with their meshes and skins, and animation stacks as clips.
 
 use super::super::gltf::GlbWriter;
 use super::corners;
-use super::materials::MaterialTable;
 use super::meshes::{MeshSink, MeshSkin};
-use super::scene::{FORMAT, TranslationNotes, place_of, refuse, within_reserve};
+use super::scene::{FORMAT, MaterialTable, TranslationNotes, place_of, refuse, within_reserve};
 use crate::asset::Error;
 use crate::asset::files::ReadWatch;
 use serde_json::{Value, json};
@@ -94,7 +93,7 @@ impl SceneNodes {
                 problem: format!("{nodes} nodes, {meshes} meshes and no polygon that a node shows"),
             });
         }
-        tell_of_other_kinds(scene, notes);
+        report_other_kinds(scene, notes);
         Ok(made)
     }
 
@@ -218,7 +217,7 @@ fn transform_json(transform: &Transform) -> Option<Value> {
     Some(json)
 }
 
-fn tell_of_other_kinds(scene: &Scene, notes: &mut TranslationNotes) {
+fn report_other_kinds(scene: &Scene, notes: &mut TranslationNotes) {
     let kinds = [
         (scene.cameras.len(), "cameras"),
         (scene.lights.len(), "lights"),

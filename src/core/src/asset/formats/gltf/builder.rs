@@ -1,10 +1,9 @@
-//! New accessors, buffer views and their bytes: the only place that writes them as JSON.
+//! New accessors, buffer views and their bytes: the only place that writes them as JSON. New GLBs are written by it as well.
 
-use super::buffers::BufferBytes;
+use super::buffers::{self, BufferBytes};
 use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
 use super::text::{json_array, json_object, quoted};
-use super::uri;
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, Format};
 use serde_json::{Value, json};
@@ -308,7 +307,7 @@ impl BufferBuilder {
 
 /// A buffer as JSON that holds its bytes itself.
 pub(super) fn embedded_buffer_text(bytes: &[u8]) -> String {
-    let data = quoted(&uri::embed(bytes));
+    let data = quoted(&buffers::embed(bytes));
     format!(r#"{{"byteLength":{},"uri":{data}}}"#, bytes.len())
 }
 

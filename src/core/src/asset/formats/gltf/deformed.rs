@@ -193,7 +193,7 @@ impl RowWriter<'_, '_> {
             }
         }
         if values.iter().any(|v| !v.is_finite()) {
-            // What is written anew must not hold NaN, even where the file did.
+            // New values must not hold NaN, even where the file did.
             let now = &self.shape.positions[self.row.vertices.clone()];
             let smooth = shading::smooth_normals(now, &self.local_triangles());
             for (i, (place, smooth)) in values.as_chunks_mut::<3>().0.iter_mut().zip(smooth).enumerate() {

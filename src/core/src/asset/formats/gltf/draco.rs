@@ -6,13 +6,12 @@
 //! views and meshes stay. A model that nothing was done to still comes back as it was uploaded.
 
 use super::accessors::{AccessorLayout, ComponentType};
-use super::buffers::{BufferBytes, BufferOrigin};
+use super::buffers::{self, BufferBytes, BufferOrigin};
 use super::builder::{BufferBuilder, INDICES, VERTICES, bounds, embedded_buffer_text};
 use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::schema::{DRACO, MeshPrimitive, WholeNumber};
 use super::text::{JsonEdits, json_array, list_of, members, quoted, value_of};
-use super::uri;
 use super::used_bytes::{BufferCuts, count_view_uses};
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, FileSet};
@@ -443,7 +442,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
                 match &buffers.stored[i].origin {
                     BufferOrigin::Bin => bin = Some(bytes),
                     BufferOrigin::Companion(name) => drop(plain.companions.insert(name.clone(), bytes.into())),
-                    _ => self.edits.set(item, "uri", quoted(&uri::embed(&bytes))),
+                    _ => self.edits.set(item, "uri", quoted(&buffers::embed(&bytes))),
                 }
             }
             None => {

@@ -1,10 +1,10 @@
 //! A new, minimal asset for geometry that came from another format.
 
+use super::buffers::{self, media_type_of};
 use super::builder::{BufferBuilder, INDICES, NewAccessor, VERTICES, float_bytes, index_bytes, json_floats};
 use super::container::{self, GltfFault};
 use super::document::GLB_FORMAT;
 use super::text::{json_array, json_object, quoted};
-use super::uri::{self, media_type_of};
 use crate::asset::look::{AlphaCoverage, MaterialPicture, NamedMaterial};
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
 use crate::asset::{Error, Format, Geometry, Primitive, WrittenFiles};
@@ -43,7 +43,7 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
     let bytes = data.bytes();
     let mut buffer = vec![("byteLength", bytes.len().to_string())];
     if format != GLB_FORMAT {
-        buffer.push(("uri", quoted(&uri::embed(bytes))));
+        buffer.push(("uri", quoted(&buffers::embed(bytes))));
     }
     let header = json_object([("version", quoted("2.0")), ("generator", quoted("pliant"))]);
     let mut sections = vec![
@@ -185,7 +185,7 @@ impl BuiltAsset {
                 ]));
                 continue;
             }
-            images.push(json_object([("uri", quoted(&uri::of_file_name(&picture.name)))]));
+            images.push(json_object([("uri", quoted(&buffers::of_file_name(&picture.name)))]));
             if let Some(bytes) = bytes {
                 companions.insert(picture.name.clone(), bytes.to_vec());
             }

@@ -48,7 +48,6 @@
 mod accessors;
 mod buffers;
 mod builder;
-mod check;
 mod compressed;
 mod container;
 mod deformed;
@@ -72,13 +71,12 @@ mod targets;
 #[cfg(test)]
 mod tests;
 mod text;
-mod uri;
 mod used_bytes;
 
+pub(super) use buffers::media_type_of;
+pub(super) use buffers::of_file_name as uri_of_name;
 pub(super) use builder::GlbWriter;
 pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
-pub(super) use uri::media_type_of;
-pub(super) use uri::of_file_name as uri_of_name;
 
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
@@ -221,8 +219,8 @@ impl FormatCodec for GltfCodec {
         edited::run_attributes(edited, runs)
     }
 
-    fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
-        edited::tell_apart(model, model.notes_or_refuse(model.format)?, keys)
+    fn distinguish_vertices(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+        edited::distinguish_vertices(model, model.notes_or_refuse(model.format)?, keys)
     }
 }
 

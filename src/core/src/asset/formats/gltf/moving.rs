@@ -1,6 +1,6 @@
-//! Nodes and clips of a document, and which joints hold which vertices.
+//! Nodes, clips and morph targets of a document as the other modules see them, and which joints hold which vertices.
 
-use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, check_unbacked, read_values};
+use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, decode_values};
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
 use super::placement::{VertexInfluences, VertexTransforms, influence_accessors, joint_nodes};
@@ -286,9 +286,7 @@ impl ClipReader<'_, '_> {
                 limit: MOST_NUMBERS,
             });
         }
-        check_unbacked(self.doc, accessor, layout)?;
-        self.buffers.decode_for(self.doc, &BTreeSet::from([accessor]))?;
-        let values = read_values(self.doc, self.buffers, accessor, layout)?;
+        let values = decode_values(self.doc, self.buffers, accessor, layout)?;
         match values.iter().position(|v| !v.is_finite()) {
             Some(at) => Err(fault.malformed(place, format!("number {at} of accessor {accessor} is {}", values[at]))),
             None => Ok(values),

@@ -1,18 +1,17 @@
-//! From an edited document to files, in the container that it came in or in the other one.
+//! The files that a document names, and how an edited document becomes files: in the container that it came in or in the other one.
 //!
 //! The files that a document names: external buffers and images.
 //!
 //! A missing buffer is an error of [`buffers`](super::buffers): it holds the shape. A missing image is a warning:
 //! nothing is computed from it.
 
-use super::buffers::{BufferBytes, BufferOrigin};
+use super::buffers::{self, BufferBytes, BufferOrigin, RelativeName, media_type_of};
 use super::builder::{BufferBuilder, embedded_buffer_text};
 use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
 use super::scene::Warnings;
 use super::schema::MESHOPT;
 use super::text::{JsonEdits, index_of, list_of, quoted, value_of};
-use super::uri::{self, RelativeName, media_type_of};
 use crate::asset::{Error, FileSet, Format, WrittenFiles};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -54,7 +53,7 @@ pub(super) fn package(
                     companions.remove(name);
                 }
             }
-            // What a file has beyond the declared length is nobody's, but a BIN chunk is kept as it came.
+            // What a file has beyond the declared length belongs to nothing, but a BIN chunk is kept as it came.
             let mut now = new.map_or(Cow::Borrowed(&bytes[..]), Cow::Owned);
             if doc.container.is_none() {
                 now = declared_part(now, bytes.len(), doc.buffers.values[i].byte_length.index());
@@ -68,9 +67,9 @@ pub(super) fn package(
                 let bytes = stored.bytes.as_deref().unwrap_or_default();
                 let now = new.map_or(Cow::Borrowed(bytes), Cow::Owned);
                 let now = declared_part(now, bytes.len(), doc.buffers.values[i].byte_length.index());
-                edits.set(text, "uri", quoted(&uri::embed(&now)));
+                edits.set(text, "uri", quoted(&buffers::embed(&now)));
             }
-            (BufferOrigin::Embedded, Some(new)) => edits.set(text, "uri", quoted(&uri::embed(&new))),
+            (BufferOrigin::Embedded, Some(new)) => edits.set(text, "uri", quoted(&buffers::embed(&new))),
             (BufferOrigin::Companion(name), Some(new)) => drop(companions.insert(name.clone(), new)),
             (_, _) => {}
         }
@@ -127,7 +126,7 @@ pub(super) fn companion_names(files: &FileSet, format: Format) -> Vec<String> {
     let mut seen = std::collections::BTreeSet::new();
     for key in ["buffers", "images"] {
         for item in list_of(text, key) {
-            if let Some(RelativeName::Inside(name)) = uri_of(item).as_deref().map(uri::relative_name)
+            if let Some(RelativeName::Inside(name)) = uri_of(item).as_deref().map(buffers::relative_name)
                 && seen.insert(name.clone())
             {
                 names.push(name);
@@ -142,7 +141,7 @@ pub(super) fn warn_of_missing(doc: &GltfDocument<'_>, files: &FileSet, warnings:
     let (mut missing, mut outside) = (Vec::new(), Vec::new());
     for (i, item) in list_of(doc.text, "images").into_iter().enumerate() {
         let Some(uri) = uri_of(item) else { continue };
-        match uri::relative_name(&uri) {
+        match buffers::relative_name(&uri) {
             RelativeName::Inside(name) if !files.companions.contains_key(&name) => missing.push((i, name)),
             RelativeName::Outside => outside.push((i, uri)),
             _ => {}
@@ -153,7 +152,7 @@ pub(super) fn warn_of_missing(doc: &GltfDocument<'_>, files: &FileSet, warnings:
         let names: Vec<String> = list
             .iter()
             .take(MOST_LISTED)
-            .map(|(_, name)| uri::shown(name))
+            .map(|(_, name)| buffers::shown(name))
             .collect();
         let more = match list.len().saturating_sub(MOST_LISTED) {
             0 => String::new(),
@@ -247,7 +246,7 @@ struct CompanionEmbedder<'a> {
 impl<'a> CompanionEmbedder<'a> {
     /// The companion that an item names.
     fn companion_of(&self, item: &str) -> Option<(String, &'a [u8])> {
-        match uri::relative_name(&uri_of(item)?) {
+        match buffers::relative_name(&uri_of(item)?) {
             RelativeName::Inside(name) => {
                 let bytes = self.companions.get(&name)?;
                 Some((name, bytes))

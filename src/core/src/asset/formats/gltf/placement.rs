@@ -1,4 +1,4 @@
-//! Where the stored vertices of a primitive stand in the world: all by one transform, or each by its own joints.
+//! Where the stored vertices of a primitive stand in the world: all by one transform, or each by the joints of its skin.
 
 use super::accessors::{AccessorLayout, ComponentType, read_values};
 use super::buffers::BufferBytes;

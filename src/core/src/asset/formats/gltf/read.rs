@@ -85,7 +85,7 @@ fn unlimited() -> ReadWatch<'static> {
 /// Parses a document that was just written, and so is within limits.
 pub(super) fn parse_written(files: &FileSet, format: Format) -> Result<ParsedDocument, Error> {
     let parsed = ParsedDocument::parse(files, format, &unlimited())?;
-    super::check::check(&parsed.of(files)?)?;
+    super::references::check(&parsed.of(files)?)?;
     Ok(parsed)
 }
 
@@ -98,13 +98,13 @@ pub(super) fn load_bytes(doc: &GltfDocument<'_>, files: &FileSet) -> Result<Buff
 pub(super) fn read(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<(Geometry, GltfNotes), Error> {
     let parsed = Arc::new(ParsedDocument::parse(files, format, watch)?);
     let doc = parsed.of(files)?;
-    super::check::check(&doc)?;
+    super::references::check(&doc)?;
     if doc.uses(DRACO) {
         let mut buffers = BufferBytes::load(&doc, files, watch)?;
         if let Some((plain, count)) = draco::uncompress(&doc, files, &mut buffers, watch)? {
             drop(buffers);
             let parsed = Arc::new(ParsedDocument::parse(&plain, format, watch)?);
-            super::check::check(&parsed.of(&plain)?)?;
+            super::references::check(&parsed.of(&plain)?)?;
             let (mut geometry, mut notes) = read_document(&parsed, &plain, format, watch)?;
             let were = if count == 1 { "primitive was" } else { "primitives were" };
             let message = format!("{count} {were} compressed with Draco; a changed model comes back without it");
@@ -504,7 +504,7 @@ impl GltfReader<'_, '_> {
     fn check_coordinates(&mut self, accessors: &[usize], place: &str) {
         let mut odd = 0;
         for &index in accessors {
-            let layout = (self.doc.accessors.get(index)).and_then(|a| AccessorLayout::of(a, self.doc.views.values));
+            let layout = AccessorLayout::find(self.doc, index);
             let floats = layout.filter(|layout| layout.component == ComponentType::F32);
             let values = floats.and_then(|layout| accessors::read_values(self.doc, &self.buffers, index, layout).ok());
             let values = values.iter().flat_map(|values| values.as_chunks::<2>().0);

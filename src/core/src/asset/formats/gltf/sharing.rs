@@ -8,9 +8,10 @@ use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, sparse_ind
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
 use super::read::GltfNotes;
+use super::references;
 use super::schema::WholeNumber;
 use super::targets::{AttributeSlot, ChangedAttribute, DeformedAttributes};
-use super::text::{self, index_of, list_of, parse_index, value_of};
+use super::text::parse_index;
 use crate::asset::Geometry;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -280,26 +281,11 @@ impl AccessorUses {
                 }
             }
         }
-        for animation in &doc.animations {
-            let samplers = list_of(animation, "samplers");
-            for sampler in samplers {
-                uses.strangers
-                    .extend(["input", "output"].iter().filter_map(|key| index_of(sampler, key)));
-            }
-        }
-        uses.strangers.extend(
-            doc.skins
-                .iter()
-                .filter_map(|skin| index_of(skin, "inverseBindMatrices")),
-        );
-        for node in &doc.nodes.items {
-            let instances = value_of(node, "extensions")
-                .and_then(|e| value_of(e, "EXT_mesh_gpu_instancing"))
-                .and_then(|e| value_of(e, "attributes"));
-            let attributes = instances.and_then(|a| text::members(a).ok()).unwrap_or_default();
-            uses.strangers
-                .extend(attributes.iter().filter_map(|m| parse_index(m.value)));
-        }
+        let animations = doc.animations.iter().map(|text| references::of_animation(text));
+        let skins = doc.skins.iter().map(|text| references::of_skin(text));
+        let nodes = doc.nodes.items.iter().map(|text| references::of_node(text));
+        let named = animations.chain(skins).chain(nodes).flat_map(|places| places.accessors);
+        uses.strangers.extend(named.filter_map(parse_index));
         uses
     }
 }
@@ -342,15 +328,10 @@ fn takes_floats(
     view: WholeNumber,
     slot: AttributeSlot,
 ) -> bool {
-    let is_float = AccessorLayout::of(&doc.accessors.values[accessor], doc.views.values)
+    let is_float = AccessorLayout::find(doc, accessor)
         .is_some_and(|l| l.component == ComponentType::F32 && l.lanes == slot.lanes());
-    doc.views.get(view.index()).is_some_and(|view| {
-        let buffer = view.buffer.index();
-        is_float
-            && view.compression().is_none()
-            && buffers.is_exclusive(buffer)
-            && !doc.buffers.values[buffer].is_fallback()
-    })
+    let view = doc.views.get(view.index());
+    is_float && view.is_some_and(|view| buffers.takes_floats(doc, view))
 }
 
 /// A mesh of the document, or the n-th copy to be appended.

@@ -1,4 +1,4 @@
-//! The places of a primitive that follow a deformation: its own attributes, and those of its morph targets.
+//! Attributes that follow a deformation, of primitives and of their morph targets, and displacements carried along with the surface.
 
 use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, read_values};
 use super::buffers::BufferBytes;
@@ -273,9 +273,7 @@ pub(super) fn read_displacements(
     buffers: &BufferBytes,
     accessor: usize,
 ) -> Result<Option<Vec<f32>>, Error> {
-    let described = doc.accessors.get(accessor);
-    let layout = described.and_then(|a| AccessorLayout::of(a, doc.views.values));
-    match layout.filter(|l| l.lanes == 3 && l.component != ComponentType::U32) {
+    match AccessorLayout::find(doc, accessor).filter(|l| l.lanes == 3 && l.component != ComponentType::U32) {
         Some(layout) => read_values(doc, buffers, accessor, layout).map(Some),
         None => Ok(None),
     }

@@ -4,8 +4,7 @@
 //! of them. Key order, number texts, escapes, duplicate keys and white space of everything else stay as they were.
 
 use super::schema::WholeNumber;
-use serde::Deserialize;
-use serde::de::{Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::de::{Deserializer as _, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::value::RawValue;
 use std::fmt;
 use std::ops::Range;
@@ -18,7 +17,25 @@ pub(super) struct JsonMember<'a> {
 
 /// The members of the object that `text` holds, in order, duplicates included.
 pub(super) fn members(text: &str) -> Result<Vec<JsonMember<'_>>, serde_json::Error> {
-    serde_json::from_str::<Members<'_>>(text).map(|m| m.0)
+    struct Collect;
+    impl<'de> Visitor<'de> for Collect {
+        type Value = Vec<JsonMember<'de>>;
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("an object")
+        }
+        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+            let mut list = Vec::new();
+            while let Some(key) = map.next_key::<String>()? {
+                let value = map.next_value::<&'de RawValue>()?.get();
+                list.push(JsonMember { key, value });
+            }
+            Ok(list)
+        }
+    }
+    let mut reader = serde_json::Deserializer::from_str(text);
+    let list = reader.deserialize_map(Collect)?;
+    reader.end()?;
+    Ok(list)
 }
 
 /// The items of the array that `text` holds.
@@ -136,31 +153,6 @@ pub(super) fn with_member(object: &str, key: &str, json: impl fmt::Display) -> S
     let mut edits = JsonEdits::new(object);
     edits.set(object, key, json);
     edits.apply()
-}
-
-struct Members<'a>(Vec<JsonMember<'a>>);
-
-impl<'de: 'a, 'a> Deserialize<'de> for Members<'a> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Collect;
-        impl<'de> Visitor<'de> for Collect {
-            type Value = Vec<JsonMember<'de>>;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("an object")
-            }
-            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
-                let mut list = Vec::new();
-                while let Some(key) = map.next_key::<String>()? {
-                    list.push(JsonMember {
-                        key,
-                        value: map.next_value::<&'de RawValue>()?.get(),
-                    });
-                }
-                Ok(list)
-            }
-        }
-        deserializer.deserialize_map(Collect).map(Members)
-    }
 }
 
 /// A list of places of one text and what to put there.

@@ -1,4 +1,4 @@
-//! Which bytes of the buffers are used by whom.
+//! Which bytes of the buffers are used by what, and how those go that no view needs any more.
 
 use super::accessors::AccessorLayout;
 use super::document::GltfDocument;
@@ -91,7 +91,7 @@ impl ByteSpans {
             own.push(span);
         }
         for (i, view) in doc.views.values.iter().enumerate() {
-            // A view that nobody seems to use belongs to something we do not know.
+            // A view that nothing seems to use belongs to something we do not know.
             if read_otherwise.contains(&i) || !read_by_accessors.contains(&i) {
                 let (start, end) = (view.offset(), view.offset() + view.byte_length.0);
                 buffers[view.buffer.index()].push((

@@ -2,10 +2,11 @@
 
 use super::super::text::{NumberPrecision, push_number};
 use super::library::{MaterialLibrary, read_libraries};
-use super::parted::{CornerAttributes, TextureCoordinate, divide_corners};
 use super::read::{ObjNotes, has_no_number, read_statements};
-use super::statements::{FaceState, NO_TEXTURE, ObjStatements, name_in, object_numbers, parse_numbers, printable};
-use super::write::{push_corner, push_line, push_numbers};
+use super::statements::{
+    CornerAttributes, FaceState, NO_TEXTURE, ObjStatements, TextureCoordinate, divide_corners, name_in, object_numbers,
+    parse_numbers, printable, push_corner, push_line, push_numbers,
+};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::asset::look::NamedMaterial;
@@ -359,7 +360,7 @@ pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions
 
 /// The numbers after the coordinates of vertices; and of each corner its texture coordinates, its normal where vertices have
 /// none of their own, and the statements that hold for its face.
-pub(super) fn tell_apart(model: &Model, keys: &mut AttributeKeys<'_>) {
+pub(super) fn distinguish_vertices(model: &Model, keys: &mut AttributeKeys<'_>) {
     let geometry = &model.geometry;
     let read = read_statements(&model.files.main);
     for (i, number) in read.more.iter().enumerate() {

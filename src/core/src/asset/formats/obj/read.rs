@@ -1,4 +1,4 @@
-//! OBJ in: positions, faces and the normals that they name.
+//! OBJ in: positions, faces and the normals that they name; and on request what else the text holds.
 //!
 //! How `vn` lines follow a deformation.
 //!

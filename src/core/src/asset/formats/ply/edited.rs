@@ -2,9 +2,7 @@
 
 use super::super::text::newline_of;
 use super::body::{PlyElement, PlyEncoding, PlyProperty, PlyScalar, push};
-use super::read::{FORMAT, PlyNotes, VertexRole, is_indices};
-use super::table::{PlyTable, read};
-use super::write::stored_types;
+use super::read::{FORMAT, PlyNotes, PlyTable, VertexRole, is_indices, read_table, stored_types};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::asset::neutral::RunAttributes;
@@ -32,7 +30,7 @@ const COORDINATES: [[&str; 2]; 4] = [
 /// alone stay whole, others are triangles; they have the numbers of the face that they lie on. Edges are left out.
 pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> {
     let EditedOutput { edited, positions, .. } = *output;
-    let tables = edited.read_bases(|model, _: &PlyNotes| read(&model.files.main, &model.positions))?;
+    let tables = edited.read_bases(|model, _: &PlyNotes| read_table(&model.files.main, &model.positions))?;
     let notes = edited.bases.first().and_then(|base| base.model.notes::<PlyNotes>());
     let (Some(Some(first)), Some(notes)) = (tables.first(), notes) else {
         return Err(Error::unwritable(FORMAT, "the first base is not PLY"));
@@ -65,9 +63,9 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
 }
 
 /// The numbers of vertices beside position and normal, and those of the faces around them.
-pub(super) fn tell_apart(model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+pub(super) fn distinguish_vertices(model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
     let notes: &PlyNotes = model.notes_or_refuse(FORMAT)?;
-    let table = read(&model.files.main, &model.geometry.positions)?;
+    let table = read_table(&model.files.main, &model.geometry.positions)?;
     let properties = notes.vertex.properties.iter().enumerate();
     for (p, property) in properties.filter(|(p, _)| notes.role(*p).is_none()) {
         let lists = table.vertex_lists.get(&p).filter(|_| property.count.is_some());
@@ -460,7 +458,7 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
         return Ok(Vec::new());
     };
     let model = edited.base(first).model;
-    let table = read(&model.files.main, &model.geometry.positions)?;
+    let table = read_table(&model.files.main, &model.geometry.positions)?;
     let Some(vertex) = table.vertex() else {
         return Ok(Vec::new());
     };

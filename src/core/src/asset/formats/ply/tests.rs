@@ -1,5 +1,5 @@
 use super::body::{PlyEncoding, PlyScalar, push};
-use super::write::build;
+use super::build;
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Limits, Model};
 use glam::{DVec3, Vec3};

@@ -81,7 +81,7 @@ impl FormatCodec for StlCodec {
     }
 
     /// Which solid a facet is of, or its attribute.
-    fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+    fn distinguish_vertices(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
         let of_facet = if is_text(model) {
             read_solids(model)?.of_facet.into_iter().map(u64::from).collect()
         } else {
@@ -132,7 +132,7 @@ fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, StlNotes), Err
         .get(..5)
         .is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
     let declared = declared_facets(bytes);
-    // Some programs begin binary files with the word `solid` too; the length tells them.
+    // Some programs begin binary files with the word `solid` too; the length identifies them.
     let binary = is_as_long_as_binary(bytes) || !text;
     let mut positions = Vec::new();
     let mut extra = 0;

@@ -1,6 +1,6 @@
-//! Attributes of a primitive as numbers, and how each kind is blended.
+//! Attributes of edited primitives, blended from those of old vertices: numbers, skins and morph targets.
 
-use super::super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, check_unbacked, read_values};
+use super::super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, read_values};
 use super::super::buffers::BufferBytes;
 use super::super::builder::{AccessorKind, BufferBuilder};
 use super::super::container::GltfFault;
@@ -54,7 +54,6 @@ pub(super) fn read(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) 
         );
         return Err(doc.fault.malformed(place(), problem));
     };
-    check_unbacked(doc, index, layout)?;
     Ok(AttributeValues {
         lanes: layout.lanes,
         is_whole: layout.component != ComponentType::F32 && !accessor.normalized,
@@ -63,7 +62,7 @@ pub(super) fn read(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) 
 }
 
 /// Hands out all attributes of the vertices of a model but their shape, those of morph targets included.
-pub(in super::super) fn tell_apart(
+pub(in super::super) fn distinguish_vertices(
     model: &Model,
     notes: &GltfNotes,
     keys: &mut AttributeKeys<'_>,
@@ -78,8 +77,7 @@ pub(in super::super) fn tell_apart(
         buffers.decode_for(&doc, &all.iter().copied().collect())?;
         for accessor in all {
             // What only an extension can read is not written again either.
-            let stored = doc.accessors.get(accessor);
-            let Some(layout) = stored.and_then(|a| AccessorLayout::of(a, doc.views.values)) else {
+            let Some(layout) = AccessorLayout::find(&doc, accessor) else {
                 continue;
             };
             keys.spend(row.vertices.len() as u64 * layout.lanes as u64)?;

@@ -16,7 +16,7 @@ use super::super::targets::TargetTally;
 use super::super::text::{index_of, items, json_array, json_object, list_of, quoted, value_of, with_member};
 use super::blended::{AccessorHandle, EditedTurns, attributes_text};
 use super::frame::EditedMeshes;
-use super::material::{JoinedBases, MaterialCopier};
+use super::looks::{JoinedBases, MaterialCopier};
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun};

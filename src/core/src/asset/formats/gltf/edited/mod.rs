@@ -8,13 +8,12 @@ mod blended;
 mod frame;
 mod joined;
 mod looks;
-mod material;
 mod primitives;
 
-pub(super) use blended::tell_apart;
+pub(super) use blended::distinguish_vertices;
 pub(super) use looks::run_attributes;
 
-use super::buffers::{BufferBytes, BufferOrigin};
+use super::buffers::{self, BufferBytes, BufferOrigin};
 use super::builder::BufferBuilder;
 use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
@@ -27,13 +26,12 @@ use super::text::{
     JsonEdits, index_of, json_array, json_object, list_of, members, quoted, with_member, without_extensions,
     without_keys,
 };
-use super::uri;
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::PrimitiveRun;
 use crate::asset::{Error, FileSet, WrittenFiles};
 use blended::EditedTurns;
 use frame::{EditedMeshes, KeptData};
-use material::JoinedBases;
+use looks::JoinedBases;
 use primitives::PrimitiveMaker;
 use std::collections::BTreeMap;
 
@@ -224,7 +222,7 @@ impl EditedGltfWriter<'_> {
         if is_glb {
             buffer = without_keys(&buffer, &["uri"]);
         } else if companion.is_none() {
-            buffer = with_member(&buffer, "uri", quoted(&uri::embed(&bytes)));
+            buffer = with_member(&buffer, "uri", quoted(&buffers::embed(&bytes)));
         }
         sections.insert("buffers", Some(json_array(&[buffer])));
         let json = replace_members(doc.text, sections);

@@ -1,4 +1,4 @@
-//! The accessors of one edited primitive.
+//! The accessors of one edited primitive, and which joints hold its vertices.
 
 use super::super::accessors::{AccessorLayout, ShapeAttribute, read_floats};
 use super::super::buffers::BufferBytes;
@@ -269,7 +269,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                     mixer.blend_linearly(&channel)
                 };
                 if name.starts_with("TEXCOORD_") || name.starts_with("COLOR_") {
-                    // Vertices that were only copied bring what the file had; in what is written anew that is no number.
+                    // Vertices that were only copied bring what the file had; in what is written here that is not a number.
                     let wrong = values.iter_mut().filter(|v| !v.is_finite());
                     wrong.for_each(|v| *v = 0.0);
                 }

@@ -1,10 +1,12 @@
-//! What of a file's own clip goes on beside what is played: channels of everything that is still there.
+//! What of a file's own clip goes on beside what is played: channels of everything that is still there, cut to their time.
 
 use super::super::builder::AccessorKind;
 use super::super::document::GltfDocument;
 use super::super::edited::JsonSections;
-use super::super::text::{index_of, list_of, parse_index, quoted, value_of, with_member};
-use super::document::{NewClip, PlayedDocument, PlayedNode, add_root, parents, scene_sections, top_nodes};
+use super::super::text::{index_of, list_of, parse_index, value_of, with_member};
+use super::document::{
+    NewClip, PlayedDocument, PlayedNode, add_root, parents, sampler_text, scene_sections, top_nodes,
+};
 use crate::asset::Error;
 use crate::asset::moving_scene::ClipBeside;
 use glam::DQuat;
@@ -95,7 +97,7 @@ fn add_channels(
                 number
             }
         };
-        new.add_channel_text(with_member(channel, "sampler", number));
+        new.channels.push(with_member(channel, "sampler", number));
     }
     Ok(())
 }
@@ -139,10 +141,7 @@ fn cut_sampler(
         KeyKind::Spline => "CUBICSPLINE",
         KeyKind::Straight | KeyKind::Turn => "LINEAR",
     };
-    let name = quoted(name);
-    Ok(Some(format!(
-        r#"{{"input":{input},"interpolation":{name},"output":{output}}}"#
-    )))
+    Ok(Some(sampler_text(input, name, output)))
 }
 
 /// How values run from key to key.

@@ -1,6 +1,6 @@
-//! A document on its way to a new one: nodes and meshes that change, and data that is added.
+//! A document on its way to a new one: nodes and meshes that change, data that is added, the new clip, and which of the old ones stay.
 
-use super::super::accessors::{AccessorLayout, ShapeAttribute, check_unbacked, read_floats, read_values};
+use super::super::accessors::{AccessorLayout, ShapeAttribute, decode_values, read_floats};
 use super::super::buffers::{BufferBytes, BufferOrigin};
 use super::super::builder::{AccessorKind, BufferBuilder, embedded_buffer_text};
 use super::super::container::{self, GltfFault};
@@ -55,16 +55,11 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
 
     /// The numbers of an accessor, and how many each of its elements has; `None` for one that is not there or of no kind known.
     pub(super) fn read_numbers(&mut self, accessor: usize) -> Result<Option<(Vec<f32>, usize)>, Error> {
-        let described = self.doc.accessors.get(accessor);
-        let Some(layout) = described.and_then(|a| AccessorLayout::of(a, self.doc.views.values)) else {
+        let Some(layout) = AccessorLayout::find(self.doc, accessor) else {
             return Ok(None);
         };
-        check_unbacked(self.doc, accessor, layout)?;
-        self.buffers.decode_for(self.doc, &BTreeSet::from([accessor]))?;
-        Ok(Some((
-            read_values(self.doc, &self.buffers, accessor, layout)?,
-            layout.lanes,
-        )))
+        let values = decode_values(self.doc, &mut self.buffers, accessor, layout)?;
+        Ok(Some((values, layout.lanes)))
     }
 
     /// A node as it is by now.
@@ -147,7 +142,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
 /// A clip that is being written.
 pub(super) struct NewClip {
     name: String,
-    channels: Vec<String>,
+    pub(super) channels: Vec<String>,
     samplers: Vec<String>,
 }
 
@@ -161,11 +156,9 @@ impl NewClip {
         }
     }
 
-    /// Adds values over times, which are accessors, along straight lines; the number of the sampler.
-    pub(super) fn add_sampler(&mut self, times: usize, values: usize) -> usize {
-        self.add_sampler_text(format!(
-            r#"{{"input":{times},"interpolation":"LINEAR","output":{values}}}"#
-        ))
+    /// Adds values over times, which are accessors; the number of the sampler.
+    pub(super) fn add_sampler(&mut self, times: usize, interpolation: &str, values: usize) -> usize {
+        self.add_sampler_text(sampler_text(times, interpolation, values))
     }
 
     /// Adds a sampler; its number.
@@ -174,16 +167,11 @@ impl NewClip {
         self.samplers.len() - 1
     }
 
-    /// Adds a channel.
-    pub(super) fn add_channel_text(&mut self, text: String) {
-        self.channels.push(text);
-    }
-
     /// Lets a sampler move a node.
     pub(super) fn add_channel(&mut self, sampler: usize, node: usize, path: &str) {
-        self.channels.push(format!(
-            r#"{{"sampler":{sampler},"target":{{"node":{node},"path":"{path}"}}}}"#
-        ));
+        let target = json_object([("node", node.to_string()), ("path", quoted(path))]);
+        let channel = [("sampler", sampler.to_string()), ("target", target)];
+        self.channels.push(json_object(channel));
     }
 
     /// Lets a node go from place to place.
@@ -209,7 +197,7 @@ impl NewClip {
         }
         for (values, shape, path) in [(shifts, "VEC3", "translation"), (turns, "VEC4", "rotation")] {
             let values = played.add_floats(&values, shape, AccessorKind::Numbers);
-            let sampler = self.add_sampler(times, values);
+            let sampler = self.add_sampler(times, "LINEAR", values);
             self.add_channel(sampler, node, path);
         }
     }
@@ -222,17 +210,19 @@ impl NewClip {
 
     /// Its text.
     pub(super) fn text(&self) -> String {
-        let Self {
-            name,
-            channels,
-            samplers,
-        } = self;
-        format!(
-            r#"{{"name":{name},"channels":[{}],"samplers":[{}]}}"#,
-            channels.join(","),
-            samplers.join(",")
-        )
+        let lists = [("channels", &self.channels), ("samplers", &self.samplers)];
+        let lists = lists.map(|(key, list)| (key, json_array(list)));
+        json_object([("name", self.name.clone())].into_iter().chain(lists))
     }
+}
+
+/// The text of a sampler.
+pub(super) fn sampler_text(input: usize, interpolation: &str, output: usize) -> String {
+    json_object([
+        ("input", input.to_string()),
+        ("interpolation", quoted(interpolation)),
+        ("output", output.to_string()),
+    ])
 }
 
 /// Stores times; the number of their accessor.

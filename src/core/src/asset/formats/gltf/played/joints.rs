@@ -56,7 +56,7 @@ pub(super) fn add_clip(
             let times = add_times(played, clip.times);
             let weights: Vec<f32> = correctives.weights.iter().flatten().map(|w| *w as f32).collect();
             let weights = played.add_floats(&weights, "SCALAR", AccessorKind::Numbers);
-            let sampler = new.add_sampler(times, weights);
+            let sampler = new.add_sampler(times, "LINEAR", weights);
             drawn.iter().for_each(|node| new.add_channel(sampler, *node, "weights"));
         }
         clips.push(new.text());

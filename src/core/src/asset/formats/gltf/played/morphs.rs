@@ -1,4 +1,4 @@
-//! Frames as morph targets.
+//! Frames as morph targets, and the texts of primitives that are played.
 
 use super::super::accessors::ShapeAttribute;
 use super::super::builder::AccessorKind;
@@ -63,7 +63,7 @@ pub(super) fn add_clip(
         .map(|i| f32::from(u8::from(i / count == i % count)))
         .collect();
     let weights = played.add_floats(&weights, "SCALAR", AccessorKind::Numbers);
-    let sampler = new.add_sampler(times, weights);
+    let sampler = new.add_sampler(times, "LINEAR", weights);
     drawing
         .iter()
         .for_each(|node| new.add_channel(sampler, *node, "weights"));

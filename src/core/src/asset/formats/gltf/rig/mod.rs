@@ -129,7 +129,7 @@ impl FollowedNodeTree {
             // They stay where they are, even under a node that goes.
             RigRule::Keep => followed.values().flat_map(still).collect(),
         };
-        // What a broken skin draws nobody knows, so its joints had better stay.
+        // What a broken skin draws is not known, so its joints stay.
         motions.extend(broken.iter().filter_map(|skin| known.get(skin)).flat_map(still));
         motions.extend(followers.nodes.iter().filter(|(node, _)| **node < doc.nodes.len()));
         if motions.values().all(Option::is_none) {
@@ -154,13 +154,13 @@ impl FollowedNodeTree {
             size,
         };
         for (skin, pose) in known {
-            tree.bind_anew(skin, pose);
+            tree.fit_binds(skin, pose);
         }
         Ok(Some(tree))
     }
 
     /// Finds the inverse bind matrices that keep what a skin draws.
-    fn bind_anew(&mut self, skin: usize, pose: Arc<SkinPose>) {
+    fn fit_binds(&mut self, skin: usize, pose: Arc<SkinPose>) {
         let mut changes = BindChanges::new();
         let mut after = SkinPose::clone(&pose);
         for (number, (&node, place)) in pose.joints.iter().zip(&mut after.world_from_bind).enumerate() {
@@ -253,7 +253,7 @@ impl FollowedNodeTree {
         };
         let travels: Vec<JointTravel> = moved.map(travel).collect();
         counts.moved_joints = u32::try_from(travels.len()).unwrap_or(u32::MAX);
-        counts.tell_farthest(travels);
+        counts.list_farthest(travels);
     }
 
     /// Whether a node stands or is turned differently; one that was held back under a parent that goes does not.

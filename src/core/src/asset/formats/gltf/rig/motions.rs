@@ -394,7 +394,7 @@ mod tests {
         // A single vertex takes the place along, turned about it.
         let to = one.shift_of_place(&DMat3::from_quat(hint));
         assert!((to - (DVec3::Y + DVec3::Z - hint * DVec3::Y)).length() < 1e-12, "{to}");
-        // A line along x does not tell how it turned about itself.
+        // A line along x does not say how it turned about itself.
         let line = moments(&[DVec3::ZERO, DVec3::X, DVec3::X * 2.0], DVec3::ZERO, |p| p);
         assert!(line.rotation(&DMat3::from_quat(hint)).dot(hint).abs() > 1.0 - 1e-9);
     }

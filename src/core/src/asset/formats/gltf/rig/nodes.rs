@@ -249,7 +249,7 @@ impl RigidBone {
 }
 
 /// The turn that takes a node's translation to its new one and is nearest to the `turn` of the node: applied to all translations
-/// of a clip it changes no length. `None` where old and new are not equally long, as where another node or a stretch lies
+/// of a clip it changes no length. `None` where old and new are not equally long, as where another node or a stretched parent lies
 /// between the joints.
 pub(super) fn turn_of_bone(turn: DQuat, from: DVec3, to: DVec3) -> Option<DQuat> {
     let from = turn * from;

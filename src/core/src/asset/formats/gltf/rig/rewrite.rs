@@ -6,7 +6,7 @@
 //! turned by the same, and a translation's difference from the old rest is turned and added to the new. In the node's own
 //! frame a clip so does what it did. Where a bone keeps its length, translations turn with the bone instead. All of it is linear in what interpolation mixes, tangents of splines included.
 
-use super::super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_values};
+use super::super::accessors::{AccessorLayout, ComponentType, decode_values};
 use super::super::buffers::BufferBytes;
 use super::super::builder::{AccessorKind, BufferBuilder, bounds, json_floats};
 use super::super::document::{GltfDocument, PatchedDocument};
@@ -221,14 +221,9 @@ impl<'a> RigWriter<'_, 'a> {
 
     /// The values of an accessor with so many lanes; `None` for one of another kind.
     fn read(&mut self, accessor: usize, lanes: usize) -> Result<Option<Vec<f32>>, Error> {
-        let described = self.doc.accessors.get(accessor);
-        let layout = described.and_then(|a| AccessorLayout::of(a, self.doc.views.values));
-        let Some(layout) = layout.filter(|l| l.lanes == lanes) else {
-            return Ok(None);
-        };
-        check_unbacked(self.doc, accessor, layout)?;
-        self.buffers.decode_for(self.doc, &BTreeSet::from([accessor]))?;
-        read_values(self.doc, &self.buffers, accessor, layout).map(Some)
+        let layout = AccessorLayout::find(self.doc, accessor).filter(|l| l.lanes == lanes);
+        let read = |layout| decode_values(self.doc, &mut self.buffers, accessor, layout);
+        layout.map(read).transpose()
     }
 
     /// Stores values in place of those of an accessor where that changes nothing else, in a new accessor otherwise, the number of
@@ -256,9 +251,7 @@ impl<'a> RigWriter<'_, 'a> {
         let fits = layout.component == ComponentType::F32
             && accessor.sparse.is_none()
             && accessor.count.index().saturating_mul(new.lanes) == new.values.len()
-            && view.compression().is_none()
-            && self.buffers.is_exclusive(buffer)
-            && !doc.buffers.values[buffer].is_fallback()
+            && self.buffers.takes_floats(doc, view)
             && self.spans.is_alone(index);
         if !fits {
             return false;

@@ -1,6 +1,5 @@
 //! Small documents made by hand, read and written through the module's own interface.
 
-mod morphs;
 mod reading;
 mod rigs;
 mod skins;

@@ -1,4 +1,4 @@
-//! Where vertices are in the world, and which triangles there are.
+//! Where vertices are in the world, which triangles there are, and where buffers are kept.
 
 use super::*;
 use crate::asset::neutral::NeutralModel;
@@ -147,7 +147,7 @@ fn versions_and_extensions_decide_what_is_read() {
     let draft = square_draft();
     let body = one(PLAIN);
     let with = |asset: &str, more: &str| {
-        let uri = format!(r#","uri":"{}""#, crate::asset::formats::gltf::uri::embed(&draft.bin));
+        let uri = format!(r#","uri":"{}""#, super::super::buffers::embed(&draft.bin));
         let json = draft
             .json(&format!("{more}{body}"), &uri)
             .replace(r#"{"version":"2.0"}"#, asset);
@@ -195,7 +195,7 @@ fn versions_and_extensions_decide_what_is_read() {
 }
 
 #[test]
-fn instances_on_the_gpu_are_told_of_and_their_data_is_left_alone() {
+fn instances_on_the_gpu_are_reported_and_their_data_is_left_alone() {
     let more = r#","extensions":{"EXT_mesh_gpu_instancing":{"attributes":{"TRANSLATION":0}}}"#;
     let files = square(more, "");
     let codes: Vec<String> = open(&files).geometry.warnings.into_iter().map(|w| w.0).collect();
@@ -208,7 +208,7 @@ fn instances_on_the_gpu_are_told_of_and_their_data_is_left_alone() {
     );
 }
 
-/// A .gltf whose buffer is the companion "my data.bin", beside one that nobody names.
+/// A .gltf whose buffer is the companion "my data.bin", and one that nothing names.
 fn separate() -> FileSet {
     let draft = square_draft();
     let mut files = FileSet::single("a.gltf", draft.json(&one(PLAIN), r#","uri":"my%20data.bin""#));
@@ -263,7 +263,7 @@ fn the_first_buffer_moves_into_the_chunk_and_out_of_it() {
 #[test]
 fn embedded_buffers_stay_embedded() {
     let draft = square_draft();
-    let uri = super::super::uri::embed(&draft.bin);
+    let uri = super::super::buffers::embed(&draft.bin);
     let files = FileSet::single(
         "a.gltf",
         draft.json(&one(PLAIN), &format!(r#","uri":"{uri}","name":"b""#)),

@@ -1,4 +1,4 @@
-//! What a changed file looks like, to the byte.
+//! What a changed file looks like, to the byte, and what of it is shared.
 
 use super::*;
 
@@ -256,8 +256,8 @@ fn a_stale_draco_copy_is_dropped_where_the_mesh_changed() {
         "",
     );
     // Only Draco holds its triangles, and the buffer with it is not there.
-    let told = refusal(&FileSet::single("a.gltf", required));
-    assert!(told.contains("buffers/0"), "{told}");
+    let refused = refusal(&FileSet::single("a.gltf", required));
+    assert!(refused.contains("buffers/0"), "{refused}");
 }
 
 #[test]
@@ -416,7 +416,7 @@ fn bytes_that_others_use_are_not_overwritten() {
             2
         );
     }
-    // A second view over the same bytes that nobody is known to read.
+    // A second view over the same bytes that nothing is known to read.
     let mut draft = square_draft();
     draft
         .views
