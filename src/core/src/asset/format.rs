@@ -180,6 +180,21 @@ impl Error {
         }
     }
 
+    /// A valid file of a kind that is not taken.
+    pub(super) fn unsupported(
+        format: Format,
+        place: impl Into<String>,
+        problem: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> Self {
+        Self::Unsupported {
+            format,
+            place: place.into(),
+            problem: problem.into(),
+            hint: hint.into(),
+        }
+    }
+
     /// Positions that the format cannot hold.
     pub(super) fn unwritable(format: Format, problem: impl Into<String>) -> Self {
         Self::Unwritable {

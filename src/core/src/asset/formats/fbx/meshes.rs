@@ -1,11 +1,10 @@
 //! Meshes: one primitive for the faces of each material, and skin deformers as glTF skins.
 
-use super::super::gltf::GlbWriter;
+use super::super::gltf::{self, GlbWriter};
 use super::corners::{self, CornerAttribute, FbxCornerAttributes, PartVertices};
 use super::scene::{MaterialTable, TranslationNotes, place_of, refuse};
 use crate::asset::Error;
 use crate::asset::files::ReadWatch;
-use crate::mesh::shading;
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
 use ufbx::{Matrix, Mesh, Node, SkinCluster, SkinDeformer, SkinningMethod};
@@ -111,8 +110,8 @@ impl MeshSink<'_, '_, '_> {
         let place_of = |what: &str| format!("{place}, {what}");
         let mut json = json!({"POSITION": self.buffer.add_bounded(&single, &place_of("positions"))?});
         if let Some(normal) = &attributes.normal {
-            let given = values_of(part, normal);
-            let normals = unit_normals(&given, &positions, &part.triangles);
+            let given: Vec<Vec3> = values_of(part, normal).into_iter().map(Vec3::from_array).collect();
+            let normals = gltf::unit_normals(&given, &positions, &part.triangles);
             json["NORMAL"] = json!(self.buffer.add_floats(&normals, &place_of("normals"))?);
         }
         for (i, set) in attributes.uv.iter().enumerate() {
@@ -131,18 +130,6 @@ impl MeshSink<'_, '_, '_> {
 
 fn values_of<const N: usize>(part: &PartVertices, attribute: &CornerAttribute<'_, N>) -> Vec<[f32; N]> {
     part.corner.iter().map(|&corner| attribute(corner)).collect()
-}
-
-/// Normals of unit length, as glTF demands; where one has no direction, the surface's.
-fn unit_normals(given: &[[f32; 3]], positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<[f32; 3]> {
-    let mut unit: Vec<Option<Vec3>> = given.iter().map(|&n| Vec3::from_array(n).try_normalize()).collect();
-    if unit.contains(&None) {
-        let smooth = shading::smooth_normals(positions, triangles);
-        unit.iter_mut()
-            .zip(smooth)
-            .for_each(|(n, smooth)| *n = n.or(Some(smooth)));
-    }
-    unit.into_iter().map(|n| n.unwrap_or(Vec3::Z).to_array()).collect()
 }
 
 /// How many joints may pull one vertex; the strongest stay.

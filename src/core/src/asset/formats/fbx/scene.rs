@@ -96,20 +96,15 @@ fn load(files: &FileSet, watch: &ReadWatch<'_>, names_only: bool) -> Result<ufbx
 
 /// What the reader says of a file, in the words of this house.
 fn fault_of(error: &ufbx::Error, files: &FileSet) -> Error {
-    let unsupported = |problem: String, hint: &str| Error::Unsupported {
-        format: FORMAT,
-        place: "file".into(),
-        problem,
-        hint: hint.into(),
-    };
+    let unsupported = |problem: &str, hint: &str| Error::unsupported(FORMAT, "file", problem, hint);
     match error.type_ {
         ErrorType::AllocationLimit | ErrorType::OutOfMemory => unsupported(
-            "decoding takes more pieces of memory than are allowed".into(),
+            "decoding takes more pieces of memory than are allowed",
             "divide the model",
         ),
         ErrorType::NodeDepthLimit => refuse("nodes", format!("are nested more than {DEEPEST} levels deep")),
         ErrorType::UnsupportedVersion => unsupported(
-            "is of a version of FBX that is not read".into(),
+            "is of a version of FBX that is not read",
             "export it as FBX 2014 or newer, or as glb",
         ),
         ErrorType::EmptyFile => refuse("file", "is empty"),

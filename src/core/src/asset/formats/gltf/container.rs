@@ -176,11 +176,7 @@ pub(super) struct GltfFault(pub(super) Format);
 impl GltfFault {
     /// The file breaks a rule of the format at `place`.
     pub(super) fn malformed(self, place: impl Into<String>, problem: impl Into<String>) -> Error {
-        Error::Malformed {
-            format: self.0,
-            place: place.into(),
-            problem: problem.into(),
-        }
+        Error::malformed(self.0, place, problem)
     }
 
     /// The file is valid but not for us.
@@ -190,20 +186,12 @@ impl GltfFault {
         problem: impl Into<String>,
         hint: impl Into<String>,
     ) -> Error {
-        Error::Unsupported {
-            format: self.0,
-            place: place.into(),
-            problem: problem.into(),
-            hint: hint.into(),
-        }
+        Error::unsupported(self.0, place, problem, hint)
     }
 
     /// The result cannot be written.
     pub(super) fn unwritable(self, problem: impl Into<String>) -> Error {
-        Error::Unwritable {
-            format: self.0,
-            problem: problem.into(),
-        }
+        Error::unwritable(self.0, problem)
     }
 }
 

@@ -11,7 +11,7 @@ use super::builder::{BufferBuilder, INDICES, VERTICES, bounds, embedded_buffer_t
 use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::schema::{DRACO, MeshPrimitive, WholeNumber};
-use super::text::{JsonEdits, json_array, list_of, members, quoted, value_of};
+use super::text::{JsonEdits, json_array, list_of, quoted, value_of};
 use super::used_bytes::{BufferCuts, count_view_uses};
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, FileSet};
@@ -182,10 +182,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
         if primitive.mode() != 4 {
             self.edits.set(text, "mode", "4");
         }
-        match members(extensions).map_or(0, |list| list.iter().filter(|m| m.key != DRACO).count()) {
-            0 => self.edits.remove(text, "extensions"),
-            _ => self.edits.remove(extensions, DRACO),
-        }
+        self.edits.remove_extension(text, DRACO);
         Ok(())
     }
 

@@ -7,9 +7,9 @@ use super::document::GLB_FORMAT;
 use super::text::{json_array, json_object, quoted};
 use crate::asset::look::{AlphaCoverage, MaterialPicture, NamedMaterial};
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
-use crate::asset::{Error, Format, Geometry, Primitive, WrittenFiles};
+use crate::asset::{Error, Format, Primitive, WrittenFiles};
 use crate::mesh::shading;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -121,8 +121,8 @@ impl BuiltAsset {
         if primitive.has_normals
             && let Some(normals) = geometry.normals.get(first..last)
         {
-            let normals = unit_normals(normals, geometry, first, &indices);
-            attributes.push(("NORMAL", self.add_floats(&normals, 3, None)));
+            let normals = unit_normals(normals, in_world, indices.as_chunks::<3>().0);
+            attributes.push(("NORMAL", self.add_floats(normals.as_flattened(), 3, None)));
         }
         if let Some(uv) = neutral.uv.get(first..last).filter(|_| part.has_uv) {
             attributes.push(("TEXCOORD_0", self.add_floats(uv.as_flattened(), 2, None)));
@@ -247,14 +247,13 @@ impl BuiltAsset {
 }
 
 /// Normals of unit length, as glTF demands; where one has no direction, the surface's.
-fn unit_normals(normals: &[Vec3], geometry: &Geometry, first: usize, indices: &[u32]) -> Vec<f32> {
-    let mut unit: Vec<Option<Vec3>> = normals.iter().map(|n| n.try_normalize()).collect();
+pub(in super::super) fn unit_normals(given: &[Vec3], positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<[f32; 3]> {
+    let mut unit: Vec<Option<Vec3>> = given.iter().map(|n| n.try_normalize()).collect();
     if unit.contains(&None) {
-        let triangles = indices.as_chunks::<3>().0;
-        let smooth = shading::smooth_normals(&geometry.positions[first..first + normals.len()], triangles);
+        let smooth = shading::smooth_normals(positions, triangles);
         unit.iter_mut()
             .zip(smooth)
             .for_each(|(n, smooth)| *n = n.or(Some(smooth)));
     }
-    unit.into_iter().flat_map(|n| n.unwrap_or(Vec3::Z).to_array()).collect()
+    unit.into_iter().map(|n| n.unwrap_or(Vec3::Z).to_array()).collect()
 }

@@ -77,6 +77,7 @@ pub(super) use buffers::media_type_of;
 pub(super) use buffers::of_file_name as uri_of_name;
 pub(super) use builder::GlbWriter;
 pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
+pub(super) use fresh::unit_normals;
 
 use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};

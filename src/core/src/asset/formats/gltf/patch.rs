@@ -224,13 +224,6 @@ fn edit_mesh<'a>(
         }
     }
     for primitive in stale.filter_map(|p| primitives.get(p)) {
-        let Some(extensions) = value_of(primitive, "extensions") else {
-            continue;
-        };
-        // An empty object of extensions is an error of its own.
-        match super::text::members(extensions).map_or(0, |list| list.iter().filter(|m| m.key != DRACO).count()) {
-            0 => edits.remove(primitive, "extensions"),
-            _ => edits.remove(extensions, DRACO),
-        }
+        edits.remove_extension(primitive, DRACO);
     }
 }

@@ -226,6 +226,17 @@ impl<'a> JsonEdits<'a> {
         self.list.push((range, String::new()));
     }
 
+    /// Takes an extension out of `object`, and with it a list of extensions that would be empty, which is an error of its own.
+    pub(super) fn remove_extension(&mut self, object: &'a str, name: &str) {
+        let Some(extensions) = value_of(object, "extensions") else {
+            return;
+        };
+        match members(extensions).map_or(0, |list| list.iter().filter(|m| m.key != name).count()) {
+            0 => self.remove(object, "extensions"),
+            _ => self.remove(extensions, name),
+        }
+    }
+
     /// Takes an item that is not the first out of its array, with the comma before it.
     pub(super) fn remove_item(&mut self, item: &'a str) {
         let range = self.range_of(item);

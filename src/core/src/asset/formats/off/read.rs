@@ -116,12 +116,8 @@ pub(super) fn read_header(lexer: &mut TextLexer<'_>) -> Result<bool, Error> {
             format!("{} where the keyword OFF is needed", shown(word)),
         ));
     };
-    let unsupported = |problem: &str, hint: &str| Error::Unsupported {
-        format: FORMAT,
-        place: format!("line {}", token.line),
-        problem: problem.into(),
-        hint: hint.into(),
-    };
+    let unsupported =
+        |problem: &str, hint: &str| Error::unsupported(FORMAT, format!("line {}", token.line), problem, hint);
     let rest = prefix.strip_prefix(b"ST").unwrap_or(prefix);
     if rest.iter().any(|b| b"4n".contains(b)) {
         return Err(unsupported(
