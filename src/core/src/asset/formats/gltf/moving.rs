@@ -36,21 +36,18 @@ pub(super) fn moving_scene(model: &Model, notes: &GltfNotes) -> Result<MovingSce
         let name = value_of(text, "name").and_then(|name| serde_json::from_str(name).ok());
         name.unwrap_or_default()
     });
-    Ok(MovingScene {
-        nodes,
-        is_joint,
-        primitives: notes.rows.iter().map(scene_primitive).collect(),
-        influences,
-        clip_names: names.collect(),
-    })
-}
-
-fn scene_primitive(row: &PlacedPrimitive) -> ScenePrimitive {
-    ScenePrimitive {
+    let primitives = notes.rows.iter().map(|row| ScenePrimitive {
         node: row.node,
         vertices: row.vertices.clone(),
         has_skin: row.skin.is_some(),
-    }
+    });
+    Ok(MovingScene {
+        nodes,
+        is_joint,
+        primitives: primitives.collect(),
+        influences,
+        clip_names: names.collect(),
+    })
 }
 
 fn scene_node(

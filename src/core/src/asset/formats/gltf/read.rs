@@ -5,7 +5,7 @@ use super::buffers::BufferBytes;
 use super::document::{GltfDocument, ParsedDocument};
 use super::draco;
 use super::placement::{Placement, SkinPose, SkinSeams, VertexInfluences, VertexTransforms};
-use super::scene::{self, MeshPlacement, PlacedScene, Warnings};
+use super::scene::{self, MeshPlacement, PlacedScene};
 use super::schema::{DRACO, MeshPrimitive};
 use crate::asset::files::ReadWatch;
 use crate::asset::model::FileNotes;
@@ -239,7 +239,10 @@ impl GltfReader<'_, '_> {
             self.warn("no-position", "has no POSITION; it is passed through", place());
             return Ok(false);
         };
-        warn_of_draco(primitive, place(), &mut self.geometry.warnings);
+        if primitive.has_draco() {
+            let message = "the uncompressed copy is used; where it is deformed, the Draco copy is dropped";
+            self.warn("draco-fallback", message, place());
+        }
         let layout = accessors::check_role(doc, positions, ShapeAttribute::Position)?;
         accessors::check_unbacked(doc, positions, layout)?;
 
@@ -248,7 +251,9 @@ impl GltfReader<'_, '_> {
         let most = self.count_primitive(primitive, count)?;
 
         let used = ShapeAttribute::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
-        let coordinates: Vec<usize> = texture_coordinates(primitive).collect();
+        let named = primitive.attributes.iter();
+        let named = named.filter(|(name, _)| name.starts_with("TEXCOORD_"));
+        let coordinates: Vec<usize> = named.map(|(_, accessor)| accessor.index()).collect();
         let used = used.chain(primitive.indices.map(|i| i.index()));
         let used: BTreeSet<usize> = used.chain(coordinates.iter().copied()).collect();
         self.buffers.decode_for(doc, &used)?;
@@ -524,14 +529,6 @@ impl GltfReader<'_, '_> {
     }
 }
 
-/// The accessors of a primitive's texture coordinates.
-fn texture_coordinates(primitive: &MeshPrimitive) -> impl Iterator<Item = usize> {
-    let named = primitive.attributes.iter();
-    named
-        .filter(|(name, _)| name.starts_with("TEXCOORD_"))
-        .map(|(_, accessor)| accessor.index())
-}
-
 /// Takes normals along with the points: the inverse transpose up to a positive factor, also for singular matrices.
 pub(super) fn normal_matrix(m: &DMat3) -> DMat3 {
     let cofactor = DMat3::from_cols(
@@ -565,13 +562,5 @@ fn to_triangles(corners: &[u32], mode: u64) -> Vec<[u32; 3]> {
             .collect(),
         (_, [center, rim @ ..]) => rim.windows(2).map(|w| [w[0], w[1], *center]).filter(stitched).collect(),
         _ => Vec::new(),
-    }
-}
-
-/// Warns of a primitive whose Draco copy is not read, because the file also holds it uncompressed.
-fn warn_of_draco(primitive: &MeshPrimitive, place: String, warnings: &mut Warnings) {
-    if primitive.has_draco() {
-        let message = "the uncompressed copy is used; where it is deformed, the Draco copy is dropped";
-        warnings.push(("draco-fallback".into(), message.into(), place));
     }
 }

@@ -90,18 +90,11 @@ impl<'a> RigWriter<'_, 'a> {
                 ("rotation", node.rotation.as_ref().map(|v| &v[..])),
                 ("matrix", node.matrix.as_ref().map(|v| &v[..])),
             ];
-            let json: Vec<(&str, String)> = parts
-                .into_iter()
-                .filter_map(|(key, values)| Some((key, json_floats(values?))))
-                .collect();
-            self.set_all(text, &json);
-        }
-    }
-
-    /// Sets several keys of one object, which may be empty.
-    fn set_all(&mut self, object: &'a str, json: &[(&str, String)]) {
-        for (key, value) in json {
-            self.edits.set(object, key, value);
+            for (key, values) in parts {
+                if let Some(values) = values {
+                    self.edits.set(text, key, json_floats(values));
+                }
+            }
         }
     }
 
