@@ -1,6 +1,6 @@
 //! The ways in and out: which codec reads a model, and which one writes it, by patching, building or editing.
 
-use super::codec::{EditedOutput, Translation};
+use super::codec::{EditedOutput, PatchedOutput, Translation};
 use super::edited::{self, BaseModel, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
 use super::files::ReadWatch;
 use super::formats::{codec_of, translator_of, writer_of};
@@ -180,7 +180,12 @@ impl Model {
         check_precision(format, positions, &self.geometry.triangles)?;
         let codec = writer_of(format)?;
         if codec.patches_files_of(self.format) {
-            return codec.patch_positions(self, positions, format, followers);
+            return codec.patch_positions(&PatchedOutput {
+                model: self,
+                positions,
+                format,
+                followers,
+            });
         }
         let neutral = if codec.takes_attributes() {
             neutral_model(self, positions, format)?

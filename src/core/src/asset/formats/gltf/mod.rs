@@ -79,18 +79,15 @@ pub(super) use builder::GlbWriter;
 pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
 pub(super) use fresh::unit_normals;
 
-use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
+use crate::asset::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::files::ReadWatch;
 use crate::asset::look::SurfaceLook;
 use crate::asset::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::vertex_attributes::AttributeKeys;
-use crate::asset::{
-    Error, FileSet, FollowedCounts, Format, Model, ModelNode, MorphTargetRule, ShapeFollowers, WrittenFiles,
-};
+use crate::asset::{Error, FileSet, FollowedCounts, Format, Model, ModelNode, MorphTargetRule, WrittenFiles};
 use crate::mesh::local_turns::local_turns;
-use glam::DVec3;
 use read::GltfNotes;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -112,13 +109,13 @@ impl FormatCodec for GltfCodec {
         Ok((geometry, Arc::new(notes)))
     }
 
-    fn patch_positions(
-        &self,
-        model: &Model,
-        positions: &[DVec3],
-        format: Format,
-        followers: &ShapeFollowers<'_>,
-    ) -> Result<WrittenFiles, Error> {
+    fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {
+        let PatchedOutput {
+            model,
+            positions,
+            format,
+            followers,
+        } = *output;
         let notes: &GltfNotes = model.notes_or_refuse(format)?;
         let (doc, mut buffers) = notes.document_and_bytes(model)?;
         let rest = &model.geometry;

@@ -26,6 +26,15 @@ struct StridedElements {
 }
 
 impl ByteSpan {
+    /// All of so many bytes.
+    fn whole(start: u64, length: u64) -> Self {
+        Self {
+            start,
+            end: start + length,
+            elements: None,
+        }
+    }
+
     /// Whether two uses have a byte in common; `self` is an accessor's.
     fn overlaps(&self, other: &Self) -> bool {
         if self.end <= other.start || other.end <= self.start {
@@ -93,26 +102,12 @@ impl ByteSpans {
         for (i, view) in doc.views.values.iter().enumerate() {
             // A view that nothing seems to use belongs to something we do not know.
             if read_otherwise.contains(&i) || !read_by_accessors.contains(&i) {
-                let (start, end) = (view.offset(), view.offset() + view.byte_length.0);
-                buffers[view.buffer.index()].push((
-                    ByteSpan {
-                        start,
-                        end,
-                        elements: None,
-                    },
-                    0,
-                ));
+                let span = ByteSpan::whole(view.offset(), view.byte_length.0);
+                buffers[view.buffer.index()].push((span, 0));
             }
             if let Some(c) = view.compression() {
-                let (start, end) = (c.offset(), c.offset() + c.byte_length.0);
-                buffers[c.buffer.index()].push((
-                    ByteSpan {
-                        start,
-                        end,
-                        elements: None,
-                    },
-                    0,
-                ));
+                let span = ByteSpan::whole(c.offset(), c.byte_length.0);
+                buffers[c.buffer.index()].push((span, 0));
             }
         }
         for spans in &mut buffers {

@@ -13,14 +13,14 @@ mod tests;
 pub(super) use read::FORMAT;
 
 use super::text::{NumberPrecision, TextLexer, TextPatch, newline_of, push_triple};
-use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, patch_text_file, share_notes};
+use crate::asset::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, patch_text_file, share_notes};
 use crate::asset::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::asset::files::ReadWatch;
 use crate::asset::look::NamedMaterial;
 use crate::asset::model::position_bits;
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive, RunAttributes, SeamPart};
 use crate::asset::vertex_attributes::AttributeKeys;
-use crate::asset::{Error, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
+use crate::asset::{Error, FileSet, Format, Geometry, Model, WrittenFiles};
 use glam::{DVec3, Vec3};
 use library::write_library;
 use read::{NormalLines, NormalPlan, ObjNotes};
@@ -46,14 +46,8 @@ impl FormatCodec for ObjCodec {
         library::companion_names(files)
     }
 
-    fn patch_positions(
-        &self,
-        model: &Model,
-        positions: &[DVec3],
-        format: Format,
-        _: &ShapeFollowers<'_>,
-    ) -> Result<WrittenFiles, Error> {
-        patch_text_file(model, positions, format, patch)
+    fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {
+        patch_text_file(output, patch)
     }
 
     fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {

@@ -192,6 +192,15 @@ impl<'a> ObjReader<'a> {
         Ok(())
     }
 
+    /// How many vertices, texture coordinates and normals there are so far.
+    fn line_counts(&self) -> [u32; 3] {
+        [
+            self.positions.len() as u32,
+            self.texture_count,
+            self.normals.len() as u32,
+        ]
+    }
+
     fn read_face(&mut self, keyword: TextToken) -> Result<(), Error> {
         let first = self.faces.corners.len();
         while let Some(word) = self.lexer.token_on_line() {
@@ -202,11 +211,7 @@ impl<'a> ObjReader<'a> {
                     format!("{seen} is not a corner; allowed are v, v/vt, v//vn and v/vt/vn"),
                 ));
             };
-            let counts = [
-                self.positions.len() as u32,
-                self.texture_count,
-                self.normals.len() as u32,
-            ];
+            let counts = self.line_counts();
             let indices = [Some(corner.vertex), corner.texture, corner.normal];
             let mut places = [None; 3];
             for i in 0..3 {
@@ -248,11 +253,7 @@ impl<'a> ObjReader<'a> {
     }
 
     fn finish(self) -> Result<(Geometry, ObjNotes), Error> {
-        let counts = [
-            self.positions.len() as u32,
-            self.texture_count,
-            self.normals.len() as u32,
-        ];
+        let counts = self.line_counts();
         for (i, (place, line)) in self.largest.into_iter().enumerate() {
             if line > 0 && place >= counts[i] {
                 let (what, count) = (KINDS[i], counts[i]);

@@ -8,14 +8,14 @@ mod read;
 pub(super) use read::FORMAT;
 
 use super::text::{NumberPrecision, TextLexer, integer, number, push_number, push_triple};
-use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, patch_text_file, share_notes};
+use crate::asset::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, patch_text_file, share_notes};
 use crate::asset::edited::{CarriedAttributes, EditedModel, FaceOutlines, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::asset::files::ReadWatch;
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::vertex_attributes::{AttributeKeys, hash_bytes};
-use crate::asset::{Error, FileSet, Format, Model, ShapeFollowers, WrittenFiles};
+use crate::asset::{Error, FileSet, Format, Model, WrittenFiles};
 use crate::mesh::NONE;
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use read::{OffNotes, STYLE, read_count, read_header};
 
 /// Reads and writes OFF.
@@ -30,14 +30,8 @@ impl FormatCodec for OffCodec {
         read::read(&files.main, watch).map(share_notes)
     }
 
-    fn patch_positions(
-        &self,
-        model: &Model,
-        positions: &[DVec3],
-        format: Format,
-        _: &ShapeFollowers<'_>,
-    ) -> Result<WrittenFiles, Error> {
-        patch_text_file(model, positions, format, read::patch)
+    fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {
+        patch_text_file(output, read::patch)
     }
 
     fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {

@@ -274,11 +274,7 @@ impl EditedPlyWriter<'_, '_> {
         property: &PlyProperty,
         scalar: PlyScalar,
     ) -> f64 {
-        let full = if scalar.is_integer() {
-            scalar.largest_value()
-        } else {
-            1.0
-        };
+        let full = scalar.full_value();
         let is_colour = COLOURS.iter().flatten().any(|n| *n == property.name);
         match column {
             PropertyColumn::Nothing => 0.0,
@@ -469,12 +465,7 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
     let coordinates = COORDINATES.iter().find_map(|names| find(names));
     let value = |new: usize, property: usize| edited.blended(new, |v| table.vertex_number(v, property));
     let share = |new: usize, property: usize| -> f32 {
-        let scalar = vertex.properties[property].scalar;
-        let full = if scalar.is_integer() {
-            scalar.largest_value()
-        } else {
-            1.0
-        };
+        let full = vertex.properties[property].scalar.full_value();
         ((value(new, property) / full) as f32).clamp(0.0, 1.0)
     };
     let one = |run: &&PrimitiveRun| {

@@ -12,12 +12,12 @@ mod tests;
 pub(super) use read::FORMAT;
 
 use super::text::TextPatch;
-use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
+use crate::asset::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, share_notes};
 use crate::asset::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::asset::files::ReadWatch;
 use crate::asset::neutral::{NeutralModel, RunAttributes};
 use crate::asset::vertex_attributes::AttributeKeys;
-use crate::asset::{Error, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
+use crate::asset::{Error, FileSet, Format, Geometry, Model, WrittenFiles};
 use crate::mesh::shading;
 use body::{PlyBody, PlyEncoding, PlyScalar, push};
 use glam::DVec3;
@@ -36,15 +36,10 @@ impl FormatCodec for PlyCodec {
         read::read(&files.main, watch).map(share_notes)
     }
 
-    fn patch_positions(
-        &self,
-        model: &Model,
-        positions: &[DVec3],
-        format: Format,
-        _: &ShapeFollowers<'_>,
-    ) -> Result<WrittenFiles, Error> {
-        let notes = model.notes_or_refuse(format)?;
-        patch(&model.files.main, notes, &model.geometry, positions).map(WrittenFiles::single)
+    fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {
+        let model = output.model;
+        let notes = model.notes_or_refuse(output.format)?;
+        patch(&model.files.main, notes, &model.geometry, output.positions).map(WrittenFiles::single)
     }
 
     fn build(&self, neutral: &NeutralModel, _: Format) -> Result<WrittenFiles, Error> {

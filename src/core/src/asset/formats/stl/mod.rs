@@ -8,14 +8,14 @@
 mod tests;
 
 use super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, newline_of, push_triple, shown};
-use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
+use crate::asset::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, share_notes};
 use crate::asset::edited::{BaseModel, EditedModel, TriangleOrigins};
 use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::model::{FileNotes, is_same};
 use crate::asset::neutral::NeutralModel;
 use crate::asset::vertex_attributes::AttributeKeys;
-use crate::asset::{Error, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
+use crate::asset::{Error, FileSet, Format, Geometry, Model, WrittenFiles};
 use crate::mesh::NONE;
 use glam::DVec3;
 
@@ -43,14 +43,8 @@ impl FormatCodec for StlCodec {
         read(&files.main, watch).map(share_notes)
     }
 
-    fn patch_positions(
-        &self,
-        model: &Model,
-        positions: &[DVec3],
-        _: Format,
-        _: &ShapeFollowers<'_>,
-    ) -> Result<WrittenFiles, Error> {
-        patch(model, positions).map(WrittenFiles::single)
+    fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {
+        patch(output.model, output.positions).map(WrittenFiles::single)
     }
 
     fn rounds_to_single(&self) -> bool {
