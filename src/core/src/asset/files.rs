@@ -232,7 +232,8 @@ pub(super) fn check_main_size(bytes: &[u8]) -> Result<(), Error> {
     within("bytes of the main file", bytes.len() as u64, u64::from(u32::MAX))
 }
 
-fn within(what: &'static str, seen: u64, limit: u64) -> Result<(), Error> {
+/// Refuses more of something than allowed.
+pub(super) fn within(what: &'static str, seen: u64, limit: u64) -> Result<(), Error> {
     if seen > limit {
         Err(Error::TooLarge { what, seen, limit })
     } else {

@@ -4,6 +4,7 @@ use super::buffers::BufferBytes;
 use super::document::GltfDocument;
 use super::schema::{BufferView, GltfAccessor};
 use crate::asset::Error;
+use crate::asset::files::within;
 use glam::Vec3;
 use std::collections::BTreeSet;
 
@@ -254,14 +255,7 @@ pub(super) fn check_unbacked(doc: &GltfDocument<'_>, index: usize, layout: Acces
     }
     let limit = 1_048_576 + 64 * doc.text.len() as u64;
     let seen = accessor.count.0.saturating_mul(layout.element);
-    if seen > limit {
-        return Err(Error::TooLarge {
-            what: "size in bytes of an accessor without a buffer view",
-            seen,
-            limit,
-        });
-    }
-    Ok(())
+    within("size in bytes of an accessor without a buffer view", seen, limit)
 }
 
 /// The elements that an accessor's sparse values replace, ascending; none when it is not sparse. Compressed views must be

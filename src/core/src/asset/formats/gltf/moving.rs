@@ -9,6 +9,7 @@ use super::scene::{local_transform, place_meshes};
 use super::schema::{GltfNode, GltfSkin, MeshPrimitive, WholeNumber};
 use super::targets::{AttributeSlot, read_displacements};
 use super::text::value_of;
+use crate::asset::files::within;
 use crate::asset::moving_scene::{
     ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, PrimitiveShapes, SceneChannel, SceneClip,
     SceneNode, ScenePrimitive,
@@ -276,13 +277,7 @@ impl ClipReader<'_, '_> {
         self.numbers = self
             .numbers
             .saturating_add(described.count.0.saturating_mul(lanes as u64));
-        if self.numbers > MOST_NUMBERS {
-            return Err(Error::TooLarge {
-                what: "numbers of a clip",
-                seen: self.numbers,
-                limit: MOST_NUMBERS,
-            });
-        }
+        within("numbers of a clip", self.numbers, MOST_NUMBERS)?;
         let values = decode_values(self.doc, self.buffers, accessor, layout)?;
         match values.iter().position(|v| !v.is_finite()) {
             Some(at) => Err(fault.malformed(place, format!("number {at} of accessor {accessor} is {}", values[at]))),
@@ -326,13 +321,7 @@ pub(super) fn primitive_shapes(model: &Model, notes: &GltfNotes) -> Result<Vec<P
     for row in &notes.rows {
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
         numbers += 3 * (row.vertices.len() * (1 + primitive.targets.len())) as u64;
-        if numbers > MOST_TARGET_NUMBERS {
-            return Err(Error::TooLarge {
-                what: "numbers of morph targets",
-                seen: numbers,
-                limit: MOST_TARGET_NUMBERS,
-            });
-        }
+        within("numbers of morph targets", numbers, MOST_TARGET_NUMBERS)?;
         let mut used: BTreeSet<usize> = row.placement.accessors(primitive).into_iter().collect();
         let position = primitive.attribute(ShapeAttribute::Position.name());
         used.extend(position);

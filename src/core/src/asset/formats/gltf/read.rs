@@ -7,7 +7,7 @@ use super::draco;
 use super::placement::{Placement, SkinPose, SkinSeams, VertexInfluences, VertexTransforms};
 use super::scene::{self, MeshPlacement, PlacedScene};
 use super::schema::{DRACO, MeshPrimitive};
-use crate::asset::files::ReadWatch;
+use crate::asset::files::{ReadWatch, within};
 use crate::asset::model::FileNotes;
 use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, Primitive};
 use crate::progress::Silent;
@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 /// Placed primitives. A node costs a dozen bytes in a file and places a whole mesh, so their number is not bounded by
 /// the file's size, and each costs far more here than its vertices do.
-const MOST_ROWS: usize = 1 << 18;
+const MOST_ROWS: u64 = 1 << 18;
 
 /// One row of the primitive table, as the writer needs it.
 #[derive(Debug, Clone, PartialEq)]
@@ -227,14 +227,8 @@ impl GltfReader<'_, '_> {
         if primitive.mode() < 4 {
             return Ok(false);
         }
-        if self.rows.len() == MOST_ROWS {
-            let (seen, limit) = (MOST_ROWS as u64 + 1, MOST_ROWS as u64);
-            return Err(Error::TooLarge {
-                what: "number of placed primitives",
-                seen,
-                limit,
-            });
-        }
+        let rows = self.rows.len() as u64 + 1;
+        within("number of placed primitives", rows, MOST_ROWS)?;
         let Some(positions) = primitive.attribute("POSITION") else {
             self.warn("no-position", "has no POSITION; it is passed through", place());
             return Ok(false);

@@ -5,6 +5,7 @@ use super::buffers::BufferBytes;
 use super::document::GltfDocument;
 use super::placement::VertexTransforms;
 use super::schema::MeshPrimitive;
+use crate::asset::files::within;
 use crate::asset::{Error, FollowedCounts};
 use crate::mesh::local_turns::LocalTurn;
 use glam::{DMat3, Vec3};
@@ -179,14 +180,7 @@ impl TargetTally {
     /// Refuses more than is carried for one file.
     pub(super) fn spend(&mut self, vertices: usize) -> Result<(), Error> {
         self.spent = self.spent.saturating_add(12 * vertices as u64);
-        if self.spent > MOST_CARRIED {
-            return Err(Error::TooLarge {
-                what: "number of bytes of morph targets that follow",
-                seen: self.spent,
-                limit: MOST_CARRIED,
-            });
-        }
-        Ok(())
+        within("number of bytes of morph targets that follow", self.spent, MOST_CARRIED)
     }
 }
 

@@ -17,6 +17,7 @@ use super::super::text::{JsonEdits, index_of, list_of, parse_index, value_of, wi
 use super::super::used_bytes::ByteSpans;
 use super::nodes::{MovedNode, MovedNodes};
 use super::{BindChanges, FollowedNodeTree};
+use crate::asset::files::within;
 use crate::asset::{Error, FileSet, Format, WrittenFiles};
 use glam::{DQuat, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
@@ -202,14 +203,7 @@ impl<'a> RigWriter<'_, 'a> {
 
     fn spend(&mut self, bytes: u64) -> Result<(), Error> {
         self.rewritten = self.rewritten.saturating_add(bytes);
-        if self.rewritten > MOST_REWRITTEN {
-            return Err(Error::TooLarge {
-                what: "number of bytes of clips that follow",
-                seen: self.rewritten,
-                limit: MOST_REWRITTEN,
-            });
-        }
-        Ok(())
+        within("number of bytes of clips that follow", self.rewritten, MOST_REWRITTEN)
     }
 
     /// The values of an accessor with so many lanes; `None` for one of another kind.
