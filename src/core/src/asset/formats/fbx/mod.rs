@@ -4,8 +4,8 @@
 //! an equivalent GLB, in metres and with Y up, and is written as GLB. `ufbx` (one C file, under limits of memory)
 //! parses the bytes; this module checks all its output.
 //!
-//! [`scene`] opens the file and gathers warnings, [`corners`] makes vertices of the corners of polygons and morph targets of
-//! blend shapes, [`meshes`] primitives and skins, [`materials`] base colours and pictures, [`nodes`] places them and samples
+//! [`scene`] opens the file and gathers warnings and materials, [`corners`] makes vertices of the corners of polygons and morph targets of
+//! blend shapes, [`meshes`] primitives and skins, [`nodes`] places them and samples
 //! animation stacks.
 
 mod corners;

@@ -113,7 +113,7 @@ fn text_of(main: &[u8], format: Format) -> Result<(&str, Option<GlbContainer<'_>
 }
 
 impl ParsedDocument {
-    /// Parses the main file of a set; references between sections are checked by [`super::references`].
+    /// Parses the main file of a set; references between sections are checked by [`check`](super::references::check).
     ///
     /// What the parsed text will take is counted before it is: an empty item of three bytes becomes hundreds.
     pub(super) fn parse(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<Self, Error> {

@@ -7,7 +7,7 @@
 //! the body ([`rig`]), unless they are to stay. Other nodes follow on request. [`deformed`] counts what followed.
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
-//! [`text`], [`check`] checks references and ranges, [`buffers`] finds bytes (with [`uri`] and [`compressed`]),
+//! [`text`], [`references`] checks references and ranges, [`buffers`] finds bytes and what URIs name (with [`compressed`]),
 //! [`accessors`] reads them, [`draco`] decodes Draco, [`scene`] places meshes and [`placement`] their vertices, [`read`]
 //! puts triangles together. A model owns its parsed document for life. [`moving`] reads nodes and clips, [`looks`] materials.
 //!
@@ -15,7 +15,7 @@
 //! [`used_bytes`]), [`patch`] edits text and bytes, [`package`] makes the files and puts files beside a .gltf into a GLB.
 //! [`builder`] writes every new accessor, buffer view and embedded buffer. [`fresh`] makes an asset from other formats'
 //! geometry. After edits of the topology, [`edited`] rewrites primitives; [`references`] finds where a document names
-//! accessors and views.
+//! accessors and views as well.
 //!
 //! # Conventions
 //! - Positions are in world space; a skinned mesh stands where its joints put it in the rest pose of the scene, its node's
