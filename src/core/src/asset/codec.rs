@@ -8,9 +8,8 @@ use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
 use super::files::ReadWatch;
 use super::look::SurfaceLook;
 use super::model::FileNotes;
-use super::moving_scene::{MovingScene, PrimitiveShapes, SceneClip};
+use super::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
 use super::neutral::{NeutralModel, RunAttributes, SeamPart};
-use super::played_clip::PlayedClip;
 use super::vertex_attributes::AttributeKeys;
 use super::{Error, FileSet, FollowedCounts, Format, Geometry, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
@@ -27,19 +26,13 @@ pub(super) fn share_notes<N: FileNotes>((geometry, notes): (Geometry, N)) -> Rea
 
 /// Patches a model that is one text file: `patch` gets the text, the notes, the rest mesh and the new positions.
 pub(super) fn patch_text_file<N: FileNotes>(
-    model: &Model,
-    positions: &[DVec3],
-    format: Format,
+    output: &PatchedOutput<'_>,
     patch: impl FnOnce(&[u8], &N, &Geometry, &[DVec3]) -> Vec<u8>,
 ) -> Result<WrittenFiles, Error> {
-    let text = patch(
-        &model.files.main,
-        model.notes_or_refuse(format)?,
-        &model.geometry,
-        positions,
-    );
+    let model = output.model;
+    let notes = model.notes_or_refuse(output.format)?;
     Ok(WrittenFiles {
-        main: text,
+        main: patch(&model.files.main, notes, &model.geometry, output.positions),
         ..WrittenFiles::from_upload(&model.files)
     })
 }
@@ -59,15 +52,9 @@ pub(super) trait FormatCodec: Sync {
         Vec::new()
     }
 
-    /// Writes the files of a model of this codec with its vertices at `positions`, one for each vertex and finite.
-    /// Bytes that neither the deformation nor its followers change stay as uploaded.
-    fn patch_positions(
-        &self,
-        model: &Model,
-        positions: &[DVec3],
-        format: Format,
-        followers: &ShapeFollowers<'_>,
-    ) -> Result<WrittenFiles, Error>;
+    /// Writes the files of a model of this codec with its vertices in other places. Bytes that neither the deformation nor its
+    /// followers change stay as uploaded.
+    fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error>;
 
     /// The counts of a model of this codec that is returned unchanged: what could follow its shape.
     fn nothing_followed(&self, model: &Model) -> Result<FollowedCounts, Error> {
@@ -167,7 +154,7 @@ pub(super) trait FormatCodec: Sync {
 
     /// Adds to `keys` what a model's files give to each vertex or to the faces around it, beside positions, normals and
     /// tangents. Vertices that no reader can distinguish get equal keys.
-    fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+    fn distinguish_vertices(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
         let _ = (model, keys);
         Ok(())
     }
@@ -177,6 +164,18 @@ pub(super) trait FormatCodec: Sync {
     fn divides_at_seams(&self) -> bool {
         false
     }
+}
+
+/// A model with a new shape on its way to a file.
+pub(super) struct PatchedOutput<'a> {
+    /// The model.
+    pub model: &'a Model,
+    /// Where its vertices are, in world space: one for each, and finite.
+    pub positions: &'a [DVec3],
+    /// The format of the file.
+    pub format: Format,
+    /// What else of the file follows.
+    pub followers: &'a ShapeFollowers<'a>,
 }
 
 /// An edited model on its way to a file. It has been checked.

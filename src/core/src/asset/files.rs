@@ -6,7 +6,8 @@ use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::ops::Deref;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 
 /// What was uploaded: one main file and the companions that it names: buffers and images of a glTF, material
 /// libraries of an OBJ and their pictures. Nothing outside this set is ever read.
@@ -28,6 +29,12 @@ impl FileSet {
             main: main.into(),
             companions: BTreeMap::new(),
         }
+    }
+
+    /// Copies of the companions.
+    pub(super) fn owned_companions(&self) -> BTreeMap<String, Vec<u8>> {
+        let companions = self.companions.iter();
+        companions.map(|(name, bytes)| (name.clone(), bytes.to_vec())).collect()
     }
 
     /// Bytes in all files.
@@ -61,6 +68,14 @@ impl Default for Limits {
 }
 
 impl Limits {
+    /// For reading again what was already read once within the caller's limits.
+    pub(super) const UNLIMITED: Self = Self {
+        vertices: u64::MAX,
+        triangles: u64::MAX,
+        decoded_bytes: u64::MAX,
+        document_bytes: u64::MAX,
+    };
+
     /// Refuses more render vertices than allowed.
     pub(super) fn check_vertices(&self, seen: u64) -> Result<(), Error> {
         within("vertices", seen, self.vertices)
@@ -217,7 +232,8 @@ pub(super) fn check_main_size(bytes: &[u8]) -> Result<(), Error> {
     within("bytes of the main file", bytes.len() as u64, u64::from(u32::MAX))
 }
 
-fn within(what: &'static str, seen: u64, limit: u64) -> Result<(), Error> {
+/// Refuses more of something than allowed.
+pub(super) fn within(what: &'static str, seen: u64, limit: u64) -> Result<(), Error> {
     if seen > limit {
         Err(Error::TooLarge { what, seen, limit })
     } else {
@@ -237,6 +253,15 @@ pub struct WrittenFiles {
 }
 
 impl WrittenFiles {
+    /// A main file and its companions.
+    pub(super) fn of(main: Vec<u8>, companions: BTreeMap<String, Vec<u8>>) -> Self {
+        Self {
+            main,
+            companions,
+            followed: FollowedCounts::default(),
+        }
+    }
+
     /// A model of one file.
     pub(super) fn single(main: Vec<u8>) -> Self {
         Self {
@@ -247,10 +272,9 @@ impl WrittenFiles {
 
     /// The uploaded files as they came.
     pub(super) fn from_upload(files: &FileSet) -> Self {
-        let companions = files.companions.iter();
         Self {
             main: files.main.to_vec(),
-            companions: companions.map(|(uri, bytes)| (uri.clone(), bytes.to_vec())).collect(),
+            companions: files.owned_companions(),
             ..Self::default()
         }
     }

@@ -20,49 +20,37 @@
 
 mod codec;
 mod edited;
-mod error;
 mod files;
-mod followed;
 mod following;
 mod format;
 mod formats;
 mod geometry;
 mod look;
-mod material;
 mod model;
-mod model_look;
-mod model_motion;
-mod model_played;
+mod model_scene;
 mod moving_scene;
 mod neutral;
-mod node;
-mod played_clip;
-mod precision;
 pub mod sample;
 pub mod shapes;
 mod usd;
 mod vertex_attributes;
-mod vertex_cache;
 mod write;
 
 pub use edited::{BaseModel, EditedModel, PrimitiveRun, VertexBlend, VertexBlends};
-pub use error::Error;
 pub use files::{FileSet, Limits, WrittenFiles};
-pub use followed::{FollowedCounts, JointTravel};
-pub use following::{BoneLengthRule, Following, MorphTargetRule, RigRule};
-pub use format::Format;
-pub use geometry::{Geometry, Primitive};
+pub use following::{
+    BoneLengthRule, FollowedCounts, Following, JointTravel, ModelNode, MorphTargetRule, NodeMotions, RigRule,
+    ShapeFollowers,
+};
+pub use format::{Error, Format};
+pub use geometry::{Geometry, Primitive, VertexCache};
 pub use look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
 pub use model::Model;
 pub use moving_scene::{
-    ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, PrimitiveShapes, SceneChannel, SceneClip,
-    SceneNode, ScenePrimitive,
-};
-pub use node::{ModelNode, NodeMotions, ShapeFollowers};
-pub use played_clip::{
-    CarryingJoints, ClipBeside, MorphClip, NodeKeys, NodePlace, PlayedCorrectives, PlayedJoint, SkinnedClip,
+    CarryingJoints, ChannelInterpolation, ChannelValues, ClipBeside, JointInfluences, MorphClip, MovingScene, NodeKeys,
+    NodePlace, PlayedCorrectives, PlayedJoint, PrimitiveShapes, SceneChannel, SceneClip, SceneNode, ScenePrimitive,
+    SkinnedClip,
 };
 pub use usd::{UsdClip, UsdModel};
 pub use vertex_attributes::{VertexAttributes, agrees_with_facet, facet_normal, normal_key};
-pub use vertex_cache::VertexCache;
 pub use write::{missing_companions, write_edited_model, write_edited_model_following};

@@ -3,7 +3,7 @@
 //! Texture coordinates count from the upper left corner of the picture, as in glTF.
 
 use super::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces};
-use super::material::NamedMaterial;
+use super::look::NamedMaterial;
 use super::{Error, Format, Geometry, Primitive};
 use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;

@@ -7,9 +7,9 @@
 //! Texture coordinates count from the lower left corner there. Pictures are not written along.
 
 use super::format::Format;
-use super::material::NamedMaterial;
+use super::look::NamedMaterial;
+use super::moving_scene::NodePlace;
 use super::neutral::NeutralModel;
-use super::played_clip::NodePlace;
 use super::write::neutral_model;
 use super::{Error, Model};
 use glam::{DQuat, Vec3};

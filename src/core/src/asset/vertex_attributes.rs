@@ -49,14 +49,14 @@ impl VertexAttributes {
         (8 * self.keys.capacity() + self.facets.capacity()) as u64
     }
 
-    /// Takes them from `tell_apart`; where that fails, no two vertices are alike.
+    /// Takes them from `distinguish_vertices`; where that fails, no two vertices are alike.
     pub(super) fn gather(
         geometry: &Geometry,
-        tell_apart: impl FnOnce(&mut AttributeKeys<'_>) -> Result<(), Error>,
+        distinguish_vertices: impl FnOnce(&mut AttributeKeys<'_>) -> Result<(), Error>,
         progress: &dyn Progress,
     ) -> Result<Self, Error> {
         let mut keys = AttributeKeys::new(geometry.positions.len(), progress);
-        let differ = match tell_apart(&mut keys) {
+        let differ = match distinguish_vertices(&mut keys) {
             Ok(()) => false,
             Err(Error::Cancelled) => return Err(Error::Cancelled),
             Err(_) => true,

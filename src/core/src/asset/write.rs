@@ -1,13 +1,11 @@
 //! The ways in and out: which codec reads a model, and which one writes it, by patching, building or editing.
 
-use super::codec::EditedOutput;
-use super::codec::Translation;
+use super::codec::{EditedOutput, PatchedOutput, Translation};
 use super::edited::{self, BaseModel, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
 use super::files::ReadWatch;
 use super::formats::{codec_of, translator_of, writer_of};
 use super::model::is_same;
 use super::neutral::NeutralModel;
-use super::precision::check_precision;
 use super::{
     Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, VertexAttributes, WrittenFiles,
 };
@@ -89,7 +87,8 @@ impl Model {
     pub fn vertex_attributes(&self, progress: &dyn Progress) -> Result<&VertexAttributes, Error> {
         if self.attributes.get().is_none() {
             let codec = codec_of(self.format);
-            let read = VertexAttributes::gather(&self.geometry, |keys| codec.tell_apart(self, keys), progress)?;
+            let read =
+                VertexAttributes::gather(&self.geometry, |keys| codec.distinguish_vertices(self, keys), progress)?;
             // Another thread may have read the same meanwhile.
             let _ = self.attributes.set(read);
         }
@@ -181,7 +180,12 @@ impl Model {
         check_precision(format, positions, &self.geometry.triangles)?;
         let codec = writer_of(format)?;
         if codec.patches_files_of(self.format) {
-            return codec.patch_positions(self, positions, format, followers);
+            return codec.patch_positions(&PatchedOutput {
+                model: self,
+                positions,
+                format,
+                followers,
+            });
         }
         let neutral = if codec.takes_attributes() {
             neutral_model(self, positions, format)?
@@ -438,4 +442,26 @@ fn add_base(
         neutral.push_run(edited, run, positions, attributes);
     }
     Ok(())
+}
+
+/// Rejects a model whose every triangle collapses in the format's positions. One remaining triangle makes a model that
+/// opens. A model that had no triangle before is not rejected here.
+pub(super) fn check_precision(format: Format, positions: &[DVec3], triangles: &[[u32; 3]]) -> Result<(), Error> {
+    if !codec_of(format).rounds_to_single() || triangles.is_empty() {
+        return Ok(());
+    }
+    let corners = |t: &[u32; 3]| t.map(|v| positions[v as usize]);
+    let is_apart = |[a, b, c]: [DVec3; 3]| a != b && b != c && c != a;
+    let rounded = |p: DVec3| p.as_vec3().as_dvec3();
+    let mut was_apart = triangles.iter().filter(|t| is_apart(corners(t))).peekable();
+    if was_apart.peek().is_none() || was_apart.any(|t| is_apart(corners(t).map(rounded))) {
+        return Ok(());
+    }
+    let far = positions.iter().map(|p| p.abs().max_element()).fold(0.0, f64::max);
+    let problem = format!(
+        "its positions have seven digits, and at coordinates of {far:.3e} every one of {} triangles collapses in them; \
+         move the model nearer to the origin, or write obj, ply or off",
+        triangles.len()
+    );
+    Err(Error::unwritable(format, problem))
 }

@@ -4,18 +4,14 @@
 //! and its triangles. Texture coordinates, colours, skin weights, morph targets and whatever else the uploaded files hold
 //! are read from those files when the model is written, blended, and forgotten again.
 //!
-//! Owns the description, its check, and how attributes follow: normals and tangents ([`carried`]) and what belongs to
-//! corners of faces ([`origins`]), and which polygons still stand ([`outlines`]). The codecs write the files.
+//! Owns the description, its check, and how attributes follow: normals and tangents, what belongs to corners of faces,
+//! and which polygons still stand ([`origins`]). The codecs write the files.
 
 mod blends;
-mod carried;
 mod origins;
-mod outlines;
 
 pub use blends::{VertexBlend, VertexBlends};
-pub(super) use carried::CarriedAttributes;
-pub(super) use origins::TriangleOrigins;
-pub(super) use outlines::{FaceOutlines, RunFaces};
+pub(super) use origins::{CarriedAttributes, FaceOutlines, RunFaces, TriangleOrigins};
 
 use super::model::FileNotes;
 use super::{Error, Format, Model, Primitive};

@@ -43,19 +43,19 @@ mod polygons;
 mod stl;
 mod text;
 
-use super::Error;
-use super::codec::{FormatCodec, FormatTranslator};
-use super::format::{Format, Recognition};
+use crate::asset::Error;
+use crate::asset::codec::{FormatCodec, FormatTranslator};
+use crate::asset::format::{Format, Recognition};
 
 /// Makes the constants of [`Format`] and the tables of codecs and translators from the rows of the registry.
 macro_rules! registry {
     (
         read and written { $($(#[$about:meta])* $name:ident = $format:expr, $codec:expr;)* }
-        only read { $($(#[$told:meta])* $source:ident = $source_format:expr, $translator:expr;)* }
+        only read { $($(#[$note:meta])* $source:ident = $source_format:expr, $translator:expr;)* }
     ) => {
         impl Format {
             $($(#[$about])* pub const $name: Self = $format;)*
-            $($(#[$told])* pub const $source: Self = $source_format;)*
+            $($(#[$note])* pub const $source: Self = $source_format;)*
 
             /// Every format that is read and written, in the order in which texts list them.
             pub const ALL: [Self; [$(stringify!($name)),*].len()] = [$(Self::$name),*];

@@ -3,9 +3,10 @@
 //! Convex polygons become fans from their first corner. Concave ones are cut by ear clipping in their own plane, so that
 //! no triangle leaves the polygon.
 
-use crate::asset::Error;
 use crate::asset::edited::FaceOutlines;
-use glam::{DVec2, DVec3};
+use crate::asset::files::ReadWatch;
+use crate::asset::{Error, Geometry};
+use glam::{DVec2, DVec3, Vec3};
 
 /// How many point-in-ear tests one file may cost; polygons beyond it become fans. Far above what real files need, and
 /// reached within about a second by files made to be slow.
@@ -60,6 +61,24 @@ impl Polygons {
             first = end;
         }
         outlines
+    }
+
+    /// The mesh of the faces over these vertices, and the faces that have more than three corners.
+    ///
+    /// # Errors
+    /// When the read is cancelled.
+    pub fn into_geometry(
+        self,
+        positions: Vec<DVec3>,
+        normals: Vec<Vec3>,
+        watch: &ReadWatch<'_>,
+    ) -> Result<(Geometry, FaceOutlines), Error> {
+        let (slots, crude) = self.triangulate(&positions, || watch.check())?;
+        let outlines = self.find_outlines(&slots);
+        let triangles = slots.iter().map(|t| t.map(|s| self.corners[s as usize])).collect();
+        let mut geometry = Geometry::from_one_mesh(positions, normals, triangles);
+        geometry.warn_about_crude_polygons(crude);
+        Ok((geometry, outlines))
     }
 
     /// Cuts every face into triangles, as places in `corners`, in face order. Also says how many faces were too costly

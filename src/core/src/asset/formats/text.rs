@@ -129,6 +129,37 @@ impl<'a> TextLexer<'a> {
         place
     }
 
+    /// The next three words, on whatever lines.
+    pub fn three_tokens(&mut self) -> Option<[TextToken; 3]> {
+        Some([self.token()?, self.token()?, self.token()?])
+    }
+
+    /// The next three words of the present line, or how many there are.
+    pub fn three_on_line(&mut self) -> Result<[TextToken; 3], usize> {
+        let first = self.token_on_line().ok_or(0_usize)?;
+        let second = self.token_on_line().ok_or(1_usize)?;
+        Ok([first, second, self.token_on_line().ok_or(2_usize)?])
+    }
+
+    /// Three words as a finite position; else the line of the word that is none, and what is wrong with it.
+    pub fn position(&self, words: [TextToken; 3]) -> Result<DVec3, (u32, String)> {
+        let mut position = DVec3::ZERO;
+        for (i, word) in words.into_iter().enumerate() {
+            let read = coordinate(self.text(word), NumberPrecision::Double);
+            position[i] = read.map_err(|problem| (word.line, problem))?;
+        }
+        Ok(position)
+    }
+
+    /// Three words as numbers, finite or not; else the word that is none.
+    pub fn numbers(&self, words: [TextToken; 3]) -> Result<DVec3, TextToken> {
+        let mut numbers = DVec3::ZERO;
+        for (i, word) in words.into_iter().enumerate() {
+            numbers[i] = number(self.text(word)).ok_or(word)?;
+        }
+        Ok(numbers)
+    }
+
     /// Skips what is left of the present line and its end; false when the text ends with it.
     pub fn end_line(&mut self) -> bool {
         while self.token_on_line().is_some() {}

@@ -4,33 +4,23 @@
 //! an equivalent GLB, in metres and with Y up, and is written as GLB. `ufbx` (one C file, under limits of memory)
 //! parses the bytes; this module checks all its output.
 //!
-//! [`scene`] opens the file, [`corners`] makes vertices of the corners of polygons, [`meshes`] primitives of them with
-//! [`morphs`] and [`skins`], [`materials`] base colours and pictures, [`nodes`] places them, [`clips`] samples animation
-//! stacks, [`buffer`] holds the numbers, and [`notes`] the warnings.
+//! [`scene`] opens the file and gathers warnings and materials, [`corners`] makes vertices of the corners of polygons and morph targets of
+//! blend shapes, [`meshes`] primitives and skins, [`nodes`] places them and samples
+//! animation stacks.
 
-mod buffer;
-mod clips;
 mod corners;
-mod fault;
-mod materials;
 mod meshes;
-mod morphs;
 mod nodes;
-mod notes;
 mod scene;
-mod skins;
 
-pub(super) use fault::FORMAT;
+pub(super) use scene::FORMAT;
 
-use super::gltf;
+use super::gltf::{self, GlbWriter};
 use crate::asset::codec::{FormatTranslator, Translation};
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, FileSet};
-use buffer::GlbBuffer;
-use clips::AddedClips;
-use materials::MaterialTable;
-use nodes::SceneNodes;
-use notes::TranslationNotes;
+use nodes::{AddedClips, SceneNodes};
+use scene::{MaterialTable, TranslationNotes};
 use serde_json::{Value, json};
 
 /// Reads FBX by way of GLB.
@@ -47,8 +37,8 @@ impl FormatTranslator for FbxTranslator {
         let version = opened.metadata.version;
         let message = format!("an FBX {version} file is read as the GLB that comes back, in metres and with Y up");
         notes.warn("fbx-as-glb", message, "file");
-        scene::tell_of_repairs(&opened, &mut notes);
-        let mut buffer = GlbBuffer::new(watch);
+        scene::report_repairs(&opened, &mut notes);
+        let mut buffer = GlbWriter::new(FORMAT, watch);
         let mut materials = MaterialTable::new(files);
         let nodes = SceneNodes::build(&opened, &mut buffer, &mut materials, &mut notes, watch)?;
         let clips = AddedClips::build(&opened, &nodes, &mut buffer, &mut notes, watch)?;
@@ -67,7 +57,7 @@ impl FormatTranslator for FbxTranslator {
 }
 
 /// The document of the whole asset, without what its buffer adds.
-fn document(nodes: SceneNodes, clips: AddedClips, looks: materials::MaterialSections) -> Value {
+fn document(nodes: SceneNodes, clips: AddedClips, looks: scene::MaterialSections) -> Value {
     let mut root = json!({"scene": 0, "scenes": [{"nodes": nodes.roots}]});
     let sections = [
         ("nodes", nodes.nodes),

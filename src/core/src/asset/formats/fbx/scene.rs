@@ -1,13 +1,15 @@
-//! Opening an FBX with `ufbx`: options, limits, and what its errors and repairs are called here.
+//! Opening an FBX with `ufbx`: options, limits, what its errors and repairs are called here, and its materials.
 
-use super::fault::{FORMAT, refuse};
-use super::notes::TranslationNotes;
+use super::super::gltf::{self, GlbWriter};
 use crate::asset::files::ReadWatch;
-use crate::asset::material::inside_folder;
-use crate::asset::{Error, FileSet, Limits};
+use crate::asset::format::{FormatDetails, Recognition};
+use crate::asset::look::inside_folder;
+use crate::asset::{Error, FileSet, Format, Limits};
 use crate::progress::Silent;
-use std::collections::BTreeSet;
-use ufbx::ErrorType;
+use bytes::Bytes;
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use ufbx::{ErrorType, Material, MaterialMap, Texture, TextureType};
 
 /// How deep nodes may hang below each other: far more than any rig, and few enough for all that walks them.
 const DEEPEST: u32 = 1000;
@@ -94,20 +96,15 @@ fn load(files: &FileSet, watch: &ReadWatch<'_>, names_only: bool) -> Result<ufbx
 
 /// What the reader says of a file, in the words of this house.
 fn fault_of(error: &ufbx::Error, files: &FileSet) -> Error {
-    let unsupported = |problem: String, hint: &str| Error::Unsupported {
-        format: FORMAT,
-        place: "file".into(),
-        problem,
-        hint: hint.into(),
-    };
+    let unsupported = |problem: &str, hint: &str| Error::unsupported(FORMAT, "file", problem, hint);
     match error.type_ {
         ErrorType::AllocationLimit | ErrorType::OutOfMemory => unsupported(
-            "decoding takes more pieces of memory than are allowed".into(),
+            "decoding takes more pieces of memory than are allowed",
             "divide the model",
         ),
         ErrorType::NodeDepthLimit => refuse("nodes", format!("are nested more than {DEEPEST} levels deep")),
         ErrorType::UnsupportedVersion => unsupported(
-            "is of a version of FBX that is not read".into(),
+            "is of a version of FBX that is not read",
             "export it as FBX 2014 or newer, or as glb",
         ),
         ErrorType::EmptyFile => refuse("file", "is empty"),
@@ -130,7 +127,7 @@ fn fault_of(error: &ufbx::Error, files: &FileSet) -> Error {
 }
 
 /// Reports all repairs by the reader in one warning.
-pub(super) fn tell_of_repairs(scene: &ufbx::Scene, notes: &mut TranslationNotes) {
+pub(super) fn report_repairs(scene: &ufbx::Scene, notes: &mut TranslationNotes) {
     let list = &scene.metadata.warnings;
     let texts: Vec<String> = list
         .iter()
@@ -191,4 +188,230 @@ pub(super) fn texture_names(files: &FileSet) -> Vec<String> {
         .filter_map(texture_file)
         .filter(|name| seen.insert(name.clone()))
         .collect()
+}
+
+/// FBX, by what it is known.
+pub(in super::super) const FORMAT: Format = Format::new(&FormatDetails {
+    name: "fbx",
+    media_types: &["application/vnd.autodesk.fbx", "model/fbx", "application/fbx"],
+    recognise: |bytes| {
+        let begins = |mark: &[u8]| bytes.starts_with(mark);
+        Recognition::mark(begins(b"Kaydara FBX Binary") || begins(b"; FBX") || begins(b"FBXHeaderExtension"))
+    },
+});
+
+/// The refusal of a file at a place.
+pub(super) fn refuse(place: impl Into<String>, problem: impl Into<String>) -> Error {
+    Error::malformed(FORMAT, place, problem)
+}
+
+/// An element as texts name it.
+pub(super) fn place_of(kind: &str, element: &ufbx::Element) -> String {
+    format!("{kind} {} \"{}\"", element.typed_id, &*element.name)
+}
+
+/// Warnings, gathered while a file is translated.
+#[derive(Default)]
+pub(super) struct TranslationNotes {
+    /// (code, message, place).
+    pub warnings: Vec<(String, String, String)>,
+    /// What the file has and glTF cannot express, or is not used, each once.
+    left_out: Vec<&'static str>,
+}
+
+impl TranslationNotes {
+    pub(super) fn warn(&mut self, code: &str, message: impl Into<String>, place: impl Into<String>) {
+        self.warnings.push((code.into(), message.into(), place.into()));
+    }
+
+    /// Notes a kind of thing that does not come along.
+    pub(super) fn leave_out(&mut self, what: &'static str) {
+        if !self.left_out.contains(&what) {
+            self.left_out.push(what);
+        }
+    }
+
+    /// All warnings, the last of which says what does not come along.
+    pub(super) fn finish(mut self) -> Vec<(String, String, String)> {
+        if !self.left_out.is_empty() {
+            let message = format!("not carried over: {}", self.left_out.join(", "));
+            self.warn("fbx-left-out", message, "file");
+        }
+        self.warnings
+    }
+}
+
+/// The materials in use, by their numbers in the file, and the pictures that they show.
+pub(super) struct MaterialTable<'a> {
+    files: &'a FileSet,
+    /// By the number in the file the number in the asset.
+    known: BTreeMap<u32, usize>,
+    materials: Vec<Value>,
+    pictures: Vec<ShownPicture>,
+}
+
+/// A picture that a material shows.
+struct ShownPicture {
+    /// The name of its file.
+    name: String,
+    /// The file; `None` where it did not come along.
+    bytes: Option<Bytes>,
+}
+
+/// The sections of the asset that say how it looks.
+pub(super) struct MaterialSections {
+    pub materials: Vec<Value>,
+    pub textures: Vec<Value>,
+    pub images: Vec<Value>,
+}
+
+impl<'a> MaterialTable<'a> {
+    /// A table without materials; pictures beside the model are found in `files`.
+    pub(super) fn new(files: &'a FileSet) -> Self {
+        Self {
+            files,
+            known: BTreeMap::new(),
+            materials: Vec::new(),
+            pictures: Vec::new(),
+        }
+    }
+
+    /// The number of a material in the asset.
+    pub(super) fn number_of(&mut self, material: &Material, notes: &mut TranslationNotes) -> usize {
+        let id = material.element.typed_id;
+        if let Some(known) = self.known.get(&id) {
+            return *known;
+        }
+        let json = self.material_json(material, notes);
+        self.materials.push(json);
+        self.known.insert(id, self.materials.len() - 1);
+        self.materials.len() - 1
+    }
+
+    fn material_json(&mut self, material: &Material, notes: &mut TranslationNotes) -> Value {
+        let pbr = &material.pbr;
+        let texture = pbr
+            .base_color
+            .texture
+            .as_ref()
+            .filter(|_| pbr.base_color.texture_enabled);
+        let picture = texture.and_then(|texture| self.picture_of(texture, notes));
+        let factor = first_value(&pbr.base_factor).unwrap_or(1.0);
+        let colour = &pbr.base_color;
+        // A picture stands in place of the colour.
+        let rgb = match picture {
+            None if colour.has_value => {
+                let v = colour.value_vec4;
+                [v.x, v.y, v.z].map(|x| unit(x * factor))
+            }
+            _ => [1.0; 3],
+        };
+        let opacity = opacity_of(material);
+        let mut base = json!({
+            "baseColorFactor": [rgb[0], rgb[1], rgb[2], opacity],
+            "metallicFactor": first_value(&pbr.metalness).map_or(0.0, unit),
+            "roughnessFactor": first_value(&pbr.roughness).map_or(1.0, unit),
+        });
+        if let Some(number) = picture {
+            base["baseColorTexture"] = json!({"index": number});
+        }
+        let mut json = json!({"pbrMetallicRoughness": base});
+        if !material.element.name.is_empty() {
+            json["name"] = json!(&*material.element.name);
+        }
+        if opacity < 1.0 || pbr.opacity.texture.is_some() {
+            json["alphaMode"] = json!("BLEND");
+        }
+        if material.features.double_sided.enabled {
+            json["doubleSided"] = json!(true);
+        }
+        let maps = [&pbr.normal_map, &pbr.roughness, &pbr.metalness, &pbr.emission_color];
+        if maps.iter().any(|map| map.texture.is_some()) {
+            notes.leave_out("textures other than the base colour's");
+        }
+        json
+    }
+
+    /// The number of the picture that a texture shows; of several layers the lowest.
+    fn picture_of(&mut self, texture: &Texture, notes: &mut TranslationNotes) -> Option<usize> {
+        let texture = if texture.type_ == TextureType::File {
+            texture
+        } else {
+            notes.leave_out("layers and procedures of textures");
+            texture.file_textures.iter().next()?
+        };
+        if texture.has_uv_transform {
+            notes.leave_out("shifts and turns of textures");
+        }
+        let name = texture_file(texture).unwrap_or_else(|| format!("texture{}", texture.element.typed_id));
+        let embedded = embedded_bytes(texture);
+        let same =
+            |known: &ShownPicture| known.name == name && (embedded.is_none() || known.bytes.as_deref() == embedded);
+        let found = self.pictures.iter().position(same);
+        Some(found.unwrap_or_else(|| {
+            let beside = || self.files.companions.get(&name).cloned();
+            let bytes = embedded.map(Bytes::copy_from_slice).or_else(beside);
+            self.pictures.push(ShownPicture { name, bytes });
+            self.pictures.len() - 1
+        }))
+    }
+
+    /// The sections, with pictures put into the buffer; those of kinds that it cannot hold are files beside the asset.
+    pub(super) fn finish(self, buffer: &mut GlbWriter) -> Result<(MaterialSections, BTreeMap<String, Bytes>), Error> {
+        let (mut images, mut companions) = (Vec::new(), BTreeMap::new());
+        for ShownPicture { name, bytes } in self.pictures {
+            let kind = bytes.as_deref().and_then(|bytes| gltf::media_type_of(&name, bytes));
+            match (bytes, kind) {
+                (Some(bytes), Some(kind)) => {
+                    let view = buffer.add_view(&bytes)?;
+                    images.push(json!({"bufferView": view, "mimeType": kind, "name": name}));
+                }
+                (bytes, _) => {
+                    images.push(json!({"uri": gltf::uri_of_name(&name)}));
+                    companions.extend(bytes.map(|bytes| (name, bytes)));
+                }
+            }
+        }
+        let textures = (0..images.len()).map(|i| json!({"source": i})).collect();
+        let sections = MaterialSections {
+            materials: self.materials,
+            textures,
+            images,
+        };
+        Ok((sections, companions))
+    }
+}
+
+/// How opaque a material is: what it says, else what its transparency leaves. Exporters write a transparency of one for
+/// opaque materials too, so nothing is taken to be invisible by that.
+fn opacity_of(material: &Material) -> f32 {
+    if let Some(opacity) = first_value(&material.pbr.opacity) {
+        return unit(opacity);
+    }
+    let stated = ufbx::find_prop(&material.element.props, "Opacity").map(|prop| prop.value_vec4.x);
+    if let Some(opacity) = stated.filter(|opacity| opacity.is_finite()) {
+        return unit(opacity);
+    }
+    let fbx = &material.fbx;
+    let colour = if fbx.transparency_color.has_value {
+        let v = fbx.transparency_color.value_vec4;
+        (v.x + v.y + v.z) / 3.0
+    } else {
+        1.0
+    };
+    let left = unit(1.0 - first_value(&fbx.transparency_factor).unwrap_or(0.0) * colour);
+    if left > 0.0 { left } else { 1.0 }
+}
+
+/// The number that a map says, where it says one.
+fn first_value(map: &MaterialMap) -> Option<f64> {
+    (map.has_value && map.value_vec4.x.is_finite()).then_some(map.value_vec4.x)
+}
+
+fn unit(value: f64) -> f32 {
+    if value.is_finite() {
+        value.clamp(0.0, 1.0) as f32
+    } else {
+        1.0
+    }
 }

@@ -4,7 +4,9 @@ use super::buffers::BufferBytes;
 use super::document::GltfDocument;
 use super::schema::{BufferView, GltfAccessor};
 use crate::asset::Error;
+use crate::asset::files::within;
 use glam::Vec3;
+use std::collections::BTreeSet;
 
 /// Type of one number, as the `gltf` crate names it.
 pub(super) use gltf::json::accessor::ComponentType;
@@ -51,6 +53,11 @@ pub(super) struct AccessorLayout {
 }
 
 impl AccessorLayout {
+    /// The layout of an accessor of a document; `None` as for [`AccessorLayout::of`], or where there is no such accessor.
+    pub(super) fn find(doc: &GltfDocument<'_>, index: usize) -> Option<Self> {
+        Self::of(doc.accessors.get(index)?, doc.views.values)
+    }
+
     /// The layout, or `None` for a component type or shape that glTF 2.0 does not know.
     pub(super) fn of(accessor: &GltfAccessor, views: &[BufferView]) -> Option<Self> {
         let component = component_of(accessor.component_type.0)?;
@@ -83,6 +90,18 @@ impl AccessorLayout {
             column: (rows, pitch),
         })
     }
+}
+
+/// As [`read_values`], after decompressing what the accessor needs.
+pub(super) fn decode_values(
+    doc: &GltfDocument<'_>,
+    buffers: &mut BufferBytes,
+    index: usize,
+    layout: AccessorLayout,
+) -> Result<Vec<f32>, Error> {
+    check_unbacked(doc, index, layout)?;
+    buffers.decode_for(doc, &BTreeSet::from([index]))?;
+    read_values(doc, buffers, index, layout)
 }
 
 /// Which numbers an attribute may be stored as.
@@ -236,14 +255,7 @@ pub(super) fn check_unbacked(doc: &GltfDocument<'_>, index: usize, layout: Acces
     }
     let limit = 1_048_576 + 64 * doc.text.len() as u64;
     let seen = accessor.count.0.saturating_mul(layout.element);
-    if seen > limit {
-        return Err(Error::TooLarge {
-            what: "size in bytes of an accessor without a buffer view",
-            seen,
-            limit,
-        });
-    }
-    Ok(())
+    within("size in bytes of an accessor without a buffer view", seen, limit)
 }
 
 /// The elements that an accessor's sparse values replace, ascending; none when it is not sparse. Compressed views must be

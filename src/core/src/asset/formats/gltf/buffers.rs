@@ -1,11 +1,18 @@
-//! The bytes behind buffers and buffer views, wherever they are kept.
+//! The bytes behind buffers and buffer views, wherever they are kept, and what URIs name. Nothing is ever fetched or opened.
 
 use super::compressed;
+use super::container::GltfFault;
 use super::document::GltfDocument;
-use super::uri::{self, UriTarget};
+use super::schema::BufferView;
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, FileSet};
+use base64::Engine as _;
+use base64::alphabet::STANDARD;
+use base64::engine::DecodePaddingMode;
+use base64::engine::general_purpose::{GeneralPurpose, GeneralPurposeConfig};
 use bytes::Bytes;
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Where a buffer's bytes are kept.
@@ -70,7 +77,7 @@ impl<'w> BufferBytes<'w> {
                     bytes: None,
                 });
             }
-            Some(text) => match uri::resolve(text, &place, doc.fault, &mut |bytes| self.reserve(bytes))? {
+            Some(text) => match resolve(text, &place, doc.fault, &mut |bytes| self.reserve(bytes))? {
                 UriTarget::Embedded(bytes) => (BufferOrigin::Embedded, Bytes::from(bytes)),
                 UriTarget::Companion(name) => match files.companions.get(&name) {
                     Some(bytes) => (BufferOrigin::Companion(name), bytes.clone()),
@@ -180,6 +187,12 @@ impl<'w> BufferBytes<'w> {
             .find(|&i| self.stored[i].bytes.is_some() && self.is_exclusive(i) && !doc.buffers.values[i].is_fallback())
     }
 
+    /// Whether floats can be written over bytes of a view.
+    pub(super) fn takes_floats(&self, doc: &GltfDocument<'_>, view: &BufferView) -> bool {
+        let buffer = view.buffer.index();
+        view.compression().is_none() && self.is_exclusive(buffer) && !doc.buffers.values[buffer].is_fallback()
+    }
+
     /// Whether changing this buffer's bytes changes nothing else: no other buffer is kept in the same place.
     pub(super) fn is_exclusive(&self, index: usize) -> bool {
         let Some(stored) = self.stored.get(index) else {
@@ -196,5 +209,269 @@ impl<'w> BufferBytes<'w> {
 impl Drop for BufferBytes<'_> {
     fn drop(&mut self) {
         self.watch.release(self.reserved);
+    }
+}
+
+/// Padding is often forgotten and never needed.
+const BASE64: GeneralPurpose = GeneralPurpose::new(
+    &STANDARD,
+    GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent),
+);
+
+/// The media types that glTF allows for embedded buffers; the first is the one we write.
+const MEDIA_TYPES: [&str; 2] = ["application/octet-stream", "application/gltf-buffer"];
+
+/// What stands as itself in the URI of a file.
+const PLAIN: &AsciiSet = &NON_ALPHANUMERIC
+    .remove(b'-')
+    .remove(b'_')
+    .remove(b'.')
+    .remove(b'~')
+    .remove(b'/');
+
+/// The URI of a file beside the model, by its name.
+pub(in super::super) fn of_file_name(name: &str) -> String {
+    utf8_percent_encode(name, PLAIN).to_string()
+}
+
+/// What a buffer's URI means.
+#[derive(Debug, PartialEq)]
+pub(super) enum UriTarget {
+    /// The bytes are in the URI itself.
+    Embedded(Vec<u8>),
+    /// They are in the companion file of this name.
+    Companion(String),
+}
+
+/// Reads a buffer URI. `reserve` is asked for the bytes of embedded data before they are decoded.
+pub(super) fn resolve(
+    uri: &str,
+    place: &str,
+    fault: GltfFault,
+    reserve: &mut dyn FnMut(u64) -> Result<(), Error>,
+) -> Result<UriTarget, Error> {
+    if uri.get(..5).is_some_and(|scheme| scheme.eq_ignore_ascii_case("data:")) {
+        // As many bytes at most, whether or not some of them are escaped.
+        reserve(uri.len() as u64)?;
+        return embedded(&uri[5..], place, fault).map(UriTarget::Embedded);
+    }
+    companion_name(uri, place, fault).map(UriTarget::Companion)
+}
+
+fn embedded(rest: &str, place: &str, fault: GltfFault) -> Result<Vec<u8>, Error> {
+    let Some((kind, payload)) = rest.split_once(',') else {
+        return Err(fault.malformed(place, "a data URI without a comma"));
+    };
+    let mut parts = kind.split(';').map(str::trim);
+    let media_type = parts.next().unwrap_or_default();
+    if !MEDIA_TYPES
+        .iter()
+        .any(|allowed| allowed.eq_ignore_ascii_case(media_type))
+    {
+        let problem = format!(
+            "media type {:?}, allowed are {}",
+            shown(media_type),
+            MEDIA_TYPES.join(" and ")
+        );
+        return Err(fault.malformed(place, problem));
+    }
+    if !parts.any(|p| p.eq_ignore_ascii_case("base64")) {
+        return Err(fault.malformed(place, "an embedded buffer must be base64"));
+    }
+    // Some writers escape the + / = of base64.
+    let payload: Cow<'_, [u8]> = if payload.contains('%') {
+        percent_decode_str(payload).into()
+    } else {
+        payload.as_bytes().into()
+    };
+    BASE64.decode(&payload).map_err(|e| {
+        let reason = e.to_string().to_lowercase();
+        fault.malformed(place, format!("not base64: {}", reason.trim_end_matches('.')))
+    })
+}
+
+fn companion_name(uri: &str, place: &str, fault: GltfFault) -> Result<String, Error> {
+    let refuse = |what: &str| {
+        let problem = format!(
+            "{:?} {what}; a buffer's URI must be a relative name or embedded data",
+            shown(uri)
+        );
+        Err(fault.malformed(place, problem))
+    };
+    match relative_name(uri) {
+        RelativeName::Inside(name) => Ok(name),
+        RelativeName::Outside if uri.starts_with(['/', '\\']) => refuse("is an absolute path"),
+        RelativeName::Outside => refuse("leads out of the model's folder"),
+        RelativeName::Remote => refuse("has a scheme, and nothing is ever fetched"),
+        RelativeName::NoName(what) => refuse(what),
+    }
+}
+
+/// The bytes of a data URI of any media type; `None` for what is none.
+pub(super) fn embedded_bytes(uri: &str) -> Option<Vec<u8>> {
+    let (kind, payload) = uri.get(5..)?.split_once(',')?;
+    let is_data = uri[..5].eq_ignore_ascii_case("data:") && kind.to_ascii_lowercase().ends_with(";base64");
+    let payload: Vec<u8> = percent_decode_str(payload).collect();
+    is_data.then(|| BASE64.decode(&payload).ok()).flatten()
+}
+
+/// What a URI that is not embedded data names.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum RelativeName {
+    /// A file in the model's folder or below it, by its decoded name.
+    Inside(String),
+    /// A file somewhere else.
+    Outside,
+    /// Something of another scheme.
+    Remote,
+    /// Nothing, and why.
+    NoName(&'static str),
+}
+
+/// Returns what a URI names.
+pub(super) fn relative_name(uri: &str) -> RelativeName {
+    let Ok(name) = percent_decode_str(uri).decode_utf8() else {
+        return RelativeName::NoName("is not UTF-8");
+    };
+    let name = name.strip_prefix("./").unwrap_or(&name);
+    let is_scheme = |s: &str| {
+        s.starts_with(|c: char| c.is_ascii_alphabetic())
+            && s.chars()
+                .all(|c| c.is_ascii_alphanumeric() || matches!(c, '+' | '-' | '.'))
+    };
+    if name.is_empty() {
+        RelativeName::NoName("is empty")
+    } else if name.split_once(':').is_some_and(|(scheme, _)| is_scheme(scheme)) {
+        RelativeName::Remote
+    } else if name.starts_with(['/', '\\']) || name.split(['/', '\\']).any(|part| part == "..") {
+        RelativeName::Outside
+    } else if name.contains(char::is_control) {
+        RelativeName::NoName("holds control characters")
+    } else {
+        RelativeName::Inside(name.to_owned())
+    }
+}
+
+/// The start of a text that may be long.
+pub(super) fn shown(text: &str) -> String {
+    let mut out: String = text.chars().take(80).collect();
+    if out.len() < text.len() {
+        out.push('…');
+    }
+    out
+}
+
+/// An embedded buffer's URI.
+pub(super) fn embed(bytes: &[u8]) -> String {
+    let mut uri = format!("data:{};base64,", MEDIA_TYPES[0]);
+    BASE64.encode_string(bytes, &mut uri);
+    uri
+}
+
+/// Media types with the extension of their files.
+const KINDS: [(&str, &str); 6] = [
+    ("image/png", "png"),
+    ("image/jpeg", "jpg"),
+    ("image/webp", "webp"),
+    ("image/ktx2", "ktx2"),
+    ("image/avif", "avif"),
+    ("image/vnd-ms.dds", "dds"),
+];
+
+/// The media type of a picture by its first bytes, else by its name; `None` for a kind that glTF has none for.
+pub(in crate::asset::formats) fn media_type_of(name: &str, bytes: &[u8]) -> Option<&'static str> {
+    const BY_CONTENT: [(&[u8], &str); 4] = [
+        (b"\x89PNG\r\n\x1a\n", "image/png"),
+        (b"\xff\xd8\xff", "image/jpeg"),
+        (b"\xabKTX 20\xbb\r\n\x1a\n", "image/ktx2"),
+        (b"DDS ", "image/vnd-ms.dds"),
+    ];
+    let by_content = BY_CONTENT.iter().find(|(mark, _)| bytes.starts_with(mark));
+    if let Some((_, media_type)) = by_content {
+        return Some(media_type);
+    }
+    if bytes.starts_with(b"RIFF") && bytes.get(8..12) == Some(b"WEBP") {
+        return Some("image/webp");
+    }
+    if bytes.get(4..8) == Some(b"ftyp") && bytes.get(8..12).is_some_and(|brand| brand.starts_with(b"avi")) {
+        return Some("image/avif");
+    }
+    let (_, extension) = name.rsplit_once('.')?;
+    let extension = match extension.to_ascii_lowercase().as_str() {
+        "jpeg" => "jpg".to_owned(),
+        other => other.to_owned(),
+    };
+    KINDS
+        .iter()
+        .find(|(_, known)| *known == extension)
+        .map(|(kind, _)| *kind)
+}
+
+/// The extension of a picture's file: by its bytes, else by the media type that is said.
+pub(super) fn file_extension(said: Option<&str>, bytes: &[u8]) -> &'static str {
+    let kind = media_type_of("", bytes).or(said);
+    let known = KINDS.iter().find(|(known, _)| Some(*known) == kind);
+    known.map_or("bin", |(_, extension)| extension)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::Format;
+
+    fn read(uri: &str) -> Result<UriTarget, String> {
+        resolve(uri, "buffers/0/uri", GltfFault(Format::GLTF), &mut |_| Ok(())).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn embedded_data_comes_back() {
+        for length in 0..5 {
+            let bytes: Vec<u8> = (0..length).collect();
+            assert_eq!(read(&embed(&bytes)), Ok(UriTarget::Embedded(bytes)));
+        }
+        let spellings = [
+            "data:application/gltf-buffer;base64,/+8",
+            "data:application/octet-stream;base64,%2F%2B8%3D",
+        ];
+        for uri in spellings {
+            assert_eq!(read(uri), Ok(UriTarget::Embedded(vec![0xff, 0xef])), "{uri}");
+        }
+    }
+
+    #[test]
+    fn names_are_decoded() {
+        assert_eq!(
+            read("./my%20model.bin"),
+            Ok(UriTarget::Companion("my model.bin".into()))
+        );
+        assert!(read("a:b/c.bin").is_err(), "reads as a scheme");
+        assert_eq!(
+            read("sub/dir..x/c.bin"),
+            Ok(UriTarget::Companion("sub/dir..x/c.bin".into()))
+        );
+    }
+
+    #[test]
+    fn nothing_outside_the_set_can_be_named() {
+        let hostile = [
+            "http://127.0.0.1:9/x.bin",
+            "file:///etc/passwd",
+            "/etc/passwd",
+            "../../etc/passwd",
+            "a/%2e%2e/b",
+            "..%5cx",
+            "%2Fetc",
+            "C:\\x",
+            "",
+            "data:text/neutral;base64,AAAA",
+            "data:application/octet-stream,AAAA",
+            "data:application/octet-stream;base64,A*AA",
+            "data:",
+            "a%00b",
+        ];
+        for uri in hostile {
+            let text = read(uri).expect_err(uri);
+            assert!(text.contains("buffers/0/uri"), "{text}");
+        }
     }
 }

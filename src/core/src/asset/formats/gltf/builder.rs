@@ -1,12 +1,12 @@
-//! New accessors, buffer views and their bytes: the only place that writes them as JSON.
+//! New accessors, buffer views and their bytes: the only place that writes them as JSON. New GLBs are written by it as well.
 
-use super::buffers::BufferBytes;
-use super::document::{GltfDocument, PatchedDocument};
-use super::fault::GltfFault;
-use super::float_json::bounds;
-use super::text::quoted;
-use super::uri;
-use crate::asset::Error;
+use super::buffers::{self, BufferBytes};
+use super::container::{self, GltfFault};
+use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
+use super::text::{json_array, json_object, quoted};
+use crate::asset::files::ReadWatch;
+use crate::asset::{Error, Format};
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::hash::Hasher as _;
 
@@ -58,6 +58,20 @@ pub(super) struct NewAccessor {
     pub(super) sparse: Option<NewSparse>,
 }
 
+impl NewAccessor {
+    /// An accessor of these numbers, without a view, bounds or replaced elements.
+    pub(super) fn of(component: u32, count: usize, shape: &'static str) -> Self {
+        Self {
+            view: None,
+            component,
+            count,
+            shape,
+            bounds: None,
+            sparse: None,
+        }
+    }
+}
+
 /// Elements of an accessor that other values replace; both views are among the new ones.
 #[derive(Debug, PartialEq)]
 pub(super) struct NewSparse {
@@ -101,7 +115,7 @@ impl BufferBuilder {
         shape: &'static str,
         kind: AccessorKind,
     ) -> usize {
-        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let bytes = float_bytes(values);
         let is_bounded = matches!(kind, AccessorKind::Positions | AccessorKind::Times);
         let bounds = is_bounded.then(|| bounds(values, lanes));
         self.add_accessor(&bytes, kind, values.len() / lanes.max(1), shape, bounds)
@@ -157,6 +171,12 @@ impl BufferBuilder {
         self.accessors.len() - 1
     }
 
+    /// Adds an accessor with a view of its own, which no other accessor shares; its number.
+    pub(super) fn push_packed(&mut self, bytes: &[u8], target: Option<u32>, accessor: NewAccessor) -> usize {
+        let view = Some(self.add_view(bytes, target));
+        self.push_accessor(NewAccessor { view, ..accessor })
+    }
+
     /// Adds an accessor with a view of its own, or finds one that is equal.
     fn add_accessor(
         &mut self,
@@ -175,12 +195,8 @@ impl BufferBuilder {
             AccessorKind::Indices32 => (5125, Some(INDICES)),
         };
         let mut accessor = NewAccessor {
-            view: None,
-            component,
-            count,
-            shape,
             bounds,
-            sparse: None,
+            ..NewAccessor::of(component, count, shape)
         };
         let mut hasher = std::hash::DefaultHasher::new();
         hasher.write(bytes);
@@ -204,10 +220,14 @@ impl BufferBuilder {
     /// The views as JSON, with their bytes beginning at `offset` of `buffer`.
     pub(super) fn view_texts(&self, buffer: usize, offset: usize) -> Vec<String> {
         let one = |view: &NewView| {
-            let stride = view.stride.map(|s| format!(r#","byteStride":{s}"#)).unwrap_or_default();
-            let target = view.target.map(|t| format!(r#","target":{t}"#)).unwrap_or_default();
-            let (start, length) = (offset + view.start, view.length);
-            format!(r#"{{"buffer":{buffer},"byteOffset":{start},"byteLength":{length}{stride}{target}}}"#)
+            let place = [
+                ("buffer", buffer),
+                ("byteOffset", offset + view.start),
+                ("byteLength", view.length),
+            ];
+            let stride = view.stride.map(|stride| ("byteStride", stride));
+            let target = view.target.map(|target| ("target", target as usize));
+            json_object(place.into_iter().chain(stride).chain(target))
         };
         self.views.iter().map(one).collect()
     }
@@ -215,27 +235,25 @@ impl BufferBuilder {
     /// The accessors as JSON, with their views numbered from `first_view` on.
     pub(super) fn accessor_texts(&self, first_view: usize) -> Vec<String> {
         let one = |accessor: &NewAccessor| {
-            let view = accessor
-                .view
-                .map(|view| format!(r#""bufferView":{},"#, first_view + view));
-            let bounds = accessor.bounds.as_ref();
-            let bounds = bounds.map(|(least, most)| format!(r#","min":{least},"max":{most}"#));
-            let sparse = accessor.sparse.as_ref().map(|sparse| {
-                let (indices, values) = (first_view + sparse.indices, first_view + sparse.values);
-                format!(
-                    r#","sparse":{{"count":{},"indices":{{"bufferView":{indices},"componentType":5125}},"values":{{"bufferView":{values}}}}}"#,
-                    sparse.count
-                )
-            });
-            format!(
-                r#"{{{}"componentType":{},"count":{},"type":"{}"{}{}}}"#,
-                view.unwrap_or_default(),
-                accessor.component,
-                accessor.count,
-                accessor.shape,
-                bounds.unwrap_or_default(),
-                sparse.unwrap_or_default()
-            )
+            let number = |key, number: usize| (key, number.to_string());
+            let mut text: Vec<(&str, String)> = Vec::new();
+            text.extend(accessor.view.map(|view| number("bufferView", first_view + view)));
+            text.push(number("componentType", accessor.component as usize));
+            text.push(number("count", accessor.count));
+            text.push(("type", quoted(accessor.shape)));
+            if let Some((least, most)) = accessor.bounds.clone() {
+                text.extend([("min", least), ("max", most)]);
+            }
+            if let Some(sparse) = &accessor.sparse {
+                let indices = [("bufferView", first_view + sparse.indices), ("componentType", 5125)];
+                let parts = [
+                    number("count", sparse.count),
+                    ("indices", json_object(indices)),
+                    ("values", json_object([("bufferView", first_view + sparse.values)])),
+                ];
+                text.push(("sparse", json_object(parts)));
+            }
+            json_object(text)
         };
         self.accessors.iter().map(one).collect()
     }
@@ -289,8 +307,13 @@ impl BufferBuilder {
 
 /// A buffer as JSON that holds its bytes itself.
 pub(super) fn embedded_buffer_text(bytes: &[u8]) -> String {
-    let data = quoted(&uri::embed(bytes));
+    let data = quoted(&buffers::embed(bytes));
     format!(r#"{{"byteLength":{},"uri":{data}}}"#, bytes.len())
+}
+
+/// Floats as they are stored.
+pub(super) fn float_bytes(values: &[f32]) -> Vec<u8> {
+    values.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
 /// Indices over so many vertices in 16 bits where they fit, else in 32, and the type of one number.
@@ -301,4 +324,187 @@ pub(super) fn index_bytes(indices: &[u32], vertices: usize) -> (Vec<u8>, u32) {
     } else {
         (indices.iter().flat_map(|i| i.to_le_bytes()).collect(), 5125)
     }
+}
+
+/// The least and the largest value of each lane as JSON, which read back as exactly the same floats.
+pub(super) fn bounds(values: &[f32], lanes: usize) -> (String, String) {
+    let mut least = vec![f32::INFINITY; lanes];
+    let mut most = vec![f32::NEG_INFINITY; lanes];
+    for element in values.chunks_exact(lanes) {
+        for (lane, &v) in element.iter().enumerate() {
+            least[lane] = least[lane].min(v);
+            most[lane] = most[lane].max(v);
+        }
+    }
+    (json_floats(&least), json_floats(&most))
+}
+
+/// As doubles: readers of doubles and of floats get the same number.
+pub(super) fn json_floats(values: &[f32]) -> String {
+    json_array(values.iter().map(|&v| format!("{:?}", f64::from(v))))
+}
+
+/// How often the numbers of an accessor are in memory at most: as they are, as bytes, and in the buffer as it grows.
+const COPIES: u64 = 3;
+
+/// The buffer of a new GLB, and the accessors over it. It refuses numbers that are not finite, and reserves what it is about
+/// to hold.
+pub(in crate::asset::formats) struct GlbWriter<'a> {
+    data: BufferBuilder,
+    /// The least and the largest value of each lane, by accessor.
+    bounds: BTreeMap<usize, [Vec<f64>; 2]>,
+    watch: ReadWatch<'a>,
+    /// The format that the numbers come from.
+    source: Format,
+}
+
+impl<'a> GlbWriter<'a> {
+    /// An empty buffer for numbers of a file in the format `source`.
+    pub(in crate::asset::formats) fn new(source: Format, watch: &ReadWatch<'a>) -> Self {
+        Self {
+            data: BufferBuilder::default(),
+            bounds: BTreeMap::new(),
+            watch: watch.clone(),
+            source,
+        }
+    }
+
+    fn make_room(&self, bytes: usize) -> Result<(), Error> {
+        self.watch.reserve(COPIES * bytes as u64)
+    }
+
+    /// Makes room for elements, every one of which has to be finite; `place` says whose they are.
+    fn check<const N: usize>(&self, values: &[[f32; N]], place: &str) -> Result<(), Error> {
+        self.make_room(size_of_val(values))?;
+        match values.iter().position(|v| v.iter().any(|x| !x.is_finite())) {
+            Some(i) => {
+                let problem = format!("value {i} is {:?}, not finite in 32 bits", values[i]);
+                Err(Error::malformed(self.source, place, problem))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn push_floats<const N: usize>(&mut self, values: &[[f32; N]]) -> usize {
+        let shape = match N {
+            1 => "SCALAR",
+            2 => "VEC2",
+            3 => "VEC3",
+            4 => "VEC4",
+            _ => "MAT4",
+        };
+        let accessor = NewAccessor::of(5126, values.len(), shape);
+        self.data
+            .push_packed(&float_bytes(values.as_flattened()), None, accessor)
+    }
+
+    /// Adds bytes as a view of their own, such as a picture; returns its number.
+    pub(in crate::asset::formats) fn add_view(&mut self, bytes: &[u8]) -> Result<usize, Error> {
+        self.make_room(bytes.len())?;
+        Ok(self.data.add_view(bytes, None))
+    }
+
+    /// Adds elements of N numbers each; returns the accessor's number. `place` says whose they are.
+    pub(in crate::asset::formats) fn add_floats<const N: usize>(
+        &mut self,
+        values: &[[f32; N]],
+        place: &str,
+    ) -> Result<usize, Error> {
+        self.check(values, place)?;
+        Ok(self.push_floats(values))
+    }
+
+    /// As [`GlbWriter::add_floats`], with the bounds that positions and times must have.
+    pub(in crate::asset::formats) fn add_bounded<const N: usize>(
+        &mut self,
+        values: &[[f32; N]],
+        place: &str,
+    ) -> Result<usize, Error> {
+        self.check(values, place)?;
+        let accessor = self.push_floats(values);
+        let bounds = [
+            folded(values, f32::INFINITY, f32::min),
+            folded(values, f32::NEG_INFINITY, f32::max),
+        ];
+        self.bounds.insert(accessor, bounds);
+        Ok(accessor)
+    }
+
+    /// Adds displacements of `count` vertices of which those of `places` (ascending) are not zero.
+    pub(in crate::asset::formats) fn add_displacements(
+        &mut self,
+        count: usize,
+        places: &[u32],
+        values: &[[f32; 3]],
+        place: &str,
+    ) -> Result<usize, Error> {
+        if places.len() >= count / 4 * 3 {
+            let bytes = 12 * count as u64;
+            self.watch.reserve(bytes)?;
+            let mut all = vec![[0.0; 3]; count];
+            for (&at, value) in places.iter().zip(values) {
+                all[at as usize] = *value;
+            }
+            let added = self.add_bounded(&all, place);
+            self.watch.release(bytes);
+            return added;
+        }
+        self.make_room(16 * places.len())?;
+        self.check(values, place)?;
+        let sparse = (!places.is_empty()).then(|| NewSparse {
+            count: places.len(),
+            indices: self.data.add_view(&index_bytes(places, usize::MAX).0, None),
+            values: self.data.add_view(&float_bytes(values.as_flattened()), None),
+        });
+        let accessor = NewAccessor::of(5126, count, "VEC3");
+        let accessor = self.data.push_accessor(NewAccessor { sparse, ..accessor });
+        let bounds = [folded(values, 0.0, f32::min), folded(values, 0.0, f32::max)];
+        self.bounds.insert(accessor, bounds);
+        Ok(accessor)
+    }
+
+    /// Adds the joints of vertices, four each; returns the accessor's number.
+    pub(in crate::asset::formats) fn add_joints(&mut self, joints: &[[u16; 4]]) -> Result<usize, Error> {
+        self.make_room(size_of_val(joints))?;
+        let bytes: Vec<u8> = joints.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+        let accessor = NewAccessor::of(5123, joints.len(), "VEC4");
+        Ok(self.data.push_packed(&bytes, None, accessor))
+    }
+
+    /// Adds the corners of triangles; returns the accessor's number.
+    pub(in crate::asset::formats) fn add_triangles(&mut self, triangles: &[[u32; 3]]) -> Result<usize, Error> {
+        self.make_room(size_of_val(triangles))?;
+        let (bytes, component) = index_bytes(triangles.as_flattened(), usize::MAX);
+        let accessor = NewAccessor::of(component, 3 * triangles.len(), "SCALAR");
+        Ok(self.data.push_packed(&bytes, None, accessor))
+    }
+
+    /// The file: `document` with the asset, the accessors and the buffer added.
+    ///
+    /// # Errors
+    /// When it would be larger than a GLB can be.
+    pub(in crate::asset::formats) fn finish(self, mut document: Value) -> Result<Vec<u8>, Error> {
+        let mut bytes = self.data.bytes().to_vec();
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+        let values = |texts: Vec<String>| -> Vec<Value> {
+            let parsed = texts.iter().map(|text| serde_json::from_str(text));
+            parsed.map(Result::unwrap_or_default).collect()
+        };
+        let mut accessors = values(self.data.accessor_texts(0));
+        for (accessor, [least, most]) in self.bounds {
+            accessors[accessor]["min"] = json!(least);
+            accessors[accessor]["max"] = json!(most);
+        }
+        document["asset"] = json!({"version": "2.0", "generator": "pliant"});
+        document["accessors"] = Value::Array(accessors);
+        document["bufferViews"] = Value::Array(values(self.data.view_texts(0, 0)));
+        document["buffers"] = json!([{"byteLength": bytes.len()}]);
+        container::join(&document.to_string(), Some(&bytes), &[], GltfFault(GLB_FORMAT))
+    }
+}
+
+/// For each lane of some elements what `pick` makes of its numbers, from `start` on.
+fn folded<const N: usize>(values: &[[f32; N]], start: f32, pick: fn(f32, f32) -> f32) -> Vec<f64> {
+    let of_lane = |lane: usize| values.iter().map(|v| v[lane]).fold(start, pick);
+    (0..N).map(|lane| f64::from(of_lane(lane))).collect()
 }

@@ -3,7 +3,7 @@
 //! Source: the two extensions' specifications; the bit streams are meshoptimizer's. Its decoders are safe on any bytes
 //! but trust counts and strides, so those are checked here before anything is allocated.
 
-use super::fault::GltfFault;
+use super::container::GltfFault;
 use super::schema::ViewCompression;
 use crate::asset::Error;
 

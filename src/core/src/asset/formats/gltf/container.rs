@@ -3,8 +3,7 @@
 //! The lengths of chunks must be multiples of 4. Some writers give a chunk's length without its padding, and some do
 //! not pad at all. Both are read as other readers do, with a warning; what is written has the padding and counts it.
 
-use super::fault::GltfFault;
-use crate::asset::Error;
+use crate::asset::{Error, Format};
 use std::borrow::Cow;
 
 const JSON: [u8; 4] = *b"JSON";
@@ -168,6 +167,32 @@ pub(super) fn join(json: &str, bin: Option<&[u8]>, rest: &[u8], fault: GltfFault
     }
     out.extend_from_slice(rest);
     Ok(out)
+}
+
+/// Makes the errors of one file, which all name its format.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct GltfFault(pub(super) Format);
+
+impl GltfFault {
+    /// The file breaks a rule of the format at `place`.
+    pub(super) fn malformed(self, place: impl Into<String>, problem: impl Into<String>) -> Error {
+        Error::malformed(self.0, place, problem)
+    }
+
+    /// The file is valid but not for us.
+    pub(super) fn unsupported(
+        self,
+        place: impl Into<String>,
+        problem: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> Error {
+        Error::unsupported(self.0, place, problem, hint)
+    }
+
+    /// The result cannot be written.
+    pub(super) fn unwritable(self, problem: impl Into<String>) -> Error {
+        Error::unwritable(self.0, problem)
+    }
 }
 
 #[cfg(test)]

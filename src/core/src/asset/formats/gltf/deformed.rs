@@ -2,14 +2,13 @@
 
 use super::accessors::{ShapeAttribute, read_floats};
 use super::buffers::BufferBytes;
-use super::changes::{ChangedAttribute, DeformedAttributes};
+use super::container::GltfFault;
 use super::document::GltfDocument;
-use super::fault::GltfFault;
-use super::placement::VertexTransforms;
+use super::placement::{VertexTransforms, joint_nodes};
 use super::read::{GltfNotes, PlacedPrimitive};
-use super::slots::{AttributeSlot, target_slots};
-use super::targets::{TargetCarrier, TargetTally};
-use crate::asset::{Error, Geometry};
+use super::rig::rewrite::moves_nodes;
+use super::targets::{AttributeSlot, ChangedAttribute, DeformedAttributes, TargetCarrier, TargetTally, target_slots};
+use crate::asset::{Error, FollowedCounts, Geometry};
 use crate::mesh::local_turns::LocalTurn;
 use crate::mesh::shading;
 use glam::{DMat3, DVec3, Vec3, Vec4};
@@ -194,7 +193,7 @@ impl RowWriter<'_, '_> {
             }
         }
         if values.iter().any(|v| !v.is_finite()) {
-            // What is written anew must not hold NaN, even where the file did.
+            // New values must not hold NaN, even where the file did.
             let now = &self.shape.positions[self.row.vertices.clone()];
             let smooth = shading::smooth_normals(now, &self.local_triangles());
             for (i, (place, smooth)) in values.as_chunks_mut::<3>().0.iter_mut().zip(smooth).enumerate() {
@@ -247,4 +246,26 @@ impl RowWriter<'_, '_> {
 /// Whether a direction has turned by more than rounding: a mere translation must not touch normals.
 fn has_turned(rest: Vec4, now: Vec4) -> bool {
     (now - rest).abs().max_element() > 2.5e-7
+}
+
+/// The joints of a document, and those of its clips that move nodes; others have nothing that could follow.
+pub(super) fn followable<'t>(doc: &GltfDocument<'_>, clips: impl IntoIterator<Item = &'t str>) -> FollowedCounts {
+    let clips = clips.into_iter().filter(|text| moves_nodes(text)).count();
+    let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    FollowedCounts {
+        joints: number(joint_nodes(doc).len()),
+        clips: number(clips),
+        ..FollowedCounts::default()
+    }
+}
+
+/// The counts of a document that is returned unchanged.
+pub(super) fn nothing_followed(doc: &GltfDocument<'_>, notes: &GltfNotes) -> FollowedCounts {
+    let mut tally = TargetTally::default();
+    for row in &notes.rows {
+        tally.meet(0, row.node, &doc.meshes.values[row.mesh].primitives[row.primitive]);
+    }
+    let mut counts = followable(doc, doc.animations.iter().copied());
+    tally.count_into(&mut counts);
+    counts
 }

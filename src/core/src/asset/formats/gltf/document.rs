@@ -1,7 +1,6 @@
 //! A glTF document: its text, and the sections that geometry needs, item by item.
 
-use super::container::{self, GlbContainer};
-use super::fault::GltfFault;
+use super::container::{self, GlbContainer, GltfFault};
 use super::schema::{AssetHeader, BufferView, GltfAccessor, GltfBuffer, GltfMesh, GltfNode, GltfScene, WholeNumber};
 use super::text::{JsonEdits, count_items, items, members, place_in};
 use crate::asset::files::ReadWatch;
@@ -114,7 +113,7 @@ fn text_of(main: &[u8], format: Format) -> Result<(&str, Option<GlbContainer<'_>
 }
 
 impl ParsedDocument {
-    /// Parses the main file of a set; references between sections are checked by [`super::check`].
+    /// Parses the main file of a set; references between sections are checked by [`check`](super::references::check).
     ///
     /// What the parsed text will take is counted before it is: an empty item of three bytes becomes hundreds.
     pub(super) fn parse(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<Self, Error> {

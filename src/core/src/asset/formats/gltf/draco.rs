@@ -6,24 +6,18 @@
 //! views and meshes stay. A model that nothing was done to still comes back as it was uploaded.
 
 use super::accessors::{AccessorLayout, ComponentType};
-use super::buffers::{BufferBytes, BufferOrigin};
-use super::builder::{BufferBuilder, INDICES, VERTICES, embedded_buffer_text};
-use super::container;
+use super::buffers::{self, BufferBytes, BufferOrigin};
+use super::builder::{BufferBuilder, INDICES, VERTICES, bounds, embedded_buffer_text};
+use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument};
-use super::fault::GltfFault;
-use super::float_json::bounds;
-use super::reclaimed::{BufferCuts, count_view_uses};
-use super::schema::{MeshPrimitive, WholeNumber};
-use super::text::{JsonEdits, items, members, quoted, value_of};
-use super::uri;
+use super::schema::{DRACO, MeshPrimitive, WholeNumber};
+use super::text::{JsonEdits, json_array, list_of, quoted, value_of};
+use super::used_bytes::{BufferCuts, count_view_uses};
 use crate::asset::files::ReadWatch;
 use crate::asset::{Error, FileSet};
 use draco_core::{DataType, DecodeLimits, DecoderBuffer, ErrorKind, Mesh, MeshDecoder, PointAttribute, PointIndex};
 use serde::Deserialize;
 use std::collections::BTreeMap;
-
-/// The extension's name.
-pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
 
 /// Bytes of memory that a stream is decoded within first for each of its bytes, and at least.
 const BYTES_PER_BYTE: u64 = 64;
@@ -141,8 +135,8 @@ struct DracoUncompressor<'d, 'a> {
 
 impl<'a> DracoUncompressor<'_, 'a> {
     fn primitive_text(&self, m: usize, p: usize) -> &'a str {
-        let all = value_of(self.doc.meshes.items[m], "primitives").and_then(|list| items(list).ok());
-        all.and_then(|list| list.get(p).copied()).unwrap_or("{}")
+        let all = list_of(self.doc.meshes.items[m], "primitives");
+        all.get(p).copied().unwrap_or("{}")
     }
 
     /// Counts off that a primitive names its stream, which it will not.
@@ -188,10 +182,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
         if primitive.mode() != 4 {
             self.edits.set(text, "mode", "4");
         }
-        match members(extensions).map_or(0, |list| list.iter().filter(|m| m.key != DRACO).count()) {
-            0 => self.edits.remove(text, "extensions"),
-            _ => self.edits.remove(extensions, DRACO),
-        }
+        self.edits.remove_extension(text, DRACO);
         Ok(())
     }
 
@@ -391,8 +382,8 @@ impl<'a> DracoUncompressor<'_, 'a> {
     fn set_accessor(&mut self, accessor: usize, count: usize, (least, most): &(String, String)) {
         let text = self.doc.accessors.items[accessor];
         let view = self.next_view();
-        self.edits.set(text, "bufferView", &view.to_string());
-        self.edits.set(text, "count", &count.to_string());
+        self.edits.set(text, "bufferView", view);
+        self.edits.set(text, "count", count);
         if value_of(text, "byteOffset").is_some() {
             self.edits.set(text, "byteOffset", "0");
         }
@@ -444,11 +435,11 @@ impl<'a> DracoUncompressor<'_, 'a> {
         match target {
             Some(i) => {
                 let item = doc.buffers.items[i];
-                self.edits.set(item, "byteLength", &bytes.len().to_string());
+                self.edits.set(item, "byteLength", bytes.len());
                 match &buffers.stored[i].origin {
                     BufferOrigin::Bin => bin = Some(bytes),
                     BufferOrigin::Companion(name) => drop(plain.companions.insert(name.clone(), bytes.into())),
-                    _ => self.edits.set(item, "uri", &quoted(&uri::embed(&bytes))),
+                    _ => self.edits.set(item, "uri", quoted(&buffers::embed(&bytes))),
                 }
             }
             None => {
@@ -477,7 +468,7 @@ fn without_draco(text: String, key: &str) -> String {
     let Some(array) = value_of(&text, key) else {
         return text;
     };
-    let list: Vec<&str> = items(array).unwrap_or_default();
+    let list = list_of(&text, key);
     let kept: Vec<&str> = list.iter().copied().filter(|name| *name != quoted(DRACO)).collect();
     if kept.len() == list.len() {
         return text;
@@ -486,7 +477,7 @@ fn without_draco(text: String, key: &str) -> String {
     if kept.is_empty() {
         edits.remove(&text, key);
     } else {
-        edits.replace(array, format!("[{}]", kept.join(",")));
+        edits.replace(array, json_array(kept));
     }
     edits.apply()
 }
@@ -520,9 +511,8 @@ fn whole_bounds(bytes: &[u8], stride: usize, layout: AccessorLayout) -> (String,
             *lane = (lane.0.min(value), lane.1.max(value));
         }
     }
-    let list = |of: fn(&(i64, i64)) -> i64| {
-        let texts: Vec<String> = lanes.iter().map(|lane| of(lane).to_string()).collect();
-        format!("[{}]", texts.join(","))
-    };
-    (list(|l| l.0), list(|l| l.1))
+    (
+        json_array(lanes.iter().map(|lane| lane.0)),
+        json_array(lanes.iter().map(|lane| lane.1)),
+    )
 }

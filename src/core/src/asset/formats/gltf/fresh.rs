@@ -1,18 +1,15 @@
 //! A new, minimal asset for geometry that came from another format.
 
-use super::builder::{BufferBuilder, INDICES, NewAccessor, VERTICES, index_bytes};
-use super::container;
+use super::buffers::{self, media_type_of};
+use super::builder::{BufferBuilder, INDICES, NewAccessor, VERTICES, float_bytes, index_bytes, json_floats};
+use super::container::{self, GltfFault};
 use super::document::GLB_FORMAT;
-use super::fault::GltfFault;
-use super::float_json::json_floats;
-use super::media_type::media_type_of;
-use super::text::quoted;
-use super::uri;
-use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial};
+use super::text::{json_array, json_object, quoted};
+use crate::asset::look::{AlphaCoverage, MaterialPicture, NamedMaterial};
 use crate::asset::neutral::{NeutralModel, NeutralPrimitive};
-use crate::asset::{Error, Format, Geometry, Primitive, WrittenFiles};
+use crate::asset::{Error, Format, Primitive, WrittenFiles};
 use crate::mesh::shading;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -33,53 +30,45 @@ pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFil
             continue;
         }
         asset.add_primitive(neutral, &own)?;
-        let name = name_of(own.primitive);
-        nodes.push(format!(r#"{{"mesh":{}{name}}}"#, nodes.len()));
+        let mut node = vec![("mesh", nodes.len().to_string())];
+        node.extend(name_of(own.primitive));
+        nodes.push(json_object(node));
     }
     if nodes.is_empty() {
         return Err(fault.unwritable("there are no triangles"));
     }
-    let scene: Vec<String> = (0..nodes.len()).map(|i| i.to_string()).collect();
+    let scene = json_object([("nodes", json_array(0..nodes.len()))]);
     let (materials, companions) = asset.material_sections();
     let BuiltAsset { data, meshes, .. } = asset;
     let bytes = data.bytes();
-    let embedded = if format == GLB_FORMAT {
-        String::new()
-    } else {
-        format!(r#","uri":{}"#, quoted(&uri::embed(bytes)))
-    };
-    let json = format!(
-        concat!(
-            r#"{{"asset":{{"version":"2.0","generator":"pliant"}},"scene":0,"scenes":[{{"nodes":[{}]}}],"#,
-            r#""nodes":[{}],"meshes":[{}],"accessors":[{}],"bufferViews":[{}],"buffers":[{{"byteLength":{}{}}}]{}}}"#
-        ),
-        scene.join(","),
-        nodes.join(","),
-        meshes.join(","),
-        data.accessor_texts(0).join(","),
-        data.view_texts(0, 0).join(","),
-        bytes.len(),
-        embedded,
-        materials,
-    );
+    let mut buffer = vec![("byteLength", bytes.len().to_string())];
+    if format != GLB_FORMAT {
+        buffer.push(("uri", quoted(&buffers::embed(bytes))));
+    }
+    let header = json_object([("version", quoted("2.0")), ("generator", quoted("pliant"))]);
+    let mut sections = vec![
+        ("asset", header),
+        ("scene", "0".to_owned()),
+        ("scenes", json_array([scene])),
+        ("nodes", json_array(nodes)),
+        ("meshes", json_array(meshes)),
+        ("accessors", json_array(data.accessor_texts(0))),
+        ("bufferViews", json_array(data.view_texts(0, 0))),
+        ("buffers", json_array([json_object(buffer)])),
+    ];
+    sections.extend(materials);
+    let json = json_object(sections);
     let main = if format == GLB_FORMAT {
         container::join(&json, Some(bytes), &[], fault)?
     } else {
         json.into_bytes()
     };
-    Ok(WrittenFiles {
-        main,
-        companions,
-        ..WrittenFiles::default()
-    })
+    Ok(WrittenFiles::of(main, companions))
 }
 
-fn name_of(primitive: &Primitive) -> String {
-    if primitive.name.is_empty() {
-        String::new()
-    } else {
-        format!(r#","name":{}"#, quoted(&primitive.name))
-    }
+/// The member of a node or mesh that names it.
+fn name_of(primitive: &Primitive) -> Option<(&'static str, String)> {
+    (!primitive.name.is_empty()).then(|| ("name", quoted(&primitive.name)))
 }
 
 struct BuiltAsset {
@@ -128,58 +117,46 @@ impl BuiltAsset {
         let most = positions.iter().fold(Vec3::NEG_INFINITY, |a, &p| a.max(p)).to_array();
         let bounds = (json_floats(&least), json_floats(&most));
         let position = self.add_floats(&floats, 3, Some(bounds));
-        let mut attributes = format!(r#""POSITION":{position}"#);
+        let mut attributes = vec![("POSITION", position)];
         if primitive.has_normals
             && let Some(normals) = geometry.normals.get(first..last)
         {
-            let normal = self.add_floats(&unit_normals(normals, geometry, first, &indices), 3, None);
-            attributes += &format!(r#","NORMAL":{normal}"#);
+            let normals = unit_normals(normals, in_world, indices.as_chunks::<3>().0);
+            attributes.push(("NORMAL", self.add_floats(normals.as_flattened(), 3, None)));
         }
         if let Some(uv) = neutral.uv.get(first..last).filter(|_| part.has_uv) {
-            let uv = self.add_floats(uv.as_flattened(), 2, None);
-            attributes += &format!(r#","TEXCOORD_0":{uv}"#);
+            attributes.push(("TEXCOORD_0", self.add_floats(uv.as_flattened(), 2, None)));
         }
         if let Some(colours) = neutral.colours.get(first..last).filter(|_| part.has_colours) {
-            let colour = self.add_floats(colours.as_flattened(), 4, None);
-            attributes += &format!(r#","COLOR_0":{colour}"#);
+            attributes.push(("COLOR_0", self.add_floats(colours.as_flattened(), 4, None)));
         }
-        let material = part
-            .material
-            .as_ref()
-            .map(|material| format!(r#","material":{}"#, self.material_number(material)));
-        let material = material.unwrap_or_default();
-        let indices = self.add_indices(&indices, count);
-        let name = name_of(primitive);
-        self.meshes.push(format!(
-            r#"{{"primitives":[{{"attributes":{{{attributes}}},"indices":{indices},"mode":4{material}}}]{name}}}"#
-        ));
+        let material = part.material.as_ref().map(|material| self.material_number(material));
+        let drawn = [
+            ("attributes", json_object(attributes)),
+            ("indices", self.add_indices(&indices, count).to_string()),
+            ("mode", "4".to_owned()),
+        ];
+        let material = material.map(|number| ("material", number.to_string()));
+        let drawn = json_object(drawn.into_iter().chain(material));
+        let primitives = [("primitives", json_array([drawn]))];
+        self.meshes
+            .push(json_object(primitives.into_iter().chain(name_of(primitive))));
         Ok(())
     }
 
     fn add_floats(&mut self, values: &[f32], lanes: usize, bounds: Option<(String, String)>) -> usize {
-        let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let view = self.data.add_view(&bytes, Some(VERTICES));
-        self.data.push_accessor(NewAccessor {
-            view: Some(view),
-            component: 5126,
-            count: values.len() / lanes.max(1),
-            shape: ["SCALAR", "VEC2", "VEC3", "VEC4"][lanes.clamp(1, 4) - 1],
+        let shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][lanes.clamp(1, 4) - 1];
+        let accessor = NewAccessor {
             bounds,
-            sparse: None,
-        })
+            ..NewAccessor::of(5126, values.len() / lanes.max(1), shape)
+        };
+        self.data.push_packed(&float_bytes(values), Some(VERTICES), accessor)
     }
 
     fn add_indices(&mut self, indices: &[u32], vertices: usize) -> usize {
         let (bytes, component) = index_bytes(indices, vertices);
-        let view = self.data.add_view(&bytes, Some(INDICES));
-        self.data.push_accessor(NewAccessor {
-            view: Some(view),
-            component,
-            count: indices.len(),
-            shape: "SCALAR",
-            bounds: None,
-            sparse: None,
-        })
+        let accessor = NewAccessor::of(component, indices.len(), "SCALAR");
+        self.data.push_packed(&bytes, Some(INDICES), accessor)
     }
 
     fn material_number(&mut self, material: &Arc<NamedMaterial>) -> usize {
@@ -190,9 +167,8 @@ impl BuiltAsset {
         })
     }
 
-    /// The sections of materials, textures and images, each with a comma before it; and the pictures of kinds that a
-    /// buffer cannot hold, as files.
-    fn material_sections(&mut self) -> (String, BTreeMap<String, Vec<u8>>) {
+    /// The sections of materials, textures and images; and the pictures of kinds that a buffer cannot hold, as files.
+    fn material_sections(&mut self) -> (Vec<(&'static str, String)>, BTreeMap<String, Vec<u8>>) {
         let materials = std::mem::take(&mut self.materials);
         let texts: Vec<String> = materials.iter().map(|m| self.material_text(m)).collect();
         let (mut images, mut companions) = (Vec::new(), BTreeMap::new());
@@ -200,59 +176,64 @@ impl BuiltAsset {
             let bytes = picture.bytes.as_deref();
             let media_type = bytes.and_then(|bytes| media_type_of(&picture.name, bytes));
             if let (Some(bytes), Some(media_type)) = (bytes, media_type) {
-                let (view, name) = (self.data.add_view(bytes, None), quoted(&picture.name));
-                images.push(format!(
-                    r#"{{"bufferView":{view},"mimeType":"{media_type}","name":{name}}}"#
-                ));
+                let view = self.data.add_view(bytes, None).to_string();
+                let name = ("name", quoted(&picture.name));
+                images.push(json_object([
+                    ("bufferView", view),
+                    ("mimeType", quoted(media_type)),
+                    name,
+                ]));
                 continue;
             }
-            let uri = uri::of_file_name(&picture.name);
-            images.push(format!(r#"{{"uri":{}}}"#, quoted(&uri)));
+            images.push(json_object([("uri", quoted(&buffers::of_file_name(&picture.name)))]));
             if let Some(bytes) = bytes {
                 companions.insert(picture.name.clone(), bytes.to_vec());
             }
         }
-        let textures: Vec<String> = (0..images.len()).map(|i| format!(r#"{{"source":{i}}}"#)).collect();
-        let mut sections = String::new();
-        for (key, list) in [("materials", texts), ("textures", textures), ("images", images)] {
-            if !list.is_empty() {
-                sections += &format!(r#","{key}":[{}]"#, list.join(","));
-            }
-        }
-        (sections, companions)
+        let textures = (0..images.len()).map(|i| json_object([("source", i)])).collect();
+        let lists = [("materials", texts), ("textures", textures), ("images", images)];
+        let sections = lists.into_iter().filter(|(_, list)| !list.is_empty());
+        (
+            sections.map(|(key, list)| (key, json_array(list))).collect(),
+            companions,
+        )
     }
 
     fn material_text(&mut self, material: &NamedMaterial) -> String {
-        let name = quoted(&material.name);
+        let mut members = vec![("name", quoted(&material.name))];
         let Some(look) = &material.look else {
-            return format!(r#"{{"name":{name}}}"#);
+            return json_object(members);
         };
-        let BaseLook {
-            colour,
-            picture,
-            normals,
-            coverage,
-            double_sided,
-        } = look;
+        let mut texture_of = |picture: &MaterialPicture| json_object([("index", self.picture_number(picture))]);
         // What comes from a format without metals is none.
-        let mut base = format!(
-            r#""baseColorFactor":{},"metallicFactor":0,"roughnessFactor":1"#,
-            json_floats(colour)
+        let mut base = vec![
+            ("baseColorFactor", json_floats(&look.colour)),
+            ("metallicFactor", "0".to_owned()),
+            ("roughnessFactor", "1".to_owned()),
+        ];
+        base.extend(
+            look.picture
+                .as_ref()
+                .map(|picture| ("baseColorTexture", texture_of(picture))),
         );
-        if let Some(picture) = picture {
-            base += &format!(r#","baseColorTexture":{{"index":{}}}"#, self.picture_number(picture));
+        members.push(("pbrMetallicRoughness", json_object(base)));
+        members.extend(
+            look.normals
+                .as_ref()
+                .map(|picture| ("normalTexture", texture_of(picture))),
+        );
+        match look.coverage {
+            AlphaCoverage::Opaque => {}
+            AlphaCoverage::Mask(cutoff) => members.extend([
+                ("alphaMode", quoted("MASK")),
+                ("alphaCutoff", format!("{:?}", f64::from(cutoff))),
+            ]),
+            AlphaCoverage::Blend => members.push(("alphaMode", quoted("BLEND"))),
         }
-        let normals = normals.as_ref().map(|picture| self.picture_number(picture));
-        let normals = normals.map_or_else(String::new, |number| {
-            format!(r#","normalTexture":{{"index":{number}}}"#)
-        });
-        let coverage = match coverage {
-            AlphaCoverage::Opaque => String::new(),
-            AlphaCoverage::Mask(cutoff) => format!(r#","alphaMode":"MASK","alphaCutoff":{:?}"#, f64::from(*cutoff)),
-            AlphaCoverage::Blend => r#","alphaMode":"BLEND""#.to_owned(),
-        };
-        let sides = if *double_sided { r#","doubleSided":true"# } else { "" };
-        format!(r#"{{"name":{name},"pbrMetallicRoughness":{{{base}}}{normals}{coverage}{sides}}}"#)
+        if look.double_sided {
+            members.push(("doubleSided", "true".to_owned()));
+        }
+        json_object(members)
     }
 
     /// The number of a picture, which several materials may use.
@@ -266,14 +247,13 @@ impl BuiltAsset {
 }
 
 /// Normals of unit length, as glTF demands; where one has no direction, the surface's.
-fn unit_normals(normals: &[Vec3], geometry: &Geometry, first: usize, indices: &[u32]) -> Vec<f32> {
-    let mut unit: Vec<Option<Vec3>> = normals.iter().map(|n| n.try_normalize()).collect();
+pub(in super::super) fn unit_normals(given: &[Vec3], positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<[f32; 3]> {
+    let mut unit: Vec<Option<Vec3>> = given.iter().map(|n| n.try_normalize()).collect();
     if unit.contains(&None) {
-        let triangles = indices.as_chunks::<3>().0;
-        let smooth = shading::smooth_normals(&geometry.positions[first..first + normals.len()], triangles);
+        let smooth = shading::smooth_normals(positions, triangles);
         unit.iter_mut()
             .zip(smooth)
             .for_each(|(n, smooth)| *n = n.or(Some(smooth)));
     }
-    unit.into_iter().flat_map(|n| n.unwrap_or(Vec3::Z).to_array()).collect()
+    unit.into_iter().map(|n| n.unwrap_or(Vec3::Z).to_array()).collect()
 }

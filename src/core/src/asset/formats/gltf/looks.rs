@@ -3,13 +3,12 @@
 //! Nothing here can fail a read: a material that is not as the standard wants it counts as none, a picture that is not
 //! there is said in its place.
 
-use super::accessors::{AccessorLayout, check_unbacked, read_values};
-use super::buffers::BufferBytes;
+use super::accessors::{AccessorLayout, decode_values};
+use super::buffers::{self, BufferBytes, UriTarget};
 use super::document::GltfDocument;
 use super::read::{GltfNotes, PlacedPrimitive};
 use super::schema::WholeNumber;
-use super::text::{items, value_of};
-use super::uri::{self, UriTarget};
+use super::text::{items, list_of, value_of};
 use crate::asset::look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
 use crate::asset::{Error, Model};
 use base64::Engine as _;
@@ -117,7 +116,7 @@ struct MaterialInUse {
 /// Reads what a model looks like.
 pub(super) fn surface_look(model: &Model, notes: &GltfNotes) -> Result<SurfaceLook, Error> {
     let (doc, mut buffers) = notes.document_and_bytes(model)?;
-    let list = |key: &str| value_of(doc.text, key).and_then(|s| items(s).ok()).unwrap_or_default();
+    let list = |key: &str| list_of(doc.text, key);
     let sections = LookSections {
         materials: list("materials"),
         textures: list("textures"),
@@ -315,15 +314,11 @@ fn read_attribute(
     let Some(index) = doc.meshes.values[row.mesh].primitives[row.primitive].attribute(name) else {
         return Ok(None);
     };
-    let accessor = doc.accessors.get(index);
-    let layout = accessor.and_then(|a| AccessorLayout::of(a, doc.views.values));
-    let Some(layout) = layout.filter(|_| accessor.is_some_and(|a| a.count.index() == row.vertices.len())) else {
+    let layout = AccessorLayout::find(doc, index);
+    let Some(layout) = layout.filter(|_| doc.accessors.values[index].count.index() == row.vertices.len()) else {
         return Ok(None);
     };
-    check_unbacked(doc, index, layout)?;
-    buffers.decode_for(doc, &BTreeSet::from([index]))?;
-    let values = read_values(doc, buffers, index, layout)?;
-    Ok(Some((layout.lanes, values)))
+    Ok(Some((layout.lanes, decode_values(doc, buffers, index, layout)?)))
 }
 
 /// The file of a picture, or why there is none.
@@ -349,7 +344,7 @@ fn image_bytes(
             .map(Bytes::from)
             .ok_or_else(|| format!("image {index} is not base64 data"));
     }
-    match uri::resolve(&uri, &format!("images/{index}/uri"), doc.fault, &mut |_| Ok(())) {
+    match buffers::resolve(&uri, &format!("images/{index}/uri"), doc.fault, &mut |_| Ok(())) {
         Ok(UriTarget::Companion(name)) => match model.files.companions.get(&name) {
             Some(bytes) => Ok(bytes.clone()),
             None => Err(format!("the picture {name:?} is missing")),

@@ -4,17 +4,18 @@
 //! binary data outside the changed attributes, unknown extensions, extras, custom attributes, animations, skins. Existing indices never change; what is new is appended.
 //!
 //! Displacements of morph targets turn and grow with the surface around their vertices ([`targets`]), and skeletons follow
-//! the body ([`rig`]), unless they are to stay. Other [`nodes`] follow on request. [`counts`] counts what followed.
+//! the body ([`rig`]), unless they are to stay. Other nodes follow on request. [`deformed`] counts what followed.
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
-//! [`text`], [`check`] checks references and ranges, [`companions`] lists the files it names, [`buffers`] finds bytes
-//! (with [`uri`] and [`compressed`]), [`accessors`] reads them, [`draco`] decodes Draco, [`reclaimed`] removes its
-//! bytes, [`scene`] places meshes, [`skin`], [`influences`] and [`placement`] their vertices, [`read`] puts triangles
-//! together. A model owns its parsed document for life. Writing: [`deformed`] computes what each attribute should
-//! become, [`sharing`] decides what must be copied, [`patch`] edits text and bytes, [`package`] makes the files, and
-//! [`self_contained`] puts files beside a .gltf into a GLB. [`builder`] writes every new accessor, buffer view and
-//! embedded buffer. [`fresh`] makes an asset from other formats' geometry. After edits of the topology, [`edited`]
-//! rewrites primitives.
+//! [`text`], [`references`] checks references and ranges, [`buffers`] finds bytes and what URIs name (with [`compressed`]),
+//! [`accessors`] reads them, [`draco`] decodes Draco, [`scene`] places meshes and [`placement`] their vertices, [`read`]
+//! puts triangles together. A model owns its parsed document for life. [`moving`] reads nodes and clips, [`looks`] materials.
+//!
+//! Writing: [`deformed`] computes what each attribute should become, [`sharing`] decides what must be copied (with
+//! [`used_bytes`]), [`patch`] edits text and bytes, [`package`] makes the files and puts files beside a .gltf into a GLB.
+//! [`builder`] writes every new accessor, buffer view and embedded buffer. [`fresh`] makes an asset from other formats'
+//! geometry. After edits of the topology, [`edited`] rewrites primitives; [`references`] finds where a document names
+//! accessors and views as well.
 //!
 //! # Conventions
 //! - Positions are in world space; a skinned mesh stands where its joints put it in the rest pose of the scene, its node's
@@ -47,64 +48,46 @@
 mod accessors;
 mod buffers;
 mod builder;
-mod changes;
-mod check;
-mod companions;
 mod compressed;
 mod container;
-mod counts;
 mod deformed;
 mod document;
 mod draco;
 mod edited;
-mod fault;
-mod float_json;
 mod fresh;
-mod glb_writer;
-mod influences;
 mod looks;
-mod media_type;
 mod moving;
-mod moving_shapes;
-mod nodes;
 mod package;
 mod patch;
 mod placement;
 mod played;
 mod read;
-mod reclaimed;
+mod references;
 mod rig;
 mod scene;
 mod schema;
-mod seams;
-mod self_contained;
 mod sharing;
-mod skin;
-mod slots;
 mod targets;
 #[cfg(test)]
 mod tests;
 mod text;
-mod uri;
+mod used_bytes;
 
+pub(super) use buffers::media_type_of;
+pub(super) use buffers::of_file_name as uri_of_name;
+pub(super) use builder::GlbWriter;
 pub(super) use document::{GLB_FORMAT, GLTF_FORMAT};
-pub(in crate::asset) use glb_writer::{ElementShape, GlbWriter};
-pub(super) use media_type::media_type_of;
-pub(super) use uri::of_file_name as uri_of_name;
+pub(super) use fresh::unit_normals;
 
-use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile};
+use crate::asset::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile};
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::files::ReadWatch;
 use crate::asset::look::SurfaceLook;
-use crate::asset::moving_scene::{MovingScene, PrimitiveShapes, SceneClip};
+use crate::asset::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
 use crate::asset::neutral::{NeutralModel, RunAttributes};
-use crate::asset::played_clip::PlayedClip;
 use crate::asset::vertex_attributes::AttributeKeys;
-use crate::asset::{
-    Error, FileSet, FollowedCounts, Format, Model, ModelNode, MorphTargetRule, ShapeFollowers, WrittenFiles,
-};
+use crate::asset::{Error, FileSet, FollowedCounts, Format, Model, ModelNode, MorphTargetRule, WrittenFiles};
 use crate::mesh::local_turns::local_turns;
-use glam::DVec3;
 use read::GltfNotes;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -126,13 +109,13 @@ impl FormatCodec for GltfCodec {
         Ok((geometry, Arc::new(notes)))
     }
 
-    fn patch_positions(
-        &self,
-        model: &Model,
-        positions: &[DVec3],
-        format: Format,
-        followers: &ShapeFollowers<'_>,
-    ) -> Result<WrittenFiles, Error> {
+    fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {
+        let PatchedOutput {
+            model,
+            positions,
+            format,
+            followers,
+        } = *output;
         let notes: &GltfNotes = model.notes_or_refuse(format)?;
         let (doc, mut buffers) = notes.document_and_bytes(model)?;
         let rest = &model.geometry;
@@ -150,14 +133,14 @@ impl FormatCodec for GltfCodec {
             rest,
             positions,
             turns: follows.then(|| local_turns(&rest.positions, positions, &rest.triangles)),
-            fault: fault::GltfFault(format),
+            fault: container::GltfFault(format),
         };
         let mut tally = targets::TargetTally::default();
         let wanted = deformed::wanted_attributes(&doc, &mut buffers, notes, &shape, &mut tally)?;
         let plan = sharing::plan_overwrites(&doc, &buffers, notes, &model.geometry, wanted);
         let patched = patch::patch(&doc, &buffers, plan)?;
         let mut written = package::package(&doc, notes.files(model), &buffers, patched, format)?;
-        let mut followed = counts::followable(&doc, doc.animations.iter().copied());
+        let mut followed = deformed::followable(&doc, doc.animations.iter().copied());
         tally.count_into(&mut followed);
         if let Some((tree, _)) = tree {
             written = tree.rewrite(written, format)?;
@@ -175,13 +158,13 @@ impl FormatCodec for GltfCodec {
     fn nothing_followed(&self, model: &Model) -> Result<FollowedCounts, Error> {
         let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
         let doc = notes.document(model)?;
-        Ok(counts::nothing_followed(&doc, notes))
+        Ok(deformed::nothing_followed(&doc, notes))
     }
 
     fn joint_names(&self, model: &Model) -> Result<BTreeSet<String>, Error> {
         let notes: &GltfNotes = model.notes_or_refuse(model.format)?;
         let doc = notes.document(model)?;
-        let joints = skin::joint_nodes(&doc).into_iter();
+        let joints = placement::joint_nodes(&doc).into_iter();
         Ok(joints
             .filter_map(|joint| doc.nodes.values[joint].name.clone())
             .collect())
@@ -198,7 +181,7 @@ impl FormatCodec for GltfCodec {
 
     fn nodes(&self, model: &Model) -> Result<Option<Vec<ModelNode>>, Error> {
         let notes = model.notes_or_refuse(model.format)?;
-        nodes::model_nodes(model, notes).map(Some)
+        moving::model_nodes(model, notes).map(Some)
     }
 
     fn moving_scene(&self, model: &Model) -> Result<Option<MovingScene>, Error> {
@@ -206,7 +189,7 @@ impl FormatCodec for GltfCodec {
     }
 
     fn primitive_shapes(&self, model: &Model) -> Result<Option<Vec<PrimitiveShapes>>, Error> {
-        moving_shapes::primitive_shapes(model, model.notes_or_refuse(model.format)?).map(Some)
+        moving::primitive_shapes(model, model.notes_or_refuse(model.format)?).map(Some)
     }
 
     fn scene_clip(&self, model: &Model, index: usize) -> Result<Option<SceneClip>, Error> {
@@ -227,22 +210,22 @@ impl FormatCodec for GltfCodec {
     }
 
     fn companion_names(&self, files: &FileSet, format: Format) -> Vec<String> {
-        companions::companion_names(files, format)
+        package::companion_names(files, format)
     }
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
         edited::run_attributes(edited, runs)
     }
 
-    fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
-        edited::tell_apart(model, model.notes_or_refuse(model.format)?, keys)
+    fn distinguish_vertices(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+        edited::distinguish_vertices(model, model.notes_or_refuse(model.format)?, keys)
     }
 }
 
 /// A GLB that was made of a .gltf needs no file beside it; one that came with files keeps them.
 fn self_contained_if_new(written: WrittenFiles, from: Format, to: Format) -> Result<WrittenFiles, Error> {
     if from == GLTF_FORMAT && to == GLB_FORMAT {
-        return self_contained::embed_companions(written, fault::GltfFault(to));
+        return package::embed_companions(written, container::GltfFault(to));
     }
     Ok(written)
 }

@@ -1,20 +1,22 @@
-//! Nodes and clips of a document, and which joints hold which vertices.
+//! Nodes, clips and morph targets of a document as the other modules see them, and which joints hold which vertices.
 
-use super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_values};
+use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, decode_values};
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
-use super::influences::{VertexInfluences, influence_accessors};
+use super::placement::{VertexInfluences, VertexTransforms, influence_accessors, joint_nodes};
 use super::read::{GltfNotes, PlacedPrimitive};
 use super::scene::{local_transform, place_meshes};
-use super::schema::{GltfNode, GltfSkin, WholeNumber};
+use super::schema::{GltfNode, GltfSkin, MeshPrimitive, WholeNumber};
+use super::targets::{AttributeSlot, read_displacements};
 use super::text::value_of;
+use crate::asset::files::within;
 use crate::asset::moving_scene::{
-    ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, SceneChannel, SceneClip, SceneNode,
-    ScenePrimitive,
+    ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, PrimitiveShapes, SceneChannel, SceneClip,
+    SceneNode, ScenePrimitive,
 };
-use crate::asset::{Error, Model};
+use crate::asset::{Error, Model, ModelNode};
 use crate::mesh::rotation::fit_rotation;
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec3, Vec3};
 use serde::Deserialize;
 use std::collections::BTreeSet;
 
@@ -35,21 +37,18 @@ pub(super) fn moving_scene(model: &Model, notes: &GltfNotes) -> Result<MovingSce
         let name = value_of(text, "name").and_then(|name| serde_json::from_str(name).ok());
         name.unwrap_or_default()
     });
-    Ok(MovingScene {
-        nodes,
-        is_joint,
-        primitives: notes.rows.iter().map(scene_primitive).collect(),
-        influences,
-        clip_names: names.collect(),
-    })
-}
-
-fn scene_primitive(row: &PlacedPrimitive) -> ScenePrimitive {
-    ScenePrimitive {
+    let primitives = notes.rows.iter().map(|row| ScenePrimitive {
         node: row.node,
         vertices: row.vertices.clone(),
         has_skin: row.skin.is_some(),
-    }
+    });
+    Ok(MovingScene {
+        nodes,
+        is_joint,
+        primitives: primitives.collect(),
+        influences,
+        clip_names: names.collect(),
+    })
 }
 
 fn scene_node(
@@ -278,16 +277,8 @@ impl ClipReader<'_, '_> {
         self.numbers = self
             .numbers
             .saturating_add(described.count.0.saturating_mul(lanes as u64));
-        if self.numbers > MOST_NUMBERS {
-            return Err(Error::TooLarge {
-                what: "numbers of a clip",
-                seen: self.numbers,
-                limit: MOST_NUMBERS,
-            });
-        }
-        check_unbacked(self.doc, accessor, layout)?;
-        self.buffers.decode_for(self.doc, &BTreeSet::from([accessor]))?;
-        let values = read_values(self.doc, self.buffers, accessor, layout)?;
+        within("numbers of a clip", self.numbers, MOST_NUMBERS)?;
+        let values = decode_values(self.doc, self.buffers, accessor, layout)?;
         match values.iter().position(|v| !v.is_finite()) {
             Some(at) => Err(fault.malformed(place, format!("number {at} of accessor {accessor} is {}", values[at]))),
             None => Ok(values),
@@ -316,4 +307,91 @@ fn channel_values(path: &str, values: &[f32], targets: usize) -> ChannelValues {
             ChannelValues::Weights((0..targets).map(of_target).collect())
         }
     }
+}
+
+/// How many numbers the morph targets of one model may have together: nodes may share meshes and targets their numbers, so that
+/// their size is not bounded by the file's.
+const MOST_TARGET_NUMBERS: u64 = 1 << 28;
+
+/// The shapes of all primitives, in order.
+pub(super) fn primitive_shapes(model: &Model, notes: &GltfNotes) -> Result<Vec<PrimitiveShapes>, Error> {
+    let (doc, mut buffers) = notes.document_and_bytes(model)?;
+    let mut numbers = 0;
+    let mut all = Vec::with_capacity(notes.rows.len());
+    for row in &notes.rows {
+        let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+        numbers += 3 * (row.vertices.len() * (1 + primitive.targets.len())) as u64;
+        within("numbers of morph targets", numbers, MOST_TARGET_NUMBERS)?;
+        let mut used: BTreeSet<usize> = row.placement.accessors(primitive).into_iter().collect();
+        let position = primitive.attribute(ShapeAttribute::Position.name());
+        used.extend(position);
+        used.extend((0..primitive.targets.len()).filter_map(|t| displacements(t).accessor(primitive)));
+        buffers.decode_for(&doc, &used)?;
+        let placed = row.placement.transforms(&doc, &buffers, primitive)?;
+        let mut shapes = PrimitiveShapes::default();
+        if let Some(at) = position.filter(|_| row.skin.is_none()) {
+            let stored = super::accessors::read_floats(&doc, &buffers, at, ShapeAttribute::Position)?;
+            shapes.positions = vectors(&stored);
+        }
+        for target in 0..primitive.targets.len() {
+            let moves = target_moves(&doc, &buffers, primitive, target)?;
+            shapes.targets.push(in_space_of(row, &placed, moves));
+        }
+        all.push(shapes);
+    }
+    Ok(all)
+}
+
+fn displacements(target: usize) -> AttributeSlot {
+    AttributeSlot {
+        target: Some(target),
+        role: ShapeAttribute::Position,
+    }
+}
+
+fn target_moves(
+    doc: &GltfDocument<'_>,
+    buffers: &super::buffers::BufferBytes,
+    primitive: &MeshPrimitive,
+    target: usize,
+) -> Result<Vec<Vec3>, Error> {
+    let Some(accessor) = displacements(target).accessor(primitive) else {
+        return Ok(Vec::new());
+    };
+    let moves = read_displacements(doc, buffers, accessor)?;
+    Ok(moves.map_or_else(Vec::new, |moves| vectors(&moves)))
+}
+
+/// Joints take what they place into the model's space.
+fn in_space_of(row: &PlacedPrimitive, placed: &VertexTransforms, moves: Vec<Vec3>) -> Vec<Vec3> {
+    if row.skin.is_none() {
+        return moves;
+    }
+    let moves = moves.iter().enumerate();
+    moves
+        .map(|(vertex, shift)| (placed.at(vertex).matrix3 * shift.as_dvec3()).as_vec3())
+        .collect()
+}
+
+fn vectors(numbers: &[f32]) -> Vec<Vec3> {
+    numbers
+        .as_chunks::<3>()
+        .0
+        .iter()
+        .map(|v| Vec3::from_array(*v))
+        .collect()
+}
+
+/// All nodes of the document of a model, by their index.
+pub(super) fn model_nodes(model: &Model, notes: &GltfNotes) -> Result<Vec<ModelNode>, Error> {
+    let doc = notes.document(model)?;
+    let scene = place_meshes(&doc, &mut Vec::new())?;
+    let joints = joint_nodes(&doc);
+    let nodes = doc.nodes.values.iter().zip(scene.world_from_node).enumerate();
+    let of_node = |(index, (node, world_from_node)): (usize, (&super::schema::GltfNode, _))| ModelNode {
+        name: node.name.clone().unwrap_or_default(),
+        world_from_node,
+        is_joint: joints.contains(&index),
+    };
+    Ok(nodes.map(of_node).collect())
 }

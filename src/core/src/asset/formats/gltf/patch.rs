@@ -2,12 +2,12 @@
 
 use super::accessors::{AccessorLayout, ShapeAttribute};
 use super::buffers::BufferBytes;
-use super::builder::{BufferBuilder, NewAccessor, VERTICES};
+use super::builder::{BufferBuilder, NewAccessor, VERTICES, bounds, float_bytes};
 use super::document::{GltfDocument, PatchedDocument};
-use super::float_json::bounds;
+use super::schema::DRACO;
 use super::sharing::{AccessorOverwrite, AppendedAccessor, MeshRef, SharingPlan};
-use super::slots::AttributeSlot;
-use super::text::{JsonEdits, items, value_of};
+use super::targets::AttributeSlot;
+use super::text::{JsonEdits, items, list_of, value_of};
 use crate::asset::Error;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -128,16 +128,12 @@ impl<'a> DocumentPatcher<'_, 'a> {
             let Some((_, _, slot)) = append.users.first() else {
                 continue;
             };
-            let bytes: Vec<u8> = append.values.iter().flat_map(|v| v.to_le_bytes()).collect();
-            let view = new.add_view(&bytes, Some(VERTICES));
-            new.push_accessor(NewAccessor {
-                view: Some(view),
-                component: 5126,
-                count: append.values.len() / slot.lanes(),
-                shape: slot.shape(),
-                bounds: (slot.role == ShapeAttribute::Position).then(|| bounds(&append.values, 3)),
-                sparse: None,
-            });
+            let is_bounded = slot.role == ShapeAttribute::Position;
+            let accessor = NewAccessor {
+                bounds: is_bounded.then(|| bounds(&append.values, 3)),
+                ..NewAccessor::of(5126, append.values.len() / slot.lanes(), slot.shape())
+            };
+            new.push_packed(&float_bytes(&append.values), Some(VERTICES), accessor);
         }
         let target = self.stored.growing_buffer(self.doc);
         let stored = target.and_then(|i| self.stored.stored[i].bytes.as_ref());
@@ -213,9 +209,7 @@ fn edit_mesh<'a>(
     changes: &[(usize, AttributeSlot, usize)],
     stale: impl Iterator<Item = usize>,
 ) {
-    let primitives = value_of(mesh, "primitives")
-        .and_then(|p| items(p).ok())
-        .unwrap_or_default();
+    let primitives = list_of(mesh, "primitives");
     for (primitive, slot, accessor) in changes {
         let primitive = primitives.get(*primitive);
         let attributes = match slot.target {
@@ -226,18 +220,10 @@ fn edit_mesh<'a>(
             }
         };
         if let Some(attributes) = attributes {
-            edits.set(attributes, slot.role.name(), &accessor.to_string());
+            edits.set(attributes, slot.role.name(), accessor);
         }
     }
-    const DRACO: &str = "KHR_draco_mesh_compression";
     for primitive in stale.filter_map(|p| primitives.get(p)) {
-        let Some(extensions) = value_of(primitive, "extensions") else {
-            continue;
-        };
-        // An empty object of extensions is an error of its own.
-        match super::text::members(extensions).map_or(0, |list| list.iter().filter(|m| m.key != DRACO).count()) {
-            0 => edits.remove(primitive, "extensions"),
-            _ => edits.remove(extensions, DRACO),
-        }
+        edits.remove_extension(primitive, DRACO);
     }
 }

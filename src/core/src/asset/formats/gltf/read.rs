@@ -4,13 +4,10 @@ use super::accessors::{self, AccessorLayout, ComponentType, ShapeAttribute};
 use super::buffers::BufferBytes;
 use super::document::{GltfDocument, ParsedDocument};
 use super::draco;
-use super::influences::VertexInfluences;
-use super::placement::{Placement, VertexTransforms};
-use super::scene::{self, MeshPlacement, PlacedScene, Warnings};
-use super::schema::MeshPrimitive;
-use super::seams::SkinSeams;
-use super::skin::SkinPose;
-use crate::asset::files::ReadWatch;
+use super::placement::{Placement, SkinPose, SkinSeams, VertexInfluences, VertexTransforms};
+use super::scene::{self, MeshPlacement, PlacedScene};
+use super::schema::{DRACO, MeshPrimitive};
+use crate::asset::files::{ReadWatch, within};
 use crate::asset::model::FileNotes;
 use crate::asset::{Error, FileSet, Format, Geometry, Limits, Model, Primitive};
 use crate::progress::Silent;
@@ -20,7 +17,7 @@ use std::sync::Arc;
 
 /// Placed primitives. A node costs a dozen bytes in a file and places a whole mesh, so their number is not bounded by
 /// the file's size, and each costs far more here than its vertices do.
-const MOST_ROWS: usize = 1 << 18;
+const MOST_ROWS: u64 = 1 << 18;
 
 /// One row of the primitive table, as the writer needs it.
 #[derive(Debug, Clone, PartialEq)]
@@ -81,22 +78,14 @@ impl FileNotes for GltfNotes {
     }
 }
 
-/// For reading again what was already read once within the caller's limits.
-const UNLIMITED: Limits = Limits {
-    vertices: u64::MAX,
-    triangles: u64::MAX,
-    decoded_bytes: u64::MAX,
-    document_bytes: u64::MAX,
-};
-
 fn unlimited() -> ReadWatch<'static> {
-    ReadWatch::new(&UNLIMITED, &Silent, 0)
+    ReadWatch::new(&Limits::UNLIMITED, &Silent, 0)
 }
 
 /// Parses a document that was just written, and so is within limits.
 pub(super) fn parse_written(files: &FileSet, format: Format) -> Result<ParsedDocument, Error> {
     let parsed = ParsedDocument::parse(files, format, &unlimited())?;
-    super::check::check(&parsed.of(files)?)?;
+    super::references::check(&parsed.of(files)?)?;
     Ok(parsed)
 }
 
@@ -109,13 +98,13 @@ pub(super) fn load_bytes(doc: &GltfDocument<'_>, files: &FileSet) -> Result<Buff
 pub(super) fn read(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<(Geometry, GltfNotes), Error> {
     let parsed = Arc::new(ParsedDocument::parse(files, format, watch)?);
     let doc = parsed.of(files)?;
-    super::check::check(&doc)?;
-    if doc.uses(draco::DRACO) {
+    super::references::check(&doc)?;
+    if doc.uses(DRACO) {
         let mut buffers = BufferBytes::load(&doc, files, watch)?;
         if let Some((plain, count)) = draco::uncompress(&doc, files, &mut buffers, watch)? {
             drop(buffers);
             let parsed = Arc::new(ParsedDocument::parse(&plain, format, watch)?);
-            super::check::check(&parsed.of(&plain)?)?;
+            super::references::check(&parsed.of(&plain)?)?;
             let (mut geometry, mut notes) = read_document(&parsed, &plain, format, watch)?;
             let were = if count == 1 { "primitive was" } else { "primitives were" };
             let message = format!("{count} {were} compressed with Draco; a changed model comes back without it");
@@ -150,7 +139,7 @@ fn read_document(
         let message = format!("its length of {length} is not a multiple of 4; what is written has padding");
         reader.warn("chunk-length", message, format!("chunk at byte {at}"));
     }
-    super::companions::warn_of_missing(doc, files, &mut reader.geometry.warnings);
+    super::package::warn_of_missing(doc, files, &mut reader.geometry.warnings);
     let placements = &scene.placements;
     // What draws no triangles under one node draws none under any other, and must not cost anything there.
     let mut drawn: Vec<Option<Vec<usize>>> = vec![None; doc.meshes.len()];
@@ -238,19 +227,16 @@ impl GltfReader<'_, '_> {
         if primitive.mode() < 4 {
             return Ok(false);
         }
-        if self.rows.len() == MOST_ROWS {
-            let (seen, limit) = (MOST_ROWS as u64 + 1, MOST_ROWS as u64);
-            return Err(Error::TooLarge {
-                what: "number of placed primitives",
-                seen,
-                limit,
-            });
-        }
+        let rows = self.rows.len() as u64 + 1;
+        within("number of placed primitives", rows, MOST_ROWS)?;
         let Some(positions) = primitive.attribute("POSITION") else {
             self.warn("no-position", "has no POSITION; it is passed through", place());
             return Ok(false);
         };
-        warn_of_draco(primitive, place(), &mut self.geometry.warnings);
+        if primitive.has_draco() {
+            let message = "the uncompressed copy is used; where it is deformed, the Draco copy is dropped";
+            self.warn("draco-fallback", message, place());
+        }
         let layout = accessors::check_role(doc, positions, ShapeAttribute::Position)?;
         accessors::check_unbacked(doc, positions, layout)?;
 
@@ -259,7 +245,9 @@ impl GltfReader<'_, '_> {
         let most = self.count_primitive(primitive, count)?;
 
         let used = ShapeAttribute::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
-        let coordinates: Vec<usize> = texture_coordinates(primitive).collect();
+        let named = primitive.attributes.iter();
+        let named = named.filter(|(name, _)| name.starts_with("TEXCOORD_"));
+        let coordinates: Vec<usize> = named.map(|(_, accessor)| accessor.index()).collect();
         let used = used.chain(primitive.indices.map(|i| i.index()));
         let used: BTreeSet<usize> = used.chain(coordinates.iter().copied()).collect();
         self.buffers.decode_for(doc, &used)?;
@@ -430,7 +418,7 @@ impl GltfReader<'_, '_> {
         stored: &[f32],
         place: &str,
     ) -> Result<Result<(Placement, VertexTransforms), String>, Error> {
-        let used: BTreeSet<usize> = super::influences::influence_accessors(primitive)
+        let used: BTreeSet<usize> = super::placement::influence_accessors(primitive)
             .into_iter()
             .flat_map(|(joints, weights)| [joints, weights])
             .collect();
@@ -515,7 +503,7 @@ impl GltfReader<'_, '_> {
     fn check_coordinates(&mut self, accessors: &[usize], place: &str) {
         let mut odd = 0;
         for &index in accessors {
-            let layout = (self.doc.accessors.get(index)).and_then(|a| AccessorLayout::of(a, self.doc.views.values));
+            let layout = AccessorLayout::find(self.doc, index);
             let floats = layout.filter(|layout| layout.component == ComponentType::F32);
             let values = floats.and_then(|layout| accessors::read_values(self.doc, &self.buffers, index, layout).ok());
             let values = values.iter().flat_map(|values| values.as_chunks::<2>().0);
@@ -533,14 +521,6 @@ impl GltfReader<'_, '_> {
             self.warn(&format!("bad-{what}"), message, place);
         }
     }
-}
-
-/// The accessors of a primitive's texture coordinates.
-fn texture_coordinates(primitive: &MeshPrimitive) -> impl Iterator<Item = usize> {
-    let named = primitive.attributes.iter();
-    named
-        .filter(|(name, _)| name.starts_with("TEXCOORD_"))
-        .map(|(_, accessor)| accessor.index())
 }
 
 /// Takes normals along with the points: the inverse transpose up to a positive factor, also for singular matrices.
@@ -576,13 +556,5 @@ fn to_triangles(corners: &[u32], mode: u64) -> Vec<[u32; 3]> {
             .collect(),
         (_, [center, rim @ ..]) => rim.windows(2).map(|w| [w[0], w[1], *center]).filter(stitched).collect(),
         _ => Vec::new(),
-    }
-}
-
-/// Warns of a primitive whose Draco copy is not read, because the file also holds it uncompressed.
-fn warn_of_draco(primitive: &MeshPrimitive, place: String, warnings: &mut Warnings) {
-    if primitive.has_draco() {
-        let message = "the uncompressed copy is used; where it is deformed, the Draco copy is dropped";
-        warnings.push(("draco-fallback".into(), message.into(), place));
     }
 }

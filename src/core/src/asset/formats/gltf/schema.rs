@@ -7,6 +7,12 @@ use serde::de::{Deserializer, Error as _, IgnoredAny, Visitor};
 use std::collections::BTreeMap;
 use std::fmt;
 
+/// The extension of primitives that are kept in Draco.
+pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
+
+/// The extensions that compress views.
+pub(super) const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
+
 /// A whole number from zero; `3.0` and `3e0` are the same number as `3`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct WholeNumber(pub(super) u64);

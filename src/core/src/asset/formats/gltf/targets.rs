@@ -1,16 +1,138 @@
-//! Displacements of morph targets, carried along with the surface that they are displacements of.
+//! Attributes that follow a deformation, of primitives and of their morph targets, and displacements carried along with the surface.
 
 use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, read_values};
 use super::buffers::BufferBytes;
-use super::changes::ChangedAttribute;
 use super::document::GltfDocument;
 use super::placement::VertexTransforms;
 use super::schema::MeshPrimitive;
-use super::slots::{AttributeSlot, target_slots};
+use crate::asset::files::within;
 use crate::asset::{Error, FollowedCounts};
 use crate::mesh::local_turns::LocalTurn;
 use glam::{DMat3, Vec3};
 use std::collections::BTreeMap;
+use std::hash::{Hash as _, Hasher as _};
+
+/// An attribute of a primitive or of one of its morph targets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(super) struct AttributeSlot {
+    /// The morph target; `None` for the primitive itself.
+    pub(super) target: Option<usize>,
+    pub(super) role: ShapeAttribute,
+}
+
+impl AttributeSlot {
+    /// An attribute of the primitive itself.
+    pub(super) fn own(role: ShapeAttribute) -> Self {
+        Self { target: None, role }
+    }
+
+    /// Numbers per vertex. The displacement of a tangent has no handedness.
+    pub(super) fn lanes(self) -> usize {
+        if self.target.is_some() { 3 } else { self.role.lanes() }
+    }
+
+    /// The accessor type's name.
+    pub(super) fn shape(self) -> &'static str {
+        if self.target.is_some() {
+            "VEC3"
+        } else {
+            self.role.shape()
+        }
+    }
+
+    /// Whether two slots may have one accessor in common: the same numbers with the same meaning.
+    pub(super) fn is_alike(self, other: Self) -> bool {
+        self.role == other.role && self.target.is_some() == other.target.is_some()
+    }
+
+    /// The slot's accessor in a primitive.
+    pub(super) fn accessor(self, primitive: &MeshPrimitive) -> Option<usize> {
+        match self.target {
+            None => primitive.attribute(self.role.name()),
+            Some(target) => Some(primitive.targets.get(target)?.get(self.role.name())?.index()),
+        }
+    }
+}
+
+/// The slots that the morph targets of a primitive fill, target by target.
+pub(super) fn target_slots(primitive: &MeshPrimitive) -> Vec<AttributeSlot> {
+    let of_target = |target: usize| {
+        ShapeAttribute::ALL.map(|role| AttributeSlot {
+            target: Some(target),
+            role,
+        })
+    };
+    let all = (0..primitive.targets.len()).flat_map(of_target);
+    all.filter(|slot| slot.accessor(primitive).is_some()).collect()
+}
+
+/// New values of one attribute, all elements, lane by lane.
+#[derive(Debug, Clone)]
+pub(super) struct ChangedAttribute {
+    pub(super) values: Vec<f32>,
+    /// Which elements differ from the stored ones.
+    pub(super) changed: Vec<bool>,
+}
+
+impl ChangedAttribute {
+    pub(super) fn where_changed(stored: &[f32], values: Vec<f32>, lanes: usize) -> Option<Self> {
+        let differ = |(a, b): (&[f32], &[f32])| a.iter().zip(b).any(|(a, b)| a.to_bits() != b.to_bits());
+        let changed: Vec<bool> = stored
+            .chunks_exact(lanes)
+            .zip(values.chunks_exact(lanes))
+            .map(differ)
+            .collect();
+        changed.contains(&true).then_some(Self { values, changed })
+    }
+
+    /// Equal for what is the same, nearly always different for what is not.
+    pub(super) fn fingerprint(&self) -> u64 {
+        let mut hasher = std::hash::DefaultHasher::new();
+        self.values.iter().for_each(|v| hasher.write_u32(v.to_bits()));
+        hasher.finish()
+    }
+
+    /// Whether two attributes become the same.
+    pub(super) fn is_same(&self, other: &Self) -> bool {
+        self.values.len() == other.values.len()
+            && self
+                .values
+                .iter()
+                .zip(&other.values)
+                .all(|(a, b)| a.to_bits() == b.to_bits())
+    }
+}
+
+/// What one row of the primitive table should become: the slots that change, in order.
+#[derive(Debug, Clone, Default)]
+pub(super) struct DeformedAttributes(pub(super) Vec<(AttributeSlot, ChangedAttribute)>);
+
+impl DeformedAttributes {
+    pub(super) fn is_changed(&self) -> bool {
+        !self.0.is_empty()
+    }
+
+    /// What a slot becomes; `None` when it stays as it is stored.
+    pub(super) fn of(&self, slot: AttributeSlot) -> Option<&ChangedAttribute> {
+        let at = self.0.binary_search_by_key(&slot, |(slot, _)| *slot).ok()?;
+        Some(&self.0[at].1)
+    }
+
+    /// Equal for what is the same, nearly always different for what is not.
+    pub(super) fn fingerprint(&self) -> u64 {
+        let mut hasher = std::hash::DefaultHasher::new();
+        for (slot, change) in &self.0 {
+            slot.hash(&mut hasher);
+            change.values.iter().for_each(|v| v.to_bits().hash(&mut hasher));
+        }
+        hasher.finish()
+    }
+
+    pub(super) fn is_same(&self, other: &Self) -> bool {
+        let pairs = || self.0.iter().zip(&other.0);
+        self.0.len() == other.0.len() && pairs().all(|(a, b)| a.0 == b.0 && a.1.is_same(&b.1))
+    }
+}
 
 /// How many bytes of displacements are carried for one file. Targets may be sparse or share their numbers, so that
 /// their size is not bounded by the file's.
@@ -58,14 +180,7 @@ impl TargetTally {
     /// Refuses more than is carried for one file.
     pub(super) fn spend(&mut self, vertices: usize) -> Result<(), Error> {
         self.spent = self.spent.saturating_add(12 * vertices as u64);
-        if self.spent > MOST_CARRIED {
-            return Err(Error::TooLarge {
-                what: "number of bytes of morph targets that follow",
-                seen: self.spent,
-                limit: MOST_CARRIED,
-            });
-        }
-        Ok(())
+        within("number of bytes of morph targets that follow", self.spent, MOST_CARRIED)
     }
 }
 
@@ -152,9 +267,7 @@ pub(super) fn read_displacements(
     buffers: &BufferBytes,
     accessor: usize,
 ) -> Result<Option<Vec<f32>>, Error> {
-    let described = doc.accessors.get(accessor);
-    let layout = described.and_then(|a| AccessorLayout::of(a, doc.views.values));
-    match layout.filter(|l| l.lanes == 3 && l.component != ComponentType::U32) {
+    match AccessorLayout::find(doc, accessor).filter(|l| l.lanes == 3 && l.component != ComponentType::U32) {
         Some(layout) => read_values(doc, buffers, accessor, layout).map(Some),
         None => Ok(None),
     }

@@ -3,8 +3,8 @@
 //! A glTF document is never rebuilt: its values are slices of the text, and an [`JsonEdits`] list splices new text over some
 //! of them. Key order, number texts, escapes, duplicate keys and white space of everything else stay as they were.
 
-use serde::Deserialize;
-use serde::de::{Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use super::schema::WholeNumber;
+use serde::de::{Deserializer as _, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::value::RawValue;
 use std::fmt;
 use std::ops::Range;
@@ -17,7 +17,25 @@ pub(super) struct JsonMember<'a> {
 
 /// The members of the object that `text` holds, in order, duplicates included.
 pub(super) fn members(text: &str) -> Result<Vec<JsonMember<'_>>, serde_json::Error> {
-    serde_json::from_str::<Members<'_>>(text).map(|m| m.0)
+    struct Collect;
+    impl<'de> Visitor<'de> for Collect {
+        type Value = Vec<JsonMember<'de>>;
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("an object")
+        }
+        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+            let mut list = Vec::new();
+            while let Some(key) = map.next_key::<String>()? {
+                let value = map.next_value::<&'de RawValue>()?.get();
+                list.push(JsonMember { key, value });
+            }
+            Ok(list)
+        }
+    }
+    let mut reader = serde_json::Deserializer::from_str(text);
+    let list = reader.deserialize_map(Collect)?;
+    reader.end()?;
+    Ok(list)
 }
 
 /// The items of the array that `text` holds.
@@ -61,34 +79,80 @@ pub(super) fn value_of<'a>(text: &'a str, key: &str) -> Option<&'a str> {
         .map(|m| m.value)
 }
 
+/// The items of the array under `key` in the object that `text` holds; none where there is no such array.
+pub(super) fn list_of<'a>(text: &'a str, key: &str) -> Vec<&'a str> {
+    value_of(text, key)
+        .and_then(|array| items(array).ok())
+        .unwrap_or_default()
+}
+
+/// The value that lies in an object below several keys.
+pub(super) fn value_at<'a>(object: &'a str, path: &[&str]) -> Option<&'a str> {
+    path.iter().try_fold(object, |object, key| value_of(object, key))
+}
+
+/// The index that a text holds.
+pub(super) fn parse_index(json: &str) -> Option<usize> {
+    serde_json::from_str::<WholeNumber>(json).ok().map(WholeNumber::index)
+}
+
+/// The index that an object has under a key.
+pub(super) fn index_of(object: &str, key: &str) -> Option<usize> {
+    value_of(object, key).and_then(parse_index)
+}
+
 /// A JSON string literal.
 pub(super) fn quoted(text: &str) -> String {
     serde_json::Value::from(text).to_string()
 }
 
-struct Members<'a>(Vec<JsonMember<'a>>);
+/// The texts or numbers of a list as one JSON array.
+pub(super) fn json_array<T: ToString>(list: impl IntoIterator<Item = T>) -> String {
+    let texts: Vec<String> = list.into_iter().map(|item| item.to_string()).collect();
+    format!("[{}]", texts.join(","))
+}
 
-impl<'de: 'a, 'a> Deserialize<'de> for Members<'a> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Collect;
-        impl<'de> Visitor<'de> for Collect {
-            type Value = Vec<JsonMember<'de>>;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("an object")
-            }
-            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
-                let mut list = Vec::new();
-                while let Some(key) = map.next_key::<String>()? {
-                    list.push(JsonMember {
-                        key,
-                        value: map.next_value::<&'de RawValue>()?.get(),
-                    });
-                }
-                Ok(list)
-            }
+/// Keys with values, which are JSON, as one object.
+pub(super) fn json_object<K: AsRef<str>, V: fmt::Display>(members: impl IntoIterator<Item = (K, V)>) -> String {
+    let one = |(key, value): (K, V)| format!("{}:{value}", quoted(key.as_ref()));
+    format!("{{{}}}", members.into_iter().map(one).collect::<Vec<_>>().join(","))
+}
+
+/// The object without some of its keys.
+pub(super) fn without_keys(object: &str, keys: &[&str]) -> String {
+    let mut text = object.to_owned();
+    for key in keys {
+        if value_of(&text, key).is_some() {
+            let mut edits = JsonEdits::new(&text);
+            edits.remove(&text, key);
+            text = edits.apply();
         }
-        deserializer.deserialize_map(Collect).map(Members)
     }
+    text
+}
+
+/// The object without some extensions; and without `extensions` when none is left.
+pub(super) fn without_extensions(object: &str, names: &[&str]) -> String {
+    let Some(extensions) = value_of(object, "extensions") else {
+        return object.to_owned();
+    };
+    let left = without_keys(extensions, names);
+    if left.len() == extensions.len() {
+        return object.to_owned();
+    }
+    if members(&left).is_ok_and(|list| list.is_empty()) {
+        return without_keys(object, &["extensions"]);
+    }
+    let mut edits = JsonEdits::new(object);
+    edits.set(object, "extensions", &left);
+    edits.apply()
+}
+
+/// The object with a key set.
+pub(super) fn with_member(object: &str, key: &str, json: impl fmt::Display) -> String {
+    let mut edits = JsonEdits::new(object);
+    edits.set(object, key, json);
+    edits.apply()
 }
 
 /// A list of places of one text and what to put there.
@@ -116,10 +180,10 @@ impl<'a> JsonEdits<'a> {
 
     /// Gives `key` of `object` (a slice of the text that holds an object) the value `json`: in its place when the key is
     /// there, else after the last member.
-    pub(super) fn set(&mut self, object: &'a str, key: &str, json: &str) {
+    pub(super) fn set(&mut self, object: &'a str, key: &str, json: impl fmt::Display) {
         let list = members(object).unwrap_or_default();
         match (list.iter().rev().find(|m| m.key == key), list.last()) {
-            (Some(member), _) => self.replace(member.value, json),
+            (Some(member), _) => self.replace(member.value, json.to_string()),
             (None, Some(last)) => {
                 let end = self.range_of(last.value).end;
                 self.list.push((end..end, format!(",{}:{json}", quoted(key))));
@@ -162,6 +226,17 @@ impl<'a> JsonEdits<'a> {
         self.list.push((range, String::new()));
     }
 
+    /// Takes an extension out of `object`, and with it a list of extensions that would be empty, which is an error of its own.
+    pub(super) fn remove_extension(&mut self, object: &'a str, name: &str) {
+        let Some(extensions) = value_of(object, "extensions") else {
+            return;
+        };
+        match members(extensions).map_or(0, |list| list.iter().filter(|m| m.key != name).count()) {
+            0 => self.remove(object, "extensions"),
+            _ => self.remove(extensions, name),
+        }
+    }
+
     /// Takes an item that is not the first out of its array, with the comma before it.
     pub(super) fn remove_item(&mut self, item: &'a str) {
         let range = self.range_of(item);
@@ -189,7 +264,7 @@ impl<'a> JsonEdits<'a> {
         match array {
             Some(array) => self.push(array, json),
             None if json.is_empty() => {}
-            None => self.set(object, key, &format!("[{}]", json.join(","))),
+            None => self.set(object, key, json_array(json)),
         }
     }
 
@@ -287,6 +362,18 @@ mod tests {
         edits.set(objects[1], "c", "3");
         edits.set(objects[0], "b", "[2]");
         assert_eq!(edits.apply(), r#"[{"a":1,"b":[2]},{"c":3}]"#);
+    }
+
+    #[test]
+    fn extensions_go_and_take_an_empty_object_with_them() {
+        let text = r#"{"a":1,"extensions":{"X":{},"Y":{}},"b":2}"#;
+        assert_eq!(
+            without_extensions(text, &["X"]),
+            r#"{"a":1,"extensions":{"Y":{}},"b":2}"#
+        );
+        assert_eq!(without_extensions(text, &["X", "Y"]), r#"{"a":1,"b":2}"#);
+        assert_eq!(without_extensions(text, &["Z"]), text);
+        assert_eq!(without_keys(r#"{"a":1,"b":2}"#, &["a", "b"]), "{}");
     }
 
     #[test]

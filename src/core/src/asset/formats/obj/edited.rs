@@ -2,16 +2,18 @@
 
 use super::super::text::{NumberPrecision, push_number};
 use super::library::{MaterialLibrary, read_libraries};
-use super::parted::{CornerAttributes, TextureCoordinate, divide_corners};
-use super::read::{ObjNotes, has_no_number};
-use super::statements::{FaceState, ObjStatements, name_in, object_numbers, printable, read};
-use super::statements::{RunCoordinates, coordinates_of};
-use super::write::{push_corner, push_line, push_numbers};
+use super::read::{ObjNotes, has_no_number, read_statements};
+use super::statements::{
+    CornerAttributes, FaceState, NO_TEXTURE, ObjStatements, TextureCoordinate, divide_corners, name_in, object_numbers,
+    parse_numbers, printable, push_corner, push_line, push_numbers,
+};
 use crate::asset::codec::EditedOutput;
-use crate::asset::edited::{EditedModel, PrimitiveRun, RunFaces};
-use crate::asset::material::NamedMaterial;
+use crate::asset::edited::{EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
+use crate::asset::look::NamedMaterial;
 use crate::asset::neutral::{RunAttributes, SeamPart};
-use crate::asset::{Error, WrittenFiles};
+use crate::asset::vertex_attributes::{AttributeKeys, hash_bytes, hash_numbers, normal_key};
+use crate::asset::{Error, Model, WrittenFiles};
+use crate::mesh::mix_bits;
 use glam::DVec3;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,7 +22,7 @@ use std::sync::Arc;
 /// object; those of more than three corners that the edit left alone stay whole. Other bases follow with their texture coordinates, normals and material names.
 pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let EditedOutput { edited, positions, .. } = *output;
-    let all = edited.read_bases(|model, _: &ObjNotes| Ok(read(&model.files.main, &model.positions)))?;
+    let all = edited.read_bases(|model, _: &ObjNotes| Ok(read_statements(&model.files.main)))?;
     let mut out = Vec::new();
     if let Some(Some(first)) = all.first() {
         out.extend_from_slice(first.head);
@@ -265,7 +267,7 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
         return Vec::new();
     };
     let model = edited.base(first).model;
-    let statements = read(&model.files.main, &model.geometry.positions);
+    let statements = read_statements(&model.files.main);
     let lanes = statements.more_lanes;
     let colour = |vertex: usize| {
         let mut colour = [0.0, 0.0, 0.0, 1.0];
@@ -280,23 +282,17 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
     let library = read_libraries(&model.files, &statements.libraries);
     let material_of = |line: &[u8]| material_named(&library, line);
     let one = |run: &&PrimitiveRun| RunAttributes {
-        uv: Vec::new(),
         colours: if lanes == 3 {
             run.vertices().map(colour).collect()
         } else {
             Vec::new()
         },
-        corner_uv: Vec::new(),
         material: statements.states.first().and_then(|s| s.material).map(&material_of),
-        faces: None,
+        ..RunAttributes::default()
     };
     let coordinates = |run: &&PrimitiveRun| -> RunAttributes {
         let mut attributes = one(run);
-        match coordinates_of(edited, run, &statements) {
-            RunCoordinates::None => {}
-            RunCoordinates::OfVertices(uv) => attributes.uv = uv,
-            RunCoordinates::OfCorners(uv) => attributes.corner_uv = uv,
-        }
+        add_coordinates(edited, run, &statements, &mut attributes);
         attributes
     };
     runs.iter().map(coordinates).collect()
@@ -312,7 +308,7 @@ fn material_named(library: &MaterialLibrary, line: &[u8]) -> Arc<NamedMaterial> 
 /// A run with its vertices parted where texture coordinates, normals or materials part, one for each material.
 pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions: &[DVec3]) -> Vec<SeamPart> {
     let model = edited.base(run).model;
-    let statements = read(&model.files.main, &model.geometry.positions);
+    let statements = read_statements(&model.files.main);
     let parted = divide_corners(edited, run, positions, &statements);
     let library = read_libraries(&model.files, &statements.libraries);
     let mut of_material: BTreeMap<Option<&[u8]>, Vec<usize>> = BTreeMap::new();
@@ -360,4 +356,99 @@ pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions
         seamed
     };
     groups.into_iter().map(one).collect()
+}
+
+/// The numbers after the coordinates of vertices; and of each corner its texture coordinates, its normal where vertices have
+/// none of their own, and the statements that hold for its face.
+pub(super) fn distinguish_vertices(model: &Model, keys: &mut AttributeKeys<'_>) {
+    let geometry = &model.geometry;
+    let read = read_statements(&model.files.main);
+    for (i, number) in read.more.iter().enumerate() {
+        keys.add(i / read.more_lanes, number.to_bits());
+    }
+    if read.states.len() != geometry.triangles.len() {
+        return;
+    }
+    let of_line = |text: &&[u8]| hash_numbers(&parse_numbers(text));
+    let textures: Vec<u64> = read.textures.iter().map(of_line).collect();
+    let of_state = |state: &FaceState<'_>| {
+        let lines = [state.object, state.group, state.smoothing, state.material];
+        lines
+            .iter()
+            .fold(1, |hash, line| mix_bits(hash, line.map_or(0, hash_bytes)))
+    };
+    let mut state = (read.states.first(), read.states.first().map_or(0, of_state));
+    for (i, t) in geometry.triangles.iter().enumerate() {
+        if state.0 != read.states.get(i) {
+            state = (read.states.get(i), of_state(&read.states[i]));
+        }
+        for (k, &v) in t.iter().enumerate() {
+            let texture = read
+                .corner_textures
+                .get(3 * i + k)
+                .and_then(|&t| textures.get(t as usize));
+            let mut key = mix_bits(state.1, texture.copied().unwrap_or(0));
+            if geometry.normals.is_empty() {
+                let normal = read
+                    .corner_normals
+                    .get(3 * i + k)
+                    .and_then(|&n| read.normals.get(n as usize));
+                key = mix_bits(key, normal.map_or(0, |n| normal_key(n.1)));
+            }
+            keys.add_of_corner(v, key);
+        }
+    }
+}
+
+/// Adds the texture coordinates of a run, counted from the upper left corner of the picture: one for each vertex, or one for
+/// each corner of a triangle where corners of a vertex differ. `statements` are those of its base.
+fn add_coordinates(
+    edited: &EditedModel<'_>,
+    run: &PrimitiveRun,
+    statements: &ObjStatements<'_>,
+    attributes: &mut RunAttributes,
+) {
+    let old = &edited.base(run).model.geometry.triangles;
+    let seam = &statements.corner_textures;
+    if seam.len() != 3 * old.len() || seam.iter().all(|&line| line == NO_TEXTURE) {
+        return;
+    }
+    let pair = |line: &&[u8]| {
+        let numbers = parse_numbers(line);
+        let at = |i: usize| numbers.get(i).copied().filter(|v| v.is_finite()).unwrap_or(0.0);
+        [at(0), at(1)]
+    };
+    let lines: Vec<[f64; 2]> = statements.textures.iter().map(pair).collect();
+    let origins = TriangleOrigins::new(edited, run, old);
+    let mut corners = Vec::with_capacity(3 * run.triangle_count as usize);
+    for triangle in 0..run.triangle_count as usize {
+        for k in 0..3 {
+            let (mut sum, mut total) = ([0.0; 2], 0.0);
+            for (corner, weight) in origins.corner(triangle, k, seam) {
+                if let Some([u, v]) = lines.get(seam[corner as usize] as usize) {
+                    sum = [sum[0] + u * weight, sum[1] + v * weight];
+                    total += weight;
+                }
+            }
+            let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
+            corners.push([(sum[0] * scale) as f32, (1.0 - sum[1] * scale) as f32]);
+        }
+    }
+    match by_vertex(edited, run, &corners) {
+        Some(uv) => attributes.uv = uv,
+        None => attributes.corner_uv = corners,
+    }
+}
+
+/// One coordinate for each vertex, if all of its corners have the same.
+fn by_vertex(edited: &EditedModel<'_>, run: &PrimitiveRun, corners: &[[f32; 2]]) -> Option<Vec<[f32; 2]>> {
+    let mut of_vertex: Vec<Option<[f32; 2]>> = vec![None; run.vertex_count as usize];
+    let vertices = edited.triangles[run.triangles()].as_flattened();
+    for (&vertex, &here) in vertices.iter().zip(corners) {
+        let known = of_vertex[(vertex - run.first_vertex) as usize].get_or_insert(here);
+        if known.map(f32::to_bits) != here.map(f32::to_bits) {
+            return None;
+        }
+    }
+    Some(of_vertex.into_iter().map(Option::unwrap_or_default).collect())
 }

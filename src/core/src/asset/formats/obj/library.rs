@@ -3,9 +3,8 @@
 //! Colours go through as they are written, as other converters do it. Pictures are named from the OBJ's folder.
 
 use super::super::text::{NumberPrecision, TextLexer, number, push_number};
-use super::statements::STYLE;
-use super::statements::{name_in, printable};
-use crate::asset::material::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
+use super::statements::{STYLE, name_in, printable};
+use crate::asset::look::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use crate::asset::{FileSet, Geometry};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

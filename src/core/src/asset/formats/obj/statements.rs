@@ -1,18 +1,12 @@
-//! What an OBJ text holds beyond positions and triangles, read again when it is needed.
-//!
-//! Corners of faces, the words of lines, and what separates them.
-//!
-//! Texture coordinates of an OBJ for formats that divide no vertices: by vertex where all corners agree, else by corner.
+//! What an OBJ text holds beyond positions and triangles, and how it is divided among the corners of an edited run.
 
-use super::super::polygons::Polygons;
-use super::super::text::{TextLexer, TextStyle, TextToken, integer, number};
-use crate::asset::Model;
-use crate::asset::edited::{EditedModel, PrimitiveRun, TriangleOrigins};
+use super::super::text::{NumberPrecision, TextLexer, TextStyle, TextToken, integer, number, push_number, push_triple};
+use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, TriangleOrigins, VertexBlends};
 use crate::asset::geometry::unit_or_zero;
-use crate::asset::vertex_attributes::{AttributeKeys, hash_bytes, hash_numbers, normal_key};
-use crate::mesh::mix_bits;
-use glam::{DVec3, Vec3};
+use crate::mesh::{NONE, shading};
+use glam::{DMat3, DVec3, Vec3};
 use std::collections::BTreeMap;
+use std::io::Write as _;
 
 /// Marks a corner without texture coordinates.
 pub(super) const NO_TEXTURE: u32 = u32::MAX;
@@ -27,6 +21,7 @@ pub(super) struct FaceState<'a> {
 }
 
 /// The statements of a text.
+#[derive(Default)]
 pub(super) struct ObjStatements<'a> {
     /// Comments before the first statement.
     pub head: &'a [u8],
@@ -45,197 +40,6 @@ pub(super) struct ObjStatements<'a> {
     pub corner_normals: Vec<u32>,
     /// For each triangle what holds for it.
     pub states: Vec<FaceState<'a>>,
-}
-
-/// Reads the statements of a text that was read before, whose vertices rest at `positions`.
-pub(super) fn read<'a>(bytes: &'a [u8], positions: &[DVec3]) -> ObjStatements<'a> {
-    let mut reader = StatementReader {
-        bytes,
-        lexer: TextLexer::new(bytes, STYLE),
-        out: ObjStatements {
-            head: &[],
-            libraries: Vec::new(),
-            textures: Vec::new(),
-            normals: Vec::new(),
-            more: Vec::new(),
-            more_lanes: 0,
-            corner_textures: Vec::new(),
-            corner_normals: Vec::new(),
-            states: Vec::new(),
-        },
-        vertices: 0,
-        uneven: false,
-        state: FaceState::default(),
-        faces: Polygons::default(),
-        corners: Vec::new(),
-        face_states: Vec::new(),
-    };
-    reader.read_statements();
-    reader.finish(positions)
-}
-
-struct StatementReader<'a> {
-    bytes: &'a [u8],
-    lexer: TextLexer<'a>,
-    out: ObjStatements<'a>,
-    vertices: u32,
-    /// Not every vertex has as many numbers.
-    uneven: bool,
-    state: FaceState<'a>,
-    faces: Polygons,
-    /// Texture coordinates and normal of each corner in `faces`.
-    corners: Vec<[u32; 2]>,
-    face_states: Vec<(FaceState<'a>, usize)>,
-}
-
-impl<'a> StatementReader<'a> {
-    fn read_statements(&mut self) {
-        let mut first = true;
-        while let Some(keyword) = self.lexer.token() {
-            if std::mem::take(&mut first) {
-                self.out.head = &self.bytes[..keyword.start];
-            }
-            match self.lexer.text(keyword) {
-                b"v" => self.read_vertex(),
-                b"vt" => {
-                    let words = self.lexer.rest_of_line();
-                    self.out.textures.push(&self.bytes[words]);
-                }
-                b"vn" => {
-                    let words = self.lexer.rest_of_line();
-                    let text = &self.bytes[words];
-                    let numbers = parse_numbers(text);
-                    let at = |i: usize| numbers.get(i).copied().unwrap_or(f64::NAN);
-                    self.out
-                        .normals
-                        .push((text, unit_or_zero(DVec3::new(at(0), at(1), at(2)))));
-                }
-                b"f" => self.read_face(),
-                word @ (b"o" | b"g" | b"s" | b"usemtl" | b"mtllib") => {
-                    let line = &self.bytes[keyword.start..self.lexer.rest_of_line().end.max(keyword.end)];
-                    match word {
-                        b"o" => self.state.object = Some(line),
-                        b"g" => self.state.group = Some(line),
-                        b"s" => self.state.smoothing = Some(line),
-                        b"usemtl" => self.state.material = Some(line),
-                        _ => self.out.libraries.push(line),
-                    }
-                }
-                _ => {}
-            }
-            self.lexer.end_line();
-        }
-    }
-
-    fn read_vertex(&mut self) {
-        let words = self.lexer.rest_of_line();
-        let numbers = parse_numbers(&self.bytes[words]);
-        let more = numbers.get(3..).unwrap_or(&[]);
-        if self.vertices == 0 {
-            self.out.more_lanes = more.len();
-        }
-        self.uneven |= more.len() != self.out.more_lanes || more.iter().any(|v| !v.is_finite());
-        if !self.uneven {
-            self.out.more.extend_from_slice(more);
-        }
-        self.vertices += 1;
-    }
-
-    fn read_face(&mut self) {
-        let first = self.faces.corners.len();
-        let counts = [
-            self.vertices,
-            self.out.textures.len() as u32,
-            self.out.normals.len() as u32,
-        ];
-        while let Some(word) = self.lexer.token_on_line() {
-            let Some(corner) = FaceCorner::parse(&self.lexer, word) else {
-                continue;
-            };
-            let Some(vertex) = resolve(corner.vertex, counts[0]) else {
-                continue;
-            };
-            let texture = corner.texture.and_then(|t| resolve(t, counts[1])).unwrap_or(NO_TEXTURE);
-            let normal = corner.normal.and_then(|n| resolve(n, counts[2])).unwrap_or(NO_NORMAL);
-            self.faces.corners.push(vertex);
-            self.corners.push([texture, normal]);
-        }
-        let count = self.faces.corners.len() - first;
-        self.faces.end_face();
-        self.corners.truncate(self.faces.corners.len());
-        if count >= 3 {
-            self.face_states.push((self.state, count - 2));
-        }
-    }
-
-    fn finish(mut self, positions: &[DVec3]) -> ObjStatements<'a> {
-        if self.uneven || self.vertices as usize != positions.len() {
-            (self.out.more, self.out.more_lanes) = (Vec::new(), 0);
-        }
-        let known = |corner: &u32| (*corner as usize) < positions.len();
-        if !self.faces.corners.iter().all(known) {
-            return self.out;
-        }
-        let Ok((slots, _)) = self.faces.triangulate(positions, || Ok(())) else {
-            return self.out;
-        };
-        let (textures, normals) = (self.out.textures.len() as u32, self.out.normals.len() as u32);
-        for slot in slots.into_iter().flatten() {
-            let [texture, normal] = self.corners[slot as usize];
-            self.out
-                .corner_textures
-                .push(if texture < textures { texture } else { NO_TEXTURE });
-            self.out
-                .corner_normals
-                .push(if normal < normals { normal } else { NO_NORMAL });
-        }
-        for (state, count) in self.face_states {
-            self.out.states.extend(std::iter::repeat_n(state, count));
-        }
-        self.out
-    }
-}
-
-/// The numbers after the coordinates of vertices; and of each corner its texture coordinates, its normal where vertices have
-/// none of their own, and the statements that hold for its face.
-pub(super) fn tell_apart(model: &Model, keys: &mut AttributeKeys<'_>) {
-    let geometry = &model.geometry;
-    let read = read(&model.files.main, &geometry.positions);
-    for (i, number) in read.more.iter().enumerate() {
-        keys.add(i / read.more_lanes, number.to_bits());
-    }
-    if read.states.len() != geometry.triangles.len() {
-        return;
-    }
-    let of_line = |text: &&[u8]| hash_numbers(&parse_numbers(text));
-    let textures: Vec<u64> = read.textures.iter().map(of_line).collect();
-    let of_state = |state: &FaceState<'_>| {
-        let lines = [state.object, state.group, state.smoothing, state.material];
-        lines
-            .iter()
-            .fold(1, |hash, line| mix_bits(hash, line.map_or(0, hash_bytes)))
-    };
-    let mut state = (read.states.first(), read.states.first().map_or(0, of_state));
-    for (i, t) in geometry.triangles.iter().enumerate() {
-        if state.0 != read.states.get(i) {
-            state = (read.states.get(i), of_state(&read.states[i]));
-        }
-        for (k, &v) in t.iter().enumerate() {
-            let texture = read
-                .corner_textures
-                .get(3 * i + k)
-                .and_then(|&t| textures.get(t as usize));
-            let mut key = mix_bits(state.1, texture.copied().unwrap_or(0));
-            if geometry.normals.is_empty() {
-                let normal = read
-                    .corner_normals
-                    .get(3 * i + k)
-                    .and_then(|&n| read.normals.get(n as usize));
-                key = mix_bits(key, normal.map_or(0, |n| normal_key(n.1)));
-            }
-            keys.add_of_corner(v, key);
-        }
-    }
 }
 
 /// The numbers of a line; words that are none end it.
@@ -332,72 +136,243 @@ pub(super) fn resolve(index: i64, count: u32) -> Option<u32> {
     u32::try_from(place).ok().filter(|_| index != 0)
 }
 
-/// The next three words of the line, or how many there were.
-pub(super) fn three_words(lexer: &mut TextLexer<'_>) -> Result<[TextToken; 3], usize> {
-    let mut words = [TextToken {
-        start: 0,
-        end: 0,
-        line: 0,
-    }; 3];
-    for i in 0..3 {
-        words[i] = lexer.token_on_line().ok_or(i)?;
+/// A line of three numbers behind a keyword.
+pub(super) fn push_line(out: &mut Vec<u8>, keyword: &[u8], values: DVec3, precision: NumberPrecision, newline: &[u8]) {
+    out.extend_from_slice(keyword);
+    push_triple(out, values, precision);
+    out.extend_from_slice(newline);
+}
+
+/// A corner of a face, with a blank before it.
+pub(super) fn push_corner(out: &mut Vec<u8>, vertex: u64, texture: Option<u64>, normal: Option<u64>) {
+    let result = match (texture, normal) {
+        (None, None) => write!(out, " {vertex}"),
+        (Some(texture), None) => write!(out, " {vertex}/{texture}"),
+        (None, Some(normal)) => write!(out, " {vertex}//{normal}"),
+        (Some(texture), Some(normal)) => write!(out, " {vertex}/{texture}/{normal}"),
+    };
+    debug_assert!(result.is_ok(), "writing to memory does not fail");
+}
+
+/// Numbers with blanks between them.
+pub(super) fn push_numbers(out: &mut Vec<u8>, numbers: &[f64]) {
+    for (i, &value) in numbers.iter().enumerate() {
+        if i > 0 {
+            out.push(b' ');
+        }
+        push_number(out, value, NumberPrecision::Single);
     }
-    Ok(words)
 }
 
-/// The texture coordinates of a run, counted from the upper left corner of the picture.
-pub(super) enum RunCoordinates {
-    None,
-    /// One for each vertex.
-    OfVertices(Vec<[f32; 2]>),
-    /// One for each corner of a triangle.
-    OfCorners(Vec<[f32; 2]>),
+/// Old lines and weights; the same line twice counts twice.
+type LineMix = Vec<(u32, f64)>;
+
+/// A run with what its corners have.
+pub(super) struct CornerAttributes<'a> {
+    /// Triangles over the run's vertices, from 0.
+    pub triangles: Vec<[u32; 3]>,
+    /// For each triangle the place of its corners' coordinates in `textures`; `None` where one has none.
+    pub corner_textures: Vec<Option<[u32; 3]>>,
+    pub textures: Vec<TextureCoordinate<'a>>,
+    /// The same for normals.
+    pub corner_normals: Vec<Option<[u32; 3]>>,
+    pub normals: Vec<CornerNormal<'a>>,
+    /// For each triangle what holds for it.
+    pub states: Vec<FaceState<'a>>,
 }
 
-/// Finds the coordinates of a run. `statements` are its base's.
-pub(super) fn coordinates_of(
+/// Texture coordinates.
+pub(super) enum TextureCoordinate<'a> {
+    /// The words of an old line.
+    Old(&'a [u8]),
+    /// Blended ones.
+    New(Vec<f64>),
+}
+
+impl TextureCoordinate<'_> {
+    pub fn numbers(&self) -> Vec<f64> {
+        match self {
+            Self::Old(text) => parse_numbers(text),
+            Self::New(numbers) => numbers.clone(),
+        }
+    }
+}
+
+/// A normal, with the words of its line where it is an old one.
+pub(super) struct CornerNormal<'a> {
+    pub value: Vec3,
+    pub old: Option<&'a [u8]>,
+}
+
+/// A vertex and the old lines that it is blended from, by which corners are the same.
+type CornerKey = (u32, [u32; VertexBlends::MAX_SOURCES]);
+
+fn corner_key(vertex: u32, mix: &LineMix) -> CornerKey {
+    let mut lines = [u32::MAX; VertexBlends::MAX_SOURCES];
+    lines.iter_mut().zip(mix).for_each(|(to, (line, _))| *to = *line);
+    // One line alone is the same at every vertex for coordinates, but normals turn with the vertex.
+    (vertex, lines)
+}
+
+/// Parts a run. `statements` are its base's.
+pub(super) fn divide_corners<'a>(
     edited: &EditedModel<'_>,
     run: &PrimitiveRun,
-    statements: &ObjStatements<'_>,
-) -> RunCoordinates {
+    positions: &[DVec3],
+    statements: &ObjStatements<'a>,
+) -> CornerAttributes<'a> {
     let old = &edited.base(run).model.geometry.triangles;
-    let seam = &statements.corner_textures;
-    if seam.len() != 3 * old.len() || seam.iter().all(|&line| line == NO_TEXTURE) {
-        return RunCoordinates::None;
-    }
-    let pair = |line: &&[u8]| {
-        let numbers = parse_numbers(line);
-        let at = |i: usize| numbers.get(i).copied().filter(|v| v.is_finite()).unwrap_or(0.0);
-        [at(0), at(1)]
-    };
-    let lines: Vec<[f64; 2]> = statements.textures.iter().map(pair).collect();
+    let complete = statements.states.len() == old.len();
+    let triangles = edited.local_triangles(run);
     let origins = TriangleOrigins::new(edited, run, old);
-    let mut corners = Vec::with_capacity(3 * run.triangle_count as usize);
-    for triangle in 0..run.triangle_count as usize {
-        for k in 0..3 {
-            let (mut sum, mut total) = ([0.0; 2], 0.0);
-            for (corner, weight) in origins.corner(triangle, k, seam) {
-                if let Some([u, v]) = lines.get(seam[corner as usize] as usize) {
-                    sum = [sum[0] + u * weight, sum[1] + v * weight];
-                    total += weight;
-                }
-            }
-            let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
-            corners.push([(sum[0] * scale) as f32, (1.0 - sum[1] * scale) as f32]);
+    let mut parted = CornerAttributes {
+        corner_textures: vec![None; triangles.len()],
+        textures: Vec::new(),
+        corner_normals: vec![None; triangles.len()],
+        normals: Vec::new(),
+        states: Vec::new(),
+        triangles,
+    };
+    let state_of = |&origin: &u32| statements.states.get(origin as usize).copied().unwrap_or_default();
+    parted.states = origins.old_triangles().iter().map(state_of).collect();
+    if !complete {
+        return parted;
+    }
+    let has = |lines: &[u32]| lines.iter().any(|&line| line != u32::MAX);
+    let seam = &statements.corner_textures;
+    let mut texture_numbers: BTreeMap<CornerKey, u32> = BTreeMap::new();
+    let mut shade_numbers: BTreeMap<CornerKey, u32> = BTreeMap::new();
+    let mut shades: Vec<(u32, LineMix)> = Vec::new();
+    let mut corner_shades = vec![[NONE; 3]; parted.triangles.len()];
+    let (has_textures, has_normals) = (has(seam), has(&statements.corner_normals));
+    for (i, triangle) in parted.triangles.clone().into_iter().enumerate() {
+        if !has_textures && !has_normals {
+            break;
+        }
+        let corners: [LineMix; 3] = std::array::from_fn(|k| origins.corner(i, k, seam));
+        let mix = |k: usize, lines: &[u32], none: u32| -> Option<LineMix> {
+            let mix: LineMix = corners[k]
+                .iter()
+                .map(|&(c, w)| (lines[c as usize], w))
+                .filter(|m| m.0 != none)
+                .collect();
+            let first = mix.first()?.0;
+            let one = mix.iter().all(|m| m.0 == first);
+            Some(if one { vec![(first, 1.0)] } else { mix })
+        };
+        let textures: [Option<LineMix>; 3] = std::array::from_fn(|k| mix(k, seam, NO_TEXTURE));
+        if let [Some(a), Some(b), Some(c)] = textures {
+            let mut number = |k: usize, mix: LineMix| {
+                let vertex = if mix.len() == 1 { NONE } else { triangle[k] };
+                *texture_numbers.entry(corner_key(vertex, &mix)).or_insert_with(|| {
+                    parted.textures.push(blend_texture(&mix, statements));
+                    parted.textures.len() as u32 - 1
+                })
+            };
+            parted.corner_textures[i] = Some([number(0, a), number(1, b), number(2, c)]);
+        }
+        let normals: [Option<LineMix>; 3] = std::array::from_fn(|k| mix(k, &statements.corner_normals, NO_NORMAL));
+        if let [Some(a), Some(b), Some(c)] = normals {
+            let mut number = |k: usize, mix: LineMix| {
+                *shade_numbers.entry(corner_key(triangle[k], &mix)).or_insert_with(|| {
+                    shades.push((triangle[k], mix));
+                    shades.len() as u32 - 1
+                })
+            };
+            corner_shades[i] = [number(0, a), number(1, b), number(2, c)];
+            parted.corner_normals[i] = Some(corner_shades[i]);
         }
     }
-    by_vertex(edited, run, &corners).map_or(RunCoordinates::OfCorners(corners), RunCoordinates::OfVertices)
+    if !shades.is_empty() {
+        let shading = RunShading {
+            triangles: &parted.triangles,
+            shades: &shades,
+            corner_shades,
+        };
+        parted.normals = carry_normals(edited, run, positions, shading, statements);
+    }
+    parted
 }
 
-/// One coordinate for each vertex, if all of its corners have the same.
-fn by_vertex(edited: &EditedModel<'_>, run: &PrimitiveRun, corners: &[[f32; 2]]) -> Option<Vec<[f32; 2]>> {
-    let mut of_vertex: Vec<Option<[f32; 2]>> = vec![None; run.vertex_count as usize];
-    let vertices = edited.triangles[run.triangles()].as_flattened();
-    for (&vertex, &here) in vertices.iter().zip(corners) {
-        let known = of_vertex[(vertex - run.first_vertex) as usize].get_or_insert(here);
-        if known.map(f32::to_bits) != here.map(f32::to_bits) {
-            return None;
-        }
+fn blend_texture<'a>(mix: &LineMix, statements: &ObjStatements<'a>) -> TextureCoordinate<'a> {
+    if let [(line, _)] = mix.as_slice() {
+        return TextureCoordinate::Old(statements.textures[*line as usize]);
     }
-    Some(of_vertex.into_iter().map(Option::unwrap_or_default).collect())
+    let total: f64 = mix.iter().map(|m| m.1).sum();
+    let mut sum: Vec<f64> = Vec::new();
+    for &(line, weight) in mix {
+        let numbers = parse_numbers(statements.textures[line as usize]);
+        sum.resize(sum.len().max(numbers.len()), 0.0);
+        let finite = numbers.iter().map(|v| if v.is_finite() { *v } else { 0.0 });
+        sum.iter_mut().zip(finite).for_each(|(to, v)| *to += v * weight / total);
+    }
+    TextureCoordinate::New(sum)
+}
+
+/// The shading vertices of a run: what has one normal.
+struct RunShading<'a> {
+    /// Triangles over the run's vertices, from 0.
+    triangles: &'a [[u32; 3]],
+    /// The vertex and the blended old normals of each shading vertex.
+    shades: &'a [(u32, LineMix)],
+    /// The shading vertex of each corner.
+    corner_shades: Vec<[u32; 3]>,
+}
+
+/// The normals of shading vertices after all edits and deformations.
+fn carry_normals<'a>(
+    edited: &EditedModel<'_>,
+    run: &PrimitiveRun,
+    positions: &[DVec3],
+    shading: RunShading<'_>,
+    statements: &ObjStatements<'a>,
+) -> Vec<CornerNormal<'a>> {
+    let RunShading {
+        triangles,
+        shades,
+        mut corner_shades,
+    } = shading;
+    let none = shades.len() as u32;
+    corner_shades
+        .iter_mut()
+        .flatten()
+        .for_each(|shade| *shade = (*shade).min(none));
+    let now = &positions[run.vertices()];
+    let before = CarriedAttributes::before(edited, run);
+    let gradients = shading::gradients(&before, now, triangles, &corner_shades, shades.len() + 1);
+    let smooth = shading::smooth_normals(now, triangles);
+    let placing = &edited.base(run).world_from_model.matrix3;
+    let world_from_normal = shading::cofactor(placing) * if placing.determinant() < 0.0 { -1.0 } else { 1.0 };
+    let one = |(i, (vertex, mix)): (usize, &(u32, LineMix))| {
+        let vertex = *vertex as usize;
+        let authored = match mix.as_slice() {
+            [(line, _)] => statements.normals[*line as usize].1,
+            _ => unit_or_zero(
+                mix.iter()
+                    .map(|&(n, w)| statements.normals[n as usize].1.as_dvec3() * w)
+                    .sum(),
+            ),
+        };
+        let placed = if *placing == DMat3::IDENTITY {
+            authored
+        } else {
+            unit_or_zero(world_from_normal * authored.as_dvec3())
+        };
+        let bare = edited.is_bare(run.first_vertex as usize + vertex);
+        if placed == Vec3::ZERO || bare {
+            return CornerNormal {
+                value: smooth[vertex],
+                old: None,
+            };
+        }
+        let value = gradients[i]
+            .as_ref()
+            .map_or(placed, |g| shading::carry_normal(g, placed));
+        let stays = mix.len() == 1 && (value - authored).abs().max_element() <= 1e-6;
+        CornerNormal {
+            value,
+            old: stays.then(|| statements.normals[mix[0].0 as usize].0),
+        }
+    };
+    shades.iter().enumerate().map(one).collect()
 }

@@ -1,5 +1,5 @@
+use super::build;
 use super::read::ObjReader;
-use super::write::build;
 use crate::asset::files::ReadWatch;
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Limits, Model};

@@ -3,9 +3,7 @@
 //! OFF out: the uploaded text with the changed numbers replaced, or a fresh text.
 
 use super::super::polygons::Polygons;
-use super::super::text::{
-    NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, coordinate, integer, number, push_triple, shown,
-};
+use super::super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, integer, push_triple, shown};
 use crate::asset::edited::FaceOutlines;
 use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};
@@ -91,11 +89,7 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Off
         watch.check_at(i as usize)?;
         read_face(&mut lexer, i, vertex_count, &mut faces, watch)?;
     }
-    let (slots, crude) = faces.triangulate(&positions, || watch.check())?;
-    let outlines = faces.find_outlines(&slots);
-    let triangles = slots.iter().map(|t| t.map(|s| faces.corners[s as usize])).collect();
-    let mut geometry = Geometry::from_one_mesh(positions, normals, triangles);
-    geometry.warn_about_crude_polygons(crude);
+    let (geometry, outlines) = faces.into_geometry(positions, normals, watch)?;
     Ok((
         geometry,
         OffNotes {
@@ -122,12 +116,8 @@ pub(super) fn read_header(lexer: &mut TextLexer<'_>) -> Result<bool, Error> {
             format!("{} where the keyword OFF is needed", shown(word)),
         ));
     };
-    let unsupported = |problem: &str, hint: &str| Error::Unsupported {
-        format: FORMAT,
-        place: format!("line {}", token.line),
-        problem: problem.into(),
-        hint: hint.into(),
-    };
+    let unsupported =
+        |problem: &str, hint: &str| Error::unsupported(FORMAT, format!("line {}", token.line), problem, hint);
     let rest = prefix.strip_prefix(b"ST").unwrap_or(prefix);
     if rest.iter().any(|b| b"4n".contains(b)) {
         return Err(unsupported(
@@ -172,38 +162,28 @@ pub(super) fn read_count(lexer: &mut TextLexer<'_>, what: &str) -> Result<(u64, 
         .ok_or_else(|| malformed(token.line, problem()))
 }
 
-/// The next three words, on whatever lines.
-pub(super) fn three_words(lexer: &mut TextLexer<'_>) -> Option<[TextToken; 3]> {
-    Some([lexer.token()?, lexer.token()?, lexer.token()?])
-}
-
 fn read_triple(lexer: &mut TextLexer<'_>, what: &dyn std::fmt::Display) -> Result<DVec3, Error> {
-    let Some(words) = three_words(lexer) else {
+    let Some(words) = lexer.three_tokens() else {
         return Err(malformed(lexer.line(), format!("the file ends inside {what}")));
     };
-    let mut values = DVec3::ZERO;
-    for (i, word) in words.into_iter().enumerate() {
-        values[i] = coordinate(lexer.text(word), NumberPrecision::Double)
-            .map_err(|problem| malformed(word.line, format!("{what}: {problem}")))?;
-    }
-    Ok(values)
+    let position = lexer.position(words);
+    position.map_err(|(line, problem)| malformed(line, format!("{what}: {problem}")))
 }
 
 /// A normal that is not finite is common in exports of degenerate faces; it counts as none.
 fn read_normal(lexer: &mut TextLexer<'_>, vertex: u64) -> Result<Vec3, Error> {
-    let Some(words) = three_words(lexer) else {
-        return Err(malformed(
-            lexer.line(),
-            format!("the file ends inside the normal of vertex {vertex}"),
-        ));
+    let Some(words) = lexer.three_tokens() else {
+        let problem = format!("the file ends inside the normal of vertex {vertex}");
+        return Err(malformed(lexer.line(), problem));
     };
-    let mut values = DVec3::ZERO;
-    for (i, word) in words.into_iter().enumerate() {
-        let text = lexer.text(word);
-        let problem = || format!("the normal of vertex {vertex} has {} for a number", shown(text));
-        values[i] = number(text).ok_or_else(|| malformed(word.line, problem()))?;
-    }
-    Ok(unit_or_zero(values))
+    let normal = lexer.numbers(words).map_err(|word| {
+        let seen = shown(lexer.text(word));
+        malformed(
+            word.line,
+            format!("the normal of vertex {vertex} has {seen} for a number"),
+        )
+    })?;
+    Ok(unit_or_zero(normal))
 }
 
 fn read_face(
@@ -258,11 +238,11 @@ pub(super) fn patch(bytes: &[u8], notes: &OffNotes, rest: &Geometry, positions: 
     let mut lexer = TextLexer::starting_at(bytes, notes.vertices_at as usize, 1, STYLE);
     let mut patch = TextPatch::new(bytes);
     for (i, (&old, &new)) in rest.positions.iter().zip(positions).enumerate() {
-        if let Some(words) = three_words(&mut lexer) {
+        if let Some(words) = lexer.three_tokens() {
             patch.replace_changed(words, old, new, NumberPrecision::Double);
         }
         if let Some(gradients) = &gradients
-            && let Some(words) = three_words(&mut lexer)
+            && let Some(words) = lexer.three_tokens()
             && let Some(gradient) = &gradients[i]
         {
             let (old, new) = (rest.normals[i], shading::carry_normal(gradient, rest.normals[i]));
@@ -307,4 +287,109 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
         });
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::asset::neutral::NeutralModel;
+    use crate::asset::{Error, FileSet, Format, Limits, Model};
+    use glam::{DVec3, Vec3};
+
+    fn read_text(text: &str) -> Result<Model, Error> {
+        Model::read(
+            FileSet::single("test.off", text.as_bytes().to_vec()),
+            Some(Format::OFF),
+            &Limits::default(),
+        )
+    }
+
+    const COLOURED: &str = "CNOFF # colours\r\n# a comment\r\n4 3 0\r\n\r\n0 0 0  0 0 1  255 0 0 255\r\n1 0 0  0 0 1  .5 .5 .5 1\r\n\
+        1. 1 0  0 0 2  0 0 0 0 # here\r\n0 1 0  0 0 1 0 0 0 0\r\n4 0 1 2 3 255 0 0\r\n2 0 1\r\n3 0 1 \r\n 2\r\ntrailing words";
+
+    #[test]
+    fn colours_comments_and_layout_stay_to_the_byte() {
+        let model = read_text(COLOURED).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(model.triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 2]]);
+        assert_eq!(model.normals, [Vec3::Z; 4]);
+        let same = model.write(&model.positions, Format::OFF).expect("writable");
+        assert_eq!(same.main, COLOURED.as_bytes());
+        let moved: Vec<_> = model.positions.iter().map(|p| DVec3::new(p.x, p.y, p.x)).collect();
+        let out = String::from_utf8(model.write(&moved, Format::OFF).expect("writable").main).expect("text");
+        assert!(
+            out.starts_with(
+                "CNOFF # colours\r\n# a comment\r\n4 3 0\r\n\r\n0 0 0  -0.70710677 0 0.70710677  255 0 0 255\r\n"
+            ),
+            "{out}"
+        );
+        assert!(out.ends_with("0 0 0 0 # here\r\n0 1 0  -0.70710677 0 0.70710677 0 0 0 0\r\n4 0 1 2 3 255 0 0\r\n2 0 1\r\n3 0 1 \r\n 2\r\ntrailing words"));
+        assert_eq!(read_text(&out).expect("still valid").positions, moved);
+    }
+
+    #[test]
+    fn counts_may_stand_beside_the_keyword_or_without_one() {
+        let body = "0 0 0\n1 0 0\n0 1 0\n3 0 1 2";
+        for head in [
+            "OFF 3 1 0\n",
+            "OFF\n3 1\n",
+            "OFF\n3 1 3 # none\n",
+            "3 1 0\n",
+            "STOFF\n3 1 0\n",
+            "COFF 3 1 0\n",
+        ] {
+            assert_eq!(
+                read_text(&format!("{head}{body}"))
+                    .unwrap_or_else(|e| panic!("{head}: {e}"))
+                    .triangles
+                    .len(),
+                1
+            );
+        }
+    }
+
+    #[test]
+    fn other_kinds_are_refused_with_a_hint() {
+        for text in ["4OFF\n3 1 0\n", "nOFF\n2\n3 1 0\n", "OFF BINARY\n\0\0\0\0", "ST4nOFF\n"] {
+            assert!(matches!(read_text(text), Err(Error::Unsupported { .. })), "{text}");
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        let points = "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n";
+        for (text, line, phrase) in [
+            ("", 1, "the file is empty"),
+            ("HELLO", 1, "`HELLO` where the keyword"),
+            ("OFF\nx 1 0\n", 2, "`x` where the number of vertices"),
+            ("OFF\n3 -1 0\n", 2, "`-1` where the number of faces"),
+            ("OFF\n3 1 0\n0 0 0\n", 2, "take 20 bytes at least, 7 are left"),
+            ("OFF\n3 1 0\n0 0 0 9\n1 0 0 9999\n0 1", 5, "ends inside vertex 2"),
+            (&format!("{points}3 0 1 3"), 6, "names vertex `3`; there are 3"),
+            (&format!("{points}3 0 1 -1"), 6, "names vertex `-1`"),
+            (&format!("{points}900 0 1 2"), 6, "declares 900 corners"),
+            (&format!("{points}4 0 1 2     "), 6, "ends inside face 0"),
+            (
+                &format!("{}3 0 1 2", points.replace("1 0 0", "1 NaN 0")),
+                4,
+                "vertex 1: coordinate `NaN` is not finite",
+            ),
+        ] {
+            match read_text(text) {
+                Err(Error::Malformed { place, problem, .. }) => {
+                    assert!(
+                        place == format!("line {line}") && problem.contains(phrase),
+                        "{text}\n{place}: {problem}"
+                    );
+                }
+                other => panic!("{text}: {other:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn a_fresh_file_reads_back() {
+        let geometry = read_text(COLOURED).expect("valid").geometry;
+        let text = String::from_utf8(build(&NeutralModel::from_geometry(geometry.clone()))).expect("text");
+        assert_eq!(read_text(&text).expect("valid").geometry, geometry);
+    }
 }

@@ -261,6 +261,11 @@ impl PlyScalar {
         self.value_range().1
     }
 
+    /// What stands for the whole of a share, such as a colour: the largest whole number, or 1.
+    pub fn full_value(self) -> f64 {
+        if self.is_integer() { self.largest_value() } else { 1.0 }
+    }
+
     /// The nearest value that a whole-number type holds.
     pub fn nearest_value(self, value: f64) -> f64 {
         let (low, high) = self.value_range();

@@ -1,11 +1,8 @@
 //! PLY out after edits of the topology, and what an edited PLY gives to other formats.
 
 use super::super::text::newline_of;
-use super::body::push;
-use super::body::{PlyElement, PlyEncoding, PlyProperty, PlyScalar};
-use super::read::{FORMAT, PlyNotes, VertexRole, is_indices};
-use super::table::{PlyTable, read};
-use super::write::stored_types;
+use super::body::{PlyElement, PlyEncoding, PlyProperty, PlyScalar, push};
+use super::read::{FORMAT, PlyNotes, PlyTable, VertexRole, is_indices, read_table, stored_types};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::asset::neutral::RunAttributes;
@@ -33,7 +30,7 @@ const COORDINATES: [[&str; 2]; 4] = [
 /// alone stay whole, others are triangles; they have the numbers of the face that they lie on. Edges are left out.
 pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> {
     let EditedOutput { edited, positions, .. } = *output;
-    let tables = edited.read_bases(|model, _: &PlyNotes| read(&model.files.main, &model.positions))?;
+    let tables = edited.read_bases(|model, _: &PlyNotes| read_table(&model.files.main, &model.positions))?;
     let notes = edited.bases.first().and_then(|base| base.model.notes::<PlyNotes>());
     let (Some(Some(first)), Some(notes)) = (tables.first(), notes) else {
         return Err(Error::unwritable(FORMAT, "the first base is not PLY"));
@@ -66,9 +63,9 @@ pub(super) fn write_edited(output: &EditedOutput<'_>) -> Result<Vec<u8>, Error> 
 }
 
 /// The numbers of vertices beside position and normal, and those of the faces around them.
-pub(super) fn tell_apart(model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+pub(super) fn distinguish_vertices(model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
     let notes: &PlyNotes = model.notes_or_refuse(FORMAT)?;
-    let table = read(&model.files.main, &model.geometry.positions)?;
+    let table = read_table(&model.files.main, &model.geometry.positions)?;
     let properties = notes.vertex.properties.iter().enumerate();
     for (p, property) in properties.filter(|(p, _)| notes.role(*p).is_none()) {
         let lists = table.vertex_lists.get(&p).filter(|_| property.count.is_some());
@@ -277,11 +274,7 @@ impl EditedPlyWriter<'_, '_> {
         property: &PlyProperty,
         scalar: PlyScalar,
     ) -> f64 {
-        let full = if scalar.is_integer() {
-            scalar.largest_value()
-        } else {
-            1.0
-        };
+        let full = scalar.full_value();
         let is_colour = COLOURS.iter().flatten().any(|n| *n == property.name);
         match column {
             PropertyColumn::Nothing => 0.0,
@@ -461,7 +454,7 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
         return Ok(Vec::new());
     };
     let model = edited.base(first).model;
-    let table = read(&model.files.main, &model.geometry.positions)?;
+    let table = read_table(&model.files.main, &model.geometry.positions)?;
     let Some(vertex) = table.vertex() else {
         return Ok(Vec::new());
     };
@@ -472,12 +465,7 @@ pub(super) fn run_attributes(edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -
     let coordinates = COORDINATES.iter().find_map(|names| find(names));
     let value = |new: usize, property: usize| edited.blended(new, |v| table.vertex_number(v, property));
     let share = |new: usize, property: usize| -> f32 {
-        let scalar = vertex.properties[property].scalar;
-        let full = if scalar.is_integer() {
-            scalar.largest_value()
-        } else {
-            1.0
-        };
+        let full = vertex.properties[property].scalar.full_value();
         ((value(new, property) / full) as f32).clamp(0.0, 1.0)
     };
     let one = |run: &&PrimitiveRun| {

@@ -1,6 +1,5 @@
-use super::body::push;
-use super::body::{PlyEncoding, PlyScalar};
-use super::write::build;
+use super::body::{PlyEncoding, PlyScalar, push};
+use super::build;
 use crate::asset::neutral::NeutralModel;
 use crate::asset::{Error, FileSet, Format, Limits, Model};
 use glam::{DVec3, Vec3};

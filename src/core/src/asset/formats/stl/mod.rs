@@ -7,17 +7,15 @@
 #[cfg(test)]
 mod tests;
 
-use super::text::{
-    NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, coordinate, newline_of, push_triple, shown,
-};
-use crate::asset::codec::{EditedOutput, FormatCodec, ReadFile, share_notes};
+use super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, newline_of, push_triple, shown};
+use crate::asset::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, share_notes};
 use crate::asset::edited::{BaseModel, EditedModel, TriangleOrigins};
 use crate::asset::files::{ReadWatch, check_main_size};
 use crate::asset::format::{FormatDetails, Recognition};
 use crate::asset::model::{FileNotes, is_same};
 use crate::asset::neutral::NeutralModel;
 use crate::asset::vertex_attributes::AttributeKeys;
-use crate::asset::{Error, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
+use crate::asset::{Error, FileSet, Format, Geometry, Model, WrittenFiles};
 use crate::mesh::NONE;
 use glam::DVec3;
 
@@ -45,14 +43,8 @@ impl FormatCodec for StlCodec {
         read(&files.main, watch).map(share_notes)
     }
 
-    fn patch_positions(
-        &self,
-        model: &Model,
-        positions: &[DVec3],
-        _: Format,
-        _: &ShapeFollowers<'_>,
-    ) -> Result<WrittenFiles, Error> {
-        patch(model, positions).map(WrittenFiles::single)
+    fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {
+        patch(output.model, output.positions).map(WrittenFiles::single)
     }
 
     fn rounds_to_single(&self) -> bool {
@@ -83,7 +75,7 @@ impl FormatCodec for StlCodec {
     }
 
     /// Which solid a facet is of, or its attribute.
-    fn tell_apart(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
+    fn distinguish_vertices(&self, model: &Model, keys: &mut AttributeKeys<'_>) -> Result<(), Error> {
         let of_facet = if is_text(model) {
             read_solids(model)?.of_facet.into_iter().map(u64::from).collect()
         } else {
@@ -134,7 +126,7 @@ fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, StlNotes), Err
         .get(..5)
         .is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
     let declared = declared_facets(bytes);
-    // Some programs begin binary files with the word `solid` too; the length tells them.
+    // Some programs begin binary files with the word `solid` too; the length identifies them.
     let binary = is_as_long_as_binary(bytes) || !text;
     let mut positions = Vec::new();
     let mut extra = 0;
@@ -264,17 +256,12 @@ impl<'a> FacetReader<'a> {
         if !self.lexer.text(keyword).eq_ignore_ascii_case(b"normal") {
             return None;
         }
-        Some([
-            self.lexer.token_on_line()?,
-            self.lexer.token_on_line()?,
-            self.lexer.token_on_line()?,
-        ])
+        self.lexer.three_on_line().ok()
     }
 
     fn read_vertex(&mut self) -> Result<[TextToken; 3], Error> {
         self.expect_word(b"vertex")?;
-        let mut next = || self.lexer.token();
-        let words = next().zip(next()).zip(next()).map(|((x, y), z)| [x, y, z]);
+        let words = self.lexer.three_tokens();
         words.ok_or_else(|| malformed(self.lexer.line(), "the file ends inside a vertex"))
     }
 
@@ -297,12 +284,8 @@ impl<'a> FacetReader<'a> {
     }
 
     fn read_position(&self, words: [TextToken; 3]) -> Result<DVec3, Error> {
-        let mut position = DVec3::ZERO;
-        for (i, word) in words.into_iter().enumerate() {
-            position[i] = coordinate(self.lexer.text(word), NumberPrecision::Double)
-                .map_err(|problem| malformed(word.line, problem))?;
-        }
-        Ok(position)
+        let position = self.lexer.position(words);
+        position.map_err(|(line, problem)| malformed(line, problem))
     }
 }
 

@@ -1,6 +1,5 @@
 use super::*;
-use crate::asset::Limits;
-use crate::asset::{FileSet, Model};
+use crate::asset::{FileSet, Limits, Model};
 use glam::Vec3;
 
 fn read_bytes(bytes: impl Into<Vec<u8>>) -> Result<Model, Error> {

@@ -1,14 +1,25 @@
 //! The first base's own document: its meshes with edited primitives, and the nodes that draw them.
+//!
+//! What stays of the first base's own data.
+//!
+//! Accessors that only edited primitives used are dead weight, and nothing else is gained by keeping them. They can be
+//! dropped, and the rest renumbered and packed, when every extension of the file is known not to name accessors, views
+//! or meshes in places that are not looked at here. Else the numbers stay as they are and new data is only added.
 
+use super::super::accessors::{AccessorLayout, ComponentType};
+use super::super::buffers::BufferBytes;
 use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
-use super::super::text::{JsonEdits, items, value_of};
-use super::handles::AccessorHandle;
-use super::places::{self, DRACO};
+use super::super::references::{self, References};
+use super::super::schema::{DRACO, GltfMesh, MESHOPT};
+use super::super::text::{
+    JsonEdits, json_array, list_of, parse_index, value_of, with_member, without_extensions, without_keys,
+};
+use super::blended::attributes_text;
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
 use crate::asset::Error;
 use crate::asset::edited::PrimitiveRun;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Meshes, and what changes about nodes and animations. Accessors are numbered virtually: those of the file as there,
 /// new ones on from their number.
@@ -103,9 +114,7 @@ fn version_of_mesh<'a>(
     runs_of: &BTreeMap<usize, Vec<&'a PrimitiveRun>>,
 ) -> Result<MeshVersion, Error> {
     let text = maker.doc.meshes.items[mesh];
-    let stored = value_of(text, "primitives")
-        .and_then(|p| items(p).ok())
-        .unwrap_or_default();
+    let stored = list_of(text, "primitives");
     let mut primitives = Vec::with_capacity(stored.len());
     let mut as_stored = true;
     for (p, &old) in stored.iter().enumerate() {
@@ -131,39 +140,25 @@ fn version_of_mesh<'a>(
     } else if primitives.is_empty() {
         MeshVersion::Gone
     } else {
-        MeshVersion::Text(places::with_member(
-            text,
-            "primitives",
-            &places::json_array(&primitives),
-        ))
+        MeshVersion::Text(with_member(text, "primitives", json_array(&primitives)))
     })
 }
 
 /// A stored primitive with other accessors.
 fn primitive_text(stored: &str, made: &MadePrimitive, old_accessors: usize) -> String {
-    let number = |handle: &AccessorHandle| match *handle {
-        AccessorHandle::Old(at) => at,
-        AccessorHandle::New(at) => old_accessors + at,
-    };
-    let object = |all: &BTreeMap<String, AccessorHandle>| {
-        let one = |(name, handle): (&String, &AccessorHandle)| {
-            format!("{}:{}", super::super::text::quoted(name), number(handle))
-        };
-        format!("{{{}}}", all.iter().map(one).collect::<Vec<_>>().join(","))
-    };
-    let mut text = places::without_extensions(stored, &[DRACO]);
+    let mut text = without_extensions(stored, &[DRACO]);
     if let Some(indices) = &made.indices {
-        text = places::without_extensions(&text, &OF_STORED_TRIANGLES);
-        text = places::with_member(&text, "indices", &number(indices).to_string());
+        text = without_extensions(&text, &OF_STORED_TRIANGLES);
+        text = with_member(&text, "indices", indices.number(old_accessors));
         if value_of(&text, "mode").is_some() {
-            text = places::with_member(&text, "mode", "4");
+            text = with_member(&text, "mode", "4");
         }
     }
     if !made.targets.is_empty() {
-        let targets: Vec<String> = made.targets.iter().map(object).collect();
-        text = places::with_member(&text, "targets", &places::json_array(&targets));
+        let targets = made.targets.iter().map(|target| attributes_text(target, old_accessors));
+        text = with_member(&text, "targets", json_array(targets));
     }
-    places::with_member(&text, "attributes", &object(&made.attributes))
+    with_member(&text, "attributes", attributes_text(&made.attributes, old_accessors))
 }
 
 impl EditedMeshes {
@@ -179,7 +174,7 @@ impl EditedMeshes {
         }
         for (node, version) in nodes {
             if version == MeshVersion::Gone {
-                let text = places::without_keys(doc.nodes.items[node], &["mesh", "skin", "weights"]);
+                let text = without_keys(doc.nodes.items[node], &["mesh", "skin", "weights"]);
                 self.nodes.insert(node, text);
                 continue;
             }
@@ -199,10 +194,7 @@ impl EditedMeshes {
                 }
             };
             if at != mesh {
-                self.nodes.insert(
-                    node,
-                    places::with_member(doc.nodes.items[node], "mesh", &at.to_string()),
-                );
+                self.nodes.insert(node, with_member(doc.nodes.items[node], "mesh", at));
             }
         }
     }
@@ -210,12 +202,10 @@ impl EditedMeshes {
 
 /// An animation without what moves the morph targets of nodes that draw nothing any more.
 fn animation_without(text: &str, gone: &impl Fn(usize) -> bool) -> Option<String> {
-    let channels = value_of(text, "channels")
-        .and_then(|c| items(c).ok())
-        .unwrap_or_default();
+    let channels = list_of(text, "channels");
     let is_lost = |channel: &&str| {
         let target = value_of(channel, "target");
-        let node = target.and_then(|t| value_of(t, "node")).and_then(places::index);
+        let node = target.and_then(|t| value_of(t, "node")).and_then(parse_index);
         target.and_then(|t| value_of(t, "path")) == Some("\"weights\"") && node.is_some_and(gone)
     };
     let left: Vec<String> = channels
@@ -230,6 +220,165 @@ fn animation_without(text: &str, gone: &impl Fn(usize) -> bool) -> Option<String
         return None;
     }
     let mut edits = JsonEdits::new(text);
-    edits.set(text, "channels", &places::json_array(&left));
+    edits.set(text, "channels", json_array(&left));
     Some(edits.apply())
+}
+
+/// Beginnings of the names of extensions whose every reference to an accessor or view is looked at.
+const KNOWN: [&str; 18] = [
+    "KHR_materials_",
+    "EXT_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_dds",
+    "MSFT_packing_",
+    "KHR_lights_",
+    "EXT_lights_ies",
+    "KHR_mesh_quantization",
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
+    "KHR_draco_mesh_compression",
+    "EXT_mesh_gpu_instancing",
+    "KHR_node_visibility",
+    "KHR_xmp",
+    "MSFT_lod",
+    "CESIUM_RTC",
+    "FB_ngon_encoding",
+];
+
+/// What is kept, packed into one buffer.
+pub(super) struct KeptData {
+    pub(super) bytes: Vec<u8>,
+    /// Texts of the kept views and accessors, renumbered.
+    pub(super) views: Vec<String>,
+    pub(super) accessors: Vec<String>,
+    /// New numbers by old ones.
+    pub(super) view_numbers: BTreeMap<usize, usize>,
+    pub(super) accessor_numbers: BTreeMap<usize, usize>,
+}
+
+/// Whether unused data may be dropped.
+pub(super) fn may_drop(doc: &GltfDocument<'_>) -> bool {
+    let mut all = doc.extensions_used.iter().chain(doc.extensions_required);
+    all.all(|extension| KNOWN.iter().any(|known| extension.starts_with(known)))
+}
+
+/// Packs what the frame, skins, animations, nodes and images still use; `None` when some of it cannot be read.
+pub(super) fn pack_kept_data(
+    doc: &GltfDocument<'_>,
+    buffers: &mut BufferBytes,
+    frame: &EditedMeshes,
+) -> Result<Option<KeptData>, Error> {
+    let images = list_of(doc.text, "images");
+    let places = (frame.meshes.iter().flatten().map(|mesh| references::of_mesh(mesh)))
+        .chain(doc.skins.iter().map(|skin| references::of_skin(skin)))
+        .chain(
+            frame
+                .animations
+                .iter()
+                .flatten()
+                .map(|animation| references::of_animation(animation)),
+        )
+        .chain(doc.nodes.items.iter().map(|node| references::of_node(node)))
+        .chain(images.iter().map(|image| references::of_image(image)));
+    let (mut accessors, mut views) = (BTreeSet::new(), BTreeSet::new());
+    for References { accessors: a, views: v } in places {
+        accessors.extend(
+            a.into_iter()
+                .filter_map(parse_index)
+                .filter(|&a| a < doc.accessors.len()),
+        );
+        views.extend(v.into_iter().filter_map(parse_index));
+    }
+    for &accessor in &accessors {
+        let named = references::of_accessor(doc.accessors.items[accessor]);
+        views.extend(named.views.into_iter().filter_map(parse_index));
+    }
+    if buffers.decode_for(doc, &accessors).is_err() {
+        return Ok(None);
+    }
+    let mut kept = KeptData {
+        bytes: Vec::new(),
+        views: Vec::new(),
+        accessors: Vec::new(),
+        view_numbers: BTreeMap::new(),
+        accessor_numbers: accessors.iter().enumerate().map(|(new, &old)| (old, new)).collect(),
+    };
+    let mut stored: BTreeMap<(usize, u64, u64), usize> = BTreeMap::new();
+    for old in views {
+        let Ok(bytes) = buffers.view(doc, old) else {
+            return Ok(None);
+        };
+        let view = &doc.views.values[old];
+        let mut place = |bytes: &[u8]| {
+            kept.bytes.resize(kept.bytes.len().next_multiple_of(4), 0);
+            let start = kept.bytes.len();
+            kept.bytes.extend_from_slice(bytes);
+            start
+        };
+        let start = if view.compression().is_some() {
+            place(bytes)
+        } else {
+            let key = (view.buffer.index(), view.offset(), view.byte_length.0);
+            *stored.entry(key).or_insert_with(|| place(bytes))
+        };
+        let text = without_extensions(doc.views.items[old], &MESHOPT);
+        let text = with_member(&text, "buffer", "0");
+        kept.view_numbers.insert(old, kept.views.len());
+        kept.views.push(with_member(&text, "byteOffset", start));
+    }
+    let renumber = |text| {
+        references::renumber_references(
+            text,
+            references::of_accessor,
+            |_| None,
+            |view| kept.view_numbers.get(&view).copied(),
+        )
+    };
+    kept.accessors = accessors
+        .iter()
+        .map(|&old| renumber(doc.accessors.items[old]))
+        .collect();
+    Ok(Some(kept))
+}
+
+/// Which extensions are no longer used: compression, when everything is repacked, and quantisation, when every
+/// attribute has a type of the core format.
+pub(super) fn unneeded_extensions(doc: &GltfDocument<'_>, meshes: &[Option<String>]) -> Vec<&'static str> {
+    let mut unneeded = MESHOPT.to_vec();
+    let parsed: Vec<GltfMesh> = meshes
+        .iter()
+        .flatten()
+        .filter_map(|text| serde_json::from_str(text).ok())
+        .collect();
+    let primitives = || parsed.iter().flat_map(|mesh| &mesh.primitives);
+    if !primitives().any(|p| p.has_draco()) {
+        unneeded.push(DRACO);
+    }
+    let is_core = |name: &str, accessor: usize, of_target: bool| {
+        let Some(accessor) = doc.accessors.get(accessor) else {
+            return true; // a new one
+        };
+        let component = AccessorLayout::of(accessor, doc.views.values).map(|l| l.component);
+        match name {
+            "POSITION" | "NORMAL" | "TANGENT" => component == Some(ComponentType::F32),
+            _ if name.starts_with("TEXCOORD_") => {
+                let unsigned = matches!(component, Some(ComponentType::U8 | ComponentType::U16)) && accessor.normalized;
+                component == Some(ComponentType::F32) || (unsigned || of_target)
+            }
+            _ => true,
+        }
+    };
+    let all_core = primitives().all(|p| {
+        let own = p.attributes.iter().all(|(name, a)| is_core(name, a.index(), false));
+        own && p
+            .targets
+            .iter()
+            .flatten()
+            .all(|(name, a)| is_core(name, a.index(), true))
+    });
+    if all_core {
+        unneeded.push("KHR_mesh_quantization");
+    }
+    unneeded
 }

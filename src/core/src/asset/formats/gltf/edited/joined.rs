@@ -8,19 +8,16 @@
 //! format comes as plain geometry.
 
 use super::super::builder::{AccessorKind, BufferBuilder};
+use super::super::container::GltfFault;
 use super::super::document::GltfDocument;
-use super::super::fault::GltfFault;
 use super::super::read::GltfNotes;
 use super::super::scene;
 use super::super::targets::TargetTally;
-use super::super::text::{items, quoted, value_of};
+use super::super::text::{index_of, items, json_array, json_object, list_of, quoted, value_of, with_member};
+use super::blended::{AccessorHandle, EditedTurns, attributes_text};
 use super::frame::EditedMeshes;
-use super::handles::AccessorHandle;
-use super::joined_bases::JoinedBases;
-use super::material::MaterialCopier;
-use super::places;
+use super::looks::{JoinedBases, MaterialCopier};
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
-use super::targets::EditedTurns;
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{EditedModel, PrimitiveRun};
 use crate::asset::neutral::NeutralModel;
@@ -113,9 +110,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             let here = node_for(&root_from_mesh);
             let root_from_mesh = here.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
             let mut primitives = Vec::new();
-            let stored = value_of(mesh, "primitives")
-                .and_then(|p| items(p).ok())
-                .unwrap_or_default();
+            let stored = list_of(mesh, "primitives");
             for (p, stored) in stored.into_iter().enumerate() {
                 let runs = runs_of.get(&(placement.node, p)).map_or(&[][..], Vec::as_slice);
                 for &run in runs {
@@ -133,7 +128,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                     let row = &notes.rows[run.primitive as usize];
                     let space = MeshSpace::OfNode(world_from_root * root_from_mesh);
                     let made = maker.make_primitive(run, row, space)?;
-                    let material = match value_of(stored, "material").and_then(places::index) {
+                    let material = match index_of(stored, "material") {
                         Some(m) => palette.copy_material(m, self.frame, &buffers, self.fresh, self.joined)?,
                         None => None,
                     };
@@ -145,7 +140,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             if primitives.is_empty() {
                 continue;
             }
-            let mut text = format!("{{\"primitives\":{}}}", places::json_array(&primitives));
+            let mut text = json_object([("primitives", json_array(&primitives))]);
             let keys = if here.is_some() || grown {
                 &["name", "weights", "extras"][..]
             } else {
@@ -153,18 +148,18 @@ impl<'a> BaseJoiner<'_, 'a> {
             };
             for key in keys {
                 if let Some(value) = value_of(mesh, key) {
-                    text = places::with_member(&text, key, value);
+                    text = with_member(&text, key, value);
                 }
             }
             self.joined.meshes.push(text);
             let mut node = "{}".to_owned();
             if let Some(name) = value_of(doc.nodes.items[placement.node], "name") {
-                node = places::with_member(&node, "name", name);
+                node = with_member(&node, "name", name);
             }
             if let Some(here) = &here {
                 node = here.write_into_node(node);
             }
-            children.push(self.add_node(node, Some(self.joined.meshes.len() - 1)).to_string());
+            children.push(self.add_node(node, Some(self.joined.meshes.len() - 1)));
         }
         self.set_children(root, &children);
         Ok(())
@@ -202,40 +197,30 @@ impl<'a> BaseJoiner<'_, 'a> {
             let mut add = |name: &str, at: usize| {
                 made.attributes.insert(name.into(), AccessorHandle::New(at));
             };
-            let positions: Vec<f32> = geometry.positions[range.clone()]
-                .iter()
-                .flat_map(|p| p.as_vec3().to_array())
-                .collect();
+            let positions = geometry.positions[range.clone()].iter();
+            let positions: Vec<f32> = positions.flat_map(|p| p.as_vec3().to_array()).collect();
             if positions.iter().any(|v| !v.is_finite()) {
                 return Err(self.fault.unwritable("a position is beyond 32-bit floats"));
             }
-            add(
-                "POSITION",
-                self.fresh.add_floats(&positions, 3, "VEC3", AccessorKind::Positions),
-            );
+            let bounded = AccessorKind::Positions;
+            add("POSITION", self.fresh.add_floats(&positions, 3, "VEC3", bounded));
+            let mut add_plain = |name: &str, values: &[f32], lanes: usize, shape| {
+                add(name, self.fresh.add_floats(values, lanes, shape, AccessorKind::Floats));
+            };
             if primitive.has_normals {
-                let values: Vec<f32> = geometry.normals[range.clone()]
-                    .iter()
-                    .flat_map(|n| n.to_array())
-                    .collect();
-                add(
+                let normals = geometry.normals[range.clone()].iter();
+                add_plain(
                     "NORMAL",
-                    self.fresh.add_floats(&values, 3, "VEC3", AccessorKind::Floats),
+                    &normals.flat_map(|n| n.to_array()).collect::<Vec<_>>(),
+                    3,
+                    "VEC3",
                 );
             }
             if part.has_uv {
-                add(
-                    "TEXCOORD_0",
-                    self.fresh
-                        .add_floats(uv[range.clone()].as_flattened(), 2, "VEC2", AccessorKind::Floats),
-                );
+                add_plain("TEXCOORD_0", uv[range.clone()].as_flattened(), 2, "VEC2");
             }
             if part.has_colours {
-                add(
-                    "COLOR_0",
-                    self.fresh
-                        .add_floats(colours[range].as_flattened(), 4, "VEC4", AccessorKind::Floats),
-                );
+                add_plain("COLOR_0", colours[range].as_flattened(), 4, "VEC4");
             }
             let local: Vec<[u32; 3]> = own
                 .triangles
@@ -248,44 +233,32 @@ impl<'a> BaseJoiner<'_, 'a> {
             let primitives = [self.primitive_text(&made, None, false)];
             self.joined
                 .meshes
-                .push(format!("{{\"primitives\":{}}}", places::json_array(&primitives)));
+                .push(json_object([("primitives", json_array(&primitives))]));
             let name = if primitive.name.is_empty() {
                 "{}".into()
             } else {
-                format!("{{\"name\":{}}}", quoted(&primitive.name))
+                json_object([("name", quoted(&primitive.name))])
             };
-            children.push(self.add_node(name, Some(self.joined.meshes.len() - 1)).to_string());
+            children.push(self.add_node(name, Some(self.joined.meshes.len() - 1)));
         }
         self.set_children(root, &children);
         Ok(())
     }
 
     fn primitive_text(&self, made: &MadePrimitive, material: Option<usize>, with_targets: bool) -> String {
-        let number = |handle: &AccessorHandle| match *handle {
-            // Never: joined primitives have new accessors only.
-            AccessorHandle::Old(at) => at,
-            AccessorHandle::New(at) => self.frame.accessors.len() + at,
-        };
-        let object = |all: &BTreeMap<String, AccessorHandle>| {
-            let one = |(name, handle): (&String, &AccessorHandle)| format!("{}:{}", quoted(name), number(handle));
-            format!("{{{}}}", all.iter().map(one).collect::<Vec<_>>().join(","))
-        };
-        let mut text = format!("{{\"attributes\":{}", object(&made.attributes));
-        if let Some(indices) = &made.indices {
-            text += &format!(",\"indices\":{}", number(indices));
-        }
+        let old = self.frame.accessors.len();
+        let mut members = vec![("attributes", attributes_text(&made.attributes, old))];
+        members.extend(made.indices.map(|at| ("indices", at.number(old).to_string())));
         if with_targets && !made.targets.is_empty() {
-            let targets: Vec<String> = made.targets.iter().map(object).collect();
-            text += &format!(",\"targets\":{}", places::json_array(&targets));
+            let targets = made.targets.iter().map(|target| attributes_text(target, old));
+            members.push(("targets", json_array(targets)));
         }
-        if let Some(material) = material {
-            text += &format!(",\"material\":{material}");
-        }
-        text + "}"
+        members.extend(material.map(|material| ("material", material.to_string())));
+        json_object(members)
     }
 
     fn add_root(&mut self, name: &str, placing: Option<&NodeTransform>) -> usize {
-        let text = format!("{{\"name\":{}}}", quoted(name));
+        let text = json_object([("name", quoted(name))]);
         let text = placing.map_or(text.clone(), |p| p.write_into_node(text));
         let root = self.add_node(text, None);
         self.joined.roots.push(root);
@@ -297,10 +270,10 @@ impl<'a> BaseJoiner<'_, 'a> {
         self.frame.nodes.len() + self.joined.nodes.len() - 1
     }
 
-    fn set_children(&mut self, root: usize, children: &[String]) {
+    fn set_children(&mut self, root: usize, children: &[usize]) {
         let at = root - self.frame.nodes.len();
         if let Some((text, _)) = self.joined.nodes.get_mut(at).filter(|_| !children.is_empty()) {
-            *text = places::with_member(text, "children", &places::json_array(children));
+            *text = with_member(text, "children", json_array(children));
         }
     }
 }
@@ -344,10 +317,7 @@ impl NodeTransform {
         let (scale, rotation, translation) = transform.to_scale_rotation_translation();
         let rotation = rotation.normalize();
         let transform = DAffine3::from_scale_rotation_translation(scale, rotation, translation);
-        let list = |numbers: &[f64]| {
-            let texts: Vec<String> = numbers.iter().map(|v| format!("{v:?}")).collect();
-            places::json_array(&texts)
-        };
+        let list = |numbers: &[f64]| json_array(numbers.iter().map(|v| format!("{v:?}")));
         let text = [
             ("translation", list(&translation.to_array())),
             ("rotation", list(&rotation.to_array())),
@@ -362,6 +332,6 @@ impl NodeTransform {
         }
         self.text
             .iter()
-            .fold(node, |node, (key, value)| places::with_member(&node, key, value))
+            .fold(node, |node, (key, value)| with_member(&node, key, value))
     }
 }

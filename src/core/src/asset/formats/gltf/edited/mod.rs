@@ -1,48 +1,39 @@
 //! glTF out after edits of the topology: the first base's document with edited primitives, other bases joined to it.
 //!
-//! EditedModel primitives get accessors of their own ([`primitives`], stored by [`BufferBuilder`]); nodes that drew one mesh and now
-//! differ get meshes of their own ([`frame`]). What nothing uses any more is dropped where that is safe ([`kept`]), so
+//! Edited primitives get accessors of their own ([`primitives`], stored by [`BufferBuilder`]); nodes that drew one mesh and now
+//! differ get meshes of their own ([`frame`]). What nothing uses any more is dropped where that is safe as well, so
 //! that compressed and quantised files come back as plain floats without the extensions they needed.
 
-mod channels;
-mod extras;
+mod blended;
 mod frame;
-mod handles;
 mod joined;
-mod joined_bases;
-mod kept;
 mod looks;
-mod material;
-pub(super) mod places;
 mod primitives;
-mod rigged;
-mod skins;
-mod targets;
 
-pub(super) use channels::tell_apart;
-pub(super) use extras::run_attributes;
-pub(super) use places::References;
+pub(super) use blended::distinguish_vertices;
+pub(super) use looks::run_attributes;
 
-use super::buffers::{BufferBytes, BufferOrigin};
+use super::buffers::{self, BufferBytes, BufferOrigin};
 use super::builder::BufferBuilder;
-use super::container;
+use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
-use super::fault::GltfFault;
 use super::package::package;
 use super::read::GltfNotes;
 use super::rig::FollowedNodeTree;
+use super::schema::MESHOPT;
 use super::targets::TargetTally;
-use super::text::{JsonEdits, members, quoted};
-use super::uri;
+use super::text::{
+    JsonEdits, index_of, json_array, json_object, list_of, members, quoted, with_member, without_extensions,
+    without_keys,
+};
 use crate::asset::codec::EditedOutput;
 use crate::asset::edited::PrimitiveRun;
 use crate::asset::{Error, FileSet, WrittenFiles};
-use frame::EditedMeshes;
-use joined_bases::JoinedBases;
-use kept::KeptData;
+use blended::EditedTurns;
+use frame::{EditedMeshes, KeptData};
+use looks::JoinedBases;
 use primitives::PrimitiveMaker;
 use std::collections::BTreeMap;
-use targets::EditedTurns;
 
 /// New texts of top-level members; `None` for those that go.
 pub(super) type JsonSections = BTreeMap<&'static str, Option<String>>;
@@ -58,8 +49,8 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let (doc, mut buffers) = notes.document_and_bytes(model)?;
     let mut tree = None;
     if super::rig::may_move_nodes(notes, output.followers) {
-        let before = rigged::positions_before(edited);
-        let shape = rigged::shape_of_runs((&doc, &mut buffers), notes, output, &before)?;
+        let before = primitives::positions_before(edited);
+        let shape = primitives::shape_of_runs((&doc, &mut buffers), notes, output, &before)?;
         tree = FollowedNodeTree::fit(&doc, &mut buffers, notes, &shape, output.followers)?.map(|tree| {
             let to_write = tree.positions_to_write(&shape);
             (tree, to_write)
@@ -93,8 +84,8 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         joined,
         fault,
     };
-    let kept = match kept::may_drop(&doc) {
-        true => kept::pack_kept_data(&doc, &mut buffers, &writer.frame)?,
+    let kept = match frame::may_drop(&doc) {
+        true => frame::pack_kept_data(&doc, &mut buffers, &writer.frame)?,
         false => None,
     };
     let mut written = match kept {
@@ -102,7 +93,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         None => writer.write_appended(&buffers)?,
     };
     let clips = writer.frame.animations.iter().flatten().map(String::as_str);
-    let mut followed = super::counts::followable(&doc, clips);
+    let mut followed = super::deformed::followable(&doc, clips);
     tally.count_into(&mut followed);
     if let Some((tree, _)) = &tree {
         written = tree.rewrite(written, output.format)?;
@@ -126,15 +117,15 @@ impl EditedGltfWriter<'_> {
     /// The document with all of its data packed into one buffer.
     fn write_packed(&mut self, kept: KeptData, buffers: &BufferBytes) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
-        let unneeded = kept::unneeded_extensions(doc, &self.frame.meshes);
+        let unneeded = frame::unneeded_extensions(doc, &self.frame.meshes);
         let old = doc.accessors.len();
         let new_accessor = |a: usize| match a.checked_sub(old) {
             Some(fresh) => Some(kept.accessors.len() + fresh),
             None => kept.accessor_numbers.get(&a).copied(),
         };
         let new_view = |v: usize| kept.view_numbers.get(&v).copied();
-        let renumber = |text: &str, of: fn(&str) -> places::References<'_>| {
-            places::renumber_references(text, of, new_accessor, new_view)
+        let renumber = |text: &str, of: fn(&str) -> super::references::References<'_>| {
+            super::references::renumber_references(text, of, new_accessor, new_view)
         };
 
         // Meshes that nothing draws any more go, so the others move up.
@@ -143,38 +134,49 @@ impl EditedGltfWriter<'_> {
         for (mesh, number) in self.frame.meshes.iter().zip(&mut mesh_numbers) {
             if let Some(text) = mesh {
                 *number = Some(meshes.len());
-                meshes.push(renumber(text, places::of_mesh));
+                meshes.push(renumber(text, super::references::of_mesh));
             }
         }
         let first_joined = meshes.len();
-        meshes.extend(self.joined.meshes.iter().map(|text| renumber(text, places::of_mesh)));
+        meshes.extend(
+            self.joined
+                .meshes
+                .iter()
+                .map(|text| renumber(text, super::references::of_mesh)),
+        );
         let mut nodes: Vec<String> = Vec::with_capacity(doc.nodes.len());
         for (i, stored) in doc.nodes.items.iter().enumerate() {
             let text = self.frame.nodes.get(&i).map_or(*stored, String::as_str);
-            let text = renumber(text, places::of_node);
-            let mesh = super::text::value_of(&text, "mesh").and_then(places::index);
+            let text = renumber(text, super::references::of_node);
+            let mesh = index_of(&text, "mesh");
             nodes.push(match mesh.and_then(|m| mesh_numbers.get(m).copied().flatten()) {
-                Some(new) if Some(new) != mesh => places::with_member(&text, "mesh", &new.to_string()),
+                Some(new) if Some(new) != mesh => with_member(&text, "mesh", new),
                 _ => text,
             });
         }
         nodes.extend(self.joined.node_texts(first_joined));
 
         let mut sections = JsonSections::new();
-        sections.insert("meshes", Some(places::json_array(&meshes)));
-        sections.insert("nodes", Some(places::json_array(&nodes)));
-        let skins: Vec<String> = doc.skins.iter().map(|text| renumber(text, places::of_skin)).collect();
+        sections.insert("meshes", Some(json_array(&meshes)));
+        sections.insert("nodes", Some(json_array(&nodes)));
+        let skins: Vec<String> = doc
+            .skins
+            .iter()
+            .map(|text| renumber(text, super::references::of_skin))
+            .collect();
         let animations = self.frame.animations.iter().flatten();
-        let animations: Vec<String> = animations.map(|text| renumber(text, places::of_animation)).collect();
+        let animations: Vec<String> = animations
+            .map(|text| renumber(text, super::references::of_animation))
+            .collect();
         for (key, list) in [("skins", skins), ("animations", animations)] {
-            sections.insert(key, (!list.is_empty()).then(|| places::json_array(&list)));
+            sections.insert(key, (!list.is_empty()).then(|| json_array(&list)));
         }
-        let mut images: Vec<String> = kept::unparsed_items(doc, "images")
+        let mut images: Vec<String> = list_of(doc.text, "images")
             .into_iter()
-            .map(|text| renumber(text, places::of_image))
+            .map(|text| renumber(text, super::references::of_image))
             .collect();
         images.extend(self.joined.image_texts(kept.views.len()));
-        sections.insert("images", (!images.is_empty()).then(|| places::json_array(&images)));
+        sections.insert("images", (!images.is_empty()).then(|| json_array(&images)));
         self.joined_sections(&mut sections);
         self.set_extensions(&mut sections, &unneeded);
 
@@ -189,8 +191,8 @@ impl EditedGltfWriter<'_> {
         accessors.extend(self.fresh.accessor_texts(views.len()));
         views.extend(self.fresh.view_texts(0, bytes.len()));
         bytes.extend_from_slice(self.fresh.bytes());
-        sections.insert("accessors", Some(places::json_array(&accessors)));
-        sections.insert("bufferViews", Some(places::json_array(&views)));
+        sections.insert("accessors", Some(json_array(&accessors)));
+        sections.insert("bufferViews", Some(json_array(&views)));
         self.package_files(sections, bytes, buffers)
     }
 
@@ -202,12 +204,7 @@ impl EditedGltfWriter<'_> {
         buffers: &BufferBytes,
     ) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
-        let mut companions: BTreeMap<String, Vec<u8>> = self
-            .files
-            .companions
-            .iter()
-            .map(|(name, bytes)| (name.clone(), bytes.to_vec()))
-            .collect();
+        let mut companions = self.files.owned_companions();
         for stored in &buffers.stored {
             if let BufferOrigin::Companion(name) = &stored.origin {
                 companions.remove(name);
@@ -215,19 +212,19 @@ impl EditedGltfWriter<'_> {
         }
         companions.extend(self.joined.companions.clone());
         let stored = doc.buffers.items.first().copied().unwrap_or("{}");
-        let mut buffer = places::without_extensions(stored, &["EXT_meshopt_compression", "KHR_meshopt_compression"]);
-        buffer = places::with_member(&buffer, "byteLength", &bytes.len().to_string());
+        let mut buffer = without_extensions(stored, &MESHOPT);
+        buffer = with_member(&buffer, "byteLength", bytes.len());
         let is_glb = self.fault.0 == GLB_FORMAT;
         let companion = match buffers.stored.first().map(|s| &s.origin) {
             Some(BufferOrigin::Companion(name)) if !is_glb && buffers.is_exclusive(0) => Some(name.clone()),
             _ => None,
         };
         if is_glb {
-            buffer = places::without_keys(&buffer, &["uri"]);
+            buffer = without_keys(&buffer, &["uri"]);
         } else if companion.is_none() {
-            buffer = places::with_member(&buffer, "uri", &quoted(&uri::embed(&bytes)));
+            buffer = with_member(&buffer, "uri", quoted(&buffers::embed(&bytes)));
         }
-        sections.insert("buffers", Some(places::json_array(&[buffer])));
+        sections.insert("buffers", Some(json_array(&[buffer])));
         let json = replace_members(doc.text, sections);
         let main = if is_glb {
             let rest = doc.container.as_ref().map_or(&[][..], |c| &c.rest);
@@ -238,11 +235,7 @@ impl EditedGltfWriter<'_> {
         if let Some(name) = companion {
             companions.insert(name, bytes);
         }
-        Ok(WrittenFiles {
-            main,
-            companions,
-            ..WrittenFiles::default()
-        })
+        Ok(WrittenFiles::of(main, companions))
     }
 
     /// The document with all of its old data where it was, and new data behind it.
@@ -259,7 +252,7 @@ impl EditedGltfWriter<'_> {
         let accessor_texts = self.fresh.accessor_texts(doc.views.len());
         bytes.extend_from_slice(self.fresh.bytes());
 
-        let whole = |list: Vec<String>| (!list.is_empty()).then(|| places::json_array(&list));
+        let whole = |list: Vec<String>| (!list.is_empty()).then(|| json_array(&list));
         let mut sections = JsonSections::new();
         let mut meshes: Vec<String> = Vec::new();
         for (i, mesh) in self.frame.meshes.iter().enumerate() {
@@ -282,8 +275,7 @@ impl EditedGltfWriter<'_> {
                 whole(self.frame.animations.iter().flatten().cloned().collect()),
             );
         }
-        let old =
-            |key: &str| -> Vec<String> { kept::unparsed_items(doc, key).into_iter().map(str::to_owned).collect() };
+        let old = |key: &str| -> Vec<String> { list_of(doc.text, key).into_iter().map(str::to_owned).collect() };
         let mut images = old("images");
         images.extend(self.joined.image_texts(doc.views.len()));
         sections.insert("images", whole(images));
@@ -312,9 +304,7 @@ impl EditedGltfWriter<'_> {
         };
         match target {
             Some(i) => {
-                patched
-                    .edits
-                    .set(doc.buffers.items[i], "byteLength", &bytes.len().to_string());
+                patched.edits.set(doc.buffers.items[i], "byteLength", bytes.len());
                 patched.buffers.insert(i, bytes);
             }
             None => patched.added_buffer = Some(bytes),
@@ -332,26 +322,19 @@ impl EditedGltfWriter<'_> {
             ("samplers", &self.joined.samplers),
         ] {
             if !more.is_empty() {
-                let mut list: Vec<String> = kept::unparsed_items(self.doc, key)
-                    .into_iter()
-                    .map(str::to_owned)
-                    .collect();
+                let mut list: Vec<String> = list_of(self.doc.text, key).into_iter().map(str::to_owned).collect();
                 list.extend(more.iter().cloned());
-                sections.insert(key, Some(places::json_array(&list)));
+                sections.insert(key, Some(json_array(&list)));
             }
         }
         let roots = &self.joined.roots;
         let scene = self.doc.scene.unwrap_or(0);
         if let Some(stored) = self.doc.scenes.items.get(scene).filter(|_| !roots.is_empty()) {
-            let mut nodes: Vec<String> = self.doc.scenes.values[scene]
-                .nodes
-                .iter()
-                .map(|n| n.0.to_string())
-                .collect();
-            nodes.extend(roots.iter().map(ToString::to_string));
+            let listed = self.doc.scenes.values[scene].nodes.iter().map(|n| n.index());
+            let nodes = listed.chain(roots.iter().copied());
             let mut scenes: Vec<String> = self.doc.scenes.items.iter().map(|text| (*text).to_owned()).collect();
-            scenes[scene] = places::with_member(stored, "nodes", &places::json_array(&nodes));
-            sections.insert("scenes", Some(places::json_array(&scenes)));
+            scenes[scene] = with_member(stored, "nodes", json_array(nodes));
+            sections.insert("scenes", Some(json_array(&scenes)));
         }
     }
 
@@ -372,8 +355,10 @@ impl EditedGltfWriter<'_> {
             let mut list: Vec<&String> = stored.iter().filter(|e| !unneeded.contains(&e.as_str())).collect();
             list.extend(more.iter().filter(|e| !stored.contains(e)));
             if list.len() != stored.len() || !more.is_empty() {
-                let texts: Vec<String> = list.into_iter().map(|e| quoted(e)).collect();
-                sections.insert(key, (!texts.is_empty()).then(|| places::json_array(&texts)));
+                sections.insert(
+                    key,
+                    (!list.is_empty()).then(|| json_array(list.into_iter().map(|e| quoted(e)))),
+                );
             }
         }
     }
@@ -383,13 +368,15 @@ impl EditedGltfWriter<'_> {
 pub(super) fn replace_members(text: &str, mut sections: JsonSections) -> String {
     let mut out = Vec::new();
     for member in members(text).unwrap_or_default() {
-        match sections.remove(member.key.as_str()) {
-            Some(Some(value)) => out.push(format!("{}:{value}", quoted(&member.key))),
-            Some(None) => {}
-            None => out.push(format!("{}:{}", quoted(&member.key), member.value)),
-        }
+        let value = sections.remove(member.key.as_str());
+        out.extend(
+            value
+                .unwrap_or_else(|| Some(member.value.to_owned()))
+                .map(|value| (member.key, value)),
+        );
     }
-    let added = sections.into_iter().filter_map(|(key, value)| Some((key, value?)));
-    out.extend(added.map(|(key, value)| format!("{}:{value}", quoted(key))));
-    format!("{{{}}}", out.join(","))
+    let added = sections
+        .into_iter()
+        .filter_map(|(key, value)| Some((key.to_owned(), value?)));
+    json_object(out.into_iter().chain(added))
 }

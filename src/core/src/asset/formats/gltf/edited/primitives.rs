@@ -1,19 +1,20 @@
-//! The accessors of one edited primitive.
+//! The accessors of one edited primitive, and which joints hold its vertices.
 
 use super::super::accessors::{AccessorLayout, ShapeAttribute, read_floats};
 use super::super::buffers::BufferBytes;
 use super::super::builder::{AccessorKind, BufferBuilder};
+use super::super::container::GltfFault;
 use super::super::document::GltfDocument;
-use super::super::fault::GltfFault;
-use super::super::placement::{Placement, VertexTransforms};
-use super::super::read::PlacedPrimitive;
+use super::super::placement::{Placement, VertexInfluences, VertexTransforms, influence_accessors};
+use super::super::read::{GltfNotes, PlacedPrimitive};
+use super::super::rig::{JointHeldVertices, SkinnedShape, joint_count};
 use super::super::schema::{Attributes, MeshPrimitive};
 use super::super::targets::TargetTally;
-use super::channels::{AttributeBlender, AttributeValues, read, shape_of};
-use super::handles::AccessorHandle;
-use super::skins::BlendedSkin;
-use super::targets::{EditedTurns, TargetBlender};
+use super::blended::{
+    AccessorHandle, AttributeBlender, AttributeValues, BlendedSkin, EditedTurns, TargetBlender, read, shape_of,
+};
 use crate::asset::Error;
+use crate::asset::codec::EditedOutput;
 use crate::asset::edited::{CarriedAttributes, EditedModel, PrimitiveRun, VertexBlend};
 use crate::asset::model::position_bits;
 use glam::{DAffine3, DVec3, Vec3, Vec4};
@@ -268,7 +269,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                     mixer.blend_linearly(&channel)
                 };
                 if name.starts_with("TEXCOORD_") || name.starts_with("COLOR_") {
-                    // Vertices that were only copied bring what the file had; in what is written anew that is no number.
+                    // Vertices that were only copied bring what the file had; in what is written here that is not a number.
                     let wrong = values.iter_mut().filter(|v| !v.is_finite());
                     wrong.for_each(|v| *v = 0.0);
                 }
@@ -284,4 +285,58 @@ impl<'a> PrimitiveMaker<'a, '_> {
 /// Whether an application's own attribute names things, so that a mean of two values means nothing.
 fn is_identifier(name: &str, channel: &AttributeValues) -> bool {
     name.starts_with('_') && (channel.is_whole || name.contains("ID"))
+}
+
+/// Where the blends put all vertices.
+pub(super) fn positions_before(edited: &EditedModel<'_>) -> Vec<DVec3> {
+    let runs = edited.runs.iter();
+    runs.flat_map(|run| CarriedAttributes::before(edited, run)).collect()
+}
+
+/// The vertices of an edited model, and which joints of its first base hold them.
+pub(super) fn shape_of_runs<'a>(
+    (doc, buffers): (&GltfDocument<'_>, &mut BufferBytes),
+    notes: &GltfNotes,
+    output: &EditedOutput<'a>,
+    before: &'a [DVec3],
+) -> Result<SkinnedShape<'a>, Error> {
+    let edited = output.edited;
+    let mut shape = SkinnedShape {
+        before,
+        now: output.positions,
+        held: Vec::new(),
+        fixed: Vec::new(),
+    };
+    for run in edited.runs.iter().filter(|run| run.base == 0) {
+        let row = &notes.rows[run.primitive as usize];
+        let Some(skin) = row.skin else {
+            shape.fixed.push((row.node, run.vertices()));
+            continue;
+        };
+        if !row.follows_joints {
+            continue;
+        }
+        let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+        let used = influence_accessors(primitive).into_iter().flat_map(|(j, w)| [j, w]);
+        buffers.decode_for(doc, &used.collect::<BTreeSet<usize>>())?;
+        let joints = joint_count(doc, skin);
+        let old = &edited.base(run).model.geometry.triangles[row.triangles.clone()];
+        let influences = if edited.is_untouched(run, old) {
+            let stored = VertexInfluences::read(doc, buffers, primitive, joints);
+            stored.map_err(|problem| doc.fault.unwritable(problem))?
+        } else {
+            let mixer = AttributeBlender::new(edited, run);
+            match BlendedSkin::read(doc, buffers, primitive, &mixer, &row.placement)? {
+                Some(skin) => skin.influences(joints, doc.fault)?,
+                None => continue,
+            }
+        };
+        shape.held.push(JointHeldVertices {
+            skin,
+            first: run.first_vertex as usize,
+            influences,
+            placement: row.placement.clone(),
+        });
+    }
+    Ok(shape)
 }

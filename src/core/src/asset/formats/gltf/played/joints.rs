@@ -1,16 +1,15 @@
 //! Frames as joints that carry every vertex.
 
-use super::super::builder::AccessorKind;
-use super::super::edited::{JsonSections, places};
-use super::super::float_json::json_floats;
+use super::super::builder::{AccessorKind, json_floats};
+use super::super::edited::JsonSections;
 use super::super::read::GltfNotes;
-use super::super::text::quoted;
+use super::super::text::{json_array, quoted};
 use super::beside::go_on_beside;
-use super::channels::{NewClip, add_times};
-use super::document::PlayedDocument;
-use super::primitives::{PlayedNode, PrimitiveChanges, RestPrimitive, changed_mesh, played_nodes, still_target};
-use super::scene::{kept_clips, kept_skins, name_member, take_mesh};
-use crate::asset::played_clip::{CarryingJoints, NodePlace, SkinnedClip};
+use super::document::{
+    NewClip, PlayedDocument, PlayedNode, add_times, kept_clips, kept_skins, name_member, played_nodes, take_mesh,
+};
+use super::morphs::{PrimitiveChanges, RestPrimitive, changed_mesh, still_target};
+use crate::asset::moving_scene::{CarryingJoints, NodePlace, SkinnedClip};
 use crate::asset::{Error, Geometry, Model};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 
@@ -40,7 +39,7 @@ pub(super) fn add_clip(
     let skeleton = add_skeleton(played, clip);
     let back: Vec<f32> = skeleton.stands.iter().flat_map(inverse_matrix).collect();
     let back = played.add_floats(&back, "MAT4", AccessorKind::Numbers);
-    let (root, numbers) = (skeleton.root, number_list(&skeleton.nodes));
+    let (root, numbers) = (skeleton.root, json_array(&skeleton.nodes));
     skins.push(format!(
         r#"{{"inverseBindMatrices":{back},"joints":{numbers},"skeleton":{root}}}"#
     ));
@@ -57,13 +56,13 @@ pub(super) fn add_clip(
             let times = add_times(played, clip.times);
             let weights: Vec<f32> = correctives.weights.iter().flatten().map(|w| *w as f32).collect();
             let weights = played.add_floats(&weights, "SCALAR", AccessorKind::Numbers);
-            let sampler = new.add_sampler(times, weights);
+            let sampler = new.add_sampler(times, "LINEAR", weights);
             drawn.iter().for_each(|node| new.add_channel(sampler, *node, "weights"));
         }
         clips.push(new.text());
     }
-    sections.insert("animations", (!clips.is_empty()).then(|| places::json_array(&clips)));
-    sections.insert("skins", Some(places::json_array(&skins)));
+    sections.insert("animations", (!clips.is_empty()).then(|| json_array(&clips)));
+    sections.insert("skins", Some(json_array(&skins)));
     Ok(sections)
 }
 
@@ -95,7 +94,7 @@ fn add_skeleton(played: &mut PlayedDocument<'_, '_>, clip: &SkinnedClip<'_>) -> 
         let nodes: Vec<usize> = hang.map(|(joint, _)| node_of(joint)).collect();
         match nodes.is_empty() {
             true => String::new(),
-            false => format!(r#","children":{}"#, number_list(&nodes)),
+            false => format!(r#","children":{}"#, json_array(&nodes)),
         }
     };
     for (number, (joint, place)) in clip.joints.iter().zip(&own).enumerate() {
@@ -134,11 +133,6 @@ fn add_joints(played: &mut PlayedDocument<'_, '_>, new: &mut NewClip, skeleton: 
     if let Some(keys) = &clip.root {
         new.add_keys(played, skeleton.root, keys);
     }
-}
-
-fn number_list(numbers: &[usize]) -> String {
-    let texts: Vec<String> = numbers.iter().map(ToString::to_string).collect();
-    places::json_array(&texts)
 }
 
 /// A place in model space as one that hangs on another has it.

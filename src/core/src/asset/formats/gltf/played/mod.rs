@@ -1,8 +1,8 @@
 //! Clips of solved frames in a GLB: as morph targets ([`morphs`]), or as joints that move every vertex ([`joints`]).
 //!
 //! The rest file stays as it is except for what is played: [`document`] tracks nodes and meshes that change and makes
-//! the files, [`primitives`] computes rest positions in their own space and rewrites primitives, [`scene`] puts nodes
-//! into scenes and decides which clips stay, [`channels`] writes the new clip.
+//! the files, puts nodes into scenes, decides which clips stay and writes the new clip; [`morphs`] computes rest positions
+//! in their own space and rewrites primitives, and [`beside`] carries on what of the file's own clip moves the rest.
 //!
 //! # Decisions
 //! - A mesh that a skin placed is drawn in model space by a node of its own at the top of the scene. Its old node stays
@@ -17,16 +17,12 @@
 //! - Data that nothing uses any more stays in the file's buffer.
 
 mod beside;
-mod channels;
-mod cut_keys;
 mod document;
 mod joints;
 mod morphs;
-mod primitives;
-mod scene;
 
 use super::read::GltfNotes;
-use crate::asset::played_clip::PlayedClip;
+use crate::asset::moving_scene::PlayedClip;
 use crate::asset::{Error, Model, WrittenFiles};
 use document::PlayedDocument;
 

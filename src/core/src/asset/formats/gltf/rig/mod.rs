@@ -1,44 +1,35 @@
 //! Nodes follow the body: joints move and turn with their vertices, other nodes by given motions. Clips play on the new
 //! rest pose.
 //!
-//! When the rest shape of a skinned model changes, each joint gets the rigid motion of its vertices ([`motions`], by
-//! sums of [`moments`]). Nodes get new local transforms, from parents to children ([`nodes`]), and skins new inverse
+//! When the rest shape of a skinned model changes, each joint gets the rigid motion of its vertices ([`motions`]). Nodes get new local transforms, from parents to children ([`nodes`]), and skins new inverse
 //! bind matrices, so that joint times inverse bind matrix does not change: the rest pose draws every vertex in its new
-//! place, and the bind shape is the new one. Clips are rewritten relative to the new rest pose ([`clips`]): where a
+//! place, and the bind shape is the new one. Clips are rewritten relative to the new rest pose ([`rewrite`]): where a
 //! clip equals the old rest pose it equals the new one, and it turns joints about their own new axes. [`rewrite`]
 //! changes files that were written as if no node had moved, by patches or after an edit.
 //!
-//! Bones may keep their lengths ([`bones`]); the matrices then compensate for joints that the body would put elsewhere.
-//! What followed is counted for reports ([`counts`]). Nodes that are not joints move only by the motions in
+//! Bones may keep their lengths; the matrices then compensate for joints that the body would put elsewhere.
+//! What followed is counted for reports. Nodes that are not joints move only by the motions in
 //! [`ShapeFollowers`]. Children of a moved node move rigidly with it, except meshes that are part of the shape: their
 //! vertices are drawn where the shape has them. Joints that are to stay do so even under a node that moves.
 //!
 //! A joint that moves no further than rounding keeps every byte: its node, its matrix, its clips.
 
-mod bones;
-mod clips;
-mod counts;
-mod moments;
 mod motions;
 mod nodes;
-mod rewrite;
+pub(super) mod rewrite;
 
-pub(super) use clips::moves_nodes;
 pub(super) use motions::{JointHeldVertices, SkinnedShape};
 
 use super::buffers::BufferBytes;
 use super::document::GltfDocument;
-use super::influences::{VertexInfluences, influence_accessors};
-use super::placement::{Placement, invert};
+use super::placement::{Placement, SkinPose, VertexInfluences, affine_of, influence_accessors, invert, joint_nodes};
 use super::read::GltfNotes;
 use super::scene::{PlacedScene, place_meshes};
-use super::skin::{SkinPose, affine_of};
-use crate::asset::{BoneLengthRule, Error, Geometry, RigRule, ShapeFollowers};
+use crate::asset::{BoneLengthRule, Error, FollowedCounts, Geometry, JointTravel, RigRule, ShapeFollowers};
 use crate::mesh::BoundingBox;
-use bones::RigidBones;
 use glam::{DAffine3, DVec3};
 use motions::joint_motions;
-use nodes::{MovedNodes, move_nodes};
+use nodes::{MovedNodes, RigidBones, move_nodes};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -138,7 +129,7 @@ impl FollowedNodeTree {
             // They stay where they are, even under a node that goes.
             RigRule::Keep => followed.values().flat_map(still).collect(),
         };
-        // What a broken skin draws nobody knows, so its joints had better stay.
+        // What a broken skin draws is not known, so its joints stay.
         motions.extend(broken.iter().filter_map(|skin| known.get(skin)).flat_map(still));
         motions.extend(followers.nodes.iter().filter(|(node, _)| **node < doc.nodes.len()));
         if motions.values().all(Option::is_none) {
@@ -163,13 +154,13 @@ impl FollowedNodeTree {
             size,
         };
         for (skin, pose) in known {
-            tree.bind_anew(skin, pose);
+            tree.fit_binds(skin, pose);
         }
         Ok(Some(tree))
     }
 
     /// Finds the inverse bind matrices that keep what a skin draws.
-    fn bind_anew(&mut self, skin: usize, pose: Arc<SkinPose>) {
+    fn fit_binds(&mut self, skin: usize, pose: Arc<SkinPose>) {
         let mut changes = BindChanges::new();
         let mut after = SkinPose::clone(&pose);
         for (number, (&node, place)) in pose.joints.iter().zip(&mut after.world_from_bind).enumerate() {
@@ -248,4 +239,29 @@ fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
     }
     matrix[15] = 1.0;
     matrix
+}
+
+impl FollowedNodeTree {
+    /// Adds the joints that moved to the counts of a file.
+    pub(in super::super) fn count_into(&self, doc: &GltfDocument<'_>, counts: &mut FollowedCounts) {
+        let joints = joint_nodes(doc);
+        let moved = joints.into_iter().filter(|&joint| self.has_moved(joint));
+        let travel = |joint: usize| JointTravel {
+            node: u32::try_from(joint).unwrap_or(u32::MAX),
+            name: doc.nodes.values[joint].name.clone().unwrap_or_default(),
+            distance: (self.nodes.world_from_node[joint].translation).distance(self.world_from_node[joint].translation),
+        };
+        let travels: Vec<JointTravel> = moved.map(travel).collect();
+        counts.moved_joints = u32::try_from(travels.len()).unwrap_or(u32::MAX);
+        counts.list_farthest(travels);
+    }
+
+    /// Whether a node stands or is turned differently; one that was held back under a parent that goes does not.
+    fn has_moved(&self, node: usize) -> bool {
+        let (before, after) = (&self.world_from_node[node], &self.nodes.world_from_node[node]);
+        let lengths = before.matrix3.x_axis.length() + before.matrix3.y_axis.length() + before.matrix3.z_axis.length();
+        let is_still = before.translation.distance(after.translation) <= ROUNDING * self.size
+            && (0..3).all(|k| before.matrix3.col(k).distance(after.matrix3.col(k)) <= ROUNDING * lengths);
+        self.nodes.is_elsewhere[node] && !is_still
+    }
 }

@@ -1,18 +1,25 @@
 //! Puts moved nodes into files: nodes, inverse bind matrices, and clips.
+//!
+//! Clips after joints have moved: the samplers whose values change, and how.
+//!
+//! Old and new rest pose of a node differ by a turn in its parent's frame and by where it stands there. A rotation of a clip is
+//! turned by the same, and a translation's difference from the old rest is turned and added to the new. In the node's own
+//! frame a clip so does what it did. Where a bone keeps its length, translations turn with the bone instead. All of it is linear in what interpolation mixes, tangents of splines included.
 
-use super::super::accessors::{AccessorLayout, ComponentType, check_unbacked, read_values};
+use super::super::accessors::{AccessorLayout, ComponentType, decode_values};
 use super::super::buffers::BufferBytes;
-use super::super::builder::{AccessorKind, BufferBuilder};
+use super::super::builder::{AccessorKind, BufferBuilder, bounds, json_floats};
 use super::super::document::{GltfDocument, PatchedDocument};
-use super::super::edited::{References, places};
-use super::super::float_json::{bounds, json_floats};
 use super::super::package::package;
 use super::super::read::{load_bytes, parse_written};
-use super::super::sharing::ByteSpans;
-use super::super::text::{JsonEdits, value_of};
-use super::clips::{ChangedSampler, ClipTarget, SampledValues, carried_values, changed_samplers};
+use super::super::references::{self, References};
+use super::super::text::{JsonEdits, index_of, list_of, parse_index, value_of, with_member};
+use super::super::used_bytes::ByteSpans;
+use super::nodes::{MovedNode, MovedNodes};
 use super::{BindChanges, FollowedNodeTree};
+use crate::asset::files::within;
 use crate::asset::{Error, FileSet, Format, WrittenFiles};
+use glam::{DQuat, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// How many bytes of clips are rewritten for one file: channels may share their numbers, so that their size is not bounded by
@@ -84,18 +91,11 @@ impl<'a> RigWriter<'_, 'a> {
                 ("rotation", node.rotation.as_ref().map(|v| &v[..])),
                 ("matrix", node.matrix.as_ref().map(|v| &v[..])),
             ];
-            let json: Vec<(&str, String)> = parts
-                .into_iter()
-                .filter_map(|(key, values)| Some((key, json_floats(values?))))
-                .collect();
-            self.set_all(text, &json);
-        }
-    }
-
-    /// Sets several keys of one object, which may be empty.
-    fn set_all(&mut self, object: &'a str, json: &[(&str, String)]) {
-        for (key, value) in json {
-            self.edits.set(object, key, value);
+            for (key, values) in parts {
+                if let Some(values) = values {
+                    self.edits.set(text, key, json_floats(values));
+                }
+            }
         }
     }
 
@@ -104,7 +104,7 @@ impl<'a> RigWriter<'_, 'a> {
         let (Some(&text), count) = (doc.skins.get(skin), super::joint_count(doc, skin)) else {
             return Ok(());
         };
-        let accessor = value_of(text, "inverseBindMatrices").and_then(places::index);
+        let accessor = index_of(text, "inverseBindMatrices");
         let mut values: Vec<f32> = match accessor {
             Some(accessor) => self.read(accessor, 16)?.unwrap_or_default(),
             None => Vec::new(),
@@ -124,7 +124,7 @@ impl<'a> RigWriter<'_, 'a> {
         // Skins that share their matrices come one by one; the first to come would spoil those of the others.
         let in_place = accessor.filter(|_| self.names(accessor) == 1);
         if let Some(at) = self.store(in_place, &new)? {
-            self.edits.set(text, "inverseBindMatrices", &at.to_string());
+            self.edits.set(text, "inverseBindMatrices", at);
         }
         Ok(())
     }
@@ -186,7 +186,7 @@ impl<'a> RigWriter<'_, 'a> {
     /// Points a sampler at new values, or the channels that part from it at a new sampler.
     fn point_sampler(&mut self, user: &ChangedSampler<'a>, accessor: usize, parted: &mut BTreeMap<usize, Vec<String>>) {
         if user.parting.is_empty() {
-            self.edits.set(user.sampler, "output", &accessor.to_string());
+            self.edits.set(user.sampler, "output", accessor);
             return;
         }
         let stored = value_of(self.doc.animations[user.animation], "samplers");
@@ -195,7 +195,7 @@ impl<'a> RigWriter<'_, 'a> {
             .map_or(0, |list| list.len());
         let new = parted.entry(user.animation).or_default();
         let number = (stored + new.len()).to_string();
-        new.push(places::with_member(user.sampler, "output", &accessor.to_string()));
+        new.push(with_member(user.sampler, "output", accessor));
         for channel in &user.parting {
             self.edits.set(channel, "sampler", &number);
         }
@@ -203,26 +203,14 @@ impl<'a> RigWriter<'_, 'a> {
 
     fn spend(&mut self, bytes: u64) -> Result<(), Error> {
         self.rewritten = self.rewritten.saturating_add(bytes);
-        if self.rewritten > MOST_REWRITTEN {
-            return Err(Error::TooLarge {
-                what: "number of bytes of clips that follow",
-                seen: self.rewritten,
-                limit: MOST_REWRITTEN,
-            });
-        }
-        Ok(())
+        within("number of bytes of clips that follow", self.rewritten, MOST_REWRITTEN)
     }
 
     /// The values of an accessor with so many lanes; `None` for one of another kind.
     fn read(&mut self, accessor: usize, lanes: usize) -> Result<Option<Vec<f32>>, Error> {
-        let described = self.doc.accessors.get(accessor);
-        let layout = described.and_then(|a| AccessorLayout::of(a, self.doc.views.values));
-        let Some(layout) = layout.filter(|l| l.lanes == lanes) else {
-            return Ok(None);
-        };
-        check_unbacked(self.doc, accessor, layout)?;
-        self.buffers.decode_for(self.doc, &BTreeSet::from([accessor]))?;
-        read_values(self.doc, &self.buffers, accessor, layout).map(Some)
+        let layout = AccessorLayout::find(self.doc, accessor).filter(|l| l.lanes == lanes);
+        let read = |layout| decode_values(self.doc, &mut self.buffers, accessor, layout);
+        layout.map(read).transpose()
     }
 
     /// Stores values in place of those of an accessor where that changes nothing else, in a new accessor otherwise, the number of
@@ -250,9 +238,7 @@ impl<'a> RigWriter<'_, 'a> {
         let fits = layout.component == ComponentType::F32
             && accessor.sparse.is_none()
             && accessor.count.index().saturating_mul(new.lanes) == new.values.len()
-            && view.compression().is_none()
-            && self.buffers.is_exclusive(buffer)
-            && !doc.buffers.values[buffer].is_fallback()
+            && self.buffers.takes_floats(doc, view)
             && self.spans.is_alone(index);
         if !fits {
             return false;
@@ -307,15 +293,150 @@ impl<'a> RigWriter<'_, 'a> {
 fn accessor_uses(doc: &GltfDocument<'_>) -> Vec<u32> {
     let mut uses = vec![0; doc.accessors.len()];
     let mut count = |places: References<'_>| {
-        for index in places.accessors.into_iter().filter_map(places::index) {
+        for index in places.accessors.into_iter().filter_map(parse_index) {
             if let Some(uses) = uses.get_mut(index) {
                 *uses += 1;
             }
         }
     };
-    doc.meshes.items.iter().for_each(|text| count(places::of_mesh(text)));
-    doc.nodes.items.iter().for_each(|text| count(places::of_node(text)));
-    doc.skins.iter().for_each(|text| count(places::of_skin(text)));
-    doc.animations.iter().for_each(|text| count(places::of_animation(text)));
+    doc.meshes
+        .items
+        .iter()
+        .for_each(|text| count(references::of_mesh(text)));
+    doc.nodes.items.iter().for_each(|text| count(references::of_node(text)));
+    doc.skins.iter().for_each(|text| count(references::of_skin(text)));
+    doc.animations
+        .iter()
+        .for_each(|text| count(references::of_animation(text)));
     uses
+}
+
+/// What a clip does to a node that has moved.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct ClipTarget {
+    pub(super) node: usize,
+    pub(super) is_rotation: bool,
+}
+
+/// How values of a sampler lie in their accessor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct SampledValues {
+    pub(super) accessor: usize,
+    /// Whether each value stands between two tangents.
+    pub(super) is_spline: bool,
+}
+
+/// A sampler that needs other values.
+pub(super) struct ChangedSampler<'a> {
+    pub(super) animation: usize,
+    /// Its text.
+    pub(super) sampler: &'a str,
+    pub(super) values: SampledValues,
+    pub(super) target: ClipTarget,
+    /// The channels that need a sampler of their own, because others use this one for something else; empty when the sampler
+    /// itself changes.
+    pub(super) parting: Vec<&'a str>,
+}
+
+impl ClipTarget {
+    /// Numbers of one value.
+    pub(super) fn lanes(self) -> usize {
+        if self.is_rotation { 4 } else { 3 }
+    }
+}
+
+/// All samplers that need other values, animation by animation.
+pub(super) fn changed_samplers<'a>(doc: &GltfDocument<'a>, nodes: &MovedNodes) -> Vec<ChangedSampler<'a>> {
+    let mut all = Vec::new();
+    for (animation, &text) in doc.animations.iter().enumerate() {
+        let list = |key: &str| list_of(text, key);
+        let samplers = list("samplers");
+        let mut users: BTreeMap<usize, Vec<(Option<ClipTarget>, &'a str)>> = BTreeMap::new();
+        for channel in list("channels") {
+            if let Some(sampler) = index_of(channel, "sampler") {
+                let target = target_of(channel).filter(|target| is_changed(nodes, *target));
+                users.entry(sampler).or_default().push((target, channel));
+            }
+        }
+        for (sampler, users) in users {
+            let Some(&text) = samplers.get(sampler) else { continue };
+            let Some(accessor) = index_of(text, "output") else {
+                continue;
+            };
+            let is_spline = value_of(text, "interpolation") == Some("\"CUBICSPLINE\"");
+            let mut wanted: BTreeMap<ClipTarget, Vec<&'a str>> = BTreeMap::new();
+            for (target, channel) in &users {
+                if let Some(target) = target {
+                    wanted.entry(*target).or_default().push(channel);
+                }
+            }
+            let is_agreed = wanted.len() == 1 && users.iter().all(|(target, _)| target.is_some());
+            for (target, channels) in wanted {
+                all.push(ChangedSampler {
+                    animation,
+                    sampler: text,
+                    values: SampledValues { accessor, is_spline },
+                    target,
+                    parting: if is_agreed { Vec::new() } else { channels },
+                });
+            }
+        }
+    }
+    all
+}
+
+/// Which node a channel moves, and how; `None` for what no joint's motion changes.
+fn target_of(channel: &str) -> Option<ClipTarget> {
+    let target = value_of(channel, "target")?;
+    let path: String = serde_json::from_str(value_of(target, "path")?).ok()?;
+    let (node, path) = if path == "pointer" {
+        let extension = value_of(value_of(target, "extensions")?, "KHR_animation_pointer")?;
+        let pointer: String = serde_json::from_str(value_of(extension, "pointer")?).ok()?;
+        let (node, path) = pointer.strip_prefix("/nodes/")?.split_once('/')?;
+        (node.parse().ok()?, path.to_owned())
+    } else {
+        (index_of(target, "node")?, path)
+    };
+    let is_rotation = path == "rotation";
+    (is_rotation || path == "translation").then_some(ClipTarget { node, is_rotation })
+}
+
+/// Whether a clip moves or turns any node. Others, such as those of morph weights alone, never change.
+pub(in super::super) fn moves_nodes(animation: &str) -> bool {
+    let channels = list_of(animation, "channels");
+    channels.into_iter().any(|channel| target_of(channel).is_some())
+}
+
+fn is_changed(nodes: &MovedNodes, target: ClipTarget) -> bool {
+    let turns = |node: &MovedNode| node.turn != DQuat::IDENTITY;
+    let node = nodes.moved.get(&target.node);
+    node.is_some_and(|node| turns(node) || (!target.is_rotation && node.translation.is_some()))
+}
+
+/// Values of a sampler relative to the new rest pose.
+pub(super) fn carried_values(stored: &[f32], node: &MovedNode, is_rotation: bool, is_spline: bool) -> Vec<f32> {
+    let mut values = stored.to_vec();
+    if is_rotation {
+        for value in values.as_chunks_mut::<4>().0 {
+            let carried = (node.turn * DQuat::from_array(value.map(f64::from))).as_quat();
+            if carried.is_finite() {
+                *value = carried.to_array();
+            }
+        }
+        return values;
+    }
+    let turn = node.bone_turn.unwrap_or(node.turn);
+    for (i, value) in values.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+        let stored = DVec3::from_array(value.map(f64::from));
+        let is_tangent = is_spline && i % 3 != 1;
+        let carried = if is_tangent {
+            turn * stored
+        } else {
+            node.to + turn * (stored - node.from)
+        };
+        if carried.as_vec3().is_finite() {
+            *value = carried.as_vec3().to_array();
+        }
+    }
+    values
 }

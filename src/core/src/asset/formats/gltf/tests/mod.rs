@@ -1,14 +1,11 @@
 //! Small documents made by hand, read and written through the module's own interface.
 
-mod bones;
-mod instances;
-mod morphs;
-mod places;
 mod reading;
 mod rigs;
 mod skins;
 mod writing;
 
+use super::builder::float_bytes;
 use crate::asset::{Error, FileSet, Format, Limits, Model, WrittenFiles};
 use glam::DVec3;
 
@@ -40,8 +37,13 @@ impl DocumentDraft {
     }
 
     fn points(&mut self, points: &[[f32; 3]]) -> usize {
-        let view = self.view(&bytes_of(points), "");
-        self.accessor(view, 5126, points.len(), "VEC3", "")
+        self.elements(points, "VEC3", "")
+    }
+
+    /// Floats with a view of their own.
+    fn elements<const N: usize>(&mut self, values: &[[f32; N]], shape: &str, more: &str) -> usize {
+        let view = self.view(&float_bytes(values.as_flattened()), "");
+        self.accessor(view, 5126, values.len(), shape, more)
     }
 
     fn indices(&mut self, indices: &[u16]) -> usize {
@@ -66,20 +68,31 @@ impl DocumentDraft {
             &self.json(body, ""),
             Some(&self.bin),
             &[],
-            super::fault::GltfFault(Format::GLB),
+            super::container::GltfFault(Format::GLB),
         );
         FileSet::single("draft.glb", glb.expect("small"))
     }
 }
 
 fn bytes_of(points: &[[f32; 3]]) -> Vec<u8> {
-    points.iter().flatten().flat_map(|v| v.to_le_bytes()).collect()
+    float_bytes(points.as_flattened())
 }
 
 /// A flat square of two triangles, and its indices.
 const SQUARE: [[f32; 3]; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]];
 const CORNERS: [u16; 6] = [0, 1, 2, 0, 2, 3];
 const UP: [[f32; 3]; 4] = [[0.0, 0.0, 1.0]; 4];
+
+/// A primitive of accessors 0 and 1.
+const PLAIN: &str = r#"{"attributes":{"POSITION":0},"indices":1}"#;
+
+/// The square as accessor 0, its indices as accessor 1.
+fn square_draft() -> DocumentDraft {
+    let mut draft = DocumentDraft::default();
+    draft.points(&SQUARE);
+    draft.indices(&CORNERS);
+    draft
+}
 
 /// One scene with one node with one mesh with one primitive.
 fn one(primitive: &str) -> String {
@@ -133,7 +146,7 @@ fn again(written: &WrittenFiles) -> FileSet {
 /// The JSON of a file, as text.
 fn text(main: &[u8]) -> String {
     if main.starts_with(b"glTF") {
-        let parts = super::container::split(main, super::fault::GltfFault(Format::GLB)).expect("valid");
+        let parts = super::container::split(main, super::container::GltfFault(Format::GLB)).expect("valid");
         return String::from_utf8(parts.json.to_vec())
             .expect("text")
             .trim_end()
@@ -148,6 +161,21 @@ fn json(written: &WrittenFiles) -> serde_json::Value {
 
 /// The BIN chunk of a GLB.
 fn bin(main: &[u8]) -> Vec<u8> {
-    let parts = super::container::split(main, super::fault::GltfFault(Format::GLB)).expect("valid");
+    let parts = super::container::split(main, super::container::GltfFault(Format::GLB)).expect("valid");
     parts.bin.expect("a BIN chunk").to_vec()
+}
+
+/// How many items a section of a file has.
+fn count(written: &WrittenFiles, section: &str) -> usize {
+    json(written)[section].as_array().map_or(0, Vec::len)
+}
+
+/// The floats of an accessor that has a view of its own.
+fn floats_of(written: &WrittenFiles, accessor: usize) -> Vec<f32> {
+    let json = json(written);
+    let view = json["accessors"][accessor]["bufferView"].as_u64().expect("a view") as usize;
+    let number = |key: &str| json["bufferViews"][view][key].as_u64().unwrap_or(0) as usize;
+    let bytes = &bin(&written.main)[number("byteOffset")..][..number("byteLength")];
+    let floats = bytes.as_chunks::<4>().0.iter();
+    floats.map(|b| f32::from_le_bytes(*b)).collect()
 }

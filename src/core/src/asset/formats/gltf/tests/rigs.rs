@@ -1,7 +1,10 @@
 //! What becomes of small skeletons made by hand: nodes, matrices, clips, and what hangs on bones.
 
+use super::super::container::{self, GltfFault};
+use super::super::read::parse_written;
+use super::super::scene::place_meshes;
 use super::*;
-use crate::asset::{Following, RigRule};
+use crate::asset::{BoneLengthRule, Following, RigRule};
 use glam::{DAffine3, DQuat};
 
 /// A square of which joint 1 holds the lower two vertices and joint 2, its child, the upper two.
@@ -28,25 +31,16 @@ impl Default for RigDraft {
 
 impl RigDraft {
     pub(super) fn files(&self) -> FileSet {
-        let mut draft = DocumentDraft::default();
-        draft.points(&SQUARE);
-        draft.indices(&CORNERS);
+        let mut draft = square_draft();
         let joints = draft.view(&[0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0], "");
         draft.accessor(joints, 5121, 4, "VEC4", "");
-        let weights = [[1.0_f32, 0.0, 0.0, 0.0]; 4];
-        let floats = |values: &[f32]| -> Vec<u8> { values.iter().flat_map(|v| v.to_le_bytes()).collect() };
-        let view = draft.view(&floats(weights.as_flattened()), "");
-        draft.accessor(view, 5126, 4, "VEC4", "");
+        draft.elements(&[[1.0, 0.0, 0.0, 0.0]; 4], "VEC4", "");
         let mut binds = [glam::Mat4::IDENTITY.to_cols_array(); 2];
         (binds[1][12], binds[1][13]) = (-0.5, -1.0);
-        let view = draft.view(&floats(binds.as_flattened()), "");
-        draft.accessor(view, 5126, 2, "MAT4", "");
-        let view = draft.view(&floats(&[0.0, 1.0]), "");
-        draft.accessor(view, 5126, 2, "SCALAR", r#","min":[0],"max":[1]"#);
-        let view = draft.view(&floats(self.rotations.as_flattened()), "");
-        draft.accessor(view, 5126, self.rotations.len(), "VEC4", "");
-        let view = draft.view(&floats(self.translations.as_flattened()), "");
-        draft.accessor(view, 5126, self.translations.len(), "VEC3", "");
+        draft.elements(&binds, "MAT4", "");
+        draft.elements(&[[0.0], [1.0]], "SCALAR", r#","min":[0],"max":[1]"#);
+        draft.elements(&self.rotations, "VEC4", "");
+        draft.points(&self.translations);
         let (nodes, animations) = (&self.nodes, &self.animations);
         draft.glb(&format!(
             r#""scene":0,"scenes":[{{"nodes":[0,1]}}],"nodes":[{nodes}],"skins":[{{"joints":[1,2],"inverseBindMatrices":4}}],{animations}"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"JOINTS_0":2,"WEIGHTS_0":3}},"indices":1}}]}}]"#
@@ -67,21 +61,6 @@ pub(super) fn raised(i: usize, p: DVec3) -> DVec3 {
 
 fn quarter_turn() -> DQuat {
     DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2)
-}
-
-fn floats_of(written: &WrittenFiles, accessor: usize) -> Vec<f32> {
-    let json = json(written);
-    let accessor = &json["accessors"][accessor];
-    let view = &json["bufferViews"][accessor["bufferView"].as_u64().expect("a view") as usize];
-    let start = view["byteOffset"].as_u64().unwrap_or(0) as usize;
-    let length = view["byteLength"].as_u64().expect("a length") as usize;
-    let bytes = bin(&written.main)[start..start + length].to_vec();
-    bytes
-        .as_chunks::<4>()
-        .0
-        .iter()
-        .map(|b| f32::from_le_bytes(*b))
-        .collect()
 }
 
 fn numbers(value: &serde_json::Value) -> Vec<f64> {
@@ -242,4 +221,127 @@ fn matrices_of_nodes_stay_matrices_and_rules_are_kept() {
     assert!(node["translation"].is_null() && node["rotation"].is_null());
     let matrix = numbers(&node["matrix"]);
     assert!((matrix[13] - 2.0).abs() < 0.3 && matrix[1] > 0.3, "{matrix:?}");
+}
+
+fn kept(files: &FileSet, bone_lengths: BoneLengthRule) -> WrittenFiles {
+    let model = open(files);
+    let positions: Vec<DVec3> = model
+        .positions
+        .iter()
+        .enumerate()
+        .map(|(i, &p)| raised(i % 4, p))
+        .collect();
+    let following = Following {
+        bone_lengths,
+        ..Following::default()
+    };
+    let written = model
+        .write_following(&positions, Format::GLB, following)
+        .expect("writable");
+    let now = open(&again(&written)).positions.clone();
+    let off = now
+        .iter()
+        .zip(&positions)
+        .map(|(a, b)| a.distance(*b))
+        .fold(0.0, f64::max);
+    assert!(off < 1e-5, "drawn where it was put: {now:?} {positions:?}");
+    written
+}
+
+/// Where the nodes of a file stand.
+fn places(files: &FileSet) -> Vec<DVec3> {
+    let parsed = parse_written(files, Format::GLB).expect("readable");
+    let doc = parsed.of(files).expect("readable");
+    let world: Vec<DAffine3> = place_meshes(&doc, &mut Vec::new()).expect("placed").world_from_node;
+    world.iter().map(|node| node.translation).collect()
+}
+
+/// Joint 2 stands below node 4, which is no joint and stands below joint 1.
+fn with_node_between(between: &str) -> RigDraft {
+    RigDraft {
+        nodes: format!(
+            r#"{{"mesh":0,"skin":0}},{{"children":[4]}},{{"name":"tip","translation":[0.5,1,0]}},{{}},{{{between},"children":[2]}}"#
+        ),
+        ..RigDraft::default()
+    }
+}
+
+#[test]
+fn a_joint_stays_at_its_distance_and_goes_where_it_would_have_gone() {
+    let draft = RigDraft::default();
+    let (before, free) = (
+        places(&draft.files()),
+        places(&again(&kept(&draft.files(), BoneLengthRule::Follow))),
+    );
+    let now = places(&again(&kept(&draft.files(), BoneLengthRule::Keep)));
+    assert_eq!(now[1], before[1], "nothing has moved around the root");
+    let length = before[1].distance(before[2]);
+    assert!((free[1].distance(free[2]) - length).abs() > 0.5, "{free:?}");
+    assert!((now[1].distance(now[2]) - length).abs() < 1e-6, "{now:?}");
+    let (wished, is) = ((free[2] - free[1]).normalize(), (now[2] - now[1]).normalize());
+    assert!(wished.distance(is) < 1e-6, "{wished} {is}");
+}
+
+#[test]
+fn nodes_between_joints_and_their_scales_change_no_length() {
+    for between in [
+        r#""translation":[0.25,0,0.5]"#,
+        r#""scale":[2,2,2],"translation":[0,0.25,0]"#,
+        r#""scale":[0.5,2,3],"rotation":[0.5,0.5,0.5,0.5]"#,
+        r#""matrix":[0,2,0,0,-1,0,0,0,0,0,1,0,0.25,0,0,1]"#,
+    ] {
+        let files = with_node_between(between).files();
+        let before = places(&files);
+        let now = places(&again(&kept(&files, BoneLengthRule::Keep)));
+        let (old, new) = (before[1].distance(before[2]), now[1].distance(now[2]));
+        assert!((old - new).abs() < 1e-6, "{between}: {new}, it was {old}");
+        assert!(now[2].distance(before[2]) > 0.1, "{between}: {now:?}");
+    }
+}
+
+#[test]
+fn a_joint_in_the_place_of_the_one_above_stays_there() {
+    let mut draft = RigDraft::default();
+    draft.nodes = draft.nodes.replace(r#""translation":[0.5,1,0],"#, "");
+    let now = places(&again(&kept(&draft.files(), BoneLengthRule::Keep)));
+    assert!(now[1].distance(now[2]) < 1e-7, "{now:?}");
+    let free = places(&again(&kept(&draft.files(), BoneLengthRule::Follow)));
+    assert!(free[1].distance(free[2]) > 0.1, "{free:?}");
+}
+
+#[test]
+fn joints_of_two_skins_keep_their_distance_and_draw_both() {
+    let nodes = r#"{"mesh":0,"skin":0},{"children":[2]},{"translation":[0.5,1,0]},{"mesh":0,"skin":1}"#;
+    let draft = RigDraft {
+        nodes: nodes.into(),
+        ..RigDraft::default()
+    };
+    let files = draft.files();
+    let skin = r#"{"joints":[1,2],"inverseBindMatrices":4}"#;
+    let json = text(&files.main)
+        .replace(skin, &format!("{skin},{skin}"))
+        .replace(r#""nodes":[0,1]}"#, r#""nodes":[0,1,3]}"#);
+    let glb = container::join(json.trim_end(), Some(&bin(&files.main)), &[], GltfFault(Format::GLB)).expect("a GLB");
+    let files = FileSet::single("two.glb", glb);
+    assert_eq!(open(&files).primitives.len(), 2);
+    let (before, now) = (places(&files), places(&again(&kept(&files, BoneLengthRule::Keep))));
+    let off = before[1].distance(before[2]) - now[1].distance(now[2]);
+    assert!(off.abs() < 1e-6 && now[2] != before[2], "{now:?}");
+}
+
+#[test]
+fn only_bones_below_a_named_joint_are_rigid() {
+    let mut draft = RigDraft::default();
+    draft.nodes = draft
+        .nodes
+        .replace(r#"{"children":[2]}"#, r#"{"name":"root","children":[2]}"#)
+        .replace(
+            r#"{"translation":[0.5,1,0]"#,
+            r#"{"name":"tip","translation":[0.5,1,0]"#,
+        );
+    let files = draft.files();
+    let below = |name: &str| kept(&files, BoneLengthRule::KeepBelow(vec![name.into()]));
+    assert_eq!(below("root"), kept(&files, BoneLengthRule::Keep));
+    assert_eq!(below("tip"), kept(&files, BoneLengthRule::Follow));
+    assert_eq!(open(&files).joint_names().expect("readable"), ["root", "tip"]);
 }

@@ -1,4 +1,4 @@
-//! What a changed file looks like, to the byte.
+//! What a changed file looks like, to the byte, and what of it is shared.
 
 use super::*;
 
@@ -37,10 +37,8 @@ fn text_outside_the_changed_places_stays_to_the_character() {
 
 #[test]
 fn bounds_read_back_as_the_same_floats_and_are_added_where_missing() {
-    let mut draft = DocumentDraft::default();
-    draft.points(&SQUARE);
-    draft.indices(&CORNERS);
-    let files = draft.glb(&one(r#"{"attributes":{"POSITION":0},"indices":1}"#));
+    let draft = square_draft();
+    let files = draft.glb(&one(PLAIN));
     let odd = DVec3::new(1.0 / 3.0, 1e-30, -1e20);
     let written = moved(&files, |i, p| if i == 0 { odd } else { p });
     let accessor = &json(&written)["accessors"][0];
@@ -82,7 +80,7 @@ fn interleaved_attributes_are_overwritten_between_the_others() {
         "{:?}",
         geometry.normals
     );
-    assert_eq!(json(&written)["accessors"].as_array().map(Vec::len), Some(4));
+    assert_eq!(count(&written, "accessors"), 4);
 }
 
 #[test]
@@ -113,7 +111,7 @@ fn sparse_positions_become_an_accessor_of_their_own() {
     );
     draft.accessor(base, 5126, 4, "VEC3", &sparse);
     draft.indices(&CORNERS);
-    let files = draft.glb(&one(r#"{"attributes":{"POSITION":0},"indices":1}"#));
+    let files = draft.glb(&one(PLAIN));
     let rest = open(&files);
     assert_eq!(rest.positions[1], DVec3::new(2.0, 0.0, 0.0));
     assert_eq!(rest.positions[3], DVec3::new(0.0, 3.0, 0.0));
@@ -143,7 +141,7 @@ fn quantised_positions_come_back_as_floats() {
     let view = draft.view(&steps, r#","byteStride":4"#);
     draft.accessor(view, 5121, 4, "VEC3", r#","normalized":true"#);
     draft.indices(&CORNERS);
-    let body = one(r#"{"attributes":{"POSITION":0},"indices":1}"#);
+    let body = one(PLAIN);
     let files = draft.glb(&format!(r#""extensionsUsed":["KHR_mesh_quantization"],{body}"#));
     let rest = open(&files);
     assert_eq!(rest.positions[2], DVec3::new(1.0, f64::from(0.2_f32), 0.0));
@@ -184,17 +182,12 @@ fn quantised_normals_and_tangents_come_back_at_unit_length() {
     let body = one(r#"{"attributes":{"POSITION":0,"NORMAL":1,"TANGENT":2},"indices":3}"#);
     let files = draft.glb(&format!(r#""extensionsUsed":["KHR_mesh_quantization"],{body}"#));
     let written = moved(&files, |i, p| if i == 0 { p + DVec3::Z } else { p });
-    let (document, bytes) = (json(&written), bin(&written.main));
+    let document = json(&written);
     let attributes = &document["meshes"][0]["primitives"][0]["attributes"];
     for (name, lanes) in [("NORMAL", 3), ("TANGENT", 4)] {
-        let accessor = &document["accessors"][attributes[name].as_u64().expect("an accessor") as usize];
-        assert_eq!(accessor["componentType"], 5126, "{name}");
-        let view = &document["bufferViews"][accessor["bufferView"].as_u64().expect("a view") as usize];
-        let offset = |of: &serde_json::Value| of["byteOffset"].as_u64().unwrap_or(0) as usize;
-        let from = offset(view) + offset(accessor);
-        let values: Vec<f32> = (bytes[from..][..16 * lanes].as_chunks::<4>().0.iter())
-            .map(|b| f32::from_le_bytes(*b))
-            .collect();
+        let accessor = attributes[name].as_u64().expect("an accessor") as usize;
+        assert_eq!(document["accessors"][accessor]["componentType"], 5126, "{name}");
+        let values = floats_of(&written, accessor);
         for element in values.chunks(lanes) {
             let length = glam::Vec3::from_slice(element).length();
             assert!((length - 1.0).abs() < 1e-6, "{name} {element:?}: {length}");
@@ -208,18 +201,9 @@ fn an_invalid_normal_is_kept_until_its_primitive_changes() {
     let mut draft = DocumentDraft::default();
     draft.points(&SQUARE);
     draft.points(&[[f32::NAN, 0.0, 0.0], [0.0; 3], UP[0], UP[0]]);
-    let handed: Vec<u8> = [
-        [1.0, 0.0, 0.0, -1.0],
-        [0.0, f32::INFINITY, 0.0, 1.0],
-        [1.0, 0.0, 0.0, 1.0],
-        [1.0, 0.0, 0.0, 1.0_f32],
-    ]
-    .iter()
-    .flatten()
-    .flat_map(|v| v.to_le_bytes())
-    .collect();
-    let view = draft.view(&handed, "");
-    draft.accessor(view, 5126, 4, "VEC4", "");
+    let plain = [1.0, 0.0, 0.0, 1.0];
+    let odd = [0.0, f32::INFINITY, 0.0, 1.0];
+    draft.elements(&[[1.0, 0.0, 0.0, -1.0], odd, plain, plain], "VEC4", "");
     draft.indices(&CORNERS);
     let files = draft.glb(&one(
         r#"{"attributes":{"POSITION":0,"NORMAL":1,"TANGENT":2},"indices":3}"#,
@@ -272,16 +256,14 @@ fn a_stale_draco_copy_is_dropped_where_the_mesh_changed() {
         "",
     );
     // Only Draco holds its triangles, and the buffer with it is not there.
-    let told = refusal(&FileSet::single("a.gltf", required));
-    assert!(told.contains("buffers/0"), "{told}");
+    let refused = refusal(&FileSet::single("a.gltf", required));
+    assert!(refused.contains("buffers/0"), "{refused}");
 }
 
 #[test]
 fn positions_that_do_not_fit_are_refused() {
-    let mut draft = DocumentDraft::default();
-    draft.points(&SQUARE);
-    draft.indices(&CORNERS);
-    let files = draft.glb(&one(r#"{"attributes":{"POSITION":0},"indices":1}"#));
+    let draft = square_draft();
+    let files = draft.glb(&one(PLAIN));
     let text = try_moved(&files, |i, p| if i == 1 { DVec3::splat(1e300) } else { p })
         .expect_err("too far")
         .to_string();
@@ -292,4 +274,156 @@ fn positions_that_do_not_fit_are_refused() {
     assert!(text.contains("vertex 0"), "{text}");
     let text = open(&files).write(&[], Format::GLB).expect_err("none").to_string();
     assert!(text.contains("0 positions") && text.contains("4 vertices"), "{text}");
+}
+
+fn square_under(nodes: &str, scene: &str) -> FileSet {
+    let draft = square_draft();
+    draft.glb(&format!(
+        r#""scene":0,"scenes":[{{"nodes":[{scene}]}}],"nodes":[{nodes}],"meshes":[{{"name":"m","primitives":[{{"attributes":{{"POSITION":0}},"indices":1}}]}}]"#
+    ))
+}
+
+#[test]
+fn instances_part_only_when_their_shapes_differ() {
+    let files = square_under(
+        r#"{"mesh":0},{"mesh":0,"translation":[5,0,0]},{"mesh":0,"rotation":[0,0,1,0]}"#,
+        "0,1,2",
+    );
+    let alike = json(&moved(&files, |_, p| p + DVec3::Z));
+    assert_eq!(
+        alike["meshes"].as_array().map(Vec::len),
+        Some(1),
+        "all three moved alike"
+    );
+    assert_eq!(alike["accessors"].as_array().map(Vec::len), Some(2), "in place");
+
+    let written = moved(&files, |i, p| if i < 4 { p } else { p + DVec3::Z * p.x.abs() });
+    let parted = json(&written);
+    let meshes: Vec<_> = parted["nodes"]
+        .as_array()
+        .expect("nodes")
+        .iter()
+        .map(|n| n["mesh"].clone())
+        .collect();
+    assert_eq!(meshes, [0, 1, 2], "the first keeps the mesh");
+    assert_eq!(parted["meshes"][1]["name"], "m");
+    let (rest, after) = (open(&files), open(&again(&written)));
+    assert_eq!(after.positions[..4], rest.positions[..4]);
+    for (i, (p, q)) in rest.positions.iter().zip(&after.positions).enumerate().skip(4) {
+        assert!((*p + DVec3::Z * p.x.abs() - *q).length() < 1e-6, "vertex {i}");
+    }
+    assert_eq!(
+        bin(&files.main)[..48],
+        bin(&written.main)[..48],
+        "the first still reads the old bytes"
+    );
+}
+
+#[test]
+fn two_of_three_instances_may_share_the_new_shape() {
+    let files = square_under(
+        r#"{"mesh":0},{"mesh":0,"translation":[5,0,0]},{"mesh":0,"translation":[9,0,0]}"#,
+        "0,1,2",
+    );
+    let parted = json(&moved(&files, |i, p| if i < 4 { p } else { p + DVec3::Z }));
+    assert_eq!(parted["meshes"].as_array().map(Vec::len), Some(2));
+    assert_eq!(
+        (&parted["nodes"][1]["mesh"], &parted["nodes"][2]["mesh"]),
+        (&1.into(), &1.into())
+    );
+    assert_eq!(parted["accessors"].as_array().map(Vec::len), Some(3));
+}
+
+#[test]
+fn nodes_outside_the_scene_keep_the_old_shape() {
+    let files = square_under(r#"{"mesh":0},{"mesh":0}"#, "1");
+    let written = moved(&files, |_, p| p + DVec3::Z);
+    let parted = json(&written);
+    assert_eq!(
+        (&parted["nodes"][0]["mesh"], &parted["nodes"][1]["mesh"]),
+        (&1.into(), &0.into())
+    );
+    let position = |mesh: usize| parted["meshes"][mesh]["primitives"][0]["attributes"]["POSITION"].clone();
+    assert_eq!((position(1), position(0)), (0.into(), 2.into()));
+    assert_eq!(bin(&files.main)[..48], bin(&written.main)[..48]);
+}
+
+/// Two halves of one square that share its vertices, as levels of detail and material splits do.
+fn halves() -> FileSet {
+    let mut draft = DocumentDraft::default();
+    draft.points(&SQUARE);
+    draft.indices(&CORNERS[..3]);
+    draft.indices(&CORNERS[3..]);
+    draft.glb(&one(
+        r#"{"attributes":{"POSITION":0},"indices":1},{"attributes":{"POSITION":0},"indices":2}"#,
+    ))
+}
+
+#[test]
+fn halves_that_agree_where_they_meet_share_on() {
+    let files = halves();
+    // Each half moves what it draws: vertex 1 is drawn by the first only, vertex 3 by the second only.
+    let written = moved(&files, |i, p| if [1, 4 + 3].contains(&i) { p + DVec3::Z } else { p });
+    assert_eq!(count(&written, "accessors"), 3, "in place");
+    let stored = open(&again(&written)).geometry.positions;
+    assert_eq!(
+        stored[..4],
+        [0.0, 1.0, 0.0, 1.0]
+            .map(|z| z)
+            .iter()
+            .zip(&SQUARE)
+            .map(|(&z, p)| DVec3::new(p[0].into(), p[1].into(), z))
+            .collect::<Vec<_>>()
+    );
+}
+
+#[test]
+fn halves_that_disagree_part() {
+    let files = halves();
+    // Vertex 2 is drawn by both; the second half leaves it where it was.
+    let written = moved(&files, |i, p| if i == 2 { p + DVec3::Z } else { p });
+    let after = json(&written);
+    let attribute = |p: usize| after["meshes"][0]["primitives"][p]["attributes"]["POSITION"].clone();
+    assert_eq!((attribute(0), attribute(1)), (3.into(), 0.into()));
+    let stored = open(&again(&written)).geometry.positions;
+    assert_eq!((stored[2].z, stored[4 + 2].z), (1.0, 0.0));
+}
+
+#[test]
+fn bytes_that_others_use_are_not_overwritten() {
+    let users = [
+        // A morph target, an animation, another attribute, an image, a view of something unknown.
+        (r#","targets":[{"POSITION":0}]"#, ""),
+        (
+            "",
+            r#","animations":[{"samplers":[{"input":9,"output":0}],"channels":[]}]"#,
+        ),
+        ("", r#","images":[{"bufferView": 0 ,"mimeType":"image/png"}]"#),
+        ("", r#","extensions":{"X_any":{"bufferView":0}}"#),
+    ];
+    for (primitive, root) in users {
+        let draft = square_draft();
+        let primitive = format!(r#"{{"attributes":{{"POSITION":0}},"indices":1{primitive}}}"#);
+        let files = draft.glb(&format!("{}{root}", one(&primitive)));
+        let written = moved(&files, |_, p| p + DVec3::Z);
+        assert_eq!(
+            bin(&files.main)[..],
+            bin(&written.main)[..bin(&files.main).len()],
+            "{primitive} {root}"
+        );
+        assert_eq!(
+            json(&written)["meshes"][0]["primitives"][0]["attributes"]["POSITION"],
+            2
+        );
+    }
+    // A second view over the same bytes that nothing is known to read.
+    let mut draft = square_draft();
+    draft
+        .views
+        .push(r#"{"buffer":0,"byteOffset":44,"byteLength":8}"#.into());
+    let files = draft.glb(&one(PLAIN));
+    assert_eq!(
+        bin(&files.main)[..48],
+        bin(&moved(&files, |_, p| p + DVec3::Z).main)[..48]
+    );
 }

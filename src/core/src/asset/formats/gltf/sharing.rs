@@ -6,24 +6,14 @@
 
 use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, sparse_indices};
 use super::buffers::BufferBytes;
-use super::changes::{ChangedAttribute, DeformedAttributes};
 use super::document::GltfDocument;
 use super::read::GltfNotes;
+use super::references;
 use super::schema::WholeNumber;
-use super::slots::AttributeSlot;
-use super::text;
+use super::targets::{AttributeSlot, ChangedAttribute, DeformedAttributes};
+use super::text::parse_index;
 use crate::asset::Geometry;
-use indices::{member_index, parse_index};
 use std::collections::{BTreeMap, BTreeSet};
-
-mod bytes;
-mod indices;
-mod mesh_ref;
-mod variants;
-
-pub(super) use bytes::ByteSpans;
-pub(super) use mesh_ref::MeshRef;
-pub(super) use variants::MeshCopy;
 
 /// An accessor whose bytes are overwritten where they are.
 pub(super) struct AccessorOverwrite {
@@ -90,7 +80,7 @@ pub(super) fn plan_overwrites(
     if !wanted.iter().any(DeformedAttributes::is_changed) {
         return plan;
     }
-    let variants = variants::divide_meshes(doc, notes, &wanted);
+    let variants = divide_meshes(doc, notes, &wanted);
     let uses = AccessorUses::collect(doc, &variants, &wanted);
     plan.copies = variants.copies;
 
@@ -126,7 +116,7 @@ pub(super) fn plan_overwrites(
         let in_place = if !is_agreed {
             None
         } else {
-            let spans = neighbours.get_or_insert_with(|| bytes::ByteSpans::collect(doc));
+            let spans = neighbours.get_or_insert_with(|| super::used_bytes::ByteSpans::collect(doc));
             if is_writable(doc, buffers, accessor, slot) && spans.is_alone(accessor) {
                 Some(None)
             } else {
@@ -267,7 +257,7 @@ struct AccessorUses {
 }
 
 impl AccessorUses {
-    fn collect(doc: &GltfDocument<'_>, variants: &variants::MeshVariants, wanted: &[DeformedAttributes]) -> Self {
+    fn collect(doc: &GltfDocument<'_>, variants: &MeshVariants, wanted: &[DeformedAttributes]) -> Self {
         let mut uses = Self::default();
         for (m, mesh) in doc.meshes.values.iter().enumerate() {
             for (p, primitive) in mesh.primitives.iter().enumerate() {
@@ -291,28 +281,11 @@ impl AccessorUses {
                 }
             }
         }
-        for animation in &doc.animations {
-            let samplers = text::value_of(animation, "samplers")
-                .and_then(|s| text::items(s).ok())
-                .unwrap_or_default();
-            for sampler in samplers {
-                uses.strangers
-                    .extend(["input", "output"].iter().filter_map(|key| member_index(sampler, key)));
-            }
-        }
-        uses.strangers.extend(
-            doc.skins
-                .iter()
-                .filter_map(|skin| member_index(skin, "inverseBindMatrices")),
-        );
-        for node in &doc.nodes.items {
-            let instances = text::value_of(node, "extensions")
-                .and_then(|e| text::value_of(e, "EXT_mesh_gpu_instancing"))
-                .and_then(|e| text::value_of(e, "attributes"));
-            let attributes = instances.and_then(|a| text::members(a).ok()).unwrap_or_default();
-            uses.strangers
-                .extend(attributes.iter().filter_map(|m| parse_index(m.value)));
-        }
+        let animations = doc.animations.iter().map(|text| references::of_animation(text));
+        let skins = doc.skins.iter().map(|text| references::of_skin(text));
+        let nodes = doc.nodes.items.iter().map(|text| references::of_node(text));
+        let named = animations.chain(skins).chain(nodes).flat_map(|places| places.accessors);
+        uses.strangers.extend(named.filter_map(parse_index));
         uses
     }
 }
@@ -355,13 +328,132 @@ fn takes_floats(
     view: WholeNumber,
     slot: AttributeSlot,
 ) -> bool {
-    let is_float = AccessorLayout::of(&doc.accessors.values[accessor], doc.views.values)
+    let is_float = AccessorLayout::find(doc, accessor)
         .is_some_and(|l| l.component == ComponentType::F32 && l.lanes == slot.lanes());
-    doc.views.get(view.index()).is_some_and(|view| {
-        let buffer = view.buffer.index();
-        is_float
-            && view.compression().is_none()
-            && buffers.is_exclusive(buffer)
-            && !doc.buffers.values[buffer].is_fallback()
-    })
+    let view = doc.views.get(view.index());
+    is_float && view.is_some_and(|view| buffers.takes_floats(doc, view))
+}
+
+/// A mesh of the document, or the n-th copy to be appended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum MeshRef {
+    Original(usize),
+    Copy(usize),
+}
+
+/// A copy of a mesh, to be appended.
+pub(super) struct MeshCopy {
+    /// The mesh it starts from.
+    pub(super) of: usize,
+    /// The nodes that are pointed at it.
+    pub(super) nodes: Vec<usize>,
+}
+
+/// The shapes that each mesh is wanted in.
+pub(super) struct MeshVariants {
+    pub(super) copies: Vec<MeshCopy>,
+    /// Rows with changes, each with the mesh that shows them; one row for every shape.
+    pub(super) changed_rows: Vec<(MeshRef, usize)>,
+    /// Rows that stand for the shapes of each (mesh, primitive): one per shape.
+    pub(super) rows_of: BTreeMap<(usize, usize), Vec<usize>>,
+    /// Rows that also stand for the rest shape, which nodes outside the scene draw.
+    staying: BTreeSet<usize>,
+}
+
+impl MeshVariants {
+    /// Whether a row also stands for nodes with the rest shape.
+    pub(super) fn is_also_unchanged(&self, row: usize) -> bool {
+        self.staying.contains(&row)
+    }
+}
+
+/// Finds the shapes of every mesh. Nodes that want the same shape share it.
+pub(super) fn divide_meshes(doc: &GltfDocument<'_>, notes: &GltfNotes, wanted: &[DeformedAttributes]) -> MeshVariants {
+    let mut variants = MeshVariants {
+        copies: Vec::new(),
+        changed_rows: Vec::new(),
+        rows_of: BTreeMap::new(),
+        staying: BTreeSet::new(),
+    };
+    // Rows come node by node, so a node's rows are neighbours.
+    let mut nodes_of: BTreeMap<usize, Vec<(usize, Vec<usize>)>> = BTreeMap::new();
+    for (i, row) in notes.rows.iter().enumerate() {
+        let nodes = nodes_of.entry(row.mesh).or_default();
+        match nodes.last_mut().filter(|(node, _)| *node == row.node) {
+            Some((_, rows)) => rows.push(i),
+            None => nodes.push((row.node, vec![i])),
+        }
+    }
+    let mut outsiders: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (i, node) in doc.nodes.values.iter().enumerate() {
+        if let Some(mesh) = node.mesh.filter(|_| notes.placed.binary_search(&i).is_err()) {
+            outsiders.entry(mesh.index()).or_default().push(i);
+        }
+    }
+    for (mesh, nodes) in nodes_of {
+        let outside = outsiders.remove(&mesh).unwrap_or_default();
+        variants.add_variants(notes, wanted, mesh, nodes, outside);
+    }
+    variants
+}
+
+impl MeshVariants {
+    fn add_variants(
+        &mut self,
+        notes: &GltfNotes,
+        wanted: &[DeformedAttributes],
+        mesh: usize,
+        nodes: Vec<(usize, Vec<usize>)>,
+        outside: Vec<usize>,
+    ) {
+        let same = |a: &[usize], b: &[usize]| a.iter().zip(b).all(|(&a, &b)| wanted[a].is_same(&wanted[b]));
+        let at_rest = |rows: &[usize]| !rows.iter().any(|&row| wanted[row].is_changed());
+        // The first node of the scene keeps the mesh, whatever shape it wants.
+        let mut shapes: Vec<(Vec<usize>, Vec<usize>)> = Vec::new();
+        // Thousands of instances may each have a shape of their own.
+        let mut known: BTreeMap<Vec<u64>, Vec<usize>> = BTreeMap::new();
+        for (node, rows) in nodes {
+            let alike = known
+                .entry(rows.iter().map(|&row| wanted[row].fingerprint()).collect())
+                .or_default();
+            match alike.iter().find(|&&i| same(&shapes[i].0, &rows)) {
+                Some(&i) => shapes[i].1.push(node),
+                None => {
+                    alike.push(shapes.len());
+                    shapes.push((rows, vec![node]));
+                }
+            }
+        }
+        // Nodes outside the scene were not deformed.
+        let mut rest_copy = None;
+        if !outside.is_empty() {
+            match shapes.iter_mut().find(|(shape, _)| at_rest(shape)) {
+                Some((_, users)) => users.extend(outside),
+                None => rest_copy = Some(outside),
+            }
+        }
+        for (i, (rows, users)) in shapes.into_iter().enumerate() {
+            let at = if i == 0 {
+                MeshRef::Original(mesh)
+            } else {
+                self.copies.push(MeshCopy { of: mesh, nodes: users });
+                MeshRef::Copy(self.copies.len() - 1)
+            };
+            for row in rows {
+                self.rows_of
+                    .entry((mesh, notes.rows[row].primitive))
+                    .or_default()
+                    .push(row);
+                if wanted[row].is_changed() {
+                    self.changed_rows.push((at, row));
+                }
+                if i == 0 && rest_copy.is_some() {
+                    self.staying.insert(row);
+                }
+            }
+        }
+        if let Some(nodes) = rest_copy {
+            self.copies.push(MeshCopy { of: mesh, nodes });
+        }
+    }
 }

@@ -1,18 +1,82 @@
-//! Models with the frames of an animation in them, as a GLB that any engine plays.
+//! What a model looks like, what moves in its scene, and its rest pose with the frames of an animation, as a GLB that any engine plays.
 
-use super::files::Limits;
-use super::formats::writer_of;
-use super::played_clip::{ClipBeside, MorphClip, NodeKeys, PlayedClip, PlayedJoint, SkinnedClip};
-use super::write::neutral_model;
-use super::{Error, FileSet, Format, Model, WrittenFiles};
-
-/// For reading what was just written.
-const UNLIMITED: Limits = Limits {
-    vertices: u64::MAX,
-    triangles: u64::MAX,
-    decoded_bytes: u64::MAX,
-    document_bytes: u64::MAX,
+use super::formats::{codec_of, writer_of};
+use super::look::SurfaceLook;
+use super::moving_scene::{
+    ClipBeside, MorphClip, MovingScene, NodeKeys, PlayedClip, PlayedJoint, PrimitiveShapes, SceneClip, SkinnedClip,
 };
+use super::write::neutral_model;
+use super::{Error, FileSet, Format, Limits, Model, WrittenFiles};
+
+impl Model {
+    /// The look of the model, and the model that it describes: for a format that indexes attributes by corner, the GLB
+    /// that would be written, with vertices divided at seams. `None` when the model has no look.
+    ///
+    /// # Errors
+    /// [`Error`] when attributes that are there cannot be read. A problem of a picture is in its place in
+    /// [`SurfaceLook::images`] instead.
+    ///
+    /// # Example
+    /// ```
+    /// use pliant_core::asset::{FileSet, Limits, Model};
+    ///
+    /// let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+    ///     property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\n\
+    ///     property list uchar int vertex_indices\nend_header\n0 0 0 255 0 0\n1 0 0 255 0 0\n0 1 0 255 0 0\n3 0 1 2\n";
+    /// let model = Model::read(FileSet::single("red.ply", text), None, &Limits::default())?;
+    /// let (drawn, look) = model.surface_look()?.expect("it has vertex colours");
+    /// assert_eq!(drawn.positions, model.positions);
+    /// assert_eq!(look.colours, [[1.0, 0.0, 0.0, 1.0]; 3]);
+    /// # Ok::<(), pliant_core::asset::Error>(())
+    /// ```
+    pub fn surface_look(&self) -> Result<Option<(Model, SurfaceLook)>, Error> {
+        let codec = codec_of(self.format);
+        let (drawn, look) = match codec.surface_look(self)? {
+            Some(look) => (self.clone(), look),
+            None if codec.takes_attributes() => {
+                let mut files = FileSet::single("look.glb", self.write(&self.positions, Format::GLB)?.main);
+                // A picture that the file names by its path came with the model.
+                files.companions = self.files.companions.clone();
+                let drawn = Model::read(files, Some(Format::GLB), &Limits::default())?;
+                let Some(mut look) = codec_of(Format::GLB).surface_look(&drawn)? else {
+                    return Ok(None);
+                };
+                // These formats know no sides; where a face looks is often left to chance.
+                look.materials.iter_mut().for_each(|m| m.double_sided = true);
+                (drawn, look)
+            }
+            None => return Ok(None),
+        };
+        Ok((!look.is_bare()).then_some((drawn, look)))
+    }
+}
+
+impl Model {
+    /// What moves in the model's scene; `None` for formats that know no motion.
+    ///
+    /// # Errors
+    /// [`Error`] when what places vertices cannot be read.
+    pub fn moving_scene(&self) -> Result<Option<MovingScene>, Error> {
+        codec_of(self.format).moving_scene(self)
+    }
+
+    /// Reads a clip by its number in [`MovingScene::clip_names`]; `None` where there is none.
+    ///
+    /// # Errors
+    /// [`Error`] with the channel that cannot be read: one that names what is not there, or whose numbers do not fit.
+    pub fn scene_clip(&self, index: usize) -> Result<Option<SceneClip>, Error> {
+        codec_of(self.format).scene_clip(self, index)
+    }
+
+    /// Where the vertices of all primitives are stored, and what their morph targets do to them, in the order of
+    /// [`MovingScene::primitives`]; `None` for formats that know no motion.
+    ///
+    /// # Errors
+    /// [`Error`] for targets that cannot be read, or are too many.
+    pub fn primitive_shapes(&self) -> Result<Option<Vec<PrimitiveShapes>>, Error> {
+        codec_of(self.format).primitive_shapes(self)
+    }
+}
 
 impl Model {
     /// Writes the rest pose as a GLB, with a morph target for each shape of a clip and an animation of their weights.
@@ -119,7 +183,7 @@ impl Model {
             main: written.main.into(),
             companions: companions.map(|(name, bytes)| (name, bytes.into())).collect(),
         };
-        let still = Self::read(files, Some(Format::GLB), &UNLIMITED)?;
+        let still = Self::read(files, Some(Format::GLB), &Limits::UNLIMITED)?;
         let seen = still.positions.len();
         if seen != vertices.len() {
             let problem = format!("as a GLB the model has {seen} vertices, not {}", vertices.len());
