@@ -40,6 +40,6 @@ pub use handle_patch::{HandlePatch, handle_patch};
 pub use handles::{handle_set, handle_set_message, region_message};
 pub use options::DeformOptions;
 pub use passengers::{CarryOrder, carry_order};
-pub use poses::{PoseEntry, change_poses, handle_pose, handle_pose_message, pose_changes};
+pub use poses::{change_poses, handle_pose, handle_pose_message, pose_changes};
 pub use rig::{motion_rig, rig_from_json, rig_message};
-pub use stream::{PoseKey, StreamLimits, StreamPose, StreamRequest, stream_request};
+pub use stream::{PoseKey, StreamLimits, StreamRequest, stream_request};

@@ -19,31 +19,14 @@ pub fn change_poses(deformer: &Deformer, poses: &HandlePoses, change: &pb::Pose)
 ///
 /// # Errors
 /// [`Error::Invalid`] with the field.
-pub fn pose_changes(change: &pb::Pose) -> Result<Vec<(String, HandlePose)>, Error> {
-    pose_entries(change).into_iter().map(PoseEntry::into_change).collect()
+pub fn pose_changes(message: &pb::Pose) -> Result<Vec<(String, HandlePose)>, Error> {
+    let change = |(id, pose): (String, Result<HandlePose, Error>)| Ok((id, pose?));
+    pose_entries(message).into_iter().map(change).collect()
 }
 
-/// A handle that a pose names, and where it goes, or an error to be reported later.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PoseEntry {
-    /// The name of the handle.
-    pub id: String,
-    /// Its pose; the default is the rest pose.
-    pub pose: Result<HandlePose, Error>,
-}
-
-impl PoseEntry {
-    /// Returns the change that the entry asks for.
-    ///
-    /// # Errors
-    /// What is wrong with the entry.
-    pub fn into_change(self) -> Result<(String, HandlePose), Error> {
-        Ok((self.id, self.pose?))
-    }
-}
-
-/// Reads the entries of a pose, each with its error. An entry that names a handle again is an error.
-pub(super) fn pose_entries(pose: &pb::Pose) -> Vec<PoseEntry> {
+/// Reads the handles that a pose names, each with its pose, or with the error that is reported later; the default is the rest
+/// pose. An entry that names a handle again is an error.
+pub(super) fn pose_entries(pose: &pb::Pose) -> Vec<(String, Result<HandlePose, Error>)> {
     let mut named: BTreeMap<&str, usize> = BTreeMap::new();
     let mut entries = Vec::with_capacity(pose.handles.len());
     for (k, entry) in pose.handles.iter().enumerate() {
@@ -55,8 +38,7 @@ pub(super) fn pose_entries(pose: &pb::Pose) -> Vec<PoseEntry> {
             (None, Some(pose)) => handle_pose(pose, &format!("pose.handles[{k}].pose")),
             (None, None) => Ok(HandlePose::default()),
         };
-        let id = entry.id.clone();
-        entries.push(PoseEntry { id, pose });
+        entries.push((entry.id.clone(), pose));
     }
     entries
 }

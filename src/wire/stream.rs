@@ -1,8 +1,9 @@
 //! What a client sends along a deform stream.
 
 use super::options::DeformOptions;
-use super::poses::{PoseEntry, check_pose_size, pose_entries};
+use super::poses::{check_pose_size, pose_entries};
 use super::{Error, pb};
+use crate::engine::HandlePose;
 use prost::Message as _;
 
 /// One request of a deform stream. It contains its error: the stream reports it when its turn comes.
@@ -11,24 +12,20 @@ pub enum StreamRequest {
     /// The options from now on.
     Options(Result<DeformOptions, Error>),
     /// A pose to solve.
-    Pose(StreamPose),
+    Pose {
+        /// Its number; numbers grow along a stream.
+        seq: u64,
+        /// Whether it is to be committed.
+        commit: bool,
+        /// Identifies a commit that is sent again.
+        key: Option<PoseKey>,
+        /// The handles that it names, each with its pose or what is wrong with that.
+        entries: Result<Vec<(String, Result<HandlePose, Error>)>, Error>,
+    },
     /// The client has the frames up to this number.
     Ack(u64),
     /// A ping; the answer has the same number.
     Ping(u64),
-}
-
-/// A pose on a stream.
-#[derive(Debug, Clone, PartialEq)]
-pub struct StreamPose {
-    /// Its number; numbers grow along a stream.
-    pub seq: u64,
-    /// Whether it is to be committed.
-    pub commit: bool,
-    /// Identifies a commit that is sent again.
-    pub key: Option<PoseKey>,
-    /// The handles that it names.
-    pub entries: Result<Vec<PoseEntry>, Error>,
 }
 
 /// The idempotency key of a commit on a stream. The same key with other handles is a mistake of the caller.
@@ -54,19 +51,19 @@ pub fn stream_request(request: &pb::DeformRequest, limits: StreamLimits) -> Opti
     use pb::deform_request::Message;
     Some(match request.message.as_ref()? {
         Message::Options(options) => StreamRequest::Options(DeformOptions::check(options, "options", limits.window)),
-        Message::Pose(pose) => StreamRequest::Pose(stream_pose(pose, limits)),
+        Message::Pose(pose) => stream_pose(pose, limits),
         Message::Ack(ack) => StreamRequest::Ack(ack.seq),
         Message::Ping(ping) => StreamRequest::Ping(ping.nonce),
     })
 }
 
-fn stream_pose(pose: &pb::Pose, limits: StreamLimits) -> StreamPose {
+fn stream_pose(pose: &pb::Pose, limits: StreamLimits) -> StreamRequest {
     let checked = check_pose_size(pose, limits.pose_entries).and_then(|()| pose_key(pose));
     let (entries, key) = match checked {
         Ok(key) => (Ok(pose_entries(pose)), key),
         Err(error) => (Err(error), None),
     };
-    StreamPose {
+    StreamRequest::Pose {
         seq: pose.seq,
         commit: pose.commit,
         key,
@@ -108,7 +105,9 @@ mod tests {
         pose_entries: 2,
     };
 
-    fn pose(handles: Vec<pb::pose::Entry>) -> StreamPose {
+    type Entries = Vec<(String, Result<HandlePose, Error>)>;
+
+    fn entries(handles: Vec<pb::pose::Entry>) -> Result<Entries, Error> {
         let pose = pb::Pose {
             seq: 3,
             handles,
@@ -120,7 +119,12 @@ mod tests {
             message: Some(pb::deform_request::Message::Pose(pose)),
         };
         match stream_request(&request, LIMITS) {
-            Some(StreamRequest::Pose(pose)) => pose,
+            Some(StreamRequest::Pose {
+                seq: 3,
+                commit: true,
+                entries,
+                ..
+            }) => entries,
             other => panic!("a pose was expected, not {other:?}"),
         }
     }
@@ -137,11 +141,9 @@ mod tests {
 
     #[test]
     fn a_wrong_entry_leaves_the_others_right() {
-        let read = pose(vec![entry("a", &[2.0]), entry("b", &[0.0])]);
-        assert_eq!((read.seq, read.commit), (3, true));
-        let entries = read.entries.expect("small enough");
-        assert!(entries[0].pose.is_ok());
-        let wrong = entries[1].pose.clone().expect_err("no scale");
+        let read = entries(vec![entry("a", &[2.0]), entry("b", &[0.0])]).expect("small enough");
+        assert!(read[0].1.is_ok());
+        let wrong = read[1].1.clone().expect_err("no scale");
         assert!(matches!(wrong, Error::Invalid { field, .. } if field == "pose.handles[1].pose.scale"));
     }
 
@@ -153,7 +155,7 @@ mod tests {
             (vec![entry("a", &[]), entry(&long, &[])], "pose.handles[1].id"),
             (vec![entry("a", &[1.0; 5])], "pose.handles[0].pose.scale"),
         ] {
-            let refused = pose(handles).entries.expect_err(field);
+            let refused = entries(handles).expect_err(field);
             assert!(
                 matches!(refused, Error::Invalid { field: f, .. } if f == field),
                 "{field}"

@@ -12,7 +12,7 @@ use pliant::engine::{Deformer, Handle, HandlePose, HandlePoses, HandleSet, OpenO
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::frames::{Frame, FrameEncoding, FrameHeader, FrameOutput, SentSteps, encode_next};
+use pliant::wire::frames::{Frame, FrameEncoding, FrameOutput, SentSteps, encode_next};
 use pliant::wire::record::{FileReferences, LoggedCommit, RecordedModel, ShapeProbe};
 use pliant::wire::{json, pb, rig_from_json, rig_message, session_edit};
 use prost::Message;
@@ -107,12 +107,10 @@ fn frames() -> Vec<Vec<u8>> {
                 ..FrameOutput::default()
             };
             let request = Frame {
-                header: FrameHeader::default(),
                 positions: Arc::new(positions),
-                shading: None,
                 output,
-                selected: None,
                 part_bytes: 200,
+                ..Frame::default()
             };
             let mut parts = encode_next(request, sent);
             parts

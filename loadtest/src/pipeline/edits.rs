@@ -17,7 +17,7 @@ use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
 use pliant::stage_clock::StageClock;
-use pliant::wire::frames::{Frame, FrameHeader, FrameOutput, encode};
+use pliant::wire::frames::{Frame, FrameOutput, encode};
 use pliant::wire::pb::edit_request::{Delete, Operation, Remesh};
 use pliant::wire::{self, Error, pb};
 use std::collections::BTreeMap;
@@ -338,12 +338,10 @@ impl EditBench<'_> {
         let passes = clock.take();
         stages.begin_stage("encode");
         let parts = encode(Frame {
-            header: FrameHeader::default(),
             positions: solved.positions,
-            shading: None,
             output: FrameOutput::default(),
-            selected: None,
             part_bytes: 256 << 10,
+            ..Frame::default()
         });
         std::hint::black_box(parts.map(|part| part.data.len()).sum::<usize>());
         Ok(EditRun {

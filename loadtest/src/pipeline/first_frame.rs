@@ -14,7 +14,7 @@ use pliant::engine::{Deformer, DeformerLimits, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::stage_clock::StageClock;
-use pliant::wire::frames::{Frame, FrameHeader, FrameOutput, encode};
+use pliant::wire::frames::{Frame, FrameOutput, encode};
 use pliant::wire::{self, DeformOptions, pb};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -178,12 +178,10 @@ fn run_once(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<FirstFrameRun,
     let solve_passes = clock.take();
     stages.begin_stage("encode");
     let parts = encode(Frame {
-        header: FrameHeader::default(),
         positions: solved.positions,
-        shading: None,
         output: FrameOutput::default(),
-        selected: None,
         part_bytes: PART,
+        ..Frame::default()
     });
     let frame_bytes = parts.map(|part| part.data.len()).sum();
     let seconds = stages

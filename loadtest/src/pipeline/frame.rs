@@ -11,7 +11,7 @@ use pliant::engine::{Deformer, DeformerLimits, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::frames::{Frame, FrameHeader, FrameOutput, encode};
+use pliant::wire::frames::{Frame, FrameOutput, encode};
 use pliant::wire::{self, DeformOptions, pb};
 use std::path::{Path, PathBuf};
 
@@ -154,12 +154,10 @@ fn drag_frames(
         let of_pass = |(name, _): &(&str, &str)| passes.iter().find(|(pass, _)| pass == name).map_or(0.0, |p| p.1);
         let (parts, encode) = time_once(|| {
             let parts = encode(Frame {
-                header: FrameHeader::default(),
                 positions: solved.positions,
-                shading: None,
                 output: FrameOutput::default(),
-                selected: None,
                 part_bytes: PART,
+                ..Frame::default()
             });
             parts.map(|part| part.data.len()).sum::<usize>()
         });

@@ -18,8 +18,9 @@ use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::registry::OpenSession;
 use crate::session::stream::frame_window::{FrameContext, ms_of};
-use crate::wire::frames::{AnimatedHeader, Frame, FrameHeader, FrameOutput};
-use crate::wire::{AnimateOrder, AnimationSummary, RootMotion};
+use crate::wire::frames::{Frame, FrameOutput};
+use crate::wire::{AnimateOrder, AnimationSummary, RootMotion, pb, quality_message};
+use glam::DVec3;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tracing::Span;
@@ -213,23 +214,27 @@ impl FrameSolver {
             RootMotion::Baked => frame.bake_root(),
             RootMotion::Dropped => frame.root = RigidMotion::IDENTITY,
         }
-        let animated = AnimatedHeader {
-            index: frame.index,
-            count: animation.times().count,
-            seconds: frame.seconds,
-            root: frame.root,
+        let narrow = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+        let animated = pb::Animated {
+            index: narrow(frame.index),
+            count: narrow(animation.times().count),
+            time: frame.seconds,
+            root_translation: frame.root.place(DVec3::ZERO).to_array().to_vec(),
+            root_rotation: frame.root.rotation.to_array().to_vec(),
             digest,
-            cycles: frame.cycles,
+            cycles: narrow(frame.cycles),
+            ..Default::default()
         };
         let shading = (self.prepared.shader.as_ref()).map(|shader| Arc::new(shader.shade(&frame.positions)));
         let seq = frame.index as u64 + 1;
         let mut sent = (self.frames).frame(seq, self.output, Arc::new(frame.positions), shading);
-        sent.header = FrameHeader {
-            is_final: true,
+        sent.root = Some(frame.root);
+        sent.header = pb::Frame {
+            r#final: true,
             residual: frame.residual,
             max_error: frame.max_error,
-            quality: Some(quality),
-            animated: Some(Box::new(animated)),
+            quality: Some(quality_message(&quality)),
+            animated: Some(animated),
             ..sent.header
         };
         Ok(SolvedFrame {

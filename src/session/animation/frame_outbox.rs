@@ -312,20 +312,17 @@ impl Drop for AnimationReader {
 mod tests {
     use super::*;
     use crate::session::error::ErrorCode;
-    use crate::wire::frames::{FrameHeader, FrameOutput};
+    use crate::wire::pb;
     use futures::poll;
 
     fn frame(seq: u64) -> Frame {
         Frame {
-            header: FrameHeader {
+            header: pb::Frame {
                 seq,
                 ..Default::default()
             },
-            positions: Arc::default(),
-            shading: None,
-            output: FrameOutput::default(),
-            selected: None,
             part_bytes: 1 << 20,
+            ..Frame::default()
         }
     }
 

@@ -48,8 +48,7 @@ impl FrameSource for FramesInMemory {
 
 impl FramesInMemory {
     fn push(&mut self, frame: &Frame) {
-        let root = frame.header.animated.as_ref().map(|a| a.root);
-        self.roots.push(root.unwrap_or(RigidMotion::IDENTITY));
+        self.roots.push(frame.root.unwrap_or(RigidMotion::IDENTITY));
         self.shapes.push(frame.positions.iter().map(|p| p.as_vec3()).collect());
     }
 }

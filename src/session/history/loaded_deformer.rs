@@ -14,7 +14,7 @@ use crate::session::history::session_state::{
 };
 use crate::session::stream::frame_window::{FrameContext, ms_of};
 use crate::wire::frames::Frame;
-use crate::wire::{DeformOptions, SessionEdit};
+use crate::wire::{DeformOptions, SessionEdit, quality_message};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -228,7 +228,8 @@ impl LoadedDeformer {
         let solved = self.solve(&poses, &options.solve, SolveMode::Commit, exec, &mut |_| true)?;
         let solve_time = work.watch.elapsed();
         let mut frame = self.last_frame(seq, options, frames, &solved);
-        frame.header.quality = (self.engine).measure(&solved.positions, options.output.self_intersections, exec)?;
+        let quality = (self.engine).measure(&solved.positions, options.output.self_intersections, exec)?;
+        frame.header.quality = quality.as_ref().map(quality_message);
         frame.header.solve_ms = ms_of(solve_time);
         Ok(PoseAnswer {
             frame,
@@ -253,7 +254,7 @@ impl LoadedDeformer {
     ) -> Frame {
         let shading = self.shade(&solved.positions, options);
         let mut frame = frames.frame(seq, options.output, Arc::clone(&solved.positions), shading);
-        frame.header.is_final = true;
+        frame.header.r#final = true;
         frame.header.residual = solved.residual;
         frame.header.max_error = solved.max_error;
         frame

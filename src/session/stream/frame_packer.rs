@@ -48,7 +48,7 @@ impl FramePacker {
         select_changed(
             positions,
             reader,
-            threshold * frame.header.diagonal,
+            threshold * frame.diagonal,
             &mut selected,
             &mut buffer,
         );
@@ -103,25 +103,25 @@ fn select_changed(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::frames::{FrameHeader, FrameOutput, encode};
+    use crate::wire::frames::{FrameOutput, encode};
+    use crate::wire::pb;
     use proptest::prelude::*;
     use std::sync::Arc;
 
     fn frame(seq: u64, positions: &[DVec3], threshold: f64) -> Frame {
         Frame {
-            header: FrameHeader {
+            header: pb::Frame {
                 seq,
-                diagonal: 1.0,
                 ..Default::default()
             },
+            diagonal: 1.0,
             positions: Arc::new(positions.to_vec()),
-            shading: None,
             output: FrameOutput {
                 changed_only: Some(threshold),
                 ..Default::default()
             },
-            selected: None,
             part_bytes: 1 << 20,
+            ..Frame::default()
         }
     }
 

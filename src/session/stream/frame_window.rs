@@ -1,7 +1,8 @@
 //! Frames on their way to a reader: how they begin, and how many of them may wait.
 
 use crate::engine::{Shading, TopologyId};
-use crate::wire::frames::{Frame, FrameHeader, FrameOutput};
+use crate::wire::frames::{Frame, FrameOutput};
+use crate::wire::pb;
 use glam::DVec3;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -29,21 +30,20 @@ impl FrameContext {
         positions: Arc<Vec<DVec3>>,
         shading: Option<Arc<Shading>>,
     ) -> Frame {
-        let header = FrameHeader {
-            seq,
-            revision: self.revision,
+        Frame {
+            header: pb::Frame {
+                seq,
+                revision: self.revision,
+                queue_ms: ms_of(self.queued),
+                ..Default::default()
+            },
             topology: self.topology,
             diagonal: self.diagonal,
-            queue_ms: ms_of(self.queued),
-            ..FrameHeader::default()
-        };
-        Frame {
-            header,
             positions,
             shading,
             output,
-            selected: None,
             part_bytes: self.part_bytes,
+            ..Frame::default()
         }
     }
 }

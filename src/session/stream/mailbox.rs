@@ -10,9 +10,9 @@ use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::Metrics;
 use crate::session::stream::stream_state::StreamState;
-use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose, merge_waiting_drags};
+use crate::session::stream::waiting_poses::{DraggedPoses, PoseEntries, WaitingPose, merge_waiting_drags};
 use crate::wire::frames::Frame;
-use crate::wire::{DeformOptions, StreamPose, StreamRequest};
+use crate::wire::{DeformOptions, Error as WireError, StreamRequest};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::Poll;
 use tokio::sync::Notify;
@@ -22,15 +22,6 @@ use tracing::Span;
 const WAITING_NOTES: usize = 64;
 /// Pongs that wait unread; more replace the oldest.
 const WAITING_PONGS: usize = 16;
-
-/// What a stream gives its session to do: all poses up to the first commit, or all that wait.
-#[derive(Debug)]
-pub(in crate::session) struct StreamWork {
-    /// In the order in which they came; never empty.
-    pub poses: Vec<WaitingPose>,
-    /// What the stream dragged since the last commit.
-    pub dragged: DraggedPoses,
-}
 
 /// One deform stream as its session sees it.
 #[derive(Debug)]
@@ -110,46 +101,57 @@ impl Mailbox {
                 self.task.notify_one();
             }
             StreamRequest::Options(Err(error)) => self.end_with_error(&mut state, error.into()),
-            StreamRequest::Pose(pose) => self.push_pose(&mut state, pose),
+            StreamRequest::Pose {
+                seq,
+                commit,
+                key,
+                entries,
+            } => {
+                self.metrics.poses_received.inc();
+                let settings = Arc::clone(&state.settings);
+                let pose = self
+                    .check_pose(&mut state, seq, commit, entries)
+                    .map(|entries| WaitingPose {
+                        seq,
+                        entries,
+                        commit,
+                        key,
+                        settings,
+                        poses: 1,
+                    });
+                match pose {
+                    Ok(pose) => {
+                        state.waiting.push_back(pose);
+                        merge_waiting_drags(&mut state.waiting, self.max_entries);
+                        self.task.notify_one();
+                    }
+                    Err(error) => self.refuse_pose(&mut state, seq, error),
+                }
+            }
         }
         Ok(())
     }
 
-    fn push_pose(&self, state: &mut StreamState, pose: StreamPose) {
-        self.metrics.poses_received.inc();
-        let StreamPose {
-            seq,
-            commit,
-            key,
-            entries,
-        } = pose;
+    /// The entries of a pose that may wait.
+    fn check_pose(
+        &self,
+        state: &mut StreamState,
+        seq: u64,
+        commit: bool,
+        entries: Result<PoseEntries, WireError>,
+    ) -> Result<PoseEntries, Error> {
         if let Some(last) = state.last_seq.filter(|&last| seq <= last) {
             let text = format!("is {seq}, above {last} is allowed: numbers grow along a stream");
-            return self.refuse_pose(state, seq, Error::invalid("pose.seq", text));
+            return Err(Error::invalid("pose.seq", text));
         }
         state.last_seq = Some(seq);
-        let entries = match entries {
-            Ok(entries) => entries,
-            Err(error) => return self.refuse_pose(state, seq, error.into()),
-        };
+        let entries = entries?;
         if commit && state.waiting.iter().filter(|w| w.commit).count() >= self.max_commits {
-            let text = format!(
-                "{} commits wait on this stream already; wait for their frames",
-                self.max_commits
-            );
-            return self.refuse_pose(state, seq, Error::exhausted(text, 1));
+            let most = self.max_commits;
+            let text = format!("{most} commits wait on this stream already; wait for their frames");
+            return Err(Error::exhausted(text, 1));
         }
-        let settings = Arc::clone(&state.settings);
-        state.waiting.push_back(WaitingPose {
-            seq,
-            entries,
-            commit,
-            key,
-            settings,
-            poses: 1,
-        });
-        merge_waiting_drags(&mut state.waiting, self.max_entries);
-        self.task.notify_one();
+        Ok(entries)
     }
 
     fn refuse_pose(&self, state: &mut StreamState, seq: u64, error: Error) {
@@ -230,19 +232,21 @@ impl Mailbox {
 
     // The session's side.
 
-    /// The next work, when there is some and its frame may be sent. `complete_work` must follow.
-    pub fn take_work(&self) -> Option<StreamWork> {
+    /// The next work, when there is some and its frame may be sent: all poses up to the first commit, or all that wait, in the
+    /// order in which they came; never empty. `complete_work` must follow.
+    pub fn take_work(&self) -> Option<Vec<WaitingPose>> {
         let mut state = self.lock_state();
         let count = state.work_at_hand();
         if count == 0 {
             return None;
         }
-        let poses = state.waiting.drain(..count).collect();
         state.running = true;
-        Some(StreamWork {
-            poses,
-            dragged: state.dragged.clone(),
-        })
+        Some(state.waiting.drain(..count).collect())
+    }
+
+    /// What the stream dragged since the last commit.
+    pub fn dragged_poses(&self) -> DraggedPoses {
+        self.lock_state().dragged.clone()
     }
 
     /// Whether a newer pose waits.

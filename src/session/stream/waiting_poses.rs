@@ -1,7 +1,7 @@
 //! Poses that wait on a stream, and how they are merged.
 
 use crate::engine::HandlePose;
-use crate::wire::{DeformOptions, PoseEntry, PoseKey};
+use crate::wire::{DeformOptions, Error as WireError, PoseKey};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -11,12 +11,14 @@ pub(in crate::session) const WAITING_DRAGS: usize = 64;
 /// Poses by handle.
 pub(in crate::session) type DraggedPoses = BTreeMap<String, HandlePose>;
 
+/// The handles that a pose names, each with its pose, or with the error that the stream reports at the pose's turn.
+pub(in crate::session) type PoseEntries = Vec<(String, Result<HandlePose, WireError>)>;
+
 /// A pose that waits to be solved.
 #[derive(Debug, Clone)]
 pub(in crate::session) struct WaitingPose {
     pub seq: u64,
-    /// Each with its error, which the stream reports at the pose's turn, as that of an unknown handle.
-    pub entries: Vec<PoseEntry>,
+    pub entries: PoseEntries,
     pub commit: bool,
     /// Of a commit that may be sent again.
     pub key: Option<PoseKey>,
@@ -42,10 +44,9 @@ pub(in crate::session) fn merge_waiting_drags(waiting: &mut VecDeque<WaitingPose
         let Some(old) = waiting.remove(at) else { return };
         let Some(new) = waiting.get_mut(at) else { return };
         let entries = old.entries.into_iter().chain(std::mem::take(&mut new.entries));
-        let union: BTreeMap<_, _> = entries.map(|e| (e.id, e.pose)).collect();
-        // More names than a session has handles: some are wrong, and nobody knows yet which.
-        let few = union.into_iter().take(max_entries);
-        new.entries = few.map(|(id, pose)| PoseEntry { id, pose }).collect();
+        let union: BTreeMap<_, _> = entries.collect();
+        // More names than a session has handles: some are wrong, and it is not known yet which.
+        new.entries = union.into_iter().take(max_entries).collect();
         new.poses = new.poses.saturating_add(old.poses);
     }
 }

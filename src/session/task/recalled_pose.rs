@@ -55,7 +55,7 @@ impl SessionTask {
         };
         let mut frame = committed.frame;
         frame.header.seq = seq;
-        frame.header.diagonal = self.history.current().diagonal;
+        frame.diagonal = self.history.current().diagonal;
         Ok(frame)
     }
 
@@ -78,8 +78,7 @@ impl SessionTask {
         let (digest, diagonal, topology) = (state.digest.clone(), state.diagonal, state.topology.clone());
         let AnsweredFrame { mut header, output } = frame;
         header.revision = revision;
-        header.topology = topology.as_ref().map(TopologyState::id);
-        header.diagonal = diagonal;
+        let id = topology.as_ref().map(TopologyState::id);
         let part_bytes = self.shared.config.part_bytes;
         let (made, watch) = self
             .compute(order(), move |deformer, work| {
@@ -88,11 +87,13 @@ impl SessionTask {
                 let shading = is_shaded.then(|| Arc::new(deformer.shader().shade(&shape.positions)));
                 let frame = Frame {
                     header,
+                    topology: id,
+                    diagonal,
                     positions: shape.positions,
                     shading,
                     output,
-                    selected: None,
                     part_bytes,
+                    ..Frame::default()
                 };
                 Ok::<_, engine::Error>(frame.for_new_reader())
             })

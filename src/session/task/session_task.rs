@@ -22,7 +22,8 @@ use crate::session::keeping::residence::Residence;
 use crate::session::quota::tenant_account::TenantSession;
 use crate::session::registry::{OpenSession, SessionView};
 use crate::session::shared::SharedResources;
-use crate::session::stream::mailbox::{Mailbox, StreamWork};
+use crate::session::stream::mailbox::Mailbox;
+use crate::session::stream::waiting_poses::WaitingPose;
 use crate::wire::frames::Frame;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -163,13 +164,13 @@ impl SessionTask {
     }
 
     /// Work of the next stream that has some.
-    fn next_stream_work(&mut self) -> Option<(Arc<Mailbox>, StreamWork)> {
+    fn next_stream_work(&mut self) -> Option<(Arc<Mailbox>, Vec<WaitingPose>)> {
         let streams = self.session.streams.all();
         for k in 0..streams.len() {
             let at = (self.next_stream + k) % streams.len();
-            if let Some(work) = streams[at].take_work() {
+            if let Some(poses) = streams[at].take_work() {
                 self.next_stream = at + 1;
-                return Some((Arc::clone(&streams[at]), work));
+                return Some((Arc::clone(&streams[at]), poses));
             }
         }
         None

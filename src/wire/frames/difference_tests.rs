@@ -51,16 +51,14 @@ impl Told {
 
 fn request(positions: &[DVec3], part_bytes: usize) -> Frame {
     Frame {
-        header: FrameHeader::default(),
         positions: Arc::new(positions.to_vec()),
-        shading: None,
         output: FrameOutput {
             encoding: FrameEncoding::Delta,
             asked: 1,
             ..Default::default()
         },
-        selected: None,
         part_bytes,
+        ..Frame::default()
     }
 }
 
@@ -176,7 +174,7 @@ fn a_key_frame_comes_first_and_when_the_shape_or_the_question_is_another() {
     assert!(told.tell(usual()), "and out of the box of that");
 
     let mut edited = usual();
-    edited.header.topology = Some(TopologyId::default());
+    edited.topology = Some(TopologyId::default());
     assert!(told.tell(edited.clone()), "after an edit");
     assert!(!told.tell(edited.clone()));
     assert!(told.tell(usual()), "and when it is undone");

@@ -1,12 +1,14 @@
-//! One part of a frame, from its vertices to the bytes that are sent.
+//! One part of a frame, from its vertices to the bytes that are sent: its numbers are written once.
 
 use super::Frame;
 use super::numbers::{
     PickedVertices, Steps, VertexNumbers, push_padded_steps, put_floats, put_steps, take_differences,
 };
-use super::pb::{self, frame};
-use bytes::BufMut;
+use super::pb::{self, deform_response::Message as Response, frame};
+use bytes::{Buf, BufMut};
 use glam::DVec3;
+use prost::encoding::{DecodeContext, WireType, encode_key, encode_varint, encoded_len_varint, key_len};
+use prost::{DecodeError, Message};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -47,11 +49,18 @@ pub(super) fn bounds(positions: &[DVec3], selected: Option<&[u32]>) -> [DVec3; 2
     }
 }
 
-/// A part of a frame. Its numbers stay where they are until it is sent.
-#[derive(Debug)]
-pub struct FramePart {
-    /// Everything but the numbers.
-    pub(super) head: pb::Frame,
+/// `DeformResponse.frame`.
+const FRAME: u32 = 1;
+/// `Frame.data`. It is written last: a message's fields may come in any order.
+const DATA: u32 = 7;
+
+/// A response of a deform stream as it goes out, in place of [`pb::DeformResponse`]: the bytes of both say the same. The
+/// numbers of a frame stay where they are until they are written, once, into the bytes that are sent.
+#[derive(Debug, Default)]
+pub struct OutgoingResponse {
+    /// The response; a frame in it has no numbers.
+    message: pb::DeformResponse,
+    /// The numbers of that frame.
     data: PartData,
 }
 
@@ -59,19 +68,35 @@ pub struct FramePart {
 enum PartData {
     /// To be written from these vertices.
     Of(VertexRun),
-    /// Encoded already: the length is not known before.
+    /// Encoded already, since the length is not known before. Responses that are no frame have none.
     Coded(Vec<u8>),
 }
 
-impl FramePart {
-    /// The vertices of `run`, with header `head`. Meshopt data is encoded here, by way of `scratch`; on a stream with
-    /// differences, `held` is what its reader has of these vertices.
-    pub(super) fn new(
+impl Default for PartData {
+    fn default() -> Self {
+        Self::Coded(Vec::new())
+    }
+}
+
+impl From<Response> for OutgoingResponse {
+    fn from(message: Response) -> Self {
+        Self {
+            message: pb::DeformResponse { message: Some(message) },
+            data: PartData::default(),
+        }
+    }
+}
+
+impl OutgoingResponse {
+    /// The part of a frame with the vertices of `run` and the header `head`. Meshopt data is encoded here, by way of `scratch`;
+    /// on a stream with differences, `held` is what its reader has of these vertices.
+    pub(super) fn of_part(
         mut head: pb::Frame,
         run: VertexRun,
         scratch: &mut Vec<[u16; 4]>,
         held: Option<&mut [[u16; 4]]>,
     ) -> Self {
+        let mut coded = Vec::new();
         let is_coded = matches!(head.encoding(), frame::Encoding::Meshopt | frame::Encoding::Delta);
         if is_coded && !run.range.is_empty() {
             scratch.clear();
@@ -83,44 +108,60 @@ impl FramePart {
                 Some(held) => held.copy_from_slice(scratch),
                 None => {}
             }
-            match meshopt::encode_vertex_buffer(scratch) {
-                Ok(coded) if !coded.is_empty() => {
-                    let data = PartData::Coded(coded);
-                    return Self { head, data };
-                }
+            coded = meshopt::encode_vertex_buffer(scratch).unwrap_or_default();
+            if coded.is_empty() {
                 // Every part names its encoding, so a part that cannot be compressed is sent uncompressed.
-                _ => head.set_encoding(frame::Encoding::U16),
+                head.set_encoding(frame::Encoding::U16);
             }
         }
-        let data = PartData::Of(run);
-        Self { head, data }
+        Self {
+            message: pb::DeformResponse {
+                message: Some(Response::Frame(head)),
+            },
+            data: match coded.is_empty() {
+                true => PartData::Of(run),
+                false => PartData::Coded(coded),
+            },
+        }
     }
 
-    /// How its numbers are written.
-    pub fn encoding(&self) -> frame::Encoding {
-        self.head.encoding()
+    /// What is sent, but for the numbers of a frame.
+    pub fn message(&self) -> Option<&Response> {
+        self.message.message.as_ref()
+    }
+
+    /// The frame, with its numbers; `None` for another response.
+    pub fn into_frame(self) -> Option<pb::Frame> {
+        match pb::DeformResponse::from(self).message {
+            Some(Response::Frame(frame)) => Some(frame),
+            _ => None,
+        }
+    }
+
+    /// The header of a frame.
+    fn head(&self) -> Option<&pb::Frame> {
+        match self.message() {
+            Some(Response::Frame(head)) => Some(head),
+            _ => None,
+        }
     }
 
     /// Bytes of numbers.
     pub fn data_bytes(&self) -> usize {
-        match &self.data {
-            PartData::Coded(coded) => coded.len(),
-            PartData::Of(run) => run.range.len() * bytes_a_vertex(self.head.encoding(), self.head.attribute()),
+        match (&self.data, self.head()) {
+            (PartData::Of(run), Some(head)) => run.range.len() * bytes_a_vertex(head.encoding(), head.attribute()),
+            (PartData::Coded(coded), _) => coded.len(),
+            (PartData::Of(_), None) => 0,
         }
     }
 
-    /// Everything but the numbers.
-    pub(super) fn head(&self) -> &pb::Frame {
-        &self.head
-    }
-
-    /// Writes the numbers.
-    pub(super) fn write_data(&self, out: &mut impl BufMut) {
+    /// Writes the numbers of the frame `head`.
+    fn write_data(&self, head: &pb::Frame, out: &mut impl BufMut) {
         match &self.data {
             PartData::Coded(coded) => out.put_slice(coded),
             PartData::Of(run) => {
-                let (corners, attribute) = (run.corners, self.head.attribute());
-                match self.head.encoding() {
+                let (corners, attribute) = (run.corners, head.attribute());
+                match head.encoding() {
                     frame::Encoding::F32 => visit(attribute, run, PutFloats(out)),
                     frame::Encoding::U16 => visit(attribute, run, PutSteps { corners, out }),
                     // Coded, unless it is empty.
@@ -129,21 +170,88 @@ impl FramePart {
             }
         }
     }
+}
 
-    /// The part as a message that holds its numbers.
-    pub fn into_message(self) -> pb::Frame {
-        let data = match self.data {
-            PartData::Coded(coded) => coded,
-            PartData::Of(_) => {
-                let mut data = Vec::with_capacity(self.data_bytes());
-                self.write_data(&mut data);
-                data
-            }
-        };
-        pb::Frame {
-            data: data.into(),
-            ..self.head
+impl From<OutgoingResponse> for pb::DeformResponse {
+    fn from(response: OutgoingResponse) -> Self {
+        let mut data = Vec::new();
+        if let (Some(head), PartData::Of(_)) = (response.head(), &response.data) {
+            data.reserve_exact(response.data_bytes());
+            response.write_data(head, &mut data);
         }
+        let OutgoingResponse {
+            mut message,
+            data: coded,
+        } = response;
+        if let Some(Response::Frame(frame)) = &mut message.message {
+            frame.data = match coded {
+                PartData::Coded(coded) => coded.into(),
+                PartData::Of(_) => data.into(),
+            };
+        }
+        message
+    }
+}
+
+/// Bytes of a field that holds `bytes` bytes.
+fn delimited_bytes(tag: u32, bytes: usize) -> usize {
+    key_len(tag) + encoded_len_varint(bytes as u64) + bytes
+}
+
+fn open_field(tag: u32, bytes: usize, out: &mut impl BufMut) {
+    encode_key(tag, WireType::LengthDelimited, out);
+    encode_varint(bytes as u64, out);
+}
+
+/// Bytes of a frame's message with `data` bytes of numbers.
+fn frame_bytes(head: &pb::Frame, data: usize) -> usize {
+    head.encoded_len() + if data > 0 { delimited_bytes(DATA, data) } else { 0 }
+}
+
+impl Message for OutgoingResponse {
+    fn encode_raw(&self, out: &mut impl BufMut) {
+        let Some(head) = self.head() else {
+            return self.message.encode_raw(out);
+        };
+        let data = self.data_bytes();
+        open_field(FRAME, frame_bytes(head, data), out);
+        head.encode_raw(out);
+        if data > 0 {
+            open_field(DATA, data, out);
+            self.write_data(head, out);
+        }
+    }
+
+    fn encoded_len(&self) -> usize {
+        match self.head() {
+            Some(head) => delimited_bytes(FRAME, frame_bytes(head, self.data_bytes())),
+            None => self.message.encoded_len(),
+        }
+    }
+
+    fn merge_field(
+        &mut self,
+        tag: u32,
+        wire_type: WireType,
+        bytes: &mut impl Buf,
+        context: DecodeContext,
+    ) -> Result<(), DecodeError> {
+        let mut message = pb::DeformResponse::from(std::mem::take(self));
+        let merged = message.merge_field(tag, wire_type, bytes, context);
+        // The numbers of a frame that was read go out by themselves again.
+        let data = match &mut message.message {
+            Some(Response::Frame(frame)) => std::mem::take(&mut frame.data).into(),
+            _ => Vec::new(),
+        };
+        *self = Self {
+            message,
+            data: PartData::Coded(data),
+        };
+        merged
+    }
+
+    fn clear(&mut self) {
+        *self = Self::default();
     }
 }
 

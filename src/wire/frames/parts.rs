@@ -1,8 +1,7 @@
 //! The parts of a frame, in order.
 
 use super::Frame;
-use super::header::header_message;
-use super::part::{FramePart, VertexRun, bytes_a_vertex};
+use super::part::{OutgoingResponse, VertexRun, bytes_a_vertex};
 use super::pb::{self, frame};
 use super::sent_steps::{FrameKind, FrameReference, SentSteps};
 use glam::DVec3;
@@ -25,7 +24,7 @@ pub fn encode_next(request: Frame, sent: SentSteps) -> FrameParts {
 fn prepare(request: Frame, sent: Option<SentSteps>) -> FrameParts {
     let kind = FrameKind {
         output: request.output,
-        topology: request.header.topology,
+        topology: request.topology,
         carries: request.carries(),
         vertices: request.count(),
     };
@@ -39,7 +38,7 @@ fn prepare(request: Frame, sent: Option<SentSteps>) -> FrameParts {
     FrameParts {
         header: pb::Frame {
             number: reference.number,
-            ..header_message(&request.header)
+            ..request.header.clone()
         },
         frame: Arc::new(request),
         blocks,
@@ -112,7 +111,7 @@ impl FrameParts {
     }
 
     /// The next part, to send its bytes; as an iterator this gives messages.
-    pub fn next_part(&mut self) -> Option<FramePart> {
+    pub fn next_part(&mut self) -> Option<OutgoingResponse> {
         let part = self.next;
         let block = self
             .blocks
@@ -148,7 +147,7 @@ impl FrameParts {
             .reference
             .held(block.attribute)
             .and_then(|held| held.get_mut(first..end));
-        Some(FramePart::new(
+        Some(OutgoingResponse::of_part(
             head,
             VertexRun {
                 frame: Arc::clone(&self.frame),
@@ -165,6 +164,6 @@ impl Iterator for FrameParts {
     type Item = pb::Frame;
 
     fn next(&mut self) -> Option<pb::Frame> {
-        self.next_part().map(FramePart::into_message)
+        self.next_part()?.into_frame()
     }
 }

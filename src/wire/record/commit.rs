@@ -1,6 +1,6 @@
 //! Commits as a store keeps them.
 
-use super::facts::{recorded_facts, recorded_quality, recorded_report, recorded_warnings};
+use super::facts::{recorded_facts, recorded_report, recorded_warnings};
 use super::messages::{
     CommitKindMessage, CommitMessage, CreationMessage, EditMessage, FilesMessage, FrameMessage, HandlesMessage,
     PoseMessage, ProbeMessage, SettingsMessage, StepMessage,
@@ -9,10 +9,10 @@ use crate::deform::{FirstPass, FitOrder};
 use crate::engine::{
     DeformerFacts, DeformerWarning, Edit, EditReport, HandlePose, HandlePoses, HandleSet, SolveSettings,
 };
-use crate::wire::frames::{FrameEncoding, FrameHeader, FrameOutput};
+use crate::wire::frames::{FrameEncoding, FrameOutput};
 use crate::wire::{
     Error, SessionEdit, edit_result, handle_pose, handle_pose_message, handle_set, handle_set_message, pb,
-    quality_message, session_edit, session_message, warning_message,
+    session_edit, session_message, warning_message,
 };
 use glam::DVec3;
 use prost::Message as _;
@@ -91,7 +91,7 @@ impl ShapeProbe {
 #[derive(Debug, Clone, PartialEq)]
 pub struct AnsweredFrame {
     /// Its header; the revision is that of the commit.
-    pub header: FrameHeader,
+    pub header: pb::Frame,
     /// What it carried.
     pub output: FrameOutput,
 }
@@ -329,7 +329,7 @@ fn frame_message(frame: &AnsweredFrame) -> FrameMessage {
         max_error: header.max_error,
         solve_ms: header.solve_ms,
         queue_ms: header.queue_ms,
-        quality: header.quality.as_ref().map(quality_message),
+        quality: header.quality,
         output: Some(pb::Output {
             normals: output.normals,
             tangents: output.tangents,
@@ -345,15 +345,15 @@ fn recorded_frame(message: &FrameMessage) -> Result<AnsweredFrame, Error> {
     let encoding = pb::frame::Encoding::try_from(output.encoding)
         .map_err(|_| Error::invalid("frame.output.encoding", "is not an encoding"))?;
     Ok(AnsweredFrame {
-        header: FrameHeader {
+        header: pb::Frame {
             seq: message.seq,
-            is_final: true,
+            r#final: true,
             residual: message.residual,
             max_error: message.max_error,
             solve_ms: message.solve_ms,
             queue_ms: message.queue_ms,
-            quality: message.quality.as_ref().map(recorded_quality),
-            ..FrameHeader::default()
+            quality: message.quality,
+            ..Default::default()
         },
         output: FrameOutput {
             normals: output.normals,

@@ -58,13 +58,13 @@ fn commits() -> Vec<LoggedCommit> {
             warnings: vec![DeformerWarning::new("a", "b", "c")],
             probe: probe.clone(),
             frame: Some(Box::new(AnsweredFrame {
-                header: FrameHeader {
+                header: pb::Frame {
                     seq: 7,
-                    is_final: true,
+                    r#final: true,
                     residual: third,
                     solve_ms: 1.0,
                     quality: Some(Default::default()),
-                    ..FrameHeader::default()
+                    ..Default::default()
                 },
                 output: FrameOutput {
                     normals: true,

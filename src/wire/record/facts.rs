@@ -4,7 +4,7 @@
 use crate::asset::{Format, Primitive};
 use crate::engine::{
     DeformerFacts, DeformerWarning, EditReport, HandleFacts, KeptVertexRun, LoosePart, MeshCounts, ModelFacts,
-    QualityReport, SolverFacts, TieFacts, WarningPlace,
+    SolverFacts, TieFacts, WarningPlace,
 };
 use crate::wire::{Error, pb};
 use glam::DVec3;
@@ -126,20 +126,6 @@ pub(super) fn recorded_report(message: Option<&pb::EditResult>) -> Result<EditRe
         digest: message.digest.clone(),
         repaired: message.repaired,
     })
-}
-
-/// Reads the quality of a shape.
-pub(super) fn recorded_quality(quality: &pb::Quality) -> QualityReport {
-    QualityReport {
-        edge_rms: quality.edge_rms,
-        volume_change: quality.volume_change,
-        open_surface: quality.open_surface,
-        area_change: quality.area_change,
-        flipped_triangles: quality.flipped_triangles,
-        max_stretch: quality.max_stretch,
-        self_intersections: quality.self_intersections,
-        faces_too_large: quality.faces_too_large,
-    }
 }
 
 #[cfg(test)]

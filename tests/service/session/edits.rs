@@ -134,7 +134,7 @@ async fn a_stream_goes_on_across_an_edit() {
     for (seq, angle) in [(1, 0.2), (2, 0.3), (3, 0.4)] {
         client.push(turning(seq, angle, false));
         let frame = client.frame().await;
-        assert!(frame.header.is_final);
+        assert!(frame.header.r#final);
         sizes.push(frame.selected.expect("changes only").len() as u32);
         client.ack(seq);
         if seq == 2 {

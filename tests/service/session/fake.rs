@@ -21,10 +21,7 @@ use pliant::session::{
     Manager, MemoryUse, Metrics, PositionBuffer, SessionConfig, SessionFacts, StreamAnswer, StreamInput, StreamOutput,
     Tenant,
 };
-use pliant::wire::frames::FrameHeader;
-use pliant::wire::{
-    self, DeformOptions, PoseCommit, PoseEntry, SessionEdit, SessionOptions, StreamPose, StreamRequest,
-};
+use pliant::wire::{self, DeformOptions, PoseCommit, SessionEdit, SessionOptions, StreamRequest};
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 use std::sync::{Arc, Condvar, LazyLock, Mutex};
 use std::time::Duration;
@@ -500,22 +497,19 @@ pub fn pose(seq: u64, entries: &[(&str, f64)], commit: bool) -> StreamRequest {
 }
 
 pub fn posed(seq: u64, changes: Vec<(String, HandlePose)>, commit: bool) -> StreamRequest {
-    let entry = |(id, pose): (String, HandlePose)| PoseEntry {
-        id,
-        pose: match pose.translation {
-            Some(by) if !by.is_finite() => Err(wire::Error::invalid(
-                "pose.handles[0].pose.translation",
-                "is not finite",
-            )),
-            _ => Ok(pose),
-        },
+    let read = |(id, pose): (String, HandlePose)| match pose.translation {
+        Some(by) if !by.is_finite() => {
+            let field = "pose.handles[0].pose.translation";
+            (id, Err(wire::Error::invalid(field, "is not finite")))
+        }
+        _ => (id, Ok(pose)),
     };
-    StreamRequest::Pose(StreamPose {
+    StreamRequest::Pose {
         seq,
         commit,
         key: None,
-        entries: Ok(changes.into_iter().map(entry).collect()),
-    })
+        entries: Ok(changes.into_iter().map(read).collect()),
+    }
 }
 
 pub fn solve(entries: &[(&str, f64)]) -> PoseCommit {
@@ -540,7 +534,7 @@ pub struct Client {
 /// A frame: what it tells, how far each of its vertices is from rest along x, and which they are when it carries changes only.
 #[derive(Debug, Clone)]
 pub struct Seen {
-    pub header: FrameHeader,
+    pub header: wire::pb::Frame,
     pub x: Vec<f64>,
     pub selected: Option<Vec<u32>>,
 }
