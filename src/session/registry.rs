@@ -6,7 +6,7 @@ use crate::asset::Format;
 use crate::engine::{DeformerFacts, HandlePoses};
 use crate::progress::CancelFlag;
 use crate::session::answers::{SessionFacts, Tenant};
-use crate::session::calls::command::SessionCommand;
+use crate::session::calls::command::ServeCall;
 use crate::session::capacity::call_line::CallLine;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::capacity::work_owner::WorkOwner;
@@ -53,7 +53,7 @@ pub(super) struct OpenSession {
     pub created_ms: u64,
     pub format: Format,
     pub lease: SessionLease,
-    pub commands: mpsc::Sender<SessionCommand>,
+    pub commands: mpsc::Sender<Box<dyn ServeCall>>,
     /// The calls that wait for answers.
     pub line: CallLine,
     pub streams: OpenStreams,

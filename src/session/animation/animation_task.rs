@@ -9,7 +9,7 @@ use crate::progress::Progress as _;
 use crate::session::animation::frame_outbox::FrameOutbox;
 use crate::session::animation::prepared_animation::PreparedAnimation;
 use crate::session::animation::running_animation::RunningAnimation;
-use crate::session::calls::command::SessionCommand;
+use crate::session::calls::command::PrepareAnimation;
 use crate::session::calls::manager::Manager;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;
@@ -72,9 +72,9 @@ impl AnimationTask {
     async fn prepare_and_solve(&self, order: AnimateOrder) -> Result<Option<AnimationSummary>, Error> {
         let (root, output) = (order.root, order.output);
         let outbox = Arc::clone(&self.outbox);
-        let command = |call| SessionCommand::Animate(Box::new(order), outbox, call);
+        let call = PrepareAnimation { order, outbox };
         let mut prepared = tokio::select! {
-            prepared = self.manager.call(&self.session, None, command) => prepared?,
+            prepared = self.manager.call(&self.session, None, call) => prepared?,
             () = self.outbox.wait_for_end() => return Ok(None),
         };
         let memory = self.reserve_memory(&prepared)?;

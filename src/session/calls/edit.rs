@@ -1,10 +1,7 @@
 //! The call that edits a session's topology.
 
 use crate::asset::FileSet;
-use crate::engine::Edit;
 use crate::session::answers::{CallKey, CommittedEdit, Tenant};
-use crate::session::calls::command::{SessionCommand, StoredAnswer};
-use crate::session::calls::idempotency::{ClaimOutcome, answer_of_another_call};
 use crate::session::calls::manager::Manager;
 use crate::session::error::{Error, ErrorCode};
 use crate::wire::SessionEdit;
@@ -24,28 +21,14 @@ impl Manager {
         &self,
         tenant: &Tenant,
         id: &str,
-        mut edit: SessionEdit,
+        edit: SessionEdit,
         key: Option<CallKey>,
     ) -> Result<CommittedEdit, Error> {
-        let session = self.find(tenant, id).await?;
-        let claim = match self.claim_request(tenant, id, key.as_ref(), "edit").await? {
-            Some(ClaimOutcome::Done(answer)) => match self.kept_answer(tenant, answer).await? {
-                StoredAnswer::Edited(edited) => return Ok(*edited),
-                _ => return Err(answer_of_another_call()),
-            },
-            Some(ClaimOutcome::New(claim)) => Some(claim),
-            None => None,
-        };
-        // Before the session's own task is asked, which may be that of the same session.
-        if let (Edit::Merge(merge), Some(other)) = (&mut edit.edit, &edit.merged_session) {
-            merge.files = self.export_files(tenant, other).await?;
-        }
-        self.call(&session, claim, |call| SessionCommand::Edit(Box::new(edit), call))
-            .await
+        self.keyed_call(tenant, id, key, edit).await
     }
 
     /// A session's model in its current shape.
-    async fn export_files(&self, tenant: &Tenant, id: &str) -> Result<FileSet, Error> {
+    pub(in crate::session) async fn export_files(&self, tenant: &Tenant, id: &str) -> Result<FileSet, Error> {
         let named = |e: Error| match (e.code, &e.owner) {
             (ErrorCode::NotFound, _) => Error {
                 field: Some("merge.session".into()),

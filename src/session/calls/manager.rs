@@ -10,11 +10,9 @@ use crate::asset::FileSet;
 use crate::engine::HandleSet;
 use crate::session::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionFacts, SessionList, Tenant};
 use crate::session::audit::audit_entry::AuditedAction;
-use crate::session::calls::command::{PendingCall, SessionCommand, StoredAnswer};
+use crate::session::calls::command::{Call, Caller, KeyedCall, QueuedCall, ServeCall, StoredAnswer};
 use crate::session::calls::create::{CreatedSession, create_session};
-use crate::session::calls::idempotency::{
-    ClaimOutcome, IdempotencyKeys, KeyClaim, RequestFingerprint, answer_of_another_call,
-};
+use crate::session::calls::idempotency::{ClaimOutcome, IdempotencyKeys, KeyClaim};
 use crate::session::calls::shared_keys::claim_everywhere;
 use crate::session::capacity::call_gate::CallGate;
 use crate::session::capacity::compute_slots::ComputeSlots;
@@ -181,13 +179,10 @@ impl Manager {
                 value: *value,
                 repeated: false,
             }),
-            CreatedSession::Before(answer) => match self.kept_answer(tenant, answer).await? {
-                StoredAnswer::Session(value) => Ok(KeyedAnswer {
-                    value: *value,
-                    repeated: true,
-                }),
-                _ => Err(answer_of_another_call()),
-            },
+            CreatedSession::Before(answer) => Ok(KeyedAnswer {
+                value: self.kept_answer(tenant, answer).await?.try_into()?,
+                repeated: true,
+            }),
         }
     }
 
@@ -316,61 +311,54 @@ impl Manager {
         }
     }
 
-    /// Claims the idempotency key of a call, or gives the answer that is kept for it.
-    pub(in crate::session) async fn claim(
+    /// Makes a call on a session, or gives the answer that is kept for its key.
+    ///
+    /// # Cancel safety
+    /// As [`Manager::call`].
+    pub(in crate::session) async fn keyed_call<C: KeyedCall>(
         &self,
         tenant: &Tenant,
-        key: Option<&str>,
-        operation: &str,
-        parts: &[&[u8]],
-    ) -> Result<Option<ClaimOutcome<StoredAnswer>>, Error> {
-        let Some(key) = key else { return Ok(None) };
-        let fingerprint = RequestFingerprint::of(operation, parts);
-        claim_everywhere(&self.shared, tenant, key, fingerprint).await.map(Some)
-    }
-
-    /// Makes a call that answers with the session, or gives the answer kept for its key.
-    pub(in crate::session) async fn call_for_session(
-        &self,
-        session: &Arc<OpenSession>,
-        claim: Option<ClaimOutcome<StoredAnswer>>,
-        command: impl FnOnce(PendingCall<SessionFacts>) -> SessionCommand,
-    ) -> Result<SessionFacts, Error> {
-        let claim = match claim {
-            Some(ClaimOutcome::Done(answer)) => match self.kept_answer(&session.tenant, answer).await? {
-                StoredAnswer::Session(session) => return Ok(*session),
-                _ => return Err(answer_of_another_call()),
-            },
-            Some(ClaimOutcome::New(claim)) => Some(claim),
-            None => None,
-        };
-        self.call(session, claim, command).await
+        id: &str,
+        key: Option<CallKey>,
+        mut call: C,
+    ) -> Result<C::Answer, Error> {
+        let session = self.find(tenant, id).await?;
+        let mut claim = None;
+        if let Some(CallKey { key, request }) = key {
+            let fingerprint = call.fingerprint(id, &request);
+            match claim_everywhere(&self.shared, tenant, &key, fingerprint).await? {
+                ClaimOutcome::Done(answer) => return self.kept_answer(tenant, answer).await?.try_into(),
+                ClaimOutcome::New(new) => claim = Some(new),
+            }
+        }
+        call.prepare(self, tenant).await?;
+        self.call(&session, claim, call).await
     }
 
     /// Sends a command to the session's task and waits for its answer.
     ///
     /// # Cancel safety
     /// Dropping the future raises the command's flag.
-    pub(in crate::session) async fn call<T>(
+    pub(in crate::session) async fn call<C: Call>(
         &self,
         session: &Arc<OpenSession>,
         claim: Option<KeyClaim<StoredAnswer>>,
-        command: impl FnOnce(PendingCall<T>) -> SessionCommand,
-    ) -> Result<T, Error> {
+        call: C,
+    ) -> Result<C::Answer, Error> {
         let _inside = self.shared.gate.enter();
         let guard = CancelOnDrop::default();
         let (reply, mut answer) = oneshot::channel();
         let arrived = Instant::now();
         let ahead = session.line.waiting();
         (self.shared.compute).refuse_long_line(ahead, session.line.expected(ahead), arrived)?;
-        let mut command = command(PendingCall {
-            reply,
+        let caller = Caller {
             who: Arc::clone(&self.who),
             cancel: Arc::clone(&guard.0),
             arrived,
             claim,
             span: Span::current(),
-        });
+        };
+        let mut command: Box<dyn ServeCall> = Box::new(QueuedCall { call, caller, reply });
         let mut session = Arc::clone(session);
         while let Err(error) = session.commands.try_send(command) {
             match error {

@@ -1,8 +1,8 @@
 //! Answers of calls with an idempotency key from before the server was started again. What a call answered follows from its
 //! commit, so the commit alone is kept.
 
-use crate::session::answers::{CommittedEdit, CommittedPose, SessionFacts, Tenant};
-use crate::session::calls::command::{SessionCommand, StoredAnswer};
+use crate::session::answers::{CommittedEdit, SessionFacts, Tenant};
+use crate::session::calls::command::{RecallPose, StoredAnswer};
 use crate::session::calls::idempotency::answer_of_another_call;
 use crate::session::calls::manager::Manager;
 use crate::session::error::{Error, ErrorCode};
@@ -38,9 +38,7 @@ impl Manager {
                 let frame = frame.clone().ok_or_else(answer_of_another_call)?;
                 let open = self.find(tenant, &session).await?;
                 let revision = stored.revision;
-                let recalled: Option<CommittedPose> = self
-                    .call(&open, None, |call| SessionCommand::Recall(revision, frame, call))
-                    .await?;
+                let recalled = self.call(&open, None, RecallPose { revision, frame }).await?;
                 recalled
                     .map(|pose| StoredAnswer::Solved(Box::new(pose)))
                     .ok_or_else(gone)

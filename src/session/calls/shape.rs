@@ -3,7 +3,7 @@
 use crate::asset::Format;
 use crate::session::answers::{CarriedAlong, ExportedModel, PositionBuffer, Tenant};
 use crate::session::audit::audit_entry::AuditedAction;
-use crate::session::calls::command::SessionCommand;
+use crate::session::calls::command::ExportModel;
 use crate::session::calls::manager::Manager;
 use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::error::Error;
@@ -25,9 +25,7 @@ impl Manager {
     /// `INVALID_ARGUMENT` when the model cannot be written in that format.
     pub async fn export(&self, tenant: &Tenant, id: &str, format: Option<Format>) -> Result<ExportedModel, Error> {
         let session = self.find(tenant, id).await?;
-        let exported = self
-            .call(&session, None, |call| SessionCommand::Export(format, call))
-            .await?;
+        let exported = self.call(&session, None, ExportModel(format)).await?;
         self.note(tenant, AuditedAction::Export, id).await;
         Ok(exported)
     }
@@ -53,9 +51,7 @@ impl Manager {
     /// `NOT_FOUND`; what is wrong with the model that is to be carried.
     pub async fn carry(&self, tenant: &Tenant, id: &str, order: CarryOrder) -> Result<CarriedAlong, Error> {
         let session = self.find(tenant, id).await?;
-        let carried = self
-            .call(&session, None, |call| SessionCommand::Carry(Box::new(order), call))
-            .await?;
+        let carried = self.call(&session, None, order).await?;
         self.note(tenant, AuditedAction::Carry, id).await;
         Ok(carried)
     }

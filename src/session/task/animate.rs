@@ -2,42 +2,39 @@
 
 use crate::engine::{self, ClipSource};
 use crate::exec::Exec;
-use crate::session::animation::frame_outbox::{FrameOutbox, StageTeller};
+use crate::session::animation::frame_outbox::StageTeller;
 use crate::session::animation::prepared_animation::PreparedAnimation;
-use crate::session::calls::command::PendingCall;
+use crate::session::calls::command::{Call, Caller, PrepareAnimation};
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkKind;
 use crate::session::error::Error;
 use crate::session::task::session_task::SessionTask;
-use crate::wire::{self, AnimateOrder};
-use std::sync::Arc;
+use crate::wire;
 
 /// Bytes of memory for each byte of a clip while it is read: a number of two digits is a number, and becomes part of a rotation.
 const BYTES_PER_CLIP_BYTE: u64 = 16;
 
-impl SessionTask {
-    /// Prepares an animation of the model as it is now. Handles, shape and history stay as they are.
-    pub async fn prepare_animation(
-        &mut self,
-        order: AnimateOrder,
-        outbox: Arc<FrameOutbox>,
-        call: &PendingCall<PreparedAnimation>,
-    ) -> Result<PreparedAnimation, Error> {
-        let revision = self.history.revision();
-        let topology = self.history.current().topology.clone();
-        let limits = self.shared.config.animation_limits();
+/// Handles, shape and history stay as they are.
+impl Call for PrepareAnimation {
+    type Answer = PreparedAnimation;
+
+    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<PreparedAnimation, Error> {
+        let Self { order, outbox } = self;
+        let revision = task.history.revision();
+        let topology = task.history.current().topology.clone();
+        let limits = task.shared.config.animation_limits();
         if let ClipSource::Bvh { bytes, .. } = &order.request.clip {
             let needed = (bytes.len() as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
-            let reserved = self.memory.grow_to(self.memory.bytes().saturating_add(needed));
+            let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
             reserved.map_err(|shortage| {
-                self.shared.metrics.refused.inc();
+                task.shared.metrics.refused.inc();
                 let text = format!("reading the clip would need {needed} bytes of memory, and {shortage}");
                 Error::exhausted(text, 5)
             })?;
         }
-        let (prepared, watch) = self
+        let (prepared, watch) = task
             .compute(
-                call.order(WorkKind::Animate, WorkLane::Builds, self.shared.config.build),
+                caller.order(WorkKind::Animate, WorkLane::Builds, task.shared.config.build),
                 move |deformer, work| {
                     let teller = StageTeller {
                         outbox: &outbox,
@@ -54,7 +51,7 @@ impl SessionTask {
             )
             .await?;
         let (animation, shader) = prepared.map_err(|error| match error {
-            wire::Error::Cancelled => self.failure(engine::Error::Cancelled, &watch),
+            wire::Error::Cancelled => task.failure(engine::Error::Cancelled, &watch),
             error => error.into(),
         })?;
         Ok(PreparedAnimation {

@@ -1,13 +1,16 @@
 //! The calls that a session's task serves, one at a time.
 
-use crate::asset::Format;
 use crate::engine::{self, ModelShape, TopologyState};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
 use crate::progress::Progress as _;
-use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel, SessionFacts};
-use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, StoredAnswer, WorkOrder};
+use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel, SessionFacts, Tenant};
+use crate::session::calls::command::{
+    Call, Caller, ExportModel, HistoryDirection, KeyedCall, RecallPose, ServeCall, StoredAnswer, WorkOrder,
+};
 use crate::session::calls::handle_change::HandleChange;
+use crate::session::calls::idempotency::RequestFingerprint;
+use crate::session::calls::manager::Manager;
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkKind;
 use crate::session::capacity::work_watch::Work;
@@ -53,166 +56,15 @@ fn lane_of_cost(cost: u64) -> WorkLane {
 
 impl SessionTask {
     /// Serves a call, unless its caller no longer waits.
-    pub async fn serve_command(&mut self, command: SessionCommand) {
+    pub async fn serve_command(&mut self, command: Box<dyn ServeCall>) {
         self.session.line.begin();
-        let (who, cancel) = command.caller();
-        if !cancel.cancelled() {
-            self.acting = Arc::clone(who);
+        let caller = command.caller();
+        if !caller.cancel.cancelled() {
+            self.acting = Arc::clone(&caller.who);
             let begun = Instant::now();
-            self.answer_command(command).await;
+            command.serve(self).await;
             self.session.line.note_service(begun.elapsed());
         }
-    }
-
-    async fn answer_command(&mut self, command: SessionCommand) {
-        match command {
-            SessionCommand::SetHandles(change, call) => {
-                let result = self.set_handles(change, &call).await;
-                send_answer(call, result, |session| {
-                    Some(StoredAnswer::Session(Box::new(session.clone())))
-                });
-            }
-            SessionCommand::Step(direction, call) => {
-                let result = self.step_history(direction, &call).await;
-                send_answer(call, result, |session| {
-                    Some(StoredAnswer::Session(Box::new(session.clone())))
-                });
-            }
-            SessionCommand::Solve(request, call) => {
-                let result = self.solve(*request, &call).await;
-                send_answer(call, result, |solved| {
-                    Some(StoredAnswer::Solved(Box::new(solved.clone())))
-                });
-            }
-            SessionCommand::Edit(request, call) => {
-                let result = self.edit(*request, &call).await;
-                send_answer(call, result, |result| {
-                    Some(StoredAnswer::Edited(Box::new(result.clone())))
-                });
-            }
-            SessionCommand::Recall(revision, frame, call) => {
-                let limit = self.shared.config.build;
-                let order = || call.order(WorkKind::Recall, WorkLane::Interactive, limit);
-                let result = self.recall(revision, *frame, order).await;
-                send_answer(call, result, |_| None);
-            }
-            SessionCommand::Export(format, call) => {
-                let result = self.export(format, &call).await;
-                send_answer(call, result, |_| None);
-            }
-            SessionCommand::Animate(order, outbox, call) => {
-                let result = self.prepare_animation(*order, outbox, &call).await;
-                send_answer(call, result, |_| None);
-            }
-            SessionCommand::Carry(order, call) => {
-                let result = self.carry_along(*order, &call).await;
-                send_answer(call, result, |_| None);
-            }
-        }
-    }
-
-    async fn set_handles(
-        &mut self,
-        change: HandleChange,
-        call: &PendingCall<SessionFacts>,
-    ) -> Result<SessionFacts, Error> {
-        let state = self.history.current();
-        let set = change.apply_to(&state.handles.set, &state.poses)?;
-        let limit = self.shared.config.build;
-        let topology = state.topology.clone();
-        let lane = lane_of_cost(state.cost_of_handles(&set));
-        let (poses, facts, stages) = loop {
-            let room = self.memory.room();
-            let (set, topology) = (set.clone(), topology.clone());
-            let (replaced, watch) = self
-                .compute(call.order(WorkKind::Handles, lane, limit), move |deformer, work| {
-                    deformer.replace_handles(topology.as_ref(), &set, room, &work.exec())
-                })
-                .await?;
-            match replaced {
-                Ok((poses, facts)) => break (poses, facts, watch.take_stage_ms()),
-                Err(e) if self.found_room(&e, room).await => {}
-                Err(e) => return Err(self.memory_failure(e, room, &watch)),
-            }
-        };
-        let commit = || LoggedCommit::Handles {
-            set: set.clone(),
-            poses: poses.clone(),
-            facts: facts.clone(),
-        };
-        self.keep_handles(commit, call.claim.as_ref()).await?;
-        self.shared.metrics.observe_stages(&stages);
-        self.build_ms.extend(stages);
-        self.history.commit_handles(set, poses, facts);
-        if let Some(deformer) = &mut self.deformer {
-            deformer.adopt_handles(self.history.current().handles.id);
-        }
-        self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
-        self.shared.metrics.commits.inc();
-        self.publish_view();
-        Ok(self.session.describe())
-    }
-
-    async fn solve(&mut self, request: PoseCommit, call: &PendingCall<CommittedPose>) -> Result<CommittedPose, Error> {
-        let state = self.history.current().clone();
-        if state.handles.set.handles.is_empty() {
-            return Err(no_handles());
-        }
-        let PoseCommit { seq, changes, options } = request;
-        let (revision, part_bytes) = (self.history.revision() + 1, self.shared.config.part_bytes);
-        let order = call.order(
-            WorkKind::Solve,
-            lane_of_commit(&state, &options),
-            self.shared.config.solve,
-        );
-        let (solved, watch) = self
-            .compute(order, move |deformer, work| {
-                deformer.load_state(state.topology.as_ref(), &state.handles, &work.exec())?;
-                let poses = deformer.engine.change_poses(&state.poses, &changes)?;
-                let frames = FrameContext {
-                    revision,
-                    topology: state.topology.as_ref().map(TopologyState::id),
-                    diagonal: state.diagonal,
-                    queued: work.queued,
-                    part_bytes,
-                };
-                let mut answer = deformer.solve_for_commit(seq, poses, &options, &frames, work)?;
-                answer.frame = answer.frame.for_new_reader();
-                Ok::<_, engine::Error>(answer)
-            })
-            .await?;
-        let PoseAnswer { frame, cycles, commit } = solved.map_err(|e| self.failure(e, &watch))?;
-        let posed = commit.ok_or_else(|| Error::new(ErrorCode::Internal, "a solved pose is not to be committed"))?;
-        let digest = self.commit_pose(posed, &frame, cycles, call.claim.as_ref()).await?;
-        self.shared.metrics.frames_sent.inc();
-        Ok(CommittedPose {
-            frame,
-            revision,
-            digest,
-        })
-    }
-
-    async fn step_history(
-        &mut self,
-        direction: HistoryDirection,
-        call: &PendingCall<SessionFacts>,
-    ) -> Result<SessionFacts, Error> {
-        let (target, nothing) = match direction {
-            HistoryDirection::Undo => (self.history.undo_target(), "nothing is left to undo"),
-            HistoryDirection::Redo => (self.history.redo_target(), "nothing is left to redo"),
-        };
-        let nothing = || Error::new(ErrorCode::FailedPrecondition, nothing);
-        let index = target.ok_or_else(nothing)?;
-        let limit = self.shared.config.build;
-        let shape = self
-            .shape_of_commit(index, call.order(WorkKind::History, WorkLane::Interactive, limit))
-            .await?
-            .ok_or_else(nothing)?;
-        self.keep_step(direction, index, call.claim.as_ref()).await?;
-        self.history.go_to_commit(index, shape);
-        self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
-        self.publish_view();
-        Ok(self.session.describe())
     }
 
     /// The lane of work that needs `handles`, which are set first where the engine has others.
@@ -246,51 +98,214 @@ impl SessionTask {
         }
         Ok(Some(shape))
     }
+}
+impl Call for HandleChange {
+    type Answer = SessionFacts;
 
-    async fn carry_along(
-        &mut self,
-        order: CarryOrder,
-        call: &PendingCall<CarriedAlong>,
-    ) -> Result<CarriedAlong, Error> {
-        let view = self.session.view();
-        let limit = self.shared.config.build;
+    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<SessionFacts, Error> {
+        let state = task.history.current();
+        let set = self.apply_to(&state.handles.set, &state.poses)?;
+        let limit = task.shared.config.build;
+        let topology = state.topology.clone();
+        let lane = lane_of_cost(state.cost_of_handles(&set));
+        let (poses, facts, stages) = loop {
+            let room = task.memory.room();
+            let (set, topology) = (set.clone(), topology.clone());
+            let (replaced, watch) = task
+                .compute(caller.order(WorkKind::Handles, lane, limit), move |deformer, work| {
+                    deformer.replace_handles(topology.as_ref(), &set, room, &work.exec())
+                })
+                .await?;
+            match replaced {
+                Ok((poses, facts)) => break (poses, facts, watch.take_stage_ms()),
+                Err(e) if task.found_room(&e, room).await => {}
+                Err(e) => return Err(task.memory_failure(e, room, &watch)),
+            }
+        };
+        let commit = || LoggedCommit::Handles {
+            set: set.clone(),
+            poses: poses.clone(),
+            facts: facts.clone(),
+        };
+        task.keep_handles(commit, caller.claim.as_ref()).await?;
+        task.shared.metrics.observe_stages(&stages);
+        task.build_ms.extend(stages);
+        task.history.commit_handles(set, poses, facts);
+        if let Some(deformer) = &mut task.deformer {
+            deformer.adopt_handles(task.history.current().handles.id);
+        }
+        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        task.shared.metrics.commits.inc();
+        task.publish_view();
+        Ok(task.session.describe())
+    }
+
+    fn stored(answer: &Self::Answer) -> Option<StoredAnswer> {
+        Some(answer.into())
+    }
+}
+
+impl KeyedCall for HandleChange {
+    fn operation(&self) -> &'static str {
+        match self {
+            Self::Replace(_) => "set_handles",
+            Self::Put(_) => "put_handle",
+            Self::Remove(_) => "remove_handle",
+        }
+    }
+}
+
+impl Call for PoseCommit {
+    type Answer = CommittedPose;
+
+    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<CommittedPose, Error> {
+        let state = task.history.current().clone();
+        if state.handles.set.handles.is_empty() {
+            return Err(no_handles());
+        }
+        let Self { seq, changes, options } = self;
+        let (revision, part_bytes) = (task.history.revision() + 1, task.shared.config.part_bytes);
+        let order = caller.order(
+            WorkKind::Solve,
+            lane_of_commit(&state, &options),
+            task.shared.config.solve,
+        );
+        let (solved, watch) = task
+            .compute(order, move |deformer, work| {
+                deformer.load_state(state.topology.as_ref(), &state.handles, &work.exec())?;
+                let poses = deformer.engine.change_poses(&state.poses, &changes)?;
+                let frames = FrameContext {
+                    revision,
+                    topology: state.topology.as_ref().map(TopologyState::id),
+                    diagonal: state.diagonal,
+                    queued: work.queued,
+                    part_bytes,
+                };
+                let mut answer = deformer.solve_for_commit(seq, poses, &options, &frames, work)?;
+                answer.frame = answer.frame.for_new_reader();
+                Ok::<_, engine::Error>(answer)
+            })
+            .await?;
+        let PoseAnswer { frame, cycles, commit } = solved.map_err(|e| task.failure(e, &watch))?;
+        let posed = commit.ok_or_else(|| Error::new(ErrorCode::Internal, "a solved pose is not to be committed"))?;
+        let digest = task.commit_pose(posed, &frame, cycles, caller.claim.as_ref()).await?;
+        task.shared.metrics.frames_sent.inc();
+        Ok(CommittedPose {
+            frame,
+            revision,
+            digest,
+        })
+    }
+
+    fn stored(answer: &Self::Answer) -> Option<StoredAnswer> {
+        Some(answer.into())
+    }
+}
+
+impl KeyedCall for PoseCommit {
+    fn operation(&self) -> &'static str {
+        "solve"
+    }
+
+    async fn prepare(&mut self, manager: &Manager, _tenant: &Tenant) -> Result<(), Error> {
+        manager.shared.metrics.poses_received.inc();
+        Ok(())
+    }
+}
+
+impl Call for HistoryDirection {
+    type Answer = SessionFacts;
+
+    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<SessionFacts, Error> {
+        let (target, nothing) = match self {
+            Self::Undo => (task.history.undo_target(), "nothing is left to undo"),
+            Self::Redo => (task.history.redo_target(), "nothing is left to redo"),
+        };
+        let nothing = || Error::new(ErrorCode::FailedPrecondition, nothing);
+        let index = target.ok_or_else(nothing)?;
+        let limit = task.shared.config.build;
+        let shape = task
+            .shape_of_commit(index, caller.order(WorkKind::History, WorkLane::Interactive, limit))
+            .await?
+            .ok_or_else(nothing)?;
+        task.keep_step(self, index, caller.claim.as_ref()).await?;
+        task.history.go_to_commit(index, shape);
+        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        task.publish_view();
+        Ok(task.session.describe())
+    }
+
+    fn stored(answer: &Self::Answer) -> Option<StoredAnswer> {
+        Some(answer.into())
+    }
+}
+
+impl KeyedCall for HistoryDirection {
+    fn operation(&self) -> &'static str {
+        match self {
+            Self::Undo => "undo",
+            Self::Redo => "redo",
+        }
+    }
+
+    fn fingerprint(&self, id: &str, _request: &[u8]) -> RequestFingerprint {
+        RequestFingerprint::of(self.operation(), &[id.as_bytes()])
+    }
+}
+
+impl Call for RecallPose {
+    type Answer = Option<CommittedPose>;
+
+    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<Option<CommittedPose>, Error> {
+        let limit = task.shared.config.build;
+        let order = || caller.order(WorkKind::Recall, WorkLane::Interactive, limit);
+        task.recall(self.revision, *self.frame, order).await
+    }
+}
+
+impl Call for CarryOrder {
+    type Answer = CarriedAlong;
+
+    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<CarriedAlong, Error> {
+        let view = task.session.view();
+        let limit = task.shared.config.build;
         let positions = Arc::clone(&view.positions);
-        let topology = self.history.current().topology.clone();
-        let triangles = u64::from(self.history.current().facts.model.counts.faces);
-        let comparisons = (order.points.len() as u64).saturating_mul(triangles);
-        let lane = match order.model.is_none() && comparisons <= FEW_COMPARISONS {
+        let topology = task.history.current().topology.clone();
+        let triangles = u64::from(task.history.current().facts.model.counts.faces);
+        let comparisons = (self.points.len() as u64).saturating_mul(triangles);
+        let lane = match self.model.is_none() && comparisons <= FEW_COMPARISONS {
             true => WorkLane::Interactive,
             false => WorkLane::Builds,
         };
-        let (carried, watch) = self
-            .compute(call.order(WorkKind::Carry, lane, limit), move |deformer, work| {
+        let (carried, watch) = task
+            .compute(caller.order(WorkKind::Carry, lane, limit), move |deformer, work| {
                 let exec = work.exec();
                 deformer.go_to_topology(topology.as_ref(), &exec)?;
-                carry_order_along(deformer.engine.as_ref(), &positions, order, &exec)
+                carry_order_along(deformer.engine.as_ref(), &positions, self, &exec)
             })
             .await?;
-        let (frames, model) = carried.map_err(|e| self.failure(e, &watch))?;
+        let (frames, model) = carried.map_err(|e| task.failure(e, &watch))?;
         Ok(CarriedAlong {
             revision: view.revision,
             frames,
             model,
         })
     }
+}
 
-    async fn export(
-        &mut self,
-        format: Option<Format>,
-        call: &PendingCall<ExportedModel>,
-    ) -> Result<ExportedModel, Error> {
-        let view = self.session.view();
-        let format = format.unwrap_or(self.session.format);
+impl Call for ExportModel {
+    type Answer = ExportedModel;
+
+    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<ExportedModel, Error> {
+        let view = task.session.view();
+        let format = self.0.unwrap_or(task.session.format);
         let etag = OpenSession::etag(&view, format.name());
-        let limit = self.shared.config.build;
+        let limit = task.shared.config.build;
         let positions = Arc::clone(&view.positions);
-        let topology = self.history.current().topology.clone();
-        let (written, watch) = self
+        let topology = task.history.current().topology.clone();
+        let (written, watch) = task
             .compute(
-                call.order(WorkKind::Export, WorkLane::Interactive, limit),
+                caller.order(WorkKind::Export, WorkLane::Interactive, limit),
                 move |deformer, work| {
                     let exec = work.exec();
                     deformer.go_to_topology(topology.as_ref(), &exec)?;
@@ -299,7 +314,7 @@ impl SessionTask {
             )
             .await?;
         Ok(ExportedModel {
-            written: written.map_err(|e| self.failure(e, &watch))?,
+            written: written.map_err(|e| task.failure(e, &watch))?,
             format,
             etag,
         })
@@ -325,17 +340,4 @@ fn carry_order_along(
         None => Vec::new(),
     };
     Ok((frames, model))
-}
-
-/// Keeps the answer for the call's idempotency key and sends it to the caller.
-fn send_answer<T>(call: PendingCall<T>, result: Result<T, Error>, store: impl FnOnce(&T) -> Option<StoredAnswer>) {
-    let PendingCall { reply, claim, .. } = call;
-    if let (Some(claim), Ok(value)) = (claim, &result)
-        && let Some(stored) = store(value)
-    {
-        let bytes = stored.byte_size();
-        claim.complete(stored, bytes);
-    }
-    // The caller may have gone; the change stands.
-    let _ = reply.send(result);
 }

@@ -1,8 +1,9 @@
 //! Edits of the topology by a session's task.
 
-use crate::engine;
-use crate::session::answers::CommittedEdit;
-use crate::session::calls::command::PendingCall;
+use crate::engine::{self, Edit};
+use crate::session::answers::{CommittedEdit, Tenant};
+use crate::session::calls::command::{Call, Caller, KeyedCall, StoredAnswer};
+use crate::session::calls::manager::Manager;
 use crate::session::calls::model_opening::memory_needed;
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::memory_ledger::MemoryShortage;
@@ -41,19 +42,23 @@ impl SessionTask {
         let of_tenant = matches!(shortage, MemoryShortage::Tenant { .. }).then_some(&self.session.tenant);
         make_room(&self.shared, of_tenant).await
     }
+}
 
-    pub async fn edit(&mut self, edit: SessionEdit, call: &PendingCall<CommittedEdit>) -> Result<CommittedEdit, Error> {
-        let limit = self.shared.config.build;
-        let edit = Arc::new(edit);
+impl Call for SessionEdit {
+    type Answer = CommittedEdit;
+
+    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<CommittedEdit, Error> {
+        let limit = task.shared.config.build;
+        let edit = Arc::new(self);
         let (edited, shape, report, watch) = loop {
-            let state = self.history.current().clone();
-            let (shape, recipe) = (self.history.shape(state.shape), self.history.recipe(state.shape));
+            let state = task.history.current().clone();
+            let (shape, recipe) = (task.history.shape(state.shape), task.history.recipe(state.shape));
             // What the other sessions leave, now: the engine was opened when there was more or less.
-            let room = self.memory.room();
+            let room = task.memory.room();
             let edit = Arc::clone(&edit);
-            let (done, watch) = self
+            let (done, watch) = task
                 .compute(
-                    call.order(WorkKind::Edit, WorkLane::Builds, limit),
+                    caller.order(WorkKind::Edit, WorkLane::Builds, limit),
                     move |deformer, work| {
                         let start = EditStart {
                             state: &state,
@@ -66,26 +71,44 @@ impl SessionTask {
                 .await?;
             match done {
                 Ok((edited, shape, report)) => break (edited, shape, report, watch),
-                Err(e) if self.found_room(&e, room).await => {}
-                Err(e) => return Err(self.memory_failure(e, room, &watch)),
+                Err(e) if task.found_room(&e, room).await => {}
+                Err(e) => return Err(task.memory_failure(e, room, &watch)),
             }
         };
         let ms = watch.take_stage_ms();
-        self.shared.metrics.observe_stages(&ms);
-        let kept_edit = self.kept.is_some().then(|| Arc::unwrap_or_clone(edit));
-        self.keep_edit(kept_edit, &edited, (&shape, &report), call.claim.as_ref())
+        task.shared.metrics.observe_stages(&ms);
+        let kept_edit = task.kept.is_some().then(|| Arc::unwrap_or_clone(edit));
+        task.keep_edit(kept_edit, &edited, (&shape, &report), caller.claim.as_ref())
             .await?;
-        self.history.commit_edit(edited, shape);
-        if let Some(deformer) = &mut self.deformer {
-            deformer.adopt_handles(self.history.current().handles.id);
+        task.history.commit_edit(edited, shape);
+        if let Some(deformer) = &mut task.deformer {
+            deformer.adopt_handles(task.history.current().handles.id);
         }
-        self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
-        self.shared.metrics.commits.inc();
-        self.publish_view();
+        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        task.shared.metrics.commits.inc();
+        task.publish_view();
         Ok(CommittedEdit {
             report,
-            revision: self.history.revision(),
+            revision: task.history.revision(),
             ms,
         })
+    }
+
+    fn stored(answer: &Self::Answer) -> Option<StoredAnswer> {
+        Some(answer.into())
+    }
+}
+
+impl KeyedCall for SessionEdit {
+    fn operation(&self) -> &'static str {
+        "edit"
+    }
+
+    /// Gets the other model of a merge before the session's own task is asked, which may be that of the same session.
+    async fn prepare(&mut self, manager: &Manager, tenant: &Tenant) -> Result<(), Error> {
+        if let (Edit::Merge(merge), Some(other)) = (&mut self.edit, &self.merged_session) {
+            merge.files = manager.export_files(tenant, other).await?;
+        }
+        Ok(())
     }
 }

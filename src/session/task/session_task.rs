@@ -7,7 +7,7 @@
 use crate::engine::{self, DeformerFacts};
 use crate::progress::Progress as _;
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
-use crate::session::calls::command::{SessionCommand, StoredAnswer, WorkOrder};
+use crate::session::calls::command::{ServeCall, StoredAnswer, WorkOrder};
 use crate::session::calls::idempotency::KeyClaim;
 use crate::session::capacity::compute_slots::WorkPanicked;
 use crate::session::capacity::memory_ledger::MemoryReservation;
@@ -35,7 +35,7 @@ use tokio::sync::{OwnedSemaphorePermit, mpsc};
 pub(in crate::session) struct SessionTask {
     pub session: Arc<OpenSession>,
     pub shared: Arc<SharedResources>,
-    pub commands: mpsc::Receiver<SessionCommand>,
+    pub commands: mpsc::Receiver<Box<dyn ServeCall>>,
     /// Away while work runs; gone for good after a panic.
     pub deformer: Option<LoadedDeformer>,
     pub history: CommitHistory,
