@@ -49,8 +49,8 @@ mod task;
 
 pub use animation::frame_outbox::{AnimationControl, AnimationReader};
 pub use answers::{
-    AnimatedModel, AnimationAnswer, CallKey, CarriedAlong, CommitFacts, CommittedEdit, CommittedPose, ExportedModel,
-    HistoryFacts, KeyedAnswer, PositionBuffer, SessionFacts, SessionList, StreamAnswer, Tenant,
+    AnimatedModel, AnimationAnswer, CallKey, CarriedAlong, CommitFacts, CommittedPose, ExportedModel, HistoryFacts,
+    KeyedAnswer, PositionBuffer, SessionList, StreamAnswer, Tenant,
 };
 pub use audit::audit_entry::{AuditEntry, AuditedAction, StoredAuditEntry};
 pub use calls::manager::Manager;

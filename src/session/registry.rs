@@ -3,10 +3,10 @@
 //! Lookups hand out clones of `Arc`s; no guard of the map leaves this file.
 
 use crate::asset::Format;
-use crate::engine::{DeformerFacts, HandlePoses};
+use crate::engine::HandlePoses;
 use crate::progress::CancelFlag;
-use crate::session::answers::{SessionFacts, Tenant};
-use crate::session::calls::command::ServeCall;
+use crate::session::answers::Tenant;
+use crate::session::calls::command::SessionCommand;
 use crate::session::capacity::call_line::CallLine;
 use crate::session::capacity::session_lease::SessionLease;
 use crate::session::capacity::work_owner::WorkOwner;
@@ -17,6 +17,7 @@ use crate::session::history::commit_history::ShownCommits;
 use crate::session::history::session_state::CommittedHandles;
 use crate::session::store::{HeldSession, calendar_text};
 use crate::session::stream::mailbox::Mailbox;
+use crate::wire::{handle_poses_message, pb};
 use dashmap::DashMap;
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -30,7 +31,7 @@ use tokio_util::sync::CancellationToken;
 #[derive(Debug)]
 pub(super) struct SessionView {
     pub revision: u64,
-    pub facts: Arc<DeformerFacts>,
+    pub facts: Arc<pb::Session>,
     pub handles: Arc<CommittedHandles>,
     pub poses: HandlePoses,
     pub build_ms: BTreeMap<String, f64>,
@@ -53,7 +54,7 @@ pub(super) struct OpenSession {
     pub created_ms: u64,
     pub format: Format,
     pub lease: SessionLease,
-    pub commands: mpsc::Sender<Box<dyn ServeCall>>,
+    pub commands: mpsc::Sender<SessionCommand>,
     /// The calls that wait for answers.
     pub line: CallLine,
     pub streams: OpenStreams,
@@ -96,18 +97,19 @@ impl OpenSession {
     }
 
     /// The session as its owner sees it.
-    pub fn describe(&self) -> SessionFacts {
+    pub fn describe(&self) -> pb::Session {
         let view = self.view();
-        SessionFacts {
+        let mut session = pb::Session {
             id: self.id.clone(),
             revision: view.revision,
-            deformer: Arc::clone(&view.facts),
-            poses: view.poses.clone(),
             build_ms: view.build_ms.clone(),
             created_at: calendar_text(self.created_ms),
             expires_at: self.lease.end_text(),
             label: self.label.clone(),
-        }
+            ..(*view.facts).clone()
+        };
+        handle_poses_message(&mut session.handles, &view.poses);
+        session
     }
 
     /// Strong entity tag of the current shape in a representation, with its quotes.

@@ -6,7 +6,7 @@ use super::{body, models};
 use crate::asset::Format;
 use crate::server::messages;
 use crate::server::state::ServerState;
-use crate::session::{CommittedPose, Error, ErrorCode, SessionFacts};
+use crate::session::{CommittedPose, Error, ErrorCode};
 use crate::wire::frames::{Frame, encode};
 use crate::wire::{self, pb};
 use axum::Json;
@@ -24,7 +24,7 @@ fn json<M: Message + prost::Name>(message: &M) -> Result<Response, Problem> {
 }
 
 /// The JSON answer that a session is.
-pub(super) fn session_json(state: &ServerState, session: &SessionFacts) -> Result<Response, Problem> {
+pub(super) fn session_json(state: &ServerState, session: pb::Session) -> Result<Response, Problem> {
     json(&messages::described_session(session, state.manager.config()))
 }
 
@@ -42,11 +42,11 @@ pub(super) async fn list(State(state): State<ServerState>, caller: Caller, uri: 
     let page_token = take("pageToken", "page_token").unwrap_or_default();
     let page = wire::session_page(&pb::ListSessionsRequest { page_size, page_token })?;
     let list = state.manager.list(&caller.tenant, page).await?;
-    json(&messages::session_list(&list, state.manager.config()))
+    json(&messages::session_list(list, state.manager.config()))
 }
 
 pub(super) async fn get(call: SessionCall) -> Result<Response, Problem> {
-    session_json(&call.state, &call.manager.get(&call.caller.tenant, &call.id).await?)
+    session_json(&call.state, call.manager.get(&call.caller.tenant, &call.id).await?)
 }
 
 pub(super) async fn delete(call: SessionCall) -> Result<Response, Problem> {
@@ -56,12 +56,12 @@ pub(super) async fn delete(call: SessionCall) -> Result<Response, Problem> {
 
 pub(super) async fn undo(call: SessionCall) -> Result<Response, Problem> {
     let undone = call.manager.undo(&call.caller.tenant, &call.id, call.caller.key()?);
-    session_json(&call.state, &undone.await?)
+    session_json(&call.state, undone.await?)
 }
 
 pub(super) async fn redo(call: SessionCall) -> Result<Response, Problem> {
     let redone = call.manager.redo(&call.caller.tenant, &call.id, call.caller.key()?);
-    session_json(&call.state, &redone.await?)
+    session_json(&call.state, redone.await?)
 }
 
 pub(super) async fn history(call: SessionCall) -> Result<Response, Problem> {
@@ -79,7 +79,7 @@ pub(super) async fn set_handles(call: SessionCall, request: Request) -> Result<R
     let message: pb::SetHandlesRequest = call.message(request).await?;
     let (key, handles) = (call.key_of(&message)?, wire::handle_set(&message)?);
     let set = call.manager.set_handles(&call.caller.tenant, &call.id, handles, key);
-    session_json(&call.state, &set.await?)
+    session_json(&call.state, set.await?)
 }
 
 pub(super) async fn patch_handle(call: SessionCall, request: Request) -> Result<Response, Problem> {
@@ -102,14 +102,14 @@ pub(super) async fn patch_handle(call: SessionCall, request: Request) -> Result<
     let patch = wire::handle_patch(&handle, &fields, &call.manager.handles(tenant, &call.id).await?)?;
     session_json(
         &call.state,
-        &call.manager.put_handle(tenant, &call.id, patch, key).await?,
+        call.manager.put_handle(tenant, &call.id, patch, key).await?,
     )
 }
 
 pub(super) async fn delete_handle(call: SessionCall) -> Result<Response, Problem> {
     let (tenant, key) = (&call.caller.tenant, call.caller.key()?);
     let removed = call.manager.remove_handle(tenant, &call.id, &call.handle_id, key);
-    session_json(&call.state, &removed.await?)
+    session_json(&call.state, removed.await?)
 }
 
 /// The names of the fields that a JSON object gives.
@@ -124,7 +124,7 @@ pub(super) async fn edit(call: SessionCall, request: Request) -> Result<Response
     let message: pb::EditRequest = call.message(request).await?;
     let (key, edit) = (call.key_of(&message)?, wire::session_edit(&message)?);
     let done = call.manager.edit(&call.caller.tenant, &call.id, edit, key).await?;
-    json(&messages::committed_edit(done))
+    json(&done)
 }
 
 pub(super) async fn carry(call: SessionCall, request: Request) -> Result<Response, Problem> {

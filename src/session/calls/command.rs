@@ -1,33 +1,30 @@
 //! What a session's task is asked to do: calls in a queue, each with its caller.
 
 use crate::asset::Format;
-use crate::engine::DeformerFacts;
 use crate::progress::CancelFlag;
 use crate::session::animation::frame_outbox::FrameOutbox;
-use crate::session::answers::{CommittedEdit, CommittedPose, SessionFacts, Tenant};
+use crate::session::animation::prepared_animation::PreparedAnimation;
+use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel};
+use crate::session::calls::handle_change::HandleChange;
 use crate::session::calls::idempotency::{KeyClaim, RequestFingerprint, answer_of_another_call};
-use crate::session::calls::manager::Manager;
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkKind;
 use crate::session::error::Error;
-use crate::session::task::session_task::SessionTask;
-use crate::wire::AnimateOrder;
 use crate::wire::record::AnsweredFrame;
-use futures::FutureExt as _;
-use futures::future::BoxFuture;
-use std::future::Future;
+use crate::wire::{AnimateOrder, CarryOrder, PoseCommit, SessionEdit, pb};
+use prost::Message as _;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 use tracing::Span;
 
 /// A call that a session's task serves.
-pub(in crate::session) trait Call: Send + 'static {
+pub(in crate::session) trait TaskCall: Sized {
     /// What it answers with.
-    type Answer: Send + 'static;
+    type Answer;
 
-    /// Serves it on the session's task.
-    fn run(self, task: &mut SessionTask, caller: &Caller) -> impl Future<Output = Result<Self::Answer, Error>> + Send;
+    /// Puts it among the calls of other kinds.
+    fn queued(call: QueuedCall<Self>) -> SessionCommand;
 
     /// The answer as it is kept for the key of a call that has one.
     fn stored(_answer: &Self::Answer) -> Option<StoredAnswer> {
@@ -36,7 +33,9 @@ pub(in crate::session) trait Call: Send + 'static {
 }
 
 /// A call that may have an idempotency key: sent twice, it is done once.
-pub(in crate::session) trait KeyedCall: Call<Answer: TryFrom<StoredAnswer, Error = Error>> {
+pub(in crate::session) trait KeyedCall:
+    TaskCall<Answer: TryFrom<StoredAnswer, Error = Error>>
+{
     /// Its name among the operations that keys stand for.
     fn operation(&self) -> &'static str;
 
@@ -44,17 +43,12 @@ pub(in crate::session) trait KeyedCall: Call<Answer: TryFrom<StoredAnswer, Error
     fn fingerprint(&self, id: &str, request: &[u8]) -> RequestFingerprint {
         RequestFingerprint::of(self.operation(), &[id.as_bytes(), request])
     }
-
-    /// Done before the session's task gets the call, which is no repetition.
-    fn prepare(&mut self, _manager: &Manager, _tenant: &Tenant) -> impl Future<Output = Result<(), Error>> + Send {
-        async { Ok(()) }
-    }
 }
 
-/// Who waits for an answer.
+/// Where a call comes from.
 #[derive(Debug)]
-pub(in crate::session) struct Caller {
-    /// The name for the audit trail.
+pub(in crate::session) struct CallOrigin {
+    /// Who calls, for the audit trail.
     pub who: Arc<str>,
     /// Raised when the caller has left.
     pub cancel: Arc<CancelFlag>,
@@ -66,39 +60,78 @@ pub(in crate::session) struct Caller {
 }
 
 /// A call that waits for a session's task, and where its answer goes.
-pub(in crate::session) struct QueuedCall<C: Call> {
+#[derive(Debug)]
+pub(in crate::session) struct QueuedCall<C: TaskCall> {
     pub call: C,
-    pub caller: Caller,
+    pub origin: CallOrigin,
     pub reply: oneshot::Sender<Result<C::Answer, Error>>,
 }
 
-/// A [`QueuedCall`] of any kind.
-pub(in crate::session) trait ServeCall: Send {
-    fn caller(&self) -> &Caller;
+/// Gives each kind of call its answer and its place in the queue. Answers of calls that commit are kept for their keys.
+macro_rules! session_calls {
+    ($($kind:ident: $call:ty => $answer:ty $(, kept by $stored:expr)?;)*) => {
+        /// A call of any kind in the queue of a session's task.
+        pub(in crate::session) enum SessionCommand {
+            $($kind(Box<QueuedCall<$call>>),)*
+        }
 
-    /// Serves the call, keeps the answer for its key and sends it to the caller.
-    fn serve(self: Box<Self>, task: &mut SessionTask) -> BoxFuture<'_, ()>;
+        $(impl TaskCall for $call {
+            type Answer = $answer;
+
+            fn queued(call: QueuedCall<Self>) -> SessionCommand {
+                SessionCommand::$kind(Box::new(call))
+            }
+
+            $(fn stored(answer: &Self::Answer) -> Option<StoredAnswer> {
+                Some($stored(Box::new(answer.clone())))
+            })?
+        })*
+    };
 }
 
-impl<C: Call> ServeCall for QueuedCall<C> {
-    fn caller(&self) -> &Caller {
-        &self.caller
+session_calls! {
+    Handles: HandleChange => pb::Session, kept by StoredAnswer::Session;
+    Solve: PoseCommit => CommittedPose, kept by StoredAnswer::Solved;
+    Step: HistoryDirection => pb::Session, kept by StoredAnswer::Session;
+    Edit: SessionEdit => pb::EditResult, kept by StoredAnswer::Edited;
+    Recall: RecallPose => Option<CommittedPose>;
+    Export: ExportModel => ExportedModel;
+    Carry: CarryOrder => CarriedAlong;
+    Animate: PrepareAnimation => PreparedAnimation;
+}
+
+impl KeyedCall for HandleChange {
+    fn operation(&self) -> &'static str {
+        match self {
+            Self::Replace(_) => "set_handles",
+            Self::Put(_) => "put_handle",
+            Self::Remove(_) => "remove_handle",
+        }
+    }
+}
+
+impl KeyedCall for PoseCommit {
+    fn operation(&self) -> &'static str {
+        "solve"
+    }
+}
+
+impl KeyedCall for SessionEdit {
+    fn operation(&self) -> &'static str {
+        "edit"
+    }
+}
+
+impl KeyedCall for HistoryDirection {
+    fn operation(&self) -> &'static str {
+        match self {
+            Self::Undo => "undo",
+            Self::Redo => "redo",
+        }
     }
 
-    fn serve(self: Box<Self>, task: &mut SessionTask) -> BoxFuture<'_, ()> {
-        let Self { call, caller, reply } = *self;
-        let serving = async move {
-            let result = call.run(task, &caller).await;
-            if let (Some(claim), Ok(answer)) = (caller.claim, &result)
-                && let Some(stored) = C::stored(answer)
-            {
-                let bytes = stored.byte_size();
-                claim.complete(stored, bytes);
-            }
-            // The caller may have gone; the change stands.
-            let _ = reply.send(result);
-        };
-        serving.boxed()
+    fn fingerprint(&self, id: &str, _request: &[u8]) -> RequestFingerprint {
+        RequestFingerprint::of(self.operation(), &[id.as_bytes()])
     }
 }
 
@@ -124,7 +157,7 @@ pub(in crate::session) enum HistoryDirection {
     Redo,
 }
 
-impl Caller {
+impl CallOrigin {
     /// The work of a call, which may take as long as `limit` from its arrival on.
     pub fn order(&self, kind: WorkKind, lane: WorkLane, limit: Duration) -> WorkOrder {
         WorkOrder {
@@ -156,8 +189,8 @@ pub(in crate::session) struct WorkOrder {
 /// An answer kept by idempotency key.
 #[derive(Debug, Clone)]
 pub(in crate::session) enum StoredAnswer {
-    Session(Box<SessionFacts>),
-    Edited(Box<CommittedEdit>),
+    Session(Box<pb::Session>),
+    Edited(Box<pb::EditResult>),
     Solved(Box<CommittedPose>),
     /// The answer follows from a commit of a stored session.
     Recorded {
@@ -166,15 +199,9 @@ pub(in crate::session) enum StoredAnswer {
     },
 }
 
-/// Makes a kind of answers one that is kept.
+/// Reads an answer of one kind from one that was kept.
 macro_rules! stored_answers {
     ($($variant:ident: $answer:ty),*) => {$(
-        impl From<&$answer> for StoredAnswer {
-            fn from(answer: &$answer) -> Self {
-                Self::$variant(Box::new(answer.clone()))
-            }
-        }
-
         impl TryFrom<StoredAnswer> for $answer {
             type Error = Error;
 
@@ -188,37 +215,17 @@ macro_rules! stored_answers {
     )*};
 }
 
-stored_answers!(Session: SessionFacts, Edited: CommittedEdit, Solved: CommittedPose);
+stored_answers!(Session: pb::Session, Edited: pb::EditResult, Solved: CommittedPose);
 
 impl StoredAnswer {
     /// Bytes held, about.
     pub fn byte_size(&self) -> u64 {
         let bytes = match self {
-            Self::Session(session) => {
-                size_of::<SessionFacts>()
-                    + session.label.len()
-                    + facts_bytes(&session.deformer)
-                    + size_of_val(session.poses.0.as_slice())
-            }
-            Self::Edited(edited) => {
-                let report = &edited.report;
-                let names: usize = report
-                    .handles_kept
-                    .iter()
-                    .map(|id| size_of::<String>() + id.len())
-                    .sum();
-                size_of::<CommittedEdit>() + names + size_of_val(&report.kept[..]) + size_of_val(&report.curve[..])
-            }
+            Self::Session(session) => size_of::<pb::Session>() + session.encoded_len(),
+            Self::Edited(edited) => size_of::<pb::EditResult>() + edited.encoded_len(),
             Self::Solved(solved) => return solved.frame.byte_size(),
             Self::Recorded { session, .. } => size_of::<Self>() + session.len(),
         };
         bytes as u64
     }
-}
-
-fn facts_bytes(facts: &DeformerFacts) -> usize {
-    let primitives = facts.primitives.iter().map(|p| size_of_val(p) + p.name.len());
-    let handles = facts.handles.iter().map(|h| size_of_val(h) + h.id.len());
-    let warnings = facts.warnings.iter().map(|w| size_of_val(w) + w.message.len());
-    primitives.chain(handles).chain(warnings).sum()
 }

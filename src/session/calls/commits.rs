@@ -1,12 +1,13 @@
 //! The calls that commit: handles, poses, undo and redo.
 
 use crate::engine::HandleSet;
-use crate::session::answers::{CallKey, CommittedPose, SessionFacts, Tenant};
+use crate::session::answers::{CallKey, CommittedPose, Tenant};
 use crate::session::calls::command::HistoryDirection;
 use crate::session::calls::handle_change::HandleChange;
 use crate::session::calls::manager::Manager;
 use crate::session::error::Error;
-use crate::wire::{HandlePatch, PoseCommit};
+use crate::wire::{HandlePatch, PoseCommit, pb};
+use std::ops::ControlFlow;
 
 impl Manager {
     /// Replaces all handles; one commit. The shape stays as it is until the next pose.
@@ -22,7 +23,7 @@ impl Manager {
         id: &str,
         handles: HandleSet,
         key: Option<CallKey>,
-    ) -> Result<SessionFacts, Error> {
+    ) -> Result<pb::Session, Error> {
         self.keyed_call(tenant, id, key, HandleChange::Replace(handles)).await
     }
 
@@ -39,7 +40,7 @@ impl Manager {
         id: &str,
         patch: HandlePatch,
         key: Option<CallKey>,
-    ) -> Result<SessionFacts, Error> {
+    ) -> Result<pb::Session, Error> {
         self.keyed_call(tenant, id, key, HandleChange::Put(Box::new(patch)))
             .await
     }
@@ -57,7 +58,7 @@ impl Manager {
         id: &str,
         handle_id: &str,
         key: Option<&str>,
-    ) -> Result<SessionFacts, Error> {
+    ) -> Result<pb::Session, Error> {
         let key = key.map(|key| CallKey {
             key: key.to_owned(),
             request: handle_id.as_bytes().to_vec(),
@@ -81,7 +82,14 @@ impl Manager {
         pose: PoseCommit,
         key: Option<CallKey>,
     ) -> Result<CommittedPose, Error> {
-        self.keyed_call(tenant, id, key, pose).await
+        let session = self.find(tenant, id).await?;
+        match self.claim_call(&session, key, &pose).await? {
+            ControlFlow::Break(solved) => Ok(solved),
+            ControlFlow::Continue(claim) => {
+                self.shared.metrics.poses_received.inc();
+                self.call(&session, claim, pose).await
+            }
+        }
     }
 
     /// Goes back by one commit and restores positions exactly.
@@ -91,7 +99,7 @@ impl Manager {
     ///
     /// # Errors
     /// `FAILED_PRECONDITION` when nothing is left to undo.
-    pub async fn undo(&self, tenant: &Tenant, id: &str, key: Option<&str>) -> Result<SessionFacts, Error> {
+    pub async fn undo(&self, tenant: &Tenant, id: &str, key: Option<&str>) -> Result<pb::Session, Error> {
         self.keyed_call(tenant, id, key.map(bare_key), HistoryDirection::Undo)
             .await
     }
@@ -103,7 +111,7 @@ impl Manager {
     ///
     /// # Errors
     /// `FAILED_PRECONDITION` when nothing is left to redo.
-    pub async fn redo(&self, tenant: &Tenant, id: &str, key: Option<&str>) -> Result<SessionFacts, Error> {
+    pub async fn redo(&self, tenant: &Tenant, id: &str, key: Option<&str>) -> Result<pb::Session, Error> {
         self.keyed_call(tenant, id, key.map(bare_key), HistoryDirection::Redo)
             .await
     }

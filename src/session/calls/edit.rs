@@ -1,11 +1,13 @@
 //! The call that edits a session's topology.
 
 use crate::asset::FileSet;
-use crate::session::answers::{CallKey, CommittedEdit, Tenant};
+use crate::engine::Edit;
+use crate::session::answers::{CallKey, Tenant};
 use crate::session::calls::manager::Manager;
 use crate::session::error::{Error, ErrorCode};
-use crate::wire::SessionEdit;
+use crate::wire::{SessionEdit, pb};
 use bytes::Bytes;
+use std::ops::ControlFlow;
 
 impl Manager {
     /// Changes the topology; one commit. The current shape becomes the rest shape, unless the edit is asked for on the rest
@@ -21,14 +23,23 @@ impl Manager {
         &self,
         tenant: &Tenant,
         id: &str,
-        edit: SessionEdit,
+        mut edit: SessionEdit,
         key: Option<CallKey>,
-    ) -> Result<CommittedEdit, Error> {
-        self.keyed_call(tenant, id, key, edit).await
+    ) -> Result<pb::EditResult, Error> {
+        let session = self.find(tenant, id).await?;
+        let claim = match self.claim_call(&session, key, &edit).await? {
+            ControlFlow::Break(edited) => return Ok(edited),
+            ControlFlow::Continue(claim) => claim,
+        };
+        // Before the session's own task is asked, which may be that of the same session.
+        if let (Edit::Merge(merge), Some(other)) = (&mut edit.edit, &edit.merged_session) {
+            merge.files = self.export_files(tenant, other).await?;
+        }
+        self.call(&session, claim, edit).await
     }
 
     /// A session's model in its current shape.
-    pub(in crate::session) async fn export_files(&self, tenant: &Tenant, id: &str) -> Result<FileSet, Error> {
+    async fn export_files(&self, tenant: &Tenant, id: &str) -> Result<FileSet, Error> {
         let named = |e: Error| match (e.code, &e.owner) {
             (ErrorCode::NotFound, _) => Error {
                 field: Some("merge.session".into()),

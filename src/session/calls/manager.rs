@@ -8,9 +8,9 @@
 
 use crate::asset::FileSet;
 use crate::engine::HandleSet;
-use crate::session::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionFacts, SessionList, Tenant};
+use crate::session::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionList, Tenant};
 use crate::session::audit::audit_entry::AuditedAction;
-use crate::session::calls::command::{Call, Caller, KeyedCall, QueuedCall, ServeCall, StoredAnswer};
+use crate::session::calls::command::{CallOrigin, KeyedCall, QueuedCall, StoredAnswer, TaskCall};
 use crate::session::calls::create::{CreatedSession, create_session};
 use crate::session::calls::idempotency::{ClaimOutcome, IdempotencyKeys, KeyClaim};
 use crate::session::calls::shared_keys::claim_everywhere;
@@ -33,7 +33,8 @@ use crate::session::registry::{OpenSession, SessionRegistry};
 use crate::session::shared::SharedResources;
 use crate::session::store::now_ms;
 use crate::session::store::{ReadSessions, StoreError};
-use crate::wire::{SessionOptions, SessionPage};
+use crate::wire::{SessionOptions, SessionPage, pb};
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
 use std::time::{Duration, Instant};
@@ -173,7 +174,7 @@ impl Manager {
         files: FileSet,
         options: SessionOptions,
         key: Option<CallKey>,
-    ) -> Result<KeyedAnswer<SessionFacts>, Error> {
+    ) -> Result<KeyedAnswer<pb::Session>, Error> {
         match create_session(&self.shared, (tenant, &self.who), files, options, key).await? {
             CreatedSession::Now(value) => Ok(KeyedAnswer {
                 value: *value,
@@ -190,7 +191,7 @@ impl Manager {
     ///
     /// # Errors
     /// `NOT_FOUND`.
-    pub async fn get(&self, tenant: &Tenant, id: &str) -> Result<SessionFacts, Error> {
+    pub async fn get(&self, tenant: &Tenant, id: &str) -> Result<pb::Session, Error> {
         Ok(self.find(tenant, id).await?.describe())
     }
 
@@ -320,26 +321,41 @@ impl Manager {
         tenant: &Tenant,
         id: &str,
         key: Option<CallKey>,
-        mut call: C,
+        call: C,
     ) -> Result<C::Answer, Error> {
         let session = self.find(tenant, id).await?;
-        let mut claim = None;
-        if let Some(CallKey { key, request }) = key {
-            let fingerprint = call.fingerprint(id, &request);
-            match claim_everywhere(&self.shared, tenant, &key, fingerprint).await? {
-                ClaimOutcome::Done(answer) => return self.kept_answer(tenant, answer).await?.try_into(),
-                ClaimOutcome::New(new) => claim = Some(new),
-            }
+        match self.claim_call(&session, key, &call).await? {
+            ControlFlow::Break(answer) => Ok(answer),
+            ControlFlow::Continue(claim) => self.call(&session, claim, call).await,
         }
-        call.prepare(self, tenant).await?;
-        self.call(&session, claim, call).await
+    }
+
+    /// Claims the key of a call, or breaks with the answer that is kept for it.
+    pub(in crate::session) async fn claim_call<C: KeyedCall>(
+        &self,
+        session: &OpenSession,
+        key: Option<CallKey>,
+        call: &C,
+    ) -> Result<ControlFlow<C::Answer, Option<KeyClaim<StoredAnswer>>>, Error> {
+        let Some(CallKey { key, request }) = key else {
+            return Ok(ControlFlow::Continue(None));
+        };
+        let fingerprint = call.fingerprint(&session.id, &request);
+        Ok(
+            match claim_everywhere(&self.shared, &session.tenant, &key, fingerprint).await? {
+                ClaimOutcome::New(claim) => ControlFlow::Continue(Some(claim)),
+                ClaimOutcome::Done(answer) => {
+                    ControlFlow::Break(self.kept_answer(&session.tenant, answer).await?.try_into()?)
+                }
+            },
+        )
     }
 
     /// Sends a command to the session's task and waits for its answer.
     ///
     /// # Cancel safety
     /// Dropping the future raises the command's flag.
-    pub(in crate::session) async fn call<C: Call>(
+    pub(in crate::session) async fn call<C: TaskCall>(
         &self,
         session: &Arc<OpenSession>,
         claim: Option<KeyClaim<StoredAnswer>>,
@@ -351,14 +367,14 @@ impl Manager {
         let arrived = Instant::now();
         let ahead = session.line.waiting();
         (self.shared.compute).refuse_long_line(ahead, session.line.expected(ahead), arrived)?;
-        let caller = Caller {
+        let origin = CallOrigin {
             who: Arc::clone(&self.who),
             cancel: Arc::clone(&guard.0),
             arrived,
             claim,
             span: Span::current(),
         };
-        let mut command: Box<dyn ServeCall> = Box::new(QueuedCall { call, caller, reply });
+        let mut command = C::queued(QueuedCall { call, origin, reply });
         let mut session = Arc::clone(session);
         while let Err(error) = session.commands.try_send(command) {
             match error {

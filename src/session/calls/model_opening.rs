@@ -16,6 +16,7 @@ use crate::session::history::session_state::EditedState;
 use crate::session::keeping::made_room::make_room;
 use crate::session::quota::tenant_account::TenantSession;
 use crate::session::shared::SharedResources;
+use crate::wire::session_message;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tracing::Span;
@@ -123,7 +124,7 @@ async fn build_model(
             diagonal: engine.diagonal(),
             handles: HandleSet::default(),
             poses: engine.initial_poses(),
-            facts: engine.facts(),
+            facts: Box::new(session_message(&engine.facts())),
             digest: digest(&rest.positions),
             solved_with: None,
         };

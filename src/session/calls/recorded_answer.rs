@@ -1,15 +1,15 @@
 //! Answers of calls with an idempotency key from before the server was started again. What a call answered follows from its
 //! commit, so the commit alone is kept.
 
-use crate::session::answers::{CommittedEdit, SessionFacts, Tenant};
+use crate::session::answers::Tenant;
 use crate::session::calls::command::{RecallPose, StoredAnswer};
 use crate::session::calls::idempotency::answer_of_another_call;
 use crate::session::calls::manager::Manager;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::stored_list::state_facts;
 use crate::session::store::{Commit, ReadSessions};
+use crate::wire::pb;
 use crate::wire::record::LoggedCommit;
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 impl Manager {
@@ -29,10 +29,9 @@ impl Manager {
         };
         let stored = store.commit(session.clone(), sequence).await?.ok_or_else(gone)?;
         match &stored.record {
-            LoggedCommit::Edit { report, .. } => Ok(StoredAnswer::Edited(Box::new(CommittedEdit {
-                report: (**report).clone(),
+            LoggedCommit::Edit { report, .. } => Ok(StoredAnswer::Edited(Box::new(pb::EditResult {
                 revision: stored.revision,
-                ms: BTreeMap::new(),
+                ..(**report).clone()
             }))),
             LoggedCommit::Pose { frame, .. } => {
                 let frame = frame.clone().ok_or_else(answer_of_another_call)?;
@@ -56,21 +55,21 @@ impl Manager {
         &self,
         store: &Arc<dyn ReadSessions>,
         stored: &Commit,
-        now: SessionFacts,
-    ) -> Result<SessionFacts, Error> {
+        now: pb::Session,
+    ) -> Result<pb::Session, Error> {
         let missing = || Error::new(ErrorCode::DataLoss, "a commit that a later one names is missing");
         let mut parts = Vec::with_capacity(2);
         for sequence in [stored.facts_at, stored.poses_at] {
             let part = store.commit(now.id.clone(), sequence).await?.ok_or_else(missing)?;
             parts.push(part.record);
         }
-        let (deformer, poses) = state_facts(&parts[0], &parts[1])?;
-        Ok(SessionFacts {
+        Ok(pb::Session {
+            id: now.id,
             revision: stored.revision,
-            deformer: Arc::new(deformer),
-            poses,
-            build_ms: BTreeMap::new(),
-            ..now
+            created_at: now.created_at,
+            expires_at: now.expires_at,
+            label: now.label,
+            ..state_facts(&parts[0], &parts[1])?
         })
     }
 }

@@ -1,6 +1,7 @@
 //! What a commit leaves a session in, and how its shape can be made again.
 
-use crate::engine::{DeformerFacts, DeformerWarning, HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
+use crate::engine::{HandlePoses, HandleSet, ModelShape, SolveSettings, TopologyState};
+use crate::wire::pb;
 use std::sync::Arc;
 
 /// This number names a shape of one session.
@@ -30,9 +31,9 @@ pub(in crate::session) struct SessionState {
     /// Their poses.
     pub poses: HandlePoses,
     /// What was noticed of these.
-    pub pose_warnings: Arc<Vec<DeformerWarning>>,
+    pub pose_warnings: Arc<Vec<pb::Warning>>,
     /// What the engine says about model, solver and handles.
-    pub facts: Arc<DeformerFacts>,
+    pub facts: Arc<pb::Session>,
     /// The shape.
     pub shape: RecordedShapeId,
     /// Digest of its positions.
@@ -40,9 +41,15 @@ pub(in crate::session) struct SessionState {
 }
 
 impl SessionState {
+    /// Triangles of the model.
+    pub fn triangles(&self) -> u32 {
+        self.facts.model.as_ref().map_or(0, |m| m.triangles)
+    }
+
     /// About how many points are looked at when `handles` are set in this state.
     pub fn cost_of_handles(&self, handles: &HandleSet) -> u64 {
-        let (nodes, vertices) = (self.facts.solver.graph_vertices, self.facts.model.counts.vertices);
+        let nodes = self.facts.solver.as_ref().map_or(0, |s| s.graph_vertices);
+        let vertices = self.facts.model.as_ref().map_or(0, |m| m.vertices);
         handles.cost(u64::from(nodes) + u64::from(vertices))
     }
 }
@@ -52,7 +59,7 @@ impl SessionState {
 pub(in crate::session) struct PosedState {
     pub poses: HandlePoses,
     /// What a user should know of them.
-    pub warnings: Vec<DeformerWarning>,
+    pub warnings: Vec<pb::Warning>,
     /// How they were solved.
     pub settings: SolveSettings,
     /// `None` where it is not at hand: it is solved again when it is asked for.
@@ -68,7 +75,7 @@ pub(in crate::session) struct EditedState {
     pub diagonal: f64,
     pub handles: HandleSet,
     pub poses: HandlePoses,
-    pub facts: DeformerFacts,
+    pub facts: Box<pb::Session>,
     pub digest: String,
     /// How the shape was solved; `None` when it is the rest shape.
     pub solved_with: Option<SolveSettings>,

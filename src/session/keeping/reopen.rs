@@ -151,7 +151,7 @@ async fn open_stored(
     let guard = CancelOnDrop::default();
     let model = ModelToOpen {
         files,
-        options: stored.model.options.clone(),
+        options: stored.model.open_options()?,
         graph_bytes: stored.model.graph_bytes,
     };
     let log = Arc::new(ReplayedLog {

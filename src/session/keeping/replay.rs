@@ -9,7 +9,7 @@ use crate::engine::{self, ModelShape, digest};
 use crate::exec::Exec;
 use crate::progress;
 use crate::session::history::commit_history::CommitHistory;
-use crate::session::history::loaded_deformer::{EditStart, LoadedDeformer};
+use crate::session::history::loaded_deformer::LoadedDeformer;
 use crate::session::history::session_state::{PosedState, ShapeRecipe};
 use crate::session::keeping::kept_session::KeptSession;
 use crate::session::store::{Commit, StoreError};
@@ -196,12 +196,9 @@ impl Replay<'_> {
     fn follow_edit(&mut self, stored: &Commit, edit: &SessionEdit, probe: &ShapeProbe) -> Result<(), ReplayError> {
         let state = self.history.current().clone();
         let recipe = self.history.recipe(state.shape);
-        let start = EditStart {
-            state: &state,
-            shape: self.history.shape(state.shape),
-            recipe: &recipe,
-        };
-        let (mut edited, shape, _) = self.deformer.edit_state(start, edit, self.room, self.exec)?;
+        let shape = self.history.shape(state.shape).ok();
+        self.deformer.room = self.room;
+        let (mut edited, shape, _) = self.deformer.edit_state(&state, shape, &recipe, edit, self.exec)?;
         edited.digest = self.compare(stored, probe, &shape.positions, edited.diagonal)?;
         self.history.commit_edit(edited, shape);
         self.deformer.adopt_handles(self.history.current().handles.id);

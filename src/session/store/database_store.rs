@@ -184,7 +184,7 @@ impl DatabaseStore {
         let naming = self.objects.naming.read().await;
         let (names, objects) = self.put_files(&session.files).await?;
         session.model.files = names;
-        let model = session.model.write().map_err(|e| StoreError::Refused(e.to_string()))?;
+        let model = session.model.write();
         let session = Box::new(NewSession {
             files: FileSet::default(),
             ..session

@@ -4,10 +4,11 @@ use crate::engine::{self, ClipSource};
 use crate::exec::Exec;
 use crate::session::animation::frame_outbox::StageTeller;
 use crate::session::animation::prepared_animation::PreparedAnimation;
-use crate::session::calls::command::{Call, Caller, PrepareAnimation};
+use crate::session::calls::command::{CallOrigin, PrepareAnimation};
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkKind;
 use crate::session::error::Error;
+use crate::session::task::commands::RunCall;
 use crate::session::task::session_task::SessionTask;
 use crate::wire;
 
@@ -15,10 +16,8 @@ use crate::wire;
 const BYTES_PER_CLIP_BYTE: u64 = 16;
 
 /// Handles, shape and history stay as they are.
-impl Call for PrepareAnimation {
-    type Answer = PreparedAnimation;
-
-    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<PreparedAnimation, Error> {
+impl RunCall for PrepareAnimation {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<PreparedAnimation, Error> {
         let Self { order, outbox } = self;
         let revision = task.history.revision();
         let topology = task.history.current().topology.clone();
@@ -34,7 +33,7 @@ impl Call for PrepareAnimation {
         }
         let (prepared, watch) = task
             .compute(
-                caller.order(WorkKind::Animate, WorkLane::Builds, task.shared.config.build),
+                origin.order(WorkKind::Animate, WorkLane::Builds, task.shared.config.build),
                 move |deformer, work| {
                     let teller = StageTeller {
                         outbox: &outbox,

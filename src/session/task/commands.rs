@@ -4,13 +4,11 @@ use crate::engine::{self, ModelShape, TopologyState};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
 use crate::progress::Progress as _;
-use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel, SessionFacts, Tenant};
+use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel};
 use crate::session::calls::command::{
-    Call, Caller, ExportModel, HistoryDirection, KeyedCall, RecallPose, ServeCall, StoredAnswer, WorkOrder,
+    CallOrigin, ExportModel, HistoryDirection, QueuedCall, RecallPose, SessionCommand, TaskCall, WorkOrder,
 };
 use crate::session::calls::handle_change::HandleChange;
-use crate::session::calls::idempotency::RequestFingerprint;
-use crate::session::calls::manager::Manager;
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::work_span::WorkKind;
 use crate::session::capacity::work_watch::Work;
@@ -22,7 +20,7 @@ use crate::session::registry::OpenSession;
 use crate::session::stream::frame_window::FrameContext;
 use crate::session::task::session_task::{SessionTask, no_handles};
 use crate::wire::record::LoggedCommit;
-use crate::wire::{CarryOrder, DeformOptions, PoseCommit};
+use crate::wire::{CarryOrder, DeformOptions, PoseCommit, pb};
 use glam::DVec3;
 use std::sync::Arc;
 use std::time::Instant;
@@ -39,7 +37,7 @@ const FEW_TRIANGLES: u32 = 10_000;
 
 /// The lane of a commit with such options: counting crossings may compare each triangle with each.
 pub(in crate::session) fn lane_of_commit(state: &SessionState, options: &DeformOptions) -> WorkLane {
-    let is_light = !options.output.self_intersections || state.facts.model.counts.faces <= FEW_TRIANGLES;
+    let is_light = !options.output.self_intersections || state.triangles() <= FEW_TRIANGLES;
     match is_light {
         true => WorkLane::Interactive,
         false => WorkLane::Builds,
@@ -54,17 +52,49 @@ fn lane_of_cost(cost: u64) -> WorkLane {
     }
 }
 
+/// A call, served on the session's task.
+pub(super) trait RunCall: TaskCall {
+    fn run(
+        self,
+        task: &mut SessionTask,
+        origin: &CallOrigin,
+    ) -> impl Future<Output = Result<Self::Answer, Error>> + Send;
+}
+
 impl SessionTask {
-    /// Serves a call, unless its caller no longer waits.
-    pub async fn serve_command(&mut self, command: Box<dyn ServeCall>) {
-        self.session.line.begin();
-        let caller = command.caller();
-        if !caller.cancel.cancelled() {
-            self.acting = Arc::clone(&caller.who);
-            let begun = Instant::now();
-            command.serve(self).await;
-            self.session.line.note_service(begun.elapsed());
+    /// Serves a call of any kind.
+    pub async fn serve_command(&mut self, command: SessionCommand) {
+        match command {
+            SessionCommand::Handles(call) => self.serve(*call).await,
+            SessionCommand::Solve(call) => self.serve(*call).await,
+            SessionCommand::Step(call) => self.serve(*call).await,
+            SessionCommand::Edit(call) => self.serve(*call).await,
+            SessionCommand::Recall(call) => self.serve(*call).await,
+            SessionCommand::Export(call) => self.serve(*call).await,
+            SessionCommand::Carry(call) => self.serve(*call).await,
+            SessionCommand::Animate(call) => self.serve(*call).await,
         }
+    }
+
+    /// Serves a call, unless its caller no longer waits; keeps the answer for its key and sends it to the caller.
+    async fn serve<C: RunCall>(&mut self, queued: QueuedCall<C>) {
+        let QueuedCall { call, origin, reply } = queued;
+        self.session.line.begin();
+        if origin.cancel.cancelled() {
+            return;
+        }
+        self.acting = Arc::clone(&origin.who);
+        let begun = Instant::now();
+        let result = call.run(self, &origin).await;
+        if let (Some(claim), Ok(answer)) = (origin.claim, &result)
+            && let Some(stored) = C::stored(answer)
+        {
+            let bytes = stored.byte_size();
+            claim.complete(stored, bytes);
+        }
+        // The caller may have gone; the change stands.
+        let _ = reply.send(result);
+        self.session.line.note_service(begun.elapsed());
     }
 
     /// The lane of work that needs `handles`, which are set first where the engine has others.
@@ -99,10 +129,8 @@ impl SessionTask {
         Ok(Some(shape))
     }
 }
-impl Call for HandleChange {
-    type Answer = SessionFacts;
-
-    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<SessionFacts, Error> {
+impl RunCall for HandleChange {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::Session, Error> {
         let state = task.history.current();
         let set = self.apply_to(&state.handles.set, &state.poses)?;
         let limit = task.shared.config.build;
@@ -112,8 +140,9 @@ impl Call for HandleChange {
             let room = task.memory.room();
             let (set, topology) = (set.clone(), topology.clone());
             let (replaced, watch) = task
-                .compute(caller.order(WorkKind::Handles, lane, limit), move |deformer, work| {
-                    deformer.replace_handles(topology.as_ref(), &set, room, &work.exec())
+                .compute(origin.order(WorkKind::Handles, lane, limit), move |deformer, work| {
+                    deformer.room = room;
+                    deformer.replace_handles(topology.as_ref(), &set, &work.exec())
                 })
                 .await?;
             match replaced {
@@ -127,7 +156,7 @@ impl Call for HandleChange {
             poses: poses.clone(),
             facts: facts.clone(),
         };
-        task.keep_handles(commit, caller.claim.as_ref()).await?;
+        task.keep_handles(commit, origin.claim.as_ref()).await?;
         task.shared.metrics.observe_stages(&stages);
         task.build_ms.extend(stages);
         task.history.commit_handles(set, poses, facts);
@@ -139,33 +168,17 @@ impl Call for HandleChange {
         task.publish_view();
         Ok(task.session.describe())
     }
-
-    fn stored(answer: &Self::Answer) -> Option<StoredAnswer> {
-        Some(answer.into())
-    }
 }
 
-impl KeyedCall for HandleChange {
-    fn operation(&self) -> &'static str {
-        match self {
-            Self::Replace(_) => "set_handles",
-            Self::Put(_) => "put_handle",
-            Self::Remove(_) => "remove_handle",
-        }
-    }
-}
-
-impl Call for PoseCommit {
-    type Answer = CommittedPose;
-
-    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<CommittedPose, Error> {
+impl RunCall for PoseCommit {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<CommittedPose, Error> {
         let state = task.history.current().clone();
         if state.handles.set.handles.is_empty() {
             return Err(no_handles());
         }
         let Self { seq, changes, options } = self;
         let (revision, part_bytes) = (task.history.revision() + 1, task.shared.config.part_bytes);
-        let order = caller.order(
+        let order = origin.order(
             WorkKind::Solve,
             lane_of_commit(&state, &options),
             task.shared.config.solve,
@@ -188,7 +201,7 @@ impl Call for PoseCommit {
             .await?;
         let PoseAnswer { frame, cycles, commit } = solved.map_err(|e| task.failure(e, &watch))?;
         let posed = commit.ok_or_else(|| Error::new(ErrorCode::Internal, "a solved pose is not to be committed"))?;
-        let digest = task.commit_pose(posed, &frame, cycles, caller.claim.as_ref()).await?;
+        let digest = task.commit_pose(posed, &frame, cycles, origin.claim.as_ref()).await?;
         task.shared.metrics.frames_sent.inc();
         Ok(CommittedPose {
             frame,
@@ -196,27 +209,10 @@ impl Call for PoseCommit {
             digest,
         })
     }
-
-    fn stored(answer: &Self::Answer) -> Option<StoredAnswer> {
-        Some(answer.into())
-    }
 }
 
-impl KeyedCall for PoseCommit {
-    fn operation(&self) -> &'static str {
-        "solve"
-    }
-
-    async fn prepare(&mut self, manager: &Manager, _tenant: &Tenant) -> Result<(), Error> {
-        manager.shared.metrics.poses_received.inc();
-        Ok(())
-    }
-}
-
-impl Call for HistoryDirection {
-    type Answer = SessionFacts;
-
-    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<SessionFacts, Error> {
+impl RunCall for HistoryDirection {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::Session, Error> {
         let (target, nothing) = match self {
             Self::Undo => (task.history.undo_target(), "nothing is left to undo"),
             Self::Redo => (task.history.redo_target(), "nothing is left to redo"),
@@ -225,60 +221,39 @@ impl Call for HistoryDirection {
         let index = target.ok_or_else(nothing)?;
         let limit = task.shared.config.build;
         let shape = task
-            .shape_of_commit(index, caller.order(WorkKind::History, WorkLane::Interactive, limit))
+            .shape_of_commit(index, origin.order(WorkKind::History, WorkLane::Interactive, limit))
             .await?
             .ok_or_else(nothing)?;
-        task.keep_step(self, index, caller.claim.as_ref()).await?;
+        task.keep_step(self, index, origin.claim.as_ref()).await?;
         task.history.go_to_commit(index, shape);
         task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
         task.publish_view();
         Ok(task.session.describe())
     }
-
-    fn stored(answer: &Self::Answer) -> Option<StoredAnswer> {
-        Some(answer.into())
-    }
 }
 
-impl KeyedCall for HistoryDirection {
-    fn operation(&self) -> &'static str {
-        match self {
-            Self::Undo => "undo",
-            Self::Redo => "redo",
-        }
-    }
-
-    fn fingerprint(&self, id: &str, _request: &[u8]) -> RequestFingerprint {
-        RequestFingerprint::of(self.operation(), &[id.as_bytes()])
-    }
-}
-
-impl Call for RecallPose {
-    type Answer = Option<CommittedPose>;
-
-    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<Option<CommittedPose>, Error> {
+impl RunCall for RecallPose {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<Option<CommittedPose>, Error> {
         let limit = task.shared.config.build;
-        let order = || caller.order(WorkKind::Recall, WorkLane::Interactive, limit);
+        let order = || origin.order(WorkKind::Recall, WorkLane::Interactive, limit);
         task.recall(self.revision, *self.frame, order).await
     }
 }
 
-impl Call for CarryOrder {
-    type Answer = CarriedAlong;
-
-    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<CarriedAlong, Error> {
+impl RunCall for CarryOrder {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<CarriedAlong, Error> {
         let view = task.session.view();
         let limit = task.shared.config.build;
         let positions = Arc::clone(&view.positions);
         let topology = task.history.current().topology.clone();
-        let triangles = u64::from(task.history.current().facts.model.counts.faces);
+        let triangles = u64::from(task.history.current().triangles());
         let comparisons = (self.points.len() as u64).saturating_mul(triangles);
         let lane = match self.model.is_none() && comparisons <= FEW_COMPARISONS {
             true => WorkLane::Interactive,
             false => WorkLane::Builds,
         };
         let (carried, watch) = task
-            .compute(caller.order(WorkKind::Carry, lane, limit), move |deformer, work| {
+            .compute(origin.order(WorkKind::Carry, lane, limit), move |deformer, work| {
                 let exec = work.exec();
                 deformer.go_to_topology(topology.as_ref(), &exec)?;
                 carry_order_along(deformer.engine.as_ref(), &positions, self, &exec)
@@ -293,10 +268,8 @@ impl Call for CarryOrder {
     }
 }
 
-impl Call for ExportModel {
-    type Answer = ExportedModel;
-
-    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<ExportedModel, Error> {
+impl RunCall for ExportModel {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<ExportedModel, Error> {
         let view = task.session.view();
         let format = self.0.unwrap_or(task.session.format);
         let etag = OpenSession::etag(&view, format.name());
@@ -305,7 +278,7 @@ impl Call for ExportModel {
         let topology = task.history.current().topology.clone();
         let (written, watch) = task
             .compute(
-                caller.order(WorkKind::Export, WorkLane::Interactive, limit),
+                origin.order(WorkKind::Export, WorkLane::Interactive, limit),
                 move |deformer, work| {
                     let exec = work.exec();
                     deformer.go_to_topology(topology.as_ref(), &exec)?;

@@ -1,19 +1,17 @@
 //! Edits of the topology by a session's task.
 
-use crate::engine::{self, Edit};
-use crate::session::answers::{CommittedEdit, Tenant};
-use crate::session::calls::command::{Call, Caller, KeyedCall, StoredAnswer};
-use crate::session::calls::manager::Manager;
+use crate::engine;
+use crate::session::calls::command::CallOrigin;
 use crate::session::calls::model_opening::memory_needed;
 use crate::session::capacity::compute_slots::WorkLane;
 use crate::session::capacity::memory_ledger::MemoryShortage;
 use crate::session::capacity::work_span::WorkKind;
 use crate::session::capacity::work_watch::WorkWatch;
 use crate::session::error::Error;
-use crate::session::history::loaded_deformer::EditStart;
 use crate::session::keeping::made_room::make_room;
+use crate::session::task::commands::RunCall;
 use crate::session::task::session_task::SessionTask;
-use crate::wire::SessionEdit;
+use crate::wire::{SessionEdit, pb};
 use std::sync::Arc;
 
 impl SessionTask {
@@ -44,13 +42,11 @@ impl SessionTask {
     }
 }
 
-impl Call for SessionEdit {
-    type Answer = CommittedEdit;
-
-    async fn run(self, task: &mut SessionTask, caller: &Caller) -> Result<CommittedEdit, Error> {
+impl RunCall for SessionEdit {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::EditResult, Error> {
         let limit = task.shared.config.build;
         let edit = Arc::new(self);
-        let (edited, shape, report, watch) = loop {
+        let (edited, shape, mut report, watch) = loop {
             let state = task.history.current().clone();
             let (shape, recipe) = (task.history.shape(state.shape), task.history.recipe(state.shape));
             // What the other sessions leave, now: the engine was opened when there was more or less.
@@ -58,14 +54,10 @@ impl Call for SessionEdit {
             let edit = Arc::clone(&edit);
             let (done, watch) = task
                 .compute(
-                    caller.order(WorkKind::Edit, WorkLane::Builds, limit),
+                    origin.order(WorkKind::Edit, WorkLane::Builds, limit),
                     move |deformer, work| {
-                        let start = EditStart {
-                            state: &state,
-                            shape,
-                            recipe: &recipe,
-                        };
-                        deformer.edit_state(start, &edit, room, &work.exec())
+                        deformer.room = room;
+                        deformer.edit_state(&state, shape.ok(), &recipe, &edit, &work.exec())
                     },
                 )
                 .await?;
@@ -78,7 +70,7 @@ impl Call for SessionEdit {
         let ms = watch.take_stage_ms();
         task.shared.metrics.observe_stages(&ms);
         let kept_edit = task.kept.is_some().then(|| Arc::unwrap_or_clone(edit));
-        task.keep_edit(kept_edit, &edited, (&shape, &report), caller.claim.as_ref())
+        task.keep_edit(kept_edit, &edited, (&shape, &report), origin.claim.as_ref())
             .await?;
         task.history.commit_edit(edited, shape);
         if let Some(deformer) = &mut task.deformer {
@@ -87,28 +79,8 @@ impl Call for SessionEdit {
         task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
         task.shared.metrics.commits.inc();
         task.publish_view();
-        Ok(CommittedEdit {
-            report,
-            revision: task.history.revision(),
-            ms,
-        })
-    }
-
-    fn stored(answer: &Self::Answer) -> Option<StoredAnswer> {
-        Some(answer.into())
-    }
-}
-
-impl KeyedCall for SessionEdit {
-    fn operation(&self) -> &'static str {
-        "edit"
-    }
-
-    /// Gets the other model of a merge before the session's own task is asked, which may be that of the same session.
-    async fn prepare(&mut self, manager: &Manager, tenant: &Tenant) -> Result<(), Error> {
-        if let (Edit::Merge(merge), Some(other)) = (&mut self.edit, &self.merged_session) {
-            merge.files = manager.export_files(tenant, other).await?;
-        }
-        Ok(())
+        report.revision = task.history.revision();
+        report.ms = ms;
+        Ok(report)
     }
 }

@@ -2,7 +2,7 @@
 //! cannot be kept has never happened.
 
 use crate::asset::FileSet;
-use crate::engine::{Edit, EditReport, ModelShape};
+use crate::engine::{Edit, ModelShape};
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::{HistoryDirection, StoredAnswer};
 use crate::session::calls::idempotency::KeyClaim;
@@ -12,9 +12,9 @@ use crate::session::history::session_state::{EditedState, PosedState};
 use crate::session::keeping::replay::{OTHER_BUILD, check_digest};
 use crate::session::store::{Commit, NewCommit, StoreError, write_shape};
 use crate::session::task::session_task::SessionTask;
-use crate::wire::SessionEdit;
 use crate::wire::frames::Frame;
 use crate::wire::record::{AnsweredFrame, LoggedCommit, ShapeProbe};
+use crate::wire::{SessionEdit, pb};
 use std::sync::Arc;
 
 /// Solved commits after which the newest shape is kept, so that opening solves few of them again.
@@ -63,7 +63,7 @@ impl SessionTask {
         &mut self,
         asked: Option<SessionEdit>,
         edited: &EditedState,
-        (shape, report): (&ModelShape, &EditReport),
+        (shape, report): (&ModelShape, &pb::EditResult),
         claim: Option<&Claim>,
     ) -> Result<(), Error> {
         let (Some(mut asked), Some(_)) = (asked, &self.kept) else {
@@ -79,7 +79,7 @@ impl SessionTask {
             files: None,
             report: Box::new(report.clone()),
             poses: edited.poses.clone(),
-            facts: Box::new(edited.facts.clone()),
+            facts: edited.facts.clone(),
             probe: ShapeProbe::of(&shape.positions),
         };
         self.keep(commit, edited.digest.clone(), files, claim).await

@@ -4,10 +4,10 @@
 //! succeeded, so a call that fails or is given up leaves everything as it was. While work runs on the compute pool the
 //! engine is there too; everything that others read meanwhile is in the session's published view.
 
-use crate::engine::{self, DeformerFacts};
+use crate::engine;
 use crate::progress::Progress as _;
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
-use crate::session::calls::command::{ServeCall, StoredAnswer, WorkOrder};
+use crate::session::calls::command::{SessionCommand, StoredAnswer, WorkOrder};
 use crate::session::calls::idempotency::KeyClaim;
 use crate::session::capacity::compute_slots::WorkPanicked;
 use crate::session::capacity::memory_ledger::MemoryReservation;
@@ -25,6 +25,7 @@ use crate::session::shared::SharedResources;
 use crate::session::stream::mailbox::Mailbox;
 use crate::session::stream::waiting_poses::WaitingPose;
 use crate::wire::frames::Frame;
+use crate::wire::pb;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
@@ -35,7 +36,7 @@ use tokio::sync::{OwnedSemaphorePermit, mpsc};
 pub(in crate::session) struct SessionTask {
     pub session: Arc<OpenSession>,
     pub shared: Arc<SharedResources>,
-    pub commands: mpsc::Receiver<Box<dyn ServeCall>>,
+    pub commands: mpsc::Receiver<SessionCommand>,
     /// Away while work runs; gone for good after a panic.
     pub deformer: Option<LoadedDeformer>,
     pub history: CommitHistory,
@@ -306,7 +307,7 @@ impl SessionTask {
 }
 
 /// The facts of a state: those of model, solver and handles, and the warnings of the poses.
-fn facts_of(state: &SessionState) -> Arc<DeformerFacts> {
+fn facts_of(state: &SessionState) -> Arc<pb::Session> {
     if state.pose_warnings.is_empty() {
         return Arc::clone(&state.facts);
     }

@@ -31,12 +31,7 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
         let told = fixture.history().await;
         let session = fixture.undo().await;
         assert_eq!(
-            session
-                .deformer
-                .handles
-                .iter()
-                .map(|h| h.id.as_str())
-                .collect::<Vec<_>>(),
+            session.handles.iter().map(|h| h.id.as_str()).collect::<Vec<_>>(),
             ["a", "b"]
         );
         let mut revision = session.revision;
@@ -185,7 +180,7 @@ async fn a_caller_that_goes_leaves_the_old_state() {
     until(|| fixture.metrics().pool_busy.get() == 0).await;
     control.release();
     let session = fixture.facts().await;
-    assert_eq!((session.revision, session.deformer.handles.len()), (2, 2));
+    assert_eq!((session.revision, session.handles.len()), (2, 2));
     let solved = fixture.solve(solve(&[("b", 1.0)])).await;
     assert_eq!((solved.frame.positions[0].x, solved.revision), (0.0, 3));
 }

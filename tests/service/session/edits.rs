@@ -37,10 +37,10 @@ async fn edits_are_undone_and_redone_to_the_bit_and_go_on_alike() {
         digests.push(fixture.solve(turned(0.6)).await.digest);
         for height in [0.75, 1.4] {
             let result = fixture.edit(cut(height, "ABOVE")).await;
-            assert!(result.report.after.vertices != result.report.before.vertices);
+            assert!(result.after.expect("counts").vertices != result.before.expect("counts").vertices);
             assert_eq!(result.revision, fixture.history().await.current);
-            said.push(result.report.after.vertices);
-            digests.push(result.report.digest);
+            said.push(result.after.expect("counts").vertices);
+            digests.push(result.digest);
             // The base was cut off with the first edit, and what is left is held by the top alone.
             digests.push(fixture.solve(turned(0.3)).await.digest);
         }
@@ -49,13 +49,13 @@ async fn edits_are_undone_and_redone_to_the_bit_and_go_on_alike() {
             assert_eq!(fixture.digest().await, *digest);
         }
         let described = fixture.facts().await;
-        assert_eq!(described.deformer.model.counts.vertices, 52);
+        assert_eq!(described.model.expect("model facts").vertices, 52);
         for digest in &digests[1..] {
             fixture.redo().await;
             assert_eq!(fixture.digest().await, *digest);
         }
         let described = fixture.facts().await;
-        assert_eq!(described.deformer.model.counts.vertices, said[1]);
+        assert_eq!(described.model.expect("model facts").vertices, said[1]);
         let again = fixture.solve(turned(0.3)).await;
         assert_eq!(
             again.digest,
@@ -110,13 +110,16 @@ async fn a_session_can_be_merged_with_another_of_its_tenant() {
     let fixture = bent(small()).await;
     let other = bent_in(&fixture.manager).await;
     let result = fixture.edit(merge(&other.id, 3.0)).await;
-    assert_eq!(result.report.after.vertices, 104);
+    assert_eq!(result.after.expect("counts").vertices, 104);
     let session = fixture.facts().await;
     assert_eq!(
-        (session.deformer.solver.components, session.deformer.primitives.len()),
+        (
+            session.solver.as_ref().map_or(0, |s| s.components),
+            session.primitives.len()
+        ),
         (2, 2)
     );
-    assert_eq!(result.report.handles_kept, ["base", "top"]);
+    assert_eq!(result.handles_kept, ["base", "top"]);
 }
 
 #[tokio::test]
@@ -141,6 +144,6 @@ async fn a_stream_goes_on_across_an_edit() {
             fixture.edit(cut(1.4, "ABOVE")).await;
         }
     }
-    let left = fixture.facts().await.deformer.model.counts.vertices;
+    let left = fixture.facts().await.model.expect("model facts").vertices;
     assert_eq!(sizes[2], left, "all vertices of the new shape: {sizes:?}");
 }

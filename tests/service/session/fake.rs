@@ -17,9 +17,8 @@ use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
 use pliant::session::store::{DatabaseStore, StoreError, StoreLocation};
 use pliant::session::{
-    self, CallKey, CommittedEdit, CommittedPose, DeformStream, Engine, EngineOpener, ExportedModel, HistoryFacts,
-    Manager, MemoryUse, Metrics, PositionBuffer, SessionConfig, SessionFacts, StreamAnswer, StreamInput, StreamOutput,
-    Tenant,
+    self, CallKey, CommittedPose, DeformStream, Engine, EngineOpener, ExportedModel, HistoryFacts, Manager, MemoryUse,
+    Metrics, PositionBuffer, SessionConfig, StreamAnswer, StreamInput, StreamOutput, Tenant,
 };
 use pliant::wire::{self, DeformOptions, PoseCommit, SessionEdit, SessionOptions, StreamRequest};
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
@@ -369,27 +368,27 @@ impl Fixture {
         solved.map(|_| ()).expect_err("the pose is refused")
     }
 
-    pub async fn edit(&self, edit: SessionEdit) -> CommittedEdit {
+    pub async fn edit(&self, edit: SessionEdit) -> wire::pb::EditResult {
         let edited = self.manager.edit(tenant(), &self.id, edit, None).await;
         edited.expect("the session is edited")
     }
 
-    pub async fn set_handles(&self, handles: HandleSet) -> SessionFacts {
+    pub async fn set_handles(&self, handles: HandleSet) -> wire::pb::Session {
         let set = self.manager.set_handles(tenant(), &self.id, handles, None).await;
         set.expect("the handles are set")
     }
 
-    pub async fn undo(&self) -> SessionFacts {
+    pub async fn undo(&self) -> wire::pb::Session {
         let undone = self.manager.undo(tenant(), &self.id, None).await;
         undone.expect("a commit is undone")
     }
 
-    pub async fn redo(&self) -> SessionFacts {
+    pub async fn redo(&self) -> wire::pb::Session {
         let redone = self.manager.redo(tenant(), &self.id, None).await;
         redone.expect("a commit is redone")
     }
 
-    pub async fn facts(&self) -> SessionFacts {
+    pub async fn facts(&self) -> wire::pb::Session {
         let facts = self.manager.get(tenant(), &self.id).await;
         facts.expect("the session is open")
     }
@@ -467,11 +466,7 @@ pub async fn create(manager: &Manager, text: &str) -> String {
 
 /// Options of a session that asks for nothing.
 pub fn options() -> SessionOptions {
-    SessionOptions {
-        open: OpenOptions::default(),
-        label: String::new(),
-        ttl: None,
-    }
+    SessionOptions::default()
 }
 
 pub fn key(key: &str, request: impl std::fmt::Debug) -> Option<CallKey> {

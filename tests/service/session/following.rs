@@ -53,7 +53,7 @@ async fn a_pose_after_going_back_has_the_bits_that_it_had_before() {
             let bent = fixture.solve(turned(0.2)).await;
             after.push(bent.digest);
             let edit = fixture.edit(delete(0.8 + 0.4 * f64::from(k))).await;
-            assert!(edit.report.repaired, "edit {k} is followed");
+            assert!(edit.repaired, "edit {k} is followed");
         }
         // Back to before each pose, newest first, and the same pose again.
         for digest in after.iter().rev() {
@@ -86,20 +86,28 @@ async fn an_edit_of_the_rest_shape_solves_as_the_pose_was_solved() {
         pose.options.solve.refine = Some(refine);
         let bent = fixture.solve(pose).await;
         let edit = fixture.edit(idle()).await;
-        assert_eq!(edit.report.digest, bent.digest, "refine {refine}");
+        assert_eq!(edit.digest, bent.digest, "refine {refine}");
     }
 }
 
 #[tokio::test]
 async fn a_session_tells_the_poses_in_force() {
     let fixture = bar(small()).await;
-    let poses = async || fixture.facts().await.poses;
-    assert_eq!(poses().await.0.as_slice(), [HandlePose::default(); 2]);
+    let poses = async || {
+        fixture
+            .facts()
+            .await
+            .handles
+            .into_iter()
+            .map(|h| h.pose)
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(poses().await, [None, None]);
     fixture.solve(turned(0.2)).await;
-    let turned = HandlePose::rotation([0.2, 0.0, 0.0]);
-    assert_eq!(poses().await.0.as_slice(), [HandlePose::default(), turned]);
+    let turned = pliant::wire::handle_pose_message(&HandlePose::rotation([0.2, 0.0, 0.0]));
+    assert_eq!(poses().await, [None, Some(turned)]);
     fixture.undo().await;
-    assert_eq!(poses().await.0.as_slice(), [HandlePose::default(); 2]);
+    assert_eq!(poses().await, [None, None]);
 }
 
 #[tokio::test]

@@ -87,10 +87,7 @@ async fn commits_undo_and_replay_to_the_bit() {
         })
         .await;
         let session = fixture.facts().await;
-        assert_eq!(
-            (session.deformer.handles.len(), session.deformer.primitives.len()),
-            (2, 1)
-        );
+        assert_eq!((session.handles.len(), session.primitives.len()), (2, 1));
         assert!(
             ["read", "mesh", "hierarchy", "fields"]
                 .iter()
