@@ -1,15 +1,30 @@
 //! TLS on the server's own port: its certificate, those of clients, and both replaced while it runs.
+//!
+//! Files that are followed while the server runs: its tokens, the keys that tokens are checked with, and its certificates.
+//!
+//! Their content is checked every second: a replaced file, a link that points elsewhere and a renewed certificate are
+//! all noticed. An unreadable file changes nothing, and is logged once.
+//!
+//! The program's own calls over HTTP and HTTPS.
 
+use super::config::{FileKeys, changed_keys, keys_of_file, tokens_of_file};
+use super::state::ServerState;
 use arc_swap::ArcSwap;
+use hyper_rustls::{HttpsConnector, HttpsConnectorBuilder};
+use hyper_util::client::legacy::connect::HttpConnector;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 use tokio::net::TcpStream;
-use tokio_rustls::rustls::crypto::ring;
+use tokio_rustls::rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
+use tokio_rustls::rustls::crypto::{CryptoProvider, ring, verify_tls12_signature, verify_tls13_signature};
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
-use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
 use tokio_rustls::rustls::server::{NoServerSessionStorage, WebPkiClientVerifier};
-use tokio_rustls::rustls::{RootCertStore, ServerConfig};
+use tokio_rustls::rustls::{
+    CertificateError, ClientConfig, DigitallySignedStruct, Error, RootCertStore, ServerConfig, SignatureScheme,
+};
 use tokio_rustls::server::TlsStream;
 use x509_cert::Certificate;
 use x509_cert::der::Decode as _;
@@ -60,7 +75,7 @@ struct FollowedFiles {
 }
 
 /// The outcome of reading the files again.
-pub(crate) struct TlsReload {
+pub(super) struct TlsReload {
     /// Whether handshakes from now on use other files.
     pub has_changed: bool,
     /// The file that cannot be used, and why; what was read of it before stays in use.
@@ -304,4 +319,199 @@ fn printable(value: &Any) -> Option<String> {
 
 fn is_name(name: &str) -> bool {
     !name.is_empty() && name.len() <= LONGEST_NAME && !name.chars().any(char::is_control)
+}
+
+/// The longest time until a change is noticed.
+const PERIOD: Duration = Duration::from_secs(1);
+
+/// Follows changes of files.
+pub(super) async fn follow_files(state: ServerState) {
+    let mut logged = Logged {
+        keys: state.config.auth.file.as_deref().and_then(keys_of_file),
+        ..Logged::default()
+    };
+    let mut known = state.config.auth.tokens.clone();
+    loop {
+        state.authenticator.follow_keys().await;
+        tokio::time::sleep(PERIOD).await;
+        if let Some(file) = state.config.auth.file.clone() {
+            let read = move || (tokens_of_file(&file), keys_of_file(&file));
+            let Ok((tokens, keys)) = tokio::task::spawn_blocking(read).await else {
+                return;
+            };
+            logged.log_changed_keys(keys);
+            match tokens {
+                Ok(tokens) => {
+                    logged.tokens = None;
+                    if tokens != known {
+                        tracing::info!(auth.tokens = tokens.len(), "the tokens have changed");
+                        state.authenticator.replace_tokens(tokens.clone());
+                        known = tokens;
+                    }
+                }
+                Err(error) => log_once(&mut logged.tokens, "the tokens stay as they were", error.to_string()),
+            }
+        }
+        if let Some(tls) = state.tls.clone() {
+            let Ok(reloaded) = tokio::task::spawn_blocking(move || tls.reload()).await else {
+                return;
+            };
+            if reloaded.has_changed {
+                tracing::info!("the TLS certificates have changed");
+            }
+            match reloaded.problem {
+                None => logged.certificates = None,
+                Some(problem) => log_once(
+                    &mut logged.certificates,
+                    "what was read before of a TLS file stays in use",
+                    problem,
+                ),
+            }
+        }
+    }
+}
+
+/// What was logged last, so that it is not logged every second.
+#[derive(Default)]
+struct Logged {
+    tokens: Option<String>,
+    certificates: Option<String>,
+    /// The keys of the configuration file at the start, without the tokens.
+    keys: Option<FileKeys>,
+    changed: Vec<String>,
+}
+
+impl Logged {
+    /// Logs which keys have changed, without the tokens.
+    fn log_changed_keys(&mut self, keys: Option<FileKeys>) {
+        let Some(now) = keys else { return };
+        let changed = changed_keys(self.keys.get_or_insert_with(|| now.clone()), &now);
+        if changed != self.changed && !changed.is_empty() {
+            tracing::warn!(
+                "the configuration file has changed, and what it says of {} counts from the next start on; tokens alone are followed",
+                changed.join(", ")
+            );
+        }
+        self.changed = changed;
+    }
+}
+
+fn log_once(last: &mut Option<String>, what: &str, problem: String) {
+    if last.as_ref() != Some(&problem) {
+        tracing::error!("{what}: {problem}");
+        *last = Some(problem);
+    }
+}
+
+/// Makes connections to servers whose certificates are signed by an authority of this machine, or, where it is given, of the PEM
+/// file `ca`. Authorities of the machine are those of the operating system, or of `SSL_CERT_FILE`.
+///
+/// # Errors
+/// The file and what is wrong with it.
+pub fn https_connector(ca: Option<&Path>) -> Result<HttpsConnector<HttpConnector>, String> {
+    let mut roots = RootCertStore::empty();
+    match ca {
+        Some(path) => {
+            let unusable = |problem: String| format!("cannot use the authorities in {}: {problem}", path.display());
+            let found: Result<Vec<_>, _> = CertificateDer::pem_file_iter(path)
+                .map_err(|e| unusable(e.to_string()))?
+                .collect();
+            for authority in found.map_err(|e| unusable(e.to_string()))? {
+                roots.add(authority).map_err(|e| unusable(e.to_string()))?;
+            }
+            if roots.is_empty() {
+                return Err(unusable("it holds no certificate in PEM".into()));
+            }
+        }
+        // A machine without any can still speak HTTP.
+        None => {
+            roots.add_parsable_certificates(rustls_native_certs::load_native_certs().certs);
+        }
+    }
+    let config = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
+        .with_safe_default_protocol_versions()
+        .map_err(|e| e.to_string())?
+        .with_root_certificates(roots)
+        .with_no_client_auth();
+    Ok(connector_of(config))
+}
+
+/// Makes connections to the server whose own certificate is in the PEM file, whatever name it is called by.
+///
+/// # Errors
+/// The file and what is wrong with it.
+pub fn own_connector(certificate: &Path) -> Result<HttpsConnector<HttpConnector>, String> {
+    let provider = Arc::new(ring::default_provider());
+    let verifier = OwnCertificate::read(certificate, Arc::clone(&provider))?;
+    let config = ClientConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()
+        .map_err(|e| e.to_string())?
+        .dangerous()
+        .with_custom_certificate_verifier(Arc::new(verifier))
+        .with_no_client_auth();
+    Ok(connector_of(config))
+}
+
+fn connector_of(config: ClientConfig) -> HttpsConnector<HttpConnector> {
+    let connector = HttpsConnectorBuilder::new()
+        .with_tls_config(config)
+        .https_or_http()
+        .enable_http1();
+    connector.build()
+}
+
+/// Accepts the server that has the private key of one certificate, under any name and with any issuer.
+#[derive(Debug)]
+struct OwnCertificate {
+    certificate: CertificateDer<'static>,
+    provider: Arc<CryptoProvider>,
+}
+
+impl OwnCertificate {
+    /// Takes the first certificate of a PEM file, as a server does.
+    fn read(path: &Path, provider: Arc<CryptoProvider>) -> Result<Self, String> {
+        let unusable = |problem: String| format!("cannot use the certificate in {}: {problem}", path.display());
+        let certificate = CertificateDer::from_pem_file(path).map_err(|e| unusable(e.to_string()))?;
+        Ok(Self { certificate, provider })
+    }
+}
+
+impl ServerCertVerifier for OwnCertificate {
+    fn verify_server_cert(
+        &self,
+        shown: &CertificateDer<'_>,
+        _: &[CertificateDer<'_>],
+        _: &ServerName<'_>,
+        _: &[u8],
+        _: UnixTime,
+    ) -> Result<ServerCertVerified, Error> {
+        match *shown == self.certificate {
+            true => Ok(ServerCertVerified::assertion()),
+            false => Err(CertificateError::ApplicationVerificationFailure.into()),
+        }
+    }
+
+    fn verify_tls12_signature(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        let algorithms = &self.provider.signature_verification_algorithms;
+        verify_tls12_signature(message, certificate, signed, algorithms)
+    }
+
+    fn verify_tls13_signature(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, Error> {
+        let algorithms = &self.provider.signature_verification_algorithms;
+        verify_tls13_signature(message, certificate, signed, algorithms)
+    }
+
+    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
+        self.provider.signature_verification_algorithms.supported_schemes()
+    }
 }

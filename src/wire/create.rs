@@ -3,7 +3,7 @@
 //! A session's options are those of its deformer, a label for people, and how long it outlives its last use.
 
 use super::check::{enumerated, number, plain_text};
-use super::following::following;
+use super::facts::following;
 use super::passengers::{passengers, require_own_passengers};
 use super::{Error, pb};
 use crate::asset::Format;

@@ -1,6 +1,6 @@
 //! A small HTTP client: one server, one call at a time, whole bodies.
 
-use crate::server::https_client::https_connector;
+use crate::server::tls::https_connector;
 use bytes::Bytes;
 use http::{HeaderMap, Method, Request, StatusCode, Uri, header};
 use http_body_util::{BodyExt as _, Full, Limited};

@@ -1,6 +1,6 @@
 //! The calls of `pliant.v1.Deformer`.
 
-use super::call::{Call, call_key};
+use super::codec::{Call, call_key};
 use super::services::deformer_server::Deformer;
 use super::streams;
 use crate::server::messages::{self, parse_format_name};

@@ -4,7 +4,7 @@
 //! poses replace older ones even while the client does not read; the response body pulls frames out, one part at a time, as
 //! fast as HTTP/2 lets it. Dropping the body (the client left, or its deadline passed) drops both.
 
-use super::call::Call;
+use super::codec::Call;
 use super::codec::inbound_message;
 use crate::asset::FileSet;
 use crate::engine::ClipSource;

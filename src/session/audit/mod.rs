@@ -2,4 +2,3 @@
 //! without one, a log line.
 
 pub(in crate::session) mod audit_entry;
-pub(in crate::session) mod audit_trail;

@@ -1,13 +1,24 @@
 //! The calls that commit: handles, poses, undo and redo.
+//!
+//! The call that edits a session's topology.
+//!
+//! Answers of calls with an idempotency key from before the server was started again. What a call answered follows from its
+//! commit, so the commit alone is kept.
 
-use crate::engine::HandleSet;
+use crate::asset::FileSet;
+use crate::engine::{Edit, HandleSet};
 use crate::session::answers::{CallKey, CommittedPose, Tenant};
-use crate::session::calls::command::HistoryDirection;
-use crate::session::calls::handle_change::HandleChange;
+use crate::session::calls::command::{HandleChange, HistoryDirection, RecallPose, StoredAnswer};
+use crate::session::calls::idempotency::answer_of_another_call;
 use crate::session::calls::manager::Manager;
-use crate::session::error::Error;
-use crate::wire::{HandlePatch, PoseCommit, pb};
+use crate::session::error::{Error, ErrorCode};
+use crate::session::keeping::kept_session::state_facts;
+use crate::session::store::{Commit, ReadSessions};
+use crate::wire::record::LoggedCommit;
+use crate::wire::{HandlePatch, PoseCommit, SessionEdit, pb};
+use bytes::Bytes;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 impl Manager {
     /// Replaces all handles; one commit. The shape stays as it is until the next pose.
@@ -122,5 +133,126 @@ fn bare_key(key: &str) -> CallKey {
     CallKey {
         key: key.to_owned(),
         request: Vec::new(),
+    }
+}
+
+impl Manager {
+    /// Changes the topology; one commit. The current shape becomes the rest shape, unless the edit is asked for on the rest
+    /// shape. Handles keep the vertices that are left of them.
+    ///
+    /// # Cancel safety
+    /// Dropping the future stops the work; the old state stays unless the edit was committed already.
+    ///
+    /// # Errors
+    /// What is wrong with the edit; `FAILED_PRECONDITION` when the surface does not allow it; `NOT_FOUND` also for a session
+    /// to merge with. Nothing has changed then.
+    pub async fn edit(
+        &self,
+        tenant: &Tenant,
+        id: &str,
+        mut edit: SessionEdit,
+        key: Option<CallKey>,
+    ) -> Result<pb::EditResult, Error> {
+        let session = self.find(tenant, id).await?;
+        let claim = match self.claim_call(&session, key, &edit).await? {
+            ControlFlow::Break(edited) => return Ok(edited),
+            ControlFlow::Continue(claim) => claim,
+        };
+        // Before the session's own task is asked, which may be that of the same session.
+        if let (Edit::Merge(merge), Some(other)) = (&mut edit.edit, &edit.merged_session) {
+            merge.files = self.export_files(tenant, other).await?;
+        }
+        self.call(&session, claim, edit).await
+    }
+
+    /// A session's model in its current shape.
+    async fn export_files(&self, tenant: &Tenant, id: &str) -> Result<FileSet, Error> {
+        let named = |e: Error| match (e.code, &e.owner) {
+            (ErrorCode::NotFound, _) => Error {
+                field: Some("merge.session".into()),
+                ..e
+            },
+            // Who asks must not go there with this call: it is about a session that is here.
+            (ErrorCode::Unavailable, Some(owner)) => Error {
+                field: Some("merge.session".into()),
+                ..Error::new(
+                    ErrorCode::FailedPrecondition,
+                    format!(
+                        "merge.session: \"{id}\" is at another node, \"{}\" at {}; export its model, which the call for that \
+                         finds there, and merge the model",
+                        owner.node, owner.address
+                    ),
+                )
+            },
+            _ => e,
+        };
+        let exported = self.export(tenant, id, None).await.map_err(named)?;
+        let mut files = FileSet::single(format!("session.{}", exported.format.name()), exported.written.main);
+        for (uri, bytes) in exported.written.companions {
+            files.companions.insert(uri, Bytes::from(bytes));
+        }
+        Ok(files)
+    }
+}
+
+impl Manager {
+    /// An answer that is kept, brought back from the store where only its commit is known.
+    pub(in crate::session) async fn kept_answer(
+        &self,
+        tenant: &Tenant,
+        answer: StoredAnswer,
+    ) -> Result<StoredAnswer, Error> {
+        let StoredAnswer::Recorded { session, sequence } = answer else {
+            return Ok(answer);
+        };
+        let store = self.shared.store.as_ref().ok_or_else(answer_of_another_call)?;
+        let gone = || {
+            let text = "the call with this idempotency key was carried out, but what it changed is gone since";
+            Error::new(ErrorCode::AlreadyExists, text)
+        };
+        let stored = store.commit(session.clone(), sequence).await?.ok_or_else(gone)?;
+        match &stored.record {
+            LoggedCommit::Edit { report, .. } => Ok(StoredAnswer::Edited(Box::new(pb::EditResult {
+                revision: stored.revision,
+                ..(**report).clone()
+            }))),
+            LoggedCommit::Pose { frame, .. } => {
+                let frame = frame.clone().ok_or_else(answer_of_another_call)?;
+                let open = self.find(tenant, &session).await?;
+                let revision = stored.revision;
+                let recalled = self.call(&open, None, RecallPose { revision, frame }).await?;
+                recalled
+                    .map(|pose| StoredAnswer::Solved(Box::new(pose)))
+                    .ok_or_else(gone)
+            }
+            _ => {
+                let open = self.find(tenant, &session).await?;
+                let described = self.state_then(store, &stored, open.describe()).await?;
+                Ok(StoredAnswer::Session(Box::new(described)))
+            }
+        }
+    }
+
+    /// A session as it was after a commit.
+    async fn state_then(
+        &self,
+        store: &Arc<dyn ReadSessions>,
+        stored: &Commit,
+        now: pb::Session,
+    ) -> Result<pb::Session, Error> {
+        let missing = || Error::new(ErrorCode::DataLoss, "a commit that a later one names is missing");
+        let mut parts = Vec::with_capacity(2);
+        for sequence in [stored.facts_at, stored.poses_at] {
+            let part = store.commit(now.id.clone(), sequence).await?.ok_or_else(missing)?;
+            parts.push(part.record);
+        }
+        Ok(pb::Session {
+            id: now.id,
+            revision: stored.revision,
+            created_at: now.created_at,
+            expires_at: now.expires_at,
+            label: now.label,
+            ..state_facts(&parts[0], &parts[1])?
+        })
     }
 }

@@ -1,4 +1,4 @@
-//! Opens sessions: checks what can be checked for nothing, takes a seat and memory, builds the engine, starts the task.
+//! Opens sessions: checks what can be checked for nothing, takes a session_permit and memory, builds the engine, starts the task.
 
 use crate::asset::FileSet;
 use crate::session::answers::{CallKey, Tenant};
@@ -6,14 +6,14 @@ use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::StoredAnswer;
 use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim, RequestFingerprint};
 use crate::session::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
-use crate::session::calls::session_places::{SessionPlaces, place_of_tenant};
+use crate::session::calls::model_opening::{SessionPlaces, place_of_tenant};
 use crate::session::calls::shared_keys::claim_everywhere;
-use crate::session::capacity::call_line::CallLine;
-use crate::session::capacity::session_lease::SessionLease;
+use crate::session::capacity::call_queue::CallQueue;
+use crate::session::capacity::call_queue::SessionLease;
 use crate::session::capacity::work_watch::CancelOnDrop;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::kept_session::KeptSession;
-use crate::session::keeping::residence::Residence;
+use crate::session::keeping::kept_session::MemoryState;
 use crate::session::registry::{OpenAnimations, OpenSession, OpenStreams, SessionView};
 use crate::session::shared::SharedResources;
 use crate::session::store::{Commit, Generation, HeldSession, NewCommit, NewSession, now_ms};
@@ -264,7 +264,7 @@ pub(in crate::session) fn start_session(
         cancel: Arc::default(),
         closing: CancellationToken::new(),
         ended: CancellationToken::new(),
-        line: CallLine::default(),
+        line: CallQueue::default(),
         view: RwLock::new(Arc::new(view)),
         why: OnceLock::new(),
         leave: AtomicBool::new(false),
@@ -282,10 +282,10 @@ pub(in crate::session) fn start_session(
         build_ms,
         memory: places.memory,
         place: places.of_tenant,
-        seat: places.seat,
+        session_permit: places.session_permit,
         next_stream: 0,
         kept,
-        residence: Residence::Whole,
+        memory_state: MemoryState::Full,
         acting: "pliant".into(),
     };
     task.publish_view();

@@ -5,16 +5,19 @@
 //! what changes a session is in `commits` and `edit`, what reads its shape in `shape`, opening in `create`, stopping in `drain`.
 //!
 //! Calls take values that `wire` has read and checked, and answer with values: no message comes in here, none goes out.
+//!
+//! Who calls: what a tenant may use, and what is noted of what it does.
 
 use crate::asset::FileSet;
 use crate::engine::HandleSet;
 use crate::session::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionList, Tenant};
-use crate::session::audit::audit_entry::AuditedAction;
+use crate::session::audit::audit_entry::{AuditEntry, AuditedAction, note};
 use crate::session::calls::command::{CallOrigin, KeyedCall, QueuedCall, StoredAnswer, TaskCall};
 use crate::session::calls::create::{CreatedSession, create_session};
 use crate::session::calls::idempotency::{ClaimOutcome, IdempotencyKeys, KeyClaim};
 use crate::session::calls::shared_keys::claim_everywhere;
-use crate::session::capacity::call_gate::CallGate;
+use crate::session::capacity::call_queue::CallGate;
+use crate::session::capacity::call_queue::MIN_TTL;
 use crate::session::capacity::compute_slots::ComputeSlots;
 use crate::session::capacity::memory_ledger::MemoryLedger;
 use crate::session::capacity::work_watch::CancelOnDrop;
@@ -22,21 +25,22 @@ use crate::session::config::SessionConfig;
 use crate::session::engine::{EngineOpener, OpenDeformer};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::heartbeat::{be_sure_of_lease, beat, beat_for_ever};
+use crate::session::keeping::kept_session::listed_facts;
 use crate::session::keeping::lease_watch::LeaseWatch;
+use crate::session::keeping::lease_watch::SessionLocks;
 use crate::session::keeping::reopen::{claim_session, reopen_session};
-use crate::session::keeping::session_locks::SessionLocks;
-use crate::session::keeping::stored_list::listed_facts;
 use crate::session::keeping::sweep::sweep_for_ever;
 use crate::session::metrics::Metrics;
-use crate::session::quota::tenant_accounts::TenantAccounts;
+use crate::session::quota::tenant_account::TenantAccounts;
+use crate::session::quota::tenant_account::{QuotaReport, TenantAccount};
 use crate::session::registry::{OpenSession, SessionRegistry};
 use crate::session::shared::SharedResources;
-use crate::session::store::now_ms;
-use crate::session::store::{ReadSessions, StoreError};
+use crate::session::store::{ReadSessions, StoreError, now_ms};
 use crate::wire::{SessionOptions, SessionPage, pb};
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
+use std::sync::atomic::Ordering::SeqCst;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
@@ -120,7 +124,7 @@ impl Manager {
         let ledger = MemoryLedger::new(config.memory_bytes, Arc::clone(&metrics));
         let shared = SharedResources {
             compute: ComputeSlots::new(&config, Arc::clone(&metrics))?,
-            seats: Arc::new(Semaphore::new(config.sessions)),
+            session_permits: Arc::new(Semaphore::new(config.sessions)),
             accounts: TenantAccounts::new(config.quotas.clone(), metrics.refused.clone()),
             animations: Arc::new(Semaphore::new(config.animations)),
             registry: SessionRegistry::default(),
@@ -268,7 +272,7 @@ impl Manager {
                 let audit = self.audit_entry(tenant, AuditedAction::Delete, id);
                 let deleted = store.writable()?.delete(audit, generation).await;
                 if let (Err(StoreError::Moved), Ok(session)) = (&deleted, &session) {
-                    self.shared.lose(session);
+                    self.shared.drop_ownership(session);
                 }
                 deleted?;
                 self.account(tenant)?.uncount_session();
@@ -411,5 +415,61 @@ impl Manager {
 impl std::fmt::Debug for Manager {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "Manager({} sessions)", self.shared.metrics.sessions.get())
+    }
+}
+
+impl Manager {
+    /// The same sessions, with calls noted as those of `who`, a name that authentication gave.
+    #[must_use]
+    pub fn on_behalf_of(&self, who: &Arc<str>) -> Self {
+        Self {
+            shared: Arc::clone(&self.shared),
+            who: Arc::clone(who),
+        }
+    }
+
+    /// The entry that says what the caller does.
+    pub(in crate::session) fn audit_entry(&self, tenant: &Tenant, what: AuditedAction, id: &str) -> AuditEntry {
+        AuditEntry {
+            tenant: tenant.clone(),
+            who: Arc::clone(&self.who),
+            what,
+            session: id.to_owned(),
+        }
+    }
+
+    /// Notes what the caller does.
+    pub(in crate::session) async fn note(&self, tenant: &Tenant, what: AuditedAction, id: &str) {
+        note(&self.shared, self.audit_entry(tenant, what, id)).await;
+    }
+
+    /// What a tenant may use, and what it uses.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED` where too many other tenants use something.
+    pub fn account(&self, tenant: &Tenant) -> Result<Arc<TenantAccount>, Error> {
+        self.shared.accounts.of(tenant)
+    }
+
+    /// The times to live that a tenant's sessions may ask for.
+    ///
+    /// # Errors
+    /// As [`Manager::account`].
+    pub fn ttl_range(&self, tenant: &Tenant) -> Result<RangeInclusive<Duration>, Error> {
+        let longest = self.account(tenant)?.quota().max_ttl;
+        Ok(MIN_TTL..=longest.unwrap_or(self.shared.config.max_ttl))
+    }
+
+    /// What a tenant may use and what it has left.
+    ///
+    /// # Errors
+    /// As [`Manager::account`]; `UNAVAILABLE` when the store does not answer.
+    pub async fn quotas_left(&self, tenant: &Tenant) -> Result<QuotaReport, Error> {
+        let account = self.account(tenant)?;
+        let stored = match (&self.shared.store, account.stored_quota()) {
+            (Some(store), Some(_)) => store.stored_bytes(tenant.clone()).await?,
+            _ => 0,
+        };
+        Ok(account.report(stored))
     }
 }

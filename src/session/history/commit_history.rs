@@ -6,7 +6,7 @@
 
 use crate::engine::{HandlePoses, HandleSet, ModelShape, TopologyState};
 use crate::session::answers::CommitFacts;
-use crate::session::history::commit_list::CommitList;
+use crate::session::history::session_state::CommitList;
 use crate::session::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, PosedState, RecordedShapeId, SessionState, ShapeRecipe,
 };

@@ -6,8 +6,8 @@ use crate::engine::{
     SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
 };
 use crate::exec::Exec;
-use crate::session::capacity::work_span::tell_solve;
 use crate::session::capacity::work_watch::Work;
+use crate::session::capacity::work_watch::report_solve;
 use crate::session::engine::Engine;
 use crate::session::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, PosedState, SessionState, ShapeRecipe,
@@ -277,7 +277,7 @@ impl LoadedDeformer {
     ) -> Result<SolvedShape, Error> {
         exec.check()?;
         let solved = self.engine.solve(poses, settings, mode, exec, watch)?;
-        tell_solve(solved.cycles, solved.residual, solved.positions.len());
+        report_solve(solved.cycles, solved.residual, solved.positions.len());
         Ok(solved)
     }
 

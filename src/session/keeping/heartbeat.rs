@@ -79,7 +79,7 @@ async fn let_go_of_lost(shared: &SharedResources, ownership: &dyn SessionOwnersh
     let held = ownership.held().await?;
     for session in here {
         if held.get(&session.id) != Some(&session.held.generation) {
-            shared.lose(&session);
+            shared.drop_ownership(&session);
         }
     }
     Ok(())

@@ -6,14 +6,14 @@ use crate::exec::Exec;
 use crate::session::answers::Tenant;
 use crate::session::calls::create::{SessionOwner, start_session};
 use crate::session::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
-use crate::session::calls::session_places::{OpeningRefusal, SessionPlaces, count_refusal, no_place};
+use crate::session::calls::model_opening::{OpeningRefusal, SessionPlaces, count_refusal, no_place};
 use crate::session::capacity::compute_slots::WorkLane;
-use crate::session::capacity::work_span::{WorkKind, WorkSpan};
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
+use crate::session::capacity::work_watch::{WorkKind, WorkSpan};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::kept_session::KeptSession;
-use crate::session::keeping::made_room::make_room;
 use crate::session::keeping::replay::{Replay, ReplayError, ReplayedLog};
+use crate::session::keeping::sweep::evict_idle;
 use crate::session::registry::OpenSession;
 use crate::session::shared::SharedResources;
 use crate::session::store::{
@@ -165,7 +165,7 @@ async fn open_stored(
             Ok(replayed) => break replayed,
             Err(OpeningRefusal::Other(error)) => return Err(error),
             Err(OpeningRefusal::TenantMemory(error) | OpeningRefusal::ServerMemory(error)) => {
-                if !make_room(shared, None).await {
+                if !evict_idle(shared, None).await {
                     return Err(count_refusal(shared, error));
                 }
             }

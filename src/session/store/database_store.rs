@@ -1,8 +1,8 @@
 //! The store on a database and a folder of objects.
 
 use super::location::FolderHold;
-use super::loose_objects::{NAMED_WITHIN, announce};
 use super::objects::Objects;
+use super::objects::{NAMED_WITHIN, announce};
 use super::reading;
 use super::session_store::{
     Commit, Generation, HeldSession, KeepSessions, ListedSession, LoggedKey, NewCommit, NewSession, ReadSessions,

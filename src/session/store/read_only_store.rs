@@ -6,8 +6,8 @@ use super::location::{FolderHold, StoreLocation, existing_database, make_private
 use super::newest_write::find_lost_writes;
 use super::objects::Objects;
 use super::reading::unreadable;
-use super::rows::{column, signed, unsigned};
 use super::schema::{Dialect, TABLES, known_identity, known_version, migrate, version};
+use super::schema::{column, signed, unsigned};
 use super::session_store::{Commit, ListedSession, ReadSessions, StoreError, Stored, StoredFacts, StoredSession};
 use super::{build_identity, reading};
 use crate::session::answers::Tenant;

@@ -1,7 +1,7 @@
 //! What is read from the database.
 
-use super::rows::{COMMIT_COLUMNS, CommitRow, check_format, column, signed, unsigned};
 use super::schema::Dialect;
+use super::schema::{COMMIT_COLUMNS, CommitRow, check_format, column, signed, unsigned};
 use super::session_store::{Commit, ListedSession, LoggedKey, StoreError, StoredFacts, StoredSession, StoredSnapshot};
 use super::write_order::session_checksum;
 use crate::session::answers::Tenant;

@@ -1,6 +1,6 @@
 //! What is written, statement by statement. The writer decides what goes into one transaction.
 
-use super::rows::{CommitRow, RECORD_FORMAT, checksum, column, signed};
+use super::schema::{CommitRow, RECORD_FORMAT, checksum, column, signed};
 use super::session_store::{Generation, HeldSession, NewCommit, NewSession, StoreError, UsedSession, now_ms};
 use crate::session::answers::Tenant;
 use crate::session::audit::audit_entry::AuditEntry;

@@ -8,8 +8,8 @@
 //! the files are those that were opened: a folder that was moved away still takes writes, which are then lost.
 
 use super::connection::WritingConnection;
-use super::loose_objects::note_loose;
 use super::newest_write::{NewestWrite, number_transaction};
+use super::objects::note_loose;
 use super::session_store::StoreError;
 use super::write_order::{UncertainCommit, WriteOrder, undo_uncertain};
 use sqlx::{AnyConnection, Connection as _};

@@ -1,6 +1,5 @@
 //! The state of a stream, driven without a session: whatever the order of events, its counts balance and it stays bounded.
 
-use super::super::waiting_poses::WAITING_DRAGS;
 use super::*;
 use crate::engine::HandlePose;
 use crate::wire::pb;

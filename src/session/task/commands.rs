@@ -1,26 +1,35 @@
 //! The calls that a session's task serves, one at a time.
+//!
+//! Edits of the topology by a session's task.
+//!
+//! What a session's task does for an animation: it prepares it.
 
-use crate::engine::{self, ModelShape, TopologyState};
+use crate::engine::{ClipSource, ModelShape, TopologyState};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
 use crate::progress::Progress as _;
+use crate::session::animation::frame_outbox::PreparedAnimation;
+use crate::session::animation::frame_outbox::StageReporter;
 use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel};
 use crate::session::calls::command::{
-    CallOrigin, ExportModel, HistoryDirection, QueuedCall, RecallPose, SessionCommand, TaskCall, WorkOrder,
+    CallOrigin, ExportModel, HandleChange, HistoryDirection, PrepareAnimation, QueuedCall, RecallPose, SessionCommand,
+    TaskCall, WorkOrder,
 };
-use crate::session::calls::handle_change::HandleChange;
+use crate::session::calls::model_opening::memory_needed;
 use crate::session::capacity::compute_slots::WorkLane;
-use crate::session::capacity::work_span::WorkKind;
-use crate::session::capacity::work_watch::Work;
+use crate::session::capacity::memory_ledger::MemoryShortage;
+use crate::session::capacity::work_watch::{Work, WorkKind, WorkWatch};
 use crate::session::engine::Engine;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::loaded_deformer::{LoadedDeformer, PoseAnswer};
 use crate::session::history::session_state::{CommittedHandles, SessionState, ShapeRecipe};
+use crate::session::keeping::sweep::evict_idle;
 use crate::session::registry::OpenSession;
 use crate::session::stream::frame_window::FrameContext;
 use crate::session::task::session_task::{SessionTask, no_handles};
 use crate::wire::record::LoggedCommit;
-use crate::wire::{CarryOrder, DeformOptions, PoseCommit, pb};
+use crate::wire::{CarryOrder, DeformOptions, PoseCommit, SessionEdit, pb};
+use crate::{engine, wire};
 use glam::DVec3;
 use std::sync::Arc;
 use std::time::Instant;
@@ -313,4 +322,125 @@ fn carry_order_along(
         None => Vec::new(),
     };
     Ok((frames, model))
+}
+
+impl SessionTask {
+    /// Of a change that takes more memory than is free now, but not more than the server has, that it may fit later.
+    pub fn memory_failure(&self, error: engine::Error, room: u64, watch: &WorkWatch) -> Error {
+        match memory_needed(&error, room).filter(|needed| *needed <= self.shared.ledger.total()) {
+            Some(needed) => {
+                self.shared.metrics.refused.inc();
+                let shortage = self.memory.shortage(needed);
+                let text = format!(
+                    "the session would need {needed} bytes of memory, and {shortage}; {} of them are the session's own",
+                    self.memory.bytes()
+                );
+                Error::exhausted(text, 5)
+            }
+            None => self.failure(error, watch),
+        }
+    }
+
+    /// Whether a change that found too little memory free may try again, because idle sessions have left it meanwhile.
+    pub async fn found_room(&mut self, error: &engine::Error, room: u64) -> bool {
+        let needed = memory_needed(error, room).filter(|needed| *needed <= self.shared.ledger.total());
+        let Some(shortage) = needed.map(|needed| self.memory.shortage(needed)) else {
+            return false;
+        };
+        let of_tenant = matches!(shortage, MemoryShortage::Tenant { .. }).then_some(&self.session.tenant);
+        evict_idle(&self.shared, of_tenant).await
+    }
+}
+
+impl RunCall for SessionEdit {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::EditResult, Error> {
+        let limit = task.shared.config.build;
+        let edit = Arc::new(self);
+        let (edited, shape, mut report, watch) = loop {
+            let state = task.history.current().clone();
+            let (shape, recipe) = (task.history.shape(state.shape), task.history.recipe(state.shape));
+            // What the other sessions leave, now: the engine was opened when there was more or less.
+            let room = task.memory.room();
+            let edit = Arc::clone(&edit);
+            let (done, watch) = task
+                .compute(
+                    origin.order(WorkKind::Edit, WorkLane::Builds, limit),
+                    move |deformer, work| {
+                        deformer.room = room;
+                        deformer.edit_state(&state, shape.ok(), &recipe, &edit, &work.exec())
+                    },
+                )
+                .await?;
+            match done {
+                Ok((edited, shape, report)) => break (edited, shape, report, watch),
+                Err(e) if task.found_room(&e, room).await => {}
+                Err(e) => return Err(task.memory_failure(e, room, &watch)),
+            }
+        };
+        let ms = watch.take_stage_ms();
+        task.shared.metrics.observe_stages(&ms);
+        let kept_edit = task.kept.is_some().then(|| Arc::unwrap_or_clone(edit));
+        task.keep_edit(kept_edit, &edited, (&shape, &report), origin.claim.as_ref())
+            .await?;
+        task.history.commit_edit(edited, shape);
+        if let Some(deformer) = &mut task.deformer {
+            deformer.adopt_handles(task.history.current().handles.id);
+        }
+        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        task.shared.metrics.commits.inc();
+        task.publish_view();
+        report.revision = task.history.revision();
+        report.ms = ms;
+        Ok(report)
+    }
+}
+
+/// Bytes of memory for each byte of a clip while it is read: a number of two digits is a number, and becomes part of a rotation.
+const BYTES_PER_CLIP_BYTE: u64 = 16;
+
+/// Handles, shape and history stay as they are.
+impl RunCall for PrepareAnimation {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<PreparedAnimation, Error> {
+        let Self { order, outbox } = self;
+        let revision = task.history.revision();
+        let topology = task.history.current().topology.clone();
+        let limits = task.shared.config.animation_limits();
+        if let ClipSource::Bvh { bytes, .. } = &order.request.clip {
+            let needed = (bytes.len() as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
+            let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
+            reserved.map_err(|shortage| {
+                task.shared.metrics.refused.inc();
+                let text = format!("reading the clip would need {needed} bytes of memory, and {shortage}");
+                Error::exhausted(text, 5)
+            })?;
+        }
+        let (prepared, watch) = task
+            .compute(
+                origin.order(WorkKind::Animate, WorkLane::Builds, task.shared.config.build),
+                move |deformer, work| {
+                    let reporter = StageReporter {
+                        outbox: &outbox,
+                        watch: work.watch,
+                    };
+                    let exec = &Exec::new(work.pool, &reporter);
+                    deformer.go_to_topology(topology.as_ref(), exec)?;
+                    let prepared = deformer.engine.prepare_animation(&order.request, &limits, exec);
+                    let animation = prepared.map_err(|e| wire::of_rig(e.into()))?;
+                    let is_shaded = order.output.normals || order.output.tangents;
+                    let shader = is_shaded.then(|| deformer.shader());
+                    Ok::<_, wire::Error>((animation, shader))
+                },
+            )
+            .await?;
+        let (animation, shader) = prepared.map_err(|error| match error {
+            wire::Error::Cancelled => task.failure(engine::Error::Cancelled, &watch),
+            error => error.into(),
+        })?;
+        Ok(PreparedAnimation {
+            animation,
+            shader,
+            revision,
+            build_ms: watch.take_stage_ms(),
+        })
+    }
 }
