@@ -15,6 +15,7 @@ mod listen;
 mod messages;
 mod openapi;
 mod redirect;
+mod reload;
 mod request_filter;
 mod response_watchdog;
 pub mod sample;
@@ -62,7 +63,7 @@ pub async fn run(
     let tls = tls.map_err(Error::Start)?;
     let state = state::ServerState::new(manager, config, tls).map_err(Error::Start)?;
     let dispatch = dispatch::Dispatch::new(&state).await.map_err(Error::Start)?;
-    let watcher = tokio::spawn(tls::follow_files(state.clone()));
+    let watcher = tokio::spawn(reload::follow_files(state.clone()));
     listen::serve(listener, state, dispatch, shutdown).await;
     watcher.abort();
     Ok(())

@@ -18,6 +18,14 @@ impl Default for Tenant {
     }
 }
 
+/// Whose work it is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::session) struct WorkOwner {
+    pub tenant: Tenant,
+    /// Empty for sessions that are being opened: those of one tenant share a line.
+    pub session: String,
+}
+
 /// An answer, and whether it was given before.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KeyedAnswer<T> {

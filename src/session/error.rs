@@ -1,6 +1,5 @@
-//! The errors of calls, and the one table from failures to status codes of every transport.
-//!
-//! Where a session is when it is not here.
+//! The errors of calls, and the one table from failures to status codes of every transport; with where a session is when it is
+//! at another node.
 
 use crate::{asset, engine, motion, wire};
 use std::fmt;

@@ -1,8 +1,8 @@
 //! Sessions: models held open, their commits, and the interactive stream.
 //!
 //! Owns what lives between two requests: the registry of sessions, the task of each session, memory and compute budgets,
-//! idempotency keys, expiry. Knows nothing of transports and no message: `server` has `wire` read a request, calls [`Manager`] with
-//! values of the engine, and writes the answer. Deforms nothing: that is the engine's
+//! idempotency keys, expiry. Knows nothing of transports: `server` has `wire` read a request and calls [`Manager`] with values of the
+//! engine. Facts of a session, reports of edits and headers of frames are the schema's messages. Deforms nothing: that is the engine's
 //! [`Deformer`](crate::engine::Deformer), behind [`Engine`].
 //!
 //! One task owns each session and is the only one that touches its engine. Work moves the engine to the compute pool and back;

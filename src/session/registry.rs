@@ -7,10 +7,9 @@
 use crate::asset::Format;
 use crate::engine::HandlePoses;
 use crate::progress::CancelFlag;
-use crate::session::answers::Tenant;
+use crate::session::answers::{Tenant, WorkOwner};
 use crate::session::calls::command::SessionCommand;
 use crate::session::capacity::call_queue::{CallQueue, SessionLease};
-use crate::session::capacity::work_watch::WorkOwner;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::ShownCommits;

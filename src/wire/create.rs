@@ -243,8 +243,8 @@ mod tests {
                 "{text}"
             );
         }
-        let told = read("3h").expect_err("too long").to_string();
-        assert_eq!(told, "ttl: \"3h\" is out of range, 1s to 2h is allowed");
+        let reported = read("3h").expect_err("too long").to_string();
+        assert_eq!(reported, "ttl: \"3h\" is out of range, 1s to 2h is allowed");
     }
 
     #[test]
@@ -263,10 +263,10 @@ mod tests {
             (r#"{"parts": "SEPARATE", "keepApart": {}}"#, "keepApart"),
             (r#"{"parts": 7}"#, "parts"),
         ] {
-            let told = read(text).expect_err(text);
+            let reported = read(text).expect_err(text);
             assert!(
-                matches!(&told, Error::Invalid { field: at, .. } if at == field),
-                "{text}: {told}"
+                matches!(&reported, Error::Invalid { field: at, .. } if at == field),
+                "{text}: {reported}"
             );
         }
     }

@@ -1,6 +1,7 @@
 //! Edits as messages and as values of the engine: their names in JSON, what they did, and what a job expects of a result.
 
 use super::check::{enumerated, number, plane, points, positive};
+use super::edit_kind::edit_kind_name;
 use super::facts::warning_message;
 use super::handles::region;
 use super::{Error, pb};
@@ -235,21 +236,6 @@ fn placement(values: &[f64]) -> Result<DMat4, Error> {
         return Err(Error::invalid(field, problem));
     }
     Ok(matrix)
-}
-
-/// Returns the JSON name of a kind of edit.
-pub fn edit_kind_name(kind: EditKind) -> &'static str {
-    match kind {
-        EditKind::Cut => "cut",
-        EditKind::Subdivide => "subdivide",
-        EditKind::Decimate => "decimate",
-        EditKind::Delete => "delete",
-        EditKind::Fill => "fill",
-        EditKind::Remesh => "remesh",
-        EditKind::Merge => "merge",
-        EditKind::InsertCurve => "insertCurve",
-        EditKind::Weld => "weld",
-    }
 }
 
 impl pb::Expect {

@@ -1,6 +1,6 @@
 //! What can be wrong with a request.
 
-use super::edit::edit_kind_name;
+use super::edit_kind::edit_kind_name;
 use crate::edit::{EditSubject, Error as Refused, ErrorPlace, shown_count};
 use crate::engine::{self, InputPlace, RegionPlace};
 use crate::{asset, motion};

@@ -223,10 +223,10 @@ mod following_tests {
             (r#"{"boneLengths": 7}"#, "boneLengths"),
             (&many, "rigidChains"),
         ] {
-            let told = read(text).expect_err(text);
+            let reported = read(text).expect_err(text);
             assert!(
-                matches!(&told, Error::Invalid { field: at, .. } if at == field),
-                "{told}"
+                matches!(&reported, Error::Invalid { field: at, .. } if at == field),
+                "{reported}"
             );
         }
     }

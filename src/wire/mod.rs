@@ -8,6 +8,7 @@ mod calls;
 mod check;
 mod create;
 mod edit;
+mod edit_kind;
 mod error;
 mod facts;
 pub mod frames;
@@ -26,8 +27,8 @@ pub use animate::{
 };
 pub use calls::{PoseCommit, SessionEdit, SessionPage, page_token, pose_commit, session_edit, session_page};
 pub use create::{SessionOptions, open_options, session_options};
-pub use edit::edit_kind_name;
 pub use edit::{edit, edit_name, edit_result};
+pub use edit_kind::edit_kind_name;
 pub use error::Error;
 pub use facts::followed_message;
 pub use facts::{handle_poses_message, quality_message, session_message, warning_message};

@@ -4,10 +4,11 @@
 
 mod authenticator;
 mod jwt;
+mod tokens;
 
 pub use authenticator::AuthConfig;
 pub(super) use authenticator::Authenticator;
-pub use authenticator::{LONGEST_TOKEN, TokenEntry, parse_expiry, token_digest};
-pub(super) use authenticator::{Principal, principal};
 pub(super) use jwt::JwtVerifier;
 pub use jwt::{JwtConfig, KeySource};
+pub use tokens::{LONGEST_TOKEN, TokenEntry, parse_expiry, token_digest};
+pub(super) use tokens::{Principal, principal};

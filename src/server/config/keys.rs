@@ -1,6 +1,5 @@
-//! The keys of the configuration, written down once for the command line, the file and the environment, and the tables of the file.
-//!
-//! Sizes and times as people write them in a configuration.
+//! The keys of the configuration, written down once for the command line, the file and the environment; the tables of the file; sizes
+//! and times as people write them.
 
 use crate::session::TenantQuota;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};

@@ -1,11 +1,9 @@
-//! How connections are treated, and the keys of TLS.
-//!
-//! The keys that concern sessions, and those of a server that is one of several nodes.
+//! The keys of connections, TLS, sessions and nodes that share a store, checked into typed values.
 
 use super::Error;
+use super::auth_settings::auth_from_keys;
 use super::keys::KeyValue;
 use super::keys::{ByteSize, TimeSpan};
-use super::settings::auth_from_keys;
 use super::sources::MergedKeys;
 use crate::server::auth::AuthConfig;
 use crate::server::request_filter::{Hosts, Origins};

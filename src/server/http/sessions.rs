@@ -1,8 +1,5 @@
-//! The calls on sessions that answer with JSON, and a solve, which may answer with a vertex buffer or the deformed model.
-//!
-//! A clip that drives a session's model: its frames in a row, or a GLB that plays it.
-//!
-//! The body is a form with the parts `options` (AnimateOptions as JSON) and `clip` (a BVH file), or the options alone.
+//! The calls on sessions that answer with JSON; a solve, which may answer with a vertex buffer or the deformed model; and a clip that
+//! drives a session's model, as frames in a row or as a GLB that plays it.
 
 use super::problem::{Problem, clip, clip as shortened};
 use super::request::{Caller, SessionCall, negotiate, parameters};

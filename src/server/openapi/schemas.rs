@@ -1,9 +1,6 @@
-//! JSON Schemas of the messages, as canonical proto-JSON writes them.
-//!
-//! Examples of calls: bodies, parameters, and samples in curl and Python. They fit a session with the built-in creature, one after
-//! the other in the order of the route table, deletions last; tests run all samples.
-//!
-//! Which statuses each operation answers with.
+//! What `/openapi.json` says of messages and answers: JSON Schemas as canonical proto-JSON writes them, statuses by operation, and
+//! examples in curl and Python. Examples fit a session with the built-in creature, one after the other in the order of the route
+//! table, deletions last; tests run all of them.
 
 use crate::server::http::Route;
 use prost_reflect::prost_types::FileDescriptorProto;
@@ -268,7 +265,7 @@ pub(super) fn other_successes(route: &Route) -> Vec<u16> {
 pub(super) fn refusals(route: &Route) -> BTreeSet<u16> {
     let mut all = BTreeSet::from(EVERYWHERE);
     if !is_about_the_server(route) {
-        // A state that hinders it, more than the limits allow, what means nothing, a caller that has left, what is not done here.
+        // A state that prevents it, more than the limits allow, what means nothing, a caller that has left, what is not done here.
         all.extend([409, 413, 422, 499, 501]);
     }
     if ["post", "put", "patch"].contains(&route.method) {

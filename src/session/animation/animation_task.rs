@@ -1,8 +1,5 @@
-//! The task of one animation: has it prepared, then solves its frames one by one.
-//!
-//! The place of an animation under way among the others.
-//!
-//! All frames of an animation as one model that plays them.
+//! The task of one animation: it prepares the animation and solves its frames one by one, for a reader or as one model that plays
+//! them.
 
 use crate::engine;
 use crate::engine::{FrameCursor, FrameSource, FrameSums, PlayedForm, digest};
@@ -11,12 +8,12 @@ use crate::motion::rig::RigidMotion;
 use crate::pool::Pool;
 use crate::progress::Progress as _;
 use crate::session::animation::frame_outbox::{AnimationReader, FrameOutbox, PreparedAnimation};
-use crate::session::answers::{AnimatedModel, AnimationAnswer};
+use crate::session::answers::{AnimatedModel, AnimationAnswer, WorkOwner};
 use crate::session::calls::command::PrepareAnimation;
 use crate::session::calls::manager::Manager;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;
-use crate::session::capacity::work_watch::{CancelOnDrop, WorkKind, WorkOwner, WorkSpan, WorkWatch};
+use crate::session::capacity::work_watch::{CancelOnDrop, WorkKind, WorkSpan, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::{GaugeUnit, Metrics};
 use crate::session::quota::tenant_account::{TenantAccount, TenantStream};

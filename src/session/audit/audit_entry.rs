@@ -1,9 +1,6 @@
 //! One entry of the trail.
-//!
-//! Records what is not a commit: streams, exports, ends without a store.
 
 use crate::session::answers::Tenant;
-use crate::session::shared::SharedResources;
 use crate::wire::record::LoggedCommit;
 use std::fmt;
 use std::sync::Arc;
@@ -132,28 +129,4 @@ pub struct StoredAuditEntry {
     pub action: String,
     /// The session concerned.
     pub session: String,
-}
-
-/// Records an action. When the store does not answer, the call continues and the entry goes to the log as an error.
-pub(in crate::session) async fn note(shared: &SharedResources, entry: AuditEntry) {
-    let Some(store) = &shared.store else { return entry.log() };
-    // A store that is only read records nothing.
-    let Ok(store) = store.writable() else { return };
-    if let Err(error) = store.audit(entry.clone()).await {
-        shared.metrics.store_failures.inc();
-        let AuditEntry {
-            tenant,
-            who,
-            what,
-            session,
-        } = entry;
-        tracing::error!(
-            target: "pliant::audit",
-            tenant = &*tenant.0,
-            caller = &*who,
-            action = what.name(),
-            session.id = %session,
-            "{what} by {who} could not be noted in the store: {error}"
-        );
-    }
 }

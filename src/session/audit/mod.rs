@@ -2,3 +2,4 @@
 //! without one, a log line.
 
 pub(in crate::session) mod audit_entry;
+pub(in crate::session) mod audit_trail;

@@ -1,9 +1,5 @@
-//! The calls that commit: handles, poses, undo and redo.
-//!
-//! The call that edits a session's topology.
-//!
-//! Answers of calls with an idempotency key from before the server was started again. What a call answered follows from its
-//! commit, so the commit alone is kept.
+//! The calls that commit: handles, poses, edits, undo and redo. What a call with an idempotency key answered follows from its commit,
+//! so the commit alone is kept, and the answer is made again from it.
 
 use crate::asset::FileSet;
 use crate::engine::{Edit, HandleSet};

@@ -1,4 +1,4 @@
-//! Opens sessions: checks what can be checked for nothing, takes a session_permit and memory, builds the engine, starts the task.
+//! Opens sessions: checks what can be checked for nothing, takes a permit and memory, builds the engine, starts the task.
 
 use crate::asset::FileSet;
 use crate::session::answers::{CallKey, Tenant};

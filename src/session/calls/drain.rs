@@ -1,7 +1,5 @@
-//! How a server stops: reject new work, notify open streams, wait, then end.
-//!
-//! Which node takes a new session: it goes where there is room, and a node that is about to stop sends clients to
-//! another one.
+//! How a server stops: reject new work, notify open streams, wait, then end. A new session goes to a node where there is room, and a
+//! node that is about to stop sends clients to another one.
 
 use crate::session::calls::manager::Manager;
 use crate::session::error::Error;
@@ -41,7 +39,7 @@ impl Manager {
             for mailbox in session.streams.all() {
                 mailbox.leave(GOING_AWAY);
             }
-            // Where other nodes wait for it, it goes as soon as nobody uses it.
+            // Where other nodes wait for it, it goes as soon as it is unused.
             session.wake.notify_one();
         }
         let shared = Arc::clone(&self.shared);

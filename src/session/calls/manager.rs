@@ -2,16 +2,17 @@
 //!
 //! A call finds its session (404), claims its idempotency key, hands a command to the session's task and waits for the answer.
 //! What only reads the published view needs no task. Here are the sessions themselves and what all calls have in common;
-//! what changes a session is in `commits` and `edit`, what reads its shape in `shape`, opening in `create`, stopping in `drain`.
+//! what changes a session is in `commits`, what reads its shape in `shape`, opening in `create`, stopping in `drain`.
 //!
-//! Calls take values that `wire` has read and checked, and answer with values: no message comes in here, none goes out.
+//! Calls take values that `wire` has read and checked; those that describe a session or an edit answer with its message.
 //!
 //! Who calls: what a tenant may use, and what is noted of what it does.
 
 use crate::asset::FileSet;
 use crate::engine::HandleSet;
 use crate::session::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionList, Tenant};
-use crate::session::audit::audit_entry::{AuditEntry, AuditedAction, note};
+use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
+use crate::session::audit::audit_trail::note;
 use crate::session::calls::command::{CallOrigin, KeyedCall, QueuedCall, StoredAnswer, TaskCall};
 use crate::session::calls::create::{CreatedSession, create_session};
 use crate::session::calls::idempotency::{ClaimOutcome, IdempotencyKeys, KeyClaim};
@@ -257,7 +258,7 @@ impl Manager {
     /// `NOT_FOUND`.
     pub async fn delete(&self, tenant: &Tenant, id: &str) -> Result<(), Error> {
         let _inside = self.shared.gate.enter();
-        // Nobody brings it into memory meanwhile.
+        // No call brings it into memory meanwhile.
         be_sure_of_lease(&self.shared).await;
         let lock = self.shared.locks.lock(id).await;
         let session = self.shared.registry.find(tenant, id);

@@ -1,6 +1,5 @@
-//! Builds the engine of a session on the compute pool, within what its tenant and the server have left.
-//!
-//! What a session takes before it is opened: a session_permit among all sessions, memory, and a place among those of its tenant.
+//! Reserves what a session takes, a permit, memory and a place among those of its tenant, and builds its engine on the compute pool
+//! within that.
 
 use crate::asset::FileSet;
 use crate::engine::{ESTIMATED_MEMORY, HandleSet, OpenOptions, digest};
@@ -236,7 +235,7 @@ pub(in crate::session) struct SessionPlaces {
 }
 
 impl SessionPlaces {
-    /// Takes a place among the sessions of the tenant, a session_permit, and the memory that a model of `upload` bytes is likely to need. Idle
+    /// Takes a place among the sessions of the tenant, a permit, and the memory that a model of `upload` bytes is likely to need. Idle
     /// sessions that are kept make room for it.
     ///
     /// # Errors

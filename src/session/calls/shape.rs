@@ -1,18 +1,15 @@
-//! The calls that read a session's shape, and the stream that deforms it.
-//!
-//! The calls that animate a session's model.
+//! The calls that read a session's shape, the stream that deforms it, and the calls that animate its model.
 
 use crate::asset::Format;
 use crate::session::animation::AnimationTask;
 use crate::session::animation::animation_task::RunningAnimation;
 use crate::session::animation::animation_task::gather_clip;
 use crate::session::animation::frame_outbox::{AnimationControl, AnimationReader, FrameOutbox, animation_ends};
-use crate::session::answers::{AnimatedModel, CarriedAlong, ExportedModel, PositionBuffer, Tenant};
+use crate::session::answers::{AnimatedModel, CarriedAlong, ExportedModel, PositionBuffer, Tenant, WorkOwner};
 use crate::session::audit::audit_entry::AuditedAction;
 use crate::session::calls::command::ExportModel;
 use crate::session::calls::manager::Manager;
 use crate::session::capacity::memory_use::MemoryUse;
-use crate::session::capacity::work_watch::WorkOwner;
 use crate::session::error::Error;
 use crate::session::registry::OpenSession;
 use crate::session::stream::ends::DeformStream;

@@ -14,8 +14,8 @@
 //! synchronisation and cold caches. Results are bit-identical for any number of threads.
 
 use crate::pool::{Pool, PoolError};
+use crate::session::answers::WorkOwner;
 use crate::session::capacity::fair_line::{FairLine, LinePermit, LinePlace, LineRefusal, LineSlots, TurnClass};
-use crate::session::capacity::work_watch::WorkOwner;
 use crate::session::capacity::work_watch::WorkSpan;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
@@ -372,7 +372,7 @@ impl ComputeSlot {
             let result = caught(|| span.in_scope(|| work(&inside)));
             metrics.observe_work(kind.name(), begun.elapsed());
             drop((busy, span));
-            // Free before the result is told, so that whoever gets the result finds the slot free.
+            // Free before the result is sent, so that the caller finds the slot free.
             drop((threads, permit));
             let _ = give.send(result);
         });

@@ -10,8 +10,7 @@
 //! Waiting work in the order of turns: tenants take turns, in a tenant its sessions, and in a session the oldest is
 //! first.
 
-use crate::session::answers::Tenant;
-use crate::session::capacity::work_watch::WorkOwner;
+use crate::session::answers::{Tenant, WorkOwner};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -215,7 +214,7 @@ impl FairLine {
             }
             TurnClass::Other => {
                 let own = others.waiting.rank(owner) + 1;
-                // Drags ask for the next turn when they have had one, so that those which wait now tell nothing.
+                // Drags ask for the next turn when they have had one, so that those which wait now say nothing about demand.
                 let turn = others.mean + state.drags_between * drags.mean;
                 (own as f64 * turn, self.slots.all)
             }

@@ -1,13 +1,8 @@
-//! Why a piece of work should stop, and what it reported.
-//!
-//! Spans of pieces of work, to trace a call through the server.
-//!
-//! Whose work it is.
+//! A piece of work: whose it is, its span, what it reported, and why it should stop.
 
 use crate::exec::Exec;
 use crate::pool::Pool;
 use crate::progress::{CancelFlag, Progress, Silent};
-use crate::session::answers::Tenant;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::stage_clock::StageClock;
 use std::collections::BTreeMap;
@@ -218,14 +213,6 @@ pub(in crate::session) fn report_solve(cycles: u32, residual: f64, vertices: usi
 /// Records the size of the model in the current span.
 pub(in crate::session) fn report_vertices(vertices: usize) {
     Span::current().record("vertices", i64::try_from(vertices).unwrap_or(i64::MAX));
-}
-
-/// Whose work it is.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(in crate::session) struct WorkOwner {
-    pub tenant: Tenant,
-    /// Empty for sessions that are being opened: those of one tenant share a line.
-    pub session: String,
 }
 
 #[cfg(test)]

@@ -1,6 +1,5 @@
-//! When a node of several had a word with the store that they share.
-//!
-//! One lock for each session that is on its way into memory or out of it.
+//! When a node of several last heard from the store that they share, and one lock for each session that is on its way into memory or
+//! out of it.
 
 use dashmap::DashMap;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -159,7 +159,7 @@ async fn open_stored(
         snapshot: read_snapshot(store, &stored).await,
         commits: stored.commits,
     });
-    let (opened, kept, anew) = loop {
+    let (opened, kept, rerecorded) = loop {
         let opened = open_model(shared, &places, model.clone(), arrived, &guard).await?;
         match replay_log(shared, store, (opened, Arc::clone(&log)), &places, &guard).await {
             Ok(replayed) => break replayed,
@@ -173,18 +173,18 @@ async fn open_stored(
     };
     // Counted even where it breaks the budget: the session was admitted before.
     let _ = places.memory.resize(opened.held);
-    if !anew.is_empty() {
+    if !rerecorded.is_empty() {
         tracing::warn!(
             session.id = %owner.id,
             "{} commits of another build or processor were made again and recorded with this one's digests",
-            anew.len()
+            rerecorded.len()
         );
         let session = HeldSession {
             id: owner.id.clone(),
             generation,
         };
         if let Ok(store) = store.writable() {
-            store.rerecord_digests(session, kept.build.clone(), anew).await?;
+            store.rerecord_digests(session, kept.build.clone(), rerecorded).await?;
         }
     }
     let session = start_session(shared, (owner, generation), opened, places, Some(kept));
@@ -273,10 +273,10 @@ async fn replay_log(
             kept: &mut kept,
             room,
             exec: &Exec::new(pool, &*inner_watch),
-            anew: Vec::new(),
+            rerecorded: Vec::new(),
         };
         replay.follow(&log, limit)?;
-        let anew = std::mem::take(&mut replay.anew);
+        let rerecorded = std::mem::take(&mut replay.rerecorded);
         let held = deformer.byte_size().saturating_add(history.byte_size());
         let opened = OpenedModel {
             graph_bytes,
@@ -285,7 +285,7 @@ async fn replay_log(
             build_ms,
             held,
         };
-        Ok((opened, kept, anew))
+        Ok((opened, kept, rerecorded))
     });
     let done = done.await.map_err(|panicked| {
         tracing::error!(panic = panicked.0, "following a stored session panicked");

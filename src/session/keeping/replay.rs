@@ -64,7 +64,7 @@ pub(in crate::session) struct Replay<'a> {
     pub room: u64,
     pub exec: &'a Exec<'a>,
     /// New digests to be recorded.
-    pub anew: Vec<(u64, String)>,
+    pub rerecorded: Vec<(u64, String)>,
 }
 
 /// What the moves along the commits come to, before anything is done: which commits can be gone to, and how far back undo ever went.
@@ -105,7 +105,7 @@ impl Replay<'_> {
         };
         let rest = self.history.current().digest.clone();
         if self.is_new(first, &rest, || true)? {
-            self.anew.push((first.sequence, rest));
+            self.rerecorded.push((first.sequence, rest));
         }
         let reachable = reachable(&log.commits, limit)?;
         self.history.set_limit(limit.max(reachable.depth));
@@ -245,8 +245,8 @@ impl Replay<'_> {
     ) -> Result<String, ReplayError> {
         let now = digest(positions);
         let is_close = || probe.is_close_to(positions, OTHER_BUILD * diagonal);
-        if self.is_new(stored, &now, is_close)? && !self.anew.iter().any(|(n, _)| *n == stored.sequence) {
-            self.anew.push((stored.sequence, now.clone()));
+        if self.is_new(stored, &now, is_close)? && !self.rerecorded.iter().any(|(n, _)| *n == stored.sequence) {
+            self.rerecorded.push((stored.sequence, now.clone()));
         }
         Ok(now)
     }

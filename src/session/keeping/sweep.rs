@@ -1,6 +1,5 @@
-//! What is done for stored sessions from time to time: uses are noted, those whose time is over go, old keys are forgotten.
-//!
-//! Idle sessions that are kept leave memory before a new one is refused.
+//! What is done for stored sessions from time to time: uses are noted, expired sessions and old keys are removed, and idle sessions
+//! leave memory before a new one is refused.
 
 use crate::session::answers::Tenant;
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
@@ -41,7 +40,7 @@ pub(in crate::session) async fn sweep_for_ever(shared: Weak<SharedResources>) {
         }
         round = round.wrapping_add(1);
         if let Err(error) = sweep(&shared, store, &mut noted, round).await {
-            // Told once a minute at most: calls tell it too.
+            // Logged once a minute at most: calls report it too.
             if round.is_multiple_of(KEYS_EVERY) {
                 tracing::warn!("the store of sessions does not answer: {error}");
             }

@@ -2,8 +2,7 @@
 //!
 //! The accounts of all tenants.
 
-use crate::session::answers::Tenant;
-use crate::session::capacity::work_watch::WorkOwner;
+use crate::session::answers::{Tenant, WorkOwner};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::quota::tenant_quota::TokenBucket;
 use crate::session::quota::tenant_quota::{TenantQuota, TenantQuotas};
@@ -501,12 +500,12 @@ mod tenant_accounts_tests {
                 .collect();
             let refused = account.take_session(|| Duration::from_millis(1500)).unwrap_err();
             assert_eq!((refused.http_status(), refused.retry_after_s), (429, Some(2)), "{name}");
-            let told = account.report(0);
+            let reported = account.report(0);
             assert_eq!(
-                told.sessions.map(|s| (s.allowed, s.left)),
+                reported.sessions.map(|s| (s.allowed, s.left)),
                 Some((f64::from(sessions), 0.0))
             );
-            assert_eq!(told.streams.map(|s| (s.allowed, s.left)), Some((2.0, 2.0)));
+            assert_eq!(reported.streams.map(|s| (s.allowed, s.left)), Some((2.0, 2.0)));
             drop(taken);
             assert_eq!(account.report(0).sessions.map(|s| s.left), Some(f64::from(sessions)));
         }

@@ -360,7 +360,7 @@ impl KeepSessions for DatabaseStore {
 
     fn key(&self, tenant: Tenant, key: String) -> Stored<'_, Option<LoggedKey>> {
         Box::pin(async move {
-            // One whose commit was refused goes with it: nobody is to be told that it was carried out.
+            // One whose commit was refused goes with it: no caller may learn that it was carried out.
             self.writer.undo_uncertain_commits().await?;
             reading::one_key(&self.pool, &tenant.0, &key).await
         })

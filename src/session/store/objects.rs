@@ -118,11 +118,11 @@ impl Objects {
 
     async fn read_mark(&self) -> Result<Option<Vec<u8>>, StoreError> {
         if let Some(folder) = self.folder.clone() {
-            let told = move || {
+            let reported = move || {
                 let read = folder.read_identity();
                 read.map_err(|e| StoreError::Unavailable(format!("cannot determine whose objects these are: {e}")))
             };
-            return self.apart(told).await;
+            return self.apart(reported).await;
         }
         match self.store.get(&ObjectPath::from(IDENTITY)).await {
             Ok(found) => Ok(Some(found.bytes().await.map_err(unreachable_bucket)?.to_vec())),
@@ -174,7 +174,7 @@ impl Objects {
         });
         let name = name.await?;
         if self.folder.is_none() {
-            // Written anew where it is there: what was damaged is mended.
+            // Written again where it is there: what was damaged is mended.
             let put = self.store.put(&object_path(&name)?, bytes.into()).await;
             put.map_err(|e| StoreError::Unavailable(format!("an object cannot be written: {e}")))?;
         }
@@ -451,7 +451,7 @@ pub(super) async fn remove_loose(pool: &AnyPool, objects: &Objects) -> Result<()
 
 async fn remove_one(pool: &AnyPool, objects: &Objects, object: &str) -> Result<(), StoreError> {
     let mut transaction = pool.begin().await.map_err(unreadable)?;
-    // Who announces it anew waits until it is gone, and writes it then.
+    // A call that announces it again waits until it is gone, and writes it then.
     let lock = format!(
         "SELECT object FROM loose_objects WHERE object = $1 AND since_ms < {DATABASE_NOW} - $2 FOR UPDATE SKIP LOCKED"
     );

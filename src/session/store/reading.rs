@@ -373,10 +373,10 @@ pub(super) async fn integrity(pool: &AnyPool, dialect: Dialect) -> Result<(), St
         return Ok(());
     }
     let row = sqlx::query("PRAGMA integrity_check(1)").fetch_one(pool).await;
-    let told: String = column(&row.map_err(unreadable)?, 0)?;
-    match told == "ok" {
+    let reported: String = column(&row.map_err(unreadable)?, 0)?;
+    match reported == "ok" {
         true => Ok(()),
-        false => Err(StoreError::Damaged(told)),
+        false => Err(StoreError::Damaged(reported)),
     }
 }
 

@@ -342,7 +342,7 @@ async fn write_together(
     for order in orders {
         answers.push(match order.carry_out(&mut transaction).await {
             Ok(mut unnamed) => {
-                // Another node may be about to name them again: they go when nobody has for long.
+                // Another node may be about to name them again: they go when no node has for long.
                 if is_shared {
                     for object in std::mem::take(&mut unnamed) {
                         note_loose(&object, &mut transaction).await?;

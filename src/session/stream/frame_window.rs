@@ -1,6 +1,4 @@
-//! Frames on their way to a reader: how they begin, and how many of them may wait.
-//!
-//! Chooses what of a frame is sent as a transport pulls it.
+//! Frames on their way to a reader: how they begin, how many of them may wait, and what of them is sent as a transport pulls it.
 
 use crate::engine::{Shading, TopologyId};
 use crate::wire::frames::{Frame, FrameOutput};

@@ -146,8 +146,8 @@ fn commits_of_a_stream_that_leaves_do_not_wait_for_its_reader() {
         Poll::Ready(Some(StreamAnswer::Notice { code: "going-away", .. }))
     ));
     let frames: Vec<_> = std::iter::from_fn(|| collect_frame(&mailbox)).collect();
-    let told: Vec<_> = frames.iter().map(|f| (f.seq, f.r#final)).collect();
-    assert_eq!(told, [(1, false), (1, true), (2, true), (4, true)]);
+    let reported: Vec<_> = frames.iter().map(|f| (f.seq, f.r#final)).collect();
+    assert_eq!(reported, [(1, false), (1, true), (2, true), (4, true)]);
     mailbox.push(StreamRequest::Ack(4)).expect("open");
     assert_eq!(mailbox.take_work().map(|work| complete(&mailbox, work)), Some(5));
 }
@@ -196,7 +196,7 @@ fn what_waits_is_bounded_whatever_is_sent() {
         mailbox.push(StreamRequest::Ping(seq)).expect("open");
     }
     assert_eq!(mailbox.lock_state().pongs.len(), WAITING_PONGS);
-    let told: Vec<u64> = mailbox
+    let reported: Vec<u64> = mailbox
         .lock_state()
         .notes
         .iter()
@@ -208,7 +208,7 @@ fn what_waits_is_bounded_whatever_is_sent() {
             }
         })
         .collect();
-    assert_eq!(told, [1500, 2000], "the third and fourth commit were refused");
+    assert_eq!(reported, [1500, 2000], "the third and fourth commit were refused");
     let large = StreamRequest::Pose {
         seq: 3000,
         commit: false,

@@ -151,9 +151,9 @@ impl SessionTask {
         session.close(Error::no_session(&session.id));
         shared.registry.remove_this(&session);
         shared.metrics.sessions.dec();
-        // Whoever waits for an answer learns of the end by this.
+        // A caller that waits for an answer learns of the end by this.
         drop(commands);
-        // Dropped where it holds nobody up, in this order: what is told last is that memory and session_permit are free.
+        // Dropped where it delays no caller, in this order: the end is announced last, when memory and permit are free.
         shared.compute.discard((
             deformer,
             history,

@@ -6,15 +6,16 @@
 //! a frame, and when, is not decided here.
 
 mod numbers;
+mod output;
 mod part;
 mod reader;
 mod sent_steps;
 
+pub use output::{FrameEncoding, FrameOutput};
 pub use part::OutgoingResponse;
 pub use part::{FrameParts, encode, encode_next};
 pub use reader::FrameReader;
 pub use sent_steps::SentSteps;
-pub use sent_steps::{FrameEncoding, FrameOutput};
 
 use self::numbers::{PickedVertices, put_floats};
 use super::pb;

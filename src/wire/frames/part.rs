@@ -38,21 +38,6 @@ impl VertexRun {
     }
 }
 
-/// The box of positions, of those listed or of all; where they have none, both corners are the origin.
-pub(super) fn bounds(positions: &[DVec3], selected: Option<&[u32]>) -> [DVec3; 2] {
-    let grow = |[low, high]: [DVec3; 2], p: DVec3| [low.min(p), high.max(p)];
-    let nothing = [DVec3::INFINITY, DVec3::NEG_INFINITY];
-    let [low, high] = match selected {
-        Some(indices) => indices.iter().map(|&v| positions[v as usize]).fold(nothing, grow),
-        None => positions.iter().copied().fold(nothing, grow),
-    };
-    if low.is_finite() && high.is_finite() {
-        [low, high]
-    } else {
-        [DVec3::ZERO; 2]
-    }
-}
-
 /// `DeformResponse.frame`.
 const FRAME: u32 = 1;
 /// `Frame.data`. It is written last: a message's fields may come in any order.

@@ -5,7 +5,7 @@
 //!
 //! What frames carry, and how their numbers are written.
 
-use super::part::bounds;
+use super::output::{FrameEncoding, FrameOutput};
 use super::pb::frame;
 use super::{Frame, KEPT_BYTES};
 use crate::engine::TopologyId;
@@ -145,6 +145,21 @@ impl FrameReference {
     }
 }
 
+/// The box of positions, of those listed or of all; where they have none, both corners are the origin.
+pub(super) fn bounds(positions: &[DVec3], selected: Option<&[u32]>) -> [DVec3; 2] {
+    let grow = |[low, high]: [DVec3; 2], p: DVec3| [low.min(p), high.max(p)];
+    let nothing = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+    let [low, high] = match selected {
+        Some(indices) => indices.iter().map(|&v| positions[v as usize]).fold(nothing, grow),
+        None => positions.iter().copied().fold(nothing, grow),
+    };
+    if low.is_finite() && high.is_finite() {
+        [low, high]
+    } else {
+        [DVec3::ZERO; 2]
+    }
+}
+
 /// The box of a shape, with room.
 fn roomy([low, high]: [DVec3; 2]) -> [DVec3; 2] {
     let room = DVec3::splat(ROOM * (high - low).max_element());
@@ -161,56 +176,4 @@ fn roomy([low, high]: [DVec3; 2]) -> [DVec3; 2] {
 fn is_at_home([low, high]: [DVec3; 2], [from, to]: [DVec3; 2]) -> bool {
     let fills = (high - low).max_element() >= LEAST_FILLED * (to - from).max_element();
     low.cmpge(from).all() && high.cmple(to).all() && fills
-}
-
-/// What frames carry, and how.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct FrameOutput {
-    /// Whether they carry normals.
-    pub normals: bool,
-    /// Whether they carry tangents.
-    pub tangents: bool,
-    /// They carry only vertices that have moved further than this, as a fraction of the diagonal; `None` is all vertices.
-    pub changed_only: Option<f64>,
-    /// How numbers are written.
-    pub encoding: FrameEncoding,
-    /// Whether the triangles that cross are counted on commit.
-    pub self_intersections: bool,
-    /// The number of these options on their stream, from 1; 0 without a stream. No frame is a difference from one of
-    /// other options.
-    pub asked: u64,
-}
-
-/// How the numbers of a frame are written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum FrameEncoding {
-    /// Little-endian 32-bit floats.
-    #[default]
-    F32,
-    /// 16-bit steps of a box.
-    U16,
-    /// The same, compressed by meshopt.
-    Meshopt,
-    /// The same, as differences from the frame before if possible.
-    Delta,
-}
-
-impl FrameEncoding {
-    pub(in crate::wire) fn from_message(encoding: frame::Encoding) -> Self {
-        match encoding {
-            frame::Encoding::F32 => Self::F32,
-            frame::Encoding::U16 => Self::U16,
-            frame::Encoding::Meshopt => Self::Meshopt,
-            frame::Encoding::Delta => Self::Delta,
-        }
-    }
-
-    pub(in crate::wire) fn to_message(self) -> frame::Encoding {
-        match self {
-            Self::F32 => frame::Encoding::F32,
-            Self::U16 => frame::Encoding::U16,
-            Self::Meshopt => frame::Encoding::Meshopt,
-            Self::Delta => frame::Encoding::Delta,
-        }
-    }
 }

@@ -1,7 +1,7 @@
 //! Whatever the encoding, a client gets every vertex once, in parts that are small enough.
 
-use super::part::bounds;
 use super::pb::frame;
+use super::sent_steps::bounds;
 use super::*;
 use crate::engine::digest;
 use glam::Vec3Swizzles as _;
