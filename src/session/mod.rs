@@ -24,8 +24,7 @@
 //! | `engine` | what a session needs of the thing that deforms its model |
 //! | `keeping` | sessions with a store: commits kept, idle sessions out of memory and back |
 //! | `store` | sessions kept on disk: a database, and objects by content |
-//! | `owner_address` | where a session is when it is not here |
-//! | `config`, `error`, `metrics`, `answers` | limits, the status table, counts, answer types |
+//! | `config`, `error`, `metrics`, `answers` | limits, the status table and where a session is when it is at another node, counts, answer types |
 
 mod animation;
 mod answers;
