@@ -3,7 +3,7 @@
 use counting_allocator::{CountingAllocator, counted};
 use glam::{DVec3, Vec3, Vec4};
 use pliant::engine::Shading;
-use pliant::wire::frames::{Frame, FrameEncoding, FrameHeader, FrameOutput, OutgoingResponse, SentSteps, encode_next};
+use pliant::wire::frames::{Frame, FrameEncoding, FrameOutput, SentSteps, encode_next};
 use prost::Message as _;
 use std::sync::Arc;
 
@@ -44,7 +44,6 @@ fn frames_ask_for_the_bytes_that_are_sent() {
             let mut held = SentSteps::default();
             for changed_only in [None, if tells_differences { None } else { Some(0.0) }] {
                 let request = Frame {
-                    header: FrameHeader::default(),
                     positions: Arc::clone(&positions),
                     shading: Some(Arc::clone(&shading)),
                     output: FrameOutput {
@@ -55,6 +54,7 @@ fn frames_ask_for_the_bytes_that_are_sent() {
                     },
                     selected: changed_only.map(|_| (0..VERTICES as u32).step_by(2).collect()),
                     part_bytes: PART,
+                    ..Frame::default()
                 };
                 let case = format!("{:?}", request.output);
                 let is_key = held.byte_size() == 0;
@@ -85,8 +85,7 @@ fn frames_ask_for_the_bytes_that_are_sent() {
                         made.bytes,
                         made.traces.join("\n")
                     );
-                    let response = OutgoingResponse::Part(Box::new(part));
-                    let (message, sent) = counted(|| response.encode_to_vec());
+                    let (message, sent) = counted(|| part.encode_to_vec());
                     assert!(
                         sent.calls <= CALLS && sent.bytes <= message.len() + BYTES,
                         "{case}: {} calls for {} bytes, of which {} are sent:\n{}",

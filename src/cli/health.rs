@@ -2,7 +2,7 @@
 
 use super::terminal::CliFailure;
 use crate::server::config::{ConfigKeys, ServeSettings};
-use crate::server::https_client::{https_connector, own_connector};
+use crate::server::tls::{https_connector, own_connector};
 use bytes::Bytes;
 use clap::Args;
 use http::{StatusCode, Uri};

@@ -3,7 +3,7 @@
 use super::terminal::{CliFailure, StopSignals};
 use crate::asset::FileSet;
 use crate::asset::sample::BuiltInModel;
-use crate::engine::{HandlePose, HandleSet, OpenOptions};
+use crate::engine::{HandlePose, HandleSet};
 use crate::server::config::{self, ConfigKeys, LogFormat, ServeSettings};
 use crate::server::{self, sample};
 use crate::session::store::{DatabaseStore, StoreError};
@@ -176,10 +176,10 @@ async fn open_sample(manager: &Manager) -> Result<String, session::Error> {
     let shown = BuiltInModel::Creature;
     let files = FileSet::single(format!("{}.glb", shown.name()), shown.glb());
     let options = SessionOptions {
-        open: OpenOptions::default(),
         label: shown.name().into(),
         // It stands ready for a person, who may take a while.
         ttl: Some(manager.config().max_ttl),
+        ..SessionOptions::default()
     };
     let session = manager.create(&tenant, files, options, None).await?.value;
     let id = session.id;

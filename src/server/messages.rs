@@ -1,10 +1,8 @@
 //! Answers of sessions as messages of the schema, and names of formats as callers write them.
 
 use crate::asset::Format;
-use crate::session::{
-    CarriedAlong, CommittedEdit, Error, HistoryFacts, QuotaReport, QuotaUse, SessionConfig, SessionFacts, SessionList,
-};
-use crate::wire::{edit_result, handle_poses_message, page_token, pb, session_message};
+use crate::session::{CarriedAlong, Error, HistoryFacts, QuotaReport, QuotaUse, SessionConfig, SessionList};
+use crate::wire::{page_token, pb};
 use std::time::Duration;
 
 /// A request about one session.
@@ -32,26 +30,20 @@ macro_rules! names_session {
 
 names_session!(SetHandlesRequest, SolveRequest, EditRequest, CarryRequest);
 
-/// Writes a session as its owner sees it.
-pub(super) fn described_session(session: &SessionFacts, config: &SessionConfig) -> pb::Session {
-    let mut message = session_message(&session.deformer);
-    handle_poses_message(&mut message.handles, &session.poses);
-    pb::Session {
-        id: session.id.clone(),
-        revision: session.revision,
-        build_ms: session.build_ms.clone(),
-        created_at: session.created_at.clone(),
-        expires_at: session.expires_at.clone(),
-        label: session.label.clone(),
-        limits: Some(limits_message(config)),
-        ..message
-    }
+/// A session as its owner sees it, with the limits of the server.
+pub(super) fn described_session(mut session: pb::Session, config: &SessionConfig) -> pb::Session {
+    session.limits = Some(limits_message(config));
+    session
 }
 
 /// Writes a page of sessions.
-pub(super) fn session_list(list: &SessionList, config: &SessionConfig) -> pb::ListSessionsResponse {
+pub(super) fn session_list(list: SessionList, config: &SessionConfig) -> pb::ListSessionsResponse {
     pb::ListSessionsResponse {
-        sessions: list.sessions.iter().map(|s| described_session(s, config)).collect(),
+        sessions: list
+            .sessions
+            .into_iter()
+            .map(|s| described_session(s, config))
+            .collect(),
         next_page_token: list.next_after.map(page_token).unwrap_or_default(),
     }
 }
@@ -66,15 +58,6 @@ pub(super) fn history_message(history: HistoryFacts) -> pb::HistoryResponse {
     pb::HistoryResponse {
         commits: commits.collect(),
         current: history.current,
-    }
-}
-
-/// Writes what an edit did.
-pub(super) fn committed_edit(edit: CommittedEdit) -> pb::EditResult {
-    pb::EditResult {
-        revision: edit.revision,
-        ms: edit.ms,
-        ..edit_result(&edit.report)
     }
 }
 

@@ -11,7 +11,6 @@ mod connection;
 mod dispatch;
 pub mod grpc;
 mod http;
-pub mod https_client;
 mod listen;
 mod messages;
 mod openapi;
@@ -23,7 +22,7 @@ pub mod sample;
 mod state;
 mod stream_messages;
 mod telemetry;
-mod tls;
+pub mod tls;
 mod uploads;
 mod websocket;
 

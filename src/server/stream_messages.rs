@@ -6,7 +6,7 @@
 use crate::session::{
     AnimationAnswer, AnimationReader, DeformStream, Error, ErrorCode, StreamAnswer, StreamInput, StreamOutput,
 };
-use crate::wire::frames::{Frame, FramePart, FrameParts, OutgoingResponse, SentSteps, encode_next};
+use crate::wire::frames::{Frame, FrameParts, OutgoingResponse, SentSteps, encode_next};
 use crate::wire::pb::deform_response::Message;
 use crate::wire::{StreamLimits, pb, stage_frame, stream_request, summary_frame};
 use tokio::task::JoinHandle;
@@ -70,7 +70,7 @@ impl ResponseReceiver {
             match self.parts.next().await {
                 Ok(Some(part)) => {
                     self.output.count_part_bytes(part.data_bytes());
-                    return Some(OutgoingResponse::Part(Box::new(part)));
+                    return Some(part);
                 }
                 Ok(None) => {}
                 Err(error) => {
@@ -94,7 +94,7 @@ impl ResponseReceiver {
                 StreamAnswer::Pong(nonce) => break Message::Pong(pb::Ping { nonce }),
             }
         };
-        Some(OutgoingResponse::of(message))
+        Some(message.into())
     }
 }
 
@@ -138,7 +138,7 @@ impl AnimationFrames {
             match self.parts.next().await {
                 Ok(Some(part)) => {
                     self.output.count_part_bytes(part.data_bytes());
-                    return Some(Ok(part.into_message()));
+                    return part.into_frame().map(Ok);
                 }
                 Ok(None) => {}
                 Err(error) => return Some(Err(error)),
@@ -176,7 +176,7 @@ enum PendingParts {
     /// Each part is encoded when it is sent.
     Quick(Box<FrameParts>),
     /// The next part is being encoded on a blocking thread.
-    Slow(JoinHandle<(FrameParts, Option<FramePart>)>),
+    Slow(JoinHandle<(FrameParts, Option<OutgoingResponse>)>),
 }
 
 impl PartsToSend {
@@ -201,7 +201,7 @@ impl PartsToSend {
     ///
     /// # Errors
     /// `INTERNAL` when a part cannot be made; what the reader holds is then not known.
-    pub async fn next(&mut self) -> Result<Option<FramePart>, Error> {
+    pub async fn next(&mut self) -> Result<Option<OutgoingResponse>, Error> {
         let (parts, part) = match &mut self.pending {
             PendingParts::None => return Ok(None),
             PendingParts::Quick(parts) => {
@@ -237,7 +237,7 @@ impl PartsToSend {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::frames::{FrameEncoding, FrameHeader, FrameOutput, OutgoingResponse};
+    use crate::wire::frames::{FrameEncoding, FrameOutput};
     use glam::DVec3;
     use prost::Message as _;
     use std::sync::Arc;
@@ -245,15 +245,13 @@ mod tests {
     fn frame(vertices: usize, phase: f64) -> Frame {
         let place = |v: usize| DVec3::new(v as f64 * 1e-3, libm::sin(v as f64 * 0.01 + phase), phase);
         Frame {
-            header: FrameHeader::default(),
             positions: Arc::new((0..vertices).map(place).collect()),
-            shading: None,
             output: FrameOutput {
                 encoding: FrameEncoding::Delta,
                 ..FrameOutput::default()
             },
-            selected: None,
             part_bytes: 9000,
+            ..Frame::default()
         }
     }
 
@@ -276,8 +274,10 @@ mod tests {
                             () = tokio::task::yield_now() => {}
                         }
                     };
-                    let bytes = |part| OutgoingResponse::Part(Box::new(part)).encode_to_vec();
-                    assert!(bytes(part) == bytes(wanted), "frame {k} of {vertices} vertices");
+                    assert!(
+                        part.encode_to_vec() == wanted.encode_to_vec(),
+                        "frame {k} of {vertices} vertices"
+                    );
                 }
                 sent = wanted.into_sent();
                 assert!(sender.next().await.expect("no failure").is_none());

@@ -12,7 +12,6 @@ use super::http::problem::Problem;
 use super::state::ServerState;
 use super::stream_messages::{RequestSender, ResponseReceiver, failure_message, message_channels};
 use crate::session::{DeformStream, Error, ErrorCode};
-use crate::wire::frames::OutgoingResponse;
 use crate::wire::pb;
 use crate::wire::pb::deform_response::Message as Response;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
@@ -224,8 +223,7 @@ async fn write(
                 None => SocketEnd::new(1000, ""),
             });
         };
-        if let OutgoingResponse::Words(words) = &response
-            && let Some(Response::Error(error)) = &words.message
+        if let Some(Response::Error(error)) = response.message()
             && error.seq == 0
         {
             let code = if error.code == 13 {

@@ -1,13 +1,11 @@
 //! What the calls of a manager take and answer. The server makes messages of the answers.
 
 use crate::asset::{Format, WrittenFiles};
-use crate::engine::{DeformerFacts, EditReport, HandlePoses};
 use crate::mesh::carry::CarriedFrame;
 use crate::session::error::Error;
-use crate::wire::AnimationSummary;
 use crate::wire::frames::Frame;
+use crate::wire::{AnimationSummary, pb};
 use bytes::Bytes;
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// A tenant. Its sessions do not exist for another.
@@ -18,6 +16,14 @@ impl Default for Tenant {
     fn default() -> Self {
         Self(Arc::from("default"))
     }
+}
+
+/// Whose work it is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::session) struct WorkOwner {
+    pub tenant: Tenant,
+    /// Empty for sessions that are being opened: those of one tenant share a line.
+    pub session: String,
 }
 
 /// An answer, and whether it was given before.
@@ -38,32 +44,11 @@ pub struct CallKey {
     pub request: Vec<u8>,
 }
 
-/// A session as its owner sees it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SessionFacts {
-    /// 128 random bits, 32 hexadecimal digits.
-    pub id: String,
-    /// Number of the newest change.
-    pub revision: u64,
-    /// The facts of model, solver and handles.
-    pub deformer: Arc<DeformerFacts>,
-    /// The poses of the handles in force.
-    pub poses: HandlePoses,
-    /// Milliseconds by stage of the last build.
-    pub build_ms: BTreeMap<String, f64>,
-    /// When the session was opened (RFC 3339, UTC).
-    pub created_at: String,
-    /// When the session ends if nothing uses it (RFC 3339, UTC).
-    pub expires_at: String,
-    /// Free text for people.
-    pub label: String,
-}
-
 /// A page of a tenant's sessions, oldest first.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SessionList {
     /// The sessions.
-    pub sessions: Vec<SessionFacts>,
+    pub sessions: Vec<pb::Session>,
     /// The next page begins after the session with this number; `None` on the last page.
     pub next_after: Option<u64>,
 }
@@ -86,17 +71,6 @@ pub struct CommitFacts {
     pub kind: &'static str,
     /// Digest of the positions after it.
     pub digest: String,
-}
-
-/// An edit done.
-#[derive(Debug, Clone, PartialEq)]
-pub struct CommittedEdit {
-    /// What it did.
-    pub report: EditReport,
-    /// The session's revision.
-    pub revision: u64,
-    /// Milliseconds by stage.
-    pub ms: BTreeMap<String, f64>,
 }
 
 /// A pose solved and committed.

@@ -2,7 +2,7 @@
 
 use crate::engine::AnimationLimits;
 use crate::motion::bvh::ClipLimits;
-use crate::session::capacity::session_lease::MIN_TTL;
+use crate::session::capacity::call_queue::MIN_TTL;
 use crate::session::error::Error;
 use crate::session::quota::tenant_quota::{TenantQuota, TenantQuotas};
 use crate::wire::StreamLimits;

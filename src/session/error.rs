@@ -1,6 +1,6 @@
-//! The errors of calls, and the one table from failures to status codes of every transport.
+//! The errors of calls, and the one table from failures to status codes of every transport; with where a session is when it is
+//! at another node.
 
-use crate::session::owner_address::OwnerAddress;
 use crate::{asset, engine, motion, wire};
 use std::fmt;
 
@@ -249,6 +249,15 @@ impl From<asset::Error> for Error {
         };
         Self::new(code, error.to_string())
     }
+}
+
+/// The node that has a session, for its callers.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OwnerAddress {
+    /// The address that clients call, such as `https://10.0.0.5:7411`.
+    pub address: String,
+    /// Its name, by which a proxy selects a node.
+    pub node: String,
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! Sessions: models held open, their commits, and the interactive stream.
 //!
 //! Owns what lives between two requests: the registry of sessions, the task of each session, memory and compute budgets,
-//! idempotency keys, expiry. Knows nothing of transports and no message: `server` has `wire` read a request, calls [`Manager`] with
-//! values of the engine, and writes the answer. Deforms nothing: that is the engine's
+//! idempotency keys, expiry. Knows nothing of transports: `server` has `wire` read a request and calls [`Manager`] with values of the
+//! engine. Facts of a session, reports of edits and headers of frames are the schema's messages. Deforms nothing: that is the engine's
 //! [`Deformer`](crate::engine::Deformer), behind [`Engine`].
 //!
 //! One task owns each session and is the only one that touches its engine. Work moves the engine to the compute pool and back;
@@ -24,8 +24,7 @@
 //! | `engine` | what a session needs of the thing that deforms its model |
 //! | `keeping` | sessions with a store: commits kept, idle sessions out of memory and back |
 //! | `store` | sessions kept on disk: a database, and objects by content |
-//! | `owner_address` | where a session is when it is not here |
-//! | `config`, `error`, `metrics`, `answers` | limits, the status table, counts, answer types |
+//! | `config`, `error`, `metrics`, `answers` | limits, the status table and where a session is when it is at another node, counts, answer types |
 
 mod animation;
 mod answers;
@@ -33,13 +32,11 @@ mod audit;
 mod calls;
 mod capacity;
 mod config;
-mod departing_sessions;
 mod engine;
 mod error;
 mod history;
 mod keeping;
 mod metrics;
-mod owner_address;
 mod quota;
 mod registry;
 mod shared;
@@ -49,22 +46,22 @@ mod task;
 
 pub use animation::frame_outbox::{AnimationControl, AnimationReader};
 pub use answers::{
-    AnimatedModel, AnimationAnswer, CallKey, CarriedAlong, CommitFacts, CommittedEdit, CommittedPose, ExportedModel,
-    HistoryFacts, KeyedAnswer, PositionBuffer, SessionFacts, SessionList, StreamAnswer, Tenant,
+    AnimatedModel, AnimationAnswer, CallKey, CarriedAlong, CommitFacts, CommittedPose, ExportedModel, HistoryFacts,
+    KeyedAnswer, PositionBuffer, SessionList, StreamAnswer, Tenant,
 };
 pub use audit::audit_entry::{AuditEntry, AuditedAction, StoredAuditEntry};
 pub use calls::manager::Manager;
+pub use capacity::call_queue::MIN_TTL;
 pub use capacity::compute_slots::SLOTS_FOR_ANOTHER_TENANT;
 pub use capacity::memory_ledger::{MemoryLedger, MemoryReservation, MemoryShortage};
 pub use capacity::memory_use::MemoryUse;
-pub use capacity::session_lease::MIN_TTL;
-pub use capacity::work_span::{SPANS, WorkKind};
+pub use capacity::work_watch::{SPANS, WorkKind};
 pub use config::SessionConfig;
 pub use engine::{Engine, EngineOpener, OpenDeformer};
+pub use error::OwnerAddress;
 pub use error::{Error, ErrorCode};
 pub use metrics::Metrics;
-pub use owner_address::OwnerAddress;
+pub use quota::tenant_account::MOST_TENANTS;
 pub use quota::tenant_account::{QuotaReport, QuotaUse, TenantAccount};
-pub use quota::tenant_accounts::MOST_TENANTS;
 pub use quota::tenant_quota::{TenantQuota, TenantQuotas};
 pub use stream::ends::{DeformStream, StreamInput, StreamOutput};

@@ -1,26 +1,27 @@
 //! The sessions of this process, and what all tasks may use of each.
 //!
 //! Lookups hand out clones of `Arc`s; no guard of the map leaves this file.
+//!
+//! Removed sessions whose memory is not free yet: a call that needs room waits for them before it is rejected.
 
 use crate::asset::Format;
-use crate::engine::{DeformerFacts, HandlePoses};
+use crate::engine::HandlePoses;
 use crate::progress::CancelFlag;
-use crate::session::answers::{SessionFacts, Tenant};
+use crate::session::answers::{Tenant, WorkOwner};
 use crate::session::calls::command::SessionCommand;
-use crate::session::capacity::call_line::CallLine;
-use crate::session::capacity::session_lease::SessionLease;
-use crate::session::capacity::work_owner::WorkOwner;
+use crate::session::capacity::call_queue::{CallQueue, SessionLease};
 use crate::session::config::SessionConfig;
-use crate::session::departing_sessions::DepartingSessions;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::ShownCommits;
 use crate::session::history::session_state::CommittedHandles;
 use crate::session::store::{HeldSession, calendar_text};
 use crate::session::stream::mailbox::Mailbox;
+use crate::wire::{handle_poses_message, pb};
 use dashmap::DashMap;
 use glam::DVec3;
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::Relaxed, Ordering::SeqCst};
+use std::sync::atomic::Ordering::{Relaxed, SeqCst};
+use std::sync::atomic::{AtomicBool, AtomicUsize};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
 use tokio::sync::{Notify, mpsc};
@@ -30,7 +31,7 @@ use tokio_util::sync::CancellationToken;
 #[derive(Debug)]
 pub(super) struct SessionView {
     pub revision: u64,
-    pub facts: Arc<DeformerFacts>,
+    pub facts: Arc<pb::Session>,
     pub handles: Arc<CommittedHandles>,
     pub poses: HandlePoses,
     pub build_ms: BTreeMap<String, f64>,
@@ -55,7 +56,7 @@ pub(super) struct OpenSession {
     pub lease: SessionLease,
     pub commands: mpsc::Sender<SessionCommand>,
     /// The calls that wait for answers.
-    pub line: CallLine,
+    pub line: CallQueue,
     pub streams: OpenStreams,
     pub animations: OpenAnimations,
     /// Wakes the session's task when a stream has work for it.
@@ -96,18 +97,19 @@ impl OpenSession {
     }
 
     /// The session as its owner sees it.
-    pub fn describe(&self) -> SessionFacts {
+    pub fn describe(&self) -> pb::Session {
         let view = self.view();
-        SessionFacts {
+        let mut session = pb::Session {
             id: self.id.clone(),
             revision: view.revision,
-            deformer: Arc::clone(&view.facts),
-            poses: view.poses.clone(),
             build_ms: view.build_ms.clone(),
             created_at: calendar_text(self.created_ms),
             expires_at: self.lease.end_text(),
             label: self.label.clone(),
-        }
+            ..(*view.facts).clone()
+        };
+        handle_poses_message(&mut session.handles, &view.poses);
+        session
     }
 
     /// Strong entity tag of the current shape in a representation, with its quotes.
@@ -290,5 +292,79 @@ impl SessionRegistry {
     /// Every session.
     pub fn all(&self) -> Vec<Arc<OpenSession>> {
         self.sessions.iter().map(|entry| Arc::clone(entry.value())).collect()
+    }
+}
+
+/// Removed sessions.
+#[derive(Debug, Default)]
+pub(super) struct DepartingSessions(Mutex<Departures>);
+
+#[derive(Debug, Default)]
+struct Departures {
+    /// Tenant of each, and the token of its free memory.
+    under_way: Vec<(Tenant, CancellationToken)>,
+    /// Whether one has ended since the last query.
+    ended: bool,
+}
+
+impl Departures {
+    fn settle(&mut self) {
+        let before = self.under_way.len();
+        self.under_way.retain(|(_, ended)| !ended.is_cancelled());
+        self.ended |= self.under_way.len() < before;
+    }
+}
+
+impl DepartingSessions {
+    fn lock(&self) -> MutexGuard<'_, Departures> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Adds one; `ended` is raised when its memory is free.
+    pub fn add(&self, tenant: Tenant, ended: CancellationToken) {
+        let mut departures = self.lock();
+        departures.settle();
+        departures.under_way.push((tenant, ended));
+    }
+
+    /// Whether a session has ended since this was asked for the last time: there may be room again.
+    pub fn take_ended(&self) -> bool {
+        let mut departures = self.lock();
+        departures.settle();
+        std::mem::take(&mut departures.ended)
+    }
+
+    /// The tokens of those that have not ended, of one tenant where it is named.
+    pub fn under_way(&self, tenant: Option<&Tenant>) -> Vec<CancellationToken> {
+        let departures = self.lock();
+        let own = departures
+            .under_way
+            .iter()
+            .filter(|(whose, _)| tenant.is_none_or(|tenant| whose == tenant));
+        own.map(|(_, ended)| ended.clone()).collect()
+    }
+}
+
+#[cfg(test)]
+mod departing_sessions_tests {
+    use super::*;
+
+    #[test]
+    fn an_end_is_told_once_and_until_then_it_can_be_waited_for() {
+        let departing = DepartingSessions::default();
+        let (one, other) = (CancellationToken::new(), CancellationToken::new());
+        let tenant = |name: &str| Tenant(name.into());
+        departing.add(tenant("a"), one.clone());
+        departing.add(tenant("b"), other.clone());
+        assert!(!departing.take_ended());
+        assert_eq!(departing.under_way(None).len(), 2);
+        assert_eq!(departing.under_way(Some(&tenant("b"))).len(), 1);
+        other.cancel();
+        // What ends before somebody else goes is not forgotten.
+        departing.add(tenant("b"), CancellationToken::new());
+        assert!(departing.take_ended() && !departing.take_ended());
+        one.cancel();
+        assert!(departing.take_ended());
+        assert_eq!(departing.under_way(Some(&tenant("a"))).len(), 0);
     }
 }

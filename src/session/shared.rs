@@ -3,16 +3,16 @@
 use crate::progress::CancelFlag;
 use crate::session::calls::command::StoredAnswer;
 use crate::session::calls::idempotency::IdempotencyKeys;
-use crate::session::capacity::call_gate::CallGate;
+use crate::session::capacity::call_queue::CallGate;
 use crate::session::capacity::compute_slots::ComputeSlots;
 use crate::session::capacity::memory_ledger::MemoryLedger;
 use crate::session::config::SessionConfig;
 use crate::session::engine::EngineOpener;
 use crate::session::error::Error;
 use crate::session::keeping::lease_watch::LeaseWatch;
-use crate::session::keeping::session_locks::SessionLocks;
+use crate::session::keeping::lease_watch::SessionLocks;
 use crate::session::metrics::Metrics;
-use crate::session::quota::tenant_accounts::TenantAccounts;
+use crate::session::quota::tenant_account::TenantAccounts;
 use crate::session::registry::{OpenSession, SessionRegistry};
 use crate::session::store::ReadSessions;
 use std::sync::Arc;
@@ -27,7 +27,7 @@ pub(super) struct SharedResources {
     pub compute: ComputeSlots,
     pub ledger: Arc<MemoryLedger>,
     /// One permit for each session that may be held.
-    pub seats: Arc<Semaphore>,
+    pub session_permits: Arc<Semaphore>,
     /// What each tenant uses.
     pub accounts: TenantAccounts,
     /// One permit for each animation that may be under way.
@@ -54,7 +54,7 @@ pub(super) struct SharedResources {
 
 impl SharedResources {
     /// Removes a session that another node has.
-    pub fn lose(&self, session: &Arc<OpenSession>) {
+    pub fn drop_ownership(&self, session: &Arc<OpenSession>) {
         // A write that is refused and a heartbeat may both find out: the first of them counts.
         let is_news = self.registry.remove_this(session);
         session.close(Error::moved());

@@ -3,7 +3,7 @@
 //! A session's options are those of its deformer, a label for people, and how long it outlives its last use.
 
 use super::check::{enumerated, number, plain_text};
-use super::following::following;
+use super::facts::following;
 use super::passengers::{passengers, require_own_passengers};
 use super::{Error, pb};
 use crate::asset::Format;
@@ -24,10 +24,44 @@ const LONGEST_LABEL: usize = 256;
 pub struct SessionOptions {
     /// How its deformer is built.
     pub open: OpenOptions,
+    /// The same as it was asked for, with defaults made explicit, so that they may change: read again it is `open`. Has neither
+    /// label nor time to live.
+    pub create: pb::CreateOptions,
     /// Free text for people, returned with the session.
     pub label: String,
     /// How long the session outlives its last use; `None` is the server's default.
     pub ttl: Option<Duration>,
+}
+
+impl Default for SessionOptions {
+    fn default() -> Self {
+        let open = OpenOptions::default();
+        Self {
+            create: with_defaults(&pb::CreateOptions::default(), &open),
+            open,
+            label: String::new(),
+            ttl: None,
+        }
+    }
+}
+
+/// The request for `open` with its defaults made explicit.
+fn with_defaults(create: &pb::CreateOptions, open: &OpenOptions) -> pb::CreateOptions {
+    let graph = &open.body.graph;
+    let weights = match graph.weights {
+        EdgeWeights::Uniform => pb::create_options::Weights::Uniform,
+        EdgeWeights::Cotangent | EdgeWeights::CotangentOfMean => pb::create_options::Weights::Cotangent,
+    };
+    pb::CreateOptions {
+        volume_graph: Some(pb::create_options::VolumeGraph {
+            valence: graph.valence,
+            ..create.volume_graph.unwrap_or_default()
+        }),
+        weights: Some(weights.into()),
+        label: String::new(),
+        ttl: String::new(),
+        ..create.clone()
+    }
 }
 
 /// Reads how a session is to be opened; `ttl` are the times to live that it may ask for.
@@ -44,6 +78,7 @@ pub fn session_options(create: &pb::CreateOptions, ttl: RangeInclusive<Duration>
     require_own_passengers(&open.passengers)?;
     Ok(SessionOptions {
         ttl: time_to_live(&create.ttl, ttl)?,
+        create: with_defaults(create, &open),
         open,
         label: create.label.clone(),
     })
@@ -208,8 +243,8 @@ mod tests {
                 "{text}"
             );
         }
-        let told = read("3h").expect_err("too long").to_string();
-        assert_eq!(told, "ttl: \"3h\" is out of range, 1s to 2h is allowed");
+        let reported = read("3h").expect_err("too long").to_string();
+        assert_eq!(reported, "ttl: \"3h\" is out of range, 1s to 2h is allowed");
     }
 
     #[test]
@@ -228,10 +263,10 @@ mod tests {
             (r#"{"parts": "SEPARATE", "keepApart": {}}"#, "keepApart"),
             (r#"{"parts": 7}"#, "parts"),
         ] {
-            let told = read(text).expect_err(text);
+            let reported = read(text).expect_err(text);
             assert!(
-                matches!(&told, Error::Invalid { field: at, .. } if at == field),
-                "{text}: {told}"
+                matches!(&reported, Error::Invalid { field: at, .. } if at == field),
+                "{text}: {reported}"
             );
         }
     }

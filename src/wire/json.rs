@@ -61,7 +61,7 @@ pub fn from_json<M: Message + Default + prost::Name>(text: &[u8]) -> Result<M, E
 /// The path of the field that a problem is about. Tracking ends at the object that holds an unknown field, so the
 /// field's own name is taken from the text.
 fn place_of(path: &str, problem: &str) -> String {
-    // Where the text itself breaks off there is no name; the problem tells line and column.
+    // Where the text itself breaks off there is no name; the problem names line and column.
     let path = path.trim_end_matches('?').trim_end_matches('.');
     let named = |start| problem.strip_prefix(start).and_then(|rest: &str| rest.split_once('\''));
     let unknown = named("unrecognized field name '").or_else(|| named(TWICE));

@@ -10,11 +10,8 @@ mod create;
 mod edit;
 mod edit_kind;
 mod error;
-mod expect;
 mod facts;
-mod following;
 pub mod frames;
-mod handle_patch;
 mod handles;
 pub mod json;
 mod options;
@@ -23,7 +20,6 @@ pub mod pb;
 mod poses;
 pub mod record;
 mod rig;
-mod stream;
 
 pub use animate::{
     AnimateOrder, AnimationSummary, RootMotion, animate_options_from_json, animate_order, animation_totals,
@@ -34,12 +30,12 @@ pub use create::{SessionOptions, open_options, session_options};
 pub use edit::{edit, edit_name, edit_result};
 pub use edit_kind::edit_kind_name;
 pub use error::Error;
+pub use facts::followed_message;
 pub use facts::{handle_poses_message, quality_message, session_message, warning_message};
-pub use following::followed_message;
-pub use handle_patch::{HandlePatch, handle_patch};
+pub use handles::{HandlePatch, handle_patch};
 pub use handles::{handle_set, handle_set_message, region_message};
 pub use options::DeformOptions;
 pub use passengers::{CarryOrder, carry_order};
-pub use poses::{PoseEntry, change_poses, handle_pose, handle_pose_message, pose_changes};
+pub use poses::{PoseKey, StreamLimits, StreamRequest, stream_request};
+pub use poses::{change_poses, handle_pose, handle_pose_message, pose_changes};
 pub use rig::{motion_rig, rig_from_json, rig_message};
-pub use stream::{PoseKey, StreamLimits, StreamPose, StreamRequest, stream_request};

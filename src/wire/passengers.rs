@@ -221,14 +221,14 @@ fn rest_rotations(values: &[f64], count: usize, field: &str) -> Result<Vec<DQuat
 mod tests {
     use super::*;
 
-    fn told(request: &pb::CarryRequest) -> String {
+    fn refusal(request: &pb::CarryRequest) -> String {
         carry_order(request).expect_err("refused").to_string()
     }
 
     #[test]
     fn what_cannot_be_carried_is_refused_with_its_field() {
         let empty = pb::CarryRequest::default();
-        assert!(told(&empty).starts_with("points: is empty"));
+        assert!(refusal(&empty).starts_with("points: is empty"));
         let request = |points: &[f64], rotations: &[f64]| pb::CarryRequest {
             points: points.to_vec(),
             rotations: rotations.to_vec(),
@@ -240,8 +240,8 @@ mod tests {
             (&[0.0; 3], &[0.0, 0.0, 1.0], "rotations: has 3 numbers"),
             (&[0.0; 3], &[0.0, 0.0, 0.0, 2.0], "rotations[0]: is of length 2"),
         ] {
-            let told = told(&request(points, rotations));
-            assert!(told.starts_with(field), "{told}");
+            let reported = refusal(&request(points, rotations));
+            assert!(reported.starts_with(field), "{reported}");
         }
         let read = carry_order(&request(&[1.0, 2.0, 3.0], &[])).expect("a point");
         assert_eq!(
@@ -267,9 +267,9 @@ mod tests {
                 passengers(&[message]).map_err(|e| e.to_string())
             };
             assert!(read("n".repeat(256)).is_ok());
-            let told = read("n".repeat(257)).expect_err("too long");
+            let reported = read("n".repeat(257)).expect_err("too long");
             assert_eq!(
-                told,
+                reported,
                 format!("passengers[0].{field}: is 257 bytes, at most 256 are allowed")
             );
             assert!(read(String::new()).expect_err("empty").contains("is empty"));
@@ -294,10 +294,10 @@ mod tests {
             "hull",
             "hull.txt",
         ] {
-            let told = passenger_file(&file(wrong), "passengers[2].file")
+            let reported = passenger_file(&file(wrong), "passengers[2].file")
                 .expect_err(wrong)
                 .to_string();
-            assert!(told.starts_with("passengers[2].file.output: is "), "{told}");
+            assert!(reported.starts_with("passengers[2].file.output: is "), "{reported}");
         }
         let read = passenger_file(&file("lods/one.ply"), "file").expect("right");
         assert_eq!((read.output, read.path.as_str()), (Some(Format::PLY), "lods/one.ply"));

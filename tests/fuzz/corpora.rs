@@ -12,9 +12,9 @@ use pliant::engine::{Deformer, Handle, HandlePose, HandlePoses, HandleSet, OpenO
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::frames::{Frame, FrameEncoding, FrameHeader, FrameOutput, SentSteps, encode_next};
+use pliant::wire::frames::{Frame, FrameEncoding, FrameOutput, SentSteps, encode_next};
 use pliant::wire::record::{FileReferences, LoggedCommit, RecordedModel, ShapeProbe};
-use pliant::wire::{json, pb, rig_from_json, rig_message, session_edit};
+use pliant::wire::{SessionOptions, json, pb, rig_from_json, rig_message, session_edit, session_message};
 use prost::Message;
 use std::path::Path;
 use std::sync::Arc;
@@ -107,12 +107,10 @@ fn frames() -> Vec<Vec<u8>> {
                 ..FrameOutput::default()
             };
             let request = Frame {
-                header: FrameHeader::default(),
                 positions: Arc::new(positions),
-                shading: None,
                 output,
-                selected: None,
                 part_bytes: 200,
+                ..Frame::default()
             };
             let mut parts = encode_next(request, sent);
             parts
@@ -297,7 +295,7 @@ fn commits() -> Vec<Vec<u8>> {
         &JOB_LIMITS,
         &Exec::new(&pool, &Silent),
     );
-    let facts = opened.expect("the box opens").facts();
+    let facts = Box::new(session_message(&opened.expect("the box opens").facts()));
     let poses = HandlePoses(vec![HandlePose::rotation([0.1, 0.2, 0.3])].into());
     let probe = ShapeProbe::of(&[DVec3::ONE; 4]);
     let weld = json::from_json(br#"{"on": "REST", "weld": {"tolerance": 0.1}}"#).expect("a request");
@@ -320,7 +318,7 @@ fn commits() -> Vec<Vec<u8>> {
             files: Some(FileReferences::default()),
             report: Box::default(),
             poses,
-            facts: Box::new(facts),
+            facts,
             probe,
         },
         LoggedCommit::Step {
@@ -338,12 +336,13 @@ fn model_record() -> Vec<u8> {
             main: "ab12".into(),
             companions: [("b.png".to_owned(), "cd34".to_owned())].into(),
         },
-        options: OpenOptions::default(),
+        options: SessionOptions::default().create,
+        of_today: true,
         label: "a box".into(),
         format: Format::OBJ,
         graph_bytes: Some(1 << 30),
     };
-    record.write().expect("a record")
+    record.write()
 }
 
 /// `cargo test --test fuzz -- --ignored` puts the inputs where coverage-guided runs look for them.

@@ -203,9 +203,8 @@ impl Server {
     pub async fn labelled_session(&self, tenant: &str) -> String {
         let files = pliant::asset::FileSet::single("bar.obj", bar_obj(8).into_bytes());
         let options = pliant::wire::SessionOptions {
-            open: pliant::engine::OpenOptions::default(),
             label: tenant.into(),
-            ttl: None,
+            ..Default::default()
         };
         let tenant = session::Tenant(tenant.into());
         let opened = self.manager.create(&tenant, files, options, None);

@@ -14,7 +14,7 @@ use pliant::engine::{Deformer, DeformerLimits, HandlePoses};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Progress;
-use pliant::wire::frames::{Frame, FrameHeader, FrameOutput, encode};
+use pliant::wire::frames::{Frame, FrameOutput, encode};
 use pliant::wire::{self as schema, pb};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -94,12 +94,10 @@ pub(crate) fn set_job_handles(
 /// Makes the parts of a frame, 32-bit positions; returns the bytes of their data.
 fn encode_positions(positions: Arc<Vec<DVec3>>) -> usize {
     let parts = encode(Frame {
-        header: FrameHeader::default(),
         positions,
-        shading: None,
         output: FrameOutput::default(),
-        selected: None,
         part_bytes: PART,
+        ..Frame::default()
     });
     std::hint::black_box(parts.map(|part| part.data.len()).sum())
 }

@@ -9,7 +9,8 @@ use pliant::engine::{Shader, Shading, SolveMode};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::frames::{Frame, FrameEncoding, FrameHeader, FrameOutput, OutgoingResponse, SentSteps, encode_next};
+use pliant::wire::frames::{Frame, FrameEncoding, FrameOutput, SentSteps, encode_next};
+use pliant::wire::pb::deform_response::Message as Response;
 use pliant::wire::{self, DeformOptions, pb};
 use prost::Message as _;
 use std::path::{Path, PathBuf};
@@ -104,12 +105,12 @@ pub(crate) fn run_wire(args: &WireArgs) -> Result<(), LoadtestFailure> {
         for row in &mut rows {
             let selected = (row.output.changed_only).map(|part| moved(positions, before, part * dragged.diagonal));
             let request = Frame {
-                header: FrameHeader::default(),
                 positions: Arc::clone(positions),
                 shading: row.output.normals.then(|| Arc::clone(shading)),
                 output: row.output,
                 selected,
                 part_bytes: PART,
+                ..Frame::default()
             };
             let sent = std::mem::take(&mut row.sent);
             let ((bytes, is_key, sent), seconds) = time_once(|| send(request, sent));
@@ -138,9 +139,9 @@ fn send(request: Frame, sent: SentSteps) -> (usize, bool, SentSteps) {
     let mut parts = encode_next(request, sent);
     let (mut bytes, mut is_key) = (0, true);
     while let Some(part) = parts.next_part() {
-        is_key &= part.encoding() != pb::frame::Encoding::Delta;
-        let message = OutgoingResponse::Part(Box::new(part));
-        bytes += std::hint::black_box(message.encode_to_vec()).len();
+        is_key &=
+            !matches!(part.message(), Some(Response::Frame(head)) if head.encoding() == pb::frame::Encoding::Delta);
+        bytes += std::hint::black_box(part.encode_to_vec()).len();
     }
     (bytes, is_key, parts.into_sent())
 }

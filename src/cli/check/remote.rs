@@ -4,7 +4,7 @@
 
 use crate::asset::{FileSet, Model};
 use crate::check::{AnimationCase, CaseResult, Metric};
-use crate::server::https_client::https_connector;
+use crate::server::tls::https_connector;
 use crate::wire::pb;
 use crate::wire::pb::step::Step;
 use crate::{asset, batch, wire};

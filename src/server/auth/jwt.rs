@@ -1,7 +1,7 @@
 //! Tokens that somebody else signs: JSON Web Tokens (RFC 7519) of one issuer, checked with the keys that it publishes (RFC 7517).
 
 use super::tokens::Principal;
-use crate::server::https_client::https_connector;
+use crate::server::tls::https_connector;
 use crate::session::{Error, ErrorCode, Tenant};
 use arc_swap::ArcSwapOption;
 use bytes::Bytes;

@@ -2,9 +2,9 @@
 
 use super::Error;
 use super::keys::ConfigKeys;
+use super::keys::TimeSpan;
 use super::keys::{JwtTable, TokenTable};
 use super::sources::MergedKeys;
-use super::units::TimeSpan;
 use crate::server::auth::{AuthConfig, JwtConfig, KeySource, TokenEntry, parse_expiry};
 use crate::server::request_filter::is_this_machine;
 use crate::session::Tenant;

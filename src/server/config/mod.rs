@@ -6,16 +6,14 @@
 mod auth_settings;
 mod keys;
 mod server_config;
-mod session_config;
 mod settings;
 mod sources;
-mod units;
 
 pub use auth_settings::MOST_TOKENS;
 pub(super) use auth_settings::tokens_of_file;
 pub use keys::{AuthTable, ConfigKeys, KeyValue, QuotaTable, TokenTable};
+pub use keys::{ByteSize, TimeSpan, WordList};
 pub use server_config::ServerConfig;
 pub use settings::{LogFormat, ServeSettings, stored_in};
 pub use sources::Error;
 pub(super) use sources::{FileKeys, changed_keys, keys_of_file};
-pub use units::{ByteSize, TimeSpan, WordList};

@@ -3,8 +3,8 @@
 use super::Error;
 use super::keys::{ConfigKeys, KeyValue};
 use super::server_config::ServerConfig;
-use super::session_config::node_identity;
-use super::session_config::session_config_from_keys;
+use super::server_config::node_identity;
+use super::server_config::session_config_from_keys;
 use super::sources::MergedKeys;
 use super::sources::no_address;
 use crate::server::auth::JwtVerifier;

@@ -1,12 +1,11 @@
 //! The calls of `pliant.v1.Deformer`.
 
-use super::call::{Call, call_key};
+use super::codec::{Call, call_key};
 use super::services::deformer_server::Deformer;
 use super::streams;
 use crate::server::messages::{self, parse_format_name};
 use crate::server::redirect;
 use crate::server::state::ServerState;
-use crate::session::SessionFacts;
 use crate::wire::frames::{OutgoingResponse, encode};
 use crate::wire::{self, pb};
 use bytes::Bytes;
@@ -30,7 +29,7 @@ impl Calls {
         Self { state }
     }
 
-    fn session(&self, session: &SessionFacts) -> GrpcAnswer<pb::Session> {
+    fn session(&self, session: pb::Session) -> GrpcAnswer<pb::Session> {
         let message = messages::described_session(session, self.state.manager.config());
         Ok(Response::new(message))
     }
@@ -52,19 +51,19 @@ impl Deformer for Calls {
         // From here on the session's own reservation has room for them.
         drop(upload.held);
         let created = call.manager.create(&call.tenant, upload.files, options, key).await?;
-        self.session(&created.value)
+        self.session(created.value)
     }
 
     async fn get_session(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
         let call = Call::read(&self.state, request)?;
-        self.session(&call.manager.get(&call.tenant, &call.message.session_id).await?)
+        self.session(call.manager.get(&call.tenant, &call.message.session_id).await?)
     }
 
     async fn list_sessions(&self, request: Request<pb::ListSessionsRequest>) -> GrpcAnswer<pb::ListSessionsResponse> {
         let call = Call::read(&self.state, request)?;
         let page = wire::session_page(&call.message)?;
         let list = call.manager.list(&call.tenant, page).await?;
-        Ok(Response::new(messages::session_list(&list, call.manager.config())))
+        Ok(Response::new(messages::session_list(list, call.manager.config())))
     }
 
     async fn delete_session(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::DeleteSessionResponse> {
@@ -79,7 +78,7 @@ impl Deformer for Calls {
         let set = call
             .manager
             .set_handles(&call.tenant, &call.message.session_id, handles, key);
-        self.session(&set.await?)
+        self.session(set.await?)
     }
 
     type DeformStream = Sent<OutgoingResponse>;
@@ -107,7 +106,7 @@ impl Deformer for Calls {
         let done = call
             .manager
             .edit(&call.tenant, &call.message.session_id, edit, call.call_key());
-        Ok(Response::new(messages::committed_edit(done.await?)))
+        Ok(Response::new(done.await?))
     }
 
     async fn undo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
@@ -115,7 +114,7 @@ impl Deformer for Calls {
         let undone = call
             .manager
             .undo(&call.tenant, &call.message.session_id, call.key.as_deref());
-        self.session(&undone.await?)
+        self.session(undone.await?)
     }
 
     async fn redo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
@@ -123,7 +122,7 @@ impl Deformer for Calls {
         let redone = call
             .manager
             .redo(&call.tenant, &call.message.session_id, call.key.as_deref());
-        self.session(&redone.await?)
+        self.session(redone.await?)
     }
 
     async fn history(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::HistoryResponse> {

@@ -2,7 +2,6 @@
 //!
 //! Everything of tonic stays in this folder; no other part of the server sees its types.
 
-mod call;
 mod codec;
 mod deadline;
 mod deformer;

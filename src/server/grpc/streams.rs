@@ -4,7 +4,7 @@
 //! poses replace older ones even while the client does not read; the response body pulls frames out, one part at a time, as
 //! fast as HTTP/2 lets it. Dropping the body (the client left, or its deadline passed) drops both.
 
-use super::call::Call;
+use super::codec::Call;
 use super::codec::inbound_message;
 use crate::asset::FileSet;
 use crate::engine::ClipSource;
@@ -145,10 +145,7 @@ impl OpenStream {
 
 /// The status that ends the stream after `response`, when it says that the stream itself failed.
 fn failure(response: &OutgoingResponse) -> Option<Status> {
-    let OutgoingResponse::Words(words) = response else {
-        return None;
-    };
-    match &words.message {
+    match response.message() {
         Some(deform_response::Message::Error(error)) if error.seq == 0 => {
             let code = tonic::Code::from_i32(i32::try_from(error.code).unwrap_or(13));
             Some(Status::new(code, error.message.clone()))

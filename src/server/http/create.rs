@@ -82,11 +82,12 @@ pub(super) async fn create(
         .manager(&state)
         .create(&caller.tenant, files, options, key)
         .await?;
-    let mut response = session_json(&state, &created.value)?;
+    let location = format!("/v1/sessions/{}", created.value.id);
+    let mut response = session_json(&state, created.value)?;
     if !created.repeated {
         *response.status_mut() = StatusCode::CREATED;
     }
-    if let Ok(location) = HeaderValue::from_str(&format!("/v1/sessions/{}", created.value.id)) {
+    if let Ok(location) = HeaderValue::from_str(&location) {
         response.headers_mut().insert(header::LOCATION, location);
     }
     Ok(response)

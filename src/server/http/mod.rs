@@ -3,7 +3,6 @@
 //! The order of layers, outermost first: request number and count → rejections of the request filter → problem documents → compression of
 //! JSON → routes. Each call checks in the order authentication, session, then query and body.
 
-mod animate;
 mod body;
 mod create;
 mod docs;
@@ -15,9 +14,9 @@ mod route_table;
 mod sessions;
 mod upload;
 
-pub(super) use animate::OFFERS as ANIMATION_TYPES;
 pub(super) use request::Caller;
 pub(super) use route_table::{ROUTES, Route};
+pub(super) use sessions::OFFERS as ANIMATION_TYPES;
 
 use super::redirect;
 use super::request_filter::Rejected;
@@ -66,7 +65,7 @@ fn routes() -> Router<ServerState> {
         .route("/v1/sessions/{id}/solve", post(sessions::solve))
         .route("/v1/sessions/{id}/edits", post(sessions::edit))
         .route("/v1/sessions/{id}/carry", post(sessions::carry))
-        .route("/v1/sessions/{id}/animations", post(animate::animate))
+        .route("/v1/sessions/{id}/animations", post(sessions::animate))
         .route("/v1/sessions/{id}/undo", post(sessions::undo))
         .route("/v1/sessions/{id}/redo", post(sessions::redo))
         .route("/v1/sessions/{id}/history", get(sessions::history))

@@ -1,16 +1,14 @@
 //! `/openapi.json`: OpenAPI 3.1, made from the schema's descriptors and comments and from the route table.
 
-mod examples;
 mod schemas;
-mod statuses;
 
 use super::http::{ANIMATION_TYPES, ROUTES, Route};
 use crate::asset::Format;
 
 use crate::session::Error;
 use crate::wire;
-use examples::{body_example, code_samples, parameter_example};
 use schemas::Schemas;
+use schemas::{body_example, code_samples, parameter_example};
 use serde_json::{Map, Value, json};
 use std::sync::LazyLock;
 
@@ -135,13 +133,13 @@ fn operation(route: &Route, schemas: &Schemas) -> Value {
     }
     let mut responses = Map::new();
     responses.insert(route.status.to_string(), success(route));
-    for status in statuses::other_successes(route) {
+    for status in schemas::other_successes(route) {
         responses.insert(status.to_string(), success(route));
     }
-    if statuses::is_sent_on(route) {
+    if schemas::is_sent_on(route) {
         responses.insert("307".into(), json!({"$ref": "#/components/responses/SentOn"}));
     }
-    for status in statuses::refusals(route) {
+    for status in schemas::refusals(route) {
         responses.insert(status.to_string(), json!({"$ref": "#/components/responses/Problem"}));
     }
     operation.insert("responses".into(), responses.into());
@@ -352,7 +350,7 @@ mod tests {
         }
         assert_eq!(
             in_python,
-            examples::python_parts().count(),
+            schemas::python_parts().count(),
             "a part of samples.py has the name of no call"
         );
     }

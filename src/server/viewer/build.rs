@@ -121,8 +121,8 @@ fn output(command: &mut Command) -> Result<String, Box<dyn Error>> {
     }
     let complaints = String::from_utf8_lossy(&done.stderr);
     let lines: Vec<&str> = complaints.lines().filter(|line| !line.trim().is_empty()).collect();
-    let told = lines[lines.len().saturating_sub(4)..].join(" / ");
-    Err(format!("{name} ended with {}: {told}", done.status).into())
+    let reported = lines[lines.len().saturating_sub(4)..].join(" / ");
+    Err(format!("{name} ended with {}: {reported}", done.status).into())
 }
 
 /// Paths of the files below `folder`, relative to `page`.

@@ -1,27 +1,31 @@
-//! The task of one animation: has it prepared, then solves its frames one by one.
+//! The task of one animation: it prepares the animation and solves its frames one by one, for a reader or as one model that plays
+//! them.
 
 use crate::engine;
-use crate::engine::{FrameCursor, FrameSums, digest};
+use crate::engine::{FrameCursor, FrameSource, FrameSums, PlayedForm, digest};
 use crate::exec::Exec;
 use crate::motion::rig::RigidMotion;
 use crate::pool::Pool;
 use crate::progress::Progress as _;
-use crate::session::animation::frame_outbox::FrameOutbox;
-use crate::session::animation::prepared_animation::PreparedAnimation;
-use crate::session::animation::running_animation::RunningAnimation;
-use crate::session::calls::command::SessionCommand;
+use crate::session::animation::frame_outbox::{AnimationReader, FrameOutbox, PreparedAnimation};
+use crate::session::answers::{AnimatedModel, AnimationAnswer, WorkOwner};
+use crate::session::calls::command::PrepareAnimation;
 use crate::session::calls::manager::Manager;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::capacity::memory_use::MemoryUse;
-use crate::session::capacity::work_span::{WorkKind, WorkSpan};
-use crate::session::capacity::work_watch::WorkWatch;
+use crate::session::capacity::work_watch::{CancelOnDrop, WorkKind, WorkSpan, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
+use crate::session::metrics::{GaugeUnit, Metrics};
+use crate::session::quota::tenant_account::{TenantAccount, TenantStream};
 use crate::session::registry::OpenSession;
+use crate::session::shared::SharedResources;
 use crate::session::stream::frame_window::{FrameContext, ms_of};
-use crate::wire::frames::{AnimatedHeader, Frame, FrameHeader, FrameOutput};
-use crate::wire::{AnimateOrder, AnimationSummary, RootMotion};
+use crate::wire::frames::{Frame, FrameOutput};
+use crate::wire::{AnimateOrder, AnimationSummary, RootMotion, pb, quality_message};
+use glam::{DVec3, Vec3};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tokio::sync::OwnedSemaphorePermit;
 use tracing::Span;
 
 /// An animation on its way to its reader.
@@ -71,9 +75,9 @@ impl AnimationTask {
     async fn prepare_and_solve(&self, order: AnimateOrder) -> Result<Option<AnimationSummary>, Error> {
         let (root, output) = (order.root, order.output);
         let outbox = Arc::clone(&self.outbox);
-        let command = |call| SessionCommand::Animate(Box::new(order), outbox, call);
+        let call = PrepareAnimation { order, outbox };
         let mut prepared = tokio::select! {
-            prepared = self.manager.call(&self.session, None, command) => prepared?,
+            prepared = self.manager.call(&self.session, None, call) => prepared?,
             () = self.outbox.wait_for_end() => return Ok(None),
         };
         let memory = self.reserve_memory(&prepared)?;
@@ -85,7 +89,7 @@ impl AnimationTask {
             ..Default::default()
         };
         let prepared = Arc::new(prepared);
-        self.outbox.tell_prepared(Arc::clone(&prepared));
+        self.outbox.set_prepared(Arc::clone(&prepared));
         let solver = FrameSolver {
             frames: FrameContext {
                 revision: prepared.revision,
@@ -127,7 +131,7 @@ impl AnimationTask {
         let begun = Instant::now();
         while cursor.next_index().is_some() {
             if let Some(fraction) = cursor.lead_progress() {
-                self.outbox.tell_stage("frames before those of a block", fraction);
+                self.outbox.report_stage("frames before those of a block", fraction);
             }
             if !self.outbox.wait_for_room().await {
                 return Ok(None);
@@ -213,23 +217,27 @@ impl FrameSolver {
             RootMotion::Baked => frame.bake_root(),
             RootMotion::Dropped => frame.root = RigidMotion::IDENTITY,
         }
-        let animated = AnimatedHeader {
-            index: frame.index,
-            count: animation.times().count,
-            seconds: frame.seconds,
-            root: frame.root,
+        let narrow = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+        let animated = pb::Animated {
+            index: narrow(frame.index),
+            count: narrow(animation.times().count),
+            time: frame.seconds,
+            root_translation: frame.root.place(DVec3::ZERO).to_array().to_vec(),
+            root_rotation: frame.root.rotation.to_array().to_vec(),
             digest,
-            cycles: frame.cycles,
+            cycles: narrow(frame.cycles),
+            ..Default::default()
         };
         let shading = (self.prepared.shader.as_ref()).map(|shader| Arc::new(shader.shade(&frame.positions)));
         let seq = frame.index as u64 + 1;
         let mut sent = (self.frames).frame(seq, self.output, Arc::new(frame.positions), shading);
-        sent.header = FrameHeader {
-            is_final: true,
+        sent.root = Some(frame.root);
+        sent.header = pb::Frame {
+            r#final: true,
             residual: frame.residual,
             max_error: frame.max_error,
-            quality: Some(quality),
-            animated: Some(Box::new(animated)),
+            quality: Some(quality_message(&quality)),
+            animated: Some(animated),
             ..sent.header
         };
         Ok(SolvedFrame {
@@ -239,4 +247,154 @@ impl FrameSolver {
             cycles: frame.cycles,
         })
     }
+}
+
+/// One animation under way, until it is dropped.
+#[derive(Debug)]
+pub(in crate::session) struct RunningAnimation {
+    session: Arc<OpenSession>,
+    _counted: GaugeUnit,
+    places: (OwnedSemaphorePermit, TenantStream),
+}
+
+impl RunningAnimation {
+    /// Counts one more; `places` are those among all of the server's, and among the tenant's streams.
+    pub fn on_session(
+        session: &Arc<OpenSession>,
+        places: (OwnedSemaphorePermit, TenantStream),
+        metrics: &Metrics,
+    ) -> Self {
+        session.animations.count_one_more();
+        Self {
+            session: Arc::clone(session),
+            _counted: GaugeUnit::add_to(&metrics.animations),
+            places,
+        }
+    }
+
+    /// Counts work that was done for it.
+    pub fn charge_work(&self, time: Duration) {
+        self.places.1.charge_work(time);
+    }
+}
+
+impl Drop for RunningAnimation {
+    fn drop(&mut self) {
+        self.session.animations.count_one_less();
+        self.session.lease.renew();
+        self.session.wake.notify_one();
+    }
+}
+
+/// What a vertex of a frame costs: its place, and what the written model has of it.
+const VERTEX_BYTES: u64 = 48;
+
+/// Frames in memory.
+#[derive(Default)]
+struct FramesInMemory {
+    roots: Vec<RigidMotion>,
+    shapes: Vec<Vec<Vec3>>,
+}
+
+impl FrameSource for FramesInMemory {
+    type Failure = engine::Error;
+
+    fn count(&self) -> usize {
+        self.shapes.len()
+    }
+
+    fn root(&self, frame: usize) -> RigidMotion {
+        self.roots[frame]
+    }
+
+    fn positions(&mut self, frame: usize) -> Result<Vec<Vec3>, engine::Error> {
+        Ok(self.shapes[frame].clone())
+    }
+}
+
+impl FramesInMemory {
+    fn push(&mut self, frame: &Frame) {
+        self.roots.push(frame.root.unwrap_or(RigidMotion::IDENTITY));
+        self.shapes.push(frame.positions.iter().map(|p| p.as_vec3()).collect());
+    }
+}
+
+/// Takes the frames of an animation, and writes a model that plays them.
+pub(in crate::session) async fn gather_clip(
+    (shared, account, owner): (&SharedResources, &Arc<TenantAccount>, &WorkOwner),
+    mut output: AnimationReader,
+    (form, root): (PlayedForm, RootMotion),
+) -> Result<AnimatedModel, Error> {
+    let mut frames = FramesInMemory::default();
+    let mut memory = None;
+    let mut summary = loop {
+        match output.next_answer().await {
+            Some(Ok(AnimationAnswer::Stage { .. })) => {}
+            Some(Ok(AnimationAnswer::Frame(frame))) => {
+                if memory.is_none() {
+                    memory = Some(reserve_frames((shared, account), output.prepared().as_deref())?);
+                }
+                frames.push(&frame);
+            }
+            Some(Ok(AnimationAnswer::Summary(summary))) => break *summary,
+            Some(Err(error)) => return Err(error),
+            None => return Err(Error::new(ErrorCode::Internal, "an animation ended without a result")),
+        }
+    };
+    let gone = || Error::new(ErrorCode::Internal, "an animation has frames and was never prepared");
+    let prepared = output.prepared().ok_or_else(gone)?;
+    let guard = CancelOnDrop::default();
+    let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
+    let watch = Arc::new(WorkWatch::new(flags, shared.config.build));
+    let inside = Arc::clone(&watch);
+    let has_root = root == RootMotion::Apart;
+    let slot = shared.compute.slot_for_frame(owner).await?;
+    let span = WorkSpan::new(WorkKind::Clip, "", &Span::current());
+    let written = slot.run(span, move |pool| {
+        let exec = Exec::new(pool, &*inside);
+        let animation = &prepared.animation;
+        animation.write_clip(form, has_root, &mut frames, &exec)
+    });
+    let written = written.await.map_err(Error::from)?.map_err(|error| match error {
+        engine::Error::Cancelled if !watch.abandoned() => {
+            let limit = watch.limit().as_millis();
+            let text = format!("writing the animation took longer than the {limit} ms that are allowed");
+            Error::new(ErrorCode::DeadlineExceeded, text)
+        }
+        error => error.into(),
+    })?;
+    drop(memory);
+    summary.warnings.extend(written.error.map(|error| error.message));
+    Ok(AnimatedModel {
+        model: written.files.main.into(),
+        summary,
+    })
+}
+
+/// The bytes that all frames will hold, of what all sessions together may.
+fn reserve_frames(
+    (shared, account): (&SharedResources, &Arc<TenantAccount>),
+    prepared: Option<&PreparedAnimation>,
+) -> Result<MemoryReservation, Error> {
+    let (frames, vertices) = prepared.map_or((0, 0), |p| (p.animation.range().len(), p.animation.model().1.len()));
+    if prepared.is_some_and(|p| p.animation.is_edited()) {
+        let text =
+            "edits have changed the model since it was read, and a GLB is made of the model as it was; ask for frames";
+        return Err(Error::new(ErrorCode::FailedPrecondition, text));
+    }
+    let bytes = (frames as u64)
+        .saturating_mul(vertices as u64)
+        .saturating_mul(VERTEX_BYTES);
+    let total = shared.ledger.total();
+    if bytes > total {
+        let text =
+            format!("the animation as one model would need {bytes} bytes of memory, at most {total} are allowed");
+        return Err(Error::new(ErrorCode::TooLarge, text));
+    }
+    let reserved = (shared.ledger).reserve(MemoryUse::Sessions, Some(account), bytes, bytes);
+    reserved.map_err(|shortage| {
+        shared.metrics.refused.inc();
+        let text = format!("the animation as one model would need {bytes} bytes of memory, and {shortage}");
+        Error::exhausted(text, 5)
+    })
 }

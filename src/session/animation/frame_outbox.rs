@@ -2,18 +2,20 @@
 //!
 //! No frame is left out, so the task waits while the window is full: what a slow reader costs is the window of frames. One short
 //! lock guards the state; it is never held while anything waits or computes.
+//!
+//! What was prepared for an animation.
 
+use crate::engine::{Animation, Shader};
 use crate::progress::{CancelFlag, Progress};
-use crate::session::animation::prepared_animation::PreparedAnimation;
 use crate::session::answers::AnimationAnswer;
-use crate::session::capacity::call_gate::CallGuard;
+use crate::session::capacity::call_queue::CallGuard;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::Metrics;
-use crate::session::stream::frame_packer::FramePacker;
-use crate::session::stream::frame_window::FrameWindow;
+use crate::session::stream::frame_window::{FramePacker, FrameWindow};
 use crate::wire::AnimationSummary;
 use crate::wire::frames::Frame;
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::Poll;
 use tokio::sync::Notify;
@@ -111,13 +113,13 @@ impl FrameOutbox {
     // The task's side.
 
     /// Reports what is under way; only the newest stage waits for the reader.
-    pub fn tell_stage(&self, stage: &'static str, fraction: f32) {
+    pub fn report_stage(&self, stage: &'static str, fraction: f32) {
         self.lock_state().stage = Some((stage, fraction));
         self.reader.notify_one();
     }
 
     /// The animation is prepared.
-    pub fn tell_prepared(&self, prepared: Arc<PreparedAnimation>) {
+    pub fn set_prepared(&self, prepared: Arc<PreparedAnimation>) {
         self.lock_state().prepared = Some(prepared);
     }
 
@@ -184,12 +186,12 @@ impl FrameOutbox {
 }
 
 /// Reports the stage of a piece of work to the reader of an animation.
-pub(in crate::session) struct StageTeller<'a> {
+pub(in crate::session) struct StageReporter<'a> {
     pub outbox: &'a FrameOutbox,
     pub watch: &'a dyn Progress,
 }
 
-impl Progress for StageTeller<'_> {
+impl Progress for StageReporter<'_> {
     fn cancelled(&self) -> bool {
         self.watch.cancelled() || self.outbox.cancel.cancelled()
     }
@@ -200,7 +202,7 @@ impl Progress for StageTeller<'_> {
 
     fn report(&self, stage: &'static str, fraction: f32) {
         self.watch.report(stage, fraction);
-        self.outbox.tell_stage(stage, fraction);
+        self.outbox.report_stage(stage, fraction);
     }
 }
 
@@ -308,24 +310,45 @@ impl Drop for AnimationReader {
     }
 }
 
+/// An animation that is ready to be solved. What becomes of the session's deformer does not affect it.
+pub(in crate::session) struct PreparedAnimation {
+    pub animation: Animation,
+    /// What makes normals and tangents, when they are wanted.
+    pub shader: Option<Arc<Shader>>,
+    /// The session's revision when it was prepared.
+    pub revision: u64,
+    /// Milliseconds by stage.
+    pub build_ms: BTreeMap<String, f64>,
+}
+
+impl PreparedAnimation {
+    /// Bytes held.
+    pub fn byte_size(&self) -> u64 {
+        self.animation.byte_size() + self.shader.as_ref().map_or(0, |s| s.byte_size())
+    }
+}
+
+impl std::fmt::Debug for PreparedAnimation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "PreparedAnimation(frames {:?})", self.animation.range())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::session::error::ErrorCode;
-    use crate::wire::frames::{FrameHeader, FrameOutput};
+    use crate::wire::pb;
     use futures::poll;
 
     fn frame(seq: u64) -> Frame {
         Frame {
-            header: FrameHeader {
+            header: pb::Frame {
                 seq,
                 ..Default::default()
             },
-            positions: Arc::default(),
-            shading: None,
-            output: FrameOutput::default(),
-            selected: None,
             part_bytes: 1 << 20,
+            ..Frame::default()
         }
     }
 
@@ -363,8 +386,8 @@ mod tests {
     #[tokio::test]
     async fn every_frame_comes_before_the_summary() {
         let outbox = FrameOutbox::with_window(8);
-        outbox.tell_stage("clip", 0.0);
-        outbox.tell_stage("fields", 0.5);
+        outbox.report_stage("clip", 0.0);
+        outbox.report_stage("fields", 0.5);
         outbox.send_frame(frame(1));
         outbox.complete(AnimationSummary::default());
         outbox.end_early(Some(Error::new(ErrorCode::NotFound, "too late")));

@@ -4,10 +4,7 @@
 //! of the session's. A task of its own then solves frame by frame. It holds a compute slot for one frame at a time, so that
 //! poses of other streams take their turn in between, and it goes on only while the reader has room for a frame.
 
-mod animation_task;
+pub(super) mod animation_task;
 pub(super) mod frame_outbox;
-pub(super) mod gathered_clip;
-pub(super) mod prepared_animation;
-pub(super) mod running_animation;
 
 pub(super) use animation_task::AnimationTask;

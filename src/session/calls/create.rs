@@ -1,26 +1,25 @@
-//! Opens sessions: checks what can be checked for nothing, takes a seat and memory, builds the engine, starts the task.
+//! Opens sessions: checks what can be checked for nothing, takes a permit and memory, builds the engine, starts the task.
 
 use crate::asset::FileSet;
-use crate::engine::OpenOptions;
-use crate::session::answers::{CallKey, SessionFacts, Tenant};
+use crate::session::answers::{CallKey, Tenant};
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::StoredAnswer;
 use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim, RequestFingerprint};
 use crate::session::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
-use crate::session::calls::session_places::{SessionPlaces, place_of_tenant};
+use crate::session::calls::model_opening::{SessionPlaces, place_of_tenant};
 use crate::session::calls::shared_keys::claim_everywhere;
-use crate::session::capacity::call_line::CallLine;
-use crate::session::capacity::session_lease::SessionLease;
+use crate::session::capacity::call_queue::CallQueue;
+use crate::session::capacity::call_queue::SessionLease;
 use crate::session::capacity::work_watch::CancelOnDrop;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::kept_session::KeptSession;
-use crate::session::keeping::residence::Residence;
+use crate::session::keeping::kept_session::MemoryState;
 use crate::session::registry::{OpenAnimations, OpenSession, OpenStreams, SessionView};
 use crate::session::shared::SharedResources;
 use crate::session::store::{Commit, Generation, HeldSession, NewCommit, NewSession, now_ms};
 use crate::session::task::session_task::SessionTask;
-use crate::wire::SessionOptions;
 use crate::wire::record::{FileReferences, LoggedCommit, RecordedModel};
+use crate::wire::{SessionOptions, pb};
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::{Arc, OnceLock, RwLock};
 use std::time::{Duration, Instant};
@@ -59,8 +58,13 @@ pub(in crate::session) async fn create_session(
     let of_tenant = place_of_tenant(shared, tenant, upload).await?;
     let mut places = SessionPlaces::reserve(shared, of_tenant, upload).await?;
     let guard = CancelOnDrop::default();
-    let SessionOptions { open, label, ttl } = options;
-    let kept_files = shared.store.is_some().then(|| (files.clone(), open.clone()));
+    let SessionOptions {
+        open,
+        create,
+        label,
+        ttl,
+    } = options;
+    let kept_files = shared.store.is_some().then(|| files.clone());
     let model = ModelToOpen {
         files,
         options: open,
@@ -83,9 +87,9 @@ pub(in crate::session) async fn create_session(
         session: owner.id.clone(),
     };
     let kept = match (&shared.store, kept_files) {
-        (Some(store), Some((files, open))) => {
+        (Some(store), Some(files)) => {
             let key = claim.as_ref().map(KeyClaim::logged);
-            let new = new_session(&owner, (files, open), &opened, (key, audit));
+            let new = new_session(&owner, (files, create), &opened, (key, audit));
             let kept = KeptSession::new(Arc::clone(store));
             generation = store
                 .writable()?
@@ -138,7 +142,7 @@ fn default_ttl(shared: &SharedResources, places: &SessionPlaces) -> Duration {
 
 /// A session that was created, now or by an earlier call with the same key, whose answer is kept.
 pub(in crate::session) enum CreatedSession {
-    Now(Box<SessionFacts>),
+    Now(Box<pb::Session>),
     Before(StoredAnswer),
 }
 
@@ -172,7 +176,7 @@ pub(in crate::session) struct SessionOwner {
 /// A session as its store keeps it.
 fn new_session(
     owner: &SessionOwner,
-    (files, options): (FileSet, OpenOptions),
+    (files, options): (FileSet, pb::CreateOptions),
     opened: &OpenedModel,
     (key, audit): (Option<(Tenant, String, u128)>, AuditEntry),
 ) -> NewSession {
@@ -186,6 +190,7 @@ fn new_session(
         model: RecordedModel {
             files: FileReferences::default(),
             options,
+            of_today: true,
             label: owner.label.clone(),
             format: opened.deformer.engine.format(),
             graph_bytes: Some(opened.graph_bytes),
@@ -204,7 +209,7 @@ fn new_session(
                 facts_at: 0,
                 poses_at: 0,
                 record: LoggedCommit::Create {
-                    facts: (*state.facts).clone(),
+                    facts: Box::new((*state.facts).clone()),
                 },
             },
             files: None,
@@ -259,7 +264,7 @@ pub(in crate::session) fn start_session(
         cancel: Arc::default(),
         closing: CancellationToken::new(),
         ended: CancellationToken::new(),
-        line: CallLine::default(),
+        line: CallQueue::default(),
         view: RwLock::new(Arc::new(view)),
         why: OnceLock::new(),
         leave: AtomicBool::new(false),
@@ -277,10 +282,10 @@ pub(in crate::session) fn start_session(
         build_ms,
         memory: places.memory,
         place: places.of_tenant,
-        seat: places.seat,
+        session_permit: places.session_permit,
         next_stream: 0,
         kept,
-        residence: Residence::Whole,
+        memory_state: MemoryState::Full,
         acting: "pliant".into(),
     };
     task.publish_view();

@@ -2,21 +2,23 @@
 //!
 //! A call finds its session (404), claims its idempotency key, hands a command to the session's task and waits for the answer.
 //! What only reads the published view needs no task. Here are the sessions themselves and what all calls have in common;
-//! what changes a session is in `commits` and `edit`, what reads its shape in `shape`, opening in `create`, stopping in `drain`.
+//! what changes a session is in `commits`, what reads its shape in `shape`, opening in `create`, stopping in `drain`.
 //!
-//! Calls take values that `wire` has read and checked, and answer with values: no message comes in here, none goes out.
+//! Calls take values that `wire` has read and checked; those that describe a session or an edit answer with its message.
+//!
+//! Who calls: what a tenant may use, and what is noted of what it does.
 
 use crate::asset::FileSet;
 use crate::engine::HandleSet;
-use crate::session::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionFacts, SessionList, Tenant};
-use crate::session::audit::audit_entry::AuditedAction;
-use crate::session::calls::command::{PendingCall, SessionCommand, StoredAnswer};
+use crate::session::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionList, Tenant};
+use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
+use crate::session::audit::audit_trail::note;
+use crate::session::calls::command::{CallOrigin, KeyedCall, QueuedCall, StoredAnswer, TaskCall};
 use crate::session::calls::create::{CreatedSession, create_session};
-use crate::session::calls::idempotency::{
-    ClaimOutcome, IdempotencyKeys, KeyClaim, RequestFingerprint, answer_of_another_call,
-};
+use crate::session::calls::idempotency::{ClaimOutcome, IdempotencyKeys, KeyClaim};
 use crate::session::calls::shared_keys::claim_everywhere;
-use crate::session::capacity::call_gate::CallGate;
+use crate::session::capacity::call_queue::CallGate;
+use crate::session::capacity::call_queue::MIN_TTL;
 use crate::session::capacity::compute_slots::ComputeSlots;
 use crate::session::capacity::memory_ledger::MemoryLedger;
 use crate::session::capacity::work_watch::CancelOnDrop;
@@ -24,20 +26,22 @@ use crate::session::config::SessionConfig;
 use crate::session::engine::{EngineOpener, OpenDeformer};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::heartbeat::{be_sure_of_lease, beat, beat_for_ever};
+use crate::session::keeping::kept_session::listed_facts;
 use crate::session::keeping::lease_watch::LeaseWatch;
+use crate::session::keeping::lease_watch::SessionLocks;
 use crate::session::keeping::reopen::{claim_session, reopen_session};
-use crate::session::keeping::session_locks::SessionLocks;
-use crate::session::keeping::stored_list::listed_facts;
 use crate::session::keeping::sweep::sweep_for_ever;
 use crate::session::metrics::Metrics;
-use crate::session::quota::tenant_accounts::TenantAccounts;
+use crate::session::quota::tenant_account::TenantAccounts;
+use crate::session::quota::tenant_account::{QuotaReport, TenantAccount};
 use crate::session::registry::{OpenSession, SessionRegistry};
 use crate::session::shared::SharedResources;
-use crate::session::store::now_ms;
-use crate::session::store::{ReadSessions, StoreError};
-use crate::wire::{SessionOptions, SessionPage};
+use crate::session::store::{ReadSessions, StoreError, now_ms};
+use crate::wire::{SessionOptions, SessionPage, pb};
+use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
+use std::sync::atomic::Ordering::SeqCst;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
@@ -121,7 +125,7 @@ impl Manager {
         let ledger = MemoryLedger::new(config.memory_bytes, Arc::clone(&metrics));
         let shared = SharedResources {
             compute: ComputeSlots::new(&config, Arc::clone(&metrics))?,
-            seats: Arc::new(Semaphore::new(config.sessions)),
+            session_permits: Arc::new(Semaphore::new(config.sessions)),
             accounts: TenantAccounts::new(config.quotas.clone(), metrics.refused.clone()),
             animations: Arc::new(Semaphore::new(config.animations)),
             registry: SessionRegistry::default(),
@@ -175,19 +179,16 @@ impl Manager {
         files: FileSet,
         options: SessionOptions,
         key: Option<CallKey>,
-    ) -> Result<KeyedAnswer<SessionFacts>, Error> {
+    ) -> Result<KeyedAnswer<pb::Session>, Error> {
         match create_session(&self.shared, (tenant, &self.who), files, options, key).await? {
             CreatedSession::Now(value) => Ok(KeyedAnswer {
                 value: *value,
                 repeated: false,
             }),
-            CreatedSession::Before(answer) => match self.kept_answer(tenant, answer).await? {
-                StoredAnswer::Session(value) => Ok(KeyedAnswer {
-                    value: *value,
-                    repeated: true,
-                }),
-                _ => Err(answer_of_another_call()),
-            },
+            CreatedSession::Before(answer) => Ok(KeyedAnswer {
+                value: self.kept_answer(tenant, answer).await?.try_into()?,
+                repeated: true,
+            }),
         }
     }
 
@@ -195,7 +196,7 @@ impl Manager {
     ///
     /// # Errors
     /// `NOT_FOUND`.
-    pub async fn get(&self, tenant: &Tenant, id: &str) -> Result<SessionFacts, Error> {
+    pub async fn get(&self, tenant: &Tenant, id: &str) -> Result<pb::Session, Error> {
         Ok(self.find(tenant, id).await?.describe())
     }
 
@@ -257,7 +258,7 @@ impl Manager {
     /// `NOT_FOUND`.
     pub async fn delete(&self, tenant: &Tenant, id: &str) -> Result<(), Error> {
         let _inside = self.shared.gate.enter();
-        // Nobody brings it into memory meanwhile.
+        // No call brings it into memory meanwhile.
         be_sure_of_lease(&self.shared).await;
         let lock = self.shared.locks.lock(id).await;
         let session = self.shared.registry.find(tenant, id);
@@ -272,7 +273,7 @@ impl Manager {
                 let audit = self.audit_entry(tenant, AuditedAction::Delete, id);
                 let deleted = store.writable()?.delete(audit, generation).await;
                 if let (Err(StoreError::Moved), Ok(session)) = (&deleted, &session) {
-                    self.shared.lose(session);
+                    self.shared.drop_ownership(session);
                 }
                 deleted?;
                 self.account(tenant)?.uncount_session();
@@ -316,61 +317,69 @@ impl Manager {
         }
     }
 
-    /// Claims the idempotency key of a call, or gives the answer that is kept for it.
-    pub(in crate::session) async fn claim(
+    /// Makes a call on a session, or gives the answer that is kept for its key.
+    ///
+    /// # Cancel safety
+    /// As [`Manager::call`].
+    pub(in crate::session) async fn keyed_call<C: KeyedCall>(
         &self,
         tenant: &Tenant,
-        key: Option<&str>,
-        operation: &str,
-        parts: &[&[u8]],
-    ) -> Result<Option<ClaimOutcome<StoredAnswer>>, Error> {
-        let Some(key) = key else { return Ok(None) };
-        let fingerprint = RequestFingerprint::of(operation, parts);
-        claim_everywhere(&self.shared, tenant, key, fingerprint).await.map(Some)
+        id: &str,
+        key: Option<CallKey>,
+        call: C,
+    ) -> Result<C::Answer, Error> {
+        let session = self.find(tenant, id).await?;
+        match self.claim_call(&session, key, &call).await? {
+            ControlFlow::Break(answer) => Ok(answer),
+            ControlFlow::Continue(claim) => self.call(&session, claim, call).await,
+        }
     }
 
-    /// Makes a call that answers with the session, or gives the answer kept for its key.
-    pub(in crate::session) async fn call_for_session(
+    /// Claims the key of a call, or breaks with the answer that is kept for it.
+    pub(in crate::session) async fn claim_call<C: KeyedCall>(
         &self,
-        session: &Arc<OpenSession>,
-        claim: Option<ClaimOutcome<StoredAnswer>>,
-        command: impl FnOnce(PendingCall<SessionFacts>) -> SessionCommand,
-    ) -> Result<SessionFacts, Error> {
-        let claim = match claim {
-            Some(ClaimOutcome::Done(answer)) => match self.kept_answer(&session.tenant, answer).await? {
-                StoredAnswer::Session(session) => return Ok(*session),
-                _ => return Err(answer_of_another_call()),
-            },
-            Some(ClaimOutcome::New(claim)) => Some(claim),
-            None => None,
+        session: &OpenSession,
+        key: Option<CallKey>,
+        call: &C,
+    ) -> Result<ControlFlow<C::Answer, Option<KeyClaim<StoredAnswer>>>, Error> {
+        let Some(CallKey { key, request }) = key else {
+            return Ok(ControlFlow::Continue(None));
         };
-        self.call(session, claim, command).await
+        let fingerprint = call.fingerprint(&session.id, &request);
+        Ok(
+            match claim_everywhere(&self.shared, &session.tenant, &key, fingerprint).await? {
+                ClaimOutcome::New(claim) => ControlFlow::Continue(Some(claim)),
+                ClaimOutcome::Done(answer) => {
+                    ControlFlow::Break(self.kept_answer(&session.tenant, answer).await?.try_into()?)
+                }
+            },
+        )
     }
 
     /// Sends a command to the session's task and waits for its answer.
     ///
     /// # Cancel safety
     /// Dropping the future raises the command's flag.
-    pub(in crate::session) async fn call<T>(
+    pub(in crate::session) async fn call<C: TaskCall>(
         &self,
         session: &Arc<OpenSession>,
         claim: Option<KeyClaim<StoredAnswer>>,
-        command: impl FnOnce(PendingCall<T>) -> SessionCommand,
-    ) -> Result<T, Error> {
+        call: C,
+    ) -> Result<C::Answer, Error> {
         let _inside = self.shared.gate.enter();
         let guard = CancelOnDrop::default();
         let (reply, mut answer) = oneshot::channel();
         let arrived = Instant::now();
         let ahead = session.line.waiting();
         (self.shared.compute).refuse_long_line(ahead, session.line.expected(ahead), arrived)?;
-        let mut command = command(PendingCall {
-            reply,
+        let origin = CallOrigin {
             who: Arc::clone(&self.who),
             cancel: Arc::clone(&guard.0),
             arrived,
             claim,
             span: Span::current(),
-        });
+        };
+        let mut command = C::queued(QueuedCall { call, origin, reply });
         let mut session = Arc::clone(session);
         while let Err(error) = session.commands.try_send(command) {
             match error {
@@ -407,5 +416,61 @@ impl Manager {
 impl std::fmt::Debug for Manager {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "Manager({} sessions)", self.shared.metrics.sessions.get())
+    }
+}
+
+impl Manager {
+    /// The same sessions, with calls noted as those of `who`, a name that authentication gave.
+    #[must_use]
+    pub fn on_behalf_of(&self, who: &Arc<str>) -> Self {
+        Self {
+            shared: Arc::clone(&self.shared),
+            who: Arc::clone(who),
+        }
+    }
+
+    /// The entry that says what the caller does.
+    pub(in crate::session) fn audit_entry(&self, tenant: &Tenant, what: AuditedAction, id: &str) -> AuditEntry {
+        AuditEntry {
+            tenant: tenant.clone(),
+            who: Arc::clone(&self.who),
+            what,
+            session: id.to_owned(),
+        }
+    }
+
+    /// Notes what the caller does.
+    pub(in crate::session) async fn note(&self, tenant: &Tenant, what: AuditedAction, id: &str) {
+        note(&self.shared, self.audit_entry(tenant, what, id)).await;
+    }
+
+    /// What a tenant may use, and what it uses.
+    ///
+    /// # Errors
+    /// `RESOURCE_EXHAUSTED` where too many other tenants use something.
+    pub fn account(&self, tenant: &Tenant) -> Result<Arc<TenantAccount>, Error> {
+        self.shared.accounts.of(tenant)
+    }
+
+    /// The times to live that a tenant's sessions may ask for.
+    ///
+    /// # Errors
+    /// As [`Manager::account`].
+    pub fn ttl_range(&self, tenant: &Tenant) -> Result<RangeInclusive<Duration>, Error> {
+        let longest = self.account(tenant)?.quota().max_ttl;
+        Ok(MIN_TTL..=longest.unwrap_or(self.shared.config.max_ttl))
+    }
+
+    /// What a tenant may use and what it has left.
+    ///
+    /// # Errors
+    /// As [`Manager::account`]; `UNAVAILABLE` when the store does not answer.
+    pub async fn quotas_left(&self, tenant: &Tenant) -> Result<QuotaReport, Error> {
+        let account = self.account(tenant)?;
+        let stored = match (&self.shared.store, account.stored_quota()) {
+            (Some(store), Some(_)) => store.stored_bytes(tenant.clone()).await?,
+            _ => 0,
+        };
+        Ok(account.report(stored))
     }
 }

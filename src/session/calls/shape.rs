@@ -1,19 +1,24 @@
-//! The calls that read a session's shape, and the stream that deforms it.
+//! The calls that read a session's shape, the stream that deforms it, and the calls that animate its model.
 
 use crate::asset::Format;
-use crate::session::answers::{CarriedAlong, ExportedModel, PositionBuffer, Tenant};
+use crate::session::animation::AnimationTask;
+use crate::session::animation::animation_task::RunningAnimation;
+use crate::session::animation::animation_task::gather_clip;
+use crate::session::animation::frame_outbox::{AnimationControl, AnimationReader, FrameOutbox, animation_ends};
+use crate::session::answers::{AnimatedModel, CarriedAlong, ExportedModel, PositionBuffer, Tenant, WorkOwner};
 use crate::session::audit::audit_entry::AuditedAction;
-use crate::session::calls::command::SessionCommand;
+use crate::session::calls::command::ExportModel;
 use crate::session::calls::manager::Manager;
 use crate::session::capacity::memory_use::MemoryUse;
 use crate::session::error::Error;
 use crate::session::registry::OpenSession;
 use crate::session::stream::ends::DeformStream;
 use crate::session::stream::mailbox::Mailbox;
-use crate::wire::CarryOrder;
-use crate::wire::frames::f32_bytes;
+use crate::wire::frames::{FrameOutput, f32_bytes};
+use crate::wire::{AnimateOrder, CarryOrder};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
+use tracing::Instrument;
 
 impl Manager {
     /// The model in its current committed shape, in `format` or the one that it came in.
@@ -25,9 +30,7 @@ impl Manager {
     /// `INVALID_ARGUMENT` when the model cannot be written in that format.
     pub async fn export(&self, tenant: &Tenant, id: &str, format: Option<Format>) -> Result<ExportedModel, Error> {
         let session = self.find(tenant, id).await?;
-        let exported = self
-            .call(&session, None, |call| SessionCommand::Export(format, call))
-            .await?;
+        let exported = self.call(&session, None, ExportModel(format)).await?;
         self.note(tenant, AuditedAction::Export, id).await;
         Ok(exported)
     }
@@ -53,9 +56,7 @@ impl Manager {
     /// `NOT_FOUND`; what is wrong with the model that is to be carried.
     pub async fn carry(&self, tenant: &Tenant, id: &str, order: CarryOrder) -> Result<CarriedAlong, Error> {
         let session = self.find(tenant, id).await?;
-        let carried = self
-            .call(&session, None, |call| SessionCommand::Carry(Box::new(order), call))
-            .await?;
+        let carried = self.call(&session, None, order).await?;
         self.note(tenant, AuditedAction::Carry, id).await;
         Ok(carried)
     }
@@ -117,5 +118,74 @@ impl Manager {
         } else {
             Ok(stream)
         }
+    }
+}
+
+impl Manager {
+    /// Drives a session's model by a clip. The animation uses the rest shape as it is now; handles, shape and history
+    /// do not affect it, and may change meanwhile. The output reports errors of the clip or the rig.
+    ///
+    /// # Errors
+    /// `NOT_FOUND`, `RESOURCE_EXHAUSTED` when as many animations are under way as allowed, `UNAVAILABLE` while draining.
+    pub async fn animate(
+        &self,
+        tenant: &Tenant,
+        id: &str,
+        order: AnimateOrder,
+    ) -> Result<(AnimationControl, AnimationReader), Error> {
+        let session = self.find(tenant, id).await?;
+        let shared = &self.shared;
+        if shared.draining.load(SeqCst) {
+            return Err(Error::draining());
+        }
+        let permit = Arc::clone(&shared.animations).try_acquire_owned().map_err(|_| {
+            shared.metrics.refused.inc();
+            let most = shared.config.animations;
+            Error::exhausted(format!("{most} animations are under way, no more are allowed"), 5)
+        })?;
+        let account = self.account(tenant)?;
+        account.check_work()?;
+        let place = account.take_stream().inspect_err(|_| {
+            shared.metrics.refused.inc();
+        })?;
+        self.note(tenant, AuditedAction::Animate, id).await;
+        let running = RunningAnimation::on_session(&session, (permit, place), &shared.metrics);
+        let outbox = Arc::new(FrameOutbox::with_window(order.window));
+        let held = shared.ledger.reserve_later(MemoryUse::Sessions, Some(&account));
+        let ends = animation_ends(&outbox, (&shared.metrics, held), shared.gate.enter());
+        let task = AnimationTask {
+            manager: self.clone(),
+            session,
+            outbox,
+            running,
+        };
+        // Its work is part of the call.
+        tokio::spawn(task.run_animation(order).in_current_span());
+        Ok(ends)
+    }
+
+    /// As [`Manager::animate`], as a GLB that plays the clip.
+    ///
+    /// # Cancel safety
+    /// Dropping the future stops the work.
+    ///
+    /// # Errors
+    /// Those of [`Manager::animate`]; what is wrong with clip or rig; `FAILED_PRECONDITION` for a model that edits have changed.
+    pub async fn animate_to_model(
+        &self,
+        tenant: &Tenant,
+        id: &str,
+        mut order: AnimateOrder,
+    ) -> Result<AnimatedModel, Error> {
+        order.output = FrameOutput::default();
+        let form = (order.played, order.root);
+        let (input, output) = self.animate(tenant, id, order).await?;
+        input.finish_input();
+        let owner = WorkOwner {
+            tenant: tenant.clone(),
+            session: id.to_owned(),
+        };
+        let account = self.account(tenant)?;
+        gather_clip((&self.shared, &account, &owner), output, form).await
     }
 }

@@ -6,17 +6,22 @@
 //! have slots that nothing else gets. In a lane tenants take turns, in a tenant its sessions. Work that would wait
 //! longer than it may is rejected at once. A build may take minutes: while one tenant has all slots for builds, there
 //! is one more for another tenant.
+//!
+//! Threads that each run one piece of work alone.
+//!
+//! A solve on the threads of a pool synchronises after every colour and every pass. That makes one solve faster and
+//! many slower: when every slot is taken, the threads only steal pieces of each other's solves, and pay for each with a
+//! synchronisation and cold caches. Results are bit-identical for any number of threads.
 
-use crate::pool::Pool;
+use crate::pool::{Pool, PoolError};
+use crate::session::answers::WorkOwner;
 use crate::session::capacity::fair_line::{FairLine, LinePermit, LinePlace, LineRefusal, LineSlots, TurnClass};
-use crate::session::capacity::lone_threads::{LoneThread, LoneThreads};
-use crate::session::capacity::work_owner::WorkOwner;
-use crate::session::capacity::work_span::WorkSpan;
+use crate::session::capacity::work_watch::WorkSpan;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::{GaugeUnit, Metrics};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, oneshot};
 
@@ -48,9 +53,9 @@ pub(in crate::session) enum WorkLane {
 struct ComputeLane {
     pool: Pool,
     /// Runs work while the pool has less than two threads for each piece.
-    alone: LoneThreads,
+    alone: SingleThreads,
     /// Runs work of another tenant while one has all slots, and maybe all threads of the pool.
-    for_another: LoneThreads,
+    for_another: SingleThreads,
     line: Arc<FairLine>,
 }
 
@@ -70,7 +75,7 @@ pub(in crate::session) struct ComputeSlots {
 #[derive(Debug)]
 enum SlotThreads {
     Shared(Pool),
-    Alone(LoneThread),
+    Alone(SingleThread),
 }
 
 /// The right to run one piece of work.
@@ -95,7 +100,7 @@ impl From<WorkPanicked> for Error {
 
 impl ComputeLane {
     /// So many slots, and `for_drags` more that only drags get. Without threads of their own every piece of work shares the pool.
-    fn interactive((all, for_drags): (usize, usize), config: &SessionConfig, pool: Pool, alone: LoneThreads) -> Self {
+    fn interactive((all, for_drags): (usize, usize), config: &SessionConfig, pool: Pool, alone: SingleThreads) -> Self {
         let slots = LineSlots {
             all,
             for_drags,
@@ -105,12 +110,12 @@ impl ComputeLane {
             line: FairLine::new(slots, config.compute_queue),
             pool,
             alone,
-            for_another: LoneThreads::default(),
+            for_another: SingleThreads::default(),
         }
     }
 
     /// So many slots for work that lasts long: what would run alone would stay alone when the others have ended.
-    fn builds(all: usize, config: &SessionConfig, pool: Pool, for_another: LoneThreads) -> Self {
+    fn builds(all: usize, config: &SessionConfig, pool: Pool, for_another: SingleThreads) -> Self {
         let slots = LineSlots {
             all,
             for_drags: 0,
@@ -119,7 +124,7 @@ impl ComputeLane {
         Self {
             line: FairLine::new(slots, config.compute_queue),
             pool,
-            alone: LoneThreads::default(),
+            alone: SingleThreads::default(),
             for_another,
         }
     }
@@ -165,8 +170,8 @@ impl ComputeSlots {
         let most = slots + for_drags;
         // With a share of two threads for every slot none would ever run.
         let alone = if interactive.threads() / most < 2 { most } else { 0 };
-        let alone = LoneThreads::start(alone, || {}).map_err(unstarted)?;
-        let for_another = LoneThreads::start(SLOTS_FOR_ANOTHER_TENANT, give_way).map_err(unstarted)?;
+        let alone = SingleThreads::start(alone, || {}).map_err(unstarted)?;
+        let for_another = SingleThreads::start(SLOTS_FOR_ANOTHER_TENANT, give_way).map_err(unstarted)?;
         Ok(Self {
             interactive: ComputeLane::interactive((slots, for_drags), config, interactive, alone),
             builds: ComputeLane::builds(slots, config, builds, for_another),
@@ -303,14 +308,14 @@ impl ComputeSlots {
     /// # Errors
     /// `RESOURCE_EXHAUSTED` when too much of it waits already, `INTERNAL` when it panicked.
     pub async fn offload<R: Send + 'static>(&self, work: impl FnOnce() -> R + Send + 'static) -> Result<R, Error> {
-        let seat = Arc::clone(&self.packing_seats).try_acquire_owned().map_err(|_| {
+        let session_permit = Arc::clone(&self.packing_seats).try_acquire_owned().map_err(|_| {
             self.metrics.refused.inc();
             Error::exhausted("too many answers wait to be packed; try again later", 1)
         })?;
         let (give, result) = oneshot::channel();
         self.packing.spawn(move || {
             let result = caught(work);
-            drop(seat);
+            drop(session_permit);
             let _ = give.send(result);
         });
         let result = result.await;
@@ -367,7 +372,7 @@ impl ComputeSlot {
             let result = caught(|| span.in_scope(|| work(&inside)));
             metrics.observe_work(kind.name(), begun.elapsed());
             drop((busy, span));
-            // Free before the result is told, so that whoever gets the result finds the slot free.
+            // Free before the result is sent, so that the caller finds the slot free.
             drop((threads, permit));
             let _ = give.send(result);
         });
@@ -387,10 +392,61 @@ fn caught<R>(work: impl FnOnce() -> R) -> Result<R, WorkPanicked> {
     })
 }
 
+/// Pools of one thread, and which of them are free.
+#[derive(Debug, Clone, Default)]
+pub(super) struct SingleThreads {
+    free: Arc<Mutex<Vec<Pool>>>,
+}
+
+/// A thread that is lent to one piece of work. Free again when dropped.
+#[derive(Debug)]
+pub(super) struct SingleThread {
+    pool: Pool,
+    home: SingleThreads,
+}
+
+impl SingleThreads {
+    /// Starts so many; `begin` is run on each.
+    ///
+    /// # Errors
+    /// [`PoolError`] when the system gives no more threads.
+    pub fn start(threads: usize, begin: fn()) -> Result<Self, PoolError> {
+        let started: Result<Vec<Pool>, PoolError> = (0..threads)
+            .map(|_| Pool::started_with(1, "compute-alone", begin))
+            .collect();
+        Ok(Self {
+            free: Arc::new(Mutex::new(started?)),
+        })
+    }
+
+    /// A free one, if there is any. The one that was free last comes first: its stack is still in a cache.
+    pub fn take(&self) -> Option<SingleThread> {
+        let pool = self.free.lock().unwrap_or_else(PoisonError::into_inner).pop()?;
+        Some(SingleThread {
+            pool,
+            home: self.clone(),
+        })
+    }
+}
+
+impl SingleThread {
+    /// The thread.
+    pub fn pool(&self) -> &Pool {
+        &self.pool
+    }
+}
+
+impl Drop for SingleThread {
+    fn drop(&mut self) {
+        let mut free = self.home.free.lock().unwrap_or_else(PoisonError::into_inner);
+        free.push(self.pool.clone());
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::capacity::work_span::WorkKind;
+    use crate::session::capacity::work_watch::WorkKind;
 
     fn tried() -> WorkSpan {
         WorkSpan::new(WorkKind::Solve, "", &tracing::Span::none())

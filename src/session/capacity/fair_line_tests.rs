@@ -122,7 +122,7 @@ fn a_full_line_makes_way_for_a_tenant_that_has_less_in_it() {
         Err(LineRefusal::Full)
     ));
     let other = [wait(&line, "other", "1"), wait(&line, "other", "1")];
-    // The last of each session had to go; now both have two, and nobody makes way any more.
+    // The last of each session had to go; now both have two, and none makes way any more.
     let gone: Vec<bool> = flood
         .iter_mut()
         .map(|p| matches!(p.turn.try_recv(), Ok(Err(LineRefusal::Full))))
@@ -241,7 +241,7 @@ fn drags_have_slots_that_nothing_else_gets() {
     let drag = free_of(&line, DRAG);
     let mut next_drag = wait_of(&line, DRAG, "a", "2");
     assert_eq!(line.busy(), 3);
-    // Two solves go on: the third waits, whoever else may begin.
+    // Two solves go on: the third waits, whatever else may begin.
     drop(drag);
     let drag = next_drag.turn.try_recv().expect("its turn").expect("a permit");
     assert!(solve.turn.try_recv().is_err());

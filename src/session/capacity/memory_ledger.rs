@@ -204,7 +204,7 @@ fn signed(bytes: u64) -> i64 {
 mod tests {
     use super::*;
     use crate::session::answers::Tenant;
-    use crate::session::quota::tenant_accounts::TenantAccounts;
+    use crate::session::quota::tenant_account::TenantAccounts;
     use crate::session::quota::tenant_quota::{TenantQuota, TenantQuotas};
     use prometheus_client::metrics::counter::Counter;
 

@@ -4,12 +4,13 @@
 //! snapshots while they fit a budget of bytes; an older one is solved again from its recipe, bit for bit. The history
 //! has no engine and no task: callers pass it solutions.
 
-use crate::engine::{DeformerFacts, HandlePoses, HandleSet, ModelShape, TopologyState};
+use crate::engine::{HandlePoses, HandleSet, ModelShape, TopologyState};
 use crate::session::answers::CommitFacts;
-use crate::session::history::commit_list::CommitList;
+use crate::session::history::session_state::CommitList;
 use crate::session::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, PosedState, RecordedShapeId, SessionState, ShapeRecipe,
 };
+use crate::wire::pb;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
@@ -96,7 +97,7 @@ impl CommitHistory {
             }),
             poses: opened.poses,
             pose_warnings: Arc::default(),
-            facts: Arc::new(opened.facts),
+            facts: opened.facts.into(),
             shape,
             digest: opened.digest,
         };
@@ -198,13 +199,13 @@ impl CommitHistory {
     }
 
     /// Records new handles; the shape stays as it is. What was undone is gone.
-    pub fn commit_handles(&mut self, handles: HandleSet, poses: HandlePoses, facts: DeformerFacts) {
+    pub fn commit_handles(&mut self, handles: HandleSet, poses: HandlePoses, facts: Box<pb::Session>) {
         let handles = self.number_handles(handles);
         let state = SessionState {
             handles,
             poses,
             pose_warnings: Arc::default(),
-            facts: Arc::new(facts),
+            facts: facts.into(),
             ..self.current().clone()
         };
         self.push_commit("handles", state);
@@ -257,7 +258,7 @@ impl CommitHistory {
             handles,
             poses: edited.poses,
             pose_warnings: Arc::default(),
-            facts: Arc::new(edited.facts),
+            facts: edited.facts.into(),
             shape: self.record_shape(recipe, Some(shape)),
             digest: edited.digest,
         };

@@ -1,28 +1,12 @@
 //! The commits of a session compared with a plain list of what happened to it.
 
 use super::*;
-use crate::asset::Format;
-use crate::engine::{MeshCounts, ModelFacts, SolveSettings, SolverFacts};
+use crate::engine::SolveSettings;
 use glam::DVec3;
 use proptest::prelude::*;
 
 fn settings() -> SolveSettings {
     SolveSettings::default()
-}
-
-fn facts() -> DeformerFacts {
-    DeformerFacts {
-        model: ModelFacts {
-            format: Format::OBJ,
-            file_bytes: 0,
-            sha256: String::new(),
-            counts: MeshCounts::default(),
-        },
-        primitives: Vec::new(),
-        solver: SolverFacts::default(),
-        handles: Vec::new(),
-        warnings: Vec::new(),
-    }
 }
 
 fn history(limit: usize, snapshot_bytes: u64) -> CommitHistory {
@@ -33,7 +17,7 @@ fn history(limit: usize, snapshot_bytes: u64) -> CommitHistory {
             diagonal: 1.0,
             handles: HandleSet::default(),
             poses: HandlePoses::default(),
-            facts: facts(),
+            facts: Box::default(),
             digest: "rest".into(),
             solved_with: None,
         },
@@ -58,7 +42,7 @@ fn pose(history: &mut CommitHistory, x: f64) {
 fn handles_keep_the_shape_and_undone_commits_go_when_a_new_one_comes() {
     let mut history = history(10, 1 << 20);
     pose(&mut history, 1.0);
-    history.commit_handles(HandleSet::default(), HandlePoses::default(), facts());
+    history.commit_handles(HandleSet::default(), HandlePoses::default(), Box::default());
     assert_eq!(history.current().digest, "1");
     let back = history.undo_target().expect("two commits");
     let shape = history
@@ -119,7 +103,7 @@ proptest! {
                     Some(format!("{}", k as f64))
                 }
                 1 => {
-                    history.commit_handles(HandleSet::default(), HandlePoses::default(), facts());
+                    history.commit_handles(HandleSet::default(), HandlePoses::default(), Box::default());
                     Some(model[at].0.clone())
                 }
                 2 => {

@@ -2,19 +2,19 @@
 //! time: the next one brings the engine back to the handles that it needs.
 
 use crate::engine::{
-    DeformerFacts, ESTIMATED_MEMORY, EditCommand, EditOutcome, EditReport, Error, HandlePoses, HandleSet, ModelShape,
-    Shader, Shading, SolveMode, SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
+    ESTIMATED_MEMORY, EditCommand, EditOutcome, Error, HandlePoses, HandleSet, ModelShape, Shader, Shading, SolveMode,
+    SolveSettings, SolveUpdate, SolvedShape, TopologyState, digest,
 };
 use crate::exec::Exec;
-use crate::session::capacity::work_span::tell_solve;
 use crate::session::capacity::work_watch::Work;
+use crate::session::capacity::work_watch::report_solve;
 use crate::session::engine::Engine;
 use crate::session::history::session_state::{
     CommittedHandles, EditedState, HandleSetId, PosedState, SessionState, ShapeRecipe,
 };
 use crate::session::stream::frame_window::{FrameContext, ms_of};
 use crate::wire::frames::Frame;
-use crate::wire::{DeformOptions, SessionEdit};
+use crate::wire::{DeformOptions, SessionEdit, edit_result, pb, quality_message, session_message, warning_message};
 use glam::DVec3;
 use std::sync::Arc;
 
@@ -26,13 +26,6 @@ pub(in crate::session) struct PoseAnswer {
     pub commit: Option<PosedState>,
 }
 
-/// What an edit begins with: a state, its shape where it is at hand, and how that is made again.
-pub(in crate::session) struct EditStart<'a> {
-    pub state: &'a SessionState,
-    pub shape: Result<ModelShape, ShapeRecipe>,
-    pub recipe: &'a ShapeRecipe,
-}
-
 /// The engine of one session. Moves to the compute pool and back with every piece of work.
 pub(in crate::session) struct LoadedDeformer {
     /// The engine.
@@ -40,6 +33,8 @@ pub(in crate::session) struct LoadedDeformer {
     /// The handles that the engine has; `None` when they have no id, so that the next work loads its own.
     loaded: Option<HandleSetId>,
     shader: Option<Arc<Shader>>,
+    /// Bytes that the engine may hold after a change: what the other sessions leave.
+    pub room: u64,
 }
 
 impl LoadedDeformer {
@@ -49,7 +44,13 @@ impl LoadedDeformer {
             engine,
             loaded: Some(loaded),
             shader: None,
+            room: u64::MAX,
         }
+    }
+
+    /// What the engine says about model, solver and handles.
+    fn facts(&self) -> Box<pb::Session> {
+        Box::new(session_message(&self.engine.facts()))
     }
 
     /// Whether these handles are in force.
@@ -112,21 +113,21 @@ impl LoadedDeformer {
         Ok(outcome)
     }
 
-    /// Edits the shape of a state, as [`LoadedDeformer::edit`] does, with at most `room` bytes held after it. What does not fit is
-    /// dropped.
+    /// Edits the shape of a state, as [`LoadedDeformer::edit`] does, with at most as many bytes held after it as there is room for.
+    /// What does not fit is dropped. `shape` is the state's where it is at hand, and `recipe` how that is made again.
     pub fn edit_state(
         &mut self,
-        start: EditStart<'_>,
+        state: &SessionState,
+        shape: Option<ModelShape>,
+        recipe: &ShapeRecipe,
         edit: &SessionEdit,
-        room: u64,
         exec: &Exec<'_>,
-    ) -> Result<(EditedState, ModelShape, EditReport), Error> {
-        let EditStart { state, shape, recipe } = start;
+    ) -> Result<(EditedState, ModelShape, pb::EditResult), Error> {
         self.load_state(state.topology.as_ref(), &state.handles, exec)?;
-        self.engine.limit_memory(room);
+        self.engine.limit_memory(self.room);
         // What is known of a shape beside its vertices depends on its recipe alone, never on what the engine happens to remember.
         let shape = match shape {
-            Ok(shape) if self.engine.remembers(shape.id) => shape,
+            Some(shape) if self.engine.remembers(shape.id) => shape,
             _ => self.solve_recipe(recipe, exec)?,
         };
         let settings = match recipe {
@@ -141,7 +142,7 @@ impl LoadedDeformer {
             settings,
         };
         let outcome = self.edit(state.topology.as_ref(), &state.handles, &command, exec)?;
-        if let Err(refused) = self.check_memory(room, exec) {
+        if let Err(refused) = self.check_memory(exec) {
             self.go_to_topology(state.topology.as_ref(), exec)?;
             self.release_memory();
             return Err(refused);
@@ -151,11 +152,11 @@ impl LoadedDeformer {
             diagonal: self.engine.diagonal(),
             handles: outcome.handles,
             poses: outcome.poses,
-            facts: self.engine.facts(),
+            facts: self.facts(),
             digest: outcome.report.digest.clone(),
             solved_with: outcome.solved,
         };
-        Ok((edited, outcome.shape, outcome.report))
+        Ok((edited, outcome.shape, edit_result(&outcome.report)))
     }
 
     /// Drops what is derived from the engine and made again when it is asked for.
@@ -176,7 +177,7 @@ impl LoadedDeformer {
     }
 
     /// Refuses what the engine holds now where that does not fit.
-    fn check_memory(&self, room: u64, exec: &Exec<'_>) -> Result<(), Error> {
+    fn check_memory(&self, exec: &Exec<'_>) -> Result<(), Error> {
         let seen = self.byte_size();
         if exec.progress.may_hold(seen) {
             return Ok(());
@@ -185,28 +186,27 @@ impl LoadedDeformer {
         Err(Error::TooLarge {
             what,
             seen,
-            limit: room,
+            limit: self.room,
         })
     }
 
-    /// Replaces the handles by new ones, for a commit, with at most `room` bytes held. Until the commit is stored, `load` with the old ones
+    /// Replaces the handles by new ones, for a commit, with at most as many bytes held as there is room for. Until the commit is stored, `load` with the old ones
     /// goes back. Where not both fit at a time, the old ones are dropped first, and made again when they are needed.
     pub fn replace_handles(
         &mut self,
         topology: Option<&TopologyState>,
         handles: &HandleSet,
-        room: u64,
         exec: &Exec<'_>,
-    ) -> Result<(HandlePoses, DeformerFacts), Error> {
+    ) -> Result<(HandlePoses, Box<pb::Session>), Error> {
         self.go_to_topology(topology, exec)?;
-        self.engine.limit_memory(room);
+        self.engine.limit_memory(self.room);
         self.set_handles(handles, exec)?;
         self.loaded = None;
-        if let Err(refused) = self.check_memory(room, exec) {
+        if let Err(refused) = self.check_memory(exec) {
             self.release_memory();
             return Err(refused);
         }
-        Ok((self.engine.initial_poses(), self.engine.facts()))
+        Ok((self.engine.initial_poses(), self.facts()))
     }
 
     /// Sets the id of the handles of the last [`LoadedDeformer::replace_handles`] or edit.
@@ -228,13 +228,14 @@ impl LoadedDeformer {
         let solved = self.solve(&poses, &options.solve, SolveMode::Commit, exec, &mut |_| true)?;
         let solve_time = work.watch.elapsed();
         let mut frame = self.last_frame(seq, options, frames, &solved);
-        frame.header.quality = (self.engine).measure(&solved.positions, options.output.self_intersections, exec)?;
+        let quality = (self.engine).measure(&solved.positions, options.output.self_intersections, exec)?;
+        frame.header.quality = quality.as_ref().map(quality_message);
         frame.header.solve_ms = ms_of(solve_time);
         Ok(PoseAnswer {
             frame,
             cycles: solved.cycles,
             commit: Some(PosedState {
-                warnings: self.engine.pose_warnings(&poses),
+                warnings: self.engine.pose_warnings(&poses).iter().map(warning_message).collect(),
                 poses,
                 settings: options.solve.clone(),
                 digest: digest(&solved.positions),
@@ -253,7 +254,7 @@ impl LoadedDeformer {
     ) -> Frame {
         let shading = self.shade(&solved.positions, options);
         let mut frame = frames.frame(seq, options.output, Arc::clone(&solved.positions), shading);
-        frame.header.is_final = true;
+        frame.header.r#final = true;
         frame.header.residual = solved.residual;
         frame.header.max_error = solved.max_error;
         frame
@@ -276,7 +277,7 @@ impl LoadedDeformer {
     ) -> Result<SolvedShape, Error> {
         exec.check()?;
         let solved = self.engine.solve(poses, settings, mode, exec, watch)?;
-        tell_solve(solved.cycles, solved.residual, solved.positions.len());
+        report_solve(solved.cycles, solved.residual, solved.positions.len());
         Ok(solved)
     }
 

@@ -43,8 +43,8 @@ pub(in crate::session) async fn beat(shared: &SharedResources) -> Result<(), Sto
     };
     let _speaking = shared.lease_watch.speaking.lock().await;
     let begun = Instant::now();
-    let told = ownership.beat(load_of(shared)).await;
-    let settled = match told {
+    let reported = ownership.beat(load_of(shared)).await;
+    let settled = match reported {
         Ok(true) => Ok(()),
         Ok(false) => let_go_of_lost(shared, ownership).await,
         Err(error) => Err(error),
@@ -79,7 +79,7 @@ async fn let_go_of_lost(shared: &SharedResources, ownership: &dyn SessionOwnersh
     let held = ownership.held().await?;
     for session in here {
         if held.get(&session.id) != Some(&session.held.generation) {
-            shared.lose(&session);
+            shared.drop_ownership(&session);
         }
     }
     Ok(())
@@ -94,7 +94,7 @@ pub(in crate::session) async fn be_sure_of_lease(shared: &Arc<SharedResources>) 
     };
     let is_recent = |at: Option<Instant>, span: Duration| at.is_some_and(|at| at.elapsed() < span);
     let times = shared.lease_watch.times();
-    // Nobody waits again for a database that was away a moment ago.
+    // No call waits again for a database that was away a moment ago.
     if is_recent(times.heard, node.lease) || is_recent(times.tried, node.heartbeat) {
         return;
     }

@@ -1,9 +1,11 @@
-//! What a session's task knows of the log that it keeps.
+//! A session that is kept: what its task knows of the log, how it is listed from the store alone, and how much of it is in memory.
 
-use crate::session::store::{NewSession, ReadSessions};
+use crate::session::store::{ListedSession, NewSession, ReadSessions, StoreError, calendar_text};
 use crate::wire::record::LoggedCommit;
+use crate::wire::{handle_poses_message, pb};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Where the parts of a state are in the log: the numbers of the commits that brought them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -75,4 +77,52 @@ impl KeptSession {
             LoggedCommit::Step { target, .. } => self.place(*target),
         }
     }
+}
+
+/// A session that is not in memory, as its owner sees it on a server that began at `started_ms`.
+pub(in crate::session) fn listed_facts(session: &ListedSession, started_ms: u64) -> Result<pb::Session, StoreError> {
+    let ttl = u64::try_from(session.ttl.as_millis()).unwrap_or(u64::MAX);
+    let end = Duration::from_millis(session.used_ms.max(started_ms).saturating_add(ttl));
+    let end = UNIX_EPOCH.checked_add(end).unwrap_or(SystemTime::UNIX_EPOCH);
+    Ok(pb::Session {
+        id: session.id.clone(),
+        revision: session.newest.revision,
+        created_at: calendar_text(session.created_ms),
+        expires_at: humantime::format_rfc3339_millis(end).to_string(),
+        label: session.label.clone(),
+        ..state_facts(&session.facts, &session.poses)?
+    })
+}
+
+/// The facts and poses of a state, from the commits that recorded them.
+pub(in crate::session) fn state_facts(facts: &LoggedCommit, poses: &LoggedCommit) -> Result<pb::Session, StoreError> {
+    let wrong = || StoreError::Damaged("a commit names one of another kind".into());
+    let mut session = match facts {
+        LoggedCommit::Create { facts } | LoggedCommit::Handles { facts, .. } | LoggedCommit::Edit { facts, .. } => {
+            (**facts).clone()
+        }
+        _ => return Err(wrong()),
+    };
+    match poses {
+        LoggedCommit::Create { .. } => {}
+        LoggedCommit::Handles { poses, .. } | LoggedCommit::Edit { poses, .. } => {
+            handle_poses_message(&mut session.handles, poses);
+        }
+        LoggedCommit::Pose { poses, warnings, .. } => {
+            session.warnings.extend(warnings.iter().cloned());
+            handle_poses_message(&mut session.handles, poses);
+        }
+        LoggedCommit::Step { .. } => return Err(wrong()),
+    }
+    Ok(session)
+}
+
+/// How much of an idle session is in memory still.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(in crate::session) enum MemoryState {
+    /// All of it.
+    #[default]
+    Full,
+    /// Without shapes that can be solved again and what is derived from the engine.
+    Trimmed,
 }

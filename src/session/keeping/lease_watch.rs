@@ -1,7 +1,10 @@
-//! When a node of several had a word with the store that they share.
+//! When a node of several last heard from the store that they share, and one lock for each session that is on its way into memory or
+//! out of it.
 
-use std::sync::{Mutex, PoisonError};
+use dashmap::DashMap;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
+use tokio::sync::{Mutex as AsyncMutex, OwnedMutexGuard};
 
 /// When this node had a word with the store.
 #[derive(Debug, Default)]
@@ -33,5 +36,56 @@ impl LeaseWatch {
         if is_heard {
             times.heard = Some(begun);
         }
+    }
+}
+
+/// The locks, by the ids of sessions. One exists only while a task holds it or waits.
+#[derive(Debug, Default)]
+pub(in crate::session) struct SessionLocks(Arc<DashMap<String, Arc<AsyncMutex<()>>>>);
+
+/// The lock of a session, held.
+#[derive(Debug)]
+pub(in crate::session) struct SessionLock {
+    locks: Arc<DashMap<String, Arc<AsyncMutex<()>>>>,
+    id: String,
+    held: Option<OwnedMutexGuard<()>>,
+}
+
+impl SessionLocks {
+    /// Waits for the lock of a session.
+    pub async fn lock(&self, id: &str) -> SessionLock {
+        let mutex = Arc::clone(self.0.entry(id.to_owned()).or_default().value());
+        let mut lock = SessionLock {
+            locks: Arc::clone(&self.0),
+            id: id.to_owned(),
+            held: None,
+        };
+        lock.held = Some(mutex.lock_owned().await);
+        lock
+    }
+}
+
+impl Drop for SessionLock {
+    fn drop(&mut self) {
+        self.held = None;
+        // One count is the map's.
+        self.locks.remove_if(&self.id, |_, mutex| Arc::strong_count(mutex) == 1);
+    }
+}
+
+#[cfg(test)]
+mod session_locks_tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn one_holds_a_lock_and_nothing_is_left_of_it() {
+        let locks = SessionLocks::default();
+        let first = locks.lock("a").await;
+        let _other = locks.lock("b").await;
+        let mut second = Box::pin(locks.lock("a"));
+        assert!(futures::poll!(&mut second).is_pending());
+        drop(first);
+        drop(second.await);
+        assert_eq!(locks.0.len(), 1, "that of b");
     }
 }

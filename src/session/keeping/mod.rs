@@ -4,10 +4,6 @@
 pub(super) mod heartbeat;
 pub(super) mod kept_session;
 pub(super) mod lease_watch;
-pub(super) mod made_room;
 pub(super) mod reopen;
 pub(super) mod replay;
-pub(super) mod residence;
-pub(super) mod session_locks;
-pub(super) mod stored_list;
 pub(super) mod sweep;

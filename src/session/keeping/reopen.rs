@@ -6,14 +6,14 @@ use crate::exec::Exec;
 use crate::session::answers::Tenant;
 use crate::session::calls::create::{SessionOwner, start_session};
 use crate::session::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
-use crate::session::calls::session_places::{OpeningRefusal, SessionPlaces, count_refusal, no_place};
+use crate::session::calls::model_opening::{OpeningRefusal, SessionPlaces, count_refusal, no_place};
 use crate::session::capacity::compute_slots::WorkLane;
-use crate::session::capacity::work_span::{WorkKind, WorkSpan};
 use crate::session::capacity::work_watch::{CancelOnDrop, WorkWatch};
+use crate::session::capacity::work_watch::{WorkKind, WorkSpan};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::keeping::kept_session::KeptSession;
-use crate::session::keeping::made_room::make_room;
 use crate::session::keeping::replay::{Replay, ReplayError, ReplayedLog};
+use crate::session::keeping::sweep::evict_idle;
 use crate::session::registry::OpenSession;
 use crate::session::shared::SharedResources;
 use crate::session::store::{
@@ -151,7 +151,7 @@ async fn open_stored(
     let guard = CancelOnDrop::default();
     let model = ModelToOpen {
         files,
-        options: stored.model.options.clone(),
+        options: stored.model.open_options()?,
         graph_bytes: stored.model.graph_bytes,
     };
     let log = Arc::new(ReplayedLog {
@@ -159,13 +159,13 @@ async fn open_stored(
         snapshot: read_snapshot(store, &stored).await,
         commits: stored.commits,
     });
-    let (opened, kept, anew) = loop {
+    let (opened, kept, rerecorded) = loop {
         let opened = open_model(shared, &places, model.clone(), arrived, &guard).await?;
         match replay_log(shared, store, (opened, Arc::clone(&log)), &places, &guard).await {
             Ok(replayed) => break replayed,
             Err(OpeningRefusal::Other(error)) => return Err(error),
             Err(OpeningRefusal::TenantMemory(error) | OpeningRefusal::ServerMemory(error)) => {
-                if !make_room(shared, None).await {
+                if !evict_idle(shared, None).await {
                     return Err(count_refusal(shared, error));
                 }
             }
@@ -173,18 +173,18 @@ async fn open_stored(
     };
     // Counted even where it breaks the budget: the session was admitted before.
     let _ = places.memory.resize(opened.held);
-    if !anew.is_empty() {
+    if !rerecorded.is_empty() {
         tracing::warn!(
             session.id = %owner.id,
             "{} commits of another build or processor were made again and recorded with this one's digests",
-            anew.len()
+            rerecorded.len()
         );
         let session = HeldSession {
             id: owner.id.clone(),
             generation,
         };
         if let Ok(store) = store.writable() {
-            store.rerecord_digests(session, kept.build.clone(), anew).await?;
+            store.rerecord_digests(session, kept.build.clone(), rerecorded).await?;
         }
     }
     let session = start_session(shared, (owner, generation), opened, places, Some(kept));
@@ -273,10 +273,10 @@ async fn replay_log(
             kept: &mut kept,
             room,
             exec: &Exec::new(pool, &*inner_watch),
-            anew: Vec::new(),
+            rerecorded: Vec::new(),
         };
         replay.follow(&log, limit)?;
-        let anew = std::mem::take(&mut replay.anew);
+        let rerecorded = std::mem::take(&mut replay.rerecorded);
         let held = deformer.byte_size().saturating_add(history.byte_size());
         let opened = OpenedModel {
             graph_bytes,
@@ -285,7 +285,7 @@ async fn replay_log(
             build_ms,
             held,
         };
-        Ok((opened, kept, anew))
+        Ok((opened, kept, rerecorded))
     });
     let done = done.await.map_err(|panicked| {
         tracing::error!(panic = panicked.0, "following a stored session panicked");

@@ -9,7 +9,7 @@ use crate::engine::{self, ModelShape, digest};
 use crate::exec::Exec;
 use crate::progress;
 use crate::session::history::commit_history::CommitHistory;
-use crate::session::history::loaded_deformer::{EditStart, LoadedDeformer};
+use crate::session::history::loaded_deformer::LoadedDeformer;
 use crate::session::history::session_state::{PosedState, ShapeRecipe};
 use crate::session::keeping::kept_session::KeptSession;
 use crate::session::store::{Commit, StoreError};
@@ -64,7 +64,7 @@ pub(in crate::session) struct Replay<'a> {
     pub room: u64,
     pub exec: &'a Exec<'a>,
     /// New digests to be recorded.
-    pub anew: Vec<(u64, String)>,
+    pub rerecorded: Vec<(u64, String)>,
 }
 
 /// What the moves along the commits come to, before anything is done: which commits can be gone to, and how far back undo ever went.
@@ -105,7 +105,7 @@ impl Replay<'_> {
         };
         let rest = self.history.current().digest.clone();
         if self.is_new(first, &rest, || true)? {
-            self.anew.push((first.sequence, rest));
+            self.rerecorded.push((first.sequence, rest));
         }
         let reachable = reachable(&log.commits, limit)?;
         self.history.set_limit(limit.max(reachable.depth));
@@ -196,12 +196,9 @@ impl Replay<'_> {
     fn follow_edit(&mut self, stored: &Commit, edit: &SessionEdit, probe: &ShapeProbe) -> Result<(), ReplayError> {
         let state = self.history.current().clone();
         let recipe = self.history.recipe(state.shape);
-        let start = EditStart {
-            state: &state,
-            shape: self.history.shape(state.shape),
-            recipe: &recipe,
-        };
-        let (mut edited, shape, _) = self.deformer.edit_state(start, edit, self.room, self.exec)?;
+        let shape = self.history.shape(state.shape).ok();
+        self.deformer.room = self.room;
+        let (mut edited, shape, _) = self.deformer.edit_state(&state, shape, &recipe, edit, self.exec)?;
         edited.digest = self.compare(stored, probe, &shape.positions, edited.diagonal)?;
         self.history.commit_edit(edited, shape);
         self.deformer.adopt_handles(self.history.current().handles.id);
@@ -248,8 +245,8 @@ impl Replay<'_> {
     ) -> Result<String, ReplayError> {
         let now = digest(positions);
         let is_close = || probe.is_close_to(positions, OTHER_BUILD * diagonal);
-        if self.is_new(stored, &now, is_close)? && !self.anew.iter().any(|(n, _)| *n == stored.sequence) {
-            self.anew.push((stored.sequence, now.clone()));
+        if self.is_new(stored, &now, is_close)? && !self.rerecorded.iter().any(|(n, _)| *n == stored.sequence) {
+            self.rerecorded.push((stored.sequence, now.clone()));
         }
         Ok(now)
     }

@@ -1,6 +1,4 @@
 //! What each tenant may use, and what it uses.
 
 pub(in crate::session) mod tenant_account;
-pub(in crate::session) mod tenant_accounts;
 pub(in crate::session) mod tenant_quota;
-mod token_bucket;

@@ -348,7 +348,7 @@ async fn connect_to_write(address: DatabaseAddress) -> Result<AnyConnection, Loc
 async fn lock(address: &DatabaseAddress, connection: &mut AnyConnection) -> Result<(), LockedOut> {
     let until = Instant::now() + LOCKED;
     loop {
-        // One lock for each schema of a database. Nodes share it, so that nobody has the database for himself beside them, and each
+        // One lock for each schema of a database. Nodes share it, so that no process has the database for itself at the same time, and each
         // has one more for itself.
         let ask = match address.shared_by {
             None => sqlx::query("SELECT pg_try_advisory_lock(1886153057, hashtext(current_schema()))"),

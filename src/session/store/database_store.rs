@@ -1,8 +1,8 @@
 //! The store on a database and a folder of objects.
 
 use super::location::FolderHold;
-use super::loose_objects::{NAMED_WITHIN, announce};
 use super::objects::Objects;
+use super::objects::{NAMED_WITHIN, announce};
 use super::reading;
 use super::session_store::{
     Commit, Generation, HeldSession, KeepSessions, ListedSession, LoggedKey, NewCommit, NewSession, ReadSessions,
@@ -184,7 +184,7 @@ impl DatabaseStore {
         let naming = self.objects.naming.read().await;
         let (names, objects) = self.put_files(&session.files).await?;
         session.model.files = names;
-        let model = session.model.write().map_err(|e| StoreError::Refused(e.to_string()))?;
+        let model = session.model.write();
         let session = Box::new(NewSession {
             files: FileSet::default(),
             ..session
@@ -360,7 +360,7 @@ impl KeepSessions for DatabaseStore {
 
     fn key(&self, tenant: Tenant, key: String) -> Stored<'_, Option<LoggedKey>> {
         Box::pin(async move {
-            // One whose commit was refused goes with it: nobody is to be told that it was carried out.
+            // One whose commit was refused goes with it: no caller may learn that it was carried out.
             self.writer.undo_uncertain_commits().await?;
             reading::one_key(&self.pool, &tenant.0, &key).await
         })

@@ -36,9 +36,9 @@ impl StoreLocation {
     pub fn on_port(&self, port: u16) -> Self {
         let mut there = self.clone();
         if let Some(node) = &mut there.node {
-            for told in [&mut node.address, &mut node.name] {
-                if let Some(host) = told.strip_suffix(":0") {
-                    *told = format!("{host}:{port}");
+            for shown in [&mut node.address, &mut node.name] {
+                if let Some(host) = shown.strip_suffix(":0") {
+                    *shown = format!("{host}:{port}");
                 }
             }
         }
@@ -157,7 +157,7 @@ fn lock(file: &File, how: FlockOperation) -> io::Result<bool> {
 pub(super) fn existing_database(folder: &Path) -> Result<PathBuf, StoreError> {
     let shown = folder.display();
     let unreadable = |path: &Path, e: io::Error| StoreError::Refused(format!("cannot read {}: {e}", path.display()));
-    // Whoever may not look into a folder cannot know what is in it.
+    // A process that may not look into a folder cannot know what is in it.
     match std::fs::read_dir(folder) {
         Ok(_) => {}
         Err(e) if [io::ErrorKind::NotFound, io::ErrorKind::NotADirectory].contains(&e.kind()) => {

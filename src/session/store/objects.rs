@@ -3,9 +3,18 @@
 //!
 //! `object_store` writes local files without syncing. Here a file is written under another name, synced, renamed, and
 //! its folder synced, so that it is whole on disk before a row names it.
+//!
+//! Objects that no session names, where several nodes share a store: the lock of one node does not cover what another
+//! names.
+//!
+//! A node writes a row for an object before it names it, removes the row in the transaction that names it, and writes
+//! one when it removes a name. An unused object whose row is older than [`GRACE`] is removed.
 
 use super::bucket::open_bucket;
 use super::location::{make_private_folder, sync_folder};
+use super::reading::{is_used_on, unreadable};
+use super::schema::DATABASE_NOW;
+use super::schema::column;
 use super::session_store::StoreError;
 use bytes::Bytes;
 use futures::TryStreamExt as _;
@@ -14,11 +23,13 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
 use sha2::{Digest as _, Sha256};
+use sqlx::{AnyConnection, AnyPool, AssertSqlSafe};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 use std::{fs, io};
 use tokio::sync::{RwLock, Semaphore};
 
@@ -107,11 +118,11 @@ impl Objects {
 
     async fn read_mark(&self) -> Result<Option<Vec<u8>>, StoreError> {
         if let Some(folder) = self.folder.clone() {
-            let told = move || {
+            let reported = move || {
                 let read = folder.read_identity();
                 read.map_err(|e| StoreError::Unavailable(format!("cannot determine whose objects these are: {e}")))
             };
-            return self.apart(told).await;
+            return self.apart(reported).await;
         }
         match self.store.get(&ObjectPath::from(IDENTITY)).await {
             Ok(found) => Ok(Some(found.bytes().await.map_err(unreachable_bucket)?.to_vec())),
@@ -163,7 +174,7 @@ impl Objects {
         });
         let name = name.await?;
         if self.folder.is_none() {
-            // Written anew where it is there: what was damaged is mended.
+            // Written again where it is there: what was damaged is mended.
             let put = self.store.put(&object_path(&name)?, bytes.into()).await;
             put.map_err(|e| StoreError::Unavailable(format!("an object cannot be written: {e}")))?;
         }
@@ -389,6 +400,71 @@ pub(in crate::session) fn read_shape(bytes: &[u8]) -> Result<Vec<DVec3>, StoreEr
     let number = |b: &[u8]| b.try_into().map(f64::from_le_bytes).unwrap_or(f64::NAN);
     let vertex = |v: &[u8]| DVec3::new(number(&v[..8]), number(&v[8..16]), number(&v[16..]));
     Ok(body.chunks_exact(24).map(vertex).collect())
+}
+
+/// How long an object without a name stays.
+pub(super) const GRACE: Duration = Duration::from_secs(3600);
+/// How long after it was announced an object may get its name.
+pub(super) const NAMED_WITHIN: Duration = Duration::from_secs(1200);
+/// Objects of one sweep.
+const MOST: i64 = 200;
+
+fn grace_ms() -> i64 {
+    i64::try_from(GRACE.as_millis()).unwrap_or(i64::MAX)
+}
+
+fn note_statement() -> String {
+    format!(
+        "INSERT INTO loose_objects (object, since_ms) VALUES ($1, {DATABASE_NOW})
+        ON CONFLICT (object) DO UPDATE SET since_ms = {DATABASE_NOW}"
+    )
+}
+
+/// Announces an object that is about to be written and named. Waits while a node removes it.
+pub(super) async fn announce(pool: &AnyPool, object: &str) -> Result<(), StoreError> {
+    let done = sqlx::query(AssertSqlSafe(note_statement()))
+        .bind(object)
+        .execute(pool)
+        .await;
+    done.map(drop).map_err(unreadable)
+}
+
+/// Notes that an object lost a name.
+pub(super) async fn note_loose(object: &str, on: &mut AnyConnection) -> Result<(), StoreError> {
+    let done = sqlx::query(AssertSqlSafe(note_statement()))
+        .bind(object)
+        .execute(on)
+        .await;
+    done.map(drop).map_err(unreadable)
+}
+
+/// Removes unused objects with a row older than [`GRACE`].
+pub(super) async fn remove_loose(pool: &AnyPool, objects: &Objects) -> Result<(), StoreError> {
+    let find =
+        format!("SELECT object FROM loose_objects WHERE since_ms < {DATABASE_NOW} - $1 ORDER BY since_ms LIMIT {MOST}");
+    let rows = sqlx::query(AssertSqlSafe(find)).bind(grace_ms()).fetch_all(pool).await;
+    for row in &rows.map_err(unreadable)? {
+        remove_one(pool, objects, &column::<String>(row, 0)?).await?;
+    }
+    Ok(())
+}
+
+async fn remove_one(pool: &AnyPool, objects: &Objects, object: &str) -> Result<(), StoreError> {
+    let mut transaction = pool.begin().await.map_err(unreadable)?;
+    // A call that announces it again waits until it is gone, and writes it then.
+    let lock = format!(
+        "SELECT object FROM loose_objects WHERE object = $1 AND since_ms < {DATABASE_NOW} - $2 FOR UPDATE SKIP LOCKED"
+    );
+    let locked = sqlx::query(AssertSqlSafe(lock)).bind(object).bind(grace_ms());
+    if (locked.fetch_optional(&mut *transaction).await.map_err(unreadable)?).is_none() {
+        return Ok(());
+    }
+    if !is_used_on(&mut transaction, object).await? {
+        objects.remove(object).await?;
+    }
+    let delete = sqlx::query("DELETE FROM loose_objects WHERE object = $1").bind(object);
+    delete.execute(&mut *transaction).await.map_err(unreadable)?;
+    transaction.commit().await.map_err(unreadable)
 }
 
 #[cfg(test)]

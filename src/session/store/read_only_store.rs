@@ -6,8 +6,8 @@ use super::location::{FolderHold, StoreLocation, existing_database, make_private
 use super::newest_write::find_lost_writes;
 use super::objects::Objects;
 use super::reading::unreadable;
-use super::rows::{column, signed, unsigned};
 use super::schema::{Dialect, TABLES, known_identity, known_version, migrate, version};
+use super::schema::{column, signed, unsigned};
 use super::session_store::{Commit, ListedSession, ReadSessions, StoreError, Stored, StoredFacts, StoredSession};
 use super::{build_identity, reading};
 use crate::session::answers::Tenant;
@@ -270,7 +270,7 @@ impl ReadOnlyStore {
 }
 
 /// Shows why the store cannot be read, which a server hides from clients.
-fn told<T>(error: Result<T, StoreError>) -> Result<T, StoreError> {
+fn explained<T>(error: Result<T, StoreError>) -> Result<T, StoreError> {
     error.map_err(|error| match error {
         StoreError::Unavailable(problem) => StoreError::Refused(problem),
         error => error,
@@ -283,12 +283,12 @@ impl ReadSessions for ReadOnlyStore {
     }
 
     fn load(&self, tenant: Tenant, id: String) -> Stored<'_, Option<StoredSession>> {
-        Box::pin(async move { told(reading::whole_session(&self.database.pool, &tenant, &id).await) })
+        Box::pin(async move { explained(reading::whole_session(&self.database.pool, &tenant, &id).await) })
     }
 
     fn commit(&self, session: String, sequence: u64) -> Stored<'_, Option<Commit>> {
         Box::pin(async move {
-            let row = told(reading::commit_row(&self.database.pool, &session, sequence).await)?;
+            let row = explained(reading::commit_row(&self.database.pool, &session, sequence).await)?;
             row.map(|row| row.into_commit()).transpose()
         })
     }
@@ -302,7 +302,7 @@ impl ReadSessions for ReadOnlyStore {
     }
 
     fn object(&self, name: String) -> Stored<'_, Bytes> {
-        Box::pin(async move { told(self.objects.get(name).await) })
+        Box::pin(async move { explained(self.objects.get(name).await) })
     }
 
     fn sessions_by_tenant(&self) -> Stored<'_, Vec<(Tenant, u64)>> {
@@ -318,7 +318,7 @@ impl ReadSessions for ReadOnlyStore {
     }
 
     fn highest_number(&self) -> Stored<'_, u64> {
-        Box::pin(async { told(reading::highest_number(&self.database.pool).await) })
+        Box::pin(async { explained(reading::highest_number(&self.database.pool).await) })
     }
 }
 

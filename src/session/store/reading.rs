@@ -1,7 +1,7 @@
 //! What is read from the database.
 
-use super::rows::{COMMIT_COLUMNS, CommitRow, check_format, column, signed, unsigned};
 use super::schema::Dialect;
+use super::schema::{COMMIT_COLUMNS, CommitRow, check_format, column, signed, unsigned};
 use super::session_store::{Commit, ListedSession, LoggedKey, StoreError, StoredFacts, StoredSession, StoredSnapshot};
 use super::write_order::session_checksum;
 use crate::session::answers::Tenant;
@@ -373,10 +373,10 @@ pub(super) async fn integrity(pool: &AnyPool, dialect: Dialect) -> Result<(), St
         return Ok(());
     }
     let row = sqlx::query("PRAGMA integrity_check(1)").fetch_one(pool).await;
-    let told: String = column(&row.map_err(unreadable)?, 0)?;
-    match told == "ok" {
+    let reported: String = column(&row.map_err(unreadable)?, 0)?;
+    match reported == "ok" {
         true => Ok(()),
-        false => Err(StoreError::Damaged(told)),
+        false => Err(StoreError::Damaged(reported)),
     }
 }
 

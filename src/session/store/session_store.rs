@@ -10,8 +10,8 @@
 use crate::asset::FileSet;
 use crate::session::answers::Tenant;
 use crate::session::audit::audit_entry::AuditEntry;
+use crate::session::error::OwnerAddress;
 use crate::session::error::{Error, ErrorCode};
-use crate::session::owner_address::OwnerAddress;
 use crate::wire::record::{LoggedCommit, RecordedModel};
 use bytes::Bytes;
 use futures::future::BoxFuture;

@@ -1,18 +1,18 @@
 //! A store that several nodes share, as one of them uses it: the lease of the node, and the owner in each session's row.
 //! Times are those of the database's clock.
 
-use super::loose_objects::remove_loose;
 use super::objects::Objects;
+use super::objects::remove_loose;
 use super::reading;
 use super::reading::unreadable;
-use super::rows::{column, signed, unsigned};
 use super::schema::DATABASE_NOW;
+use super::schema::{column, signed, unsigned};
 use super::session_store::{
     Generation, HeldSession, NodeIdentity, NodeLoad, SessionClaim, SessionOwnership, StoreError, Stored,
 };
 use super::writer::{StoreHealth, Writer};
 use crate::session::answers::Tenant;
-use crate::session::owner_address::OwnerAddress;
+use crate::session::error::OwnerAddress;
 use sqlx::{AnyConnection, AnyPool, AssertSqlSafe};
 use std::collections::BTreeMap;
 use std::sync::Arc;

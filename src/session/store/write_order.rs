@@ -1,6 +1,6 @@
 //! What is written, statement by statement. The writer decides what goes into one transaction.
 
-use super::rows::{CommitRow, RECORD_FORMAT, checksum, column, signed};
+use super::schema::{CommitRow, RECORD_FORMAT, checksum, column, signed};
 use super::session_store::{Generation, HeldSession, NewCommit, NewSession, StoreError, UsedSession, now_ms};
 use crate::session::answers::Tenant;
 use crate::session::audit::audit_entry::AuditEntry;
@@ -216,7 +216,7 @@ async fn refuse_repeated(first: &NewCommit, owner: &str, on: &mut AnyConnection)
     let Some((tenant, key, _)) = first.key.as_ref().filter(|_| !owner.is_empty()) else {
         return Ok(());
     };
-    // Whoever comes second waits here for the first, and adds nothing then.
+    // The second of two waits here for the first, and adds nothing then.
     let insert = "INSERT INTO call_keys (tenant, call_key, fingerprint, session, sequence, at_ms)
         VALUES ($1, $2, '', $3, 0, 0) ON CONFLICT (tenant, call_key) DO NOTHING";
     let insert = sqlx::query(insert).bind(&*tenant.0).bind(key).bind(&first.session.id);

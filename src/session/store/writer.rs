@@ -8,8 +8,8 @@
 //! the files are those that were opened: a folder that was moved away still takes writes, which are then lost.
 
 use super::connection::WritingConnection;
-use super::loose_objects::note_loose;
 use super::newest_write::{NewestWrite, number_transaction};
+use super::objects::note_loose;
 use super::session_store::StoreError;
 use super::write_order::{UncertainCommit, WriteOrder, undo_uncertain};
 use sqlx::{AnyConnection, Connection as _};
@@ -342,7 +342,7 @@ async fn write_together(
     for order in orders {
         answers.push(match order.carry_out(&mut transaction).await {
             Ok(mut unnamed) => {
-                // Another node may be about to name them again: they go when nobody has for long.
+                // Another node may be about to name them again: they go when no node has for long.
                 if is_shared {
                     for object in std::mem::take(&mut unnamed) {
                         note_loose(&object, &mut transaction).await?;

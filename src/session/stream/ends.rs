@@ -1,13 +1,13 @@
 //! The client's two ends of an interactive deform stream.
 
 use crate::session::answers::StreamAnswer;
-use crate::session::capacity::call_gate::CallGuard;
+use crate::session::capacity::call_queue::CallGuard;
 use crate::session::capacity::memory_ledger::MemoryReservation;
 use crate::session::error::Error;
 use crate::session::metrics::Metrics;
 use crate::session::quota::tenant_account::TenantStream;
 use crate::session::registry::OpenSession;
-use crate::session::stream::frame_packer::FramePacker;
+use crate::session::stream::frame_window::FramePacker;
 use crate::session::stream::mailbox::Mailbox;
 use crate::wire::StreamRequest;
 use std::sync::Arc;

@@ -1,18 +1,20 @@
-//! What lies between the two ends of a deform stream and the task of its session: poses waiting, frames going out.
+//! What lies between the two ends of a deform stream and the task of its session: the poses that wait, how they are merged, and
+//! the frames that go out.
 //!
 //! Everything here is bounded. Waiting poses are merged when they become many, commits and errors have their number,
 //! and a pose is taken only while a frame may be sent, so a reader that stops costs no more than the window of
 //! frames. One short lock guards the state; it is never held while anything waits or computes.
 
+use crate::engine::HandlePose;
 use crate::progress::CancelFlag;
 use crate::session::answers::StreamAnswer;
 use crate::session::config::SessionConfig;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::metrics::Metrics;
-use crate::session::stream::stream_state::StreamState;
-use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose, merge_waiting_drags};
+use crate::session::stream::frame_window::FrameWindow;
 use crate::wire::frames::Frame;
-use crate::wire::{DeformOptions, StreamPose, StreamRequest};
+use crate::wire::{DeformOptions, Error as WireError, PoseKey, StreamRequest};
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::Poll;
 use tokio::sync::Notify;
@@ -22,15 +24,6 @@ use tracing::Span;
 const WAITING_NOTES: usize = 64;
 /// Pongs that wait unread; more replace the oldest.
 const WAITING_PONGS: usize = 16;
-
-/// What a stream gives its session to do: all poses up to the first commit, or all that wait.
-#[derive(Debug)]
-pub(in crate::session) struct StreamWork {
-    /// In the order in which they came; never empty.
-    pub poses: Vec<WaitingPose>,
-    /// What the stream dragged since the last commit.
-    pub dragged: DraggedPoses,
-}
 
 /// One deform stream as its session sees it.
 #[derive(Debug)]
@@ -110,46 +103,57 @@ impl Mailbox {
                 self.task.notify_one();
             }
             StreamRequest::Options(Err(error)) => self.end_with_error(&mut state, error.into()),
-            StreamRequest::Pose(pose) => self.push_pose(&mut state, pose),
+            StreamRequest::Pose {
+                seq,
+                commit,
+                key,
+                entries,
+            } => {
+                self.metrics.poses_received.inc();
+                let settings = Arc::clone(&state.settings);
+                let pose = self
+                    .check_pose(&mut state, seq, commit, entries)
+                    .map(|entries| WaitingPose {
+                        seq,
+                        entries,
+                        commit,
+                        key,
+                        settings,
+                        poses: 1,
+                    });
+                match pose {
+                    Ok(pose) => {
+                        state.waiting.push_back(pose);
+                        merge_waiting_drags(&mut state.waiting, self.max_entries);
+                        self.task.notify_one();
+                    }
+                    Err(error) => self.refuse_pose(&mut state, seq, error),
+                }
+            }
         }
         Ok(())
     }
 
-    fn push_pose(&self, state: &mut StreamState, pose: StreamPose) {
-        self.metrics.poses_received.inc();
-        let StreamPose {
-            seq,
-            commit,
-            key,
-            entries,
-        } = pose;
+    /// The entries of a pose that may wait.
+    fn check_pose(
+        &self,
+        state: &mut StreamState,
+        seq: u64,
+        commit: bool,
+        entries: Result<PoseEntries, WireError>,
+    ) -> Result<PoseEntries, Error> {
         if let Some(last) = state.last_seq.filter(|&last| seq <= last) {
             let text = format!("is {seq}, above {last} is allowed: numbers grow along a stream");
-            return self.refuse_pose(state, seq, Error::invalid("pose.seq", text));
+            return Err(Error::invalid("pose.seq", text));
         }
         state.last_seq = Some(seq);
-        let entries = match entries {
-            Ok(entries) => entries,
-            Err(error) => return self.refuse_pose(state, seq, error.into()),
-        };
+        let entries = entries?;
         if commit && state.waiting.iter().filter(|w| w.commit).count() >= self.max_commits {
-            let text = format!(
-                "{} commits wait on this stream already; wait for their frames",
-                self.max_commits
-            );
-            return self.refuse_pose(state, seq, Error::exhausted(text, 1));
+            let most = self.max_commits;
+            let text = format!("{most} commits wait on this stream already; wait for their frames");
+            return Err(Error::exhausted(text, 1));
         }
-        let settings = Arc::clone(&state.settings);
-        state.waiting.push_back(WaitingPose {
-            seq,
-            entries,
-            commit,
-            key,
-            settings,
-            poses: 1,
-        });
-        merge_waiting_drags(&mut state.waiting, self.max_entries);
-        self.task.notify_one();
+        Ok(entries)
     }
 
     fn refuse_pose(&self, state: &mut StreamState, seq: u64, error: Error) {
@@ -230,19 +234,21 @@ impl Mailbox {
 
     // The session's side.
 
-    /// The next work, when there is some and its frame may be sent. `complete_work` must follow.
-    pub fn take_work(&self) -> Option<StreamWork> {
+    /// The next work, when there is some and its frame may be sent: all poses up to the first commit, or all that wait, in the
+    /// order in which they came; never empty. `complete_work` must follow.
+    pub fn take_work(&self) -> Option<Vec<WaitingPose>> {
         let mut state = self.lock_state();
         let count = state.work_at_hand();
         if count == 0 {
             return None;
         }
-        let poses = state.waiting.drain(..count).collect();
         state.running = true;
-        Some(StreamWork {
-            poses,
-            dragged: state.dragged.clone(),
-        })
+        Some(state.waiting.drain(..count).collect())
+    }
+
+    /// What the stream dragged since the last commit.
+    pub fn dragged_poses(&self) -> DraggedPoses {
+        self.lock_state().dragged.clone()
     }
 
     /// Whether a newer pose waits.
@@ -318,6 +324,154 @@ impl Mailbox {
     /// Ends the stream from the server's side.
     pub fn close(&self, error: Error) {
         self.end_with_error(&mut self.lock_state(), error);
+    }
+}
+
+/// The state of one stream: poses that wait, frames that go out, and what the client has acknowledged. Every pose received
+/// ends as a final frame, as an error, or in the `superseded` of a frame.
+#[derive(Debug)]
+pub(in crate::session) struct StreamState {
+    pub settings: Arc<DeformOptions>,
+    /// How many options the client has sent.
+    asked: u64,
+    pub waiting: VecDeque<WaitingPose>,
+    pub last_seq: Option<u64>,
+    pub dragged: DraggedPoses,
+    pub running: bool,
+    /// Poses skipped since the last frame was made.
+    pub superseded: u32,
+    /// Frames made and not acknowledged.
+    pub frames: FrameWindow,
+    /// A final frame that waits for the window.
+    pub held: Option<Frame>,
+    pub notes: VecDeque<StreamAnswer>,
+    pub pongs: VecDeque<u64>,
+    /// The server stops: commits that wait are stored now, also behind frames that are not read.
+    pub leaving: bool,
+    /// Nothing more is computed; an error to send, then the end.
+    pub ended: Option<Option<Error>>,
+}
+
+impl StreamState {
+    /// The state of a stream that has just been opened.
+    pub fn new(settings: Arc<DeformOptions>) -> Self {
+        Self {
+            frames: FrameWindow::with_size(settings.window),
+            settings,
+            asked: 0,
+            waiting: VecDeque::new(),
+            last_seq: None,
+            dragged: DraggedPoses::new(),
+            running: false,
+            superseded: 0,
+            held: None,
+            notes: VecDeque::new(),
+            pongs: VecDeque::new(),
+            leaving: false,
+            ended: None,
+        }
+    }
+
+    /// Puts options in force for the poses that follow. Their frames have no differences from those before, even if
+    /// both are the same: a client that lost a frame sends its options again.
+    pub fn take_options(&mut self, mut settings: DeformOptions) {
+        self.asked += 1;
+        settings.output.asked = self.asked;
+        self.frames.size = settings.window as usize;
+        self.settings = Arc::new(settings);
+        self.promote_held_frame();
+    }
+
+    /// Moves the frame that waits into the window, if that has room.
+    pub fn promote_held_frame(&mut self) {
+        if self.frames.room() > 0
+            && let Some(frame) = self.held.take()
+        {
+            self.frames.waiting.push_back(frame);
+        }
+    }
+
+    /// Puts the last frame of a piece of work where the transport finds it, or to the side until the window has room. Of a stream
+    /// that is leaving nothing is put aside: the commits that made these frames had their number.
+    pub fn hold_frame(&mut self, frame: Frame) {
+        if self.leaving {
+            self.frames.waiting.push_back(frame);
+        } else {
+            self.held = Some(frame);
+            self.promote_held_frame();
+        }
+    }
+
+    /// How many of the waiting poses the session may have: all up to the first commit, or all that wait, when their frame has a
+    /// place; while the server is going, a commit does not wait for one.
+    pub fn work_at_hand(&self) -> usize {
+        let to_commit = self.waiting.iter().position(|w| w.commit).map(|at| at + 1);
+        let is_blocked = self.held.is_some() || self.frames.room() == 0;
+        match to_commit {
+            _ if self.running || self.ended.is_some() => 0,
+            Some(upto) if self.leaving || !is_blocked => upto,
+            None if !is_blocked => self.waiting.len(),
+            _ => 0,
+        }
+    }
+
+    pub fn is_idle(&self) -> bool {
+        !self.running && self.waiting.is_empty() && self.held.is_none()
+    }
+
+    pub fn end(&mut self, error: Option<Error>) {
+        if self.ended.is_none() {
+            self.ended = Some(error);
+            self.waiting.clear();
+            self.frames.waiting.clear();
+            self.held = None;
+        }
+    }
+}
+
+/// Drag poses that wait one by one; more are merged, oldest first.
+pub(in crate::session) const WAITING_DRAGS: usize = 64;
+
+/// Poses by handle.
+pub(in crate::session) type DraggedPoses = BTreeMap<String, HandlePose>;
+
+/// The handles that a pose names, each with its pose, or with the error that the stream reports at the pose's turn.
+pub(in crate::session) type PoseEntries = Vec<(String, Result<HandlePose, WireError>)>;
+
+/// A pose that waits to be solved.
+#[derive(Debug, Clone)]
+pub(in crate::session) struct WaitingPose {
+    pub seq: u64,
+    pub entries: PoseEntries,
+    pub commit: bool,
+    /// Of a commit that may be sent again.
+    pub key: Option<PoseKey>,
+    /// The options in force when it came.
+    pub settings: Arc<DeformOptions>,
+    /// Poses that it stands for, itself included; more than one only when poses had to be merged.
+    pub poses: u32,
+}
+
+/// Merges the oldest neighbouring drags while too much waits. Errors then do not name the drag.
+pub(in crate::session) fn merge_waiting_drags(waiting: &mut VecDeque<WaitingPose>, max_entries: usize) {
+    let most = 2 * max_entries + WAITING_DRAGS;
+    loop {
+        let drags = waiting.iter().filter(|w| !w.commit);
+        let (count, entries) = drags.fold((0, 0), |(n, e), w| (n + 1, e + w.entries.len()));
+        if count <= WAITING_DRAGS && entries <= most {
+            return;
+        }
+        let mut pairs = waiting.iter().zip(waiting.iter().skip(1));
+        let Some(at) = pairs.position(|(a, b)| !a.commit && !b.commit) else {
+            return;
+        };
+        let Some(old) = waiting.remove(at) else { return };
+        let Some(new) = waiting.get_mut(at) else { return };
+        let entries = old.entries.into_iter().chain(std::mem::take(&mut new.entries));
+        let union: BTreeMap<_, _> = entries.collect();
+        // More names than a session has handles: some are wrong, and it is not known yet which.
+        new.entries = union.into_iter().take(max_entries).collect();
+        new.poses = new.poses.saturating_add(old.poses);
     }
 }
 

@@ -1,10 +1,8 @@
 //! The state of a stream, driven without a session: whatever the order of events, its counts balance and it stays bounded.
 
-use super::super::waiting_poses::WAITING_DRAGS;
 use super::*;
 use crate::engine::HandlePose;
-use crate::wire::frames::{FrameHeader, FrameOutput};
-use crate::wire::{Error as WireError, PoseEntry};
+use crate::wire::pb;
 use glam::DVec3;
 use proptest::prelude::*;
 
@@ -12,20 +10,17 @@ fn mailbox(config: &SessionConfig) -> Mailbox {
     Mailbox::new(("here", &"anyone".into()), config, Arc::default(), Arc::default())
 }
 
-fn posed(seq: u64, entries: Vec<PoseEntry>, commit: bool) -> StreamRequest {
-    StreamRequest::Pose(StreamPose {
+fn posed(seq: u64, entries: PoseEntries, commit: bool) -> StreamRequest {
+    StreamRequest::Pose {
         seq,
         commit,
         key: None,
         entries: Ok(entries),
-    })
+    }
 }
 
 fn pose(seq: u64, ids: &[&str], commit: bool) -> StreamRequest {
-    let at_rest = |id: &&str| PoseEntry {
-        id: (*id).into(),
-        pose: Ok(HandlePose::default()),
-    };
+    let at_rest = |id: &&str| ((*id).to_owned(), Ok(HandlePose::default()));
     posed(seq, ids.iter().map(at_rest).collect(), commit)
 }
 
@@ -38,29 +33,27 @@ fn options(window: u32) -> StreamRequest {
 
 fn frame(seq: u64, last: bool) -> Frame {
     Frame {
-        header: FrameHeader {
+        header: pb::Frame {
             seq,
-            is_final: last,
+            r#final: last,
             ..Default::default()
         },
         positions: Arc::new(vec![DVec3::ZERO]),
-        shading: None,
-        output: FrameOutput::default(),
-        selected: None,
         part_bytes: 1 << 20,
+        ..Frame::default()
     }
 }
 
 /// Does work as a session would, with every pose being right.
-fn complete(mailbox: &Mailbox, work: StreamWork) -> u64 {
-    let merged: u32 = work.poses.iter().map(|p| p.poses - 1).sum();
-    let seq = work.poses.last().expect("never empty").seq;
-    mailbox.settle_unsolved(Vec::new(), merged + work.poses.len() as u32 - 1);
-    mailbox.complete_work(work.dragged, Some(frame(seq, true)));
+fn complete(mailbox: &Mailbox, work: Vec<WaitingPose>) -> u64 {
+    let merged: u32 = work.iter().map(|p| p.poses - 1).sum();
+    let seq = work.last().expect("never empty").seq;
+    mailbox.settle_unsolved(Vec::new(), merged + work.len() as u32 - 1);
+    mailbox.complete_work(mailbox.dragged_poses(), Some(frame(seq, true)));
     seq
 }
 
-fn collect_frame(mailbox: &Mailbox) -> Option<FrameHeader> {
+fn collect_frame(mailbox: &Mailbox) -> Option<pb::Frame> {
     match mailbox.next_answer() {
         Poll::Ready(Some(StreamAnswer::Frame(frame))) => Some(frame.header),
         Poll::Pending => None,
@@ -74,7 +67,7 @@ fn commits_bar_the_poses_behind_them() {
     for (seq, commit) in [(1, false), (2, true), (3, false), (4, true), (5, false)] {
         mailbox.push(pose(seq, &["a"], commit)).expect("open");
     }
-    let seqs = |work: &StreamWork| work.poses.iter().map(|p| p.seq).collect::<Vec<_>>();
+    let seqs = |work: &[WaitingPose]| work.iter().map(|p| p.seq).collect::<Vec<_>>();
     for expected in [vec![1, 2], vec![3, 4], vec![5]] {
         let work = mailbox.take_work().expect("work waits and the window is open");
         assert!(mailbox.take_work().is_none(), "one piece of work at a time");
@@ -110,8 +103,8 @@ fn the_last_place_of_the_window_is_for_the_final_frame() {
     mailbox.send_frame(frame(1, false));
     assert!(!mailbox.wants_intermediate_frame());
     complete(&mailbox, work);
-    assert_eq!(collect_frame(&mailbox).map(|f| f.is_final), Some(false));
-    assert_eq!(collect_frame(&mailbox).map(|f| f.is_final), Some(true));
+    assert_eq!(collect_frame(&mailbox).map(|f| f.r#final), Some(false));
+    assert_eq!(collect_frame(&mailbox).map(|f| f.r#final), Some(true));
 }
 
 #[test]
@@ -123,11 +116,11 @@ fn a_window_of_one_holds_the_final_frame_until_the_first_is_acknowledged() {
     assert!(mailbox.wants_intermediate_frame());
     mailbox.send_frame(frame(1, false));
     complete(&mailbox, work);
-    assert_eq!(collect_frame(&mailbox).map(|f| f.is_final), Some(false));
+    assert_eq!(collect_frame(&mailbox).map(|f| f.r#final), Some(false));
     mailbox.push(pose(2, &["a"], false)).expect("open");
     assert!(mailbox.next_answer().is_pending() && mailbox.take_work().is_none());
     mailbox.push(StreamRequest::Ack(1)).expect("open");
-    assert_eq!(collect_frame(&mailbox).map(|f| (f.seq, f.is_final)), Some((1, true)));
+    assert_eq!(collect_frame(&mailbox).map(|f| (f.seq, f.r#final)), Some((1, true)));
 }
 
 #[test]
@@ -153,8 +146,8 @@ fn commits_of_a_stream_that_leaves_do_not_wait_for_its_reader() {
         Poll::Ready(Some(StreamAnswer::Notice { code: "going-away", .. }))
     ));
     let frames: Vec<_> = std::iter::from_fn(|| collect_frame(&mailbox)).collect();
-    let told: Vec<_> = frames.iter().map(|f| (f.seq, f.is_final)).collect();
-    assert_eq!(told, [(1, false), (1, true), (2, true), (4, true)]);
+    let reported: Vec<_> = frames.iter().map(|f| (f.seq, f.r#final)).collect();
+    assert_eq!(reported, [(1, false), (1, true), (2, true), (4, true)]);
     mailbox.push(StreamRequest::Ack(4)).expect("open");
     assert_eq!(mailbox.take_work().map(|work| complete(&mailbox, work)), Some(5));
 }
@@ -166,18 +159,18 @@ fn a_flood_is_merged_and_the_newest_entry_of_a_handle_wins() {
         ..SessionConfig::default()
     });
     for seq in 1..=5000u64 {
-        let entry = PoseEntry {
-            id: ["a", "b", "c"][(seq % 3) as usize].to_owned(),
-            pose: Ok(HandlePose::translation([seq as f64, 0.0, 0.0])),
-        };
+        let entry = (
+            ["a", "b", "c"][(seq % 3) as usize].to_owned(),
+            Ok(HandlePose::translation([seq as f64, 0.0, 0.0])),
+        );
         mailbox.push(posed(seq, vec![entry], false)).expect("open");
     }
     let work = mailbox.take_work().expect("work");
-    assert!(work.poses.len() <= WAITING_DRAGS + 1);
-    assert_eq!(work.poses.iter().map(|p| p.poses).sum::<u32>(), 5000);
+    assert!(work.len() <= WAITING_DRAGS + 1);
+    assert_eq!(work.iter().map(|p| p.poses).sum::<u32>(), 5000);
     let mut merged = DraggedPoses::new();
-    for pose in work.poses {
-        merged.extend(pose.entries.into_iter().map(|e| e.into_change().expect("right")));
+    for pose in work {
+        merged.extend(pose.entries.into_iter().map(|(id, pose)| (id, pose.expect("right"))));
     }
     let newest: Vec<f64> = merged.values().flat_map(|p| p.translation).map(|by| by.x).collect();
     assert_eq!(newest, [4998.0, 4999.0, 5000.0]);
@@ -203,7 +196,7 @@ fn what_waits_is_bounded_whatever_is_sent() {
         mailbox.push(StreamRequest::Ping(seq)).expect("open");
     }
     assert_eq!(mailbox.lock_state().pongs.len(), WAITING_PONGS);
-    let told: Vec<u64> = mailbox
+    let reported: Vec<u64> = mailbox
         .lock_state()
         .notes
         .iter()
@@ -215,13 +208,13 @@ fn what_waits_is_bounded_whatever_is_sent() {
             }
         })
         .collect();
-    assert_eq!(told, [1500, 2000], "the third and fourth commit were refused");
-    let large = StreamRequest::Pose(StreamPose {
+    assert_eq!(reported, [1500, 2000], "the third and fourth commit were refused");
+    let large = StreamRequest::Pose {
         seq: 3000,
         commit: false,
         key: None,
         entries: Err(WireError::invalid("pose.handles", "too many")),
-    });
+    };
     mailbox.push(large).expect("open");
     assert_eq!(mailbox.lock_state().notes.len(), 3);
 }
@@ -285,13 +278,13 @@ proptest! {
         mailbox.push(options(window)).expect("open");
         let (mut seq, mut sent, mut finals, mut errors, mut superseded) = (0u64, 0u32, Vec::new(), Vec::new(), 0u32);
         let mut commits = Vec::new();
-        let (mut work, mut in_flight): (Option<StreamWork>, Vec<u64>) = (None, Vec::new());
+        let (mut work, mut in_flight): (Option<Vec<WaitingPose>>, Vec<u64>) = (None, Vec::new());
         let mut collect = |in_flight: &mut Vec<u64>| -> bool {
             match mailbox.next_answer() {
                 Poll::Ready(Some(StreamAnswer::Frame(frame))) => {
                     superseded += frame.header.superseded;
                     in_flight.push(frame.header.seq);
-                    if frame.header.is_final {
+                    if frame.header.r#final {
                         finals.push(frame.header.seq);
                     }
                     true
@@ -304,9 +297,9 @@ proptest! {
                 Poll::Ready(None) | Poll::Pending => false,
             }
         };
-        let finish = |work: StreamWork, fails: bool| {
-            let newest = work.poses.last().map(|p| (p.seq, p.poses)).expect("never empty");
-            let others: u32 = work.poses.iter().map(|p| p.poses).sum::<u32>() - 1;
+        let finish = |work: Vec<WaitingPose>, fails: bool| {
+            let newest = work.last().map(|p| (p.seq, p.poses)).expect("never empty");
+            let others: u32 = work.iter().map(|p| p.poses).sum::<u32>() - 1;
             mailbox.settle_unsolved(Vec::new(), others);
             if fails {
                 mailbox.settle_unsolved(vec![(newest.0, Error::malformed("no"))], 0);
@@ -334,7 +327,7 @@ proptest! {
                 }
                 Event::More => {
                     if work.is_some() && mailbox.wants_intermediate_frame() {
-                        mailbox.send_frame(frame(work.as_ref().and_then(|w| w.poses.last()).map_or(0, |p| p.seq), false));
+                        mailbox.send_frame(frame(work.as_ref().and_then(|w| w.last()).map_or(0, |p| p.seq), false));
                     }
                 }
                 Event::Complete { fails } => {

@@ -4,8 +4,5 @@
 //! packed when the transport asks for it.
 
 pub(super) mod ends;
-pub(super) mod frame_packer;
 pub(super) mod frame_window;
 pub(super) mod mailbox;
-mod stream_state;
-pub(super) mod waiting_poses;

@@ -1,25 +1,35 @@
 //! The calls that a session's task serves, one at a time.
+//!
+//! Edits of the topology by a session's task.
+//!
+//! What a session's task does for an animation: it prepares it.
 
-use crate::asset::Format;
-use crate::engine::{self, ModelShape, TopologyState};
+use crate::engine::{ClipSource, ModelShape, TopologyState};
 use crate::exec::Exec;
 use crate::mesh::carry::CarriedFrame;
 use crate::progress::Progress as _;
-use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel, SessionFacts};
-use crate::session::calls::command::{HistoryDirection, PendingCall, SessionCommand, StoredAnswer, WorkOrder};
-use crate::session::calls::handle_change::HandleChange;
+use crate::session::animation::frame_outbox::PreparedAnimation;
+use crate::session::animation::frame_outbox::StageReporter;
+use crate::session::answers::{CarriedAlong, CommittedPose, ExportedModel};
+use crate::session::calls::command::{
+    CallOrigin, ExportModel, HandleChange, HistoryDirection, PrepareAnimation, QueuedCall, RecallPose, SessionCommand,
+    TaskCall, WorkOrder,
+};
+use crate::session::calls::model_opening::memory_needed;
 use crate::session::capacity::compute_slots::WorkLane;
-use crate::session::capacity::work_span::WorkKind;
-use crate::session::capacity::work_watch::Work;
+use crate::session::capacity::memory_ledger::MemoryShortage;
+use crate::session::capacity::work_watch::{Work, WorkKind, WorkWatch};
 use crate::session::engine::Engine;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::loaded_deformer::{LoadedDeformer, PoseAnswer};
 use crate::session::history::session_state::{CommittedHandles, SessionState, ShapeRecipe};
+use crate::session::keeping::sweep::evict_idle;
 use crate::session::registry::OpenSession;
 use crate::session::stream::frame_window::FrameContext;
 use crate::session::task::session_task::{SessionTask, no_handles};
 use crate::wire::record::LoggedCommit;
-use crate::wire::{CarryOrder, DeformOptions, PoseCommit};
+use crate::wire::{CarryOrder, DeformOptions, PoseCommit, SessionEdit, pb};
+use crate::{engine, wire};
 use glam::DVec3;
 use std::sync::Arc;
 use std::time::Instant;
@@ -36,7 +46,7 @@ const FEW_TRIANGLES: u32 = 10_000;
 
 /// The lane of a commit with such options: counting crossings may compare each triangle with each.
 pub(in crate::session) fn lane_of_commit(state: &SessionState, options: &DeformOptions) -> WorkLane {
-    let is_light = !options.output.self_intersections || state.facts.model.counts.faces <= FEW_TRIANGLES;
+    let is_light = !options.output.self_intersections || state.triangles() <= FEW_TRIANGLES;
     match is_light {
         true => WorkLane::Interactive,
         false => WorkLane::Builds,
@@ -51,168 +61,49 @@ fn lane_of_cost(cost: u64) -> WorkLane {
     }
 }
 
+/// A call, served on the session's task.
+pub(super) trait RunCall: TaskCall {
+    fn run(
+        self,
+        task: &mut SessionTask,
+        origin: &CallOrigin,
+    ) -> impl Future<Output = Result<Self::Answer, Error>> + Send;
+}
+
 impl SessionTask {
-    /// Serves a call, unless its caller no longer waits.
+    /// Serves a call of any kind.
     pub async fn serve_command(&mut self, command: SessionCommand) {
-        self.session.line.begin();
-        let (who, cancel) = command.caller();
-        if !cancel.cancelled() {
-            self.acting = Arc::clone(who);
-            let begun = Instant::now();
-            self.answer_command(command).await;
-            self.session.line.note_service(begun.elapsed());
-        }
-    }
-
-    async fn answer_command(&mut self, command: SessionCommand) {
         match command {
-            SessionCommand::SetHandles(change, call) => {
-                let result = self.set_handles(change, &call).await;
-                send_answer(call, result, |session| {
-                    Some(StoredAnswer::Session(Box::new(session.clone())))
-                });
-            }
-            SessionCommand::Step(direction, call) => {
-                let result = self.step_history(direction, &call).await;
-                send_answer(call, result, |session| {
-                    Some(StoredAnswer::Session(Box::new(session.clone())))
-                });
-            }
-            SessionCommand::Solve(request, call) => {
-                let result = self.solve(*request, &call).await;
-                send_answer(call, result, |solved| {
-                    Some(StoredAnswer::Solved(Box::new(solved.clone())))
-                });
-            }
-            SessionCommand::Edit(request, call) => {
-                let result = self.edit(*request, &call).await;
-                send_answer(call, result, |result| {
-                    Some(StoredAnswer::Edited(Box::new(result.clone())))
-                });
-            }
-            SessionCommand::Recall(revision, frame, call) => {
-                let limit = self.shared.config.build;
-                let order = || call.order(WorkKind::Recall, WorkLane::Interactive, limit);
-                let result = self.recall(revision, *frame, order).await;
-                send_answer(call, result, |_| None);
-            }
-            SessionCommand::Export(format, call) => {
-                let result = self.export(format, &call).await;
-                send_answer(call, result, |_| None);
-            }
-            SessionCommand::Animate(order, outbox, call) => {
-                let result = self.prepare_animation(*order, outbox, &call).await;
-                send_answer(call, result, |_| None);
-            }
-            SessionCommand::Carry(order, call) => {
-                let result = self.carry_along(*order, &call).await;
-                send_answer(call, result, |_| None);
-            }
+            SessionCommand::Handles(call) => self.serve(*call).await,
+            SessionCommand::Solve(call) => self.serve(*call).await,
+            SessionCommand::Step(call) => self.serve(*call).await,
+            SessionCommand::Edit(call) => self.serve(*call).await,
+            SessionCommand::Recall(call) => self.serve(*call).await,
+            SessionCommand::Export(call) => self.serve(*call).await,
+            SessionCommand::Carry(call) => self.serve(*call).await,
+            SessionCommand::Animate(call) => self.serve(*call).await,
         }
     }
 
-    async fn set_handles(
-        &mut self,
-        change: HandleChange,
-        call: &PendingCall<SessionFacts>,
-    ) -> Result<SessionFacts, Error> {
-        let state = self.history.current();
-        let set = change.apply_to(&state.handles.set, &state.poses)?;
-        let limit = self.shared.config.build;
-        let topology = state.topology.clone();
-        let lane = lane_of_cost(state.cost_of_handles(&set));
-        let (poses, facts, stages) = loop {
-            let room = self.memory.room();
-            let (set, topology) = (set.clone(), topology.clone());
-            let (replaced, watch) = self
-                .compute(call.order(WorkKind::Handles, lane, limit), move |deformer, work| {
-                    deformer.replace_handles(topology.as_ref(), &set, room, &work.exec())
-                })
-                .await?;
-            match replaced {
-                Ok((poses, facts)) => break (poses, facts, watch.take_stage_ms()),
-                Err(e) if self.found_room(&e, room).await => {}
-                Err(e) => return Err(self.memory_failure(e, room, &watch)),
-            }
-        };
-        let commit = || LoggedCommit::Handles {
-            set: set.clone(),
-            poses: poses.clone(),
-            facts: facts.clone(),
-        };
-        self.keep_handles(commit, call.claim.as_ref()).await?;
-        self.shared.metrics.observe_stages(&stages);
-        self.build_ms.extend(stages);
-        self.history.commit_handles(set, poses, facts);
-        if let Some(deformer) = &mut self.deformer {
-            deformer.adopt_handles(self.history.current().handles.id);
+    /// Serves a call, unless its caller no longer waits; keeps the answer for its key and sends it to the caller.
+    async fn serve<C: RunCall>(&mut self, queued: QueuedCall<C>) {
+        let QueuedCall { call, origin, reply } = queued;
+        self.session.line.begin();
+        if origin.cancel.cancelled() {
+            return;
         }
-        self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
-        self.shared.metrics.commits.inc();
-        self.publish_view();
-        Ok(self.session.describe())
-    }
-
-    async fn solve(&mut self, request: PoseCommit, call: &PendingCall<CommittedPose>) -> Result<CommittedPose, Error> {
-        let state = self.history.current().clone();
-        if state.handles.set.handles.is_empty() {
-            return Err(no_handles());
+        self.acting = Arc::clone(&origin.who);
+        let begun = Instant::now();
+        let result = call.run(self, &origin).await;
+        if let (Some(claim), Ok(answer)) = (origin.claim, &result)
+            && let Some(stored) = C::stored(answer)
+        {
+            let bytes = stored.byte_size();
+            claim.complete(stored, bytes);
         }
-        let PoseCommit { seq, changes, options } = request;
-        let (revision, part_bytes) = (self.history.revision() + 1, self.shared.config.part_bytes);
-        let order = call.order(
-            WorkKind::Solve,
-            lane_of_commit(&state, &options),
-            self.shared.config.solve,
-        );
-        let (solved, watch) = self
-            .compute(order, move |deformer, work| {
-                deformer.load_state(state.topology.as_ref(), &state.handles, &work.exec())?;
-                let poses = deformer.engine.change_poses(&state.poses, &changes)?;
-                let frames = FrameContext {
-                    revision,
-                    topology: state.topology.as_ref().map(TopologyState::id),
-                    diagonal: state.diagonal,
-                    queued: work.queued,
-                    part_bytes,
-                };
-                let mut answer = deformer.solve_for_commit(seq, poses, &options, &frames, work)?;
-                answer.frame = answer.frame.for_new_reader();
-                Ok::<_, engine::Error>(answer)
-            })
-            .await?;
-        let PoseAnswer { frame, cycles, commit } = solved.map_err(|e| self.failure(e, &watch))?;
-        let posed = commit.ok_or_else(|| Error::new(ErrorCode::Internal, "a solved pose is not to be committed"))?;
-        let digest = self.commit_pose(posed, &frame, cycles, call.claim.as_ref()).await?;
-        self.shared.metrics.frames_sent.inc();
-        Ok(CommittedPose {
-            frame,
-            revision,
-            digest,
-        })
-    }
-
-    async fn step_history(
-        &mut self,
-        direction: HistoryDirection,
-        call: &PendingCall<SessionFacts>,
-    ) -> Result<SessionFacts, Error> {
-        let (target, nothing) = match direction {
-            HistoryDirection::Undo => (self.history.undo_target(), "nothing is left to undo"),
-            HistoryDirection::Redo => (self.history.redo_target(), "nothing is left to redo"),
-        };
-        let nothing = || Error::new(ErrorCode::FailedPrecondition, nothing);
-        let index = target.ok_or_else(nothing)?;
-        let limit = self.shared.config.build;
-        let shape = self
-            .shape_of_commit(index, call.order(WorkKind::History, WorkLane::Interactive, limit))
-            .await?
-            .ok_or_else(nothing)?;
-        self.keep_step(direction, index, call.claim.as_ref()).await?;
-        self.history.go_to_commit(index, shape);
-        self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
-        self.publish_view();
-        Ok(self.session.describe())
+        // The caller may have gone; the change stands.
+        let _ = reply.send(result);
+        self.session.line.note_service(begun.elapsed());
     }
 
     /// The lane of work that needs `handles`, which are set first where the engine has others.
@@ -246,51 +137,157 @@ impl SessionTask {
         }
         Ok(Some(shape))
     }
+}
+impl RunCall for HandleChange {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::Session, Error> {
+        let state = task.history.current();
+        let set = self.apply_to(&state.handles.set, &state.poses)?;
+        let limit = task.shared.config.build;
+        let topology = state.topology.clone();
+        let lane = lane_of_cost(state.cost_of_handles(&set));
+        let (poses, facts, stages) = loop {
+            let room = task.memory.room();
+            let (set, topology) = (set.clone(), topology.clone());
+            let (replaced, watch) = task
+                .compute(origin.order(WorkKind::Handles, lane, limit), move |deformer, work| {
+                    deformer.room = room;
+                    deformer.replace_handles(topology.as_ref(), &set, &work.exec())
+                })
+                .await?;
+            match replaced {
+                Ok((poses, facts)) => break (poses, facts, watch.take_stage_ms()),
+                Err(e) if task.found_room(&e, room).await => {}
+                Err(e) => return Err(task.memory_failure(e, room, &watch)),
+            }
+        };
+        let commit = || LoggedCommit::Handles {
+            set: set.clone(),
+            poses: poses.clone(),
+            facts: facts.clone(),
+        };
+        task.keep_handles(commit, origin.claim.as_ref()).await?;
+        task.shared.metrics.observe_stages(&stages);
+        task.build_ms.extend(stages);
+        task.history.commit_handles(set, poses, facts);
+        if let Some(deformer) = &mut task.deformer {
+            deformer.adopt_handles(task.history.current().handles.id);
+        }
+        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        task.shared.metrics.commits.inc();
+        task.publish_view();
+        Ok(task.session.describe())
+    }
+}
 
-    async fn carry_along(
-        &mut self,
-        order: CarryOrder,
-        call: &PendingCall<CarriedAlong>,
-    ) -> Result<CarriedAlong, Error> {
-        let view = self.session.view();
-        let limit = self.shared.config.build;
+impl RunCall for PoseCommit {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<CommittedPose, Error> {
+        let state = task.history.current().clone();
+        if state.handles.set.handles.is_empty() {
+            return Err(no_handles());
+        }
+        let Self { seq, changes, options } = self;
+        let (revision, part_bytes) = (task.history.revision() + 1, task.shared.config.part_bytes);
+        let order = origin.order(
+            WorkKind::Solve,
+            lane_of_commit(&state, &options),
+            task.shared.config.solve,
+        );
+        let (solved, watch) = task
+            .compute(order, move |deformer, work| {
+                deformer.load_state(state.topology.as_ref(), &state.handles, &work.exec())?;
+                let poses = deformer.engine.change_poses(&state.poses, &changes)?;
+                let frames = FrameContext {
+                    revision,
+                    topology: state.topology.as_ref().map(TopologyState::id),
+                    diagonal: state.diagonal,
+                    queued: work.queued,
+                    part_bytes,
+                };
+                let mut answer = deformer.solve_for_commit(seq, poses, &options, &frames, work)?;
+                answer.frame = answer.frame.for_new_reader();
+                Ok::<_, engine::Error>(answer)
+            })
+            .await?;
+        let PoseAnswer { frame, cycles, commit } = solved.map_err(|e| task.failure(e, &watch))?;
+        let posed = commit.ok_or_else(|| Error::new(ErrorCode::Internal, "a solved pose is not to be committed"))?;
+        let digest = task.commit_pose(posed, &frame, cycles, origin.claim.as_ref()).await?;
+        task.shared.metrics.frames_sent.inc();
+        Ok(CommittedPose {
+            frame,
+            revision,
+            digest,
+        })
+    }
+}
+
+impl RunCall for HistoryDirection {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::Session, Error> {
+        let (target, nothing) = match self {
+            Self::Undo => (task.history.undo_target(), "nothing is left to undo"),
+            Self::Redo => (task.history.redo_target(), "nothing is left to redo"),
+        };
+        let nothing = || Error::new(ErrorCode::FailedPrecondition, nothing);
+        let index = target.ok_or_else(nothing)?;
+        let limit = task.shared.config.build;
+        let shape = task
+            .shape_of_commit(index, origin.order(WorkKind::History, WorkLane::Interactive, limit))
+            .await?
+            .ok_or_else(nothing)?;
+        task.keep_step(self, index, origin.claim.as_ref()).await?;
+        task.history.go_to_commit(index, shape);
+        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        task.publish_view();
+        Ok(task.session.describe())
+    }
+}
+
+impl RunCall for RecallPose {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<Option<CommittedPose>, Error> {
+        let limit = task.shared.config.build;
+        let order = || origin.order(WorkKind::Recall, WorkLane::Interactive, limit);
+        task.recall(self.revision, *self.frame, order).await
+    }
+}
+
+impl RunCall for CarryOrder {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<CarriedAlong, Error> {
+        let view = task.session.view();
+        let limit = task.shared.config.build;
         let positions = Arc::clone(&view.positions);
-        let topology = self.history.current().topology.clone();
-        let triangles = u64::from(self.history.current().facts.model.counts.faces);
-        let comparisons = (order.points.len() as u64).saturating_mul(triangles);
-        let lane = match order.model.is_none() && comparisons <= FEW_COMPARISONS {
+        let topology = task.history.current().topology.clone();
+        let triangles = u64::from(task.history.current().triangles());
+        let comparisons = (self.points.len() as u64).saturating_mul(triangles);
+        let lane = match self.model.is_none() && comparisons <= FEW_COMPARISONS {
             true => WorkLane::Interactive,
             false => WorkLane::Builds,
         };
-        let (carried, watch) = self
-            .compute(call.order(WorkKind::Carry, lane, limit), move |deformer, work| {
+        let (carried, watch) = task
+            .compute(origin.order(WorkKind::Carry, lane, limit), move |deformer, work| {
                 let exec = work.exec();
                 deformer.go_to_topology(topology.as_ref(), &exec)?;
-                carry_order_along(deformer.engine.as_ref(), &positions, order, &exec)
+                carry_order_along(deformer.engine.as_ref(), &positions, self, &exec)
             })
             .await?;
-        let (frames, model) = carried.map_err(|e| self.failure(e, &watch))?;
+        let (frames, model) = carried.map_err(|e| task.failure(e, &watch))?;
         Ok(CarriedAlong {
             revision: view.revision,
             frames,
             model,
         })
     }
+}
 
-    async fn export(
-        &mut self,
-        format: Option<Format>,
-        call: &PendingCall<ExportedModel>,
-    ) -> Result<ExportedModel, Error> {
-        let view = self.session.view();
-        let format = format.unwrap_or(self.session.format);
+impl RunCall for ExportModel {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<ExportedModel, Error> {
+        let view = task.session.view();
+        let format = self.0.unwrap_or(task.session.format);
         let etag = OpenSession::etag(&view, format.name());
-        let limit = self.shared.config.build;
+        let limit = task.shared.config.build;
         let positions = Arc::clone(&view.positions);
-        let topology = self.history.current().topology.clone();
-        let (written, watch) = self
+        let topology = task.history.current().topology.clone();
+        let (written, watch) = task
             .compute(
-                call.order(WorkKind::Export, WorkLane::Interactive, limit),
+                origin.order(WorkKind::Export, WorkLane::Interactive, limit),
                 move |deformer, work| {
                     let exec = work.exec();
                     deformer.go_to_topology(topology.as_ref(), &exec)?;
@@ -299,7 +296,7 @@ impl SessionTask {
             )
             .await?;
         Ok(ExportedModel {
-            written: written.map_err(|e| self.failure(e, &watch))?,
+            written: written.map_err(|e| task.failure(e, &watch))?,
             format,
             etag,
         })
@@ -327,15 +324,123 @@ fn carry_order_along(
     Ok((frames, model))
 }
 
-/// Keeps the answer for the call's idempotency key and sends it to the caller.
-fn send_answer<T>(call: PendingCall<T>, result: Result<T, Error>, store: impl FnOnce(&T) -> Option<StoredAnswer>) {
-    let PendingCall { reply, claim, .. } = call;
-    if let (Some(claim), Ok(value)) = (claim, &result)
-        && let Some(stored) = store(value)
-    {
-        let bytes = stored.byte_size();
-        claim.complete(stored, bytes);
+impl SessionTask {
+    /// Of a change that takes more memory than is free now, but not more than the server has, that it may fit later.
+    pub fn memory_failure(&self, error: engine::Error, room: u64, watch: &WorkWatch) -> Error {
+        match memory_needed(&error, room).filter(|needed| *needed <= self.shared.ledger.total()) {
+            Some(needed) => {
+                self.shared.metrics.refused.inc();
+                let shortage = self.memory.shortage(needed);
+                let text = format!(
+                    "the session would need {needed} bytes of memory, and {shortage}; {} of them are the session's own",
+                    self.memory.bytes()
+                );
+                Error::exhausted(text, 5)
+            }
+            None => self.failure(error, watch),
+        }
     }
-    // The caller may have gone; the change stands.
-    let _ = reply.send(result);
+
+    /// Whether a change that found too little memory free may try again, because idle sessions have left it meanwhile.
+    pub async fn found_room(&mut self, error: &engine::Error, room: u64) -> bool {
+        let needed = memory_needed(error, room).filter(|needed| *needed <= self.shared.ledger.total());
+        let Some(shortage) = needed.map(|needed| self.memory.shortage(needed)) else {
+            return false;
+        };
+        let of_tenant = matches!(shortage, MemoryShortage::Tenant { .. }).then_some(&self.session.tenant);
+        evict_idle(&self.shared, of_tenant).await
+    }
+}
+
+impl RunCall for SessionEdit {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::EditResult, Error> {
+        let limit = task.shared.config.build;
+        let edit = Arc::new(self);
+        let (edited, shape, mut report, watch) = loop {
+            let state = task.history.current().clone();
+            let (shape, recipe) = (task.history.shape(state.shape), task.history.recipe(state.shape));
+            // What the other sessions leave, now: the engine was opened when there was more or less.
+            let room = task.memory.room();
+            let edit = Arc::clone(&edit);
+            let (done, watch) = task
+                .compute(
+                    origin.order(WorkKind::Edit, WorkLane::Builds, limit),
+                    move |deformer, work| {
+                        deformer.room = room;
+                        deformer.edit_state(&state, shape.ok(), &recipe, &edit, &work.exec())
+                    },
+                )
+                .await?;
+            match done {
+                Ok((edited, shape, report)) => break (edited, shape, report, watch),
+                Err(e) if task.found_room(&e, room).await => {}
+                Err(e) => return Err(task.memory_failure(e, room, &watch)),
+            }
+        };
+        let ms = watch.take_stage_ms();
+        task.shared.metrics.observe_stages(&ms);
+        let kept_edit = task.kept.is_some().then(|| Arc::unwrap_or_clone(edit));
+        task.keep_edit(kept_edit, &edited, (&shape, &report), origin.claim.as_ref())
+            .await?;
+        task.history.commit_edit(edited, shape);
+        if let Some(deformer) = &mut task.deformer {
+            deformer.adopt_handles(task.history.current().handles.id);
+        }
+        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        task.shared.metrics.commits.inc();
+        task.publish_view();
+        report.revision = task.history.revision();
+        report.ms = ms;
+        Ok(report)
+    }
+}
+
+/// Bytes of memory for each byte of a clip while it is read: a number of two digits is a number, and becomes part of a rotation.
+const BYTES_PER_CLIP_BYTE: u64 = 16;
+
+/// Handles, shape and history stay as they are.
+impl RunCall for PrepareAnimation {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<PreparedAnimation, Error> {
+        let Self { order, outbox } = self;
+        let revision = task.history.revision();
+        let topology = task.history.current().topology.clone();
+        let limits = task.shared.config.animation_limits();
+        if let ClipSource::Bvh { bytes, .. } = &order.request.clip {
+            let needed = (bytes.len() as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
+            let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
+            reserved.map_err(|shortage| {
+                task.shared.metrics.refused.inc();
+                let text = format!("reading the clip would need {needed} bytes of memory, and {shortage}");
+                Error::exhausted(text, 5)
+            })?;
+        }
+        let (prepared, watch) = task
+            .compute(
+                origin.order(WorkKind::Animate, WorkLane::Builds, task.shared.config.build),
+                move |deformer, work| {
+                    let reporter = StageReporter {
+                        outbox: &outbox,
+                        watch: work.watch,
+                    };
+                    let exec = &Exec::new(work.pool, &reporter);
+                    deformer.go_to_topology(topology.as_ref(), exec)?;
+                    let prepared = deformer.engine.prepare_animation(&order.request, &limits, exec);
+                    let animation = prepared.map_err(|e| wire::of_rig(e.into()))?;
+                    let is_shaded = order.output.normals || order.output.tangents;
+                    let shader = is_shaded.then(|| deformer.shader());
+                    Ok::<_, wire::Error>((animation, shader))
+                },
+            )
+            .await?;
+        let (animation, shader) = prepared.map_err(|error| match error {
+            wire::Error::Cancelled => task.failure(engine::Error::Cancelled, &watch),
+            error => error.into(),
+        })?;
+        Ok(PreparedAnimation {
+            animation,
+            shader,
+            revision,
+            build_ms: watch.take_stage_ms(),
+        })
+    }
 }

@@ -1,20 +1,26 @@
 //! The commits of a session on their way to the store. A commit is kept before it becomes the session's state, so that one which
 //! cannot be kept has never happened.
+//!
+//! Commits that were made before: the frame of one is made again from its shape, and a commit of a stream that comes a second
+//! time is answered with it.
 
 use crate::asset::FileSet;
-use crate::engine::{Edit, EditReport, ModelShape};
+use crate::engine;
+use crate::engine::{Edit, ModelShape, TopologyState};
+use crate::session::answers::CommittedPose;
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
-use crate::session::calls::command::{HistoryDirection, StoredAnswer};
-use crate::session::calls::idempotency::KeyClaim;
-use crate::session::calls::session_places::announce_stored;
+use crate::session::calls::command::{HistoryDirection, StoredAnswer, WorkOrder};
+use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim, RequestFingerprint, answer_of_another_call};
+use crate::session::calls::model_opening::announce_stored;
+use crate::session::calls::shared_keys::claim_everywhere;
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::session_state::{EditedState, PosedState};
 use crate::session::keeping::replay::{OTHER_BUILD, check_digest};
 use crate::session::store::{Commit, NewCommit, StoreError, write_shape};
 use crate::session::task::session_task::SessionTask;
-use crate::wire::SessionEdit;
 use crate::wire::frames::Frame;
 use crate::wire::record::{AnsweredFrame, LoggedCommit, ShapeProbe};
+use crate::wire::{PoseKey, SessionEdit, pb};
 use std::sync::Arc;
 
 /// Solved commits after which the newest shape is kept, so that opening solves few of them again.
@@ -63,7 +69,7 @@ impl SessionTask {
         &mut self,
         asked: Option<SessionEdit>,
         edited: &EditedState,
-        (shape, report): (&ModelShape, &EditReport),
+        (shape, report): (&ModelShape, &pb::EditResult),
         claim: Option<&Claim>,
     ) -> Result<(), Error> {
         let (Some(mut asked), Some(_)) = (asked, &self.kept) else {
@@ -79,7 +85,7 @@ impl SessionTask {
             files: None,
             report: Box::new(report.clone()),
             poses: edited.poses.clone(),
-            facts: Box::new(edited.facts.clone()),
+            facts: edited.facts.clone(),
             probe: ShapeProbe::of(&shape.positions),
         };
         self.keep(commit, edited.digest.clone(), files, claim).await
@@ -161,7 +167,7 @@ impl SessionTask {
             self.shared.metrics.store_failures.inc();
             tracing::error!(session.id = %self.session.id, "a commit could not be stored: {error}");
             if error == StoreError::Moved {
-                self.shared.lose(&self.session);
+                self.shared.drop_ownership(&self.session);
             }
             return Err(error.into());
         }
@@ -250,5 +256,99 @@ impl SessionTask {
         }
         self.history.record_digest(index, now);
         Ok(())
+    }
+}
+
+impl SessionTask {
+    /// Claims the key of a commit on a stream, or gives the answer that is kept for it. Commits of one session take turns, so the
+    /// one before has either been recorded or left its key free.
+    ///
+    /// # Errors
+    /// `INVALID_ARGUMENT` for a key that was used with other handles.
+    pub async fn claim_stream_commit(&mut self, key: &PoseKey) -> Result<ClaimOutcome<StoredAnswer>, Error> {
+        let parts = [self.session.id.as_bytes(), key.request.as_slice()];
+        let fingerprint = RequestFingerprint::of("stream_commit", &parts);
+        claim_everywhere(&self.shared, &self.session.tenant, &key.key, fingerprint).await
+    }
+
+    /// The frame that a commit was answered with, as the answer to the pose of number `seq`.
+    ///
+    /// # Errors
+    /// `ALREADY_EXISTS` when it was recorded and cannot be gone to any more; errors of the store.
+    pub async fn recall_answer(
+        &mut self,
+        answer: StoredAnswer,
+        seq: u64,
+        order: impl Fn() -> WorkOrder,
+    ) -> Result<Frame, Error> {
+        let committed = match answer {
+            StoredAnswer::Solved(committed) => *committed,
+            StoredAnswer::Recorded { session, sequence } => {
+                let gone = || {
+                    let text = "the commit with this idempotency key was recorded, but can no longer be gone to";
+                    Error::new(ErrorCode::AlreadyExists, text)
+                };
+                let kept = self.kept.as_ref().ok_or_else(answer_of_another_call)?;
+                let store = Arc::clone(&kept.store);
+                let stored = store.commit(session, sequence).await?.ok_or_else(gone)?;
+                let LoggedCommit::Pose { frame: Some(frame), .. } = stored.record else {
+                    return Err(answer_of_another_call());
+                };
+                let recalled = self.recall(stored.revision, *frame, order).await?;
+                recalled.ok_or_else(gone)?
+            }
+            _ => return Err(answer_of_another_call()),
+        };
+        let mut frame = committed.frame;
+        frame.header.seq = seq;
+        frame.diagonal = self.history.current().diagonal;
+        Ok(frame)
+    }
+
+    /// The frame of a pose that was committed with this revision.
+    pub async fn recall(
+        &mut self,
+        revision: u64,
+        frame: AnsweredFrame,
+        order: impl Fn() -> WorkOrder,
+    ) -> Result<Option<CommittedPose>, Error> {
+        let Some(index) = self.history.index_of(revision) else {
+            return Ok(None);
+        };
+        let Some(shape) = self.shape_of_commit(index, order()).await? else {
+            return Ok(None);
+        };
+        let Some(state) = self.history.state(index) else {
+            return Ok(None);
+        };
+        let (digest, diagonal, topology) = (state.digest.clone(), state.diagonal, state.topology.clone());
+        let AnsweredFrame { mut header, output } = frame;
+        header.revision = revision;
+        let id = topology.as_ref().map(TopologyState::id);
+        let part_bytes = self.shared.config.part_bytes;
+        let (made, watch) = self
+            .compute(order(), move |deformer, work| {
+                deformer.go_to_topology(topology.as_ref(), &work.exec())?;
+                let is_shaded = output.normals || output.tangents;
+                let shading = is_shaded.then(|| Arc::new(deformer.shader().shade(&shape.positions)));
+                let frame = Frame {
+                    header,
+                    topology: id,
+                    diagonal,
+                    positions: shape.positions,
+                    shading,
+                    output,
+                    part_bytes,
+                    ..Frame::default()
+                };
+                Ok::<_, engine::Error>(frame.for_new_reader())
+            })
+            .await?;
+        let frame = made.map_err(|e| self.failure(e, &watch))?;
+        Ok(Some(CommittedPose {
+            frame,
+            revision,
+            digest,
+        }))
     }
 }

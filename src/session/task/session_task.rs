@@ -3,32 +3,34 @@
 //! Commands and streams take turns, streams among themselves too. State changes here only, after the work for it has
 //! succeeded, so a call that fails or is given up leaves everything as it was. While work runs on the compute pool the
 //! engine is there too; everything that others read meanwhile is in the session's published view.
+//!
+//! An unused session leaves memory: first what is derived and quickly rebuilt, later all of it.
 
-use crate::engine::{self, DeformerFacts};
+use crate::engine;
 use crate::progress::Progress as _;
 use crate::session::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::session::calls::command::{SessionCommand, StoredAnswer, WorkOrder};
 use crate::session::calls::idempotency::KeyClaim;
 use crate::session::capacity::compute_slots::WorkPanicked;
 use crate::session::capacity::memory_ledger::MemoryReservation;
-use crate::session::capacity::work_span::WorkSpan;
-use crate::session::capacity::work_watch::{Work, WorkWatch};
+use crate::session::capacity::work_watch::{Work, WorkSpan, WorkWatch};
 use crate::session::error::{Error, ErrorCode};
 use crate::session::history::commit_history::CommitHistory;
 use crate::session::history::loaded_deformer::LoadedDeformer;
 use crate::session::history::session_state::{PosedState, SessionState};
-use crate::session::keeping::kept_session::KeptSession;
-use crate::session::keeping::residence::Residence;
+use crate::session::keeping::kept_session::{KeptSession, MemoryState};
 use crate::session::quota::tenant_account::TenantSession;
 use crate::session::registry::{OpenSession, SessionView};
 use crate::session::shared::SharedResources;
-use crate::session::stream::mailbox::{Mailbox, StreamWork};
+use crate::session::store::now_ms;
+use crate::session::stream::mailbox::{Mailbox, WaitingPose};
 use crate::wire::frames::Frame;
+use crate::wire::pb;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
-use std::time::Instant;
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
+use tokio::time::Instant;
 
 /// The state of one session and its task.
 pub(in crate::session) struct SessionTask {
@@ -42,12 +44,12 @@ pub(in crate::session) struct SessionTask {
     pub memory: Arc<MemoryReservation>,
     /// The place among those of its tenant.
     pub place: TenantSession,
-    pub seat: OwnedSemaphorePermit,
+    pub session_permit: OwnedSemaphorePermit,
     /// Which stream is asked for work first.
     pub next_stream: usize,
     /// What is known of the log in the store, if the session is kept.
     pub kept: Option<KeptSession>,
-    pub residence: Residence,
+    pub memory_state: MemoryState,
     /// The caller of the work under way, for the audit trail.
     pub acting: Arc<str>,
 }
@@ -73,10 +75,10 @@ impl SessionTask {
                 continue;
             }
             session.busy.store(false, SeqCst);
-            if self.step_out().await {
+            if self.evict().await {
                 break;
             }
-            let step_out = self.next_step_out();
+            let evict = self.next_eviction();
             tokio::select! {
                 () = session.closing.cancelled() => {}
                 Some(command) = self.commands.recv() => {
@@ -85,7 +87,7 @@ impl SessionTask {
                     self.finish_work();
                 }
                 () = session.wake.notified() => {}
-                () = tokio::time::sleep_until(step_out.unwrap_or_else(|| session.lease.end())), if step_out.is_some() => {}
+                () = tokio::time::sleep_until(evict.unwrap_or_else(|| session.lease.end())), if evict.is_some() => {}
                 () = tokio::time::sleep_until(session.lease.end()) => {
                     if !session.streams.all().is_empty() || session.animations.is_any() {
                         session.lease.renew();
@@ -101,7 +103,7 @@ impl SessionTask {
     /// After work: the session was used, and is whole again.
     fn finish_work(&mut self) {
         self.session.lease.renew();
-        self.residence = Residence::Whole;
+        self.memory_state = MemoryState::Full;
         self.keep_shape_in_time();
     }
 
@@ -143,33 +145,33 @@ impl SessionTask {
             history,
             memory,
             place,
-            seat,
+            session_permit,
             ..
         } = self;
         session.close(Error::no_session(&session.id));
         shared.registry.remove_this(&session);
         shared.metrics.sessions.dec();
-        // Whoever waits for an answer learns of the end by this.
+        // A caller that waits for an answer learns of the end by this.
         drop(commands);
-        // Dropped where it holds nobody up, in this order: what is told last is that memory and seat are free.
+        // Dropped where it delays no caller, in this order: the end is announced last, when memory and permit are free.
         shared.compute.discard((
             deformer,
             history,
             memory,
             place,
-            seat,
+            session_permit,
             session.ended.clone().drop_guard(),
         ));
     }
 
     /// Work of the next stream that has some.
-    fn next_stream_work(&mut self) -> Option<(Arc<Mailbox>, StreamWork)> {
+    fn next_stream_work(&mut self) -> Option<(Arc<Mailbox>, Vec<WaitingPose>)> {
         let streams = self.session.streams.all();
         for k in 0..streams.len() {
             let at = (self.next_stream + k) % streams.len();
-            if let Some(work) = streams[at].take_work() {
+            if let Some(poses) = streams[at].take_work() {
                 self.next_stream = at + 1;
-                return Some((Arc::clone(&streams[at]), work));
+                return Some((Arc::clone(&streams[at]), poses));
             }
         }
         None
@@ -199,7 +201,7 @@ impl SessionTask {
             .within(Arc::clone(&self.memory), self.history.byte_size());
         let watch = Arc::new(watch);
         let (inside, queued) = (Arc::clone(&watch), slot.queued);
-        let begun = Instant::now();
+        let begun = std::time::Instant::now();
         let ran = slot.run(span, move |pool| {
             let here = Work {
                 pool,
@@ -305,7 +307,7 @@ impl SessionTask {
 }
 
 /// The facts of a state: those of model, solver and handles, and the warnings of the poses.
-fn facts_of(state: &SessionState) -> Arc<DeformerFacts> {
+fn facts_of(state: &SessionState) -> Arc<pb::Session> {
     if state.pose_warnings.is_empty() {
         return Arc::clone(&state.facts);
     }
@@ -320,4 +322,100 @@ pub(in crate::session) fn no_handles() -> Error {
         ErrorCode::FailedPrecondition,
         "no handles are set; set them before deforming",
     )
+}
+
+impl SessionTask {
+    /// When the next step out of memory is due; `None` while the session stays as it is.
+    pub fn next_eviction(&self) -> Option<Instant> {
+        self.kept.as_ref()?;
+        if self.is_pinned() {
+            return None;
+        }
+        let (used, idle) = (self.session.lease.last_use(), self.shared.config.idle);
+        Some(match self.memory_state {
+            MemoryState::Full => used + idle / 2,
+            MemoryState::Trimmed => used + idle,
+        })
+    }
+
+    /// Whether a stream or an animation needs the session as it is.
+    fn is_pinned(&self) -> bool {
+        !self.session.streams.all().is_empty() || self.session.animations.is_any()
+    }
+
+    /// Takes the next step out of memory if it is due, or all of them when another session needs room. Returns whether
+    /// the session is to end here.
+    pub async fn evict(&mut self) -> bool {
+        let is_asked = self.session.leave.load(SeqCst) || self.is_to_be_given_back();
+        if self.kept.is_none() || self.is_pinned() {
+            self.session.leave.store(false, SeqCst);
+            return false;
+        }
+        let is_due = self.next_eviction().is_some_and(|due| due <= Instant::now());
+        if !is_due && !is_asked {
+            return false;
+        }
+        if self.memory_state == MemoryState::Full && !is_asked {
+            self.trim();
+            return false;
+        }
+        self.leave_memory().await
+    }
+
+    /// Whether other nodes wait for the session, since this one is about to stop.
+    fn is_to_be_given_back(&self) -> bool {
+        let is_shared = || self.kept.as_ref().is_some_and(|kept| kept.store.ownership().is_some());
+        self.shared.draining.load(SeqCst) && is_shared()
+    }
+
+    fn trim(&mut self) {
+        self.memory_state = MemoryState::Trimmed;
+        if let Some(deformer) = &mut self.deformer {
+            deformer.drop_derived();
+        }
+        self.history.drop_snapshots();
+        self.count_memory();
+    }
+
+    /// Keeps the newest shape, so that the session reopens fast, and takes no more calls. Earlier calls are served.
+    async fn leave_memory(&mut self) -> bool {
+        if let Err(error) = self.keep_shape_now().await {
+            tracing::warn!(session.id = %self.session.id, "an idle session stays in memory: {error}");
+            self.session.leave.store(false, SeqCst);
+            // Tried again after another idle time.
+            self.session.lease.renew();
+            return false;
+        }
+        let session = Arc::clone(&self.session);
+        let lock = self.shared.locks.lock(&session.id).await;
+        let text = "the session leaves memory; ask again";
+        // Before the place for streams ends: who finds it ended has to know why.
+        session.unloaded.store(true, SeqCst);
+        if !session.streams.close_if_none() {
+            session.unloaded.store(false, SeqCst);
+            return false;
+        }
+        self.shared.registry.remove_this(&session);
+        self.commands.close();
+        while let Some(command) = self.commands.recv().await {
+            self.serve_command(command).await;
+        }
+        session.close(Error::new(ErrorCode::Unavailable, text));
+        self.give_back().await;
+        tracing::info!(session.id = %session.id, "idle session left memory");
+        drop(lock);
+        true
+    }
+
+    /// Where several nodes share the store, another one may have it now.
+    async fn give_back(&mut self) {
+        let Some(ownership) = self.kept.as_ref().and_then(|kept| kept.store.ownership()) else {
+            return;
+        };
+        let ago = u64::try_from(self.session.lease.last_use().elapsed().as_millis()).unwrap_or(u64::MAX);
+        let used_ms = now_ms().saturating_sub(ago);
+        if let Err(error) = ownership.release(self.session.held.clone(), used_ms).await {
+            tracing::warn!(session.id = %self.session.id, "the session stays this node's: {error}");
+        }
+    }
 }

@@ -5,18 +5,17 @@ use crate::session::answers::CommittedPose;
 use crate::session::calls::command::{StoredAnswer, WorkOrder};
 use crate::session::calls::idempotency::{ClaimOutcome, KeyClaim};
 use crate::session::capacity::compute_slots::WorkLane;
-use crate::session::capacity::work_span::WorkKind;
 use crate::session::capacity::work_watch::Work;
+use crate::session::capacity::work_watch::WorkKind;
 use crate::session::engine::Engine;
 use crate::session::error::Error;
 use crate::session::history::loaded_deformer::{LoadedDeformer, PoseAnswer};
 use crate::session::history::session_state::{PosedState, SessionState};
 use crate::session::stream::frame_window::{FrameContext, ms_of};
-use crate::session::stream::mailbox::{Mailbox, StreamWork};
-use crate::session::stream::waiting_poses::{DraggedPoses, WaitingPose};
+use crate::session::stream::mailbox::Mailbox;
+use crate::session::stream::mailbox::{DraggedPoses, PoseEntries, WaitingPose};
 use crate::session::task::commands::lane_of_commit;
 use crate::session::task::session_task::{SessionTask, no_handles};
-use crate::wire::PoseEntry;
 use crate::wire::frames::Frame;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -40,9 +39,9 @@ struct TurnContext {
 
 impl SessionTask {
     /// Serves one stream once.
-    pub async fn serve_stream(&mut self, mailbox: Arc<Mailbox>, work: StreamWork) {
+    pub async fn serve_stream(&mut self, mailbox: Arc<Mailbox>, poses: Vec<WaitingPose>) {
         let state = self.history.current().clone();
-        let StreamWork { poses, dragged } = work;
+        let dragged = mailbox.dragged_poses();
         let before = dragged.clone();
         self.acting = Arc::clone(&mailbox.who);
         if state.handles.set.handles.is_empty() {
@@ -323,13 +322,13 @@ impl TurnContext {
 fn valid_changes(
     engine: &dyn Engine,
     poses: &HandlePoses,
-    entries: Vec<PoseEntry>,
+    entries: PoseEntries,
     is_merged: bool,
 ) -> Result<(Vec<(String, HandlePose)>, HandlePoses), Error> {
     let (mut changes, mut wrong) = (Vec::with_capacity(entries.len()), None);
-    for entry in entries {
-        match entry.into_change() {
-            Ok(change) => changes.push(change),
+    for (id, pose) in entries {
+        match pose {
+            Ok(pose) => changes.push((id, pose)),
             Err(error) => wrong = wrong.or(Some(error)),
         }
     }

@@ -9,13 +9,13 @@ use proptest::prelude::*;
 use std::collections::BTreeMap;
 
 /// A stream's two ends.
-struct Told {
+struct SentFrames {
     sent: SentSteps,
     reader: FrameReader,
     frames: Vec<Vec<pb::Frame>>,
 }
 
-impl Told {
+impl SentFrames {
     fn to_reader_of(vertices: usize) -> Self {
         Self {
             sent: SentSteps::default(),
@@ -25,18 +25,18 @@ impl Told {
     }
 
     /// Sends a frame; whether it is a key frame.
-    fn tell(&mut self, request: Frame) -> bool {
+    fn send(&mut self, request: Frame) -> bool {
         let kept = request.kept_bytes();
         let mut parts = encode_next(request, std::mem::take(&mut self.sent));
-        let told: Vec<pb::Frame> = parts.by_ref().collect();
+        let made: Vec<pb::Frame> = parts.by_ref().collect();
         self.sent = parts.into_sent();
         assert_eq!(self.sent.byte_size(), kept, "what is counted is what is held");
-        for (k, part) in told.iter().enumerate() {
+        for (k, part) in made.iter().enumerate() {
             let is_whole = self.reader.take(part).expect("is read");
-            assert_eq!(is_whole, k + 1 == told.len());
+            assert_eq!(is_whole, k + 1 == made.len());
         }
-        let is_key = told.iter().all(|part| part.encoding() != frame::Encoding::Delta);
-        self.frames.push(told);
+        let is_key = made.iter().all(|part| part.encoding() != frame::Encoding::Delta);
+        self.frames.push(made);
         is_key
     }
 
@@ -51,16 +51,14 @@ impl Told {
 
 fn request(positions: &[DVec3], part_bytes: usize) -> Frame {
     Frame {
-        header: FrameHeader::default(),
         positions: Arc::new(positions.to_vec()),
-        shading: None,
         output: FrameOutput {
             encoding: FrameEncoding::Delta,
             asked: 1,
             ..Default::default()
         },
-        selected: None,
         part_bytes,
+        ..Frame::default()
     }
 }
 
@@ -100,30 +98,30 @@ proptest! {
         count in 1usize..30,
         part_bytes in 0usize..400,
     ) {
-        let mut told = Told::to_reader_of(count);
+        let mut sent = SentFrames::to_reader_of(count);
         for (((normals, tangents), points), grow) in shapes.iter().zip(&grows) {
             let positions: Vec<DVec3> = points[..count].iter().map(|p| DVec3::from_array(*p) * *grow).collect();
             let mut request = request(&positions, part_bytes);
             request.shading = shading(&positions);
             (request.output.normals, request.output.tangents) = (*normals, *tangents);
             let shaded = request.shading.clone().expect("has some");
-            let number = told.frames.len() as u64 + 1;
-            let is_key = told.tell(request);
+            let number = sent.frames.len() as u64 + 1;
+            let is_key = sent.send(request);
             prop_assert!(is_key || number > 1);
-            let last = told.last();
+            let last = sent.last();
             prop_assert!(last.iter().all(|part| part.number == number && part.encoding() != frame::Encoding::F32));
             let corners = [&last[0].box_min[..], &last[0].box_max[..]];
             for (v, p) in positions.iter().enumerate() {
-                let seen = told.reader.steps(frame::Attribute::Position)[v];
+                let seen = sent.reader.steps(frame::Attribute::Position)[v];
                 prop_assert_eq!(seen, steps_in_box(&p.to_array(), corners), "vertex {}", v);
                 let ends = [&[-1.0; 4][..], &[1.0; 4][..]];
                 if *normals {
                     let normal = shaded.normals[v].as_dvec3().to_array();
-                    prop_assert_eq!(told.reader.steps(frame::Attribute::Normal)[v], steps_in_box(&normal, [&ends[0][..3], &ends[1][..3]]));
+                    prop_assert_eq!(sent.reader.steps(frame::Attribute::Normal)[v], steps_in_box(&normal, [&ends[0][..3], &ends[1][..3]]));
                 }
                 if *tangents {
                     let tangent = shaded.tangents[v].as_dvec4().to_array();
-                    prop_assert_eq!(told.reader.steps(frame::Attribute::Tangent)[v], steps_in_box(&tangent, ends));
+                    prop_assert_eq!(sent.reader.steps(frame::Attribute::Tangent)[v], steps_in_box(&tangent, ends));
                 }
             }
         }
@@ -136,13 +134,13 @@ proptest! {
             (0u64..4, 0u32..3, 0u32..3, -1i32..5, -1i32..4, 0u32..9, 0u32..9, prop::collection::vec(any::<u8>(), 0..40), 0usize..4), 1..8),
         flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..4),
     ) {
-        let mut told = Told::to_reader_of(8);
-        told.tell(request(&wave(8, 0.0), 1 << 20));
+        let mut sent = SentFrames::to_reader_of(8);
+        sent.send(request(&wave(8, 0.0), 1 << 20));
         for (number, part, parts, encoding, attribute, first_vertex, vertex_count, data, corners) in parts {
             let mut data = data;
             if data.len() % 2 == 0 {
                 // Nearly the bytes of a frame.
-                data = told.last()[0].data.to_vec();
+                data = sent.last()[0].data.to_vec();
                 for (at, byte) in &flips {
                     let at = at.index(data.len());
                     data[at] ^= byte;
@@ -155,7 +153,7 @@ proptest! {
                 box_max: vec![1.0; corners],
                 ..Default::default()
             };
-            let _ = told.reader.take(&part);
+            let _ = sent.reader.take(&part);
         }
     }
 }
@@ -163,67 +161,67 @@ proptest! {
 #[test]
 fn a_key_frame_comes_first_and_when_the_shape_or_the_question_is_another() {
     let shape = wave(500, 0.0);
-    let mut told = Told::to_reader_of(500);
+    let mut sent = SentFrames::to_reader_of(500);
     let usual = || request(&shape, 1 << 20);
     let at = |scale: f64, by: DVec3| -> Vec<DVec3> { shape.iter().map(|p| *p * scale + by).collect() };
     let moved = |scale, by| request(&at(scale, by), 1 << 20);
     let extent = 5.0;
-    assert!(told.tell(usual()), "the first");
-    assert!(!told.tell(usual()), "the same again");
-    assert!(!told.tell(moved(1.0, DVec3::X * extent * 0.12)), "within the room");
-    assert!(told.tell(moved(1.0, DVec3::X * extent * 0.13)), "out of the room");
-    assert!(told.tell(moved(0.2, DVec3::X)), "much smaller");
-    assert!(told.tell(usual()), "and out of the box of that");
+    assert!(sent.send(usual()), "the first");
+    assert!(!sent.send(usual()), "the same again");
+    assert!(!sent.send(moved(1.0, DVec3::X * extent * 0.12)), "within the room");
+    assert!(sent.send(moved(1.0, DVec3::X * extent * 0.13)), "out of the room");
+    assert!(sent.send(moved(0.2, DVec3::X)), "much smaller");
+    assert!(sent.send(usual()), "and out of the box of that");
 
     let mut edited = usual();
-    edited.header.topology = Some(TopologyId::default());
-    assert!(told.tell(edited.clone()), "after an edit");
-    assert!(!told.tell(edited.clone()));
-    assert!(told.tell(usual()), "and when it is undone");
+    edited.topology = Some(TopologyId::default());
+    assert!(sent.send(edited.clone()), "after an edit");
+    assert!(!sent.send(edited.clone()));
+    assert!(sent.send(usual()), "and when it is undone");
 
     let mut again = usual();
     again.output.asked = 2;
-    assert!(told.tell(again.clone()), "options that are sent again");
+    assert!(sent.send(again.clone()), "options that are sent again");
     let mut shaded = again.clone();
     shaded.output.normals = true;
     shaded.shading = shading(&shape);
-    assert!(told.tell(shaded.clone()), "normals too");
-    assert!(!told.tell(shaded.clone()));
+    assert!(sent.send(shaded.clone()), "normals too");
+    assert!(!sent.send(shaded.clone()));
     shaded.shading = None;
-    assert!(told.tell(shaded), "normals that are missing");
-    assert!(told.tell(again.clone()));
-    assert_eq!(told.sent.byte_size(), 500 * 8);
+    assert!(sent.send(shaded), "normals that are missing");
+    assert!(sent.send(again.clone()));
+    assert_eq!(sent.sent.byte_size(), 500 * 8);
 
     let mut plain = again.clone();
     plain.output.encoding = FrameEncoding::U16;
-    assert!(told.tell(plain), "no differences are asked for");
-    assert_eq!(told.sent.byte_size(), 0, "and nothing is held for them");
-    assert_eq!(told.last()[0].number, 0);
-    assert!(told.tell(again), "they are again");
-    assert_eq!(told.last()[0].number, 15, "numbers go on along a stream");
+    assert!(sent.send(plain), "no differences are asked for");
+    assert_eq!(sent.sent.byte_size(), 0, "and nothing is held for them");
+    assert_eq!(sent.last()[0].number, 0);
+    assert!(sent.send(again), "they are again");
+    assert_eq!(sent.last()[0].number, 15, "numbers go on along a stream");
 }
 
 #[test]
 fn what_does_not_move_takes_next_to_nothing_and_another_number_of_vertices_is_a_key_frame() {
     let shape = wave(5000, 0.0);
-    let mut told = Told::to_reader_of(5000);
-    assert!(told.tell(request(&shape, 1 << 20)));
-    let key = told.last_bytes();
-    assert!(!told.tell(request(&shape, 1 << 20)));
-    assert!(told.last_bytes() * 100 < key, "{} of {key} bytes", told.last_bytes());
-    assert!(!told.tell(request(&wave(5000, 1e-3), 1 << 20)));
-    assert!(told.last_bytes() * 2 < key, "{} of {key} bytes", told.last_bytes());
+    let mut sent = SentFrames::to_reader_of(5000);
+    assert!(sent.send(request(&shape, 1 << 20)));
+    let key = sent.last_bytes();
+    assert!(!sent.send(request(&shape, 1 << 20)));
+    assert!(sent.last_bytes() * 100 < key, "{} of {key} bytes", sent.last_bytes());
+    assert!(!sent.send(request(&wave(5000, 1e-3), 1 << 20)));
+    assert!(sent.last_bytes() * 2 < key, "{} of {key} bytes", sent.last_bytes());
 
     let fewer = &shape[..4000];
-    assert!(told.tell(request(fewer, 1 << 20)));
+    assert!(sent.send(request(fewer, 1 << 20)));
     assert_eq!(
-        told.sent.byte_size(),
+        sent.sent.byte_size(),
         4000 * 8,
         "nothing is held for vertices that are gone"
     );
-    assert!(!told.tell(request(fewer, 1 << 20)));
-    assert!(told.tell(request(&[], 1 << 20)), "none at all");
-    assert!(!told.tell(request(&[], 1 << 20)));
+    assert!(!sent.send(request(fewer, 1 << 20)));
+    assert!(sent.send(request(&[], 1 << 20)), "none at all");
+    assert!(!sent.send(request(&[], 1 << 20)));
 }
 
 /// Where the frame ends that is sent, the numbers are those of U16, not nearly those.
@@ -231,12 +229,12 @@ fn what_does_not_move_takes_next_to_nothing_and_another_number_of_vertices_is_a_
 fn bytes_depend_on_the_shapes_alone() {
     let shapes: Vec<_> = (0..6).map(|k| wave(9000, f64::from(k) * 0.01)).collect();
     let bytes = |part_bytes: usize| {
-        let mut told = Told::to_reader_of(9000);
+        let mut sent = SentFrames::to_reader_of(9000);
         for shape in &shapes {
-            told.tell(request(shape, part_bytes));
+            sent.send(request(shape, part_bytes));
         }
-        let numbers = told.reader.numbers(frame::Attribute::Position).to_vec();
-        (told.frames, numbers.iter().map(|x| x.to_bits()).collect::<Vec<_>>())
+        let numbers = sent.reader.numbers(frame::Attribute::Position).to_vec();
+        (sent.frames, numbers.iter().map(|x| x.to_bits()).collect::<Vec<_>>())
     };
     assert_eq!(bytes(20_000), bytes(20_000));
     assert_eq!(bytes(20_000).1, bytes(1 << 20).1, "however they are cut into parts");
@@ -246,16 +244,16 @@ fn bytes_depend_on_the_shapes_alone() {
 fn a_call_that_answers_one_frame_answers_a_key_frame() {
     let shape = wave(300, 0.0);
     let parts: Vec<pb::Frame> = encode(request(&shape, 700)).collect();
-    let mut told = Told::to_reader_of(300);
-    told.tell(request(&shape, 700));
-    assert_eq!(parts, told.last());
+    let mut sent = SentFrames::to_reader_of(300);
+    sent.send(request(&shape, 700));
+    assert_eq!(parts, sent.last());
     assert!(
         parts.len() > 1
             && parts
                 .iter()
                 .all(|part| part.encoding() == frame::Encoding::Meshopt && part.number == 1)
     );
-    // Those who ask for changes too are refused; what was stored of such a call is told all the same.
+    // Those who ask for changes too are refused; what was stored of such a call is sent all the same.
     let mut listed = request(&shape, 1 << 20);
     listed.selected = Some(vec![3, 4]);
     let parts: Vec<pb::Frame> = encode_next(listed, SentSteps::default()).collect();
@@ -267,11 +265,11 @@ fn a_call_that_answers_one_frame_answers_a_key_frame() {
 
 #[test]
 fn differences_without_what_they_are_told_from_are_refused() {
-    let mut told = Told::to_reader_of(50);
+    let mut sent = SentFrames::to_reader_of(50);
     for phase in 0..3 {
-        told.tell(request(&wave(50, f64::from(phase) * 0.01), 200));
+        sent.send(request(&wave(50, f64::from(phase) * 0.01), 200));
     }
-    let [key, second, third] = &told.frames[..] else {
+    let [key, second, third] = &sent.frames[..] else {
         panic!("three frames")
     };
     assert!(key.len() > 1);

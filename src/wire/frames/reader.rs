@@ -87,7 +87,7 @@ impl FrameReader {
             );
             return Err(Error::invalid("frame.part", problem));
         }
-        // Until it is whole nothing can be told from it.
+        // Until it is whole it has no values.
         self.held = None;
         self.read_part(part, now.base)?;
         if part.part.saturating_add(1) < part.parts {

@@ -2,9 +2,10 @@
 //!
 //! Differences are formed from it when a frame is sent, so that a frame which was never sent leaves no gap. Steps are
 //! whole numbers and differences wrap, so no error adds up: a reader that adds every difference has the exact steps.
+//!
+//! What frames carry, and how their numbers are written.
 
 use super::output::{FrameEncoding, FrameOutput};
-use super::part::bounds;
 use super::pb::frame;
 use super::{Frame, KEPT_BYTES};
 use crate::engine::TopologyId;
@@ -141,6 +142,21 @@ impl FrameReference {
     /// What the reader holds when all parts are sent.
     pub fn into_sent(self) -> SentSteps {
         self.reader
+    }
+}
+
+/// The box of positions, of those listed or of all; where they have none, both corners are the origin.
+pub(super) fn bounds(positions: &[DVec3], selected: Option<&[u32]>) -> [DVec3; 2] {
+    let grow = |[low, high]: [DVec3; 2], p: DVec3| [low.min(p), high.max(p)];
+    let nothing = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+    let [low, high] = match selected {
+        Some(indices) => indices.iter().map(|&v| positions[v as usize]).fold(nothing, grow),
+        None => positions.iter().copied().fold(nothing, grow),
+    };
+    if low.is_finite() && high.is_finite() {
+        [low, high]
+    } else {
+        [DVec3::ZERO; 2]
     }
 }
 

@@ -1,7 +1,7 @@
 //! Whatever the encoding, a client gets every vertex once, in parts that are small enough.
 
-use super::part::bounds;
 use super::pb::frame;
+use super::sent_steps::bounds;
 use super::*;
 use crate::engine::digest;
 use glam::Vec3Swizzles as _;
@@ -11,20 +11,19 @@ use prost::Message as _;
 
 fn request(positions: Vec<DVec3>, encoding: frame::Encoding, part_bytes: usize) -> Frame {
     Frame {
-        header: FrameHeader {
+        header: pb::Frame {
             seq: 7,
             revision: 3,
-            is_final: true,
+            r#final: true,
             ..Default::default()
         },
         positions: Arc::new(positions),
-        shading: None,
         output: FrameOutput {
             encoding: FrameEncoding::from_message(encoding),
             ..Default::default()
         },
-        selected: None,
         part_bytes,
+        ..Frame::default()
     }
 }
 
@@ -229,9 +228,8 @@ fn sent(request: Frame) -> Vec<Vec<u8>> {
     let mut sent = Vec::new();
     while let Some(part) = parts.next_part() {
         let bytes = part.data_bytes();
-        let response = OutgoingResponse::Part(Box::new(part));
-        let message = response.encode_to_vec();
-        assert_eq!(message.len(), response.encoded_len());
+        let message = part.encode_to_vec();
+        assert_eq!(message.len(), part.encoded_len());
         assert!(message.len() >= bytes);
         sent.push(message);
     }
@@ -241,7 +239,7 @@ fn sent(request: Frame) -> Vec<Vec<u8>> {
 #[test]
 fn words_go_out_as_they_are() {
     let pong = Response::Pong(pb::Ping { nonce: 7 });
-    let bytes = OutgoingResponse::of(pong.clone()).encode_to_vec();
+    let bytes = OutgoingResponse::from(pong.clone()).encode_to_vec();
     let read = pb::DeformResponse::decode(&bytes[..]).expect("a response");
     assert_eq!(read.message, Some(pong.clone()));
     let read = OutgoingResponse::decode(&bytes[..]).expect("a response");

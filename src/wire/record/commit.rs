@@ -1,18 +1,14 @@
 //! Commits as a store keeps them.
 
-use super::facts::{recorded_facts, recorded_quality, recorded_report, recorded_warnings};
 use super::messages::{
     CommitKindMessage, CommitMessage, CreationMessage, EditMessage, FilesMessage, FrameMessage, HandlesMessage,
     PoseMessage, ProbeMessage, SettingsMessage, StepMessage,
 };
 use crate::deform::{FirstPass, FitOrder};
-use crate::engine::{
-    DeformerFacts, DeformerWarning, Edit, EditReport, HandlePose, HandlePoses, HandleSet, SolveSettings,
-};
-use crate::wire::frames::{FrameEncoding, FrameHeader, FrameOutput};
+use crate::engine::{Edit, HandlePose, HandlePoses, HandleSet, SolveSettings};
+use crate::wire::frames::{FrameEncoding, FrameOutput};
 use crate::wire::{
-    Error, SessionEdit, edit_result, handle_pose, handle_pose_message, handle_set, handle_set_message, pb,
-    quality_message, session_edit, session_message, warning_message,
+    Error, SessionEdit, handle_pose, handle_pose_message, handle_set, handle_set_message, pb, session_edit,
 };
 use glam::DVec3;
 use prost::Message as _;
@@ -91,7 +87,7 @@ impl ShapeProbe {
 #[derive(Debug, Clone, PartialEq)]
 pub struct AnsweredFrame {
     /// Its header; the revision is that of the commit.
-    pub header: FrameHeader,
+    pub header: pb::Frame,
     /// What it carried.
     pub output: FrameOutput,
 }
@@ -102,7 +98,7 @@ pub enum LoggedCommit {
     /// The session was opened.
     Create {
         /// The deformer's facts.
-        facts: DeformerFacts,
+        facts: Box<pb::Session>,
     },
     /// Handles were set.
     Handles {
@@ -111,7 +107,7 @@ pub enum LoggedCommit {
         /// The poses that they came with.
         poses: HandlePoses,
         /// The deformer's facts then.
-        facts: DeformerFacts,
+        facts: Box<pb::Session>,
     },
     /// A pose was solved.
     Pose {
@@ -120,7 +116,7 @@ pub enum LoggedCommit {
         /// How they were solved.
         settings: SolveSettings,
         /// What was noticed.
-        warnings: Vec<DeformerWarning>,
+        warnings: Vec<pb::Warning>,
         /// The shape.
         probe: ShapeProbe,
         /// The frame that was answered, for a call with an idempotency key.
@@ -133,11 +129,11 @@ pub enum LoggedCommit {
         /// Where the files of a merge are.
         files: Option<FileReferences>,
         /// What it did.
-        report: Box<EditReport>,
+        report: Box<pb::EditResult>,
         /// The poses after it.
         poses: HandlePoses,
         /// The deformer's facts after it.
-        facts: Box<DeformerFacts>,
+        facts: Box<pb::Session>,
         /// The shape after it.
         probe: ShapeProbe,
     },
@@ -167,12 +163,12 @@ impl LoggedCommit {
     pub fn write(&self) -> Vec<u8> {
         let kind = match self {
             Self::Create { facts } => CommitKindMessage::Create(CreationMessage {
-                facts: Some(session_message(facts)),
+                facts: Some((**facts).clone()),
             }),
             Self::Handles { set, poses, facts } => CommitKindMessage::Handles(HandlesMessage {
                 set: Some(handle_set_message(set)),
                 poses: pose_messages(poses),
-                facts: Some(session_message(facts)),
+                facts: Some((**facts).clone()),
             }),
             Self::Pose {
                 poses,
@@ -183,7 +179,7 @@ impl LoggedCommit {
             } => CommitKindMessage::Pose(PoseMessage {
                 poses: pose_messages(poses),
                 settings: Some(settings_message(settings)),
-                warnings: warnings.iter().map(warning_message).collect(),
+                warnings: warnings.clone(),
                 probe: Some(probe_message(probe)),
                 frame: frame.as_deref().map(frame_message),
             }),
@@ -198,9 +194,9 @@ impl LoggedCommit {
                 request: Some(edit.request.clone()),
                 files: files.as_ref().map(FileReferences::to_message),
                 from_session: matches!(&edit.edit, Edit::Merge(merge) if merge.from_session),
-                report: Some(edit_result(report)),
+                report: Some((**report).clone()),
                 poses: pose_messages(poses),
-                facts: Some(session_message(facts)),
+                facts: Some((**facts).clone()),
                 probe: Some(probe_message(probe)),
             }),
             &Self::Step { target, forward } => CommitKindMessage::Step(StepMessage { target, forward }),
@@ -216,17 +212,17 @@ impl LoggedCommit {
         let message = CommitMessage::decode(bytes).map_err(|e| Error::invalid("commit", e.to_string()))?;
         Ok(match message.kind.ok_or_else(|| missing("commit"))? {
             CommitKindMessage::Create(created) => Self::Create {
-                facts: recorded_facts(created.facts.as_ref())?,
+                facts: recorded(created.facts, "facts")?,
             },
             CommitKindMessage::Handles(handles) => Self::Handles {
                 set: handle_set(&handles.set.ok_or_else(|| missing("handles"))?)?,
                 poses: recorded_poses(&handles.poses)?,
-                facts: recorded_facts(handles.facts.as_ref())?,
+                facts: recorded(handles.facts, "facts")?,
             },
             CommitKindMessage::Pose(pose) => Self::Pose {
                 poses: recorded_poses(&pose.poses)?,
                 settings: recorded_settings(&pose.settings.ok_or_else(|| missing("settings"))?)?,
-                warnings: recorded_warnings(&pose.warnings),
+                warnings: pose.warnings,
                 probe: recorded_probe(pose.probe.unwrap_or_default()),
                 frame: pose.frame.map(|f| recorded_frame(&f).map(Box::new)).transpose()?,
             },
@@ -240,15 +236,20 @@ impl LoggedCommit {
                 Self::Edit {
                     edit: Box::new(edit),
                     files: message.files.map(FileReferences::from_message),
-                    report: Box::new(recorded_report(message.report.as_ref())?),
+                    report: recorded(message.report, "report")?,
                     poses: recorded_poses(&message.poses)?,
-                    facts: Box::new(recorded_facts(message.facts.as_ref())?),
+                    facts: recorded(message.facts, "facts")?,
                     probe: recorded_probe(message.probe.unwrap_or_default()),
                 }
             }
             CommitKindMessage::Step(StepMessage { target, forward }) => Self::Step { target, forward },
         })
     }
+}
+
+/// A part of a record that every record of its kind has.
+fn recorded<M>(part: Option<M>, field: &str) -> Result<Box<M>, Error> {
+    part.map(Box::new).ok_or_else(|| missing(field))
 }
 
 fn missing(field: &str) -> Error {
@@ -329,7 +330,7 @@ fn frame_message(frame: &AnsweredFrame) -> FrameMessage {
         max_error: header.max_error,
         solve_ms: header.solve_ms,
         queue_ms: header.queue_ms,
-        quality: header.quality.as_ref().map(quality_message),
+        quality: header.quality,
         output: Some(pb::Output {
             normals: output.normals,
             tangents: output.tangents,
@@ -345,15 +346,15 @@ fn recorded_frame(message: &FrameMessage) -> Result<AnsweredFrame, Error> {
     let encoding = pb::frame::Encoding::try_from(output.encoding)
         .map_err(|_| Error::invalid("frame.output.encoding", "is not an encoding"))?;
     Ok(AnsweredFrame {
-        header: FrameHeader {
+        header: pb::Frame {
             seq: message.seq,
-            is_final: true,
+            r#final: true,
             residual: message.residual,
             max_error: message.max_error,
             solve_ms: message.solve_ms,
             queue_ms: message.queue_ms,
-            quality: message.quality.as_ref().map(recorded_quality),
-            ..FrameHeader::default()
+            quality: message.quality,
+            ..Default::default()
         },
         output: FrameOutput {
             normals: output.normals,

@@ -1,24 +1,22 @@
 //! Commits come back as they were written, and bytes that are no commit are refused.
 
 use super::*;
-use crate::asset::Format;
 use crate::deform::FitOrder;
-use crate::engine::{Handle, HandleScale, MeshCounts, ModelFacts, Region, SolverFacts};
+use crate::engine::{Handle, HandleScale, Region};
 use proptest::prelude::*;
 
-fn facts() -> DeformerFacts {
-    DeformerFacts {
-        model: ModelFacts {
-            format: Format::OBJ,
-            file_bytes: 3,
+fn facts() -> Box<pb::Session> {
+    Box::new(pb::Session {
+        model: Some(pb::ModelFacts {
+            format: "obj".into(),
+            bytes: 3,
             sha256: "abc".into(),
-            counts: MeshCounts { vertices: 8, faces: 12 },
-        },
-        primitives: Vec::new(),
-        solver: SolverFacts::default(),
-        handles: Vec::new(),
-        warnings: Vec::new(),
-    }
+            vertices: 8,
+            triangles: 12,
+        }),
+        solver: Some(pb::SolverFacts::default()),
+        ..Default::default()
+    })
 }
 
 fn commits() -> Vec<LoggedCommit> {
@@ -55,16 +53,21 @@ fn commits() -> Vec<LoggedCommit> {
                 first_pass: FirstPass::Diffusion,
                 spatial_rbf: true,
             },
-            warnings: vec![DeformerWarning::new("a", "b", "c")],
+            warnings: vec![pb::Warning {
+                code: "a".into(),
+                message: "b".into(),
+                r#where: "c".into(),
+                ..Default::default()
+            }],
             probe: probe.clone(),
             frame: Some(Box::new(AnsweredFrame {
-                header: FrameHeader {
+                header: pb::Frame {
                     seq: 7,
-                    is_final: true,
+                    r#final: true,
                     residual: third,
                     solve_ms: 1.0,
                     quality: Some(Default::default()),
-                    ..FrameHeader::default()
+                    ..Default::default()
                 },
                 output: FrameOutput {
                     normals: true,
@@ -92,16 +95,16 @@ fn commits() -> Vec<LoggedCommit> {
                 main: "y".into(),
                 companions: [("k".to_owned(), "z".to_owned())].into(),
             }),
-            report: Box::new(EditReport {
+            report: Box::new(pb::EditResult {
                 handles_kept: vec!["a".into()],
                 curve: vec![1, 2],
                 deviation: 0.25,
                 digest: "d".into(),
                 repaired: true,
-                ..EditReport::default()
+                ..pb::EditResult::default()
             }),
             poses,
-            facts: Box::new(facts()),
+            facts: facts(),
             probe,
         },
         LoggedCommit::Step {
@@ -150,7 +153,7 @@ fn every_edit_comes_back_as_it_was_asked_for() {
             files: None,
             report: Box::default(),
             poses: HandlePoses::default(),
-            facts: Box::new(facts()),
+            facts: facts(),
             probe: ShapeProbe::default(),
         };
         let again = LoggedCommit::read(&commit.write()).expect(&text);

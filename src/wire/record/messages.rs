@@ -16,7 +16,7 @@ pub(super) struct ModelMessage {
     pub format: String,
     #[prost(uint64, optional, tag = "5")]
     pub graph_bytes: Option<u64>,
-    /// Whether `options` have today's defaults and weights. Records of before have the paper's graph, and weights of their time.
+    /// See [`RecordedModel`](super::RecordedModel).
     #[prost(bool, tag = "6")]
     pub of_today: bool,
 }

@@ -5,7 +5,6 @@
 //! a client. Knows no database: where records lie, and that they are whole, is the store's.
 
 mod commit;
-mod facts;
 mod messages;
 mod options;
 

@@ -2,13 +2,12 @@
 
 use super::commit::FileReferences;
 use super::messages::ModelMessage;
-use crate::asset::{BoneLengthRule, Following, Format, MorphTargetRule, RigRule};
-use crate::deform::{CoarseOperators, EdgeWeights, FreePartPolicy, VolumeMode};
-use crate::engine::{OpenOptions, Passenger, PassengerKind};
+use crate::asset::Format;
+use crate::deform::EdgeWeights;
+use crate::engine::OpenOptions;
 use crate::graph::InteriorKind;
-use crate::mesh::Weld;
+use crate::wire::pb::create_options::Weights;
 use crate::wire::{Error, open_options, pb};
-use pb::create_options as message;
 use prost::Message as _;
 
 /// What a session begins with.
@@ -16,8 +15,10 @@ use prost::Message as _;
 pub struct RecordedModel {
     /// Its files, by the names of their objects.
     pub files: FileReferences,
-    /// How it was opened.
-    pub options: OpenOptions,
+    /// How it was opened, as it was asked for, with defaults made explicit.
+    pub options: pb::CreateOptions,
+    /// Whether `options` have today's defaults and weights. Records of before have the paper's graph, and weights of their time.
+    pub of_today: bool,
     /// The session's label.
     pub label: String,
     /// The format of its files.
@@ -28,19 +29,16 @@ pub struct RecordedModel {
 
 impl RecordedModel {
     /// Writes the record.
-    ///
-    /// # Errors
-    /// [`Error::Unimplemented`] for a passenger that is a model of its own: it has no place in a record.
-    pub fn write(&self) -> Result<Vec<u8>, Error> {
+    pub fn write(&self) -> Vec<u8> {
         let message = ModelMessage {
             files: Some(self.files.to_message()),
-            options: Some(create_message(&self.options)?),
+            options: Some(self.options.clone()),
             label: self.label.clone(),
             format: self.format.name().into(),
             graph_bytes: self.graph_bytes,
-            of_today: self.options.body.graph.weights != EdgeWeights::CotangentOfMean,
+            of_today: self.of_today,
         };
-        Ok(message.encode_to_vec())
+        message.encode_to_vec()
     }
 
     /// Reads a record.
@@ -52,155 +50,65 @@ impl RecordedModel {
         let files = message
             .files
             .ok_or_else(|| Error::invalid("model.files", "is missing"))?;
-        let create = message.options.unwrap_or_default();
-        let mut options = open_options(&create)?;
-        if !message.of_today {
-            let graph = &mut options.body.graph;
-            graph.kind = InteriorKind::Paper;
-            graph.weights = match create.weights() {
-                message::Weights::Uniform => EdgeWeights::Uniform,
-                message::Weights::Cotangent => EdgeWeights::CotangentOfMean,
-            };
-        }
-        Ok(Self {
+        let record = Self {
             files: FileReferences::from_message(files),
-            options,
+            options: message.options.unwrap_or_default(),
+            of_today: message.of_today,
             label: message.label,
             format: Format::from_name(&message.format)
                 .ok_or_else(|| Error::invalid("model.format", "is not a format"))?,
             graph_bytes: message.graph_bytes,
-        })
+        };
+        record.open_options()?;
+        Ok(record)
     }
-}
 
-/// Writes how a model is opened; reading it again gives the same options.
-fn create_message(options: &OpenOptions) -> Result<pb::CreateOptions, Error> {
-    let body = &options.body;
-    let (rig, bone_lengths, rigid_chains) = following_rules(&options.following);
-    let kept = &options.kept_apart;
-    Ok(pb::CreateOptions {
-        format: options.format.map_or_else(String::new, |f| f.name().into()),
-        volume_graph: Some(message::VolumeGraph {
-            mode: match body.volume {
-                VolumeMode::Auto => message::volume_graph::Mode::Auto,
-                VolumeMode::Off => message::volume_graph::Mode::Off,
-                VolumeMode::Required => message::volume_graph::Mode::Required,
-            }
-            .into(),
-            interval: body.graph.interval.unwrap_or(0.0),
-            valence: body.graph.valence,
-            shell_offset: body.graph.shell_offset.unwrap_or(0.0),
-            kind: match body.graph.kind {
-                InteriorKind::Shape => message::volume_graph::Kind::Shape,
-                InteriorKind::Paper => message::volume_graph::Kind::Paper,
-            }
-            .into(),
-        }),
-        components: match options.policy {
-            FreePartPolicy::Follow => message::Components::Follow,
-            FreePartPolicy::Hold => message::Components::Hold,
-            FreePartPolicy::Free => message::Components::Free,
+    /// How its model is opened.
+    ///
+    /// # Errors
+    /// What is wrong with the options.
+    pub fn open_options(&self) -> Result<OpenOptions, Error> {
+        let mut options = open_options(&self.options)?;
+        if !self.of_today {
+            let graph = &mut options.body.graph;
+            graph.kind = InteriorKind::Paper;
+            graph.weights = match self.options.weights() {
+                Weights::Uniform => EdgeWeights::Uniform,
+                Weights::Cotangent => EdgeWeights::CotangentOfMean,
+            };
         }
-        .into(),
-        weights: Some(
-            match body.graph.weights {
-                EdgeWeights::Uniform => message::Weights::Uniform,
-                EdgeWeights::Cotangent | EdgeWeights::CotangentOfMean => message::Weights::Cotangent,
-            }
-            .into(),
-        ),
-        weld: match options.weld {
-            Weld::Rounding => None,
-            Weld::Exact => Some(message::Weld { tolerance: 0.0 }),
-            Weld::Tolerance(tolerance) => Some(message::Weld { tolerance }),
-        },
-        operators: match body.operators {
-            CoarseOperators::FiniteVolume => message::Operators::FiniteVolume,
-            CoarseOperators::Paper => message::Operators::Paper,
-        }
-        .into(),
-        morph_targets: match options.following.morph_targets {
-            MorphTargetRule::Follow => message::morph_targets::Rule::Follow,
-            MorphTargetRule::Keep => message::morph_targets::Rule::Keep,
-        }
-        .into(),
-        rig: rig.into(),
-        bone_lengths: bone_lengths.into(),
-        rigid_chains,
-        parts: match body.ties {
-            Some(_) => message::Parts::Tied,
-            None => message::Parts::Separate,
-        }
-        .into(),
-        tie_distance: body.ties.as_ref().and_then(|t| t.distance).unwrap_or(0.0),
-        keep_apart: (body.ties.is_some() && !(kept.primitives.is_empty() && kept.components.is_empty())).then(|| {
-            message::KeepApart {
-                primitives: kept.primitives.clone(),
-                components: kept.components.clone(),
-            }
-        }),
-        passengers: (options.passengers.iter().enumerate())
-            .map(|(k, p)| passenger_message(p, k))
-            .collect::<Result<_, _>>()?,
-        ..Default::default()
-    })
-}
-
-fn following_rules(following: &Following) -> (message::rig::Rule, message::bone_lengths::Rule, Vec<String>) {
-    let rig = match following.rig {
-        RigRule::Follow => message::rig::Rule::Follow,
-        RigRule::Keep => message::rig::Rule::Keep,
-    };
-    let (lengths, chains) = match &following.bone_lengths {
-        BoneLengthRule::Follow => (message::bone_lengths::Rule::Follow, Vec::new()),
-        BoneLengthRule::Keep => (message::bone_lengths::Rule::Keep, Vec::new()),
-        BoneLengthRule::KeepBelow(names) => (message::bone_lengths::Rule::Follow, names.clone()),
-    };
-    (rig, lengths, chains)
-}
-
-fn passenger_message(passenger: &Passenger, k: usize) -> Result<pb::Passenger, Error> {
-    use pb::passenger::Passenger as Kind;
-    let kind = match &passenger.kind {
-        PassengerKind::Primitive(index) => Kind::Primitive(*index),
-        PassengerKind::PrimitivesNamed(name) => Kind::PrimitivesNamed(name.clone()),
-        PassengerKind::Node(index) => Kind::Node(*index),
-        PassengerKind::NodesNamed(name) => Kind::NodesNamed(name.clone()),
-        PassengerKind::Points { .. } | PassengerKind::Model(_) => {
-            return Err(Error::Unimplemented(format!(
-                "keeping passengers[{k}], which is not a part of the model"
-            )));
-        }
-    };
-    Ok(pb::Passenger {
-        name: passenger.name.clone(),
-        passenger: Some(kind),
-    })
+        Ok(options)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::{SessionOptions, session_options};
+    use std::time::Duration;
 
-    fn reads_again(options: &OpenOptions) {
+    fn reads_again(options: &SessionOptions) {
         let record = RecordedModel {
             files: FileReferences {
                 name: "a.obj".into(),
                 main: "00".into(),
                 companions: [("b.mtl".to_owned(), "01".to_owned())].into(),
             },
-            options: options.clone(),
+            options: options.create.clone(),
+            of_today: true,
             label: "a label".into(),
             format: Format::OBJ,
             graph_bytes: Some(1 << 40),
         };
-        let again = RecordedModel::read(&record.write().expect("no model rides along")).expect("it was written");
+        let again = RecordedModel::read(&record.write()).expect("it was written");
         assert_eq!(format!("{again:?}"), format!("{record:?}"));
+        let opened = again.open_options().expect("it was read");
+        assert_eq!(format!("{opened:?}"), format!("{:?}", options.open));
     }
 
     #[test]
     fn options_come_back_as_they_were_written() {
-        reads_again(&OpenOptions::default());
+        reads_again(&SessionOptions::default());
         for text in [
             r#"{"format": "glb", "weld": {"tolerance": 0.25}, "components": "HOLD", "parts": "SEPARATE"}"#,
             r#"{"components": "FREE", "weights": "COTANGENT", "operators": "PAPER", "tieDistance": 0.1}"#,
@@ -212,7 +120,7 @@ mod tests {
             r#"{"passengers": [{"name": "a", "primitive": 1}, {"primitivesNamed": "b"}, {"node": 2}, {"nodesNamed": "c"}]}"#,
         ] {
             let message = crate::wire::json::from_json(text.as_bytes()).expect(text);
-            reads_again(&open_options(&message).expect(text));
+            reads_again(&session_options(&message, Duration::ZERO..=Duration::MAX).expect(text));
         }
     }
 

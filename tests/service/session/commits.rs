@@ -26,7 +26,7 @@ async fn undo_and_redo_restore_positions_to_the_bit() {
         fixture.set_handles(handles(&["b", "c", "d"])).await;
         let reply = fixture.history().await;
         let session = fixture.undo().await;
-        let ids: Vec<_> = session.deformer.handles.iter().map(|h| h.id.as_str()).collect();
+        let ids: Vec<_> = session.handles.iter().map(|h| h.id.as_str()).collect();
         assert_eq!(ids, ["a", "b"]);
         let mut revision = session.revision;
         for back in (0..3).rev() {
@@ -169,7 +169,7 @@ async fn a_caller_that_goes_leaves_the_old_state() {
     until(|| fixture.metrics().pool_busy.get() == 0).await;
     control.release();
     let session = fixture.facts().await;
-    assert_eq!((session.revision, session.deformer.handles.len()), (2, 2));
+    assert_eq!((session.revision, session.handles.len()), (2, 2));
     let solved = fixture.solve(solve(&[("b", 1.0)])).await;
     assert_eq!((solved.frame.positions[0].x, solved.revision), (0.0, 3));
 }

@@ -37,10 +37,10 @@ async fn edits_are_undone_and_redone_to_the_bit_and_go_on_alike() {
         digests.push(fixture.solve(turned(0.6)).await.digest);
         for height in [0.75, 1.4] {
             let result = fixture.edit(cut(height, "ABOVE")).await;
-            assert!(result.report.after.vertices != result.report.before.vertices);
+            assert!(result.after.expect("counts").vertices != result.before.expect("counts").vertices);
             assert_eq!(result.revision, fixture.history().await.current);
-            said.push(result.report.after.vertices);
-            digests.push(result.report.digest);
+            said.push(result.after.expect("counts").vertices);
+            digests.push(result.digest);
             // The base was cut off with the first edit, and what is left is held by the top alone.
             digests.push(fixture.solve(turned(0.3)).await.digest);
         }
@@ -49,13 +49,13 @@ async fn edits_are_undone_and_redone_to_the_bit_and_go_on_alike() {
             assert_eq!(fixture.digest().await, *digest);
         }
         let described = fixture.facts().await;
-        assert_eq!(described.deformer.model.counts.vertices, 52);
+        assert_eq!(described.model.expect("model facts").vertices, 52);
         for digest in &digests[1..] {
             fixture.redo().await;
             assert_eq!(fixture.digest().await, *digest);
         }
         let described = fixture.facts().await;
-        assert_eq!(described.deformer.model.counts.vertices, said[1]);
+        assert_eq!(described.model.expect("model facts").vertices, said[1]);
         let again = fixture.solve(turned(0.3)).await;
         assert_eq!(
             again.digest,
@@ -110,13 +110,16 @@ async fn a_session_can_be_merged_with_another_of_its_tenant() {
     let fixture = bent(small()).await;
     let other = bent_in(&fixture.manager).await;
     let result = fixture.edit(merge(&other.id, 3.0)).await;
-    assert_eq!(result.report.after.vertices, 104);
+    assert_eq!(result.after.expect("counts").vertices, 104);
     let session = fixture.facts().await;
     assert_eq!(
-        (session.deformer.solver.components, session.deformer.primitives.len()),
+        (
+            session.solver.as_ref().map_or(0, |s| s.components),
+            session.primitives.len()
+        ),
         (2, 2)
     );
-    assert_eq!(result.report.handles_kept, ["base", "top"]);
+    assert_eq!(result.handles_kept, ["base", "top"]);
 }
 
 #[tokio::test]
@@ -128,14 +131,14 @@ async fn a_stream_goes_on_across_an_edit() {
     for (seq, angle) in [(1, 0.2), (2, 0.3), (3, 0.4)] {
         client.push(turning(seq, angle, false));
         let frame = client.frame().await;
-        assert!(frame.header.is_final);
+        assert!(frame.header.r#final);
         sizes.push(frame.selected.expect("changes only").len() as u32);
         client.ack(seq);
         if seq == 2 {
             fixture.edit(cut(1.4, "ABOVE")).await;
         }
     }
-    let left = fixture.facts().await.deformer.model.counts.vertices;
+    let left = fixture.facts().await.model.expect("model facts").vertices;
     assert_eq!(sizes[2], left, "all vertices of the new shape: {sizes:?}");
 }
 
@@ -176,7 +179,7 @@ async fn a_pose_after_going_back_has_the_bits_that_it_had_before() {
             let bent = fixture.solve(turned(0.2)).await;
             after.push(bent.digest);
             let edit = fixture.edit(delete(0.8 + 0.4 * f64::from(k))).await;
-            assert!(edit.report.repaired, "edit {k} is followed");
+            assert!(edit.repaired, "edit {k} is followed");
         }
         // Back to before each pose, newest first, and the same pose again.
         for digest in after.iter().rev() {
@@ -209,20 +212,20 @@ async fn an_edit_of_the_rest_shape_solves_as_the_pose_was_solved() {
         pose.options.solve.refine = Some(refine);
         let bent = fixture.solve(pose).await;
         let edit = fixture.edit(idle()).await;
-        assert_eq!(edit.report.digest, bent.digest, "refine {refine}");
+        assert_eq!(edit.digest, bent.digest, "refine {refine}");
     }
 }
 
 #[tokio::test]
 async fn a_session_reports_the_poses_in_force() {
     let fixture = bar(small()).await;
-    let poses = async || fixture.facts().await.poses;
-    assert_eq!(poses().await.0.as_slice(), [HandlePose::default(); 2]);
+    let poses = async || -> Vec<_> { fixture.facts().await.handles.into_iter().map(|h| h.pose).collect() };
+    assert_eq!(poses().await, [None, None]);
     fixture.solve(turned(0.2)).await;
-    let turned = HandlePose::rotation([0.2, 0.0, 0.0]);
-    assert_eq!(poses().await.0.as_slice(), [HandlePose::default(), turned]);
+    let turned = pliant::wire::handle_pose_message(&HandlePose::rotation([0.2, 0.0, 0.0]));
+    assert_eq!(poses().await, [None, Some(turned)]);
     fixture.undo().await;
-    assert_eq!(poses().await.0.as_slice(), [HandlePose::default(); 2]);
+    assert_eq!(poses().await, [None, None]);
 }
 
 #[tokio::test]

@@ -17,14 +17,10 @@ use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
 use pliant::session::store::{DatabaseStore, StoreError, StoreLocation};
 use pliant::session::{
-    self, CallKey, CommittedEdit, CommittedPose, DeformStream, Engine, EngineOpener, ExportedModel, HistoryFacts,
-    Manager, MemoryUse, Metrics, PositionBuffer, SessionConfig, SessionFacts, StreamAnswer, StreamInput, StreamOutput,
-    Tenant,
+    self, CallKey, CommittedPose, DeformStream, Engine, EngineOpener, ExportedModel, HistoryFacts, Manager, MemoryUse,
+    Metrics, PositionBuffer, SessionConfig, StreamAnswer, StreamInput, StreamOutput, Tenant,
 };
-use pliant::wire::frames::FrameHeader;
-use pliant::wire::{
-    self, DeformOptions, PoseCommit, PoseEntry, SessionEdit, SessionOptions, StreamPose, StreamRequest,
-};
+use pliant::wire::{self, DeformOptions, PoseCommit, SessionEdit, SessionOptions, StreamRequest};
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 use std::sync::{Arc, Condvar, LazyLock, Mutex};
 use std::time::Duration;
@@ -389,27 +385,27 @@ impl Fixture {
         self.solve(solve(&[("a", x)])).await
     }
 
-    pub async fn edit(&self, edit: SessionEdit) -> CommittedEdit {
+    pub async fn edit(&self, edit: SessionEdit) -> wire::pb::EditResult {
         let edited = self.manager.edit(tenant(), &self.id, edit, None).await;
         edited.expect("the session is edited")
     }
 
-    pub async fn set_handles(&self, handles: HandleSet) -> SessionFacts {
+    pub async fn set_handles(&self, handles: HandleSet) -> wire::pb::Session {
         let set = self.manager.set_handles(tenant(), &self.id, handles, None).await;
         set.expect("the handles are set")
     }
 
-    pub async fn undo(&self) -> SessionFacts {
+    pub async fn undo(&self) -> wire::pb::Session {
         let undone = self.manager.undo(tenant(), &self.id, None).await;
         undone.expect("a commit is undone")
     }
 
-    pub async fn redo(&self) -> SessionFacts {
+    pub async fn redo(&self) -> wire::pb::Session {
         let redone = self.manager.redo(tenant(), &self.id, None).await;
         redone.expect("a commit is redone")
     }
 
-    pub async fn facts(&self) -> SessionFacts {
+    pub async fn facts(&self) -> wire::pb::Session {
         let facts = self.manager.get(tenant(), &self.id).await;
         facts.expect("the session is open")
     }
@@ -494,11 +490,7 @@ pub async fn create(manager: &Manager, text: &str) -> String {
 
 /// Options of a session that asks for nothing.
 pub fn options() -> SessionOptions {
-    SessionOptions {
-        open: OpenOptions::default(),
-        label: String::new(),
-        ttl: None,
-    }
+    SessionOptions::default()
 }
 
 pub fn key(key: &str, request: impl std::fmt::Debug) -> Option<CallKey> {
@@ -524,22 +516,19 @@ pub fn pose(seq: u64, entries: &[(&str, f64)], commit: bool) -> StreamRequest {
 }
 
 pub fn posed(seq: u64, changes: Vec<(String, HandlePose)>, commit: bool) -> StreamRequest {
-    let entry = |(id, pose): (String, HandlePose)| PoseEntry {
-        id,
-        pose: match pose.translation {
-            Some(by) if !by.is_finite() => Err(wire::Error::invalid(
-                "pose.handles[0].pose.translation",
-                "is not finite",
-            )),
-            _ => Ok(pose),
-        },
+    let read = |(id, pose): (String, HandlePose)| match pose.translation {
+        Some(by) if !by.is_finite() => {
+            let field = "pose.handles[0].pose.translation";
+            (id, Err(wire::Error::invalid(field, "is not finite")))
+        }
+        _ => (id, Ok(pose)),
     };
-    StreamRequest::Pose(StreamPose {
+    StreamRequest::Pose {
         seq,
         commit,
         key: None,
-        entries: Ok(changes.into_iter().map(entry).collect()),
-    })
+        entries: Ok(changes.into_iter().map(read).collect()),
+    }
 }
 
 pub fn solve(entries: &[(&str, f64)]) -> PoseCommit {
@@ -564,7 +553,7 @@ pub struct StreamClient {
 /// A frame: its header, how far each of its vertices is from rest along x, and which they are when it carries changes only.
 #[derive(Debug, Clone)]
 pub struct SeenFrame {
-    pub header: FrameHeader,
+    pub header: wire::pb::Frame,
     pub x: Vec<f64>,
     pub selected: Option<Vec<u32>>,
 }

@@ -2,10 +2,10 @@
 
 use super::fake::*;
 use pliant::asset::FileSet;
-use pliant::engine::{Handle, HandlePose, HandleSet, QualityReport, Region};
+use pliant::engine::{Handle, HandlePose, HandleSet, Region};
 use pliant::session::{Manager, SessionConfig};
 use pliant::wire::frames::{FrameOutput, encode};
-use pliant::wire::{DeformOptions, PoseCommit, StreamRequest};
+use pliant::wire::{DeformOptions, PoseCommit, StreamRequest, pb};
 
 /// An upright bar of square section, closed, with the handles `base` (held) and `top`.
 fn bar() -> FileSet {
@@ -83,10 +83,7 @@ async fn commits_undo_and_replay_to_the_bit() {
     for snapshot_bytes in [1 << 24, 0] {
         let fixture = bent(limits(|config| config.snapshot_bytes = snapshot_bytes)).await;
         let session = fixture.facts().await;
-        assert_eq!(
-            (session.deformer.handles.len(), session.deformer.primitives.len()),
-            (2, 1)
-        );
+        assert_eq!((session.handles.len(), session.primitives.len()), (2, 1));
         assert!(
             ["read", "mesh", "hierarchy", "fields"]
                 .iter()
@@ -102,7 +99,7 @@ async fn commits_undo_and_replay_to_the_bit() {
         for (seq, angle) in [(1, 0.2), (2, 0.9)] {
             client.push(turning(seq, angle, false));
             let frame = client.frame().await.header;
-            assert!(frame.is_final && frame.residual <= 1e-4 && frame.max_error.is_finite());
+            assert!(frame.r#final && frame.residual <= 1e-4 && frame.max_error.is_finite());
             client.ack(seq);
         }
         drop(client);
@@ -176,7 +173,7 @@ async fn every_commit_is_measured_and_crossings_are_counted_when_asked() {
     let counted = solve(1.0, true).await;
     assert_eq!(
         counted,
-        QualityReport {
+        pb::Quality {
             self_intersections: Some(0),
             ..plain
         }

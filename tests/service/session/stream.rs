@@ -16,12 +16,12 @@ async fn the_latest_pose_wins_and_the_skipped_ones_are_counted() {
     control.release();
     let first = client.frame().await;
     assert_eq!(
-        (first.header.seq, first.header.superseded, first.header.is_final),
+        (first.header.seq, first.header.superseded, first.header.r#final),
         (1, 0, true)
     );
     let second = client.frame().await;
     assert_eq!(
-        (second.header.seq, second.header.superseded, second.header.is_final),
+        (second.header.seq, second.header.superseded, second.header.r#final),
         (10, 8, true)
     );
     assert_eq!(second.x, [10.0, 0.0, 10.0, 0.0]);
@@ -258,7 +258,7 @@ async fn progressive_frames_come_from_the_first_cycle_on() {
         control.step(1);
         let frame = client.frame().await;
         client.ack(1);
-        assert_eq!((frame.header.seq, frame.header.is_final), (1, cycle == 4));
+        assert_eq!((frame.header.seq, frame.header.r#final), (1, cycle == 4));
         assert_eq!(
             frame.x[0],
             if cycle == 4 {
@@ -287,14 +287,14 @@ async fn a_newer_pose_cuts_a_progressive_solve_short_but_not_another() {
         let mut frames = Vec::new();
         while frames
             .last()
-            .is_none_or(|f: &SeenFrame| f.header.seq < 2 || !f.header.is_final)
+            .is_none_or(|f: &SeenFrame| f.header.seq < 2 || !f.header.r#final)
         {
             frames.push(client.frame().await);
             client.ack(2);
         }
         let of_first: Vec<_> = frames.iter().filter(|f| f.header.seq == 1).collect();
         let last = of_first.last().expect("every pose taken has a frame");
-        assert!(last.header.is_final);
+        assert!(last.header.r#final);
         assert_eq!(last.x[0] == 1.0, !progressive, "{:?}", last.x);
         assert_eq!(of_first.len(), if progressive { 2 } else { 1 });
     }
@@ -308,7 +308,7 @@ async fn a_budget_takes_the_best_there_is() {
     tokio::time::sleep(Duration::from_millis(5)).await;
     control.step(1);
     let frame = client.frame().await;
-    assert_eq!((frame.header.is_final, frame.x[0]), (true, 0.9));
+    assert_eq!((frame.header.r#final, frame.x[0]), (true, 0.9));
     assert!(frame.header.residual > 0.05 && frame.header.solve_ms >= 1.0);
 }
 
@@ -341,7 +341,7 @@ async fn a_client_that_has_said_everything_gets_its_last_frame_unasked() {
             panic!("only frames were expected, not {message:?}")
         };
         let header = frame.header;
-        reply.push((header.seq, header.superseded, header.is_final));
+        reply.push((header.seq, header.superseded, header.r#final));
     }
     assert_eq!(
         reply,
@@ -418,7 +418,7 @@ async fn changes_only_are_sent_once_a_frame_is_acknowledged() {
     client.ack(2);
     client.drag(3, &[("b", 1.001)]);
     let still = client.frame().await;
-    assert_eq!((still.selected, still.header.is_final), (Some(Vec::new()), true));
+    assert_eq!((still.selected, still.header.r#final), (Some(Vec::new()), true));
 }
 
 #[tokio::test]

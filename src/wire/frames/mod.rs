@@ -5,26 +5,22 @@
 //! written straight into the bytes that are sent ([`OutgoingResponse`]). Knows no stream and no session: who may get
 //! a frame, and when, is not decided here.
 
-mod header;
 mod numbers;
-mod outgoing;
 mod output;
 mod part;
-mod parts;
 mod reader;
 mod sent_steps;
 
-pub use header::{AnimatedHeader, FrameHeader};
-pub use outgoing::OutgoingResponse;
 pub use output::{FrameEncoding, FrameOutput};
-pub use part::FramePart;
-pub use parts::{FrameParts, encode, encode_next};
+pub use part::OutgoingResponse;
+pub use part::{FrameParts, encode, encode_next};
 pub use reader::FrameReader;
 pub use sent_steps::SentSteps;
 
 use self::numbers::{PickedVertices, put_floats};
 use super::pb;
-use crate::engine::Shading;
+use crate::engine::{Shading, TopologyId};
+use crate::motion::rig::RigidMotion;
 use bytes::Bytes;
 use glam::DVec3;
 use std::sync::Arc;
@@ -37,10 +33,16 @@ pub fn f32_bytes(positions: &[DVec3]) -> Bytes {
 }
 
 /// A frame: its header, the shape that it shows, and how that is encoded.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Frame {
-    /// Everything but the numbers.
-    pub header: FrameHeader,
+    /// What all its parts repeat: everything but the numbers.
+    pub header: pb::Frame,
+    /// The state of the model that its vertices belong to. No frame is a difference from one of another state.
+    pub topology: Option<TopologyId>,
+    /// Length of the model's diagonal; [`changed_only`](FrameOutput::changed_only) is a fraction of it.
+    pub diagonal: f64,
+    /// Where the root bone of an animation has moved the model, when that is not in the positions.
+    pub root: Option<RigidMotion>,
     /// One per render vertex.
     pub positions: Arc<Vec<DVec3>>,
     /// Needed when `output` asks for normals or tangents; without it they are left out.
