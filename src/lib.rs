@@ -23,11 +23,10 @@
 pub mod batch;
 pub mod check;
 pub mod cli;
-pub mod server;
-pub mod session;
-pub mod stage_clock;
-pub mod wire;
 
 /// Mesh deformation without a server: a crate of its own, with the solver's in it.
 pub use pliant_core as core;
 pub use pliant_core::{asset, deform, edit, engine, exec, graph, mesh, motion, pool, progress, render, solver};
+
+/// The schema; sessions; the server: a crate each.
+pub use {pliant_server as server, pliant_session as session, pliant_wire as wire};

@@ -9,11 +9,11 @@ use super::engine::{
 };
 use super::exec::Exec;
 use super::progress::Progress as _;
-use super::stage_clock::StageClock;
 use super::wire::{
     DeformOptions, Error, change_poses, edit, edit_name, edit_result, followed_message, handle_set, open_options, pb,
     quality_message, session_message, warning_message,
 };
+use crate::exec::stage_clock::StageClock;
 use glam::DVec3;
 pub use inspect::{
     ClipContents, MOST_NODES_LISTED, ModelContents, SkinContents, contents_of, inspect, inspect_contents,

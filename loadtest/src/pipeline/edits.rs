@@ -11,9 +11,9 @@ use pliant::engine::{
     TopologyState,
 };
 use pliant::exec::Exec;
+use pliant::exec::stage_clock::StageClock;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::stage_clock::StageClock;
 use pliant::wire::pb::edit_request::{Delete, Operation, Remesh};
 use pliant::wire::{self, Error, pb};
 use std::collections::BTreeMap;

@@ -14,15 +14,16 @@
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
-pub mod asset;
-pub mod deform;
-pub mod edit;
 pub mod engine;
-pub mod graph;
-pub mod mesh;
-pub mod motion;
-pub mod render;
 
+pub use pliant_asset as asset;
+pub use pliant_deform as deform;
+pub use pliant_edit as edit;
+pub use pliant_exec as exec;
+pub use pliant_exec::{pool, progress};
+pub use pliant_mesh as mesh;
+pub use pliant_mesh::graph;
+pub use pliant_motion as motion;
+pub use pliant_render as render;
 /// Multigrid on a weighted graph, with the threads and the watcher that every computing function takes: a crate of its own.
 pub use pliant_solver as solver;
-pub use pliant_solver::{exec, pool, progress};

@@ -12,19 +12,19 @@ use std::process::Command;
 use std::{env, fs};
 
 /// Where the page's sources are.
-const SOURCES: &str = "src/server/viewer";
+const SOURCES: &str = "viewer";
 
 /// What the page is made from; a change rebuilds it.
 const INPUTS: [&str; 9] = [
-    "src/server/viewer/src",
-    "src/server/viewer/public",
-    "src/server/viewer/index.html",
-    "src/server/viewer/package.json",
-    "src/server/viewer/package-lock.json",
-    "src/server/viewer/vite.config.ts",
-    "src/server/viewer/tsconfig.json",
-    "src/server/viewer/build.rs",
-    "proto/clients/typescript/src",
+    "viewer/src",
+    "viewer/public",
+    "viewer/index.html",
+    "viewer/package.json",
+    "viewer/package-lock.json",
+    "viewer/vite.config.ts",
+    "viewer/tsconfig.json",
+    "viewer/build.rs",
+    "../../proto/clients/typescript/src",
 ];
 
 /// The oldest node that the page's tools run on.

@@ -2,9 +2,9 @@
 //!
 //! `cargo run --release -p pliant-solver --example poisson_on_grid -- 60` solves 60³ unknowns.
 
-use pliant_solver::exec::Exec;
-use pliant_solver::pool::Pool;
-use pliant_solver::progress::{CancelFlag, Progress};
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
+use pliant_exec::progress::{CancelFlag, Progress};
 use pliant_solver::{
     BuildOptions, Constraints, Error, Hierarchy, SolveControl, SolveOptions, WeightedGraph, Workspace,
 };

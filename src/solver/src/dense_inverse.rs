@@ -7,9 +7,9 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::exec::Exec;
 use crate::lanes::{WIDTH, WideLanes};
-use crate::progress::Cancelled;
+use pliant_exec::Exec;
+use pliant_exec::progress::Cancelled;
 
 /// A pivot below this part of its diagonal entry belongs to a part of the graph that nothing holds.
 const SINGULAR: f64 = 1e-9;
@@ -85,9 +85,9 @@ const BLOCK: usize = 48;
 ///
 /// ```
 /// use pliant_solver::CholeskyFactor;
-/// use pliant_solver::exec::Exec;
-/// use pliant_solver::pool::Pool;
-/// use pliant_solver::progress::Silent;
+/// use pliant_exec::Exec;
+/// use pliant_exec::pool::Pool;
+/// use pliant_exec::progress::Silent;
 ///
 /// let pool = Pool::new(1)?;
 /// let matrix = vec![4.0, 2.0, 2.0, 3.0];
@@ -204,8 +204,8 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pool::Pool;
-    use crate::progress::Silent;
+    use pliant_exec::pool::Pool;
+    use pliant_exec::progress::Silent;
 
     fn laplacian(n: usize, extra: f64) -> Vec<f64> {
         let mut a = vec![0.0; n * n];

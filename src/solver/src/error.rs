@@ -1,11 +1,11 @@
 //! What can go wrong in the solver.
 
-use crate::progress::Cancelled;
+use pliant_exec::progress::Cancelled;
 
 /// Why a hierarchy was not built or a system not solved.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Error {
-    /// The caller's [`Progress`](crate::progress::Progress) asked to stop.
+    /// The caller's [`Progress`](pliant_exec::progress::Progress) asked to stop.
     #[error("cancelled")]
     Cancelled,
     /// An argument breaks a rule; the text says which, the value seen and what is allowed.

@@ -103,9 +103,9 @@
 //! second:
 //!
 //! ```
-//! use pliant_solver::exec::Exec;
-//! use pliant_solver::pool::Pool;
-//! use pliant_solver::progress::Silent;
+//! use pliant_exec::Exec;
+//! use pliant_exec::pool::Pool;
+//! use pliant_exec::progress::Silent;
 //! use pliant_solver::{BuildOptions, Constraints, SolveControl, WeightedGraph, Hierarchy, SolveOptions, Workspace};
 //!
 //! let graph = WeightedGraph {
@@ -134,10 +134,6 @@
 //! ```
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
-
-pub mod exec;
-pub mod pool;
-pub mod progress;
 
 mod build;
 mod constrain;

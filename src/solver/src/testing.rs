@@ -2,11 +2,11 @@
 
 use crate::build::hierarchy::Hierarchy;
 use crate::constrain::system::LinearSystem;
-use crate::exec::Exec;
 use crate::graph::WeightedGraph;
 use crate::options::{BuildOptions, Constraints};
-use crate::pool::Pool;
-use crate::progress::Silent;
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
+use pliant_exec::progress::Silent;
 
 /// A block of a cubic lattice, 26 neighbours inside.
 pub(crate) struct BoxLattice {

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::pool::Pool;
+use pliant_exec::pool::Pool;
 
 /// Whether loops may use more than one thread. Every loop below writes disjoint outputs, so the answer never shows in
 /// the results.

@@ -7,8 +7,8 @@
 use case::{SolverCase, to, twist};
 use counting_allocator::{Asked, CountingAllocator, counted};
 use graphs::{lattice, surface};
-use pliant_solver::exec::Exec;
-use pliant_solver::progress::Silent;
+use pliant_exec::Exec;
+use pliant_exec::progress::Silent;
 use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveMethod, SolveOptions, SolveStats, Workspace};
 
 #[allow(dead_code)]

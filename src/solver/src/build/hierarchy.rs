@@ -11,15 +11,15 @@ use crate::build::layout::arrange_rows;
 use crate::build::level::HierarchyLevel;
 use crate::build::operator::coarse_rows;
 use crate::error::Error;
-use crate::exec::Exec;
 use crate::graph::WeightedGraph;
 use crate::lanes::{Lanes, SharedRows};
 use crate::lanes::{NO_ROW, SLICE_ROWS};
 use crate::options::{BuildOptions, CoarseOperators, LevelSize};
 use crate::paper::restrict::UncutGraph;
-use crate::pool::Pool;
-use crate::progress::{Cancelled, Progress, check};
 use crate::threads::{Parallelism, piece_count, piece_rows};
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
+use pliant_exec::progress::{Cancelled, Progress, check};
 
 /// Rows per block on the finest level; halved from level to level.
 const BLOCK: usize = 512;

@@ -11,8 +11,8 @@ use crate::error::Error;
 use crate::lanes::NO_ROW;
 use crate::options::{Constraints, LevelSize};
 use crate::paper::hierarchy::PaperHierarchy;
-use crate::pool::Pool;
 use crate::threads::Parallelism;
+use pliant_exec::pool::Pool;
 
 /// Up to this many free vertices are solved directly.
 const DIRECT: usize = 200;

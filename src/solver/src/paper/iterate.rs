@@ -11,12 +11,12 @@ use crate::paper::restrict::{
     ConjugateSteps, EdgeOffsets, OperatorReading, add, add_correction_from, defect, prolong, restrict_defect,
     restricted_constants, sweep,
 };
-use crate::progress::{Cancelled, Progress, check};
 use crate::solve::advance::rhs_reference_norms;
 use crate::solve::fallback::conjugate_gradients;
 use crate::solve::group::{
     GroupOutcome, GroupSolve, IterationReport, IterationWatcher, SolutionSnapshot, SolveControl,
 };
+use pliant_exec::progress::{Cancelled, Progress, check};
 
 /// Cycles that must at least halve the residual.
 const PATIENCE: usize = 12;

@@ -12,7 +12,7 @@ use crate::dense_inverse::DenseInverse;
 use crate::graph::WeightedGraph;
 use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::BuildOptions;
-use crate::progress::{Cancelled, Progress, check};
+use pliant_exec::progress::{Cancelled, Progress, check};
 
 /// What is done about a retained vertex's retained neighbours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,11 +2,11 @@
 
 use crate::build::hierarchy::Hierarchy;
 use crate::constrain::system::LinearSystem;
-use crate::exec::Exec;
 use crate::options::{BuildOptions, CoarseOperators, Constraints};
 use crate::paper::hierarchy::PaperHierarchy;
-use crate::progress::Silent;
 use crate::testing::{BoxLattice, pool};
+use pliant_exec::Exec;
+use pliant_exec::progress::Silent;
 
 /// A body-centred cubic lattice of `n` cells a side: 14 neighbours inside, as in volume graphs.
 pub(crate) fn lattice(n: i32) -> BoxLattice {

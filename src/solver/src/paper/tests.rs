@@ -1,7 +1,6 @@
 //! Laws of the operators, and what cycles of the several readings do.
 
 use crate::build::hierarchy::Hierarchy;
-use crate::exec::Exec;
 use crate::lanes::{WIDTH, WideLanes};
 use crate::options::{BuildOptions, CoarseOperators, Constraints, InitialGuess, SolveMethod, SolveOptions, SolveStats};
 use crate::paper::hierarchy::PaperHierarchy;
@@ -11,9 +10,10 @@ use crate::paper::restrict::{
     restricted_constants,
 };
 use crate::paper::testing::{held, lattice, paper, path, sheet};
-use crate::progress::Silent;
 use crate::solve::group::{SolveControl, Workspace};
 use crate::testing::{BoxLattice, pool};
+use pliant_exec::Exec;
+use pliant_exec::progress::Silent;
 
 /// Reproducible numbers between −1 and 1.
 fn noise(count: usize) -> Vec<WideLanes> {

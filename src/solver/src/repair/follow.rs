@@ -10,14 +10,14 @@ use crate::build::hierarchy::{ArrangedDraft, Hierarchy, block_size, coarsen};
 use crate::build::layout::arrange_rows;
 use crate::build::level::HierarchyLevel;
 use crate::error::Error;
-use crate::exec::Exec;
 use crate::graph::WeightedGraph;
 use crate::lanes::{NO_ROW, grow};
-use crate::progress::Silent;
 use crate::repair::change::{GraphChange, RepairPlan, RepairReport, read_change};
 use crate::repair::regroup::{NewAggregates, coarse_rows, regroup_members};
 use crate::repair::regroup::{PlacedRows, place_rows};
 use crate::threads::Parallelism;
+use pliant_exec::Exec;
+use pliant_exec::progress::Silent;
 
 /// Levels above the first one with at most this many vertices are rebuilt, not repaired.
 const SMALL: usize = 4096;

@@ -3,11 +3,11 @@
 
 use super::tests::{EditableRows, RowsCast, check_levels, difference};
 use crate::build::hierarchy::Hierarchy;
-use crate::exec::Exec;
 use crate::options::Constraints;
-use crate::pool::Pool;
-use crate::progress::Silent;
 use crate::repair::change::GraphChange;
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
+use pliant_exec::progress::Silent;
 use std::collections::BTreeMap;
 
 /// Numbers that look random and are the same everywhere.

@@ -1,14 +1,14 @@
 //! What a built hierarchy promises, a repaired one keeps.
 
 use crate::build::hierarchy::Hierarchy;
-use crate::exec::Exec;
 use crate::graph::WeightedGraph;
 use crate::lanes::{NO_ROW, SLICE_ROWS};
 use crate::options::{BuildOptions, Constraints, SolveMethod, SolveOptions};
-use crate::progress::Silent;
 use crate::repair::change::{GraphChange, RepairReport};
 use crate::solve::group::{IterationReport, SolveControl, Workspace};
 use crate::testing::{BoxLattice, pool};
+use pliant_exec::Exec;
+use pliant_exec::progress::Silent;
 
 /// A graph that tests change: weights by pair of ids that never change, dead vertices left out of views.
 pub(super) struct EditableRows {

@@ -1,11 +1,11 @@
 //! Vector work of the outer iteration: the residual of a run, one step, adding the correction.
 
 use crate::lanes::{Lanes, SLICE_ROWS, WIDTH, WideLanes, per_lane, ratio};
-use crate::progress::Cancelled;
 use crate::solve::cycle::{CoarseVectors, MultigridCycle};
 use crate::solve::group::FineVectors;
 use crate::solve::problem::ColumnGroup;
 use crate::solve::sweep::{LaneDots, MaskedLevel, SweepVectors};
+use pliant_exec::progress::Cancelled;
 
 /// What one step leaves.
 pub(crate) struct StepNorms {

@@ -10,10 +10,10 @@
 
 use crate::build::level::HierarchyLevel;
 use crate::lanes::{Lanes, NO_ROW, SLICE_ROWS};
-use crate::progress::{Cancelled, check};
 use crate::solve::cycle::{CoarseVectors, MultigridCycle};
 use crate::solve::patches::{AffinePatches, PatchMap, STILL, Turn, after, nearest_turns, times, turned};
 use crate::solve::sweep::MaskedLevel;
+use pliant_exec::progress::{Cancelled, check};
 
 /// Bundles that one piece of work handles.
 const PIECE: usize = 256;

@@ -3,9 +3,9 @@
 use crate::build::hierarchy::Hierarchy;
 use crate::constrain::system::LinearSystem;
 use crate::lanes::{Lanes, SLICE_ROWS, WIDTH, WideLanes, per_lane, ratio, resize_untouched};
-use crate::progress::{Cancelled, Progress, check};
 use crate::solve::sweep::{LaneDots, MaskedLevel, SweepVectors};
 use crate::threads::Parallelism;
+use pliant_exec::progress::{Cancelled, Progress, check};
 
 /// The second step of a K-cycle is left out once the first one has brought the squared residual down by this factor.
 const ENOUGH: f64 = 1.0 / 16.0;
@@ -214,9 +214,9 @@ fn combine_steps(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::progress::Silent;
     use crate::solve::group::Workspace;
     use crate::testing::{BoxLattice, pool};
+    use pliant_exec::progress::Silent;
 
     /// M u for the cycle M, with u masked.
     fn apply(hierarchy: &Hierarchy, system: &LinearSystem, u: &[f32]) -> Vec<Lanes> {

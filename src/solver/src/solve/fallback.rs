@@ -6,11 +6,11 @@ use std::ops::Range;
 use crate::error::Error;
 use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::SolveMethod;
-use crate::progress::check;
 use crate::solve::group::{
     GroupOutcome, GroupSolve, IterationReport, IterationWatcher, SolutionSnapshot, SolveControl,
 };
 use crate::solve::problem::ColumnGroup;
+use pliant_exec::progress::check;
 
 /// Iterations per iteration that the caller allows: they are cheap compared with a cycle.
 const ALLOWANCE: usize = 10;
@@ -161,12 +161,12 @@ mod tests {
     use super::*;
     use crate::constrain::system::LinearSystem;
     use crate::error::Error;
-    use crate::exec::Exec;
     use crate::options::{SolveOptions, SolveStats};
-    use crate::progress::Silent;
     use crate::solve::group::SolveControl;
     use crate::solve::group::Workspace;
     use crate::testing::{BoxLattice, pool};
+    use pliant_exec::Exec;
+    use pliant_exec::progress::Silent;
 
     fn solve(
         block: &BoxLattice,

@@ -5,7 +5,6 @@ use crate::build::hierarchy::Hierarchy;
 use crate::build::level::HierarchyLevel;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
-use crate::exec::Exec;
 use crate::lanes::{Lanes, NO_ROW, SLICE_ROWS, prefetch};
 use crate::solve::coarse_fits::CoarseFits;
 use crate::solve::cycle::MultigridCycle;
@@ -16,6 +15,7 @@ use crate::solve::pose::{PoseParts, PoseRows};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::start::{StartMaps, full_multigrid};
 use crate::threads::{Parallelism, piece_count, piece_rows};
+use pliant_exec::Exec;
 
 impl LinearSystem {
     /// Begins a pose from nothing: full multigrid, with the rotations of `pose.open`, if there are any, fitted on every coarse level
@@ -188,10 +188,10 @@ mod tests {
     use super::*;
     use crate::lanes::NO_ROW;
     use crate::options::Constraints;
-    use crate::pool::Pool;
-    use crate::progress::Silent;
     use crate::solve::group::{IterationReport, SolveControl, StoppingCriteria};
     use crate::testing::BoxLattice;
+    use pliant_exec::pool::Pool;
+    use pliant_exec::progress::Silent;
 
     const SLENDER: [i32; 3] = [40, 6, 6];
     /// Enough rows for several threads.

@@ -5,12 +5,12 @@
 
 use crate::lanes::{Lanes, WIDTH, WideLanes, resize_untouched};
 use crate::options::SolveMethod;
-use crate::pool::Pool;
 use crate::solve::cycle::{CoarseVectors, MultigridCycle};
 use crate::solve::patches::AffinePatches;
 use crate::solve::problem::ColumnGroup;
 use crate::solve::solution_subspace::SolutionSubspace;
 use crate::solve::sweep::LaneDots;
+use pliant_exec::pool::Pool;
 use std::ops::Range;
 
 /// One group of columns under iteration.

@@ -5,13 +5,13 @@ use crate::build::hierarchy::power_of_two_below;
 use crate::error::Error;
 use crate::lanes::{WIDTH, WideLanes, per_lane, ratio};
 use crate::options::SolveMethod;
-use crate::progress::Cancelled;
 use crate::solve::advance::{StepNorms, StepTerms, add_correction, fold_correction, longest_step, step_conjugate};
 use crate::solve::group::{
     GroupOutcome, GroupSolve, IterationReport, IterationWatcher, ReachedByCycles, SolutionSnapshot, SolveControl,
     StoppingCriteria, Workspace,
 };
 use crate::solve::solution_subspace::SolutionSubspace;
+use pliant_exec::progress::Cancelled;
 
 /// A run ends once the residual fell by this factor: single precision has few digits left.
 const RESTART_REDUCTION: f64 = 1e-5;

@@ -3,10 +3,8 @@
 use crate::build::hierarchy::Hierarchy;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
-use crate::exec::Exec;
 use crate::lanes::{NO_ROW, WIDTH, WideLanes, per_lane, ratio};
 use crate::options::{InitialGuess, SolveMethod, SolveOptions, SolveStats};
-use crate::pool::Pool;
 use crate::solve::advance::rhs_reference_norms;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::group::{
@@ -16,6 +14,8 @@ use crate::solve::group::{
 use crate::solve::problem::ColumnGroup;
 use crate::solve::start::{StartMaps, full_multigrid};
 use crate::threads::Parallelism;
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
 
 /// Refinements of the direct method at most.
 const REFINEMENTS: usize = 4;

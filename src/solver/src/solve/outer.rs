@@ -6,7 +6,6 @@
 
 use crate::error::Error;
 use crate::lanes::{Lanes, WIDTH, WideLanes};
-use crate::pool::Pool;
 use crate::solve::advance::{first_residual, residual, resume_direction, rhs_reference_norms};
 use crate::solve::cycle::{clear_inactive, prepare};
 use crate::solve::fallback::conjugate_gradients;
@@ -15,6 +14,7 @@ use crate::solve::group::{GroupOutcome, GroupSolve, IterationWatcher, LeftResidu
 use crate::solve::inner::{InnerEnd, OuterState};
 use crate::solve::problem::{ColumnGroup, posed_residual};
 use crate::threads::Parallelism;
+use pliant_exec::pool::Pool;
 
 /// Iterations that solves stay below unless something is wrong: their history has room from the first solve on.
 const USUAL: usize = 64;

@@ -9,10 +9,8 @@ use crate::build::hierarchy::Hierarchy;
 use crate::build::level::HierarchyLevel;
 use crate::constrain::system::LinearSystem;
 use crate::error::Error;
-use crate::exec::Exec;
 use crate::lanes::{Lanes, NO_ROW, SLICE_ROWS, WIDTH, resize_untouched};
 use crate::options::SolveStats;
-use crate::pool::Pool;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::frame_rows::{FrameRows, PoseRow};
 use crate::solve::group::{
@@ -21,6 +19,8 @@ use crate::solve::group::{
 use crate::solve::problem::ColumnGroup;
 use crate::solve::solution_subspace::SolutionSubspace;
 use crate::threads::Parallelism;
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 256;
@@ -368,8 +368,8 @@ impl LinearSystem {
 mod tests {
     use super::*;
     use crate::options::{Constraints, InitialGuess, SolveOptions};
-    use crate::progress::Silent;
     use crate::testing::{BoxLattice, pool};
+    use pliant_exec::progress::Silent;
 
     /// The map of a vertex: a turn about z that grows along x.
     fn map_of([x, ..]: [f64; 3], turn: f64) -> [f32; 9] {

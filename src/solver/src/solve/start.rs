@@ -8,7 +8,6 @@
 use crate::build::draft::UnitBoxMap;
 use crate::constrain::mask::tie_share;
 use crate::lanes::{Lanes, NO_ROW, SharedRows, WIDTH, WideLanes, add_wide};
-use crate::progress::{Cancelled, check};
 use crate::solve::coarse_fits::CoarseFits;
 use crate::solve::cycle::MultigridCycle;
 use crate::solve::frame_rows::FrameRows;
@@ -17,6 +16,7 @@ use crate::solve::patches::{AffinePatches, PatchMap};
 use crate::solve::problem::ColumnGroup;
 use crate::solve::sweep::MaskedLevel;
 use crate::threads::{piece_count, piece_rows};
+use pliant_exec::progress::{Cancelled, check};
 
 /// Rows that one piece of work handles.
 const PIECE: usize = 1024;

@@ -1,8 +1,8 @@
 //! A graph under constraints, and what tests ask of it.
 
-use pliant_solver::exec::Exec;
-use pliant_solver::pool::Pool;
-use pliant_solver::progress::{Progress, Silent};
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
+use pliant_exec::progress::{Progress, Silent};
 use pliant_solver::{
     BuildOptions, Constraints, Error, Hierarchy, InitialGuess, IterationReport, LinearSystem, SolveControl,
     SolveOptions, SolveStats, Workspace,

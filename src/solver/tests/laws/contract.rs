@@ -1,7 +1,7 @@
 //! Watching, stopping, cancelling, refusing.
 
-use pliant_solver::exec::Exec;
-use pliant_solver::progress::{CancelFlag, Progress, Silent};
+use pliant_exec::Exec;
+use pliant_exec::progress::{CancelFlag, Progress, Silent};
 use pliant_solver::{
     BuildOptions, Constraints, Error, Hierarchy, InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace,
 };

@@ -1,7 +1,7 @@
 //! Solutions satisfy the equations, and depend on data as they must.
 
-use pliant_solver::exec::Exec;
-use pliant_solver::progress::Silent;
+use pliant_exec::Exec;
+use pliant_exec::progress::Silent;
 use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveMethod, Workspace};
 
 use super::case::{SolverCase, full, largest_distance, noise, started, twist};

@@ -1,8 +1,8 @@
 //! The paper's own operators: slow, but they keep every promise of a solve.
 
-use pliant_solver::exec::Exec;
-use pliant_solver::pool::Pool;
-use pliant_solver::progress::{Progress, Silent};
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
+use pliant_exec::progress::{Progress, Silent};
 use pliant_solver::{
     BuildOptions, CoarseOperators, Constraints, Error, Hierarchy, InitialGuess, IterationReport, SolveControl,
     SolveMethod, SolveOptions,

@@ -1,8 +1,8 @@
 //! A hierarchy that follows its graph solves as a fresh one does, after any number of changes.
 
-use pliant_solver::exec::Exec;
-use pliant_solver::pool::Pool;
-use pliant_solver::progress::{CancelFlag, Silent};
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
+use pliant_exec::progress::{CancelFlag, Silent};
 use pliant_solver::{
     BuildOptions, CoarseOperators, Constraints, Error, GraphChange, Hierarchy, RepairReport, WeightedGraph,
 };

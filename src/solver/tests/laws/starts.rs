@@ -1,7 +1,7 @@
 //! Where iterations begin, and how far they know to have come.
 
-use pliant_solver::exec::Exec;
-use pliant_solver::progress::Silent;
+use pliant_exec::Exec;
+use pliant_exec::progress::Silent;
 use pliant_solver::{InitialGuess, IterationReport, SolveControl, SolveOptions, Workspace};
 
 use super::case::{SolverCase, full, largest_distance, started, twist};

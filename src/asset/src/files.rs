@@ -1,0 +1,281 @@
+//! The files that make a model, as they came and as they go.
+
+use super::{Error, FollowedCounts};
+use bytes::Bytes;
+use pliant_exec::progress::{self, Progress};
+use std::collections::BTreeMap;
+use std::ops::Deref;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
+
+/// What was uploaded: one main file and the companions that it names: buffers and images of a glTF, material
+/// libraries of an OBJ and their pictures. Nothing outside this set is ever read.
+#[derive(Debug, Clone, Default)]
+pub struct FileSet {
+    /// Name of the main file, for messages and to find the format.
+    pub name: String,
+    /// The main file.
+    pub main: Bytes,
+    /// The other files by the relative name (percent-decoded) under which the model names them.
+    pub companions: BTreeMap<String, Bytes>,
+}
+
+impl FileSet {
+    /// A set of one file.
+    pub fn single(name: impl Into<String>, main: impl Into<Bytes>) -> Self {
+        Self {
+            name: name.into(),
+            main: main.into(),
+            companions: BTreeMap::new(),
+        }
+    }
+
+    /// Copies of the companions.
+    pub(super) fn owned_companions(&self) -> BTreeMap<String, Vec<u8>> {
+        let companions = self.companions.iter();
+        companions.map(|(name, bytes)| (name.clone(), bytes.to_vec())).collect()
+    }
+
+    /// Bytes in all files.
+    pub fn total_bytes(&self) -> u64 {
+        self.main.len() as u64 + self.companions.values().map(|b| b.len() as u64).sum::<u64>()
+    }
+}
+
+/// How large a model may be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Render vertices.
+    pub vertices: u64,
+    /// Triangles after triangulation.
+    pub triangles: u64,
+    /// Bytes that decoding (compressed or sparse data) may take.
+    pub decoded_bytes: u64,
+    /// Bytes that the parsed text of a document may take, beside what it describes.
+    pub document_bytes: u64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            vertices: 20_000_000,
+            triangles: 40_000_000,
+            decoded_bytes: 4 << 30,
+            document_bytes: 4 << 30,
+        }
+    }
+}
+
+impl Limits {
+    /// For reading again what was already read once within the caller's limits.
+    pub(super) const UNLIMITED: Self = Self {
+        vertices: u64::MAX,
+        triangles: u64::MAX,
+        decoded_bytes: u64::MAX,
+        document_bytes: u64::MAX,
+    };
+
+    /// Refuses more render vertices than allowed.
+    pub(super) fn check_vertices(&self, seen: u64) -> Result<(), Error> {
+        within("vertices", seen, self.vertices)
+    }
+
+    /// Refuses more triangles than allowed.
+    pub(super) fn check_triangles(&self, seen: u64) -> Result<(), Error> {
+        within("triangles", seen, self.triangles)
+    }
+}
+
+/// The limits of one read, who waits for it, and the memory that it has reserved. Dereferences to the limits. Cloning shares it.
+#[derive(Clone)]
+pub(super) struct ReadWatch<'a> {
+    limits: &'a Limits,
+    progress: &'a dyn Progress,
+    reserved: Arc<ReservedMemory>,
+}
+
+/// Bytes that one read has reserved, by what they are for.
+#[derive(Debug, Default)]
+struct ReservedMemory {
+    /// The files themselves.
+    files: u64,
+    /// What decoding takes now.
+    decoded: AtomicU64,
+    /// The parsed text of a document.
+    document: AtomicU64,
+    /// The mesh in the making: its vertices and triangles so far.
+    vertices: AtomicU64,
+    triangles: AtomicU64,
+    /// Bytes that the watcher has allowed.
+    granted: AtomicU64,
+}
+
+impl ReservedMemory {
+    /// Bytes of a vertex while it is read: position, normal and tangent, and the numbers that they are made of.
+    const BYTES_PER_VERTEX: u64 = 128;
+    /// Bytes of a triangle while it is read: its corners in the file, as they are cut, and in the mesh.
+    const BYTES_PER_TRIANGLE: u64 = 48;
+    /// Bytes that the watcher is asked for ahead, so that it is not asked for every row of a file.
+    const STEP: u64 = 1 << 20;
+
+    fn total(&self) -> u64 {
+        let mesh = [
+            (&self.vertices, Self::BYTES_PER_VERTEX),
+            (&self.triangles, Self::BYTES_PER_TRIANGLE),
+        ];
+        let mesh = mesh.map(|(count, bytes)| count.load(Relaxed).saturating_mul(bytes));
+        [self.decoded.load(Relaxed), self.document.load(Relaxed)]
+            .into_iter()
+            .chain(mesh)
+            .fold(self.files, u64::saturating_add)
+    }
+}
+
+impl<'a> ReadWatch<'a> {
+    /// Within `limits`, until `progress` is cancelled. `files` bytes are held already.
+    pub(super) fn new(limits: &'a Limits, progress: &'a dyn Progress, files: u64) -> Self {
+        let reserved = ReservedMemory {
+            files,
+            ..ReservedMemory::default()
+        };
+        Self {
+            limits,
+            progress,
+            reserved: Arc::new(reserved),
+        }
+    }
+
+    /// Stops the read once it is cancelled.
+    pub(super) fn check(&self) -> Result<(), Error> {
+        progress::check(self.progress).map_err(|_| Error::Cancelled)
+    }
+
+    /// As [`ReadWatch::check`], for every 4096th of many items.
+    pub(super) fn check_at(&self, item: usize) -> Result<(), Error> {
+        if item.is_multiple_of(4096) {
+            self.check()
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Refuses a document whose parsed text would take more bytes than allowed, and reserves them, before it is parsed.
+    pub(super) fn check_document(&self, bytes: u64) -> Result<(), Error> {
+        within("the bytes of the parsed document", bytes, self.document_bytes)?;
+        self.reserved.document.fetch_max(bytes, Relaxed);
+        self.ask()
+    }
+
+    /// Refuses more render vertices in all than allowed, and reserves the memory that they take.
+    pub(super) fn check_vertices(&self, seen: u64) -> Result<(), Error> {
+        within("vertices", seen, self.vertices.min(u32::MAX.into()))?;
+        self.reserved.vertices.fetch_max(seen, Relaxed);
+        self.ask()
+    }
+
+    /// Refuses more triangles in all than allowed, and reserves the memory that they take.
+    pub(super) fn check_triangles(&self, seen: u64) -> Result<(), Error> {
+        // Tables count corners with 32 bits, whatever the caller allows.
+        within("triangles", seen, self.triangles.min((u32::MAX / 3).into()))?;
+        self.reserved.triangles.fetch_max(seen, Relaxed);
+        self.ask()
+    }
+
+    /// Reserves bytes that decoding is about to take.
+    pub(super) fn reserve(&self, bytes: u64) -> Result<(), Error> {
+        let before = self.reserved.decoded.load(Relaxed);
+        let decoded = before.saturating_add(bytes);
+        within("the bytes that decoding takes", decoded, self.decoded_bytes)?;
+        self.reserved.decoded.store(decoded, Relaxed);
+        self.ask().inspect_err(|_| self.reserved.decoded.store(before, Relaxed))
+    }
+
+    /// Gives back bytes that decoding has reserved and does not hold any more.
+    pub(super) fn release(&self, bytes: u64) {
+        let decoded = self.reserved.decoded.load(Relaxed);
+        self.reserved.decoded.store(decoded.saturating_sub(bytes), Relaxed);
+    }
+
+    /// Asks whether all that is reserved may be held.
+    fn ask(&self) -> Result<(), Error> {
+        let (bytes, granted) = (self.reserved.total(), self.reserved.granted.load(Relaxed));
+        if bytes <= granted {
+            return Ok(());
+        }
+        let ahead = bytes.saturating_add(ReservedMemory::STEP);
+        let allowed = [ahead, bytes].into_iter().find(|&b| self.progress.may_hold(b));
+        match allowed {
+            Some(allowed) => self.reserved.granted.store(allowed, Relaxed),
+            None => {
+                return Err(Error::TooLarge {
+                    what: "the memory that reading the model takes in bytes",
+                    seen: bytes,
+                    limit: self.decoded_bytes,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Deref for ReadWatch<'_> {
+    type Target = Limits;
+
+    fn deref(&self) -> &Limits {
+        self.limits
+    }
+}
+
+/// Refuses a main file whose places do not fit 32 bits, which the readers of texts count with.
+pub(super) fn check_main_size(bytes: &[u8]) -> Result<(), Error> {
+    within("bytes of the main file", bytes.len() as u64, u64::from(u32::MAX))
+}
+
+/// Refuses more of something than allowed.
+pub(super) fn within(what: &'static str, seen: u64, limit: u64) -> Result<(), Error> {
+    if seen > limit {
+        Err(Error::TooLarge { what, seen, limit })
+    } else {
+        Ok(())
+    }
+}
+
+/// A model written to bytes.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct WrittenFiles {
+    /// The main file.
+    pub main: Vec<u8>,
+    /// Companions by name: buffers and images of a .gltf, material libraries of an OBJ and their pictures.
+    pub companions: BTreeMap<String, Vec<u8>>,
+    /// What in them followed the model's shape.
+    pub followed: FollowedCounts,
+}
+
+impl WrittenFiles {
+    /// A main file and its companions.
+    pub(super) fn of(main: Vec<u8>, companions: BTreeMap<String, Vec<u8>>) -> Self {
+        Self {
+            main,
+            companions,
+            followed: FollowedCounts::default(),
+        }
+    }
+
+    /// A model of one file.
+    pub(super) fn single(main: Vec<u8>) -> Self {
+        Self {
+            main,
+            ..Self::default()
+        }
+    }
+
+    /// The uploaded files as they came.
+    pub(super) fn from_upload(files: &FileSet) -> Self {
+        Self {
+            main: files.main.to_vec(),
+            companions: files.owned_companions(),
+            ..Self::default()
+        }
+    }
+}

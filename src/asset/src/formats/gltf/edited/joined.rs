@@ -1,0 +1,337 @@
+//! Bases that join the first one's document.
+//!
+//! A glTF base comes with its meshes under one new node, and with the materials, textures, samplers and images that its
+//! edited primitives use. Its hierarchy is flattened: every node that draws a mesh becomes a child of the new node.
+//! Where it has grown together with another base its vertices are written as they stand in the world, since those of two
+//! nodes would round apart and tear the joint.
+//! Skeletons, animations, cameras, lights and extensions that are not about materials stay behind. A base of another
+//! format comes as plain geometry.
+
+use super::super::builder::{AccessorKind, BufferBuilder};
+use super::super::container::GltfFault;
+use super::super::document::GltfDocument;
+use super::super::read::GltfNotes;
+use super::super::scene;
+use super::super::targets::TargetTally;
+use super::super::text::{index_of, items, json_array, json_object, list_of, quoted, value_of, with_member};
+use super::blended::{AccessorHandle, EditedTurns, attributes_text};
+use super::frame::EditedMeshes;
+use super::looks::{JoinedBases, MaterialCopier};
+use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
+use crate::codec::EditedOutput;
+use crate::edited::{EditedModel, PrimitiveRun};
+use crate::neutral::NeutralModel;
+use crate::{Error, FileSet};
+use glam::{DAffine3, DVec3};
+use std::collections::BTreeMap;
+
+/// Joins all bases but the first. `doc` and `files` are those of the first.
+pub(super) fn join_bases(
+    doc: &GltfDocument<'_>,
+    files: &FileSet,
+    frame: &EditedMeshes,
+    output: &EditedOutput<'_>,
+    (fresh, turns, tally): (&mut BufferBuilder, &EditedTurns<'_>, &mut TargetTally),
+) -> Result<JoinedBases, Error> {
+    let mut joined = JoinedBases::default();
+    let EditedOutput { edited, positions, .. } = *output;
+    for (i, base) in edited.bases.iter().enumerate().skip(1) {
+        let own: Vec<&PrimitiveRun> = edited.runs_with_triangles(i as u32).collect();
+        if own.is_empty() {
+            continue;
+        }
+        let mut joiner = BaseJoiner {
+            frame: doc,
+            edited,
+            positions,
+            fresh: &mut *fresh,
+            turns,
+            tally: &mut *tally,
+            joined: &mut joined,
+            fault: GltfFault(output.format),
+        };
+        match base.model.notes::<GltfNotes>() {
+            Some(notes) => joiner.join_gltf(i, notes, &own, files)?,
+            None => joiner.join_neutral(i, &(output.neutral_base)(i as u32)?)?,
+        }
+    }
+    let known = doc.meshes.len() + frame.meshes.len() + joined.meshes.len();
+    debug_assert!(joined.nodes.iter().all(|(_, mesh)| mesh.is_none_or(|m| m < known)));
+    Ok(joined)
+}
+
+struct BaseJoiner<'j, 'a> {
+    frame: &'j GltfDocument<'j>,
+    edited: &'a EditedModel<'a>,
+    positions: &'a [DVec3],
+    fresh: &'j mut BufferBuilder,
+    turns: &'j EditedTurns<'j>,
+    tally: &'j mut TargetTally,
+    joined: &'j mut JoinedBases,
+    fault: GltfFault,
+}
+
+impl<'a> BaseJoiner<'_, 'a> {
+    fn join_gltf(
+        &mut self,
+        base: usize,
+        notes: &GltfNotes,
+        runs: &[&'a PrimitiveRun],
+        first: &FileSet,
+    ) -> Result<(), Error> {
+        let model = self.edited.bases[base].model;
+        let placing = self.edited.bases[base].world_from_model;
+        let (doc, mut buffers) = notes.document_and_bytes(model)?;
+        let mut runs_of: BTreeMap<(usize, usize), Vec<&PrimitiveRun>> = BTreeMap::new();
+        for run in runs {
+            let row = &notes.rows[run.primitive as usize];
+            runs_of.entry((row.node, row.primitive)).or_default().push(run);
+        }
+        let grown = self.has_grown(base) && !notes.rows.iter().any(|row| has_targets(&doc, row.node, row.primitive));
+        let node_for = |transform: &DAffine3| {
+            if grown {
+                None
+            } else {
+                NodeTransform::from_affine(transform)
+            }
+        };
+        let placed = node_for(&placing);
+        let root = self.add_root(&name_of(&model.files, base), placed.as_ref());
+        let world_from_root = placed.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
+        let mut palette = MaterialCopier::new(&doc, &model.files, first, base);
+        let mut children = Vec::new();
+        for placement in scene::place_meshes(&doc, &mut Vec::new())?.placements {
+            let mesh = doc.meshes.items[placement.mesh];
+            // What a node cannot hold is left to the vertices.
+            let root_from_mesh = match placed {
+                Some(_) => placement.world_from_mesh,
+                None => placing * placement.world_from_mesh,
+            };
+            let here = node_for(&root_from_mesh);
+            let root_from_mesh = here.as_ref().map_or(DAffine3::IDENTITY, |p| p.transform);
+            let mut primitives = Vec::new();
+            let stored = list_of(mesh, "primitives");
+            for (p, stored) in stored.into_iter().enumerate() {
+                let runs = runs_of.get(&(placement.node, p)).map_or(&[][..], Vec::as_slice);
+                for &run in runs {
+                    let mut maker = PrimitiveMaker {
+                        doc: &doc,
+                        buffers: &mut buffers,
+                        edited: self.edited,
+                        positions: self.positions,
+                        fresh: self.fresh,
+                        fault: self.fault,
+                        is_frame: false,
+                        turns: self.turns,
+                        tally: &mut *self.tally,
+                    };
+                    let row = &notes.rows[run.primitive as usize];
+                    let space = MeshSpace::OfNode(world_from_root * root_from_mesh);
+                    let made = maker.make_primitive(run, row, space)?;
+                    let material = match index_of(stored, "material") {
+                        Some(m) => palette.copy_material(m, self.frame, &buffers, self.fresh, self.joined)?,
+                        None => None,
+                    };
+                    // Sheared meshes are written as they stand in the world, for which stored targets are not made.
+                    let targets = here.is_some();
+                    primitives.extend(made.map(|made| self.primitive_text(&made, material, targets)));
+                }
+            }
+            if primitives.is_empty() {
+                continue;
+            }
+            let mut text = json_object([("primitives", json_array(&primitives))]);
+            let keys = if here.is_some() || grown {
+                &["name", "weights", "extras"][..]
+            } else {
+                &["name"]
+            };
+            for key in keys {
+                if let Some(value) = value_of(mesh, key) {
+                    text = with_member(&text, key, value);
+                }
+            }
+            self.joined.meshes.push(text);
+            let mut node = "{}".to_owned();
+            if let Some(name) = value_of(doc.nodes.items[placement.node], "name") {
+                node = with_member(&node, "name", name);
+            }
+            if let Some(here) = &here {
+                node = here.write_into_node(node);
+            }
+            children.push(self.add_node(node, Some(self.joined.meshes.len() - 1)));
+        }
+        self.set_children(root, &children);
+        Ok(())
+    }
+
+    /// Whether a vertex of the base stands where one of another base does.
+    fn has_grown(&self, base: usize) -> bool {
+        let place = |v: usize| Some((*self.positions.get(v)? + DVec3::ZERO).to_array().map(f64::to_bits));
+        let of = |own: bool| {
+            let runs = self.edited.runs.iter();
+            let runs = runs.filter(move |run| (run.base as usize == base) == own);
+            runs.flat_map(|run| run.first_vertex as usize..(run.first_vertex + run.vertex_count) as usize)
+        };
+        let mut own: Vec<[u64; 3]> = of(true).filter_map(place).collect();
+        own.sort_unstable();
+        of(false)
+            .filter_map(place)
+            .any(|place| own.binary_search(&place).is_ok())
+    }
+
+    /// A base of another format, one mesh for each of its parts.
+    fn join_neutral(&mut self, base: usize, neutral: &NeutralModel) -> Result<(), Error> {
+        let NeutralModel {
+            geometry, uv, colours, ..
+        } = neutral;
+        let root = self.add_root(&name_of(&self.edited.bases[base].model.files, base), None);
+        let mut children = Vec::new();
+        for own in neutral.primitives() {
+            let (primitive, part, range) = (own.primitive, own.attributes, own.vertices);
+            let mut made = MadePrimitive {
+                attributes: BTreeMap::new(),
+                targets: Vec::new(),
+                indices: None,
+            };
+            let mut add = |name: &str, at: usize| {
+                made.attributes.insert(name.into(), AccessorHandle::New(at));
+            };
+            let positions = geometry.positions[range.clone()].iter();
+            let positions: Vec<f32> = positions.flat_map(|p| p.as_vec3().to_array()).collect();
+            if positions.iter().any(|v| !v.is_finite()) {
+                return Err(self.fault.unwritable("a position is beyond 32-bit floats"));
+            }
+            let bounded = AccessorKind::Positions;
+            add("POSITION", self.fresh.add_floats(&positions, 3, "VEC3", bounded));
+            let mut add_plain = |name: &str, values: &[f32], lanes: usize, shape| {
+                add(name, self.fresh.add_floats(values, lanes, shape, AccessorKind::Floats));
+            };
+            if primitive.has_normals {
+                let normals = geometry.normals[range.clone()].iter();
+                add_plain(
+                    "NORMAL",
+                    &normals.flat_map(|n| n.to_array()).collect::<Vec<_>>(),
+                    3,
+                    "VEC3",
+                );
+            }
+            if part.has_uv {
+                add_plain("TEXCOORD_0", uv[range.clone()].as_flattened(), 2, "VEC2");
+            }
+            if part.has_colours {
+                add_plain("COLOR_0", colours[range].as_flattened(), 4, "VEC4");
+            }
+            let local: Vec<[u32; 3]> = own
+                .triangles
+                .iter()
+                .map(|t| t.map(|v| v - primitive.first_vertex))
+                .collect();
+            made.indices = Some(AccessorHandle::New(
+                self.fresh.add_indices(&local, primitive.vertex_count as usize),
+            ));
+            let primitives = [self.primitive_text(&made, None, false)];
+            self.joined
+                .meshes
+                .push(json_object([("primitives", json_array(&primitives))]));
+            let name = if primitive.name.is_empty() {
+                "{}".into()
+            } else {
+                json_object([("name", quoted(&primitive.name))])
+            };
+            children.push(self.add_node(name, Some(self.joined.meshes.len() - 1)));
+        }
+        self.set_children(root, &children);
+        Ok(())
+    }
+
+    fn primitive_text(&self, made: &MadePrimitive, material: Option<usize>, with_targets: bool) -> String {
+        let old = self.frame.accessors.len();
+        let mut members = vec![("attributes", attributes_text(&made.attributes, old))];
+        members.extend(made.indices.map(|at| ("indices", at.number(old).to_string())));
+        if with_targets && !made.targets.is_empty() {
+            let targets = made.targets.iter().map(|target| attributes_text(target, old));
+            members.push(("targets", json_array(targets)));
+        }
+        members.extend(material.map(|material| ("material", material.to_string())));
+        json_object(members)
+    }
+
+    fn add_root(&mut self, name: &str, placing: Option<&NodeTransform>) -> usize {
+        let text = json_object([("name", quoted(name))]);
+        let text = placing.map_or(text.clone(), |p| p.write_into_node(text));
+        let root = self.add_node(text, None);
+        self.joined.roots.push(root);
+        root
+    }
+
+    fn add_node(&mut self, text: String, mesh: Option<usize>) -> usize {
+        self.joined.nodes.push((text, mesh));
+        self.frame.nodes.len() + self.joined.nodes.len() - 1
+    }
+
+    fn set_children(&mut self, root: usize, children: &[usize]) {
+        let at = root - self.frame.nodes.len();
+        if let Some((text, _)) = self.joined.nodes.get_mut(at).filter(|_| !children.is_empty()) {
+            *text = with_member(text, "children", json_array(children));
+        }
+    }
+}
+
+/// Whether a node's primitive has morph targets.
+fn has_targets(doc: &GltfDocument<'_>, node: usize, primitive: usize) -> bool {
+    let mesh = doc.nodes.values.get(node).and_then(|n| n.mesh.as_ref());
+    let text = mesh.and_then(|m| doc.meshes.items.get(m.index()));
+    let stored = text.and_then(|text| value_of(text, "primitives"));
+    let stored = stored.and_then(|p| items(p).ok()).unwrap_or_default();
+    stored.get(primitive).is_some_and(|p| value_of(p, "targets").is_some())
+}
+
+fn name_of(files: &FileSet, base: usize) -> String {
+    if files.name.is_empty() {
+        format!("merged {base}")
+    } else {
+        files.name.clone()
+    }
+}
+
+/// A transform as a node can have it, a product of translation, rotation and scale, and what is then exactly that.
+struct NodeTransform {
+    transform: DAffine3,
+    /// The members of the node.
+    text: [(&'static str, String); 3],
+}
+
+impl NodeTransform {
+    /// `None` for a transform that shears or flattens.
+    fn from_affine(transform: &DAffine3) -> Option<Self> {
+        let m = &transform.matrix3;
+        let [x, y, z] = [
+            m.x_axis.try_normalize()?,
+            m.y_axis.try_normalize()?,
+            m.z_axis.try_normalize()?,
+        ];
+        if x.dot(y).abs().max(y.dot(z).abs()).max(z.dot(x).abs()) > 1e-6 {
+            return None;
+        }
+        let (scale, rotation, translation) = transform.to_scale_rotation_translation();
+        let rotation = rotation.normalize();
+        let transform = DAffine3::from_scale_rotation_translation(scale, rotation, translation);
+        let list = |numbers: &[f64]| json_array(numbers.iter().map(|v| format!("{v:?}")));
+        let text = [
+            ("translation", list(&translation.to_array())),
+            ("rotation", list(&rotation.to_array())),
+            ("scale", list(&scale.to_array())),
+        ];
+        transform.is_finite().then_some(Self { transform, text })
+    }
+
+    fn write_into_node(&self, node: String) -> String {
+        if self.transform == DAffine3::IDENTITY {
+            return node;
+        }
+        self.text
+            .iter()
+            .fold(node, |node, (key, value)| with_member(&node, key, value))
+    }
+}

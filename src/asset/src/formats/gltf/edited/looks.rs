@@ -1,0 +1,515 @@
+//! Materials of an edited glTF: what they give to other formats, and how they are copied along with a joined base.
+
+use super::super::buffers::{self, BufferBytes, RelativeName, file_extension};
+use super::super::builder::BufferBuilder;
+use super::super::document::GltfDocument;
+use super::super::read::GltfNotes;
+use super::super::text::{list_of, parse_index, quoted, value_of, with_member, without_keys};
+use super::blended::{AttributeBlender, read};
+use crate::edited::{EditedModel, PrimitiveRun};
+use crate::look::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
+use crate::neutral::RunAttributes;
+use crate::{Error, FileSet};
+use bytes::Bytes;
+use serde_json::{Map, Value};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// The texture coordinates of the base colour, the first colours and the material of runs of one base.
+pub(in super::super) fn run_attributes(
+    edited: &EditedModel<'_>,
+    runs: &[&PrimitiveRun],
+) -> Result<Vec<RunAttributes>, Error> {
+    let model = runs.first().map(|run| edited.base(run).model);
+    let Some((model, notes)) = model.and_then(|model| Some((model, model.notes::<GltfNotes>()?))) else {
+        return Ok(Vec::new());
+    };
+    let (doc, mut buffers) = notes.document_and_bytes(model)?;
+    let materials = read_looks(&doc, notes.files(model), &buffers)?;
+    let mut all = Vec::with_capacity(runs.len());
+    for run in runs {
+        let row = &notes.rows[run.primitive as usize];
+        let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+        let mixer = AttributeBlender::new(edited, run);
+        let mut extras = RunAttributes::default();
+        let stored = list_of(doc.meshes.items[row.mesh], "primitives");
+        let material = stored
+            .get(row.primitive)
+            .and_then(|p| value_of(p, "material"))
+            .and_then(parse_index)
+            .and_then(|m| materials.get(m));
+        extras.material = material.map(|(material, _)| Arc::clone(material));
+        // The coordinates that the picture of the base colour uses.
+        let own_set = material.map(|(_, set)| format!("TEXCOORD_{set}"));
+        let set = own_set.filter(|set| primitive.attribute(set).is_some());
+        let set = set.as_deref().unwrap_or("TEXCOORD_0");
+        let used: BTreeSet<usize> = [set, "COLOR_0"].iter().filter_map(|n| primitive.attribute(n)).collect();
+        buffers.decode_for(&doc, &used)?;
+        if let Some(accessor) = primitive.attribute(set) {
+            let channel = read(&doc, &buffers, accessor)?;
+            if channel.lanes == 2 {
+                extras.uv = mixer.blend_linearly(&channel).as_chunks::<2>().0.to_vec();
+            }
+        }
+        if let Some(accessor) = primitive.attribute("COLOR_0") {
+            let channel = read(&doc, &buffers, accessor)?;
+            let values = mixer.blend_linearly(&channel);
+            extras.colours = match channel.lanes {
+                3 => values
+                    .as_chunks::<3>()
+                    .0
+                    .iter()
+                    .map(|&[r, g, b]| [r, g, b, 1.0])
+                    .collect(),
+                4 => values.as_chunks::<4>().0.to_vec(),
+                _ => Vec::new(),
+            };
+        }
+        all.push(extras);
+    }
+    Ok(all)
+}
+
+/// A material, and the set of texture coordinates that its picture uses.
+pub(super) type LookedAt = (Arc<NamedMaterial>, usize);
+
+/// All materials of a document.
+pub(super) fn read_looks(
+    doc: &GltfDocument<'_>,
+    files: &FileSet,
+    buffers: &BufferBytes,
+) -> Result<Vec<LookedAt>, Error> {
+    let textures = parsed_items(doc, "textures")?;
+    let images = parsed_items(doc, "images")?;
+    let mut pictures = ImageNames {
+        doc,
+        files,
+        buffers,
+        images: &images,
+        taken: BTreeSet::new(),
+        made: vec![None; images.len()],
+    };
+    let mut looks = Vec::new();
+    for (m, material) in parsed_items(doc, "materials")?.iter().enumerate() {
+        let name = material["name"].as_str().filter(|name| !name.is_empty());
+        let name = name.map_or_else(|| format!("material_{m}"), str::to_owned);
+        let (look, set) = read_look(material, &textures, &mut pictures);
+        looks.push((Arc::new(NamedMaterial { name, look }), set));
+    }
+    Ok(looks)
+}
+
+fn parsed_items(doc: &GltfDocument<'_>, key: &str) -> Result<Vec<Value>, Error> {
+    let parse = |(i, text): (usize, &str)| {
+        let parsed = serde_json::from_str(text);
+        parsed.map_err(|e| doc.fault.malformed(format!("{key}/{i}"), e.to_string()))
+    };
+    list_of(doc.text, key).into_iter().enumerate().map(parse).collect()
+}
+
+/// What a material says of its base; `None` where it says nothing that another format knows.
+fn read_look(material: &Value, textures: &[Value], pictures: &mut ImageNames<'_, '_>) -> (Option<BaseLook>, usize) {
+    let base = &material["pbrMetallicRoughness"];
+    let mut look = BaseLook {
+        double_sided: material["doubleSided"].as_bool().unwrap_or(false),
+        ..BaseLook::default()
+    };
+    for (lane, to) in look.colour.iter_mut().enumerate() {
+        if let Some(value) = base["baseColorFactor"][lane].as_f64() {
+            *to = (value as f32).clamp(0.0, 1.0);
+        }
+    }
+    look.coverage = match material["alphaMode"].as_str() {
+        Some("MASK") => AlphaCoverage::Mask(material["alphaCutoff"].as_f64().unwrap_or(0.5) as f32),
+        Some("BLEND") => AlphaCoverage::Blend,
+        _ => AlphaCoverage::Opaque,
+    };
+    let (texture, normals) = (&base["baseColorTexture"], &material["normalTexture"]);
+    look.picture = source_of(texture, textures).and_then(|image| pictures.picture_of(image));
+    let set = match look.picture {
+        Some(_) => set_of(texture),
+        None => set_of(normals),
+    };
+    // Other formats have one set of texture coordinates for both.
+    let shared = source_of(normals, textures).filter(|_| set_of(normals) == set);
+    look.normals = shared.and_then(|image| pictures.picture_of(image));
+    let says_something = look != BaseLook::default();
+    (says_something.then_some(look), usize::try_from(set).unwrap_or(0))
+}
+
+/// The set of texture coordinates that the use of a texture names.
+fn set_of(used: &Value) -> u64 {
+    let moved = &used["extensions"]["KHR_texture_transform"]["texCoord"];
+    moved.as_u64().or(used["texCoord"].as_u64()).unwrap_or(0)
+}
+
+/// The image of a texture that is used: its own, else one of another kind that an extension names.
+fn source_of(used: &Value, textures: &[Value]) -> Option<usize> {
+    let number = |value: &Value| value.as_u64().and_then(|n| usize::try_from(n).ok());
+    let stored = number(&used["index"]).and_then(|t| textures.get(t))?;
+    let others = [
+        "EXT_texture_webp",
+        "EXT_texture_avif",
+        "KHR_texture_basisu",
+        "MSFT_texture_dds",
+    ];
+    let mut other = others.iter().map(|name| &stored["extensions"][name]["source"]);
+    number(&stored["source"]).or_else(|| other.find_map(number))
+}
+
+/// The images of a document as files: by the names that they have, else by new ones.
+struct ImageNames<'i, 'a> {
+    doc: &'i GltfDocument<'a>,
+    files: &'i FileSet,
+    buffers: &'i BufferBytes<'i>,
+    images: &'i [Value],
+    taken: BTreeSet<String>,
+    made: Vec<Option<MaterialPicture>>,
+}
+
+impl ImageNames<'_, '_> {
+    fn picture_of(&mut self, image: usize) -> Option<MaterialPicture> {
+        let stored = self.images.get(image)?;
+        if let Some(made) = self.made.get(image)?.clone() {
+            return Some(made);
+        }
+        let uri = stored["uri"].as_str();
+        let made = match uri.map(buffers::relative_name) {
+            Some(RelativeName::Inside(name)) => {
+                let bytes = self.files.companions.get(&name).cloned();
+                self.taken.insert(name.clone());
+                MaterialPicture { name, bytes }
+            }
+            _ => {
+                let bytes = match uri {
+                    Some(uri) => Bytes::from(buffers::embedded_bytes(uri)?),
+                    None => {
+                        let view = usize::try_from(stored["bufferView"].as_u64()?).ok()?;
+                        Bytes::copy_from_slice(self.buffers.view(self.doc, view).ok()?)
+                    }
+                };
+                let extension = file_extension(stored["mimeType"].as_str(), &bytes);
+                let name = self.free_name(stored["name"].as_str().unwrap_or("image"), image, extension);
+                let bytes = Some(bytes);
+                MaterialPicture { name, bytes }
+            }
+        };
+        self.made[image] = Some(made.clone());
+        Some(made)
+    }
+
+    /// A name for a file that no other image has.
+    fn free_name(&mut self, wanted: &str, image: usize, extension: &str) -> String {
+        let plain = |c: char| {
+            if c.is_alphanumeric() || "-_.".contains(c) {
+                c
+            } else {
+                '_'
+            }
+        };
+        let stem: String = wanted.chars().take(80).map(plain).collect();
+        let stem = stem
+            .strip_suffix(&format!(".{extension}"))
+            .unwrap_or(&stem)
+            .trim_matches('.');
+        let name = format!("{stem}.{extension}");
+        let free = inside_folder(&name).filter(|name| !stem.is_empty() && !self.taken.contains(name));
+        let name = free.unwrap_or_else(|| format!("{stem}-{image}.{extension}"));
+        self.taken.insert(name.clone());
+        name
+    }
+}
+
+/// What was taken over from one base so far: new numbers by old ones.
+pub(super) struct MaterialCopier<'p> {
+    doc: &'p GltfDocument<'p>,
+    files: &'p FileSet,
+    /// The files of the first base, whose names are taken.
+    first: &'p FileSet,
+    base: usize,
+    materials: BTreeMap<usize, Option<usize>>,
+    textures: BTreeMap<usize, Option<usize>>,
+    images: BTreeMap<usize, Option<usize>>,
+    samplers: BTreeMap<usize, Option<usize>>,
+}
+
+/// Extensions of textures that only name another image.
+const OTHER_IMAGE: [&str; 4] = [
+    "KHR_texture_basisu",
+    "EXT_texture_webp",
+    "EXT_texture_avif",
+    "MSFT_texture_dds",
+];
+
+/// Where new things go.
+struct CopyTarget<'t, 'f> {
+    frame: &'t GltfDocument<'f>,
+    buffers: &'t BufferBytes<'t>,
+    fresh: &'t mut BufferBuilder,
+    joined: &'t mut JoinedBases,
+}
+
+impl<'p> MaterialCopier<'p> {
+    pub(super) fn new(doc: &'p GltfDocument<'p>, files: &'p FileSet, first: &'p FileSet, base: usize) -> Self {
+        Self {
+            doc,
+            files,
+            first,
+            base,
+            materials: BTreeMap::new(),
+            textures: BTreeMap::new(),
+            images: BTreeMap::new(),
+            samplers: BTreeMap::new(),
+        }
+    }
+
+    /// The new number of a material of the base; `None` when there is none of that number.
+    pub(super) fn copy_material(
+        &mut self,
+        old: usize,
+        frame: &GltfDocument<'_>,
+        buffers: &BufferBytes,
+        fresh: &mut BufferBuilder,
+        joined: &mut JoinedBases,
+    ) -> Result<Option<usize>, Error> {
+        if let Some(new) = self.materials.get(&old) {
+            return Ok(*new);
+        }
+        let mut to = CopyTarget {
+            frame,
+            buffers,
+            fresh,
+            joined,
+        };
+        let new = match self.parse_item("materials", old)? {
+            None => None,
+            Some(mut material) => {
+                self.keep_extensions(&mut material, &mut to, |name| name.contains("_materials_"));
+                self.textures_in(&mut material, &mut to)?;
+                to.joined.materials.push(material.to_string());
+                Some(next_number(to.frame, "materials", to.joined.materials.len() - 1))
+            }
+        };
+        self.materials.insert(old, new);
+        Ok(new)
+    }
+
+    fn parse_item(&self, key: &str, index: usize) -> Result<Option<Value>, Error> {
+        let Some(text) = list_of(self.doc.text, key).get(index).copied() else {
+            return Ok(None);
+        };
+        let parsed = serde_json::from_str(text);
+        parsed
+            .map(Some)
+            .map_err(|e| self.doc.fault.malformed(format!("{key}/{index}"), e.to_string()))
+    }
+
+    /// Takes out the extensions of an object that are not kept, and notes those that are.
+    fn keep_extensions(&self, object: &mut Value, to: &mut CopyTarget<'_, '_>, keep: impl Fn(&str) -> bool) {
+        let Some(object) = object.as_object_mut() else { return };
+        if let Some(extensions) = object.get_mut("extensions").and_then(Value::as_object_mut) {
+            extensions.retain(|name, _| keep(name));
+            for name in extensions.keys() {
+                let note = |list: &mut Vec<String>| {
+                    if !list.contains(name) {
+                        list.push(name.clone());
+                    }
+                };
+                note(&mut to.joined.extensions_used);
+                if self.doc.extensions_required.contains(name) {
+                    note(&mut to.joined.extensions_required);
+                }
+            }
+            if extensions.is_empty() {
+                object.remove("extensions");
+            }
+        }
+    }
+
+    /// Renumbers every texture that a material names, at any depth; a parsed text is at most 128 levels deep.
+    fn textures_in(&mut self, material: &mut Value, to: &mut CopyTarget<'_, '_>) -> Result<(), Error> {
+        let Some(object) = material.as_object_mut() else {
+            return Ok(());
+        };
+        let mut lost = Vec::new();
+        for (key, inner) in object.iter_mut().filter(|(key, _)| *key != "extras") {
+            if !key.ends_with("Texture") || inner.get("index").is_none() {
+                self.textures_in(inner, to)?;
+                continue;
+            }
+            let old = inner.get("index").and_then(Value::as_u64).unwrap_or(u64::MAX);
+            match self.copy_texture(usize::try_from(old).unwrap_or(usize::MAX), to)? {
+                Some(new) => inner["index"] = new.into(),
+                None => lost.push(key.clone()),
+            }
+            self.keep_extensions(inner, to, |name| name == "KHR_texture_transform");
+        }
+        for key in lost {
+            object.shift_remove(&key);
+        }
+        Ok(())
+    }
+
+    fn copy_texture(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
+        if let Some(new) = self.textures.get(&old) {
+            return Ok(*new);
+        }
+        let new = match self.parse_item("textures", old)? {
+            None => None,
+            Some(mut texture) => {
+                self.keep_extensions(&mut texture, to, |name| OTHER_IMAGE.contains(&name));
+                if let Some(texture) = texture.as_object_mut() {
+                    self.renumber_image(texture, to)?;
+                    for name in OTHER_IMAGE {
+                        let inner = texture.get_mut("extensions").and_then(|e| e.get_mut(name));
+                        if let Some(inner) = inner.and_then(Value::as_object_mut) {
+                            self.renumber_image(inner, to)?;
+                        }
+                    }
+                    if let Some(sampler) = index_member(texture, "sampler") {
+                        match self.copy_sampler(sampler, to)? {
+                            Some(new) => drop(texture.insert("sampler".into(), new.into())),
+                            None => drop(texture.shift_remove("sampler")),
+                        }
+                    }
+                }
+                to.joined.textures.push(texture.to_string());
+                Some(next_number(to.frame, "textures", to.joined.textures.len() - 1))
+            }
+        };
+        self.textures.insert(old, new);
+        Ok(new)
+    }
+
+    fn renumber_image(&mut self, object: &mut Map<String, Value>, to: &mut CopyTarget<'_, '_>) -> Result<(), Error> {
+        if let Some(source) = index_member(object, "source") {
+            match self.copy_image(source, to)? {
+                Some(new) => drop(object.insert("source".into(), new.into())),
+                None => drop(object.shift_remove("source")),
+            }
+        }
+        Ok(())
+    }
+
+    fn copy_sampler(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
+        if let Some(new) = self.samplers.get(&old) {
+            return Ok(*new);
+        }
+        let new = list_of(self.doc.text, "samplers").get(old).map(|text| {
+            to.joined.samplers.push((*text).to_owned());
+            next_number(to.frame, "samplers", to.joined.samplers.len() - 1)
+        });
+        self.samplers.insert(old, new);
+        Ok(new)
+    }
+
+    fn copy_image(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
+        if let Some(new) = self.images.get(&old) {
+            return Ok(*new);
+        }
+        let new = match self.parse_item("images", old)? {
+            None => None,
+            Some(image) => {
+                let mut text = without_keys(list_of(self.doc.text, "images")[old], &["bufferView", "extensions"]);
+                let mut view = None;
+                if let Some(stored) = image.as_object().and_then(|i| index_member(i, "bufferView")) {
+                    view = Some(to.fresh.add_view(to.buffers.view(self.doc, stored)?, None));
+                } else if let Some(uri) = image["uri"].as_str() {
+                    text = with_member(&text, "uri", quoted(&self.free_companion_uri(uri, to)));
+                }
+                to.joined.images.push((text, view));
+                Some(next_number(to.frame, "images", to.joined.images.len() - 1))
+            }
+        };
+        self.images.insert(old, new);
+        Ok(new)
+    }
+
+    /// The URI under which a companion image comes along: its own, unless another file has that name.
+    fn free_companion_uri(&self, uri: &str, to: &mut CopyTarget<'_, '_>) -> String {
+        let name = percent_encoding::percent_decode_str(uri)
+            .decode_utf8_lossy()
+            .into_owned();
+        let Some(bytes) = self.files.companions.get(&name) else {
+            return uri.to_owned();
+        };
+        let taken = self.first.companions.get(&name).map(|b| &b[..]).or(to
+            .joined
+            .companions
+            .get(&name)
+            .map(|b| &b[..]));
+        if taken == Some(&bytes[..]) {
+            return uri.to_owned();
+        }
+        let (prefix, name) = if taken.is_none() {
+            (String::new(), name)
+        } else {
+            let prefix = format!("merged-{}-", self.base);
+            (prefix.clone(), prefix_file_name(&prefix, &name))
+        };
+        to.joined.companions.insert(name, bytes.to_vec());
+        prefix_file_name(&prefix, uri)
+    }
+}
+
+/// The path with a prefix before the name of its file.
+fn prefix_file_name(prefix: &str, path: &str) -> String {
+    match path.rsplit_once('/') {
+        Some((folder, name)) => format!("{folder}/{prefix}{name}"),
+        None => format!("{prefix}{path}"),
+    }
+}
+
+fn index_member(object: &Map<String, Value>, key: &str) -> Option<usize> {
+    object
+        .get(key)
+        .and_then(Value::as_u64)
+        .and_then(|n| usize::try_from(n).ok())
+}
+
+/// What joins the document. Accessors are numbered virtually, as in the frame.
+#[derive(Default)]
+pub(super) struct JoinedBases {
+    pub(super) meshes: Vec<String>,
+    /// Nodes; their meshes count from 0 among the joined ones.
+    pub(super) nodes: Vec<(String, Option<usize>)>,
+    /// The new nodes that the scene lists.
+    pub(super) roots: Vec<usize>,
+    pub(super) materials: Vec<String>,
+    pub(super) textures: Vec<String>,
+    pub(super) samplers: Vec<String>,
+    /// Images; with their new view, if they have one.
+    pub(super) images: Vec<(String, Option<usize>)>,
+    pub(super) extensions_used: Vec<String>,
+    pub(super) extensions_required: Vec<String>,
+    pub(super) companions: BTreeMap<String, Vec<u8>>,
+}
+
+impl JoinedBases {
+    pub(super) fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// The new nodes, with joined meshes numbered from `first_mesh` on.
+    pub(super) fn node_texts(&self, first_mesh: usize) -> Vec<String> {
+        let one = |(text, mesh): &(String, Option<usize>)| match mesh {
+            Some(mesh) => with_member(text, "mesh", first_mesh + mesh),
+            None => text.clone(),
+        };
+        self.nodes.iter().map(one).collect()
+    }
+
+    /// The new images, with new views numbered from `first_view` on.
+    pub(super) fn image_texts(&self, first_view: usize) -> Vec<String> {
+        let one = |(text, view): &(String, Option<usize>)| match view {
+            Some(view) => with_member(text, "bufferView", first_view + view),
+            None => text.clone(),
+        };
+        self.images.iter().map(one).collect()
+    }
+}
+
+/// The stored items of a section and those that have joined it.
+pub(super) fn next_number(frame: &GltfDocument<'_>, key: &str, joined: usize) -> usize {
+    list_of(frame.text, key).len() + joined
+}

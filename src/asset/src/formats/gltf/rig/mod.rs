@@ -1,0 +1,267 @@
+//! Nodes follow the body: joints move and turn with their vertices, other nodes by given motions. Clips play on the new
+//! rest pose.
+//!
+//! When the rest shape of a skinned model changes, each joint gets the rigid motion of its vertices ([`motions`]). Nodes get new local transforms, from parents to children ([`nodes`]), and skins new inverse
+//! bind matrices, so that joint times inverse bind matrix does not change: the rest pose draws every vertex in its new
+//! place, and the bind shape is the new one. Clips are rewritten relative to the new rest pose ([`rewrite`]): where a
+//! clip equals the old rest pose it equals the new one, and it turns joints about their own new axes. [`rewrite`]
+//! changes files that were written as if no node had moved, by patches or after an edit.
+//!
+//! Bones may keep their lengths; the matrices then compensate for joints that the body would put elsewhere.
+//! What followed is counted for reports. Nodes that are not joints move only by the motions in
+//! [`ShapeFollowers`]. Children of a moved node move rigidly with it, except meshes that are part of the shape: their
+//! vertices are drawn where the shape has them. Joints that are to stay do so even under a node that moves.
+//!
+//! A joint that moves no further than rounding keeps every byte: its node, its matrix, its clips.
+
+mod motions;
+mod nodes;
+pub(super) mod rewrite;
+
+pub(super) use motions::{JointHeldVertices, SkinnedShape};
+
+use super::buffers::BufferBytes;
+use super::document::GltfDocument;
+use super::placement::{Placement, SkinPose, VertexInfluences, affine_of, influence_accessors, invert, joint_nodes};
+use super::read::GltfNotes;
+use super::scene::{PlacedScene, place_meshes};
+use crate::{BoneLengthRule, Error, FollowedCounts, Geometry, JointTravel, RigRule, ShapeFollowers};
+use glam::{DAffine3, DVec3};
+use motions::joint_motions;
+use nodes::{MovedNodes, RigidBones, move_nodes};
+use pliant_mesh::BoundingBox;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// How far rounding of matrices to 32 bits may move an unmoved vertex, relative to the model's diagonal, before it is
+/// rewritten.
+const ROUNDING: f64 = 5e-7;
+
+/// New inverse bind matrices by the number of the joint in its skin.
+type BindChanges = BTreeMap<usize, [f32; 16]>;
+
+/// The nodes of a document after some have followed the body.
+pub(super) struct FollowedNodeTree {
+    nodes: MovedNodes,
+    /// By skin.
+    binds: BTreeMap<usize, BindChanges>,
+    /// Rest poses of skins, before and after.
+    poses: BTreeMap<usize, [Arc<SkinPose>; 2]>,
+    world_from_node: Vec<DAffine3>,
+    size: f64,
+}
+
+/// Whether a shape may move nodes at all: joints of primitives, or nodes with motions of their own.
+pub(super) fn may_move_nodes(notes: &GltfNotes, followers: &ShapeFollowers<'_>) -> bool {
+    let has_rig = || notes.rows.iter().any(|row| row.follows_joints);
+    !followers.nodes.is_empty() || (followers.rules.rig == RigRule::Follow && has_rig())
+}
+
+/// The vertices of a model as its file has them, and their joints.
+pub(super) fn shape_of_rows<'a>(
+    doc: &GltfDocument<'_>,
+    buffers: &mut BufferBytes,
+    notes: &GltfNotes,
+    rest: &'a Geometry,
+    positions: &'a [DVec3],
+) -> Result<SkinnedShape<'a>, Error> {
+    let mut shape = SkinnedShape {
+        before: &rest.positions,
+        now: positions,
+        held: Vec::new(),
+        fixed: Vec::new(),
+    };
+    for row in &notes.rows {
+        match row.skin {
+            None => shape.fixed.push((row.node, row.vertices.clone())),
+            Some(skin) if row.follows_joints => {
+                let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
+                let used = influence_accessors(primitive).into_iter().flat_map(|(j, w)| [j, w]);
+                buffers.decode_for(doc, &used.collect::<BTreeSet<usize>>())?;
+                let joints = joint_count(doc, skin);
+                let influences = VertexInfluences::read(doc, buffers, primitive, joints);
+                shape.held.push(JointHeldVertices {
+                    skin,
+                    first: row.vertices.start,
+                    influences: influences.map_err(|problem| doc.fault.unwritable(problem))?,
+                    placement: row.placement.clone(),
+                });
+            }
+            Some(_) => {}
+        }
+    }
+    Ok(shape)
+}
+
+/// How many joints a skin has; 0 for one that cannot be read.
+pub(super) fn joint_count(doc: &GltfDocument<'_>, skin: usize) -> usize {
+    let parsed = doc.skins.get(skin).and_then(|text| serde_json::from_str(text).ok());
+    parsed.map_or(0, |skin: super::schema::GltfSkin| skin.joints.len())
+}
+
+impl FollowedNodeTree {
+    /// Lets the nodes of a document follow a shape; `None` when none of them moves.
+    pub(super) fn fit(
+        doc: &GltfDocument<'_>,
+        buffers: &mut BufferBytes,
+        notes: &GltfNotes,
+        shape: &SkinnedShape<'_>,
+        followers: &ShapeFollowers<'_>,
+    ) -> Result<Option<Self>, Error> {
+        let scene = place_meshes(doc, &mut Vec::new())?;
+        let size = BoundingBox::of(shape.before).diagonal();
+        let mut known = BTreeMap::new();
+        for skin in 0..doc.skins.len() {
+            if let Ok(pose) = SkinPose::read(doc, buffers, skin, &scene.world_from_node) {
+                known.insert(skin, Arc::new(pose));
+            }
+        }
+        let of_rows = |follows: bool| -> BTreeSet<usize> {
+            let rows = notes.rows.iter().filter(|row| row.follows_joints == follows);
+            rows.filter_map(|row| row.skin).collect()
+        };
+        let (drawn, broken) = (of_rows(true), of_rows(false));
+        let followed = known.iter().filter(|(skin, _)| drawn.contains(*skin));
+        let followed: BTreeMap<usize, Arc<SkinPose>> = followed.map(|(skin, pose)| (*skin, Arc::clone(pose))).collect();
+        let still = |pose: &Arc<SkinPose>| -> Vec<_> { pose.joints.iter().map(|&joint| (joint, None)).collect() };
+        let mut motions = match followers.rules.rig {
+            RigRule::Follow => joint_motions(shape, &followed, &scene),
+            // They stay where they are, even under a node that goes.
+            RigRule::Keep => followed.values().flat_map(still).collect(),
+        };
+        // What a broken skin draws is not known, so its joints stay.
+        motions.extend(broken.iter().filter_map(|skin| known.get(skin)).flat_map(still));
+        motions.extend(followers.nodes.iter().filter(|(node, _)| **node < doc.nodes.len()));
+        if motions.values().all(Option::is_none) {
+            return Ok(None);
+        }
+        // Where joints stay, so do the lengths of bones.
+        let bone_lengths = match followers.rules.rig {
+            RigRule::Follow => &followers.rules.bone_lengths,
+            RigRule::Keep => &BoneLengthRule::Follow,
+        };
+        let bones = RigidBones::find(doc, &scene, bone_lengths);
+        let nodes = move_nodes(doc, &scene, &motions, &bones, size)?;
+        if nodes.moved.is_empty() {
+            return Ok(None);
+        }
+        let PlacedScene { world_from_node, .. } = scene;
+        let mut tree = Self {
+            binds: BTreeMap::new(),
+            poses: BTreeMap::new(),
+            world_from_node,
+            nodes,
+            size,
+        };
+        for (skin, pose) in known {
+            tree.fit_binds(skin, pose);
+        }
+        Ok(Some(tree))
+    }
+
+    /// Finds the inverse bind matrices that keep what a skin draws.
+    fn fit_binds(&mut self, skin: usize, pose: Arc<SkinPose>) {
+        let mut changes = BindChanges::new();
+        let mut after = SkinPose::clone(&pose);
+        for (number, (&node, place)) in pose.joints.iter().zip(&mut after.world_from_bind).enumerate() {
+            if !self.nodes.is_elsewhere[node] {
+                continue;
+            }
+            let world = &self.nodes.world_from_node[node];
+            if let Some(bind) = invert(world).map(|back| back * *place).filter(DAffine3::is_finite) {
+                let rounded = rounded_matrix(&bind);
+                if let Some(read) = affine_of(&rounded) {
+                    *place = *world * read;
+                    changes.insert(number, rounded);
+                }
+            }
+        }
+        if !changes.is_empty() {
+            self.binds.insert(skin, changes);
+            self.poses.insert(skin, [pose, Arc::new(after)]);
+        }
+    }
+
+    /// The positions that have to be written as if nothing but vertices had moved, so that the moved nodes and joints draw
+    /// the shape. A vertex that has not moved keeps its bits where rounding alone would change them.
+    pub(super) fn positions_to_write(&self, shape: &SkinnedShape<'_>) -> Vec<DVec3> {
+        let mut positions = shape.now.to_vec();
+        for (node, range) in &shape.fixed {
+            if self.nodes.is_elsewhere[*node]
+                && let Some(back) = invert(&self.nodes.world_from_node[*node])
+            {
+                let back = self.world_from_node[*node] * back;
+                for vertex in range.clone() {
+                    let place = back.transform_point3(shape.now[vertex]);
+                    self.write_back(&mut positions[vertex], place, shape.before[vertex]);
+                }
+            }
+        }
+        for held in &shape.held {
+            let Some([before, after]) = self.poses.get(&held.skin) else {
+                continue;
+            };
+            let changes = self.binds.get(&held.skin);
+            let is_changed = |joint: &u32| changes.is_some_and(|all| all.contains_key(&(*joint as usize)));
+            if !held.influences.joints_in_use().iter().any(is_changed) {
+                continue;
+            }
+            for i in 0..held.influences.len() {
+                let old = match &held.placement {
+                    Placement::Whole(one) => *one,
+                    Placement::Blended(_) => held.influences.blend(i, &before.world_from_bind),
+                };
+                let new = held.influences.blend(i, &after.world_from_bind);
+                let vertex = held.first + i;
+                if let Some(back) = invert(&new) {
+                    let place = (old * back).transform_point3(shape.now[vertex]);
+                    self.write_back(&mut positions[vertex], place, shape.before[vertex]);
+                }
+            }
+        }
+        positions
+    }
+
+    /// Replaces a vertex by what has to be written for it.
+    fn write_back(&self, now: &mut DVec3, place: DVec3, rest: DVec3) {
+        let is_still = *now == rest && (place - rest).length() <= ROUNDING * self.size;
+        if place.is_finite() && !is_still {
+            *now = place;
+        }
+    }
+}
+
+fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
+    let mut matrix = [0.0; 16];
+    let m = &transform.matrix3;
+    for (c, column) in [m.x_axis, m.y_axis, m.z_axis, transform.translation].iter().enumerate() {
+        matrix[4 * c..4 * c + 3].copy_from_slice(&column.as_vec3().to_array());
+    }
+    matrix[15] = 1.0;
+    matrix
+}
+
+impl FollowedNodeTree {
+    /// Adds the joints that moved to the counts of a file.
+    pub(in super::super) fn count_into(&self, doc: &GltfDocument<'_>, counts: &mut FollowedCounts) {
+        let joints = joint_nodes(doc);
+        let moved = joints.into_iter().filter(|&joint| self.has_moved(joint));
+        let travel = |joint: usize| JointTravel {
+            node: u32::try_from(joint).unwrap_or(u32::MAX),
+            name: doc.nodes.values[joint].name.clone().unwrap_or_default(),
+            distance: (self.nodes.world_from_node[joint].translation).distance(self.world_from_node[joint].translation),
+        };
+        let travels: Vec<JointTravel> = moved.map(travel).collect();
+        counts.moved_joints = u32::try_from(travels.len()).unwrap_or(u32::MAX);
+        counts.list_farthest(travels);
+    }
+
+    /// Whether a node stands or is turned differently; one that was held back under a parent that goes does not.
+    fn has_moved(&self, node: usize) -> bool {
+        let (before, after) = (&self.world_from_node[node], &self.nodes.world_from_node[node]);
+        let lengths = before.matrix3.x_axis.length() + before.matrix3.y_axis.length() + before.matrix3.z_axis.length();
+        let is_still = before.translation.distance(after.translation) <= ROUNDING * self.size
+            && (0..3).all(|k| before.matrix3.col(k).distance(after.matrix3.col(k)) <= ROUNDING * lengths);
+        self.nodes.is_elsewhere[node] && !is_still
+    }
+}

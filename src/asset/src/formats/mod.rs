@@ -1,0 +1,174 @@
+//! The registry of formats, and one folder or file for each.
+//!
+//! Every format is one row of the table below: the name of its constant, its [`Format`] with everything it is known by
+//! (name and extension, media types, how its files begin), and the [`FormatCodec`] that reads and writes it. Texts,
+//! media types and the API's description are made from [`Format::ALL`]; step 5 names what is written by hand beside it.
+//! A format that is read only has a row with a [`FormatTranslator`], which makes files of another format of its files; it
+//! stands in [`Format::READ`] alone.
+//!
+//! # How to add a format
+//! 1. Add a file `NAME.rs` (or a folder) here, and `mod NAME;` below.
+//! 2. In it, say what the format is known by, and pick what the reader has to remember of a file for the writers:
+//!    ```text
+//!    pub(super) const FORMAT: Format = Format::new(&FormatDetails {
+//!        name: "tri",
+//!        media_types: &["model/x.tri"],
+//!        recognise: |bytes| Recognition::mark(bytes.starts_with(b"TRI1")),
+//!    });
+//!
+//!    #[derive(Debug)]
+//!    struct TriNotes { first_vertex: usize }
+//!    impl FileNotes for TriNotes {}
+//!    ```
+//! 3. Implement [`FormatCodec`](super::codec::FormatCodec) for a unit struct `TriCodec`: `read`, `patch_positions`,
+//!    `build`, `write_edited`, `patches_files_of`, and `run_attributes` where the format has colours, texture coordinates or materials.
+//!    Errors name the format's `FORMAT`; [`Geometry::check`](super::Geometry) is done for every reader by the caller.
+//!    [`text`] reads and patches words and numbers, [`polygons`] cuts faces into triangles, and
+//!    [`CarriedAttributes`](super::edited::CarriedAttributes) and
+//!    [`TriangleOrigins`](super::edited::TriangleOrigins) carry what an edit moves.
+//! 4. Add the row to the table. The tests of `tests/` that walk over [`Format::ALL`] take it from there.
+//!    [`Format::from_file`] tries the first bytes before the name, and among equally sure rows the first one is taken:
+//!    content alone must distinguish a text format from others.
+//! 5. Say it where people and other languages read: the comments of `format` in `proto/pliant/v1/pliant.proto` (then
+//!    `proto/clients/python/generate` and `npm run generate` in `proto/clients/typescript`), `deploy/docs/formats.md`,
+//!    `proto/clients/python/pliant/model.py` (extensions), the help of `src/cli`, and the viewer's `src/app/opening.ts` and
+//!    `src/ui/TopBar.tsx`.
+
+mod fbx;
+mod gltf;
+mod obj;
+mod off;
+mod ply;
+mod polygons;
+mod stl;
+mod text;
+
+use crate::Error;
+use crate::codec::{FormatCodec, FormatTranslator};
+use crate::format::{Format, Recognition};
+
+/// Makes the constants of [`Format`] and the tables of codecs and translators from the rows of the registry.
+macro_rules! registry {
+    (
+        read and written { $($(#[$about:meta])* $name:ident = $format:expr, $codec:expr;)* }
+        only read { $($(#[$note:meta])* $source:ident = $source_format:expr, $translator:expr;)* }
+    ) => {
+        impl Format {
+            $($(#[$about])* pub const $name: Self = $format;)*
+            $($(#[$note])* pub const $source: Self = $source_format;)*
+
+            /// Every format that is read and written, in the order in which texts list them.
+            pub const ALL: [Self; [$(stringify!($name)),*].len()] = [$(Self::$name),*];
+
+            /// Every format that is read: those of [`Format::ALL`], and those whose models become one of them.
+            pub const READ: [Self; [$(stringify!($name),)* $(stringify!($source)),*].len()] =
+                [$(Self::$name,)* $(Self::$source),*];
+        }
+
+        /// The codec of each format, in the order of [`Format::ALL`].
+        static CODECS: [&dyn FormatCodec; Format::ALL.len()] = [$(&$codec),*];
+
+        /// The translator of each format that is read only.
+        static TRANSLATORS: &[(Format, &dyn FormatTranslator)] = &[$((Format::$source, &$translator)),*];
+    };
+}
+
+registry! {
+    read and written {
+        /// Binary glTF 2.0.
+        GLB = gltf::GLB_FORMAT, gltf::GltfCodec;
+        /// glTF 2.0 as JSON, with embedded buffers or companions.
+        GLTF = gltf::GLTF_FORMAT, gltf::GltfCodec;
+        /// Wavefront OBJ.
+        OBJ = obj::FORMAT, obj::ObjCodec;
+        /// Stanford PLY, ASCII or binary.
+        PLY = ply::FORMAT, ply::PlyCodec;
+        /// Object File Format.
+        OFF = off::FORMAT, off::OffCodec;
+        /// Stereolithography, ASCII or binary.
+        STL = stl::FORMAT, stl::StlCodec;
+    }
+    only read {
+        /// Autodesk FBX; what is made of it is a GLB.
+        FBX = fbx::FORMAT, fbx::FbxTranslator;
+    }
+}
+
+/// The translator of a format that is read only; `None` for those with a codec.
+pub(super) fn translator_of(format: Format) -> Option<&'static dyn FormatTranslator> {
+    let mut rows = TRANSLATORS.iter();
+    rows.find(|(source, _)| *source == format)
+        .map(|(_, translator)| *translator)
+}
+
+/// The codec that writes a format.
+pub(super) fn writer_of(format: Format) -> Result<&'static dyn FormatCodec, Error> {
+    match format.refusal_to_write() {
+        Some(problem) => Err(Error::unwritable(format, problem)),
+        None => Ok(codec_of(format)),
+    }
+}
+
+/// The codec that reads and writes a format; every model has been read by one.
+pub(super) fn codec_of(format: Format) -> &'static dyn FormatCodec {
+    // A format is made here only and models are of formats with codecs, so the last one stands for none that exists.
+    let row = Format::ALL.iter().position(|f| *f == format);
+    CODECS[row.unwrap_or(CODECS.len() - 1)]
+}
+
+impl Format {
+    /// The names of the formats that are written, as texts list them: with `and`, "glb, gltf, obj, ply, off and stl".
+    pub fn name_list(conjunction: &str) -> String {
+        list_of(&Self::ALL.map(Self::name), conjunction)
+    }
+
+    /// The names of the formats that are read: with `and`, "glb, gltf, obj, ply, off, stl and fbx".
+    pub fn read_name_list(conjunction: &str) -> String {
+        list_of(&Self::READ.map(Self::name), conjunction)
+    }
+
+    /// Why results cannot be had in this format; `None` for those that are written.
+    pub fn refusal_to_write(self) -> Option<String> {
+        let is_written = Self::ALL.contains(&self);
+        (!is_written).then(|| format!("{self} is read, not written; choose {}", Self::name_list("or")))
+    }
+
+    /// The format of that name, in any case.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::READ.into_iter().find(|f| f.name().eq_ignore_ascii_case(name))
+    }
+
+    /// The format of a media type, parameters ignored; `None` for general ones such as `application/octet-stream`.
+    pub fn from_media_type(media_type: &str) -> Option<Self> {
+        let essence = media_type.split(';').next().unwrap_or_default().trim();
+        let is_named = |f: &Self| f.details().media_types.iter().any(|t| essence.eq_ignore_ascii_case(t));
+        Self::READ.into_iter().find(is_named)
+    }
+
+    /// Finds the format of a file: by its first bytes, else by its name.
+    pub fn from_file(name: &str, bytes: &[u8]) -> Option<Self> {
+        Self::from_bytes(bytes).or_else(|| Self::from_file_name(name))
+    }
+
+    /// The format of a file name's extension.
+    pub fn from_file_name(name: &str) -> Option<Self> {
+        name.rsplit_once('.')
+            .and_then(|(_, extension)| Self::from_name(extension))
+    }
+
+    /// The format of a file's content. OBJ has no signature; its first keyword identifies it.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        let sureness = |f: &Self| (f.details().recognise)(bytes);
+        // Of two that are as sure the first one is taken.
+        let surest = Self::READ.into_iter().rev().max_by_key(sureness)?;
+        (sureness(&surest) > Recognition::Unlikely).then_some(surest)
+    }
+}
+
+fn list_of(names: &[&str], conjunction: &str) -> String {
+    match names.split_last() {
+        Some((last, others)) => format!("{} {conjunction} {last}", others.join(", ")),
+        None => String::new(),
+    }
+}

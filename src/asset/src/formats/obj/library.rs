@@ -1,0 +1,261 @@
+//! Libraries of materials (MTL) that an OBJ names: base colours, opacity and pictures of colours and normals, in and out.
+//!
+//! Colours go through as they are written, as other converters do it. Pictures are named from the OBJ's folder.
+
+use super::super::text::{NumberPrecision, TextLexer, number, push_number};
+use super::statements::{STYLE, name_in, printable};
+use crate::look::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
+use crate::{FileSet, Geometry};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// Names of missing files that a warning lists.
+const MOST_LISTED: usize = 8;
+/// Letters of such a name that are shown.
+const LONGEST_NAME: usize = 80;
+
+/// Materials by their names.
+pub(super) type MaterialLibrary = BTreeMap<String, Arc<NamedMaterial>>;
+
+/// The files that `mtllib` lines may mean: all words as one name, and each for itself.
+fn library_names(line: &[u8]) -> Vec<String> {
+    let rest = name_in(line);
+    let words = rest.split_whitespace().filter(|word| *word != rest);
+    std::iter::once(rest.as_str())
+        .chain(words)
+        .filter_map(inside_folder)
+        .collect()
+}
+
+/// The names of the files that an OBJ and its libraries so far name.
+pub(super) fn companion_names(files: &FileSet) -> Vec<String> {
+    let mut names = Vec::new();
+    let mut seen = BTreeSet::new();
+    let mut add = |name: String| {
+        if seen.insert(name.clone()) {
+            names.push(name);
+        }
+    };
+    let libraries: Vec<String> = library_lines(files).flat_map(library_names).collect();
+    libraries.iter().cloned().for_each(&mut add);
+    for text in libraries.iter().filter_map(|name| files.companions.get(name)) {
+        picture_names(text, &mut add);
+    }
+    names
+}
+
+/// The `mtllib` lines of an OBJ.
+fn library_lines(files: &FileSet) -> impl Iterator<Item = &[u8]> {
+    let lines = files.main.split(|b| matches!(b, b'\n' | b'\r')).map(<[u8]>::trim_ascii);
+    lines.filter(|line| line.starts_with(b"mtllib") && line.get(6).is_some_and(u8::is_ascii_whitespace))
+}
+
+/// Hands out the names of the pictures that a library names.
+fn picture_names(text: &[u8], add: &mut impl FnMut(String)) {
+    statements_of(text, |keyword, rest| {
+        let lower = keyword.to_ascii_lowercase();
+        let is_map = lower.starts_with("map_") || matches!(&lower[..], "bump" | "disp" | "decal" | "refl" | "norm");
+        if let Some(name) = is_map.then(|| picture_name(rest)).flatten() {
+            add(name);
+        }
+    });
+}
+
+/// Warns of libraries and pictures whose files are not among those given, and of height maps, which no other format
+/// has.
+pub(super) fn warn_of_missing(files: &FileSet, geometry: &mut Geometry) {
+    let (mut libraries, mut pictures, mut heights) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
+    for names in library_lines(files).map(library_names) {
+        let mut there = names.iter().filter_map(|name| files.companions.get(name)).peekable();
+        // A line is one name with blanks, or several names: where one of them is there, the others are no more than guesses.
+        if there.peek().is_none() {
+            libraries.extend(names.into_iter().next());
+            continue;
+        }
+        for text in there {
+            picture_names(text, &mut |name: String| {
+                if !files.companions.contains_key(&name) {
+                    pictures.insert(name);
+                }
+            });
+            statements_of(text, |keyword, rest| {
+                let is_height = matches!(&keyword.to_ascii_lowercase()[..], "map_bump" | "bump");
+                heights.extend(picture_name(rest).filter(|name| is_height && files.companions.contains_key(name)));
+            });
+        }
+    }
+    let mut warn = |code: &str, missing: &BTreeSet<String>, what: &str, place: &str| {
+        if missing.is_empty() {
+            return;
+        }
+        let shown = |name: &String| name.chars().take(LONGEST_NAME).collect::<String>();
+        let names: Vec<String> = missing.iter().take(MOST_LISTED).map(shown).collect();
+        let more = match missing.len().saturating_sub(MOST_LISTED) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        geometry.warn(code, format!("{what}: {}{more}", names.join(", ")), place);
+    };
+    warn(
+        "library-missing",
+        &libraries,
+        "libraries of materials that were not sent along with the model, whose colours and pictures are not known",
+        "mtllib",
+    );
+    warn(
+        "bump-map",
+        &heights,
+        "pictures of heights (bump, map_Bump), which stay with the OBJ and go into no other format; one that holds normals is included as norm",
+        "mtllib",
+    );
+    warn(
+        "image-missing",
+        &pictures,
+        "images that were not sent along with the model; it comes back without them",
+        "mtllib",
+    );
+}
+
+/// Hands out the statements of a library: keyword and the rest of the line.
+fn statements_of(text: &[u8], mut statement: impl FnMut(&str, &str)) {
+    let mut lexer = TextLexer::new(text, STYLE);
+    while let Some(token) = lexer.token() {
+        let keyword = String::from_utf8_lossy(lexer.text(token)).into_owned();
+        let rest = lexer.rest_of_line();
+        statement(&keyword, String::from_utf8_lossy(&text[rest]).trim());
+        lexer.end_line();
+    }
+}
+
+/// The name of a picture behind the options of its statement.
+fn picture_name(rest: &str) -> Option<String> {
+    let mut words = rest.split_whitespace().peekable();
+    let mut left = rest;
+    while let Some(option) = words.next_if(|word| word.starts_with('-') && word.len() > 1) {
+        left = after_word(left, option);
+        let most = match option {
+            "-o" | "-s" | "-t" => 3,
+            "-mm" => 2,
+            _ => 1,
+        };
+        for k in 0..most {
+            // Options of one to three numbers end where no number stands.
+            let is_number = |word: &&str| number(word.as_bytes()).is_some();
+            let Some(value) = words.next_if(|word| (k == 0 && most == 1) || is_number(word)) else {
+                break;
+            };
+            left = after_word(left, value);
+        }
+    }
+    inside_folder(left)
+}
+
+/// The picture that a statement names.
+fn picture_of(rest: &str, files: &FileSet) -> Option<MaterialPicture> {
+    let name = picture_name(rest)?;
+    let bytes = files.companions.get(&name).cloned();
+    Some(MaterialPicture { name, bytes })
+}
+
+/// The text behind its first word.
+fn after_word<'a>(text: &'a str, word: &str) -> &'a str {
+    let text = text.trim_start();
+    text.strip_prefix(word).unwrap_or(text).trim_start()
+}
+
+/// Reads the libraries that `mtllib` lines name, as far as they were sent along.
+pub(super) fn read_libraries(files: &FileSet, lines: &[&[u8]]) -> MaterialLibrary {
+    let mut library = MaterialLibrary::new();
+    let mut read = BTreeSet::new();
+    for name in lines.iter().flat_map(|line| library_names(line)) {
+        if let Some(text) = files.companions.get(&name)
+            && read.insert(name)
+        {
+            read_library(text, files, &mut library);
+        }
+    }
+    library
+}
+
+fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
+    let mut current: Option<NamedMaterial> = None;
+    let mut keep = |material: Option<NamedMaterial>| {
+        if let Some(material) = material {
+            // The first of a name counts, as in other readers.
+            library
+                .entry(material.name.clone())
+                .or_insert_with(|| Arc::new(material));
+        }
+    };
+    statements_of(text, |keyword, rest| {
+        if keyword == "newmtl" {
+            let look = Some(BaseLook::default());
+            let name = rest.to_owned();
+            keep(current.replace(NamedMaterial { name, look }));
+            return;
+        }
+        let Some(look) = current.as_mut().and_then(|m| m.look.as_mut()) else {
+            return;
+        };
+        let share = |text: &str| {
+            let value = text.split_whitespace().next().and_then(|word| number(word.as_bytes()));
+            value.filter(|v| v.is_finite()).map(|v| v.clamp(0.0, 1.0) as f32)
+        };
+        match keyword {
+            "Kd" => {
+                let numbers: Vec<f32> = rest.split_whitespace().map_while(share).collect();
+                match numbers.as_slice() {
+                    [r, g, b, ..] => look.colour[..3].copy_from_slice(&[*r, *g, *b]),
+                    // One number stands for grey.
+                    [grey] => look.colour[..3].fill(*grey),
+                    _ => {}
+                }
+            }
+            "d" | "Tr" => {
+                let value = share(rest.trim_start_matches("-halo"));
+                if let Some(value) = value {
+                    look.colour[3] = if keyword == "d" { value } else { 1.0 - value };
+                    if look.colour[3] < 1.0 {
+                        look.coverage = AlphaCoverage::Blend;
+                    }
+                }
+            }
+            "map_Kd" => look.picture = picture_of(rest, files),
+            "norm" => look.normals = picture_of(rest, files),
+            "map_d" => look.coverage = AlphaCoverage::Blend,
+            _ => {}
+        }
+    });
+    keep(current);
+}
+
+/// The text of a library of materials, each with its name, and the pictures that they need by the names of their files.
+pub(super) fn write_library(materials: &[(String, Arc<NamedMaterial>)]) -> (Vec<u8>, BTreeMap<String, Vec<u8>>) {
+    let mut out = b"# pliant\n".to_vec();
+    let mut pictures = BTreeMap::new();
+    for (name, material) in materials {
+        out.extend(format!("\nnewmtl {name}\n").bytes());
+        let Some(look) = &material.look else { continue };
+        let [r, g, b, opacity] = look.colour;
+        out.extend_from_slice(b"Kd");
+        for value in [r, g, b] {
+            out.push(b' ');
+            push_number(&mut out, f64::from(value), NumberPrecision::Single);
+        }
+        out.extend_from_slice(b"\nd ");
+        push_number(&mut out, f64::from(opacity), NumberPrecision::Single);
+        out.push(b'\n');
+        for (keyword, picture) in [("map_Kd", &look.picture), ("norm", &look.normals)] {
+            let Some(picture) = picture else { continue };
+            let name = printable(&picture.name);
+            out.extend(format!("{keyword} {name}\n").bytes());
+            if keyword == "map_Kd" && look.coverage != AlphaCoverage::Opaque {
+                out.extend(format!("map_d {name}\n").bytes());
+            }
+            if let Some(bytes) = &picture.bytes {
+                pictures.insert(name, bytes.to_vec());
+            }
+        }
+    }
+    (out, pictures)
+}

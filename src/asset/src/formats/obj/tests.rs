@@ -1,0 +1,333 @@
+use super::build;
+use super::read::ObjReader;
+use crate::files::ReadWatch;
+use crate::neutral::NeutralModel;
+use crate::{Error, FileSet, Format, Limits, Model};
+use glam::{DQuat, DVec3, Vec3};
+use pliant_exec::progress::Silent;
+use pliant_mesh::shading;
+use proptest::prelude::*;
+use std::collections::BTreeMap;
+
+fn model(text: &str) -> Model {
+    Model::read(
+        FileSet::single("test.obj", text.as_bytes().to_vec()),
+        Some(Format::OBJ),
+        &Limits::default(),
+    )
+    .unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn written(model: &Model, positions: &[DVec3]) -> String {
+    let out = model.write(positions, Format::OBJ).unwrap_or_else(|e| panic!("{e}"));
+    String::from_utf8(out.main).expect("text stays text")
+}
+
+/// The normal that each corner of each face names, after reading.
+fn corner_normals(text: &str) -> Vec<Vec3> {
+    named_corners(text).into_iter().map(|corner| corner.2).collect()
+}
+
+const AWKWARD: &str = "\u{feff}# made by hand \\\r\nmtllib a b.mtl\r\no cube #1\r\nv 0 0 0 1.0\r\n\tv\t1.50 0e0 -0 0.1 0.2 0.3 # colour\r\n\
+    v 1 \\\r\n  1 0\r\n\r\nv 0 1. +0 1 .5 .5 .5\r\nvt 0 0\r\nvp 0.5\r\ncurv 0 1 -1 -2\r\n  g left  side\r\nusemtl red\r\ns off\r\n\
+    f 1/1 2/1 -2/-1 4/1 # quad\r\nl 1 2\r\np 3\r\nf 1 \\\r\n3 4\r\nwhatever\r\n";
+
+#[test]
+fn what_a_deformation_does_not_touch_stays_to_the_byte() {
+    let model = model(AWKWARD);
+    assert_eq!(model.positions.len(), 4);
+    assert_eq!(model.positions[1].to_array(), [1.5, 0.0, 0.0]);
+    assert_eq!(model.triangles, [[0, 1, 2], [0, 2, 3], [0, 2, 3]]);
+    assert_eq!(written(&model, &model.positions), AWKWARD);
+
+    let mut moved = model.positions.clone();
+    moved[1].x = 0.1 + 0.2;
+    moved[2] = DVec3::new(-1e-30, 1.0, 7.0);
+    let expected = AWKWARD
+        .replace("1.50", "0.30000000000000004")
+        .replace("v 1 \\\r\n  1 0", "v -1e-30 \\\r\n  1 7");
+    assert_eq!(written(&model, &moved), expected);
+}
+
+#[test]
+fn all_ways_to_write_a_corner_mean_the_same() {
+    let points = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n";
+    for face in [
+        "1 2 3",
+        "1/1 2/1 3/1",
+        "1//1 2//1 3//1",
+        "1/1/1 2/1/1 3/1/1",
+        "-3/-1/-1 -2//-1 3/1/",
+        "1/ 2// 3",
+    ] {
+        assert_eq!(model(&format!("{points}f {face}")).triangles, [[0, 1, 2]], "{face}");
+    }
+    assert_eq!(
+        model("f 1 2 3\nv 0 0 0\nv 1 0 0\nv 0 1 0").triangles,
+        [[0, 1, 2]],
+        "faces may come first"
+    );
+}
+
+#[test]
+fn what_is_wrong_is_named_with_its_line() {
+    let points = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
+    for (tail, line, phrase) in [
+        ("f 1 2 0", 4, "vertex index 0"),
+        ("f 1 2 4", 4, "vertex index 4; the file has 3"),
+        ("f 1 2 -4", 4, "vertex index -4"),
+        ("f 1 2 9999999999999", 4, "9999999999999"),
+        ("f 1 2 99999999999999999999999", 4, "is not a corner"),
+        ("f 1/1 2/1 3/1", 4, "texture coordinate index 1; the file has 0"),
+        ("vn 0 0 1\nf 1//1 2//2 3//1", 5, "normal index 2; the file has 1"),
+        ("f 1/2/3/4 2 3", 4, "`1/2/3/4` is not a corner"),
+        ("f a b c", 4, "`a` is not a corner"),
+        ("\nv 1 2\nf 1 2 3", 5, "`v` with 2 numbers"),
+        ("v nan 0 0\nf 1 2 3", 4, "`nan` is not finite"),
+        ("v 0 1e999 0\nf 1 2 3", 4, "`1e999` is not finite"),
+        ("v 0 0 x\nf 1 2 3", 4, "`x` is not a number"),
+        ("vn 0 0\nf 1 2 3", 4, "`vn` with 2 numbers"),
+    ] {
+        let files = FileSet::single("", format!("{points}{tail}"));
+        match Model::read(files, Some(Format::OBJ), &Limits::default()) {
+            Err(Error::Malformed { place, problem, .. }) => {
+                assert_eq!(place, format!("line {line}"), "{tail}");
+                assert!(problem.contains(phrase), "{tail}: {problem}");
+            }
+            other => panic!("{tail}: {other:?}"),
+        }
+    }
+    for text in ["", "v 0 0 0\nv 1 0 0\nl 1 2\n", "v 0 0 0\nv 1 1 1\nf 1 2\n"] {
+        let error = Model::read(FileSet::single("", text), Some(Format::OBJ), &Limits::default()).unwrap_err();
+        assert!(matches!(error, Error::NoMesh { .. }), "{text}: {error}");
+    }
+}
+
+#[test]
+fn limits_are_kept() {
+    let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3 4\n";
+    let read = |limits: Limits| Model::read(FileSet::single("a.obj", text), None, &limits);
+    let vertices = Limits {
+        vertices: 3,
+        ..Limits::default()
+    };
+    assert_eq!(
+        read(vertices).unwrap_err(),
+        Error::TooLarge {
+            what: "vertices",
+            seen: 4,
+            limit: 3
+        }
+    );
+    let triangles = Limits {
+        triangles: 1,
+        ..Limits::default()
+    };
+    assert_eq!(
+        read(triangles).unwrap_err(),
+        Error::TooLarge {
+            what: "triangles",
+            seen: 2,
+            limit: 1
+        }
+    );
+}
+
+#[test]
+fn normals_are_given_by_vertex_only_where_they_are_unique() {
+    let points = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 5\nvn 0 0 2\nvn 1 0 0\nvn nan 0 0\n";
+    let unique = model(&format!("{points}f 1//1 2//1 3//1"));
+    assert!(unique.primitives[0].has_normals);
+    assert_eq!(unique.normals, [Vec3::Z, Vec3::Z, Vec3::Z, Vec3::ZERO]);
+    assert_eq!(
+        unique.warnings.len(),
+        1,
+        "the normal that is not a number is reported: {:?}",
+        unique.warnings
+    );
+    for faces in [
+        "f 1//1 2//1 3//1\nf 1//2 3//1 4//1",
+        "f 1//1 2//1 3//1\nf 1 3 4",
+        "f 1 2 3",
+    ] {
+        let model = model(&format!("{points}{faces}"));
+        assert!(!model.primitives[0].has_normals && model.normals.is_empty(), "{faces}");
+    }
+}
+
+/// A strip of quads, bent from flat, whose one `vn` line serves all corners.
+fn strip(cells: u32, normal_index: &dyn Fn(u32) -> String) -> String {
+    let mut text: String = (0..=cells).map(|i| format!("v {i} 0 0\nv {i} 1 0\n")).collect();
+    text += "vn 0 0 1\n";
+    for i in 0..cells {
+        let corner = |v: u32| format!(" {v}//{}", normal_index(v));
+        text += &format!(
+            "f{}{}{}{}\n",
+            corner(2 * i + 1),
+            corner(2 * i + 3),
+            corner(2 * i + 4),
+            corner(2 * i + 2)
+        );
+    }
+    text
+}
+
+fn bend(p: DVec3) -> DVec3 {
+    let (sin, cos) = libm::sincos(p.x * 0.2);
+    DVec3::new(5.0 * sin, p.y, 5.0 - 5.0 * cos)
+}
+
+#[test]
+fn a_normal_that_many_vertices_share_is_parted_where_they_turn_differently() {
+    for index in [&|_: u32| "1".to_string() as String, &|_: u32| "-1".to_string()] as [&dyn Fn(u32) -> String; 2] {
+        let text = strip(5, index) + "vn 0 1 0\nv 9 9 9\nf 1//2 2//-1 13//-1\n";
+        let model = model(&text);
+        let mut moved: Vec<_> = model.positions.iter().map(|&p| bend(p)).collect();
+        moved[12] = model.positions[12];
+        let out = written(&model, &moved);
+        let reread = self::model(&out);
+        assert_eq!((&reread.positions, &reread.triangles), (&moved, &model.triangles));
+
+        // What the corners should shade with, worked out from triangles that share vertices within the strip only.
+        let strip_triangles = &model.triangles[..10];
+        let gradients = shading::gradients(&model.positions, &moved, strip_triangles, strip_triangles, 13);
+        let seen = corner_normals(&out);
+        for (face, corners) in [[0, 2, 3, 1], [2, 4, 5, 3], [4, 6, 7, 5], [6, 8, 9, 7], [8, 10, 11, 9]]
+            .iter()
+            .enumerate()
+        {
+            for (k, &v) in corners.iter().enumerate() {
+                let expected = shading::carry_normal(gradients[v].as_ref().expect("moved"), Vec3::Z);
+                assert!(
+                    (seen[face * 4 + k] - expected).length() < 2e-6,
+                    "face {face} corner {k}:\n{out}"
+                );
+            }
+        }
+        assert_eq!(seen.len(), 23);
+        // Two vertices of a rib turn alike up to rounding at the triangles around them, so lines are added, not one each corner.
+        let lines = out.lines().filter(|l| l.starts_with("vn ")).count();
+        assert!((3..=13).contains(&lines), "{lines} normals");
+        assert_eq!(out.lines().filter(|l| l.starts_with('f')).count(), 6);
+    }
+}
+
+#[test]
+fn a_rigid_motion_rewrites_normals_in_place() {
+    let text = strip(4, &|_| "1".into());
+    let model = model(&text);
+    let turn = DQuat::from_axis_angle(DVec3::new(1.0, 2.0, -1.0).normalize(), 1.0);
+    let moved: Vec<_> = model.positions.iter().map(|&p| turn * p).collect();
+    let out = written(&model, &moved);
+    assert_eq!(out.lines().count(), text.lines().count());
+    assert!(
+        out.lines()
+            .zip(text.lines())
+            .all(|(new, old)| !old.starts_with('f') || new == old)
+    );
+    let expected = (turn * DVec3::Z).as_vec3();
+    assert!(corner_normals(&out).iter().all(|n| (*n - expected).length() < 1e-6));
+}
+
+#[test]
+fn a_fresh_file_keeps_names_normals_and_order() {
+    let mut geometry = model("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 1\nvn 0 0 1\nf 1//1 2//1 3//1\nf 1//1 2//1 4//1")
+        .geometry
+        .clone();
+    geometry.primitives = ["a\nb", ""]
+        .map(|name| crate::Primitive {
+            name: name.into(),
+            vertex_count: 2,
+            index_count: 3,
+            has_normals: true,
+            ..Default::default()
+        })
+        .to_vec();
+    let text = String::from_utf8(build(&NeutralModel::from_geometry(geometry.clone())).main).expect("text");
+    assert!(
+        text.contains("o a b\nf 1//1 2//2 3//3\no \nf 1//1 2//2 4//4\n"),
+        "{text}"
+    );
+    let reread = model(&text);
+    assert_eq!(
+        (&reread.positions, &reread.normals, &reread.triangles),
+        (&geometry.positions, &geometry.normals, &geometry.triangles)
+    );
+}
+
+/// A face as vertex and normal, each an index that is written absolute, or relative to what stands above.
+type RandomFace = [(prop::sample::Index, prop::sample::Index, bool); 3];
+
+proptest! {
+    /// However faces, vertices and normals are mixed and counted, each corner ends up with the normal that its own
+    /// vertex and `vn` line give, and everything else stays.
+    #[test]
+    fn every_corner_shades_with_its_own_carried_normal(
+        blocks in prop::collection::vec(prop::collection::vec(any::<RandomFace>(), 0..4), 1..4),
+        motion in prop::collection::vec([-2i8..3, -2i8..3, -2i8..3], 12),
+    ) {
+        // Three blocks of vertices, normals and faces; absolute indices may point ahead.
+        let total = blocks.len() * 4;
+        let mut text = String::new();
+        for (b, faces) in blocks.iter().enumerate() {
+            for i in 0..4 {
+                let k = (b * 4 + i) as f64;
+                text += &format!("v {} {} {}\nvn {} 1 {}\n", (k * 1.7) % 3.0, (k * 2.3) % 4.1, (k * 0.9) % 2.3, k - 3.0, i);
+            }
+            for face in faces {
+                text += "f";
+                for (vertex, normal, relative) in face {
+                    let above = (b + 1) * 4;
+                    if *relative {
+                        text += &format!(" -{}//-{}", vertex.index(above) + 1, normal.index(above) + 1);
+                    } else {
+                        text += &format!(" {}//{}", vertex.index(total) + 1, normal.index(total) + 1);
+                    }
+                }
+                text += "\n";
+            }
+        }
+        let Ok(model) = Model::read(FileSet::single("", text.clone()), Some(Format::OBJ), &Limits::default()) else {
+            return Ok(());
+        };
+        let moved: Vec<_> = (model.positions.iter().zip(motion.iter().cycle()))
+            .map(|(p, m)| *p + DVec3::from_array(m.map(f64::from)) * 0.3)
+            .collect();
+        let out = written(&model, &moved);
+        let reread = self::model(&out);
+        prop_assert_eq!(&reread.positions, &moved);
+        prop_assert_eq!(&reread.triangles, &model.triangles);
+
+        let (old, new) = (named_corners(&text), named_corners(&out));
+        let mut ids = BTreeMap::new();
+        let corners: Vec<[u32; 3]> = old
+            .chunks_exact(3)
+            .map(|t| [0, 1, 2].map(|k| {
+                let count = ids.len() as u32;
+                *ids.entry((t[k].0, t[k].1)).or_insert(count)
+            }))
+            .collect();
+        let gradients = shading::gradients(&model.positions, &moved, &model.triangles, &corners, ids.len());
+        for (corner, (before, after)) in old.iter().zip(&new).enumerate() {
+            let gradient = &gradients[corners[corner / 3][corner % 3] as usize];
+            let wanted = gradient.as_ref().map_or(before.2, |g| shading::carry_normal(g, before.2));
+            prop_assert_eq!(before.0, after.0);
+            prop_assert!((after.2 - wanted).length() < 4e-6, "corner {}: {} not {}\n{}\n{}", corner, after.2, wanted, text, out);
+        }
+    }
+}
+
+/// Vertex, number of the `vn` line, and normal of each face corner.
+fn named_corners(text: &str) -> Vec<(u32, u32, Vec3)> {
+    let limits = Limits::default();
+    let mut reader = ObjReader::new(text.as_bytes(), ReadWatch::new(&limits, &Silent, 0));
+    reader.read_statements().unwrap_or_else(|e| panic!("{e}"));
+    let corner = |(&v, &n): (&u32, &u32)| (v, n, reader.normals[n as usize]);
+    reader
+        .faces
+        .corners
+        .iter()
+        .zip(&reader.corner_normals)
+        .map(corner)
+        .collect()
+}

@@ -1,0 +1,467 @@
+//! The ways in and out: which codec reads a model, and which one writes it, by patching, building or editing.
+
+use super::codec::{EditedOutput, PatchedOutput, Translation};
+use super::edited::{self, BaseModel, CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, VertexBlends};
+use super::files::ReadWatch;
+use super::formats::{codec_of, translator_of, writer_of};
+use super::model::is_same;
+use super::neutral::NeutralModel;
+use super::{
+    Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, VertexAttributes, WrittenFiles,
+};
+use glam::{DAffine3, DVec3};
+use pliant_exec::progress::{Progress, Silent};
+use std::sync::OnceLock;
+
+impl Model {
+    /// Reads a model. The format is `format` when given, else what the bytes say, else what the file name says. A format
+    /// that is read only ([`Format::READ`]) becomes a model of another one, with that one's files.
+    ///
+    /// # Errors
+    /// [`Error`] with the place and what is allowed; nothing is read outside `files`.
+    ///
+    /// # Example
+    /// ```
+    /// use pliant_core::asset::{FileSet, Format, Limits, Model};
+    ///
+    /// let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3 # a face\n";
+    /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
+    /// assert_eq!((model.positions.len(), model.triangles.len()), (3, 1));
+    ///
+    /// let limits = Limits { vertices: 2, ..Limits::default() };
+    /// let error = Model::read(FileSet::single("one.obj", text), Some(Format::OBJ), &limits).unwrap_err();
+    /// assert_eq!(error.to_string(), "vertices is 3, at most 2 is allowed");
+    /// # Ok::<(), pliant_core::asset::Error>(())
+    /// ```
+    pub fn read(files: FileSet, format: Option<Format>, limits: &Limits) -> Result<Self, Error> {
+        Self::read_watched(files, format, limits, &Silent)
+    }
+
+    /// As [`Model::read`], until `progress` is cancelled.
+    ///
+    /// # Errors
+    /// Those of [`Model::read`], and [`Error::Cancelled`].
+    pub fn read_watched(
+        files: FileSet,
+        format: Option<Format>,
+        limits: &Limits,
+        progress: &dyn Progress,
+    ) -> Result<Self, Error> {
+        let recognised = || Format::from_file(&files.name, &files.main);
+        let Some(format) = format.or_else(recognised) else {
+            let place = if files.name.is_empty() {
+                "the model".into()
+            } else {
+                files.name
+            };
+            let allowed = Format::read_name_list("and");
+            return Err(Error::UnknownFormat { place, allowed });
+        };
+        let watch = ReadWatch::new(limits, progress, files.total_bytes());
+        if let Some(translator) = translator_of(format) {
+            let Translation {
+                files,
+                format,
+                warnings,
+            } = translator.translate(&files, &watch)?;
+            let mut model = Self::read_watched(files, Some(format), limits, progress)?;
+            model.geometry.warnings.splice(0..0, warnings);
+            return Ok(model);
+        }
+        let (geometry, notes) = codec_of(format).read(&files, format, &watch)?;
+        geometry.check(format, limits)?;
+        Ok(Self {
+            format,
+            geometry,
+            files,
+            notes,
+            attributes: OnceLock::new(),
+        })
+    }
+
+    /// What the files give to the vertices beside their positions, to be compared. Read again when first asked for, then
+    /// kept.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`]. Where something cannot be read, no two vertices are alike.
+    pub fn vertex_attributes(&self, progress: &dyn Progress) -> Result<&VertexAttributes, Error> {
+        if self.attributes.get().is_none() {
+            let codec = codec_of(self.format);
+            let read =
+                VertexAttributes::gather(&self.geometry, |keys| codec.distinguish_vertices(self, keys), progress)?;
+            // Another thread may have read the same meanwhile.
+            let _ = self.attributes.set(read);
+        }
+        Ok(self.attributes.get_or_init(VertexAttributes::default))
+    }
+
+    /// Writes the model with new positions (one per render vertex, in model space) in `format`.
+    ///
+    /// In the model's own format (GLB and glTF count as one) the uploaded files are edited: what the deformation did not
+    /// change stays as it was, byte for byte, and authored normals, tangents and morph targets follow the deformation. In another
+    /// format a fresh file is made of the positions, faces, names, normals, one set of texture coordinates, colours and
+    /// base-colour materials with their pictures, as far as both formats know them.
+    ///
+    /// # Errors
+    /// [`Error::Unwritable`] when the count differs from the model's, when a position is not finite, or when it does not
+    /// fit the format's numbers.
+    ///
+    /// # Example
+    /// ```
+    /// use pliant_core::asset::{FileSet, Format, Limits, Model};
+    ///
+    /// let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3 # a face\n";
+    /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
+    /// let mut positions = model.positions.clone();
+    /// positions[1].z = 0.5;
+    ///
+    /// // In its own format one number changes, and the comment stays.
+    /// let written = model.write(&positions, Format::OBJ)?;
+    /// assert_eq!(written.main, b"v 0 0 0\nv 1 0 0.5\nv 0 1 0\nf 1 2 3 # a face\n");
+    ///
+    /// // Another format is rebuilt.
+    /// let written = model.write(&positions, Format::OFF)?;
+    /// assert_eq!(written.main, b"OFF\n3 1 0\n0 0 0\n1 0 0.5\n0 1 0\n3 0 1 2\n");
+    /// # Ok::<(), pliant_core::asset::Error>(())
+    /// ```
+    pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
+        self.write_following(positions, format, Following::default())
+    }
+
+    /// As [`Model::write`], with a choice of what else follows the shape; there, everything does.
+    ///
+    /// # Errors
+    /// Those of [`Model::write`].
+    pub fn write_following<'a>(
+        &self,
+        positions: &[DVec3],
+        format: Format,
+        followers: impl Into<ShapeFollowers<'a>>,
+    ) -> Result<WrittenFiles, Error> {
+        let (seen, count) = (positions.len(), self.positions.len());
+        if seen != count {
+            return Err(Error::unwritable(
+                format,
+                format!("{seen} positions are given, the model has {count} vertices"),
+            ));
+        }
+        if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
+            return Err(Error::unwritable(
+                format,
+                format!("the position of vertex {i} is {}, not finite", positions[i]),
+            ));
+        }
+        let followers = followers.into();
+        let mut written = self.write_checked(positions, format, &followers)?;
+        if codec_of(format).patches_files_of(self.format) {
+            written.followed.count_nodes(followers.nodes);
+        }
+        let passengers = self.geometry.primitives.iter().filter(|p| p.is_passenger);
+        for passenger in passengers {
+            let own = passenger.vertices();
+            let has_moved = !is_same(&self.positions[own.clone()], &positions[own]);
+            written.followed.count_passenger(has_moved);
+        }
+        Ok(written)
+    }
+
+    fn write_checked(
+        &self,
+        positions: &[DVec3],
+        format: Format,
+        followers: &ShapeFollowers<'_>,
+    ) -> Result<WrittenFiles, Error> {
+        if format == self.format && is_same(&self.positions, positions) {
+            return Ok(WrittenFiles {
+                followed: codec_of(format).nothing_followed(self)?,
+                ..WrittenFiles::from_upload(&self.files)
+            });
+        }
+        check_precision(format, positions, &self.geometry.triangles)?;
+        let codec = writer_of(format)?;
+        if codec.patches_files_of(self.format) {
+            return codec.patch_positions(&PatchedOutput {
+                model: self,
+                positions,
+                format,
+                followers,
+            });
+        }
+        let neutral = if codec.takes_attributes() {
+            neutral_model(self, positions, format)?
+        } else {
+            NeutralModel::from_geometry(self.geometry.deformed(positions))
+        };
+        codec.build(&neutral, format)
+    }
+
+    /// The names of the joints of the model, of its skins in the order of the alphabet.
+    ///
+    /// # Errors
+    /// [`Error`] when the files cannot be read again.
+    pub fn joint_names(&self) -> Result<Vec<String>, Error> {
+        Ok(codec_of(self.format).joint_names(self)?.into_iter().collect())
+    }
+
+    /// The nodes of the model's file, by their index there; `None` for a model of a format without nodes, which all but glTF are.
+    ///
+    /// # Errors
+    /// [`Error`] when the files cannot be read again.
+    pub fn nodes(&self) -> Result<Option<Vec<ModelNode>>, Error> {
+        codec_of(self.format).nodes(self)
+    }
+}
+
+/// The names of files that a model refers to and that are not in the set: buffers and images of a glTF,
+/// material libraries of an OBJ and their pictures, pictures of an FBX. They are
+/// relative to the folder of the main file and never lead out of it. Companions may name more files: call this again
+/// until it returns no new name.
+///
+/// # Example
+/// ```
+/// use pliant_core::asset::{FileSet, missing_companions};
+///
+/// let json = r#"{"asset":{"version":"2.0"},"images":[{"uri":"red%20brick.png"},{"uri":"../up.png"}]}"#;
+/// let files = FileSet::single("wall.gltf", json);
+/// assert_eq!(missing_companions(&files), ["red brick.png"]);
+/// ```
+pub fn missing_companions(files: &FileSet) -> Vec<String> {
+    let Some(format) = Format::from_file(&files.name, &files.main) else {
+        return Vec::new();
+    };
+    let mut names = match translator_of(format) {
+        Some(translator) => translator.companion_names(files),
+        None => codec_of(format).companion_names(files, format),
+    };
+    names.retain(|name| !files.companions.contains_key(name));
+    names
+}
+
+/// Writes an edited model with its vertices at `positions` (in world space, one per vertex of the blends).
+///
+/// In the first base's own format (GLB and glTF count as one) the first base's file is the frame: whatever the edit did
+/// not touch stays. Other bases join it: with nodes, materials and images where both are glTF, as plain geometry
+/// otherwise. In another format a fresh file is made.
+///
+/// # Errors
+/// [`Error::Unwritable`] when the description does not hold together, a position is not finite or does not fit the
+/// format's numbers, no triangle is left, or the result is too large.
+///
+/// # Example
+/// A triangle is cut in two: the new vertex lies in the middle of an edge, and its colour between those of the ends.
+/// ```
+/// use glam::{DAffine3, DVec3};
+/// use pliant_core::asset::{BaseModel, EditedModel, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends};
+///
+/// let text = "v 0 0 0 1 0 0\nv 1 0 0 0 0 1\nv 0 1 0 0 0 0\nf 1 2 3\n";
+/// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
+/// let mut blends = VertexBlends::identity(3);
+/// blends.push_blend(&[(0, 0.5), (1, 0.5)]);
+/// let edited = EditedModel {
+///     bases: &[BaseModel { model: &model, world_from_model: DAffine3::IDENTITY }],
+///     runs: &[PrimitiveRun { base: 0, primitive: 0, first_vertex: 0, vertex_count: 4, first_triangle: 0, triangle_count: 2 }],
+///     blends: &blends,
+///     triangles: &[[0, 3, 2], [3, 1, 2]],
+///     origins: &[],
+///     bare: &[],
+/// };
+/// let positions = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::X * 0.5];
+/// let written = pliant_core::asset::write_edited_model(&edited, &positions, Format::OBJ)?;
+/// let text = String::from_utf8_lossy(&written.main);
+/// assert_eq!(text, "v 0 0 0 1 0 0\nv 1 0 0 0 0 1\nv 0 1 0 0 0 0\nv 0.5 0 0 0.5 0 0.5\nf 1 4 3\nf 4 2 3\n");
+/// # Ok::<(), pliant_core::asset::Error>(())
+/// ```
+pub fn write_edited_model(
+    edited: &EditedModel<'_>,
+    positions: &[DVec3],
+    format: Format,
+) -> Result<WrittenFiles, Error> {
+    write_edited_model_following(edited, positions, format, Following::default())
+}
+
+/// As [`write_edited_model`], with a choice of what else follows the shape; there, everything does.
+///
+/// # Errors
+/// Those of [`write_edited_model`].
+pub fn write_edited_model_following<'a>(
+    edited: &EditedModel<'_>,
+    positions: &[DVec3],
+    format: Format,
+    followers: impl Into<ShapeFollowers<'a>>,
+) -> Result<WrittenFiles, Error> {
+    edited::check(edited, positions, format)?;
+    check_precision(format, positions, edited.triangles)?;
+    let followers = followers.into();
+    let mut written = write_checked_edit(edited, positions, format, &followers)?;
+    if (edited.bases.first()).is_some_and(|base| codec_of(format).edits(base.model.format)) {
+        written.followed.count_nodes(followers.nodes);
+    }
+    let passengers = edited.runs.iter().filter(|run| edited.primitive(run).is_passenger);
+    for run in passengers {
+        let before = CarriedAttributes::before(edited, run);
+        written
+            .followed
+            .count_passenger(!is_same(&before, &positions[run.vertices()]));
+    }
+    Ok(written)
+}
+
+fn write_checked_edit(
+    edited: &EditedModel<'_>,
+    positions: &[DVec3],
+    format: Format,
+    followers: &ShapeFollowers<'_>,
+) -> Result<WrittenFiles, Error> {
+    let Some(first) = edited.bases.first() else {
+        return Err(Error::unwritable(format, "there is no base"));
+    };
+    let codec = writer_of(format)?;
+    if !codec.edits(first.model.format) {
+        return codec.build(&neutral_edited_model(edited, positions, format)?, format);
+    }
+    let neutral_base = |base: u32| {
+        let mut neutral = NeutralModel::default();
+        add_base(&mut neutral, edited, base, positions, format)?;
+        Ok(neutral)
+    };
+    codec.write_edited(&EditedOutput {
+        edited,
+        positions,
+        format,
+        followers,
+        neutral_base: &neutral_base,
+        run_faces: &|run| faces_of_run(edited, run),
+    })
+}
+
+/// The name of a file without folders and extension, of plain characters.
+fn file_stem(name: &str) -> String {
+    let last = name.rsplit(['/', '\\']).next().unwrap_or_default();
+    let stem = last.rsplit_once('.').map_or(last, |(stem, _)| stem);
+    let plain = |c: char| {
+        if c.is_alphanumeric() || "-_".contains(c) {
+            c
+        } else {
+            '_'
+        }
+    };
+    stem.chars().take(80).map(plain).collect()
+}
+
+/// The faces of a run, where some have more than three corners.
+fn faces_of_run(edited: &EditedModel<'_>, run: &PrimitiveRun) -> Option<RunFaces> {
+    let model = edited.base(run).model;
+    let outlines = codec_of(model.format).face_outlines(model)?;
+    RunFaces::of_run(edited, run, outlines)
+}
+
+/// The neutral form of an edited model, for files of `format`.
+fn neutral_edited_model(edited: &EditedModel<'_>, positions: &[DVec3], format: Format) -> Result<NeutralModel, Error> {
+    let name = edited.bases.first().map_or("", |base| &base.model.files.name);
+    let mut neutral = NeutralModel {
+        stem: file_stem(name),
+        ..NeutralModel::default()
+    };
+    for base in 0..edited.bases.len() as u32 {
+        add_base(&mut neutral, edited, base, positions, format)?;
+    }
+    Ok(neutral)
+}
+
+/// The neutral form of a model that no edit has changed, at new positions: as if an edit had kept every vertex.
+pub(super) fn neutral_model(model: &Model, positions: &[DVec3], format: Format) -> Result<NeutralModel, Error> {
+    let geometry = &model.geometry;
+    let mut first_triangle = 0;
+    let mut runs = Vec::with_capacity(geometry.primitives.len());
+    for (i, primitive) in geometry.primitives.iter().enumerate() {
+        let triangle_count = primitive.index_count / 3;
+        runs.push(PrimitiveRun {
+            base: 0,
+            primitive: i as u32,
+            first_vertex: primitive.first_vertex,
+            vertex_count: primitive.vertex_count,
+            first_triangle,
+            triangle_count,
+        });
+        first_triangle += triangle_count;
+    }
+    let edited = EditedModel {
+        bases: &[BaseModel {
+            model,
+            world_from_model: DAffine3::IDENTITY,
+        }],
+        runs: &runs,
+        blends: &VertexBlends::identity(geometry.positions.len() as u32),
+        triangles: &geometry.triangles,
+        origins: &[],
+        bare: &[],
+    };
+    neutral_edited_model(&edited, positions, format)
+}
+
+/// Adds what comes from one base of an edited model.
+fn add_base(
+    neutral: &mut NeutralModel,
+    edited: &EditedModel<'_>,
+    base: u32,
+    positions: &[DVec3],
+    format: Format,
+) -> Result<(), Error> {
+    let runs: Vec<&PrimitiveRun> = edited.runs_with_triangles(base).collect();
+    let Some(held) = edited.bases.get(base as usize).filter(|_| !runs.is_empty()) else {
+        return Ok(());
+    };
+    let source = codec_of(held.model.format);
+    let divides = codec_of(format).divides_at_seams();
+    // Read once for all runs, and not at all for those that are divided.
+    let mut attributes = None;
+    for &run in &runs {
+        let parts = if divides {
+            source.seam_parts(edited, run, positions)?
+        } else {
+            None
+        };
+        if let Some(parts) = parts {
+            for part in parts {
+                neutral.check_room(part.copy_of.len(), format)?;
+                neutral.push_seam_part(edited, run, positions, part);
+            }
+            continue;
+        }
+        let attributes = match &mut attributes {
+            Some(attributes) => attributes,
+            none => none.insert(source.run_attributes(edited, &runs)?.into_iter()),
+        };
+        let mut attributes = attributes.next().unwrap_or_default();
+        if divides && !attributes.corner_uv.is_empty() {
+            neutral.push_divided_run(edited, run, positions, attributes, format)?;
+            continue;
+        }
+        neutral.check_room(run.vertex_count as usize, format)?;
+        attributes.faces = faces_of_run(edited, run);
+        neutral.push_run(edited, run, positions, attributes);
+    }
+    Ok(())
+}
+
+/// Rejects a model whose every triangle collapses in the format's positions. One remaining triangle makes a model that
+/// opens. A model that had no triangle before is not rejected here.
+pub(super) fn check_precision(format: Format, positions: &[DVec3], triangles: &[[u32; 3]]) -> Result<(), Error> {
+    if !codec_of(format).rounds_to_single() || triangles.is_empty() {
+        return Ok(());
+    }
+    let corners = |t: &[u32; 3]| t.map(|v| positions[v as usize]);
+    let is_apart = |[a, b, c]: [DVec3; 3]| a != b && b != c && c != a;
+    let rounded = |p: DVec3| p.as_vec3().as_dvec3();
+    let mut was_apart = triangles.iter().filter(|t| is_apart(corners(t))).peekable();
+    if was_apart.peek().is_none() || was_apart.any(|t| is_apart(corners(t).map(rounded))) {
+        return Ok(());
+    }
+    let far = positions.iter().map(|p| p.abs().max_element()).fold(0.0, f64::max);
+    let problem = format!(
+        "its positions have seven digits, and at coordinates of {far:.3e} every one of {} triangles collapses in them; \
+         move the model nearer to the origin, or write obj, ply or off",
+        triangles.len()
+    );
+    Err(Error::unwritable(format, problem))
+}

@@ -1,0 +1,240 @@
+//! Orientation diffusion (paper equation 2): a field of unit quaternions in which each is the mean of its neighbours'.
+//!
+//! In the steady state q_i is parallel to Σ w_ij q_j: a discrete harmonic map into the unit sphere. Local relaxation is
+//! too slow on real meshes. So the iteration starts from the blend by harmonic fields, which is exact where all turns
+//! share one axis, and each step is global: with the tangential part r_i of Σ w (q_j − q_i), L c = r is solved on the
+//! graph's hierarchy, and q_i becomes (q_i + c_i) / |q_i + c_i|. A step that does not lower Σ w |q_i − q_j|² is
+//! discarded. Signs are those of the blend: each handle has one, the same wherever its field is not 0.
+//!
+//! Linear frames (Lipman et al. 2005), for comparison with the paper's first pass (its figure 2).
+//!
+//! The frames B_i change along every edge as the rest frames do: they minimise Σ w ‖B_j − (I + Γ_ij) B_i‖² with the
+//! handles' frames given. Written as B_i = M_i B_i⁰ this is Σ w ‖M_j − M_i‖², so each of the nine entries of M is
+//! harmonic between the handles' rotations. The bounded fields u_k span the harmonic functions between the same
+//! handles, hence M_i = Σ_k u_k(i) R_k, without a solve. M is not a rotation: half-way through a turn by θ it shrinks
+//! to cos(θ/2) across the axis. The nearest rotation replaces it.
+
+use crate::body::DeformableBody;
+use crate::error::Error;
+use crate::first_pass::blend::{LocalRotation, PoseBlend, pack_rotation};
+use crate::handles::ownership::UNHELD;
+use crate::handles::system::{ConstrainedSystem, HandleSystem};
+use crate::rotation::fade;
+use glam::{DQuat, DVec4};
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
+use pliant_mesh::rotation::fit_rotation;
+use pliant_solver::{Constraints, InitialGuess, SolveControl, SolveOptions, Workspace};
+use rayon::prelude::*;
+use std::f64::consts::{PI, TAU};
+
+/// Most steps; each brings the error down to about (θ / 2π)² of what it was for turns by θ.
+const STEPS: usize = 8;
+/// Largest change of a quaternion that is not worth another step: about a hundredth of a degree.
+const SETTLED: f64 = 1e-4;
+/// Relative residual of a step's correction.
+const STEP_TOLERANCE: f64 = 1e-2;
+/// Most solver iterations of a step.
+const STEP_ITERATIONS: usize = 20;
+/// Longest correction of a unit quaternion in one step.
+const LONGEST: f64 = 0.5;
+
+/// Up to the first angle between handles the steady state is taken whole, from the second on not at all.
+const WINDS: [f64; 2] = [1.5 * PI, TAU];
+
+/// The rotations of all nodes.
+pub(crate) fn diffuse(
+    body: &DeformableBody,
+    rig: &HandleSystem,
+    blend: &PoseBlend<'_>,
+    exec: &Exec<'_>,
+) -> Result<Vec<LocalRotation>, Error> {
+    let nodes = body.nodes();
+    let begun: Vec<DVec4> = each(exec.pool, nodes, |i| {
+        blend.rotation(i).unwrap_or(DQuat::IDENTITY).into()
+    });
+    // Beyond a full turn there is a shorter way round the sphere, and descent would find it.
+    let kept = fade(blend.reach(), WINDS);
+    if kept == 1.0 {
+        return Ok(each(exec.pool, nodes, |i| pack_rotation(DQuat::from_vec4(begun[i]))));
+    }
+    let mut q = begun.clone();
+    relax(body, rig, blend, &mut q, exec)?;
+    Ok(each(exec.pool, nodes, |i| {
+        let between = begun[i] * kept + q[i] * (1.0 - kept);
+        pack_rotation(DQuat::from_vec4(between.try_normalize().unwrap_or(begun[i])))
+    }))
+}
+
+fn each<T: Send>(pool: &Pool, nodes: usize, value: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    pool.install(|| (0..nodes).into_par_iter().with_min_len(1024).map(value).collect())
+}
+
+fn relax(
+    body: &DeformableBody,
+    rig: &HandleSystem,
+    blend: &PoseBlend<'_>,
+    q: &mut Vec<DVec4>,
+    exec: &Exec<'_>,
+) -> Result<(), Error> {
+    let nodes = body.nodes();
+    let diffusion = OrientationDiffusion::new(body, rig, blend);
+    let own;
+    let same = rig.rotation.hard == rig.position.hard && rig.rotation.soft == rig.position.soft;
+    let system = match same {
+        true => &rig.positions.system,
+        false => {
+            let fixed: Vec<bool> = (0..nodes).map(|i| !diffusion.is_open(i)).collect();
+            let stiffness = rig.rotation.stiffness();
+            let constraints = Constraints {
+                fixed: &fixed,
+                stiffness: stiffness.as_deref(),
+            };
+            let system = body.hierarchy.constrain(&constraints, exec.pool)?;
+            own = ConstrainedSystem { fixed, system };
+            &own.system
+        }
+    };
+    let options = SolveOptions {
+        start: InitialGuess::FullMultigrid {
+            frames: None,
+            rest: None,
+        },
+        tolerance: Some(STEP_TOLERANCE),
+        max_iterations: STEP_ITERATIONS,
+        ..Default::default()
+    };
+    let mut workspace = Workspace::default();
+    let mut energy = diffusion.energy(q, exec.pool);
+    for _ in 0..STEPS {
+        exec.check()?;
+        let rhs: Vec<f64> = each(exec.pool, nodes, |i| diffusion.residual(i, q).to_array()).into_flattened();
+        let mut step = vec![0.0; nodes * 4];
+        system
+            .equations(&body.hierarchy, 4, &rhs)
+            .solve(&mut step, &options, &mut workspace, exec, &mut |_| {
+                SolveControl::Continue
+            })?;
+        let step: &[[f64; 4]] = step.as_chunks().0;
+        let next = each(exec.pool, nodes, |i| match diffusion.is_open(i) {
+            true => (q[i] + DVec4::from_array(step[i]).clamp_length_max(LONGEST)).normalize(),
+            false => q[i],
+        });
+        let after = diffusion.energy(&next, exec.pool);
+        let lower = after < energy;
+        if !lower {
+            break;
+        }
+        energy = after;
+        let change = q
+            .iter()
+            .zip(&next)
+            .map(|(a, b)| a.distance_squared(*b))
+            .fold(0.0, f64::max);
+        *q = next;
+        if change < SETTLED * SETTLED {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Where each node's pulls begin in a list that is sorted by node; empty without any.
+fn offsets(soft: &[(u32, u32, f64)], nodes: usize) -> Vec<u32> {
+    if soft.is_empty() {
+        return Vec::new();
+    }
+    let mut offsets = vec![0; nodes + 1];
+    soft.iter().for_each(|s| offsets[s.0 as usize + 1] += 1);
+    (0..nodes).for_each(|i| offsets[i + 1] += offsets[i]);
+    offsets
+}
+
+/// What quaternions are pulled to: their neighbours', and those of soft handles.
+struct OrientationDiffusion<'a> {
+    body: &'a DeformableBody,
+    rig: &'a HandleSystem,
+    blend: &'a PoseBlend<'a>,
+    /// Where each node's soft pulls begin in the list; empty without any.
+    soft: Vec<u32>,
+    /// By hold.
+    held: Vec<DVec4>,
+}
+
+impl<'a> OrientationDiffusion<'a> {
+    fn new(body: &'a DeformableBody, rig: &'a HandleSystem, blend: &'a PoseBlend<'a>) -> Self {
+        Self {
+            body,
+            rig,
+            blend,
+            soft: offsets(&rig.rotation.soft, body.nodes()),
+            held: (0..=rig.handle_count())
+                .map(|k| blend.held_rotation(k).into())
+                .collect(),
+        }
+    }
+
+    /// Whether a node's rotation is open: some handle has a say in it, and none decides it.
+    fn is_open(&self, node: usize) -> bool {
+        self.rig.rotation.hard[node] == UNHELD && self.blend.is_covered(node)
+    }
+
+    /// Soft pulls on a node: (stiffness, quaternion).
+    fn pulls(&self, node: usize) -> impl Iterator<Item = (f64, DVec4)> + '_ {
+        let range = match self.soft.is_empty() {
+            true => 0..0,
+            false => self.soft[node] as usize..self.soft[node + 1] as usize,
+        };
+        self.rig.rotation.soft[range]
+            .iter()
+            .map(|&(_, k, stiffness)| (stiffness, self.held[k as usize]))
+    }
+
+    /// The tangential part of Σ w (q_j − q_i); 0 on nodes that are not open.
+    fn residual(&self, i: usize, q: &[DVec4]) -> DVec4 {
+        if !self.is_open(i) {
+            return DVec4::ZERO;
+        }
+        let neighbours = self.body.edges(i).map(|(j, w)| (w, q[j]));
+        let sum: DVec4 = neighbours.chain(self.pulls(i)).map(|(w, other)| other * w).sum();
+        sum - q[i] * q[i].dot(sum)
+    }
+
+    /// ½ Σ w |q_i − q_j|² over edges and pulls, summed in an order that does not depend on threads.
+    fn energy(&self, q: &[DVec4], pool: &Pool) -> f64 {
+        const BLOCK: usize = 1024;
+        let of_node = |i: usize| {
+            let edges = self.body.edges(i).filter(|&(j, _)| j < i);
+            let edges: f64 = edges.map(|(j, w)| w * q[i].distance_squared(q[j])).sum();
+            match self.is_open(i) {
+                true => {
+                    edges
+                        + self
+                            .pulls(i)
+                            .map(|(s, held)| s * q[i].distance_squared(held))
+                            .sum::<f64>()
+                }
+                false => edges,
+            }
+        };
+        let nodes = self.body.nodes();
+        let blocks: Vec<f64> = pool.install(|| {
+            (0..nodes.div_ceil(BLOCK))
+                .into_par_iter()
+                .map(|b| (b * BLOCK..nodes.min((b + 1) * BLOCK)).map(of_node).sum())
+                .collect()
+        });
+        0.5 * blocks.iter().sum::<f64>()
+    }
+}
+
+/// The rotations of all nodes.
+pub(crate) fn linear_frames(blend: &PoseBlend<'_>, nodes: usize, pool: &Pool) -> Vec<LocalRotation> {
+    pool.install(|| {
+        (0..nodes)
+            .into_par_iter()
+            .with_min_len(1024)
+            .map(|i| pack_rotation(blend.matrix(i).map_or(DQuat::IDENTITY, fit_rotation)))
+            .collect()
+    })
+}

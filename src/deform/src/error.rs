@@ -1,0 +1,60 @@
+//! Why a deformation cannot be prepared or solved.
+
+use pliant_exec::progress::Cancelled;
+use pliant_mesh::graph;
+
+/// Why a deformation cannot be prepared or solved.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Error {
+    /// The graph cannot be built.
+    #[error("volume graph: {0}")]
+    Graph(String),
+    /// A volume graph was required, but the model has no inside.
+    #[error("the model encloses no volume, so no volume graph can be built; close its holes or use mode AUTO")]
+    NoInside,
+    /// No handle holds a position anywhere.
+    #[error("no handle constrains POSITION, so nothing says where the model is")]
+    NoPosition,
+    /// A part has no handle and the policy is to refuse.
+    #[error("part {part} (around {place}) has no handle that constrains POSITION; add one, or use FOLLOW or HOLD")]
+    FreePart {
+        /// Number of the part, by smallest vertex.
+        part: usize,
+        /// A point of it, model space.
+        place: String,
+    },
+    /// The solver failed.
+    #[error("solver: {0}")]
+    Solver(String),
+    /// A choice that this version does not have.
+    #[error("{0}")]
+    Unsupported(String),
+    /// The caller cancelled the work.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+impl From<Cancelled> for Error {
+    fn from(_: Cancelled) -> Self {
+        Self::Cancelled
+    }
+}
+
+impl From<pliant_solver::Error> for Error {
+    fn from(e: pliant_solver::Error) -> Self {
+        match e {
+            pliant_solver::Error::Cancelled => Self::Cancelled,
+            pliant_solver::Error::Unsupported(what) => Self::Unsupported(what.to_string()),
+            other => Self::Solver(other.to_string()),
+        }
+    }
+}
+
+impl From<graph::Error> for Error {
+    fn from(e: graph::Error) -> Self {
+        match e {
+            graph::Error::Cancelled(_) => Self::Cancelled,
+            other => Self::Graph(other.to_string()),
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! How every node gets its rotation and scale (paper section 2.1).
+//!
+//! Rotations are blended as rotation vectors relative to a base handle, so any number of turns is spread evenly; how
+//! several axes go together is in [`crate::rotation`]. Scales are blended as logarithms, so that halving and
+//! doubling weigh the same. [`FirstPass`] says what may replace the blend of rotations; scales stay as they are.
+//!
+//! Animations, which solve many poses a second, blend rotations without trigonometry. At each node the quaternions of the
+//! few handles with a weight there get the sign of the heaviest one, are weighted, summed and normalised. It costs some
+//! multiplications a node, and is as good as the mean on the sphere where handles differ by less than half a turn there;
+//! whole turns are lost.
+
+use crate::body::DeformableBody;
+use crate::comparison;
+use crate::error::Error;
+use crate::first_pass::blend::{IDENTITY_FRAME, LocalFrame, LocalRotation, PoseBlend, pack_frame};
+use crate::handles::system::HandleSystem;
+use crate::rotation::Transform;
+use glam::{DQuat, Quat};
+use pliant_exec::Exec;
+use pliant_exec::pool::Pool;
+use pliant_mesh::rotation::exp_rotation;
+use rayon::prelude::*;
+
+/// How rotations are spread from the handles over the nodes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum FirstPass {
+    /// Blended with bounded harmonic fields (the paper's choice, after Zayer et al. 2005). Any number of turns.
+    #[default]
+    Harmonic,
+    /// The steady state of the paper's orientation diffusion, equation (2), begun at the blend. Unit quaternions are
+    /// equal for one full turn and two: where a handle has turned further than that, the blend stays as it is.
+    Diffusion,
+    /// The linear frames of Lipman et al. 2005, made orthogonal afterwards, for comparison: they pile turns up half-way
+    /// between handles and know none beyond half a circle.
+    LinearFrames,
+    /// Weighted sums of the quaternions of the few handles with a say at a node: little work, for animations, and blind to
+    /// whole turns. What handles that constrain rotations alone do is taken whole where a solve starts from the last one.
+    WeightedSum,
+}
+
+/// The frames of all nodes for the holds' transforms (`transforms[k]` belongs to hold k of the rig), by harmonic fields.
+pub fn frames(body: &DeformableBody, rig: &HandleSystem, transforms: &[Transform], pool: &Pool) -> Vec<LocalFrame> {
+    blend_frames_with(body, rig, transforms, None, pool)
+}
+
+/// How one pose gets its rotations: what [`FirstPass`] comes to, decided once at the top of a solve.
+pub(crate) struct FirstRotations {
+    /// Rotations in place of the blend by harmonic fields; `None` for the blend itself, and where nothing is turned.
+    pub instead: Option<Vec<LocalRotation>>,
+    /// Whether the pose is one of an animation: nodes follow weighted sums, and sums over edges are in single precision.
+    pub is_animation: bool,
+}
+
+impl FirstRotations {
+    /// Those of the blend by harmonic fields.
+    pub const BLEND: Self = Self {
+        instead: None,
+        is_animation: false,
+    };
+
+    /// Those of `how` for the holds' transforms.
+    pub fn of(
+        body: &DeformableBody,
+        rig: &HandleSystem,
+        transforms: &[Transform],
+        how: FirstPass,
+        exec: &Exec<'_>,
+    ) -> Result<Self, Error> {
+        let blend = PoseBlend::new(body, rig, transforms, None);
+        let instead = match how {
+            FirstPass::Harmonic => None,
+            _ if blend.is_unturned() => None,
+            FirstPass::WeightedSum => Some(weighted_sums(rig, transforms, exec.pool)),
+            FirstPass::Diffusion => Some(comparison::diffuse(body, rig, &blend, exec)?),
+            FirstPass::LinearFrames => Some(comparison::linear_frames(&blend, body.nodes(), exec.pool)),
+        };
+        Ok(Self {
+            instead,
+            is_animation: how == FirstPass::WeightedSum,
+        })
+    }
+}
+
+/// As [`frames`], with other rotations where there are any.
+pub(crate) fn blend_frames_with(
+    body: &DeformableBody,
+    rig: &HandleSystem,
+    transforms: &[Transform],
+    instead: Option<&[LocalRotation]>,
+    pool: &Pool,
+) -> Vec<LocalFrame> {
+    let blend = PoseBlend::new(body, rig, transforms, instead);
+    pool.install(|| {
+        (0..body.nodes())
+            .into_par_iter()
+            .with_min_len(1024)
+            .map(|i| match (blend.rotation(i), blend.scale(i)) {
+                (None, None) => IDENTITY_FRAME,
+                (rotation, scale) => pack_frame(rotation.unwrap_or(DQuat::IDENTITY), scale),
+            })
+            .collect()
+    })
+}
+
+/// The rotations of all nodes for the holds' transforms.
+fn weighted_sums(rig: &HandleSystem, transforms: &[Transform], pool: &Pool) -> Vec<LocalRotation> {
+    let shares = rig.sparse_shares(pool);
+    // The frozen surroundings stand still; they come after the holds.
+    let holds: Vec<Quat> = (transforms.iter())
+        .map(|t| exp_rotation(t.rotation).as_quat())
+        .chain([Quat::IDENTITY])
+        .collect();
+    let blend = |node: usize| {
+        let some = shares.at(node);
+        let Some(&(most, _)) = some.first() else {
+            return Quat::IDENTITY.to_array();
+        };
+        let most = holds[most as usize];
+        let mut sum = Quat::from_array([0.0; 4]);
+        for &(hold, share) in some {
+            let hold = holds[hold as usize];
+            let share = if hold.dot(most) < 0.0 { -share } else { share };
+            sum += hold * share;
+        }
+        match sum.length_squared() > 1e-12 {
+            true => sum.normalize().to_array(),
+            false => most.to_array(),
+        }
+    };
+    pool.install(|| {
+        (0..shares.nodes())
+            .into_par_iter()
+            .with_min_len(4096)
+            .map(blend)
+            .collect()
+    })
+}

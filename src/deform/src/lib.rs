@@ -1,0 +1,93 @@
+//! The paper's two-pass deformation on a graph.
+//!
+//! The first pass (section 2.1) finds how every vertex is turned and scaled, by blending the handles' rotations and
+//! scales with bounded harmonic fields. The second pass (section 2.2) solves equation (8) for positions that agree best
+//! with those local frames. Both solve on one multigrid hierarchy, which depends on the graph alone. Beyond the paper,
+//! [`Refinement`] fits the frames to the result and solves again.
+//!
+//! Data flows one way: [`DeformableBody`] (graph and hierarchy) → [`HandleSystem`] (a set of handles with its fields and
+//! systems) → [`PoseSolution`] (positions for the handles' transforms). This module knows no model, no request and no clock.
+//!
+//! ```
+//! use glam::DVec3;
+//! use pliant_core::asset::shapes::box_with_cells;
+//! use pliant_core::deform::*;
+//! use pliant_core::exec::Exec;
+//! use pliant_core::mesh::{Mesh, Weld};
+//! use pliant_core::pool::Pool;
+//! use pliant_core::progress::Silent;
+//!
+//! let (positions, triangles) = box_with_cells(DVec3::ONE, [4, 4, 4]);
+//! let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a box");
+//! let pool = Pool::new(1).expect("a thread");
+//! let exec = Exec::new(&pool, &Silent);
+//! let body = DeformableBody::build(&mesh, &BodyOptions::default(), &exec)?;
+//!
+//! // The lowest vertices stay where they are, the highest ones move up.
+//! let (low, high) = (mesh.bounds().min.y, mesh.bounds().max.y);
+//! let handle_at = |y: f64| HandleConstraint {
+//!     nodes: (0u32..).zip(&mesh.positions).filter(|(_, p)| p.y == y).map(|(node, _)| node).collect(),
+//!     position: true,
+//!     rotation: true,
+//!     ..Default::default()
+//! };
+//! let setup = HandleSetup { handles: vec![handle_at(low), handle_at(high)], ..Default::default() };
+//! let handles = HandleSystem::build(&body, setup, &exec)?;
+//! let up = Transform { translation: DVec3::Y, ..Transform::IDENTITY };
+//! let request = PoseRequest {
+//!     transforms: &[Transform::IDENTITY, up],
+//!     tolerance: Some(1e-4),
+//!     max_error: None,
+//!     start: SolveStart::Fresh,
+//!     first_pass: FirstPass::Harmonic,
+//!     refinement: Refinement::default(),
+//!     extent: SolutionExtent::Graph,
+//! };
+//! let solved = handles.solve(&body, &request, &mut SolveState::default(), &exec, &mut |_| true)?;
+//! for (p, now) in mesh.positions.iter().zip(&solved.positions) {
+//!     assert!(now.y >= p.y - 1e-3 && now.y <= p.y + 1.001);
+//!     assert!(p.y != high || *now == *p + DVec3::Y);
+//! }
+//! # Ok::<(), Error>(())
+//! ```
+//!
+//! | room | what |
+//! |---|---|
+//! | `body` | graph, hierarchy and rest shape of a mesh, and how they follow an edit |
+//! | `handles` | which handle holds which node, loose parts, how nodes are carried along and placed |
+//! | `fields` | bounded harmonic fields of the handles |
+//! | `rotation` | transforms of handles, fits and blends of rotations |
+//! | `first_pass` | the local frame of each node |
+//! | `second_pass` | equation (8), solving it, and fitting rotations to the result |
+//! | `thin_faces` | needles and caps, which follow the shape around them |
+//! | `folds` | faces that turned over, brought back where nothing forces them |
+//! | `comparison` | other methods, to compare with: orientation diffusion, linear frames, radial basis functions |
+
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
+
+mod body;
+mod comparison;
+mod error;
+mod fields;
+mod first_pass;
+mod folds;
+mod handles;
+mod rotation;
+mod second_pass;
+mod thin_faces;
+
+pub use body::{BodyOptions, CoarseOperators, DeformableBody, EdgeWeights, TieFamilies, TieOptions, VolumeMode};
+pub use comparison::SpatialRbf;
+pub use error::Error;
+pub use fields::HarmonicFields;
+pub use first_pass::{FirstPass, LocalFrame, frames};
+pub use folds::{FaceChanges, FaceSurroundings, unfold_faces};
+pub use handles::{
+    FreePartPolicy, HandleConstraint, HandleMotion, HandleSetup, HandleShares, HandleSystem, carry, shares_difference,
+};
+pub use rotation::{Transform, blend_rotations, exp_rotation, fit_rigid_motion, log_rotation};
+pub use second_pass::{
+    FitOrder, PoseMethod, PoseRequest, PoseSolution, Refinement, SecondPassEquations, SolutionExtent, SolveStart,
+    SolveState, SolveUpdate,
+};
+pub use thin_faces::NeedlesAndCaps;

@@ -1,0 +1,338 @@
+//! A pose that is to be solved, what comes of it, and what one solve leaves to the next.
+//!
+//! A drag keeps its last solution in the order of the solver's rows, with what finds a node in it.
+
+use crate::body::DeformableBody;
+use crate::first_pass::blend::{LocalFrame, LocalRotation};
+use crate::first_pass::spread::FirstPass;
+use crate::handles::ownership::UNHELD;
+use crate::handles::system::HandleSystem;
+use crate::rotation::Transform;
+use crate::second_pass::refine::Refinement;
+use glam::DVec3;
+use pliant_exec::pool::Pool;
+use pliant_solver::{PoseRows, Workspace};
+
+/// Where the solver starts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SolveStart {
+    /// Full multigrid: the result depends on nothing but the request.
+    Fresh,
+    /// The last solution of the [`SolveState`], or the rest shape when there is none, carried along with the handles.
+    Warm,
+}
+
+/// A pose to solve.
+pub struct PoseRequest<'a> {
+    /// By hold of the rig.
+    pub transforms: &'a [Transform],
+    /// Relative residual to reach (the paper's), when given.
+    pub tolerance: Option<f64>,
+    /// Largest missing displacement to reach, as a fraction of the diagonal, when given.
+    pub max_error: Option<f64>,
+    /// Where to start.
+    pub start: SolveStart,
+    /// How rotations are spread from the handles.
+    pub first_pass: FirstPass,
+    /// Fitting rotations after the second pass.
+    pub refinement: Refinement,
+    /// Which nodes the solution has.
+    pub extent: SolutionExtent,
+}
+
+/// Which nodes a solution has positions and frames of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum SolutionExtent {
+    /// All.
+    #[default]
+    Graph,
+    /// Positions of the surface at least, and frames where they cost nothing: for frames that are shown.
+    Positions,
+    /// Positions and frames of the surface at least.
+    Surface,
+}
+
+/// A state of a solve that is under way, given to the watcher after every cycle.
+pub struct SolveUpdate<'a> {
+    /// Cycles done, from 1.
+    pub cycle: u32,
+    /// Fits of rotations done.
+    pub refined: u32,
+    /// Relative residual reached, largest over coordinates.
+    pub residual: f64,
+    /// Estimated largest missing displacement, fraction of the diagonal.
+    pub max_error: f64,
+    /// Makes the positions of this state, model space: of all nodes, or of the render vertices where a deformer solves. Costs
+    /// a pass over them.
+    pub positions: &'a dyn Fn() -> Vec<DVec3>,
+}
+
+/// A solved pose.
+#[derive(Debug, Clone)]
+pub struct PoseSolution {
+    /// Positions of all graph nodes, or of at least the first ones with a smaller [`SolutionExtent`], model space; the
+    /// first `graph.surface` are the mesh's vertices. Parts in which no handle has moved keep the bits of their rest
+    /// positions.
+    pub positions: Vec<DVec3>,
+    /// Frames of the same nodes, of the first pass or as refined; empty when nothing moved, and where [`SolutionExtent::Positions`] does
+    /// without them.
+    pub frames: Vec<LocalFrame>,
+    /// How often rotations were fitted; less than was asked for when the solve was cut short.
+    pub refined: u32,
+    /// Iterations of the solver.
+    pub iterations: usize,
+    /// Relative residual, largest over coordinates.
+    pub residual: f64,
+    /// Estimated largest missing displacement, fraction of the diagonal.
+    pub max_error: f64,
+    /// How it was solved.
+    pub method: PoseMethod,
+}
+
+/// How a pose was solved.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PoseMethod {
+    /// By two passes on the graph, and how the solver ended.
+    Graph(pliant_solver::SolveMethod),
+    /// By radial basis functions in space.
+    SpatialRbf,
+}
+
+impl PoseSolution {
+    /// Nothing has moved.
+    pub(crate) fn at_rest(body: &DeformableBody) -> Self {
+        Self {
+            positions: body.graph.positions.clone(),
+            frames: Vec::new(),
+            refined: 0,
+            iterations: 0,
+            residual: 0.0,
+            max_error: 0.0,
+            method: PoseMethod::Graph(pliant_solver::SolveMethod::Trivial),
+        }
+    }
+}
+
+/// What a solve keeps for the next one: the last solution and scratch memory.
+#[derive(Default)]
+pub struct SolveState {
+    /// Solving coordinates by node; empty before the first solve.
+    pub(crate) x: Vec<f64>,
+    /// Where the handles were for `x`.
+    pub(crate) transforms: Vec<Transform>,
+    /// What refinement had added to the first pass's rotations in `x`; empty when it had not been asked for.
+    pub(crate) extra: Vec<LocalRotation>,
+    pub(crate) rhs: Vec<f64>,
+    pub(crate) workspace: Workspace,
+    /// The last solution in the order of the solver's rows, where a drag keeps it.
+    pub(crate) rows: DragRows,
+    /// Memory for the positions and frames of the next pose of a drag.
+    pub(crate) spare: (Vec<DVec3>, Vec<LocalFrame>),
+}
+
+impl SolveState {
+    /// Bytes held on the heap.
+    pub fn byte_size(&self) -> usize {
+        (self.x.capacity() + self.rhs.capacity()) * 8
+            + self.extra.capacity() * 16
+            + self.spare.0.capacity() * size_of::<DVec3>()
+            + self.spare.1.capacity() * size_of::<LocalFrame>()
+            + self.workspace.byte_size()
+            + self.rows.byte_size()
+    }
+
+    /// Where there is no last solution the rest shape is one, with all handles in the rest pose.
+    pub(crate) fn begin(&mut self, body: &DeformableBody, holds: usize) {
+        self.rows.hand_over(body, &mut self.x);
+        if self.x.len() != body.nodes() * 3 {
+            self.x.clear();
+            self.x
+                .extend((0..body.nodes()).flat_map(|node| body.rest(node).to_array()));
+            self.extra.clear();
+            self.transforms = vec![Transform::IDENTITY; holds];
+        }
+    }
+
+    /// The same for a drag, which takes the rest shape itself where there is nothing else.
+    pub(crate) fn begin_drag(&mut self, body: &DeformableBody, holds: usize) {
+        if self.x.len() != body.nodes() * 3 {
+            self.x.clear();
+            self.extra.clear();
+            self.transforms = vec![Transform::IDENTITY; holds];
+        }
+    }
+
+    /// Whether [`HandleSystem::settle_drag`](crate::HandleSystem::settle_drag) has something to do.
+    pub fn is_worth_settling(&self) -> bool {
+        self.rows.is_newest() && self.rows.pose.is_worth_settling()
+    }
+
+    /// Takes back positions and frames of a pose that is not needed any more, as memory for the next one.
+    pub fn recycle(&mut self, positions: Vec<DVec3>, frames: Vec<LocalFrame>) {
+        self.spare = (positions, frames);
+    }
+
+    /// Gives memory back that only a solve from nothing needs.
+    pub fn release_start(&mut self) {
+        self.rhs = Vec::new();
+        self.workspace.release_start();
+        self.rows.release();
+    }
+
+    /// Drops what refinement had added to the first pass's rotations, so that the next solve fits them again.
+    pub fn forget_fits(&mut self) {
+        self.extra.clear();
+    }
+
+    /// Whether nothing was solved with it.
+    pub fn is_empty(&self) -> bool {
+        self.byte_size() == 0
+    }
+
+    /// Drops all but memory, as other handles need.
+    pub fn reset(&mut self) {
+        self.forget();
+        self.transforms.clear();
+        self.rhs.clear();
+    }
+
+    /// Lets go of the last solution.
+    pub(crate) fn forget(&mut self) {
+        self.rows.let_go();
+        self.x.clear();
+        self.extra.clear();
+    }
+}
+
+/// A row without a node.
+pub(super) const NO_NODE: u32 = u32::MAX;
+
+/// Given nodes that one hold has.
+#[derive(Debug, Clone, Copy)]
+struct HeldNodes {
+    hold: usize,
+    count: f64,
+    /// Their mean rest position, model space.
+    mean: DVec3,
+}
+
+/// The last solution of a drag, row by row.
+#[derive(Debug, Default)]
+pub(crate) struct DragRows {
+    pub(super) pose: PoseRows,
+    /// The row of each node.
+    pub(super) row_of: Vec<u32>,
+    /// What `pose.x` is relative to, solving coordinates.
+    pub(super) center: DVec3,
+    held: Vec<HeldNodes>,
+    /// Given nodes that no hold moves: how many, and the sum of their rest positions, solving coordinates.
+    unmoved: (f64, DVec3),
+    /// The last solution is here, and not in the order of nodes.
+    is_newest: bool,
+}
+
+impl DragRows {
+    /// Takes over the last solution, `x` in the order of nodes, which is given up; where that is empty, the rest shape.
+    pub(super) fn take_over(&mut self, body: &DeformableBody, rig: &HandleSystem, x: &mut Vec<f64>, pool: &Pool) {
+        if self.is_newest {
+            return;
+        }
+        let vertices = body.hierarchy.row_vertices();
+        let Self { pose, row_of, .. } = self;
+        let rest = |node: usize| body.rest(node).to_array();
+        let start = |node: usize| match x.get(3 * node..3 * node + 3) {
+            Some(at) => [at[0], at[1], at[2]],
+            None => rest(node),
+        };
+        let find_rows = || {
+            row_of.clear();
+            row_of.resize(body.nodes(), 0);
+            for (row, &node) in vertices.iter().enumerate().filter(|(_, v)| **v != NO_NODE) {
+                row_of[node as usize] = row as u32;
+            }
+        };
+        // Finding rows takes one thread; poses have work for the others.
+        pool.install(|| rayon::join(|| pose.begin(&body.hierarchy, rest, start, pool), find_rows));
+        self.center = DVec3::ZERO;
+        self.find_held(body, rig);
+        *x = Vec::new();
+        self.is_newest = true;
+    }
+
+    /// Gives the last solution back in the order of nodes, if it is here.
+    pub(crate) fn hand_over(&mut self, body: &DeformableBody, x: &mut Vec<f64>) {
+        if !self.is_newest {
+            return;
+        }
+        self.is_newest = false;
+        x.clear();
+        x.extend(self.row_of.iter().flat_map(|&row| {
+            let here = &self.pose.x[row as usize];
+            [
+                here[0] + self.center.x,
+                here[1] + self.center.y,
+                here[2] + self.center.z,
+            ]
+        }));
+        debug_assert!(x.len() == body.nodes() * 3);
+    }
+
+    /// Whether the last solution is here.
+    pub(super) fn is_newest(&self) -> bool {
+        self.is_newest
+    }
+
+    /// Gives memory back that does not hold the last solution.
+    pub(super) fn release(&mut self) {
+        if !self.is_newest {
+            (self.pose, self.row_of) = (PoseRows::default(), Vec::new());
+        }
+    }
+
+    /// Forgets the last solution.
+    pub(crate) fn let_go(&mut self) {
+        self.is_newest = false;
+    }
+
+    fn find_held(&mut self, body: &DeformableBody, rig: &HandleSystem) {
+        let holds = rig.handle_count();
+        let mut held = vec![(0.0, DVec3::ZERO); holds];
+        self.unmoved = (0.0, DVec3::ZERO);
+        for (node, _) in rig.given().iter().enumerate().filter(|(_, given)| **given) {
+            let k = rig.position.hard[node];
+            match held.get_mut(k as usize).filter(|_| k != UNHELD) {
+                Some((count, sum)) => {
+                    *count += 1.0;
+                    *sum += body.graph.positions[node];
+                }
+                None => {
+                    self.unmoved.0 += 1.0;
+                    self.unmoved.1 += body.rest(node);
+                }
+            }
+        }
+        self.held.clear();
+        let some = held.into_iter().enumerate().filter(|(_, (count, _))| *count > 0.0);
+        self.held.extend(some.map(|(hold, (count, sum))| HeldNodes {
+            hold,
+            count,
+            mean: sum / count,
+        }));
+    }
+
+    /// The mean of what is held, solving coordinates; the origin where nothing is.
+    pub(super) fn mean_of_held(&self, body: &DeformableBody, transforms: &[Transform]) -> DVec3 {
+        let (mut count, mut sum) = self.unmoved;
+        for held in &self.held {
+            let place = transforms.get(held.hold).map_or(held.mean, |t| t.map()(held.mean));
+            count += held.count;
+            sum += body.solving_from_model(place) * held.count;
+        }
+        if count > 0.0 { sum / count } else { DVec3::ZERO }
+    }
+
+    /// Bytes held on the heap.
+    pub(super) fn byte_size(&self) -> usize {
+        self.pose.byte_size() + 4 * self.row_of.capacity() + size_of::<HeldNodes>() * self.held.capacity()
+    }
+}

@@ -1,0 +1,52 @@
+//! Topology operations: each makes the smallest patch of a surface that does what the caller asked for.
+//!
+//! An operation never changes the session's arrays. It reads a [`SurfaceView`] and returns a [`SurfacePatch`]: removed
+//! triangles, added vertices and triangles, and what the new vertices are made of. [`apply_patch`] turns surface and
+//! patch into the next surface with the maps between both, so that attributes, handles, graph and hierarchy can follow.
+//! What is far from the edit keeps its order and its bits. Formats, requests, handles and the solver are unknown here.
+//!
+//! Topology is that of *points* (welded vertices): a seam in texture coordinates is not a gap. A cut that keeps both
+//! sides leaves two points at one place, so a number identifies a point, never its position.
+//!
+//! | module | what it does |
+//! |---|---|
+//! | `patch` | the patch, and applying it |
+//! | `region_mesh` | the one structure that operations change faces in |
+//! | `cut` | planes, curves along the surface, caps over what a cut opens |
+//! | `fill` | deleting faces, filling holes |
+//! | `remesh`, `decimate`, `subdivide` | other triangles for the same shape |
+//! | `stitch`, `weld` | joining boundaries and points |
+//!
+//! Other modules: the surface that is read (`surface`), its boundary (`boundary`), its counts (`topology`), measures of
+//! a triangle (`triangle`) and errors (`error`).
+
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
+
+mod cut;
+mod decimate;
+mod error;
+mod fill;
+mod patch;
+mod region_mesh;
+mod remesh;
+mod stitch;
+mod subdivide;
+mod surface;
+mod topology;
+mod triangle;
+mod weld;
+
+pub use cut::{CutOptions, CutPlane, KeptSide, MOST_POINTS, SurfaceCurve, cut_along_curve, cut_by_plane, insert_curve};
+pub use decimate::decimate_region;
+pub use error::{EditSubject, Error, ErrorPlace, shown_count};
+pub use fill::{delete_faces, fill_holes};
+pub use patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch, apply_patch};
+pub use remesh::{
+    ASPECT, DEVIATION, LENGTH_DEVIATION, MENDED, MOST_TRIANGLES, RemeshOptions, RemeshTarget, RemeshedRegion,
+    SHARP_DEGREES, STRETCH, expected_triangles, remesh_region,
+};
+pub use stitch::{LoopPair, stitch_boundaries};
+pub use subdivide::{EvennessTarget, FieldSample, SubdivisionScheme, subdivide_region, subdivide_until_even};
+pub use surface::{MOST_FACE_PAIRS, SurfaceView, check_faces_at_points};
+pub use topology::{SurfaceTopology, verify_surface};
+pub use weld::{NOTHING_TO_WELD, weld_boundaries, weld_points};

@@ -1,0 +1,250 @@
+//! Where a surface passes through itself: pairs of triangles that cross.
+//!
+//! Positions are rounded to 32 bits first, which is what frames and most formats carry; differences of such numbers
+//! and the signs of the volumes made of them are then taken in 64 bits. Touching is not crossing.
+
+use crate::measure::BoundingBox;
+use crate::query::bvh::TriangleBvh;
+use glam::DVec3;
+use pliant_exec::Exec;
+use pliant_exec::progress::Cancelled;
+use rayon::prelude::*;
+
+/// Triangles looked at in one piece of work.
+const BLOCK: usize = 16;
+
+/// Counts the pairs of triangles that cross.
+///
+/// A pair that shares an edge never counts. A pair that shares one vertex counts when the edge opposite to it in one
+/// triangle passes through the other triangle. Any other pair counts when an edge of one passes through the other. An
+/// edge passes through a triangle when its ends lie strictly on both sides and it meets the triangle or its border.
+///
+/// Takes time in proportion to n log n plus the pairs whose boxes overlap, which may be all when a surface has
+/// collapsed; `progress` is asked often. The count does not depend on threads.
+///
+/// # Errors
+/// [`Cancelled`] when `progress` says so.
+///
+/// # Panics
+/// When a triangle names a position that does not exist. Triangles of a [`super::Mesh`] never do.
+pub fn self_intersections(positions: &[DVec3], triangles: &[[u32; 3]], exec: &Exec<'_>) -> Result<u64, Cancelled> {
+    if triangles.len() < 2 {
+        return Ok(0);
+    }
+    exec.pool.install(|| {
+        let points: Vec<DVec3> = positions.par_iter().map(|p| p.as_vec3().as_dvec3()).collect();
+        let surface = BoxedTriangles::build(&points, triangles, exec);
+        exec.check()?;
+        (0..triangles.len().div_ceil(BLOCK))
+            .into_par_iter()
+            .map(|block| {
+                let mut places = block * BLOCK..((block + 1) * BLOCK).min(triangles.len());
+                // A triangle meets every other one at worst.
+                places.try_fold(0, |count, place| {
+                    exec.check()?;
+                    Ok(count + surface.count_crossings(place))
+                })
+            })
+            .sum()
+    })
+}
+
+/// Triangles in a hierarchy, each with its box.
+struct BoxedTriangles<'a> {
+    bvh: TriangleBvh<'a>,
+    /// The box of each triangle, in the order of the hierarchy's leaves.
+    boxes: Vec<BoundingBox>,
+}
+
+impl<'a> BoxedTriangles<'a> {
+    fn build(points: &'a [DVec3], triangles: &'a [[u32; 3]], exec: &Exec<'_>) -> Self {
+        let bvh = TriangleBvh::build(points, triangles, exec.pool);
+        let places = (0..triangles.len()).into_par_iter();
+        let boxes = places.map(|place| BoundingBox::of(&bvh.corners(place))).collect();
+        Self { bvh, boxes }
+    }
+
+    /// Counts the triangles at later places that cross the one at `place`.
+    fn count_crossings(&self, place: usize) -> u64 {
+        let order = self.bvh.triangle_order();
+        let (own, bounds) = (order[place], &self.boxes[place]);
+        let mut count = 0;
+        self.bvh.visit_overlapping(bounds, place + 1, |other| {
+            if self.boxes[other].overlaps(bounds) {
+                let theirs = order[other];
+                let [f, g] = [own.min(theirs), own.max(theirs)].map(|t| self.bvh.triangles()[t as usize]);
+                count += u64::from(do_cross(self.bvh.positions(), f, g));
+            }
+        });
+        count
+    }
+}
+
+/// Whether two triangles cross.
+fn do_cross(points: &[DVec3], f: [u32; 3], g: [u32; 3]) -> bool {
+    let (mut shared, mut i, mut j) = (0, 0, 0);
+    for (k, v) in f.iter().enumerate() {
+        for (l, w) in g.iter().enumerate() {
+            if v == w {
+                (shared, i, j) = (shared + 1, k, l);
+            }
+        }
+    }
+    let at = |v: u32| points[v as usize];
+    let (a, b) = (f.map(at), g.map(at));
+    match shared {
+        0 => {
+            if is_beside(a, b) || is_beside(b, a) {
+                return false;
+            }
+            (0..3).any(|k| passes(a[k], a[(k + 1) % 3], b) || passes(b[k], b[(k + 1) % 3], a))
+        }
+        1 => passes(a[(i + 1) % 3], a[(i + 2) % 3], b) || passes(b[(j + 1) % 3], b[(j + 2) % 3], a),
+        _ => false,
+    }
+}
+
+/// Whether all corners of `a` lie strictly on one side of the plane of `b`.
+fn is_beside(a: [DVec3; 3], b: [DVec3; 3]) -> bool {
+    let sides = a.map(|p| signed_volume(b[0], b[1], b[2], p));
+    sides.iter().all(|&s| s > 0.0) || sides.iter().all(|&s| s < 0.0)
+}
+
+/// Whether the segment from `p` to `q` passes through `t`, border included, with its ends strictly on both sides.
+fn passes(p: DVec3, q: DVec3, t: [DVec3; 3]) -> bool {
+    let [a, b, c] = t;
+    let (s, e) = (signed_volume(a, b, c, p), signed_volume(a, b, c, q));
+    if !((s < 0.0 && e > 0.0) || (s > 0.0 && e < 0.0)) {
+        return false;
+    }
+    let around = [
+        signed_volume(p, q, a, b),
+        signed_volume(p, q, b, c),
+        signed_volume(p, q, c, a),
+    ];
+    around.iter().all(|&v| v >= 0.0) || around.iter().all(|&v| v <= 0.0)
+}
+
+/// Six times the signed volume of a tetrahedron.
+fn signed_volume(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
+    (b - a).cross(c - a).dot(d - a)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pliant_exec::pool::Pool;
+    use pliant_exec::progress::{CancelFlag, Silent};
+
+    fn pool() -> Pool {
+        Pool::new(2).expect("two threads")
+    }
+
+    fn count(positions: &[DVec3], triangles: &[[u32; 3]]) -> u64 {
+        self_intersections(positions, triangles, &Exec::new(&pool(), &Silent)).expect("no cancel")
+    }
+
+    fn points(p: &[[f64; 3]]) -> Vec<DVec3> {
+        p.iter().copied().map(DVec3::from_array).collect()
+    }
+
+    #[test]
+    fn pairs_count_by_what_they_share() {
+        let flat = [[0., 0., 0.], [4., 0., 0.], [0., 4., 0.]];
+        let with = |more: &[[f64; 3]]| points(&[&flat[..], more].concat());
+        // A blade through the middle, the same blade beside, and one that only touches with a corner.
+        let through = with(&[[1., 1., -1.], [1., 1., 1.], [2., 1., 1.]]);
+        let beside = with(&[[9., 1., -1.], [9., 1., 1.], [9., 2., 1.]]);
+        let touching = with(&[[1., 1., 0.], [1., 1., 1.], [2., 1., 1.]]);
+        for (positions, wanted) in [(through, 1), (beside, 0), (touching, 0)] {
+            assert_eq!(count(&positions, &[[0, 1, 2], [3, 4, 5]]), wanted);
+        }
+        // From a shared corner, back through the triangle.
+        let back = with(&[[1., 1., -1.], [1., 1., 1.]]);
+        assert_eq!(count(&back, &[[0, 1, 2], [0, 3, 4]]), 1);
+        let away = with(&[[-1., -1., -1.], [-1., -1., 1.]]);
+        assert_eq!(count(&away, &[[0, 1, 2], [0, 3, 4]]), 0);
+        // Folded flat onto its neighbour across an edge: never counted.
+        let folded = with(&[[3., 3., 0.]]);
+        assert_eq!(count(&folded, &[[0, 1, 2], [1, 2, 3]]), 0);
+    }
+
+    /// Sheets of n × n cells in planes that cross at a right angle along a line between grid lines.
+    fn crossed_sheets(n: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let mut positions = Vec::new();
+        let mut triangles = Vec::new();
+        for sheet in 0..2 {
+            let first = positions.len();
+            for i in 0..=n {
+                for j in 0..=n {
+                    let (x, y) = (i as f64 - n as f64 / 2.0 + 0.25, j as f64);
+                    positions.push(if sheet == 0 {
+                        DVec3::new(x, y, 0.0)
+                    } else {
+                        DVec3::new(0.0, y + 0.3, x)
+                    });
+                }
+            }
+            let at = |i: usize, j: usize| (first + i * (n + 1) + j) as u32;
+            for i in 0..n {
+                for j in 0..n {
+                    triangles.push([at(i, j), at(i + 1, j), at(i + 1, j + 1)]);
+                    triangles.push([at(i, j), at(i + 1, j + 1), at(i, j + 1)]);
+                }
+            }
+        }
+        (positions, triangles)
+    }
+
+    /// Every pair, without the tree.
+    fn slowly(positions: &[DVec3], triangles: &[[u32; 3]]) -> u64 {
+        let points: Vec<DVec3> = positions.iter().map(|p| p.as_vec3().as_dvec3()).collect();
+        let mut found = 0;
+        for (k, f) in triangles.iter().enumerate() {
+            found += triangles[k + 1..].iter().filter(|g| do_cross(&points, *f, **g)).count() as u64;
+        }
+        found
+    }
+
+    #[test]
+    fn the_tree_misses_nothing_and_counts_nothing_twice() {
+        for n in [1, 2, 3, 7, 16] {
+            let (positions, triangles) = crossed_sheets(n);
+            let all = slowly(&positions, &triangles);
+            assert!(all >= n as u64, "{n} cells cross in {all} pairs");
+            assert_eq!(count(&positions, &triangles), all, "{n} cells");
+            let one = self_intersections(
+                &positions,
+                &triangles,
+                &Exec::new(&Pool::new(1).expect("a thread"), &Silent),
+            );
+            assert_eq!(one, Ok(all));
+            // The count belongs to the shape, not to the order of its triangles or where it lies.
+            let turned: Vec<_> = triangles.iter().rev().map(|&[a, b, c]| [c, a, b]).collect();
+            assert_eq!(count(&positions, &turned), all);
+            let doubled: Vec<_> = positions.iter().map(|p| *p * 2.0).collect();
+            assert_eq!(count(&doubled, &triangles), all);
+        }
+    }
+
+    #[test]
+    fn nothing_odd_counts_or_panics() {
+        assert_eq!(count(&[], &[]), 0);
+        let nan = points(&[[f64::NAN, 0., 0.], [1e300, 0., 0.], [0., 1., 0.], [0., 0., 1.]]);
+        assert_eq!(count(&nan, &[[0, 1, 2], [1, 2, 3], [0, 2, 3]]), 0);
+        let heap = vec![DVec3::ONE; 300];
+        let triangles: Vec<[u32; 3]> = (0..100).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        assert_eq!(count(&heap, &triangles), 0, "points are not a surface");
+    }
+
+    #[test]
+    fn a_cancelled_count_stops() {
+        let flag = CancelFlag::default();
+        flag.cancel();
+        let (positions, triangles) = crossed_sheets(4);
+        assert_eq!(
+            self_intersections(&positions, &triangles, &Exec::new(&pool(), &flag)),
+            Err(Cancelled)
+        );
+    }
+}

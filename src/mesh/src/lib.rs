@@ -1,0 +1,31 @@
+//! Triangles as the solver sees them: welded vertices, clean faces, what is next to what, and what is wrong with them.
+//!
+//! Owns the map between render vertices (a model's, split along shading seams) and solver vertices (points in space),
+//! adjacency, connected components, measures and the inspection report. Takes plain slices: it knows no file format,
+//! no graph interior and no solver.
+
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
+
+mod adjacency;
+pub mod carry;
+mod error;
+pub mod graph;
+mod inspect;
+mod intersections;
+pub mod local_turns;
+mod measure;
+pub mod query;
+pub mod rotation;
+pub mod shading;
+mod weld;
+mod welded_mesh;
+
+pub use adjacency::{Adjacency, BoundaryLoop, Components, Lists, MeshEdge, boundary_loops};
+pub use error::Error;
+pub use inspect::{MeshReport, MeshWarning, PartReport, inspect};
+pub use intersections::self_intersections;
+pub use measure::{
+    BoundingBox, brief_number, brief_point, grouped_count, mean_edge_length, signed_volume, surface_area,
+};
+pub use weld::{Weld, mix_bits};
+pub use welded_mesh::{Mesh, NONE};

@@ -1,0 +1,218 @@
+//! The calls of `pliant.v1.Deformer`.
+
+use super::codec::status;
+use super::codec::{Call, call_key};
+use super::services::deformer_server::Deformer;
+use super::streams;
+use crate::messages::{self, parse_format_name};
+use crate::redirect;
+use crate::state::ServerState;
+use bytes::Bytes;
+use futures::Stream;
+use pliant_wire::frames::{OutgoingResponse, encode};
+use pliant_wire::pb;
+use std::pin::Pin;
+use tonic::{Request, Response, Status, Streaming};
+
+/// Bytes of one chunk of an export.
+const CHUNK: usize = 1 << 20;
+
+/// Answers calls over a state.
+pub(super) struct Calls {
+    state: ServerState,
+}
+
+type GrpcAnswer<T> = Result<Response<T>, Status>;
+type Sent<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
+
+impl Calls {
+    pub fn new(state: ServerState) -> Self {
+        Self { state }
+    }
+
+    fn session(&self, session: pb::Session) -> GrpcAnswer<pb::Session> {
+        let message = messages::described_session(session, self.state.manager.config());
+        Ok(Response::new(message))
+    }
+}
+
+fn sent<T: Send + 'static>(items: impl IntoIterator<Item = T, IntoIter: Send + 'static>) -> Sent<T> {
+    Box::pin(futures::stream::iter(items.into_iter().map(Ok)))
+}
+
+#[tonic::async_trait]
+impl Deformer for Calls {
+    async fn create_session(&self, request: Request<Streaming<pb::CreateSessionRequest>>) -> GrpcAnswer<pb::Session> {
+        let was_sent = request.metadata().contains_key(redirect::NODE);
+        let call = Call::work(&self.state, request).await?;
+        self.state.manager.place_new(was_sent).await.map_err(status)?;
+        let upload = streams::receive_upload(&self.state, &call.tenant, call.message).await?;
+        let key = call_key(call.key, &upload.options);
+        let options =
+            pliant_wire::session_options(&upload.options, call.manager.ttl_range(&call.tenant).map_err(status)?)
+                .map_err(status)?;
+        // From here on the session's own reservation has room for them.
+        drop(upload.held);
+        let created = call
+            .manager
+            .create(&call.tenant, upload.files, options, key)
+            .await
+            .map_err(status)?;
+        self.session(created.value)
+    }
+
+    async fn get_session(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
+        let call = Call::read(&self.state, request)?;
+        self.session(
+            call.manager
+                .get(&call.tenant, &call.message.session_id)
+                .await
+                .map_err(status)?,
+        )
+    }
+
+    async fn list_sessions(&self, request: Request<pb::ListSessionsRequest>) -> GrpcAnswer<pb::ListSessionsResponse> {
+        let call = Call::read(&self.state, request)?;
+        let page = pliant_wire::session_page(&call.message).map_err(status)?;
+        let list = call.manager.list(&call.tenant, page).await.map_err(status)?;
+        Ok(Response::new(messages::session_list(list, call.manager.config())))
+    }
+
+    async fn delete_session(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::DeleteSessionResponse> {
+        let call = Call::read(&self.state, request)?;
+        call.manager
+            .delete(&call.tenant, &call.message.session_id)
+            .await
+            .map_err(status)?;
+        Ok(Response::new(pb::DeleteSessionResponse {}))
+    }
+
+    async fn set_handles(&self, request: Request<pb::SetHandlesRequest>) -> GrpcAnswer<pb::Session> {
+        let call = Call::work(&self.state, request).await?.on_session(&self.state).await?;
+        let (key, handles) = (call.call_key(), pliant_wire::handle_set(&call.message).map_err(status)?);
+        let set = call
+            .manager
+            .set_handles(&call.tenant, &call.message.session_id, handles, key);
+        self.session(set.await.map_err(status)?)
+    }
+
+    type DeformStream = Sent<OutgoingResponse>;
+
+    async fn deform(&self, request: Request<Streaming<pb::DeformRequest>>) -> GrpcAnswer<Self::DeformStream> {
+        // The head of the answer goes out at once: clients wait for it before they send their first message.
+        let responses = streams::responses(self.state.clone(), Call::read(&self.state, request)?);
+        Ok(Response::new(Box::pin(responses)))
+    }
+
+    type SolveStream = Sent<pb::Frame>;
+
+    async fn solve(&self, request: Request<pb::SolveRequest>) -> GrpcAnswer<Self::SolveStream> {
+        let call = Call::work(&self.state, request).await?.on_session(&self.state).await?;
+        let pose = pliant_wire::pose_commit(&call.message, call.manager.config().window).map_err(status)?;
+        let solved = call
+            .manager
+            .solve(&call.tenant, &call.message.session_id, pose, call.call_key());
+        Ok(Response::new(sent(encode(solved.await.map_err(status)?.frame))))
+    }
+
+    async fn edit(&self, request: Request<pb::EditRequest>) -> GrpcAnswer<pb::EditResult> {
+        let call = Call::work(&self.state, request).await?.on_session(&self.state).await?;
+        let edit = pliant_wire::session_edit(&call.message).map_err(status)?;
+        let done = call
+            .manager
+            .edit(&call.tenant, &call.message.session_id, edit, call.call_key());
+        Ok(Response::new(done.await.map_err(status)?))
+    }
+
+    async fn undo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
+        let call = Call::work(&self.state, request).await?;
+        let undone = call
+            .manager
+            .undo(&call.tenant, &call.message.session_id, call.key.as_deref());
+        self.session(undone.await.map_err(status)?)
+    }
+
+    async fn redo(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::Session> {
+        let call = Call::work(&self.state, request).await?;
+        let redone = call
+            .manager
+            .redo(&call.tenant, &call.message.session_id, call.key.as_deref());
+        self.session(redone.await.map_err(status)?)
+    }
+
+    async fn history(&self, request: Request<pb::SessionRequest>) -> GrpcAnswer<pb::HistoryResponse> {
+        let call = Call::read(&self.state, request)?;
+        let history = call
+            .manager
+            .history(&call.tenant, &call.message.session_id)
+            .await
+            .map_err(status)?;
+        Ok(Response::new(messages::history_message(history)))
+    }
+
+    type ExportStream = Sent<pb::Chunk>;
+
+    async fn export(&self, request: Request<pb::ExportRequest>) -> GrpcAnswer<Self::ExportStream> {
+        let call = Call::read(&self.state, request)?;
+        let format = match call.message.format.as_str() {
+            "" => None,
+            name => Some(parse_format_name("format", name).map_err(status)?),
+        };
+        let exported = call
+            .manager
+            .export(&call.tenant, &call.message.session_id, format)
+            .await
+            .map_err(status)?;
+        let mut followed = pliant_wire::followed_message(&exported.written.followed);
+        let main = (String::new(), exported.written.main);
+        let files: Vec<_> = std::iter::once(main).chain(exported.written.companions).collect();
+        let all = files.into_iter().flat_map(|(uri, bytes)| chunks(uri, bytes.into()));
+        Ok(Response::new(sent(all.map(move |chunk| pb::Chunk {
+            followed: followed.take(),
+            ..chunk
+        }))))
+    }
+
+    async fn carry(&self, request: Request<pb::CarryRequest>) -> GrpcAnswer<pb::CarryResponse> {
+        let call = Call::read(&self.state, request)?.on_session(&self.state).await?;
+        let order = pliant_wire::carry_order(&call.message).map_err(status)?;
+        let carried = call
+            .manager
+            .carry(&call.tenant, &call.message.session_id, order)
+            .await
+            .map_err(status)?;
+        Ok(Response::new(messages::carried_message(carried)))
+    }
+
+    type AnimateStream = Sent<pb::Frame>;
+
+    async fn animate(&self, request: Request<Streaming<pb::AnimateRequest>>) -> GrpcAnswer<Self::AnimateStream> {
+        // The head of the answer goes out at once: clients wait for it before they send their first message.
+        let frames = streams::animation_frames(self.state.clone(), Call::read(&self.state, request)?);
+        Ok(Response::new(Box::pin(frames)))
+    }
+
+    async fn get_limits(&self, request: Request<pb::GetLimitsRequest>) -> GrpcAnswer<pb::Limits> {
+        let call = Call::read(&self.state, request)?;
+        let left = call.manager.quotas_left(&call.tenant).await.map_err(status)?;
+        let longest = *call.manager.ttl_range(&call.tenant).map_err(status)?.end();
+        Ok(Response::new(messages::limits_left(
+            call.manager.config(),
+            &left,
+            longest,
+        )))
+    }
+}
+
+/// A file in chunks; an empty file is one empty chunk, so that its name arrives.
+fn chunks(uri: String, bytes: Bytes) -> impl Iterator<Item = pb::Chunk> + Send {
+    let count = bytes.len().div_ceil(CHUNK).max(1);
+    (0..count).map(move |k| {
+        let (first, last) = (k * CHUNK, bytes.len().min((k + 1) * CHUNK));
+        pb::Chunk {
+            data: bytes.slice(first..last),
+            uri: uri.clone(),
+            followed: None,
+        }
+    })
+}

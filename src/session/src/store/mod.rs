@@ -1,0 +1,49 @@
+//! Stored sessions: the log of their commits in a database, models and shapes as objects.
+//!
+//! A commit is a row, written and synced before it is acknowledged. Large data is an object, named by its content,
+//! written and synced before the row that names it. The store trusts nothing that it reads: rows carry checksums,
+//! objects are compared with their names, and what does not fit is reported as damage and never served.
+//!
+//! | file | what |
+//! |---|---|
+//! | `session_store` | the traits that sessions use, their values and errors |
+//! | `location` | where a store is; the data folder: created, locked, read |
+//! | `database_store`, `opening` | the traits on a database and objects, and how a store is opened |
+//! | `shared_store`, `loose_objects` | which of several nodes has a session, and the objects that they share |
+//! | `read_only_store` | a store that operators inspect and compare, also while a server writes it |
+//! | `connection`, `schema` | the database, SQLite or PostgreSQL, and its tables |
+//! | `writer`, `write_order` | one task writes, several orders in one transaction; whether the store takes writes |
+//! | `newest_write` | how far a file was written, so that a lost end is noticed |
+//! | `rows`, `reading` | rows with their checksums, and the queries that read them |
+//! | `objects`, `bucket` | large data, by content, in a local folder or in S3 |
+
+mod bucket;
+mod connection;
+mod database_store;
+mod location;
+mod newest_write;
+mod objects;
+mod opening;
+mod read_only_store;
+mod reading;
+mod schema;
+mod session_store;
+mod shared_store;
+mod write_order;
+mod writer;
+
+pub use database_store::DatabaseStore;
+pub use location::StoreLocation;
+pub(crate) use objects::{read_shape, write_shape};
+pub use read_only_store::{AuditFilter, CheckedSession, ReadOnlyStore, read_audit};
+pub use session_store::{
+    Commit, Generation, HeldSession, KeepSessions, ListedSession, LoggedKey, NewCommit, NewSession, NodeIdentity,
+    NodeLoad, ReadSessions, SessionClaim, SessionOwnership, StoreError, Stored, StoredFacts, StoredSession,
+    StoredSnapshot, UsedSession, calendar_text, now_ms,
+};
+
+/// Names the build and processor that make a result: the sources of what computes and the compiler as a digest, and the
+/// processor. Within one, the same inputs give the same bits; another may differ in late digits.
+pub fn build_identity() -> String {
+    format!("{}-{}", env!("COMPUTING_SOURCES"), std::env::consts::ARCH)
+}

@@ -1,0 +1,148 @@
+//! Calls on a session, read from their requests: a pose to commit, an edit, a page of the list.
+
+use super::edit::edit;
+use super::options::DeformOptions;
+use super::poses::pose_changes;
+use super::{Error, pb};
+use pb::edit_request::{Operation, merge::Source};
+use pliant_asset::FileSet;
+use pliant_core::engine::{Edit, EditedShape, HandlePose};
+
+/// A pose to be solved and committed. Made by [`pose_commit`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseCommit {
+    /// The number of its frame.
+    pub seq: u64,
+    /// The handles that move, and where they go.
+    pub changes: Vec<(String, HandlePose)>,
+    /// How it is solved, and what its frame carries.
+    pub options: DeformOptions,
+}
+
+/// Reads a pose to commit.
+///
+/// # Errors
+/// [`Error::Invalid`] with the field.
+pub fn pose_commit(request: &pb::SolveRequest, max_window: u32) -> Result<PoseCommit, Error> {
+    let options = DeformOptions::check(&request.options.unwrap_or_default(), "options", max_window)?;
+    let pose = request.pose.as_ref();
+    if pose.is_some_and(|p| !p.idempotency_key.is_empty()) {
+        let problem = "is for commits on a stream; give this call the header idempotency-key";
+        return Err(Error::invalid("pose.idempotencyKey", problem));
+    }
+    Ok(PoseCommit {
+        seq: pose.map_or(0, |p| p.seq),
+        changes: pose.map_or_else(|| Ok(Vec::new()), pose_changes)?,
+        options,
+    })
+}
+
+/// An edit of a session's model. Made by [`session_edit`].
+#[derive(Debug, Clone)]
+pub struct SessionEdit {
+    /// The request as a store records it: without the session's id and without the model of a merge.
+    pub request: pb::EditRequest,
+    /// What is to be done. The files of a merge with another session are empty until that session is asked for them.
+    pub edit: Edit,
+    /// The shape that it works on.
+    pub on: EditedShape,
+    /// The other session that a merge takes its model from.
+    pub merged_session: Option<String>,
+}
+
+/// Reads an edit of a session's model.
+///
+/// # Errors
+/// [`Error::Invalid`] with the field.
+pub fn session_edit(request: &pb::EditRequest) -> Result<SessionEdit, Error> {
+    let source = match &request.operation {
+        Some(Operation::Merge(merge)) => merge.source.as_ref(),
+        _ => None,
+    };
+    let merged_session = match source {
+        Some(Source::Session(id)) => Some(id.clone()),
+        _ => None,
+    };
+    let (edit, on) = edit(request, Some(&FileSet::default()))?;
+    let mut request = pb::EditRequest {
+        session_id: String::new(),
+        ..request.clone()
+    };
+    if let Some(Operation::Merge(merge)) = &mut request.operation {
+        merge.source = Some(Source::Session(String::new()));
+    }
+    Ok(SessionEdit {
+        request,
+        edit,
+        on,
+        merged_session,
+    })
+}
+
+/// A page of a list of sessions. Made by [`session_page`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SessionPage {
+    /// The most sessions that it holds.
+    pub size: usize,
+    /// It begins after the session with this number; sessions are numbered as they are opened.
+    pub after: u64,
+}
+
+/// Reads which page of the sessions is asked for.
+///
+/// # Errors
+/// [`Error::Invalid`] for a page size or token that is not allowed.
+pub fn session_page(request: &pb::ListSessionsRequest) -> Result<SessionPage, Error> {
+    let size = match request.page_size {
+        0 => 100,
+        n @ 1..=1000 => n as usize,
+        n => return Err(Error::invalid("pageSize", format!("is {n}, at most 1000 is allowed"))),
+    };
+    let after = match request.page_token.as_str() {
+        "" => 0,
+        token => u64::from_str_radix(token, 16)
+            .map_err(|_| Error::invalid("pageToken", "is not a token that an earlier page gave"))?,
+    };
+    Ok(SessionPage { size, after })
+}
+
+/// Writes the token of the page that begins after the session with this number.
+pub fn page_token(after: u64) -> String {
+    format!("{after:x}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_token_leads_to_the_page_that_it_was_given_for() {
+        let page = |page_size, page_token: &str| {
+            session_page(&pb::ListSessionsRequest {
+                page_size,
+                page_token: page_token.into(),
+            })
+        };
+        let expected = SessionPage { size: 2, after: 31 };
+        assert_eq!(page(2, &page_token(31)), Ok(expected));
+        assert_eq!(page(0, ""), Ok(SessionPage { size: 100, after: 0 }));
+        for (size, token, field) in [(1001, "", "pageSize"), (1, "x y", "pageToken")] {
+            assert!(matches!(page(size, token), Err(Error::Invalid { field: f, .. }) if f == field));
+        }
+    }
+
+    #[test]
+    fn a_merge_with_a_session_names_it_and_has_no_files_yet() {
+        let merge = pb::edit_request::Merge {
+            source: Some(Source::Session("other".into())),
+            ..Default::default()
+        };
+        let request = pb::EditRequest {
+            operation: Some(Operation::Merge(merge)),
+            ..Default::default()
+        };
+        let read = session_edit(&request).expect("right");
+        assert_eq!(read.merged_session.as_deref(), Some("other"));
+        assert!(matches!(read.edit, Edit::Merge(merge) if merge.from_session && merge.files.main.is_empty()));
+    }
+}

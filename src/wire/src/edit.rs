@@ -1,0 +1,276 @@
+//! Edits as messages and as values of the engine: their names in JSON, what they did, and what a job expects of a result.
+
+use super::check::{enumerated, number, plane, points, positive};
+use super::edit_kind::edit_kind_name;
+use super::facts::warning_message;
+use super::handles::region;
+use super::{Error, pb};
+use glam::{DMat3, DMat4, DVec3, DVec4};
+use pb::edit_request::{self as message, Operation};
+use pliant_asset::{FileSet, Format};
+use pliant_core::engine::{
+    CutLine, Edit, EditKind, EditReport, EditedShape, MergeJoin, MeshCounts, ModelMerge, Region, RemeshCommand,
+};
+use pliant_edit::{KeptSide, MOST_POINTS, SubdivisionScheme};
+
+/// Reads an edit and the shape that it works on. `other` is the model of the session that a merge names.
+///
+/// # Errors
+/// [`Error::Invalid`] with the field.
+pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit, EditedShape), Error> {
+    let on = match enumerated(request.on, "on")? {
+        message::On::Current => EditedShape::Current,
+        message::On::Rest => EditedShape::Rest,
+    };
+    let edit = match &request.operation {
+        None => {
+            let allowed = "cut, subdivide, decimate, delete, fill, remesh, merge, insertCurve or weld";
+            let problem = format!("is missing, allowed is one of {allowed}");
+            return Err(Error::invalid("operation", problem));
+        }
+        Some(Operation::Cut(cut)) => self::cut(cut)?,
+        Some(Operation::Subdivide(subdivide)) if subdivide.auto => Edit::SubdivideForPose {
+            region: optional_region(subdivide.region.as_ref(), "subdivide.region")?,
+        },
+        Some(Operation::Subdivide(subdivide)) => Edit::Subdivide {
+            region: optional_region(subdivide.region.as_ref(), "subdivide.region")?,
+            scheme: match enumerated(subdivide.scheme, "subdivide.scheme")? {
+                message::subdivide::Scheme::Loop => SubdivisionScheme::Loop,
+                message::subdivide::Scheme::Midpoint => SubdivisionScheme::Midpoint,
+            },
+        },
+        Some(Operation::Decimate(decimate)) => Edit::Decimate {
+            ratio: number(decimate.ratio, "decimate.ratio")?,
+            region: optional_region(decimate.region.as_ref(), "decimate.region")?,
+        },
+        Some(Operation::Delete(delete)) => match &delete.region {
+            None => return Err(Error::invalid("delete.region", "is missing; say what is to be deleted")),
+            some => Edit::Delete {
+                region: region(some.as_ref(), "delete.region")?,
+                fill: delete.fill,
+            },
+        },
+        Some(Operation::Fill(fill)) => Edit::Fill {
+            region: optional_region(fill.region.as_ref(), "fill.region")?,
+        },
+        Some(Operation::Remesh(remesh)) => self::remesh(remesh)?,
+        Some(Operation::Merge(merge)) => Edit::Merge(Box::new(self::merge(merge, other)?)),
+        Some(Operation::InsertCurve(curve)) => Edit::InsertCurve {
+            points: line(&curve.points, "insertCurve.points", curve.closed)?,
+            closed: curve.closed,
+        },
+        Some(Operation::Weld(weld)) => Edit::Weld {
+            tolerance: positive(weld.tolerance, "weld.tolerance")?,
+        },
+    };
+    Ok((edit, on))
+}
+
+/// Returns the JSON name of an edit's operation.
+pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
+    match &edit.operation {
+        Some(Operation::Cut(_)) => edit_kind_name(EditKind::Cut),
+        Some(Operation::Subdivide(_)) => edit_kind_name(EditKind::Subdivide),
+        Some(Operation::Decimate(_)) => edit_kind_name(EditKind::Decimate),
+        Some(Operation::Delete(_)) => edit_kind_name(EditKind::Delete),
+        Some(Operation::Fill(_)) => edit_kind_name(EditKind::Fill),
+        Some(Operation::Remesh(_)) => edit_kind_name(EditKind::Remesh),
+        Some(Operation::Merge(_)) => edit_kind_name(EditKind::Merge),
+        Some(Operation::InsertCurve(_)) => edit_kind_name(EditKind::InsertCurve),
+        Some(Operation::Weld(_)) => edit_kind_name(EditKind::Weld),
+        None => "none",
+    }
+}
+
+/// Writes what an edit did; revision and times are the caller's.
+pub fn edit_result(report: &EditReport) -> pb::EditResult {
+    let counts = |c: MeshCounts| pb::edit_result::Counts {
+        vertices: c.vertices,
+        faces: c.faces,
+    };
+    pb::EditResult {
+        before: Some(counts(report.before)),
+        after: Some(counts(report.after)),
+        handles_kept: report.handles_kept.clone(),
+        warnings: report.warnings.iter().map(warning_message).collect(),
+        kept: (report.kept.iter())
+            .map(|run| pb::edit_result::Run {
+                was: run.was,
+                now: run.now,
+                count: run.count,
+            })
+            .collect(),
+        curve: report.curve.clone(),
+        deviation: report.deviation,
+        digest: report.digest.clone(),
+        repaired: report.repaired,
+        ..Default::default()
+    }
+}
+
+fn optional_region(message: Option<&pb::Region>, field: &str) -> Result<Option<Region>, Error> {
+    message.map(|r| region(Some(r), field)).transpose()
+}
+
+fn cut(cut: &message::Cut) -> Result<Edit, Error> {
+    let keep = match enumerated(cut.keep, "cut.keep")? {
+        message::cut::Keep::Both => KeptSide::Both,
+        message::cut::Keep::Above => KeptSide::Above,
+        message::cut::Keep::Below => KeptSide::Below,
+    };
+    let ways = [cut.plane.is_some(), !cut.polyline.is_empty(), !cut.path.is_empty()];
+    let seen = ways.iter().filter(|w| **w).count();
+    if seen != 1 {
+        let problem = format!("names {seen} of plane, polyline and path, needed is one");
+        return Err(Error::invalid("cut", problem));
+    }
+    let along = if let Some(wanted) = &cut.plane {
+        CutLine::Plane(plane(wanted, "cut.plane")?)
+    } else if !cut.polyline.is_empty() {
+        CutLine::Polyline {
+            points: line(&cut.polyline, "cut.polyline", cut.closed)?,
+            closed: cut.closed,
+        }
+    } else {
+        CutLine::Path {
+            vertices: cut.path.clone(),
+            closed: cut.closed,
+        }
+    };
+    let fill = cut.fill;
+    Ok(Edit::Cut { along, keep, fill })
+}
+
+fn line(values: &[f64], field: &str, closed: bool) -> Result<Vec<DVec3>, Error> {
+    let least = if closed { 3 } else { 2 };
+    points(values, least..=MOST_POINTS, field, |seen| {
+        format!("has {seen} numbers, allowed are three for each of {least} to {MOST_POINTS} points")
+    })
+}
+
+fn remesh(remesh: &message::Remesh) -> Result<Edit, Error> {
+    let field = "remesh.edgeLength";
+    let region = optional_region(remesh.region.as_ref(), "remesh.region")?;
+    let edge_length = match (remesh.auto, remesh.edge_length) {
+        (true, 0.0) => None,
+        (true, seen) => {
+            let problem = format!("is {seen}, but auto takes its lengths from the rest shape; leave one of them out");
+            return Err(Error::invalid(field, problem));
+        }
+        (false, 0.0) => return Err(Error::invalid(field, "is missing; give a length or set auto")),
+        (false, length) => Some(positive(length, field)?),
+    };
+    let option = |value: f64, field: &str| match value {
+        0.0 => Ok(None),
+        given => positive(given, field).map(Some),
+    };
+    Ok(Edit::Remesh(RemeshCommand {
+        region,
+        edge_length,
+        max_deviation: option(remesh.max_deviation, "remesh.maxDeviation")?,
+        sharp_degrees: option(remesh.sharp_degrees, "remesh.sharpDegrees")?,
+    }))
+}
+
+fn merge(merge: &message::Merge, other: Option<&FileSet>) -> Result<ModelMerge, Error> {
+    let join = match enumerated(merge.how, "merge.how")? {
+        message::merge::How::Weld => MergeJoin::Weld,
+        message::merge::How::Stitch => MergeJoin::Stitch,
+        message::merge::How::Loose => MergeJoin::Loose,
+    };
+    let own_from_other = placement(&merge.transform)?;
+    let files = match (&merge.source, other) {
+        (None, _) => {
+            let problem = "names no other model, allowed is one of model, session or, in a job, file";
+            return Err(Error::invalid("merge", problem));
+        }
+        (Some(message::merge::Source::Model(bytes)), _) => FileSet::single("", bytes.clone()),
+        (Some(message::merge::Source::File(name)), _) => {
+            let problem = format!("names \"{name}\", but files are read where a job file is run; give the model");
+            return Err(Error::invalid("merge.file", problem));
+        }
+        (Some(message::merge::Source::Session(_)), Some(files)) => files.clone(),
+        (Some(message::merge::Source::Session(_)), None) => {
+            let problem = "can only be named where there are sessions; give the model";
+            return Err(Error::invalid("merge.session", problem));
+        }
+    };
+    let format = match merge.format.as_str() {
+        "" => None,
+        name => Some(Format::from_name(name).ok_or_else(|| {
+            let problem = format!("is \"{name}\", allowed are {}", Format::read_name_list("and"));
+            Error::invalid("merge.format", problem)
+        })?),
+    };
+    Ok(ModelMerge {
+        files,
+        from_session: matches!(merge.source, Some(message::merge::Source::Session(_))),
+        format,
+        own_from_other,
+        join,
+        tolerance: match merge.tolerance {
+            0.0 => None,
+            given => Some(positive(given, "merge.tolerance")?),
+        },
+    })
+}
+
+/// Sixteen numbers, column by column; none is the identity.
+fn placement(values: &[f64]) -> Result<DMat4, Error> {
+    if values.is_empty() {
+        return Ok(DMat4::IDENTITY);
+    }
+    let field = "merge.transform";
+    let Ok(columns) = <[f64; 16]>::try_from(values) else {
+        let problem = format!("has {} numbers, a transform has 16, column by column", values.len());
+        return Err(Error::invalid(field, problem));
+    };
+    for (k, v) in columns.iter().enumerate() {
+        number(*v, &format!("{field}[{k}]"))?;
+    }
+    let matrix = DMat4::from_cols_array(&columns);
+    let affine = matrix.row(3) == DVec4::W;
+    let volume = DMat3::from_mat4(matrix).determinant();
+    if !(affine && volume.abs() > 1e-30 && volume.is_finite()) {
+        let problem = "must be affine (last row 0, 0, 0, 1) and not flatten the model";
+        return Err(Error::invalid(field, problem));
+    }
+    Ok(matrix)
+}
+
+impl pb::Expect {
+    /// Refuses bounds that nothing could exceed, or everything, and a digest that no positions have. `place` is where the
+    /// expectations stand.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with the bound's path.
+    pub fn check(&self, place: &str) -> Result<(), Error> {
+        let bounds = [
+            ("maxDistance", self.max_distance),
+            ("meanDistance", self.mean_distance),
+            ("normalDegrees", self.normal_degrees),
+            ("volumeChange", self.volume_change),
+        ];
+        for (name, most) in bounds.into_iter().filter_map(|(name, most)| Some((name, most?))) {
+            if !(most.is_finite() && most >= 0.0) {
+                let problem = format!("is {most:?}, a finite number of at least 0 is needed");
+                return Err(Error::invalid(format!("{place}.{name}"), problem));
+            }
+        }
+        if !(self.digest.is_empty() || can_be_digest(&self.digest)) {
+            let problem = format!(
+                "is {:?}, \"xxh3:\" and 16 hexadecimal digits in small letters are needed, as reports print it",
+                self.digest
+            );
+            return Err(Error::invalid(format!("{place}.digest"), problem));
+        }
+        Ok(())
+    }
+}
+
+/// Whether positions can have this digest.
+fn can_be_digest(text: &str) -> bool {
+    let is_digit = |b: u8| b.is_ascii_digit() || (b'a'..=b'f').contains(&b);
+    text.strip_prefix("xxh3:")
+        .is_some_and(|digits| digits.len() == 16 && digits.bytes().all(is_digit))
+}

@@ -1,0 +1,119 @@
+//! Vertex buffers as frames: attributes, encodings, changed vertices and parts.
+//!
+//! Owns how positions, normals and tangents become the bytes of [`pb::Frame`] messages. A frame's parts are made one at a
+//! time, when they are asked for, so that a slow reader costs no memory; where a part goes out as it is made, its numbers are
+//! written straight into the bytes that are sent ([`OutgoingResponse`]). Knows no stream and no session: who may get
+//! a frame, and when, is not decided here.
+
+mod numbers;
+mod output;
+mod part;
+mod reader;
+mod sent_steps;
+
+pub use output::{FrameEncoding, FrameOutput};
+pub use part::OutgoingResponse;
+pub use part::{FrameParts, encode, encode_next};
+pub use reader::FrameReader;
+pub use sent_steps::SentSteps;
+
+use self::numbers::{PickedVertices, put_floats};
+use super::pb;
+use bytes::Bytes;
+use glam::DVec3;
+use pliant_core::engine::{Shading, TopologyId};
+use pliant_motion::rig::RigidMotion;
+use std::sync::Arc;
+
+/// Positions as little-endian 32-bit floats, x, y, z per vertex.
+pub fn f32_bytes(positions: &[DVec3]) -> Bytes {
+    let mut data = Vec::with_capacity(positions.len() * 12);
+    put_floats(PickedVertices::Run(positions), &mut data);
+    data.into()
+}
+
+/// A frame: its header, the shape that it shows, and how that is encoded.
+#[derive(Debug, Clone, Default)]
+pub struct Frame {
+    /// What all its parts repeat: everything but the numbers.
+    pub header: pb::Frame,
+    /// The state of the model that its vertices belong to. No frame is a difference from one of another state.
+    pub topology: Option<TopologyId>,
+    /// Length of the model's diagonal; [`changed_only`](FrameOutput::changed_only) is a fraction of it.
+    pub diagonal: f64,
+    /// Where the root bone of an animation has moved the model, when that is not in the positions.
+    pub root: Option<RigidMotion>,
+    /// One per render vertex.
+    pub positions: Arc<Vec<DVec3>>,
+    /// Needed when `output` asks for normals or tangents; without it they are left out.
+    pub shading: Option<Arc<Shading>>,
+    /// What to send and how.
+    pub output: FrameOutput,
+    /// The vertices to send, ascending; `None` is all of them.
+    pub selected: Option<Vec<u32>>,
+    /// Bytes that the data (and indices) of a part may take.
+    pub part_bytes: usize,
+}
+
+/// Bytes of the steps of a vertex, of one attribute.
+const KEPT_BYTES: usize = size_of::<[u16; 4]>();
+
+/// Vertices from which on compressing a frame would block a connection's thread too long.
+const MANY_TO_COMPRESS: usize = 4096;
+
+impl Frame {
+    /// The frame for a reader that holds nothing: a frame of changes carries all vertices.
+    #[must_use]
+    pub fn for_new_reader(mut self) -> Self {
+        let is_listed = self.output.changed_only.is_some();
+        self.selected = is_listed.then(|| (0..self.positions.len()).map(|v| v as u32).collect());
+        self
+    }
+
+    /// How many vertices are sent.
+    fn count(&self) -> usize {
+        self.selected.as_ref().map_or(self.positions.len(), Vec::len)
+    }
+
+    /// Whether making its parts holds up a thread for long.
+    pub fn is_slow_to_encode(&self) -> bool {
+        let is_coded = matches!(self.output.encoding, FrameEncoding::Meshopt | FrameEncoding::Delta);
+        is_coded && self.count() > MANY_TO_COMPRESS
+    }
+
+    /// Bytes that its stream holds in addition, for the differences of the next frame.
+    pub fn kept_bytes(&self) -> u64 {
+        if !self.has_differences() {
+            return 0;
+        }
+        let attributes = self.carries().into_iter().filter(|&is_carried| is_carried).count();
+        (self.positions.len() * attributes * KEPT_BYTES) as u64
+    }
+
+    /// Whether it carries positions, normals and tangents.
+    fn carries(&self) -> [bool; 3] {
+        let count = self.positions.len();
+        let fits = |s: &Arc<Shading>| s.normals.len() == count && s.tangents.len() == count;
+        // One empty part stands for an empty change.
+        let is_empty = count == 0 || self.selected.as_ref().is_some_and(Vec::is_empty);
+        let shades = self.shading.as_ref().is_some_and(fits) && !is_empty;
+        [true, shades && self.output.normals, shades && self.output.tangents]
+    }
+
+    fn has_differences(&self) -> bool {
+        // `DeformOptions` rejects differences of some of the vertices.
+        self.output.encoding == FrameEncoding::Delta && self.selected.is_none()
+    }
+
+    /// Bytes held, about.
+    pub fn byte_size(&self) -> u64 {
+        let shading = (self.shading.as_ref()).map_or(0, |s| s.normals.len() * 12 + s.tangents.len() * 16);
+        let selected = self.selected.as_ref().map_or(0, |s| size_of_val(s.as_slice()));
+        (size_of_val(self.positions.as_slice()) + shading + selected) as u64
+    }
+}
+
+#[cfg(test)]
+mod difference_tests;
+#[cfg(test)]
+mod tests;

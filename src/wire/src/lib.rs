@@ -1,0 +1,43 @@
+//! The wire: messages of the schema, their JSON, and what they mean as values of [`pliant_core::engine`].
+//!
+//! Everything that a client can ask is a message of [`pb`]. This module is the only one that checks what clients send; a
+//! refusal names the field as clients write it. It knows no session, no connection and no clock.
+
+#![cfg_attr(not(test), deny(clippy::disallowed_methods))]
+
+mod animate;
+mod calls;
+mod check;
+mod create;
+mod edit;
+mod edit_kind;
+mod error;
+mod facts;
+pub mod frames;
+mod handles;
+pub mod json;
+mod options;
+mod passengers;
+pub mod pb;
+mod poses;
+pub mod record;
+mod rig;
+
+pub use animate::{
+    AnimateOrder, AnimationSummary, RootMotion, animate_options_from_json, animate_order, animation_totals,
+    held_nodes_message, of_rig, stage_frame, summary_frame,
+};
+pub use calls::{PoseCommit, SessionEdit, SessionPage, page_token, pose_commit, session_edit, session_page};
+pub use create::{SessionOptions, open_options, session_options};
+pub use edit::{edit, edit_name, edit_result};
+pub use edit_kind::edit_kind_name;
+pub use error::Error;
+pub use facts::followed_message;
+pub use facts::{handle_poses_message, quality_message, session_message, warning_message};
+pub use handles::{HandlePatch, handle_patch};
+pub use handles::{handle_set, handle_set_message, region_message};
+pub use options::DeformOptions;
+pub use passengers::{CarryOrder, carry_order};
+pub use poses::{PoseKey, StreamLimits, StreamRequest, stream_request};
+pub use poses::{change_poses, handle_pose, handle_pose_message, pose_changes};
+pub use rig::{motion_rig, rig_from_json, rig_message};

@@ -1,0 +1,177 @@
+//! Options of a solve or a stream: checked, and split into what the engine takes and what a stream does with frames.
+
+use super::check::{enumerated, number, optional_within};
+use super::frames::{FrameEncoding, FrameOutput};
+use super::{Error, pb};
+use pliant_core::engine::SolveSettings;
+use pliant_deform::{FirstPass, FitOrder};
+
+/// Most fits of rotations in one solve.
+const MOST_REFINE: u32 = 1000;
+/// Largest weight of neighbours in such a fit.
+const MOST_SMOOTHING: f64 = 1e6;
+
+/// Checked options of a solve or a stream. Made by [`DeformOptions::check`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct DeformOptions {
+    /// How poses are solved.
+    pub solve: SolveSettings,
+    /// Milliseconds after which the best result so far is taken; the caller's watch enforces it.
+    pub budget_ms: Option<f64>,
+    /// Whether intermediate results are wanted.
+    pub progressive: bool,
+    /// What frames carry.
+    pub output: FrameOutput,
+    /// Unacknowledged frames in flight.
+    pub window: u32,
+}
+
+impl DeformOptions {
+    /// Returns the options in force where none are given.
+    pub fn with_defaults(max_window: u32) -> Self {
+        Self {
+            solve: SolveSettings::default(),
+            budget_ms: None,
+            progressive: false,
+            output: FrameOutput::default(),
+            window: 2.min(max_window.max(1)),
+        }
+    }
+
+    /// Checks `options`; wrong values are [`Error::Invalid`] with the field's path below `prefix` (such as `options`).
+    pub fn check(options: &pb::Options, prefix: &str, max_window: u32) -> Result<Self, Error> {
+        let at = |name: &str| format!("{prefix}.{name}");
+        let max_error = optional_within(options.max_error, 1e-9, 1.0, &at("maxError"))?;
+        let tolerance = optional_within(options.tolerance, 1e-12, 1.0, &at("tolerance"))?;
+        let budget_ms = optional_within(options.budget_ms, 1e-3, 3.6e6, &at("budgetMs"))?;
+        number(options.rotation_smoothing, &at("rotationSmoothing"))?;
+        if options.rotation_smoothing < 0.0 {
+            let problem = format!("is {}, it must not be negative", options.rotation_smoothing);
+            return Err(Error::invalid(at("rotationSmoothing"), problem));
+        }
+        let first_pass: pb::options::FirstPass = enumerated(options.first_pass, &at("firstPass"))?;
+        let method: pb::options::Method = enumerated(options.method, &at("method"))?;
+        if let Some(seen) = options.refine.filter(|n| *n > MOST_REFINE) {
+            return Err(Error::invalid(
+                at("refine"),
+                format!("is {seen}, allowed are 0 to {MOST_REFINE}"),
+            ));
+        }
+        if options.rotation_smoothing > MOST_SMOOTHING {
+            let problem = format!("is {}, allowed are 0 to {MOST_SMOOTHING}", options.rotation_smoothing);
+            return Err(Error::invalid(at("rotationSmoothing"), problem));
+        }
+        if options.window > max_window {
+            let problem = format!("is {}, allowed are 1 to {max_window}, or 0 for 2", options.window);
+            return Err(Error::invalid(at("window"), problem));
+        }
+        let output = options.output.unwrap_or_default();
+        let encoding = enumerated(output.encoding, &at("output.encoding"))?;
+        if let Some(threshold) = output.changed_only.filter(|t| !(0.0..=1.0).contains(t)) {
+            let problem = format!("is {threshold}, allowed are 0 to 1 (fraction of the diagonal)");
+            return Err(Error::invalid(at("output.changedOnly"), problem));
+        }
+        let encoding = FrameEncoding::from_message(encoding);
+        if output.changed_only.is_some() && encoding == FrameEncoding::Delta {
+            let problem = "stands beside encoding DELTA, in whose frames what has not moved takes next to nothing; allowed are one of \
+                           the two, or changedOnly with F32, U16 or MESHOPT";
+            return Err(Error::invalid(at("output.changedOnly"), problem));
+        }
+        let solve = SolveSettings {
+            tolerance: if tolerance.is_none() && max_error.is_none() {
+                Some(1e-4)
+            } else {
+                tolerance
+            },
+            max_error,
+            refine: options.refine,
+            fit_order: FitOrder::CoarseFirst,
+            rotation_smoothing: options.rotation_smoothing,
+            first_pass: match first_pass {
+                pb::options::FirstPass::Harmonic => FirstPass::Harmonic,
+                pb::options::FirstPass::Diffusion => FirstPass::Diffusion,
+                pb::options::FirstPass::LinearFrames => FirstPass::LinearFrames,
+            },
+            spatial_rbf: method == pb::options::Method::SpatialRbf,
+        };
+        Ok(Self {
+            solve,
+            budget_ms,
+            progressive: options.progressive,
+            output: FrameOutput {
+                normals: output.normals,
+                tangents: output.tangents,
+                changed_only: output.changed_only,
+                encoding,
+                self_intersections: output.self_intersections,
+                asked: 0,
+            },
+            window: if options.window == 0 {
+                2.min(max_window.max(1))
+            } else {
+                options.window
+            },
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_passes_and_methods_are_taken_as_named() {
+        let check = |options: &pb::Options| DeformOptions::check(options, "options", 8);
+        let options = pb::Options::default;
+        for (first_pass, expected) in [
+            (pb::options::FirstPass::Harmonic, FirstPass::Harmonic),
+            (pb::options::FirstPass::Diffusion, FirstPass::Diffusion),
+            (pb::options::FirstPass::LinearFrames, FirstPass::LinearFrames),
+        ] {
+            let first_pass = first_pass as i32;
+            let settings = check(&pb::Options {
+                first_pass,
+                ..options()
+            })
+            .expect("valid");
+            assert_eq!(
+                (settings.solve.first_pass, settings.solve.spatial_rbf),
+                (expected, false)
+            );
+        }
+        assert!(
+            check(&pb::Options { method: 1, ..options() })
+                .expect("valid")
+                .solve
+                .spatial_rbf
+        );
+        for (wrong, field) in [
+            (pb::Options { method: 7, ..options() }, "options.method"),
+            (
+                pb::Options {
+                    first_pass: -1,
+                    ..options()
+                },
+                "options.firstPass",
+            ),
+        ] {
+            assert!(matches!(check(&wrong), Err(Error::Invalid { field: f, .. }) if f == field));
+        }
+    }
+
+    #[test]
+    fn what_is_not_given_has_its_default() {
+        let check = |options: &pb::Options| DeformOptions::check(options, "options", 8).expect("valid");
+        let fine = check(&pb::Options {
+            refine: Some(0),
+            ..Default::default()
+        });
+        assert_eq!((fine.solve.tolerance, fine.window), (Some(1e-4), 2));
+        assert_eq!(check(&pb::Options::default()), DeformOptions::with_defaults(8));
+        let by_error = check(&pb::Options {
+            max_error: 1e-3,
+            ..Default::default()
+        });
+        assert_eq!((by_error.solve.tolerance, by_error.solve.max_error), (None, Some(1e-3)));
+    }
+}

@@ -1,0 +1,370 @@
+//! Commits as a store keeps them.
+
+use super::messages::{
+    CommitKindMessage, CommitMessage, CreationMessage, EditMessage, FilesMessage, FrameMessage, HandlesMessage,
+    PoseMessage, ProbeMessage, SettingsMessage, StepMessage,
+};
+use crate::frames::{FrameEncoding, FrameOutput};
+use crate::{Error, SessionEdit, handle_pose, handle_pose_message, handle_set, handle_set_message, pb, session_edit};
+use glam::DVec3;
+use pliant_core::engine::{Edit, HandlePose, HandlePoses, HandleSet, SolveSettings};
+use pliant_deform::{FirstPass, FitOrder};
+use prost::Message as _;
+use std::collections::BTreeMap;
+
+/// Places of a shape that are kept to compare it with.
+const PROBES: usize = 32;
+
+/// Files by the names of the objects that hold them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct FileReferences {
+    /// Name of the main file, as in [`FileSet`].
+    pub name: String,
+    /// The object of the main file.
+    pub main: String,
+    /// The objects of the companions, by the name of each.
+    pub companions: BTreeMap<String, String>,
+}
+
+impl FileReferences {
+    /// Every object that is named.
+    pub fn objects(&self) -> impl Iterator<Item = &String> {
+        std::iter::once(&self.main).chain(self.companions.values())
+    }
+
+    pub(super) fn to_message(&self) -> FilesMessage {
+        FilesMessage {
+            name: self.name.clone(),
+            main: self.main.clone(),
+            companions: self.companions.clone(),
+        }
+    }
+
+    pub(super) fn from_message(message: FilesMessage) -> Self {
+        Self {
+            name: message.name,
+            main: message.main,
+            companions: message.companions,
+        }
+    }
+}
+
+/// A few places of a shape: enough to check whether another build or processor, whose results differ in late digits,
+/// made the same shape.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ShapeProbe {
+    /// Render vertices of the shape.
+    pub vertices: u64,
+    /// Some of them, evenly chosen.
+    pub places: Vec<DVec3>,
+}
+
+impl ShapeProbe {
+    /// The probe of a shape.
+    pub fn of(positions: &[DVec3]) -> Self {
+        let last = positions.len().saturating_sub(1);
+        let chosen = PROBES.min(positions.len());
+        let index = |k: usize| if chosen > 1 { k * last / (chosen - 1) } else { 0 };
+        Self {
+            vertices: positions.len() as u64,
+            places: (0..chosen).map(|k| positions[index(k)]).collect(),
+        }
+    }
+
+    /// Whether a shape is this one but for `distance` at most.
+    pub fn is_close_to(&self, positions: &[DVec3], distance: f64) -> bool {
+        let other = Self::of(positions);
+        let near = |(a, b): (&DVec3, &DVec3)| a.distance(*b) <= distance;
+        self.vertices == other.vertices
+            && self.places.len() == other.places.len()
+            && self.places.iter().zip(&other.places).all(near)
+    }
+}
+
+/// The frame that answered a pose, but for its vertices.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AnsweredFrame {
+    /// Its header; the revision is that of the commit.
+    pub header: pb::Frame,
+    /// What it carried.
+    pub output: FrameOutput,
+}
+
+/// A commit as it is kept.
+#[derive(Debug, Clone)]
+pub enum LoggedCommit {
+    /// The session was opened.
+    Create {
+        /// The deformer's facts.
+        facts: Box<pb::Session>,
+    },
+    /// Handles were set.
+    Handles {
+        /// The handles.
+        set: HandleSet,
+        /// The poses that they came with.
+        poses: HandlePoses,
+        /// The deformer's facts then.
+        facts: Box<pb::Session>,
+    },
+    /// A pose was solved.
+    Pose {
+        /// The poses of all handles.
+        poses: HandlePoses,
+        /// How they were solved.
+        settings: SolveSettings,
+        /// What was noticed.
+        warnings: Vec<pb::Warning>,
+        /// The shape.
+        probe: ShapeProbe,
+        /// The frame that was answered, for a call with an idempotency key.
+        frame: Option<Box<AnsweredFrame>>,
+    },
+    /// The model was edited.
+    Edit {
+        /// What was done. The files of a merge are empty once it was read from a record.
+        edit: Box<SessionEdit>,
+        /// Where the files of a merge are.
+        files: Option<FileReferences>,
+        /// What it did.
+        report: Box<pb::EditResult>,
+        /// The poses after it.
+        poses: HandlePoses,
+        /// The deformer's facts after it.
+        facts: Box<pb::Session>,
+        /// The shape after it.
+        probe: ShapeProbe,
+    },
+    /// Undo or redo.
+    Step {
+        /// The revision of the commit that it went to.
+        target: u64,
+        /// Whether it was redo.
+        forward: bool,
+    },
+}
+
+impl LoggedCommit {
+    /// Its kind as databases and people name it.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Create { .. } => "create",
+            Self::Handles { .. } => "handles",
+            Self::Pose { .. } => "pose",
+            Self::Edit { .. } => "edit",
+            Self::Step { forward: false, .. } => "undo",
+            Self::Step { forward: true, .. } => "redo",
+        }
+    }
+
+    /// Writes the record.
+    pub fn write(&self) -> Vec<u8> {
+        let kind = match self {
+            Self::Create { facts } => CommitKindMessage::Create(CreationMessage {
+                facts: Some((**facts).clone()),
+            }),
+            Self::Handles { set, poses, facts } => CommitKindMessage::Handles(HandlesMessage {
+                set: Some(handle_set_message(set)),
+                poses: pose_messages(poses),
+                facts: Some((**facts).clone()),
+            }),
+            Self::Pose {
+                poses,
+                settings,
+                warnings,
+                probe,
+                frame,
+            } => CommitKindMessage::Pose(PoseMessage {
+                poses: pose_messages(poses),
+                settings: Some(settings_message(settings)),
+                warnings: warnings.clone(),
+                probe: Some(probe_message(probe)),
+                frame: frame.as_deref().map(frame_message),
+            }),
+            Self::Edit {
+                edit,
+                files,
+                report,
+                poses,
+                facts,
+                probe,
+            } => CommitKindMessage::Edit(EditMessage {
+                request: Some(edit.request.clone()),
+                files: files.as_ref().map(FileReferences::to_message),
+                from_session: matches!(&edit.edit, Edit::Merge(merge) if merge.from_session),
+                report: Some((**report).clone()),
+                poses: pose_messages(poses),
+                facts: Some((**facts).clone()),
+                probe: Some(probe_message(probe)),
+            }),
+            &Self::Step { target, forward } => CommitKindMessage::Step(StepMessage { target, forward }),
+        };
+        CommitMessage { kind: Some(kind) }.encode_to_vec()
+    }
+
+    /// Reads a record.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn read(bytes: &[u8]) -> Result<Self, Error> {
+        let message = CommitMessage::decode(bytes).map_err(|e| Error::invalid("commit", e.to_string()))?;
+        Ok(match message.kind.ok_or_else(|| missing("commit"))? {
+            CommitKindMessage::Create(created) => Self::Create {
+                facts: recorded(created.facts, "facts")?,
+            },
+            CommitKindMessage::Handles(handles) => Self::Handles {
+                set: handle_set(&handles.set.ok_or_else(|| missing("handles"))?)?,
+                poses: recorded_poses(&handles.poses)?,
+                facts: recorded(handles.facts, "facts")?,
+            },
+            CommitKindMessage::Pose(pose) => Self::Pose {
+                poses: recorded_poses(&pose.poses)?,
+                settings: recorded_settings(&pose.settings.ok_or_else(|| missing("settings"))?)?,
+                warnings: pose.warnings,
+                probe: recorded_probe(pose.probe.unwrap_or_default()),
+                frame: pose.frame.map(|f| recorded_frame(&f).map(Box::new)).transpose()?,
+            },
+            CommitKindMessage::Edit(message) => {
+                let request = message.request.ok_or_else(|| missing("edit"))?;
+                let mut edit = session_edit(&request)?;
+                edit.merged_session = None;
+                if let Edit::Merge(merge) = &mut edit.edit {
+                    merge.from_session = message.from_session;
+                }
+                Self::Edit {
+                    edit: Box::new(edit),
+                    files: message.files.map(FileReferences::from_message),
+                    report: recorded(message.report, "report")?,
+                    poses: recorded_poses(&message.poses)?,
+                    facts: recorded(message.facts, "facts")?,
+                    probe: recorded_probe(message.probe.unwrap_or_default()),
+                }
+            }
+            CommitKindMessage::Step(StepMessage { target, forward }) => Self::Step { target, forward },
+        })
+    }
+}
+
+/// A part of a record that every record of its kind has.
+fn recorded<M>(part: Option<M>, field: &str) -> Result<Box<M>, Error> {
+    part.map(Box::new).ok_or_else(|| missing(field))
+}
+
+fn missing(field: &str) -> Error {
+    Error::invalid(field, "is missing")
+}
+
+fn pose_messages(poses: &HandlePoses) -> Vec<pb::HandlePose> {
+    poses.0.iter().map(handle_pose_message).collect()
+}
+
+fn recorded_poses(messages: &[pb::HandlePose]) -> Result<HandlePoses, Error> {
+    let read = |(k, pose)| handle_pose(pose, &format!("poses[{k}]"));
+    let poses: Result<Vec<HandlePose>, _> = messages.iter().enumerate().map(read).collect();
+    Ok(HandlePoses(poses?.into()))
+}
+
+fn settings_message(settings: &SolveSettings) -> SettingsMessage {
+    SettingsMessage {
+        tolerance: settings.tolerance,
+        max_error: settings.max_error,
+        refine: settings.refine,
+        rotation_smoothing: settings.rotation_smoothing,
+        first_pass: match settings.first_pass {
+            // The weighted sum is no choice of requests; programs that compare methods alone know it.
+            FirstPass::Harmonic | FirstPass::WeightedSum => pb::options::FirstPass::Harmonic,
+            FirstPass::Diffusion => pb::options::FirstPass::Diffusion,
+            FirstPass::LinearFrames => pb::options::FirstPass::LinearFrames,
+        }
+        .into(),
+        spatial_rbf: settings.spatial_rbf,
+        coarse_first: settings.fit_order == FitOrder::CoarseFirst,
+    }
+}
+
+fn recorded_settings(message: &SettingsMessage) -> Result<SolveSettings, Error> {
+    let method = pb::options::Method::SpatialRbf;
+    // The checks of a request hold for what is kept of it.
+    let asked = pb::Options {
+        tolerance: message.tolerance.unwrap_or(0.0),
+        max_error: message.max_error.unwrap_or(0.0),
+        refine: message.refine,
+        rotation_smoothing: message.rotation_smoothing,
+        first_pass: message.first_pass,
+        method: if message.spatial_rbf { method.into() } else { 0 },
+        ..Default::default()
+    };
+    let checked = crate::DeformOptions::check(&asked, "settings", 64)?;
+    Ok(SolveSettings {
+        tolerance: message.tolerance,
+        max_error: message.max_error,
+        fit_order: match message.coarse_first {
+            true => FitOrder::CoarseFirst,
+            false => FitOrder::GraphAlone,
+        },
+        ..checked.solve
+    })
+}
+
+fn probe_message(probe: &ShapeProbe) -> ProbeMessage {
+    ProbeMessage {
+        vertices: probe.vertices,
+        places: probe.places.iter().flat_map(|p| p.to_array()).collect(),
+    }
+}
+
+fn recorded_probe(message: ProbeMessage) -> ShapeProbe {
+    ShapeProbe {
+        vertices: message.vertices,
+        places: message.places.chunks_exact(3).map(DVec3::from_slice).collect(),
+    }
+}
+
+fn frame_message(frame: &AnsweredFrame) -> FrameMessage {
+    let (header, output) = (&frame.header, &frame.output);
+    FrameMessage {
+        seq: header.seq,
+        residual: header.residual,
+        max_error: header.max_error,
+        solve_ms: header.solve_ms,
+        queue_ms: header.queue_ms,
+        quality: header.quality,
+        output: Some(pb::Output {
+            normals: output.normals,
+            tangents: output.tangents,
+            changed_only: output.changed_only,
+            encoding: output.encoding.to_message().into(),
+            self_intersections: output.self_intersections,
+        }),
+    }
+}
+
+fn recorded_frame(message: &FrameMessage) -> Result<AnsweredFrame, Error> {
+    let output = message.output.unwrap_or_default();
+    let encoding = pb::frame::Encoding::try_from(output.encoding)
+        .map_err(|_| Error::invalid("frame.output.encoding", "is not an encoding"))?;
+    Ok(AnsweredFrame {
+        header: pb::Frame {
+            seq: message.seq,
+            r#final: true,
+            residual: message.residual,
+            max_error: message.max_error,
+            solve_ms: message.solve_ms,
+            queue_ms: message.queue_ms,
+            quality: message.quality,
+            ..Default::default()
+        },
+        output: FrameOutput {
+            normals: output.normals,
+            tangents: output.tangents,
+            changed_only: output.changed_only,
+            encoding: FrameEncoding::from_message(encoding),
+            self_intersections: output.self_intersections,
+            asked: 0,
+        },
+    })
+}
+
+#[cfg(test)]
+#[path = "commit_tests.rs"]
+mod tests;

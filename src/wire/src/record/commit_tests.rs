@@ -1,0 +1,191 @@
+//! Commits come back as they were written, and bytes that are no commit are refused.
+
+use super::*;
+use pliant_core::engine::{Handle, HandleScale, Region};
+use pliant_deform::FitOrder;
+use proptest::prelude::*;
+
+fn facts() -> Box<pb::Session> {
+    Box::new(pb::Session {
+        model: Some(pb::ModelFacts {
+            format: "obj".into(),
+            bytes: 3,
+            sha256: "abc".into(),
+            vertices: 8,
+            triangles: 12,
+        }),
+        solver: Some(pb::SolverFacts::default()),
+        ..Default::default()
+    })
+}
+
+fn commits() -> Vec<LoggedCommit> {
+    let third = 1.0 / 3.0;
+    let pose = HandlePose {
+        scale: Some(HandleScale::Uniform(third)),
+        pivot: Some(DVec3::splat(third)),
+        ..HandlePose::translation([third, -0.0, 1e-300])
+    };
+    let poses = HandlePoses(vec![pose, HandlePose::default()].into());
+    let probe = ShapeProbe::of(&[DVec3::splat(third); 40]);
+    let weld = pb::EditRequest {
+        on: pb::edit_request::On::Rest.into(),
+        operation: Some(pb::edit_request::Operation::Weld(pb::edit_request::Weld {
+            tolerance: third,
+        })),
+        ..Default::default()
+    };
+    vec![
+        LoggedCommit::Create { facts: facts() },
+        LoggedCommit::Handles {
+            set: HandleSet::from([Handle::new("a", Region::Component(1)).soft(third)]),
+            poses: poses.clone(),
+            facts: facts(),
+        },
+        LoggedCommit::Pose {
+            poses: poses.clone(),
+            settings: SolveSettings {
+                tolerance: None,
+                max_error: Some(third),
+                refine: Some(0),
+                fit_order: FitOrder::GraphAlone,
+                rotation_smoothing: third,
+                first_pass: FirstPass::Diffusion,
+                spatial_rbf: true,
+            },
+            warnings: vec![pb::Warning {
+                code: "a".into(),
+                message: "b".into(),
+                r#where: "c".into(),
+                ..Default::default()
+            }],
+            probe: probe.clone(),
+            frame: Some(Box::new(AnsweredFrame {
+                header: pb::Frame {
+                    seq: 7,
+                    r#final: true,
+                    residual: third,
+                    solve_ms: 1.0,
+                    quality: Some(Default::default()),
+                    ..Default::default()
+                },
+                output: FrameOutput {
+                    normals: true,
+                    changed_only: Some(0.0),
+                    encoding: FrameEncoding::Meshopt,
+                    ..FrameOutput::default()
+                },
+            })),
+        },
+        LoggedCommit::Pose {
+            poses: poses.clone(),
+            // No request can ask for it: a default stands where nothing is given.
+            settings: SolveSettings {
+                tolerance: None,
+                ..SolveSettings::default()
+            },
+            warnings: Vec::new(),
+            probe: probe.clone(),
+            frame: None,
+        },
+        LoggedCommit::Edit {
+            edit: Box::new(session_edit(&weld).expect("an edit")),
+            files: Some(FileReferences {
+                name: "x".into(),
+                main: "y".into(),
+                companions: [("k".to_owned(), "z".to_owned())].into(),
+            }),
+            report: Box::new(pb::EditResult {
+                handles_kept: vec!["a".into()],
+                curve: vec![1, 2],
+                deviation: 0.25,
+                digest: "d".into(),
+                repaired: true,
+                ..pb::EditResult::default()
+            }),
+            poses,
+            facts: facts(),
+            probe,
+        },
+        LoggedCommit::Step {
+            target: u64::MAX,
+            forward: true,
+        },
+    ]
+}
+
+#[test]
+fn every_kind_of_commit_comes_back_as_it_was_written() {
+    for commit in commits() {
+        let again = LoggedCommit::read(&commit.write()).expect("it was written");
+        assert_eq!(format!("{again:?}"), format!("{commit:?}"));
+    }
+}
+
+#[test]
+fn every_edit_comes_back_as_it_was_asked_for() {
+    let region = r#"{"sphere": {"center": [1, 2, 3], "radius": 0.25}}"#;
+    let texts = [
+        r#"{"cut": {"plane": {"normal": [0, 0, 1], "offset": 0.5}, "keep": "ABOVE", "fill": true}}"#.to_owned(),
+        r#"{"on": "REST", "cut": {"polyline": [0, 0, 0, 1, 0, 0, 1, 1, 0], "closed": true, "keep": "BELOW"}}"#.into(),
+        r#"{"cut": {"path": [4, 5, 9]}}"#.into(),
+        format!(r#"{{"subdivide": {{"region": {region}, "scheme": "MIDPOINT"}}}}"#),
+        r#"{"subdivide": {}}"#.into(),
+        r#"{"subdivide": {"auto": true}}"#.into(),
+        format!(r#"{{"decimate": {{"ratio": 0.3, "region": {region}}}}}"#),
+        format!(r#"{{"delete": {{"fill": true, "region": {region}}}}}"#),
+        format!(r#"{{"fill": {{"region": {region}}}}}"#),
+        r#"{"fill": {}}"#.into(),
+        format!(r#"{{"remesh": {{"edgeLength": 0.1, "region": {region}}}}}"#),
+        r#"{"remesh": {"auto": true}}"#.into(),
+        r#"{"remesh": {"auto": true, "maxDeviation": 0.01, "sharpDegrees": 25}}"#.into(),
+        r#"{"merge": {"session": "x", "how": "LOOSE", "tolerance": 0.1, "format": "obj"}}"#.into(),
+        r#"{"merge": {"session": "x", "how": "STITCH", "transform": [1,0,0,0, 0,2,0,0, 0,0,3,0, 4,5,6,1]}}"#.into(),
+        r#"{"insertCurve": {"points": [0, 0, 0, 1, 0, 0], "closed": false}}"#.into(),
+        r#"{"weld": {"tolerance": 0.001}}"#.into(),
+    ];
+    for text in texts {
+        let request: pb::EditRequest = crate::json::from_json(text.as_bytes()).expect(&text);
+        let mut edit = session_edit(&request).expect(&text);
+        edit.merged_session = None;
+        let commit = LoggedCommit::Edit {
+            edit: Box::new(edit),
+            files: None,
+            report: Box::default(),
+            poses: HandlePoses::default(),
+            facts: facts(),
+            probe: ShapeProbe::default(),
+        };
+        let again = LoggedCommit::read(&commit.write()).expect(&text);
+        assert_eq!(format!("{again:?}"), format!("{commit:?}"), "{text}");
+    }
+}
+
+#[test]
+fn a_probe_tells_shapes_apart() {
+    let shape: Vec<DVec3> = (0..100).map(|k| DVec3::splat(f64::from(k))).collect();
+    let probe = ShapeProbe::of(&shape);
+    assert!(probe.is_close_to(&shape, 0.0));
+    let mut moved = shape.clone();
+    moved.iter_mut().for_each(|p| p.x += 1e-6);
+    assert!(probe.is_close_to(&moved, 2e-6) && !probe.is_close_to(&moved, 1e-7));
+    moved.pop();
+    assert!(!probe.is_close_to(&moved, 1.0), "another number of vertices");
+    moved[0].y = f64::NAN;
+    moved.push(DVec3::splat(99.0));
+    assert!(!probe.is_close_to(&moved, 1.0), "no number");
+    assert!(ShapeProbe::of(&[]).is_close_to(&[], 0.0));
+}
+
+proptest! {
+    /// Whatever a disk holds, reading it ends with a commit or an error.
+    #[test]
+    fn no_bytes_break_the_reader(which in 0usize..6, at: prop::sample::Index, to: u8, cut: prop::sample::Index) {
+        let mut bytes = commits()[which].write();
+        let k = at.index(bytes.len());
+        bytes[k] = to;
+        let _ = LoggedCommit::read(&bytes);
+        bytes.truncate(cut.index(bytes.len() + 1));
+        let _ = LoggedCommit::read(&bytes);
+    }
+}

@@ -1,0 +1,133 @@
+//! How a session's model was opened: the options as a message that reads as the same options, and the files by name.
+
+use super::commit::FileReferences;
+use super::messages::ModelMessage;
+use crate::pb::create_options::Weights;
+use crate::{Error, open_options, pb};
+use pliant_asset::Format;
+use pliant_core::engine::OpenOptions;
+use pliant_deform::EdgeWeights;
+use pliant_mesh::graph::InteriorKind;
+use prost::Message as _;
+
+/// What a session begins with.
+#[derive(Debug, Clone)]
+pub struct RecordedModel {
+    /// Its files, by the names of their objects.
+    pub files: FileReferences,
+    /// How it was opened, as it was asked for, with defaults made explicit.
+    pub options: pb::CreateOptions,
+    /// Whether `options` have today's defaults and weights. Records of before have the paper's graph, and weights of their time.
+    pub of_today: bool,
+    /// The session's label.
+    pub label: String,
+    /// The format of its files.
+    pub format: Format,
+    /// Bytes that its volume graph was fitted into; `None` in records of the time before that was noted.
+    pub graph_bytes: Option<u64>,
+}
+
+impl RecordedModel {
+    /// Writes the record.
+    pub fn write(&self) -> Vec<u8> {
+        let message = ModelMessage {
+            files: Some(self.files.to_message()),
+            options: Some(self.options.clone()),
+            label: self.label.clone(),
+            format: self.format.name().into(),
+            graph_bytes: self.graph_bytes,
+            of_today: self.of_today,
+        };
+        message.encode_to_vec()
+    }
+
+    /// Reads a record.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn read(bytes: &[u8]) -> Result<Self, Error> {
+        let message = ModelMessage::decode(bytes).map_err(|e| Error::invalid("model", e.to_string()))?;
+        let files = message
+            .files
+            .ok_or_else(|| Error::invalid("model.files", "is missing"))?;
+        let record = Self {
+            files: FileReferences::from_message(files),
+            options: message.options.unwrap_or_default(),
+            of_today: message.of_today,
+            label: message.label,
+            format: Format::from_name(&message.format)
+                .ok_or_else(|| Error::invalid("model.format", "is not a format"))?,
+            graph_bytes: message.graph_bytes,
+        };
+        record.open_options()?;
+        Ok(record)
+    }
+
+    /// How its model is opened.
+    ///
+    /// # Errors
+    /// What is wrong with the options.
+    pub fn open_options(&self) -> Result<OpenOptions, Error> {
+        let mut options = open_options(&self.options)?;
+        if !self.of_today {
+            let graph = &mut options.body.graph;
+            graph.kind = InteriorKind::Paper;
+            graph.weights = match self.options.weights() {
+                Weights::Uniform => EdgeWeights::Uniform,
+                Weights::Cotangent => EdgeWeights::CotangentOfMean,
+            };
+        }
+        Ok(options)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{SessionOptions, session_options};
+    use std::time::Duration;
+
+    fn reads_again(options: &SessionOptions) {
+        let record = RecordedModel {
+            files: FileReferences {
+                name: "a.obj".into(),
+                main: "00".into(),
+                companions: [("b.mtl".to_owned(), "01".to_owned())].into(),
+            },
+            options: options.create.clone(),
+            of_today: true,
+            label: "a label".into(),
+            format: Format::OBJ,
+            graph_bytes: Some(1 << 40),
+        };
+        let again = RecordedModel::read(&record.write()).expect("it was written");
+        assert_eq!(format!("{again:?}"), format!("{record:?}"));
+        let opened = again.open_options().expect("it was read");
+        assert_eq!(format!("{opened:?}"), format!("{:?}", options.open));
+    }
+
+    #[test]
+    fn options_come_back_as_they_were_written() {
+        reads_again(&SessionOptions::default());
+        for text in [
+            r#"{"format": "glb", "weld": {"tolerance": 0.25}, "components": "HOLD", "parts": "SEPARATE"}"#,
+            r#"{"components": "FREE", "weights": "COTANGENT", "operators": "PAPER", "tieDistance": 0.1}"#,
+            r#"{"volumeGraph": {"mode": "REQUIRED", "interval": 0.1, "valence": 8, "shellOffset": 0.3, "kind": "PAPER"}}"#,
+            r#"{"volumeGraph": {"mode": "OFF"}, "keepApart": {"primitives": [1], "components": [2, 3]}}"#,
+            r#"{"morphTargets": "KEEP", "rig": "KEEP"}"#,
+            r#"{"boneLengths": "KEEP"}"#,
+            r#"{"rigidChains": ["arm", "leg"]}"#,
+            r#"{"passengers": [{"name": "a", "primitive": 1}, {"primitivesNamed": "b"}, {"node": 2}, {"nodesNamed": "c"}]}"#,
+        ] {
+            let message = crate::json::from_json(text.as_bytes()).expect(text);
+            reads_again(&session_options(&message, Duration::ZERO..=Duration::MAX).expect(text));
+        }
+    }
+
+    #[test]
+    fn bytes_that_are_no_record_are_refused() {
+        for bytes in [&b"\xff\xff"[..], b"", &[10, 0], &[10, 2, 8, 1]] {
+            assert!(RecordedModel::read(bytes).is_err(), "{bytes:?}");
+        }
+    }
+}
