@@ -4,7 +4,6 @@ mod animate;
 mod base_colours;
 mod check;
 mod cli;
-mod floors;
 mod followed;
 mod inspections;
 mod named_files;

@@ -3,12 +3,14 @@
 //! [`engine`] is the way in: a [`engine::Deformer`] holds a model with its volume graph, hierarchy and handles, solves
 //! poses, follows edits and writes the model again. The modules below it serve alone as well.
 //!
-//! | floor | modules | what |
-//! |---|---|---|
-//! | 3 | [`engine`] | the deformer: typed handles, regions, poses and edits |
-//! | 2 | [`deform`], [`edit`], [`motion`] | two passes: rotation fields, positions; topology operations; clips and skeletons |
-//! | 1 | [`solver`], [`graph`], [`render`] | multigrid on a weighted graph; surface and volume graphs; pictures |
-//! | 0 | [`mesh`], [`asset`], [`pool`], [`progress`], [`exec`] | triangles; model formats; threads; cancelling; both as one |
+//! | module | what |
+//! |---|---|
+//! | [`engine`] | the deformer: typed handles, regions, poses and edits |
+//! | [`deform`], [`edit`], [`motion`], [`render`] | two passes: rotation fields, positions; topology operations; clips and skeletons; pictures |
+//! | [`asset`], [`mesh`], [`graph`] | model formats; triangles; surface and volume graphs |
+//! | [`solver`], [`exec`] | multigrid on a weighted graph; threads, progress and cancelling |
+//!
+//! All but [`engine`] are crates of their own, re-exported here.
 //!
 //! No module reads a clock, a file or the network, and the same inputs give the same bits for any number of threads.
 
@@ -25,5 +27,4 @@ pub use pliant_mesh as mesh;
 pub use pliant_mesh::graph;
 pub use pliant_motion as motion;
 pub use pliant_render as render;
-/// Multigrid on a weighted graph, with the threads and the watcher that every computing function takes: a crate of its own.
 pub use pliant_solver as solver;

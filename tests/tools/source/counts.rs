@@ -76,29 +76,6 @@ fn print_circles(files: &[SourceFile]) {
     }
 }
 
-/// Files that name protobuf or its messages below the room that translates them.
-pub fn protobuf_below_wire(files: &[SourceFile]) -> Vec<(String, usize)> {
-    let engine = [
-        "mesh", "asset", "pool", "progress", "exec", "solver", "graph", "render", "deform", "edit", "motion", "engine",
-    ];
-    // Before there was a room for messages, `job` was the engine.
-    let before = !files.iter().any(|f| f.module.first().is_some_and(|m| m == "wire"));
-    let below = |file: &&SourceFile| {
-        let room = file.module.first().map_or("", String::as_str);
-        (engine.contains(&room) && !file.crate_folder.starts_with("loadtest"))
-            || (before && room == "job")
-            || file.crate_folder.starts_with("src/")
-    };
-    let names = |file: &SourceFile| {
-        let named = (0..file.tokens.len()).filter(|&i| !file.test_only[i]);
-        named
-            .filter(|&i| matches!(file.word(i), Some("pb" | "prost" | "prost_reflect")))
-            .count()
-    };
-    let counted = files.iter().filter(below).map(|file| (file.place.clone(), names(file)));
-    counted.filter(|(_, names)| *names > 0).collect()
-}
-
 fn count_lines(files: &[SourceFile]) -> usize {
     files.iter().map(|file| file.lines).sum()
 }
@@ -115,9 +92,6 @@ fn counts() {
     print_types("tests", &tests);
     print_functions(&files);
     print_circles(&files);
-    let protobuf = protobuf_below_wire(&files);
-    let named: usize = protobuf.iter().map(|p| p.1).sum();
-    println!("protobuf named below wire: {named} times in {} files", protobuf.len());
     let long = files.iter().filter(|f| f.lines > 600).count();
     println!("files past 600 lines: {long}");
     println!(

@@ -3,7 +3,6 @@
 //! Where a guard was broken when it was written, a number says how much of that is left. It may only sink: whoever mends
 //! one lowers it, and at 0 the line goes.
 
-use super::counts::protobuf_below_wire;
 use super::functions::{DefinedFunction, defined_functions};
 use super::imports::{circles, imported_files, shortest_circle};
 use super::modules::crate_files;
@@ -19,8 +18,8 @@ const SHARED_TYPE_NAMES_LEFT: usize = 0;
 /// Files that import in a circle that are left.
 const FILES_IN_CIRCLES_LEFT: usize = 0;
 
-/// How often protobuf is named below `wire` still.
-const PROTOBUF_BELOW_WIRE_LEFT: usize = 0;
+/// The longest file, in lines.
+const LONGEST_FILE: usize = 600;
 
 /// The longest function, in lines.
 const LONGEST_FUNCTION: usize = 100;
@@ -90,19 +89,77 @@ fn no_type_name_stands_twice_without_a_reason() {
     );
 }
 
+/// Crates whose results depend on their arguments alone.
+const COMPUTING: [&str; 10] = [
+    "asset", "core", "deform", "edit", "exec", "mesh", "motion", "render", "solver", "wire",
+];
+
+/// Names that computing crates do without outside tests, and what to do instead.
+const FOREIGN: [(&str, &str); 15] = [
+    ("Instant", "let the caller pass a clock in, as batch::run does"),
+    ("SystemTime", "let the caller pass a clock in, as batch::run does"),
+    ("std::net", "readers and writers take Read and Write"),
+    ("std::fs", "readers and writers take Read and Write; cli opens files"),
+    (
+        "std::env",
+        "settings are arguments; server::config and cli read the environment",
+    ),
+    ("std::process", "return an error; cli decides about exit codes"),
+    ("std::thread", "take a &Pool and run inside it"),
+    (
+        "HashMap",
+        "its order differs between runs; use BTreeMap or a sorted Vec",
+    ),
+    (
+        "HashSet",
+        "its order differs between runs; use BTreeSet or a sorted Vec",
+    ),
+    ("println", "return it, or report it through Progress; cli prints"),
+    ("eprintln", "return it, or report it through Progress; cli prints"),
+    ("print", "return it, or report it through Progress; cli prints"),
+    ("eprint", "return it, or report it through Progress; cli prints"),
+    ("dbg", "return it, or report it through Progress; cli prints"),
+    (
+        "thread_local",
+        "no global state; keep scratch in a workspace that the caller owns",
+    ),
+];
+
 #[test]
-fn protobuf_ends_at_wire() {
-    let found = protobuf_below_wire(&crate_files(root()));
-    let problems: Vec<String> = found
-        .iter()
-        .map(|(place, names)| format!("{place}: {names} times"))
-        .collect();
-    check_left(
-        found.iter().map(|f| f.1).sum(),
-        PROTOBUF_BELOW_WIRE_LEFT,
-        "PROTOBUF_BELOW_WIRE_LEFT",
-        "messages are turned into values of the engine in src/wire: take the value as an argument",
-        &problems,
+fn computing_crates_know_no_clock_network_or_terminal() {
+    let mut problems = Vec::new();
+    for file in crate_files(root()) {
+        let crate_name = file
+            .crate_folder
+            .strip_prefix("src/")
+            .and_then(|c| c.strip_suffix("/src"));
+        if !crate_name.is_some_and(|name| COMPUTING.contains(&name)) {
+            continue;
+        }
+        for (name, advice) in FOREIGN {
+            let words: Vec<&str> = name.split("::").collect();
+            // `std :: fs` is four tokens: two words with two signs between them.
+            let names_it = |i: usize| {
+                words
+                    .iter()
+                    .enumerate()
+                    .all(|(k, word)| file.word(i + 3 * k) == Some(word))
+            };
+            let found = (0..file.tokens.len()).find(|&i| !file.test_only[i] && names_it(i));
+            problems.extend(found.map(|i| format!("{}:{}: names {name}: {advice}", file.place, file.line(i))));
+        }
+    }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
+}
+
+#[test]
+fn no_file_is_too_long() {
+    let long = crate_files(root()).into_iter().filter(|f| f.lines > LONGEST_FILE);
+    let problems: Vec<String> = long.map(|f| format!("{}: {} lines", f.place, f.lines)).collect();
+    assert!(
+        problems.is_empty(),
+        "files of more than {LONGEST_FILE} lines: give each concept a file of its own\n{}",
+        problems.join("\n")
     );
 }
 

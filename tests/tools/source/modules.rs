@@ -114,8 +114,11 @@ fn rust_files(root: &Path, folder: &Path) -> Vec<PathBuf> {
 
 /// The folders of the root files of all crates, from the root of the checkout.
 fn find_crates(root: &Path, found: &mut Vec<PathBuf>) {
-    for folder in ["", "loadtest", "src/solver", "src/core"] {
-        if let Ok(manifest) = fs::read_to_string(root.join(folder).join("Cargo.toml")) {
+    let inside = fs::read_dir(root.join("src")).into_iter().flatten().flatten();
+    let mut folders: Vec<PathBuf> = inside.map(|entry| Path::new("src").join(entry.file_name())).collect();
+    folders.extend(["", "loadtest"].map(PathBuf::from));
+    for folder in folders {
+        if let Ok(manifest) = fs::read_to_string(root.join(&folder).join("Cargo.toml")) {
             let library = manifest.split("[lib]").nth(1).and_then(|rest| {
                 let line = rest
                     .lines()
@@ -124,7 +127,7 @@ fn find_crates(root: &Path, found: &mut Vec<PathBuf>) {
                     .find(|l| l.starts_with("path"));
                 line.and_then(|l| l.split('"').nth(1))
             });
-            let file = Path::new(folder).join(library.unwrap_or("src/lib.rs"));
+            let file = folder.join(library.unwrap_or("src/lib.rs"));
             found.push(file.parent().unwrap_or(Path::new("")).to_owned());
         }
     }
