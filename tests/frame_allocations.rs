@@ -40,9 +40,9 @@ fn frames_ask_for_the_bytes_that_are_sent() {
     for encoding in encodings {
         for normals in [false, true] {
             // What differs and what has changed are not asked for together: the second round is of a frame that follows.
-            let tells_differences = encoding == FrameEncoding::Delta;
+            let reports_differences = encoding == FrameEncoding::Delta;
             let mut held = SentSteps::default();
-            for changed_only in [None, if tells_differences { None } else { Some(0.0) }] {
+            for changed_only in [None, if reports_differences { None } else { Some(0.0) }] {
                 let request = Frame {
                     positions: Arc::clone(&positions),
                     shading: Some(Arc::clone(&shading)),

@@ -117,7 +117,7 @@ fn full_multigrid(rung: &Rung) -> InitialGuess<'_> {
 /// The solution of the first pose carried along by what the handles did since, as a drag starts.
 fn carried(rung: &Rung, from: &[f64], pool: &Pool) -> Vec<f64> {
     let (body, rig) = (rung.body(), rung.rig());
-    // A given node tells where solving coordinates have their origin.
+    // A given node says where solving coordinates have their origin.
     let given = rig.given().iter().position(|g| *g).unwrap();
     let owner = rig
         .setup()
@@ -395,7 +395,7 @@ fn fields_that_start_from_those_before_come_out_the_same() {
             rest: None,
         };
         solve_fields(rung, &another, columns, &mut fresh, coarse, 1e-7);
-        // Those before, where nobody holds; nothing yet for the new handle.
+        // Those before, where no handle holds; nothing yet for the new handle.
         let (_, mut again) = field_columns(rung, &another);
         for i in (0..rung.nodes()).filter(|&i| !another.given()[i]) {
             for k in 0..rung.rig().handle_count() {

@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn topology_tells_winding_from_the_rest() {
+    fn topology_distinguishes_winding_from_the_rest() {
         let one = TopologyDigests::from_triangles(4, &[[0, 1, 2], [2, 1, 3]]);
         assert_eq!(one, TopologyDigests::from_triangles(4, &[[0, 1, 2], [2, 1, 3]]));
         let wound = TopologyDigests::from_triangles(4, &[[0, 1, 2], [2, 3, 1]]);

@@ -186,7 +186,7 @@ impl QuantizedPositions {
         };
         let step = places.grid_step();
         let cell = |p: &DVec3| {
-            // A flat box has no steps along its thin side; the cast takes what is no number as 0.
+            // A flat box has no steps along its thin side; the cast takes what is not a number as 0.
             let at = (*p - places.min) / step;
             [at.x, at.y, at.z].map(|x| x.round().clamp(0.0, STEPS) as u16)
         };
@@ -441,7 +441,7 @@ mod tests {
             for (p, q) in points.iter().zip(again.cell_centers()) {
                 prop_assert!(p.distance(q) <= again.resolution() * again.diagonal() * (1.0 + 1e-9) + 1e-12);
             }
-            // What was stored is no difference at all.
+            // What was stored is not a difference at all.
             prop_assert_eq!(again.nearest_to(&points, 0.0), points);
         }
 

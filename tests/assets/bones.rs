@@ -1,4 +1,4 @@
-//! Bones keep their lengths where the option asks for it: at rest, in clips, and without tearing what is drawn. Runs over the built-in
+//! Bones keep their lengths where the option asks for it: in the rest pose, in clips, and without tearing what is drawn. Runs over the built-in
 //! figure and every skinned model of the data folder.
 
 use crate::rigs::{Reshaping, joints, largest, stretches};

@@ -155,10 +155,10 @@ fn off_from_points(files: &FileSet, nodes: &Value, order: &[usize], first: &[Val
     assert_eq!(nodes, order.iter().map(|&n| n as u32).collect::<Vec<_>>());
     let reported: Vec<_> = reported.iter().flat_map(frames).collect();
     let mut worst = 0.0f64;
-    for ((&node, (place, turn)), (told_place, told_turn)) in order.iter().zip(&points).zip(&reported) {
+    for ((&node, (place, turn)), (reported_place, reported_turn)) in order.iter().zip(&points).zip(&reported) {
         // A quaternion and its negative are one rotation.
         let apart = |q: DQuat| (q - *turn).length().min((q + *turn).length());
-        worst = worst.max(told_place.distance(*place)).max(apart(*told_turn));
+        worst = worst.max(reported_place.distance(*place)).max(apart(*reported_turn));
         worst = worst
             .max(after[node].translation.distance(*place))
             .max(apart(turn_of(&after[node])));
@@ -374,7 +374,7 @@ fn a_node_rides_at_the_end_of_any_chain() {
     let files = bar_with_nodes();
     let mut file = parsed_files(&files);
     let nodes = file.json["nodes"].as_array_mut().expect("nodes");
-    // A chain from the camera on, each link a little further; its last one rides by itself.
+    // A chain from the camera on, each link a little further; its last one rides on its own.
     let (first, links) = (nodes.len(), 30_000);
     nodes[CAMERA]["children"] = json!([first]);
     nodes.extend((0..links).map(|k| json!({"translation": [0, 0, 1e-5], "children": [first + k + 1]})));

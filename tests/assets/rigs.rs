@@ -1,4 +1,4 @@
-//! Skeletons follow the body: what is written at rest, what clips do to it, what a rigid motion does, and what stays.
+//! Skeletons follow the body: what is written in the rest pose, what clips do to it, what a rigid motion does, and what stays.
 //! Runs over every skinned model of the data folder.
 
 use crate::skins::{diagonal, off_from_drawn, read_back, skinned_models};
@@ -72,7 +72,7 @@ pub fn edge_lengths(model: &Model, drawn: &[DrawnPrimitive]) -> Vec<f64> {
     lengths
 }
 
-/// How many times as long as at rest the edges of a model become over the times of all clips, ascending; `None` for files
+/// How many times as long as in the rest pose the edges of a model become over the times of all clips, ascending; `None` for files
 /// that the plain player does not read, or without clips.
 pub fn stretches(model: &Model, file: &Parsed) -> Option<Vec<f64>> {
     let rest = edge_lengths(model, &draw(file, None, &[])?);

@@ -1,6 +1,6 @@
 //! OBJ, PLY, OFF and STL in and out: real meshes survive a round trip, hostile files are refused, nothing panics.
 
-use crate::support::data::{data_path, files_below, tell_skipped};
+use crate::support::data::{data_path, files_below, report_skipped};
 use crate::support::recipes::file_set;
 use crate::support::shapes::bounds;
 use glam::DVec3;
@@ -171,7 +171,7 @@ fn hostile_texts_get_the_answer_they_should() {
     ] {
         let path = folder.join(name);
         if !path.is_file() {
-            tell_skipped("a hostile text file", &format!("{} is not there", path.display()));
+            report_skipped("a hostile text file", &format!("{} is not there", path.display()));
             continue;
         }
         match read(load(&path)) {

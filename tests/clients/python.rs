@@ -4,7 +4,7 @@
 //! The Python packages go into `target/clients` by the commands that `deploy/docs/other-languages.md` shows. What this machine lacks (bash, curl,
 //! python3, a network to fetch packages) is said and skipped; everything else must hold.
 
-use crate::support::data::{data_root, tell_skipped};
+use crate::support::data::{data_root, report_skipped};
 use crate::support::process::{root, said};
 use crate::support::program::ServedProgram;
 use pliant::asset::{FileSet, Limits, Model};
@@ -123,7 +123,7 @@ fn positions(path: &Path) -> Vec<[f64; 3]> {
         .collect()
 }
 
-/// The feet stand to the bit, and the head has moved.
+/// The feet stand bit for bit, and the head has moved.
 fn assert_bent(rest: &[[f64; 3]], bent: &[[f64; 3]]) {
     assert_eq!(rest.len(), bent.len());
     let feet = rest.iter().zip(bent).filter(|(r, _)| -r[1] >= -0.14);
@@ -140,7 +140,7 @@ fn assert_bent(rest: &[[f64; 3]], bent: &[[f64; 3]]) {
 fn the_tour_of_the_readme() {
     for program in ["bash", "curl", "python3"] {
         if !has(program) {
-            return tell_skipped("the tour", &format!("there is no {program}"));
+            return report_skipped("the tour", &format!("there is no {program}"));
         }
     }
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -165,7 +165,7 @@ fn the_tour_of_the_readme() {
 
     let python = match python() {
         Ok(python) => python,
-        Err(reason) => return tell_skipped("the Python half of the tour", reason),
+        Err(reason) => return report_skipped("the Python half of the tour", reason),
     };
     let mut client = Command::new(python);
     client
@@ -189,7 +189,7 @@ fn the_tour_of_the_readme() {
 fn a_pipeline_script_over_grpc() {
     let python = match python() {
         Ok(python) => python,
-        Err(reason) => return tell_skipped("the pipeline script", reason),
+        Err(reason) => return report_skipped("the pipeline script", reason),
     };
     let folder = tempfile::tempdir().expect("a temporary folder");
     let server = ServedProgram::start_in_memory(folder.path().join("log"), &["--log", "warn"]);

@@ -34,7 +34,7 @@ const BETWEEN: Duration = Duration::from_secs(3);
 enum Fault {
     /// A node is killed with SIGKILL, and started again.
     Kill,
-    /// A node is asked to stop, ends by itself, and is started again.
+    /// A node is asked to stop, ends on its own, and is started again.
     Drain,
     /// A node is stopped where it is, past its lease, and wakes up as somebody whose sessions others have; meanwhile another one is killed.
     Stop,

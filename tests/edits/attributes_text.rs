@@ -1,4 +1,4 @@
-//! OBJ, PLY, OFF and STL after edits of the topology, and what goes along from one format to another.
+//! OBJ, PLY, OFF and STL after edits of the topology, and what is kept from one format to another.
 
 use crate::support::bench::largest_distance;
 use crate::support::{gltf_parsed, khronos, recipes};
@@ -572,7 +572,7 @@ proptest! {
         let bases = [at_rest(&model)];
         let remade = EditedModel { bases: &bases, runs: &runs, blends: &recipes, triangles: &triangles, origins: &origins, bare: &[] };
         match write_edited_model(&remade, &positions, Format::ALL[format]) {
-            // A triangle with a corner twice is no error, but the readers may leave it out.
+            // A triangle with a corner twice is not an error, but the readers may leave it out.
             Ok(written) => drop(Model::read(
                 FileSet::single("written", written.main), Some(Format::ALL[format]), &Limits::default()
             ).expect("what was written is read")),

@@ -1,7 +1,7 @@
 //! Models for tests of edits: generated shapes, and the data meshes in a plain reading.
 #![allow(dead_code)]
 
-use crate::support::data::{data_bytes, data_path, tell_skipped};
+use crate::support::data::{data_bytes, data_path, report_skipped};
 pub use crate::support::shapes;
 
 use glam::DVec3;
@@ -150,7 +150,7 @@ fn unpacked(name: &str) -> Option<Vec<u8>> {
         Ok(done) if done.status.success() => Some(done.stdout),
         Ok(done) => panic!("{}: {}", path.display(), String::from_utf8_lossy(&done.stderr)),
         Err(e) => {
-            tell_skipped(name, &format!("the program xz does not start: {e}"));
+            report_skipped(name, &format!("the program xz does not start: {e}"));
             None
         }
     }

@@ -4,7 +4,7 @@
 use crate::support::khronos;
 use crate::support::messages::DeformerMessages;
 
-use crate::support::data::{data_root, tell_skipped};
+use crate::support::data::{data_root, report_skipped};
 use glam::DVec3;
 use pliant::asset::FileSet;
 use pliant::engine::{Deformer, DeformerLimits, SolveMode};
@@ -97,7 +97,7 @@ fn whole(bench: &Deformer, name: &str) {
 fn four_models_become_one_statue() {
     let data = data_root();
     if let Some((_, missing)) = PARTS.iter().find(|(_, file)| !data.join(file).is_file()) {
-        return tell_skipped("the statue", &format!("{} is not there", data.join(missing).display()));
+        return report_skipped("the statue", &format!("{} is not there", data.join(missing).display()));
     }
     let folder = tempfile::tempdir().expect("a folder");
     let folder = folder.path();

@@ -8,7 +8,7 @@ use pliant::progress::{CancelFlag, Progress};
 use std::error::Error;
 use std::sync::Mutex;
 
-/// Writes down the stages that it is told of.
+/// Writes down the stages that are reported to it.
 #[derive(Default)]
 pub struct StageList(Mutex<Vec<&'static str>>);
 

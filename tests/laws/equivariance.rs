@@ -226,7 +226,7 @@ fn same_at(places: &[Place]) {
     }
 }
 
-/// The vertices at rest, in diagonals.
+/// The vertices in the rest pose, in diagonals.
 fn deformed_not(shape: &Shape) -> Vec<DVec3> {
     let mesh = shapes::mesh(shape);
     let diagonal = mesh.bounds().diagonal();

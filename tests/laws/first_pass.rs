@@ -72,7 +72,7 @@ fn on_a_spring_only_space_drags_neighbouring_coils_along() {
     assert!(space > 0.4, "the neighbouring coils follow by {space} in space");
 }
 
-/// Equation (2) at rest: every quaternion is along the sum of its neighbours'.
+/// Equation (2) in the rest pose: every quaternion is along the sum of its neighbours'.
 #[test]
 fn diffusion_comes_to_rest_where_the_blend_has_not() {
     let scene = Scene::many();
@@ -290,7 +290,7 @@ fn ways_can_be_changed_during_a_drag() {
     }
 }
 
-/// Longest edge over its length at rest.
+/// Longest edge over its length in the rest pose.
 fn stretch(scene: &Scene, positions: &[DVec3]) -> f64 {
     let edges = scene
         .shape

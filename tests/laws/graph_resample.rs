@@ -358,7 +358,7 @@ fn two_hundred_edits_in_sequence_keep_what_a_graph_promises() {
             _ => now.pull(seed, rings, DVec3::new(0.1, 0.2, -0.1) * edge),
         };
         let edited = now.apply(&plan);
-        // A plan that folds the surface over itself is no test of the graph.
+        // A plan that folds the surface over itself is not a test of the graph.
         if Mesh::build(&edited.surface.points, &edited.surface.faces, Weld::Exact)
             .is_ok_and(|m| m.positions != edited.surface.points || m.triangles != edited.surface.faces)
         {

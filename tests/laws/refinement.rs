@@ -155,7 +155,7 @@ fn smoothing_spreads_rotations_and_handles_keep_theirs() {
     };
     let poses = posed(&bench, &[("top", moved)]);
     let bumpiness = |now: &[DVec3]| {
-        // Turning from one triangle to the next, beyond that at rest.
+        // Turning from one triangle to the next, beyond that in the rest pose.
         let normal = |at: &[DVec3], f: &[u32; 3]| {
             let [a, b, c] = f.map(|v| at[v as usize]);
             (b - a).cross(c - a).normalize()

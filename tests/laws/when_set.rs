@@ -137,7 +137,7 @@ fn bend() -> [(&'static str, HandlePose); 1] {
 enum Edited {
     /// The rest shape; poses stay.
     Rest,
-    /// The shape at rest becomes the rest shape.
+    /// The shape in the rest pose becomes the rest shape.
     AtRest,
     /// A pose becomes the rest shape.
     Posed,

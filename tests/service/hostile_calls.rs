@@ -265,8 +265,8 @@ async fn every_message_that_is_none_is_refused_by_every_rpc() {
             let body = within(&what, answer.bytes()).await.expect("a body");
             let status = grpc_web_status(&headers, &body);
             // Neither UNKNOWN nor INTERNAL: what is wrong is reported, and it is not the server.
-            let is_told = status.is_some_and(|status| ![2, 13].contains(&status));
-            assert!(is_told, "{} {what}: {status:?} {headers:?}", method.name());
+            let is_reported = status.is_some_and(|status| ![2, 13].contains(&status));
+            assert!(is_reported, "{} {what}: {status:?} {headers:?}", method.name());
         }
     }
     // Some of it may have closed the session in good form; the server is there.

@@ -39,14 +39,14 @@ fn started(place: &StorePlace, name: &str, database: Option<String>, more: &[&st
         .expect("the node starts")
 }
 
-/// A client that goes nowhere by itself.
+/// A client that goes nowhere on its own.
 fn unmoved() -> reqwest::Client {
     let none = reqwest::redirect::Policy::none();
     let client = reqwest::Client::builder().no_proxy().redirect(none).build();
     client.expect("a client")
 }
 
-/// The status of a call that this node answers by itself, asked again for as long as it is unavailable or at another node.
+/// The status of a call that this node answers on its own, asked again for as long as it is unavailable or at another node.
 async fn answered(server: &ServedProgram, path: &str) -> u16 {
     let client = unmoved();
     retried("an answer of this node", Duration::from_millis(20), async || {

@@ -1,5 +1,5 @@
 //! What clients of a session can rely on, whatever the transport: the deform stream's promises, commits that can be undone
-//! to the bit, limits, expiry, idempotency, draining. Most tests drive an engine whose cycles they control.
+//! bit for bit, limits, expiry, idempotency, draining. Most tests drive an engine whose cycles they control.
 
 use crate::support::bench;
 mod commits;

@@ -3,7 +3,7 @@
 mod differences;
 mod sockets;
 
-use crate::support::data::{data_folder, tell_skipped};
+use crate::support::data::{data_folder, report_skipped};
 use crate::support::process::needed;
 use crate::support::process::{memory, runs_alone};
 use crate::support::server::*;
@@ -123,7 +123,7 @@ async fn a_scan_at_60_hz_ends_with_the_last_pose_and_holds_no_growing_memory() {
     }
     let data = needed!(data_folder("the stream on armadillo.obj"));
     let Ok(model) = std::fs::read_to_string(data.join("meshes/armadillo.obj")) else {
-        tell_skipped("the stream on armadillo.obj", "it is not in the data folder");
+        report_skipped("the stream on armadillo.obj", "it is not in the data folder");
         return;
     };
     let server = Server::start().await;

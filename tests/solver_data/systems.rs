@@ -22,7 +22,7 @@ const STEP: f64 = 0.01;
 pub struct Pose {
     pub transforms: Vec<Transform>,
     pub rhs: Vec<f64>,
-    /// Given nodes where they are held, all others at rest.
+    /// Given nodes where they are held, all others in the rest pose.
     pub given: Vec<f64>,
 }
 

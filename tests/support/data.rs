@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
 /// Says what is skipped and why, where it is seen also when the test passes.
-pub fn tell_skipped(what: &str, why: &str) {
+pub fn report_skipped(what: &str, why: &str) {
     let _ = writeln!(std::io::stderr(), "SKIPPED: {what}: {why}");
 }
 
@@ -29,7 +29,7 @@ pub fn data_path(what: &str, name: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    tell_skipped(
+    report_skipped(
         what,
         &format!("{} is not there; PLIANT_DATA names the folder", path.display()),
     );

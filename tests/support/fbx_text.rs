@@ -211,7 +211,7 @@ pub fn bar() -> FbxText {
     file.node(200, "Mesh", "bar", [0.; 3], 0)
         .mesh(100, 200, &points, &faces, "")
         .node(500, "LimbNode", "lower", [0.; 3], 0)
-        // Bound at 150; at rest 40 to the side.
+        // Bound at 150; in the rest pose 40 to the side.
         .node(501, "LimbNode", "upper", [40., 150., 0.], 500)
         .object(
             400,

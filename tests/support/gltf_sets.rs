@@ -13,7 +13,7 @@ pub fn gltf_files(folder: &Path) -> Vec<PathBuf> {
     })
 }
 
-/// The set that an upload of this file would be: for .gltf, with every file beside it that is no model of its own.
+/// The set that an upload of this file would be: for .gltf, with every file beside it that is not a model of its own.
 pub fn file_set(path: &Path) -> FileSet {
     let name = path.file_name().expect("a file").to_string_lossy().into_owned();
     let mut set = FileSet::single(name, std::fs::read(path).expect("a readable file"));
@@ -35,7 +35,7 @@ pub fn companions_of(files: &FileSet) -> BTreeMap<String, Vec<u8>> {
     companions.map(|(name, bytes)| (name.clone(), bytes.to_vec())).collect()
 }
 
-/// Relative names in a document's buffers and images; none when it is no document.
+/// Relative names in a document's buffers and images; none when it is not a document.
 fn companion_names(json: &[u8]) -> Vec<String> {
     let Ok(document) = serde_json::from_slice::<serde_json::Value>(json) else {
         return Vec::new();

@@ -1,6 +1,6 @@
 //! Asks the Khronos glTF validator, where it can be had.
 
-use super::data::tell_skipped;
+use super::data::report_skipped;
 use pliant::asset::WrittenFiles;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -29,7 +29,7 @@ pub fn validate(files: &[PathBuf]) -> Option<Findings> {
             .stderr(Stdio::null())
             .status();
         if !done.is_ok_and(|status| status.success()) {
-            tell_skipped("the Khronos validator", "npm is missing or cannot reach its registry");
+            report_skipped("the Khronos validator", "npm is missing or cannot reach its registry");
             return None;
         }
     }
@@ -43,7 +43,7 @@ pub fn validate(files: &[PathBuf]) -> Option<Findings> {
         .stdout(Stdio::piped())
         .spawn();
     let Ok(mut node) = node else {
-        tell_skipped("the Khronos validator", "node is missing");
+        report_skipped("the Khronos validator", "node is missing");
         return None;
     };
     let names: Vec<String> = files.iter().map(|f| f.display().to_string()).collect();
@@ -68,7 +68,7 @@ pub fn validate(files: &[PathBuf]) -> Option<Findings> {
 /// Checks that the validator finds nothing in files, where it can be had.
 pub fn assert_valid(what: &str, files: &[PathBuf]) {
     let Some(findings) = validate(files) else {
-        return tell_skipped(what, "the validator cannot be had");
+        return report_skipped(what, "the validator cannot be had");
     };
     for file in files {
         assert!(findings[file].is_empty(), "{}: {:?}", file.display(), findings[file]);
@@ -82,7 +82,7 @@ pub fn assert_nothing_new(what: &str, made: &[(PathBuf, PathBuf)]) {
     }
     let asked: BTreeSet<&PathBuf> = made.iter().flat_map(|(file, source)| [file, source]).collect();
     let Some(findings) = validate(&asked.into_iter().cloned().collect::<Vec<_>>()) else {
-        return tell_skipped(what, "the validator cannot be had");
+        return report_skipped(what, "the validator cannot be had");
     };
     let new = made
         .iter()

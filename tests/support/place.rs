@@ -163,7 +163,7 @@ impl StorePlace {
         tamper_at(&self.database_url(), statement).await;
     }
 
-    /// Tells the database something that changes no rows.
+    /// Sends the database a statement that changes no rows.
     pub async fn ask(&self, statement: &str) {
         sqlx::any::install_default_drivers();
         let mut connection = AnyConnection::connect(&self.database_url()).await.expect("a database");

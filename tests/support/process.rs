@@ -70,12 +70,12 @@ fn status_bytes(key: &str) -> u64 {
 }
 
 /// Whom permissions bind: who runs the tests, or, where that is root, a user without any rights.
-pub struct Nobody {
+pub struct NoOne {
     /// The program, where that user can start it.
     place: Option<tempfile::TempDir>,
 }
 
-impl Nobody {
+impl NoOne {
     /// `None`, and a word, where there is no such user.
     pub fn new() -> Option<Self> {
         let is_root = std::fs::metadata("/proc/self").is_ok_and(|facts| facts.uid() == 0);
@@ -88,10 +88,10 @@ impl Nobody {
         std::fs::hard_link(from, &to)
             .or_else(|_| std::fs::copy(from, &to).map(drop))
             .expect("the program");
-        let nobody = Self { place: Some(place) };
-        let started = nobody.program().arg("--version").output();
+        let no_one = Self { place: Some(place) };
+        let started = no_one.program().arg("--version").output();
         if started.is_ok_and(|done| done.status.success()) {
-            return Some(nobody);
+            return Some(no_one);
         }
         println!("SKIPPED: root cannot become another user here");
         None

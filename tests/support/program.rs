@@ -38,7 +38,7 @@ impl ServedProgram {
         // A limit on the size of files ends a process that has not asked for something else.
         let mut command = Command::new("sh");
         let somewhere = ["--listen", "127.0.0.1:0"];
-        let is_told = arguments.contains(&"--listen");
+        let is_reported = arguments.contains(&"--listen");
         command
             .args([
                 "-c",
@@ -47,7 +47,7 @@ impl ServedProgram {
                 env!("CARGO_BIN_EXE_pliant"),
                 "serve",
             ])
-            .args(if is_told { &[][..] } else { &somewhere[..] })
+            .args(if is_reported { &[][..] } else { &somewhere[..] })
             .args(["--threads", "2"])
             .args(arguments)
             .envs(variables.iter().copied())

@@ -1,4 +1,4 @@
-//! A plain player of glTF skins: where a file puts its vertices, at rest or at a time of a clip. Written without the code
+//! A plain player of glTF skins: where a file puts its vertices, in the rest pose or at a time of a clip. Written without the code
 //! under test, from the format's specification.
 
 use super::gltf_parsed::Parsed;

@@ -105,8 +105,8 @@ fn nodes_that_ride_along_are_counted_beside_primitives() {
     let riders = json!([{"primitivesNamed": "lod1"}, {"primitivesNamed": "lod2"}, {"primitivesNamed": "hull"},
         {"nodesNamed": "hatSocket"}]);
     job["create"]["passengers"] = riders.clone();
-    let told_of = |job: &Value| followed(&folder, "figure.glb", job).expect("told");
-    let (reply, line) = told_of(&job);
+    let mentioned = |job: &Value| followed(&folder, "figure.glb", job).expect("told");
+    let (reply, line) = mentioned(&job);
     assert!(
         line.ends_with("3 of 3 passenger primitives, 1 of 1 passenger node"),
         "{line}"
@@ -118,8 +118,8 @@ fn nodes_that_ride_along_are_counted_beside_primitives() {
     // After an edit as before it, and one that stays is counted as such.
     job["steps"].as_array_mut().expect("steps").push(json!({"edit":
         {"subdivide": {"region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.6}}}, "on": "CURRENT"}}));
-    assert!(told_of(&job).1.ends_with(", 1 of 1 passenger node"));
-    let (reply, line) = told_of(&json!({"create": {"passengers": riders}}));
+    assert!(mentioned(&job).1.ends_with(", 1 of 1 passenger node"));
+    let (reply, line) = mentioned(&json!({"create": {"passengers": riders}}));
     assert!(line.ends_with(", 0 of 1 passenger node"), "{line}");
     assert_eq!(reply["movedPassengerNodes"], 0);
 }

@@ -104,7 +104,7 @@ fn strip(place: impl Fn(f64, f64) -> [f64; 3]) -> String {
     text
 }
 
-/// A folder with the strip at rest, and one whose right half is twice as long and left half two thirds as long.
+/// A folder with the strip in the rest pose, and one whose right half is twice as long and left half two thirds as long.
 fn workplace() -> Workplace {
     let folder = Workplace::empty();
     folder.put("rest.obj", strip(|x, y| [x, y, 0.0]));

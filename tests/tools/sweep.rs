@@ -211,7 +211,7 @@ fn try_model(path: &Path, work: &Path) -> Result<String, String> {
     let exception = EXCEPTIONS.iter().find(|e| name == e.0);
     let bounds = exception.map_or(BOUNDS, |e| e.1);
     let reply = format!("volume {volume:+.3}, flipped {flipped:.4}, stretch {stretch:.2}");
-    // Written so that what is no number is beyond every bound.
+    // Written so that what is not a number is beyond every bound.
     let within = |bounds: Bounds| {
         volume.abs() <= bounds.volume && flipped <= bounds.flipped && (thin || stretch <= bounds.stretch)
     };

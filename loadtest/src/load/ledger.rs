@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tally_tells_answers_refusals_and_failures_apart() {
+    fn a_tally_distinguishes_answers_refusals_and_failures() {
         let (ms, mut tally) = (Duration::from_millis, AnswerTally::default());
         tally.enter_answer(&Ok(()), ms(100));
         tally.enter_answer(&Err(Status::resource_exhausted("full")), ms(2));

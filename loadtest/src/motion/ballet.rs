@@ -35,10 +35,10 @@ pub(super) fn measure_dance(
     let animation = stage.animation(times, CARRIED, pool)?;
     let step = times.count.div_ceil(DECOMPOSED).max(1);
     let mut sequence = ShapeSequence::new(stage.deformer.rest()).map_err(LoadtestFailure::server)?;
-    let mut told: Vec<QualityReport> = Vec::new();
+    let mut reported: Vec<QualityReport> = Vec::new();
     let mut refused = None;
     solve(&animation, 0..times.count, pool, &mut |frame| {
-        told.push(stage.deformer.quality(&frame.positions, pool));
+        reported.push(stage.deformer.quality(&frame.positions, pool));
         if rows.contains(&12) && frame.index % step == 0 {
             refused = refused.take().or(sequence.push(&frame.positions).err());
         }
@@ -46,10 +46,11 @@ pub(super) fn measure_dance(
     if let Some(e) = refused {
         return Err(LoadtestFailure::server(e));
     }
-    let count = told.len() as f64;
-    let mean = |of: &dyn Fn(&QualityReport) -> f64| told.iter().map(of).sum::<f64>() / count;
+    let count = reported.len() as f64;
+    let mean = |of: &dyn Fn(&QualityReport) -> f64| reported.iter().map(of).sum::<f64>() / count;
     let worst = |of: &dyn Fn(&QualityReport) -> f64| {
-        told.iter()
+        reported
+            .iter()
             .map(of)
             .fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a })
     };
@@ -59,7 +60,7 @@ pub(super) fn measure_dance(
         figures.push(
             MotionFigure::new(
                 1,
-                format!("dance, {} frames: volume, mean", told.len()),
+                format!("dance, {} frames: volume, mean", reported.len()),
                 mean(&volume),
                 " %",
             )

@@ -42,16 +42,16 @@ pub(super) fn measure_recorded(
     )?;
     let times = stage.times(RATE, most);
     let animation = stage.animation(times, AnimationRefinement::Carried, pool)?;
-    let mut told: Vec<QualityReport> = Vec::new();
+    let mut reported: Vec<QualityReport> = Vec::new();
     let mut volumes: Vec<f64> = Vec::new();
     let triangles = &stage.deformer.model().triangles;
     let at_rest = volume(stage.deformer.rest(), triangles);
     solve(&animation, 0..times.count, pool, &mut |frame| {
         volumes.push(volume(&frame.positions, triangles) / at_rest - 1.0);
-        told.push(stage.deformer.quality(&frame.positions, pool));
+        reported.push(stage.deformer.quality(&frame.positions, pool));
     })?;
-    let flips = told.iter().map(|q| f64::from(q.flipped_triangles));
-    let mean = flips.clone().sum::<f64>() / told.len() as f64;
+    let flips = reported.iter().map(|q| f64::from(q.flipped_triangles));
+    let mean = flips.clone().sum::<f64>() / reported.len() as f64;
     let worst = flips.fold(0.0, f64::max);
     let volume = volumes
         .into_iter()
@@ -64,7 +64,7 @@ pub(super) fn measure_recorded(
     Ok(vec![
         MotionFigure::new(
             row,
-            format!("{name}, {} frames: flipped triangles, mean", told.len()),
+            format!("{name}, {} frames: flipped triangles, mean", reported.len()),
             mean,
             "",
         )

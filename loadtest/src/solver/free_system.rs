@@ -153,7 +153,7 @@ fn note_errors(
     let mut x = vec![[0.0; 3]; x5.len()];
     let options = options_to_residual(FACTOR);
     let (_, residuals) = ready.solve_logged(&problem.rhs, &mut x, &options, &mut workspace, terms)?;
-    // The first iteration mostly takes away what zero is wrong by everywhere; the rest tell the rate.
+    // The first iteration mostly takes away what zero is wrong by everywhere; the others show the rate.
     if let [first, .., last] = residuals[..] {
         measurements.set_number("factor", (last / first).powf(1.0 / (residuals.len() - 1) as f64));
     }

@@ -270,7 +270,7 @@ impl CompressedRows {
                     "the diagonal of row {i} is {diagonal}, below {sum}, the sum of its weights"
                 ));
             }
-            // Rounding of the sum is no stiffness.
+            // Rounding of the sum is not stiffness.
             graph.stiffness.push(if extra.abs() < 1e-12 * diagonal {
                 0.0
             } else {
@@ -347,7 +347,7 @@ pub(super) mod tests {
         assert!(!refused(&path).is_empty());
         std::fs::write(&path, &whole[..whole.len() - 1]).unwrap();
         assert!(refused(&path).contains("promises"));
-        // A row start out of order, a column out of range, a value that is no number.
+        // A row start out of order, a column out of range, a value that is not a number.
         assert!(with(24 + 8, u64::MAX).contains("row 0"));
         assert!(with(24 + 40, 0x0000_0009_0000_0000).contains("column 9"));
         assert!(with(24 + 40 + 40, f64::NAN.to_bits()).contains("NaN"));

@@ -166,7 +166,7 @@ fn a_passenger_changes_nothing_for_the_body_and_goes_where_it_goes() {
             .fold(f64::MAX, f64::min);
         assert!((0.05..0.2).contains(&gap), "a gap of {gap}");
     }
-    // At rest all is as it was, and written to the byte.
+    // In the rest pose all is as it was, and written to the byte.
     let written = deformer.write(deformer.rest(), Format::GLTF, &exec).expect("written");
     assert_eq!(written.main, both().main.to_vec());
     // The same with other threads.
@@ -327,7 +327,7 @@ fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
             let wanted = vertices_of(&deformer, own, &on);
             assert!(seen.iter().zip(wanted).all(|(a, b)| a.distance(*b) < 1e-6));
 
-            // Back and forth, to the bit.
+            // Back and forth, bit for bit.
             let after = (
                 deformer.topology_state(),
                 deformer.rest().to_vec(),

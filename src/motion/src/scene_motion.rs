@@ -360,7 +360,7 @@ mod tests {
         ];
         let beside = SceneMotion::of(&scene, &order, &clip, &motion, shapes).expect("something moves");
         let rest = [DVec3::Y, DVec3::ZERO, DVec3::X, DVec3::Y];
-        // The face lies turned about x by a quarter: what went along z goes along -y.
+        // The face lies turned about x by a quarter: the z axis becomes -y.
         let turned = |p: DVec3| DVec3::new(p.x, -p.z, p.y);
         let mut positions = rest.map(turned);
         let root = RigidMotion {

@@ -43,7 +43,7 @@ impl SrgbTable {
     }
 
     pub fn to_srgb(&self, light: Vec3) -> Rgb {
-        // Casts saturate, and take what is no number as 0.
+        // Casts saturate, and take what is not a number as 0.
         let byte = |x: f32| self.0[((x * STEPS as f32).round() as usize).min(STEPS)];
         [byte(light.x), byte(light.y), byte(light.z)]
     }
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ramp_tells_sides_apart_and_knows_every_number() {
+    fn a_ramp_distinguishes_sides_and_knows_every_number() {
         let screen = SrgbTable::new();
         let rgb = |ramp: ColourRamp, x: f64| screen.to_srgb(ramp.linear_colour(x));
         let [red, blue] = [rgb(ColourRamp::Stretch, 1.0), rgb(ColourRamp::Stretch, -1.0)];

@@ -141,7 +141,7 @@ impl DressedTriangle<'_> {
         let [width, height] = texture.size();
         let texels = (ux * vy - uy * vx).abs() * width as f64 * height as f64;
         let halvings = 0.5 * libm::log2(texels / area.abs()) + 0.25;
-        // Casts saturate, and take what is no number as 0.
+        // Casts saturate, and take what is not a number as 0.
         (halvings.max(0.0) as usize).min(texture.last_level())
     }
 

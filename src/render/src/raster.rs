@@ -383,7 +383,7 @@ mod tests {
             let differ = one.pixels().iter().zip(other.pixels()).filter(|(a, b)| a != b).count();
             assert!(differ < 120, "{differ} pixels differ at scale {scale:e}");
         }
-        // A heap of points has no pixel, and is no reason to fail.
+        // A heap of points has no pixel, and is not a reason to fail.
         let flat = picture(&[DVec3::ZERO, DVec3::Z, DVec3::Z * 2.0], &[[0, 1, 2]], (16, 16), 1);
         assert_eq!(flat.pixel(8, 8), flat.pixel(0, 8));
     }

@@ -129,7 +129,7 @@ impl Texture {
 
 /// The column or row of a place outside of the picture.
 fn wrapped(place: f32, count: usize, wrap: TextureWrap) -> usize {
-    // Casts saturate, and take what is no number as 0.
+    // Casts saturate, and take what is not a number as 0.
     let (at, count_i) = (place as i64, count as i64);
     let found = match wrap {
         TextureWrap::Repeat => at.rem_euclid(count_i),
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn coordinates_count_from_the_upper_left_and_wrap_as_told() {
+    fn coordinates_count_from_the_upper_left_and_wrap_as_written() {
         let texture = picture();
         assert_eq!((texture.size(), texture.last_level()), ([4, 2], 2));
         let screen = SrgbTable::new();

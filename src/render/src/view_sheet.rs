@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_is_told_where_there_is_room() {
+    fn a_key_is_reported_where_there_is_room() {
         let shape = surface(1.0);
         let views = [ViewDirection::new(30.0, 20.0, UpAxis::Y).expect("in range")];
         let colours = |side: u32| {

@@ -285,7 +285,7 @@ impl ConnectionContext {
         tokio::pin!(serving);
 
         let is_silent = || !flags.has_preface() && answers.is_empty();
-        // A connection that does not begin with a request or a preface in time is no client.
+        // A connection that does not begin with a request or a preface in time is closed.
         let silent = async {
             tokio::time::sleep(state.config.header_timeout).await;
             if !is_silent() {

@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_nobody_reads_is_dropped_though_nobody_asks_again() {
+    async fn what_no_one_reads_is_dropped_though_no_one_asks_again() {
         let ledger = ledger(4 << 20);
         let mut answer = watch(Body::from(vec![7u8; 3 << 20]), &ledger).expect("room for it");
         let refused = watch(Body::from(vec![7u8; 3 << 20]), &ledger)

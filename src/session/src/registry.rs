@@ -350,7 +350,7 @@ mod departing_sessions_tests {
     use super::*;
 
     #[test]
-    fn an_end_is_told_once_and_until_then_it_can_be_waited_for() {
+    fn an_end_is_reported_once_and_until_then_it_can_be_waited_for() {
         let departing = DepartingSessions::default();
         let (one, other) = (CancellationToken::new(), CancellationToken::new());
         let tenant = |name: &str| Tenant(name.into());

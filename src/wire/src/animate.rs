@@ -57,7 +57,7 @@ pub struct AnimateOrder {
 /// # Errors
 /// [`Error::Json`] with the field.
 pub fn animate_options_from_json(text: &[u8]) -> Result<pb::AnimateOptions, Error> {
-    // What is no JSON is refused by the reader that names the place.
+    // Bytes that are not JSON are refused by the reader that names the place.
     match serde_json::from_slice::<Value>(text) {
         Ok(mut value) => {
             if let Some(rig) = value.get_mut("rig") {

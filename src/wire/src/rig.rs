@@ -20,7 +20,7 @@ const SPANS: [[f64; 2]; 2] = [[0.15, 0.85], [0.3, 0.7]];
 /// [`Error::Json`] and [`Error::Invalid`] with the field.
 pub fn rig_from_json(text: &[u8]) -> Result<MotionRig, Error> {
     let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
-    // What is no JSON is refused by the reader that names the place.
+    // Bytes that are not JSON are refused by the reader that names the place.
     let rig: pb::Rig = match serde_json::from_slice::<Value>(text) {
         Ok(mut value) => {
             spell_out(&mut value);

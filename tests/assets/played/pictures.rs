@@ -1,4 +1,4 @@
-//! Pictures of animations beside another method's, near by, begun at rest; and of what a rig holds in a model.
+//! Pictures of animations beside another method's, near by, begun in the rest pose; and of what a rig holds in a model.
 
 use super::refusals::{contents, refuse};
 use super::{animate, animate_bar, bar_folder};

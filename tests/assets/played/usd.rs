@@ -1,7 +1,7 @@
 //! Animations as USD text: the same points as in every other output, under what carries them.
 
 use super::{FRAMES, animate_bar, bar_folder, farthest, read_cache};
-use crate::support::data::tell_skipped;
+use crate::support::data::report_skipped;
 use glam::{DQuat, DVec3};
 use std::fs;
 use std::path::Path;
@@ -92,6 +92,6 @@ fn check_with_usd(path: &Path) {
         Ok(said) if !String::from_utf8_lossy(&said.stderr).contains("No module named") => {
             panic!("{}", String::from_utf8_lossy(&said.stderr))
         }
-        _ => tell_skipped("USD by its own library", "python3 has no pxr (usd-core)"),
+        _ => report_skipped("USD by its own library", "python3 has no pxr (usd-core)"),
     }
 }

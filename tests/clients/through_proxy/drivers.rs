@@ -152,9 +152,9 @@ impl OwnDriver {
         };
         for k in 0..sessions {
             let id = open(url, k).await;
-            let told = (url.to_owned(), id.clone(), Arc::clone(&own.stop));
-            own.drags.push(tokio::spawn(keep_dragging(told.clone())));
-            own.commits.push(tokio::spawn(keep_committing(told)));
+            let reported = (url.to_owned(), id.clone(), Arc::clone(&own.stop));
+            own.drags.push(tokio::spawn(keep_dragging(reported.clone())));
+            own.commits.push(tokio::spawn(keep_committing(reported)));
             own.ids.push(id);
         }
         own
@@ -234,8 +234,8 @@ async fn open_stream(url: &str, id: &str) -> Option<Socket> {
         .get(format!("{url}/v1/sessions/{id}"))
         .header("x-pliant-hops", "0")
         .send();
-    let told = tokio::time::timeout(Duration::from_secs(1), asked).await.ok()?.ok()?;
-    let node = told
+    let reported = tokio::time::timeout(Duration::from_secs(1), asked).await.ok()?.ok()?;
+    let node = reported
         .headers()
         .get("x-pliant-node")
         .and_then(|node| node.to_str().ok())

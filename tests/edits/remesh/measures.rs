@@ -84,7 +84,7 @@ pub fn assert_outside_kept(model: &Model, region: &[u32], patch: &SurfacePatch) 
     assert!(patch.joined.is_empty());
 }
 
-/// Asserts that blends are made of vertices of one side, and positions of one point agree to the bit.
+/// Asserts that blends are made of vertices of one side, and positions of one point agree bit for bit.
 pub fn assert_blends(model: &Model, patch: &SurfacePatch) {
     let primitive = {
         let mut of = vec![u32::MAX; model.positions.len()];

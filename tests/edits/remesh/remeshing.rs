@@ -208,7 +208,7 @@ fn a_region_is_remeshed_and_its_surroundings_are_not() {
         } else {
             count < 0.2 * faces.len() as f64
         });
-        // What is outside is still there, to the bit.
+        // What is outside is still there, bit for bit.
         let outside = |m: &Model| {
             let mut kept: Vec<[[u64; 3]; 3]> = region(m, |p| p.z < 0.45)
                 .into_iter()
@@ -255,7 +255,7 @@ fn auto_mends_what_is_stretched_and_leaves_the_rest() {
     let low = patch.removed.iter().filter(|&&t| corners(&rest, t)[0].z < 0.0).count();
     assert_eq!(low, 0, "the lower half was not stretched");
     assert!(now.triangles.len() > rest.triangles.len() + 1000);
-    // At rest there is nothing to do, and it says so.
+    // In the rest pose there is nothing to do, and it says so.
     let nothing = patch_of(&rest, &all(&rest), RemeshTarget::Auto { rest: &rest.positions });
     assert!(nothing.removed.is_empty() && nothing.warnings[0].code == "remesh-nothing");
 }

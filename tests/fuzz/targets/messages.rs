@@ -84,7 +84,7 @@ fn read_and_write<M: Message + Default + prost::Name + PartialEq>(text: &[u8]) {
     };
     let written = json::to_json(&message).expect("a message of the schema").to_string();
     let again: M = json::from_json(written.as_bytes()).expect("a message that was written");
-    // Bytes, so that what is no number equals itself.
+    // Bytes, so that what is not a number equals itself.
     assert_eq!(again.encode_to_vec(), message.encode_to_vec());
 }
 

@@ -223,7 +223,7 @@ async fn http_answers_frames_in_a_row() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn frames_that_tell_what_differs_show_the_same() {
+async fn frames_that_say_what_differs_show_the_same() {
     let server = Server::start().await;
     let model = server.open(bar_obj(16)).await;
     let (id, vertices) = (
@@ -272,7 +272,7 @@ async fn http_answers_a_model_that_plays_a_clip_of_its_own() {
             answer.text().await.unwrap_or_default()
         );
         assert_eq!(answer.headers()["x-pliant-frames"], "12");
-        let is_told = answer.headers().contains_key("x-pliant-warning");
+        let is_reported = answer.headers().contains_key("x-pliant-warning");
         let file = parse(&answer.bytes().await.expect("a body"), &BTreeMap::new());
         let clips = file.json["animations"].as_array().expect("animations");
         assert_eq!(
@@ -284,8 +284,8 @@ async fn http_answers_a_model_that_plays_a_clip_of_its_own() {
             .as_array()
             .map_or(0, |s| s[0]["joints"].as_array().map_or(0, Vec::len));
         assert_eq!(
-            (joints, is_told),
-            if is_skin { (9, true) } else { (0, is_told) },
+            (joints, is_reported),
+            if is_skin { (9, true) } else { (0, is_reported) },
             "{options}"
         );
     }

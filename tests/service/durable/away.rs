@@ -259,7 +259,7 @@ async fn refuses_changes(server: &ServedProgram, id: &str, place: &StorePlace) {
         ("DELETE", "", None),
     ] {
         let (status, reply) = server.call(method, &path(id, rest), body.as_ref()).await;
-        let told_text = reply.to_string();
+        let reported_text = reply.to_string();
         assert_eq!(
             (status, &reply["code"]),
             (503, &"UNAVAILABLE".into()),
@@ -267,7 +267,7 @@ async fn refuses_changes(server: &ServedProgram, id: &str, place: &StorePlace) {
         );
         let folder = place.top().display().to_string();
         for secret in [&*folder, "sqlite", "os error", "data"] {
-            assert!(!told_text.contains(secret), "{reply}");
+            assert!(!reported_text.contains(secret), "{reply}");
         }
     }
     let created = server.post("/v1/sessions").body(bar_obj(7)).answer().await;

@@ -369,7 +369,7 @@ impl DiskTree {
         }
     }
 
-    /// Whether a folder holds just that, but for the index of the log, which is no file that is written.
+    /// Whether a folder holds just that, but for the index of the log, which is not a file that is written.
     pub fn is_same_as(&self, root: &Path) -> bool {
         let mut left: Vec<PathBuf> = vec![root.to_owned()];
         let mut found = BTreeMap::new();

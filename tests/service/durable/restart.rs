@@ -58,7 +58,7 @@ async fn everything_is_as_it_was_after_a_crash(place: StorePlace) {
     assert_eq!(after.1, before.1);
     assert!(after.2 == before.2, "the vertices are the same to the bit");
 
-    // The way back is the same on a server that was never stopped, to the bit, and so is the way on.
+    // The way back is the same on a server that was never stopped, bit for bit, and so is the way on.
     let redone = server.done("POST", &path(&id, "/redo"), None).await;
     let back = digests_back(&server, &id).await;
     assert_eq!(back.len(), 8, "{redone}");

@@ -2,7 +2,7 @@
 
 use super::{bar_at, bar_session, path, seen, turn};
 use crate::durable::place::{StorePlace, in_every_store};
-use crate::support::process::Nobody;
+use crate::support::process::NoOne;
 use crate::support::process::needed;
 use crate::support::server::{AnsweredCall as _, bar_obj, http, turn_json};
 use serde_json::Value;
@@ -59,7 +59,7 @@ async fn what_is_kept_is_checked_listed_exported_and_pruned(place: StorePlace) {
     assert_eq!(place.store(&["export", "nobody", output, "--force"]).code, 2);
 
     // What the process left when it ended in the middle of a call, and a session that no one used for long. That its time to live
-    // would be over is no reason: only a server ends it.
+    // would be over is not a reason: only a server ends it.
     let shelves = place.objects()[0].ancestors().nth(2).expect("shelves").to_owned();
     fs::create_dir_all(shelves.join("00")).expect("a shelf");
     fs::write(shelves.join("00").join("0".repeat(64)), "left").expect("writable");
@@ -257,7 +257,7 @@ async fn where_there_is_no_store_none_is_made() {
         assert_eq!(place.data().exists(), makes_folder);
         assert!(contents(&place.data()).is_empty());
     }
-    // A database of something else is no store either.
+    // A database of something else is not a store either.
     let place = needed!(StorePlace::postgres().await);
     fs::create_dir(place.data()).expect("a folder");
     fs::create_dir(place.data().join("objects")).expect("a folder");
@@ -274,11 +274,11 @@ async fn a_store_that_may_not_be_read_is_not_reported_to_be_missing() {
     let server = place.start(&[]);
     bar_session(&server).await;
     server.stop().await;
-    let nobody = needed!(Nobody::new());
+    let no_one = needed!(NoOne::new());
     let data = place.data();
     let mode = |of: &Path, mode| fs::set_permissions(of, fs::Permissions::from_mode(mode)).expect("changed");
     let refused = |command: &[&str], unread: &Path| {
-        let reply = nobody.program().args(command).arg("--data-dir").arg(&data).output();
+        let reply = no_one.program().args(command).arg("--data-dir").arg(&data).output();
         let reply = reply.expect("it runs");
         let err = String::from_utf8_lossy(&reply.stderr).to_lowercase();
         let last = err.lines().last().unwrap_or_default();

@@ -83,7 +83,7 @@ async fn points_and_a_model_ride_along_through_poses_undo_and_edits() {
     let highest = heights.fold(f64::MIN, f64::max);
     assert!((highest - 4.25).abs() < 1e-3, "{highest}");
 
-    // The same over gRPC, to the bit.
+    // The same over gRPC, bit for bit.
     let mut client = server.grpc().await;
     let request: pb::CarryRequest = pliant::wire::json::from_json(order.to_string().as_bytes()).expect("a request");
     let request = pb::CarryRequest {

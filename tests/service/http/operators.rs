@@ -3,7 +3,7 @@
 use super::{get, post};
 use crate::support::certificates::{Authority, Files};
 use crate::support::commands::{Ran, Workplace, pliant_in};
-use crate::support::data::tell_skipped;
+use crate::support::data::report_skipped;
 use crate::support::program::{ServedProgram, words};
 use crate::support::server::*;
 use reqwest::header::{self, HeaderName};
@@ -106,7 +106,7 @@ jq() { cut -d '"' -f 4; }"#;
 async fn every_curl_sample_of_the_reference_works() {
     let is_absent = |program: &&str| Command::new(program).arg("--version").output().is_err();
     if let Some(program) = ["bash", "curl"].into_iter().find(is_absent) {
-        return tell_skipped("the samples in curl", &format!("there is no {program}"));
+        return report_skipped("the samples in curl", &format!("there is no {program}"));
     }
     let server = Server::start().await;
     let document = server.document("/openapi.json").await;
@@ -161,7 +161,7 @@ async fn pages_of_other_origins_may_read_every_fact_of_an_answer() {
         assert_eq!(answer.status(), 200);
         let exposed = header(&answer, "access-control-expose-headers").to_lowercase();
         let exposed: Vec<&str> = exposed.split(',').map(str::trim).collect();
-        // It instructs browsers, and is no fact for pages.
+        // It instructs browsers, and is not a fact for pages.
         let is_fact = |name: &&HeaderName| name.as_str().starts_with("x-") && **name != header::X_CONTENT_TYPE_OPTIONS;
         for name in answer.headers().keys().filter(is_fact) {
             assert!(exposed.contains(&name.as_str()), "{name} is hidden from pages");

@@ -6,14 +6,14 @@ use serde_json::{Value, json};
 
 /// Method, path | content type | body | status and code | field | words of the detail, with ; between them.
 ///
-/// `{id}` is a session with handles, `{bare}` one without, `{nobody}` an id that is none; `-` is nothing, and `?` as a field
+/// `{id}` is a session with handles, `{bare}` one without, `{unknown}` an id that is none; `-` is nothing, and `?` as a field
 /// means some field.
 const CASES: &str = r#"
 GET /v2/nothing                | -                | -      | 404 NOT_FOUND           | -         | /v2/nothing; openapi
-GET /v1/sessions/{nobody}      | -                | -      | 404 NOT_FOUND           | -         | no session
-POST /v1/sessions/{nobody}/solve | image/png      | x      | 404 NOT_FOUND           | -         | no session
-POST /v1/sessions/{nobody}/edits | application/json | {    | 404 NOT_FOUND           | -         | no session
-GET /v1/sessions/{nobody}/model?format=doc | -    | -      | 404 NOT_FOUND           | -         | no session
+GET /v1/sessions/{unknown}      | -                | -      | 404 NOT_FOUND           | -         | no session
+POST /v1/sessions/{unknown}/solve | image/png      | x      | 404 NOT_FOUND           | -         | no session
+POST /v1/sessions/{unknown}/edits | application/json | {    | 404 NOT_FOUND           | -         | no session
+GET /v1/sessions/{unknown}/model?format=doc | -    | -      | 404 NOT_FOUND           | -         | no session
 PUT /v1/sessions               | -                | -      | 405 UNIMPLEMENTED       | -         | PUT
 POST /v1/sessions/{id}/model   | -                | -      | 405 UNIMPLEMENTED       | -         | POST
 POST /v1/sessions/{id}/solve   | text/plain       | {}     | 415 INVALID_ARGUMENT    | -         | text/plain; application/json
@@ -58,7 +58,7 @@ GET /v1/sessions/{id}/positions?x=1 | -           | -      | 400 INVALID_ARGUMEN
 GET /v1/sessions/{id}/stream   | -                | -      | 426 INVALID_ARGUMENT    | -         | WebSocket
 "#;
 
-const NOBODY: &str = "00000000000000000000000000000000";
+const NO_HANDLE: &str = "00000000000000000000000000000000";
 
 #[tokio::test(flavor = "multi_thread")]
 async fn problems_say_what_where_and_what_is_allowed() {
@@ -78,7 +78,7 @@ async fn problems_say_what_where_and_what_is_allowed() {
         cell => cell
             .replace("{id}", &id)
             .replace("{bare}", &bare)
-            .replace("{nobody}", NOBODY),
+            .replace("{unknown}", NO_HANDLE),
     };
     for case @ [call, kind, body, outcome, field, words] in rows(CASES) {
         let (method, path) = call.split_once(' ').expect("method and path");
@@ -120,14 +120,14 @@ async fn problems_say_what_where_and_what_is_allowed() {
             field => assert_eq!(problem["errors"][0]["field"], field, "{case:?}: {problem}"),
         }
     }
-    let whole = server.document(&format!("/v1/sessions/{NOBODY}")).await;
+    let whole = server.document(&format!("/v1/sessions/{NO_HANDLE}")).await;
     let expected = json!({
         "type": "urn:pliant:problem:not-found",
         "title": "not found",
         "status": 404,
-        "detail": format!("no session \"{NOBODY}\"; it may have expired or been deleted"),
+        "detail": format!("no session \"{NO_HANDLE}\"; it may have expired or been deleted"),
         "code": "NOT_FOUND",
-        "instance": format!("/v1/sessions/{NOBODY}"),
+        "instance": format!("/v1/sessions/{NO_HANDLE}"),
     });
     assert_eq!(whole, expected);
     // Nothing that was refused left a trace.

@@ -1,4 +1,4 @@
-//! The database away for a while: what is in memory goes on, what changes something is refused, and everything recovers by itself.
+//! The database away for a while: what is in memory goes on, what changes something is refused, and everything recovers on its own.
 //!
 //! It is away for two leases; with `PLIANT_FAULTS`, as in the long run of the clients' test, for ten seconds.
 
@@ -162,7 +162,7 @@ fn noted(server: &PostgresServer) -> (usize, f64) {
     let lines = log
         .lines()
         .filter_map(|line| line.split_once("duration: ").map(|(_, reply)| reply));
-    // What the measurement itself asks for is no node's.
+    // What the measurement itself asks for is not a node's.
     let lines = lines.filter(|reply| !reply.contains("pg_current_wal_insert_lsn"));
     let ms = |reply: &str| {
         reply

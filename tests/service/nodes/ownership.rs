@@ -62,7 +62,7 @@ async fn a_node_that_was_stopped_past_its_lease_neither_writes_nor_reports_what_
     turn(&b, &id, 0.6).await;
     let taken = seen(&b, &id).await;
     a.signal("-CONT");
-    // Asked at once, before it can have noticed by itself.
+    // Asked at once, before it can have noticed on its own.
     assert_eq!(seen(&a, &id).await, taken, "what the other node has");
     turn(&a, &id, 0.9).await;
     let ended = within("the end of the stream", async {
@@ -199,7 +199,7 @@ async fn no_write_of_a_session_lands_that_another_node_has() {
         set_free(&place).await;
         assert_eq!(seen(&a, &id).await, before.0, "{method} {rest}");
     }
-    // What is noted from time to time is no exception.
+    // What is noted from time to time is not an exception.
     let stamped = place.number("SELECT used_ms FROM sessions").await;
     take_away(&place).await;
     assert_eq!(a.call("GET", &path(&id, ""), None).await.0, 200, "it has not noticed");

@@ -36,7 +36,7 @@ async fn a_call_to_the_wrong_node_is_sent_to_the_right_one() {
     for name in promised.expect("headers").keys() {
         assert!(!header(&sent, name).is_empty(), "{name}");
     }
-    // A client that goes there by itself gets the same in an answer that no library follows.
+    // A client that goes there on its own gets the same in an answer that no library follows.
     let reply = unmoved().get(&asked).header("x-pliant-hops", "0").answer().await;
     assert_eq!(reply.status().as_u16(), 503);
     assert_eq!(

@@ -327,7 +327,7 @@ async fn each_call_has_a_line_and_no_line_has_a_token() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn counts_tell_of_no_tenant() {
+async fn counts_name_no_tenant() {
     let folder = tempfile::tempdir().expect("a folder");
     let tables = token_table("studio", "a", "anna") + &token_table("others", "b", "bert") + "metrics = true\n";
     let config = config_file(folder.path(), &tables);

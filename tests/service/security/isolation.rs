@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use tokio_tungstenite::tungstenite;
 
-const NOBODYS: &str = "0123456789abcdef0123456789abcdef";
+const NO_HANDLES: &str = "0123456789abcdef0123456789abcdef";
 
 /// Bodies that calls could have, sensible ones among them.
 const BODIES: [(&str, &str); 8] = [
@@ -39,7 +39,7 @@ const BODIES: [(&str, &str); 8] = [
 
 /// An answer without what differs from call to call, and the id that was asked for.
 #[derive(Debug, PartialEq)]
-struct Told {
+struct Reported {
     status: u16,
     headers: BTreeMap<String, String>,
     body: Vec<u8>,
@@ -49,7 +49,7 @@ fn without_id(bytes: &[u8], id: &str) -> Vec<u8> {
     String::from_utf8_lossy(bytes).replace(id, "ID").into_bytes()
 }
 
-async fn reply(request: reqwest::RequestBuilder, id: &str) -> Told {
+async fn reply(request: reqwest::RequestBuilder, id: &str) -> Reported {
     let answer = request.bearer_auth("b").answer().await;
     let passing = ["x-request-id", "date"];
     let headers = answer
@@ -60,7 +60,7 @@ async fn reply(request: reqwest::RequestBuilder, id: &str) -> Told {
         let value = String::from_utf8_lossy(value.as_bytes()).into_owned();
         (name.as_str().to_owned(), statuses(&value).replace(id, "ID"))
     });
-    Told {
+    Reported {
         status: answer.status().as_u16(),
         headers: headers.filter(|(name, _)| name != "content-length").collect(),
         body: without_id(
@@ -125,7 +125,7 @@ async fn every_path_answers_as_for_a_session_that_never_was() {
                         }
                         reply(request.body(body), id).await
                     };
-                    let (other, none) = (ask(&theirs).await, ask(NOBODYS).await);
+                    let (other, none) = (ask(&theirs).await, ask(NO_HANDLES).await);
                     assert_eq!(other, none, "{method} {path} {body}");
                     assert_eq!(other.status, 404, "{method} {path} {body}: {other:?}");
                     asked += 1;
@@ -180,7 +180,7 @@ async fn every_rpc_answers_as_for_a_session_that_never_was() {
             let call = server.post(&path).header("content-type", "application/grpc-web+proto");
             reply(call.header("idempotency-key", "key").body(framed), id).await
         };
-        let (other, none) = (ask(&theirs).await, ask(NOBODYS).await);
+        let (other, none) = (ask(&theirs).await, ask(NO_HANDLES).await);
         assert_eq!(other, none, "{path}");
         let reply = format!("{:?} {}", other.headers, String::from_utf8_lossy(&other.body));
         assert!(
@@ -193,7 +193,7 @@ async fn every_rpc_answers_as_for_a_session_that_never_was() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nor_do_sockets_lists_merges_and_limits_tell_of_it() {
+async fn nor_do_sockets_lists_merges_and_limits_show_it() {
     let server = guarded().await;
     let theirs = session_of_another(&server).await;
     let socket = async |id: &str| {
@@ -207,7 +207,7 @@ async fn nor_do_sockets_lists_merges_and_limits_tell_of_it() {
             without_id(answer.body().as_deref().unwrap_or_default(), id),
         )
     };
-    assert_eq!(socket(&theirs).await, socket(NOBODYS).await);
+    assert_eq!(socket(&theirs).await, socket(NO_HANDLES).await);
 
     let own = server
         .post("/v1/sessions")
@@ -220,15 +220,15 @@ async fn nor_do_sockets_lists_merges_and_limits_tell_of_it() {
         let body = json!({"on": "REST", "merge": {"session": id}});
         reply(http().post(&edits).json(&body), id).await
     };
-    let (other, none) = (merge(&theirs).await, merge(NOBODYS).await);
+    let (other, none) = (merge(&theirs).await, merge(NO_HANDLES).await);
     assert_eq!(other, none);
     assert!((400..500).contains(&other.status), "{other:?}");
 
     let list = async |query: &str| reply(server.get(&format!("/v1/sessions{query}")), &theirs).await;
-    let told_all = String::from_utf8(list("").await.body).expect("UTF-8");
+    let reported_all = String::from_utf8(list("").await.body).expect("UTF-8");
     assert!(
-        told_all.contains(&text(&own["id"])) && !told_all.contains("ID"),
-        "{told_all}"
+        reported_all.contains(&text(&own["id"])) && !reported_all.contains("ID"),
+        "{reported_all}"
     );
 }
 
@@ -258,7 +258,7 @@ async fn sessions_of_the_store_are_their_tenants_alone() {
     ] {
         let other = ask(method.clone(), rest, &id).await;
         assert_eq!(other.status, 404, "{other:?}");
-        assert_eq!(other, ask(method, rest, NOBODYS).await);
+        assert_eq!(other, ask(method, rest, NO_HANDLES).await);
     }
     let list = reply(server.get("/v1/sessions"), &id).await;
     let list: Value = serde_json::from_slice(&list.body).expect("JSON");

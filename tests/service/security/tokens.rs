@@ -241,7 +241,7 @@ async fn a_key_that_counts_from_the_next_start_on_is_reported_once_when_it_chang
         };
         eventually("another token", known).await;
     };
-    // Tokens are followed, and that is no such change.
+    // Tokens are followed, and that is not such a change.
     replace_file(
         &file,
         &format!("history = 7\n{token}{}", token_table("a", "second", "a")),

@@ -1,4 +1,4 @@
-//! Commits: undone to the bit, whole or absent.
+//! Commits: undone bit for bit, whole or absent.
 
 use super::fake::*;
 use pliant::asset::Format;

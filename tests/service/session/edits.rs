@@ -1,4 +1,4 @@
-//! Edits in sessions: one commit each, undone and redone to the bit, refused whole.
+//! Edits in sessions: one commit each, undone and redone bit for bit, refused whole.
 
 use super::bench::obj;
 use super::fake::*;

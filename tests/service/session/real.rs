@@ -56,7 +56,7 @@ pub async fn bent_in(manager: &Manager) -> Fixture {
     fixture
 }
 
-/// The top's turn about x; none is at rest.
+/// The top's turn about x; none is in the rest pose.
 fn turn(angle: f64) -> Vec<(String, HandlePose)> {
     let pose = match angle {
         0.0 => HandlePose::default(),

@@ -107,9 +107,9 @@ async fn closed_after_bytes(server: &Server, path: &str, bytes: &[u8]) -> u16 {
          sec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
     );
     socket.write_all(upgrade.as_bytes()).await.unwrap();
-    let mut told = Vec::new();
-    while !told.ends_with(b"\r\n\r\n") {
-        told.push(within("the handshake", socket.read_u8()).await.unwrap());
+    let mut reported = Vec::new();
+    while !reported.ends_with(b"\r\n\r\n") {
+        reported.push(within("the handshake", socket.read_u8()).await.unwrap());
     }
     socket.write_all(bytes).await.unwrap();
     let mut frames = Vec::new();

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 /// A triangle alone: a surface without an inside.
 const OPEN_SHEET: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
 
-const NOBODY: &str = "00000000000000000000000000000000";
+const NO_HANDLE: &str = "00000000000000000000000000000000";
 
 /// Provocation | method, path | content type | body. `{id}` is a session with handles, `{bare}` one without.
 const CALLS: &str = r#"
@@ -78,7 +78,7 @@ pub async fn provoke() -> Vec<Said> {
         cell => cell
             .replace("{id}", &id)
             .replace("{bare}", &bare)
-            .replace("{nobody}", NOBODY),
+            .replace("{nobody}", NO_HANDLE),
     };
     let mut said = Vec::new();
     for [by, call, kind, body] in rows(CALLS) {
@@ -89,7 +89,7 @@ pub async fn provoke() -> Vec<Said> {
         if kind != "-" {
             request = request.header("content-type", kind);
         }
-        let text = detail(request).await.replace(NOBODY, "ID");
+        let text = detail(request).await.replace(NO_HANDLE, "ID");
         said.push(Said { by, text });
     }
     said.extend(of_streams(&server, &id).await);

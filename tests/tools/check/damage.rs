@@ -217,7 +217,7 @@ fn assert_shown_beside(report: &Value, xml: &str, page: &str, name: &str) {
 async fn a_server_that_answers_wrongly_is_caught_though_its_digest_is_right() {
     let server = Server::start().await;
     let proxies = [
-        // The first coordinate is no number.
+        // The first coordinate is not a number.
         Proxy::start(server.address, |floats| floats[0] = f32::NAN).await,
         // One vertex is moved by a thousandth.
         Proxy::start(server.address, |floats| floats[3 * 30] += 1e-3).await,

@@ -2,7 +2,7 @@
 
 use super::folder::{Suite, sample_suite};
 use crate::support::commands::Ran;
-use crate::support::process::Nobody;
+use crate::support::process::NoOne;
 use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::{PermissionsExt as _, symlink};
@@ -81,7 +81,7 @@ fn a_report_never_replaces_a_file_that_a_model_names_beside_itself() {
         assert_refused(&ran, &[option, file, "bar.obj is made of it"]);
         assert_eq!(contents(&suite), before, "{option} {file}");
     }
-    // What only lies beside it is no part of it.
+    // What only lies beside it is not a part of it.
     suite.write("old.html", "a page");
     let ran = suite.check("--html suite/old.html --force");
     assert!(
@@ -125,11 +125,11 @@ fn a_place_where_nothing_can_be_written_is_reported_before_any_case_is_run() {
 #[test]
 fn a_suite_that_cannot_be_written_is_not_blessed() {
     let suite = Suite::of_bar();
-    let Some(nobody) = Nobody::new() else { return };
+    let Some(no_one) = NoOne::new() else { return };
     let mode = |of: &Path, mode| fs::set_permissions(of, fs::Permissions::from_mode(mode)).expect("changed");
     mode(&suite.path().join(".."), 0o755);
     mode(&suite.path(), 0o555);
-    let ran = Ran::of(nobody.program().args(["check", "--bless"]).arg(suite.path()));
+    let ran = Ran::of(no_one.program().args(["check", "--bless"]).arg(suite.path()));
     mode(&suite.path(), 0o755);
     assert_refused(&ran, &["bar.golden.json: permission denied"]);
     assert!(!ran.err.contains(".part"), "{}", ran.err);

@@ -1,6 +1,6 @@
 //! What the source keeps: each guard says what to do about what it found.
 //!
-//! Where a guard was broken when it was written, a number says how much of that is left. It may only sink: whoever mends
+//! Where a guard was broken when it was written, a number says how much of that is left. It may only sink: who mends
 //! one lowers it, and at 0 the line goes.
 
 use super::functions::{DefinedFunction, defined_functions};
@@ -190,10 +190,15 @@ fn no_function_takes_too_many_parameters() {
     );
 }
 
-fn too_much(is_too_much: impl Fn(&DefinedFunction) -> bool, told: impl Fn(&DefinedFunction) -> String) -> Vec<String> {
+fn too_much(
+    is_too_much: impl Fn(&DefinedFunction) -> bool,
+    reported: impl Fn(&DefinedFunction) -> String,
+) -> Vec<String> {
     let functions = defined_functions(&crate_files(root()));
     let found = functions.iter().filter(|f| is_too_much(f));
-    found.map(|f| format!("{} {}: {}", f.place, f.name, told(f))).collect()
+    found
+        .map(|f| format!("{} {}: {}", f.place, f.name, reported(f)))
+        .collect()
 }
 
 /// The reader itself: what it must see.
@@ -224,7 +229,7 @@ mod reader {
     fn names_are_followed_to_the_files_that_define_them() {
         let files = crate_of(&[
             ("lib.rs", "pub mod a; pub mod b; pub mod c;"),
-            // A re-export is no import: `b` uses what `one` defines, and `one` uses nothing of `a/mod.rs`.
+            // A re-export is not a import: `b` uses what `one` defines, and `one` uses nothing of `a/mod.rs`.
             ("a/mod.rs", "mod one; pub use one::One; pub(crate) use self::one::go;"),
             ("a/one.rs", "use crate::c; pub struct One; pub fn go() { c::turn() }"),
             (

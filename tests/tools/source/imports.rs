@@ -36,7 +36,7 @@ struct NamedPath {
     path: Vec<String>,
 }
 
-/// For each file, the files that it imports from. A re-export is no import; tests are left out.
+/// For each file, the files that it imports from. A re-export is not a import; tests are left out.
 pub fn imported_files(files: &[SourceFile]) -> Vec<BTreeSet<usize>> {
     let mut names: BTreeMap<ModuleKey, ModuleNames> = BTreeMap::new();
     let mut named = Vec::new();

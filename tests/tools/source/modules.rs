@@ -94,7 +94,8 @@ pub fn test_files(root: &Path) -> Vec<SourceFile> {
     files.map(|path| read_file(root, &path, Path::new("tests"))).collect()
 }
 
-fn rust_files(root: &Path, folder: &Path) -> Vec<PathBuf> {
+/// The Rust files below a folder, from the root of the checkout, without build scripts.
+pub fn rust_files(root: &Path, folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = fs::read_dir(folder) else {
         return Vec::new();
     };

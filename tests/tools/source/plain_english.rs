@@ -1,6 +1,7 @@
-//! What people read is plain English: pages, the schema's comments, help, labels, error texts and doc comments do without
+//! What people read is plain English: pages, the schema's comments, help, labels, error texts and comments do without
 //! the words and phrases that readers had to read twice.
 
+use super::modules::rust_files;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -124,6 +125,27 @@ fn what_people_read_is_plain_english() {
         problems.len(),
         problems.join("\n")
     );
+}
+
+#[test]
+fn comments_of_the_source_are_plain_english_too() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let paths = ["src", "loadtest", "tests"].map(|folder| rust_files(root, &root.join(folder)));
+    let mut problems = Vec::new();
+    for path in paths.iter().flatten() {
+        let text = fs::read_to_string(root.join(path)).unwrap_or_default();
+        for (number, line) in text.lines().enumerate() {
+            let comment = line.trim_start();
+            for (avoided, instead) in avoided_in(comment).filter(|_| comment.starts_with("//")) {
+                problems.push(format!(
+                    "{}:{}: \"{avoided}\": write {instead}",
+                    path.display(),
+                    number + 1
+                ));
+            }
+        }
+    }
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
 }
 
 #[test]

@@ -32,7 +32,7 @@ fn bend(shape: &shapes::Shape, angle: f64, exec: &Exec<'_>) -> BentBar {
     BentBar { deformer, poses, shape }
 }
 
-/// Holds both ends of what is at rest and turns one.
+/// Holds both ends of what is in the rest pose and turns one.
 fn hold_and_bend(deformer: &mut Deformer, angle: f64, exec: &Exec<'_>) -> (HandlePoses, SolvedShape) {
     let side = LongSide::of(deformer.rest());
     side.hold_ends(deformer, exec).expect("handles");

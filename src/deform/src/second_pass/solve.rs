@@ -77,7 +77,7 @@ impl HandleSystem {
         let mut posed = self.pose_handles(body, request.transforms, frames, precision, exec.pool);
         let result = pose.solve(&first, &mut posed, state, watch);
         if result.is_err() {
-            // A solution that was interrupted is no start for the next one.
+            // A solution that was interrupted is not a start for the next one.
             state.forget();
         }
         result.map(|solution| PoseSolution {

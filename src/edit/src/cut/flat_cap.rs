@@ -148,7 +148,7 @@ fn nest_loops<'a>(flat: &mut [DVec2], rings: &'a [Vec<u32>]) -> Vec<(&'a [u32], 
             .min_by(|&a, &b| area[a].total_cmp(&area[b]));
         match around {
             Some(j) => holes[j].push(ring.clone()),
-            // Nothing around it: a part that is inside out, filled by itself.
+            // Nothing around it: a part that is inside out, filled on its own.
             None => outer.push(i),
         }
     }

@@ -450,7 +450,7 @@ mod tests {
     }
 
     #[test]
-    fn inside_is_told_from_outside_and_on() {
+    fn inside_is_distinguished_from_outside_and_on() {
         let at = ring(8, 1.0, DVec2::ZERO);
         let all: Vec<u32> = (0..8).collect();
         let inside = |p| super::super::polygon::loop_contains(|i| at[i as usize], &all, p);

@@ -101,7 +101,7 @@ impl SurfaceMotion {
         samples.for_each(|(sample, weight)| sum.add(weight, &self.samples[sample as usize]));
         let rotation = self.agreed_rotation(sum.rotation);
         let scale = libm::exp(sum.log_scale);
-        // To the bit, and also for a zero with a sign.
+        // Bit for bit, and also for a zero with a sign.
         if sum.displacement == DVec3::ZERO && rotation == DQuat::IDENTITY && scale == 1.0 {
             return CarriedFrame::resting(point);
         }

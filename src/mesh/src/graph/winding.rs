@@ -374,7 +374,7 @@ impl FarField {
     /// Scales the moments by powers of `radius`, so that they fit single precision whatever the model's size.
     fn from_moments(m: &Moments, radius: f64) -> Self {
         let scale = if radius > 0.0 { 1.0 / radius } else { 0.0 };
-        // Powers are applied one by one: the fourth power of a tiny length is no number.
+        // Powers are applied one by one: the fourth power of a tiny length is not a number.
         let third = m.third.map(|t| (t * scale * scale * scale * scale) as f32);
         let [xxx, yyy, zzz, xxy, xxz, yyx, yyz, zzx, zzy, _] = third;
         let second = m.second.map(|t| (t * scale * scale * scale) as f32);

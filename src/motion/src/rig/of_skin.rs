@@ -28,7 +28,7 @@ pub fn rig_of_skin(
     let joints = &skeleton.skeleton.joints;
     let world = skeleton.skeleton.world_transforms(&skeleton.skeleton.rest_pose());
     let held = vertices_of_joints(scene, order, joints.len(), rest);
-    // A joint that holds nothing, nor any joint below it, is no bone.
+    // A joint that holds nothing, nor any joint below it, is not a bone.
     let mut matters: Vec<bool> = held.iter().map(|h| !h.is_empty()).collect();
     for joint in (0..joints.len()).rev() {
         if let Some(parent) = joints[joint].parent {

@@ -100,7 +100,7 @@ mod swing_twist_tests {
     use super::*;
 
     #[test]
-    fn twist_and_swing_are_told_apart() {
+    fn twist_and_swing_are_distinguished() {
         let (axis, across) = (DVec3::Z, DVec3::X);
         for angle in [-3.0, -1.2, 0.0, 0.4, 2.6, 3.1] {
             for bend in [-2.5, 0.0, 1.0] {

@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn what_may_have_been_meant_is_told() {
+    fn what_may_have_been_meant_is_reported() {
         for (text, meant) in [
             ("7412", "port: 127.0.0.1:7412"),
             (":7412", "port: 127.0.0.1:7412"),

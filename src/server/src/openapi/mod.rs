@@ -299,7 +299,7 @@ mod tests {
 
     /// Every field that is not a list is a parameter; the text of `options` names the lists.
     #[test]
-    fn every_create_option_is_a_parameter_or_told_of() {
+    fn every_create_option_is_a_parameter_or_mentioned() {
         let document = build().unwrap();
         let parameters = document["paths"]["/v1/sessions"]["post"]["parameters"]
             .as_array()

@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_failure_is_told_at_once_and_once() {
+    async fn a_failure_is_reported_at_once_and_once() {
         let outbox = FrameOutbox::with_window(8);
         outbox.send_frame(frame(1));
         outbox.end_early(Some(Error::new(ErrorCode::NotFound, "gone")));

@@ -190,7 +190,7 @@ fn who_gives_up_leaves_no_trace() {
 }
 
 /// Serves that many turns while drags and the rest ask again after each turn; returns their classes.
-fn turns_of_asking_anew(line: &Arc<FairLine>, mut permit: LinePermit, turns: usize) -> Vec<TurnClass> {
+fn turns_of_asking_again(line: &Arc<FairLine>, mut permit: LinePermit, turns: usize) -> Vec<TurnClass> {
     let mut waiting: Vec<_> = [DRAG, OTHER]
         .into_iter()
         .flat_map(|class| ["1", "2"].map(|session| (class, session, wait_of(line, class, "a", session))))
@@ -216,7 +216,7 @@ fn turns_of_asking_anew(line: &Arc<FairLine>, mut permit: LinePermit, turns: usi
 fn drags_come_first_and_the_rest_gets_every_fourth_turn() {
     let line = line_of(1, 0, 100);
     let permit = free(&line);
-    let order = turns_of_asking_anew(&line, permit, 12);
+    let order = turns_of_asking_again(&line, permit, 12);
     assert_eq!(order, [DRAG, DRAG, DRAG, OTHER].repeat(3));
 }
 
@@ -227,7 +227,7 @@ fn drags_get_three_times_the_time_of_the_rest_in_bounded_many_turns() {
         let permit = free(&line);
         line.note_service(DRAG, Duration::from_micros(drag));
         line.note_service(OTHER, Duration::from_micros(other));
-        let order = turns_of_asking_anew(&line, permit, 3 * (between + 1));
+        let order = turns_of_asking_again(&line, permit, 3 * (between + 1));
         let expected = [vec![DRAG; between], vec![OTHER]].concat().repeat(3);
         assert_eq!(order, expected, "drags take {drag}, the rest {other}");
     }

@@ -159,7 +159,7 @@ pub(crate) async fn evict_idle(shared: &SharedResources, tenant: Option<&Tenant>
         }
         session.leave.store(false, SeqCst);
     }
-    // Meanwhile one may have gone by itself.
+    // Meanwhile one may have gone on its own.
     has_departed(&shared.registry.departing, tenant).await
 }
 

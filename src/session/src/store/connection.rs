@@ -412,7 +412,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_password_is_told_to_nobody() {
+    fn a_password_is_shown_to_no_one() {
         for url in [
             "postgres://me:se/cret@db.example:5432/pliant",
             "postgresql://me:s@cret@db.example:5432/pliant?password=secret",

@@ -473,7 +473,7 @@ mod tests {
     use std::fs;
 
     #[tokio::test]
-    async fn an_object_is_kept_under_its_content_and_damage_is_told_and_mended() {
+    async fn an_object_is_kept_under_its_content_and_damage_is_reported_and_mended() {
         let folder = tempfile::tempdir().expect("a folder");
         let objects = Objects::in_folder(folder.path()).expect("made");
         let bytes = Bytes::from_static(b"what is kept");

@@ -220,7 +220,7 @@ fn what_waits_is_bounded_whatever_is_sent() {
 }
 
 #[test]
-fn errors_that_nobody_reads_end_the_stream() {
+fn errors_that_no_one_reads_end_the_stream() {
     let mailbox = mailbox(&SessionConfig::default());
     mailbox.push(pose(5, &[], false)).expect("open");
     let refused = (0..1000)

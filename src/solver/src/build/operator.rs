@@ -90,7 +90,7 @@ pub(crate) fn coarse_rows(draft: &LevelDraft, groups: &Aggregates, threads: Para
         find_centroids(draft, groups, threads)
     };
 
-    // Each pair of aggregates is summed once, from its smaller number, so the result is symmetric to the bit.
+    // Each pair of aggregates is summed once, from its smaller number, so the result is symmetric bit for bit.
     let halves = threads.map(
         0..piece_count(count, PIECE),
         || RowAccumulator::new(count),

@@ -200,7 +200,7 @@ pub(super) fn coarse_rows(
         None => next.positions[aggregate as usize],
     };
 
-    // Each pair of groups is summed once, from the first of both, so the result is symmetric to the bit.
+    // Each pair of groups is summed once, from the first of both, so the result is symmetric bit for bit.
     let mut edges: Vec<Vec<(u32, f32)>> = vec![Vec::new(); count];
     // For each aggregate the group that met it last, in the upper half and from 1, and where its sum stands.
     let mut slots = vec![0u64; *base as usize + count];

@@ -145,7 +145,7 @@ impl GroupSolve<'_, '_> {
         let start = state.outcome.relative;
         let unit = per_lane(|c| problem.unit[c] / state.scale[c]);
         let left = |c: usize| c < width && start[c] > FLOOR;
-        // Columns stay at rest unless the true residual says otherwise.
+        // Columns stay unchanged unless the true residual says otherwise.
         state.resting = per_lane(|c| {
             if criteria.rests(start[c]) {
                 state.resting[c]

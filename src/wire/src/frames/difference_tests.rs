@@ -264,7 +264,7 @@ fn a_call_that_answers_one_frame_answers_a_key_frame() {
 }
 
 #[test]
-fn differences_without_what_they_are_told_from_are_refused() {
+fn differences_without_what_they_are_distinguished_from_are_refused() {
     let mut sent = SentFrames::to_reader_of(50);
     for phase in 0..3 {
         sent.send(request(&wave(50, f64::from(phase) * 0.01), 200));

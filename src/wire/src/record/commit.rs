@@ -271,7 +271,7 @@ fn settings_message(settings: &SolveSettings) -> SettingsMessage {
         refine: settings.refine,
         rotation_smoothing: settings.rotation_smoothing,
         first_pass: match settings.first_pass {
-            // The weighted sum is no choice of requests; programs that compare methods alone know it.
+            // Requests cannot choose the weighted sum; only programs that compare methods do.
             FirstPass::Harmonic | FirstPass::WeightedSum => pb::options::FirstPass::Harmonic,
             FirstPass::Diffusion => pb::options::FirstPass::Diffusion,
             FirstPass::LinearFrames => pb::options::FirstPass::LinearFrames,

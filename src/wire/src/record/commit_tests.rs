@@ -162,7 +162,7 @@ fn every_edit_comes_back_as_it_was_asked_for() {
 }
 
 #[test]
-fn a_probe_tells_shapes_apart() {
+fn a_probe_distinguishes_shapes() {
     let shape: Vec<DVec3> = (0..100).map(|k| DVec3::splat(f64::from(k))).collect();
     let probe = ShapeProbe::of(&shape);
     assert!(probe.is_close_to(&shape, 0.0));

@@ -380,7 +380,7 @@ impl PlyHeader {
             lexer.end_line();
         }
         let encoding = encoding.ok_or_else(|| malformed(lexer.line(), "the header names no format"))?;
-        // After a lone CR the body may begin with a byte that looks like LF.
+        // After a single CR the body may begin with a byte that looks like LF.
         let body = if newline_of(bytes) == b"\r" && bytes.get(lexer.at()) == Some(&b'\r') {
             (lexer.at() + 1, lexer.line() + 1)
         } else {

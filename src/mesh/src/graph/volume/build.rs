@@ -242,7 +242,7 @@ fn shell_offsets(site: &VolumeSite, wanted: Option<f64>, mean_edge: f64) -> Vec<
             *sum = (sum.0 + a.distance(b), sum.1 + 1);
         }
         let mean = |(length, edges): (f64, usize)| length / edges.max(1) as f64;
-        // One part has the mean to the bit.
+        // One part has the mean bit for bit.
         return match components.count {
             1 => vec![mean_edge],
             _ => sums.into_iter().map(|sum| mean(sum).min(mean_edge)).collect(),

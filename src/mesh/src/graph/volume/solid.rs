@@ -198,7 +198,7 @@ pub(in crate::graph) fn normal(positions: &[DVec3], triangles: &[[u32; 3]], adja
     let mut sum = DVec3::ZERO;
     for &f in adjacency.faces.of(v) {
         let t = triangles[f as usize];
-        // Which corner it is comes at random, so this is no branch.
+        // Which corner it is comes at random, so this is not a branch.
         let first = 2 * usize::from(t[2] == v) + usize::from(t[1] == v);
         let [a, b] = [1, 2].map(|k| positions[t[(first + k) % 3] as usize] - p);
         let cross = a.cross(b);

@@ -111,7 +111,7 @@ fn changed_node(
     world_from_parent: &DAffine3,
     size: f64,
 ) -> Option<(MovedNode, DAffine3)> {
-    // Of what is no rotation under a stretched parent, the nearest.
+    // The nearest rotation, where a stretched parent leaves none.
     let mut turn = fit_rotation(parent_from_parent.matrix3);
     if turn.xyz().length() <= 0.5 * SAME {
         turn = DQuat::IDENTITY;

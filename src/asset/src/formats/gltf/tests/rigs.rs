@@ -256,7 +256,7 @@ fn places(files: &FileSet) -> Vec<DVec3> {
     world.iter().map(|node| node.translation).collect()
 }
 
-/// Joint 2 stands below node 4, which is no joint and stands below joint 1.
+/// Joint 2 stands below node 4, which is not a joint and stands below joint 1.
 fn with_node_between(between: &str) -> RigDraft {
     RigDraft {
         nodes: format!(

@@ -244,7 +244,7 @@ fn one_mesh_under_two_skins_stands_in_two_places_and_parts_when_they_differ() {
         model.positions[2], model.positions[6],
         "both hang on the same joint here"
     );
-    // To the bit where joints stay; where they follow, their matrices are rounded.
+    // Bit for bit where joints stay; where they follow, their matrices are rounded.
     let following = Following {
         rig: RigRule::Keep,
         ..Following::default()
