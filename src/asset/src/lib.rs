@@ -7,7 +7,7 @@
 //! On the ground are the types that every format shares and that know no format: [`Error`], [`Format`], [`FileSet`] and
 //! [`WrittenFiles`], [`Geometry`], [`Model`], [`EditedModel`] (a model whose triangles an edit has changed), and
 //! `NeutralModel` (a model on its way from one format to another). Above them stands the trait `FormatCodec` in
-//! [`codec`], which each format implements once (one that is read only implements `FormatTranslator`). [`formats`] is the registry and holds one folder or file for each
+//! `codec`, which each format implements once (one that is read only implements `FormatTranslator`). `formats` is the registry and holds one folder or file for each
 //! format; its page says how to add one. [`write`] is on top: [`Model::read`], [`Model::write`] and
 //! [`write_edited_model`] choose the codec. [`sample`] and [`shapes`] make models where no file is at hand. A file
 //! imports files below its own only.

@@ -76,8 +76,8 @@
 //! | drag | [`LinearSystem::solve_pose`] | the next pose of a drag | two to four products, and now and then an iteration |
 //! | repair | [`Hierarchy::repair`] | vertices or edges come and go | in proportion to the change |
 //!
-//! A [`Workspace`] carries all vectors from solve to solve. An [`Exec`](exec::Exec) joins the [`Pool`](pool::Pool) that parallel
-//! loops run on with the [`Progress`](progress::Progress) that receives reports and can cancel the work: there are no
+//! A [`Workspace`] carries all vectors from solve to solve. An [`Exec`](pliant_exec::Exec) joins the [`Pool`](pliant_exec::pool::Pool) that parallel
+//! loops run on with the [`Progress`](pliant_exec::progress::Progress) that receives reports and can cancel the work: there are no
 //! hidden threads, no clock and no global state. [`CholeskyFactor`] solves dense systems.
 //!
 //! # How rows are stored

@@ -31,7 +31,7 @@ impl HandleConstraint {
     }
 }
 
-/// What a [`HandleSystem`] is built from.
+/// What a [`HandleSystem`](crate::HandleSystem) is built from.
 #[derive(Debug, Clone, Default)]
 pub struct HandleSetup {
     /// The handles; where hard ones overlap, the later one holds.

@@ -29,7 +29,7 @@ pub struct Refinement {
     pub steps: u32,
     /// What the mean rotation of a node's neighbours weighs in its fit, relative to its own edges. 0: nothing.
     pub smoothing: f64,
-    /// For animations: every fit goes further than it would by [`FARTHER`], and a warm solve that goes on from an earlier one's
+    /// For animations: every fit goes further than it would by `FARTHER`, and a warm solve that goes on from an earlier one's
     /// fits begins with a fit to where that one's solution was carried to. One fit a frame so comes as near to the minimum as two.
     pub carried: bool,
     /// Where fits begin.

@@ -29,7 +29,7 @@ pub struct MeshGraph {
     pub components: usize,
     /// How the graph came about.
     pub stats: GraphStats,
-    /// What [`resample`] needs to follow an edit of the mesh.
+    /// What [`resample`](crate::graph::resample) needs to follow an edit of the mesh.
     pub recipe: GraphRecipe,
     /// What holds parts of the mesh together; `None` where nothing does, or there is one part only.
     pub ties: Option<PartTies>,

@@ -32,7 +32,7 @@ const STAGE: &str = "hierarchy";
 
 /// A graph and its coarser versions (paper section 4), over all vertices and without constraints.
 ///
-/// It owns all it needs and changes by nothing but [`Hierarchy::repair`]; any number of [`LinearSystem`]s can use it at the
+/// It owns all it needs and changes by nothing but [`Hierarchy::repair`]; any number of [`LinearSystem`](crate::LinearSystem)s can use it at the
 /// same time.
 #[derive(Debug, Clone)]
 pub struct Hierarchy {

@@ -141,7 +141,7 @@ impl LinearSystem {
     }
 
     /// Sizes of the levels over free vertices, finest first, where constraints have a hierarchy of their own: with
-    /// [`CoarseOperators::Paper`](super::CoarseOperators::Paper) and more free vertices than are solved directly.
+    /// [`CoarseOperators::Paper`](crate::CoarseOperators::Paper) and more free vertices than are solved directly.
     pub fn level_sizes(&self) -> Option<Vec<LevelSize>> {
         self.paper.as_ref().map(PaperHierarchy::level_sizes)
     }

@@ -32,11 +32,11 @@ impl Hierarchy {
     /// Follows a topology change. `graph` is the graph after it, in the new numbers. Costs what the change touches, but
     /// for one pass over the numbers of all vertices; the result depends on the hierarchy and the arguments alone.
     ///
-    /// [`LinearSystem`](super::LinearSystem)s that were made before belong to the old hierarchy and fail with this one. To keep
+    /// [`LinearSystem`](crate::LinearSystem)s that were made before belong to the old hierarchy and fail with this one. To keep
     /// both, repair a clone.
     ///
     /// Weights keep the scale and positions the box that the hierarchy was built with. With
-    /// [`CoarseOperators::Paper`](super::CoarseOperators::Paper) a repair is a build.
+    /// [`CoarseOperators::Paper`](crate::CoarseOperators::Paper) a repair is a build.
     ///
     /// ```
     /// # use pliant_solver::GraphChange;

@@ -18,7 +18,7 @@ const PROBES: usize = 32;
 /// Files by the names of the objects that hold them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct FileReferences {
-    /// Name of the main file, as in [`FileSet`].
+    /// Name of the main file, as in [`FileSet`](pliant_asset::FileSet).
     pub name: String,
     /// The object of the main file.
     pub main: String,
