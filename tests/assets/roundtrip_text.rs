@@ -177,7 +177,7 @@ fn hostile_texts_get_the_answer_they_should() {
         match read(load(&path)) {
             Ok(model) => {
                 assert!(good, "{name} should be refused");
-                let out = write(&model, &twist(&model.positions), model.format, &name);
+                let out = write(&model, &twist(&model.positions), model.format, name);
                 assert_eq!(
                     read(FileSet::single(name, out)).map(|m| m.triangles.len()),
                     Ok(model.triangles.len())

@@ -12,12 +12,12 @@ fn plane_at(normal: DVec3, offset: f64) -> CutPlane {
 
 /// Cuts a model three ways and checks everything that a cut promises of a closed manifold surface.
 fn check_cut(whole: &Model, plane: &CutPlane) -> Result<(), String> {
-    let before = topology(&whole);
+    let before = topology(whole);
     let both = whole
         .cut(plane, &cut_options(KeptSide::Both, true, &[true]))
         .map_err(|e| e.to_string())?;
     let moved = volume(&only_moved(whole, &both));
-    let original = volume(&whole);
+    let original = volume(whole);
     assert!(
         (moved - original).abs() <= 1e-5 * original.abs(),
         "snapping moved {moved} from {original}"
@@ -216,7 +216,7 @@ fn circle(count: u32, radius: f64, height: f64) -> Vec<DVec3> {
 fn check_curve(whole: &Model, drawn: &[DVec3], closed: bool) -> Vec<DVec3> {
     let (patch, points) = whole.insert(drawn, closed).expect("inserts");
     let with = after(whole, &patch);
-    let (before, now) = (topology(&whole), topology(&with));
+    let (before, now) = (topology(whole), topology(&with));
     assert_eq!(
         (now.euler, now.components, now.is_manifold()),
         (before.euler, before.components, before.is_manifold())

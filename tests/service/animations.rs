@@ -204,7 +204,7 @@ fn animation_form(options: &Value, clip: Option<String>) -> String {
 
 /// Asks for an animation over HTTP.
 async fn post_animation(server: &Server, id: &str, accept: &str, form: String) -> reqwest::Response {
-    let url = server.url(&path(&id, "/animations"));
+    let url = server.url(&path(id, "/animations"));
     let request = http().post(url).header("Accept", accept).body(form);
     let answer = request
         .header("Content-Type", "multipart/form-data; boundary=cut")

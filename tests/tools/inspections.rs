@@ -12,10 +12,7 @@ pub const SQUARE: &str = "mtllib square.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\
 #[test]
 fn files_that_an_obj_names_and_that_are_not_there_are_warned_of() {
     let folder = Workplace::new();
-    let inspect = || {
-        let text = folder.done("inspect square.obj").out;
-        text
-    };
+    let inspect = || folder.done("inspect square.obj").out;
     folder.put("square.obj", SQUARE);
     let text = inspect();
     assert!(

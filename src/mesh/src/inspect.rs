@@ -378,7 +378,6 @@ fn cracked_vertices(mesh: &Mesh, adjacency: &Adjacency) -> Vec<u32> {
 mod tests {
     use super::*;
     use crate::weld::Weld;
-    use PLACES;
     use glam::DVec3;
 
     fn report(positions: &[[f64; 3]], faces: &[[u32; 3]]) -> MeshReport {

@@ -172,6 +172,9 @@ fn scale(values: &[f64], field: &str) -> Result<Option<HandleScale>, Error> {
     }
 }
 
+/// The handle that a pose of a stream names, and its pose or what is wrong with that.
+pub type NamedPose = (String, Result<HandlePose, Error>);
+
 /// One request of a deform stream. It contains its error: the stream reports it when its turn comes.
 #[derive(Debug, Clone, PartialEq)]
 pub enum StreamRequest {
@@ -186,7 +189,7 @@ pub enum StreamRequest {
         /// Identifies a commit that is sent again.
         key: Option<PoseKey>,
         /// The handles that it names, each with its pose or what is wrong with that.
-        entries: Result<Vec<(String, Result<HandlePose, Error>)>, Error>,
+        entries: Result<Vec<NamedPose>, Error>,
     },
     /// The client has the frames up to this number.
     Ack(u64),

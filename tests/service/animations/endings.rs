@@ -65,7 +65,7 @@ async fn others_have_their_turn_between_frames_and_the_session_stays_as_it_is() 
     .await;
     let (mine, other) = (server.bar_session().await, server.bar_session().await);
     let mut client = server.grpc().await;
-    let solve = |id: &str| turn_request(&id, 1, 0.4);
+    let solve = |id: &str| turn_request(id, 1, 0.4);
     client.solve(solve(&mine)).await.expect("solved");
     let named = || pb::SessionRequest {
         session_id: mine.clone(),

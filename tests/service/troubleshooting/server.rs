@@ -202,7 +202,7 @@ async fn of_full_store() -> String {
 async fn of_streams(server: &Server, id: &str) -> Vec<Said> {
     let mut said = Vec::new();
     let mut refused = async |by: &'static str, message: deform_request::Message| {
-        let mut socket = server.stream_socket(&id).await;
+        let mut socket = server.stream_socket(id).await;
         socket.send(message).await;
         let text = loop {
             match socket.next().await {

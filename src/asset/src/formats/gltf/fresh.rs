@@ -13,6 +13,9 @@ use pliant_mesh::shading;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// The name of a list of the document, and its text.
+type Section = (&'static str, String);
+
 /// One buffer, one node and mesh for each primitive, with positions, indices, and normals, texture coordinates and
 /// colours where there are any; and materials with their pictures.
 pub(super) fn build(neutral: &NeutralModel, format: Format) -> Result<WrittenFiles, Error> {
@@ -168,7 +171,7 @@ impl BuiltAsset {
     }
 
     /// The sections of materials, textures and images; and the pictures of kinds that a buffer cannot hold, as files.
-    fn material_sections(&mut self) -> (Vec<(&'static str, String)>, BTreeMap<String, Vec<u8>>) {
+    fn material_sections(&mut self) -> (Vec<Section>, BTreeMap<String, Vec<u8>>) {
         let materials = std::mem::take(&mut self.materials);
         let texts: Vec<String> = materials.iter().map(|m| self.material_text(m)).collect();
         let (mut images, mut companions) = (Vec::new(), BTreeMap::new());

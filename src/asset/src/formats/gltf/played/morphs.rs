@@ -51,7 +51,7 @@ pub(super) fn add_clip(
             drawing.extend(moved.last().copied());
         } else {
             let bare = without_keys(played.node(node.node), &["weights"]);
-            played.set_node(node.node, with_member(&bare, "mesh", &mesh.to_string()));
+            played.set_node(node.node, with_member(&bare, "mesh", mesh.to_string()));
             drawing.push(node.node);
         }
     }
