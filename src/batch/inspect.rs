@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// How many nodes an inspection lists.
 pub const MOST_NODES_LISTED: usize = 1000;
 
-fn node_message((index, node): (u32, &ModelNode)) -> pb::ModelNode {
+fn node_message(index: u32, node: &ModelNode) -> pb::ModelNode {
     pb::ModelNode {
         index,
         name: node.name.clone(),
@@ -68,7 +68,11 @@ pub fn inspect_contents(
         solver: facts.solver,
         warnings: facts.warnings,
         node_count: count(nodes.len()),
-        nodes: (0..).zip(&nodes).take(MOST_NODES_LISTED).map(node_message).collect(),
+        nodes: (0..)
+            .zip(&nodes)
+            .take(MOST_NODES_LISTED)
+            .map(|(index, node)| node_message(index, node))
+            .collect(),
     };
     Ok((inspection, contents_of(bench.model())))
 }

@@ -101,14 +101,7 @@ pub fn draw_case_pictures(
         )?);
     }
     if let Some(comparison) = differing.filter(|c| c.stored.len() == found.positions.len()) {
-        pictures.extend(draw_differences(
-            found,
-            comparison,
-            after,
-            &worst,
-            (&camera, eye.up),
-            pool,
-        )?);
+        pictures.extend(draw_differences(found, comparison, after, &camera, eye.up, pool)?);
     }
     Ok(pictures)
 }
@@ -118,10 +111,11 @@ fn draw_differences(
     found: &CaseResult,
     comparison: &GoldenComparison,
     after: ShadedSurface,
-    worst: &[u32],
-    (camera, up): (&Camera, UpAxis),
+    camera: &Camera,
+    up: UpAxis,
     pool: &Pool,
 ) -> Result<Vec<CasePicture>, Error> {
+    let worst = &comparison.worst;
     let far = vertex_displacements(&comparison.stored, &found.positions)?;
     let most = far.iter().copied().fold(0.0, f64::max);
     let unit = if most > 0.0 { most } else { 1.0 };

@@ -52,11 +52,7 @@ pub fn compare_with_golden(found: &CaseResult, golden: &Golden, pool: &Pool) -> 
     // The same bits are no distance apart, and need no search.
     let apart = match &comparison.triangles {
         Some(_) if same && comparison.stored == found.positions => Some((0.0, DVec3::ZERO)),
-        Some(triangles) => hausdorff_distance(
-            (&comparison.stored, triangles),
-            (&found.positions, &found.triangles),
-            pool,
-        ),
+        Some(triangles) => hausdorff_distance(&comparison.stored, triangles, &found.positions, &found.triangles, pool),
         None => None,
     };
     if let Some((distance, point)) = apart {
@@ -194,23 +190,27 @@ impl GoldenComparison {
 ///
 /// let low = [DVec3::ZERO, DVec3::X, DVec3::Y];
 /// let high = low.map(|p| p + DVec3::Z * 0.5);
-/// let distance = hausdorff_distance((&low, &[[0, 1, 2]]), (&high, &[[0, 1, 2]]), &Pool::new(1)?);
+/// let distance = hausdorff_distance(&low, &[[0, 1, 2]], &high, &[[0, 1, 2]], &Pool::new(1)?);
 /// assert_eq!(distance.map(|(length, _)| length), Some(0.5));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Panics
 /// When a triangle names a position that does not exist.
-pub fn hausdorff_distance(a: (&[DVec3], &[[u32; 3]]), b: (&[DVec3], &[[u32; 3]]), pool: &Pool) -> Option<(f64, DVec3)> {
-    let one = farthest(a, b, pool)?;
-    let other = farthest(b, a, pool)?;
+pub fn hausdorff_distance(
+    a: &[DVec3],
+    a_triangles: &[[u32; 3]],
+    b: &[DVec3],
+    b_triangles: &[[u32; 3]],
+    pool: &Pool,
+) -> Option<(f64, DVec3)> {
+    let one = farthest(a, a_triangles, &TriangleBvh::build(b, b_triangles, pool), pool)?;
+    let other = farthest(b, b_triangles, &TriangleBvh::build(a, a_triangles, pool), pool)?;
     Some(if other.0 > one.0 { other } else { one })
 }
 
-/// The point of `from` that is farthest from `to`; the first of several.
-fn farthest(from: (&[DVec3], &[[u32; 3]]), to: (&[DVec3], &[[u32; 3]]), pool: &Pool) -> Option<(f64, DVec3)> {
-    let (positions, triangles) = from;
-    let tree = TriangleBvh::build(to.0, to.1, pool);
+/// The point of a surface that is farthest from the triangles of `tree`; the first of several.
+fn farthest(positions: &[DVec3], triangles: &[[u32; 3]], tree: &TriangleBvh<'_>, pool: &Pool) -> Option<(f64, DVec3)> {
     let used = {
         let mut used = vec![false; positions.len()];
         triangles.as_flattened().iter().for_each(|&v| used[v as usize] = true);
@@ -341,9 +341,7 @@ mod tests {
     }
 
     fn of(a: &shapes::Shape, b: &shapes::Shape) -> f64 {
-        hausdorff_distance((&a.0, &a.1), (&b.0, &b.1), &pool())
-            .expect("surfaces")
-            .0
+        hausdorff_distance(&a.0, &a.1, &b.0, &b.1, &pool()).expect("surfaces").0
     }
 
     #[test]
@@ -374,6 +372,6 @@ mod tests {
     #[test]
     fn without_triangles_there_is_none() {
         let ball = shapes::icosphere(1.0, 1);
-        assert_eq!(hausdorff_distance((&ball.0, &[]), (&ball.0, &ball.1), &pool()), None);
+        assert_eq!(hausdorff_distance(&ball.0, &[], &ball.0, &ball.1, &pool()), None);
     }
 }

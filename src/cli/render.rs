@@ -223,7 +223,7 @@ pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
     args.permission.check_target(&args.output)?;
     let pool = args.threads.start_pool()?;
     if let Some(rig) = &args.rig {
-        let (picture, reported) = draw_cutaway(&args.model, rig, (args.first_view()?, args.size), &pool)?;
+        let (picture, reported) = draw_cutaway(&args.model, rig, args.first_view()?, args.size, &pool)?;
         return args.write_picture(&picture, &format!(", {reported}"));
     }
     let mut model = ModelToDraw::open_model(&args.model)?;
@@ -413,7 +413,8 @@ const WORDS: u32 = 160;
 pub(super) fn draw_cutaway(
     model: &Path,
     rig: &Path,
-    (view, size): (ViewDirection, PictureSize),
+    view: ViewDirection,
+    size: PictureSize,
     pool: &Pool,
 ) -> Result<(Picture, String), CliFailure> {
     let bones = wire::rig_from_json(&read_file(rig)?).map_err(|e| in_file(rig, e))?;

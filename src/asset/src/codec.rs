@@ -20,7 +20,7 @@ use std::sync::Arc;
 pub(super) type ReadFile = (Geometry, Arc<dyn FileNotes>);
 
 /// Makes what [`FormatCodec::read`] returns of a mesh and the notes of its format.
-pub(super) fn share_notes<N: FileNotes>((geometry, notes): (Geometry, N)) -> ReadFile {
+pub(super) fn share_notes<N: FileNotes>(geometry: Geometry, notes: N) -> ReadFile {
     (geometry, Arc::new(notes))
 }
 

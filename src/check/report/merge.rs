@@ -27,7 +27,7 @@ pub fn merge_reports(reports: Vec<NamedReport>) -> Result<SuiteReport, String> {
             ));
         };
         match &first {
-            Some(first) => check_same(first, (&file, &report, &facts))?,
+            Some((one, a, of_a)) => check_same(one, a, of_a, &file, &report, &facts)?,
             None => first = Some((file.clone(), bare(&report), facts.clone())),
         }
         if let Some((other, _)) = shards.get(&facts.shard.number()) {
@@ -65,8 +65,12 @@ fn bare(report: &SuiteReport) -> SuiteReport {
 
 /// Refuses a report that does not belong to the first one.
 fn check_same(
-    (one, a, of_a): &(String, SuiteReport, ShardFacts),
-    (other, b, of_b): (&str, &SuiteReport, &ShardFacts),
+    one: &str,
+    a: &SuiteReport,
+    of_a: &ShardFacts,
+    other: &str,
+    b: &SuiteReport,
+    of_b: &ShardFacts,
 ) -> Result<(), String> {
     let differ = |what: &str, a: String, b: String, needed: &str| {
         let (a, b) = (printable(&a), printable(&b));

@@ -46,7 +46,8 @@ impl<'a> GatheredFrames<'a> {
     pub(super) fn begin(
         path: &Path,
         kind: GatheredKind,
-        (has_root, resumes): (bool, bool),
+        has_root: bool,
+        resumes: bool,
         played: PlayedAnimation<'a>,
     ) -> Result<Self, CliFailure> {
         if kind == GatheredKind::Usd {

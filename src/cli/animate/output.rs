@@ -316,7 +316,7 @@ impl AnimationOutput {
             }
             OutputKind::Gathered(path, kind) => {
                 let has_root = self.root == RootRule::Node;
-                Box::new(GatheredFrames::begin(path, *kind, (has_root, self.resumes), played)?)
+                Box::new(GatheredFrames::begin(path, *kind, has_root, self.resumes, played)?)
             }
         })
     }

@@ -141,7 +141,7 @@ impl<'a> Decimation<'a> {
                 }
                 if self.stamps[from as usize] == stamp {
                     match self.try_collapse(from, to, &mut queue) {
-                        0 => queue.extend(self.find_cheapest(from, (cost, to))),
+                        0 => queue.extend(self.find_cheapest(from, cost, to)),
                         gone => left -= gone,
                     }
                 }
@@ -158,13 +158,13 @@ impl<'a> Decimation<'a> {
         let mut entries = Vec::new();
         for p in 0..self.mesh.points.len() as u32 {
             self.inside[p as usize] = self.point_freedom(p) == PointFreedom::Inside;
-            entries.extend(self.find_cheapest(p, (0, 0)));
+            entries.extend(self.find_cheapest(p, 0, 0));
         }
         entries.into()
     }
 
-    /// The cheapest collapse of `p` into a neighbour, of those that come after the cost and neighbour given.
-    fn find_cheapest(&self, p: u32, after: (u64, u32)) -> Option<QueuedCollapse> {
+    /// The cheapest collapse of `p` into a neighbour, of those that come after this cost and neighbour.
+    fn find_cheapest(&self, p: u32, after: u64, neighbour: u32) -> Option<QueuedCollapse> {
         let targets = match self.point_freedom(p) {
             PointFreedom::Held => return None,
             PointFreedom::Along(ends) => ends.to_vec(),
@@ -180,7 +180,7 @@ impl<'a> Decimation<'a> {
             (sum.error_at(at(q)) + EVENNESS * area * at(p).distance_squared(at(q))).to_bits()
         };
         let costs = targets.into_iter().map(|q| (cost(q), q));
-        let least = costs.filter(|&c| c > after).min()?;
+        let least = costs.filter(|&c| c > (after, neighbour)).min()?;
         Some(Reverse((least.0, p, least.1, self.stamps[p as usize])))
     }
 
@@ -236,7 +236,7 @@ impl<'a> Decimation<'a> {
         self.stamps[from as usize] += 1;
         for p in self.mesh.neighbours(to).into_iter().chain([to]) {
             self.stamps[p as usize] += 1;
-            queue.extend(self.find_cheapest(p, (0, 0)));
+            queue.extend(self.find_cheapest(p, 0, 0));
         }
         gone
     }

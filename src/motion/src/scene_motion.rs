@@ -92,16 +92,16 @@ impl SceneMotion {
         })
     }
 
-    /// Puts the vertices that move beside a skin where they are at a time in seconds. `positions`, one per render vertex, are as
-    /// the root bone sees them that does `root`; `rest` and `triangles` are the model's.
+    /// Shifts the vertices that a skin holds by their morph targets at a time in seconds. `positions`, one per render vertex, are
+    /// as the root bone sees them; `rest` and `triangles` are the model's.
     ///
     /// # Errors
-    /// [`Cancelled`], with some of them placed.
-    pub fn place(
+    /// [`Cancelled`], with none of them shifted.
+    pub fn shift_skinned(
         &self,
         seconds: f64,
-        root: &RigidMotion,
-        (rest, triangles): (&[DVec3], &[[u32; 3]]),
+        rest: &[DVec3],
+        triangles: &[[u32; 3]],
         positions: &mut [DVec3],
         exec: &Exec<'_>,
     ) -> Result<(), Cancelled> {
@@ -118,6 +118,20 @@ impl SceneMotion {
                 }
             }
         }
+        Ok(())
+    }
+
+    /// Puts the vertices that move beside a skin where they are at a time in seconds, as the root bone sees them that does `root`.
+    ///
+    /// # Errors
+    /// [`Cancelled`], with some of them placed.
+    pub fn place_carried(
+        &self,
+        seconds: f64,
+        root: &RigidMotion,
+        positions: &mut [DVec3],
+        exec: &Exec<'_>,
+    ) -> Result<(), Cancelled> {
         let mut world: Vec<DAffine3> = Vec::with_capacity(self.fixed.len());
         let pose = self.clip.pose_at(seconds);
         for ((joint, own), fixed) in self.clip.skeleton.joints.iter().zip(&pose).zip(&self.fixed) {
@@ -369,13 +383,10 @@ mod tests {
             to: DVec3::ONE,
         };
         let pool = Pool::new(1).expect("a thread");
-        let placed = beside.place(
-            1.0,
-            &root,
-            (&rest, &[[1, 2, 3]]),
-            &mut positions,
-            &Exec::new(&pool, &Silent),
-        );
+        let exec = Exec::new(&pool, &Silent);
+        let placed = beside
+            .shift_skinned(1.0, &rest, &[[1, 2, 3]], &mut positions, &exec)
+            .and_then(|()| beside.place_carried(1.0, &root, &mut positions, &exec));
         assert_eq!(placed, Ok(()));
         assert!(root.place(positions[0]).distance(DVec3::new(3.0, 1.0, 0.0)) < 1e-12);
         for (now, at_rest) in positions.iter().zip(&rest).skip(1) {

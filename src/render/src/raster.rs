@@ -288,10 +288,10 @@ mod tests {
         Pool::new(threads).expect("threads")
     }
 
-    fn picture(p: &[DVec3], t: &[[u32; 3]], size: (u32, u32), threads: usize) -> Picture {
+    fn picture(p: &[DVec3], t: &[[u32; 3]], size: [u32; 2], threads: usize) -> Picture {
         let surface = ShadedSurface::new(p, t, &pool(threads)).expect("a surface");
         let view = ViewDirection::new(0.0, 0.0, UpAxis::Y).expect("in range");
-        let size = PictureSize::new(size.0, size.1).expect("in range");
+        let size = PictureSize::new(size[0], size[1]).expect("in range");
         let camera = &Camera::around_surfaces(&[&surface], &[view], size)[0];
         draw_surface(&surface, camera, &pool(threads))
     }
@@ -302,7 +302,7 @@ mod tests {
 
     #[test]
     fn a_square_covers_exactly_its_pixels() {
-        let picture = picture(&square(0.0, 1.0), &[[0, 1, 2], [0, 2, 3]], (100, 50), 1);
+        let picture = picture(&square(0.0, 1.0), &[[0, 1, 2], [0, 2, 3]], [100, 50], 1);
         let sky = |y: u32| picture.pixel(0, y).expect("inside");
         // 92 % of the height, in the middle: columns 27 to 72, rows 2 to 47.
         for y in 0..50 {
@@ -339,8 +339,8 @@ mod tests {
     #[test]
     fn backs_are_darker_and_neighbours_leave_no_gap() {
         let p = square(0.0, 1.0);
-        let front = picture(&p, &[[0, 1, 2], [0, 2, 3]], (64, 64), 1);
-        let back = picture(&p, &[[0, 2, 1], [0, 3, 2]], (64, 64), 1);
+        let front = picture(&p, &[[0, 1, 2], [0, 2, 3]], [64, 64], 1);
+        let back = picture(&p, &[[0, 2, 1], [0, 3, 2]], [64, 64], 1);
         let sum = |p: &Picture| p.pixel(32, 32).expect("inside").map(u32::from).iter().sum::<u32>();
         assert!(sum(&back) + 60 < sum(&front));
         // A fan about a point off the grid: every sample inside belongs to some triangle.
@@ -350,7 +350,7 @@ mod tests {
             DVec3::new(cos, sin, 0.0)
         }));
         let triangles: Vec<[u32; 3]> = (0..37).map(|k| [0, 1 + k, 1 + (k + 1) % 37]).collect();
-        let picture = picture(&fan, &triangles, (96, 96), 1);
+        let picture = picture(&fan, &triangles, [96, 96], 1);
         let middle = picture.pixel(48, 48);
         for y in 0..96u32 {
             for x in 0..96u32 {
@@ -373,18 +373,18 @@ mod tests {
                 t.push([k - 1, k, k + 1]);
             }
         }
-        let one = picture(&p, &t, (120, 90), 1);
+        let one = picture(&p, &t, [120, 90], 1);
         for threads in [2, 3] {
-            assert!(one == picture(&p, &t, (120, 90), threads), "{threads} threads");
+            assert!(one == picture(&p, &t, [120, 90], threads), "{threads} threads");
         }
         for scale in [1e-100, 1e36] {
             let scaled: Vec<DVec3> = p.iter().map(|p| *p * scale).collect();
-            let other = picture(&scaled, &t, (120, 90), 1);
+            let other = picture(&scaled, &t, [120, 90], 1);
             let differ = one.pixels().iter().zip(other.pixels()).filter(|(a, b)| a != b).count();
             assert!(differ < 120, "{differ} pixels differ at scale {scale:e}");
         }
         // A heap of points has no pixel, and is not a reason to fail.
-        let flat = picture(&[DVec3::ZERO, DVec3::Z, DVec3::Z * 2.0], &[[0, 1, 2]], (16, 16), 1);
+        let flat = picture(&[DVec3::ZERO, DVec3::Z, DVec3::Z * 2.0], &[[0, 1, 2]], [16, 16], 1);
         assert_eq!(flat.pixel(8, 8), flat.pixel(0, 8));
     }
 }

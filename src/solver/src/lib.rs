@@ -73,7 +73,7 @@
 //! | build | [`Hierarchy::build`] | a new graph | about twenty products with the matrix |
 //! | constrain | [`Hierarchy::constrain`] | other fixed vertices or stiffness | a fraction of a build |
 //! | solve | [`LinearEquations::solve`] | another right-hand side or start | four to six products per iteration |
-//! | drag | [`LinearSystem::solve_pose`] | the next pose of a drag | two to four products, and now and then an iteration |
+//! | drag | [`PoseEquations::solve`] | the next pose of a drag | two to four products, and now and then an iteration |
 //! | repair | [`Hierarchy::repair`] | vertices or edges come and go | in proportion to the change |
 //!
 //! A [`Workspace`] carries all vectors from solve to solve. An [`Exec`](pliant_exec::Exec) joins the [`Pool`](pliant_exec::pool::Pool) that parallel
@@ -160,5 +160,6 @@ pub use options::{
 };
 pub use repair::{GraphChange, RepairReport};
 pub use solve::{
-    IterationReport, LinearEquations, MapColumns, PoseRow, PoseRows, SolveControl, StoppingCriteria, Workspace,
+    IterationReport, LinearEquations, MapColumns, PoseEquations, PoseRow, PoseRows, SolveControl, StoppingCriteria,
+    Workspace,
 };

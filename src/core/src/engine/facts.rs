@@ -334,6 +334,15 @@ pub(super) struct PulledTies<'a> {
     pub handles: &'a HandleSet,
 }
 
+/// Tied places that one pair of handles takes apart.
+struct PulledPair {
+    holders: [usize; 2],
+    /// How far the worst place comes apart, and the vertices of its tie.
+    gap: f64,
+    ends: [u32; 2],
+    places: usize,
+}
+
 impl PulledTies<'_> {
     /// One warning for each pair of handles that hold tied places of two parts and take them apart.
     pub fn pull_warnings(&self, transforms: &[Transform]) -> Vec<DeformerWarning> {
@@ -341,30 +350,29 @@ impl PulledTies<'_> {
             return Vec::new();
         };
         let maps: Vec<_> = transforms.iter().map(Transform::map).collect();
-        // By pair of handles: how far, how many places, and the vertices of the worst.
-        let mut pulled: Vec<([usize; 2], f64, usize, [u32; 2])> = Vec::new();
+        let mut pulled: Vec<PulledPair> = Vec::new();
         for anchor in ties.anchors() {
-            let Some((holders, gap, ends)) = self.gap_of(anchor, &maps) else {
+            let Some(pull) = self.pull_of(anchor, &maps) else {
                 continue;
             };
-            match pulled.iter().position(|p| p.0 == holders) {
+            match pulled.iter().position(|p| p.holders == pull.holders) {
                 Some(known) => {
                     let known = &mut pulled[known];
-                    known.2 += 1;
-                    if gap > known.1 {
-                        (known.1, known.3) = (gap, ends);
+                    known.places += 1;
+                    if pull.gap > known.gap {
+                        (known.gap, known.ends) = (pull.gap, pull.ends);
                     }
                 }
-                None if pulled.len() < MOST_PAIRS => pulled.push((holders, gap, 1, ends)),
+                None if pulled.len() < MOST_PAIRS => pulled.push(pull),
                 None => {}
             }
         }
-        pulled.sort_by_key(|p| p.0);
-        pulled.into_iter().map(|p| self.describe_pull(p)).collect()
+        pulled.sort_by_key(|p| p.holders);
+        pulled.iter().map(|p| self.describe_pull(p)).collect()
     }
 
     /// How far the ends of a tie, held by two handles, come apart, if that is far.
-    fn gap_of(&self, anchor: &TieAnchor, maps: &[impl Fn(DVec3) -> DVec3]) -> Option<([usize; 2], f64, [u32; 2])> {
+    fn pull_of(&self, anchor: &TieAnchor, maps: &[impl Fn(DVec3) -> DVec3]) -> Option<PulledPair> {
         let rest = &self.body.graph.positions;
         let held = |v: u32| self.rig.hard_holder(v as usize);
         let first = held(anchor.vertex)?;
@@ -377,10 +385,21 @@ impl PulledTies<'_> {
         // Where each of the two handles would take the same place.
         let gap = maps.get(first)?(at).distance(maps.get(second)?(at));
         let far = gap > PULLED * self.body.diagonal;
-        far.then_some(([first.min(second), first.max(second)], gap, [anchor.vertex, corner]))
+        far.then_some(PulledPair {
+            holders: [first.min(second), first.max(second)],
+            gap,
+            ends: [anchor.vertex, corner],
+            places: 1,
+        })
     }
 
-    fn describe_pull(&self, (holders, gap, places, ends): ([usize; 2], f64, usize, [u32; 2])) -> DeformerWarning {
+    fn describe_pull(&self, pull: &PulledPair) -> DeformerWarning {
+        let PulledPair {
+            holders,
+            gap,
+            ends,
+            places,
+        } = *pull;
         let name = |v: u32| {
             let vertex = self.mesh.render_vertices_of(v)[0];
             let index = primitive_at(self.primitives, vertex);

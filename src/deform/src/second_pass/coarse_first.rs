@@ -109,11 +109,11 @@ impl PoseSolve<'_> {
         let SolveState { rows, workspace, .. } = state;
         rows.pose.remember = false;
         rows.pose.show_positions(self.exec.pool);
-        let stats = self.rig.positions.system.solve_pose(
-            &self.body.hierarchy,
+        let stats = self.rig.positions.system.pose_equations(&self.body.hierarchy).solve(
             &mut rows.pose,
             self.criteria(),
-            (workspace, self.exec),
+            workspace,
+            self.exec,
             &mut |done| {
                 self.report_cycle(done, before, tally);
                 match tally.stopped || !is_last {

@@ -155,11 +155,11 @@ impl PoseSolve<'_> {
     fn solve_rows(&self, state: &mut SolveState, tally: &mut SolveTally<'_>) -> Result<SolveStats, Error> {
         let SolveState { rows, workspace, .. } = state;
         rows.pose.remember = true;
-        let stats = self.rig.positions.system.solve_pose(
-            &self.body.hierarchy,
+        let stats = self.rig.positions.system.pose_equations(&self.body.hierarchy).solve(
             &mut rows.pose,
             self.criteria(),
-            (workspace, self.exec),
+            workspace,
+            self.exec,
             &mut |done| {
                 self.report_cycle(done, 0, tally);
                 match tally.stopped {

@@ -323,7 +323,7 @@ impl CarrySurface {
         pool.install(|| {
             let area = |&t: &u32| 0.5 * surface.doubled_normal(t).length() + floor;
             surface.weights = surface.order.par_iter().map(area).collect();
-            let leaf = |node: &_| surface.measure_leaf(node);
+            let leaf = |&(first, count): &(u32, u32)| surface.measure_leaf(first, count);
             let measured: Vec<ClusterNode> = shape[..leaves]
                 .par_iter()
                 .map(|node| leaf(&(node.first, node.count)))
@@ -374,7 +374,7 @@ impl CarrySurface {
         (b - a).cross(c - a)
     }
 
-    fn measure_leaf(&self, &(first, count): &(u32, u32)) -> ClusterNode {
+    fn measure_leaf(&self, first: u32, count: u32) -> ClusterNode {
         let places = first as usize..(first + count) as usize;
         let points = corner_points(
             &self.rest,

@@ -275,7 +275,7 @@ pub(super) fn assemble(
             None => vec![1.0; neighbours.len()],
         };
         if let Some(of_edge) = cotangents {
-            spread_weights((&offsets, &neighbours), adjacency, &of_edge, &mut weights);
+            spread_weights(&offsets, &neighbours, adjacency, &of_edge, &mut weights);
         }
         weights
     });
@@ -378,12 +378,7 @@ fn components(inner: &InteriorNodes, parts: &Components, surface: usize) -> Comp
 }
 
 /// Brings weights of mesh edges to both of their entries.
-fn spread_weights(
-    (offsets, neighbours): (&[u32], &[u32]),
-    adjacency: &Adjacency,
-    of_edge: &[f32],
-    weights: &mut [f32],
-) {
+fn spread_weights(offsets: &[u32], neighbours: &[u32], adjacency: &Adjacency, of_edge: &[f32], weights: &mut [f32]) {
     for (e, &w) in adjacency.edges.iter().zip(of_edge) {
         let [a, b] = e.vertices;
         for (from, to) in [(a, b), (b, a)] {

@@ -14,7 +14,6 @@ use super::skeleton::Skeleton;
 pub use clip_bones::{BODY_BONES, BODY_JOINTS, BodyBone, ClipBones, bones_of_names, bones_of_shape, preset_skeleton};
 pub use found_body::{FoundBody, find_body};
 use glam::DVec3;
-use pliant_exec::pool::Pool;
 use pliant_mesh::graph::WindingTree;
 use pliant_mesh::query::TriangleBvh;
 use std::collections::BTreeMap;
@@ -32,21 +31,30 @@ pub struct BodyRig {
     pub joints: Vec<PlacedJoint>,
 }
 
+/// The skeleton of a clip, and which of its joints turn the bones of a body.
+#[derive(Debug, Clone, Copy)]
+pub struct BodySkeleton<'a> {
+    /// The skeleton.
+    pub skeleton: &'a Skeleton,
+    /// By bone of the body, the joint.
+    pub bones: &'a ClipBones,
+}
+
 /// Makes a rig of a body's joints, given by name: joints of limbs not in `fixed` move to the middle of what is around
-/// them. `clip` lists the joints of `skeleton` that turn bones; bones without one are left out, and their neighbours
-/// extend over them.
+/// them. `tree` is that of the body's surface, `positions` are its vertices. Bones that no joint of `clip` turns are left
+/// out, and their neighbours extend over them.
 ///
 /// # Errors
 /// [`RigError`] for joints of a body that are missing.
 pub fn rig_of_body(
-    (positions, triangles): (&[DVec3], &[[u32; 3]]),
+    tree: &WindingTree,
+    positions: &[DVec3],
     joints: &BTreeMap<&'static str, DVec3>,
     fixed: &[&str],
-    (skeleton, clip): (&Skeleton, &ClipBones),
+    clip: BodySkeleton<'_>,
     reference: ReferencePose,
-    pool: &Pool,
 ) -> Result<BodyRig, RigError> {
-    let tree = WindingTree::build(positions, triangles, pool);
+    let BodySkeleton { skeleton, bones: clip } = clip;
     let low = positions.iter().fold(DVec3::INFINITY, |a, p| a.min(*p));
     let high = positions.iter().fold(DVec3::NEG_INFINITY, |a, p| a.max(*p));
     let reach = 0.25 * (high - low).length();
@@ -84,7 +92,7 @@ pub fn rig_of_body(
     for bone in &kept {
         let [from, to] = [places[bone.from], places[end_of(bone, clip)]];
         let length = from.distance(to);
-        let radius = radius_of(&tree, [from, to], reach).unwrap_or(UNKNOWN * length);
+        let radius = radius_of(tree, [from, to], reach).unwrap_or(UNKNOWN * length);
         let is_long = length > 2.0 * radius;
         bones.push(RigBone {
             id: bone.id.into(),

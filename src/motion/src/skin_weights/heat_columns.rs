@@ -181,7 +181,7 @@ pub fn skin_weights(
         bones,
     };
     exec.pool.install(|| {
-        let of_cells = cut.smoothed(&cells, (&offsets, &neighbours), &heaviest, exec)?;
+        let of_cells = cut.smoothed(&cells, &offsets, &neighbours, &heaviest, exec)?;
         let all = positions.par_iter().with_min_len(RUN);
         let found = all.map(|p| {
             exec.check()?;
@@ -212,7 +212,8 @@ impl WeightCut<'_> {
     fn smoothed(
         &self,
         cells: &OccupiedCells,
-        (offsets, neighbours): (&[u32], &[u32]),
+        offsets: &[u32],
+        neighbours: &[u32],
         heaviest: &[HeaviestWeights],
         exec: &Exec<'_>,
     ) -> Result<Vec<BoneInfluences>, SkinWeightError> {

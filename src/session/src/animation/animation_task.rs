@@ -254,27 +254,30 @@ impl FrameSolver {
 pub(crate) struct RunningAnimation {
     session: Arc<OpenSession>,
     _counted: GaugeUnit,
-    places: (OwnedSemaphorePermit, TenantStream),
+    _place: OwnedSemaphorePermit,
+    of_tenant: TenantStream,
 }
 
 impl RunningAnimation {
-    /// Counts one more; `places` are those among all of the server's, and among the tenant's streams.
+    /// Counts one more; `place` is the one among all of the server's, `of_tenant` the one among the tenant's streams.
     pub fn on_session(
         session: &Arc<OpenSession>,
-        places: (OwnedSemaphorePermit, TenantStream),
+        place: OwnedSemaphorePermit,
+        of_tenant: TenantStream,
         metrics: &Metrics,
     ) -> Self {
         session.animations.count_one_more();
         Self {
             session: Arc::clone(session),
             _counted: GaugeUnit::add_to(&metrics.animations),
-            places,
+            _place: place,
+            of_tenant,
         }
     }
 
     /// Counts work that was done for it.
     pub fn charge_work(&self, time: Duration) {
-        self.places.1.charge_work(time);
+        self.of_tenant.charge_work(time);
     }
 }
 
@@ -321,9 +324,12 @@ impl FramesInMemory {
 
 /// Takes the frames of an animation, and writes a model that plays them.
 pub(crate) async fn gather_clip(
-    (shared, account, owner): (&SharedResources, &Arc<TenantAccount>, &WorkOwner),
+    shared: &SharedResources,
+    account: &Arc<TenantAccount>,
+    owner: &WorkOwner,
     mut output: AnimationReader,
-    (form, root): (PlayedForm, RootMotion),
+    form: PlayedForm,
+    root: RootMotion,
 ) -> Result<AnimatedModel, Error> {
     let mut frames = FramesInMemory::default();
     let mut memory = None;
@@ -332,7 +338,7 @@ pub(crate) async fn gather_clip(
             Some(Ok(AnimationAnswer::Stage { .. })) => {}
             Some(Ok(AnimationAnswer::Frame(frame))) => {
                 if memory.is_none() {
-                    memory = Some(reserve_frames((shared, account), output.prepared().as_deref())?);
+                    memory = Some(reserve_frames(shared, account, output.prepared().as_deref())?);
                 }
                 frames.push(&frame);
             }
@@ -373,7 +379,8 @@ pub(crate) async fn gather_clip(
 
 /// The bytes that all frames will hold, of what all sessions together may.
 fn reserve_frames(
-    (shared, account): (&SharedResources, &Arc<TenantAccount>),
+    shared: &SharedResources,
+    account: &Arc<TenantAccount>,
     prepared: Option<&PreparedAnimation>,
 ) -> Result<MemoryReservation, Error> {
     let (frames, vertices) = prepared.map_or((0, 0), |p| (p.animation.range().len(), p.animation.model().1.len()));

@@ -225,7 +225,8 @@ pub struct AnimationReader {
 /// The two ends of an animation.
 pub(crate) fn animation_ends(
     outbox: &Arc<FrameOutbox>,
-    (metrics, held): (&Arc<Metrics>, MemoryReservation),
+    metrics: &Arc<Metrics>,
+    held: MemoryReservation,
     inside: CallGuard,
 ) -> (AnimationControl, AnimationReader) {
     let input = AnimationControl {

@@ -32,7 +32,8 @@ use tokio_util::sync::CancellationToken;
 /// Dropping the future stops the build; nothing exists then.
 pub(crate) async fn create_session(
     shared: &Arc<SharedResources>,
-    (tenant, who): (&Tenant, &Arc<str>),
+    tenant: &Tenant,
+    who: &Arc<str>,
     files: FileSet,
     options: SessionOptions,
     key: Option<CallKey>,
@@ -89,7 +90,7 @@ pub(crate) async fn create_session(
     let kept = match (&shared.store, kept_files) {
         (Some(store), Some(files)) => {
             let key = claim.as_ref().map(KeyClaim::logged);
-            let new = new_session(&owner, (files, create), &opened, (key, audit));
+            let new = new_session(&owner, files, create, &opened, key, audit);
             let kept = KeptSession::new(Arc::clone(store));
             generation = store
                 .writable()?
@@ -107,7 +108,7 @@ pub(crate) async fn create_session(
             None
         }
     };
-    let session = start_session(shared, (owner, generation), opened, places, kept);
+    let session = start_session(shared, owner, generation, opened, places, kept);
     shared.metrics.sessions_created.inc();
     // An abort that began meanwhile may have missed this session.
     if shared.aborted.is_cancelled() {
@@ -176,9 +177,11 @@ pub(crate) struct SessionOwner {
 /// A session as its store keeps it.
 fn new_session(
     owner: &SessionOwner,
-    (files, options): (FileSet, pb::CreateOptions),
+    files: FileSet,
+    options: pb::CreateOptions,
     opened: &OpenedModel,
-    (key, audit): (Option<(Tenant, String, u128)>, AuditEntry),
+    key: Option<(Tenant, String, u128)>,
+    audit: AuditEntry,
 ) -> NewSession {
     let state = opened.history.current();
     NewSession {
@@ -222,7 +225,8 @@ fn new_session(
 /// Registers a session on an opened model and starts its task.
 pub(crate) fn start_session(
     shared: &Arc<SharedResources>,
-    (owner, generation): (SessionOwner, Generation),
+    owner: SessionOwner,
+    generation: Generation,
     opened: OpenedModel,
     places: SessionPlaces,
     kept: Option<KeptSession>,

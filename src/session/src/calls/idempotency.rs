@@ -8,6 +8,7 @@ use crate::capacity::memory_ledger::{MemoryLedger, MemoryReservation};
 use crate::capacity::memory_use::MemoryUse;
 use crate::config::SessionConfig;
 use crate::error::{Error, ErrorCode};
+use crate::store::LoggedKey;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -128,18 +129,17 @@ impl<A: Clone> IdempotencyKeys<A> {
     }
 
     /// Puts back a key that was answered before the process was started, `age` ago.
-    pub fn restore(&self, tenant: &Tenant, key: &str, fingerprint: u128, age: Duration, (answer, bytes): (A, u64)) {
+    pub fn restore(&self, key: &LoggedKey, age: Duration, answer: A, bytes: u64) {
         let now = Instant::now();
         let finished = now.checked_sub(age).unwrap_or(now);
         let mut tenants = self.tenants.lock().unwrap_or_else(PoisonError::into_inner);
-        let keys = tenants.entry(tenant.clone()).or_default();
+        let keys = tenants.entry(key.tenant.clone()).or_default();
         let number = keys.finished.back().map_or(1, |(_, n, _)| n + 1);
-        let key: Arc<str> = Arc::from(key);
+        let name: Arc<str> = Arc::from(key.key.as_str());
         keys.bytes = keys.bytes.saturating_add(bytes);
-        keys.finished.push_back((finished, number, Arc::clone(&key)));
-        let fingerprint = RequestFingerprint(fingerprint);
+        keys.finished.push_back((finished, number, Arc::clone(&name)));
         let entry = KeyEntry {
-            fingerprint,
+            fingerprint: RequestFingerprint(key.fingerprint),
             answer: Some(KeptAnswer {
                 answer,
                 bytes,
@@ -147,7 +147,7 @@ impl<A: Clone> IdempotencyKeys<A> {
             }),
             number,
         };
-        keys.entries.insert(key, entry);
+        keys.entries.insert(name, entry);
     }
 
     /// Claims `key` for a request.

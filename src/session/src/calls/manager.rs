@@ -98,14 +98,11 @@ impl Manager {
             let age = Duration::from_millis(now.saturating_sub(key.at_ms));
             if age < shared.config.idempotency_age {
                 let answer = StoredAnswer::Recorded {
-                    session: key.session,
+                    session: key.session.clone(),
                     sequence: key.sequence,
                 };
                 let bytes = answer.byte_size();
-                let restored = (answer, bytes);
-                shared
-                    .idempotency
-                    .restore(&key.tenant, &key.key, key.fingerprint, age, restored);
+                shared.idempotency.restore(&key, age, answer, bytes);
             }
         }
         beat(shared).await?;
@@ -180,7 +177,7 @@ impl Manager {
         options: SessionOptions,
         key: Option<CallKey>,
     ) -> Result<KeyedAnswer<pb::Session>, Error> {
-        match create_session(&self.shared, (tenant, &self.who), files, options, key).await? {
+        match create_session(&self.shared, tenant, &self.who, files, options, key).await? {
             CreatedSession::Now(value) => Ok(KeyedAnswer {
                 value: *value,
                 repeated: false,

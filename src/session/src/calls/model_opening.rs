@@ -99,7 +99,7 @@ async fn build_model(
     let slot = tokio::select! {
         biased;
         () = shared.aborted.cancelled() => return Err(Error::draining().into()),
-        slot = shared.compute.slot(WorkLane::Builds, &owner, (arrived, shared.config.build)) => slot?,
+        slot = shared.compute.slot(WorkLane::Builds, &owner, arrived, shared.config.build) => slot?,
     };
     let config = &shared.config;
     let room = memory.room();
@@ -155,7 +155,7 @@ async fn build_model(
         engine::Error::Cancelled if watch.abandoned() => Error::new(ErrorCode::Cancelled, "the caller gave up").into(),
         engine::Error::Cancelled => build_took_too_long(watch.limit()).into(),
         error => match memory_needed(&error, room) {
-            Some(needed) => lacks_memory(shared, (memory.as_ref(), of_tenant), needed),
+            Some(needed) => lacks_memory(shared, memory.as_ref(), of_tenant, needed),
             None => Error::from(error).into(),
         },
     })
@@ -177,7 +177,8 @@ pub(crate) fn memory_needed(error: &engine::Error, room: u64) -> Option<u64> {
 /// Of a model that takes more memory than it may have now: whether it may fit later, and whose memory is full.
 fn lacks_memory(
     shared: &SharedResources,
-    (memory, of_tenant): (&MemoryReservation, &TenantSession),
+    memory: &MemoryReservation,
+    of_tenant: &TenantSession,
     needed: u64,
 ) -> OpeningRefusal {
     let quota = of_tenant.account().memory_quota().unwrap_or(u64::MAX);

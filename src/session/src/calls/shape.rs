@@ -89,7 +89,8 @@ impl Manager {
         })?;
         let mailbox = loop {
             let mailbox = Mailbox::new(
-                (&session.id, &self.who),
+                &session.id,
+                &self.who,
                 config,
                 Arc::clone(&metrics),
                 Arc::clone(&session.wake),
@@ -111,7 +112,7 @@ impl Manager {
         let inside = self.shared.gate.enter();
         self.note(tenant, AuditedAction::Stream, id).await;
         let held = self.shared.ledger.reserve_later(MemoryUse::Sessions, Some(&account));
-        let stream = DeformStream::new(mailbox, session, (metrics, held), (inside, place));
+        let stream = DeformStream::new(mailbox, session, metrics, held, inside, place);
         // A drain that began meanwhile may have missed this stream.
         if self.shared.draining.load(SeqCst) {
             Err(Error::draining())
@@ -149,10 +150,10 @@ impl Manager {
             shared.metrics.refused.inc();
         })?;
         self.note(tenant, AuditedAction::Animate, id).await;
-        let running = RunningAnimation::on_session(&session, (permit, place), &shared.metrics);
+        let running = RunningAnimation::on_session(&session, permit, place, &shared.metrics);
         let outbox = Arc::new(FrameOutbox::with_window(order.window));
         let held = shared.ledger.reserve_later(MemoryUse::Sessions, Some(&account));
-        let ends = animation_ends(&outbox, (&shared.metrics, held), shared.gate.enter());
+        let ends = animation_ends(&outbox, &shared.metrics, held, shared.gate.enter());
         let task = AnimationTask {
             manager: self.clone(),
             session,
@@ -178,7 +179,7 @@ impl Manager {
         mut order: AnimateOrder,
     ) -> Result<AnimatedModel, Error> {
         order.output = FrameOutput::default();
-        let form = (order.played, order.root);
+        let (form, root) = (order.played, order.root);
         let (input, output) = self.animate(tenant, id, order).await?;
         input.finish_input();
         let owner = WorkOwner {
@@ -186,6 +187,6 @@ impl Manager {
             session: id.to_owned(),
         };
         let account = self.account(tenant)?;
-        gather_clip((&self.shared, &account, &owner), output, form).await
+        gather_clip(&self.shared, &account, &owner, output, form, root).await
     }
 }

@@ -100,7 +100,7 @@ impl From<WorkPanicked> for Error {
 
 impl ComputeLane {
     /// So many slots, and `for_drags` more that only drags get. Without threads of their own every piece of work shares the pool.
-    fn interactive((all, for_drags): (usize, usize), config: &SessionConfig, pool: Pool, alone: SingleThreads) -> Self {
+    fn interactive(all: usize, for_drags: usize, config: &SessionConfig, pool: Pool, alone: SingleThreads) -> Self {
         let slots = LineSlots {
             all,
             for_drags,
@@ -173,7 +173,7 @@ impl ComputeSlots {
         let alone = SingleThreads::start(alone, || {}).map_err(unstarted)?;
         let for_another = SingleThreads::start(SLOTS_FOR_ANOTHER_TENANT, give_way).map_err(unstarted)?;
         Ok(Self {
-            interactive: ComputeLane::interactive((slots, for_drags), config, interactive, alone),
+            interactive: ComputeLane::interactive(slots, for_drags, config, interactive, alone),
             builds: ComputeLane::builds(slots, config, builds, for_another),
             packing: Pool::started_with(PACKING_THREADS, "pack", || {}).map_err(unstarted)?,
             packing_seats: Arc::new(Semaphore::new(PACKING_QUEUE)),
@@ -202,7 +202,8 @@ impl ComputeSlots {
         &self,
         lane: WorkLane,
         owner: &WorkOwner,
-        (arrived, limit): (Instant, Duration),
+        arrived: Instant,
+        limit: Duration,
     ) -> Result<ComputeSlot, Error> {
         let (lane, class) = self.lane(lane);
         let longest = self.wait.min(limit);
@@ -463,8 +464,9 @@ mod tests {
             tenant: Tenant::default(),
             session: String::new(),
         };
-        let times = (Instant::now(), Duration::MAX);
-        slots.slot(WorkLane::Interactive, &owner, times).await
+        slots
+            .slot(WorkLane::Interactive, &owner, Instant::now(), Duration::MAX)
+            .await
     }
 
     #[tokio::test]

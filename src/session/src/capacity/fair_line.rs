@@ -142,7 +142,7 @@ impl FairLine {
     ) -> Result<LinePlace, LineRefusal> {
         let mut state = self.lock();
         if self.has_room(&state, class) {
-            state.note_turn((class, &owner.tenant), self.slots.all);
+            state.note_turn(class, &owner.tenant, self.slots.all);
             return Ok(LinePlace::Free(LinePermit::of(self, class, &owner.tenant)));
         }
         let all_of = self.only_holder(&state);
@@ -235,7 +235,7 @@ impl FairLine {
             };
             let (tenant, give) = turn.waiter;
             match give.send(Ok(LinePermit::of(self, next, &tenant))) {
-                Ok(()) => state.note_turn((next, &tenant), self.slots.all),
+                Ok(()) => state.note_turn(next, &tenant, self.slots.all),
                 // It has gone meanwhile. The permit must not come back here while the state is locked.
                 Err(Ok(permit)) => permit.forget(),
                 Err(Err(_)) => {}
@@ -291,7 +291,7 @@ impl LineState {
     }
 
     /// Counts a turn of a class that begins.
-    fn note_turn(&mut self, (class, tenant): (TurnClass, &Tenant), slots: usize) {
+    fn note_turn(&mut self, class: TurnClass, tenant: &Tenant, slots: usize) {
         match class {
             // On a slot that others may not have it holds none of them up.
             TurnClass::Drag if !self.others.waiting.is_empty() && self.others.busy < slots => {

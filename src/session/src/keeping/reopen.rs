@@ -54,7 +54,7 @@ pub(crate) async fn reopen_session(
     }
     let inside = shared.gate.enter();
     let generation = claim_session(shared, store, tenant, id).await?;
-    let opened = open_claimed(shared, store, (tenant, id), generation).await;
+    let opened = open_claimed(shared, store, tenant, id, generation).await;
     if opened.is_err() {
         // Another node may have room for it.
         give_back(store, id, generation).await;
@@ -112,7 +112,8 @@ pub(crate) async fn give_back(store: &Arc<dyn ReadSessions>, id: &str, generatio
 async fn open_claimed(
     shared: &Arc<SharedResources>,
     store: &Arc<dyn ReadSessions>,
-    (tenant, id): (&Tenant, &str),
+    tenant: &Tenant,
+    id: &str,
     generation: Generation,
 ) -> Result<Arc<OpenSession>, Error> {
     let stored = store.load(tenant.clone(), id.to_owned()).await.inspect_err(|error| {
@@ -161,7 +162,7 @@ async fn open_stored(
     });
     let (opened, kept, rerecorded) = loop {
         let opened = open_model(shared, &places, model.clone(), arrived, &guard).await?;
-        match replay_log(shared, store, (opened, Arc::clone(&log)), &places, &guard).await {
+        match replay_log(shared, store, opened, Arc::clone(&log), &places, &guard).await {
             Ok(replayed) => break replayed,
             Err(OpeningRefusal::Other(error)) => return Err(error),
             Err(OpeningRefusal::TenantMemory(error) | OpeningRefusal::ServerMemory(error)) => {
@@ -187,7 +188,7 @@ async fn open_stored(
             store.rerecord_digests(session, kept.build.clone(), rerecorded).await?;
         }
     }
-    let session = start_session(shared, (owner, generation), opened, places, Some(kept));
+    let session = start_session(shared, owner, generation, opened, places, Some(kept));
     shared.metrics.sessions_reopened.inc();
     tracing::info!(session.id = %session.id, "session came back from the store");
     Ok(session)
@@ -240,7 +241,8 @@ type Replayed = (OpenedModel, KeptSession, Vec<(u64, String)>);
 async fn replay_log(
     shared: &Arc<SharedResources>,
     store: &Arc<dyn ReadSessions>,
-    (opened, log): (OpenedModel, Arc<ReplayedLog>),
+    opened: OpenedModel,
+    log: Arc<ReplayedLog>,
     SessionPlaces { memory, of_tenant, .. }: &SessionPlaces,
     guard: &CancelOnDrop,
 ) -> Result<Replayed, OpeningRefusal> {
@@ -249,7 +251,7 @@ async fn replay_log(
     let slot = tokio::select! {
         biased;
         () = shared.aborted.cancelled() => return Err(Error::draining().into()),
-        slot = shared.compute.slot(WorkLane::Builds, &owner, (arrived, shared.config.build)) => slot?,
+        slot = shared.compute.slot(WorkLane::Builds, &owner, arrived, shared.config.build) => slot?,
     };
     let (limit, room) = (shared.config.history, memory.room());
     let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];

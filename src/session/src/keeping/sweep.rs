@@ -57,11 +57,11 @@ async fn sweep(
     if round.is_multiple_of(NOTED_EVERY) {
         note_uses(shared, store, noted).await?;
     }
-    let times = (shared.started_ms, now_ms());
+    let (since_ms, until_ms) = (shared.started_ms, now_ms());
     let others = store.ownership();
     let is_turn = others.is_none() || round.is_multiple_of(SHARED_EVERY);
     let expired = if is_turn {
-        store.expired(times.0, times.1).await?
+        store.expired(since_ms, until_ms).await?
     } else {
         Vec::new()
     };
@@ -73,7 +73,10 @@ async fn sweep(
         }
         let generation = match others {
             None => Generation::default(),
-            Some(others) => match others.claim_expired(tenant.clone(), id.clone(), times).await? {
+            Some(others) => match others
+                .claim_expired(tenant.clone(), id.clone(), since_ms, until_ms)
+                .await?
+            {
                 Some(generation) => generation,
                 None => continue,
             },

@@ -78,7 +78,7 @@ impl DatabaseStore {
             }
         }
         migrate(connection, address.dialect()).await?;
-        mark_objects(connection, (&address, &objects), location).await?;
+        mark_objects(connection, &address, &objects, location).await?;
         let newest = match address.dialect() {
             Dialect::Sqlite => Some(NewestWrite::open(folder()?, connection).await?),
             Dialect::Postgres => None,
@@ -115,7 +115,7 @@ impl DatabaseStore {
         let mut writing = WritingConnection::open(&address).await?;
         let connection = writing.get().await?;
         prepare_tables(connection, &address, &objects).await?;
-        mark_objects(connection, (&address, &objects), location).await?;
+        mark_objects(connection, &address, &objects, location).await?;
         drop(open_lock);
         let id = random.map(|byte| format!("{byte:02x}")).concat();
         let lease = NodeLease::new(node.clone(), id, address.heartbeat_pool().await?);
@@ -187,7 +187,8 @@ async fn prepare_tables(
 /// unless the database names objects that are not there: then it is another place than the one that they were written to.
 async fn mark_objects(
     connection: &mut AnyConnection,
-    (address, objects): (&DatabaseAddress, &Objects),
+    address: &DatabaseAddress,
+    objects: &Objects,
     location: &StoreLocation,
 ) -> Result<(), StoreError> {
     let identity = identity(connection).await?;

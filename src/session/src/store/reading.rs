@@ -226,7 +226,7 @@ pub(super) async fn expired(pool: &AnyPool, since_ms: u64, now_ms: u64) -> Resul
 }
 
 /// Whether a session is expired, as in [`expired`].
-pub(super) async fn is_expired(pool: &AnyPool, id: &str, (since_ms, now_ms): (u64, u64)) -> Result<bool, StoreError> {
+pub(super) async fn is_expired(pool: &AnyPool, id: &str, since_ms: u64, now_ms: u64) -> Result<bool, StoreError> {
     let query = "SELECT id FROM sessions WHERE id = $3 AND used_ms < $1 - ttl_ms AND ttl_ms < $1 - $2";
     let query = sqlx::query(query).bind(signed(now_ms)).bind(signed(since_ms));
     let found = query.bind(id).fetch_optional(pool).await.map_err(unreadable)?;

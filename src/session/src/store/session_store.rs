@@ -139,7 +139,7 @@ pub trait SessionOwnership: Send + Sync + std::fmt::Debug {
     /// Takes a free session, or returns who has it.
     fn claim(&self, tenant: Tenant, id: String) -> Stored<'_, SessionClaim>;
     /// Takes an expired session; `None` where it is not expired, or another node has it.
-    fn claim_expired(&self, tenant: Tenant, id: String, times: (u64, u64)) -> Stored<'_, Option<Generation>>;
+    fn claim_expired(&self, tenant: Tenant, id: String, since_ms: u64, now_ms: u64) -> Stored<'_, Option<Generation>>;
     /// Gives a session back, last used at `used_ms`.
     fn release(&self, session: HeldSession, used_ms: u64) -> Stored<'_, ()>;
     /// The number of the next session to be created.

@@ -284,13 +284,13 @@ impl SessionOwnership for SharedStore {
         Box::pin(async move { self.take(&tenant, &id).await })
     }
 
-    fn claim_expired(&self, tenant: Tenant, id: String, times: (u64, u64)) -> Stored<'_, Option<Generation>> {
+    fn claim_expired(&self, tenant: Tenant, id: String, since_ms: u64, now_ms: u64) -> Stored<'_, Option<Generation>> {
         Box::pin(async move {
             let SessionClaim::Here(generation) = self.take(&tenant, &id).await? else {
                 return Ok(None);
             };
             // Another node may have used it since it was found.
-            let is_over = reading::is_expired(&self.pool, &id, times).await?;
+            let is_over = reading::is_expired(&self.pool, &id, since_ms, now_ms).await?;
             if !is_over {
                 let session = HeldSession { id, generation };
                 release(&self.pool, &session, 0).await?;

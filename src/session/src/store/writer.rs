@@ -288,7 +288,7 @@ impl WritingTask {
         let connection = self.connection.get().await.map_err(StoreError::from);
         let connection = self.health.note(connection).map_err(Failure::NoConnection)?;
         let number = self.newest.as_ref().map(NewestWrite::next);
-        let transaction = write_together(connection, (&uncertain, number), orders, self.is_shared);
+        let transaction = write_together(connection, &uncertain, number, orders, self.is_shared);
         let written = match tokio::time::timeout(PATIENCE, transaction).await {
             Ok(written) => written,
             Err(_) => Err(StoreError::Unavailable(format!("it took longer than {PATIENCE:?}"))),
@@ -329,7 +329,8 @@ fn refuse_all(orders: impl IntoIterator<Item = WaitingOrder>, failure: &Failure)
 /// Writes orders in one transaction, after what is to be removed, and its number.
 async fn write_together(
     connection: &mut AnyConnection,
-    (uncertain, number): (&UncertainCommits, Option<u32>),
+    uncertain: &UncertainCommits,
+    number: Option<u32>,
     orders: &[&WriteOrder],
     is_shared: bool,
 ) -> Result<Vec<Written>, StoreError> {

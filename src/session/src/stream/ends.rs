@@ -35,15 +35,18 @@ pub struct StreamOutput {
     ended: bool,
     metrics: Arc<Metrics>,
     held: MemoryReservation,
-    _inside: (CallGuard, TenantStream),
+    _inside: CallGuard,
+    _place: TenantStream,
 }
 
 impl DeformStream {
     pub(crate) fn new(
         mailbox: Arc<Mailbox>,
         session: Arc<OpenSession>,
-        (metrics, held): (Arc<Metrics>, MemoryReservation),
-        inside: (CallGuard, TenantStream),
+        metrics: Arc<Metrics>,
+        held: MemoryReservation,
+        inside: CallGuard,
+        place: TenantStream,
     ) -> Self {
         metrics.streams.inc();
         Self {
@@ -58,6 +61,7 @@ impl DeformStream {
                 metrics,
                 held,
                 _inside: inside,
+                _place: place,
             },
         }
     }

@@ -48,7 +48,8 @@ pub(crate) struct Mailbox {
 impl Mailbox {
     /// On a session, opened by `who`.
     pub fn new(
-        (session, who): (&str, &Arc<str>),
+        session: &str,
+        who: &Arc<str>,
         config: &SessionConfig,
         metrics: Arc<Metrics>,
         task: Arc<Notify>,

@@ -7,7 +7,7 @@ use pliant_wire::pb;
 use proptest::prelude::*;
 
 fn mailbox(config: &SessionConfig) -> Mailbox {
-    Mailbox::new(("here", &"anyone".into()), config, Arc::default(), Arc::default())
+    Mailbox::new("here", &"anyone".into(), config, Arc::default(), Arc::default())
 }
 
 fn posed(seq: u64, entries: PoseEntries, commit: bool) -> StreamRequest {

@@ -380,7 +380,7 @@ impl RunCall for SessionEdit {
         let ms = watch.take_stage_ms();
         task.shared.metrics.observe_stages(&ms);
         let kept_edit = task.kept.is_some().then(|| Arc::unwrap_or_clone(edit));
-        task.keep_edit(kept_edit, &edited, (&shape, &report), origin.claim.as_ref())
+        task.keep_edit(kept_edit, &edited, &shape, &report, origin.claim.as_ref())
             .await?;
         task.history.commit_edit(edited, shape);
         if let Some(deformer) = &mut task.deformer {

@@ -69,7 +69,8 @@ impl SessionTask {
         &mut self,
         asked: Option<SessionEdit>,
         edited: &EditedState,
-        (shape, report): (&ModelShape, &pb::EditResult),
+        shape: &ModelShape,
+        report: &pb::EditResult,
         claim: Option<&Claim>,
     ) -> Result<(), Error> {
         let (Some(mut asked), Some(_)) = (asked, &self.kept) else {

@@ -192,7 +192,7 @@ impl SessionTask {
         let slot = tokio::select! {
             biased;
             () = self.session.closing.cancelled() => return Err(self.session.why()),
-            slot = self.shared.compute.slot(lane, &owner, (order.arrived, order.limit)) => slot?,
+            slot = self.shared.compute.slot(lane, &owner, order.arrived, order.limit) => slot?,
         };
         let lost = || Error::new(ErrorCode::Internal, "the session's engine is gone");
         let mut deformer = self.deformer.take().ok_or_else(lost)?;

@@ -187,7 +187,9 @@ impl FloatingComponents {
     /// Looks at the top of the hierarchy, where each component has shrunk to a few rows, and only expands those found.
     pub(crate) fn find(
         hierarchy: &Hierarchy,
-        (masks, stiffness, dense_rows): (&[LevelMask], &[f64], &[u32]),
+        masks: &[LevelMask],
+        stiffness: &[f64],
+        dense_rows: &[u32],
     ) -> FloatingComponents {
         let mut floating = FloatingComponents::default();
         let last = masks.len() - 1;

@@ -124,8 +124,7 @@ impl LinearSystem {
                 }
             }
             system.factor_coarsest(hierarchy);
-            system.floating =
-                FloatingComponents::find(hierarchy, (&system.masks, &system.stiffness, &system.dense_rows));
+            system.floating = FloatingComponents::find(hierarchy, &system.masks, &system.stiffness, &system.dense_rows);
         });
         system.cycles_per_visit = steps(hierarchy);
         if let (Some(uncut), false) = (&hierarchy.paper, system.is_direct()) {

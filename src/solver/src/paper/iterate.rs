@@ -42,11 +42,10 @@ pub(crate) fn solve(
     let mut state = PaperIteration {
         paper,
         levels: vectors(paper),
-        conjugate: ConjugateSteps::default(),
-        conjugate_steps: paper.steps.unwrap_or(match criteria.tolerance {
+        conjugate: ConjugateSteps::new(paper.steps.unwrap_or(match criteria.tolerance {
             Some(t) if t <= STEPS.1 => STEPS.0,
             _ => 0,
-        }),
+        })),
         reference: problem
             .threads
             .run_on(pool, || rhs_reference_norms(&problem, &outer.workspace.x)),
@@ -87,9 +86,8 @@ struct PaperIteration<'a> {
     paper: &'a PaperHierarchy,
     /// Vectors of the levels, finest first.
     levels: Vec<PaperVectors>,
+    /// The conjugate-gradient steps after each cycle.
     conjugate: ConjugateSteps,
-    /// Conjugate-gradient steps after each cycle.
-    conjugate_steps: usize,
     /// Norms of b, which residuals are relative to.
     reference: WideLanes,
     outcome: GroupOutcome,
@@ -185,9 +183,9 @@ impl PaperIteration<'_> {
         finest.x.fill([0.0; WIDTH]);
         paper.cycle(0, &mut self.levels, progress)?;
         let finest = &mut self.levels[0];
-        let first = (&paper.levels[0], &paper.chains[0][0]);
+        let (level, equations) = (&paper.levels[0], &paper.chains[0][0]);
         self.conjugate
-            .run(first, &finest.b, &mut finest.x, self.conjugate_steps, progress)?;
+            .run(level, equations, &finest.b, &mut finest.x, progress)?;
         if !all_finite(&finest.x) {
             return Ok(false);
         }
@@ -328,8 +326,12 @@ impl PaperHierarchy {
         for l in 0..last {
             let offsets: &dyn EdgeOffsets = if l == 0 { finest } else { &stored[l - 1] };
             let (beta, d) = restricted_constants(
-                (&self.levels[l], &self.chains[l][0], &betas[l], offsets),
-                (&self.levels[l + 1], &self.chains[l + 1][0]),
+                &self.levels[l],
+                &self.chains[l][0],
+                &betas[l],
+                offsets,
+                &self.levels[l + 1],
+                &self.chains[l + 1][0],
             );
             stored.push(StoredOffsets(d));
             vectors[l + 1].b = self.with_offsets(l + 1, &stored[l], 1.0, &beta);
@@ -340,7 +342,10 @@ impl PaperHierarchy {
             let (fine, coarse) = vectors.split_at_mut(l + 1);
             let offsets: &dyn EdgeOffsets = if l == 0 { finest } else { &stored[l - 1] };
             prolong(
-                (&self.levels[l], &self.chains[l][0], &betas[l], offsets),
+                &self.levels[l],
+                &self.chains[l][0],
+                &betas[l],
+                offsets,
                 &coarse[0].x,
                 &mut fine[l].x,
             );
@@ -423,7 +428,7 @@ impl PaperHierarchy {
         restrict_defect(level, equations, reading, &here.defect, &mut below[0].b);
         below[0].x.fill([0.0; WIDTH]);
         self.descend(s, k + 1, reading, below, progress)?;
-        add_correction_from((level, equations, reading), &below[0].x, &here.defect, &mut here.x);
+        add_correction_from(level, equations, reading, &below[0].x, &here.defect, &mut here.x);
         for _ in 0..SWEEPS {
             check(progress)?;
             sweep(level, equations, &here.b, &mut here.x);

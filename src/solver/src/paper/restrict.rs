@@ -90,8 +90,12 @@ pub(super) trait EdgeOffsets {
 
 /// β and d of the elevated vertices, (22) and (20).
 pub(super) fn restricted_constants(
-    (level, fine, beta, offsets): (&PaperLevel, &LevelEquations, &[WideLanes], &dyn EdgeOffsets),
-    (coarse, restricted): (&PaperLevel, &LevelEquations),
+    level: &PaperLevel,
+    fine: &LevelEquations,
+    beta: &[WideLanes],
+    offsets: &dyn EdgeOffsets,
+    coarse: &PaperLevel,
+    restricted: &LevelEquations,
 ) -> (Vec<WideLanes>, Vec<WideLanes>) {
     let pivots = pivots(level, fine, OperatorReading::Pruned);
     let mut betas = Vec::with_capacity(coarse.vertices());
@@ -134,7 +138,10 @@ pub(super) fn restricted_constants(
 
 /// Prolongation (14) of a solution of the original equations.
 pub(super) fn prolong(
-    (level, fine, beta, offsets): (&PaperLevel, &LevelEquations, &[WideLanes], &dyn EdgeOffsets),
+    level: &PaperLevel,
+    fine: &LevelEquations,
+    beta: &[WideLanes],
+    offsets: &dyn EdgeOffsets,
     coarse: &[WideLanes],
     x: &mut [WideLanes],
 ) {
@@ -175,7 +182,9 @@ pub(super) fn restrict_defect(
 
 /// Adds the prolongation (17) of a coarse correction to `x`.
 pub(super) fn add_correction_from(
-    (level, fine, reading): (&PaperLevel, &LevelEquations, OperatorReading),
+    level: &PaperLevel,
+    fine: &LevelEquations,
+    reading: OperatorReading,
     coarse: &[WideLanes],
     defect: &[WideLanes],
     x: &mut [WideLanes],
@@ -261,9 +270,11 @@ pub(super) fn defect(
     }
 }
 
-/// Vectors of the conjugate-gradient steps.
+/// Conjugate-gradient steps, with their vectors.
 #[derive(Debug, Default)]
 pub(super) struct ConjugateSteps {
+    /// How many steps one run takes.
+    steps: usize,
     r: Vec<WideLanes>,
     z: Vec<WideLanes>,
     p: Vec<WideLanes>,
@@ -271,20 +282,27 @@ pub(super) struct ConjugateSteps {
 }
 
 impl ConjugateSteps {
-    /// Improves `x` by `steps` steps of conjugate gradients, all columns with their own step lengths.
+    pub(super) fn new(steps: usize) -> Self {
+        Self {
+            steps,
+            ..Self::default()
+        }
+    }
+
+    /// Improves `x` by all steps of conjugate gradients, all columns with their own step lengths.
     pub(super) fn run(
         &mut self,
-        (level, equations): (&PaperLevel, &LevelEquations),
+        level: &PaperLevel,
+        equations: &LevelEquations,
         b: &[WideLanes],
         x: &mut [WideLanes],
-        steps: usize,
         progress: &dyn Progress,
     ) -> Result<(), Cancelled> {
-        if steps == 0 {
+        if self.steps == 0 {
             return Ok(());
         }
         let n = level.vertices();
-        let ConjugateSteps { r, z, p, q } = self;
+        let ConjugateSteps { steps, r, z, p, q } = self;
         for v in [&mut *r, &mut *z, &mut *p, &mut *q] {
             v.clear();
             v.resize(n, [0.0; WIDTH]);
@@ -292,7 +310,7 @@ impl ConjugateSteps {
         let still = vec![[0.0; WIDTH]; n];
         defect(level, equations, b, x, r);
         let mut last = [0.0; WIDTH];
-        for _ in 0..steps {
+        for _ in 0..*steps {
             check(progress)?;
             z.fill([0.0; WIDTH]);
             sweep(level, equations, r, z);

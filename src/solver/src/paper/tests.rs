@@ -100,8 +100,8 @@ fn a_field_that_satisfies_all_d_survives_restriction_and_prolongation() {
     let (fine, restricted) = (&paper.chains[0][0], &paper.chains[1][0]);
     let field = noise(level.vertices());
     let beta: Vec<WideLanes> = field.iter().zip(&fine.alphas).map(|(x, a)| x.map(|x| a * x)).collect();
-    let given = (level, fine, beta.as_slice(), &FieldOffsets(&field) as &dyn EdgeOffsets);
-    let (b, d) = restricted_constants(given, (coarse, restricted));
+    let offsets = FieldOffsets(&field);
+    let (b, d) = restricted_constants(level, fine, &beta, &offsets, coarse, restricted);
     let elevated: Vec<WideLanes> = level.seeds.iter().map(|&j| field[j as usize]).collect();
     let kept = KeptOffsets(d);
     for (c, b) in b.iter().enumerate() {
@@ -113,7 +113,7 @@ fn a_field_that_satisfies_all_d_survives_restriction_and_prolongation() {
         assert!(apart(&[*b], &[elevated[c].map(|x| restricted.alphas[c] * x)]) < 1e-11);
     }
     let mut back = vec![[0.0; WIDTH]; level.vertices()];
-    prolong(given, &elevated, &mut back);
+    prolong(level, fine, &beta, &offsets, &elevated, &mut back);
     assert!(apart(&back, &field) < 1e-12);
 }
 
@@ -127,8 +127,8 @@ fn without_constraints_near_by_constants_are_prolonged_and_corrections_are_dampe
         vec![[0.0; WIDTH]; level.vertices()],
     );
     let (mut harmonic, mut correction) = (zero.clone(), zero.clone());
-    prolong((level, fine, &zero, &super::iterate::ZeroOffsets), &ones, &mut harmonic);
-    add_correction_from((level, fine, OperatorReading::Held), &ones, &zero, &mut correction);
+    prolong(level, fine, &zero, &super::iterate::ZeroOffsets, &ones, &mut harmonic);
+    add_correction_from(level, fine, OperatorReading::Held, &ones, &zero, &mut correction);
     for i in (0..level.vertices()).filter(|&i| fine.alphas[i] == 0.0) {
         assert!((harmonic[i][0] - 1.0).abs() < 1e-15, "(14) keeps constants");
         let all = level.to_retained(i).count() == 0 || level.elevated[i] != crate::paper::restrict::RETAINED;
@@ -149,7 +149,7 @@ fn restriction_of_defects_is_the_transpose_of_their_prolongation() {
         let mut down = vec![[0.0; WIDTH]; e.len()];
         restrict_defect(level, fine, reading, &zeta, &mut down);
         let (still, mut up) = (vec![[0.0; WIDTH]; zeta.len()], vec![[0.0; WIDTH]; zeta.len()]);
-        add_correction_from((level, fine, reading), &e, &still, &mut up);
+        add_correction_from(level, fine, reading, &e, &still, &mut up);
         let product = |a: &[WideLanes], b: &[WideLanes]| a.iter().zip(b).map(|(a, b)| a[0] * b[0]).sum::<f64>();
         assert!((product(&down, &e) - product(&zeta, &up)).abs() < 1e-10);
     }

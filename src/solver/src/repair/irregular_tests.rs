@@ -67,7 +67,7 @@ fn irregular(seed: u64, vertices: u32) -> EditableRows {
     EditableRows::new(positions, edges)
 }
 
-fn repair(hierarchy: &mut Hierarchy, (before, after): (&RowsCast, &RowsCast), pool: &Pool) -> bool {
+fn repair(hierarchy: &mut Hierarchy, before: &RowsCast, after: &RowsCast, pool: &Pool) -> bool {
     let (new_from_old, touched) = difference(before, after);
     let change = GraphChange {
         new_from_old: &new_from_old,
@@ -131,7 +131,7 @@ fn graphs_without_order_keep_the_promises_through_builds_and_repairs_on_several_
                 _ => clay.disconnect(p),
             }
             let after = clay.cast();
-            repaired += usize::from(repair(&mut hierarchy, (&before, &after), &pools[0]));
+            repaired += usize::from(repair(&mut hierarchy, &before, &after, &pools[0]));
             check_levels(&hierarchy, &after.view());
             before = after;
         }

@@ -22,7 +22,7 @@ impl LinearSystem {
     /// until the energy hardly falls. Free rows of `pose.x` receive the start, and maps are turned as their aggregates have been.
     ///
     /// # Errors
-    /// As [`LinearSystem::solve_pose`].
+    /// As [`PoseEquations::solve`](crate::PoseEquations::solve).
     pub fn start_pose(
         &self,
         hierarchy: &Hierarchy,
@@ -64,7 +64,7 @@ impl LinearSystem {
     /// Σ w |x_i − x_j − M_i (p_i − p_j)|².
     ///
     /// # Errors
-    /// As [`LinearSystem::solve_pose`].
+    /// As [`PoseEquations::solve`](crate::PoseEquations::solve).
     pub fn fit_pose(&self, hierarchy: &Hierarchy, pose: &mut PoseRows, exec: &Exec<'_>) -> Result<f64, Error> {
         self.check_pose(hierarchy, pose)?;
         exec.check()?;
@@ -73,9 +73,7 @@ impl LinearSystem {
         let PoseRows { rows, rest, open, .. } = pose;
         open.resize(rows.len(), false);
         let threads = Parallelism::from_pool(exec.pool).for_rows(rows.len());
-        Ok(threads.run_on(exec.pool, || {
-            fit_rows(&hierarchy.levels[0], (rows, rest), open, threads)
-        }))
+        Ok(threads.run_on(exec.pool, || fit_rows(&hierarchy.levels[0], rows, rest, open, threads)))
     }
 }
 
@@ -85,7 +83,8 @@ const PIECE: usize = 256;
 /// Turns the maps of open rows to fit the positions that rows show. Returns Σ w |x_i − x_j − M_i (p_i − p_j)|² over them.
 pub(crate) fn fit_rows(
     level: &HierarchyLevel,
-    (rows, rest): (&mut [PoseRow], &[Lanes]),
+    rows: &mut [PoseRow],
+    rest: &[Lanes],
     open: &[bool],
     threads: Parallelism,
 ) -> f64 {
@@ -104,7 +103,7 @@ pub(crate) fn fit_rows(
                     maps.extend((0..SLICE_ROWS).map(|d| read[first + d].columns()));
                     continue;
                 }
-                let sums = bundle_sums(level, (read, rest), bundle);
+                let sums = bundle_sums(level, read, rest, bundle);
                 let turns = nearest_turns(sums.each_ref().map(|(columns, _)| columns));
                 for (d, (turn, trace)) in turns.into_iter().enumerate() {
                     let map = read[first + d].columns();
@@ -134,7 +133,8 @@ pub(crate) fn fit_rows(
 #[inline(always)]
 fn bundle_sums(
     level: &HierarchyLevel,
-    (rows, rest): (&[PoseRow], &[Lanes]),
+    rows: &[PoseRow],
+    rest: &[Lanes],
     bundle: usize,
 ) -> [([Lanes; 3], Lanes); SLICE_ROWS] {
     let (begin, _, end) = level.slice_extent(bundle);
@@ -263,7 +263,8 @@ mod tests {
             };
             pose.show_positions(&self.pool);
             self.system
-                .solve_pose(&self.hierarchy, pose, criteria, (&mut self.workspace, &exec), watch)
+                .pose_equations(&self.hierarchy)
+                .solve(pose, criteria, &mut self.workspace, &exec, watch)
                 .unwrap();
         }
 

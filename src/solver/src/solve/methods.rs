@@ -11,7 +11,7 @@ use crate::solve::group::{
     GroupOutcome, GroupSolve, IterationReport, IterationWatcher, SolutionSnapshot, SolveControl, StoppingCriteria,
     Workspace,
 };
-use crate::solve::problem::ColumnGroup;
+use crate::solve::problem::{ColumnGroup, LinearEquations};
 use crate::solve::start::{StartMaps, full_multigrid};
 use crate::threads::Parallelism;
 use pliant_exec::Exec;
@@ -19,15 +19,6 @@ use pliant_exec::pool::Pool;
 
 /// Refinements of the direct method at most.
 const REFINEMENTS: usize = 4;
-
-/// The equations `A x = b` of a system for given right-hand sides; made by [`LinearSystem::equations`].
-#[derive(Debug, Clone, Copy)]
-pub struct LinearEquations<'a> {
-    system: &'a LinearSystem,
-    hierarchy: &'a Hierarchy,
-    columns: usize,
-    rhs: &'a [f64],
-}
 
 impl LinearSystem {
     /// The equations with right-hand sides `rhs`: row-major, vertices × `columns`, not read where vertices are fixed.
@@ -101,7 +92,7 @@ impl LinearEquations<'_> {
             let given = matches!(options.start, InitialGuess::Given);
             let threads = Parallelism::from_pool(exec.pool);
             let problem = threads.run_on(exec.pool, || {
-                self.column_group(first, x, given, threads)
+                ColumnGroup::new(self, first, x, given, threads)
                     .inspect(|problem| problem.load(x, given, &mut workspace.x))
             })?;
             let outcome = if system.is_direct() {
@@ -182,7 +173,7 @@ impl LinearEquations<'_> {
         let mut relative = Vec::with_capacity(columns);
         for first in (0..columns).step_by(WIDTH) {
             let (problem, norms, reference) = threads.run_on(pool, || -> Result<_, Error> {
-                let problem = self.column_group(first, x, true, threads)?;
+                let problem = ColumnGroup::new(self, first, x, true, threads)?;
                 problem.load(x, true, &mut values);
                 r.fill([0.0; WIDTH]);
                 let norms = problem.wide_residual(&values, &mut r);
@@ -206,23 +197,6 @@ impl LinearEquations<'_> {
     fn check(&self, solution: usize) -> Result<(), Error> {
         self.system.check_hierarchy(self.hierarchy)?;
         check_lengths(self.hierarchy, self.columns, self.rhs.len(), solution)
-    }
-
-    /// The group of columns from `first` on. `given`: the free rows of `x` count too.
-    fn column_group(
-        &self,
-        first: usize,
-        x: &[f64],
-        given: bool,
-        threads: Parallelism,
-    ) -> Result<ColumnGroup<'_>, Error> {
-        let Self {
-            system,
-            hierarchy,
-            columns,
-            rhs,
-        } = *self;
-        ColumnGroup::new(hierarchy, system, threads, (rhs, x), (columns, first), given)
     }
 }
 

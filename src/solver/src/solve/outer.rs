@@ -148,7 +148,7 @@ impl GroupSolve<'_, '_> {
         let recalled = self.recalled.as_deref();
         problem.threads.run_on(self.pool, || {
             let followed = recalled.and_then(|recalled| {
-                let [squares, lengths] = recalled.residual(&grid, (&mut fine.r, &mut fine.partials), state.scale);
+                let [squares, lengths] = recalled.residual(&grid, &mut fine.r, &mut fine.partials, state.scale);
                 let noise = |c: usize| STEP_ROUNDING * problem.hierarchy.largest_diagonal * lengths[c].sqrt();
                 let is_sound = (0..problem.width()).all(|c| noise(c) <= TRUSTED * squares[c].sqrt());
                 is_sound.then_some(squares)

@@ -201,12 +201,29 @@ fn differential_coordinates(level: &HierarchyLevel, rest: &[Lanes], k: usize) ->
 }
 
 impl LinearSystem {
-    /// Whether [`LinearSystem::solve_pose`] can be asked: something is solved for by cycles, and every component is held.
+    /// Whether [`PoseEquations::solve`] can be asked: something is solved for by cycles, and every component is held.
     pub fn can_solve_poses(&self) -> bool {
         self.free_count() > 0 && !self.is_direct() && self.paper.is_none() && self.floating.is_empty()
     }
 
-    /// Solves equation (8) for the frames in `pose` from the positions in it, in three columns.
+    /// Equation (8) on this system; `hierarchy` is the system's own. Nothing is checked before the equations are used.
+    pub fn pose_equations<'a>(&'a self, hierarchy: &'a Hierarchy) -> PoseEquations<'a> {
+        PoseEquations {
+            system: self,
+            hierarchy,
+        }
+    }
+}
+
+/// Equation (8) of the paper for the poses of a system; made by [`LinearSystem::pose_equations`].
+#[derive(Debug, Clone, Copy)]
+pub struct PoseEquations<'a> {
+    system: &'a LinearSystem,
+    hierarchy: &'a Hierarchy,
+}
+
+impl PoseEquations<'_> {
+    /// Solves for the frames in `pose` from the positions in it, in three columns.
     ///
     /// `watch` is called after every iteration. What the corrections of the last few poses explain is taken out of the residual
     /// first; where that is enough there is no iteration, and the error is estimated from what iterations moved before. On most
@@ -215,17 +232,18 @@ impl LinearSystem {
     /// # Errors
     /// [`Error::Invalid`] where [`LinearSystem::can_solve_poses`] is false, for another hierarchy's system, or rows that do not fit;
     /// [`Error::Cancelled`]; [`Error::Diverged`] if nothing finite came out. Positions are then of no use.
-    pub fn solve_pose(
+    pub fn solve(
         &self,
-        hierarchy: &Hierarchy,
         pose: &mut PoseRows,
         criteria: StoppingCriteria,
-        (workspace, exec): (&mut Workspace, &Exec<'_>),
+        workspace: &mut Workspace,
+        exec: &Exec<'_>,
         watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl,
     ) -> Result<SolveStats, Error> {
-        self.check_pose(hierarchy, pose)?;
+        self.system.check_pose(self.hierarchy, pose)?;
         exec.check()?;
-        let outcome = self.iterate_pose(hierarchy, pose, (criteria, None), (workspace, exec), watch)?;
+        pose.unsettled = None;
+        let outcome = self.iterate(pose, criteria, workspace, exec, watch)?;
         let residuals: Vec<f64> = outcome.relative[..3].to_vec();
         Ok(SolveStats {
             iterations: outcome.iterations,
@@ -238,29 +256,28 @@ impl LinearSystem {
             converged: outcome.converged,
         })
     }
-}
 
-impl LinearSystem {
-    /// Iterates on a pose that fits: from what it is, or from the residual that the last solve has left.
-    pub(super) fn iterate_pose(
+    /// Iterates on a pose that fits: from the residual that its last solve has left, or else from what it is.
+    fn iterate(
         &self,
-        hierarchy: &Hierarchy,
         pose: &mut PoseRows,
-        (criteria, from): (StoppingCriteria, Option<LeftResidual>),
-        (workspace, exec): (&mut Workspace, &Exec<'_>),
+        criteria: StoppingCriteria,
+        workspace: &mut Workspace,
+        exec: &Exec<'_>,
         watch: &mut dyn FnMut(&IterationReport<'_>) -> SolveControl,
     ) -> Result<GroupOutcome, Error> {
-        pose.unsettled = None;
+        let Self { system, hierarchy } = *self;
+        let left = pose.unsettled.take().map(|unsettled| unsettled.left);
         let remember = pose.remember;
         let PoseParts {
             frames, x, recalled, ..
         } = pose.parts(hierarchy);
         let threads = Parallelism::from_pool(exec.pool);
-        let problem = ColumnGroup::of_pose(hierarchy, self, threads, frames);
+        let problem = ColumnGroup::of_pose(hierarchy, system, threads, frames);
         std::mem::swap(&mut workspace.x, x);
         let cycle = MultigridCycle {
             hierarchy,
-            system: self,
+            system,
             threads,
             progress: exec.progress,
         };
@@ -274,7 +291,7 @@ impl LinearSystem {
             from_zero: false,
             recalled: Some(recalled).filter(|_| remember),
             reached: None,
-            left: from,
+            left,
         };
         let solved = group.solve(watch);
         let GroupSolve {
@@ -290,8 +307,8 @@ impl LinearSystem {
             let is_left_alone = solved.as_ref().is_ok_and(|outcome| outcome.iterations == 0);
             match reached.filter(|_| solved.is_ok()) {
                 Some(reached) => threads.run_on(exec.pool, || {
-                    let left = (workspace.fine.r.as_slice(), reached.scale);
-                    recalled.keep(&problem, left, (reached.moved, reached.from_relative));
+                    let r = workspace.fine.r.as_slice();
+                    recalled.keep(&problem, r, reached.scale, reached.moved, reached.from_relative);
                 }),
                 None if is_left_alone => {
                     unsettled = solved.as_ref().ok().zip(left).map(|(outcome, left)| UnsettledPose {
@@ -307,7 +324,9 @@ impl LinearSystem {
         pose.unsettled = unsettled;
         solved
     }
+}
 
+impl LinearSystem {
     pub(super) fn check_pose(&self, hierarchy: &Hierarchy, pose: &PoseRows) -> Result<(), Error> {
         self.check_hierarchy(hierarchy)?;
         let n = hierarchy.order.len();
@@ -332,11 +351,11 @@ impl PoseRows {
 }
 
 impl LinearSystem {
-    /// Takes one iteration on what the last [`LinearSystem::solve_pose`] has left of the pose, if that is worth it; with the same
+    /// Takes one iteration on what the last [`PoseEquations::solve`] has left of the pose, if that is worth it; with the same
     /// `workspace`, or nothing is done. The solution becomes better, and the next pose begins from it.
     ///
     /// # Errors
-    /// As [`LinearSystem::solve_pose`]; after [`Error::Cancelled`] positions are still those of before.
+    /// As [`PoseEquations::solve`]; after [`Error::Cancelled`] positions are still those of before.
     pub fn settle_pose(
         &self,
         hierarchy: &Hierarchy,
@@ -358,8 +377,8 @@ impl LinearSystem {
             max_error: None,
             max_iterations: 1,
         };
-        let from = (criteria, Some(unsettled.left));
-        self.iterate_pose(hierarchy, pose, from, (workspace, exec), &mut |_| SolveControl::Stop)?;
+        self.pose_equations(hierarchy)
+            .iterate(pose, criteria, workspace, exec, &mut |_| SolveControl::Stop)?;
         Ok(())
     }
 }
@@ -450,7 +469,8 @@ mod tests {
                 };
                 let watch = &mut |_: &IterationReport<'_>| SolveControl::Continue;
                 let stats = system
-                    .solve_pose(&hierarchy, &mut pose, criteria, (&mut workspace, &exec), watch)
+                    .pose_equations(&hierarchy)
+                    .solve(&mut pose, criteria, &mut workspace, &exec, watch)
                     .unwrap();
                 assert!(stats.converged && stats.residual <= 1e-4, "{stats:?}");
                 iterations.push(stats.iterations);
@@ -504,7 +524,8 @@ mod tests {
         let mut solve = |pose: &mut PoseRows| {
             let watch = &mut |_: &IterationReport<'_>| SolveControl::Continue;
             system
-                .solve_pose(&hierarchy, pose, criteria, (&mut workspace, &exec), watch)
+                .pose_equations(&hierarchy)
+                .solve(pose, criteria, &mut workspace, &exec, watch)
                 .map(|stats| stats.iterations)
         };
         let mut pose = PoseRows::default();

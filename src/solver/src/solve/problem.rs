@@ -27,6 +27,15 @@ enum RightHandSide<'a> {
     Posed(FrameRows<'a>),
 }
 
+/// The equations `A x = b` of a system for given right-hand sides; made by [`LinearSystem::equations`].
+#[derive(Debug, Clone, Copy)]
+pub struct LinearEquations<'a> {
+    pub(crate) system: &'a LinearSystem,
+    pub(crate) hierarchy: &'a Hierarchy,
+    pub(crate) columns: usize,
+    pub(crate) rhs: &'a [f64],
+}
+
 /// A group of columns of `A x = b`.
 ///
 /// Inside, every column is divided by a power of two (its `unit`) so that all numbers are moderate whatever the
@@ -51,13 +60,18 @@ impl<'a> ColumnGroup<'a> {
     /// # Errors
     /// [`Error::Invalid`] if a number that matters is not finite.
     pub(crate) fn new(
-        hierarchy: &'a Hierarchy,
-        system: &'a LinearSystem,
-        threads: Parallelism,
-        (rhs, x): (&'a [f64], &[f64]),
-        (columns, first): (usize, usize),
+        equations: &LinearEquations<'a>,
+        first: usize,
+        x: &[f64],
         given: bool,
+        threads: Parallelism,
     ) -> Result<Self, Error> {
+        let LinearEquations {
+            system,
+            hierarchy,
+            columns,
+            rhs,
+        } = *equations;
         let width = WIDTH.min(columns - first);
         let n = hierarchy.vertices();
         let threads = threads.for_rows(n);

@@ -127,7 +127,8 @@ impl SolutionSubspace {
     pub(crate) fn residual(
         &self,
         grid: &MaskedLevel<'_>,
-        (out, partials): (&mut [Lanes], &mut Vec<LaneDots>),
+        out: &mut [Lanes],
+        partials: &mut Vec<LaneDots>,
         scale: WideLanes,
     ) -> [WideLanes; 2] {
         let SubspaceStep { d, product: before, .. } = &self.steps[self.present];
@@ -160,12 +161,7 @@ impl SolutionSubspace {
 
     /// Ends the present pose, whose residual is now r / scale: its step is known from here on, and the oldest one is not.
     /// Iterations moved a vertex by `moved` at most, from a relative residual of `relative`.
-    pub(crate) fn keep(
-        &mut self,
-        problem: &ColumnGroup<'_>,
-        (r, scale): (&[Lanes], WideLanes),
-        (moved, relative): (f64, f64),
-    ) {
+    pub(crate) fn keep(&mut self, problem: &ColumnGroup<'_>, r: &[Lanes], scale: WideLanes, moved: f64, relative: f64) {
         let inverse = Lanes::from_wide(per_lane(|c| 1.0 / scale[c]));
         let present = self.present;
         self.steps[present].error_of_residual = (relative > 0.0).then(|| moved / relative);
@@ -275,7 +271,7 @@ mod tests {
             length += f64::from(d.0[1]).powi(2);
         }
         let mut followed = vec![Lanes::ZERO; n];
-        let [squares, lengths] = recalled.residual(&grid, (&mut followed, &mut Vec::new()), [8.0; WIDTH]);
+        let [squares, lengths] = recalled.residual(&grid, &mut followed, &mut Vec::new(), [8.0; WIDTH]);
         let mut truth = vec![[0.0; WIDTH]; n];
         let norms = problem.residual(x, true, &mut truth, |r| r);
         for c in 0..3 {

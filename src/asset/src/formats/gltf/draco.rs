@@ -175,7 +175,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
         let Some(mesh) = self.decoded.remove(&view) else {
             return Err(fault.malformed(place, "was not decoded"));
         };
-        let filled = self.fill_primitive(buffers, primitive, (&mesh, view), &stream, &place);
+        let filled = self.fill_primitive(buffers, primitive, &mesh, &stream, &place);
         self.decoded.insert(view, mesh);
         filled?;
         // The decoded triangles are a list, whatever they were before.
@@ -243,15 +243,16 @@ impl<'a> DracoUncompressor<'_, 'a> {
         &mut self,
         buffers: &mut BufferBytes,
         primitive: &MeshPrimitive,
-        (mesh, view): (&Mesh, usize),
+        mesh: &Mesh,
         stream: &DracoStream,
         place: &str,
     ) -> Result<(), Error> {
         let fault = self.doc.fault;
+        let view = stream.buffer_view.index();
         let Some(indices) = primitive.indices.map(|i| i.index()) else {
             return Err(fault.malformed(place, "the primitive has no indices, which Draco always gives"));
         };
-        if self.is_new(indices, (view, None), place)? {
+        if self.is_new(indices, view, None, place)? {
             self.fill_indices(mesh, indices, place)?;
         }
         for (name, id) in &stream.attributes {
@@ -260,20 +261,27 @@ impl<'a> DracoUncompressor<'_, 'a> {
                 return Err(fault.malformed(place, "the primitive has no attribute of that name"));
             };
             let id = id.index();
-            if !self.is_new(accessor, (view, Some(id)), &place)? {
+            if !self.is_new(accessor, view, Some(id), &place)? {
                 continue;
             }
             let attribute = u32::try_from(id).ok().and_then(|id| mesh.attribute_by_unique_id(id));
             let Some(attribute) = attribute else {
                 return Err(fault.malformed(place, format!("the Draco stream has no attribute {id}")));
             };
-            self.fill_attribute(buffers, mesh.num_points(), attribute, (accessor, name), &place)?;
+            let limits = self.fill_attribute(buffers, mesh.num_points(), attribute, accessor, &place)?;
+            // Positions must have bounds, other attributes need not.
+            let text = self.doc.accessors.items[accessor];
+            if name == "POSITION" && value_of(text, "min").is_none() {
+                self.edits.set(text, "min", &limits.0);
+                self.edits.set(text, "max", &limits.1);
+            }
         }
         Ok(())
     }
 
     /// Whether an accessor has been given nothing yet; an error when it has been given something else.
-    fn is_new(&mut self, accessor: usize, from: (usize, Option<usize>), place: &str) -> Result<bool, Error> {
+    fn is_new(&mut self, accessor: usize, view: usize, attribute: Option<usize>, place: &str) -> Result<bool, Error> {
+        let from = (view, attribute);
         match self.filled.insert(accessor, from) {
             None => Ok(true),
             Some(before) if before == from => Ok(false),
@@ -313,20 +321,22 @@ impl<'a> DracoUncompressor<'_, 'a> {
         self.set_accessor(
             accessor,
             mesh.num_faces() * 3,
-            &(format!("[{least}]"), format!("[{most}]")),
+            &format!("[{least}]"),
+            &format!("[{most}]"),
         );
         self.add_view(&bytes, None, INDICES);
         Ok(())
     }
 
+    /// Gives an accessor the values of an attribute, and returns their bounds as JSON.
     fn fill_attribute(
         &mut self,
         buffers: &mut BufferBytes,
         points: usize,
         attribute: &PointAttribute,
-        (accessor, name): (usize, &str),
+        accessor: usize,
         place: &str,
-    ) -> Result<(), Error> {
+    ) -> Result<(String, String), Error> {
         let (doc, fault) = (self.doc, self.doc.fault);
         let described = &doc.accessors.values[accessor];
         let Some(layout) = AccessorLayout::of(described, doc.views.values) else {
@@ -367,19 +377,13 @@ impl<'a> DracoUncompressor<'_, 'a> {
             let problem = format!("the Draco stream and accessor {accessor} have numbers of different types");
             return Err(fault.malformed(place, problem));
         };
-        self.set_accessor(accessor, points, &limits);
-        // Positions must have bounds, other attributes need not.
-        let text = doc.accessors.items[accessor];
-        if name == "POSITION" && value_of(text, "min").is_none() {
-            self.edits.set(text, "min", &limits.0);
-            self.edits.set(text, "max", &limits.1);
-        }
+        self.set_accessor(accessor, points, &limits.0, &limits.1);
         self.add_view(&bytes, Some(stride).filter(|_| stride != element), VERTICES);
-        Ok(())
+        Ok(limits)
     }
 
     /// Lets an accessor stand for the next view.
-    fn set_accessor(&mut self, accessor: usize, count: usize, (least, most): &(String, String)) {
+    fn set_accessor(&mut self, accessor: usize, count: usize, least: &String, most: &String) {
         let text = self.doc.accessors.items[accessor];
         let view = self.next_view();
         self.edits.set(text, "bufferView", view);

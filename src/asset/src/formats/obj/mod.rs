@@ -39,7 +39,7 @@ impl FormatCodec for ObjCodec {
     fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
         let (mut geometry, notes) = read::read(&files.main, watch)?;
         library::warn_of_missing(files, &mut geometry);
-        Ok(share_notes((geometry, notes)))
+        Ok(share_notes(geometry, notes))
     }
 
     fn companion_names(&self, files: &FileSet, _: Format) -> Vec<String> {

@@ -27,7 +27,7 @@ impl FormatCodec for OffCodec {
     }
 
     fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
-        read::read(&files.main, watch).map(share_notes)
+        read::read(&files.main, watch).map(|(geometry, notes)| share_notes(geometry, notes))
     }
 
     fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {

@@ -16,7 +16,7 @@ pub(super) enum PlyBody<'a> {
 
 impl<'a> PlyBody<'a> {
     /// Begins at an offset that, in a text, lies on `line`.
-    pub fn starting_at(bytes: &'a [u8], encoding: PlyEncoding, (at, line): (usize, u32)) -> Self {
+    pub fn starting_at(bytes: &'a [u8], encoding: PlyEncoding, at: usize, line: u32) -> Self {
         match encoding {
             PlyEncoding::Ascii => Self::Text(TextLexer::starting_at(bytes, at, line, TextStyle::default())),
             PlyEncoding::Little => Self::Binary { bytes, at, big: false },

@@ -33,7 +33,7 @@ impl FormatCodec for PlyCodec {
     }
 
     fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
-        read::read(&files.main, watch).map(share_notes)
+        read::read(&files.main, watch).map(|(geometry, notes)| share_notes(geometry, notes))
     }
 
     fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {
@@ -77,7 +77,7 @@ fn patch(bytes: &[u8], notes: &PlyNotes, rest: &Geometry, positions: &[DVec3]) -
             patch.replace(property.type_place.clone()).extend_from_slice(b"double");
         }
     }
-    let mut body = PlyBody::starting_at(bytes, notes.encoding, notes.vertices_at);
+    let mut body = PlyBody::starting_at(bytes, notes.encoding, notes.vertices_at.0, notes.vertices_at.1);
     for (i, (&old, &new)) in rest.positions.iter().zip(positions).enumerate() {
         let gradient = gradients.as_ref().and_then(|g| g[i].as_ref());
         let normal = gradient.map(|g| shading::carry_normal(g, rest.normals[i]));

@@ -62,7 +62,7 @@ pub(super) fn read(bytes: &[u8], watch: &ReadWatch<'_>) -> Result<(Geometry, Ply
     } else {
         None
     };
-    let mut body = PlyBody::starting_at(bytes, header.encoding, header.body);
+    let mut body = PlyBody::starting_at(bytes, header.encoding, header.body.0, header.body.1);
     let mut notes = PlyNotes {
         encoding: header.encoding,
         vertices_at: body.next_place(),
@@ -282,7 +282,7 @@ pub(super) struct PlyTable<'a> {
 /// Reads a file that was read before, whose vertices rest at `positions`.
 pub(super) fn read_table<'a>(bytes: &'a [u8], positions: &[DVec3]) -> Result<PlyTable<'a>, Error> {
     let header = PlyHeader::read(bytes)?;
-    let mut body = PlyBody::starting_at(bytes, header.encoding, header.body);
+    let mut body = PlyBody::starting_at(bytes, header.encoding, header.body.0, header.body.1);
     let mut table = PlyTable {
         encoding: header.encoding,
         vertices: Vec::new(),

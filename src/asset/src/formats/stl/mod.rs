@@ -40,7 +40,7 @@ impl FormatCodec for StlCodec {
     }
 
     fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
-        read(&files.main, watch).map(share_notes)
+        read(&files.main, watch).map(|(geometry, notes)| share_notes(geometry, notes))
     }
 
     fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {
@@ -401,7 +401,7 @@ fn write_edited_text(edited: &EditedModel<'_>, positions: &[DVec3], newline: &[u
             }
         }
         for (name, facets) in solids.names.iter().zip(&facets) {
-            push_solid(&mut out, (name, newline), facets, positions);
+            push_solid(&mut out, name, newline, facets, positions);
         }
     }
     if is_as_long_as_binary(&out) {
@@ -410,7 +410,7 @@ fn write_edited_text(edited: &EditedModel<'_>, positions: &[DVec3], newline: &[u
     Ok(out)
 }
 
-fn push_solid(out: &mut Vec<u8>, (name, newline): (&[u8], &[u8]), facets: &[[u32; 3]], positions: &[DVec3]) {
+fn push_solid(out: &mut Vec<u8>, name: &[u8], newline: &[u8], facets: &[[u32; 3]], positions: &[DVec3]) {
     let line = |out: &mut Vec<u8>, words: &[u8], numbers: Option<(DVec3, NumberPrecision)>| {
         out.extend_from_slice(words);
         if let Some((numbers, precision)) = numbers {

@@ -328,8 +328,14 @@ impl Animation {
         let mut positions = shape.render(&solution.positions, &solution.frames, &transforms);
         if let Some(beside) = &self.beside {
             let topology = derived.topology();
-            let at_rest = (&topology.rest[..], &topology.geometry().triangles[..]);
-            beside.place(seconds, &root, at_rest, &mut positions, exec)?;
+            beside.shift_skinned(
+                seconds,
+                &topology.rest,
+                &topology.geometry().triangles,
+                &mut positions,
+                exec,
+            )?;
+            beside.place_carried(seconds, &root, &mut positions, exec)?;
         }
         Ok(AnimatedFrame {
             index,

@@ -7,8 +7,10 @@ use crate::asset::{CarryingJoints, Model, MovingScene, PlayedJoint, Primitive};
 use crate::engine::error::Error;
 use crate::engine::settings::{Passenger, PassengerKind};
 use crate::exec::Exec;
+use crate::graph::WindingTree;
 use crate::motion::humanoid::{
-    BODY_JOINTS, ClipBones, PlacedJoint, bones_of_names, bones_of_shape, find_body, preset_skeleton, rig_of_body,
+    BODY_JOINTS, BodySkeleton, ClipBones, PlacedJoint, bones_of_names, bones_of_shape, find_body, preset_skeleton,
+    rig_of_body,
 };
 use crate::motion::rig::{MotionRig, ReferencePose, RigError, rig_joints, rig_of_skin, skin_bones};
 use crate::motion::skin_weights::{SkinWeightOptions, skin_weights};
@@ -140,14 +142,12 @@ pub fn make_rig(model: &Model, order: &RigOrder<'_>, exec: &Exec<'_>) -> Result<
             .into_iter()
             .for_each(|(name, at)| _ = joints.entry(name).or_insert(at));
     }
-    let made = rig_of_body(
-        (&body.positions[..], &body.triangles[..]),
-        &joints,
-        &fixed,
-        (skeleton, &bones),
-        reference,
-        exec.pool,
-    )?;
+    let tree = WindingTree::build(&body.positions, &body.triangles, exec.pool);
+    let clip = BodySkeleton {
+        skeleton,
+        bones: &bones,
+    };
+    let made = rig_of_body(&tree, &body.positions, &joints, &fixed, clip, reference)?;
     let outside = made.joints.iter().filter(|j| !j.inside).map(|j| j.name.as_str());
     let outside: Vec<&str> = outside
         .filter(|name| !name.ends_with("End") && !name.ends_with("Toe"))

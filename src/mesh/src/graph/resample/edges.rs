@@ -315,16 +315,16 @@ pub(super) struct ShellSite<'a> {
 pub(super) fn orient_parts(site: &ShellSite, parts: &[Vec<u32>], reach: &mut [f32]) {
     for part in parts {
         let members: Vec<u32> = part.iter().filter_map(|&p| site.local.find_local(p)).collect();
-        let mut votes = (0, 0);
+        let (mut ahead, mut behind) = (0, 0);
         for v in sample(members, 1, |_| 0) {
             let local = site.local;
             let step = f64::from(reach[local.points[v as usize] as usize]) * hull::BESIDE;
             let inward = -normal(&local.positions, &local.triangles, &local.adjacency, v) * step;
             let p = local.positions[v as usize];
-            votes.0 += usize::from(site.columns.contains(p + inward));
-            votes.1 += usize::from(site.columns.contains(p - inward));
+            ahead += usize::from(site.columns.contains(p + inward));
+            behind += usize::from(site.columns.contains(p - inward));
         }
-        let turn = turn(votes) as f32;
+        let turn = turn(ahead, behind) as f32;
         part.iter().for_each(|&p| reach[p as usize] *= turn);
     }
 }

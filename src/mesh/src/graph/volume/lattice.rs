@@ -148,7 +148,7 @@ pub(in crate::graph) fn edges(
             for d in directions(valence).filter(|&d| rows[i as usize][d] == NONE) {
                 let end = toward(nodes.keys[i as usize], d);
                 let near = nodes.shallow.find_key(end, &mut hints[d]);
-                match left_at(site, grid, nodes, (i, end), near) {
+                match left_at(site, grid, nodes, i, end, near) {
                     Some(exit) => found.exits.push(exit),
                     None => found.unmet.push((i, end)),
                 }
@@ -178,7 +178,8 @@ fn left_at(
     site: &VolumeSite,
     grid: &LatticeGrid,
     nodes: &LatticeNodes,
-    (node, end): (u32, LatticeKey),
+    node: u32,
+    end: LatticeKey,
     near: Option<usize>,
 ) -> Option<LatticeExit> {
     let (p, q) = (grid.position(nodes.keys[node as usize]), grid.position(end));

@@ -348,10 +348,10 @@ pub(in crate::graph) fn nearest_vertices(
     let count = nodes.keys.len() as u32;
     let mut unknown = usize::MAX;
     for round in 0.. {
-        (0..count).for_each(|node| take_best(&edges.rows, (&mut nearest, &mut spots), node, at(node)));
+        (0..count).for_each(|node| take_best(&edges.rows, &mut nearest, &mut spots, node, at(node)));
         (0..count)
             .rev()
-            .for_each(|node| take_best(&edges.rows, (&mut nearest, &mut spots), node, at(node)));
+            .for_each(|node| take_best(&edges.rows, &mut nearest, &mut spots, node, at(node)));
         // Winding passages need more rounds to be reached at all.
         let left = nearest.iter().filter(|&&v| v == UNKNOWN).count();
         if round + 1 >= ROUNDS && (left == 0 || left == unknown) {
@@ -376,7 +376,7 @@ pub(in crate::graph) fn nearest_vertices(
 }
 
 /// Takes over the answer of a neighbour that is better than the node's own.
-fn take_best(rows: &[LatticeRow], (nearest, spots): (&mut [u32], &mut [DVec3]), node: u32, p: DVec3) {
+fn take_best(rows: &[LatticeRow], nearest: &mut [u32], spots: &mut [DVec3], node: u32, p: DVec3) {
     let mut own = nearest[node as usize];
     let mut spot = spots[node as usize];
     // What is not known is infinitely far away.

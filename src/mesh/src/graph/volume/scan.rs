@@ -317,14 +317,14 @@ fn deep_nodes(
         }
     }
     let starts = runs.iter().zip(node_starts);
-    starts.for_each(|(run, start)| part_by_depth(&mut nodes, run, sheet, (&nearest[start..], &faces[start..]), depth));
+    starts.for_each(|(run, start)| part_by_depth(&mut nodes, run, sheet, &nearest[start..], &faces[start..], depth));
     Ok(nodes)
 }
 
-/// Adds the nodes of a run to those that no face is nearer to than `depth`, or to the shallow ones; `near` has for each the square of
-/// the distance to the nearest face, and that face.
-fn part_by_depth(nodes: &mut LatticeNodes, run: &InsideRun, sheet: u32, near: (&[f64], &[u32]), depth: f64) {
-    for (i, (&square, &face)) in (0..run.count).zip(near.0.iter().zip(near.1)) {
+/// Adds the nodes of a run to those that no face is nearer to than `depth`, or to the shallow ones; `squares` has for each the square of
+/// the distance to the nearest face, `faces` that face.
+fn part_by_depth(nodes: &mut LatticeNodes, run: &InsideRun, sheet: u32, squares: &[f64], faces: &[u32], depth: f64) {
+    for (i, (&square, &face)) in (0..run.count).zip(squares.iter().zip(faces)) {
         let key = key([run.first + i, run.row, sheet / 2], sheet % 2 == 1);
         let clearance = square.sqrt();
         if clearance > depth {

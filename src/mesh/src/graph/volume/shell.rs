@@ -153,7 +153,7 @@ pub(in crate::graph) fn inward_directions(
         vote.0 += usize::from(ahead);
         vote.1 += usize::from(behind);
     }
-    let turns: Vec<f64> = votes.into_iter().map(turn).collect();
+    let turns: Vec<f64> = votes.into_iter().map(|(ahead, behind)| turn(ahead, behind)).collect();
     for (d, v) in inward.iter_mut().zip(0u32..) {
         let turn = turns[part(v)];
         if turn <= 0.0 {

@@ -170,7 +170,7 @@ impl ClassifiedParts {
 
 /// From how many places ahead of and behind a part's vertices lie inside to how its normals are to be taken: 1, −1 turned
 /// round, 0 not at all.
-pub(in crate::graph) fn turn((ahead, behind): (usize, usize)) -> f64 {
+pub(in crate::graph) fn turn(ahead: usize, behind: usize) -> f64 {
     match (ahead, behind) {
         (0, 0) => 0.0,
         _ if behind > ahead => -1.0,

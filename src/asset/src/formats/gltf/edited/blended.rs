@@ -7,8 +7,8 @@ use super::super::container::GltfFault;
 use super::super::document::GltfDocument;
 use super::super::placement::{Placement, VertexInfluences, VertexTransforms, influence_accessors, is_writable};
 use super::super::read::GltfNotes;
-use super::super::schema::{Attributes, MeshPrimitive};
-use super::super::targets::{TargetTally, displacement_map};
+use super::super::schema::MeshPrimitive;
+use super::super::targets::displacement_map;
 use super::super::text::json_object;
 use crate::edited::{CarriedAttributes, EditedModel, PrimitiveRun, VertexBlend};
 use crate::vertex_attributes::AttributeKeys;
@@ -354,7 +354,7 @@ impl<'a> EditedTurns<'a> {
 
 /// The targets of one run on their way to a file.
 pub(super) struct TargetBlender<'a> {
-    mixer: &'a AttributeBlender<'a>,
+    pub(super) mixer: &'a AttributeBlender<'a>,
     turns: Vec<Option<LocalTurn>>,
     /// The linear part of where the base was put.
     placing: DMat3,
@@ -370,7 +370,8 @@ impl<'a> TargetBlender<'a> {
         turns: &EditedTurns<'_>,
         run: &PrimitiveRun,
         mixer: &'a AttributeBlender<'a>,
-        (placement, world_from_old): (&Placement, VertexTransforms),
+        placement: &Placement,
+        world_from_old: VertexTransforms,
         world_from_new: &VertexTransforms,
     ) -> Self {
         let new_from_world = world_from_new.inverse();
@@ -384,53 +385,13 @@ impl<'a> TargetBlender<'a> {
         }
     }
 
-    /// One target, and whether displacements turned or grew with the surface. Those attributes that stay as they are stored
-    /// have their old accessors, when these `may_stay`.
-    pub(super) fn blend_target(
-        &self,
-        target: &Attributes,
-        (doc, buffers): (&GltfDocument<'_>, &BufferBytes),
-        fresh: &mut BufferBuilder,
-        may_stay: bool,
-        tally: &mut TargetTally,
-    ) -> Result<(BTreeMap<String, AccessorHandle>, bool), Error> {
-        let mut made = BTreeMap::new();
-        let mut is_carried = false;
-        for (name, accessor) in target {
-            let channel = read(doc, buffers, accessor.index())?;
-            let role = ShapeAttribute::ALL.into_iter().find(|role| role.name() == name);
-            let role = role.filter(|_| channel.lanes == 3);
-            tally.spend(self.mixer.len())?;
-            let values = self.carried(role, &channel);
-            is_carried |= role.is_some() && self.has_turned(&values);
-            let is_stored = || {
-                values
-                    .iter()
-                    .map(|v| v.to_bits())
-                    .eq(channel.values.iter().map(|v| v.to_bits()))
-            };
-            let at = if may_stay && is_stored() {
-                AccessorHandle::Old(accessor.index())
-            } else {
-                let kind = match role {
-                    Some(ShapeAttribute::Position) => AccessorKind::Positions,
-                    _ => AccessorKind::Floats,
-                };
-                let shape = shape_of(&doc.accessors.values[accessor.index()].shape);
-                AccessorHandle::New(fresh.add_floats(&values, channel.lanes, shape, kind))
-            };
-            made.insert(name.clone(), at);
-        }
-        Ok((made, is_carried))
-    }
-
     /// Whether the surface has turned or grown anywhere where a target displaces it.
-    fn has_turned(&self, values: &[f32]) -> bool {
+    pub(super) fn has_turned(&self, values: &[f32]) -> bool {
         let mut vertices = values.as_chunks::<3>().0.iter().zip(&self.turns);
         vertices.any(|(value, turn)| turn.is_some() && *value != [0.0; 3])
     }
 
-    fn carried(&self, role: Option<ShapeAttribute>, channel: &AttributeValues) -> Vec<f32> {
+    pub(super) fn carried(&self, role: Option<ShapeAttribute>, channel: &AttributeValues) -> Vec<f32> {
         let mut values = self.mixer.blend_linearly(channel);
         let Some(role) = role else { return values };
         for (i, place) in values.as_chunks_mut::<3>().0.iter_mut().enumerate() {

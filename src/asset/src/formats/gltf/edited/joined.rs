@@ -25,13 +25,12 @@ use crate::{Error, FileSet};
 use glam::{DAffine3, DVec3};
 use std::collections::BTreeMap;
 
-/// Joins all bases but the first. `doc` and `files` are those of the first.
+/// Joins all bases but the first. `maker` has made the primitives of the first, `files` are that one's.
 pub(super) fn join_bases(
-    doc: &GltfDocument<'_>,
+    maker: &mut PrimitiveMaker<'_, '_>,
     files: &FileSet,
     frame: &EditedMeshes,
     output: &EditedOutput<'_>,
-    (fresh, turns, tally): (&mut BufferBuilder, &EditedTurns<'_>, &mut TargetTally),
 ) -> Result<JoinedBases, Error> {
     let mut joined = JoinedBases::default();
     let EditedOutput { edited, positions, .. } = *output;
@@ -41,12 +40,12 @@ pub(super) fn join_bases(
             continue;
         }
         let mut joiner = BaseJoiner {
-            frame: doc,
+            frame: maker.doc,
             edited,
             positions,
-            fresh: &mut *fresh,
-            turns,
-            tally: &mut *tally,
+            fresh: &mut *maker.fresh,
+            turns: maker.turns,
+            tally: &mut *maker.tally,
             joined: &mut joined,
             fault: GltfFault(output.format),
         };
@@ -55,7 +54,7 @@ pub(super) fn join_bases(
             None => joiner.join_neutral(i, &(output.neutral_base)(i as u32)?)?,
         }
     }
-    let known = doc.meshes.len() + frame.meshes.len() + joined.meshes.len();
+    let known = maker.doc.meshes.len() + frame.meshes.len() + joined.meshes.len();
     debug_assert!(joined.nodes.iter().all(|(_, mesh)| mesh.is_none_or(|m| m < known)));
     Ok(joined)
 }

@@ -50,7 +50,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let mut tree = None;
     if super::rig::may_move_nodes(notes, output.followers) {
         let before = primitives::positions_before(edited);
-        let shape = primitives::shape_of_runs((&doc, &mut buffers), notes, output, &before)?;
+        let shape = primitives::shape_of_runs(&doc, &mut buffers, notes, output, &before)?;
         tree = FollowedNodeTree::fit(&doc, &mut buffers, notes, &shape, output.followers)?.map(|tree| {
             let to_write = tree.positions_to_write(&shape);
             (tree, to_write)
@@ -74,8 +74,7 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         tally: &mut tally,
     };
     let frame = frame::remake_meshes(&mut maker, notes, &own)?;
-    let targets = (&mut fresh, &turns, &mut tally);
-    let joined = joined::join_bases(&doc, notes.files(model), &frame, output, targets)?;
+    let joined = joined::join_bases(&mut maker, notes.files(model), &frame, output)?;
     let mut writer = EditedGltfWriter {
         doc: &doc,
         files: notes.files(model),

@@ -105,11 +105,11 @@ impl<'a> PrimitiveMaker<'a, '_> {
         let mut attributes = self.write_shape(&positions, primitive, &world_from_mesh, &carried);
         let mut targets = Vec::new();
         if !primitive.targets.is_empty() {
-            let old = (&row.placement, row.placement.transforms(doc, self.buffers, primitive)?);
-            let blender = TargetBlender::new(self.turns, run, &mixer, old, &world_from_mesh);
+            let placement = &row.placement;
+            let old = placement.transforms(doc, self.buffers, primitive)?;
+            let blender = TargetBlender::new(self.turns, run, &mixer, placement, old, &world_from_mesh);
             for (number, target) in primitive.targets.iter().enumerate() {
-                let from = (doc, &*self.buffers);
-                let (made, is_carried) = blender.blend_target(target, from, self.fresh, untouched, self.tally)?;
+                let (made, is_carried) = self.blend_target(&blender, target, untouched)?;
                 if is_carried {
                     self.tally.carry(run.base, row.node, number);
                 }
@@ -146,6 +146,45 @@ impl<'a> PrimitiveMaker<'a, '_> {
             targets,
             indices,
         }))
+    }
+
+    /// One target, and whether displacements turned or grew with the surface. Those attributes that stay as they are stored
+    /// have their old accessors, when these `may_stay`.
+    fn blend_target(
+        &mut self,
+        blender: &TargetBlender<'_>,
+        target: &Attributes,
+        may_stay: bool,
+    ) -> Result<(BTreeMap<String, AccessorHandle>, bool), Error> {
+        let doc = self.doc;
+        let mut made = BTreeMap::new();
+        let mut is_carried = false;
+        for (name, accessor) in target {
+            let channel = read(doc, self.buffers, accessor.index())?;
+            let role = ShapeAttribute::ALL.into_iter().find(|role| role.name() == name);
+            let role = role.filter(|_| channel.lanes == 3);
+            self.tally.spend(blender.mixer.len())?;
+            let values = blender.carried(role, &channel);
+            is_carried |= role.is_some() && blender.has_turned(&values);
+            let is_stored = || {
+                values
+                    .iter()
+                    .map(|v| v.to_bits())
+                    .eq(channel.values.iter().map(|v| v.to_bits()))
+            };
+            let at = if may_stay && is_stored() {
+                AccessorHandle::Old(accessor.index())
+            } else {
+                let kind = match role {
+                    Some(ShapeAttribute::Position) => AccessorKind::Positions,
+                    _ => AccessorKind::Floats,
+                };
+                let shape = shape_of(&doc.accessors.values[accessor.index()].shape);
+                AccessorHandle::New(self.fresh.add_floats(&values, channel.lanes, shape, kind))
+            };
+            made.insert(name.clone(), at);
+        }
+        Ok((made, is_carried))
     }
 
     /// Writes positions, and normals and tangents where the primitive has them.
@@ -295,7 +334,8 @@ pub(super) fn positions_before(edited: &EditedModel<'_>) -> Vec<DVec3> {
 
 /// The vertices of an edited model, and which joints of its first base hold them.
 pub(super) fn shape_of_runs<'a>(
-    (doc, buffers): (&GltfDocument<'_>, &mut BufferBytes),
+    doc: &GltfDocument<'_>,
+    buffers: &mut BufferBytes,
     notes: &GltfNotes,
     output: &EditedOutput<'a>,
     before: &'a [DVec3],

@@ -16,7 +16,8 @@ use std::collections::{BTreeMap, BTreeSet};
 pub(super) fn go_on_beside(
     played: &mut PlayedDocument<'_, '_>,
     new: &mut NewClip,
-    (nodes, beside): (&[PlayedNode<'_>], Option<&ClipBeside<'_>>),
+    nodes: &[PlayedNode<'_>],
+    beside: Option<&ClipBeside<'_>>,
     own: &[usize],
     sections: &mut JsonSections,
 ) -> Result<(), Error> {

@@ -29,7 +29,7 @@ pub(super) fn add_clip(
     let correctives = moved_at_rest(rest, vertices, clip);
     for node in &nodes {
         let mut changes = node_changes(played, node, rest, vertices, clip);
-        add_correctives(played, node, (rest, &correctives), &mut changes);
+        add_correctives(played, node, rest, &correctives, &mut changes);
         let mesh = played.set_mesh(node.mesh, changed_mesh(doc.meshes.items[node.mesh], &changes));
         take_mesh(played, node.node);
         let name = name_member(doc, node.node);
@@ -48,7 +48,7 @@ pub(super) fn add_clip(
     let mut added = drawn.clone();
     added.push(root);
     let mut new = NewClip::new(clip.name);
-    go_on_beside(played, &mut new, (&nodes, clip.beside.as_ref()), &added, &mut sections)?;
+    go_on_beside(played, &mut new, &nodes, clip.beside.as_ref(), &added, &mut sections)?;
     let mut clips = kept_clips(doc, &nodes, clip.beside.as_ref());
     if !clip.frames.is_empty() {
         add_joints(played, &mut new, &skeleton, clip);
@@ -218,7 +218,8 @@ fn moved_at_rest(rest: &Geometry, vertices: &[u32], clip: &SkinnedClip<'_>) -> V
 fn add_correctives(
     played: &mut PlayedDocument<'_, '_>,
     node: &PlayedNode<'_>,
-    (rest, correctives): (&Geometry, &[Geometry]),
+    rest: &Geometry,
+    correctives: &[Geometry],
     changes: &mut [PrimitiveChanges],
 ) {
     if correctives.is_empty() {

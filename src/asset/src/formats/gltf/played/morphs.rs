@@ -42,7 +42,7 @@ pub(super) fn add_clip(
     let mut moved = Vec::new();
     let mut drawing = Vec::new();
     for node in &nodes {
-        let changes = node_changes(played, node, rest, (&stands, &targets));
+        let changes = node_changes(played, node, rest, &stands, &targets);
         let mesh = played.set_mesh(node.mesh, changed_mesh(doc.meshes.items[node.mesh], &changes));
         if node.skin.is_some() {
             take_mesh(played, node.node);
@@ -73,7 +73,7 @@ pub(super) fn add_clip(
             Some(keys) => vec![add_root(played, &mut new, keys, &moved)],
             None => moved,
         };
-        go_on_beside(played, &mut new, (&nodes, clip.beside.as_ref()), &own, &mut sections)?;
+        go_on_beside(played, &mut new, &nodes, clip.beside.as_ref(), &own, &mut sections)?;
     } else if let Some(keys) = &clip.root {
         let top = top_nodes(doc);
         let below: Vec<usize> = top.iter().chain(&moved).copied().collect();
@@ -126,7 +126,8 @@ fn node_changes(
     played: &mut PlayedDocument<'_, '_>,
     node: &PlayedNode<'_>,
     rest: &Geometry,
-    (stands, targets): (&[Option<RestPrimitive>], &[Vec<String>]),
+    stands: &[Option<RestPrimitive>],
+    targets: &[Vec<String>],
 ) -> Vec<PrimitiveChanges> {
     let doc = played.doc;
     let count = targets.iter().map(Vec::len).max().unwrap_or(0);
