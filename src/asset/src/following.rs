@@ -44,7 +44,7 @@ pub enum BoneLengthRule {
 /// kind are not concerned.
 ///
 /// ```
-/// use pliant_core::asset::{Following, MorphTargetRule, RigRule};
+/// use pliant_asset::{Following, MorphTargetRule, RigRule};
 /// assert_eq!(Following::default().rig, RigRule::Follow);
 /// assert_eq!(Following::default().morph_targets, MorphTargetRule::Follow);
 /// ```
@@ -175,7 +175,7 @@ static NO_MOTIONS: NodeMotions = NodeMotions::new();
 /// ignore them.
 ///
 /// ```
-/// use pliant_core::asset::{Following, ShapeFollowers};
+/// use pliant_asset::{Following, ShapeFollowers};
 /// let followers = ShapeFollowers::from(Following::default());
 /// assert!(followers.nodes.is_empty());
 /// ```

@@ -9,7 +9,7 @@ use std::hash::{Hash, Hasher};
 ///
 /// # Example
 /// ```
-/// use pliant_core::asset::Format;
+/// use pliant_asset::Format;
 ///
 /// assert_eq!(Format::from_file_name("chair.PLY"), Some(Format::PLY));
 /// assert_eq!(Format::from_media_type("model/obj; charset=utf-8"), Some(Format::OBJ));

@@ -190,7 +190,7 @@ impl VertexCache {
     /// The kind that a file name's extension asks for, in capitals or not.
     ///
     /// ```
-    /// use pliant_core::asset::VertexCache;
+    /// use pliant_asset::VertexCache;
     /// assert_eq!(VertexCache::from_file_name("walk.PC2"), Some(VertexCache::Pc2));
     /// assert_eq!(VertexCache::from_file_name("mdd"), None);
     /// ```
@@ -209,7 +209,7 @@ impl VertexCache {
     /// points, times.
     ///
     /// ```
-    /// use pliant_core::asset::VertexCache;
+    /// use pliant_asset::VertexCache;
     /// let header = VertexCache::Pc2.header(3, &[0.0, 0.5]);
     /// assert_eq!(header.len(), 32);
     /// assert_eq!(header[..12], *b"POINTCACHE2\0");

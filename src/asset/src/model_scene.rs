@@ -18,7 +18,7 @@ impl Model {
     ///
     /// # Example
     /// ```
-    /// use pliant_core::asset::{FileSet, Limits, Model};
+    /// use pliant_asset::{FileSet, Limits, Model};
     ///
     /// let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
     ///     property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 1\n\
@@ -27,7 +27,7 @@ impl Model {
     /// let (drawn, look) = model.surface_look()?.expect("it has vertex colours");
     /// assert_eq!(drawn.positions, model.positions);
     /// assert_eq!(look.colours, [[1.0, 0.0, 0.0, 1.0]; 3]);
-    /// # Ok::<(), pliant_core::asset::Error>(())
+    /// # Ok::<(), pliant_asset::Error>(())
     /// ```
     pub fn surface_look(&self) -> Result<Option<(Model, SurfaceLook)>, Error> {
         let codec = codec_of(self.format);
@@ -90,7 +90,7 @@ impl Model {
     /// # Example
     /// ```
     /// use glam::Vec3;
-    /// use pliant_core::asset::{FileSet, Format, Limits, Model, MorphClip};
+    /// use pliant_asset::{FileSet, Format, Limits, Model, MorphClip};
     ///
     /// let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
     /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
@@ -101,7 +101,7 @@ impl Model {
     /// let played = Model::read(FileSet::single("one.glb", written.main), None, &Limits::default())?;
     /// assert_eq!(played.positions, model.positions);
     /// assert_eq!(played.moving_scene()?.expect("a scene").clip_names, ["bend"]);
-    /// # Ok::<(), pliant_core::asset::Error>(())
+    /// # Ok::<(), pliant_asset::Error>(())
     /// ```
     pub fn write_morph_clip(&self, clip: &MorphClip<'_>) -> Result<WrittenFiles, Error> {
         check_keys(clip.times, clip.shapes.len(), [clip.root, around(clip.beside)])?;

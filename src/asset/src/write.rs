@@ -22,7 +22,7 @@ impl Model {
     ///
     /// # Example
     /// ```
-    /// use pliant_core::asset::{FileSet, Format, Limits, Model};
+    /// use pliant_asset::{FileSet, Format, Limits, Model};
     ///
     /// let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3 # a face\n";
     /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
@@ -31,7 +31,7 @@ impl Model {
     /// let limits = Limits { vertices: 2, ..Limits::default() };
     /// let error = Model::read(FileSet::single("one.obj", text), Some(Format::OBJ), &limits).unwrap_err();
     /// assert_eq!(error.to_string(), "vertices is 3, at most 2 is allowed");
-    /// # Ok::<(), pliant_core::asset::Error>(())
+    /// # Ok::<(), pliant_asset::Error>(())
     /// ```
     pub fn read(files: FileSet, format: Option<Format>, limits: &Limits) -> Result<Self, Error> {
         Self::read_watched(files, format, limits, &Silent)
@@ -108,7 +108,7 @@ impl Model {
     ///
     /// # Example
     /// ```
-    /// use pliant_core::asset::{FileSet, Format, Limits, Model};
+    /// use pliant_asset::{FileSet, Format, Limits, Model};
     ///
     /// let text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3 # a face\n";
     /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
@@ -122,7 +122,7 @@ impl Model {
     /// // Another format is rebuilt.
     /// let written = model.write(&positions, Format::OFF)?;
     /// assert_eq!(written.main, b"OFF\n3 1 0\n0 0 0\n1 0 0.5\n0 1 0\n3 0 1 2\n");
-    /// # Ok::<(), pliant_core::asset::Error>(())
+    /// # Ok::<(), pliant_asset::Error>(())
     /// ```
     pub fn write(&self, positions: &[DVec3], format: Format) -> Result<WrittenFiles, Error> {
         self.write_following(positions, format, Following::default())
@@ -219,7 +219,7 @@ impl Model {
 ///
 /// # Example
 /// ```
-/// use pliant_core::asset::{FileSet, missing_companions};
+/// use pliant_asset::{FileSet, missing_companions};
 ///
 /// let json = r#"{"asset":{"version":"2.0"},"images":[{"uri":"red%20brick.png"},{"uri":"../up.png"}]}"#;
 /// let files = FileSet::single("wall.gltf", json);
@@ -251,7 +251,7 @@ pub fn missing_companions(files: &FileSet) -> Vec<String> {
 /// A triangle is cut in two: the new vertex lies in the middle of an edge, and its colour between those of the ends.
 /// ```
 /// use glam::{DAffine3, DVec3};
-/// use pliant_core::asset::{BaseModel, EditedModel, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends};
+/// use pliant_asset::{BaseModel, EditedModel, FileSet, Format, Limits, Model, PrimitiveRun, VertexBlends};
 ///
 /// let text = "v 0 0 0 1 0 0\nv 1 0 0 0 0 1\nv 0 1 0 0 0 0\nf 1 2 3\n";
 /// let model = Model::read(FileSet::single("one.obj", text), None, &Limits::default())?;
@@ -266,10 +266,10 @@ pub fn missing_companions(files: &FileSet) -> Vec<String> {
 ///     bare: &[],
 /// };
 /// let positions = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::X * 0.5];
-/// let written = pliant_core::asset::write_edited_model(&edited, &positions, Format::OBJ)?;
+/// let written = pliant_asset::write_edited_model(&edited, &positions, Format::OBJ)?;
 /// let text = String::from_utf8_lossy(&written.main);
 /// assert_eq!(text, "v 0 0 0 1 0 0\nv 1 0 0 0 0 1\nv 0 1 0 0 0 0\nv 0.5 0 0 0.5 0 0.5\nf 1 4 3\nf 4 2 3\n");
-/// # Ok::<(), pliant_core::asset::Error>(())
+/// # Ok::<(), pliant_asset::Error>(())
 /// ```
 pub fn write_edited_model(
     edited: &EditedModel<'_>,

@@ -6,16 +6,16 @@
 //! [`Refinement`] fits the frames to the result and solves again.
 //!
 //! Data flows one way: [`DeformableBody`] (graph and hierarchy) → [`HandleSystem`] (a set of handles with its fields and
-//! systems) → [`PoseSolution`] (positions for the handles' transforms). This module knows no model, no request and no clock.
+//! systems) → [`PoseSolution`] (positions for the handles' transforms). This crate knows no model, no request and no clock.
 //!
 //! ```
 //! use glam::DVec3;
-//! use pliant_core::asset::shapes::box_with_cells;
-//! use pliant_core::deform::*;
-//! use pliant_core::exec::Exec;
-//! use pliant_core::mesh::{Mesh, Weld};
-//! use pliant_core::pool::Pool;
-//! use pliant_core::progress::Silent;
+//! use pliant_asset::shapes::box_with_cells;
+//! use pliant_deform::*;
+//! use pliant_exec::Exec;
+//! use pliant_mesh::{Mesh, Weld};
+//! use pliant_exec::pool::Pool;
+//! use pliant_exec::progress::Silent;
 //!
 //! let (positions, triangles) = box_with_cells(DVec3::ONE, [4, 4, 4]);
 //! let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a box");
@@ -51,7 +51,7 @@
 //! # Ok::<(), Error>(())
 //! ```
 //!
-//! | room | what |
+//! | module | what |
 //! |---|---|
 //! | `body` | graph, hierarchy and rest shape of a mesh, and how they follow an edit |
 //! | `handles` | which handle holds which node, loose parts, how nodes are carried along and placed |

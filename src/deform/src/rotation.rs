@@ -17,7 +17,7 @@ use std::f64::consts::PI;
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::deform::Transform;
+/// use pliant_deform::Transform;
 ///
 /// let quarter_turn = Transform {
 ///     rotation: DVec3::Z * std::f64::consts::FRAC_PI_2,
@@ -190,7 +190,7 @@ impl RotationBlending {
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::deform::{blend_rotations, exp_rotation, log_rotation};
+/// use pliant_deform::{blend_rotations, exp_rotation, log_rotation};
 ///
 /// // Half of three turns about one axis is one turn and a half.
 /// let three_turns = DVec3::Z * 3.0 * std::f64::consts::TAU;
@@ -240,7 +240,7 @@ fn coaxial(vectors: &[DVec3]) -> bool {
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::deform::{exp_rotation, fit_rigid_motion};
+/// use pliant_deform::{exp_rotation, fit_rigid_motion};
 ///
 /// let rest = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
 /// let turned = rest.map(|p| exp_rotation(DVec3::Z) * p + DVec3::X);

@@ -17,7 +17,7 @@
 //! | `remesh`, `decimate`, `subdivide` | other triangles for the same shape |
 //! | `stitch`, `weld` | joining boundaries and points |
 //!
-//! Other modules: the surface that is read (`surface`), its boundary (`boundary`), its counts (`topology`), measures of
+//! Other modules: the surface that is read (`surface`), its counts (`topology`), measures of
 //! a triangle (`triangle`) and errors (`error`).
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]

@@ -1,6 +1,6 @@
 //! The thread budget that every computing function takes.
 //!
-//! Floors 0 to 3 never reach for rayon's global pool: they are given a [`Pool`] and run inside it, so that a caller
+//! The crates below pliant-wire never use rayon's global pool: they are given a [`Pool`] and run inside it, so that a caller
 //! decides how many cores a piece of work may use. Results never depend on the number of threads.
 
 use std::sync::Arc;
@@ -8,12 +8,12 @@ use std::sync::Arc;
 /// A bounded set of threads on which parallel work runs. Cloning shares the threads.
 ///
 /// ```
-/// use pliant_solver::pool::Pool;
+/// use pliant_exec::pool::Pool;
 ///
 /// let pool = Pool::new(2)?;
 /// assert_eq!(pool.threads(), 2);
 /// assert_eq!(pool.install(|| (1..=100).sum::<i32>()), 5050);
-/// # Ok::<(), pliant_solver::pool::PoolError>(())
+/// # Ok::<(), pliant_exec::pool::PoolError>(())
 /// ```
 #[derive(Clone)]
 pub struct Pool {
@@ -73,13 +73,13 @@ impl Pool {
     /// both have ended.
     ///
     /// ```
-    /// use pliant_solver::pool::Pool;
+    /// use pliant_exec::pool::Pool;
     ///
     /// let pool = Pool::new(1)?;
     /// let (send, squares) = std::sync::mpsc::channel();
     /// let work = move || (1..=3).for_each(|n| send.send(n * n).expect("it is read"));
     /// assert_eq!(pool.run_beside(work, || squares.iter().sum::<i32>()), 14);
-    /// # Ok::<(), pliant_solver::pool::PoolError>(())
+    /// # Ok::<(), pliant_exec::pool::PoolError>(())
     /// ```
     pub fn run_beside<R>(&self, work: impl FnOnce() + Send, here: impl FnOnce() -> R) -> R {
         self.threads.in_place_scope(|scope| {

@@ -47,7 +47,7 @@ pub fn check(progress: &dyn Progress) -> Result<(), Cancelled> {
 /// A flag that any thread can raise.
 ///
 /// ```
-/// use pliant_solver::progress::{CancelFlag, Cancelled, check};
+/// use pliant_exec::progress::{CancelFlag, Cancelled, check};
 ///
 /// let flag = CancelFlag::default();
 /// assert_eq!(check(&flag), Ok(()));

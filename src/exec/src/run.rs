@@ -7,12 +7,12 @@ use crate::progress::{Cancelled, Progress, check};
 /// a moment takes one, so that no engine uses global threads or runs on after a cancellation.
 ///
 /// ```
-/// use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+/// use pliant_exec::{Exec, pool::Pool, progress::Silent};
 ///
 /// let pool = Pool::new(1)?;
 /// let exec = Exec::new(&pool, &Silent);
 /// assert!(exec.check().is_ok());
-/// # Ok::<(), pliant_solver::pool::PoolError>(())
+/// # Ok::<(), pliant_exec::pool::PoolError>(())
 /// ```
 #[derive(Clone, Copy)]
 pub struct Exec<'a> {

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Adds up the milliseconds of every stage that a piece of work reports. The caller gives the clock, because the engine
-/// floors read none. As a [`Progress`] it passes everything on to another watcher.
+/// Adds up the milliseconds of every stage that a piece of work reports. The caller gives the clock, because computing
+/// crates read none. As a [`Progress`] it passes everything on to another watcher.
 pub struct StageClock<'a> {
     now_ms: Box<dyn Fn() -> f64 + Send + Sync + 'a>,
     watcher: &'a dyn Progress,

@@ -41,7 +41,7 @@ impl Adjacency {
     /// Finds all neighbourhoods in time linear in the number of triangles.
     ///
     /// ```
-    /// use pliant_core::mesh::Adjacency;
+    /// use pliant_mesh::Adjacency;
     ///
     /// let tetrahedron = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
     /// let adjacency = Adjacency::build(4, &tetrahedron);

@@ -97,7 +97,7 @@ pub fn mean_edge_length(positions: &[DVec3], edges: &[MeshEdge]) -> f64 {
 /// Writes a number with three significant digits, with thousands apart, and with an exponent where there would be many zeros.
 ///
 /// ```
-/// use pliant_core::mesh::brief_number;
+/// use pliant_mesh::brief_number;
 ///
 /// let brief = [0.1565576, -203.39247, 0.0, 12345.6, 2.0, 1.5e-7].map(brief_number);
 /// assert_eq!(brief, ["0.157", "-203", "0", "12,346", "2", "1.50e-7"]);
@@ -127,8 +127,8 @@ pub fn brief_number(x: f64) -> String {
 /// Writes a count with thousands apart.
 ///
 /// ```
-/// assert_eq!(pliant_core::mesh::grouped_count(1_234_567), "1,234,567");
-/// assert_eq!(pliant_core::mesh::grouped_count(999), "999");
+/// assert_eq!(pliant_mesh::grouped_count(1_234_567), "1,234,567");
+/// assert_eq!(pliant_mesh::grouped_count(999), "999");
 /// ```
 #[must_use]
 pub fn grouped_count(n: u64) -> String {

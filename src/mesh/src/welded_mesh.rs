@@ -38,7 +38,7 @@ impl Mesh {
     ///
     /// ```
     /// use glam::DVec3;
-    /// use pliant_core::mesh::{Mesh, Weld};
+    /// use pliant_mesh::{Mesh, Weld};
     ///
     /// // A square of two triangles whose common edge is split, as along a seam of the shading.
     /// let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
@@ -46,7 +46,7 @@ impl Mesh {
     /// let mesh = Mesh::build(&positions, &[[0, 1, 2], [3, 4, 5]], Weld::Exact)?;
     /// assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3]]);
     /// assert_eq!(mesh.render_vertices_of(0), [0, 3]);
-    /// # Ok::<(), pliant_core::mesh::Error>(())
+    /// # Ok::<(), pliant_mesh::Error>(())
     /// ```
     ///
     /// # Errors

@@ -85,11 +85,11 @@ impl ViewDirection {
     ///
     /// ```
     /// use glam::DVec3;
-    /// use pliant_core::render::{UpAxis, ViewDirection};
+    /// use pliant_render::{UpAxis, ViewDirection};
     ///
     /// let from_the_right = ViewDirection::facing(DVec3::X, UpAxis::Y);
     /// assert_eq!(from_the_right, ViewDirection::new(90.0, 0.0, UpAxis::Y)?);
-    /// # Ok::<(), pliant_core::render::Error>(())
+    /// # Ok::<(), pliant_render::Error>(())
     /// ```
     #[must_use]
     pub fn facing(direction: DVec3, up: UpAxis) -> Self {

@@ -80,7 +80,7 @@ impl OklabColour {
 /// A colour ramp gives every number a colour.
 ///
 /// ```
-/// use pliant_core::render::ColourRamp;
+/// use pliant_render::ColourRamp;
 ///
 /// let unchanged = ColourRamp::Stretch.linear_colour(0.0);
 /// assert_eq!(unchanged, ColourRamp::Stretch.linear_colour(f64::NAN));

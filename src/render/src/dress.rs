@@ -243,11 +243,11 @@ pub fn edge_stretch(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) 
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::render::vertex_displacements;
+/// use pliant_render::vertex_displacements;
 ///
 /// let moved = vertex_displacements(&[DVec3::ZERO, DVec3::X], &[DVec3::ZERO, DVec3::X * 3.0])?;
 /// assert_eq!(moved, [0.0, 2.0]);
-/// # Ok::<(), pliant_core::render::Error>(())
+/// # Ok::<(), pliant_render::Error>(())
 /// ```
 ///
 /// # Errors

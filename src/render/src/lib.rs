@@ -1,13 +1,13 @@
 //! Pictures of triangle meshes without a display: shaded, with wires, coloured by a number per vertex, or in the model's own
 //! base colours.
 //!
-//! The module owns the camera, the rasteriser, the colour ramps, letters and PNG bytes. It takes plain slices and
+//! The crate owns the camera, the rasteriser, the colour ramps, letters and PNG bytes. It takes plain slices and
 //! looks ([`pliant_asset::SurfaceLook`]), and knows no file format, no handle and no job. The same input gives the same bytes for any number of threads.
 //!
 //! ```
 //! use glam::DVec3;
-//! use pliant_core::pool::Pool;
-//! use pliant_core::render::{Camera, PictureSize, ShadedSurface, UpAxis, ViewDirection, draw_surface};
+//! use pliant_exec::pool::Pool;
+//! use pliant_render::{Camera, PictureSize, ShadedSurface, UpAxis, ViewDirection, draw_surface};
 //!
 //! let pool = Pool::new(1)?;
 //! let corners = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];

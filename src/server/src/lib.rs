@@ -1,6 +1,6 @@
 //! The server: gRPC, gRPC-Web, HTTP and WebSocket on one port.
 //!
-//! This floor translates: authenticate, have `wire` read the request, call the session floor with values, write its answer as a
+//! This crate translates: authenticate, have `wire` read the request, call pliant-session with values, write its answer as a
 //! message. No decision about deformation is taken here, and the three transports call the same functions.
 //!
 //! [`run`] takes its listener and its shutdown signal as arguments, so a test starts the real server on a free port.

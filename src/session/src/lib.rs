@@ -10,7 +10,7 @@
 //! guard a few fields each, for the length of a function that neither waits nor computes, and none is taken while another
 //! is held, except that a mailbox or a reservation may count something.
 //!
-//! | room | what |
+//! | module | what |
 //! |---|---|
 //! | `calls` | the calls of all transports, their idempotency keys, opening sessions and stopping them all |
 //! | `task` | a session's task: commits, edits, one turn of a stream |

@@ -1,6 +1,6 @@
 //! The wire: messages of the schema, their JSON, and what they mean as values of [`pliant_core::engine`].
 //!
-//! Everything that a client can ask is a message of [`pb`]. This module is the only one that checks what clients send; a
+//! Everything that a client can ask is a message of [`pb`]. This crate is the only one that checks the form of what clients send; a
 //! refusal names the field as clients write it. It knows no session, no connection and no clock.
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]

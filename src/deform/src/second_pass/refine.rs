@@ -5,8 +5,6 @@
 //! positions solve equation (8). Alternating the two on one hierarchy makes rotations follow what handles do by being
 //! moved, to which the first pass is blind. Smoothing adds each node's neighbours' rotations to its own fit (Levi &
 //! Gotsman 2015).
-//!
-//! How far a shape is from moving rigidly piece by piece: the energy that fitting rotations makes smaller.
 
 use crate::body::DeformableBody;
 use crate::first_pass::blend::{

@@ -1,4 +1,4 @@
-//! The second pass: positions that agree best with the local frames (paper section 2.2, equations 8 and 11).
+//! A pose from transforms to positions: both passes in turn, and the second pass itself (paper section 2.2, equations 8 and 11).
 
 use crate::body::DeformableBody;
 use crate::error::Error;

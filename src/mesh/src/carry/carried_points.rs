@@ -130,9 +130,9 @@ impl CarriedPoints {
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::asset::shapes::box_with_cells;
-/// use pliant_core::mesh::carry::SurfaceCarrier;
-/// use pliant_core::pool::Pool;
+/// use pliant_asset::shapes::box_with_cells;
+/// use pliant_mesh::carry::SurfaceCarrier;
+/// use pliant_exec::pool::Pool;
 ///
 /// let (rest, triangles) = box_with_cells(DVec3::ONE, [4, 4, 4]);
 /// // Twice as large and moved: what is inside and what is outside follows.

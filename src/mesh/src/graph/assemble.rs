@@ -394,15 +394,15 @@ fn spread_weights(offsets: &[u32], neighbours: &[u32], adjacency: &Adjacency, of
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::graph::{EdgeWeights, surface};
-/// use pliant_core::mesh::{Mesh, Weld};
+/// use pliant_mesh::graph::{EdgeWeights, surface};
+/// use pliant_mesh::{Mesh, Weld};
 ///
 /// let positions = [DVec3::ZERO, DVec3::X, DVec3::X + DVec3::Y, DVec3::Y];
 /// let square = Mesh::build(&positions, &[[0, 1, 2], [0, 2, 3]], Weld::Exact)?;
 /// let graph = surface(&square, EdgeWeights::Uniform);
 /// assert_eq!((graph.nodes(), graph.edges()), (4, 5));
 /// assert_eq!(graph.row(0), [1, 2, 3]);
-/// # Ok::<(), pliant_core::mesh::Error>(())
+/// # Ok::<(), pliant_mesh::Error>(())
 /// ```
 ///
 /// Time and memory are linear in the number of triangles.

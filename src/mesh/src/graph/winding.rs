@@ -133,8 +133,8 @@ impl SolidAngle {
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::graph::WindingTree;
-/// use pliant_core::pool::Pool;
+/// use pliant_mesh::graph::WindingTree;
+/// use pliant_exec::pool::Pool;
 ///
 /// let positions = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
 /// let tetrahedron = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];

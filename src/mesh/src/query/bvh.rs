@@ -15,8 +15,8 @@ pub(crate) const FAN: usize = 4;
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::mesh::query::TriangleBvh;
-/// use pliant_core::pool::Pool;
+/// use pliant_mesh::query::TriangleBvh;
+/// use pliant_exec::pool::Pool;
 ///
 /// let positions = [DVec3::ZERO, DVec3::X, DVec3::Y];
 /// let triangles = [[0, 1, 2]];

@@ -19,7 +19,7 @@ pub fn closest_parameter_on_segment(p: DVec3, a: DVec3, b: DVec3) -> f64 {
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::mesh::query::closest_point::closest_point_on_segment;
+/// use pliant_mesh::query::closest_point::closest_point_on_segment;
 ///
 /// let above = DVec3::new(0.25, 2.0, 0.0);
 /// assert_eq!(closest_point_on_segment(above, DVec3::ZERO, DVec3::X), DVec3::new(0.25, 0.0, 0.0));
@@ -34,7 +34,7 @@ pub fn closest_point_on_segment(p: DVec3, a: DVec3, b: DVec3) -> DVec3 {
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::mesh::query::closest_point::closest_point_on_triangle;
+/// use pliant_mesh::query::closest_point::closest_point_on_triangle;
 ///
 /// let triangle = [DVec3::ZERO, DVec3::X, DVec3::Y];
 /// let above = DVec3::new(0.25, 0.25, 3.0);

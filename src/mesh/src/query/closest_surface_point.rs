@@ -170,7 +170,7 @@ pub(crate) fn corner_near(positions: &[DVec3], [a, b, c]: [u32; 3], point: DVec3
 /// Faces with a common spoke are in one fan.
 ///
 /// ```
-/// use pliant_core::mesh::query::closest_surface_point::group_fans;
+/// use pliant_mesh::query::closest_surface_point::group_fans;
 ///
 /// // Faces 0 and 1 share the spoke to vertex 8; face 2 has spokes of its own.
 /// let spokes = [(7, 0), (8, 0), (8, 1), (9, 1), (4, 2), (5, 2)];

@@ -1,4 +1,4 @@
-//! Geometry queries that several rooms ask: each concept has one file here, and everybody calls it.
+//! Geometry queries that several modules ask: each concept has one file here.
 //!
 //! [`closest_point`](mod@closest_point) answers for one triangle or one segment, [`closest_surface_point`] groups the faces around a vertex, and
 //! [`TriangleBvh`] is the bounding-volume hierarchy for questions about many triangles: the closest point

@@ -30,8 +30,8 @@ const STRIDE: f64 = 2.0;
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::mesh::query::TriangleCells;
-/// use pliant_core::pool::Pool;
+/// use pliant_mesh::query::TriangleCells;
+/// use pliant_exec::pool::Pool;
 ///
 /// let positions = [DVec3::ZERO, DVec3::X, DVec3::Y];
 /// let triangles = [[0, 1, 2]];
@@ -39,7 +39,7 @@ const STRIDE: f64 = 2.0;
 /// assert!(cells.has_triangle_within(DVec3::new(0.2, 0.2, 0.5), 0.6));
 /// assert!(!cells.has_triangle_within(DVec3::new(0.2, 0.2, 0.5), 0.4));
 /// assert!(cells.is_crossed(DVec3::new(0.2, 0.2, 0.5), DVec3::new(0.2, 0.2, -0.5), None));
-/// # Ok::<(), pliant_core::pool::PoolError>(())
+/// # Ok::<(), pliant_exec::pool::PoolError>(())
 /// ```
 #[derive(Debug)]
 pub struct TriangleCells<'a> {

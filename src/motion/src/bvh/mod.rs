@@ -17,14 +17,14 @@ use std::sync::Arc;
 /// Reads a BVH file. Frames that follow after those declared count too, with a warning.
 ///
 /// ```
-/// use pliant_core::motion::bvh::{ClipLimits, read_bvh};
+/// use pliant_motion::bvh::{ClipLimits, read_bvh};
 ///
 /// let text = b"HIERARCHY\nROOT hip\n{\n OFFSET 0 1 0\n CHANNELS 1 Yrotation\n End Site\n {\n  OFFSET 0 1 0\n }\n}\n\
 ///     MOTION\nFrames: 2\nFrame Time: 0.5\n0\n90\n";
 /// let clip = read_bvh(text, &ClipLimits::default())?;
 /// let turned = clip.pose_at(0.25)[0].rotation;
 /// assert!((turned.y - 22.5f64.to_radians().sin()).abs() < 1e-12);
-/// # Ok::<(), pliant_core::motion::Error>(())
+/// # Ok::<(), pliant_motion::Error>(())
 /// ```
 ///
 /// # Errors

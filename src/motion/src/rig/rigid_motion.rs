@@ -47,7 +47,7 @@ impl RigidMotion {
     ///
     /// ```
     /// use glam::{DQuat, DVec3};
-    /// use pliant_core::motion::rig::RigidMotion;
+    /// use pliant_motion::rig::RigidMotion;
     /// let turn = RigidMotion { rotation: DQuat::from_xyzw(0.0, 1.0, 0.0, 0.0), from: DVec3::X, to: DVec3::Y };
     /// let seen = turn.seen_from(&turn);
     /// assert!(seen.place(DVec3::Z).distance(DVec3::Z) < 1e-15);

@@ -95,8 +95,8 @@ const RUN: usize = 256;
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::{exec::Exec, pool::Pool, progress::Silent};
-/// use pliant_core::motion::skin_weights::{SkinBone, SkinWeightOptions, skin_weights};
+/// use pliant_exec::{Exec, pool::Pool, progress::Silent};
+/// use pliant_motion::skin_weights::{SkinBone, SkinWeightOptions, skin_weights};
 ///
 /// let strip: Vec<DVec3> = (0..9).map(|k| DVec3::new(f64::from(k), 0.0, 0.0)).collect();
 /// let bones = [

@@ -1,6 +1,6 @@
 //! Deadlines of callers (`grpc-timeout`), kept for the whole answer and not only until it begins, and the count of calls.
 //!
-//! Dropping the handler or the body at the deadline is what stops the work: every call of the session floor gives up
+//! Dropping the handler or the body at the deadline is what stops the work: every call of pliant-session gives up
 //! when its future is dropped.
 
 use super::codec::status;

@@ -1,4 +1,4 @@
-//! gRPC and gRPC-Web: decode, call the session floor, encode.
+//! gRPC and gRPC-Web: decode, call pliant-session, encode.
 //!
 //! Everything of tonic stays in this folder; no other part of the server sees its types.
 

@@ -5,8 +5,6 @@
 //! what changes a session is in `commits`, what reads its shape in `shape`, opening in `create`, stopping in `drain`.
 //!
 //! Calls take values that `wire` has read and checked; those that describe a session or an edit answer with its message.
-//!
-//! Who calls: what a tenant may use, and what is noted of what it does.
 
 use crate::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionList, Tenant};
 use crate::audit::audit_entry::{AuditEntry, AuditedAction};

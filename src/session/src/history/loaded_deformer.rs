@@ -190,7 +190,7 @@ impl LoadedDeformer {
         })
     }
 
-    /// Replaces the handles by new ones, for a commit, with at most as many bytes held as there is room for. Until the commit is stored, `load` with the old ones
+    /// Replaces the handles by new ones, for a commit, with at most as many bytes held as there is room for. Until the commit is stored, `load_state` with the old ones
     /// goes back. Where not both fit at a time, the old ones are dropped first, and made again when they are needed.
     pub fn replace_handles(
         &mut self,

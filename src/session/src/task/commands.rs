@@ -1,8 +1,4 @@
-//! The calls that a session's task serves, one at a time.
-//!
-//! Edits of the topology by a session's task.
-//!
-//! What a session's task does for an animation: it prepares it.
+//! The calls that a session's task serves, one at a time: handles, poses, edits, exports, and preparing an animation.
 
 use crate::animation::frame_outbox::PreparedAnimation;
 use crate::animation::frame_outbox::StageReporter;

@@ -62,7 +62,7 @@ impl Hierarchy {
     ///
     ///
     /// ```
-    /// # use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+    /// # use pliant_exec::{Exec, pool::Pool, progress::Silent};
     /// # use pliant_solver::{BuildOptions, Constraints, Hierarchy, WeightedGraph};
     /// # let pool = Pool::new(1)?;
     /// # let exec = Exec::new(&pool, &Silent);

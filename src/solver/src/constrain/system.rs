@@ -53,7 +53,7 @@ impl Hierarchy {
     /// than building; the topology of the hierarchy stays as it is.
     ///
     /// ```
-    /// # use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+    /// # use pliant_exec::{Exec, pool::Pool, progress::Silent};
     /// # use pliant_solver::{BuildOptions, Constraints, Hierarchy, WeightedGraph};
     /// # let pool = Pool::new(1)?;
     /// # let exec = Exec::new(&pool, &Silent);

@@ -1,7 +1,5 @@
 //! One group of columns and everything that iterating it needs: when a solve stops, its outcome, and the report that the
-//! caller receives after every iteration.
-//!
-//! Scratch that solves share.
+//! caller receives after every iteration; and the vectors that solves share.
 
 use crate::lanes::{Lanes, WIDTH, WideLanes, resize_untouched};
 use crate::options::SolveMethod;

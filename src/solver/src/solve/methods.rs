@@ -143,7 +143,7 @@ impl LinearEquations<'_> {
     /// b is 0 gives 0 if its residual is 0, else infinity.
     ///
     /// ```
-    /// # use pliant_solver::{exec::Exec, pool::Pool, progress::Silent};
+    /// # use pliant_exec::{Exec, pool::Pool, progress::Silent};
     /// # use pliant_solver::{BuildOptions, Constraints, Hierarchy, WeightedGraph};
     /// # let pool = Pool::new(1)?;
     /// # let exec = Exec::new(&pool, &Silent);

@@ -1,8 +1,6 @@
 //! Poses of a drag: the second pass solved on the rows of the hierarchy, from one frame to the next, in single precision.
 //!
-//! What a frame of a drag may leave to be done once it is out.
-//!
-//! Where earlier poses explain a pose well enough there is no iteration, and what is left of the residual adds up from frame to
+//! A frame may leave work until it is out. Where earlier poses explain a pose well enough there is no iteration, and what is left of the residual adds up from frame to
 //! frame until one of them needs a cycle and takes twice as long. Solved between frames, where a drag has time, it adds up no more.
 
 use crate::build::hierarchy::Hierarchy;

@@ -1,6 +1,4 @@
 //! One part of a frame, from its vertices to the bytes that are sent: its numbers are written once.
-//!
-//! The parts of a frame, in order.
 
 use super::numbers::{
     PickedVertices, Steps, VertexNumbers, push_padded_steps, put_floats, put_steps, take_differences,

@@ -2,8 +2,6 @@
 //!
 //! Differences are formed from it when a frame is sent, so that a frame which was never sent leaves no gap. Steps are
 //! whole numbers and differences wrap, so no error adds up: a reader that adds every difference has the exact steps.
-//!
-//! What frames carry, and how their numbers are written.
 
 use super::output::{FrameEncoding, FrameOutput};
 use super::pb::frame;

@@ -59,12 +59,12 @@ pub fn estimate_nodes(mesh: &Mesh, kind: InteriorKind) -> usize {
 ///
 /// ```
 /// use glam::DVec3;
-/// use pliant_core::asset::shapes::box_with_cells;
-/// use pliant_core::exec::Exec;
-/// use pliant_core::graph::{VolumeOptions, volume};
-/// use pliant_core::mesh::{Mesh, Weld};
-/// use pliant_core::pool::Pool;
-/// use pliant_core::progress::Silent;
+/// use pliant_asset::shapes::box_with_cells;
+/// use pliant_exec::Exec;
+/// use pliant_mesh::graph::{VolumeOptions, volume};
+/// use pliant_mesh::{Mesh, Weld};
+/// use pliant_exec::pool::Pool;
+/// use pliant_exec::progress::Silent;
 ///
 /// let (positions, triangles) = box_with_cells(DVec3::ONE, [6, 6, 6]);
 /// let mesh = Mesh::build(&positions, &triangles, Weld::Exact).expect("a box");
@@ -72,7 +72,7 @@ pub fn estimate_nodes(mesh: &Mesh, kind: InteriorKind) -> usize {
 /// let graph = volume(&mesh, &VolumeOptions::default(), &Exec::new(&pool, &Silent))?.expect("a box has an inside");
 /// assert_eq!(graph.surface, mesh.positions.len());
 /// assert!(graph.stats.lattice_nodes > 0 && graph.nodes() > graph.surface);
-/// # Ok::<(), pliant_core::graph::Error>(())
+/// # Ok::<(), pliant_mesh::graph::Error>(())
 /// ```
 ///
 /// # Errors
