@@ -31,8 +31,11 @@
 //!    content alone must distinguish a text format from others.
 //! 5. Say it where people and other languages read: the comments of `format` in `proto/pliant/v1/pliant.proto` (then
 //!    `proto/clients/python/generate` and `npm run generate` in `proto/clients/typescript`), `deploy/docs/formats.md`,
-//!    `proto/clients/python/pliant/model.py` (extensions), the help of `src/cli`, and the viewer's `src/app/opening.ts` and
-//!    `src/ui/TopBar.tsx`.
+//!    `tour.md`, `FORMAT` and `OPENED_FORMAT` in `src/server/src/http/route_table.rs`, Python's `model.py`, `options.py` and
+//!    `batch/jobs.py`, TypeScript's `session.ts` and `client.ts`, the help of `src/cli` and `loadtest`, and the viewer's
+//!    `src/app/opening.ts` and `src/ui/TopBar.tsx`.
+//! 6. Test it: seeds in `tests/assets/roundtrip_text.rs` and `tests/fuzz/corpora.rs`, a target in `tests/fuzz/targets/mod.rs`; tests that
+//!    spell the list of formats fail until they name it.
 
 mod fbx;
 mod gltf;
