@@ -56,7 +56,7 @@ fn bone(nodes: &[Value], name: &str) -> f64 {
 #[test]
 fn what_followed_of_the_figure_is_reported_in_numbers_and_in_a_line() {
     let folder = workplace();
-    let (reply, line) = followed(&folder, "figure.glb", &stretched_figure(0.2)).expect("told");
+    let (reply, line) = followed(&folder, "figure.glb", &stretched_figure(0.2)).expect("a report");
     let (joints, moved) = (17, reply["movedJoints"].as_u64().expect("a number"));
     assert!(reply["joints"] == joints && (10..=joints).contains(&moved), "{reply}");
     assert!(
@@ -91,9 +91,9 @@ fn what_stays_is_reported_as_nothing_of_so_many() {
     let folder = workplace();
     let mut job = stretched_figure(0.2);
     job["create"]["rig"] = "KEEP".into();
-    let (_, line) = followed(&folder, "figure.glb", &job).expect("told");
+    let (_, line) = followed(&folder, "figure.glb", &job).expect("a report");
     assert_eq!(line, "0 of 17 joints, 0 of 2 clips, 3 of 3 passenger primitives");
-    let (reply, line) = followed(&folder, "figure.glb", &json!({})).expect("told");
+    let (reply, line) = followed(&folder, "figure.glb", &json!({})).expect("a report");
     assert_eq!(line, "0 of 17 joints, 0 of 2 clips");
     assert_eq!(reply["farthest"], json!([]));
 }
@@ -105,7 +105,7 @@ fn nodes_that_ride_along_are_counted_beside_primitives() {
     let riders = json!([{"primitivesNamed": "lod1"}, {"primitivesNamed": "lod2"}, {"primitivesNamed": "hull"},
         {"nodesNamed": "hatSocket"}]);
     job["create"]["passengers"] = riders.clone();
-    let mentioned = |job: &Value| followed(&folder, "figure.glb", job).expect("told");
+    let mentioned = |job: &Value| followed(&folder, "figure.glb", job).expect("a report");
     let (reply, line) = mentioned(&job);
     assert!(
         line.ends_with("3 of 3 passenger primitives, 1 of 1 passenger node"),
@@ -138,13 +138,15 @@ fn nothing_is_reported_of_a_model_without_anything_of_the_kind() {
 #[test]
 fn an_edited_figure_reports_what_followed_from_the_uploaded_file() {
     let folder = workplace();
-    let plain = followed(&folder, "figure.glb", &stretched_figure(0.2)).expect("told").0;
+    let plain = followed(&folder, "figure.glb", &stretched_figure(0.2))
+        .expect("a report")
+        .0;
     // The shape becomes the rest pose of an edit that takes nothing from what joints hold but some triangles.
     let mut job = stretched_figure(0.2);
     let edit = json!({"edit": {"subdivide": {"region": {"halfSpace": {"normal": [0, 1, 0], "offset": 1.6}}}, "on": "CURRENT"}});
     let steps = job["steps"].as_array_mut().expect("steps");
     steps.push(edit);
-    let reply = followed(&folder, "figure.glb", &job).expect("told").0;
+    let reply = followed(&folder, "figure.glb", &job).expect("a report").0;
     for same in [
         "joints",
         "movedJoints",
@@ -171,7 +173,7 @@ fn morph_targets_that_turned_are_counted_and_those_that_did_not() {
         json!({"handles": [{"id": "all", "region": {"halfSpace": {"normal": [0, 1, 0], "offset": -1e6}},
             "pose": {"rotationVector": vector, "translation": [1, 0, 0]}}]})
     };
-    let line = |job: &Value| followed(&folder, model, job).expect("told").1;
+    let line = |job: &Value| followed(&folder, model, job).expect("a report").1;
     assert_eq!(line(&turned([0.0, 0.5, 0.0])), "2 of 2 morph targets");
     assert_eq!(line(&turned([0.0; 3])), "0 of 2 morph targets");
     let mut edited = turned([0.0, 0.5, 0.0]);

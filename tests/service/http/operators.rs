@@ -375,7 +375,7 @@ async fn every_line_is_json_where_the_log_is() {
     assert_eq!(said("listening on http://0.0.0.0:"), 1, "{messages:?}");
     assert_eq!(said("what clients send is not encrypted"), 1);
     assert_eq!(said("GET /v1/sessions/nobody"), 1, "each call has its line");
-    assert_eq!(said("to try: curl"), 4, "what to try is told as lines too");
+    assert_eq!(said("to try: curl"), 4, "what to try is logged as lines too");
     assert_eq!(said("stopped"), 1);
 }
 

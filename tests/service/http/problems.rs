@@ -58,7 +58,7 @@ GET /v1/sessions/{id}/positions?x=1 | -           | -      | 400 INVALID_ARGUMEN
 GET /v1/sessions/{id}/stream   | -                | -      | 426 INVALID_ARGUMENT    | -         | WebSocket
 "#;
 
-const NO_HANDLE: &str = "00000000000000000000000000000000";
+const UNKNOWN_SESSION: &str = "00000000000000000000000000000000";
 
 #[tokio::test(flavor = "multi_thread")]
 async fn problems_say_what_where_and_what_is_allowed() {
@@ -78,7 +78,7 @@ async fn problems_say_what_where_and_what_is_allowed() {
         cell => cell
             .replace("{id}", &id)
             .replace("{bare}", &bare)
-            .replace("{unknown}", NO_HANDLE),
+            .replace("{unknown}", UNKNOWN_SESSION),
     };
     for case @ [call, kind, body, outcome, field, words] in rows(CASES) {
         let (method, path) = call.split_once(' ').expect("method and path");
@@ -120,14 +120,14 @@ async fn problems_say_what_where_and_what_is_allowed() {
             field => assert_eq!(problem["errors"][0]["field"], field, "{case:?}: {problem}"),
         }
     }
-    let whole = server.document(&format!("/v1/sessions/{NO_HANDLE}")).await;
+    let whole = server.document(&format!("/v1/sessions/{UNKNOWN_SESSION}")).await;
     let expected = json!({
         "type": "urn:pliant:problem:not-found",
         "title": "not found",
         "status": 404,
-        "detail": format!("no session \"{NO_HANDLE}\"; it may have expired or been deleted"),
+        "detail": format!("no session \"{UNKNOWN_SESSION}\"; it may have expired or been deleted"),
         "code": "NOT_FOUND",
-        "instance": format!("/v1/sessions/{NO_HANDLE}"),
+        "instance": format!("/v1/sessions/{UNKNOWN_SESSION}"),
     });
     assert_eq!(whole, expected);
     // Nothing that was refused left a trace.

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use tokio_tungstenite::tungstenite;
 
-const NO_HANDLES: &str = "0123456789abcdef0123456789abcdef";
+const UNKNOWN_SESSION: &str = "0123456789abcdef0123456789abcdef";
 
 /// Bodies that calls could have, sensible ones among them.
 const BODIES: [(&str, &str); 8] = [
@@ -125,7 +125,7 @@ async fn every_path_answers_as_for_a_session_that_never_was() {
                         }
                         reply(request.body(body), id).await
                     };
-                    let (other, none) = (ask(&theirs).await, ask(NO_HANDLES).await);
+                    let (other, none) = (ask(&theirs).await, ask(UNKNOWN_SESSION).await);
                     assert_eq!(other, none, "{method} {path} {body}");
                     assert_eq!(other.status, 404, "{method} {path} {body}: {other:?}");
                     asked += 1;
@@ -180,7 +180,7 @@ async fn every_rpc_answers_as_for_a_session_that_never_was() {
             let call = server.post(&path).header("content-type", "application/grpc-web+proto");
             reply(call.header("idempotency-key", "key").body(framed), id).await
         };
-        let (other, none) = (ask(&theirs).await, ask(NO_HANDLES).await);
+        let (other, none) = (ask(&theirs).await, ask(UNKNOWN_SESSION).await);
         assert_eq!(other, none, "{path}");
         let reply = format!("{:?} {}", other.headers, String::from_utf8_lossy(&other.body));
         assert!(
@@ -207,7 +207,7 @@ async fn nor_do_sockets_lists_merges_and_limits_show_it() {
             without_id(answer.body().as_deref().unwrap_or_default(), id),
         )
     };
-    assert_eq!(socket(&theirs).await, socket(NO_HANDLES).await);
+    assert_eq!(socket(&theirs).await, socket(UNKNOWN_SESSION).await);
 
     let own = server
         .post("/v1/sessions")
@@ -220,7 +220,7 @@ async fn nor_do_sockets_lists_merges_and_limits_show_it() {
         let body = json!({"on": "REST", "merge": {"session": id}});
         reply(http().post(&edits).json(&body), id).await
     };
-    let (other, none) = (merge(&theirs).await, merge(NO_HANDLES).await);
+    let (other, none) = (merge(&theirs).await, merge(UNKNOWN_SESSION).await);
     assert_eq!(other, none);
     assert!((400..500).contains(&other.status), "{other:?}");
 
@@ -258,7 +258,7 @@ async fn sessions_of_the_store_are_their_tenants_alone() {
     ] {
         let other = ask(method.clone(), rest, &id).await;
         assert_eq!(other.status, 404, "{other:?}");
-        assert_eq!(other, ask(method, rest, NO_HANDLES).await);
+        assert_eq!(other, ask(method, rest, UNKNOWN_SESSION).await);
     }
     let list = reply(server.get("/v1/sessions"), &id).await;
     let list: Value = serde_json::from_slice(&list.body).expect("JSON");

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 /// A triangle alone: a surface without an inside.
 const OPEN_SHEET: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
 
-const NO_HANDLE: &str = "00000000000000000000000000000000";
+const UNKNOWN_SESSION: &str = "00000000000000000000000000000000";
 
 /// Provocation | method, path | content type | body. `{id}` is a session with handles, `{bare}` one without.
 const CALLS: &str = r#"
@@ -21,7 +21,7 @@ a line that is broken       | POST /v1/sessions?format=obj   | -                
 an inside that is required  | POST /v1/sessions?format=obj&volumeGraph=REQUIRED | - | {sheet}
 a model that is too large   | POST /v1/sessions              | -                | {large model}
 an upload that is too large | POST /v1/sessions?format=obj   | -                | {large upload}
-a session that is gone      | GET /v1/sessions/{nobody}      | -                | -
+a session that is gone      | GET /v1/sessions/{unknown}      | -                | -
 no handles yet              | POST /v1/sessions/{bare}/solve | application/json | {}
 a handle that is none       | POST /v1/sessions/{id}/solve   | application/json | {"pose": {"handles": [{"id": "nose"}]}}
 a region beside the model   | PUT /v1/sessions/{id}/handles  | application/json | {"handles": [{"id": "a", "region": {"sphere": {"center": [9, 9, 9], "radius": 1}}}]}
@@ -78,7 +78,7 @@ pub async fn provoke() -> Vec<Said> {
         cell => cell
             .replace("{id}", &id)
             .replace("{bare}", &bare)
-            .replace("{nobody}", NO_HANDLE),
+            .replace("{unknown}", UNKNOWN_SESSION),
     };
     let mut said = Vec::new();
     for [by, call, kind, body] in rows(CALLS) {
@@ -89,7 +89,7 @@ pub async fn provoke() -> Vec<Said> {
         if kind != "-" {
             request = request.header("content-type", kind);
         }
-        let text = detail(request).await.replace(NO_HANDLE, "ID");
+        let text = detail(request).await.replace(UNKNOWN_SESSION, "ID");
         said.push(Said { by, text });
     }
     said.extend(of_streams(&server, &id).await);

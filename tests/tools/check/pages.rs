@@ -382,7 +382,7 @@ fn the_workflows_name_what_a_release_makes() {
     let attach = script(&text, "- name: Attach", "run:");
     assert!(
         attach.contains("target/release-files/* --draft --verify-tag"),
-        "nothing is published by itself: {attach}"
+        "nothing is published without a person: {attach}"
     );
     assert!(
         text.contains("restore-keys:"),
