@@ -1,12 +1,10 @@
 //! What an accessor's bytes mean: layout, component types, sparse overrides, dequantisation.
 
-use super::buffers::BufferBytes;
-use super::document::GltfDocument;
-use super::schema::{BufferView, GltfAccessor};
+use super::document::{GltfDocument, ParsedDocument};
+use super::schema::{BufferView, GltfAccessor, MeshPrimitive, WholeNumber};
 use crate::Error;
 use crate::files::within;
 use glam::Vec3;
-use std::collections::BTreeSet;
 
 /// Type of one number, as the `gltf` crate names it.
 pub(super) use gltf::json::accessor::ComponentType;
@@ -53,13 +51,8 @@ pub(super) struct AccessorLayout {
 }
 
 impl AccessorLayout {
-    /// The layout of an accessor of a document; `None` as for [`AccessorLayout::of`], or where there is no such accessor.
-    pub(super) fn find(doc: &GltfDocument<'_>, index: usize) -> Option<Self> {
-        Self::of(doc.accessors.get(index)?, doc.views.values)
-    }
-
     /// The layout, or `None` for a component type or shape that glTF 2.0 does not know.
-    pub(super) fn of(accessor: &GltfAccessor, views: &[BufferView]) -> Option<Self> {
+    fn of(accessor: &GltfAccessor, views: &[BufferView]) -> Option<Self> {
         let component = component_of(accessor.component_type.0)?;
         let (columns, rows) = match accessor.shape.as_str() {
             "SCALAR" => (1, 1),
@@ -78,10 +71,8 @@ impl AccessorLayout {
         } else {
             column
         };
-        let stride = accessor
-            .buffer_view
-            .and_then(|v| views.get(v.index()))
-            .and_then(|v| v.byte_stride);
+        let view = accessor.buffer_view.and_then(|v| views.get(v.index()));
+        let stride = view.and_then(|v| v.byte_stride);
         Some(Self {
             component,
             lanes: columns * rows,
@@ -90,18 +81,6 @@ impl AccessorLayout {
             column: (rows, pitch),
         })
     }
-}
-
-/// As [`read_values`], after decompressing what the accessor needs.
-pub(super) fn decode_values(
-    doc: &GltfDocument<'_>,
-    buffers: &mut BufferBytes,
-    index: usize,
-    layout: AccessorLayout,
-) -> Result<Vec<f32>, Error> {
-    check_unbacked(doc, index, layout)?;
-    buffers.decode_for(doc, &BTreeSet::from([index]))?;
-    read_values(doc, buffers, index, layout)
 }
 
 /// Which numbers an attribute may be stored as.
@@ -136,231 +115,200 @@ impl ShapeAttribute {
     }
 }
 
-/// Checks that an accessor may be used in a role, and returns how it lies.
-pub(super) fn check_role(doc: &GltfDocument<'_>, index: usize, role: ShapeAttribute) -> Result<AccessorLayout, Error> {
-    let place = || format!("accessors/{index}");
-    let Some(accessor) = doc.accessors.get(index) else {
-        return Err(doc.fault.malformed(place(), "does not exist"));
-    };
-    if accessor.shape != role.shape() {
-        let problem = format!(
-            "{} has type {:?}, {} is needed",
-            role.name(),
-            accessor.shape,
-            role.shape()
-        );
-        return Err(doc.fault.malformed(place() + "/type", problem));
+impl ParsedDocument {
+    /// How the elements of an accessor lie; `None` for a component type or shape that glTF 2.0 does not know, or where there is no such accessor.
+    pub(super) fn layout(&self, index: usize) -> Option<AccessorLayout> {
+        AccessorLayout::of(self.accessors.get(index)?, &self.views.values)
     }
-    let Some(layout) = AccessorLayout::of(accessor, doc.views.values) else {
-        let problem = format!("{} is not a glTF component type", accessor.component_type.0);
-        return Err(doc.fault.malformed(place() + "/componentType", problem));
-    };
-    let quantised = match layout.component {
-        ComponentType::F32 => return Ok(layout),
-        ComponentType::I8 | ComponentType::I16 => role == ShapeAttribute::Position || accessor.normalized,
-        ComponentType::U8 | ComponentType::U16 => role == ShapeAttribute::Position,
-        ComponentType::U32 => false,
-    };
-    if quantised && doc.uses("KHR_mesh_quantization") {
-        return Ok(layout);
-    }
-    let problem = format!(
-        "{} has component type {}; 5126 (float) is needed, or a type that KHR_mesh_quantization allows",
-        role.name(),
-        accessor.component_type.0
-    );
-    Err(doc.fault.malformed(place() + "/componentType", problem))
 }
 
-/// All elements of an attribute in file order, lane by lane, as floats. Compressed views must be decoded. Normals and tangents
-/// that are stored as integers come out at unit length, which rounding to integers took from them.
-pub(super) fn read_floats(
-    doc: &GltfDocument<'_>,
-    buffers: &BufferBytes,
-    index: usize,
-    role: ShapeAttribute,
-) -> Result<Vec<f32>, Error> {
-    let layout = check_role(doc, index, role)?;
-    let mut values = read_values(doc, buffers, index, layout)?;
-    if role != ShapeAttribute::Position && layout.component != ComponentType::F32 {
-        for element in values.chunks_exact_mut(layout.lanes) {
-            let unit = Vec3::from_slice(element).as_dvec3().try_normalize();
-            if let Some(unit) = unit {
-                element[..3].copy_from_slice(&unit.as_vec3().to_array());
+impl GltfDocument<'_> {
+    /// A fault of an accessor, at a place inside it.
+    fn bad_accessor(&self, index: usize, inside: &str, problem: impl Into<String>) -> Error {
+        self.fault.malformed(format!("accessors/{index}{inside}"), problem)
+    }
+
+    fn find_accessor(&self, index: usize) -> Result<&GltfAccessor, Error> {
+        let found = self.accessors.get(index);
+        found.ok_or_else(|| self.bad_accessor(index, "", "does not exist"))
+    }
+
+    fn short(&self, index: usize) -> Error {
+        self.bad_accessor(index, "", "reaches past the end of its buffer view")
+    }
+
+    /// Checks that an accessor may be used in a role, and returns how it lies.
+    pub(super) fn check_role(&self, index: usize, role: ShapeAttribute) -> Result<AccessorLayout, Error> {
+        let accessor = self.find_accessor(index)?;
+        let (name, seen, needed) = (role.name(), &accessor.shape, role.shape());
+        if seen != needed {
+            let problem = format!("{name} has type {seen:?}, {needed} is needed");
+            return Err(self.bad_accessor(index, "/type", problem));
+        }
+        let component = accessor.component_type.0;
+        let Some(layout) = self.layout(index) else {
+            let problem = format!("{component} is not a glTF component type");
+            return Err(self.bad_accessor(index, "/componentType", problem));
+        };
+        let quantised = match layout.component {
+            ComponentType::F32 => return Ok(layout),
+            ComponentType::I8 | ComponentType::I16 => role == ShapeAttribute::Position || accessor.normalized,
+            ComponentType::U8 | ComponentType::U16 => role == ShapeAttribute::Position,
+            ComponentType::U32 => false,
+        };
+        if quantised && self.uses("KHR_mesh_quantization") {
+            return Ok(layout);
+        }
+        let problem = format!(
+            "{name} has component type {component}; 5126 (float) is needed, or a type that KHR_mesh_quantization allows"
+        );
+        Err(self.bad_accessor(index, "/componentType", problem))
+    }
+
+    /// All elements of an attribute in file order, lane by lane, as floats. Normals and tangents that are stored as integers
+    /// come out at unit length, which rounding to integers took from them.
+    pub(super) fn read_floats(&self, index: usize, role: ShapeAttribute) -> Result<Vec<f32>, Error> {
+        let layout = self.check_role(index, role)?;
+        let mut values = self.read_values(index, layout)?;
+        if role != ShapeAttribute::Position && layout.component != ComponentType::F32 {
+            for element in values.chunks_exact_mut(layout.lanes) {
+                let unit = Vec3::from_slice(element).as_dvec3().try_normalize();
+                if let Some(unit) = unit {
+                    element[..3].copy_from_slice(&unit.as_vec3().to_array());
+                }
             }
         }
+        Ok(values)
     }
-    Ok(values)
-}
 
-/// All elements of an accessor of any kind, lane by lane, as floats. Compressed views must be decoded.
-pub(super) fn read_values(
-    doc: &GltfDocument<'_>,
-    buffers: &BufferBytes,
-    index: usize,
-    layout: AccessorLayout,
-) -> Result<Vec<f32>, Error> {
-    let Some(accessor) = doc.accessors.get(index) else {
-        return Err(doc.fault.malformed(format!("accessors/{index}"), "does not exist"));
-    };
-    let count = accessor.count.index();
-    let mut values = Vec::new();
-    if let Some(view) = accessor.buffer_view {
-        let bytes = buffers.view(doc, view.index())?;
-        values.reserve_exact(count.min(bytes.len()) * layout.lanes);
-        read_run(
-            bytes,
-            accessor.offset(),
-            layout,
-            accessor.normalized,
-            count,
-            &mut values,
-        )
-        .ok_or_else(|| short(doc, index))?;
-    } else {
-        check_unbacked(doc, index, layout)?;
-        values.resize(count * layout.lanes, 0.0);
+    /// An attribute of a primitive as [`GltfDocument::read_floats`] gives it; `None` where the primitive has none.
+    pub(super) fn read_attribute(
+        &self,
+        primitive: &MeshPrimitive,
+        role: ShapeAttribute,
+    ) -> Result<Option<Vec<f32>>, Error> {
+        let accessor = primitive.attribute(role.name());
+        accessor.map(|accessor| self.read_floats(accessor, role)).transpose()
     }
-    let Some(sparse) = &accessor.sparse else {
-        return Ok(values);
-    };
-    let overrides = buffers.view(doc, sparse.values.buffer_view.index())?;
-    let packed = AccessorLayout {
-        stride: layout.element,
-        ..layout
-    };
-    let mut replaced = Vec::new();
-    read_run(
-        overrides,
-        sparse.values.byte_offset.0,
-        packed,
-        accessor.normalized,
-        sparse.count.index(),
-        &mut replaced,
-    )
-    .ok_or_else(|| short(doc, index))?;
-    let targets = sparse_indices(doc, buffers, index)?;
-    for (target, from) in targets.into_iter().zip(replaced.chunks_exact(layout.lanes)) {
-        values[target * layout.lanes..][..layout.lanes].copy_from_slice(from);
-    }
-    Ok(values)
-}
 
-/// An accessor without a view costs no bytes in the file, so its count proves nothing; what it may take is bounded by
-/// the file that asks for it.
-pub(super) fn check_unbacked(doc: &GltfDocument<'_>, index: usize, layout: AccessorLayout) -> Result<(), Error> {
-    let accessor = &doc.accessors.values[index];
-    if accessor.buffer_view.is_some() {
-        return Ok(());
-    }
-    let limit = 1_048_576 + 64 * doc.text.len() as u64;
-    let seen = accessor.count.0.saturating_mul(layout.element);
-    within("size in bytes of an accessor without a buffer view", seen, limit)
-}
-
-/// The elements that an accessor's sparse values replace, ascending; none when it is not sparse. Compressed views must be
-/// decoded.
-pub(super) fn sparse_indices(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) -> Result<Vec<usize>, Error> {
-    let accessor = &doc.accessors.values[index];
-    let Some(sparse) = &accessor.sparse else {
-        return Ok(Vec::new());
-    };
-    let Some(component) = component_of(sparse.indices.component_type.0) else {
-        return Err(short(doc, index));
-    };
-    let bytes = buffers.view(doc, sparse.indices.buffer_view.index())?;
-    let indices = read_whole(
-        bytes,
-        sparse.indices.byte_offset.0,
-        component,
-        component.size() as u64,
-        sparse.count.index(),
-    )
-    .ok_or_else(|| short(doc, index))?;
-    let mut next = 0;
-    for (i, &target) in indices.iter().enumerate() {
-        if u64::from(target) < next || u64::from(target) >= accessor.count.0 {
-            let problem = format!(
-                "index {target} at {i}; indices must increase and stay below {}",
-                accessor.count.0
-            );
-            return Err(doc
-                .fault
-                .malformed(format!("accessors/{index}/sparse/indices"), problem));
+    /// All elements of an accessor of any kind, lane by lane, as floats.
+    pub(super) fn read_values(&self, index: usize, layout: AccessorLayout) -> Result<Vec<f32>, Error> {
+        let accessor = self.find_accessor(index)?;
+        let count = accessor.count.index();
+        let mut values = Vec::new();
+        let read_run = |bytes, offset, layout, count, into: &mut Vec<f32>| {
+            read_run(bytes, offset, layout, accessor.normalized, count, into).ok_or_else(|| self.short(index))
+        };
+        if let Some(view) = accessor.buffer_view {
+            let bytes = self.view(view.index())?;
+            values.reserve_exact(count.min(bytes.len()) * layout.lanes);
+            read_run(bytes, accessor.offset(), layout, count, &mut values)?;
+        } else {
+            self.check_unbacked(index, layout)?;
+            values.resize(count * layout.lanes, 0.0);
         }
-        next = u64::from(target) + 1;
+        let Some(sparse) = &accessor.sparse else {
+            return Ok(values);
+        };
+        let packed = AccessorLayout {
+            stride: layout.element,
+            ..layout
+        };
+        let (at, mut replaced) = (&sparse.values, Vec::new());
+        let bytes = self.view(at.buffer_view.index())?;
+        read_run(bytes, at.byte_offset.0, packed, sparse.count.index(), &mut replaced)?;
+        let targets = self.sparse_indices(index)?;
+        for (target, from) in targets.into_iter().zip(replaced.chunks_exact(layout.lanes)) {
+            values[target * layout.lanes..][..layout.lanes].copy_from_slice(from);
+        }
+        Ok(values)
     }
-    Ok(indices.into_iter().map(|t| t as usize).collect())
-}
 
-/// The indices of a primitive. Compressed views must be decoded.
-pub(super) fn read_indices(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) -> Result<Vec<u32>, Error> {
-    let place = || format!("accessors/{index}");
-    let Some(accessor) = doc.accessors.get(index) else {
-        return Err(doc.fault.malformed(place(), "does not exist"));
-    };
-    let layout = AccessorLayout::of(accessor, doc.views.values)
-        .filter(|l| l.lanes == 1 && matches!(l.component, ComponentType::U8 | ComponentType::U16 | ComponentType::U32));
-    let Some(layout) = layout.filter(|_| !accessor.normalized) else {
-        let problem = format!(
-            "indices of component type {} and type {:?}; SCALAR of 5121, 5123 or 5125, not normalized, is needed",
-            accessor.component_type.0, accessor.shape
-        );
-        return Err(doc.fault.malformed(place(), problem));
-    };
-    let Some(view) = accessor.buffer_view else {
-        check_unbacked(doc, index, layout)?;
-        let mut indices = vec![0; accessor.count.index()];
-        return apply_sparse_indices(doc, buffers, index, layout, &mut indices).map(|()| indices);
-    };
-    if let Some(stride) = doc.views.get(view.index()).and_then(|v| v.byte_stride)
-        && stride.0 != layout.element
-    {
-        let problem = format!("a view of indices must be packed, it has a stride of {}", stride.0);
-        return Err(doc
-            .fault
-            .malformed(format!("bufferViews/{}/byteStride", view.0), problem));
+    /// An accessor without a view costs no bytes in the file, so its count proves nothing; what it may take is bounded by
+    /// the file that asks for it.
+    pub(super) fn check_unbacked(&self, index: usize, layout: AccessorLayout) -> Result<(), Error> {
+        let accessor = &self.accessors.values[index];
+        if accessor.buffer_view.is_some() {
+            return Ok(());
+        }
+        let limit = 1_048_576 + 64 * self.text.len() as u64;
+        let seen = accessor.count.0.saturating_mul(layout.element);
+        within("size in bytes of an accessor without a buffer view", seen, limit)
     }
-    let bytes = buffers.view(doc, view.index())?;
-    let mut indices = read_whole(
-        bytes,
-        accessor.offset(),
-        layout.component,
-        layout.stride,
-        accessor.count.index(),
-    )
-    .ok_or_else(|| short(doc, index))?;
-    apply_sparse_indices(doc, buffers, index, layout, &mut indices).map(|()| indices)
-}
 
-fn apply_sparse_indices(
-    doc: &GltfDocument<'_>,
-    buffers: &BufferBytes,
-    index: usize,
-    layout: AccessorLayout,
-    indices: &mut [u32],
-) -> Result<(), Error> {
-    let Some(sparse) = &doc.accessors.values[index].sparse else {
-        return Ok(());
-    };
-    let bytes = buffers.view(doc, sparse.values.buffer_view.index())?;
-    let values = read_whole(
-        bytes,
-        sparse.values.byte_offset.0,
-        layout.component,
-        layout.element,
-        sparse.count.index(),
-    )
-    .ok_or_else(|| short(doc, index))?;
-    for (target, value) in sparse_indices(doc, buffers, index)?.into_iter().zip(values) {
-        indices[target] = value;
+    /// The elements that an accessor's sparse values replace, ascending; none when it is not sparse.
+    pub(super) fn sparse_indices(&self, index: usize) -> Result<Vec<usize>, Error> {
+        let accessor = &self.accessors.values[index];
+        let Some(sparse) = &accessor.sparse else {
+            return Ok(Vec::new());
+        };
+        let (at, count) = (&sparse.indices, sparse.count.index());
+        let Some(component) = component_of(at.component_type.0) else {
+            return Err(self.short(index));
+        };
+        let bytes = self.view(at.buffer_view.index())?;
+        let indices = read_whole(bytes, at.byte_offset.0, component, component.size() as u64, count);
+        let indices = indices.ok_or_else(|| self.short(index))?;
+        let mut next = 0;
+        for (i, &target) in indices.iter().enumerate() {
+            if u64::from(target) < next || u64::from(target) >= accessor.count.0 {
+                let most = accessor.count.0;
+                let problem = format!("index {target} at {i}; indices must increase and stay below {most}");
+                return Err(self.bad_accessor(index, "/sparse/indices", problem));
+            }
+            next = u64::from(target) + 1;
+        }
+        Ok(indices.into_iter().map(|t| t as usize).collect())
     }
-    Ok(())
-}
 
-fn short(doc: &GltfDocument<'_>, index: usize) -> Error {
-    doc.fault
-        .malformed(format!("accessors/{index}"), "reaches past the end of its buffer view")
+    /// The indices of a primitive.
+    pub(super) fn read_indices(&self, index: usize) -> Result<Vec<u32>, Error> {
+        let accessor = self.find_accessor(index)?;
+        let is_index = |l: &AccessorLayout| {
+            let kinds = [ComponentType::U8, ComponentType::U16, ComponentType::U32];
+            l.lanes == 1 && kinds.contains(&l.component) && !accessor.normalized
+        };
+        let Some(layout) = self.layout(index).filter(is_index) else {
+            let problem = format!(
+                "indices of component type {} and type {:?}; SCALAR of 5121, 5123 or 5125, not normalized, is needed",
+                accessor.component_type.0, accessor.shape
+            );
+            return Err(self.bad_accessor(index, "", problem));
+        };
+        let read = |view: usize, offset: u64, stride: u64, count: usize| {
+            let whole = read_whole(self.view(view)?, offset, layout.component, stride, count);
+            whole.ok_or_else(|| self.short(index))
+        };
+        let count = accessor.count.index();
+        let mut indices = match accessor.buffer_view.map(WholeNumber::index) {
+            None => {
+                self.check_unbacked(index, layout)?;
+                vec![0; count]
+            }
+            Some(view) => {
+                if let Some(stride) = self.views.get(view).and_then(|v| v.byte_stride)
+                    && stride.0 != layout.element
+                {
+                    let problem = format!("a view of indices must be packed, it has a stride of {}", stride.0);
+                    return Err(self.fault.malformed(format!("bufferViews/{view}/byteStride"), problem));
+                }
+                read(view, accessor.offset(), layout.stride, count)?
+            }
+        };
+        if let Some(sparse) = &accessor.sparse {
+            let at = &sparse.values;
+            let values = read(
+                at.buffer_view.index(),
+                at.byte_offset.0,
+                layout.element,
+                sparse.count.index(),
+            )?;
+            for (target, value) in self.sparse_indices(index)?.into_iter().zip(values) {
+                indices[target] = value;
+            }
+        }
+        Ok(indices)
+    }
 }
 
 fn read_run(

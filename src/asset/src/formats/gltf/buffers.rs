@@ -3,7 +3,7 @@
 use super::compressed;
 use super::container::GltfFault;
 use super::document::GltfDocument;
-use super::schema::BufferView;
+use super::schema::{BufferView, GltfAccessor};
 use crate::files::ReadWatch;
 use crate::{Error, FileSet};
 use base64::Engine as _;
@@ -13,7 +13,8 @@ use base64::engine::general_purpose::{GeneralPurpose, GeneralPurposeConfig};
 use bytes::Bytes;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
 use std::borrow::Cow;
-use std::collections::{BTreeMap, BTreeSet};
+use std::cell::{Cell, OnceCell};
+use std::collections::BTreeSet;
 
 /// Where a buffer's bytes are kept.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -29,66 +30,84 @@ pub(super) enum BufferOrigin {
 }
 
 /// One buffer.
-pub(super) struct StoredBuffer {
-    pub(super) origin: BufferOrigin,
+struct StoredBuffer {
+    origin: BufferOrigin,
     /// At least as many bytes as the buffer declares; `None` when there are none.
-    pub(super) bytes: Option<Bytes>,
+    bytes: Option<Bytes>,
 }
 
-/// All buffers of a document, and the decompressed views that were asked for.
+/// The bytes of all buffers of a document, and the decompressed views that were asked for.
+#[derive(Default)]
 pub(super) struct BufferBytes<'w> {
-    pub(super) stored: Vec<StoredBuffer>,
-    decoded: BTreeMap<usize, Vec<u8>>,
-    watch: ReadWatch<'w>,
+    stored: Vec<StoredBuffer>,
+    /// By view.
+    decoded: Vec<OnceCell<Vec<u8>>>,
+    /// Who allows the bytes of what is decoded; nobody is asked when it is absent.
+    watch: Option<ReadWatch<'w>>,
     /// Bytes that are reserved for what is decoded.
-    reserved: u64,
+    reserved: Cell<u64>,
 }
 
-impl<'w> BufferBytes<'w> {
-    /// Finds every buffer's bytes.
-    pub(super) fn load(doc: &GltfDocument<'_>, files: &FileSet, watch: &ReadWatch<'w>) -> Result<Self, Error> {
-        let mut buffers = Self {
-            stored: Vec::with_capacity(doc.buffers.len()),
-            decoded: BTreeMap::new(),
-            watch: watch.clone(),
-            reserved: 0,
-        };
-        for i in 0..doc.buffers.len() {
-            let stored = buffers.load_one(doc, files, i)?;
-            buffers.stored.push(stored);
+impl BufferBytes<'_> {
+    /// Reserves bytes that decoding is about to take; released when this is dropped.
+    pub(super) fn reserve(&self, bytes: u64) -> Result<(), Error> {
+        if let Some(watch) = &self.watch {
+            watch.reserve(bytes)?;
+            self.reserved.set(self.reserved.get() + bytes);
         }
-        Ok(buffers)
+        Ok(())
     }
 
-    fn load_one(&mut self, doc: &GltfDocument<'_>, files: &FileSet, i: usize) -> Result<StoredBuffer, Error> {
-        let buffer = &doc.buffers.values[i];
+    /// Gives back bytes that were reserved and are not held any more.
+    pub(super) fn release(&self, bytes: u64) {
+        if let Some(watch) = &self.watch {
+            watch.release(bytes);
+            self.reserved.set(self.reserved.get() - bytes);
+        }
+    }
+}
+
+impl Drop for BufferBytes<'_> {
+    fn drop(&mut self) {
+        self.release(self.reserved.get());
+    }
+}
+
+impl<'a> GltfDocument<'a> {
+    /// Finds the bytes of every buffer.
+    pub(super) fn load_bytes(mut self, files: &FileSet, watch: Option<&ReadWatch<'a>>) -> Result<Self, Error> {
+        self.bytes.watch = watch.cloned();
+        self.bytes.decoded = vec![OnceCell::new(); self.views.len()];
+        for i in 0..self.buffers.len() {
+            let stored = self.load_buffer(files, i)?;
+            self.bytes.stored.push(stored);
+        }
+        Ok(self)
+    }
+
+    fn load_buffer(&self, files: &FileSet, i: usize) -> Result<StoredBuffer, Error> {
+        let buffer = &self.buffers.values[i];
         let place = format!("buffers/{i}/uri");
         let fallback = buffer.is_fallback();
+        let nowhere = StoredBuffer {
+            origin: BufferOrigin::Nowhere,
+            bytes: None,
+        };
         let (origin, bytes) = match &buffer.uri {
-            None if i == 0 && !fallback && doc.container.is_some() => {
-                let Some(bin) = doc.container.as_ref().and_then(|c| c.bin) else {
-                    return Err(doc.fault.malformed(place, "absent, and the GLB has no BIN chunk"));
+            None if i == 0 && !fallback && self.container.is_some() => {
+                let Some(bin) = self.container.as_ref().and_then(|c| c.bin) else {
+                    return Err(self.fault.malformed(place, "absent, and the GLB has no BIN chunk"));
                 };
                 (BufferOrigin::Bin, files.main.slice_ref(bin))
             }
-            None => {
-                return Ok(StoredBuffer {
-                    origin: BufferOrigin::Nowhere,
-                    bytes: None,
-                });
-            }
-            Some(text) => match resolve(text, &place, doc.fault, &mut |bytes| self.reserve(bytes))? {
+            None => return Ok(nowhere),
+            Some(text) => match resolve(text, &place, self.fault, &mut |bytes| self.bytes.reserve(bytes))? {
                 UriTarget::Embedded(bytes) => (BufferOrigin::Embedded, Bytes::from(bytes)),
                 UriTarget::Companion(name) => match files.companions.get(&name) {
                     Some(bytes) => (BufferOrigin::Companion(name), bytes.clone()),
-                    None if fallback => {
-                        return Ok(StoredBuffer {
-                            origin: BufferOrigin::Nowhere,
-                            bytes: None,
-                        });
-                    }
+                    None if fallback => return Ok(nowhere),
                     None => {
-                        return Err(doc.fault.unsupported(
+                        return Err(self.fault.unsupported(
                             place,
                             format!("the file {name:?} is missing"),
                             "send it along as another part of a multipart upload under that name, or keep it beside \
@@ -100,7 +119,7 @@ impl<'w> BufferBytes<'w> {
         };
         if (bytes.len() as u64) < buffer.byte_length.0 {
             let problem = format!("{} bytes are declared, there are {}", buffer.byte_length.0, bytes.len());
-            return Err(doc.fault.malformed(format!("buffers/{i}/byteLength"), problem));
+            return Err(self.fault.malformed(format!("buffers/{i}/byteLength"), problem));
         }
         Ok(StoredBuffer {
             origin,
@@ -108,107 +127,82 @@ impl<'w> BufferBytes<'w> {
         })
     }
 
-    /// Reserves bytes that decoding is about to take; released when this is dropped.
-    pub(super) fn reserve(&mut self, bytes: u64) -> Result<(), Error> {
-        self.watch.reserve(bytes)?;
-        self.reserved += bytes;
-        Ok(())
+    /// Where each buffer is kept.
+    pub(super) fn origins(&self) -> impl Iterator<Item = &BufferOrigin> {
+        self.bytes.stored.iter().map(|stored| &stored.origin)
     }
 
-    /// Gives back bytes that were reserved and are not held any more.
-    pub(super) fn release(&mut self, bytes: u64) {
-        self.watch.release(bytes);
-        self.reserved -= bytes;
+    /// The bytes of a buffer; `None` when there are none.
+    pub(super) fn buffer_bytes(&self, buffer: usize) -> Option<&Bytes> {
+        self.bytes.stored.get(buffer)?.bytes.as_ref()
     }
 
     /// Decompresses what the given accessors need.
-    pub(super) fn decode_for(&mut self, doc: &GltfDocument<'_>, accessors: &BTreeSet<usize>) -> Result<(), Error> {
-        let needed: BTreeSet<usize> = accessors
-            .iter()
-            .filter_map(|&a| doc.accessors.get(a))
-            .flat_map(|a| {
-                let sparse = a
-                    .sparse
-                    .iter()
-                    .flat_map(|s| [s.indices.buffer_view, s.values.buffer_view]);
-                a.buffer_view.into_iter().chain(sparse).map(|v| v.index())
-            })
-            .collect();
-        for view in needed {
-            let Some(compression) = doc.views.get(view).and_then(|v| v.compression()) else {
-                continue;
-            };
-            if !self.decoded.contains_key(&view) {
-                // The filters make a second copy of what the codec gives.
-                let bytes = compression.count.0.saturating_mul(compression.byte_stride.0);
-                self.reserve(bytes.saturating_mul(2))?;
-                let source = self.bytes_of(
-                    doc,
-                    compression.buffer.index(),
-                    compression.offset(),
-                    compression.byte_length.0,
-                );
-                let decoded = compressed::decode(source?, compression, &format!("bufferViews/{view}"), doc.fault)?;
-                self.release(bytes);
-                self.decoded.insert(view, decoded);
-            }
-        }
-        Ok(())
+    pub(super) fn decode_for(&self, accessors: impl IntoIterator<Item = usize>) -> Result<(), Error> {
+        let accessors = accessors.into_iter().filter_map(|a| self.accessors.get(a));
+        let views: BTreeSet<usize> = accessors.flat_map(GltfAccessor::views).collect();
+        views.into_iter().try_for_each(|view| self.view(view).map(drop))
     }
 
-    /// The bytes of a view; compressed ones must have been asked for with [`BufferBytes::decode_for`].
-    pub(super) fn view(&self, doc: &GltfDocument<'_>, index: usize) -> Result<&[u8], Error> {
-        if let Some(bytes) = self.decoded.get(&index) {
+    /// The bytes of a view, decompressed.
+    pub(super) fn view(&self, index: usize) -> Result<&[u8], Error> {
+        let Some(view) = self.views.get(index) else {
+            return Err(self.fault.malformed(format!("bufferViews/{index}"), "does not exist"));
+        };
+        let Some(compression) = view.compression() else {
+            return self.bytes_of(view.buffer.index(), view.offset(), view.byte_length.0);
+        };
+        let cell = self.bytes.decoded.get(index);
+        if let Some(bytes) = cell.and_then(OnceCell::get) {
             return Ok(bytes);
         }
-        let Some(view) = doc.views.get(index) else {
-            return Err(doc.fault.malformed(format!("bufferViews/{index}"), "does not exist"));
-        };
-        self.bytes_of(doc, view.buffer.index(), view.offset(), view.byte_length.0)
+        // The filters make a second copy of what the codec gives.
+        let bytes = compression.count.0.saturating_mul(compression.byte_stride.0);
+        self.bytes.reserve(bytes.saturating_mul(2))?;
+        let source = self.bytes_of(
+            compression.buffer.index(),
+            compression.offset(),
+            compression.byte_length.0,
+        );
+        let decoded = compressed::decode(source?, compression, &format!("bufferViews/{index}"), self.fault)?;
+        self.bytes.release(bytes);
+        Ok(cell.map_or(&[], |cell| cell.get_or_init(|| decoded)))
     }
 
-    fn bytes_of(&self, doc: &GltfDocument<'_>, buffer: usize, offset: u64, length: u64) -> Result<&[u8], Error> {
+    fn bytes_of(&self, buffer: usize, offset: u64, length: u64) -> Result<&[u8], Error> {
         let place = || format!("buffers/{buffer}");
-        let Some(bytes) = self.stored.get(buffer).and_then(|s| s.bytes.as_ref()) else {
-            return Err(doc
-                .fault
-                .malformed(place(), "holds geometry but has neither a URI nor a BIN chunk"));
+        let Some(bytes) = self.buffer_bytes(buffer) else {
+            let problem = "holds geometry but has neither a URI nor a BIN chunk";
+            return Err(self.fault.malformed(place(), problem));
         };
         let range = usize::try_from(offset).ok().zip(usize::try_from(length).ok());
         range.and_then(|(o, n)| bytes.get(o..o.checked_add(n)?)).ok_or_else(|| {
-            doc.fault
+            self.fault
                 .malformed(place(), format!("has no {length} bytes from {offset} on"))
         })
     }
 
     /// The first buffer that new data may be appended to.
-    pub(super) fn growing_buffer(&self, doc: &GltfDocument<'_>) -> Option<usize> {
-        (0..self.stored.len())
-            .find(|&i| self.stored[i].bytes.is_some() && self.is_exclusive(i) && !doc.buffers.values[i].is_fallback())
+    pub(super) fn growing_buffer(&self) -> Option<usize> {
+        let takes_more = |&i: &usize| {
+            self.buffer_bytes(i).is_some() && self.is_exclusive(i) && !self.buffers.values[i].is_fallback()
+        };
+        (0..self.buffers.len()).find(takes_more)
     }
 
     /// Whether floats can be written over bytes of a view.
-    pub(super) fn takes_floats(&self, doc: &GltfDocument<'_>, view: &BufferView) -> bool {
+    pub(super) fn takes_floats(&self, view: &BufferView) -> bool {
         let buffer = view.buffer.index();
-        view.compression().is_none() && self.is_exclusive(buffer) && !doc.buffers.values[buffer].is_fallback()
+        view.compression().is_none() && self.is_exclusive(buffer) && !self.buffers.values[buffer].is_fallback()
     }
 
     /// Whether changing this buffer's bytes changes nothing else: no other buffer is kept in the same place.
     pub(super) fn is_exclusive(&self, index: usize) -> bool {
-        let Some(stored) = self.stored.get(index) else {
-            return false;
-        };
-        match &stored.origin {
-            BufferOrigin::Nowhere => false,
-            BufferOrigin::Bin | BufferOrigin::Embedded => true,
-            companion => self.stored.iter().filter(|s| s.origin == *companion).count() == 1,
+        match self.bytes.stored.get(index).map(|stored| &stored.origin) {
+            None | Some(BufferOrigin::Nowhere) => false,
+            Some(BufferOrigin::Bin | BufferOrigin::Embedded) => true,
+            Some(companion) => self.origins().filter(|origin| *origin == companion).count() == 1,
         }
-    }
-}
-
-impl Drop for BufferBytes<'_> {
-    fn drop(&mut self) {
-        self.watch.release(self.reserved);
     }
 }
 

@@ -1,8 +1,8 @@
 //! New accessors, buffer views and their bytes: the only place that writes them as JSON. New GLBs are written by it as well.
 
-use super::buffers::{self, BufferBytes};
+use super::buffers;
 use super::container::{self, GltfFault};
-use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
+use super::document::GLB_FORMAT;
 use super::text::{json_array, json_object, quoted};
 use crate::files::ReadWatch;
 use crate::{Error, Format};
@@ -258,50 +258,25 @@ impl BufferBuilder {
         self.accessors.iter().map(one).collect()
     }
 
-    /// Refuses more than one buffer holds, `kept` bytes standing before. `buffer` names it.
-    pub(super) fn check_size(&self, kept: usize, buffer: &str, fault: GltfFault) -> Result<(), Error> {
-        let length = kept as u64 + self.bytes.len() as u64;
-        if length > u64::from(u32::MAX) {
-            return Err(fault.unwritable(format!("{buffer} would have {length} bytes, 4 GiB is the most")));
-        }
-        Ok(())
-    }
-
-    /// Adds everything to the end of the first buffer of a document that takes more, or to a new one.
-    pub(super) fn append_to<'a>(
+    /// Adds the bytes of all views to those that buffer number `buffer` has; returns the views as JSON.
+    ///
+    /// # Errors
+    /// When that is more than a buffer holds.
+    pub(super) fn append_bytes(
         &self,
-        doc: &GltfDocument<'a>,
-        stored: &BufferBytes<'_>,
-        patched: &mut PatchedDocument<'a>,
-    ) -> Result<(), Error> {
-        if self.is_empty() {
-            return Ok(());
+        kept: &mut Vec<u8>,
+        buffer: usize,
+        fault: GltfFault,
+    ) -> Result<Vec<String>, Error> {
+        kept.resize(kept.len().next_multiple_of(4), 0);
+        let length = kept.len() as u64 + self.bytes.len() as u64;
+        if length > u64::from(u32::MAX) {
+            let problem = format!("buffer {buffer} would have {length} bytes, 4 GiB is the most");
+            return Err(fault.unwritable(problem));
         }
-        let target = stored.growing_buffer(doc);
-        let mut bytes = target.map_or_else(Vec::new, |i| {
-            let stored = || stored.stored[i].bytes.as_ref().map(|b| b.to_vec());
-            patched.buffers.remove(&i).or_else(stored).unwrap_or_default()
-        });
-        bytes.resize(bytes.len().next_multiple_of(4), 0);
-        self.check_size(bytes.len(), "a buffer", doc.fault)?;
-        let views = self.view_texts(target.unwrap_or(doc.buffers.len()), bytes.len());
-        let accessors = self.accessor_texts(doc.views.len());
-        bytes.extend_from_slice(&self.bytes);
-        patched
-            .edits
-            .push_or_set(doc.text, "bufferViews", doc.views.text, &views);
-        patched
-            .edits
-            .push_or_set(doc.text, "accessors", doc.accessors.text, &accessors);
-        match target {
-            Some(i) => {
-                let length = bytes.len().to_string();
-                patched.edits.set(doc.buffers.items[i], "byteLength", &length);
-                patched.buffers.insert(i, bytes);
-            }
-            None => patched.added_buffer = Some(bytes),
-        }
-        Ok(())
+        let views = self.view_texts(buffer, kept.len());
+        kept.extend_from_slice(&self.bytes);
+        Ok(views)
     }
 }
 

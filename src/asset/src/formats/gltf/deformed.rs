@@ -1,18 +1,16 @@
 //! What each attribute should become: deformed positions back in mesh space, normals and tangents carried along.
 
-use super::accessors::{ShapeAttribute, read_floats};
-use super::buffers::BufferBytes;
+use super::accessors::ShapeAttribute;
 use super::container::GltfFault;
 use super::document::GltfDocument;
 use super::placement::{VertexTransforms, joint_nodes};
 use super::read::{GltfNotes, PlacedPrimitive};
 use super::rig::rewrite::moves_nodes;
-use super::targets::{AttributeSlot, ChangedAttribute, DeformedAttributes, TargetCarrier, TargetTally, target_slots};
+use super::targets::{AttributeSlot, ChangedAttribute, DeformedAttributes, TargetCarrier, TargetTally};
 use crate::{Error, FollowedCounts, Geometry};
 use glam::{DMat3, DVec3, Vec3, Vec4};
 use pliant_mesh::local_turns::LocalTurn;
 use pliant_mesh::shading;
-use std::collections::BTreeSet;
 
 /// A new shape of a model, and what follows it.
 pub(super) struct NewShape<'a> {
@@ -28,7 +26,6 @@ pub(super) struct NewShape<'a> {
 /// What every row should become.
 pub(super) fn wanted_attributes(
     doc: &GltfDocument<'_>,
-    buffers: &mut BufferBytes,
     notes: &GltfNotes,
     shape: &NewShape<'_>,
     tally: &mut TargetTally,
@@ -44,16 +41,7 @@ pub(super) fn wanted_attributes(
             if !moved.contains(&true) {
                 return Ok(DeformedAttributes::default());
             }
-            let used = ShapeAttribute::ALL.iter().filter_map(|r| primitive.attribute(r.name()));
-            let targets = target_slots(primitive);
-            let of_targets = targets.iter().filter(|_| shape.turns.is_some());
-            let of_targets = of_targets.filter_map(|slot| slot.accessor(primitive));
-            let used: BTreeSet<usize> = used
-                .chain(row.placement.accessors(primitive))
-                .chain(of_targets)
-                .collect();
-            buffers.decode_for(doc, &used)?;
-            let world_from_mesh = row.placement.transforms(doc, buffers, primitive)?;
+            let world_from_mesh = row.placement.transforms(doc, primitive)?;
             let Some(mesh_from_world) = world_from_mesh.inverse() else {
                 return Err(shape.fault.unwritable(format!(
                     "vertices under node {} have moved, but its transform flattens space and cannot be inverted",
@@ -62,7 +50,6 @@ pub(super) fn wanted_attributes(
             };
             let writer = RowWriter {
                 doc,
-                buffers,
                 row,
                 world_from_mesh,
                 mesh_from_world,
@@ -76,7 +63,7 @@ pub(super) fn wanted_attributes(
                     world_from_old: &writer.world_from_mesh,
                     new_from_world: &writer.mesh_from_world,
                 };
-                let of_targets = carrier.changes(doc, buffers, primitive, tally)?;
+                let of_targets = carrier.changes(doc, primitive, tally)?;
                 for target in of_targets.iter().filter_map(|(slot, _)| slot.target) {
                     tally.carry(0, row.node, target);
                 }
@@ -94,7 +81,6 @@ fn moved_vertices(rest: &[DVec3], now: &[DVec3]) -> Vec<bool> {
 
 struct RowWriter<'a, 'f> {
     doc: &'a GltfDocument<'f>,
-    buffers: &'a BufferBytes<'a>,
     row: &'a PlacedPrimitive,
     world_from_mesh: VertexTransforms,
     mesh_from_world: VertexTransforms,
@@ -125,10 +111,7 @@ impl RowWriter<'_, '_> {
 
     fn read_stored(&self, role: ShapeAttribute) -> Result<Option<Vec<f32>>, Error> {
         let primitive = &self.doc.meshes.values[self.row.mesh].primitives[self.row.primitive];
-        primitive
-            .attribute(role.name())
-            .map(|a| read_floats(self.doc, self.buffers, a, role))
-            .transpose()
+        self.doc.read_attribute(primitive, role)
     }
 
     fn position_change(&self, moved: &[bool]) -> Result<Option<ChangedAttribute>, Error> {
@@ -265,7 +248,7 @@ pub(super) fn nothing_followed(doc: &GltfDocument<'_>, notes: &GltfNotes) -> Fol
     for row in &notes.rows {
         tally.meet(0, row.node, &doc.meshes.values[row.mesh].primitives[row.primitive]);
     }
-    let mut counts = followable(doc, doc.animations.iter().copied());
+    let mut counts = followable(doc, doc.items(&doc.animations));
     tally.count_into(&mut counts);
     counts
 }

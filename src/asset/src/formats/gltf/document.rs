@@ -1,15 +1,15 @@
 //! A glTF document: its text, and the sections that geometry needs, item by item.
 
+use super::buffers::BufferBytes;
 use super::container::{self, GlbContainer, GltfFault};
 use super::schema::{AssetHeader, BufferView, GltfAccessor, GltfBuffer, GltfMesh, GltfNode, GltfScene, WholeNumber};
-use super::text::{JsonEdits, count_items, items, members, place_in};
+use super::text::{count_items, items, members, place_in};
 use crate::files::ReadWatch;
 use crate::format::{FormatDetails, Recognition};
 use crate::{Error, FileSet, Format};
 use serde::de::DeserializeOwned;
 use std::cell::Cell;
-use std::collections::BTreeMap;
-use std::ops::Range;
+use std::ops::{Deref, Range};
 
 /// Binary glTF, by what it is known.
 pub(in super::super) const GLB_FORMAT: Format = Format::new(&FormatDetails {
@@ -25,46 +25,20 @@ pub(in super::super) const GLTF_FORMAT: Format = Format::new(&FormatDetails {
     recognise: |bytes| Recognition::mark(bytes.trim_ascii_start().starts_with(b"{")),
 });
 
-/// One top-level array of a parsed document; places are those of its text.
+/// One top-level array of a document, item by item.
 #[derive(Debug)]
-struct ParsedSection<T> {
+pub(super) struct DocumentSection<T> {
+    /// Where the array lies in the text; `None` when the document has none.
     array: Option<Range<usize>>,
+    /// Where its items lie.
     items: Vec<Range<usize>>,
-    values: Vec<T>,
-}
-
-/// What is parsed of a document, once. A model owns it for life, and [`ParsedDocument::of`] joins it to the files.
-#[derive(Debug)]
-pub(super) struct ParsedDocument {
-    format: Format,
-    buffers: ParsedSection<GltfBuffer>,
-    views: ParsedSection<BufferView>,
-    accessors: ParsedSection<GltfAccessor>,
-    meshes: ParsedSection<GltfMesh>,
-    nodes: ParsedSection<GltfNode>,
-    scenes: ParsedSection<GltfScene>,
-    scene: Option<usize>,
-    skins: Vec<Range<usize>>,
-    animations: Vec<Range<usize>>,
-    extensions_used: Vec<String>,
-    extensions_required: Vec<String>,
-    /// About how many bytes all of it takes, as it was reserved.
-    bytes: u64,
-}
-
-/// One top-level array of the document.
-pub(super) struct DocumentSection<'a, T> {
-    /// The array as text; `None` when the document has none.
-    pub(super) text: Option<&'a str>,
-    /// Its items as text.
-    pub(super) items: Vec<&'a str>,
     /// Its items as values.
-    pub(super) values: &'a [T],
+    pub(super) values: Vec<T>,
 }
 
-impl<T> DocumentSection<'_, T> {
+impl<T> DocumentSection<T> {
     pub(super) fn len(&self) -> usize {
-        self.values.len()
+        self.items.len()
     }
 
     /// The item of that index, which has been checked to be in range or may be absent.
@@ -73,26 +47,46 @@ impl<T> DocumentSection<'_, T> {
     }
 }
 
-/// A parsed document with its text; borrows the file it came from.
+/// What is parsed of a document, once. A model owns it for life, and [`ParsedDocument::of`] joins it to the files.
+#[derive(Debug)]
+pub(super) struct ParsedDocument {
+    format: Format,
+    pub(super) buffers: DocumentSection<GltfBuffer>,
+    pub(super) views: DocumentSection<BufferView>,
+    pub(super) accessors: DocumentSection<GltfAccessor>,
+    pub(super) meshes: DocumentSection<GltfMesh>,
+    pub(super) nodes: DocumentSection<GltfNode>,
+    pub(super) scenes: DocumentSection<GltfScene>,
+    /// The default scene.
+    pub(super) scene: Option<usize>,
+    /// Skins and animations as texts; only their references are ever looked at.
+    pub(super) skins: DocumentSection<()>,
+    pub(super) animations: DocumentSection<()>,
+    pub(super) extensions_used: Vec<String>,
+    pub(super) extensions_required: Vec<String>,
+    /// About how many bytes all of it takes, as it was reserved.
+    bytes: u64,
+}
+
+/// A parsed document with its text, and the bytes of its buffers once they are loaded; borrows the files it came from.
+/// Dereferences to what is parsed.
 pub(super) struct GltfDocument<'a> {
+    parsed: &'a ParsedDocument,
     pub(super) fault: GltfFault,
     /// The JSON text.
     pub(super) text: &'a str,
     /// The GLB parts, when it came in a GLB.
     pub(super) container: Option<GlbContainer<'a>>,
-    pub(super) buffers: DocumentSection<'a, GltfBuffer>,
-    pub(super) views: DocumentSection<'a, BufferView>,
-    pub(super) accessors: DocumentSection<'a, GltfAccessor>,
-    pub(super) meshes: DocumentSection<'a, GltfMesh>,
-    pub(super) nodes: DocumentSection<'a, GltfNode>,
-    pub(super) scenes: DocumentSection<'a, GltfScene>,
-    /// The default scene.
-    pub(super) scene: Option<usize>,
-    /// Skins and animations as texts; only their accessor indices are ever looked at.
-    pub(super) skins: Vec<&'a str>,
-    pub(super) animations: Vec<&'a str>,
-    pub(super) extensions_used: &'a [String],
-    pub(super) extensions_required: &'a [String],
+    /// The bytes of its buffers.
+    pub(super) bytes: BufferBytes<'a>,
+}
+
+impl Deref for GltfDocument<'_> {
+    type Target = ParsedDocument;
+
+    fn deref(&self) -> &ParsedDocument {
+        self.parsed
+    }
 }
 
 /// The JSON text of a main file, and the GLB that it lies in.
@@ -143,8 +137,8 @@ impl ParsedDocument {
             nodes: root.section("nodes")?,
             scenes: root.section("scenes")?,
             scene: root.one::<WholeNumber>("scene")?.map(WholeNumber::index),
-            skins: root.places(&root.texts("skins")?),
-            animations: root.places(&root.texts("animations")?),
+            skins: root.texts_section("skins")?,
+            animations: root.texts_section("animations")?,
             extensions_used,
             extensions_required,
             bytes: root.allowance.counted.get(),
@@ -156,50 +150,41 @@ impl ParsedDocument {
         self.bytes
     }
 
-    /// The document with the text that it was parsed from, the main file of `files`.
+    /// The document with the text that it was parsed from, the main file of `files`; without the bytes of its buffers.
     pub(super) fn of<'a>(&'a self, files: &'a FileSet) -> Result<GltfDocument<'a>, Error> {
         let (text, container) = text_of(&files.main, self.format)?;
-        let slices = |ranges: &[Range<usize>]| ranges.iter().map(|range| slice(text, range)).collect();
         Ok(GltfDocument {
+            parsed: self,
             fault: GltfFault(self.format),
             text,
             container,
-            buffers: self.buffers.of(text),
-            views: self.views.of(text),
-            accessors: self.accessors.of(text),
-            meshes: self.meshes.of(text),
-            nodes: self.nodes.of(text),
-            scenes: self.scenes.of(text),
-            scene: self.scene,
-            skins: slices(&self.skins),
-            animations: slices(&self.animations),
-            extensions_used: &self.extensions_used,
-            extensions_required: &self.extensions_required,
+            bytes: BufferBytes::default(),
         })
     }
-}
 
-fn slice<'a>(text: &'a str, range: &Range<usize>) -> &'a str {
-    text.get(range.clone()).unwrap_or_default()
-}
-
-impl<T> ParsedSection<T> {
-    fn of<'a>(&'a self, text: &'a str) -> DocumentSection<'a, T> {
-        DocumentSection {
-            text: self.array.as_ref().map(|range| slice(text, range)),
-            items: self.items.iter().map(|range| slice(text, range)).collect(),
-            values: &self.values,
-        }
-    }
-}
-
-impl GltfDocument<'_> {
     /// Whether the document says that it uses an extension.
     pub(super) fn uses(&self, extension: &str) -> bool {
         self.extensions_used
             .iter()
-            .chain(self.extensions_required)
+            .chain(&self.extensions_required)
             .any(|e| e == extension)
+    }
+}
+
+impl<'a> GltfDocument<'a> {
+    /// An item of a section as text; an empty one when it has no such item.
+    pub(super) fn item<T>(&self, section: &DocumentSection<T>, index: usize) -> &'a str {
+        section.items.get(index).map_or("", |place| &self.text[place.clone()])
+    }
+
+    /// The items of a section as texts.
+    pub(super) fn items<T>(&self, section: &DocumentSection<T>) -> impl Iterator<Item = &'a str> {
+        section.items.iter().map(|place| &self.text[place.clone()])
+    }
+
+    /// A section as text; `None` when the document has none.
+    pub(super) fn array<T>(&self, section: &DocumentSection<T>) -> Option<&'a str> {
+        section.array.clone().map(|place| &self.text[place])
     }
 }
 
@@ -275,35 +260,36 @@ impl<'a> JsonRoot<'a, '_> {
             .transpose()
     }
 
-    fn texts(&self, key: &str) -> Result<Vec<&'a str>, Error> {
-        self.texts_of_values(key, 0)
+    /// A section of which no values are made.
+    fn texts_section(&self, key: &str) -> Result<DocumentSection<()>, Error> {
+        self.section_of(key, 0, |_, _| Ok(()))
     }
 
-    /// The items of a section as texts, of which values of so many bytes will be made.
-    fn texts_of_values(&self, key: &str, value_bytes: usize) -> Result<Vec<&'a str>, Error> {
-        let Some(text) = self.find(key)? else {
-            return Ok(Vec::new());
-        };
-        self.allowance.count_section(key, text, value_bytes, self.fault)?;
-        items(text).map_err(|e| self.fault.malformed(key, without_position(&e.to_string())))
-    }
-
-    /// Where slices of the text lie in it.
-    fn places(&self, parts: &[&str]) -> Vec<Range<usize>> {
-        parts.iter().map(|part| place_in(self.text, part)).collect()
-    }
-
-    fn section<T: DeserializeOwned>(&self, key: &str) -> Result<ParsedSection<T>, Error> {
-        let items = self.texts_of_values(key, size_of::<T>())?;
-        let mut values = Vec::with_capacity(items.len());
-        for (i, text) in items.iter().enumerate() {
+    fn section<T: DeserializeOwned>(&self, key: &str) -> Result<DocumentSection<T>, Error> {
+        self.section_of(key, size_of::<T>(), |i, text| {
             self.allowance.watch.check_at(i)?;
-            values.push(parse_value(text, &format!("{key}/{i}"), self.fault)?);
+            parse_value(text, &format!("{key}/{i}"), self.fault)
+        })
+    }
+
+    /// A section of which `parse` makes values of so many bytes.
+    fn section_of<T>(
+        &self,
+        key: &str,
+        value_bytes: usize,
+        parse: impl Fn(usize, &'a str) -> Result<T, Error>,
+    ) -> Result<DocumentSection<T>, Error> {
+        let array = self.find(key)?;
+        let mut texts = Vec::new();
+        if let Some(array) = array {
+            self.allowance.count_section(key, array, value_bytes, self.fault)?;
+            texts = items(array).map_err(|e| self.fault.malformed(key, without_position(&e.to_string())))?;
         }
-        Ok(ParsedSection {
-            array: self.find(key)?.map(|array| place_in(self.text, array)),
-            items: self.places(&items),
-            values,
+        let values = texts.iter().enumerate().map(|(i, text)| parse(i, text));
+        Ok(DocumentSection {
+            values: values.collect::<Result<_, Error>>()?,
+            array: array.map(|array| place_in(self.text, array)),
+            items: texts.iter().map(|part| place_in(self.text, part)).collect(),
         })
     }
 }
@@ -406,13 +392,4 @@ fn check_required(required: &[String], fault: GltfFault) -> Result<(), Error> {
             "export without it",
         )),
     }
-}
-
-/// A document with its edits, and the buffers that differ from the stored ones.
-pub(super) struct PatchedDocument<'a> {
-    pub(super) edits: JsonEdits<'a>,
-    /// Whole new contents by buffer.
-    pub(super) buffers: BTreeMap<usize, Vec<u8>>,
-    /// Contents of a buffer that has to be added because no other takes new data.
-    pub(super) added_buffer: Option<Vec<u8>>,
 }

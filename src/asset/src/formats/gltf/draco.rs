@@ -6,7 +6,7 @@
 //! views and meshes stay. A model that nothing was done to still comes back as it was uploaded.
 
 use super::accessors::{AccessorLayout, ComponentType};
-use super::buffers::{self, BufferBytes, BufferOrigin};
+use super::buffers::{self, BufferOrigin};
 use super::builder::{BufferBuilder, INDICES, VERTICES, bounds, embedded_buffer_text};
 use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument};
@@ -43,7 +43,6 @@ struct DracoStream {
 pub(super) fn uncompress(
     doc: &GltfDocument<'_>,
     files: &FileSet,
-    buffers: &mut BufferBytes<'_>,
     watch: &ReadWatch<'_>,
 ) -> Result<Option<(FileSet, usize)>, Error> {
     let mut streams = DracoUncompressor {
@@ -72,9 +71,9 @@ pub(super) fn uncompress(
     }
     compressed.iter().for_each(|&(m, p)| streams.forget_use(m, p));
     for &(m, p) in &compressed {
-        streams.uncompress_primitive(buffers, m, p)?;
+        streams.uncompress_primitive(m, p)?;
     }
-    let files = streams.write_plain_files(files, buffers, left == 0)?;
+    let files = streams.write_plain_files(files, left == 0)?;
     Ok(Some((files, compressed.len())))
 }
 
@@ -135,7 +134,7 @@ struct DracoUncompressor<'d, 'a> {
 
 impl<'a> DracoUncompressor<'_, 'a> {
     fn primitive_text(&self, m: usize, p: usize) -> &'a str {
-        let all = list_of(self.doc.meshes.items[m], "primitives");
+        let all = list_of(self.doc.item(&self.doc.meshes, m), "primitives");
         all.get(p).copied().unwrap_or("{}")
     }
 
@@ -157,7 +156,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
             .unwrap_or(self.doc.views.len() + self.data.view_count() - self.replaced.len())
     }
 
-    fn uncompress_primitive(&mut self, buffers: &mut BufferBytes, m: usize, p: usize) -> Result<(), Error> {
+    fn uncompress_primitive(&mut self, m: usize, p: usize) -> Result<(), Error> {
         let (doc, fault) = (self.doc, self.doc.fault);
         let place = format!("meshes/{m}/primitives/{p}/extensions/{DRACO}");
         let primitive = &doc.meshes.values[m].primitives[p];
@@ -171,11 +170,11 @@ impl<'a> DracoUncompressor<'_, 'a> {
             return Err(fault.malformed(place, problem));
         }
         let view = stream.buffer_view.index();
-        self.decode_stream(buffers, view, &place)?;
+        self.decode_stream(view, &place)?;
         let Some(mesh) = self.decoded.remove(&view) else {
             return Err(fault.malformed(place, "was not decoded"));
         };
-        let filled = self.fill_primitive(buffers, primitive, &mesh, &stream, &place);
+        let filled = self.fill_primitive(primitive, &mesh, &stream, &place);
         self.decoded.insert(view, mesh);
         filled?;
         // The decoded triangles are a list, whatever they were before.
@@ -186,7 +185,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
         Ok(())
     }
 
-    fn decode_stream(&mut self, buffers: &mut BufferBytes, view: usize, place: &str) -> Result<(), Error> {
+    fn decode_stream(&mut self, view: usize, place: &str) -> Result<(), Error> {
         if self.decoded.contains_key(&view) {
             return Ok(());
         }
@@ -195,30 +194,30 @@ impl<'a> DracoUncompressor<'_, 'a> {
             let problem = format!("buffer view {view} does not exist, there are {}", self.doc.views.len());
             return Err(fault.malformed(format!("{place}/bufferView"), problem));
         }
-        let mesh = self.decode_within_reserve(buffers, view, place)?;
+        let mesh = self.decode_within_reserve(view, place)?;
         if self.uses_left.get(view) == Some(&0) && self.doc.views.values[view].compression().is_none() {
             self.unused.push(view);
         }
-        buffers.reserve(COPIES * 12 * mesh.num_faces() as u64)?;
+        self.doc.bytes.reserve(COPIES * 12 * mesh.num_faces() as u64)?;
         self.decoded.insert(view, mesh);
         Ok(())
     }
 
     /// Decodes a stream within as much memory as is reserved for it, and reserves twice as much for another try where that was too
     /// little: a stream says how many points, faces and values it has as it is decoded.
-    fn decode_within_reserve(&self, buffers: &mut BufferBytes<'_>, view: usize, place: &str) -> Result<Mesh, Error> {
+    fn decode_within_reserve(&self, view: usize, place: &str) -> Result<Mesh, Error> {
         let fault = self.doc.fault;
-        let stream = buffers.view(self.doc, view)?.len() as u64;
+        let stream = self.doc.view(view)?.len() as u64;
         let mut reserved = stream.saturating_mul(BYTES_PER_BYTE).max(LEAST_BYTES);
         loop {
             self.watch.check()?;
-            buffers.reserve(reserved)?;
+            self.doc.bytes.reserve(reserved)?;
             let limits = DecodeLimits::default()
                 .with_max_points(self.watch.vertices)
                 .with_max_faces((self.watch.triangles).min(reserved / 2 / BYTES_PER_FACE))
                 .with_max_decoded_bytes(reserved / 2 / BYTES_PER_VALUE_BYTE);
             let mut mesh = Mesh::new();
-            let mut input = DecoderBuffer::new(buffers.view(self.doc, view)?).with_limits(limits);
+            let mut input = DecoderBuffer::new(self.doc.view(view)?).with_limits(limits);
             let Err(e) = MeshDecoder::new().decode(&mut input, &mut mesh) else {
                 return Ok(mesh);
             };
@@ -226,7 +225,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
             if e.kind() != ErrorKind::LimitExceeded {
                 return Err(fault.malformed(place, problem));
             }
-            buffers.release(reserved);
+            self.doc.bytes.release(reserved);
             let declared = DeclaredCount::of_refusal(&problem);
             let is_too_large = declared
                 .as_ref()
@@ -241,7 +240,6 @@ impl<'a> DracoUncompressor<'_, 'a> {
 
     fn fill_primitive(
         &mut self,
-        buffers: &mut BufferBytes,
         primitive: &MeshPrimitive,
         mesh: &Mesh,
         stream: &DracoStream,
@@ -268,9 +266,9 @@ impl<'a> DracoUncompressor<'_, 'a> {
             let Some(attribute) = attribute else {
                 return Err(fault.malformed(place, format!("the Draco stream has no attribute {id}")));
             };
-            let limits = self.fill_attribute(buffers, mesh.num_points(), attribute, accessor, &place)?;
+            let limits = self.fill_attribute(mesh.num_points(), attribute, accessor, &place)?;
             // Positions must have bounds, other attributes need not.
-            let text = self.doc.accessors.items[accessor];
+            let text = self.doc.item(&self.doc.accessors, accessor);
             if name == "POSITION" && value_of(text, "min").is_none() {
                 self.edits.set(text, "min", &limits.0);
                 self.edits.set(text, "max", &limits.1);
@@ -316,7 +314,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
             ComponentType::U16 => "5123",
             _ => "5125",
         };
-        let text = self.doc.accessors.items[accessor];
+        let text = self.doc.item(&self.doc.accessors, accessor);
         self.edits.set(text, "componentType", code);
         self.set_accessor(
             accessor,
@@ -331,7 +329,6 @@ impl<'a> DracoUncompressor<'_, 'a> {
     /// Gives an accessor the values of an attribute, and returns their bounds as JSON.
     fn fill_attribute(
         &mut self,
-        buffers: &mut BufferBytes,
         points: usize,
         attribute: &PointAttribute,
         accessor: usize,
@@ -339,7 +336,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
     ) -> Result<(String, String), Error> {
         let (doc, fault) = (self.doc, self.doc.fault);
         let described = &doc.accessors.values[accessor];
-        let Some(layout) = AccessorLayout::of(described, doc.views.values) else {
+        let Some(layout) = doc.layout(accessor) else {
             return Err(fault.malformed(
                 place,
                 format!("accessor {accessor} is of a type that glTF does not know"),
@@ -355,7 +352,9 @@ impl<'a> DracoUncompressor<'_, 'a> {
         }
         let element = layout.lanes * layout.component.size();
         let stride = element.next_multiple_of(4);
-        buffers.reserve((points as u64).saturating_mul(COPIES * stride as u64))?;
+        self.doc
+            .bytes
+            .reserve((points as u64).saturating_mul(COPIES * stride as u64))?;
         let mut bytes = Vec::with_capacity(points * stride);
         let stored = component_of(attribute.data_type());
         let limits = if layout.component == ComponentType::F32 {
@@ -384,7 +383,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
 
     /// Lets an accessor stand for the next view.
     fn set_accessor(&mut self, accessor: usize, count: usize, least: &String, most: &String) {
-        let text = self.doc.accessors.items[accessor];
+        let text = self.doc.item(&self.doc.accessors, accessor);
         let view = self.next_view();
         self.edits.set(text, "bufferView", view);
         self.edits.set(text, "count", count);
@@ -407,12 +406,11 @@ impl<'a> DracoUncompressor<'_, 'a> {
     }
 
     /// The files with all edits made; `none_left` when no primitive has the extension any more.
-    fn write_plain_files(mut self, files: &FileSet, buffers: &BufferBytes, none_left: bool) -> Result<FileSet, Error> {
+    fn write_plain_files(mut self, files: &FileSet, none_left: bool) -> Result<FileSet, Error> {
         let doc = self.doc;
-        let target = buffers.growing_buffer(doc);
-        let stored = target
-            .and_then(|i| buffers.stored[i].bytes.as_deref())
-            .unwrap_or_default();
+        let target = doc.growing_buffer();
+        let stored = target.and_then(|i| doc.buffer_bytes(i));
+        let stored = stored.map_or(&[][..], |bytes| bytes);
         self.unused.truncate(self.replaced.len());
         let unused = std::mem::take(&mut self.unused);
         let mut bytes = match target {
@@ -423,32 +421,33 @@ impl<'a> DracoUncompressor<'_, 'a> {
             }
             None => Vec::new(),
         };
-        bytes.resize(bytes.len().next_multiple_of(4), 0);
-        let (first, buffer) = (bytes.len(), target.unwrap_or(doc.buffers.len()));
-        bytes.extend_from_slice(self.data.bytes());
+        let buffer = target.unwrap_or(doc.buffers.len());
+        let views = self.data.append_bytes(&mut bytes, buffer, doc.fault)?;
         let mut added = Vec::new();
-        for (k, text) in self.data.view_texts(buffer, first).into_iter().enumerate() {
+        for (k, text) in views.into_iter().enumerate() {
             match self.replaced.binary_search(&k) {
-                Ok(at) => self.edits.replace(doc.views.items[unused[at]], text),
+                Ok(at) => self.edits.replace(doc.item(&doc.views, unused[at]), text),
                 Err(_) => added.push(text),
             }
         }
-        self.edits.push_or_set(doc.text, "bufferViews", doc.views.text, &added);
+        self.edits
+            .push_or_set(doc.text, "bufferViews", doc.array(&doc.views), &added);
         let mut plain = files.clone();
         let mut bin = doc.container.as_ref().and_then(|c| c.bin).map(<[u8]>::to_vec);
         match target {
             Some(i) => {
-                let item = doc.buffers.items[i];
+                let item = doc.item(&doc.buffers, i);
                 self.edits.set(item, "byteLength", bytes.len());
-                match &buffers.stored[i].origin {
-                    BufferOrigin::Bin => bin = Some(bytes),
-                    BufferOrigin::Companion(name) => drop(plain.companions.insert(name.clone(), bytes.into())),
+                match doc.origins().nth(i) {
+                    Some(BufferOrigin::Bin) => bin = Some(bytes),
+                    Some(BufferOrigin::Companion(name)) => drop(plain.companions.insert(name.clone(), bytes.into())),
                     _ => self.edits.set(item, "uri", quoted(&buffers::embed(&bytes))),
                 }
             }
             None => {
                 let item = embedded_buffer_text(&bytes);
-                self.edits.push_or_set(doc.text, "buffers", doc.buffers.text, &[item]);
+                self.edits
+                    .push_or_set(doc.text, "buffers", doc.array(&doc.buffers), &[item]);
             }
         }
         let mut text = self.edits.apply();

@@ -3,12 +3,11 @@
 //! Nothing here can fail a read: a material that is not as the standard wants it counts as none, a picture that is not
 //! there is said in its place.
 
-use super::accessors::{AccessorLayout, decode_values};
-use super::buffers::{self, BufferBytes, UriTarget};
+use super::buffers::{self, UriTarget};
 use super::document::GltfDocument;
 use super::read::{GltfNotes, PlacedPrimitive};
 use super::schema::WholeNumber;
-use super::text::{items, list_of, value_of};
+use super::text::list_of;
 use crate::look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
 use crate::{Error, Model};
 use base64::Engine as _;
@@ -115,7 +114,7 @@ struct MaterialInUse {
 
 /// Reads what a model looks like.
 pub(super) fn surface_look(model: &Model, notes: &GltfNotes) -> Result<SurfaceLook, Error> {
-    let (doc, mut buffers) = notes.document_and_bytes(model)?;
+    let doc = notes.loaded_document(model)?;
     let list = |key: &str| list_of(doc.text, key);
     let sections = LookSections {
         materials: list("materials"),
@@ -134,8 +133,8 @@ pub(super) fn surface_look(model: &Model, notes: &GltfNotes) -> Result<SurfaceLo
         });
         look.material_of.push(number);
         let material = &in_use[number as usize];
-        add_coordinates(&doc, &mut buffers, row, material, &mut look, model.positions.len())?;
-        add_colours(&doc, &mut buffers, row, &mut look, model.positions.len())?;
+        add_coordinates(&doc, row, material, &mut look, model.positions.len())?;
+        add_colours(&doc, row, &mut look, model.positions.len())?;
     }
     look.materials = in_use.into_iter().map(|m| m.look).collect();
     let wanted: BTreeSet<usize> = look
@@ -151,7 +150,7 @@ pub(super) fn surface_look(model: &Model, notes: &GltfNotes) -> Result<SurfaceLo
             .get(index)
             .ok_or_else(|| "its picture is of a kind that is not read".to_owned());
         look.images
-            .push(found.and_then(|text| image_bytes(&doc, &buffers, model, index, text)));
+            .push(found.and_then(|text| image_bytes(&doc, model, index, text)));
     }
     for texture in look.materials.iter_mut().flat_map(|m| &mut m.texture) {
         texture.image = places.get(&texture.image).copied().unwrap_or_default();
@@ -161,7 +160,7 @@ pub(super) fn surface_look(model: &Model, notes: &GltfNotes) -> Result<SurfaceLo
 
 /// The material that a placed primitive names.
 fn material_number(doc: &GltfDocument<'_>, row: &PlacedPrimitive) -> Option<usize> {
-    let primitives = items(value_of(doc.meshes.items.get(row.mesh)?, "primitives")?).ok()?;
+    let primitives = list_of(doc.item(&doc.meshes, row.mesh), "primitives");
     let number: MaterialNumber = parse_or_default(primitives.get(row.primitive)?);
     number.material.map(WholeNumber::index)
 }
@@ -260,7 +259,6 @@ fn matrix_of(transform: &TransformItem) -> [f64; 6] {
 
 fn add_coordinates(
     doc: &GltfDocument<'_>,
-    buffers: &mut BufferBytes,
     row: &PlacedPrimitive,
     material: &MaterialInUse,
     look: &mut SurfaceLook,
@@ -269,7 +267,7 @@ fn add_coordinates(
     let Some((set, [a, b, c, d, e, f])) = material.coordinates else {
         return Ok(());
     };
-    let Some((2, values)) = read_attribute(doc, buffers, row, &format!("TEXCOORD_{set}"))? else {
+    let Some((2, values)) = read_attribute(doc, row, &format!("TEXCOORD_{set}"))? else {
         return Ok(());
     };
     look.uv.resize(vertices, [0.0; 2]);
@@ -283,12 +281,11 @@ fn add_coordinates(
 
 fn add_colours(
     doc: &GltfDocument<'_>,
-    buffers: &mut BufferBytes,
     row: &PlacedPrimitive,
     look: &mut SurfaceLook,
     vertices: usize,
 ) -> Result<(), Error> {
-    let Some((lanes @ (3 | 4), values)) = read_attribute(doc, buffers, row, "COLOR_0")? else {
+    let Some((lanes @ (3 | 4), values)) = read_attribute(doc, row, "COLOR_0")? else {
         return Ok(());
     };
     look.colours.resize(vertices, [1.0; 4]);
@@ -307,34 +304,29 @@ fn add_colours(
 /// number of vertices.
 fn read_attribute(
     doc: &GltfDocument<'_>,
-    buffers: &mut BufferBytes,
     row: &PlacedPrimitive,
     name: &str,
 ) -> Result<Option<(usize, Vec<f32>)>, Error> {
     let Some(index) = doc.meshes.values[row.mesh].primitives[row.primitive].attribute(name) else {
         return Ok(None);
     };
-    let layout = AccessorLayout::find(doc, index);
-    let Some(layout) = layout.filter(|_| doc.accessors.values[index].count.index() == row.vertices.len()) else {
+    let Some(layout) = doc
+        .layout(index)
+        .filter(|_| doc.accessors.values[index].count.index() == row.vertices.len())
+    else {
         return Ok(None);
     };
-    Ok(Some((layout.lanes, decode_values(doc, buffers, index, layout)?)))
+    Ok(Some((layout.lanes, doc.read_values(index, layout)?)))
 }
 
 /// The file of a picture, or why there is none.
-fn image_bytes(
-    doc: &GltfDocument<'_>,
-    buffers: &BufferBytes,
-    model: &Model,
-    index: usize,
-    text: &str,
-) -> Result<Bytes, String> {
+fn image_bytes(doc: &GltfDocument<'_>, model: &Model, index: usize, text: &str) -> Result<Bytes, String> {
     let image: ImageItem = parse_or_default(text);
     let Some(uri) = image.uri else {
         let view = image
             .buffer_view
             .ok_or_else(|| format!("image {index} names no file"))?;
-        let bytes = buffers.view(doc, view.index()).map_err(|e| e.to_string())?;
+        let bytes = doc.view(view.index()).map_err(|e| e.to_string())?;
         return Ok(Bytes::copy_from_slice(bytes));
     };
     if let Some(inside) = uri.strip_prefix("data:") {

@@ -117,12 +117,12 @@ impl FormatCodec for GltfCodec {
             followers,
         } = *output;
         let notes: &GltfNotes = model.notes_or_refuse(format)?;
-        let (doc, mut buffers) = notes.document_and_bytes(model)?;
+        let doc = notes.loaded_document(model)?;
         let rest = &model.geometry;
         let mut tree = None;
         if rig::may_move_nodes(notes, followers) {
-            let shape = rig::shape_of_rows(&doc, &mut buffers, notes, rest, positions)?;
-            tree = rig::FollowedNodeTree::fit(&doc, &mut buffers, notes, &shape, followers)?.map(|tree| {
+            let shape = rig::shape_of_rows(&doc, notes, rest, positions)?;
+            tree = rig::FollowedNodeTree::fit(&doc, notes, &shape, followers)?.map(|tree| {
                 let to_write = tree.positions_to_write(&shape);
                 (tree, to_write)
             });
@@ -136,11 +136,10 @@ impl FormatCodec for GltfCodec {
             fault: container::GltfFault(format),
         };
         let mut tally = targets::TargetTally::default();
-        let wanted = deformed::wanted_attributes(&doc, &mut buffers, notes, &shape, &mut tally)?;
-        let plan = sharing::plan_overwrites(&doc, &buffers, notes, &model.geometry, wanted);
-        let patched = patch::patch(&doc, &buffers, plan)?;
-        let mut written = package::package(&doc, notes.files(model), &buffers, patched, format)?;
-        let mut followed = deformed::followable(&doc, doc.animations.iter().copied());
+        let wanted = deformed::wanted_attributes(&doc, notes, &shape, &mut tally)?;
+        let plan = sharing::plan_overwrites(&doc, notes, &model.geometry, wanted);
+        let mut written = package::package(notes.files(model), patch::patch(&doc, &plan)?, format)?;
+        let mut followed = deformed::followable(&doc, doc.items(&doc.animations));
         tally.count_into(&mut followed);
         if let Some((tree, _)) = tree {
             written = tree.rewrite(written, format)?;

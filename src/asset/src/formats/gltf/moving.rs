@@ -1,12 +1,11 @@
 //! Nodes, clips and morph targets of a document as the other modules see them, and which joints hold which vertices.
 
-use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, decode_values};
-use super::buffers::BufferBytes;
+use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute};
 use super::document::GltfDocument;
-use super::placement::{VertexInfluences, VertexTransforms, influence_accessors, joint_nodes};
+use super::placement::{VertexInfluences, VertexTransforms, joint_nodes};
 use super::read::{GltfNotes, PlacedPrimitive};
 use super::scene::{local_transform, place_meshes};
-use super::schema::{GltfNode, GltfSkin, MeshPrimitive, WholeNumber};
+use super::schema::{GltfNode, MeshPrimitive, WholeNumber};
 use super::targets::{AttributeSlot, read_displacements};
 use super::text::value_of;
 use crate::files::within;
@@ -18,7 +17,6 @@ use crate::{Error, Model, ModelNode};
 use glam::{DQuat, DVec3, Vec3};
 use pliant_mesh::rotation::fit_rotation;
 use serde::Deserialize;
-use std::collections::BTreeSet;
 
 /// How many numbers the channels of one clip may have together: they may share accessors, so that their size is not bounded
 /// by the file's.
@@ -26,14 +24,14 @@ const MOST_NUMBERS: u64 = 1 << 26;
 
 /// What moves in the scene of a model.
 pub(super) fn moving_scene(model: &Model, notes: &GltfNotes) -> Result<MovingScene, Error> {
-    let (doc, mut buffers) = notes.document_and_bytes(model)?;
+    let doc = notes.loaded_document(model)?;
     let scene = place_meshes(&doc, &mut Vec::new())?;
     let mut nodes = Vec::with_capacity(doc.nodes.len());
     for (index, node) in doc.nodes.values.iter().enumerate() {
         nodes.push(scene_node(&doc, index, node, scene.parents[index])?);
     }
-    let (influences, is_joint) = joint_influences(&doc, &mut buffers, notes, model.positions.len())?;
-    let names = doc.animations.iter().map(|text| {
+    let (influences, is_joint) = joint_influences(&doc, notes, model.positions.len())?;
+    let names = doc.items(&doc.animations).map(|text| {
         let name = value_of(text, "name").and_then(|name| serde_json::from_str(name).ok());
         name.unwrap_or_default()
     });
@@ -87,24 +85,21 @@ fn scene_node(
 /// Which joints hold which render vertices, and which nodes are such joints.
 fn joint_influences(
     doc: &GltfDocument<'_>,
-    buffers: &mut BufferBytes,
     notes: &GltfNotes,
     vertices: usize,
 ) -> Result<(JointInfluences, Vec<bool>), Error> {
     let mut of_vertex: Vec<Vec<(u32, f32)>> = vec![Vec::new(); vertices];
     let mut is_joint = vec![false; doc.nodes.len()];
     for row in notes.rows.iter().filter(|row| row.follows_joints) {
-        let Some(text) = row.skin.and_then(|skin| doc.skins.get(skin)) else {
+        let Some(skin) = row.skin.filter(|&skin| skin < doc.skins.len()) else {
             continue;
         };
         let refuse = |problem: String| doc.fault.malformed(format!("nodes/{}", row.node), problem);
-        let skin: GltfSkin = serde_json::from_str(text).map_err(|e| refuse(e.to_string()))?;
+        let skin = doc.read_skin(skin).map_err(|e| refuse(e.to_string()))?;
         let joints: Vec<usize> = skin.joints.iter().map(|j| j.index()).collect();
         joints.iter().for_each(|&joint| is_joint[joint] = true);
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
-        let used = influence_accessors(primitive).into_iter().flat_map(|(j, w)| [j, w]);
-        buffers.decode_for(doc, &used.collect::<BTreeSet<usize>>())?;
-        let read = VertexInfluences::read(doc, buffers, primitive, joints.len()).map_err(refuse)?;
+        let read = VertexInfluences::read(doc, primitive, joints.len()).map_err(refuse)?;
         for (number, vertex) in row.vertices.clone().enumerate() {
             let held = read.of(number).iter();
             of_vertex[vertex] = held
@@ -153,15 +148,15 @@ struct SamplerText {
 
 /// A clip of a model's scene.
 pub(super) fn scene_clip(model: &Model, notes: &GltfNotes, index: usize) -> Result<Option<SceneClip>, Error> {
-    let (doc, mut buffers) = notes.document_and_bytes(model)?;
-    let Some(text) = doc.animations.get(index) else {
+    let doc = notes.loaded_document(model)?;
+    if index >= doc.animations.len() {
         return Ok(None);
-    };
+    }
+    let text = doc.item(&doc.animations, index);
     let place = format!("animations/{index}");
     let clip: ClipText = serde_json::from_str(text).map_err(|e| doc.fault.malformed(&*place, e.to_string()))?;
     let mut reader = ClipReader {
         doc: &doc,
-        buffers: &mut buffers,
         samplers: &clip.samplers,
         numbers: 0,
     };
@@ -177,7 +172,6 @@ pub(super) fn scene_clip(model: &Model, notes: &GltfNotes, index: usize) -> Resu
 
 struct ClipReader<'r, 'a> {
     doc: &'r GltfDocument<'a>,
-    buffers: &'r mut BufferBytes<'static>,
     samplers: &'r [SamplerText],
     numbers: u64,
 }
@@ -266,11 +260,10 @@ impl ClipReader<'_, '_> {
         let Some(described) = self.doc.accessors.get(accessor) else {
             return Err(fault.malformed(place, format!("is {accessor}, there are {count} accessors")));
         };
-        let layout = AccessorLayout::of(described, self.doc.views.values);
         let fits = |l: &AccessorLayout| {
             l.lanes == lanes && (l.component == ComponentType::F32 || (described.normalized && is_scaled))
         };
-        let Some(layout) = layout.filter(fits) else {
+        let Some(layout) = self.doc.layout(accessor).filter(fits) else {
             let problem = format!("accessor {accessor} has elements of another kind than {lanes} floats");
             return Err(fault.malformed(place, problem));
         };
@@ -278,7 +271,7 @@ impl ClipReader<'_, '_> {
             .numbers
             .saturating_add(described.count.0.saturating_mul(lanes as u64));
         within("numbers of a clip", self.numbers, MOST_NUMBERS)?;
-        let values = decode_values(self.doc, self.buffers, accessor, layout)?;
+        let values = self.doc.read_values(accessor, layout)?;
         match values.iter().position(|v| !v.is_finite()) {
             Some(at) => Err(fault.malformed(place, format!("number {at} of accessor {accessor} is {}", values[at]))),
             None => Ok(values),
@@ -315,26 +308,22 @@ const MOST_TARGET_NUMBERS: u64 = 1 << 28;
 
 /// The shapes of all primitives, in order.
 pub(super) fn primitive_shapes(model: &Model, notes: &GltfNotes) -> Result<Vec<PrimitiveShapes>, Error> {
-    let (doc, mut buffers) = notes.document_and_bytes(model)?;
+    let doc = notes.loaded_document(model)?;
     let mut numbers = 0;
     let mut all = Vec::with_capacity(notes.rows.len());
     for row in &notes.rows {
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
         numbers += 3 * (row.vertices.len() * (1 + primitive.targets.len())) as u64;
         within("numbers of morph targets", numbers, MOST_TARGET_NUMBERS)?;
-        let mut used: BTreeSet<usize> = row.placement.accessors(primitive).into_iter().collect();
-        let position = primitive.attribute(ShapeAttribute::Position.name());
-        used.extend(position);
-        used.extend((0..primitive.targets.len()).filter_map(|t| displacements(t).accessor(primitive)));
-        buffers.decode_for(&doc, &used)?;
-        let placed = row.placement.transforms(&doc, &buffers, primitive)?;
+        let placed = row.placement.transforms(&doc, primitive)?;
         let mut shapes = PrimitiveShapes::default();
-        if let Some(at) = position.filter(|_| row.skin.is_none()) {
-            let stored = super::accessors::read_floats(&doc, &buffers, at, ShapeAttribute::Position)?;
+        if row.skin.is_none()
+            && let Some(stored) = doc.read_attribute(primitive, ShapeAttribute::Position)?
+        {
             shapes.positions = vectors(&stored);
         }
         for target in 0..primitive.targets.len() {
-            let moves = target_moves(&doc, &buffers, primitive, target)?;
+            let moves = target_moves(&doc, primitive, target)?;
             shapes.targets.push(in_space_of(row, &placed, moves));
         }
         all.push(shapes);
@@ -349,16 +338,11 @@ fn displacements(target: usize) -> AttributeSlot {
     }
 }
 
-fn target_moves(
-    doc: &GltfDocument<'_>,
-    buffers: &super::buffers::BufferBytes,
-    primitive: &MeshPrimitive,
-    target: usize,
-) -> Result<Vec<Vec3>, Error> {
+fn target_moves(doc: &GltfDocument<'_>, primitive: &MeshPrimitive, target: usize) -> Result<Vec<Vec3>, Error> {
     let Some(accessor) = displacements(target).accessor(primitive) else {
         return Ok(Vec::new());
     };
-    let moves = read_displacements(doc, buffers, accessor)?;
+    let moves = read_displacements(doc, accessor)?;
     Ok(moves.map_or_else(Vec::new, |moves| vectors(&moves)))
 }
 

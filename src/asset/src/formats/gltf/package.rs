@@ -5,10 +5,11 @@
 //! A missing buffer is an error of [`buffers`](super::buffers): it holds the shape. A missing image is a warning:
 //! nothing is computed from it.
 
-use super::buffers::{self, BufferBytes, BufferOrigin, RelativeName, media_type_of};
+use super::buffers::{self, BufferOrigin, RelativeName, media_type_of};
 use super::builder::{BufferBuilder, embedded_buffer_text};
 use super::container::{self, GltfFault};
-use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
+use super::document::{GLB_FORMAT, GltfDocument};
+use super::patch::PatchedDocument;
 use super::scene::Warnings;
 use super::schema::MESHOPT;
 use super::text::{JsonEdits, index_of, list_of, quoted, value_of};
@@ -18,13 +19,12 @@ use std::collections::BTreeMap;
 
 /// Writes the files.
 pub(super) fn package(
-    doc: &GltfDocument<'_>,
     files: &FileSet,
-    buffers: &BufferBytes,
-    patched: PatchedDocument<'_>,
+    patched: PatchedDocument<'_, '_>,
     format: Format,
 ) -> Result<WrittenFiles, Error> {
     let PatchedDocument {
+        doc,
         mut edits,
         buffers: mut changed,
         added_buffer,
@@ -35,20 +35,21 @@ pub(super) fn package(
     }
 
     let mut bin: Option<Cow<'_, [u8]>> = None;
-    for (i, stored) in buffers.stored.iter().enumerate() {
-        let text = doc.buffers.items[i];
+    for (i, origin) in doc.origins().enumerate() {
+        let text = doc.item(&doc.buffers, i);
+        let stored = doc.buffer_bytes(i);
+        let declared = doc.buffers.values[i].byte_length.index();
         let new = changed.remove(&i);
-        let becomes_bin =
-            i == 0 && format == GLB_FORMAT && (doc.container.is_none() || stored.origin == BufferOrigin::Bin);
+        let becomes_bin = i == 0 && format == GLB_FORMAT && (doc.container.is_none() || *origin == BufferOrigin::Bin);
         if becomes_bin {
-            let Some(bytes) = &stored.bytes else {
+            let Some(bytes) = stored else {
                 let problem = "buffer 0 holds no bytes, and in a GLB it would have to be the BIN chunk";
                 return Err(GltfFault(format).unwritable(problem));
             };
             if doc.container.is_none() {
                 edits.remove(text, "uri");
-                if let BufferOrigin::Companion(name) = &stored.origin
-                    && buffers.is_exclusive(i)
+                if let BufferOrigin::Companion(name) = origin
+                    && doc.is_exclusive(i)
                 {
                     companions.remove(name);
                 }
@@ -56,17 +57,17 @@ pub(super) fn package(
             // What a file has beyond the declared length belongs to nothing, but a BIN chunk is kept as it came.
             let mut now = new.map_or(Cow::Borrowed(&bytes[..]), Cow::Owned);
             if doc.container.is_none() {
-                now = declared_part(now, bytes.len(), doc.buffers.values[i].byte_length.index());
+                now = declared_part(now, bytes.len(), declared);
             }
             bin = Some(now);
             continue;
         }
-        match (&stored.origin, new) {
+        match (origin, new) {
             // Only on the way from GLB to glTF: the chunk becomes an embedded buffer.
             (BufferOrigin::Bin, new) => {
-                let bytes = stored.bytes.as_deref().unwrap_or_default();
+                let bytes = stored.map_or(&[][..], |bytes| bytes);
                 let now = new.map_or(Cow::Borrowed(bytes), Cow::Owned);
-                let now = declared_part(now, bytes.len(), doc.buffers.values[i].byte_length.index());
+                let now = declared_part(now, bytes.len(), declared);
                 edits.set(text, "uri", quoted(&buffers::embed(&now)));
             }
             (BufferOrigin::Embedded, Some(new)) => edits.set(text, "uri", quoted(&buffers::embed(&new))),
@@ -75,7 +76,12 @@ pub(super) fn package(
         }
     }
     if let Some(bytes) = added_buffer {
-        edits.push_or_set(doc.text, "buffers", doc.buffers.text, &[embedded_buffer_text(&bytes)]);
+        edits.push_or_set(
+            doc.text,
+            "buffers",
+            doc.array(&doc.buffers),
+            &[embedded_buffer_text(&bytes)],
+        );
     }
     let json = edits.apply();
     let main = if format == GLB_FORMAT {

@@ -1,64 +1,123 @@
-//! Carries out a plan: new bytes in buffers, and edits of the document's text.
+//! A document with changes that leave every other byte alone: new bytes in buffers, edits of the text, appended data; and how a
+//! plan becomes such changes.
 
-use super::accessors::{AccessorLayout, ShapeAttribute};
-use super::buffers::BufferBytes;
+use super::accessors::ShapeAttribute;
 use super::builder::{BufferBuilder, NewAccessor, VERTICES, bounds, float_bytes};
-use super::document::{GltfDocument, PatchedDocument};
+use super::document::GltfDocument;
 use super::schema::DRACO;
 use super::sharing::{AccessorOverwrite, AppendedAccessor, MeshRef, SharingPlan};
 use super::targets::AttributeSlot;
-use super::text::{JsonEdits, items, list_of, value_of};
+use super::text::{JsonEdits, list_of, value_of};
 use crate::Error;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Makes the changes of a plan.
-pub(super) fn patch<'a>(
-    doc: &GltfDocument<'a>,
-    buffers: &BufferBytes,
-    plan: SharingPlan,
-) -> Result<PatchedDocument<'a>, Error> {
-    let mut patcher = DocumentPatcher {
-        doc,
-        stored: buffers,
-        out: PatchedDocument {
+/// A document with its edits, and the buffers that differ from the stored ones.
+pub(super) struct PatchedDocument<'d, 'a> {
+    pub(super) doc: &'d GltfDocument<'a>,
+    pub(super) edits: JsonEdits<'a>,
+    /// Whole new contents by buffer.
+    pub(super) buffers: BTreeMap<usize, Vec<u8>>,
+    /// Contents of a buffer that has to be added because no other takes new data.
+    pub(super) added_buffer: Option<Vec<u8>>,
+}
+
+impl<'d, 'a> PatchedDocument<'d, 'a> {
+    /// Nothing is changed yet.
+    pub(super) fn new(doc: &'d GltfDocument<'a>) -> Self {
+        Self {
+            doc,
             edits: JsonEdits::new(doc.text),
             buffers: BTreeMap::new(),
             added_buffer: None,
-        },
-    };
+        }
+    }
+
+    /// A buffer's bytes, made our own on first use.
+    fn own_bytes(&mut self, buffer: usize) -> &mut Vec<u8> {
+        let stored = self.doc.buffer_bytes(buffer);
+        self.buffers
+            .entry(buffer)
+            .or_insert_with(|| stored.map(|b| b.to_vec()).unwrap_or_default())
+    }
+
+    /// Writes elements of floats over the bytes of a view, of which element 0 begins at `offset`. `None` where one has no place.
+    pub(super) fn overwrite<'v>(
+        &mut self,
+        view: usize,
+        offset: u64,
+        stride: u64,
+        elements: impl Iterator<Item = (Option<usize>, &'v [f32])>,
+    ) -> Option<()> {
+        let view = self.doc.views.get(view)?;
+        let (start, stride) = ((view.offset() + offset) as usize, stride as usize);
+        let bytes = self.own_bytes(view.buffer.index());
+        for (i, element) in elements {
+            let place = bytes.get_mut(start + i? * stride..)?.get_mut(..4 * element.len())?;
+            let numbers = place.as_chunks_mut::<4>().0.iter_mut().zip(element);
+            numbers.for_each(|(to, v)| *to = v.to_le_bytes());
+        }
+        Some(())
+    }
+
+    /// Gives an accessor the bounds of these values. Only positions must have bounds, but bounds that are there must be right.
+    pub(super) fn set_bounds(&mut self, accessor: usize, values: &[f32], lanes: usize, is_position: bool) {
+        let text = self.doc.item(&self.doc.accessors, accessor);
+        let (least, most) = bounds(values, lanes);
+        for (key, value) in [("min", least), ("max", most)] {
+            if is_position || value_of(text, key).is_some() {
+                self.edits.set(text, key, &value);
+            }
+        }
+    }
+
+    /// Adds new data to the end of the first buffer that takes more, or to a new one.
+    pub(super) fn append(&mut self, new: &BufferBuilder) -> Result<(), Error> {
+        if new.is_empty() {
+            return Ok(());
+        }
+        let doc = self.doc;
+        let target = doc.growing_buffer();
+        let mut bytes = target.map_or_else(Vec::new, |i| std::mem::take(self.own_bytes(i)));
+        let views = new.append_bytes(&mut bytes, target.unwrap_or(doc.buffers.len()), doc.fault)?;
+        self.edits
+            .push_or_set(doc.text, "bufferViews", doc.array(&doc.views), &views);
+        let accessors = new.accessor_texts(doc.views.len());
+        self.edits
+            .push_or_set(doc.text, "accessors", doc.array(&doc.accessors), &accessors);
+        self.grow(target, bytes);
+        Ok(())
+    }
+
+    /// Gives a buffer more bytes than it had; `None`: a new one.
+    pub(super) fn grow(&mut self, buffer: Option<usize>, bytes: Vec<u8>) {
+        let Some(i) = buffer else {
+            self.added_buffer = Some(bytes);
+            return;
+        };
+        let item = self.doc.item(&self.doc.buffers, i);
+        self.edits.set(item, "byteLength", bytes.len());
+        self.buffers.insert(i, bytes);
+    }
+}
+
+/// Makes the changes of a plan.
+pub(super) fn patch<'d, 'a>(doc: &'d GltfDocument<'a>, plan: &SharingPlan) -> Result<PatchedDocument<'d, 'a>, Error> {
+    let mut patched = PatchedDocument::new(doc);
     if !plan.is_empty() {
         for overwrite in &plan.overwrites {
-            patcher.overwrite(overwrite)?;
+            patched.overwrite_changed(overwrite)?;
         }
-        patcher.append(&plan.appends)?;
-        patcher.patch_meshes(&plan)?;
+        patched.append_accessors(&plan.appends)?;
+        patched.patch_meshes(plan)?;
     }
-    Ok(patcher.out)
+    Ok(patched)
 }
 
 /// Bytes of JSON that copies of meshes may take: a mesh is described once in a file, but may be placed any number of times.
 const MOST_COPIED: usize = 512 << 20;
 
-struct DocumentPatcher<'d, 'a> {
-    doc: &'d GltfDocument<'a>,
-    stored: &'d BufferBytes<'d>,
-    out: PatchedDocument<'a>,
-}
-
-impl<'a> DocumentPatcher<'_, 'a> {
-    /// A buffer's bytes, made our own on first use.
-    fn patch_bytes(&mut self, buffer: usize) -> &mut Vec<u8> {
-        self.out.buffers.entry(buffer).or_insert_with(|| {
-            self.stored
-                .stored
-                .get(buffer)
-                .and_then(|s| s.bytes.as_ref())
-                .map(|b| b.to_vec())
-                .unwrap_or_default()
-        })
-    }
-
-    fn overwrite(&mut self, overwrite: &AccessorOverwrite) -> Result<(), Error> {
+impl<'a> PatchedDocument<'_, 'a> {
+    fn overwrite_changed(&mut self, overwrite: &AccessorOverwrite) -> Result<(), Error> {
         let AccessorOverwrite {
             accessor,
             slot,
@@ -66,9 +125,8 @@ impl<'a> DocumentPatcher<'_, 'a> {
             sparse,
         } = overwrite;
         let described = &self.doc.accessors.values[*accessor];
-        let layout = AccessorLayout::of(described, self.doc.views.values);
         // Sparse values are packed.
-        let place = match (sparse, &described.sparse, layout) {
+        let place = match (sparse, &described.sparse, self.doc.layout(*accessor)) {
             (Some(_), Some(s), Some(l)) => Some((s.values.buffer_view, s.values.byte_offset.0, l.element)),
             (None, _, Some(l)) => described.buffer_view.map(|view| (view, described.offset(), l.stride)),
             _ => None,
@@ -76,53 +134,24 @@ impl<'a> DocumentPatcher<'_, 'a> {
         let Some((view, offset, stride)) = place else {
             return Ok(());
         };
-        let Some(view) = self.doc.views.get(view.index()) else {
-            return Ok(());
-        };
-        let outside = || {
-            self.doc
-                .fault
-                .malformed(format!("accessors/{accessor}"), "reaches past the end of its buffer")
-        };
-        let (start, stride) = ((view.offset() + offset) as usize, stride as usize);
-        let bytes = self.patch_bytes(view.buffer.index());
-        let elements = channel
-            .values
-            .chunks_exact(slot.lanes())
-            .zip(&channel.changed)
-            .enumerate();
-        for (i, (element, _)) in elements.filter(|(_, (_, changed))| **changed) {
-            let i = match sparse {
-                Some(replaced) => replaced.binary_search(&i).map_err(|_| outside())?,
-                None => i,
-            };
-            let place = bytes
-                .get_mut(start + i * stride..)
-                .and_then(|b| b.get_mut(..4 * element.len()));
-            let place = place.ok_or_else(outside)?;
-            place
-                .as_chunks_mut::<4>()
-                .0
-                .iter_mut()
-                .zip(element)
-                .for_each(|(to, v)| *to = v.to_le_bytes());
-        }
-        let text = self.doc.accessors.items[*accessor];
-        let (least, most) = bounds(&channel.values, slot.lanes());
-        for (key, value) in [("min", least), ("max", most)] {
-            // Only POSITION must have bounds, but bounds that are there must be right.
-            if slot.role == ShapeAttribute::Position || value_of(text, key).is_some() {
-                self.out.edits.set(text, key, &value);
-            }
-        }
+        let elements = channel.values.chunks_exact(slot.lanes()).zip(&channel.changed);
+        let changed = elements.enumerate().filter(|(_, (_, changed))| **changed);
+        let in_place = changed.map(|(i, (element, _))| {
+            let replaced = sparse.as_ref().map(|replaced| replaced.binary_search(&i));
+            (replaced.map_or(Some(i), Result::ok), element)
+        });
+        let written = self.overwrite(view.index(), offset, stride, in_place);
+        written.ok_or_else(|| {
+            let problem = "reaches past the end of its buffer";
+            self.doc.fault.malformed(format!("accessors/{accessor}"), problem)
+        })?;
+        let is_position = slot.role == ShapeAttribute::Position;
+        self.set_bounds(*accessor, &channel.values, slot.lanes(), is_position);
         Ok(())
     }
 
-    /// Adds accessors, each with a view of its own, to the end of the first buffer that takes more.
-    fn append(&mut self, appends: &[AppendedAccessor]) -> Result<(), Error> {
-        if appends.is_empty() {
-            return Ok(());
-        }
+    /// Adds accessors, each with a view of its own.
+    fn append_accessors(&mut self, appends: &[AppendedAccessor]) -> Result<(), Error> {
         let mut new = BufferBuilder::default();
         for append in appends {
             let Some((_, _, slot)) = append.users.first() else {
@@ -135,95 +164,77 @@ impl<'a> DocumentPatcher<'_, 'a> {
             };
             new.push_packed(&float_bytes(&append.values), Some(VERTICES), accessor);
         }
-        let target = self.stored.growing_buffer(self.doc);
-        let stored = target.and_then(|i| self.stored.stored[i].bytes.as_ref());
-        let kept = stored.map_or(0, |bytes| bytes.len().next_multiple_of(4));
-        let name = format!("buffer {}", target.unwrap_or(self.doc.buffers.len()));
-        new.check_size(kept, &name, self.doc.fault)?;
-        new.append_to(self.doc, self.stored, &mut self.out)
+        self.append(&new)
     }
 
     /// Points attributes at new accessors, in place or in copies of their meshes, and nodes at the copies.
     fn patch_meshes(&mut self, plan: &SharingPlan) -> Result<(), Error> {
-        let copied: usize = plan
-            .copies
-            .iter()
-            .map(|copy| self.doc.meshes.items[copy.of].len())
-            .sum();
+        let doc = self.doc;
+        let mesh_text = |index: usize| doc.item(&doc.meshes, index);
+        let copied: usize = plan.copies.iter().map(|copy| mesh_text(copy.of).len()).sum();
         if copied > MOST_COPIED {
             let problem = format!(
                 "{} instances would need {copied} bytes of JSON, at most {MOST_COPIED} are written",
                 plan.copies.len()
             );
-            return Err(self.doc.fault.unwritable(problem));
+            return Err(doc.fault.unwritable(problem));
         }
-        let first_accessor = self.doc.accessors.len();
-        let mut redirects: BTreeMap<MeshRef, Vec<(usize, AttributeSlot, usize)>> = BTreeMap::new();
+        let mut changes: BTreeMap<MeshRef, MeshChanges> = BTreeMap::new();
         for (i, append) in plan.appends.iter().enumerate() {
             for &(mesh, primitive, slot) in &append.users {
-                redirects
-                    .entry(mesh)
-                    .or_default()
-                    .push((primitive, slot, first_accessor + i));
+                let redirect = (primitive, slot, doc.accessors.len() + i);
+                changes.entry(mesh).or_default().redirects.push(redirect);
             }
         }
-        let stale = |mesh: MeshRef| {
-            plan.stale_draco
-                .iter()
-                .filter(move |(m, _)| *m == mesh)
-                .map(|(_, p)| *p)
-        };
-        let originals: BTreeSet<MeshRef> = redirects
-            .keys()
-            .copied()
-            .chain(plan.stale_draco.iter().map(|(mesh, _)| *mesh))
-            .filter(|mesh| matches!(mesh, MeshRef::Original(_)))
-            .collect();
-        for mesh in originals {
-            let MeshRef::Original(index) = mesh else { continue };
-            let changes = redirects.get(&mesh).map_or(&[][..], Vec::as_slice);
-            edit_mesh(&mut self.out.edits, self.doc.meshes.items[index], changes, stale(mesh));
+        for &(mesh, primitive) in &plan.stale_draco {
+            changes.entry(mesh).or_default().stale.insert(primitive);
+        }
+        for (mesh, changes) in &changes {
+            if let MeshRef::Original(index) = mesh {
+                changes.edit(&mut self.edits, mesh_text(*index));
+            }
         }
         let mut copies = Vec::new();
         for (i, copy) in plan.copies.iter().enumerate() {
-            let text = self.doc.meshes.items[copy.of];
-            let mut edits = JsonEdits::new(text);
-            let changes = redirects.get(&MeshRef::Copy(i)).map_or(&[][..], Vec::as_slice);
-            edit_mesh(&mut edits, text, changes, stale(MeshRef::Copy(i)));
+            let mut edits = JsonEdits::new(mesh_text(copy.of));
+            if let Some(changes) = changes.get(&MeshRef::Copy(i)) {
+                changes.edit(&mut edits, mesh_text(copy.of));
+            }
             copies.push(edits.apply());
             for &node in &copy.nodes {
-                let index = (self.doc.meshes.len() + i).to_string();
-                self.out.edits.set(self.doc.nodes.items[node], "mesh", &index);
+                self.edits.set(doc.item(&doc.nodes, node), "mesh", doc.meshes.len() + i);
             }
         }
-        self.out
-            .edits
-            .push_or_set(self.doc.text, "meshes", self.doc.meshes.text, &copies);
+        self.edits
+            .push_or_set(doc.text, "meshes", doc.array(&doc.meshes), &copies);
         Ok(())
     }
 }
 
-fn edit_mesh<'a>(
-    edits: &mut JsonEdits<'a>,
-    mesh: &'a str,
-    changes: &[(usize, AttributeSlot, usize)],
-    stale: impl Iterator<Item = usize>,
-) {
-    let primitives = list_of(mesh, "primitives");
-    for (primitive, slot, accessor) in changes {
-        let primitive = primitives.get(*primitive);
-        let attributes = match slot.target {
-            None => primitive.and_then(|p| value_of(p, "attributes")),
-            Some(target) => {
-                let targets = primitive.and_then(|p| items(value_of(p, "targets")?).ok());
-                targets.and_then(|all| all.get(target).copied())
+/// What becomes of a mesh.
+#[derive(Default)]
+struct MeshChanges {
+    /// Attributes of primitives with their new accessors.
+    redirects: Vec<(usize, AttributeSlot, usize)>,
+    /// Primitives whose Draco copy is stale.
+    stale: BTreeSet<usize>,
+}
+
+impl MeshChanges {
+    fn edit<'a>(&self, edits: &mut JsonEdits<'a>, mesh: &'a str) {
+        let primitives = list_of(mesh, "primitives");
+        for (primitive, slot, accessor) in &self.redirects {
+            let primitive = primitives.get(*primitive).copied().unwrap_or_default();
+            let attributes = match slot.target {
+                None => value_of(primitive, "attributes"),
+                Some(target) => list_of(primitive, "targets").get(target).copied(),
+            };
+            if let Some(attributes) = attributes {
+                edits.set(attributes, slot.role.name(), accessor);
             }
-        };
-        if let Some(attributes) = attributes {
-            edits.set(attributes, slot.role.name(), accessor);
         }
-    }
-    for primitive in stale.filter_map(|p| primitives.get(p)) {
-        edits.remove_extension(primitive, DRACO);
+        for primitive in self.stale.iter().filter_map(|p| primitives.get(*p)) {
+            edits.remove_extension(primitive, DRACO);
+        }
     }
 }

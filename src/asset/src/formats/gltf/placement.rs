@@ -1,7 +1,6 @@
 //! Where the stored vertices of a primitive stand in the world: all by one transform, or each by the joints of its skin.
 
-use super::accessors::{AccessorLayout, ComponentType, read_values};
-use super::buffers::BufferBytes;
+use super::accessors::ComponentType;
 use super::document::GltfDocument;
 use super::schema::{GltfSkin, MeshPrimitive};
 use crate::Error;
@@ -81,32 +80,20 @@ impl Placement {
         Ok((Self::Blended(Arc::clone(pose)), VertexTransforms::Each(each)))
     }
 
-    /// The transforms of the vertices of a primitive, whose accessors must be decoded.
+    /// The transforms of the vertices of a primitive.
     pub(super) fn transforms(
         &self,
         doc: &GltfDocument<'_>,
-        buffers: &BufferBytes,
         primitive: &MeshPrimitive,
     ) -> Result<VertexTransforms, Error> {
         match self {
             Self::Whole(one) => Ok(VertexTransforms::Whole(*one)),
             Self::Blended(pose) => {
                 let of_joint = &pose.world_from_bind;
-                let influences = VertexInfluences::read(doc, buffers, primitive, of_joint.len())
+                let influences = VertexInfluences::read(doc, primitive, of_joint.len())
                     .map_err(|problem| doc.fault.unwritable(problem))?;
                 Ok(VertexTransforms::of_influences(&influences, of_joint))
             }
-        }
-    }
-
-    /// The accessors that [`Placement::transforms`] reads.
-    pub(super) fn accessors(&self, primitive: &MeshPrimitive) -> Vec<usize> {
-        match self {
-            Self::Whole(_) => Vec::new(),
-            Self::Blended(_) => influence_accessors(primitive)
-                .into_iter()
-                .flat_map(|(j, w)| [j, w])
-                .collect(),
         }
     }
 }
@@ -207,14 +194,13 @@ pub(super) struct SkinPose {
 
 impl SkinPose {
     /// Reads a skin of which the nodes stand at `world_from_node`; or says, for a warning, why its rest pose is not known.
-    pub(super) fn read(
-        doc: &GltfDocument<'_>,
-        buffers: &mut BufferBytes,
-        skin: usize,
-        world_from_node: &[DAffine3],
-    ) -> Result<Self, String> {
-        let text = doc.skins.get(skin).ok_or("the skin does not exist")?;
-        let skin: GltfSkin = serde_json::from_str(text).map_err(|e| format!("the skin cannot be read ({e})"))?;
+    pub(super) fn read(doc: &GltfDocument<'_>, skin: usize, world_from_node: &[DAffine3]) -> Result<Self, String> {
+        if skin >= doc.skins.len() {
+            return Err("the skin does not exist".into());
+        }
+        let skin = doc
+            .read_skin(skin)
+            .map_err(|e| format!("the skin cannot be read ({e})"))?;
         let joints: Vec<usize> = skin.joints.iter().map(|j| j.index()).collect();
         if joints.is_empty() {
             return Err("the skin has no joints".into());
@@ -227,7 +213,7 @@ impl SkinPose {
         }
         let bind = match skin.inverse_bind_matrices {
             None => vec![DAffine3::IDENTITY; joints.len()],
-            Some(accessor) => inverse_bind_matrices(doc, buffers, accessor.index(), joints.len())?,
+            Some(accessor) => inverse_bind_matrices(doc, accessor.index(), joints.len())?,
         };
         let place = |(&joint, bind): (&usize, &DAffine3)| world_from_node[joint] * *bind;
         let world_from_bind: Vec<DAffine3> = joints.iter().zip(&bind).map(place).collect();
@@ -238,10 +224,17 @@ impl SkinPose {
     }
 }
 
+impl GltfDocument<'_> {
+    /// Reads a skin.
+    pub(super) fn read_skin(&self, skin: usize) -> serde_json::Result<GltfSkin> {
+        serde_json::from_str(self.item(&self.skins, skin))
+    }
+}
+
 /// The nodes that are joints of any skin that can be read.
 pub(super) fn joint_nodes(doc: &GltfDocument<'_>) -> BTreeSet<usize> {
-    let skins = doc.skins.iter().filter_map(|text| serde_json::from_str(text).ok());
-    let joints = skins.flat_map(|skin: GltfSkin| skin.joints);
+    let skins = (0..doc.skins.len()).filter_map(|skin| doc.read_skin(skin).ok());
+    let joints = skins.flat_map(|skin| skin.joints);
     joints
         .map(|joint| joint.index())
         .filter(|&joint| joint < doc.nodes.len())
@@ -249,16 +242,12 @@ pub(super) fn joint_nodes(doc: &GltfDocument<'_>) -> BTreeSet<usize> {
 }
 
 /// The inverse bind matrices of so many joints.
-pub(super) fn inverse_bind_matrices(
-    doc: &GltfDocument<'_>,
-    buffers: &mut BufferBytes,
-    accessor: usize,
-    joints: usize,
-) -> Result<Vec<DAffine3>, String> {
+fn inverse_bind_matrices(doc: &GltfDocument<'_>, accessor: usize, joints: usize) -> Result<Vec<DAffine3>, String> {
     let described = doc.accessors.get(accessor);
     let described =
         described.ok_or_else(|| format!("the inverse bind matrices name accessor {accessor}, which does not exist"))?;
-    let layout = AccessorLayout::of(described, doc.views.values)
+    let layout = doc
+        .layout(accessor)
         .filter(|l| l.component == ComponentType::F32 && described.shape == "MAT4")
         .ok_or("the inverse bind matrices are not a MAT4 of floats")?;
     let count = described.count.index();
@@ -267,9 +256,7 @@ pub(super) fn inverse_bind_matrices(
             "there are {joints} joints and only {count} inverse bind matrices"
         ));
     }
-    buffers
-        .decode_for(doc, &BTreeSet::from([accessor]))
-        .and_then(|()| read_values(doc, buffers, accessor, layout))
+    doc.read_values(accessor, layout)
         .map_err(|e| e.to_string())?
         .as_chunks::<16>()
         .0
@@ -318,13 +305,8 @@ pub(super) fn influence_accessors(primitive: &MeshPrimitive) -> Vec<(usize, usiz
 }
 
 impl VertexInfluences {
-    /// Reads all sets of a primitive, which must be decoded; or says, for a warning, why they mean nothing.
-    pub(super) fn read(
-        doc: &GltfDocument<'_>,
-        buffers: &BufferBytes,
-        primitive: &MeshPrimitive,
-        joint_count: usize,
-    ) -> Result<Self, String> {
+    /// Reads all sets of a primitive; or says, for a warning, why they mean nothing.
+    pub(super) fn read(doc: &GltfDocument<'_>, primitive: &MeshPrimitive, joint_count: usize) -> Result<Self, String> {
         let sets = influence_accessors(primitive);
         if sets.is_empty() {
             return Err("it has no JOINTS_0 and WEIGHTS_0".into());
@@ -332,8 +314,8 @@ impl VertexInfluences {
         let mut joints = Vec::with_capacity(sets.len());
         let mut weights = Vec::with_capacity(sets.len());
         for (set, (joint, weight)) in sets.into_iter().enumerate() {
-            joints.push(read_set(doc, buffers, joint, &format!("JOINTS_{set}"))?);
-            weights.push(read_set(doc, buffers, weight, &format!("WEIGHTS_{set}"))?);
+            joints.push(read_set(doc, joint, &format!("JOINTS_{set}"))?);
+            weights.push(read_set(doc, weight, &format!("WEIGHTS_{set}"))?);
         }
         Self::from_sets(&joints, &weights, joint_count)
     }
@@ -421,10 +403,9 @@ impl VertexInfluences {
 }
 
 /// One set of four numbers for each vertex.
-fn read_set(doc: &GltfDocument<'_>, buffers: &BufferBytes, accessor: usize, name: &str) -> Result<Vec<f32>, String> {
-    let described = doc.accessors.get(accessor);
-    let layout = described.and_then(|a| AccessorLayout::of(a, doc.views.values));
-    let (Some(described), Some(layout)) = (described, layout.filter(|l| l.lanes == 4)) else {
+fn read_set(doc: &GltfDocument<'_>, accessor: usize, name: &str) -> Result<Vec<f32>, String> {
+    let layout = doc.layout(accessor).filter(|l| l.lanes == 4);
+    let (Some(described), Some(layout)) = (doc.accessors.get(accessor), layout) else {
         return Err(format!("{name} is not a VEC4"));
     };
     let is_joints = name.starts_with("JOINTS");
@@ -444,7 +425,7 @@ fn read_set(doc: &GltfDocument<'_>, buffers: &BufferBytes, accessor: usize, name
             described.component_type.0
         ));
     }
-    read_values(doc, buffers, accessor, layout).map_err(|e| e.to_string())
+    doc.read_values(accessor, layout).map_err(|e| e.to_string())
 }
 
 /// Where stored places of each skin have been put. Vertices on both sides of a seam have the same stored position, and

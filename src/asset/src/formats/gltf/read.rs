@@ -1,7 +1,6 @@
 //! From a document to world-space triangles.
 
-use super::accessors::{self, AccessorLayout, ComponentType, ShapeAttribute};
-use super::buffers::BufferBytes;
+use super::accessors::{ComponentType, ShapeAttribute};
 use super::document::{GltfDocument, ParsedDocument};
 use super::draco;
 use super::placement::{Placement, SkinPose, SkinSeams, VertexInfluences, VertexTransforms};
@@ -12,7 +11,7 @@ use crate::model::FileNotes;
 use crate::{Error, FileSet, Format, Geometry, Limits, Model, Primitive};
 use glam::{DMat3, DVec3, Vec3, Vec4};
 use pliant_exec::progress::Silent;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Placed primitives. A node costs a dozen bytes in a file and places a whole mesh, so their number is not bounded by
@@ -61,14 +60,9 @@ impl GltfNotes {
         self.document.of(self.files(model))
     }
 
-    /// The document of the model, and its bytes.
-    pub(super) fn document_and_bytes<'a>(
-        &'a self,
-        model: &'a Model,
-    ) -> Result<(GltfDocument<'a>, BufferBytes<'static>), Error> {
-        let doc = self.document(model)?;
-        let buffers = load_bytes(&doc, self.files(model))?;
-        Ok((doc, buffers))
+    /// The document of the model with the bytes of its buffers.
+    pub(super) fn loaded_document<'a>(&'a self, model: &'a Model) -> Result<GltfDocument<'a>, Error> {
+        self.document(model)?.load_bytes(self.files(model), None)
     }
 }
 
@@ -78,33 +72,26 @@ impl FileNotes for GltfNotes {
     }
 }
 
-fn unlimited() -> ReadWatch<'static> {
-    ReadWatch::new(&Limits::UNLIMITED, &Silent, 0)
-}
-
-/// Parses a document that was just written, and so is within limits.
-pub(super) fn parse_written(files: &FileSet, format: Format) -> Result<ParsedDocument, Error> {
-    let parsed = ParsedDocument::parse(files, format, &unlimited())?;
+/// Parses a document and checks its references.
+fn parse(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<ParsedDocument, Error> {
+    let parsed = ParsedDocument::parse(files, format, watch)?;
     super::references::check(&parsed.of(files)?)?;
     Ok(parsed)
 }
 
-/// Finds the bytes of a document that is known to be right.
-pub(super) fn load_bytes(doc: &GltfDocument<'_>, files: &FileSet) -> Result<BufferBytes<'static>, Error> {
-    BufferBytes::load(doc, files, &unlimited())
+/// Parses a document that was just written, and so is within limits.
+pub(super) fn parse_written(files: &FileSet, format: Format) -> Result<ParsedDocument, Error> {
+    parse(files, format, &ReadWatch::new(&Limits::UNLIMITED, &Silent, 0))
 }
 
 /// Reads a model, checking everything it relies on.
 pub(super) fn read(files: &FileSet, format: Format, watch: &ReadWatch<'_>) -> Result<(Geometry, GltfNotes), Error> {
-    let parsed = Arc::new(ParsedDocument::parse(files, format, watch)?);
-    let doc = parsed.of(files)?;
-    super::references::check(&doc)?;
-    if doc.uses(DRACO) {
-        let mut buffers = BufferBytes::load(&doc, files, watch)?;
-        if let Some((plain, count)) = draco::uncompress(&doc, files, &mut buffers, watch)? {
-            drop(buffers);
-            let parsed = Arc::new(ParsedDocument::parse(&plain, format, watch)?);
-            super::references::check(&parsed.of(&plain)?)?;
+    let parsed = Arc::new(parse(files, format, watch)?);
+    if parsed.uses(DRACO) {
+        let doc = parsed.of(files)?.load_bytes(files, Some(watch))?;
+        if let Some((plain, count)) = draco::uncompress(&doc, files, watch)? {
+            drop(doc);
+            let parsed = Arc::new(parse(&plain, format, watch)?);
             let (mut geometry, mut notes) = read_document(&parsed, &plain, format, watch)?;
             let were = if count == 1 { "primitive was" } else { "primitives were" };
             let message = format!("{count} {were} compressed with Draco; a changed model comes back without it");
@@ -123,9 +110,8 @@ fn read_document(
     format: Format,
     watch: &ReadWatch<'_>,
 ) -> Result<(Geometry, GltfNotes), Error> {
-    let doc = &parsed.of(files)?;
+    let doc = &parsed.of(files)?.load_bytes(files, Some(watch))?;
     let mut reader = GltfReader {
-        buffers: BufferBytes::load(doc, files, watch)?,
         doc,
         watch,
         geometry: Geometry::default(),
@@ -197,7 +183,6 @@ fn fill_up(geometry: &mut Geometry) {
 
 struct GltfReader<'d, 'f> {
     doc: &'d GltfDocument<'f>,
-    buffers: BufferBytes<'d>,
     watch: &'d ReadWatch<'d>,
     geometry: Geometry,
     rows: Vec<PlacedPrimitive>,
@@ -237,8 +222,8 @@ impl GltfReader<'_, '_> {
             let message = "the uncompressed copy is used; where it is deformed, the Draco copy is dropped";
             self.warn("draco-fallback", message, place());
         }
-        let layout = accessors::check_role(doc, positions, ShapeAttribute::Position)?;
-        accessors::check_unbacked(doc, positions, layout)?;
+        let layout = doc.check_role(positions, ShapeAttribute::Position)?;
+        doc.check_unbacked(positions, layout)?;
 
         let count = doc.accessors.values[positions].count.0;
         let first_vertex = self.geometry.positions.len();
@@ -249,8 +234,7 @@ impl GltfReader<'_, '_> {
         let named = named.filter(|(name, _)| name.starts_with("TEXCOORD_"));
         let coordinates: Vec<usize> = named.map(|(_, accessor)| accessor.index()).collect();
         let used = used.chain(primitive.indices.map(|i| i.index()));
-        let used: BTreeSet<usize> = used.chain(coordinates.iter().copied()).collect();
-        self.buffers.decode_for(doc, &used)?;
+        doc.decode_for(used.chain(coordinates.iter().copied()))?;
 
         let triangles = if most > 0 {
             self.read_triangles(primitive, count as usize, &place())?
@@ -261,7 +245,7 @@ impl GltfReader<'_, '_> {
             self.warn("no-triangles", "has no triangles; it is passed through", place());
             return Ok(false);
         }
-        let stored = accessors::read_floats(doc, &self.buffers, positions, ShapeAttribute::Position)?;
+        let stored = doc.read_floats(positions, ShapeAttribute::Position)?;
         let by_joints = self.find_transforms(scene, placement, primitive, &stored, &place())?;
         let follows_joints = by_joints.is_some();
         let of_node = placement.world_from_mesh;
@@ -346,7 +330,7 @@ impl GltfReader<'_, '_> {
     ) -> Result<Vec<[u32; 3]>, Error> {
         let corners: Vec<u32> = match primitive.indices {
             Some(indices) => {
-                let corners = accessors::read_indices(self.doc, &self.buffers, indices.index())?;
+                let corners = self.doc.read_indices(indices.index())?;
                 if let Some(i) = corners.iter().position(|&c| c as usize >= vertices) {
                     let problem = format!("index {} at {i}, there are {vertices} vertices", corners[i]);
                     return Err(self.doc.fault.malformed(format!("accessors/{}", indices.0), problem));
@@ -397,7 +381,7 @@ impl GltfReader<'_, '_> {
         if let Some(known) = self.skins.get(&skin) {
             return known.clone();
         }
-        let pose = SkinPose::read(self.doc, &mut self.buffers, skin, &scene.world_from_node);
+        let pose = SkinPose::read(self.doc, skin, &scene.world_from_node);
         if let Ok(pose) = &pose
             && let Some(joint) = pose.joints.iter().find(|&&j| !scene.is_reached[j])
         {
@@ -418,13 +402,10 @@ impl GltfReader<'_, '_> {
         stored: &[f32],
         place: &str,
     ) -> Result<Result<(Placement, VertexTransforms), String>, Error> {
-        let used: BTreeSet<usize> = super::placement::influence_accessors(primitive)
-            .into_iter()
-            .flat_map(|(joints, weights)| [joints, weights])
-            .collect();
-        self.buffers.decode_for(self.doc, &used)?;
-        let count = pose.joints.len();
-        let influences = match VertexInfluences::read(self.doc, &self.buffers, primitive, count) {
+        let used = super::placement::influence_accessors(primitive);
+        self.doc
+            .decode_for(used.into_iter().flat_map(|(joints, weights)| [joints, weights]))?;
+        let influences = match VertexInfluences::read(self.doc, primitive, pose.joints.len()) {
             Ok(influences) => influences,
             Err(problem) => return Ok(Err(problem)),
         };
@@ -461,10 +442,9 @@ impl GltfReader<'_, '_> {
     }
 
     fn read_normals(&mut self, placed: &PlacedVertices<'_>, first: usize) -> Result<bool, Error> {
-        let Some(accessor) = placed.primitive.attribute("NORMAL") else {
+        let Some(values) = self.doc.read_attribute(placed.primitive, ShapeAttribute::Normal)? else {
             return Ok(false);
         };
-        let values = accessors::read_floats(self.doc, &self.buffers, accessor, ShapeAttribute::Normal)?;
         self.geometry.normals.resize(first, Vec3::ZERO);
         let mut odd = 0;
         for (i, &n) in values.as_chunks::<3>().0.iter().enumerate() {
@@ -478,10 +458,9 @@ impl GltfReader<'_, '_> {
     }
 
     fn read_tangents(&mut self, placed: &PlacedVertices<'_>, first: usize) -> Result<bool, Error> {
-        let Some(accessor) = placed.primitive.attribute("TANGENT") else {
+        let Some(values) = self.doc.read_attribute(placed.primitive, ShapeAttribute::Tangent)? else {
             return Ok(false);
         };
-        let values = accessors::read_floats(self.doc, &self.buffers, accessor, ShapeAttribute::Tangent)?;
         // Mirroring turns the side on which the bitangent lies.
         let side = if placed.transforms.is_mirrored() { -1.0 } else { 1.0 };
         self.geometry.tangents.resize(first, Vec4::ZERO);
@@ -503,9 +482,9 @@ impl GltfReader<'_, '_> {
     fn check_coordinates(&mut self, accessors: &[usize], place: &str) {
         let mut odd = 0;
         for &index in accessors {
-            let layout = AccessorLayout::find(self.doc, index);
+            let layout = self.doc.layout(index);
             let floats = layout.filter(|layout| layout.component == ComponentType::F32);
-            let values = floats.and_then(|layout| accessors::read_values(self.doc, &self.buffers, index, layout).ok());
+            let values = floats.and_then(|layout| self.doc.read_values(index, layout).ok());
             let values = values.iter().flat_map(|values| values.as_chunks::<2>().0);
             odd += values.filter(|pair| !pair.iter().all(|v| v.is_finite())).count();
         }

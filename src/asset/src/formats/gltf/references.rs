@@ -1,7 +1,6 @@
 //! Where a document names accessors and buffer views, as slices of its text; and checks of all references and ranges, so that
 //! nothing later can read past a buffer or miss an index.
 
-use super::accessors::AccessorLayout;
 use super::document::GltfDocument;
 use super::schema::{Attributes, BufferView, DRACO, ViewCompression};
 use super::text::{JsonEdits, list_of, members, parse_index, value_at, value_of};
@@ -202,7 +201,7 @@ fn check_accessor(doc: &GltfDocument<'_>, i: usize) -> Result<(), Error> {
         in_range(doc, || place() + "/bufferView", view.index(), "buffer view")?;
     }
     // An accessor of a type we do not know is that of an extension; where it is used as geometry it is refused.
-    let Some(layout) = AccessorLayout::of(accessor, doc.views.values) else {
+    let Some(layout) = doc.layout(i) else {
         return Ok(());
     };
     let component = layout.component.size() as u64;

@@ -38,7 +38,7 @@ pub(super) fn place_meshes(doc: &GltfDocument<'_>, warnings: &mut Warnings) -> R
     let parents = find_parents(doc)?;
     let world_from_node = world_transforms(doc, &parents)?;
 
-    let roots: Vec<usize> = match (doc.scene, doc.scenes.values) {
+    let roots: Vec<usize> = match (doc.scene, &doc.scenes.values[..]) {
         (Some(scene), scenes) => scenes[scene].nodes.iter().map(|n| n.index()).collect(),
         (None, []) => {
             if nodes.iter().any(|n| n.mesh.is_some()) {

@@ -154,6 +154,13 @@ impl GltfAccessor {
     pub(super) fn offset(&self) -> u64 {
         self.byte_offset.map_or(0, |o| o.0)
     }
+
+    /// The views that hold its numbers.
+    pub(super) fn views(&self) -> impl Iterator<Item = usize> {
+        let sparse = self.sparse.iter();
+        let sparse = sparse.flat_map(|s| [s.indices.buffer_view, s.values.buffer_view]);
+        self.buffer_view.into_iter().chain(sparse).map(WholeNumber::index)
+    }
 }
 
 #[derive(Debug, Deserialize)]

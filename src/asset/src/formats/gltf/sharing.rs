@@ -4,8 +4,7 @@
 //! accessor is overwritten only when all attributes that use it or share its bytes become the same; else the changed
 //! ones get an accessor of their own.
 
-use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, sparse_indices};
-use super::buffers::BufferBytes;
+use super::accessors::{ComponentType, ShapeAttribute};
 use super::document::GltfDocument;
 use super::read::GltfNotes;
 use super::references;
@@ -71,7 +70,6 @@ struct ChangeGroup {
 /// Decides what is overwritten and copied.
 pub(super) fn plan_overwrites(
     doc: &GltfDocument<'_>,
-    buffers: &BufferBytes,
     notes: &GltfNotes,
     rest: &Geometry,
     mut wanted: Vec<DeformedAttributes>,
@@ -117,10 +115,10 @@ pub(super) fn plan_overwrites(
             None
         } else {
             let spans = neighbours.get_or_insert_with(|| super::used_bytes::ByteSpans::collect(doc));
-            if is_writable(doc, buffers, accessor, slot) && spans.is_alone(accessor) {
+            if is_writable(doc, accessor, slot) && spans.is_alone(accessor) {
                 Some(None)
             } else {
-                writable_sparse_elements(doc, buffers, accessor, &groups[0])
+                writable_sparse_elements(doc, accessor, &groups[0])
                     .filter(|_| spans.is_sparse_alone(doc, accessor))
                     .map(Some)
             }
@@ -281,9 +279,9 @@ impl AccessorUses {
                 }
             }
         }
-        let animations = doc.animations.iter().map(|text| references::of_animation(text));
-        let skins = doc.skins.iter().map(|text| references::of_skin(text));
-        let nodes = doc.nodes.items.iter().map(|text| references::of_node(text));
+        let animations = doc.items(&doc.animations).map(references::of_animation);
+        let skins = doc.items(&doc.skins).map(references::of_skin);
+        let nodes = doc.items(&doc.nodes).map(references::of_node);
         let named = animations.chain(skins).chain(nodes).flat_map(|places| places.accessors);
         uses.strangers.extend(named.filter_map(parse_index));
         uses
@@ -291,25 +289,20 @@ impl AccessorUses {
 }
 
 /// Whether the accessor's own bytes can hold new floats.
-fn is_writable(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize, slot: AttributeSlot) -> bool {
+fn is_writable(doc: &GltfDocument<'_>, index: usize, slot: AttributeSlot) -> bool {
     let accessor = &doc.accessors.values[index];
-    let holds_floats = |view: WholeNumber| takes_floats(doc, buffers, index, view, slot);
+    let holds_floats = |view: WholeNumber| takes_floats(doc, index, view, slot);
     accessor.sparse.is_none() && accessor.buffer_view.is_some_and(holds_floats)
 }
 
 /// The elements of which an accessor's sparse values can take what changed, when they can take all of it: the usual case
 /// for morph targets, where what is zero stays zero.
-fn writable_sparse_elements(
-    doc: &GltfDocument<'_>,
-    buffers: &BufferBytes,
-    index: usize,
-    group: &ChangeGroup,
-) -> Option<Vec<usize>> {
+fn writable_sparse_elements(doc: &GltfDocument<'_>, index: usize, group: &ChangeGroup) -> Option<Vec<usize>> {
     let sparse = doc.accessors.values[index].sparse.as_ref()?;
-    if !takes_floats(doc, buffers, index, sparse.values.buffer_view, group.slot()) {
+    if !takes_floats(doc, index, sparse.values.buffer_view, group.slot()) {
         return None;
     }
-    let elements = sparse_indices(doc, buffers, index).ok()?;
+    let elements = doc.sparse_indices(index).ok()?;
     let changed = group
         .channel
         .changed
@@ -321,17 +314,11 @@ fn writable_sparse_elements(
 }
 
 /// Whether the bytes of a view of an accessor can hold new floats.
-fn takes_floats(
-    doc: &GltfDocument<'_>,
-    buffers: &BufferBytes,
-    accessor: usize,
-    view: WholeNumber,
-    slot: AttributeSlot,
-) -> bool {
-    let is_float = AccessorLayout::find(doc, accessor)
-        .is_some_and(|l| l.component == ComponentType::F32 && l.lanes == slot.lanes());
+fn takes_floats(doc: &GltfDocument<'_>, accessor: usize, view: WholeNumber, slot: AttributeSlot) -> bool {
+    let layout = doc.layout(accessor);
+    let is_float = layout.is_some_and(|l| l.component == ComponentType::F32 && l.lanes == slot.lanes());
     let view = doc.views.get(view.index());
-    is_float && view.is_some_and(|view| buffers.takes_floats(doc, view))
+    is_float && view.is_some_and(|view| doc.takes_floats(view))
 }
 
 /// A mesh of the document, or the n-th copy to be appended.

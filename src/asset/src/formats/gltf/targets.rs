@@ -1,7 +1,6 @@
 //! Attributes that follow a deformation, of primitives and of their morph targets, and displacements carried along with the surface.
 
-use super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, read_values};
-use super::buffers::BufferBytes;
+use super::accessors::{ComponentType, ShapeAttribute};
 use super::document::GltfDocument;
 use super::placement::VertexTransforms;
 use super::schema::MeshPrimitive;
@@ -194,11 +193,10 @@ pub(super) struct TargetCarrier<'a> {
 }
 
 impl TargetCarrier<'_> {
-    /// What the targets of a primitive become; its accessors must be decoded.
+    /// What the targets of a primitive become.
     pub(super) fn changes(
         &self,
         doc: &GltfDocument<'_>,
-        buffers: &BufferBytes,
         primitive: &MeshPrimitive,
         tally: &mut TargetTally,
     ) -> Result<Vec<(AttributeSlot, ChangedAttribute)>, Error> {
@@ -209,7 +207,7 @@ impl TargetCarrier<'_> {
         for slot in target_slots(primitive) {
             tally.spend(self.turns.len())?;
             if let Some(accessor) = slot.accessor(primitive)
-                && let Some(stored) = read_displacements(doc, buffers, accessor)?
+                && let Some(stored) = read_displacements(doc, accessor)?
                 && let Some(change) = ChangedAttribute::where_changed(&stored, self.carried(slot.role, &stored), 3)
             {
                 changes.push((slot, change));
@@ -262,13 +260,8 @@ pub(super) fn displacement_map(
 }
 
 /// The displacements of a target as floats; `None` for what is stored in a way that only some extension knows.
-pub(super) fn read_displacements(
-    doc: &GltfDocument<'_>,
-    buffers: &BufferBytes,
-    accessor: usize,
-) -> Result<Option<Vec<f32>>, Error> {
-    match AccessorLayout::find(doc, accessor).filter(|l| l.lanes == 3 && l.component != ComponentType::U32) {
-        Some(layout) => read_values(doc, buffers, accessor, layout).map(Some),
-        None => Ok(None),
-    }
+pub(super) fn read_displacements(doc: &GltfDocument<'_>, accessor: usize) -> Result<Option<Vec<f32>>, Error> {
+    let layout = doc.layout(accessor);
+    let layout = layout.filter(|l| l.lanes == 3 && l.component != ComponentType::U32);
+    layout.map(|layout| doc.read_values(accessor, layout)).transpose()
 }

@@ -1,6 +1,5 @@
 //! Which bytes of the buffers are used by what, and how those go that no view needs any more.
 
-use super::accessors::AccessorLayout;
 use super::document::GltfDocument;
 use super::schema::{MESHOPT, WholeNumber};
 use super::text::{JsonEdits, parse_index, value_of};
@@ -74,7 +73,7 @@ impl ByteSpans {
             if let Some(index) = accessor.buffer_view
                 && let Some(view) = doc.views.get(index.index())
             {
-                match AccessorLayout::of(accessor, doc.views.values) {
+                match doc.layout(i) {
                     Some(layout) => {
                         read_by_accessors.insert(index.index());
                         let start = view.offset() + accessor.offset();
@@ -166,7 +165,7 @@ impl ByteSpans {
 /// Views that are named outside the accessors: by images, by compressed primitives, by extensions that we do not know.
 fn views_named_elsewhere(doc: &GltfDocument<'_>) -> BTreeSet<usize> {
     const KEY: &str = "\"bufferView\"";
-    let accessors = doc.accessors.text.map_or(0..0, |part| {
+    let accessors = doc.array(&doc.accessors).map_or(0..0, |part| {
         let start = part.as_ptr() as usize - doc.text.as_ptr() as usize;
         start..start + part.len()
     });
@@ -360,7 +359,7 @@ impl BufferCuts {
     /// Lets the views that are used say where their bytes are now.
     pub(super) fn move_views<'a>(&self, doc: &GltfDocument<'a>, edits: &mut JsonEdits<'a>) {
         for (v, view) in doc.views.values.iter().enumerate() {
-            let item = doc.views.items[v];
+            let item = doc.item(&doc.views, v);
             if view.buffer.index() == self.buffer && !self.is_unused[v] {
                 self.move_offset(item, view.offset(), edits);
             }

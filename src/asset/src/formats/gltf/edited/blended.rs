@@ -1,7 +1,6 @@
 //! Attributes of edited primitives, blended from those of old vertices: numbers, skins and morph targets.
 
-use super::super::accessors::{AccessorLayout, ComponentType, ShapeAttribute, read_values};
-use super::super::buffers::BufferBytes;
+use super::super::accessors::{ComponentType, ShapeAttribute};
 use super::super::builder::{AccessorKind, BufferBuilder};
 use super::super::container::GltfFault;
 use super::super::document::GltfDocument;
@@ -41,13 +40,13 @@ pub(super) fn shape_of(stored: &str) -> &'static str {
     }
 }
 
-/// Reads an attribute, whatever it is stored as. Compressed views must be decoded.
-pub(super) fn read(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) -> Result<AttributeValues, Error> {
+/// Reads an attribute, whatever it is stored as.
+pub(super) fn read(doc: &GltfDocument<'_>, index: usize) -> Result<AttributeValues, Error> {
     let place = || format!("accessors/{index}");
     let Some(accessor) = doc.accessors.get(index) else {
         return Err(doc.fault.malformed(place(), "does not exist"));
     };
-    let Some(layout) = AccessorLayout::of(accessor, doc.views.values) else {
+    let Some(layout) = doc.layout(index) else {
         let problem = format!(
             "component type {} with type {:?} is none that glTF knows",
             accessor.component_type.0, accessor.shape
@@ -57,7 +56,7 @@ pub(super) fn read(doc: &GltfDocument<'_>, buffers: &BufferBytes, index: usize) 
     Ok(AttributeValues {
         lanes: layout.lanes,
         is_whole: layout.component != ComponentType::F32 && !accessor.normalized,
-        values: read_values(doc, buffers, index, layout)?,
+        values: doc.read_values(index, layout)?,
     })
 }
 
@@ -67,21 +66,19 @@ pub(in super::super) fn distinguish_vertices(
     notes: &GltfNotes,
     keys: &mut AttributeKeys<'_>,
 ) -> Result<(), Error> {
-    let (doc, mut buffers) = notes.document_and_bytes(model)?;
+    let doc = notes.loaded_document(model)?;
     for row in &notes.rows {
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
         let shape = |name: &str| ShapeAttribute::ALL.iter().any(|own| own.name() == name);
         let own = primitive.attributes.iter().filter(|(name, _)| !shape(name));
         let targets = primitive.targets.iter().flatten();
-        let all: Vec<usize> = own.chain(targets).map(|(_, accessor)| accessor.index()).collect();
-        buffers.decode_for(&doc, &all.iter().copied().collect())?;
-        for accessor in all {
+        for accessor in own.chain(targets).map(|(_, accessor)| accessor.index()) {
             // What only an extension can read is not written again either.
-            let Some(layout) = AccessorLayout::find(&doc, accessor) else {
+            let Some(layout) = doc.layout(accessor) else {
                 continue;
             };
             keys.spend(row.vertices.len() as u64 * layout.lanes as u64)?;
-            let channel = read(&doc, &buffers, accessor)?;
+            let channel = read(&doc, accessor)?;
             keys.add_values(row.vertices.start, channel.lanes, &channel.values);
         }
     }
@@ -243,10 +240,9 @@ pub(super) struct BlendedSkin {
 }
 
 impl BlendedSkin {
-    /// Blends what a primitive has; `None` for one without joints. Accessors must be decoded.
+    /// Blends what a primitive has; `None` for one without joints.
     pub(super) fn read(
         doc: &GltfDocument<'_>,
-        buffers: &BufferBytes,
         primitive: &MeshPrimitive,
         mixer: &AttributeBlender<'_>,
         placement: &Placement,
@@ -257,8 +253,8 @@ impl BlendedSkin {
         }
         let (mut of_joints, mut of_weights) = (Vec::new(), Vec::new());
         for (joints, weights) in sets {
-            of_joints.push(read_fours(doc, buffers, joints)?);
-            of_weights.push(read_fours(doc, buffers, weights)?);
+            of_joints.push(read_fours(doc, joints)?);
+            of_weights.push(read_fours(doc, weights)?);
         }
         let (joints, weights) = mixer.blend_skin(&of_joints, &of_weights);
         let mut skin = Self { joints, weights };
@@ -309,8 +305,8 @@ fn replace_where(bad: &[bool], sets: &mut [Vec<f32>], with: &[Vec<f32>]) {
     }
 }
 
-fn read_fours(doc: &GltfDocument<'_>, buffers: &BufferBytes, accessor: usize) -> Result<AttributeValues, Error> {
-    let channel = read(doc, buffers, accessor)?;
+fn read_fours(doc: &GltfDocument<'_>, accessor: usize) -> Result<AttributeValues, Error> {
+    let channel = read(doc, accessor)?;
     if channel.lanes != 4 {
         let problem = format!("{} numbers per element, 4 are needed", channel.lanes);
         return Err(doc.fault.malformed(format!("accessors/{accessor}/type"), problem));

@@ -6,8 +6,7 @@
 //! dropped, and the rest renumbered and packed, when every extension of the file is known not to name accessors, views
 //! or meshes in places that are not looked at here. Else the numbers stay as they are and new data is only added.
 
-use super::super::accessors::{AccessorLayout, ComponentType};
-use super::super::buffers::BufferBytes;
+use super::super::accessors::ComponentType;
 use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
 use super::super::references::{self, References};
@@ -85,7 +84,7 @@ pub(super) fn remake_meshes<'a>(
         }
     }
     let mut frame = EditedMeshes {
-        meshes: doc.meshes.items.iter().map(|text| Some((*text).to_owned())).collect(),
+        meshes: doc.items(&doc.meshes).map(|text| Some(text.to_owned())).collect(),
         nodes: BTreeMap::new(),
         animations: Vec::new(),
     };
@@ -99,8 +98,7 @@ pub(super) fn remake_meshes<'a>(
             .is_some_and(|text| value_of(text, "mesh").is_none())
     };
     frame.animations = doc
-        .animations
-        .iter()
+        .items(&doc.animations)
         .map(|text| animation_without(text, &gone))
         .collect();
     Ok(frame)
@@ -113,7 +111,7 @@ fn version_of_mesh<'a>(
     rows: &[usize],
     runs_of: &BTreeMap<usize, Vec<&'a PrimitiveRun>>,
 ) -> Result<MeshVersion, Error> {
-    let text = maker.doc.meshes.items[mesh];
+    let text = maker.doc.item(&maker.doc.meshes, mesh);
     let stored = list_of(text, "primitives");
     let mut primitives = Vec::with_capacity(stored.len());
     let mut as_stored = true;
@@ -174,7 +172,7 @@ impl EditedMeshes {
         }
         for (node, version) in nodes {
             if version == MeshVersion::Gone {
-                let text = without_keys(doc.nodes.items[node], &["mesh", "skin", "weights"]);
+                let text = without_keys(doc.item(&doc.nodes, node), &["mesh", "skin", "weights"]);
                 self.nodes.insert(node, text);
                 continue;
             }
@@ -194,7 +192,8 @@ impl EditedMeshes {
                 }
             };
             if at != mesh {
-                self.nodes.insert(node, with_member(doc.nodes.items[node], "mesh", at));
+                self.nodes
+                    .insert(node, with_member(doc.item(&doc.nodes, node), "mesh", at));
             }
         }
     }
@@ -259,28 +258,19 @@ pub(super) struct KeptData {
 
 /// Whether unused data may be dropped.
 pub(super) fn may_drop(doc: &GltfDocument<'_>) -> bool {
-    let mut all = doc.extensions_used.iter().chain(doc.extensions_required);
+    let mut all = doc.extensions_used.iter().chain(&doc.extensions_required);
     all.all(|extension| KNOWN.iter().any(|known| extension.starts_with(known)))
 }
 
 /// Packs what the frame, skins, animations, nodes and images still use; `None` when some of it cannot be read.
-pub(super) fn pack_kept_data(
-    doc: &GltfDocument<'_>,
-    buffers: &mut BufferBytes,
-    frame: &EditedMeshes,
-) -> Result<Option<KeptData>, Error> {
+pub(super) fn pack_kept_data(doc: &GltfDocument<'_>, frame: &EditedMeshes) -> Option<KeptData> {
     let images = list_of(doc.text, "images");
+    let animations = frame.animations.iter().flatten();
     let places = (frame.meshes.iter().flatten().map(|mesh| references::of_mesh(mesh)))
-        .chain(doc.skins.iter().map(|skin| references::of_skin(skin)))
-        .chain(
-            frame
-                .animations
-                .iter()
-                .flatten()
-                .map(|animation| references::of_animation(animation)),
-        )
-        .chain(doc.nodes.items.iter().map(|node| references::of_node(node)))
-        .chain(images.iter().map(|image| references::of_image(image)));
+        .chain(doc.items(&doc.skins).map(references::of_skin))
+        .chain(animations.map(|animation| references::of_animation(animation)))
+        .chain(doc.items(&doc.nodes).map(references::of_node))
+        .chain(images.into_iter().map(references::of_image));
     let (mut accessors, mut views) = (BTreeSet::new(), BTreeSet::new());
     for References { accessors: a, views: v } in places {
         accessors.extend(
@@ -291,12 +281,10 @@ pub(super) fn pack_kept_data(
         views.extend(v.into_iter().filter_map(parse_index));
     }
     for &accessor in &accessors {
-        let named = references::of_accessor(doc.accessors.items[accessor]);
+        let named = references::of_accessor(doc.item(&doc.accessors, accessor));
         views.extend(named.views.into_iter().filter_map(parse_index));
     }
-    if buffers.decode_for(doc, &accessors).is_err() {
-        return Ok(None);
-    }
+    doc.decode_for(accessors.iter().copied()).ok()?;
     let mut kept = KeptData {
         bytes: Vec::new(),
         views: Vec::new(),
@@ -306,9 +294,7 @@ pub(super) fn pack_kept_data(
     };
     let mut stored: BTreeMap<(usize, u64, u64), usize> = BTreeMap::new();
     for old in views {
-        let Ok(bytes) = buffers.view(doc, old) else {
-            return Ok(None);
-        };
+        let bytes = doc.view(old).ok()?;
         let view = &doc.views.values[old];
         let mut place = |bytes: &[u8]| {
             kept.bytes.resize(kept.bytes.len().next_multiple_of(4), 0);
@@ -322,7 +308,7 @@ pub(super) fn pack_kept_data(
             let key = (view.buffer.index(), view.offset(), view.byte_length.0);
             *stored.entry(key).or_insert_with(|| place(bytes))
         };
-        let text = without_extensions(doc.views.items[old], &MESHOPT);
+        let text = without_extensions(doc.item(&doc.views, old), &MESHOPT);
         let text = with_member(&text, "buffer", "0");
         kept.view_numbers.insert(old, kept.views.len());
         kept.views.push(with_member(&text, "byteOffset", start));
@@ -337,9 +323,9 @@ pub(super) fn pack_kept_data(
     };
     kept.accessors = accessors
         .iter()
-        .map(|&old| renumber(doc.accessors.items[old]))
+        .map(|&old| renumber(doc.item(&doc.accessors, old)))
         .collect();
-    Ok(Some(kept))
+    Some(kept)
 }
 
 /// Which extensions are no longer used: compression, when everything is repacked, and quantisation, when every
@@ -356,10 +342,10 @@ pub(super) fn unneeded_extensions(doc: &GltfDocument<'_>, meshes: &[Option<Strin
         unneeded.push(DRACO);
     }
     let is_core = |name: &str, accessor: usize, of_target: bool| {
+        let component = doc.layout(accessor).map(|l| l.component);
         let Some(accessor) = doc.accessors.get(accessor) else {
             return true; // a new one
         };
-        let component = AccessorLayout::of(accessor, doc.views.values).map(|l| l.component);
         match name {
             "POSITION" | "NORMAL" | "TANGENT" => component == Some(ComponentType::F32),
             _ if name.starts_with("TEXCOORD_") => {

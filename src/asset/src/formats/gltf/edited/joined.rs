@@ -13,7 +13,7 @@ use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
 use super::super::scene;
 use super::super::targets::TargetTally;
-use super::super::text::{index_of, items, json_array, json_object, list_of, quoted, value_of, with_member};
+use super::super::text::{index_of, json_array, json_object, list_of, quoted, value_of, with_member};
 use super::blended::{AccessorHandle, EditedTurns, attributes_text};
 use super::frame::EditedMeshes;
 use super::looks::{JoinedBases, MaterialCopier};
@@ -80,7 +80,7 @@ impl<'a> BaseJoiner<'_, 'a> {
     ) -> Result<(), Error> {
         let model = self.edited.bases[base].model;
         let placing = self.edited.bases[base].world_from_model;
-        let (doc, mut buffers) = notes.document_and_bytes(model)?;
+        let doc = notes.loaded_document(model)?;
         let mut runs_of: BTreeMap<(usize, usize), Vec<&PrimitiveRun>> = BTreeMap::new();
         for run in runs {
             let row = &notes.rows[run.primitive as usize];
@@ -100,7 +100,7 @@ impl<'a> BaseJoiner<'_, 'a> {
         let mut palette = MaterialCopier::new(&doc, &model.files, first, base);
         let mut children = Vec::new();
         for placement in scene::place_meshes(&doc, &mut Vec::new())?.placements {
-            let mesh = doc.meshes.items[placement.mesh];
+            let mesh = doc.item(&doc.meshes, placement.mesh);
             // What a node cannot hold is left to the vertices.
             let root_from_mesh = match placed {
                 Some(_) => placement.world_from_mesh,
@@ -115,7 +115,6 @@ impl<'a> BaseJoiner<'_, 'a> {
                 for &run in runs {
                     let mut maker = PrimitiveMaker {
                         doc: &doc,
-                        buffers: &mut buffers,
                         edited: self.edited,
                         positions: self.positions,
                         fresh: self.fresh,
@@ -128,7 +127,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                     let space = MeshSpace::OfNode(world_from_root * root_from_mesh);
                     let made = maker.make_primitive(run, row, space)?;
                     let material = match index_of(stored, "material") {
-                        Some(m) => palette.copy_material(m, self.frame, &buffers, self.fresh, self.joined)?,
+                        Some(m) => palette.copy_material(m, self.frame, self.fresh, self.joined)?,
                         None => None,
                     };
                     // Sheared meshes are written as they stand in the world, for which stored targets are not made.
@@ -152,7 +151,7 @@ impl<'a> BaseJoiner<'_, 'a> {
             }
             self.joined.meshes.push(text);
             let mut node = "{}".to_owned();
-            if let Some(name) = value_of(doc.nodes.items[placement.node], "name") {
+            if let Some(name) = value_of(doc.item(&doc.nodes, placement.node), "name") {
                 node = with_member(&node, "name", name);
             }
             if let Some(here) = &here {
@@ -280,9 +279,8 @@ impl<'a> BaseJoiner<'_, 'a> {
 /// Whether a node's primitive has morph targets.
 fn has_targets(doc: &GltfDocument<'_>, node: usize, primitive: usize) -> bool {
     let mesh = doc.nodes.values.get(node).and_then(|n| n.mesh.as_ref());
-    let text = mesh.and_then(|m| doc.meshes.items.get(m.index()));
-    let stored = text.and_then(|text| value_of(text, "primitives"));
-    let stored = stored.and_then(|p| items(p).ok()).unwrap_or_default();
+    let stored = mesh.map(|m| list_of(doc.item(&doc.meshes, m.index()), "primitives"));
+    let stored = stored.unwrap_or_default();
     stored.get(primitive).is_some_and(|p| value_of(p, "targets").is_some())
 }
 

@@ -1,6 +1,6 @@
 //! Materials of an edited glTF: what they give to other formats, and how they are copied along with a joined base.
 
-use super::super::buffers::{self, BufferBytes, RelativeName, file_extension};
+use super::super::buffers::{self, RelativeName, file_extension};
 use super::super::builder::BufferBuilder;
 use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
@@ -24,15 +24,15 @@ pub(in super::super) fn run_attributes(
     let Some((model, notes)) = model.and_then(|model| Some((model, model.notes::<GltfNotes>()?))) else {
         return Ok(Vec::new());
     };
-    let (doc, mut buffers) = notes.document_and_bytes(model)?;
-    let materials = read_looks(&doc, notes.files(model), &buffers)?;
+    let doc = notes.loaded_document(model)?;
+    let materials = read_looks(&doc, notes.files(model))?;
     let mut all = Vec::with_capacity(runs.len());
     for run in runs {
         let row = &notes.rows[run.primitive as usize];
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
         let mixer = AttributeBlender::new(edited, run);
         let mut extras = RunAttributes::default();
-        let stored = list_of(doc.meshes.items[row.mesh], "primitives");
+        let stored = list_of(doc.item(&doc.meshes, row.mesh), "primitives");
         let material = stored
             .get(row.primitive)
             .and_then(|p| value_of(p, "material"))
@@ -43,16 +43,14 @@ pub(in super::super) fn run_attributes(
         let own_set = material.map(|(_, set)| format!("TEXCOORD_{set}"));
         let set = own_set.filter(|set| primitive.attribute(set).is_some());
         let set = set.as_deref().unwrap_or("TEXCOORD_0");
-        let used: BTreeSet<usize> = [set, "COLOR_0"].iter().filter_map(|n| primitive.attribute(n)).collect();
-        buffers.decode_for(&doc, &used)?;
         if let Some(accessor) = primitive.attribute(set) {
-            let channel = read(&doc, &buffers, accessor)?;
+            let channel = read(&doc, accessor)?;
             if channel.lanes == 2 {
                 extras.uv = mixer.blend_linearly(&channel).as_chunks::<2>().0.to_vec();
             }
         }
         if let Some(accessor) = primitive.attribute("COLOR_0") {
-            let channel = read(&doc, &buffers, accessor)?;
+            let channel = read(&doc, accessor)?;
             let values = mixer.blend_linearly(&channel);
             extras.colours = match channel.lanes {
                 3 => values
@@ -71,20 +69,15 @@ pub(in super::super) fn run_attributes(
 }
 
 /// A material, and the set of texture coordinates that its picture uses.
-pub(super) type LookedAt = (Arc<NamedMaterial>, usize);
+type LookedAt = (Arc<NamedMaterial>, usize);
 
 /// All materials of a document.
-pub(super) fn read_looks(
-    doc: &GltfDocument<'_>,
-    files: &FileSet,
-    buffers: &BufferBytes,
-) -> Result<Vec<LookedAt>, Error> {
+fn read_looks(doc: &GltfDocument<'_>, files: &FileSet) -> Result<Vec<LookedAt>, Error> {
     let textures = parsed_items(doc, "textures")?;
     let images = parsed_items(doc, "images")?;
     let mut pictures = ImageNames {
         doc,
         files,
-        buffers,
         images: &images,
         taken: BTreeSet::new(),
         made: vec![None; images.len()],
@@ -161,7 +154,6 @@ fn source_of(used: &Value, textures: &[Value]) -> Option<usize> {
 struct ImageNames<'i, 'a> {
     doc: &'i GltfDocument<'a>,
     files: &'i FileSet,
-    buffers: &'i BufferBytes<'i>,
     images: &'i [Value],
     taken: BTreeSet<String>,
     made: Vec<Option<MaterialPicture>>,
@@ -185,7 +177,7 @@ impl ImageNames<'_, '_> {
                     Some(uri) => Bytes::from(buffers::embedded_bytes(uri)?),
                     None => {
                         let view = usize::try_from(stored["bufferView"].as_u64()?).ok()?;
-                        Bytes::copy_from_slice(self.buffers.view(self.doc, view).ok()?)
+                        Bytes::copy_from_slice(self.doc.view(view).ok()?)
                     }
                 };
                 let extension = file_extension(stored["mimeType"].as_str(), &bytes);
@@ -244,7 +236,6 @@ const OTHER_IMAGE: [&str; 4] = [
 /// Where new things go.
 struct CopyTarget<'t, 'f> {
     frame: &'t GltfDocument<'f>,
-    buffers: &'t BufferBytes<'t>,
     fresh: &'t mut BufferBuilder,
     joined: &'t mut JoinedBases,
 }
@@ -268,19 +259,13 @@ impl<'p> MaterialCopier<'p> {
         &mut self,
         old: usize,
         frame: &GltfDocument<'_>,
-        buffers: &BufferBytes,
         fresh: &mut BufferBuilder,
         joined: &mut JoinedBases,
     ) -> Result<Option<usize>, Error> {
         if let Some(new) = self.materials.get(&old) {
             return Ok(*new);
         }
-        let mut to = CopyTarget {
-            frame,
-            buffers,
-            fresh,
-            joined,
-        };
+        let mut to = CopyTarget { frame, fresh, joined };
         let new = match self.parse_item("materials", old)? {
             None => None,
             Some(mut material) => {
@@ -413,7 +398,7 @@ impl<'p> MaterialCopier<'p> {
                 let mut text = without_keys(list_of(self.doc.text, "images")[old], &["bufferView", "extensions"]);
                 let mut view = None;
                 if let Some(stored) = image.as_object().and_then(|i| index_member(i, "bufferView")) {
-                    view = Some(to.fresh.add_view(to.buffers.view(self.doc, stored)?, None));
+                    view = Some(to.fresh.add_view(self.doc.view(stored)?, None));
                 } else if let Some(uri) = image["uri"].as_str() {
                     text = with_member(&text, "uri", quoted(&self.free_companion_uri(uri, to)));
                 }

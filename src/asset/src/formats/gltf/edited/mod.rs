@@ -13,18 +13,18 @@ mod primitives;
 pub(super) use blended::distinguish_vertices;
 pub(super) use looks::run_attributes;
 
-use super::buffers::{self, BufferBytes, BufferOrigin};
+use super::buffers::{self, BufferOrigin};
 use super::builder::BufferBuilder;
 use super::container::{self, GltfFault};
-use super::document::{GLB_FORMAT, GltfDocument, PatchedDocument};
+use super::document::{GLB_FORMAT, GltfDocument};
 use super::package::package;
+use super::patch::PatchedDocument;
 use super::read::GltfNotes;
 use super::rig::FollowedNodeTree;
 use super::schema::MESHOPT;
 use super::targets::TargetTally;
 use super::text::{
-    JsonEdits, index_of, json_array, json_object, list_of, members, quoted, with_member, without_extensions,
-    without_keys,
+    index_of, json_array, json_object, list_of, members, quoted, with_member, without_extensions, without_keys,
 };
 use crate::codec::EditedOutput;
 use crate::edited::PrimitiveRun;
@@ -46,12 +46,12 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let Some((model, notes)) = first.and_then(|model| Some((model, model.notes::<GltfNotes>()?))) else {
         return Err(fault.unwritable("the first base is not glTF"));
     };
-    let (doc, mut buffers) = notes.document_and_bytes(model)?;
+    let doc = notes.loaded_document(model)?;
     let mut tree = None;
     if super::rig::may_move_nodes(notes, output.followers) {
         let before = primitives::positions_before(edited);
-        let shape = primitives::shape_of_runs(&doc, &mut buffers, notes, output, &before)?;
-        tree = FollowedNodeTree::fit(&doc, &mut buffers, notes, &shape, output.followers)?.map(|tree| {
+        let shape = primitives::shape_of_runs(&doc, notes, output, &before)?;
+        tree = FollowedNodeTree::fit(&doc, notes, &shape, output.followers)?.map(|tree| {
             let to_write = tree.positions_to_write(&shape);
             (tree, to_write)
         });
@@ -64,7 +64,6 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
     let mut tally = TargetTally::default();
     let mut maker = PrimitiveMaker {
         doc: &doc,
-        buffers: &mut buffers,
         edited,
         positions,
         fresh: &mut fresh,
@@ -84,12 +83,12 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         fault,
     };
     let kept = match frame::may_drop(&doc) {
-        true => frame::pack_kept_data(&doc, &mut buffers, &writer.frame)?,
+        true => frame::pack_kept_data(&doc, &writer.frame),
         false => None,
     };
     let mut written = match kept {
-        Some(kept) => writer.write_packed(kept, &buffers)?,
-        None => writer.write_appended(&buffers)?,
+        Some(kept) => writer.write_packed(kept)?,
+        None => writer.write_appended()?,
     };
     let clips = writer.frame.animations.iter().flatten().map(String::as_str);
     let mut followed = super::deformed::followable(&doc, clips);
@@ -114,7 +113,7 @@ struct EditedGltfWriter<'a> {
 
 impl EditedGltfWriter<'_> {
     /// The document with all of its data packed into one buffer.
-    fn write_packed(&mut self, kept: KeptData, buffers: &BufferBytes) -> Result<WrittenFiles, Error> {
+    fn write_packed(&mut self, kept: KeptData) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
         let unneeded = frame::unneeded_extensions(doc, &self.frame.meshes);
         let old = doc.accessors.len();
@@ -144,8 +143,8 @@ impl EditedGltfWriter<'_> {
                 .map(|text| renumber(text, super::references::of_mesh)),
         );
         let mut nodes: Vec<String> = Vec::with_capacity(doc.nodes.len());
-        for (i, stored) in doc.nodes.items.iter().enumerate() {
-            let text = self.frame.nodes.get(&i).map_or(*stored, String::as_str);
+        for (i, stored) in doc.items(&doc.nodes).enumerate() {
+            let text = self.frame.nodes.get(&i).map_or(stored, String::as_str);
             let text = renumber(text, super::references::of_node);
             let mesh = index_of(&text, "mesh");
             nodes.push(match mesh.and_then(|m| mesh_numbers.get(m).copied().flatten()) {
@@ -158,11 +157,8 @@ impl EditedGltfWriter<'_> {
         let mut sections = JsonSections::new();
         sections.insert("meshes", Some(json_array(&meshes)));
         sections.insert("nodes", Some(json_array(&nodes)));
-        let skins: Vec<String> = doc
-            .skins
-            .iter()
-            .map(|text| renumber(text, super::references::of_skin))
-            .collect();
+        let skins = doc.items(&doc.skins);
+        let skins: Vec<String> = skins.map(|text| renumber(text, super::references::of_skin)).collect();
         let animations = self.frame.animations.iter().flatten();
         let animations: Vec<String> = animations
             .map(|text| renumber(text, super::references::of_animation))
@@ -185,37 +181,29 @@ impl EditedGltfWriter<'_> {
             mut accessors,
             ..
         } = kept;
-        bytes.resize(bytes.len().next_multiple_of(4), 0);
-        self.fresh.check_size(bytes.len(), "a buffer", self.fault)?;
         accessors.extend(self.fresh.accessor_texts(views.len()));
-        views.extend(self.fresh.view_texts(0, bytes.len()));
-        bytes.extend_from_slice(self.fresh.bytes());
+        views.extend(self.fresh.append_bytes(&mut bytes, 0, self.fault)?);
         sections.insert("accessors", Some(json_array(&accessors)));
         sections.insert("bufferViews", Some(json_array(&views)));
-        self.package_files(sections, bytes, buffers)
+        self.package_files(sections, bytes)
     }
 
     /// Puts the files together around one buffer.
-    fn package_files(
-        &self,
-        mut sections: JsonSections,
-        bytes: Vec<u8>,
-        buffers: &BufferBytes,
-    ) -> Result<WrittenFiles, Error> {
+    fn package_files(&self, mut sections: JsonSections, bytes: Vec<u8>) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
         let mut companions = self.files.owned_companions();
-        for stored in &buffers.stored {
-            if let BufferOrigin::Companion(name) = &stored.origin {
+        for origin in doc.origins() {
+            if let BufferOrigin::Companion(name) = origin {
                 companions.remove(name);
             }
         }
         companions.extend(self.joined.companions.clone());
-        let stored = doc.buffers.items.first().copied().unwrap_or("{}");
+        let stored = doc.items(&doc.buffers).next().unwrap_or("{}");
         let mut buffer = without_extensions(stored, &MESHOPT);
         buffer = with_member(&buffer, "byteLength", bytes.len());
         let is_glb = self.fault.0 == GLB_FORMAT;
-        let companion = match buffers.stored.first().map(|s| &s.origin) {
-            Some(BufferOrigin::Companion(name)) if !is_glb && buffers.is_exclusive(0) => Some(name.clone()),
+        let companion = match doc.origins().next() {
+            Some(BufferOrigin::Companion(name)) if !is_glb && doc.is_exclusive(0) => Some(name.clone()),
             _ => None,
         };
         if is_glb {
@@ -238,33 +226,29 @@ impl EditedGltfWriter<'_> {
     }
 
     /// The document with all of its old data where it was, and new data behind it.
-    fn write_appended(&mut self, buffers: &BufferBytes) -> Result<WrittenFiles, Error> {
+    fn write_appended(&mut self) -> Result<WrittenFiles, Error> {
         let doc = self.doc;
-        let target = buffers.growing_buffer(doc);
-        let mut bytes = target
-            .and_then(|i| buffers.stored[i].bytes.as_ref())
-            .map(|b| b.to_vec())
-            .unwrap_or_default();
-        bytes.resize(bytes.len().next_multiple_of(4), 0);
-        self.fresh.check_size(bytes.len(), "a buffer", self.fault)?;
-        let view_texts = self.fresh.view_texts(target.unwrap_or(doc.buffers.len()), bytes.len());
+        let target = doc.growing_buffer();
+        let stored = target.and_then(|i| doc.buffer_bytes(i));
+        let mut bytes = stored.map(|b| b.to_vec()).unwrap_or_default();
+        let number = target.unwrap_or(doc.buffers.len());
+        let view_texts = self.fresh.append_bytes(&mut bytes, number, self.fault)?;
         let accessor_texts = self.fresh.accessor_texts(doc.views.len());
-        bytes.extend_from_slice(self.fresh.bytes());
 
         let whole = |list: Vec<String>| (!list.is_empty()).then(|| json_array(&list));
         let mut sections = JsonSections::new();
         let mut meshes: Vec<String> = Vec::new();
         for (i, mesh) in self.frame.meshes.iter().enumerate() {
             // Something unknown may name the mesh by its number, so it stays.
-            let stored = || doc.meshes.items.get(i).map(|text| (*text).to_owned());
+            let stored = || (i < doc.meshes.len()).then(|| doc.item(&doc.meshes, i).to_owned());
             meshes.extend(mesh.clone().or_else(stored));
         }
         let first_joined = meshes.len();
         meshes.extend(self.joined.meshes.iter().cloned());
         sections.insert("meshes", whole(meshes));
-        let stored = doc.nodes.items.iter().enumerate();
+        let stored = doc.items(&doc.nodes).enumerate();
         let mut nodes: Vec<String> = stored
-            .map(|(i, text)| self.frame.nodes.get(&i).cloned().unwrap_or_else(|| (*text).to_owned()))
+            .map(|(i, text)| self.frame.nodes.get(&i).cloned().unwrap_or_else(|| text.to_owned()))
             .collect();
         nodes.extend(self.joined.node_texts(first_joined));
         sections.insert("nodes", whole(nodes));
@@ -288,27 +272,15 @@ impl EditedGltfWriter<'_> {
             sections.insert(key, whole(list));
         }
 
-        let text = doc.text;
-        let mut edits = JsonEdits::new(text);
+        let mut patched = PatchedDocument::new(doc);
         for (key, value) in &sections {
             match value {
-                Some(value) => edits.set(text, key, value),
-                None => edits.remove(text, key),
+                Some(value) => patched.edits.set(doc.text, key, value),
+                None => patched.edits.remove(doc.text, key),
             }
         }
-        let mut patched = PatchedDocument {
-            edits,
-            buffers: BTreeMap::new(),
-            added_buffer: None,
-        };
-        match target {
-            Some(i) => {
-                patched.edits.set(doc.buffers.items[i], "byteLength", bytes.len());
-                patched.buffers.insert(i, bytes);
-            }
-            None => patched.added_buffer = Some(bytes),
-        }
-        let mut written = package(doc, self.files, buffers, patched, self.fault.0)?;
+        patched.grow(target, bytes);
+        let mut written = package(self.files, patched, self.fault.0)?;
         written.companions.extend(self.joined.companions.clone());
         Ok(written)
     }
@@ -328,11 +300,11 @@ impl EditedGltfWriter<'_> {
         }
         let roots = &self.joined.roots;
         let scene = self.doc.scene.unwrap_or(0);
-        if let Some(stored) = self.doc.scenes.items.get(scene).filter(|_| !roots.is_empty()) {
+        if scene < self.doc.scenes.len() && !roots.is_empty() {
             let listed = self.doc.scenes.values[scene].nodes.iter().map(|n| n.index());
             let nodes = listed.chain(roots.iter().copied());
-            let mut scenes: Vec<String> = self.doc.scenes.items.iter().map(|text| (*text).to_owned()).collect();
-            scenes[scene] = with_member(stored, "nodes", json_array(nodes));
+            let mut scenes: Vec<String> = self.doc.items(&self.doc.scenes).map(str::to_owned).collect();
+            scenes[scene] = with_member(&scenes[scene], "nodes", json_array(nodes));
             sections.insert("scenes", Some(json_array(&scenes)));
         }
     }

@@ -1,11 +1,10 @@
 //! The accessors of one edited primitive, and which joints hold its vertices.
 
-use super::super::accessors::{AccessorLayout, ShapeAttribute, read_floats};
-use super::super::buffers::BufferBytes;
+use super::super::accessors::ShapeAttribute;
 use super::super::builder::{AccessorKind, BufferBuilder};
 use super::super::container::GltfFault;
 use super::super::document::GltfDocument;
-use super::super::placement::{Placement, VertexInfluences, VertexTransforms, influence_accessors};
+use super::super::placement::{Placement, VertexInfluences, VertexTransforms};
 use super::super::read::{GltfNotes, PlacedPrimitive};
 use super::super::rig::{JointHeldVertices, SkinnedShape, joint_count};
 use super::super::schema::{Attributes, MeshPrimitive};
@@ -18,7 +17,7 @@ use crate::codec::EditedOutput;
 use crate::edited::{CarriedAttributes, EditedModel, PrimitiveRun, VertexBlend};
 use crate::model::position_bits;
 use glam::{DAffine3, DVec3, Vec3, Vec4};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// A primitive's accessors by attribute, of itself and of each morph target, and its indices.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -41,7 +40,6 @@ pub(super) enum MeshSpace {
 /// Makes the primitives of one base.
 pub(super) struct PrimitiveMaker<'a, 'f> {
     pub(super) doc: &'a GltfDocument<'f>,
-    pub(super) buffers: &'a mut BufferBytes<'static>,
     pub(super) edited: &'a EditedModel<'a>,
     pub(super) positions: &'a [DVec3],
     pub(super) fresh: &'a mut BufferBuilder,
@@ -78,15 +76,11 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 return Ok(None);
             }
         }
-        let mut used: BTreeSet<usize> = primitive.attributes.values().map(|a| a.index()).collect();
-        used.extend(primitive.targets.iter().flat_map(|t| t.values()).map(|a| a.index()));
-        self.buffers.decode_for(doc, &used)?;
-
         let carried = CarriedAttributes::new(self.edited, run, self.positions);
         let mixer = AttributeBlender::new(self.edited, run);
         // A merged model leaves its skeleton behind.
         let skin = if self.is_frame && !untouched {
-            BlendedSkin::read(doc, self.buffers, primitive, &mixer, &row.placement)?
+            BlendedSkin::read(doc, primitive, &mixer, &row.placement)?
         } else {
             None
         };
@@ -95,7 +89,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
             (MeshSpace::OfRow, Placement::Blended(pose), Some(skin)) => {
                 skin.transforms(&pose.world_from_bind, self.fault)?
             }
-            (MeshSpace::OfRow, placement, _) => placement.transforms(doc, self.buffers, primitive)?,
+            (MeshSpace::OfRow, placement, _) => placement.transforms(doc, primitive)?,
         };
         let stays_stored = match space {
             MeshSpace::OfRow => true,
@@ -106,7 +100,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
         let mut targets = Vec::new();
         if !primitive.targets.is_empty() {
             let placement = &row.placement;
-            let old = placement.transforms(doc, self.buffers, primitive)?;
+            let old = placement.transforms(doc, primitive)?;
             let blender = TargetBlender::new(self.turns, run, &mixer, placement, old, &world_from_mesh);
             for (number, target) in primitive.targets.iter().enumerate() {
                 let (made, is_carried) = self.blend_target(&blender, target, untouched)?;
@@ -160,7 +154,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
         let mut made = BTreeMap::new();
         let mut is_carried = false;
         for (name, accessor) in target {
-            let channel = read(doc, self.buffers, accessor.index())?;
+            let channel = read(doc, accessor.index())?;
             let role = ShapeAttribute::ALL.into_iter().find(|role| role.name() == name);
             let role = role.filter(|_| channel.lanes == 3);
             self.tally.spend(blender.mixer.len())?;
@@ -247,10 +241,8 @@ impl<'a> PrimitiveMaker<'a, '_> {
         stays_stored: bool,
     ) -> Result<Vec<f32>, Error> {
         let primitive = &self.doc.meshes.values[row.mesh].primitives[row.primitive];
-        let stored = match primitive.attribute(ShapeAttribute::Position.name()) {
-            Some(accessor) => read_floats(self.doc, self.buffers, accessor, ShapeAttribute::Position)?,
-            None => Vec::new(),
-        };
+        let stored = self.doc.read_attribute(primitive, ShapeAttribute::Position)?;
+        let stored = stored.unwrap_or_default();
         let rest = &self.edited.base(run).model.geometry.positions;
         let mesh_from_world = world_from_mesh.inverse();
         let mut values = Vec::with_capacity(run.vertex_count as usize * 3);
@@ -293,12 +285,12 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 continue;
             }
             let stored = &self.doc.accessors.values[accessor.index()];
-            if AccessorLayout::of(stored, self.doc.views.values).is_none() {
+            if self.doc.layout(accessor.index()).is_none() {
                 // Of a type that only some extension knows: it cannot be blended, and would not fit the new vertices.
                 continue;
             }
             let stored = &stored.shape;
-            let channel = read(self.doc, self.buffers, accessor.index())?;
+            let channel = read(self.doc, accessor.index())?;
             let at = if name.starts_with("JOINTS_") && channel.lanes == 4 {
                 self.fresh.add_joints(&mixer.take_heaviest(&channel))
             } else {
@@ -335,7 +327,6 @@ pub(super) fn positions_before(edited: &EditedModel<'_>) -> Vec<DVec3> {
 /// The vertices of an edited model, and which joints of its first base hold them.
 pub(super) fn shape_of_runs<'a>(
     doc: &GltfDocument<'_>,
-    buffers: &mut BufferBytes,
     notes: &GltfNotes,
     output: &EditedOutput<'a>,
     before: &'a [DVec3],
@@ -357,16 +348,14 @@ pub(super) fn shape_of_runs<'a>(
             continue;
         }
         let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
-        let used = influence_accessors(primitive).into_iter().flat_map(|(j, w)| [j, w]);
-        buffers.decode_for(doc, &used.collect::<BTreeSet<usize>>())?;
         let joints = joint_count(doc, skin);
         let old = &edited.base(run).model.geometry.triangles[row.triangles.clone()];
         let influences = if edited.is_untouched(run, old) {
-            let stored = VertexInfluences::read(doc, buffers, primitive, joints);
+            let stored = VertexInfluences::read(doc, primitive, joints);
             stored.map_err(|problem| doc.fault.unwritable(problem))?
         } else {
             let mixer = AttributeBlender::new(edited, run);
-            match BlendedSkin::read(doc, buffers, primitive, &mixer, &row.placement)? {
+            match BlendedSkin::read(doc, primitive, &mixer, &row.placement)? {
                 Some(skin) => skin.influences(joints, doc.fault)?,
                 None => continue,
             }

@@ -43,7 +43,7 @@ fn living_nodes(doc: &GltfDocument<'_>, nodes: &[PlayedNode<'_>]) -> BTreeSet<us
     let parents = parents(doc);
     let played: BTreeSet<usize> = nodes.iter().map(|n| n.node).collect();
     let mut living = BTreeSet::new();
-    for (node, text) in doc.nodes.items.iter().enumerate() {
+    for (node, text) in doc.items(&doc.nodes).enumerate() {
         let draws = doc.nodes.values[node].mesh.is_some() && !played.contains(&node);
         if !draws && value_of(text, "camera").is_none() && value_of(text, "extensions").is_none() {
             continue;
@@ -64,9 +64,7 @@ fn add_channels(
     beside: &ClipBeside<'_>,
 ) -> Result<(), Error> {
     let doc = played.doc;
-    let Some(clip) = doc.animations.get(beside.clip).copied() else {
-        return Ok(());
-    };
+    let clip = doc.item(&doc.animations, beside.clip);
     let living = living_nodes(doc, nodes);
     let list = |key: &str| list_of(clip, key);
     let samplers = list("samplers");
@@ -114,9 +112,14 @@ fn cut_sampler(
     let Some((input, output)) = accessor("input").zip(accessor("output")) else {
         return Ok(None);
     };
-    let (Some((times, 1)), Some((values, lanes))) = (played.read_numbers(input)?, played.read_numbers(output)?) else {
+    let doc = played.doc;
+    let (Some(of_times), Some(of_values)) = (doc.layout(input), doc.layout(output)) else {
         return Ok(None);
     };
+    let (times, values) = (doc.read_values(input, of_times)?, doc.read_values(output, of_values)?);
+    if of_times.lanes != 1 {
+        return Ok(None);
+    }
     let kind = match value_of(sampler, "interpolation") {
         Some("\"STEP\"") => KeyKind::Step,
         Some("\"CUBICSPLINE\"") => KeyKind::Spline,
@@ -130,7 +133,7 @@ fn cut_sampler(
         return Ok(Some(sampler.to_owned()));
     }
     let cut = keys.cut(seconds);
-    let shape = match lanes {
+    let shape = match of_values.lanes {
         1 => "SCALAR",
         3 => "VEC3",
         _ => "VEC4",

@@ -1,13 +1,11 @@
 //! A document on its way to a new one: nodes and meshes that change, data that is added, the new clip, and which of the old ones stay.
 
-use super::super::accessors::{AccessorLayout, ShapeAttribute, decode_values, read_floats};
-use super::super::buffers::{BufferBytes, BufferOrigin};
+use super::super::buffers::BufferOrigin;
 use super::super::builder::{AccessorKind, BufferBuilder, embedded_buffer_text};
 use super::super::container::{self, GltfFault};
 use super::super::document::{GLB_FORMAT, GltfDocument};
 use super::super::edited::{JsonSections, replace_members};
 use super::super::read::{GltfNotes, PlacedPrimitive};
-use super::super::schema::GltfSkin;
 use super::super::text::{items, json_array, json_object, parse_index, quoted, value_of, with_member, without_keys};
 use crate::moving_scene::{ClipBeside, NodeKeys, NodePlace};
 use crate::{Error, FileSet, WrittenFiles};
@@ -18,21 +16,18 @@ use std::collections::{BTreeMap, BTreeSet};
 pub(super) struct PlayedDocument<'d, 'a> {
     pub(super) doc: &'d GltfDocument<'a>,
     pub(super) fresh: BufferBuilder,
-    buffers: BufferBytes<'static>,
     nodes: Vec<String>,
     meshes: Vec<String>,
 }
 
 impl<'d, 'a> PlayedDocument<'d, 'a> {
     /// Nothing is changed yet.
-    pub(super) fn new(doc: &'d GltfDocument<'a>, buffers: BufferBytes<'static>) -> Self {
-        let owned = |list: &[&str]| list.iter().map(|text| (*text).to_owned()).collect();
+    pub(super) fn new(doc: &'d GltfDocument<'a>) -> Self {
         Self {
             doc,
             fresh: BufferBuilder::default(),
-            buffers,
-            nodes: owned(&doc.nodes.items),
-            meshes: owned(&doc.meshes.items),
+            nodes: doc.items(&doc.nodes).map(str::to_owned).collect(),
+            meshes: doc.items(&doc.meshes).map(str::to_owned).collect(),
         }
     }
 
@@ -45,21 +40,6 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
             _ => 16,
         };
         self.doc.accessors.len() + self.fresh.add_floats(values, lanes, shape, kind)
-    }
-
-    /// The values of an attribute of vertices.
-    pub(super) fn read_attribute(&mut self, accessor: usize, role: ShapeAttribute) -> Result<Vec<f32>, Error> {
-        self.buffers.decode_for(self.doc, &BTreeSet::from([accessor]))?;
-        read_floats(self.doc, &self.buffers, accessor, role)
-    }
-
-    /// The numbers of an accessor, and how many each of its elements has; `None` for one that is not there or of no kind known.
-    pub(super) fn read_numbers(&mut self, accessor: usize) -> Result<Option<(Vec<f32>, usize)>, Error> {
-        let Some(layout) = AccessorLayout::find(self.doc, accessor) else {
-            return Ok(None);
-        };
-        let values = decode_values(self.doc, &mut self.buffers, accessor, layout)?;
-        Ok(Some((values, layout.lanes)))
     }
 
     /// A node as it is by now.
@@ -94,18 +74,15 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
     /// Puts the files together. `sections`: the members of the document that are neither nodes, meshes nor data.
     pub(super) fn finish(self, files: &FileSet, mut sections: JsonSections) -> Result<WrittenFiles, Error> {
         let fault = GltfFault(GLB_FORMAT);
-        let stored = self.buffers.stored.first().filter(|s| s.origin == BufferOrigin::Bin);
-        let own = stored.and_then(|s| s.bytes.as_ref());
+        let is_bin = self.doc.origins().next() == Some(&BufferOrigin::Bin);
+        let own = self.doc.buffer_bytes(0).filter(|_| is_bin);
         // The chunk's padding belongs to no view, and what is added begins behind it.
         let mut bytes = own.map(|b| b.to_vec()).unwrap_or_default();
-        bytes.resize(bytes.len().next_multiple_of(4), 0);
-        self.fresh.check_size(bytes.len(), "a buffer", fault)?;
         let (views, accessors) = (self.doc.views.len(), self.doc.accessors.len());
-        let mut buffers: Vec<String> = self.doc.buffers.items.iter().map(|text| (*text).to_owned()).collect();
+        let mut buffers: Vec<String> = self.doc.items(&self.doc.buffers).map(str::to_owned).collect();
         let target = if own.is_some() { 0 } else { buffers.len() };
-        let new_views = self.fresh.view_texts(target, bytes.len());
+        let new_views = self.fresh.append_bytes(&mut bytes, target, fault)?;
         let new_accessors = self.fresh.accessor_texts(views);
-        bytes.extend_from_slice(self.fresh.bytes());
         if own.is_some() {
             buffers[0] = with_member(&buffers[0], "byteLength", bytes.len());
         } else if buffers.is_empty() {
@@ -322,7 +299,7 @@ pub(super) fn scene_sections(
         });
         let more = if i == target { added } else { &[] };
         let nodes = moved.chain(more.iter().copied()).filter(|node| seen.insert(*node));
-        scenes.push(with_member(doc.scenes.items[i], "nodes", json_array(nodes)));
+        scenes.push(with_member(doc.item(&doc.scenes, i), "nodes", json_array(nodes)));
     }
     if scenes.is_empty() {
         let taken = above.map_or_else(|| top_nodes(doc), |(above, _)| vec![above]);
@@ -340,7 +317,7 @@ pub(super) fn take_mesh(played: &mut PlayedDocument<'_, '_>, node: usize) {
 
 /// The name of a node as a member of another, with a comma before it; nothing where it has none.
 pub(super) fn name_member(doc: &GltfDocument<'_>, node: usize) -> String {
-    let name = value_of(doc.nodes.items[node], "name");
+    let name = value_of(doc.item(&doc.nodes, node), "name");
     name.map(|name| format!(r#","name":{name}"#)).unwrap_or_default()
 }
 
@@ -353,11 +330,9 @@ pub(super) fn kept_clips(
 ) -> Vec<String> {
     let parents = parents(doc);
     let skins: BTreeSet<usize> = nodes.iter().filter_map(|n| n.skin).collect();
-    let skins = skins
-        .iter()
-        .filter_map(|skin| serde_json::from_str(doc.skins.get(*skin)?).ok());
+    let skins = skins.into_iter().filter_map(|skin| doc.read_skin(skin).ok());
     let mut lost = BTreeSet::new();
-    for joint in skins.flat_map(|skin: GltfSkin| skin.joints) {
+    for joint in skins.flat_map(|skin| skin.joints) {
         let mut next = Some(joint.index());
         while let Some(node) = next.filter(|node| lost.insert(*node)) {
             next = parents.get(node).copied().flatten();
@@ -370,14 +345,14 @@ pub(super) fn kept_clips(
         let is_weights = target.and_then(|t| value_of(t, "path")) == Some("\"weights\"");
         node.is_some_and(|node| lost.contains(&node) || (is_weights && weighted.contains(&node)))
     };
-    let is_kept = |clip: &&&str| {
+    let is_kept = |clip: &&str| {
         let channels = value_of(clip, "channels").and_then(|list| items(list).ok());
         !channels.unwrap_or_default().into_iter().any(moves_lost)
     };
-    let others = doc.animations.iter().enumerate();
+    let others = doc.items(&doc.animations).enumerate();
     let others = others.filter(|(number, _)| beside.is_none_or(|beside| beside.clip != *number));
     let kept = others.map(|(_, text)| text).filter(is_kept);
-    kept.map(|text| (*text).to_owned()).collect()
+    kept.map(str::to_owned).collect()
 }
 
 /// The document's skins, where a node that is not played still needs one; `None` where none does.
@@ -385,5 +360,5 @@ pub(super) fn kept_skins(doc: &GltfDocument<'_>, nodes: &[PlayedNode<'_>]) -> Op
     let played: BTreeSet<usize> = nodes.iter().map(|n| n.node).collect();
     let mut others = doc.nodes.values.iter().enumerate();
     let is_used = others.any(|(i, node)| node.skin.is_some() && !played.contains(&i));
-    is_used.then(|| doc.skins.iter().map(|text| (*text).to_owned()).collect())
+    is_used.then(|| doc.items(&doc.skins).map(str::to_owned).collect())
 }

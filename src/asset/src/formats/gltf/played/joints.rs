@@ -30,7 +30,7 @@ pub(super) fn add_clip(
     for node in &nodes {
         let mut changes = node_changes(played, node, rest, vertices, clip);
         add_correctives(played, node, rest, &correctives, &mut changes);
-        let mesh = played.set_mesh(node.mesh, changed_mesh(doc.meshes.items[node.mesh], &changes));
+        let mesh = played.set_mesh(node.mesh, changed_mesh(doc.item(&doc.meshes, node.mesh), &changes));
         take_mesh(played, node.node);
         let name = name_member(doc, node.node);
         drawn.push(played.add_node(format!(r#"{{"mesh":{mesh},"skin":{skin}{name}}}"#)));

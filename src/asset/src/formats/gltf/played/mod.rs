@@ -33,8 +33,8 @@ pub(super) fn write(
     vertices: &[u32],
     clip: &PlayedClip<'_>,
 ) -> Result<WrittenFiles, Error> {
-    let (doc, buffers) = notes.document_and_bytes(rest)?;
-    let mut played = PlayedDocument::new(&doc, buffers);
+    let doc = notes.loaded_document(rest)?;
+    let mut played = PlayedDocument::new(&doc);
     let sections = match clip {
         PlayedClip::Morphs(clip) => morphs::add_clip(&mut played, rest, notes, vertices, clip)?,
         PlayedClip::Joints(clip) => joints::add_clip(&mut played, rest, notes, vertices, clip)?,

@@ -43,7 +43,7 @@ pub(super) fn add_clip(
     let mut drawing = Vec::new();
     for node in &nodes {
         let changes = node_changes(played, node, rest, &stands, &targets);
-        let mesh = played.set_mesh(node.mesh, changed_mesh(doc.meshes.items[node.mesh], &changes));
+        let mesh = played.set_mesh(node.mesh, changed_mesh(doc.item(&doc.meshes, node.mesh), &changes));
         if node.skin.is_some() {
             take_mesh(played, node.node);
             let name = name_member(doc, node.node);
@@ -167,12 +167,9 @@ pub(super) struct RestPrimitive {
 
 impl RestPrimitive {
     /// A primitive that stays where its node draws it.
-    pub(super) fn in_place(played: &mut PlayedDocument<'_, '_>, row: &PlacedPrimitive) -> Result<Self, Error> {
+    pub(super) fn in_place(played: &PlayedDocument<'_, '_>, row: &PlacedPrimitive) -> Result<Self, Error> {
         let primitive = &played.doc.meshes.values[row.mesh].primitives[row.primitive];
-        let mut read = |role: ShapeAttribute| match primitive.attribute(role.name()) {
-            Some(accessor) => played.read_attribute(accessor, role),
-            None => Ok(Vec::new()),
-        };
+        let read = |role| Ok::<_, Error>(played.doc.read_attribute(primitive, role)?.unwrap_or_default());
         Ok(Self {
             positions: read(ShapeAttribute::Position)?,
             normals: read(ShapeAttribute::Normal)?,

@@ -20,9 +20,8 @@ pub(super) mod rewrite;
 
 pub(super) use motions::{JointHeldVertices, SkinnedShape};
 
-use super::buffers::BufferBytes;
 use super::document::GltfDocument;
-use super::placement::{Placement, SkinPose, VertexInfluences, affine_of, influence_accessors, invert, joint_nodes};
+use super::placement::{Placement, SkinPose, VertexInfluences, affine_of, invert, joint_nodes};
 use super::read::GltfNotes;
 use super::scene::{PlacedScene, place_meshes};
 use crate::{BoneLengthRule, Error, FollowedCounts, Geometry, JointTravel, RigRule, ShapeFollowers};
@@ -60,7 +59,6 @@ pub(super) fn may_move_nodes(notes: &GltfNotes, followers: &ShapeFollowers<'_>) 
 /// The vertices of a model as its file has them, and their joints.
 pub(super) fn shape_of_rows<'a>(
     doc: &GltfDocument<'_>,
-    buffers: &mut BufferBytes,
     notes: &GltfNotes,
     rest: &'a Geometry,
     positions: &'a [DVec3],
@@ -76,10 +74,7 @@ pub(super) fn shape_of_rows<'a>(
             None => shape.fixed.push((row.node, row.vertices.clone())),
             Some(skin) if row.follows_joints => {
                 let primitive = &doc.meshes.values[row.mesh].primitives[row.primitive];
-                let used = influence_accessors(primitive).into_iter().flat_map(|(j, w)| [j, w]);
-                buffers.decode_for(doc, &used.collect::<BTreeSet<usize>>())?;
-                let joints = joint_count(doc, skin);
-                let influences = VertexInfluences::read(doc, buffers, primitive, joints);
+                let influences = VertexInfluences::read(doc, primitive, joint_count(doc, skin));
                 shape.held.push(JointHeldVertices {
                     skin,
                     first: row.vertices.start,
@@ -95,15 +90,13 @@ pub(super) fn shape_of_rows<'a>(
 
 /// How many joints a skin has; 0 for one that cannot be read.
 pub(super) fn joint_count(doc: &GltfDocument<'_>, skin: usize) -> usize {
-    let parsed = doc.skins.get(skin).and_then(|text| serde_json::from_str(text).ok());
-    parsed.map_or(0, |skin: super::schema::GltfSkin| skin.joints.len())
+    doc.read_skin(skin).map_or(0, |skin| skin.joints.len())
 }
 
 impl FollowedNodeTree {
     /// Lets the nodes of a document follow a shape; `None` when none of them moves.
     pub(super) fn fit(
         doc: &GltfDocument<'_>,
-        buffers: &mut BufferBytes,
         notes: &GltfNotes,
         shape: &SkinnedShape<'_>,
         followers: &ShapeFollowers<'_>,
@@ -112,7 +105,7 @@ impl FollowedNodeTree {
         let size = BoundingBox::of(shape.before).diagonal();
         let mut known = BTreeMap::new();
         for skin in 0..doc.skins.len() {
-            if let Ok(pose) = SkinPose::read(doc, buffers, skin, &scene.world_from_node) {
+            if let Ok(pose) = SkinPose::read(doc, skin, &scene.world_from_node) {
                 known.insert(skin, Arc::new(pose));
             }
         }

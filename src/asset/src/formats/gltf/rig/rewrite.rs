@@ -6,14 +6,15 @@
 //! turned by the same, and a translation's difference from the old rest is turned and added to the new. In the node's own
 //! frame a clip so does what it did. Where a bone keeps its length, translations turn with the bone instead. All of it is linear in what interpolation mixes, tangents of splines included.
 
-use super::super::accessors::{AccessorLayout, ComponentType, decode_values};
-use super::super::buffers::BufferBytes;
-use super::super::builder::{AccessorKind, BufferBuilder, bounds, json_floats};
-use super::super::document::{GltfDocument, PatchedDocument};
+use super::super::accessors::{AccessorLayout, ComponentType};
+use super::super::builder::{AccessorKind, BufferBuilder, json_floats};
+use super::super::document::GltfDocument;
 use super::super::package::package;
-use super::super::read::{load_bytes, parse_written};
+use super::super::patch::PatchedDocument;
+use super::super::read::parse_written;
 use super::super::references::{self, References};
-use super::super::text::{JsonEdits, index_of, list_of, parse_index, value_of, with_member};
+use super::super::schema::WholeNumber;
+use super::super::text::{index_of, list_of, parse_index, value_of, with_member};
 use super::super::used_bytes::ByteSpans;
 use super::nodes::{MovedNode, MovedNodes};
 use super::{BindChanges, FollowedNodeTree};
@@ -35,16 +36,13 @@ impl FollowedNodeTree {
             companions: written.companions.into_iter().map(|(n, b)| (n, b.into())).collect(),
         };
         let parsed = parse_written(&files, format)?;
-        let doc = parsed.of(&files)?;
-        let buffers = load_bytes(&doc, &files)?;
+        let doc = parsed.of(&files)?.load_bytes(&files, None)?;
         let mut writer = RigWriter {
-            edits: JsonEdits::new(doc.text),
             uses: accessor_uses(&doc),
             spans: ByteSpans::collect(&doc),
             doc: &doc,
-            buffers,
+            patched: PatchedDocument::new(&doc),
             fresh: BufferBuilder::default(),
-            overwritten: BTreeMap::new(),
             rewritten: 0,
             clips: BTreeSet::new(),
         };
@@ -54,7 +52,8 @@ impl FollowedNodeTree {
         }
         writer.write_clips(self)?;
         let clips = u32::try_from(writer.clips.len()).unwrap_or(u32::MAX);
-        let mut written = writer.finish(&files, format)?;
+        writer.patched.append(&writer.fresh)?;
+        let mut written = package(&files, writer.patched, format)?;
         written.followed.rewritten_clips = clips;
         Ok(written)
     }
@@ -62,11 +61,8 @@ impl FollowedNodeTree {
 
 struct RigWriter<'d, 'a> {
     doc: &'d GltfDocument<'a>,
-    buffers: BufferBytes<'static>,
-    edits: JsonEdits<'a>,
+    patched: PatchedDocument<'d, 'a>,
     fresh: BufferBuilder,
-    /// Whole new contents by buffer.
-    overwritten: BTreeMap<usize, Vec<u8>>,
     /// How often each accessor is named.
     uses: Vec<u32>,
     spans: ByteSpans,
@@ -85,7 +81,7 @@ struct NewValues<'v> {
 impl<'a> RigWriter<'_, 'a> {
     fn write_nodes(&mut self, tree: &FollowedNodeTree) {
         for (&index, node) in &tree.nodes.moved {
-            let text = self.doc.nodes.items[index];
+            let text = self.doc.item(&self.doc.nodes, index);
             let parts = [
                 ("translation", node.translation.as_ref().map(|v| &v[..])),
                 ("rotation", node.rotation.as_ref().map(|v| &v[..])),
@@ -93,7 +89,7 @@ impl<'a> RigWriter<'_, 'a> {
             ];
             for (key, values) in parts {
                 if let Some(values) = values {
-                    self.edits.set(text, key, json_floats(values));
+                    self.patched.edits.set(text, key, json_floats(values));
                 }
             }
         }
@@ -101,9 +97,7 @@ impl<'a> RigWriter<'_, 'a> {
 
     fn write_binds(&mut self, skin: usize, changes: &BindChanges) -> Result<(), Error> {
         let doc = self.doc;
-        let (Some(&text), count) = (doc.skins.get(skin), super::joint_count(doc, skin)) else {
-            return Ok(());
-        };
+        let (text, count) = (doc.item(&doc.skins, skin), super::joint_count(doc, skin));
         let accessor = index_of(text, "inverseBindMatrices");
         let mut values: Vec<f32> = match accessor {
             Some(accessor) => self.read(accessor, 16)?.unwrap_or_default(),
@@ -124,7 +118,7 @@ impl<'a> RigWriter<'_, 'a> {
         // Skins that share their matrices come one by one; the first to come would spoil those of the others.
         let in_place = accessor.filter(|_| self.names(accessor) == 1);
         if let Some(at) = self.store(in_place, &new)? {
-            self.edits.set(text, "inverseBindMatrices", at);
+            self.patched.edits.set(text, "inverseBindMatrices", at);
         }
         Ok(())
     }
@@ -176,8 +170,8 @@ impl<'a> RigWriter<'_, 'a> {
             }
         }
         for (animation, samplers) in parted {
-            if let Some(array) = value_of(self.doc.animations[animation], "samplers") {
-                self.edits.push(array, &samplers);
+            if let Some(array) = value_of(self.doc.item(&self.doc.animations, animation), "samplers") {
+                self.patched.edits.push(array, &samplers);
             }
         }
         Ok(())
@@ -186,18 +180,16 @@ impl<'a> RigWriter<'_, 'a> {
     /// Points a sampler at new values, or the channels that part from it at a new sampler.
     fn point_sampler(&mut self, user: &ChangedSampler<'a>, accessor: usize, parted: &mut BTreeMap<usize, Vec<String>>) {
         if user.parting.is_empty() {
-            self.edits.set(user.sampler, "output", accessor);
+            self.patched.edits.set(user.sampler, "output", accessor);
             return;
         }
-        let stored = value_of(self.doc.animations[user.animation], "samplers");
-        let stored = stored
-            .and_then(|list| super::super::text::items(list).ok())
-            .map_or(0, |list| list.len());
+        let animation = self.doc.item(&self.doc.animations, user.animation);
+        let stored = list_of(animation, "samplers").len();
         let new = parted.entry(user.animation).or_default();
         let number = (stored + new.len()).to_string();
         new.push(with_member(user.sampler, "output", accessor));
         for channel in &user.parting {
-            self.edits.set(channel, "sampler", &number);
+            self.patched.edits.set(channel, "sampler", &number);
         }
     }
 
@@ -207,10 +199,9 @@ impl<'a> RigWriter<'_, 'a> {
     }
 
     /// The values of an accessor with so many lanes; `None` for one of another kind.
-    fn read(&mut self, accessor: usize, lanes: usize) -> Result<Option<Vec<f32>>, Error> {
-        let layout = AccessorLayout::find(self.doc, accessor).filter(|l| l.lanes == lanes);
-        let read = |layout| decode_values(self.doc, &mut self.buffers, accessor, layout);
-        layout.map(read).transpose()
+    fn read(&self, accessor: usize, lanes: usize) -> Result<Option<Vec<f32>>, Error> {
+        let layout = self.doc.layout(accessor).filter(|l| l.lanes == lanes);
+        layout.map(|layout| self.doc.read_values(accessor, layout)).transpose()
     }
 
     /// Stores values in place of those of an accessor where that changes nothing else, in a new accessor otherwise, the number of
@@ -230,62 +221,24 @@ impl<'a> RigWriter<'_, 'a> {
     fn overwrite(&mut self, index: usize, new: &NewValues<'_>) -> bool {
         let doc = self.doc;
         let accessor = &doc.accessors.values[index];
-        let layout = AccessorLayout::of(accessor, doc.views.values);
-        let (Some(layout), Some(view)) = (layout, accessor.buffer_view.and_then(|v| doc.views.get(v.index()))) else {
+        let view = accessor.buffer_view.map_or(usize::MAX, WholeNumber::index);
+        let fits = |layout: &AccessorLayout| {
+            layout.component == ComponentType::F32
+                && accessor.sparse.is_none()
+                && accessor.count.index().saturating_mul(new.lanes) == new.values.len()
+                && doc.views.get(view).is_some_and(|view| doc.takes_floats(view))
+                && self.spans.is_alone(index)
+        };
+        let Some(layout) = doc.layout(index).filter(fits) else {
             return false;
         };
-        let buffer = view.buffer.index();
-        let fits = layout.component == ComponentType::F32
-            && accessor.sparse.is_none()
-            && accessor.count.index().saturating_mul(new.lanes) == new.values.len()
-            && self.buffers.takes_floats(doc, view)
-            && self.spans.is_alone(index);
-        if !fits {
-            return false;
+        let elements = new.values.chunks_exact(new.lanes).enumerate();
+        let elements = elements.map(|(i, element)| (Some(i), element));
+        let written = self.patched.overwrite(view, accessor.offset(), layout.stride, elements);
+        if written.is_some() {
+            self.patched.set_bounds(index, new.values, new.lanes, false);
         }
-        let stored = &self.buffers.stored;
-        let bytes = self.overwritten.entry(buffer).or_insert_with(|| {
-            let bytes = stored.get(buffer).and_then(|s| s.bytes.as_ref());
-            bytes.map(|b| b.to_vec()).unwrap_or_default()
-        });
-        let (start, stride) = ((view.offset() + accessor.offset()) as usize, layout.stride as usize);
-        let end = start + (accessor.count.index().saturating_sub(1)) * stride + 4 * new.lanes;
-        if bytes.len() < end {
-            return false;
-        }
-        for (i, element) in new.values.chunks_exact(new.lanes).enumerate() {
-            let place = &mut bytes[start + i * stride..][..4 * new.lanes];
-            for (to, value) in place.as_chunks_mut::<4>().0.iter_mut().zip(element) {
-                *to = value.to_le_bytes();
-            }
-        }
-        let text = doc.accessors.items[index];
-        let (least, most) = bounds(new.values, new.lanes);
-        for (key, value) in [("min", least), ("max", most)] {
-            if value_of(text, key).is_some() {
-                self.edits.set(text, key, &value);
-            }
-        }
-        true
-    }
-
-    /// Adds what is new to the end of the first buffer that takes more, and makes the files.
-    fn finish(self, files: &FileSet, format: Format) -> Result<WrittenFiles, Error> {
-        let Self {
-            doc,
-            buffers,
-            edits,
-            fresh,
-            overwritten,
-            ..
-        } = self;
-        let mut patched = PatchedDocument {
-            edits,
-            buffers: overwritten,
-            added_buffer: None,
-        };
-        fresh.append_to(doc, &buffers, &mut patched)?;
-        package(doc, files, &buffers, patched, format)
+        written.is_some()
     }
 }
 
@@ -299,14 +252,10 @@ fn accessor_uses(doc: &GltfDocument<'_>) -> Vec<u32> {
             }
         }
     };
-    doc.meshes
-        .items
-        .iter()
-        .for_each(|text| count(references::of_mesh(text)));
-    doc.nodes.items.iter().for_each(|text| count(references::of_node(text)));
-    doc.skins.iter().for_each(|text| count(references::of_skin(text)));
-    doc.animations
-        .iter()
+    doc.items(&doc.meshes).for_each(|text| count(references::of_mesh(text)));
+    doc.items(&doc.nodes).for_each(|text| count(references::of_node(text)));
+    doc.items(&doc.skins).for_each(|text| count(references::of_skin(text)));
+    doc.items(&doc.animations)
         .for_each(|text| count(references::of_animation(text)));
     uses
 }
@@ -348,7 +297,7 @@ impl ClipTarget {
 /// All samplers that need other values, animation by animation.
 pub(super) fn changed_samplers<'a>(doc: &GltfDocument<'a>, nodes: &MovedNodes) -> Vec<ChangedSampler<'a>> {
     let mut all = Vec::new();
-    for (animation, &text) in doc.animations.iter().enumerate() {
+    for (animation, text) in doc.items(&doc.animations).enumerate() {
         let list = |key: &str| list_of(text, key);
         let samplers = list("samplers");
         let mut users: BTreeMap<usize, Vec<(Option<ClipTarget>, &'a str)>> = BTreeMap::new();
