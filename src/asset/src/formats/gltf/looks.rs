@@ -7,11 +7,9 @@ use super::buffers::{self, UriTarget};
 use super::document::GltfDocument;
 use super::read::{GltfNotes, PlacedPrimitive};
 use super::schema::WholeNumber;
-use super::text::list_of;
+use super::text::{index_of, list_of, value_of};
 use crate::look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
 use crate::{Error, Model};
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
 use bytes::Bytes;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -77,34 +75,6 @@ struct TransformItem {
     tex_coord: Option<WholeNumber>,
 }
 
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct TextureItem {
-    source: Option<WholeNumber>,
-    sampler: Option<WholeNumber>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(rename_all = "camelCase", default)]
-struct SamplerItem {
-    mag_filter: Option<u64>,
-    wrap_s: Option<u64>,
-    wrap_t: Option<u64>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(rename_all = "camelCase", default)]
-struct ImageItem {
-    uri: Option<String>,
-    buffer_view: Option<WholeNumber>,
-}
-
-#[derive(Debug, Default, Deserialize)]
-#[serde(default)]
-struct MaterialNumber {
-    material: Option<WholeNumber>,
-}
-
 /// A material, and what its texture coordinates are.
 struct MaterialInUse {
     look: BaseMaterial,
@@ -161,8 +131,7 @@ pub(super) fn surface_look(model: &Model, notes: &GltfNotes) -> Result<SurfaceLo
 /// The material that a placed primitive names.
 fn material_number(doc: &GltfDocument<'_>, row: &PlacedPrimitive) -> Option<usize> {
     let primitives = list_of(doc.item(&doc.meshes, row.mesh), "primitives");
-    let number: MaterialNumber = parse_or_default(primitives.get(row.primitive)?);
-    number.material.map(WholeNumber::index)
+    index_of(primitives.get(row.primitive)?, "material")
 }
 
 fn parse_or_default<T: DeserializeOwned + Default>(text: &str) -> T {
@@ -220,26 +189,19 @@ impl LookSections<'_> {
     }
 
     fn read_texture(&self, info: &TextureInfo) -> TextureUse {
-        let texture: TextureItem = self
-            .textures
-            .get(info.index.index())
-            .map(|text| parse_or_default(text))
-            .unwrap_or_default();
-        let sampler: SamplerItem = texture
-            .sampler
-            .and_then(|s| self.samplers.get(s.index()))
-            .map(|text| parse_or_default(text))
-            .unwrap_or_default();
-        let wrap = |mode: Option<u64>| match mode {
+        let texture = self.textures.get(info.index.index()).copied().unwrap_or_default();
+        let sampler = index_of(texture, "sampler").and_then(|s| self.samplers.get(s));
+        let sampler = sampler.copied().unwrap_or_default();
+        let wrap = |key: &str| match index_of(sampler, key) {
             Some(33071) => TextureWrap::Clamp,
             Some(33648) => TextureWrap::Mirror,
             _ => TextureWrap::Repeat,
         };
         TextureUse {
             // Beyond all images when it names none; extensions may name a picture of another kind.
-            image: texture.source.map_or(usize::MAX, WholeNumber::index),
-            wrap: [wrap(sampler.wrap_s), wrap(sampler.wrap_t)],
-            nearest: sampler.mag_filter == Some(9728),
+            image: index_of(texture, "source").unwrap_or(usize::MAX),
+            wrap: [wrap("wrapS"), wrap("wrapT")],
+            nearest: index_of(sampler, "magFilter") == Some(9728),
         }
     }
 }
@@ -321,20 +283,15 @@ fn read_attribute(
 
 /// The file of a picture, or why there is none.
 fn image_bytes(doc: &GltfDocument<'_>, model: &Model, index: usize, text: &str) -> Result<Bytes, String> {
-    let image: ImageItem = parse_or_default(text);
-    let Some(uri) = image.uri else {
-        let view = image
-            .buffer_view
-            .ok_or_else(|| format!("image {index} names no file"))?;
-        let bytes = doc.view(view.index()).map_err(|e| e.to_string())?;
+    let uri = value_of(text, "uri").and_then(|uri| serde_json::from_str::<String>(uri).ok());
+    let Some(uri) = uri else {
+        let view = index_of(text, "bufferView").ok_or_else(|| format!("image {index} names no file"))?;
+        let bytes = doc.view(view).map_err(|e| e.to_string())?;
         return Ok(Bytes::copy_from_slice(bytes));
     };
-    if let Some(inside) = uri.strip_prefix("data:") {
-        let payload = inside.split_once(";base64,").map(|(_, payload)| payload);
-        let decoded = payload.and_then(|payload| STANDARD.decode(payload.trim()).ok());
-        return decoded
-            .map(Bytes::from)
-            .ok_or_else(|| format!("image {index} is not base64 data"));
+    if uri.starts_with("data:") {
+        let decoded = buffers::embedded_bytes(&uri).map(Bytes::from);
+        return decoded.ok_or_else(|| format!("image {index} is not base64 data"));
     }
     match buffers::resolve(&uri, &format!("images/{index}/uri"), doc.fault, &mut |_| Ok(())) {
         Ok(UriTarget::Companion(name)) => match model.files.companions.get(&name) {

@@ -6,6 +6,7 @@
 use super::schema::WholeNumber;
 use serde::de::{Deserializer as _, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_json::value::RawValue;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::Range;
 
@@ -100,6 +101,15 @@ pub(super) fn parse_index(json: &str) -> Option<usize> {
 pub(super) fn index_of(object: &str, key: &str) -> Option<usize> {
     value_of(object, key).and_then(parse_index)
 }
+
+/// What a channel of an animation moves: a node, and its path as JSON, which is empty where there is none.
+pub(super) fn channel_target(channel: &str) -> Option<(usize, &str)> {
+    let target = value_of(channel, "target")?;
+    Some((index_of(target, "node")?, value_of(target, "path").unwrap_or_default()))
+}
+
+/// The path of a channel that moves morph targets.
+pub(super) const WEIGHTS: &str = "\"weights\"";
 
 /// A JSON string literal.
 pub(super) fn quoted(text: &str) -> String {
@@ -287,6 +297,45 @@ impl<'a> JsonEdits<'a> {
 
     fn range_of(&self, part: &str) -> Range<usize> {
         place_in(self.text, part)
+    }
+}
+
+/// New texts of top-level members of a document; `None` for those that go.
+#[derive(Default)]
+pub(super) struct JsonSections(BTreeMap<&'static str, Option<String>>);
+
+impl JsonSections {
+    /// Gives a member a new value.
+    pub(super) fn set(&mut self, key: &'static str, json: String) {
+        self.0.insert(key, Some(json));
+    }
+
+    /// Gives a member a list of items, which are JSON; without any the member goes.
+    pub(super) fn set_list(&mut self, key: &'static str, list: &[String]) {
+        self.0.insert(key, (!list.is_empty()).then(|| json_array(list)));
+    }
+
+    /// Edits the text of a document: the new members stand in place of the old ones, added ones follow.
+    pub(super) fn edit<'a>(&self, text: &'a str, edits: &mut JsonEdits<'a>) {
+        for (key, json) in &self.0 {
+            match json {
+                Some(json) => edits.set(text, key, json),
+                None => edits.remove(text, key),
+            }
+        }
+    }
+
+    /// As [`JsonSections::edit`], without the white space between members.
+    pub(super) fn replace_in(mut self, text: &str) -> String {
+        let stored = members(text).unwrap_or_default().into_iter();
+        let stored = stored.filter_map(|JsonMember { key, value }| {
+            let new = self.0.remove(key.as_str());
+            Some((key, new.unwrap_or_else(|| Some(value.to_owned()))?))
+        });
+        let mut all: Vec<(String, String)> = stored.collect();
+        let added = self.0.into_iter();
+        all.extend(added.filter_map(|(key, json)| Some((key.to_owned(), json?))));
+        json_object(all)
     }
 }
 

@@ -12,7 +12,7 @@ use super::super::read::GltfNotes;
 use super::super::references::{self, References};
 use super::super::schema::{DRACO, GltfMesh, MESHOPT};
 use super::super::text::{
-    JsonEdits, json_array, list_of, parse_index, value_of, with_member, without_extensions, without_keys,
+    WEIGHTS, channel_target, json_array, list_of, parse_index, value_of, with_member, without_extensions, without_keys,
 };
 use super::blended::attributes_text;
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
@@ -202,25 +202,15 @@ impl EditedMeshes {
 /// An animation without what moves the morph targets of nodes that draw nothing any more.
 fn animation_without(text: &str, gone: &impl Fn(usize) -> bool) -> Option<String> {
     let channels = list_of(text, "channels");
-    let is_lost = |channel: &&str| {
-        let target = value_of(channel, "target");
-        let node = target.and_then(|t| value_of(t, "node")).and_then(parse_index);
-        target.and_then(|t| value_of(t, "path")) == Some("\"weights\"") && node.is_some_and(gone)
-    };
-    let left: Vec<String> = channels
-        .iter()
-        .filter(|c| !is_lost(c))
-        .map(|c| (*c).to_owned())
-        .collect();
+    let is_lost = |channel: &str| channel_target(channel).is_some_and(|(node, path)| path == WEIGHTS && gone(node));
+    let left: Vec<&str> = channels.iter().copied().filter(|c| !is_lost(c)).collect();
     if left.len() == channels.len() {
         return Some(text.to_owned());
     }
     if left.is_empty() {
         return None;
     }
-    let mut edits = JsonEdits::new(text);
-    edits.set(text, "channels", json_array(&left));
-    Some(edits.apply())
+    Some(with_member(text, "channels", json_array(&left)))
 }
 
 /// Beginnings of the names of extensions whose every reference to an accessor or view is looked at.
@@ -245,25 +235,53 @@ const KNOWN: [&str; 18] = [
     "FB_ngon_encoding",
 ];
 
-/// What is kept, packed into one buffer.
+/// What is kept of the data of a document.
+#[derive(Default)]
 pub(super) struct KeptData {
+    /// Whether it is what is used alone, packed into one buffer; else it is all of it, where it was.
+    pub(super) is_packed: bool,
+    /// What the buffer holds that new data is added to.
     pub(super) bytes: Vec<u8>,
     /// Texts of the kept views and accessors, renumbered.
     pub(super) views: Vec<String>,
     pub(super) accessors: Vec<String>,
-    /// New numbers by old ones.
+    /// New numbers by old ones, of packed data.
     pub(super) view_numbers: BTreeMap<usize, usize>,
-    pub(super) accessor_numbers: BTreeMap<usize, usize>,
+    accessor_numbers: BTreeMap<usize, usize>,
+}
+
+impl KeptData {
+    /// What the frame, skins, animations, nodes and images still use where that can be said and read, else all of it.
+    pub(super) fn of(doc: &GltfDocument<'_>, frame: &EditedMeshes) -> Self {
+        let packed = may_drop(doc).then(|| pack_kept_data(doc, frame)).flatten();
+        packed.unwrap_or_else(|| {
+            let stored = doc.growing_buffer().and_then(|i| doc.buffer_bytes(i));
+            Self {
+                bytes: stored.map(|b| b.to_vec()).unwrap_or_default(),
+                views: doc.items(&doc.views).map(str::to_owned).collect(),
+                accessors: doc.items(&doc.accessors).map(str::to_owned).collect(),
+                ..Self::default()
+            }
+        })
+    }
+
+    /// The new number of an accessor, those from `old` on being new ones; `None` where it keeps its number.
+    pub(super) fn accessor_number(&self, accessor: usize, old: usize) -> Option<usize> {
+        match accessor.checked_sub(old) {
+            Some(fresh) => self.is_packed.then(|| self.accessor_numbers.len() + fresh),
+            None => self.accessor_numbers.get(&accessor).copied(),
+        }
+    }
 }
 
 /// Whether unused data may be dropped.
-pub(super) fn may_drop(doc: &GltfDocument<'_>) -> bool {
+fn may_drop(doc: &GltfDocument<'_>) -> bool {
     let mut all = doc.extensions_used.iter().chain(&doc.extensions_required);
     all.all(|extension| KNOWN.iter().any(|known| extension.starts_with(known)))
 }
 
 /// Packs what the frame, skins, animations, nodes and images still use; `None` when some of it cannot be read.
-pub(super) fn pack_kept_data(doc: &GltfDocument<'_>, frame: &EditedMeshes) -> Option<KeptData> {
+fn pack_kept_data(doc: &GltfDocument<'_>, frame: &EditedMeshes) -> Option<KeptData> {
     let images = list_of(doc.text, "images");
     let animations = frame.animations.iter().flatten();
     let places = (frame.meshes.iter().flatten().map(|mesh| references::of_mesh(mesh)))
@@ -286,11 +304,9 @@ pub(super) fn pack_kept_data(doc: &GltfDocument<'_>, frame: &EditedMeshes) -> Op
     }
     doc.decode_for(accessors.iter().copied()).ok()?;
     let mut kept = KeptData {
-        bytes: Vec::new(),
-        views: Vec::new(),
-        accessors: Vec::new(),
-        view_numbers: BTreeMap::new(),
+        is_packed: true,
         accessor_numbers: accessors.iter().enumerate().map(|(new, &old)| (old, new)).collect(),
+        ..KeptData::default()
     };
     let mut stored: BTreeMap<(usize, u64, u64), usize> = BTreeMap::new();
     for old in views {

@@ -2,8 +2,7 @@
 
 use super::super::builder::AccessorKind;
 use super::super::document::GltfDocument;
-use super::super::edited::JsonSections;
-use super::super::text::{index_of, list_of, parse_index, value_of, with_member};
+use super::super::text::{JsonSections, WEIGHTS, channel_target, index_of, list_of, value_of, with_member};
 use super::document::{
     NewClip, PlayedDocument, PlayedNode, add_root, parents, sampler_text, scene_sections, top_nodes,
 };
@@ -72,14 +71,10 @@ fn add_channels(
     // Channels may share samplers, and still do; a turn is cut otherwise than numbers.
     let mut added: BTreeMap<(usize, bool), usize> = BTreeMap::new();
     for channel in list("channels") {
-        let Some(target) = value_of(channel, "target") else {
+        let Some((node, path)) = channel_target(channel) else {
             continue;
         };
-        let path = value_of(target, "path").unwrap_or_default();
-        let Some(node) = index_of(target, "node") else {
-            continue;
-        };
-        let moves = living.contains(&node) && !(path == "\"weights\"" && played_nodes.contains(&node));
+        let moves = living.contains(&node) && !(path == WEIGHTS && played_nodes.contains(&node));
         let Some(sampler) = index_of(channel, "sampler").filter(|_| moves) else {
             continue;
         };
@@ -108,8 +103,7 @@ fn cut_sampler(
     is_turn: bool,
     seconds: [f64; 2],
 ) -> Result<Option<String>, Error> {
-    let accessor = |key: &str| value_of(sampler, key).and_then(parse_index);
-    let Some((input, output)) = accessor("input").zip(accessor("output")) else {
+    let Some((input, output)) = index_of(sampler, "input").zip(index_of(sampler, "output")) else {
         return Ok(None);
     };
     let doc = played.doc;

@@ -4,9 +4,11 @@ use super::super::buffers::BufferOrigin;
 use super::super::builder::{AccessorKind, BufferBuilder, embedded_buffer_text};
 use super::super::container::{self, GltfFault};
 use super::super::document::{GLB_FORMAT, GltfDocument};
-use super::super::edited::{JsonSections, replace_members};
 use super::super::read::{GltfNotes, PlacedPrimitive};
-use super::super::text::{items, json_array, json_object, parse_index, quoted, value_of, with_member, without_keys};
+use super::super::text::{
+    JsonSections, WEIGHTS, channel_target, json_array, json_object, list_of, quoted, value_of, with_member,
+    without_keys,
+};
 use crate::moving_scene::{ClipBeside, NodeKeys, NodePlace};
 use crate::{Error, FileSet, WrittenFiles};
 use glam::DQuat;
@@ -74,15 +76,15 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
     /// Puts the files together. `sections`: the members of the document that are neither nodes, meshes nor data.
     pub(super) fn finish(self, files: &FileSet, mut sections: JsonSections) -> Result<WrittenFiles, Error> {
         let fault = GltfFault(GLB_FORMAT);
-        let is_bin = self.doc.origins().next() == Some(&BufferOrigin::Bin);
-        let own = self.doc.buffer_bytes(0).filter(|_| is_bin);
+        let doc = self.doc;
+        let is_bin = doc.origins().next() == Some(&BufferOrigin::Bin);
+        let own = doc.buffer_bytes(0).filter(|_| is_bin);
         // The chunk's padding belongs to no view, and what is added begins behind it.
         let mut bytes = own.map(|b| b.to_vec()).unwrap_or_default();
-        let (views, accessors) = (self.doc.views.len(), self.doc.accessors.len());
-        let mut buffers: Vec<String> = self.doc.items(&self.doc.buffers).map(str::to_owned).collect();
+        let mut buffers: Vec<String> = doc.items(&doc.buffers).map(str::to_owned).collect();
         let target = if own.is_some() { 0 } else { buffers.len() };
         let new_views = self.fresh.append_bytes(&mut bytes, target, fault)?;
-        let new_accessors = self.fresh.accessor_texts(views);
+        let new_accessors = self.fresh.accessor_texts(doc.views.len());
         if own.is_some() {
             buffers[0] = with_member(&buffers[0], "byteLength", bytes.len());
         } else if buffers.is_empty() {
@@ -90,26 +92,21 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
         } else {
             buffers.push(embedded_buffer_text(&bytes));
         }
-        let lists: [(&'static str, Vec<String>, usize); 5] = [
-            ("buffers", buffers, 0),
-            ("bufferViews", new_views, views),
-            ("accessors", new_accessors, accessors),
-            ("nodes", self.nodes, 0),
-            ("meshes", self.meshes, 0),
-        ];
-        for (key, mut list, stored) in lists {
-            if stored > 0 {
-                let old = value_of(self.doc.text, key).and_then(|array| items(array).ok());
-                let old = old.unwrap_or_default().into_iter().map(str::to_owned);
-                list.splice(0..0, old);
-            }
-            sections.insert(key, (!list.is_empty()).then(|| json_array(&list)));
+        let views = doc.items(&doc.views).map(str::to_owned).chain(new_views);
+        let accessors = doc.items(&doc.accessors).map(str::to_owned).chain(new_accessors);
+        for (key, list) in [
+            ("buffers", buffers),
+            ("bufferViews", views.collect()),
+            ("accessors", accessors.collect()),
+            ("nodes", self.nodes),
+            ("meshes", self.meshes),
+        ] {
+            sections.set_list(key, &list);
         }
-        let json = replace_members(self.doc.text.trim_end(), sections);
-        let rest = self.doc.container.as_ref().map_or(&[][..], |c| &c.rest);
-        let is_chunk = target == 0;
-        let unused = self.doc.container.as_ref().and_then(|c| c.bin);
-        let chunk = if is_chunk { Some(&bytes[..]) } else { unused };
+        let json = sections.replace_in(doc.text.trim_end());
+        let rest = doc.container.as_ref().map_or(&[][..], |c| &c.rest);
+        let unused = doc.container.as_ref().and_then(|c| c.bin);
+        let chunk = if target == 0 { Some(&bytes[..]) } else { unused };
         let main = container::join(&json, chunk, rest, fault)?;
         let companions = files.owned_companions();
         Ok(WrittenFiles::of(main, companions))
@@ -305,8 +302,8 @@ pub(super) fn scene_sections(
         let taken = above.map_or_else(|| top_nodes(doc), |(above, _)| vec![above]);
         scenes.push(json_object([("nodes", json_array(taken.iter().chain(added)))]));
     }
-    sections.insert("scenes", Some(json_array(&scenes)));
-    sections.insert("scene", Some(target.to_string()));
+    sections.set_list("scenes", &scenes);
+    sections.set("scene", target.to_string());
 }
 
 /// Takes the mesh off a node; `name` and whatever else it has stay.
@@ -339,26 +336,20 @@ pub(super) fn kept_clips(
         }
     }
     let weighted: BTreeSet<usize> = nodes.iter().map(|n| n.node).collect();
-    let moves_lost = |channel: &str| {
-        let target = value_of(channel, "target");
-        let node = target.and_then(|t| value_of(t, "node")).and_then(parse_index);
-        let is_weights = target.and_then(|t| value_of(t, "path")) == Some("\"weights\"");
-        node.is_some_and(|node| lost.contains(&node) || (is_weights && weighted.contains(&node)))
-    };
-    let is_kept = |clip: &&str| {
-        let channels = value_of(clip, "channels").and_then(|list| items(list).ok());
-        !channels.unwrap_or_default().into_iter().any(moves_lost)
-    };
+    let is_lost = |(node, path): (usize, &str)| lost.contains(&node) || (path == WEIGHTS && weighted.contains(&node));
+    let moves_lost = |channel: &str| channel_target(channel).is_some_and(is_lost);
+    let is_kept = |clip: &&str| !list_of(clip, "channels").into_iter().any(moves_lost);
     let others = doc.items(&doc.animations).enumerate();
     let others = others.filter(|(number, _)| beside.is_none_or(|beside| beside.clip != *number));
     let kept = others.map(|(_, text)| text).filter(is_kept);
     kept.map(str::to_owned).collect()
 }
 
-/// The document's skins, where a node that is not played still needs one; `None` where none does.
-pub(super) fn kept_skins(doc: &GltfDocument<'_>, nodes: &[PlayedNode<'_>]) -> Option<Vec<String>> {
+/// The document's skins, where a node that is not played still needs one.
+pub(super) fn kept_skins(doc: &GltfDocument<'_>, nodes: &[PlayedNode<'_>]) -> Vec<String> {
     let played: BTreeSet<usize> = nodes.iter().map(|n| n.node).collect();
     let mut others = doc.nodes.values.iter().enumerate();
     let is_used = others.any(|(i, node)| node.skin.is_some() && !played.contains(&i));
-    is_used.then(|| doc.items(&doc.skins).map(str::to_owned).collect())
+    let skins = doc.items(&doc.skins).filter(|_| is_used);
+    skins.map(str::to_owned).collect()
 }

@@ -1,9 +1,8 @@
 //! Frames as joints that carry every vertex.
 
 use super::super::builder::{AccessorKind, json_floats};
-use super::super::edited::JsonSections;
 use super::super::read::GltfNotes;
-use super::super::text::{json_array, quoted};
+use super::super::text::{JsonSections, json_array, quoted};
 use super::beside::go_on_beside;
 use super::document::{
     NewClip, PlayedDocument, PlayedNode, add_times, kept_clips, kept_skins, name_member, played_nodes, take_mesh,
@@ -23,7 +22,7 @@ pub(super) fn add_clip(
 ) -> Result<JsonSections, Error> {
     let doc = played.doc;
     let nodes = played_nodes(notes, clip.beside.as_ref());
-    let mut skins = kept_skins(doc, &nodes).unwrap_or_default();
+    let mut skins = kept_skins(doc, &nodes);
     let skin = skins.len();
     let mut drawn = Vec::new();
     let correctives = moved_at_rest(rest, vertices, clip);
@@ -44,7 +43,7 @@ pub(super) fn add_clip(
         r#"{{"inverseBindMatrices":{back},"joints":{numbers},"skeleton":{root}}}"#
     ));
 
-    let mut sections = JsonSections::new();
+    let mut sections = JsonSections::default();
     let mut added = drawn.clone();
     added.push(root);
     let mut new = NewClip::new(clip.name);
@@ -61,8 +60,8 @@ pub(super) fn add_clip(
         }
         clips.push(new.text());
     }
-    sections.insert("animations", (!clips.is_empty()).then(|| json_array(&clips)));
-    sections.insert("skins", Some(json_array(&skins)));
+    sections.set_list("animations", &clips);
+    sections.set_list("skins", &skins);
     Ok(sections)
 }
 

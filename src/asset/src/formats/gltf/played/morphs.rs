@@ -2,12 +2,11 @@
 
 use super::super::accessors::ShapeAttribute;
 use super::super::builder::AccessorKind;
-use super::super::edited::JsonSections;
 use super::super::placement::{Placement, invert};
 use super::super::read::{GltfNotes, PlacedPrimitive, normal_matrix};
 use super::super::schema::DRACO;
 use super::super::text::{
-    json_array, json_object, list_of, members, value_of, with_member, without_extensions, without_keys,
+    JsonSections, json_array, json_object, list_of, members, value_of, with_member, without_extensions, without_keys,
 };
 use super::beside::go_on_beside;
 use super::document::{
@@ -67,7 +66,7 @@ pub(super) fn add_clip(
     drawing
         .iter()
         .for_each(|node| new.add_channel(sampler, *node, "weights"));
-    let mut sections = JsonSections::new();
+    let mut sections = JsonSections::default();
     if clip.beside.is_some() {
         let own = match &clip.root {
             Some(keys) => vec![add_root(played, &mut new, keys, &moved)],
@@ -84,9 +83,8 @@ pub(super) fn add_clip(
     }
     let mut clips = kept_clips(doc, &nodes, clip.beside.as_ref());
     clips.push(new.text());
-    sections.insert("animations", Some(json_array(&clips)));
-    let skins = kept_skins(doc, &nodes);
-    sections.insert("skins", skins.map(|list| json_array(&list)));
+    sections.set_list("animations", &clips);
+    sections.set_list("skins", &kept_skins(doc, &nodes));
     Ok(sections)
 }
 
