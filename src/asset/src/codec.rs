@@ -4,12 +4,12 @@
 //! are read only; [`write`](super::write) and
 //! [`Model::read`](super::Model::read) call it.
 
-use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
+use super::edited::{EditedModel, PrimitiveRun, RunFaces};
 use super::files::ReadWatch;
 use super::look::SurfaceLook;
 use super::model::FileNotes;
 use super::moving_scene::{MovingScene, PlayedClip, PrimitiveShapes, SceneClip};
-use super::neutral::{NeutralModel, RunAttributes, SeamPart};
+use super::neutral::{NeutralModel, RunAttributes, RunPart};
 use super::vertex_attributes::AttributeKeys;
 use super::{Error, FileSet, FollowedCounts, Format, Geometry, Model, ModelNode, ShapeFollowers, WrittenFiles};
 use glam::DVec3;
@@ -127,12 +127,6 @@ pub(super) trait FormatCodec: Sync {
         Err(Error::unwritable(rest.format, "it holds no clips"))
     }
 
-    /// Which faces of a model that this codec has read have more than three corners; `None` when all are triangles.
-    fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {
-        let _ = model;
-        None
-    }
-
     /// Texture coordinates, colours and materials of runs of one base that this codec has read, for other formats: one
     /// for each run, or none for any.
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
@@ -147,7 +141,7 @@ pub(super) trait FormatCodec: Sync {
         edited: &EditedModel<'_>,
         run: &PrimitiveRun,
         positions: &[DVec3],
-    ) -> Result<Option<Vec<SeamPart>>, Error> {
+    ) -> Result<Option<Vec<RunPart>>, Error> {
         let _ = (edited, run, positions);
         Ok(None)
     }

@@ -56,10 +56,10 @@ pub(super) struct RunAttributes {
     pub faces: Option<RunFaces>,
 }
 
-/// A part of a run whose corners at one vertex differed, with its vertices copied so that they do not.
+/// A run of an edited model, or a part of it: its vertices, some of which may be copied so that all corners at one are alike.
 #[derive(Debug, Clone, Default)]
-pub(super) struct SeamPart {
-    /// For each vertex the vertex of the run that it is a copy of.
+pub(super) struct RunPart {
+    /// For each vertex the vertex of the run that it is or is a copy of.
     pub copy_of: Vec<u32>,
     /// Empty, or one per vertex; zero where there is none.
     pub normals: Vec<Vec3>,
@@ -68,49 +68,49 @@ pub(super) struct SeamPart {
     pub attributes: RunAttributes,
 }
 
-impl SeamPart {
-    /// Divides a run by its texture coordinates at corners: each vertex keeps those of its first corner, and for each
-    /// other pair around it there is one copy, after all vertices. `triangles` are over the run's vertices; `normals` are
-    /// empty or one for each of these.
-    pub fn of_corners(vertices: usize, triangles: &[[u32; 3]], normals: &[Vec3], attributes: RunAttributes) -> Self {
-        let RunAttributes {
-            colours,
-            corner_uv,
-            material,
-            ..
-        } = attributes;
-        let mut copy_of: Vec<u32> = (0..vertices as u32).collect();
-        let mut uv: Vec<Option<[f32; 2]>> = vec![None; vertices];
-        let mut copies: BTreeMap<(u32, [u32; 2]), u32> = BTreeMap::new();
-        let divided = triangles.iter().enumerate().map(|(i, triangle)| {
-            [0, 1, 2].map(|k| {
-                let vertex = triangle[k];
-                let here = corner_uv.get(3 * i + k).copied().unwrap_or_default();
-                let bits = here.map(f32::to_bits);
-                if uv[vertex as usize].get_or_insert(here).map(f32::to_bits) == bits {
-                    return vertex;
-                }
-                *copies.entry((vertex, bits)).or_insert_with(|| {
-                    copy_of.push(vertex);
-                    uv.push(Some(here));
-                    copy_of.len() as u32 - 1
-                })
-            })
-        });
-        let triangles = divided.collect();
-        let copied = |v: &u32| *v as usize;
+impl RunPart {
+    /// All of a run, no vertex of it copied.
+    pub fn of_run(
+        edited: &EditedModel<'_>,
+        run: &PrimitiveRun,
+        positions: &[DVec3],
+        attributes: RunAttributes,
+    ) -> Self {
+        let carried = CarriedAttributes::new(edited, run, positions);
+        let has_normals = edited.primitive(run).has_normals;
         Self {
-            triangles,
-            normals: copy_of.iter().filter_map(|v| normals.get(copied(v)).copied()).collect(),
-            attributes: RunAttributes {
-                uv: uv.into_iter().map(Option::unwrap_or_default).collect(),
-                colours: copy_of.iter().filter_map(|v| colours.get(copied(v)).copied()).collect(),
-                corner_uv: Vec::new(),
-                material,
-                faces: None,
-            },
-            copy_of,
+            copy_of: (0..run.vertex_count).collect(),
+            normals: if has_normals { carried.normals() } else { Vec::new() },
+            triangles: carried.triangles,
+            attributes,
         }
+    }
+
+    /// Divides it by its texture coordinates at corners: each vertex keeps those of its first corner, and for each other pair
+    /// around it there is one copy, after all vertices.
+    pub fn divide(&mut self) {
+        let corner_uv = std::mem::take(&mut self.attributes.corner_uv);
+        let mut uv: Vec<Option<[f32; 2]>> = vec![None; self.copy_of.len()];
+        let mut copies: BTreeMap<(u32, [u32; 2]), u32> = BTreeMap::new();
+        for (vertex, corner) in self.triangles.as_flattened_mut().iter_mut().zip(0..) {
+            let here = corner_uv.get(corner).copied().unwrap_or_default();
+            let bits = here.map(f32::to_bits);
+            if uv[*vertex as usize].get_or_insert(here).map(f32::to_bits) != bits {
+                *vertex = *copies.entry((*vertex, bits)).or_insert_with(|| {
+                    self.copy_of.push(*vertex);
+                    uv.push(Some(here));
+                    self.copy_of.len() as u32 - 1
+                });
+            }
+        }
+        let copied = self.copy_of.iter().skip(self.normals.len());
+        let normals: Vec<Vec3> = copied.filter_map(|v| self.normals.get(*v as usize).copied()).collect();
+        self.normals.extend(normals);
+        let colours = &mut self.attributes.colours;
+        let copied = self.copy_of.iter().skip(colours.len());
+        let more: Vec<[f32; 4]> = copied.filter_map(|v| colours.get(*v as usize).copied()).collect();
+        colours.extend(more);
+        self.attributes.uv = uv.into_iter().map(Option::unwrap_or_default).collect();
     }
 }
 
@@ -171,65 +171,28 @@ impl NeutralModel {
         })
     }
 
-    /// Adds a run of an edited model, with what else it has.
-    pub fn push_run(
-        &mut self,
-        edited: &EditedModel<'_>,
-        run: &PrimitiveRun,
-        positions: &[DVec3],
-        attributes: RunAttributes,
-    ) {
-        let primitive = edited.primitive(run);
-        let carried = CarriedAttributes::new(edited, run, positions);
-        let normals = if primitive.has_normals {
-            carried.normals()
-        } else {
-            Vec::new()
-        };
-        let here = positions[run.vertices()].iter().copied();
-        self.push_primitive(&primitive.name, here, &normals, &carried.triangles);
-        self.copy_of.extend(run.vertices().map(|v| v as u32));
-        self.push_attributes(attributes);
-    }
-
-    /// Adds a run whose texture coordinates differ around vertices, with those vertices copied.
+    /// Adds a part of a run; `positions` are those of the whole edited model.
     ///
     /// # Errors
-    /// When 32-bit numbers do not count that many vertices; they would be those of a file of `format`.
-    pub fn push_divided_run(
+    /// When 32-bit numbers do not count that many vertices, as copies may make; they would be those of a file of `format`.
+    pub fn push_part(
         &mut self,
         edited: &EditedModel<'_>,
         run: &PrimitiveRun,
         positions: &[DVec3],
-        attributes: RunAttributes,
+        part: RunPart,
         format: Format,
     ) -> Result<(), Error> {
-        let primitive = edited.primitive(run);
-        let normals = if primitive.has_normals {
-            CarriedAttributes::new(edited, run, positions).normals()
-        } else {
-            Vec::new()
-        };
-        let triangles = edited.local_triangles(run);
-        let part = SeamPart::of_corners(run.vertex_count as usize, &triangles, &normals, attributes);
-        self.check_room(part.copy_of.len(), format)?;
-        self.push_seam_part(edited, run, positions, part);
-        Ok(())
-    }
-
-    /// Adds a part of a run; `positions` are those of the whole edited model.
-    pub fn push_seam_part(
-        &mut self,
-        edited: &EditedModel<'_>,
-        run: &PrimitiveRun,
-        positions: &[DVec3],
-        part: SeamPart,
-    ) {
+        let count = self.geometry.positions.len() as u64 + part.copy_of.len() as u64;
+        if count > u64::from(u32::MAX) {
+            return Err(Error::unwritable(format, format!("there would be {count} vertices")));
+        }
         let own = &positions[run.vertices()];
         let here = part.copy_of.iter().map(|&v| own[v as usize]);
         self.push_primitive(&edited.primitive(run).name, here, &part.normals, &part.triangles);
         self.copy_of.extend(part.copy_of.iter().map(|v| run.first_vertex + v));
         self.push_attributes(part.attributes);
+        Ok(())
     }
 
     /// The texture coordinates of a corner of a primitive, by corner or by vertex; `None` where it has none.
@@ -239,15 +202,6 @@ impl NeutralModel {
         }
         let has_uv = own.attributes.has_uv;
         self.uv.get(own.vertex_at(corner) as usize).copied().filter(|_| has_uv)
-    }
-
-    /// Refuses more vertices than 32-bit numbers count, which copies at seams may make.
-    pub fn check_room(&self, more: usize, format: Format) -> Result<(), Error> {
-        let count = self.geometry.positions.len() as u64 + more as u64;
-        if count > u64::from(u32::MAX) {
-            return Err(Error::unwritable(format, format!("there would be {count} vertices")));
-        }
-        Ok(())
     }
 
     fn push_primitive(

@@ -5,7 +5,7 @@ use super::edited::{self, BaseModel, CarriedAttributes, EditedModel, PrimitiveRu
 use super::files::ReadWatch;
 use super::formats::{codec_of, translator_of, writer_of};
 use super::model::is_same;
-use super::neutral::NeutralModel;
+use super::neutral::{NeutralModel, RunPart};
 use super::{
     Error, FileSet, Following, Format, Limits, Model, ModelNode, ShapeFollowers, VertexAttributes, WrittenFiles,
 };
@@ -350,9 +350,7 @@ fn file_stem(name: &str) -> String {
 
 /// The faces of a run, where some have more than three corners.
 fn faces_of_run(edited: &EditedModel<'_>, run: &PrimitiveRun) -> Option<RunFaces> {
-    let model = edited.base(run).model;
-    let outlines = codec_of(model.format).face_outlines(model)?;
-    RunFaces::of_run(edited, run, outlines)
+    RunFaces::of_run(edited, run, edited.base(run).model.notes.outlines()?)
 }
 
 /// The neutral form of an edited model, for files of `format`.
@@ -416,30 +414,26 @@ fn add_base(
     // Read once for all runs, and not at all for those that are divided.
     let mut attributes = None;
     for &run in &runs {
-        let parts = if divides {
-            source.seam_parts(edited, run, positions)?
-        } else {
-            None
-        };
-        if let Some(parts) = parts {
-            for part in parts {
-                neutral.check_room(part.copy_of.len(), format)?;
-                neutral.push_seam_part(edited, run, positions, part);
+        let mut parts = None;
+        if divides {
+            parts = source.seam_parts(edited, run, positions)?;
+        }
+        if parts.is_none() {
+            let attributes = match &mut attributes {
+                Some(attributes) => attributes,
+                none => none.insert(source.run_attributes(edited, &runs)?.into_iter()),
+            };
+            let mut part = RunPart::of_run(edited, run, positions, attributes.next().unwrap_or_default());
+            if divides && !part.attributes.corner_uv.is_empty() {
+                part.divide();
+            } else {
+                part.attributes.faces = faces_of_run(edited, run);
             }
-            continue;
+            parts = Some(vec![part]);
         }
-        let attributes = match &mut attributes {
-            Some(attributes) => attributes,
-            none => none.insert(source.run_attributes(edited, &runs)?.into_iter()),
-        };
-        let mut attributes = attributes.next().unwrap_or_default();
-        if divides && !attributes.corner_uv.is_empty() {
-            neutral.push_divided_run(edited, run, positions, attributes, format)?;
-            continue;
+        for part in parts.into_iter().flatten() {
+            neutral.push_part(edited, run, positions, part, format)?;
         }
-        neutral.check_room(run.vertex_count as usize, format)?;
-        attributes.faces = faces_of_run(edited, run);
-        neutral.push_run(edited, run, positions, attributes);
     }
     Ok(())
 }

@@ -19,7 +19,7 @@ use super::gltf::{self, GlbWriter};
 use crate::codec::{FormatTranslator, Translation};
 use crate::files::ReadWatch;
 use crate::{Error, FileSet};
-use nodes::{AddedClips, SceneNodes};
+use nodes::SceneNodes;
 use scene::{MaterialTable, TranslationNotes};
 use serde_json::{Value, json};
 
@@ -41,7 +41,7 @@ impl FormatTranslator for FbxTranslator {
         let mut buffer = GlbWriter::new(FORMAT, watch);
         let mut materials = MaterialTable::new(files);
         let nodes = SceneNodes::build(&opened, &mut buffer, &mut materials, &mut notes, watch)?;
-        let clips = AddedClips::build(&opened, &nodes, &mut buffer, &mut notes, watch)?;
+        let clips = nodes::sample_clips(&opened, &nodes, &mut buffer, &mut notes, watch)?;
         let (looks, companions) = materials.finish(&mut buffer)?;
         let main = buffer.finish(document(nodes, clips, looks))?;
         Ok(Translation {
@@ -57,18 +57,11 @@ impl FormatTranslator for FbxTranslator {
 }
 
 /// The document of the whole asset, without what its buffer adds.
-fn document(nodes: SceneNodes, clips: AddedClips, looks: scene::MaterialSections) -> Value {
+fn document(nodes: SceneNodes, clips: Vec<Value>, looks: scene::AssetSections) -> Value {
     let mut root = json!({"scene": 0, "scenes": [{"nodes": nodes.roots}]});
-    let sections = [
-        ("nodes", nodes.nodes),
-        ("meshes", nodes.meshes),
-        ("skins", nodes.skins),
-        ("materials", looks.materials),
-        ("textures", looks.textures),
-        ("images", looks.images),
-        ("animations", clips.animations),
-    ];
-    for (key, list) in sections {
+    let sections = [("nodes", nodes.nodes), ("meshes", nodes.meshes), ("skins", nodes.skins)];
+    let sections = sections.into_iter().chain(looks);
+    for (key, list) in sections.chain([("animations", clips)]) {
         if !list.is_empty() {
             root[key] = Value::Array(list);
         }

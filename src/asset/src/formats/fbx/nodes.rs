@@ -238,74 +238,67 @@ fn report_other_kinds(scene: &Scene, notes: &mut TranslationNotes) {
 /// The longest clip that is sampled, in seconds: a day.
 const LONGEST: f64 = 86_400.0;
 
-/// The animations of the asset.
-pub(super) struct AddedClips {
-    pub animations: Vec<Value>,
-}
-
-impl AddedClips {
-    /// Samples every animation stack that moves something. Failed ones are left out with a warning.
-    pub(super) fn build(
-        scene: &Scene,
-        nodes: &SceneNodes,
-        buffer: &mut GlbWriter<'_>,
-        notes: &mut TranslationNotes,
-        watch: &ReadWatch<'_>,
-    ) -> Result<Self, Error> {
-        let mut animations = Vec::new();
-        for stack in &scene.anim_stacks {
-            let place = place_of("animation", &stack.element);
-            let length = stack.time_end - stack.time_begin;
-            if !(length.is_finite() && length <= LONGEST) {
-                let message = format!("lasts {length} s, at most {LONGEST} s are sampled: it is left out");
+/// Samples every animation stack that moves something. Failed ones are left out with a warning.
+pub(super) fn sample_clips(
+    scene: &Scene,
+    nodes: &SceneNodes,
+    buffer: &mut GlbWriter<'_>,
+    notes: &mut TranslationNotes,
+    watch: &ReadWatch<'_>,
+) -> Result<Vec<Value>, Error> {
+    let mut animations = Vec::new();
+    for stack in &scene.anim_stacks {
+        let place = place_of("animation", &stack.element);
+        let length = stack.time_end - stack.time_begin;
+        if !(length.is_finite() && length <= LONGEST) {
+            let message = format!("lasts {length} s, at most {LONGEST} s are sampled: it is left out");
+            notes.warn("fbx-clip", message, place);
+            continue;
+        }
+        let (baked, reserved) = within_reserve(watch, 0, |allocator| {
+            let options = ufbx::BakeOpts {
+                temp_allocator: allocator(),
+                result_allocator: allocator(),
+                trim_start_time: true,
+                key_reduction_enabled: true,
+                key_reduction_rotation: true,
+                ..Default::default()
+            };
+            ufbx::bake_anim(scene, &stack.anim, options).map_err(Box::new)
+        })?;
+        let baked = match baked {
+            Ok(baked) => baked,
+            Err(error) => {
+                let message = format!("cannot be sampled ({}): it is left out", &*error.description).to_lowercase();
                 notes.warn("fbx-clip", message, place);
+                watch.release(reserved);
                 continue;
             }
-            let (baked, reserved) = within_reserve(watch, 0, |allocator| {
-                let options = ufbx::BakeOpts {
-                    temp_allocator: allocator(),
-                    result_allocator: allocator(),
-                    trim_start_time: true,
-                    key_reduction_enabled: true,
-                    key_reduction_rotation: true,
-                    ..Default::default()
-                };
-                ufbx::bake_anim(scene, &stack.anim, options).map_err(Box::new)
-            })?;
-            let baked = match baked {
-                Ok(baked) => baked,
-                Err(error) => {
-                    let message = format!("cannot be sampled ({}): it is left out", &*error.description).to_lowercase();
-                    notes.warn("fbx-clip", message, place);
-                    watch.release(reserved);
-                    continue;
-                }
-            };
-            let mut clip = ClipBuilder {
-                buffer,
-                place: &place,
-                samplers: Vec::new(),
-                channels: Vec::new(),
-            };
-            for node in &baked.nodes {
-                if let Some(number) = nodes.number_of.get(node.typed_id as usize).copied().flatten() {
-                    clip.add_node(node, number)?;
-                }
+        };
+        let mut clip = ClipBuilder {
+            buffer,
+            place: &place,
+            samplers: Vec::new(),
+            channels: Vec::new(),
+        };
+        for node in &baked.nodes {
+            if let Some(number) = nodes.number_of.get(node.typed_id as usize).copied().flatten() {
+                clip.add_node(node, number)?;
             }
-            for morphed in &nodes.morphed {
-                clip.add_weights(&baked, morphed)?;
-            }
-            if !clip.channels.is_empty() {
-                let mut json = json!({"samplers": clip.samplers, "channels": clip.channels});
-                if !stack.element.name.is_empty() {
-                    json["name"] = json!(&*stack.element.name);
-                }
-                animations.push(json);
-            }
-            watch.release(reserved);
         }
-        Ok(Self { animations })
+        for morphed in &nodes.morphed {
+            clip.add_weights(&baked, morphed)?;
+        }
+        if !clip.channels.is_empty() {
+            let mut json = json!({"samplers": clip.samplers, "channels": clip.channels});
+            if !stack.element.name.is_empty() {
+                json["name"] = json!(&*stack.element.name);
+            }
+            animations.push(json);
+        }
+        watch.release(reserved);
     }
+    Ok(animations)
 }
 
 /// One clip in the making.

@@ -3,7 +3,7 @@
 use super::super::gltf::{self, GlbWriter};
 use crate::files::ReadWatch;
 use crate::format::{FormatDetails, Recognition};
-use crate::look::inside_folder;
+use crate::look::{MaterialPicture, inside_folder};
 use crate::{Error, FileSet, Format, Limits};
 use bytes::Bytes;
 use pliant_exec::progress::Silent;
@@ -247,23 +247,12 @@ pub(super) struct MaterialTable<'a> {
     /// By the number in the file the number in the asset.
     known: BTreeMap<u32, usize>,
     materials: Vec<Value>,
-    pictures: Vec<ShownPicture>,
+    /// The pictures that materials show.
+    pictures: Vec<MaterialPicture>,
 }
 
-/// A picture that a material shows.
-struct ShownPicture {
-    /// The name of its file.
-    name: String,
-    /// The file; `None` where it did not come along.
-    bytes: Option<Bytes>,
-}
-
-/// The sections of the asset that say how it looks.
-pub(super) struct MaterialSections {
-    pub materials: Vec<Value>,
-    pub textures: Vec<Value>,
-    pub images: Vec<Value>,
-}
+/// Sections of the asset by their names.
+pub(super) type AssetSections = [(&'static str, Vec<Value>); 3];
 
 impl<'a> MaterialTable<'a> {
     /// A table without materials; pictures beside the model are found in `files`.
@@ -346,20 +335,20 @@ impl<'a> MaterialTable<'a> {
         let name = texture_file(texture).unwrap_or_else(|| format!("texture{}", texture.element.typed_id));
         let embedded = embedded_bytes(texture);
         let same =
-            |known: &ShownPicture| known.name == name && (embedded.is_none() || known.bytes.as_deref() == embedded);
+            |known: &MaterialPicture| known.name == name && (embedded.is_none() || known.bytes.as_deref() == embedded);
         let found = self.pictures.iter().position(same);
         Some(found.unwrap_or_else(|| {
             let beside = || self.files.companions.get(&name).cloned();
             let bytes = embedded.map(Bytes::copy_from_slice).or_else(beside);
-            self.pictures.push(ShownPicture { name, bytes });
+            self.pictures.push(MaterialPicture { name, bytes });
             self.pictures.len() - 1
         }))
     }
 
     /// The sections, with pictures put into the buffer; those of kinds that it cannot hold are files beside the asset.
-    pub(super) fn finish(self, buffer: &mut GlbWriter) -> Result<(MaterialSections, BTreeMap<String, Bytes>), Error> {
+    pub(super) fn finish(self, buffer: &mut GlbWriter) -> Result<(AssetSections, BTreeMap<String, Bytes>), Error> {
         let (mut images, mut companions) = (Vec::new(), BTreeMap::new());
-        for ShownPicture { name, bytes } in self.pictures {
+        for MaterialPicture { name, bytes } in self.pictures {
             let kind = bytes.as_deref().and_then(|bytes| gltf::media_type_of(&name, bytes));
             match (bytes, kind) {
                 (Some(bytes), Some(kind)) => {
@@ -373,11 +362,11 @@ impl<'a> MaterialTable<'a> {
             }
         }
         let textures = (0..images.len()).map(|i| json!({"source": i})).collect();
-        let sections = MaterialSections {
-            materials: self.materials,
-            textures,
-            images,
-        };
+        let sections = [
+            ("materials", self.materials),
+            ("textures", textures),
+            ("images", images),
+        ];
         Ok((sections, companions))
     }
 }

@@ -10,7 +10,7 @@ use super::statements::{
 use crate::codec::EditedOutput;
 use crate::edited::{EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::look::NamedMaterial;
-use crate::neutral::{RunAttributes, SeamPart};
+use crate::neutral::{RunAttributes, RunPart};
 use crate::vertex_attributes::{AttributeKeys, hash_bytes, hash_numbers, normal_key};
 use crate::{Error, Model, WrittenFiles};
 use glam::DVec3;
@@ -306,7 +306,7 @@ fn material_named(library: &MaterialLibrary, line: &[u8]) -> Arc<NamedMaterial> 
 }
 
 /// A run with its vertices parted where texture coordinates, normals or materials part, one for each material.
-pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions: &[DVec3]) -> Vec<SeamPart> {
+pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions: &[DVec3]) -> Vec<RunPart> {
     let model = edited.base(run).model;
     let statements = read_statements(&model.files.main);
     let parted = divide_corners(edited, run, positions, &statements);
@@ -321,7 +321,7 @@ pub(super) fn seam_parts(edited: &EditedModel<'_>, run: &PrimitiveRun, positions
     let one = |(material, triangles): (Option<&[u8]>, Vec<usize>)| {
         let with_uv = triangles.iter().any(|&t| parted.corner_textures[t].is_some());
         let with_normals = triangles.iter().any(|&t| parted.corner_normals[t].is_some());
-        let mut seamed = SeamPart::default();
+        let mut seamed = RunPart::default();
         seamed.attributes.material = material.map(|line| material_named(&library, line));
         let mut known: BTreeMap<(u32, u32, u32), u32> = BTreeMap::new();
         for t in triangles {

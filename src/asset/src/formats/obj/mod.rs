@@ -14,11 +14,11 @@ pub(super) use read::FORMAT;
 
 use super::text::{NumberPrecision, TextLexer, TextPatch, newline_of, push_triple};
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, patch_text_file, share_notes};
-use crate::edited::{EditedModel, FaceOutlines, PrimitiveRun};
+use crate::edited::{EditedModel, PrimitiveRun};
 use crate::files::ReadWatch;
 use crate::look::NamedMaterial;
 use crate::model::position_bits;
-use crate::neutral::{NeutralModel, NeutralPrimitive, RunAttributes, SeamPart};
+use crate::neutral::{NeutralModel, NeutralPrimitive, RunAttributes, RunPart};
 use crate::vertex_attributes::AttributeKeys;
 use crate::{Error, FileSet, Format, Geometry, Model, WrittenFiles};
 use glam::{DVec3, Vec3};
@@ -58,10 +58,6 @@ impl FormatCodec for ObjCodec {
         edited::write_edited(output)
     }
 
-    fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {
-        model.notes::<read::ObjNotes>().map(|notes| &notes.outlines)
-    }
-
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {
         Ok(edited::run_attributes(edited, runs))
     }
@@ -71,7 +67,7 @@ impl FormatCodec for ObjCodec {
         edited: &EditedModel<'_>,
         run: &PrimitiveRun,
         positions: &[DVec3],
-    ) -> Result<Option<Vec<SeamPart>>, Error> {
+    ) -> Result<Option<Vec<RunPart>>, Error> {
         Ok(Some(edited::seam_parts(edited, run, positions)))
     }
 
