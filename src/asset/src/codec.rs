@@ -4,7 +4,7 @@
 //! are read only; [`write`](super::write) and
 //! [`Model::read`](super::Model::read) call it.
 
-use super::edited::{EditedModel, PrimitiveRun, RunFaces};
+use super::edited::{EditedModel, FaceOutlines, PrimitiveRun, RunFaces};
 use super::files::ReadWatch;
 use super::look::SurfaceLook;
 use super::model::FileNotes;
@@ -125,6 +125,12 @@ pub(super) trait FormatCodec: Sync {
     fn write_played(&self, rest: &Model, vertices: &[u32], clip: &PlayedClip<'_>) -> Result<WrittenFiles, Error> {
         let _ = (vertices, clip);
         Err(Error::unwritable(rest.format, "it holds no clips"))
+    }
+
+    /// Which faces of a model that this codec has read have more than three corners; `None` when all are triangles.
+    fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {
+        let _ = model;
+        None
     }
 
     /// Texture coordinates, colours and materials of runs of one base that this codec has read, for other formats: one

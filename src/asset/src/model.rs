@@ -1,6 +1,5 @@
 //! A model for the other modules: the rest mesh, and the files that it came from.
 
-use super::edited::FaceOutlines;
 use super::{Error, FileSet, Format, Geometry, VertexAttributes};
 use glam::DVec3;
 use std::any::Any;
@@ -28,12 +27,7 @@ pub struct Model {
 pub(super) trait FileNotes: Any + Debug + Send + Sync {
     /// About how many bytes it holds in memory.
     fn bytes_held(&self) -> u64 {
-        self.outlines().map_or(0, FaceOutlines::bytes_held)
-    }
-
-    /// Which faces of the file have more than three corners; `None` when all are triangles.
-    fn outlines(&self) -> Option<&FaceOutlines> {
-        None
+        0
     }
 }
 

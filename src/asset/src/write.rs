@@ -350,7 +350,9 @@ fn file_stem(name: &str) -> String {
 
 /// The faces of a run, where some have more than three corners.
 fn faces_of_run(edited: &EditedModel<'_>, run: &PrimitiveRun) -> Option<RunFaces> {
-    RunFaces::of_run(edited, run, edited.base(run).model.notes.outlines()?)
+    let model = edited.base(run).model;
+    let outlines = codec_of(model.format).face_outlines(model)?;
+    RunFaces::of_run(edited, run, outlines)
 }
 
 /// The neutral form of an edited model, for files of `format`.

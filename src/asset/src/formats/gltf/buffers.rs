@@ -4,6 +4,7 @@ use super::compressed;
 use super::container::GltfFault;
 use super::document::GltfDocument;
 use super::schema::{BufferView, GltfAccessor};
+use super::stored::{BufferOrigin, StoredBuffer};
 use crate::files::ReadWatch;
 use crate::{Error, FileSet};
 use base64::Engine as _;
@@ -13,65 +14,8 @@ use base64::engine::general_purpose::{GeneralPurpose, GeneralPurposeConfig};
 use bytes::Bytes;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
 use std::borrow::Cow;
-use std::cell::{Cell, OnceCell};
+use std::cell::OnceCell;
 use std::collections::BTreeSet;
-
-/// Where a buffer's bytes are kept.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum BufferOrigin {
-    /// The BIN chunk of the GLB.
-    Bin,
-    /// A data URI.
-    Embedded,
-    /// A companion file of this name.
-    Companion(String),
-    /// Nowhere: it only gives the size of what decompression yields, or leaves its bytes to some extension.
-    Nowhere,
-}
-
-/// One buffer.
-struct StoredBuffer {
-    origin: BufferOrigin,
-    /// At least as many bytes as the buffer declares; `None` when there are none.
-    bytes: Option<Bytes>,
-}
-
-/// The bytes of all buffers of a document, and the decompressed views that were asked for.
-#[derive(Default)]
-pub(super) struct BufferBytes<'w> {
-    stored: Vec<StoredBuffer>,
-    /// By view.
-    decoded: Vec<OnceCell<Vec<u8>>>,
-    /// Who allows the bytes of what is decoded; nobody is asked when it is absent.
-    watch: Option<ReadWatch<'w>>,
-    /// Bytes that are reserved for what is decoded.
-    reserved: Cell<u64>,
-}
-
-impl BufferBytes<'_> {
-    /// Reserves bytes that decoding is about to take; released when this is dropped.
-    pub(super) fn reserve(&self, bytes: u64) -> Result<(), Error> {
-        if let Some(watch) = &self.watch {
-            watch.reserve(bytes)?;
-            self.reserved.set(self.reserved.get() + bytes);
-        }
-        Ok(())
-    }
-
-    /// Gives back bytes that were reserved and are not held any more.
-    pub(super) fn release(&self, bytes: u64) {
-        if let Some(watch) = &self.watch {
-            watch.release(bytes);
-            self.reserved.set(self.reserved.get() - bytes);
-        }
-    }
-}
-
-impl Drop for BufferBytes<'_> {
-    fn drop(&mut self) {
-        self.release(self.reserved.get());
-    }
-}
 
 impl<'a> GltfDocument<'a> {
     /// Finds the bytes of every buffer.

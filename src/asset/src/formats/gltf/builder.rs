@@ -2,7 +2,7 @@
 
 use super::buffers;
 use super::container::{self, GltfFault};
-use super::document::GLB_FORMAT;
+use super::document::{GLB_FORMAT, GltfDocument};
 use super::text::{json_array, json_object, quoted};
 use crate::files::ReadWatch;
 use crate::{Error, Format};
@@ -81,17 +81,27 @@ pub(super) struct NewSparse {
     pub(super) values: usize,
 }
 
-/// New data, to be appended to what stays of a document. Numbers of views and accessors count from its first ones.
+/// New data, to be appended to what stays of a document. Numbers of views count from its first one.
 #[derive(Default)]
 pub(super) struct BufferBuilder {
+    /// The number of its first accessor.
+    first: usize,
     bytes: Vec<u8>,
     views: Vec<NewView>,
     accessors: Vec<NewAccessor>,
-    /// Accessors that equal ones may share, by a hash of their bytes.
+    /// Accessors that equal ones may share, counted from the first, by a hash of their bytes.
     known: BTreeMap<u64, Vec<usize>>,
 }
 
 impl BufferBuilder {
+    /// Nothing yet; new accessors are numbered behind those of a document.
+    pub(super) fn behind(doc: &GltfDocument<'_>) -> Self {
+        Self {
+            first: doc.accessors.len(),
+            ..Self::default()
+        }
+    }
+
     /// Whether nothing is new.
     pub(super) fn is_empty(&self) -> bool {
         self.views.is_empty()
@@ -107,7 +117,7 @@ impl BufferBuilder {
         self.views.len()
     }
 
-    /// Adds an attribute of floats; its number among the new accessors.
+    /// Adds an attribute of floats; its number.
     pub(super) fn add_floats(
         &mut self,
         values: &[f32],
@@ -168,7 +178,7 @@ impl BufferBuilder {
     /// Adds an accessor over views that have been added; its number.
     pub(super) fn push_accessor(&mut self, accessor: NewAccessor) -> usize {
         self.accessors.push(accessor);
-        self.accessors.len() - 1
+        self.first + self.accessors.len() - 1
     }
 
     /// Adds an accessor with a view of its own, which no other accessor shares; its number.
@@ -208,13 +218,12 @@ impl BufferBuilder {
                 view.target == target && self.bytes.get(view.start..view.start + view.length) == Some(bytes)
             });
             if has_same_bytes && self.accessors[old] == accessor {
-                return old;
+                return self.first + old;
             }
         }
         accessor.view = Some(self.add_view(bytes, target));
-        let number = self.push_accessor(accessor);
-        self.known.entry(hash).or_default().push(number);
-        number
+        self.known.entry(hash).or_default().push(self.accessors.len());
+        self.push_accessor(accessor)
     }
 
     /// The views as JSON, with their bytes beginning at `offset` of `buffer`.

@@ -3,9 +3,9 @@
 use super::accessors::ShapeAttribute;
 use super::container::GltfFault;
 use super::document::GltfDocument;
-use super::placement::{VertexTransforms, joint_nodes};
+use super::placement::VertexTransforms;
 use super::read::{GltfNotes, PlacedPrimitive};
-use super::rig::rewrite::moves_nodes;
+use super::rig::rewrite::followable;
 use super::targets::{AttributeSlot, ChangedAttribute, DeformedAttributes, TargetCarrier, TargetTally};
 use crate::{Error, FollowedCounts, Geometry};
 use glam::{DMat3, DVec3, Vec3, Vec4};
@@ -229,17 +229,6 @@ impl RowWriter<'_, '_> {
 /// Whether a direction has turned by more than rounding: a mere translation must not touch normals.
 fn has_turned(rest: Vec4, now: Vec4) -> bool {
     (now - rest).abs().max_element() > 2.5e-7
-}
-
-/// The joints of a document, and those of its clips that move nodes; others have nothing that could follow.
-pub(super) fn followable<'t>(doc: &GltfDocument<'_>, clips: impl IntoIterator<Item = &'t str>) -> FollowedCounts {
-    let clips = clips.into_iter().filter(|text| moves_nodes(text)).count();
-    let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-    FollowedCounts {
-        joints: number(joint_nodes(doc).len()),
-        clips: number(clips),
-        ..FollowedCounts::default()
-    }
 }
 
 /// The counts of a document that is returned unchanged.

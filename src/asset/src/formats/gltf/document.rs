@@ -1,8 +1,8 @@
 //! A glTF document: its text, and the sections that geometry needs, item by item.
 
-use super::buffers::BufferBytes;
 use super::container::{self, GlbContainer, GltfFault};
 use super::schema::{AssetHeader, BufferView, GltfAccessor, GltfBuffer, GltfMesh, GltfNode, GltfScene, WholeNumber};
+use super::stored::BufferBytes;
 use super::text::{count_items, items, members, place_in};
 use crate::files::ReadWatch;
 use crate::format::{FormatDetails, Recognition};

@@ -6,11 +6,12 @@
 //! views and meshes stay. A model that nothing was done to still comes back as it was uploaded.
 
 use super::accessors::{AccessorLayout, ComponentType};
-use super::buffers::{self, BufferOrigin};
+use super::buffers;
 use super::builder::{BufferBuilder, INDICES, VERTICES, bounds, embedded_buffer_text};
 use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::schema::{DRACO, MeshPrimitive, WholeNumber};
+use super::stored::BufferOrigin;
 use super::text::{JsonEdits, json_array, list_of, quoted, value_of};
 use super::used_bytes::{BufferCuts, count_view_uses};
 use crate::files::ReadWatch;

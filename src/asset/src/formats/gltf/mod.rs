@@ -7,12 +7,12 @@
 //! the body ([`rig`]), unless they are to stay. Other nodes follow on request. [`deformed`] counts what followed.
 //!
 //! Reading: [`container`] takes a GLB apart, [`document`] parses the sections that geometry needs out of the JSON
-//! [`text`], [`references`] checks references and ranges, [`buffers`] finds bytes and what URIs name (with [`compressed`]),
+//! [`text`], [`references`] checks references and ranges, [`buffers`] finds bytes ([`stored`]) and what URIs name (with [`compressed`]),
 //! [`accessors`] reads them, [`draco`] decodes Draco, [`scene`] places meshes and [`placement`] their vertices, [`read`]
 //! puts triangles together. A model owns its parsed document for life. [`moving`] reads nodes and clips, [`looks`] materials.
 //!
 //! Writing: [`deformed`] computes what each attribute should become, [`sharing`] decides what must be copied (with
-//! [`used_bytes`]), [`patch`] edits text and bytes, [`package`] makes the files and puts files beside a .gltf into a GLB.
+//! [`used_bytes`]), [`patch`] edits text and bytes ([`patched`]), [`package`] makes the files and puts files beside a .gltf into a GLB.
 //! [`builder`] writes every new accessor, buffer view and embedded buffer. [`fresh`] makes an asset from other formats'
 //! geometry. After edits of the topology, [`edited`] rewrites primitives; [`references`] finds where a document names
 //! accessors and views as well.
@@ -59,6 +59,7 @@ mod looks;
 mod moving;
 mod package;
 mod patch;
+mod patched;
 mod placement;
 mod played;
 mod read;
@@ -67,6 +68,7 @@ mod rig;
 mod scene;
 mod schema;
 mod sharing;
+mod stored;
 mod targets;
 #[cfg(test)]
 mod tests;
@@ -119,15 +121,10 @@ impl FormatCodec for GltfCodec {
         let notes: &GltfNotes = model.notes_or_refuse(format)?;
         let doc = notes.loaded_document(model)?;
         let rest = &model.geometry;
-        let mut tree = None;
-        if rig::may_move_nodes(notes, followers) {
-            let shape = rig::shape_of_rows(&doc, notes, rest, positions)?;
-            tree = rig::FollowedNodeTree::fit(&doc, notes, &shape, followers)?.map(|tree| {
-                let to_write = tree.positions_to_write(&shape);
-                (tree, to_write)
-            });
-        }
-        let positions = tree.as_ref().map_or(positions, |(_, to_write)| to_write);
+        let tree = rig::FollowedNodeTree::fit(&doc, notes, followers, || {
+            rig::shape_of_rows(&doc, notes, rest, positions)
+        })?;
+        let positions = tree.as_ref().map_or(positions, |tree| &tree.to_write);
         let follows = followers.rules.morph_targets == MorphTargetRule::Follow && targets::has_targets(&doc);
         let shape = deformed::NewShape {
             rest,
@@ -138,15 +135,9 @@ impl FormatCodec for GltfCodec {
         let mut tally = targets::TargetTally::default();
         let wanted = deformed::wanted_attributes(&doc, notes, &shape, &mut tally)?;
         let plan = sharing::plan_overwrites(&doc, notes, &model.geometry, wanted);
-        let mut written = package::package(notes.files(model), patch::patch(&doc, &plan)?, format)?;
-        let mut followed = deformed::followable(&doc, doc.items(&doc.animations));
-        tally.count_into(&mut followed);
-        if let Some((tree, _)) = tree {
-            written = tree.rewrite(written, format)?;
-            tree.count_into(&doc, &mut followed);
-        }
-        followed.rewritten_clips = written.followed.rewritten_clips;
-        written.followed = followed;
+        let written = package::package(notes.files(model), patch::patch(&doc, &plan)?, format)?;
+        let clips = doc.items(&doc.animations);
+        let written = rig::rewrite::finish(tree.as_ref(), written, format, &doc, clips, &tally)?;
         self_contained_if_new(written, model.format, format)
     }
 

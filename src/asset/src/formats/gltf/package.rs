@@ -5,14 +5,15 @@
 //! A missing buffer is an error of [`buffers`](super::buffers): it holds the shape. A missing image is a warning:
 //! nothing is computed from it.
 
-use super::buffers::{self, BufferOrigin, RelativeName, media_type_of};
+use super::buffers::{self, RelativeName, media_type_of};
 use super::builder::{BufferBuilder, embedded_buffer_text};
 use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument};
-use super::patch::PatchedDocument;
+use super::patched::PatchedDocument;
 use super::scene::Warnings;
 use super::schema::MESHOPT;
-use super::text::{JsonEdits, index_of, list_of, quoted, value_of};
+use super::stored::BufferOrigin;
+use super::text::{JsonEdits, index_of, list_of, quoted, value_of, with_member, without_keys};
 use crate::{Error, FileSet, Format, WrittenFiles};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -348,15 +349,9 @@ impl<'a> CompanionEmbedder<'a> {
                     view
                 }
             };
-            let mut own = JsonEdits::new(image);
-            own.remove(image, "uri");
-            let mut text = own.apply();
-            for (key, json) in [("bufferView", view.to_string()), ("mimeType", quoted(media_type))] {
-                let mut own = JsonEdits::new(&text);
-                own.set(&text, key, &json);
-                text = own.apply();
-            }
-            self.edits.replace(image, text);
+            let text = with_member(&without_keys(image, &["uri"]), "bufferView", view);
+            self.edits
+                .replace(image, with_member(&text, "mimeType", quoted(media_type)));
         }
         if pictures.is_empty() {
             return;

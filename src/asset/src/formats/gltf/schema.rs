@@ -63,7 +63,7 @@ pub(super) struct AssetHeader {
 pub(super) struct GltfBuffer {
     pub(super) uri: Option<String>,
     pub(super) byte_length: WholeNumber,
-    pub(super) extensions: Option<BufferExtensions>,
+    extensions: Option<MeshoptExtensions<FallbackMark>>,
 }
 
 impl GltfBuffer {
@@ -76,12 +76,13 @@ impl GltfBuffer {
     }
 }
 
+/// What the two names of one extension hold.
 #[derive(Debug, Deserialize)]
-pub(super) struct BufferExtensions {
+struct MeshoptExtensions<T> {
     #[serde(rename = "EXT_meshopt_compression")]
-    ext: Option<FallbackMark>,
+    ext: Option<T>,
     #[serde(rename = "KHR_meshopt_compression")]
-    khr: Option<FallbackMark>,
+    khr: Option<T>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -96,7 +97,7 @@ pub(super) struct BufferView {
     byte_offset: Option<WholeNumber>,
     pub(super) byte_length: WholeNumber,
     pub(super) byte_stride: Option<WholeNumber>,
-    extensions: Option<ViewExtensions>,
+    extensions: Option<MeshoptExtensions<ViewCompression>>,
 }
 
 impl BufferView {
@@ -108,14 +109,6 @@ impl BufferView {
     pub(super) fn compression(&self) -> Option<&ViewCompression> {
         self.extensions.as_ref().and_then(|e| e.khr.as_ref().or(e.ext.as_ref()))
     }
-}
-
-#[derive(Debug, Deserialize)]
-struct ViewExtensions {
-    #[serde(rename = "EXT_meshopt_compression")]
-    ext: Option<ViewCompression>,
-    #[serde(rename = "KHR_meshopt_compression")]
-    khr: Option<ViewCompression>,
 }
 
 #[derive(Debug, Deserialize)]

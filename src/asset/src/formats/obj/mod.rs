@@ -14,7 +14,7 @@ pub(super) use read::FORMAT;
 
 use super::text::{NumberPrecision, TextLexer, TextPatch, newline_of, push_triple};
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, patch_text_file, share_notes};
-use crate::edited::{EditedModel, PrimitiveRun};
+use crate::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::files::ReadWatch;
 use crate::look::NamedMaterial;
 use crate::model::position_bits;
@@ -56,6 +56,10 @@ impl FormatCodec for ObjCodec {
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         edited::write_edited(output)
+    }
+
+    fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {
+        model.notes::<read::ObjNotes>().map(|notes| &notes.outlines)
     }
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {

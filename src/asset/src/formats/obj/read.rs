@@ -40,10 +40,6 @@ impl FileNotes for ObjNotes {
     fn bytes_held(&self) -> u64 {
         self.normals.as_ref().map_or(0, NormalLines::bytes_held) + self.outlines.bytes_held()
     }
-
-    fn outlines(&self) -> Option<&FaceOutlines> {
-        Some(&self.outlines)
-    }
 }
 
 /// OBJ has no signature; its first keyword identifies it.

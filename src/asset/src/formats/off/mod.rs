@@ -9,7 +9,7 @@ pub(super) use read::FORMAT;
 
 use super::text::{NumberPrecision, TextLexer, integer, number, push_number, push_triple};
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, patch_text_file, share_notes};
-use crate::edited::{CarriedAttributes, EditedModel, PrimitiveRun, RunFaces, TriangleOrigins};
+use crate::edited::{CarriedAttributes, EditedModel, FaceOutlines, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::files::ReadWatch;
 use crate::neutral::{NeutralModel, RunAttributes};
 use crate::vertex_attributes::{AttributeKeys, hash_bytes};
@@ -40,6 +40,10 @@ impl FormatCodec for OffCodec {
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         write_edited(output).map(WrittenFiles::single)
+    }
+
+    fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {
+        model.notes::<read::OffNotes>().map(|notes| &notes.outlines)
     }
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {

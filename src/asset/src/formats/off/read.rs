@@ -33,8 +33,8 @@ pub(super) struct OffNotes {
 }
 
 impl FileNotes for OffNotes {
-    fn outlines(&self) -> Option<&FaceOutlines> {
-        Some(&self.outlines)
+    fn bytes_held(&self) -> u64 {
+        self.outlines.bytes_held()
     }
 }
 

@@ -13,7 +13,7 @@ pub(super) use read::FORMAT;
 
 use super::text::TextPatch;
 use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, share_notes};
-use crate::edited::{EditedModel, PrimitiveRun};
+use crate::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::files::ReadWatch;
 use crate::neutral::{NeutralModel, RunAttributes};
 use crate::vertex_attributes::AttributeKeys;
@@ -48,6 +48,10 @@ impl FormatCodec for PlyCodec {
 
     fn write_edited(&self, output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         edited::write_edited(output).map(WrittenFiles::single)
+    }
+
+    fn face_outlines<'a>(&self, model: &'a Model) -> Option<&'a FaceOutlines> {
+        model.notes::<read::PlyNotes>().map(|notes| &notes.outlines)
     }
 
     fn run_attributes(&self, edited: &EditedModel<'_>, runs: &[&PrimitiveRun]) -> Result<Vec<RunAttributes>, Error> {

@@ -36,8 +36,8 @@ pub(super) struct PlyNotes {
 }
 
 impl FileNotes for PlyNotes {
-    fn outlines(&self) -> Option<&FaceOutlines> {
-        Some(&self.outlines)
+    fn bytes_held(&self) -> u64 {
+        self.outlines.bytes_held()
     }
 }
 

@@ -8,7 +8,6 @@ use super::super::placement::{Placement, VertexInfluences, VertexTransforms, inf
 use super::super::read::GltfNotes;
 use super::super::schema::MeshPrimitive;
 use super::super::targets::displacement_map;
-use super::super::text::json_object;
 use crate::edited::{CarriedAttributes, EditedModel, PrimitiveRun, VertexBlend};
 use crate::vertex_attributes::AttributeKeys;
 use crate::{Error, Model, MorphTargetRule};
@@ -209,29 +208,8 @@ fn heaviest_influences(sums: &BTreeMap<u32, f64>, most: usize) -> Vec<(u32, f64)
     list
 }
 
-/// Which accessor an attribute has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum AccessorHandle {
-    /// One of the file that the primitive came from.
-    Old(usize),
-    /// A new one.
-    New(usize),
-}
-
-impl AccessorHandle {
-    /// Its number in a document that has so many accessors of its own.
-    pub(super) fn number(self, old_accessors: usize) -> usize {
-        match self {
-            Self::Old(at) => at,
-            Self::New(at) => old_accessors + at,
-        }
-    }
-}
-
-/// Attributes with the numbers of their accessors as a JSON object.
-pub(super) fn attributes_text(all: &BTreeMap<String, AccessorHandle>, old_accessors: usize) -> String {
-    json_object(all.iter().map(|(name, handle)| (name, handle.number(old_accessors))))
-}
+/// The numbers of accessors by attribute: those of the file that the primitive came from, and new ones behind them.
+pub(super) type AccessorNumbers = BTreeMap<String, usize>;
 
 /// The influences of a run's vertices as they are written: sets of four joints and four weights for each vertex.
 pub(super) struct BlendedSkin {
@@ -286,12 +264,12 @@ impl BlendedSkin {
     }
 
     /// Writes all sets.
-    pub(super) fn write(&self, fresh: &mut BufferBuilder, attributes: &mut BTreeMap<String, AccessorHandle>) {
+    pub(super) fn write(&self, fresh: &mut BufferBuilder, attributes: &mut AccessorNumbers) {
         for (n, (joints, weights)) in self.joints.iter().zip(&self.weights).enumerate() {
             let joints = fresh.add_joints(joints);
             let weights = fresh.add_floats(weights, 4, "VEC4", AccessorKind::Floats);
-            attributes.insert(format!("JOINTS_{n}"), AccessorHandle::New(joints));
-            attributes.insert(format!("WEIGHTS_{n}"), AccessorHandle::New(weights));
+            attributes.insert(format!("JOINTS_{n}"), joints);
+            attributes.insert(format!("WEIGHTS_{n}"), weights);
         }
     }
 }

@@ -12,9 +12,9 @@ use super::super::read::GltfNotes;
 use super::super::references::{self, References};
 use super::super::schema::{DRACO, GltfMesh, MESHOPT};
 use super::super::text::{
-    WEIGHTS, channel_target, json_array, list_of, parse_index, value_of, with_member, without_extensions, without_keys,
+    WEIGHTS, channel_target, json_array, json_object, list_of, parse_index, value_of, with_member, without_extensions,
+    without_keys,
 };
-use super::blended::attributes_text;
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
 use crate::Error;
 use crate::edited::PrimitiveRun;
@@ -128,7 +128,7 @@ fn version_of_mesh<'a>(
                 None => primitives.push(old.to_owned()),
                 Some(made) => {
                     as_stored = false;
-                    primitives.push(primitive_text(old, &made, maker.doc.accessors.len()));
+                    primitives.push(primitive_text(old, &made));
                 }
             }
         }
@@ -143,20 +143,20 @@ fn version_of_mesh<'a>(
 }
 
 /// A stored primitive with other accessors.
-fn primitive_text(stored: &str, made: &MadePrimitive, old_accessors: usize) -> String {
+fn primitive_text(stored: &str, made: &MadePrimitive) -> String {
     let mut text = without_extensions(stored, &[DRACO]);
-    if let Some(indices) = &made.indices {
+    if let Some(indices) = made.indices {
         text = without_extensions(&text, &OF_STORED_TRIANGLES);
-        text = with_member(&text, "indices", indices.number(old_accessors));
+        text = with_member(&text, "indices", indices);
         if value_of(&text, "mode").is_some() {
             text = with_member(&text, "mode", "4");
         }
     }
     if !made.targets.is_empty() {
-        let targets = made.targets.iter().map(|target| attributes_text(target, old_accessors));
+        let targets = made.targets.iter().map(json_object);
         text = with_member(&text, "targets", json_array(targets));
     }
-    with_member(&text, "attributes", attributes_text(&made.attributes, old_accessors))
+    with_member(&text, "attributes", json_object(&made.attributes))
 }
 
 impl EditedMeshes {

@@ -14,7 +14,7 @@ use super::super::read::GltfNotes;
 use super::super::scene;
 use super::super::targets::TargetTally;
 use super::super::text::{index_of, json_array, json_object, list_of, quoted, value_of, with_member};
-use super::blended::{AccessorHandle, EditedTurns, attributes_text};
+use super::blended::{AccessorNumbers, EditedTurns};
 use super::frame::EditedMeshes;
 use super::looks::{JoinedBases, MaterialCopier};
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
@@ -132,7 +132,7 @@ impl<'a> BaseJoiner<'_, 'a> {
                     };
                     // Sheared meshes are written as they stand in the world, for which stored targets are not made.
                     let targets = here.is_some();
-                    primitives.extend(made.map(|made| self.primitive_text(&made, material, targets)));
+                    primitives.extend(made.map(|made| primitive_text(&made, material, targets)));
                 }
             }
             if primitives.is_empty() {
@@ -188,12 +188,12 @@ impl<'a> BaseJoiner<'_, 'a> {
         for own in neutral.primitives() {
             let (primitive, part, range) = (own.primitive, own.attributes, own.vertices);
             let mut made = MadePrimitive {
-                attributes: BTreeMap::new(),
+                attributes: AccessorNumbers::new(),
                 targets: Vec::new(),
                 indices: None,
             };
             let mut add = |name: &str, at: usize| {
-                made.attributes.insert(name.into(), AccessorHandle::New(at));
+                made.attributes.insert(name.into(), at);
             };
             let positions = geometry.positions[range.clone()].iter();
             let positions: Vec<f32> = positions.flat_map(|p| p.as_vec3().to_array()).collect();
@@ -225,10 +225,8 @@ impl<'a> BaseJoiner<'_, 'a> {
                 .iter()
                 .map(|t| t.map(|v| v - primitive.first_vertex))
                 .collect();
-            made.indices = Some(AccessorHandle::New(
-                self.fresh.add_indices(&local, primitive.vertex_count as usize),
-            ));
-            let primitives = [self.primitive_text(&made, None, false)];
+            made.indices = Some(self.fresh.add_indices(&local, primitive.vertex_count as usize));
+            let primitives = [primitive_text(&made, None, false)];
             self.joined
                 .meshes
                 .push(json_object([("primitives", json_array(&primitives))]));
@@ -241,18 +239,6 @@ impl<'a> BaseJoiner<'_, 'a> {
         }
         self.set_children(root, &children);
         Ok(())
-    }
-
-    fn primitive_text(&self, made: &MadePrimitive, material: Option<usize>, with_targets: bool) -> String {
-        let old = self.frame.accessors.len();
-        let mut members = vec![("attributes", attributes_text(&made.attributes, old))];
-        members.extend(made.indices.map(|at| ("indices", at.number(old).to_string())));
-        if with_targets && !made.targets.is_empty() {
-            let targets = made.targets.iter().map(|target| attributes_text(target, old));
-            members.push(("targets", json_array(targets)));
-        }
-        members.extend(material.map(|material| ("material", material.to_string())));
-        json_object(members)
     }
 
     fn add_root(&mut self, name: &str, placing: Option<&NodeTransform>) -> usize {
@@ -274,6 +260,17 @@ impl<'a> BaseJoiner<'_, 'a> {
             *text = with_member(text, "children", json_array(children));
         }
     }
+}
+
+/// A primitive of a joined mesh.
+fn primitive_text(made: &MadePrimitive, material: Option<usize>, with_targets: bool) -> String {
+    let mut members = vec![("attributes", json_object(&made.attributes))];
+    members.extend(made.indices.map(|at| ("indices", at.to_string())));
+    if with_targets && !made.targets.is_empty() {
+        members.push(("targets", json_array(made.targets.iter().map(json_object))));
+    }
+    members.extend(material.map(|material| ("material", material.to_string())));
+    json_object(members)
 }
 
 /// Whether a node's primitive has morph targets.

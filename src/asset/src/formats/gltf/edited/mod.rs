@@ -13,16 +13,17 @@ mod primitives;
 pub(super) use blended::distinguish_vertices;
 pub(super) use looks::run_attributes;
 
-use super::buffers::{self, BufferOrigin};
+use super::buffers;
 use super::builder::BufferBuilder;
 use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::package::package;
-use super::patch::PatchedDocument;
+use super::patched::PatchedDocument;
 use super::read::GltfNotes;
 use super::references::{self, References};
 use super::rig::FollowedNodeTree;
 use super::schema::MESHOPT;
+use super::stored::BufferOrigin;
 use super::targets::TargetTally;
 use super::text::{JsonSections, index_of, json_array, list_of, quoted, with_member, without_extensions, without_keys};
 use crate::codec::EditedOutput;
@@ -42,18 +43,11 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         return Err(fault.unwritable("the first base is not glTF"));
     };
     let doc = notes.loaded_document(model)?;
-    let mut tree = None;
-    if super::rig::may_move_nodes(notes, output.followers) {
-        let before = primitives::positions_before(edited);
-        let shape = primitives::shape_of_runs(&doc, notes, output, &before)?;
-        tree = FollowedNodeTree::fit(&doc, notes, &shape, output.followers)?.map(|tree| {
-            let to_write = tree.positions_to_write(&shape);
-            (tree, to_write)
-        });
-    }
-    let positions = tree.as_ref().map_or(output.positions, |(_, to_write)| to_write);
+    let shape = || primitives::shape_of_runs(&doc, notes, output);
+    let tree = FollowedNodeTree::fit(&doc, notes, output.followers, shape)?;
+    let positions = tree.as_ref().map_or(output.positions, |tree| &tree.to_write);
     let output = &EditedOutput { positions, ..*output };
-    let mut fresh = BufferBuilder::default();
+    let mut fresh = BufferBuilder::behind(&doc);
     let own: Vec<&PrimitiveRun> = edited.runs.iter().filter(|run| run.base == 0).collect();
     let turns = EditedTurns::new(edited, positions, output.followers.rules.morph_targets);
     let mut tally = TargetTally::default();
@@ -77,17 +71,9 @@ pub(super) fn write(output: &EditedOutput<'_>) -> Result<WrittenFiles, Error> {
         joined,
         fault,
     };
-    let mut written = writer.write(KeptData::of(&doc, &writer.frame))?;
+    let written = writer.write(KeptData::of(&doc, &writer.frame))?;
     let clips = writer.frame.animations.iter().flatten().map(String::as_str);
-    let mut followed = super::deformed::followable(&doc, clips);
-    tally.count_into(&mut followed);
-    if let Some((tree, _)) = &tree {
-        written = tree.rewrite(written, output.format)?;
-        tree.count_into(&doc, &mut followed);
-    }
-    followed.rewritten_clips = written.followed.rewritten_clips;
-    written.followed = followed;
-    Ok(written)
+    super::rig::rewrite::finish(tree.as_ref(), written, output.format, &doc, clips, &tally)
 }
 
 struct EditedGltfWriter<'a> {
@@ -163,6 +149,7 @@ impl EditedGltfWriter<'_> {
         sections.set_list("accessors", &kept.accessors);
         sections.set_list("bufferViews", &kept.views);
         if is_packed {
+            sections.set("bufferViews", json_array(&kept.views));
             return self.package_files(sections, kept.bytes);
         }
         let mut patched = PatchedDocument::new(doc);

@@ -10,22 +10,21 @@ use super::super::rig::{JointHeldVertices, SkinnedShape, joint_count};
 use super::super::schema::{Attributes, MeshPrimitive};
 use super::super::targets::TargetTally;
 use super::blended::{
-    AccessorHandle, AttributeBlender, AttributeValues, BlendedSkin, EditedTurns, TargetBlender, read, shape_of,
+    AccessorNumbers, AttributeBlender, AttributeValues, BlendedSkin, EditedTurns, TargetBlender, read, shape_of,
 };
 use crate::Error;
 use crate::codec::EditedOutput;
 use crate::edited::{CarriedAttributes, EditedModel, PrimitiveRun, VertexBlend};
 use crate::model::position_bits;
 use glam::{DAffine3, DVec3, Vec3, Vec4};
-use std::collections::BTreeMap;
 
 /// A primitive's accessors by attribute, of itself and of each morph target, and its indices.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct MadePrimitive {
-    pub(super) attributes: BTreeMap<String, AccessorHandle>,
-    pub(super) targets: Vec<BTreeMap<String, AccessorHandle>>,
+    pub(super) attributes: AccessorNumbers,
+    pub(super) targets: Vec<AccessorNumbers>,
     /// `None` where the stored ones stay, with the stored mode.
-    pub(super) indices: Option<AccessorHandle>,
+    pub(super) indices: Option<usize>,
 }
 
 /// Where the mesh of a made primitive is drawn.
@@ -111,14 +110,8 @@ impl<'a> PrimitiveMaker<'a, '_> {
             }
         }
         let indices = if untouched {
-            let old = |all: &Attributes| {
-                all.iter()
-                    .map(|(k, v)| (k.clone(), AccessorHandle::Old(v.index())))
-                    .collect()
-            };
-            let stays: BTreeMap<String, AccessorHandle> = old(&primitive.attributes);
-            for (name, at) in stays {
-                attributes.entry(name).or_insert(at);
+            for (name, at) in &primitive.attributes {
+                attributes.entry(name.clone()).or_insert(at.index());
             }
             None
         } else {
@@ -131,9 +124,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 // Read as it is drawn, written as it is stored: turned round.
                 triangles.iter_mut().for_each(|t| t.swap(1, 2));
             }
-            Some(AccessorHandle::New(
-                self.fresh.add_indices(&triangles, run.vertex_count as usize),
-            ))
+            Some(self.fresh.add_indices(&triangles, run.vertex_count as usize))
         };
         Ok(Some(MadePrimitive {
             attributes,
@@ -149,9 +140,9 @@ impl<'a> PrimitiveMaker<'a, '_> {
         blender: &TargetBlender<'_>,
         target: &Attributes,
         may_stay: bool,
-    ) -> Result<(BTreeMap<String, AccessorHandle>, bool), Error> {
+    ) -> Result<(AccessorNumbers, bool), Error> {
         let doc = self.doc;
-        let mut made = BTreeMap::new();
+        let mut made = AccessorNumbers::new();
         let mut is_carried = false;
         for (name, accessor) in target {
             let channel = read(doc, accessor.index())?;
@@ -167,14 +158,14 @@ impl<'a> PrimitiveMaker<'a, '_> {
                     .eq(channel.values.iter().map(|v| v.to_bits()))
             };
             let at = if may_stay && is_stored() {
-                AccessorHandle::Old(accessor.index())
+                accessor.index()
             } else {
                 let kind = match role {
                     Some(ShapeAttribute::Position) => AccessorKind::Positions,
                     _ => AccessorKind::Floats,
                 };
                 let shape = shape_of(&doc.accessors.values[accessor.index()].shape);
-                AccessorHandle::New(self.fresh.add_floats(&values, channel.lanes, shape, kind))
+                self.fresh.add_floats(&values, channel.lanes, shape, kind)
             };
             made.insert(name.clone(), at);
         }
@@ -188,10 +179,10 @@ impl<'a> PrimitiveMaker<'a, '_> {
         primitive: &MeshPrimitive,
         world_from_mesh: &VertexTransforms,
         carried: &CarriedAttributes<'_>,
-    ) -> BTreeMap<String, AccessorHandle> {
-        let mut attributes = BTreeMap::new();
+    ) -> AccessorNumbers {
+        let mut attributes = AccessorNumbers::new();
         let at = self.fresh.add_floats(positions, 3, "VEC3", AccessorKind::Positions);
-        attributes.insert(ShapeAttribute::Position.name().into(), AccessorHandle::New(at));
+        attributes.insert(ShapeAttribute::Position.name().into(), at);
         let (has_normal, has_tangent) = (
             primitive.attribute(ShapeAttribute::Normal.name()).is_some(),
             primitive.attribute(ShapeAttribute::Tangent.name()).is_some(),
@@ -208,7 +199,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
             };
             let values: Vec<f32> = normals.iter().enumerate().flat_map(to_mesh).collect();
             let at = self.fresh.add_floats(&values, 3, "VEC3", AccessorKind::Floats);
-            attributes.insert(ShapeAttribute::Normal.name().into(), AccessorHandle::New(at));
+            attributes.insert(ShapeAttribute::Normal.name().into(), at);
         }
         if has_tangent {
             let mesh_from_world = world_from_mesh.inverse();
@@ -226,7 +217,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 .flat_map(to_mesh)
                 .collect();
             let at = self.fresh.add_floats(&values, 4, "VEC4", AccessorKind::Floats);
-            attributes.insert(ShapeAttribute::Tangent.name().into(), AccessorHandle::New(at));
+            attributes.insert(ShapeAttribute::Tangent.name().into(), at);
         }
         attributes
     }
@@ -277,7 +268,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
         &mut self,
         primitive: &MeshPrimitive,
         mixer: &AttributeBlender<'_>,
-        attributes: &mut BTreeMap<String, AccessorHandle>,
+        attributes: &mut AccessorNumbers,
     ) -> Result<(), Error> {
         for (name, accessor) in &primitive.attributes {
             let skin = name.starts_with("JOINTS_") || name.starts_with("WEIGHTS_");
@@ -307,7 +298,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 self.fresh
                     .add_floats(&values, channel.lanes, shape_of(stored), AccessorKind::Floats)
             };
-            attributes.insert(name.clone(), AccessorHandle::New(at));
+            attributes.insert(name.clone(), at);
         }
         Ok(())
     }
@@ -318,22 +309,16 @@ fn is_identifier(name: &str, channel: &AttributeValues) -> bool {
     name.starts_with('_') && (channel.is_whole || name.contains("ID"))
 }
 
-/// Where the blends put all vertices.
-pub(super) fn positions_before(edited: &EditedModel<'_>) -> Vec<DVec3> {
-    let runs = edited.runs.iter();
-    runs.flat_map(|run| CarriedAttributes::before(edited, run)).collect()
-}
-
 /// The vertices of an edited model, and which joints of its first base hold them.
 pub(super) fn shape_of_runs<'a>(
     doc: &GltfDocument<'_>,
     notes: &GltfNotes,
     output: &EditedOutput<'a>,
-    before: &'a [DVec3],
 ) -> Result<SkinnedShape<'a>, Error> {
     let edited = output.edited;
+    let runs = edited.runs.iter();
     let mut shape = SkinnedShape {
-        before,
+        before: runs.flat_map(|run| CarriedAttributes::before(edited, run)).collect(),
         now: output.positions,
         held: Vec::new(),
         fixed: Vec::new(),

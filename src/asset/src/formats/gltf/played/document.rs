@@ -1,10 +1,10 @@
 //! A document on its way to a new one: nodes and meshes that change, data that is added, the new clip, and which of the old ones stay.
 
-use super::super::buffers::BufferOrigin;
 use super::super::builder::{AccessorKind, BufferBuilder, embedded_buffer_text};
 use super::super::container::{self, GltfFault};
 use super::super::document::{GLB_FORMAT, GltfDocument};
 use super::super::read::{GltfNotes, PlacedPrimitive};
+use super::super::stored::BufferOrigin;
 use super::super::text::{
     JsonSections, WEIGHTS, channel_target, json_array, json_object, list_of, quoted, value_of, with_member,
     without_keys,
@@ -27,7 +27,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
     pub(super) fn new(doc: &'d GltfDocument<'a>) -> Self {
         Self {
             doc,
-            fresh: BufferBuilder::default(),
+            fresh: BufferBuilder::behind(doc),
             nodes: doc.items(&doc.nodes).map(str::to_owned).collect(),
             meshes: doc.items(&doc.meshes).map(str::to_owned).collect(),
         }
@@ -41,7 +41,7 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
             "VEC4" => 4,
             _ => 16,
         };
-        self.doc.accessors.len() + self.fresh.add_floats(values, lanes, shape, kind)
+        self.fresh.add_floats(values, lanes, shape, kind)
     }
 
     /// A node as it is by now.

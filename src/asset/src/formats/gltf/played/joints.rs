@@ -195,8 +195,7 @@ fn node_changes(
             }
             let joints: Vec<f32> = own.iter().flat_map(|i| i.joints[range.clone()].to_vec()).collect();
             let weights: Vec<f32> = own.iter().flat_map(|i| i.weights[range.clone()].to_vec()).collect();
-            let joints = played.doc.accessors.len() + played.fresh.add_joints(&joints);
-            changes.attributes.insert(keys[0], joints);
+            changes.attributes.insert(keys[0], played.fresh.add_joints(&joints));
             let weights = played.add_floats(&weights, "VEC4", AccessorKind::Floats);
             changes.attributes.insert(keys[1], weights);
         }

@@ -230,8 +230,7 @@ impl RestPrimitive {
             let first = row.vertices.start as u32;
             let wound = model.triangles[row.triangles.clone()].iter();
             let wound: Vec<[u32; 3]> = wound.map(|t| t.map(|v| v - first)).collect();
-            let at = played.fresh.add_indices(&wound, row.vertices.len());
-            changes.indices = Some(played.doc.accessors.len() + at);
+            changes.indices = Some(played.fresh.add_indices(&wound, row.vertices.len()));
         }
         changes
     }

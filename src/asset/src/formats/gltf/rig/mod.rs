@@ -29,6 +29,7 @@ use glam::{DAffine3, DVec3};
 use motions::joint_motions;
 use nodes::{MovedNodes, RigidBones, move_nodes};
 use pliant_mesh::BoundingBox;
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -48,10 +49,13 @@ pub(super) struct FollowedNodeTree {
     poses: BTreeMap<usize, [Arc<SkinPose>; 2]>,
     world_from_node: Vec<DAffine3>,
     size: f64,
+    /// The positions that have to be written as if nothing but vertices had moved, so that the moved nodes and joints draw
+    /// the shape.
+    pub(super) to_write: Vec<DVec3>,
 }
 
 /// Whether a shape may move nodes at all: joints of primitives, or nodes with motions of their own.
-pub(super) fn may_move_nodes(notes: &GltfNotes, followers: &ShapeFollowers<'_>) -> bool {
+fn may_move_nodes(notes: &GltfNotes, followers: &ShapeFollowers<'_>) -> bool {
     let has_rig = || notes.rows.iter().any(|row| row.follows_joints);
     !followers.nodes.is_empty() || (followers.rules.rig == RigRule::Follow && has_rig())
 }
@@ -64,7 +68,7 @@ pub(super) fn shape_of_rows<'a>(
     positions: &'a [DVec3],
 ) -> Result<SkinnedShape<'a>, Error> {
     let mut shape = SkinnedShape {
-        before: &rest.positions,
+        before: Cow::Borrowed(&rest.positions),
         now: positions,
         held: Vec::new(),
         fixed: Vec::new(),
@@ -94,15 +98,19 @@ pub(super) fn joint_count(doc: &GltfDocument<'_>, skin: usize) -> usize {
 }
 
 impl FollowedNodeTree {
-    /// Lets the nodes of a document follow a shape; `None` when none of them moves.
-    pub(super) fn fit(
+    /// Lets the nodes of a document follow a shape, which is found where any may move; `None` when none of them does.
+    pub(super) fn fit<'s>(
         doc: &GltfDocument<'_>,
         notes: &GltfNotes,
-        shape: &SkinnedShape<'_>,
         followers: &ShapeFollowers<'_>,
+        shape: impl FnOnce() -> Result<SkinnedShape<'s>, Error>,
     ) -> Result<Option<Self>, Error> {
+        if !may_move_nodes(notes, followers) {
+            return Ok(None);
+        }
+        let shape = &shape()?;
         let scene = place_meshes(doc, &mut Vec::new())?;
-        let size = BoundingBox::of(shape.before).diagonal();
+        let size = BoundingBox::of(&shape.before).diagonal();
         let mut known = BTreeMap::new();
         for skin in 0..doc.skins.len() {
             if let Ok(pose) = SkinPose::read(doc, skin, &scene.world_from_node) {
@@ -145,10 +153,12 @@ impl FollowedNodeTree {
             world_from_node,
             nodes,
             size,
+            to_write: Vec::new(),
         };
         for (skin, pose) in known {
             tree.fit_binds(skin, pose);
         }
+        tree.to_write = tree.positions_to_write(shape);
         Ok(Some(tree))
     }
 
@@ -175,9 +185,8 @@ impl FollowedNodeTree {
         }
     }
 
-    /// The positions that have to be written as if nothing but vertices had moved, so that the moved nodes and joints draw
-    /// the shape. A vertex that has not moved keeps its bits where rounding alone would change them.
-    pub(super) fn positions_to_write(&self, shape: &SkinnedShape<'_>) -> Vec<DVec3> {
+    /// A vertex that has not moved keeps its bits where rounding alone would change them.
+    fn positions_to_write(&self, shape: &SkinnedShape<'_>) -> Vec<DVec3> {
         let mut positions = shape.now.to_vec();
         for (node, range) in &shape.fixed {
             if self.nodes.is_elsewhere[*node]
@@ -236,7 +245,7 @@ fn rounded_matrix(transform: &DAffine3) -> [f32; 16] {
 
 impl FollowedNodeTree {
     /// Adds the joints that moved to the counts of a file.
-    pub(in super::super) fn count_into(&self, doc: &GltfDocument<'_>, counts: &mut FollowedCounts) {
+    pub(super) fn count_into(&self, doc: &GltfDocument<'_>, counts: &mut FollowedCounts) {
         let joints = joint_nodes(doc);
         let moved = joints.into_iter().filter(|&joint| self.has_moved(joint));
         let travel = |joint: usize| JointTravel {

@@ -10,6 +10,7 @@ use crate::NodeMotions;
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use pliant_mesh::BoundingBox;
 use pliant_mesh::rotation::{fit_rotation, outer_product};
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
@@ -17,7 +18,7 @@ use std::sync::Arc;
 /// A new shape of a model, and the vertices of joints.
 pub(in super::super) struct SkinnedShape<'a> {
     /// Where vertices were.
-    pub(in super::super) before: &'a [DVec3],
+    pub(in super::super) before: Cow<'a, [DVec3]>,
     /// Where they are now.
     pub(in super::super) now: &'a [DVec3],
     /// Vertices that joints place.
@@ -142,7 +143,7 @@ pub(super) fn joint_motions(
         list: nodes.iter().map(place).collect(),
         numbers: nodes.into_iter().zip(0..).collect(),
         poses,
-        size: BoundingBox::of(shape.before).diagonal(),
+        size: BoundingBox::of(&shape.before).diagonal(),
     };
     fits.find_below(&scene.parents);
     fits.find_nearest(shape);

@@ -10,16 +10,18 @@ use super::super::accessors::{AccessorLayout, ComponentType};
 use super::super::builder::{AccessorKind, BufferBuilder, json_floats};
 use super::super::document::GltfDocument;
 use super::super::package::package;
-use super::super::patch::PatchedDocument;
+use super::super::patched::PatchedDocument;
+use super::super::placement::joint_nodes;
 use super::super::read::parse_written;
 use super::super::references::{self, References};
 use super::super::schema::WholeNumber;
+use super::super::targets::TargetTally;
 use super::super::text::{index_of, list_of, parse_index, value_of, with_member};
 use super::super::used_bytes::ByteSpans;
 use super::nodes::{MovedNode, MovedNodes};
 use super::{BindChanges, FollowedNodeTree};
 use crate::files::within;
-use crate::{Error, FileSet, Format, WrittenFiles};
+use crate::{Error, FileSet, FollowedCounts, Format, WrittenFiles};
 use glam::{DQuat, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -29,7 +31,7 @@ const MOST_REWRITTEN: u64 = 1 << 30;
 
 impl FollowedNodeTree {
     /// Puts the moved nodes into files that were written as if none had moved, and counts the clips that change.
-    pub(in super::super) fn rewrite(&self, written: WrittenFiles, format: Format) -> Result<WrittenFiles, Error> {
+    fn rewrite(&self, written: WrittenFiles, format: Format) -> Result<WrittenFiles, Error> {
         let files = FileSet {
             name: String::new(),
             main: written.main.into(),
@@ -42,7 +44,7 @@ impl FollowedNodeTree {
             spans: ByteSpans::collect(&doc),
             doc: &doc,
             patched: PatchedDocument::new(&doc),
-            fresh: BufferBuilder::default(),
+            fresh: BufferBuilder::behind(&doc),
             rewritten: 0,
             clips: BTreeSet::new(),
         };
@@ -57,6 +59,42 @@ impl FollowedNodeTree {
         written.followed.rewritten_clips = clips;
         Ok(written)
     }
+}
+
+/// The joints of a document, and those of its clips that move nodes; others have nothing that could follow.
+pub(in super::super) fn followable<'t>(
+    doc: &GltfDocument<'_>,
+    clips: impl IntoIterator<Item = &'t str>,
+) -> FollowedCounts {
+    let clips = clips.into_iter().filter(|text| moves_nodes(text)).count();
+    let number = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    FollowedCounts {
+        joints: number(joint_nodes(doc).len()),
+        clips: number(clips),
+        ..FollowedCounts::default()
+    }
+}
+
+/// Puts the moved nodes, where there are some, into files that were written as if none had moved, and counts what followed.
+/// `clips` are those of the document that the files still have.
+pub(in super::super) fn finish<'t>(
+    tree: Option<&FollowedNodeTree>,
+    written: WrittenFiles,
+    format: Format,
+    doc: &GltfDocument<'_>,
+    clips: impl IntoIterator<Item = &'t str>,
+    tally: &TargetTally,
+) -> Result<WrittenFiles, Error> {
+    let mut followed = followable(doc, clips);
+    tally.count_into(&mut followed);
+    let mut written = written;
+    if let Some(tree) = tree {
+        written = tree.rewrite(written, format)?;
+        tree.count_into(doc, &mut followed);
+        followed.rewritten_clips = written.followed.rewritten_clips;
+    }
+    written.followed = followed;
+    Ok(written)
 }
 
 struct RigWriter<'d, 'a> {
@@ -117,7 +155,7 @@ impl<'a> RigWriter<'_, 'a> {
         };
         // Skins that share their matrices come one by one; the first to come would spoil those of the others.
         let in_place = accessor.filter(|_| self.names(accessor) == 1);
-        if let Some(at) = self.store(in_place, &new)? {
+        if let Some(at) = self.store(in_place, &new) {
             self.patched.edits.set(text, "inverseBindMatrices", at);
         }
         Ok(())
@@ -162,7 +200,7 @@ impl<'a> RigWriter<'_, 'a> {
                 shape: if target.is_rotation { "VEC4" } else { "VEC3" },
             };
             self.clips.extend(users.iter().map(|user| user.animation));
-            let Some(at) = self.store(Some(sampled.accessor).filter(|_| is_all), &new)? else {
+            let Some(at) = self.store(Some(sampled.accessor).filter(|_| is_all), &new) else {
                 continue;
             };
             for user in users {
@@ -206,16 +244,14 @@ impl<'a> RigWriter<'_, 'a> {
 
     /// Stores values in place of those of an accessor where that changes nothing else, in a new accessor otherwise, the number of
     /// which is returned.
-    fn store(&mut self, in_place: Option<usize>, new: &NewValues<'_>) -> Result<Option<usize>, Error> {
+    fn store(&mut self, in_place: Option<usize>, new: &NewValues<'_>) -> Option<usize> {
         if let Some(accessor) = in_place
             && self.overwrite(accessor, new)
         {
-            return Ok(None);
+            return None;
         }
-        let number = self
-            .fresh
-            .add_floats(new.values, new.lanes, new.shape, AccessorKind::Numbers);
-        Ok(Some(self.doc.accessors.len() + number))
+        let kind = AccessorKind::Numbers;
+        Some(self.fresh.add_floats(new.values, new.lanes, new.shape, kind))
     }
 
     fn overwrite(&mut self, index: usize, new: &NewValues<'_>) -> bool {
@@ -351,7 +387,7 @@ fn target_of(channel: &str) -> Option<ClipTarget> {
 }
 
 /// Whether a clip moves or turns any node. Others, such as those of morph weights alone, never change.
-pub(in super::super) fn moves_nodes(animation: &str) -> bool {
+fn moves_nodes(animation: &str) -> bool {
     let channels = list_of(animation, "channels");
     channels.into_iter().any(|channel| target_of(channel).is_some())
 }
