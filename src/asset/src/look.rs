@@ -124,7 +124,7 @@ pub(super) struct BaseLook {
     /// The picture of its normals in the frame of its texture coordinates, which are those of the other picture.
     pub normals: Option<MaterialPicture>,
     /// How its opacity is drawn.
-    pub coverage: AlphaCoverage,
+    pub coverage: AlphaMode,
     /// Whether the backs of its triangles are drawn too.
     pub double_sided: bool,
 }
@@ -135,7 +135,7 @@ impl Default for BaseLook {
             colour: [1.0; 4],
             picture: None,
             normals: None,
-            coverage: AlphaCoverage::Opaque,
+            coverage: AlphaMode::Opaque,
             double_sided: false,
         }
     }
@@ -148,17 +148,6 @@ pub(super) struct MaterialPicture {
     pub name: String,
     /// The file; `None` where it was not sent along with the model.
     pub bytes: Option<Bytes>,
-}
-
-/// What the opacity of a material does.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum AlphaCoverage {
-    /// Nothing.
-    Opaque,
-    /// Places whose opacity is below this are not drawn.
-    Mask(f32),
-    /// What lies behind shines through.
-    Blend,
 }
 
 /// A file's reference to another as a relative path; `None` when it leads out of the model's folder or is not a path.

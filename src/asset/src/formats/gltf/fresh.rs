@@ -5,7 +5,7 @@ use super::builder::{BufferBuilder, INDICES, NewAccessor, VERTICES, float_bytes,
 use super::container::{self, GltfFault};
 use super::document::GLB_FORMAT;
 use super::text::{json_array, json_object, quoted};
-use crate::look::{AlphaCoverage, MaterialPicture, NamedMaterial};
+use crate::look::{AlphaMode, MaterialPicture, NamedMaterial};
 use crate::neutral::{NeutralModel, NeutralPrimitive};
 use crate::{Error, Format, Primitive, WrittenFiles};
 use glam::{DVec3, Vec3};
@@ -226,12 +226,12 @@ impl BuiltAsset {
                 .map(|picture| ("normalTexture", texture_of(picture))),
         );
         match look.coverage {
-            AlphaCoverage::Opaque => {}
-            AlphaCoverage::Mask(cutoff) => members.extend([
+            AlphaMode::Opaque => {}
+            AlphaMode::Mask(cutoff) => members.extend([
                 ("alphaMode", quoted("MASK")),
                 ("alphaCutoff", format!("{:?}", f64::from(cutoff))),
             ]),
-            AlphaCoverage::Blend => members.push(("alphaMode", quoted("BLEND"))),
+            AlphaMode::Blend => members.push(("alphaMode", quoted("BLEND"))),
         }
         if look.double_sided {
             members.push(("doubleSided", "true".to_owned()));

@@ -7,30 +7,47 @@ use super::buffers::{self, UriTarget};
 use super::document::GltfDocument;
 use super::read::{GltfNotes, PlacedPrimitive};
 use super::schema::WholeNumber;
-use super::text::{index_of, list_of, value_of};
+use super::text::{index_of, list_of, string_of};
 use crate::look::{AlphaMode, BaseMaterial, SurfaceLook, TextureUse, TextureWrap};
 use crate::{Error, Model};
 use bytes::Bytes;
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
 use std::collections::{BTreeMap, BTreeSet};
 
+/// A material; one that is not as the standard wants it counts as none.
 #[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
-struct MaterialItem {
-    name: String,
-    pbr_metallic_roughness: Option<MetallicItem>,
+pub(super) struct MaterialItem {
+    pub(super) name: String,
+    pub(super) pbr_metallic_roughness: Option<MetallicItem>,
+    pub(super) normal_texture: Option<TextureInfo>,
     alpha_mode: String,
     alpha_cutoff: Option<f32>,
-    double_sided: bool,
+    pub(super) double_sided: bool,
     extensions: MaterialExtensions,
+}
+
+impl MaterialItem {
+    /// Reads the text of a material.
+    pub(super) fn parse(text: &str) -> Self {
+        serde_json::from_str(text).unwrap_or_default()
+    }
+
+    /// What its opacity means.
+    pub(super) fn alpha(&self) -> AlphaMode {
+        match self.alpha_mode.as_str() {
+            "MASK" => AlphaMode::Mask(self.alpha_cutoff.filter(|c| *c >= 0.0).unwrap_or(0.5)),
+            "BLEND" => AlphaMode::Blend,
+            _ => AlphaMode::Opaque,
+        }
+    }
 }
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
-struct MetallicItem {
-    base_color_factor: Option<[f32; 4]>,
-    base_color_texture: Option<TextureInfo>,
+pub(super) struct MetallicItem {
+    pub(super) base_color_factor: Option<[f32; 4]>,
+    pub(super) base_color_texture: Option<TextureInfo>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -50,13 +67,22 @@ struct GlossyItem {
     diffuse_texture: Option<TextureInfo>,
 }
 
+/// How a material uses a texture.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
-struct TextureInfo {
-    index: WholeNumber,
+pub(super) struct TextureInfo {
+    pub(super) index: WholeNumber,
     tex_coord: Option<WholeNumber>,
     #[serde(default)]
     extensions: InfoExtensions,
+}
+
+impl TextureInfo {
+    /// The set of texture coordinates that it names.
+    pub(super) fn set(&self) -> u64 {
+        let moved = self.extensions.transform.as_ref().and_then(|t| t.tex_coord);
+        moved.or(self.tex_coord).map_or(0, |n| n.0)
+    }
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -134,10 +160,6 @@ fn material_number(doc: &GltfDocument<'_>, row: &PlacedPrimitive) -> Option<usiz
     index_of(primitives.get(row.primitive)?, "material")
 }
 
-fn parse_or_default<T: DeserializeOwned + Default>(text: &str) -> T {
-    serde_json::from_str(text).unwrap_or_default()
-}
-
 /// The lists of a document that say what materials look like, as texts.
 struct LookSections<'a> {
     materials: Vec<&'a str>,
@@ -147,15 +169,14 @@ struct LookSections<'a> {
 
 impl LookSections<'_> {
     fn read_material(&self, index: Option<usize>) -> MaterialInUse {
-        let item: Option<MaterialItem> = index
-            .and_then(|i| self.materials.get(i))
-            .map(|text| parse_or_default(text));
-        let (Some(item), Some(index)) = (item, index) else {
+        let item = index.and_then(|i| self.materials.get(i));
+        let (Some(item), Some(index)) = (item.map(|text| MaterialItem::parse(text)), index) else {
             return MaterialInUse {
                 look: BaseMaterial::default(),
                 coordinates: None,
             };
         };
+        let alpha = item.alpha();
         let (factor, info) = match (item.pbr_metallic_roughness, item.extensions.glossy) {
             (None, Some(glossy)) => (glossy.diffuse_factor, glossy.diffuse_texture),
             (metallic, _) => {
@@ -172,18 +193,13 @@ impl LookSections<'_> {
             },
             factor: factor.unwrap_or([1.0; 4]).map(unit),
             texture: info.as_ref().map(|info| self.read_texture(info)),
-            alpha: match item.alpha_mode.as_str() {
-                "MASK" => AlphaMode::Mask(item.alpha_cutoff.filter(|c| *c >= 0.0).unwrap_or(0.5)),
-                "BLEND" => AlphaMode::Blend,
-                _ => AlphaMode::Opaque,
-            },
+            alpha,
             double_sided: item.double_sided,
             unlit: item.extensions.unlit.is_some(),
         };
         let coordinates = info.map(|info| {
-            let transform = info.extensions.transform.unwrap_or_default();
-            let set = transform.tex_coord.or(info.tex_coord).map_or(0, |n| n.0);
-            (set, matrix_of(&transform))
+            let set = info.set();
+            (set, matrix_of(&info.extensions.transform.unwrap_or_default()))
         });
         MaterialInUse { look, coordinates }
     }
@@ -283,8 +299,7 @@ fn read_attribute(
 
 /// The file of a picture, or why there is none.
 fn image_bytes(doc: &GltfDocument<'_>, model: &Model, index: usize, text: &str) -> Result<Bytes, String> {
-    let uri = value_of(text, "uri").and_then(|uri| serde_json::from_str::<String>(uri).ok());
-    let Some(uri) = uri else {
+    let Some(uri) = string_of(text, "uri") else {
         let view = index_of(text, "bufferView").ok_or_else(|| format!("image {index} names no file"))?;
         let bytes = doc.view(view).map_err(|e| e.to_string())?;
         return Ok(Bytes::copy_from_slice(bytes));

@@ -7,7 +7,7 @@ use super::read::{GltfNotes, PlacedPrimitive};
 use super::scene::{local_transform, place_meshes};
 use super::schema::{GltfNode, MeshPrimitive, WholeNumber};
 use super::targets::{AttributeSlot, read_displacements};
-use super::text::value_of;
+use super::text::string_of;
 use crate::files::within;
 use crate::moving_scene::{
     ChannelInterpolation, ChannelValues, JointInfluences, MovingScene, PrimitiveShapes, SceneChannel, SceneClip,
@@ -31,10 +31,8 @@ pub(super) fn moving_scene(model: &Model, notes: &GltfNotes) -> Result<MovingSce
         nodes.push(scene_node(&doc, index, node, scene.parents[index])?);
     }
     let (influences, is_joint) = joint_influences(&doc, notes, model.positions.len())?;
-    let names = doc.items(&doc.animations).map(|text| {
-        let name = value_of(text, "name").and_then(|name| serde_json::from_str(name).ok());
-        name.unwrap_or_default()
-    });
+    let animations = doc.items(&doc.animations);
+    let names = animations.map(|text| string_of(text, "name").unwrap_or_default());
     let primitives = notes.rows.iter().map(|row| ScenePrimitive {
         node: row.node,
         vertices: row.vertices.clone(),

@@ -102,6 +102,11 @@ pub(super) fn index_of(object: &str, key: &str) -> Option<usize> {
     value_of(object, key).and_then(parse_index)
 }
 
+/// The text that an object has under a key.
+pub(super) fn string_of(object: &str, key: &str) -> Option<String> {
+    serde_json::from_str(value_of(object, key)?).ok()
+}
+
 /// What a channel of an animation moves: a node, and its path as JSON, which is empty where there is none.
 pub(super) fn channel_target(channel: &str) -> Option<(usize, &str)> {
     let target = value_of(channel, "target")?;

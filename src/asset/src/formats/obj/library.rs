@@ -4,7 +4,7 @@
 
 use super::super::text::{NumberPrecision, TextLexer, number, push_number};
 use super::statements::{STYLE, name_in, printable};
-use crate::look::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
+use crate::look::{AlphaMode, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use crate::{FileSet, Geometry};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -216,13 +216,13 @@ fn read_library(text: &[u8], files: &FileSet, library: &mut MaterialLibrary) {
                 if let Some(value) = value {
                     look.colour[3] = if keyword == "d" { value } else { 1.0 - value };
                     if look.colour[3] < 1.0 {
-                        look.coverage = AlphaCoverage::Blend;
+                        look.coverage = AlphaMode::Blend;
                     }
                 }
             }
             "map_Kd" => look.picture = picture_of(rest, files),
             "norm" => look.normals = picture_of(rest, files),
-            "map_d" => look.coverage = AlphaCoverage::Blend,
+            "map_d" => look.coverage = AlphaMode::Blend,
             _ => {}
         }
     });
@@ -249,7 +249,7 @@ pub(super) fn write_library(materials: &[(String, Arc<NamedMaterial>)]) -> (Vec<
             let Some(picture) = picture else { continue };
             let name = printable(&picture.name);
             out.extend(format!("{keyword} {name}\n").bytes());
-            if keyword == "map_Kd" && look.coverage != AlphaCoverage::Opaque {
+            if keyword == "map_Kd" && look.coverage != AlphaMode::Opaque {
                 out.extend(format!("map_d {name}\n").bytes());
             }
             if let Some(bytes) = &picture.bytes {

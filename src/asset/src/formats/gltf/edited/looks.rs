@@ -3,11 +3,12 @@
 use super::super::buffers::{self, RelativeName, file_extension};
 use super::super::builder::BufferBuilder;
 use super::super::document::GltfDocument;
+use super::super::looks::{MaterialItem, TextureInfo};
 use super::super::read::GltfNotes;
-use super::super::text::{list_of, parse_index, quoted, value_of, with_member, without_keys};
+use super::super::text::{index_of, list_of, quoted, string_of, value_at, with_member, without_keys};
 use super::blended::{AttributeBlender, read};
 use crate::edited::{EditedModel, PrimitiveRun};
-use crate::look::{AlphaCoverage, BaseLook, MaterialPicture, NamedMaterial, inside_folder};
+use crate::look::{BaseLook, MaterialPicture, NamedMaterial, inside_folder};
 use crate::neutral::RunAttributes;
 use crate::{Error, FileSet};
 use bytes::Bytes;
@@ -25,7 +26,7 @@ pub(in super::super) fn run_attributes(
         return Ok(Vec::new());
     };
     let doc = notes.loaded_document(model)?;
-    let materials = read_looks(&doc, notes.files(model))?;
+    let materials = read_looks(&doc, notes.files(model));
     let mut all = Vec::with_capacity(runs.len());
     for run in runs {
         let row = &notes.rows[run.primitive as usize];
@@ -35,8 +36,7 @@ pub(in super::super) fn run_attributes(
         let stored = list_of(doc.item(&doc.meshes, row.mesh), "primitives");
         let material = stored
             .get(row.primitive)
-            .and_then(|p| value_of(p, "material"))
-            .and_then(parse_index)
+            .and_then(|p| index_of(p, "material"))
             .and_then(|m| materials.get(m));
         extras.material = material.map(|(material, _)| Arc::clone(material));
         // The coordinates that the picture of the base colour uses.
@@ -72,101 +72,91 @@ pub(in super::super) fn run_attributes(
 type LookedAt = (Arc<NamedMaterial>, usize);
 
 /// All materials of a document.
-fn read_looks(doc: &GltfDocument<'_>, files: &FileSet) -> Result<Vec<LookedAt>, Error> {
-    let textures = parsed_items(doc, "textures")?;
-    let images = parsed_items(doc, "images")?;
+fn read_looks(doc: &GltfDocument<'_>, files: &FileSet) -> Vec<LookedAt> {
+    let images = list_of(doc.text, "images");
+    let textures = list_of(doc.text, "textures");
     let mut pictures = ImageNames {
         doc,
         files,
-        images: &images,
         taken: BTreeSet::new(),
         made: vec![None; images.len()],
+        images,
     };
-    let mut looks = Vec::new();
-    for (m, material) in parsed_items(doc, "materials")?.iter().enumerate() {
-        let name = material["name"].as_str().filter(|name| !name.is_empty());
-        let name = name.map_or_else(|| format!("material_{m}"), str::to_owned);
-        let (look, set) = read_look(material, &textures, &mut pictures);
-        looks.push((Arc::new(NamedMaterial { name, look }), set));
-    }
-    Ok(looks)
-}
-
-fn parsed_items(doc: &GltfDocument<'_>, key: &str) -> Result<Vec<Value>, Error> {
-    let parse = |(i, text): (usize, &str)| {
-        let parsed = serde_json::from_str(text);
-        parsed.map_err(|e| doc.fault.malformed(format!("{key}/{i}"), e.to_string()))
+    let one = |(m, text): (usize, &str)| {
+        let material = MaterialItem::parse(text);
+        let (look, set) = read_look(&material, &textures, &mut pictures);
+        let name = Some(material.name).filter(|name| !name.is_empty());
+        let name = name.unwrap_or_else(|| format!("material_{m}"));
+        (Arc::new(NamedMaterial { name, look }), set)
     };
-    list_of(doc.text, key).into_iter().enumerate().map(parse).collect()
+    list_of(doc.text, "materials")
+        .into_iter()
+        .enumerate()
+        .map(one)
+        .collect()
 }
 
 /// What a material says of its base; `None` where it says nothing that another format knows.
-fn read_look(material: &Value, textures: &[Value], pictures: &mut ImageNames<'_, '_>) -> (Option<BaseLook>, usize) {
-    let base = &material["pbrMetallicRoughness"];
+fn read_look(
+    material: &MaterialItem,
+    textures: &[&str],
+    pictures: &mut ImageNames<'_, '_>,
+) -> (Option<BaseLook>, usize) {
+    let base = material.pbr_metallic_roughness.as_ref();
     let mut look = BaseLook {
-        double_sided: material["doubleSided"].as_bool().unwrap_or(false),
+        double_sided: material.double_sided,
+        coverage: material.alpha(),
         ..BaseLook::default()
     };
-    for (lane, to) in look.colour.iter_mut().enumerate() {
-        if let Some(value) = base["baseColorFactor"][lane].as_f64() {
-            *to = (value as f32).clamp(0.0, 1.0);
-        }
+    if let Some(factor) = base.and_then(|base| base.base_color_factor) {
+        look.colour = factor.map(|value| value.clamp(0.0, 1.0));
     }
-    look.coverage = match material["alphaMode"].as_str() {
-        Some("MASK") => AlphaCoverage::Mask(material["alphaCutoff"].as_f64().unwrap_or(0.5) as f32),
-        Some("BLEND") => AlphaCoverage::Blend,
-        _ => AlphaCoverage::Opaque,
-    };
-    let (texture, normals) = (&base["baseColorTexture"], &material["normalTexture"]);
-    look.picture = source_of(texture, textures).and_then(|image| pictures.picture_of(image));
+    let texture = base.and_then(|base| base.base_color_texture.as_ref());
+    let normals = material.normal_texture.as_ref();
+    let image_of = |used: Option<&TextureInfo>| used.and_then(|used| source_of(used, textures));
+    let set_of = |used: Option<&TextureInfo>| used.map_or(0, TextureInfo::set);
+    look.picture = image_of(texture).and_then(|image| pictures.picture_of(image));
     let set = match look.picture {
         Some(_) => set_of(texture),
         None => set_of(normals),
     };
     // Other formats have one set of texture coordinates for both.
-    let shared = source_of(normals, textures).filter(|_| set_of(normals) == set);
+    let shared = image_of(normals).filter(|_| set_of(normals) == set);
     look.normals = shared.and_then(|image| pictures.picture_of(image));
     let says_something = look != BaseLook::default();
     (says_something.then_some(look), usize::try_from(set).unwrap_or(0))
 }
 
-/// The set of texture coordinates that the use of a texture names.
-fn set_of(used: &Value) -> u64 {
-    let moved = &used["extensions"]["KHR_texture_transform"]["texCoord"];
-    moved.as_u64().or(used["texCoord"].as_u64()).unwrap_or(0)
-}
-
 /// The image of a texture that is used: its own, else one of another kind that an extension names.
-fn source_of(used: &Value, textures: &[Value]) -> Option<usize> {
-    let number = |value: &Value| value.as_u64().and_then(|n| usize::try_from(n).ok());
-    let stored = number(&used["index"]).and_then(|t| textures.get(t))?;
+fn source_of(used: &TextureInfo, textures: &[&str]) -> Option<usize> {
+    let texture = textures.get(used.index.index())?;
     let others = [
         "EXT_texture_webp",
         "EXT_texture_avif",
         "KHR_texture_basisu",
         "MSFT_texture_dds",
     ];
-    let mut other = others.iter().map(|name| &stored["extensions"][name]["source"]);
-    number(&stored["source"]).or_else(|| other.find_map(number))
+    let source = |name: &&str| index_of(value_at(texture, &["extensions", name])?, "source");
+    index_of(texture, "source").or_else(|| others.iter().find_map(source))
 }
 
 /// The images of a document as files: by the names that they have, else by new ones.
 struct ImageNames<'i, 'a> {
     doc: &'i GltfDocument<'a>,
     files: &'i FileSet,
-    images: &'i [Value],
+    images: Vec<&'a str>,
     taken: BTreeSet<String>,
     made: Vec<Option<MaterialPicture>>,
 }
 
 impl ImageNames<'_, '_> {
     fn picture_of(&mut self, image: usize) -> Option<MaterialPicture> {
-        let stored = self.images.get(image)?;
+        let stored = *self.images.get(image)?;
         if let Some(made) = self.made.get(image)?.clone() {
             return Some(made);
         }
-        let uri = stored["uri"].as_str();
-        let made = match uri.map(buffers::relative_name) {
+        let uri = string_of(stored, "uri");
+        let made = match uri.as_deref().map(buffers::relative_name) {
             Some(RelativeName::Inside(name)) => {
                 let bytes = self.files.companions.get(&name).cloned();
                 self.taken.insert(name.clone());
@@ -174,14 +164,12 @@ impl ImageNames<'_, '_> {
             }
             _ => {
                 let bytes = match uri {
-                    Some(uri) => Bytes::from(buffers::embedded_bytes(uri)?),
-                    None => {
-                        let view = usize::try_from(stored["bufferView"].as_u64()?).ok()?;
-                        Bytes::copy_from_slice(self.doc.view(view).ok()?)
-                    }
+                    Some(uri) => Bytes::from(buffers::embedded_bytes(&uri)?),
+                    None => Bytes::copy_from_slice(self.doc.view(index_of(stored, "bufferView")?).ok()?),
                 };
-                let extension = file_extension(stored["mimeType"].as_str(), &bytes);
-                let name = self.free_name(stored["name"].as_str().unwrap_or("image"), image, extension);
+                let extension = file_extension(string_of(stored, "mimeType").as_deref(), &bytes);
+                let name = string_of(stored, "name").unwrap_or_else(|| "image".into());
+                let name = self.free_name(&name, image, extension);
                 let bytes = Some(bytes);
                 MaterialPicture { name, bytes }
             }

@@ -16,7 +16,7 @@ use super::super::read::parse_written;
 use super::super::references::{self, References};
 use super::super::schema::WholeNumber;
 use super::super::targets::TargetTally;
-use super::super::text::{index_of, list_of, parse_index, value_of, with_member};
+use super::super::text::{index_of, list_of, parse_index, string_of, value_at, value_of, with_member};
 use super::super::used_bytes::ByteSpans;
 use super::nodes::{MovedNode, MovedNodes};
 use super::{BindChanges, FollowedNodeTree};
@@ -373,10 +373,10 @@ pub(super) fn changed_samplers<'a>(doc: &GltfDocument<'a>, nodes: &MovedNodes) -
 /// Which node a channel moves, and how; `None` for what no joint's motion changes.
 fn target_of(channel: &str) -> Option<ClipTarget> {
     let target = value_of(channel, "target")?;
-    let path: String = serde_json::from_str(value_of(target, "path")?).ok()?;
+    let path = string_of(target, "path")?;
     let (node, path) = if path == "pointer" {
-        let extension = value_of(value_of(target, "extensions")?, "KHR_animation_pointer")?;
-        let pointer: String = serde_json::from_str(value_of(extension, "pointer")?).ok()?;
+        let extension = value_at(target, &["extensions", "KHR_animation_pointer"])?;
+        let pointer = string_of(extension, "pointer")?;
         let (node, path) = pointer.strip_prefix("/nodes/")?.split_once('/')?;
         (node.parse().ok()?, path.to_owned())
     } else {
