@@ -328,9 +328,21 @@ impl<'a> TextPatch<'a> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
+    use crate::{Error, Model};
     use proptest::prelude::*;
+
+    /// Checks that a file is refused at a place with a phrase.
+    pub(in super::super) fn assert_refused(read: Result<Model, Error>, at: &str, phrase: &str, file: &[u8]) {
+        let file = String::from_utf8_lossy(file);
+        match read {
+            Err(Error::Malformed { place, problem, .. }) => {
+                assert!(place == at && problem.contains(phrase), "{file}\n{place}: {problem}");
+            }
+            other => panic!("{file}: {other:?}"),
+        }
+    }
 
     const ALL: TextStyle = TextStyle {
         comments: true,

@@ -292,9 +292,8 @@ pub(super) fn build(neutral: &NeutralModel) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::neutral::NeutralModel;
-    use crate::{Error, FileSet, Format, Limits, Model};
-    use glam::{DVec3, Vec3};
+    use crate::formats::text::tests::assert_refused;
+    use crate::{FileSet, Limits, Model};
 
     fn read_text(text: &str) -> Result<Model, Error> {
         Model::read(
@@ -374,15 +373,7 @@ mod tests {
                 "vertex 1: coordinate `NaN` is not finite",
             ),
         ] {
-            match read_text(text) {
-                Err(Error::Malformed { place, problem, .. }) => {
-                    assert!(
-                        place == format!("line {line}") && problem.contains(phrase),
-                        "{text}\n{place}: {problem}"
-                    );
-                }
-                other => panic!("{text}: {other:?}"),
-            }
+            assert_refused(read_text(text), &format!("line {line}"), phrase, text.as_bytes());
         }
     }
 

@@ -1,3 +1,4 @@
+use super::super::text::tests::assert_refused;
 use super::body::{PlyEncoding, PlyScalar, push};
 use super::build;
 use crate::neutral::NeutralModel;
@@ -243,14 +244,7 @@ fn what_is_wrong_is_named_with_its_place() {
             "not finite",
         ),
     ] {
-        match read_bytes(text.clone()) {
-            Err(Error::Malformed {
-                place: seen, problem, ..
-            }) => {
-                assert!(seen == place && problem.contains(phrase), "{text}\n{seen}: {problem}");
-            }
-            other => panic!("{text}: {other:?}"),
-        }
+        assert_refused(read_bytes(text.clone()), place, phrase, text.as_bytes());
     }
     let text = format!("{HEAD}end_header\n{BODY}");
     assert!(matches!(read_bytes(text), Err(Error::NoMesh { .. })));

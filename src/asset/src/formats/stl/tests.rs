@@ -1,3 +1,4 @@
+use super::super::text::tests::assert_refused;
 use super::*;
 use crate::{FileSet, Limits, Model};
 use glam::Vec3;
@@ -92,14 +93,7 @@ fn what_is_wrong_is_named_with_its_place() {
         ),
         (b"solid\nfacets".to_vec(), "line 2", "`facets` where `facet`"),
     ] {
-        match read_bytes(bytes) {
-            Err(Error::Malformed {
-                place: seen, problem, ..
-            }) => {
-                assert!(seen == place && problem.contains(phrase), "{seen}: {problem}");
-            }
-            other => panic!("{phrase}: {other:?}"),
-        }
+        assert_refused(read_bytes(bytes.clone()), place, phrase, &bytes);
     }
     assert!(matches!(
         read_bytes("solid nothing\nendsolid\n"),

@@ -6,8 +6,12 @@ mod skins;
 mod writing;
 
 use super::builder::float_bytes;
-use crate::{Error, FileSet, Format, Limits, Model, WrittenFiles};
-use glam::DVec3;
+use super::container::{self, GltfFault};
+use crate::{Error, FileSet, Following, Format, Limits, Model, WrittenFiles};
+use glam::{DVec3, Vec3};
+use serde_json::Value;
+
+const GLB_FAULT: GltfFault = GltfFault(Format::GLB);
 
 /// A document in the making: one buffer, and what lies in it.
 #[derive(Default)]
@@ -64,14 +68,18 @@ impl DocumentDraft {
 
     /// A GLB; the nodes of `body` are placed by one scene of its own unless it has one.
     fn glb(&self, body: &str) -> FileSet {
-        let glb = super::container::join(
-            &self.json(body, ""),
-            Some(&self.bin),
-            &[],
-            super::container::GltfFault(Format::GLB),
-        );
+        let glb = container::join(&self.json(body, ""), Some(&self.bin), &[], GLB_FAULT);
         FileSet::single("draft.glb", glb.expect("small"))
     }
+}
+
+/// A GLB with some texts of its JSON replaced.
+fn with_replaced(files: &FileSet, texts: &[(&str, &str)]) -> FileSet {
+    let json = texts
+        .iter()
+        .fold(text(&files.main), |json, (from, to)| json.replace(from, to));
+    let glb = container::join(&json, Some(&bin(&files.main)), &[], GLB_FAULT);
+    FileSet::single("replaced.glb", glb.expect("small"))
 }
 
 fn bytes_of(points: &[[f32; 3]]) -> Vec<u8> {
@@ -126,8 +134,18 @@ fn moved(files: &FileSet, f: impl Fn(usize, DVec3) -> DVec3) -> WrittenFiles {
 
 fn try_moved(files: &FileSet, f: impl Fn(usize, DVec3) -> DVec3) -> Result<WrittenFiles, Error> {
     let model = open(files);
-    let positions: Vec<DVec3> = model.positions.iter().enumerate().map(|(i, &p)| f(i, p)).collect();
-    model.write(&positions, format_of(files))
+    model.write(&places_of(&model, f), format_of(files))
+}
+
+fn places_of(model: &Model, f: impl Fn(usize, DVec3) -> DVec3) -> Vec<DVec3> {
+    model.positions.iter().enumerate().map(|(i, &p)| f(i, p)).collect()
+}
+
+/// Moves the vertices by `f` and writes a GLB in which so much follows.
+fn followed(files: &FileSet, following: Following, f: impl Fn(usize, DVec3) -> DVec3) -> WrittenFiles {
+    let model = open(files);
+    let written = model.write_following(&places_of(&model, f), Format::GLB, following);
+    written.expect("writable")
 }
 
 fn again(written: &WrittenFiles) -> FileSet {
@@ -145,23 +163,36 @@ fn again(written: &WrittenFiles) -> FileSet {
 
 /// The JSON of a file, as text.
 fn text(main: &[u8]) -> String {
-    if main.starts_with(b"glTF") {
-        let parts = super::container::split(main, super::container::GltfFault(Format::GLB)).expect("valid");
-        return String::from_utf8(parts.json.to_vec())
-            .expect("text")
-            .trim_end()
-            .to_owned();
-    }
-    String::from_utf8(main.to_vec()).expect("text")
+    let is_glb = main.starts_with(b"glTF");
+    let parts = is_glb.then(|| container::split(main, GLB_FAULT).expect("valid"));
+    let json = parts.map_or(main, |parts| parts.json.trim_ascii_end());
+    String::from_utf8(json.to_vec()).expect("text")
 }
 
-fn json(written: &WrittenFiles) -> serde_json::Value {
-    serde_json::from_str(&text(&written.main)).expect("JSON")
+fn json_of(main: &[u8]) -> Value {
+    serde_json::from_str(&text(main)).expect("JSON")
+}
+
+fn json(written: &WrittenFiles) -> Value {
+    json_of(&written.main)
+}
+
+/// The numbers of a JSON list.
+fn numbers(list: &Value) -> Vec<f64> {
+    list.as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(Value::as_f64)
+        .collect()
+}
+
+fn index(value: &Value) -> usize {
+    value.as_u64().expect("a number") as usize
 }
 
 /// The BIN chunk of a GLB.
 fn bin(main: &[u8]) -> Vec<u8> {
-    let parts = super::container::split(main, super::container::GltfFault(Format::GLB)).expect("valid");
+    let parts = container::split(main, GLB_FAULT).expect("valid");
     parts.bin.expect("a BIN chunk").to_vec()
 }
 
@@ -173,9 +204,16 @@ fn count(written: &WrittenFiles, section: &str) -> usize {
 /// The floats of an accessor that has a view of its own.
 fn floats_of(written: &WrittenFiles, accessor: usize) -> Vec<f32> {
     let json = json(written);
-    let view = json["accessors"][accessor]["bufferView"].as_u64().expect("a view") as usize;
-    let number = |key: &str| json["bufferViews"][view][key].as_u64().unwrap_or(0) as usize;
-    let bytes = &bin(&written.main)[number("byteOffset")..][..number("byteLength")];
+    let view = &json["bufferViews"][index(&json["accessors"][accessor]["bufferView"])];
+    let number = |key: &str| view[key].as_u64().unwrap_or(0) as usize;
+    floats_in(&bin(&written.main)[number("byteOffset")..][..number("byteLength")])
+}
+
+fn floats_in(bytes: &[u8]) -> Vec<f32> {
     let floats = bytes.as_chunks::<4>().0.iter();
     floats.map(|b| f32::from_le_bytes(*b)).collect()
+}
+
+fn vectors(floats: &[f32]) -> Vec<Vec3> {
+    floats.as_chunks::<3>().0.iter().map(|v| Vec3::from_array(*v)).collect()
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::neutral::NeutralModel;
-use glam::{Vec3, Vec4};
+use glam::Vec4;
 
 fn square(node: &str, more: &str) -> FileSet {
     let mut draft = DocumentDraft::default();
@@ -32,11 +32,7 @@ fn a_mirrored_mesh_is_outside_out() {
     assert!((again.normals[0] - Vec3::NEG_X).length() < 1e-6);
     assert!((again.tangents[0] - Vec4::new(0.0, -1.0, 0.0, -1.0)).length() < 1e-6);
     let stored = bin(&written.main);
-    assert_eq!(
-        f32::from_le_bytes(stored[96 + 12..96 + 16].try_into().expect("four")),
-        1.0,
-        "stored handedness"
-    );
+    assert_eq!(floats_in(&stored[96 + 12..96 + 16]), [1.0], "stored handedness");
 }
 
 #[test]
@@ -325,7 +321,7 @@ fn a_fresh_asset_holds_what_other_formats_gave() {
     let mut geometry = open(&square_draft().glb(&one(PLAIN))).geometry;
     geometry.primitives[0].name = "say \"hi\"".into();
     geometry.primitives[0].has_normals = true;
-    geometry.normals = vec![glam::Vec3::ZERO, glam::Vec3::Z * 2.0, glam::Vec3::Z, glam::Vec3::Z];
+    geometry.normals = vec![Vec3::ZERO, Vec3::Z * 2.0, Vec3::Z, Vec3::Z];
     for format in [Format::GLB, Format::GLTF] {
         let written =
             super::super::fresh::build(&NeutralModel::from_geometry(geometry.clone()), format).expect("writable");
@@ -334,7 +330,7 @@ fn a_fresh_asset_holds_what_other_formats_gave() {
         assert_eq!(read.triangles, geometry.triangles);
         assert_eq!(
             read.normals,
-            [glam::Vec3::Z; 4],
+            [Vec3::Z; 4],
             "unit length, and the surface's where there was none"
         );
         assert_eq!(read.primitives[0].name, "say \"hi\"");

@@ -1,10 +1,9 @@
 //! What becomes of small skeletons made by hand: nodes, matrices, clips, and what hangs on bones.
 
-use super::super::container::{self, GltfFault};
 use super::super::read::parse_written;
 use super::super::scene::place_meshes;
 use super::*;
-use crate::{BoneLengthRule, Following, RigRule};
+use crate::{BoneLengthRule, RigRule};
 use glam::{DAffine3, DQuat};
 
 /// A square of which joint 1 holds the lower two vertices and joint 2, its child, the upper two.
@@ -63,15 +62,6 @@ fn quarter_turn() -> DQuat {
     DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2)
 }
 
-fn numbers(value: &serde_json::Value) -> Vec<f64> {
-    value
-        .as_array()
-        .into_iter()
-        .flatten()
-        .filter_map(|v| v.as_f64())
-        .collect()
-}
-
 fn is_near(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5)
 }
@@ -98,14 +88,14 @@ fn a_joint_goes_and_turns_with_what_it_holds_and_what_hangs_on_it_rides_along() 
     }
     let skin = &json(&written)["skins"][0];
     assert_eq!(skin["inverseBindMatrices"], 4, "in its place");
-    let bind = DAffine3::from_mat4(glam::DMat4::from_cols_slice(
-        &floats_of(&written, 4)[..16]
-            .iter()
-            .map(|&v| f64::from(v))
-            .collect::<Vec<_>>(),
-    ));
+    let bind = DAffine3::from_mat4(glam::DMat4::from_cols_slice(&wide(&written, 4)[..16]));
     let joint = DAffine3::from_rotation_translation(quarter_turn(), DVec3::Y * 2.0);
     assert!((bind.inverse().translation - joint.translation).length() < 1e-5);
+}
+
+/// The floats of an accessor.
+fn wide(written: &WrittenFiles, accessor: usize) -> Vec<f64> {
+    floats_of(written, accessor).into_iter().map(f64::from).collect()
 }
 
 fn again_as_written(draft: &RigDraft) -> WrittenFiles {
@@ -121,14 +111,14 @@ fn a_clip_turns_and_shifts_a_joint_from_its_new_rest() {
     let written = moved(&draft.files(), |_, p| quarter_turn() * p + DVec3::Z * 3.0);
     let animation = &json(&written)["animations"][0];
     assert_eq!(animation["samplers"][0]["output"], 6, "in its place");
-    let rotations: Vec<f64> = floats_of(&written, 6).into_iter().map(f64::from).collect();
+    let rotations = wide(&written, 6);
     let half = f64::from(HALF);
     assert!(
         is_near(&rotations, &[half, 0.0, 0.0, half, 1.0, 0.0, 0.0, 0.0]),
         "{rotations:?}"
     );
     // From the old rest in the origin by one, then one and a half upwards: that is along z now.
-    let translations: Vec<f64> = floats_of(&written, 7).into_iter().map(f64::from).collect();
+    let translations = wide(&written, 7);
     assert!(
         is_near(&translations, &[0.0, 0.0, 4.0, 0.0, 0.0, 4.5]),
         "{translations:?}"
@@ -144,7 +134,7 @@ fn tangents_of_a_spline_turn_and_are_not_shifted() {
         ..RigDraft::default()
     };
     let written = moved(&draft.files(), |_, p| quarter_turn() * p + DVec3::X);
-    let values: Vec<f64> = floats_of(&written, 7).into_iter().map(f64::from).collect();
+    let values = wide(&written, 7);
     let turned = [0.0, 0.0, 2.0];
     let expected = [turned, [1.0, 0.0, 0.0], turned, turned, [1.0, 0.0, 1.0], turned];
     assert!(is_near(&values, expected.as_flattened()), "{values:?}");
@@ -161,14 +151,11 @@ fn channels_that_share_numbers_part_when_their_joints_do() {
     let animations = &json(&written)["animations"];
     // The lower joint stays, and so do its channels and their numbers; the upper one gets its own.
     assert_eq!(json(&written)["nodes"][1], serde_json::json!({"children": [2]}));
-    assert_eq!(
-        animations[1],
-        serde_json::from_str::<serde_json::Value>(&text(&files.main)).expect("JSON")["animations"][1]
-    );
+    assert_eq!(animations[1], json_of(&files.main)["animations"][1]);
     assert_eq!(animations[0]["channels"][0]["sampler"], 0);
     assert_eq!(animations[0]["channels"][1]["sampler"], 1);
     assert_eq!(floats_of(&written, 6), draft.rotations.as_flattened());
-    let own = animations[0]["samplers"][1]["output"].as_u64().expect("an accessor") as usize;
+    let own = index(&animations[0]["samplers"][1]["output"]);
     assert_eq!(animations[0]["samplers"][1]["input"], 5, "the times stay shared");
     let turn = numbers(&json(&written)["nodes"][2]["rotation"]);
     let turn = DQuat::from_slice(&turn);
@@ -203,20 +190,14 @@ fn matrices_of_nodes_stay_matrices_and_rules_are_kept() {
         .nodes
         .replace(r#""translation":[0.5,1,0]"#, &format!(r#""matrix":[{matrix}]"#));
     let files = draft.files();
-    let model = open(&files);
-    let positions: Vec<DVec3> = model.positions.iter().enumerate().map(|(i, &p)| raised(i, p)).collect();
     let nodes_with = |rig| {
         let following = Following {
             rig,
             ..Following::default()
         };
-        let written = model
-            .write_following(&positions, Format::GLB, following)
-            .expect("writable");
-        json(&written)["nodes"].clone()
+        json(&followed(&files, following, raised))["nodes"].clone()
     };
-    let before: serde_json::Value = serde_json::from_str(&text(&files.main)).expect("JSON");
-    assert_eq!(nodes_with(RigRule::Keep), before["nodes"]);
+    assert_eq!(nodes_with(RigRule::Keep), json_of(&files.main)["nodes"]);
     let node = &nodes_with(RigRule::Follow)[2];
     assert!(node["translation"].is_null() && node["rotation"].is_null());
     let matrix = numbers(&node["matrix"]);
@@ -224,26 +205,18 @@ fn matrices_of_nodes_stay_matrices_and_rules_are_kept() {
 }
 
 fn kept(files: &FileSet, bone_lengths: BoneLengthRule) -> WrittenFiles {
-    let model = open(files);
-    let positions: Vec<DVec3> = model
-        .positions
-        .iter()
-        .enumerate()
-        .map(|(i, &p)| raised(i % 4, p))
-        .collect();
     let following = Following {
         bone_lengths,
         ..Following::default()
     };
-    let written = model
-        .write_following(&positions, Format::GLB, following)
-        .expect("writable");
-    let now = open(&again(&written)).positions.clone();
-    let off = now
-        .iter()
-        .zip(&positions)
-        .map(|(a, b)| a.distance(*b))
-        .fold(0.0, f64::max);
+    let raised = |i: usize, p| raised(i % 4, p);
+    let written = followed(files, following, raised);
+    let (now, positions) = (
+        open(&again(&written)).positions.clone(),
+        places_of(&open(files), raised),
+    );
+    let off = now.iter().zip(&positions).map(|(a, b)| a.distance(*b));
+    let off = off.fold(0.0, f64::max);
     assert!(off < 1e-5, "drawn where it was put: {now:?} {positions:?}");
     written
 }
@@ -316,13 +289,10 @@ fn joints_of_two_skins_keep_their_distance_and_draw_both() {
         nodes: nodes.into(),
         ..RigDraft::default()
     };
-    let files = draft.files();
     let skin = r#"{"joints":[1,2],"inverseBindMatrices":4}"#;
-    let json = text(&files.main)
-        .replace(skin, &format!("{skin},{skin}"))
-        .replace(r#""nodes":[0,1]}"#, r#""nodes":[0,1,3]}"#);
-    let glb = container::join(json.trim_end(), Some(&bin(&files.main)), &[], GltfFault(Format::GLB)).expect("a GLB");
-    let files = FileSet::single("two.glb", glb);
+    let two = format!("{skin},{skin}");
+    let scene = (r#""nodes":[0,1]}"#, r#""nodes":[0,1,3]}"#);
+    let files = with_replaced(&draft.files(), &[(skin, &two), scene]);
     assert_eq!(open(&files).primitives.len(), 2);
     let (before, now) = (places(&files), places(&again(&kept(&files, BoneLengthRule::Keep))));
     let off = before[1].distance(before[2]) - now[1].distance(now[2]);

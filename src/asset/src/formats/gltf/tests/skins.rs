@@ -1,8 +1,8 @@
 //! Where skins put their vertices, and what is reported of those that do not say; morph targets that follow what is under them.
 
 use super::*;
-use crate::{Following, MorphTargetRule, RigRule};
-use glam::{DAffine3, DQuat, Vec3};
+use crate::{MorphTargetRule, RigRule};
+use glam::{DAffine3, DQuat};
 
 /// A square with two joints. `joints`, `weights`: one row of four for each vertex; `bind`: inverse bind matrices.
 struct SkinDraft {
@@ -226,15 +226,7 @@ fn one_mesh_under_two_skins_stands_in_two_places_and_parts_when_they_differ() {
     let mut draft = SkinDraft::default();
     draft.nodes += r#",{"mesh":0,"skin":1},{"translation":[4,0,0]}"#;
     draft.skin += r#","inverseBindMatrices":5},{"joints":[4,2]"#;
-    let files = draft.files();
-    let json = text(&files.main).replace(r#""nodes":[0,1]}"#, r#""nodes":[0,1,3,4]}"#);
-    let glb = super::super::container::join(
-        &json,
-        Some(&bin(&files.main)),
-        &[],
-        super::super::container::GltfFault(Format::GLB),
-    );
-    let files = FileSet::single("two.glb", glb.expect("small"));
+    let files = with_replaced(&draft.files(), &[(r#""nodes":[0,1]}"#, r#""nodes":[0,1,3,4]}"#)]);
     let model = open(&files);
     assert_eq!(
         (model.positions[0], model.positions[4]),
@@ -249,10 +241,7 @@ fn one_mesh_under_two_skins_stands_in_two_places_and_parts_when_they_differ() {
         rig: RigRule::Keep,
         ..Following::default()
     };
-    let flipped: Vec<DVec3> = model.positions.iter().map(|p| DVec3::new(p.x, p.y, -p.z)).collect();
-    let written = model
-        .write_following(&flipped, Format::GLB, following)
-        .expect("writable");
+    let written = followed(&files, following, |_, p| DVec3::new(p.x, p.y, -p.z));
     let geometry = open(&again(&written));
     assert_eq!(
         (geometry.positions[0], geometry.positions[4]),
@@ -288,13 +277,7 @@ fn the_sides_of_a_seam_stay_together() {
 const PUSH: [[f32; 3]; 4] = [[0.0, 0.0, 1.0], [0.5, 0.0, 0.25], [0.0, 0.0, 0.0], [0.1, -0.2, 0.3]];
 
 fn floats(bytes: &[u8], from: usize, count: usize) -> Vec<Vec3> {
-    let lanes: Vec<f32> = bytes[from..from + 12 * count]
-        .as_chunks::<4>()
-        .0
-        .iter()
-        .map(|b| f32::from_le_bytes(*b))
-        .collect();
-    lanes.as_chunks::<3>().0.iter().map(|v| Vec3::from_array(*v)).collect()
+    vectors(&floats_in(&bytes[from..from + 12 * count]))
 }
 
 /// A square with normals and two targets: bytes 0..48 positions, 48..96 normals, 96..144 pushes, 144..192 their normals.
@@ -312,18 +295,11 @@ fn morphed(node: &str) -> FileSet {
 }
 
 fn with_rule(files: &FileSet, morph_targets: MorphTargetRule, f: impl Fn(DVec3) -> DVec3) -> WrittenFiles {
-    let model = open(files);
-    let positions: Vec<DVec3> = model.positions.iter().map(|&p| f(p)).collect();
-    model
-        .write_following(
-            &positions,
-            Format::GLB,
-            Following {
-                morph_targets,
-                ..Following::default()
-            },
-        )
-        .expect("writable")
+    let following = Following {
+        morph_targets,
+        ..Following::default()
+    };
+    followed(files, following, |_, p| f(p))
 }
 
 #[test]
@@ -356,14 +332,10 @@ fn displacements_turn_and_grow_with_the_surface() {
             "shared and alike: in place"
         );
         assert_eq!(document["meshes"][0]["primitives"][0]["targets"][1]["_FLOW"], 3);
-        let own = document["meshes"][0]["primitives"][0]["targets"][0]["NORMAL"]
-            .as_u64()
-            .expect("a number");
+        let own = index(&document["meshes"][0]["primitives"][0]["targets"][0]["NORMAL"]);
         assert!(own > 4, "an accessor that something else reads is not written over");
         assert_eq!(stored[144..192], bin(&files.main)[144..192]);
-        let turned = floats_of(&written, own as usize);
-        let turned = turned.as_chunks::<3>().0.iter().map(|v| Vec3::from_array(*v));
-        for (now, was) in turned.zip(&PUSH) {
+        for (now, was) in vectors(&floats_of(&written, own)).iter().zip(&PUSH) {
             let expected = in_mesh * Vec3::from_array(*was).as_dvec3();
             assert!(
                 (now.as_dvec3() - expected).length() < 1e-6,
@@ -373,12 +345,7 @@ fn displacements_turn_and_grow_with_the_surface() {
         let bounds = |key: &str, f: fn(Vec3, Vec3) -> Vec3| {
             let values = floats(&stored, 96, 4);
             let all = values.iter().copied().reduce(f).expect("four");
-            let stated: Vec<f64> = document["accessors"][2][key]
-                .as_array()
-                .expect("bounds")
-                .iter()
-                .filter_map(|v| v.as_f64())
-                .collect();
+            let stated = numbers(&document["accessors"][2][key]);
             assert_eq!(stated, all.to_array().map(f64::from), "{key}");
         };
         bounds("min", Vec3::min);
@@ -418,13 +385,7 @@ fn sparse_displacements_stay_sparse() {
     for (now, was) in floats(&after, start, 2).iter().zip([PUSH[1], PUSH[3]]) {
         assert!((*now - Vec3::new(was[2], was[0], was[1])).length() < 1e-6);
     }
-    let accessor = &json(&written)["accessors"][2];
-    let stated: Vec<f64> = accessor["max"]
-        .as_array()
-        .expect("bounds")
-        .iter()
-        .filter_map(|v| v.as_f64())
-        .collect();
+    let stated = numbers(&json(&written)["accessors"][2]["max"]);
     assert!(
         (stated[0] - 0.3).abs() < 1e-6 && (stated[1] - 0.5).abs() < 1e-6,
         "{stated:?}"
@@ -445,7 +406,7 @@ fn targets_too_many_to_follow_are_refused() {
         r#"{{"attributes":{{"POSITION":0}},"indices":{indices},"targets":[{targets}]}}"#
     )));
     let model = open(&files);
-    let positions: Vec<DVec3> = model.positions.iter().map(|p| DVec3::new(p.z, p.x, p.y)).collect();
+    let positions = places_of(&model, |_, p| DVec3::new(p.z, p.x, p.y));
     let error = model.write(&positions, Format::GLB).err().map(|e| e.to_string());
     assert!(error.as_ref().is_some_and(|e| e.contains("morph targets")), "{error:?}");
     let following = Following {
