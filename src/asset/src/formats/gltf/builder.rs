@@ -118,17 +118,11 @@ impl BufferBuilder {
     }
 
     /// Adds an attribute of floats; its number.
-    pub(super) fn add_floats(
-        &mut self,
-        values: &[f32],
-        lanes: usize,
-        shape: &'static str,
-        kind: AccessorKind,
-    ) -> usize {
-        let bytes = float_bytes(values);
+    pub(super) fn add_floats(&mut self, values: &[f32], shape: &'static str, kind: AccessorKind) -> usize {
+        let (bytes, lanes) = (float_bytes(values), lanes_of(shape));
         let is_bounded = matches!(kind, AccessorKind::Positions | AccessorKind::Times);
         let bounds = is_bounded.then(|| bounds(values, lanes));
-        self.add_accessor(&bytes, kind, values.len() / lanes.max(1), shape, bounds)
+        self.add_accessor(&bytes, kind, values.len() / lanes, shape, bounds)
     }
 
     /// Adds a set of joints, in 8 bits where they fit.
@@ -185,6 +179,21 @@ impl BufferBuilder {
     pub(super) fn push_packed(&mut self, bytes: &[u8], target: Option<u32>, accessor: NewAccessor) -> usize {
         let view = Some(self.add_view(bytes, target));
         self.push_accessor(NewAccessor { view, ..accessor })
+    }
+
+    /// Adds floats with a view of their own, which no other accessor shares; the number of their accessor.
+    pub(super) fn push_floats(
+        &mut self,
+        values: &[f32],
+        shape: &'static str,
+        target: Option<u32>,
+        bounds: Option<(String, String)>,
+    ) -> usize {
+        let accessor = NewAccessor {
+            bounds,
+            ..NewAccessor::of(5126, values.len() / lanes_of(shape), shape)
+        };
+        self.push_packed(&float_bytes(values), target, accessor)
     }
 
     /// Adds an accessor with a view of its own, or finds one that is equal.
@@ -289,6 +298,18 @@ impl BufferBuilder {
     }
 }
 
+/// How many numbers an element of a shape has.
+fn lanes_of(shape: &str) -> usize {
+    match shape {
+        "VEC2" => 2,
+        "VEC3" => 3,
+        "VEC4" | "MAT2" => 4,
+        "MAT3" => 9,
+        "MAT4" => 16,
+        _ => 1,
+    }
+}
+
 /// A buffer as JSON that holds its bytes itself.
 pub(super) fn embedded_buffer_text(bytes: &[u8]) -> String {
     let data = quoted(&buffers::embed(bytes));
@@ -377,9 +398,7 @@ impl<'a> GlbWriter<'a> {
             4 => "VEC4",
             _ => "MAT4",
         };
-        let accessor = NewAccessor::of(5126, values.len(), shape);
-        self.data
-            .push_packed(&float_bytes(values.as_flattened()), None, accessor)
+        self.data.push_floats(values.as_flattened(), shape, None, None)
     }
 
     /// Adds bytes as a view of their own, such as a picture; returns its number.

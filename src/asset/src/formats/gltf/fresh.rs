@@ -1,7 +1,7 @@
 //! A new, minimal asset for geometry that came from another format.
 
 use super::buffers::{self, media_type_of};
-use super::builder::{BufferBuilder, INDICES, NewAccessor, VERTICES, float_bytes, index_bytes, json_floats};
+use super::builder::{BufferBuilder, INDICES, NewAccessor, VERTICES, index_bytes, json_floats};
 use super::container::{self, GltfFault};
 use super::document::GLB_FORMAT;
 use super::text::{json_array, json_object, quoted};
@@ -119,19 +119,19 @@ impl BuiltAsset {
         let least = positions.iter().fold(Vec3::INFINITY, |a, &p| a.min(p)).to_array();
         let most = positions.iter().fold(Vec3::NEG_INFINITY, |a, &p| a.max(p)).to_array();
         let bounds = (json_floats(&least), json_floats(&most));
-        let position = self.add_floats(&floats, 3, Some(bounds));
+        let position = self.add_floats(&floats, "VEC3", Some(bounds));
         let mut attributes = vec![("POSITION", position)];
         if primitive.has_normals
             && let Some(normals) = geometry.normals.get(first..last)
         {
             let normals = unit_normals(normals, in_world, indices.as_chunks::<3>().0);
-            attributes.push(("NORMAL", self.add_floats(normals.as_flattened(), 3, None)));
+            attributes.push(("NORMAL", self.add_floats(normals.as_flattened(), "VEC3", None)));
         }
         if let Some(uv) = neutral.uv.get(first..last).filter(|_| part.has_uv) {
-            attributes.push(("TEXCOORD_0", self.add_floats(uv.as_flattened(), 2, None)));
+            attributes.push(("TEXCOORD_0", self.add_floats(uv.as_flattened(), "VEC2", None)));
         }
         if let Some(colours) = neutral.colours.get(first..last).filter(|_| part.has_colours) {
-            attributes.push(("COLOR_0", self.add_floats(colours.as_flattened(), 4, None)));
+            attributes.push(("COLOR_0", self.add_floats(colours.as_flattened(), "VEC4", None)));
         }
         let material = part.material.as_ref().map(|material| self.material_number(material));
         let drawn = [
@@ -147,13 +147,8 @@ impl BuiltAsset {
         Ok(())
     }
 
-    fn add_floats(&mut self, values: &[f32], lanes: usize, bounds: Option<(String, String)>) -> usize {
-        let shape = ["SCALAR", "VEC2", "VEC3", "VEC4"][lanes.clamp(1, 4) - 1];
-        let accessor = NewAccessor {
-            bounds,
-            ..NewAccessor::of(5126, values.len() / lanes.max(1), shape)
-        };
-        self.data.push_packed(&float_bytes(values), Some(VERTICES), accessor)
+    fn add_floats(&mut self, values: &[f32], shape: &'static str, bounds: Option<(String, String)>) -> usize {
+        self.data.push_floats(values, shape, Some(VERTICES), bounds)
     }
 
     fn add_indices(&mut self, indices: &[u32], vertices: usize) -> usize {

@@ -1,7 +1,7 @@
 //! How a plan becomes new bytes in buffers, edits of the text and appended data.
 
 use super::accessors::ShapeAttribute;
-use super::builder::{BufferBuilder, NewAccessor, VERTICES, bounds, float_bytes};
+use super::builder::{BufferBuilder, VERTICES, bounds};
 use super::document::GltfDocument;
 use super::patched::PatchedDocument;
 use super::schema::DRACO;
@@ -69,11 +69,8 @@ impl<'a> PatchedDocument<'_, 'a> {
                 continue;
             };
             let is_bounded = slot.role == ShapeAttribute::Position;
-            let accessor = NewAccessor {
-                bounds: is_bounded.then(|| bounds(&append.values, 3)),
-                ..NewAccessor::of(5126, append.values.len() / slot.lanes(), slot.shape())
-            };
-            new.push_packed(&float_bytes(&append.values), Some(VERTICES), accessor);
+            let bounds = is_bounded.then(|| bounds(&append.values, 3));
+            new.push_floats(&append.values, slot.shape(), Some(VERTICES), bounds);
         }
         self.append(&new)
     }

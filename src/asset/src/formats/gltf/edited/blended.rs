@@ -267,7 +267,7 @@ impl BlendedSkin {
     pub(super) fn write(&self, fresh: &mut BufferBuilder, attributes: &mut AccessorNumbers) {
         for (n, (joints, weights)) in self.joints.iter().zip(&self.weights).enumerate() {
             let joints = fresh.add_joints(joints);
-            let weights = fresh.add_floats(weights, 4, "VEC4", AccessorKind::Floats);
+            let weights = fresh.add_floats(weights, "VEC4", AccessorKind::Floats);
             attributes.insert(format!("JOINTS_{n}"), joints);
             attributes.insert(format!("WEIGHTS_{n}"), weights);
         }

@@ -16,7 +16,7 @@ use super::super::targets::TargetTally;
 use super::super::text::{index_of, json_array, json_object, list_of, quoted, value_of, with_member};
 use super::blended::{AccessorNumbers, EditedTurns};
 use super::frame::EditedMeshes;
-use super::looks::{JoinedBases, MaterialCopier};
+use super::looks::{CopyTarget, JoinedBases, MaterialCopier};
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
 use crate::codec::EditedOutput;
 use crate::edited::{EditedModel, PrimitiveRun};
@@ -127,7 +127,14 @@ impl<'a> BaseJoiner<'_, 'a> {
                     let space = MeshSpace::OfNode(world_from_root * root_from_mesh);
                     let made = maker.make_primitive(run, row, space)?;
                     let material = match index_of(stored, "material") {
-                        Some(m) => palette.copy_material(m, self.frame, self.fresh, self.joined)?,
+                        Some(m) => {
+                            let mut to = CopyTarget {
+                                frame: self.frame,
+                                fresh: self.fresh,
+                                joined: self.joined,
+                            };
+                            palette.copy_material(m, &mut to)?
+                        }
                         None => None,
                     };
                     // Sheared meshes are written as they stand in the world, for which stored targets are not made.
@@ -201,24 +208,20 @@ impl<'a> BaseJoiner<'_, 'a> {
                 return Err(self.fault.unwritable("a position is beyond 32-bit floats"));
             }
             let bounded = AccessorKind::Positions;
-            add("POSITION", self.fresh.add_floats(&positions, 3, "VEC3", bounded));
-            let mut add_plain = |name: &str, values: &[f32], lanes: usize, shape| {
-                add(name, self.fresh.add_floats(values, lanes, shape, AccessorKind::Floats));
+            add("POSITION", self.fresh.add_floats(&positions, "VEC3", bounded));
+            let mut add_plain = |name: &str, values: &[f32], shape| {
+                add(name, self.fresh.add_floats(values, shape, AccessorKind::Floats));
             };
             if primitive.has_normals {
                 let normals = geometry.normals[range.clone()].iter();
-                add_plain(
-                    "NORMAL",
-                    &normals.flat_map(|n| n.to_array()).collect::<Vec<_>>(),
-                    3,
-                    "VEC3",
-                );
+                let normals: Vec<f32> = normals.flat_map(|n| n.to_array()).collect();
+                add_plain("NORMAL", &normals, "VEC3");
             }
             if part.has_uv {
-                add_plain("TEXCOORD_0", uv[range.clone()].as_flattened(), 2, "VEC2");
+                add_plain("TEXCOORD_0", uv[range.clone()].as_flattened(), "VEC2");
             }
             if part.has_colours {
-                add_plain("COLOR_0", colours[range].as_flattened(), 4, "VEC4");
+                add_plain("COLOR_0", colours[range].as_flattened(), "VEC4");
             }
             let local: Vec<[u32; 3]> = own
                 .triangles

@@ -200,17 +200,15 @@ impl ImageNames<'_, '_> {
     }
 }
 
-/// What was taken over from one base so far: new numbers by old ones.
+/// What was taken over from one base so far.
 pub(super) struct MaterialCopier<'p> {
     doc: &'p GltfDocument<'p>,
     files: &'p FileSet,
     /// The files of the first base, whose names are taken.
     first: &'p FileSet,
     base: usize,
-    materials: BTreeMap<usize, Option<usize>>,
-    textures: BTreeMap<usize, Option<usize>>,
-    images: BTreeMap<usize, Option<usize>>,
-    samplers: BTreeMap<usize, Option<usize>>,
+    /// New numbers by section and old number; `None` where the base has no such item.
+    known: BTreeMap<(&'static str, usize), Option<usize>>,
 }
 
 /// Extensions of textures that only name another image.
@@ -222,10 +220,10 @@ const OTHER_IMAGE: [&str; 4] = [
 ];
 
 /// Where new things go.
-struct CopyTarget<'t, 'f> {
-    frame: &'t GltfDocument<'f>,
-    fresh: &'t mut BufferBuilder,
-    joined: &'t mut JoinedBases,
+pub(super) struct CopyTarget<'t, 'f> {
+    pub(super) frame: &'t GltfDocument<'f>,
+    pub(super) fresh: &'t mut BufferBuilder,
+    pub(super) joined: &'t mut JoinedBases,
 }
 
 impl<'p> MaterialCopier<'p> {
@@ -235,46 +233,41 @@ impl<'p> MaterialCopier<'p> {
             files,
             first,
             base,
-            materials: BTreeMap::new(),
-            textures: BTreeMap::new(),
-            images: BTreeMap::new(),
-            samplers: BTreeMap::new(),
+            known: BTreeMap::new(),
         }
     }
 
     /// The new number of a material of the base; `None` when there is none of that number.
-    pub(super) fn copy_material(
-        &mut self,
-        old: usize,
-        frame: &GltfDocument<'_>,
-        fresh: &mut BufferBuilder,
-        joined: &mut JoinedBases,
-    ) -> Result<Option<usize>, Error> {
-        if let Some(new) = self.materials.get(&old) {
-            return Ok(*new);
-        }
-        let mut to = CopyTarget { frame, fresh, joined };
-        let new = match self.parse_item("materials", old)? {
-            None => None,
-            Some(mut material) => {
-                self.keep_extensions(&mut material, &mut to, |name| name.contains("_materials_"));
-                self.textures_in(&mut material, &mut to)?;
-                to.joined.materials.push(material.to_string());
-                Some(next_number(to.frame, "materials", to.joined.materials.len() - 1))
-            }
-        };
-        self.materials.insert(old, new);
-        Ok(new)
+    pub(super) fn copy_material(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
+        self.copy_item("materials", old, to, |copier, mut material, to| {
+            copier.keep_extensions(&mut material, to, |name| name.contains("_materials_"));
+            copier.textures_in(&mut material, to)?;
+            Ok((material.to_string(), None))
+        })
     }
 
-    fn parse_item(&self, key: &str, index: usize) -> Result<Option<Value>, Error> {
-        let Some(text) = list_of(self.doc.text, key).get(index).copied() else {
-            return Ok(None);
-        };
-        let parsed = serde_json::from_str(text);
-        parsed
-            .map(Some)
-            .map_err(|e| self.doc.fault.malformed(format!("{key}/{index}"), e.to_string()))
+    /// The new number of an item of a section, which `copy` makes of the parsed one when it is first asked for.
+    fn copy_item(
+        &mut self,
+        key: &'static str,
+        old: usize,
+        to: &mut CopyTarget<'_, '_>,
+        copy: impl FnOnce(&mut Self, Value, &mut CopyTarget<'_, '_>) -> Result<JoinedItem, Error>,
+    ) -> Result<Option<usize>, Error> {
+        if let Some(new) = self.known.get(&(key, old)) {
+            return Ok(*new);
+        }
+        let mut new = None;
+        if let Some(text) = list_of(self.doc.text, key).get(old) {
+            let parsed = serde_json::from_str(text);
+            let parsed = parsed.map_err(|e| self.doc.fault.malformed(format!("{key}/{old}"), e.to_string()))?;
+            let item = copy(self, parsed, to)?;
+            let joined = to.joined.sections.entry(key).or_default();
+            joined.push(item);
+            new = Some(list_of(to.frame.text, key).len() + joined.len() - 1);
+        }
+        self.known.insert((key, old), new);
+        Ok(new)
     }
 
     /// Takes out the extensions of an object that are not kept, and notes those that are.
@@ -324,78 +317,49 @@ impl<'p> MaterialCopier<'p> {
     }
 
     fn copy_texture(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
-        if let Some(new) = self.textures.get(&old) {
-            return Ok(*new);
-        }
-        let new = match self.parse_item("textures", old)? {
-            None => None,
-            Some(mut texture) => {
-                self.keep_extensions(&mut texture, to, |name| OTHER_IMAGE.contains(&name));
-                if let Some(texture) = texture.as_object_mut() {
-                    self.renumber_image(texture, to)?;
-                    for name in OTHER_IMAGE {
-                        let inner = texture.get_mut("extensions").and_then(|e| e.get_mut(name));
-                        if let Some(inner) = inner.and_then(Value::as_object_mut) {
-                            self.renumber_image(inner, to)?;
-                        }
-                    }
-                    if let Some(sampler) = index_member(texture, "sampler") {
-                        match self.copy_sampler(sampler, to)? {
-                            Some(new) => drop(texture.insert("sampler".into(), new.into())),
-                            None => drop(texture.shift_remove("sampler")),
-                        }
+        self.copy_item("textures", old, to, |copier, mut texture, to| {
+            copier.keep_extensions(&mut texture, to, |name| OTHER_IMAGE.contains(&name));
+            if let Some(texture) = texture.as_object_mut() {
+                copier.renumber_image(texture, to)?;
+                for name in OTHER_IMAGE {
+                    let inner = texture.get_mut("extensions").and_then(|e| e.get_mut(name));
+                    if let Some(inner) = inner.and_then(Value::as_object_mut) {
+                        copier.renumber_image(inner, to)?;
                     }
                 }
-                to.joined.textures.push(texture.to_string());
-                Some(next_number(to.frame, "textures", to.joined.textures.len() - 1))
+                if let Some(old) = index_member(texture, "sampler") {
+                    let stored = list_of(copier.doc.text, "samplers");
+                    let copy = |_: &mut Self, _, _: &mut CopyTarget<'_, '_>| Ok((stored[old].to_owned(), None));
+                    let sampler = copier.copy_item("samplers", old, to, copy)?;
+                    renumber(texture, "sampler", sampler);
+                }
             }
-        };
-        self.textures.insert(old, new);
-        Ok(new)
+            Ok((texture.to_string(), None))
+        })
     }
 
     fn renumber_image(&mut self, object: &mut Map<String, Value>, to: &mut CopyTarget<'_, '_>) -> Result<(), Error> {
         if let Some(source) = index_member(object, "source") {
-            match self.copy_image(source, to)? {
-                Some(new) => drop(object.insert("source".into(), new.into())),
-                None => drop(object.shift_remove("source")),
-            }
+            let image = self.copy_image(source, to)?;
+            renumber(object, "source", image);
         }
         Ok(())
     }
 
-    fn copy_sampler(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
-        if let Some(new) = self.samplers.get(&old) {
-            return Ok(*new);
-        }
-        let new = list_of(self.doc.text, "samplers").get(old).map(|text| {
-            to.joined.samplers.push((*text).to_owned());
-            next_number(to.frame, "samplers", to.joined.samplers.len() - 1)
-        });
-        self.samplers.insert(old, new);
-        Ok(new)
-    }
-
     fn copy_image(&mut self, old: usize, to: &mut CopyTarget<'_, '_>) -> Result<Option<usize>, Error> {
-        if let Some(new) = self.images.get(&old) {
-            return Ok(*new);
-        }
-        let new = match self.parse_item("images", old)? {
-            None => None,
-            Some(image) => {
-                let mut text = without_keys(list_of(self.doc.text, "images")[old], &["bufferView", "extensions"]);
-                let mut view = None;
-                if let Some(stored) = image.as_object().and_then(|i| index_member(i, "bufferView")) {
-                    view = Some(to.fresh.add_view(self.doc.view(stored)?, None));
-                } else if let Some(uri) = image["uri"].as_str() {
-                    text = with_member(&text, "uri", quoted(&self.free_companion_uri(uri, to)));
-                }
-                to.joined.images.push((text, view));
-                Some(next_number(to.frame, "images", to.joined.images.len() - 1))
+        self.copy_item("images", old, to, |copier, image, to| {
+            let stored = list_of(copier.doc.text, "images")[old];
+            let text = without_keys(stored, &["bufferView", "extensions"]);
+            if let Some(stored) = image.as_object().and_then(|i| index_member(i, "bufferView")) {
+                let view = to.fresh.add_view(copier.doc.view(stored)?, None);
+                return Ok((text, Some(view)));
             }
-        };
-        self.images.insert(old, new);
-        Ok(new)
+            let Some(uri) = image["uri"].as_str() else {
+                return Ok((text, None));
+            };
+            let uri = quoted(&copier.free_companion_uri(uri, to));
+            Ok((with_member(&text, "uri", uri), None))
+        })
     }
 
     /// The URI under which a companion image comes along: its own, unless another file has that name.
@@ -433,12 +397,23 @@ fn prefix_file_name(prefix: &str, path: &str) -> String {
     }
 }
 
+/// Gives a key of an object a new number; without one it goes.
+fn renumber(object: &mut Map<String, Value>, key: &str, new: Option<usize>) {
+    match new {
+        Some(new) => drop(object.insert(key.into(), new.into())),
+        None => drop(object.shift_remove(key)),
+    }
+}
+
 fn index_member(object: &Map<String, Value>, key: &str) -> Option<usize> {
     object
         .get(key)
         .and_then(Value::as_u64)
         .and_then(|n| usize::try_from(n).ok())
 }
+
+/// The text of an item, and its new view, if it has one.
+type JoinedItem = (String, Option<usize>);
 
 /// What joins the document. Accessors are numbered virtually, as in the frame.
 #[derive(Default)]
@@ -448,11 +423,8 @@ pub(super) struct JoinedBases {
     pub(super) nodes: Vec<(String, Option<usize>)>,
     /// The new nodes that the scene lists.
     pub(super) roots: Vec<usize>,
-    pub(super) materials: Vec<String>,
-    pub(super) textures: Vec<String>,
-    pub(super) samplers: Vec<String>,
-    /// Images; with their new view, if they have one.
-    pub(super) images: Vec<(String, Option<usize>)>,
+    /// Materials, textures, samplers and images, by section.
+    sections: BTreeMap<&'static str, Vec<JoinedItem>>,
     pub(super) extensions_used: Vec<String>,
     pub(super) extensions_required: Vec<String>,
     pub(super) companions: BTreeMap<String, Vec<u8>>,
@@ -472,17 +444,12 @@ impl JoinedBases {
         self.nodes.iter().map(one).collect()
     }
 
-    /// The new images, with new views numbered from `first_view` on.
-    pub(super) fn image_texts(&self, first_view: usize) -> Vec<String> {
-        let one = |(text, view): &(String, Option<usize>)| match view {
+    /// The new items of a section, with new views numbered from `first_view` on.
+    pub(super) fn item_texts(&self, key: &'static str, first_view: usize) -> Vec<String> {
+        let one = |(text, view): &JoinedItem| match view {
             Some(view) => with_member(text, "bufferView", first_view + view),
             None => text.clone(),
         };
-        self.images.iter().map(one).collect()
+        self.sections.get(key).into_iter().flatten().map(one).collect()
     }
-}
-
-/// The stored items of a section and those that have joined it.
-pub(super) fn next_number(frame: &GltfDocument<'_>, key: &str, joined: usize) -> usize {
-    list_of(frame.text, key).len() + joined
 }

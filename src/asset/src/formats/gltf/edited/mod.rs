@@ -136,7 +136,7 @@ impl EditedGltfWriter<'_> {
         }
         let images = list_of(doc.text, "images").into_iter();
         let mut images: Vec<String> = images.map(|text| renumber(text, references::of_image)).collect();
-        images.extend(self.joined.image_texts(kept.views.len()));
+        images.extend(self.joined.item_texts("images", kept.views.len()));
         sections.set_list("images", &images);
         self.joined_sections(&mut sections);
         self.set_extensions(&mut sections, is_packed);
@@ -199,14 +199,11 @@ impl EditedGltfWriter<'_> {
 
     /// Materials, textures, samplers and scenes with those of the joined bases.
     fn joined_sections(&self, sections: &mut JsonSections) {
-        for (key, more) in [
-            ("materials", &self.joined.materials),
-            ("textures", &self.joined.textures),
-            ("samplers", &self.joined.samplers),
-        ] {
+        for key in ["materials", "textures", "samplers"] {
+            let more = self.joined.item_texts(key, 0);
             if !more.is_empty() {
                 let stored = list_of(self.doc.text, key).into_iter().map(str::to_owned);
-                sections.set_list(key, &stored.chain(more.iter().cloned()).collect::<Vec<_>>());
+                sections.set_list(key, &stored.chain(more).collect::<Vec<_>>());
             }
         }
         let roots = &self.joined.roots;

@@ -165,7 +165,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                     _ => AccessorKind::Floats,
                 };
                 let shape = shape_of(&doc.accessors.values[accessor.index()].shape);
-                self.fresh.add_floats(&values, channel.lanes, shape, kind)
+                self.fresh.add_floats(&values, shape, kind)
             };
             made.insert(name.clone(), at);
         }
@@ -181,7 +181,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
         carried: &CarriedAttributes<'_>,
     ) -> AccessorNumbers {
         let mut attributes = AccessorNumbers::new();
-        let at = self.fresh.add_floats(positions, 3, "VEC3", AccessorKind::Positions);
+        let at = self.fresh.add_floats(positions, "VEC3", AccessorKind::Positions);
         attributes.insert(ShapeAttribute::Position.name().into(), at);
         let (has_normal, has_tangent) = (
             primitive.attribute(ShapeAttribute::Normal.name()).is_some(),
@@ -198,7 +198,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 along.as_vec3().to_array()
             };
             let values: Vec<f32> = normals.iter().enumerate().flat_map(to_mesh).collect();
-            let at = self.fresh.add_floats(&values, 3, "VEC3", AccessorKind::Floats);
+            let at = self.fresh.add_floats(&values, "VEC3", AccessorKind::Floats);
             attributes.insert(ShapeAttribute::Normal.name().into(), at);
         }
         if has_tangent {
@@ -216,7 +216,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 .enumerate()
                 .flat_map(to_mesh)
                 .collect();
-            let at = self.fresh.add_floats(&values, 4, "VEC4", AccessorKind::Floats);
+            let at = self.fresh.add_floats(&values, "VEC4", AccessorKind::Floats);
             attributes.insert(ShapeAttribute::Tangent.name().into(), at);
         }
         attributes
@@ -295,8 +295,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                     let wrong = values.iter_mut().filter(|v| !v.is_finite());
                     wrong.for_each(|v| *v = 0.0);
                 }
-                self.fresh
-                    .add_floats(&values, channel.lanes, shape_of(stored), AccessorKind::Floats)
+                self.fresh.add_floats(&values, shape_of(stored), AccessorKind::Floats)
             };
             attributes.insert(name.clone(), at);
         }

@@ -132,8 +132,8 @@ fn cut_sampler(
         3 => "VEC3",
         _ => "VEC4",
     };
-    let input = played.add_floats(&cut.times, "SCALAR", AccessorKind::Times);
-    let output = played.add_floats(&cut.values, shape, AccessorKind::Numbers);
+    let input = played.fresh.add_floats(&cut.times, "SCALAR", AccessorKind::Times);
+    let output = played.fresh.add_floats(&cut.values, shape, AccessorKind::Numbers);
     let name = match kind {
         KeyKind::Step => "STEP",
         KeyKind::Spline => "CUBICSPLINE",

@@ -33,17 +33,6 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
         }
     }
 
-    /// Adds floats; the number of their accessor.
-    pub(super) fn add_floats(&mut self, values: &[f32], shape: &'static str, kind: AccessorKind) -> usize {
-        let lanes = match shape {
-            "SCALAR" => 1,
-            "VEC3" => 3,
-            "VEC4" => 4,
-            _ => 16,
-        };
-        self.fresh.add_floats(values, lanes, shape, kind)
-    }
-
     /// A node as it is by now.
     pub(super) fn node(&self, node: usize) -> &str {
         self.nodes.get(node).map_or("{}", String::as_str)
@@ -170,7 +159,7 @@ impl NewClip {
             turns.extend(turn.to_array().map(|v| v as f32));
         }
         for (values, shape, path) in [(shifts, "VEC3", "translation"), (turns, "VEC4", "rotation")] {
-            let values = played.add_floats(&values, shape, AccessorKind::Numbers);
+            let values = played.fresh.add_floats(&values, shape, AccessorKind::Numbers);
             let sampler = self.add_sampler(times, "LINEAR", values);
             self.add_channel(sampler, node, path);
         }
@@ -202,7 +191,7 @@ pub(super) fn sampler_text(input: usize, interpolation: &str, output: usize) -> 
 /// Stores times; the number of their accessor.
 pub(super) fn add_times(played: &mut PlayedDocument<'_, '_>, times: &[f64]) -> usize {
     let times: Vec<f32> = times.iter().map(|t| *t as f32).collect();
-    played.add_floats(&times, "SCALAR", AccessorKind::Times)
+    played.fresh.add_floats(&times, "SCALAR", AccessorKind::Times)
 }
 
 /// Adds a node above others that follows keys; its number.

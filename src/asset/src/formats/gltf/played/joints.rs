@@ -37,7 +37,7 @@ pub(super) fn add_clip(
 
     let skeleton = add_skeleton(played, clip);
     let back: Vec<f32> = skeleton.stands.iter().flat_map(inverse_matrix).collect();
-    let back = played.add_floats(&back, "MAT4", AccessorKind::Numbers);
+    let back = played.fresh.add_floats(&back, "MAT4", AccessorKind::Numbers);
     let (root, numbers) = (skeleton.root, json_array(&skeleton.nodes));
     skins.push(format!(
         r#"{{"inverseBindMatrices":{back},"joints":{numbers},"skeleton":{root}}}"#
@@ -54,7 +54,7 @@ pub(super) fn add_clip(
         if let Some(correctives) = clip.correctives.filter(|c| !c.shapes.is_empty()) {
             let times = add_times(played, clip.times);
             let weights: Vec<f32> = correctives.weights.iter().flatten().map(|w| *w as f32).collect();
-            let weights = played.add_floats(&weights, "SCALAR", AccessorKind::Numbers);
+            let weights = played.fresh.add_floats(&weights, "SCALAR", AccessorKind::Numbers);
             let sampler = new.add_sampler(times, "LINEAR", weights);
             drawn.iter().for_each(|node| new.add_channel(sampler, *node, "weights"));
         }
@@ -196,7 +196,7 @@ fn node_changes(
             let joints: Vec<f32> = own.iter().flat_map(|i| i.joints[range.clone()].to_vec()).collect();
             let weights: Vec<f32> = own.iter().flat_map(|i| i.weights[range.clone()].to_vec()).collect();
             changes.attributes.insert(keys[0], played.fresh.add_joints(&joints));
-            let weights = played.add_floats(&weights, "VEC4", AccessorKind::Floats);
+            let weights = played.fresh.add_floats(&weights, "VEC4", AccessorKind::Floats);
             changes.attributes.insert(keys[1], weights);
         }
         all[row.primitive] = changes;

@@ -61,7 +61,7 @@ pub(super) fn add_clip(
     let weights: Vec<f32> = (0..count * count)
         .map(|i| f32::from(u8::from(i / count == i % count)))
         .collect();
-    let weights = played.add_floats(&weights, "SCALAR", AccessorKind::Numbers);
+    let weights = played.fresh.add_floats(&weights, "SCALAR", AccessorKind::Numbers);
     let sampler = new.add_sampler(times, "LINEAR", weights);
     drawing
         .iter()
@@ -220,7 +220,9 @@ impl RestPrimitive {
         };
         let mut add = |key: &'static str, values: &[f32], shape, kind| {
             if !values.is_empty() {
-                changes.attributes.insert(key, played.add_floats(values, shape, kind));
+                changes
+                    .attributes
+                    .insert(key, played.fresh.add_floats(values, shape, kind));
             }
         };
         add("POSITION", &self.positions, "VEC3", AccessorKind::Positions);
@@ -269,7 +271,7 @@ impl RestPrimitive {
             ("TANGENT", &twists, AccessorKind::Floats),
         ] {
             if !values.is_empty() {
-                members.push((key, played.add_floats(values, "VEC3", kind)));
+                members.push((key, played.fresh.add_floats(values, "VEC3", kind)));
             }
         }
         json_object(members)
@@ -278,7 +280,9 @@ impl RestPrimitive {
 
 /// The text of a target that moves none of so many vertices.
 pub(super) fn still_target(played: &mut PlayedDocument<'_, '_>, vertices: usize) -> String {
-    let at = played.add_floats(&vec![0.0; 3 * vertices], "VEC3", AccessorKind::Positions);
+    let at = played
+        .fresh
+        .add_floats(&vec![0.0; 3 * vertices], "VEC3", AccessorKind::Positions);
     format!(r#"{{"POSITION":{at}}}"#)
 }
 

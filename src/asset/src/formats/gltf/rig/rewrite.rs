@@ -251,7 +251,7 @@ impl<'a> RigWriter<'_, 'a> {
             return None;
         }
         let kind = AccessorKind::Numbers;
-        Some(self.fresh.add_floats(new.values, new.lanes, new.shape, kind))
+        Some(self.fresh.add_floats(new.values, new.shape, kind))
     }
 
     fn overwrite(&mut self, index: usize, new: &NewValues<'_>) -> bool {
