@@ -270,6 +270,16 @@ impl WrittenFiles {
         }
     }
 
+    /// The files as a set to be read, with a name for the main file.
+    pub(super) fn into_files(self, name: impl Into<String>) -> FileSet {
+        let companions = self.companions.into_iter();
+        FileSet {
+            name: name.into(),
+            main: self.main.into(),
+            companions: companions.map(|(name, bytes)| (name, bytes.into())).collect(),
+        }
+    }
+
     /// The uploaded files as they came.
     pub(super) fn from_upload(files: &FileSet) -> Self {
         Self {

@@ -177,12 +177,7 @@ impl Model {
             let vertices = std::mem::take(&mut neutral.copy_of);
             (writer.build(&neutral, Format::GLB)?, vertices)
         };
-        let companions = written.companions.into_iter();
-        let files = FileSet {
-            name: self.files.name.clone(),
-            main: written.main.into(),
-            companions: companions.map(|(name, bytes)| (name, bytes.into())).collect(),
-        };
+        let files = written.into_files(self.files.name.clone());
         let still = Self::read(files, Some(Format::GLB), &Limits::UNLIMITED)?;
         let seen = still.positions.len();
         if seen != vertices.len() {

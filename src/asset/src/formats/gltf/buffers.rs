@@ -39,7 +39,7 @@ impl<'a> GltfDocument<'a> {
         };
         let (origin, bytes) = match &buffer.uri {
             None if i == 0 && !fallback && self.container.is_some() => {
-                let Some(bin) = self.container.as_ref().and_then(|c| c.bin) else {
+                let Some(bin) = self.chunk() else {
                     return Err(self.fault.malformed(place, "absent, and the GLB has no BIN chunk"));
                 };
                 (BufferOrigin::Bin, files.main.slice_ref(bin))

@@ -182,6 +182,17 @@ impl<'a> GltfDocument<'a> {
         section.items.iter().map(|place| &self.text[place.clone()])
     }
 
+    /// A GLB of a new text and chunk, with the other chunks that the document came with.
+    pub(super) fn join(&self, json: &str, bin: Option<&[u8]>, fault: GltfFault) -> Result<Vec<u8>, Error> {
+        let rest = self.container.as_ref().map_or(&[][..], |c| &c.rest);
+        container::join(json, bin, rest, fault)
+    }
+
+    /// The chunk that it came with.
+    pub(super) fn chunk(&self) -> Option<&'a [u8]> {
+        self.container.as_ref()?.bin
+    }
+
     /// A section as text; `None` when the document has none.
     pub(super) fn array<T>(&self, section: &DocumentSection<T>) -> Option<&'a str> {
         section.array.clone().map(|place| &self.text[place])

@@ -8,7 +8,6 @@
 use super::accessors::{AccessorLayout, ComponentType};
 use super::buffers;
 use super::builder::{BufferBuilder, INDICES, VERTICES, bounds, embedded_buffer_text};
-use super::container::{self, GltfFault};
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::schema::{DRACO, MeshPrimitive, WholeNumber};
 use super::stored::BufferOrigin;
@@ -434,7 +433,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
         self.edits
             .push_or_set(doc.text, "bufferViews", doc.array(&doc.views), &added);
         let mut plain = files.clone();
-        let mut bin = doc.container.as_ref().and_then(|c| c.bin).map(<[u8]>::to_vec);
+        let mut bin = doc.chunk().map(<[u8]>::to_vec);
         match target {
             Some(i) => {
                 let item = doc.item(&doc.buffers, i);
@@ -458,8 +457,7 @@ impl<'a> DracoUncompressor<'_, 'a> {
             }
         }
         plain.main = if doc.fault.0 == GLB_FORMAT {
-            let rest = doc.container.as_ref().map_or(&[][..], |c| &c.rest);
-            container::join(text.trim_end(), bin.as_deref(), rest, GltfFault(GLB_FORMAT))?.into()
+            doc.join(text.trim_end(), bin.as_deref(), doc.fault)?.into()
         } else {
             text.into_bytes().into()
         };

@@ -86,10 +86,9 @@ pub(super) fn package(
     }
     let json = edits.apply();
     let main = if format == GLB_FORMAT {
-        let rest = doc.container.as_ref().map_or(&[][..], |c| &c.rest);
         // A chunk that no buffer refers to is kept all the same.
-        let unused = doc.container.as_ref().and_then(|c| c.bin);
-        container::join(json.trim_end(), bin.as_deref().or(unused), rest, GltfFault(format))?
+        let bin = bin.as_deref().or(doc.chunk());
+        doc.join(json.trim_end(), bin, GltfFault(format))?
     } else {
         json.into_bytes()
     };

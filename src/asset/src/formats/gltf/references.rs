@@ -3,111 +3,117 @@
 
 use super::document::GltfDocument;
 use super::schema::{Attributes, BufferView, DRACO, ViewCompression};
-use super::text::{JsonEdits, list_of, members, parse_index, value_at, value_of};
+use super::text::{JsonEdits, items, members, parse_index, value_of};
 use crate::Error;
 
-/// Numbers in one item of a section.
-#[derive(Default)]
-pub(super) struct References<'a> {
-    /// Those that name accessors.
-    pub(super) accessors: Vec<&'a str>,
-    /// Those that name buffer views.
-    pub(super) views: Vec<&'a str>,
+/// A way from an item down to a number: keys, and `*` for every member of an object or item of a list.
+type ReferencePath = &'static [&'static str];
+
+/// Where items of one section name accessors and buffer views.
+pub(super) struct ReferencePlaces {
+    accessors: &'static [ReferencePath],
+    views: &'static [ReferencePath],
 }
 
-fn member_values(object: &str) -> Vec<&str> {
-    members(object).map_or_else(|_| Vec::new(), |list| list.into_iter().map(|m| m.value).collect())
-}
-
-/// In a mesh.
-pub(super) fn of_mesh(mesh: &str) -> References<'_> {
-    let mut places = References::default();
-    for primitive in list_of(mesh, "primitives") {
-        places
-            .accessors
-            .extend(value_of(primitive, "attributes").map(member_values).unwrap_or_default());
-        places
-            .accessors
-            .extend(list_of(primitive, "targets").into_iter().flat_map(member_values));
-        places.accessors.extend(value_of(primitive, "indices"));
-        places
-            .views
-            .extend(value_at(primitive, &["extensions", DRACO, "bufferView"]));
-    }
-    places
-}
-
-/// In a skin.
-pub(super) fn of_skin(skin: &str) -> References<'_> {
-    References {
-        accessors: value_of(skin, "inverseBindMatrices").into_iter().collect(),
-        views: Vec::new(),
-    }
-}
-
-/// In an animation.
-pub(super) fn of_animation(animation: &str) -> References<'_> {
-    let named = |sampler| {
-        ["input", "output"]
-            .into_iter()
-            .filter_map(move |key| value_of(sampler, key))
-    };
-    References {
-        accessors: list_of(animation, "samplers").into_iter().flat_map(named).collect(),
-        views: Vec::new(),
-    }
-}
-
-/// In a node: the attributes of its instances.
-pub(super) fn of_node(node: &str) -> References<'_> {
-    let attributes = value_at(node, &["extensions", "EXT_mesh_gpu_instancing", "attributes"]);
-    References {
-        accessors: attributes.map(member_values).unwrap_or_default(),
-        views: Vec::new(),
-    }
-}
-
-/// In an accessor.
-pub(super) fn of_accessor(accessor: &str) -> References<'_> {
-    let paths: [&[&str]; 3] = [
+pub(super) const IN_MESH: ReferencePlaces = ReferencePlaces {
+    accessors: &[
+        &["primitives", "*", "attributes", "*"],
+        &["primitives", "*", "targets", "*", "*"],
+        &["primitives", "*", "indices"],
+    ],
+    views: &[&["primitives", "*", "extensions", DRACO, "bufferView"]],
+};
+pub(super) const IN_SKIN: ReferencePlaces = ReferencePlaces {
+    accessors: &[&["inverseBindMatrices"]],
+    views: &[],
+};
+pub(super) const IN_ANIMATION: ReferencePlaces = ReferencePlaces {
+    accessors: &[&["samplers", "*", "input"], &["samplers", "*", "output"]],
+    views: &[],
+};
+/// The attributes of a node's instances.
+pub(super) const IN_NODE: ReferencePlaces = ReferencePlaces {
+    accessors: &[&["extensions", "EXT_mesh_gpu_instancing", "attributes", "*"]],
+    views: &[],
+};
+pub(super) const IN_ACCESSOR: ReferencePlaces = ReferencePlaces {
+    accessors: &[],
+    views: &[
         &["bufferView"],
         &["sparse", "indices", "bufferView"],
         &["sparse", "values", "bufferView"],
-    ];
-    References {
-        accessors: Vec::new(),
-        views: paths.into_iter().filter_map(|path| value_at(accessor, path)).collect(),
+    ],
+};
+pub(super) const IN_IMAGE: ReferencePlaces = ReferencePlaces {
+    accessors: &[],
+    views: &[&["bufferView"]],
+};
+
+/// Finds the values at a path below a value.
+fn find_at<'a>(value: &'a str, path: &[&str], found: &mut Vec<&'a str>) {
+    match path {
+        [] => found.push(value),
+        ["*", rest @ ..] => match members(value) {
+            Ok(list) => list.iter().for_each(|member| find_at(member.value, rest, found)),
+            Err(_) => items(value)
+                .into_iter()
+                .flatten()
+                .for_each(|item| find_at(item, rest, found)),
+        },
+        [key, rest @ ..] => {
+            if let Some(value) = value_of(value, key) {
+                find_at(value, rest, found);
+            }
+        }
     }
 }
 
-/// In an image.
-pub(super) fn of_image(image: &str) -> References<'_> {
-    References {
-        accessors: Vec::new(),
-        views: value_of(image, "bufferView").into_iter().collect(),
+fn find_all<'a>(item: &'a str, paths: &[ReferencePath]) -> Vec<&'a str> {
+    let mut found = Vec::new();
+    paths.iter().for_each(|path| find_at(item, path, &mut found));
+    found
+}
+
+impl ReferencePlaces {
+    /// The accessors that an item names, once for each place.
+    pub(super) fn accessors(&self, item: &str) -> Vec<usize> {
+        let found = find_all(item, self.accessors).into_iter();
+        found.filter_map(parse_index).collect()
+    }
+
+    /// The buffer views that an item names, once for each place.
+    pub(super) fn views(&self, item: &str) -> Vec<usize> {
+        let found = find_all(item, self.views).into_iter();
+        found.filter_map(parse_index).collect()
+    }
+
+    /// The item with its references renumbered; those that have no new number stay.
+    pub(super) fn renumber(
+        &self,
+        item: &str,
+        accessor: impl Fn(usize) -> Option<usize>,
+        view: impl Fn(usize) -> Option<usize>,
+    ) -> String {
+        let mut edits = JsonEdits::new(item);
+        let mut replace = |paths, new: &dyn Fn(usize) -> Option<usize>| {
+            for place in find_all(item, paths) {
+                if let Some(new) = parse_index(place).and_then(new) {
+                    edits.replace(place, new.to_string());
+                }
+            }
+        };
+        replace(self.accessors, &accessor);
+        replace(self.views, &view);
+        edits.apply()
     }
 }
 
-/// The text with its references renumbered; those that have no new number stay.
-pub(super) fn renumber_references<'a>(
-    text: &'a str,
-    of: impl Fn(&'a str) -> References<'a>,
-    accessor: impl Fn(usize) -> Option<usize>,
-    view: impl Fn(usize) -> Option<usize>,
-) -> String {
-    let places = of(text);
-    let mut edits = JsonEdits::new(text);
-    for place in places.accessors {
-        if let Some(new) = parse_index(place).and_then(&accessor) {
-            edits.replace(place, new.to_string());
-        }
-    }
-    for place in places.views {
-        if let Some(new) = parse_index(place).and_then(&view) {
-            edits.replace(place, new.to_string());
-        }
-    }
-    edits.apply()
+/// The accessors that nodes, skins and animations of a document name, once for each place.
+pub(super) fn accessors_beside_meshes(doc: &GltfDocument<'_>) -> impl Iterator<Item = usize> {
+    let animations = doc.items(&doc.animations).flat_map(|text| IN_ANIMATION.accessors(text));
+    let skins = doc.items(&doc.skins).flat_map(|text| IN_SKIN.accessors(text));
+    let nodes = doc.items(&doc.nodes).flat_map(|text| IN_NODE.accessors(text));
+    animations.chain(skins).chain(nodes)
 }
 
 /// Checks every reference between buffers, views, accessors, meshes, nodes and scenes, and every byte range.
@@ -353,7 +359,7 @@ mod tests {
     fn every_reference_of_a_mesh_is_found_and_renumbered() {
         let mesh = r#"{"primitives":[{"attributes":{"POSITION":1,"_X":2},"indices":3,"targets":[{"POSITION":4}],
             "extensions":{"KHR_draco_mesh_compression":{"bufferView":1,"attributes":{"POSITION":1}}},"extras":{"indices":9}}]}"#;
-        let new = renumber_references(mesh, of_mesh, |a| Some(a + 10), |v| Some(v + 20));
+        let new = IN_MESH.renumber(mesh, |a| Some(a + 10), |v| Some(v + 20));
         let expected = r#"{"primitives":[{"attributes":{"POSITION":11,"_X":12},"indices":13,"targets":[{"POSITION":14}],
             "extensions":{"KHR_draco_mesh_compression":{"bufferView":21,"attributes":{"POSITION":1}}},"extras":{"indices":9}}]}"#;
         assert_eq!(new, expected);

@@ -7,10 +7,9 @@
 use super::accessors::{ComponentType, ShapeAttribute};
 use super::document::GltfDocument;
 use super::read::GltfNotes;
-use super::references;
+use super::references::accessors_beside_meshes;
 use super::schema::WholeNumber;
 use super::targets::{AttributeSlot, ChangedAttribute, DeformedAttributes};
-use super::text::parse_index;
 use crate::Geometry;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -279,11 +278,7 @@ impl AccessorUses {
                 }
             }
         }
-        let animations = doc.items(&doc.animations).map(references::of_animation);
-        let skins = doc.items(&doc.skins).map(references::of_skin);
-        let nodes = doc.items(&doc.nodes).map(references::of_node);
-        let named = animations.chain(skins).chain(nodes).flat_map(|places| places.accessors);
-        uses.strangers.extend(named.filter_map(parse_index));
+        uses.strangers.extend(accessors_beside_meshes(doc));
         uses
     }
 }

@@ -9,11 +9,10 @@
 use super::super::accessors::ComponentType;
 use super::super::document::GltfDocument;
 use super::super::read::GltfNotes;
-use super::super::references::{self, References};
+use super::super::references::{IN_ACCESSOR, IN_ANIMATION, IN_IMAGE, IN_MESH, IN_NODE, IN_SKIN};
 use super::super::schema::{DRACO, GltfMesh, MESHOPT};
 use super::super::text::{
-    WEIGHTS, channel_target, json_array, json_object, list_of, parse_index, value_of, with_member, without_extensions,
-    without_keys,
+    WEIGHTS, channel_target, json_array, json_object, list_of, value_of, with_member, without_extensions, without_keys,
 };
 use super::primitives::{MadePrimitive, MeshSpace, PrimitiveMaker};
 use crate::Error;
@@ -282,25 +281,21 @@ fn may_drop(doc: &GltfDocument<'_>) -> bool {
 
 /// Packs what the frame, skins, animations, nodes and images still use; `None` when some of it cannot be read.
 fn pack_kept_data(doc: &GltfDocument<'_>, frame: &EditedMeshes) -> Option<KeptData> {
-    let images = list_of(doc.text, "images");
-    let animations = frame.animations.iter().flatten();
-    let places = (frame.meshes.iter().flatten().map(|mesh| references::of_mesh(mesh)))
-        .chain(doc.items(&doc.skins).map(references::of_skin))
-        .chain(animations.map(|animation| references::of_animation(animation)))
-        .chain(doc.items(&doc.nodes).map(references::of_node))
-        .chain(images.into_iter().map(references::of_image));
     let (mut accessors, mut views) = (BTreeSet::new(), BTreeSet::new());
-    for References { accessors: a, views: v } in places {
-        accessors.extend(
-            a.into_iter()
-                .filter_map(parse_index)
-                .filter(|&a| a < doc.accessors.len()),
-        );
-        views.extend(v.into_iter().filter_map(parse_index));
+    let meshes = frame.meshes.iter().flatten().map(|text| (text.as_str(), IN_MESH));
+    let animations = frame.animations.iter().flatten();
+    let animations = animations.map(|text| (text.as_str(), IN_ANIMATION));
+    let skins = doc.items(&doc.skins).map(|text| (text, IN_SKIN));
+    let nodes = doc.items(&doc.nodes).map(|text| (text, IN_NODE));
+    let images = list_of(doc.text, "images").into_iter().map(|text| (text, IN_IMAGE));
+    let items = meshes.chain(animations).chain(skins).chain(nodes).chain(images);
+    for (text, places) in items {
+        let stored = places.accessors(text).into_iter();
+        accessors.extend(stored.filter(|&a| a < doc.accessors.len()));
+        views.extend(places.views(text));
     }
     for &accessor in &accessors {
-        let named = references::of_accessor(doc.item(&doc.accessors, accessor));
-        views.extend(named.views.into_iter().filter_map(parse_index));
+        views.extend(IN_ACCESSOR.views(doc.item(&doc.accessors, accessor)));
     }
     doc.decode_for(accessors.iter().copied()).ok()?;
     let mut kept = KeptData {
@@ -329,18 +324,11 @@ fn pack_kept_data(doc: &GltfDocument<'_>, frame: &EditedMeshes) -> Option<KeptDa
         kept.view_numbers.insert(old, kept.views.len());
         kept.views.push(with_member(&text, "byteOffset", start));
     }
-    let renumber = |text| {
-        references::renumber_references(
-            text,
-            references::of_accessor,
-            |_| None,
-            |view| kept.view_numbers.get(&view).copied(),
-        )
-    };
-    kept.accessors = accessors
+    let new_view = |view| kept.view_numbers.get(&view).copied();
+    let renumbered = accessors
         .iter()
-        .map(|&old| renumber(doc.item(&doc.accessors, old)))
-        .collect();
+        .map(|&old| IN_ACCESSOR.renumber(doc.item(&doc.accessors, old), |_| None, new_view));
+    kept.accessors = renumbered.collect();
     Some(kept)
 }
 

@@ -15,12 +15,12 @@ pub(super) use looks::run_attributes;
 
 use super::buffers;
 use super::builder::BufferBuilder;
-use super::container::{self, GltfFault};
+use super::container::GltfFault;
 use super::document::{GLB_FORMAT, GltfDocument};
 use super::package::package;
 use super::patched::PatchedDocument;
 use super::read::GltfNotes;
-use super::references::{self, References};
+use super::references::{IN_ANIMATION, IN_IMAGE, IN_MESH, IN_NODE, IN_SKIN, ReferencePlaces};
 use super::rig::FollowedNodeTree;
 use super::schema::MESHOPT;
 use super::stored::BufferOrigin;
@@ -91,9 +91,7 @@ impl EditedGltfWriter<'_> {
         let (doc, is_packed) = (self.doc, kept.is_packed);
         let new_accessor = |a: usize| kept.accessor_number(a, doc.accessors.len());
         let new_view = |v: usize| kept.view_numbers.get(&v).copied();
-        let renumber = |text: &str, of: fn(&str) -> References<'_>| {
-            references::renumber_references(text, of, new_accessor, new_view)
-        };
+        let renumber = |text: &str, places: &ReferencePlaces| places.renumber(text, new_accessor, new_view);
 
         // Meshes that nothing draws any more go, so the others move up; where something unknown may name them by their
         // numbers, they stay.
@@ -103,16 +101,16 @@ impl EditedGltfWriter<'_> {
             let stored = (!is_packed).then(|| doc.item(&doc.meshes, i));
             if let Some(text) = mesh.as_deref().or(stored) {
                 *number = Some(meshes.len());
-                meshes.push(renumber(text, references::of_mesh));
+                meshes.push(renumber(text, &IN_MESH));
             }
         }
         let first_joined = meshes.len();
         let joined = self.joined.meshes.iter();
-        meshes.extend(joined.map(|text| renumber(text, references::of_mesh)));
+        meshes.extend(joined.map(|text| renumber(text, &IN_MESH)));
         let mut nodes: Vec<String> = Vec::with_capacity(doc.nodes.len());
         for (i, stored) in doc.items(&doc.nodes).enumerate() {
             let text = self.frame.nodes.get(&i).map_or(stored, String::as_str);
-            let text = renumber(text, references::of_node);
+            let text = renumber(text, &IN_NODE);
             let mesh = index_of(&text, "mesh");
             nodes.push(match mesh.and_then(|m| mesh_numbers.get(m).copied().flatten()) {
                 Some(new) if Some(new) != mesh => with_member(&text, "mesh", new),
@@ -126,16 +124,16 @@ impl EditedGltfWriter<'_> {
         sections.set_list("nodes", &nodes);
         if is_packed {
             let skins = doc.items(&doc.skins);
-            let skins: Vec<String> = skins.map(|text| renumber(text, references::of_skin)).collect();
+            let skins: Vec<String> = skins.map(|text| renumber(text, &IN_SKIN)).collect();
             sections.set_list("skins", &skins);
         }
         if is_packed || self.frame.animations.contains(&None) || !self.joined.is_empty() {
             let animations = self.frame.animations.iter().flatten();
-            let animations = animations.map(|text| renumber(text, references::of_animation));
+            let animations = animations.map(|text| renumber(text, &IN_ANIMATION));
             sections.set_list("animations", &animations.collect::<Vec<_>>());
         }
         let images = list_of(doc.text, "images").into_iter();
-        let mut images: Vec<String> = images.map(|text| renumber(text, references::of_image)).collect();
+        let mut images: Vec<String> = images.map(|text| renumber(text, &IN_IMAGE)).collect();
         images.extend(self.joined.item_texts("images", kept.views.len()));
         sections.set_list("images", &images);
         self.joined_sections(&mut sections);
@@ -186,8 +184,7 @@ impl EditedGltfWriter<'_> {
         sections.set_list("buffers", &[buffer]);
         let json = sections.replace_in(doc.text);
         let main = if is_glb {
-            let rest = doc.container.as_ref().map_or(&[][..], |c| &c.rest);
-            container::join(&json, Some(&bytes), rest, self.fault)?
+            doc.join(&json, Some(&bytes), self.fault)?
         } else {
             json.into_bytes()
         };

@@ -1,7 +1,7 @@
 //! A document on its way to a new one: nodes and meshes that change, data that is added, the new clip, and which of the old ones stay.
 
 use super::super::builder::{AccessorKind, BufferBuilder, embedded_buffer_text};
-use super::super::container::{self, GltfFault};
+use super::super::container::GltfFault;
 use super::super::document::{GLB_FORMAT, GltfDocument};
 use super::super::read::{GltfNotes, PlacedPrimitive};
 use super::super::stored::BufferOrigin;
@@ -93,10 +93,8 @@ impl<'d, 'a> PlayedDocument<'d, 'a> {
             sections.set_list(key, &list);
         }
         let json = sections.replace_in(doc.text.trim_end());
-        let rest = doc.container.as_ref().map_or(&[][..], |c| &c.rest);
-        let unused = doc.container.as_ref().and_then(|c| c.bin);
-        let chunk = if target == 0 { Some(&bytes[..]) } else { unused };
-        let main = container::join(&json, chunk, rest, fault)?;
+        let chunk = if target == 0 { Some(&bytes[..]) } else { doc.chunk() };
+        let main = doc.join(&json, chunk, fault)?;
         let companions = files.owned_companions();
         Ok(WrittenFiles::of(main, companions))
     }

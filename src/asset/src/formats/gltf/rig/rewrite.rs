@@ -13,15 +13,15 @@ use super::super::package::package;
 use super::super::patched::PatchedDocument;
 use super::super::placement::joint_nodes;
 use super::super::read::parse_written;
-use super::super::references::{self, References};
+use super::super::references::{IN_MESH, accessors_beside_meshes};
 use super::super::schema::WholeNumber;
 use super::super::targets::TargetTally;
-use super::super::text::{index_of, list_of, parse_index, string_of, value_at, value_of, with_member};
+use super::super::text::{index_of, list_of, string_of, value_at, value_of, with_member};
 use super::super::used_bytes::ByteSpans;
 use super::nodes::{MovedNode, MovedNodes};
 use super::{BindChanges, FollowedNodeTree};
 use crate::files::within;
-use crate::{Error, FileSet, FollowedCounts, Format, WrittenFiles};
+use crate::{Error, FollowedCounts, Format, WrittenFiles};
 use glam::{DQuat, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -32,11 +32,7 @@ const MOST_REWRITTEN: u64 = 1 << 30;
 impl FollowedNodeTree {
     /// Puts the moved nodes into files that were written as if none had moved, and counts the clips that change.
     fn rewrite(&self, written: WrittenFiles, format: Format) -> Result<WrittenFiles, Error> {
-        let files = FileSet {
-            name: String::new(),
-            main: written.main.into(),
-            companions: written.companions.into_iter().map(|(n, b)| (n, b.into())).collect(),
-        };
+        let files = written.into_files("");
         let parsed = parse_written(&files, format)?;
         let doc = parsed.of(&files)?.load_bytes(&files, None)?;
         let mut writer = RigWriter {
@@ -281,18 +277,12 @@ impl<'a> RigWriter<'_, 'a> {
 /// How often each accessor is named.
 fn accessor_uses(doc: &GltfDocument<'_>) -> Vec<u32> {
     let mut uses = vec![0; doc.accessors.len()];
-    let mut count = |places: References<'_>| {
-        for index in places.accessors.into_iter().filter_map(parse_index) {
-            if let Some(uses) = uses.get_mut(index) {
-                *uses += 1;
-            }
+    let in_meshes = doc.items(&doc.meshes).flat_map(|text| IN_MESH.accessors(text));
+    for index in in_meshes.chain(accessors_beside_meshes(doc)) {
+        if let Some(uses) = uses.get_mut(index) {
+            *uses += 1;
         }
-    };
-    doc.items(&doc.meshes).for_each(|text| count(references::of_mesh(text)));
-    doc.items(&doc.nodes).for_each(|text| count(references::of_node(text)));
-    doc.items(&doc.skins).for_each(|text| count(references::of_skin(text)));
-    doc.items(&doc.animations)
-        .for_each(|text| count(references::of_animation(text)));
+    }
     uses
 }
 

@@ -149,16 +149,7 @@ fn followed(files: &FileSet, following: Following, f: impl Fn(usize, DVec3) -> D
 }
 
 fn again(written: &WrittenFiles) -> FileSet {
-    let companions = written
-        .companions
-        .iter()
-        .map(|(name, bytes)| (name.clone(), bytes.clone().into()))
-        .collect();
-    FileSet {
-        name: "again".into(),
-        main: written.main.clone().into(),
-        companions,
-    }
+    written.clone().into_files("again")
 }
 
 /// The JSON of a file, as text.
