@@ -19,11 +19,6 @@ use std::sync::Arc;
 /// What a reader returns: the mesh that the files describe, and what the writers have to remember of the files.
 pub(super) type ReadFile = (Geometry, Arc<dyn FileNotes>);
 
-/// Makes what [`FormatCodec::read`] returns of a mesh and the notes of its format.
-pub(super) fn share_notes<N: FileNotes>(geometry: Geometry, notes: N) -> ReadFile {
-    (geometry, Arc::new(notes))
-}
-
 /// Patches a model that is one text file: `patch` gets the text, the notes, the rest mesh and the new positions.
 pub(super) fn patch_text_file<N: FileNotes>(
     output: &PatchedOutput<'_>,

@@ -245,3 +245,39 @@ impl VertexCache {
         }
     }
 }
+/// Places in a list by the vertex that each names, in order.
+#[derive(Debug)]
+pub(super) struct PlacesByVertex {
+    /// For each vertex where its places begin; one more than there are vertices.
+    starts: Vec<u32>,
+    places: Vec<u32>,
+}
+
+impl PlacesByVertex {
+    /// The places of a list that names so many vertices.
+    pub(super) fn of(vertices: usize, named: &[u32]) -> Self {
+        let mut starts = vec![0u32; vertices + 1];
+        for &vertex in named {
+            starts[vertex as usize + 1] += 1;
+        }
+        for i in 0..vertices {
+            starts[i + 1] += starts[i];
+        }
+        let mut next = starts.clone();
+        let mut places = vec![0; named.len()];
+        for (&vertex, place) in named.iter().zip(0..) {
+            let at = &mut next[vertex as usize];
+            places[*at as usize] = place;
+            *at += 1;
+        }
+        Self { starts, places }
+    }
+
+    /// The places of a vertex; none of one that does not exist.
+    pub(super) fn at(&self, vertex: u32) -> &[u32] {
+        match self.starts.get(vertex as usize..vertex as usize + 2) {
+            Some(&[from, to]) => &self.places[from as usize..to as usize],
+            _ => &[],
+        }
+    }
+}

@@ -50,12 +50,7 @@ impl VertexBlends {
     /// [`VertexBlends::MAX_SOURCES`] kept, and the weights scaled to a sum of 1. Without any weight it is its first entry unchanged.
     pub fn push_blend(&mut self, entries: &[(u32, f64)]) {
         let mut summed: Vec<(u32, f64)> = entries.to_vec();
-        summed.sort_by_key(|&(vertex, _)| vertex);
-        summed.dedup_by(|next, kept| {
-            let same = next.0 == kept.0;
-            kept.1 += if same { next.1 } else { 0.0 };
-            same
-        });
+        sum_by_vertex(&mut summed);
         summed.retain(|(_, weight)| *weight > 0.0 && weight.is_finite());
         summed.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
         summed.truncate(Self::MAX_SOURCES);
@@ -112,6 +107,16 @@ impl VertexBlends {
             + size_of_val(self.entries.as_slice());
         lists as u64
     }
+}
+
+/// Sums the weights of each vertex, in the order of vertices.
+pub(super) fn sum_by_vertex(weights: &mut Vec<(u32, f64)>) {
+    weights.sort_by_key(|&(vertex, _)| vertex);
+    weights.dedup_by(|next, kept| {
+        let same = next.0 == kept.0;
+        kept.1 += if same { next.1 } else { 0.0 };
+        same
+    });
 }
 
 /// What one vertex is made of.

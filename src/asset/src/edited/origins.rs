@@ -12,8 +12,9 @@
 //! A model is triangles; where a file's faces have more corners, the reader notes which triangles each was cut into. A
 //! writer that knows polygons puts those together again whose triangles are all there, on the same vertices.
 
+use super::blends::sum_by_vertex;
 use super::{EditedModel, PrimitiveRun, VertexBlend};
-use crate::geometry::unit_or_zero;
+use crate::geometry::{PlacesByVertex, unit_or_zero};
 use glam::{DMat3, DVec3, Vec3, Vec4};
 use pliant_mesh::{NONE, shading};
 use std::collections::BTreeSet;
@@ -150,10 +151,8 @@ pub(crate) struct TriangleOrigins<'a> {
     edited: &'a EditedModel<'a>,
     run: &'a PrimitiveRun,
     old: &'a [[u32; 3]],
-    /// For each old vertex where its corners begin in `corners`.
-    starts: Vec<u32>,
-    /// Corners by vertex: 3 × triangle + place.
-    corners: Vec<u32>,
+    /// Corners by old vertex: 3 × triangle + place.
+    corners: PlacesByVertex,
     /// For each triangle of the run the old triangle that it lies on.
     of: Vec<u32>,
 }
@@ -165,26 +164,11 @@ impl<'a> TriangleOrigins<'a> {
     /// Finds the origins. `old` are the triangles of the run's base, all of them.
     pub fn new(edited: &'a EditedModel<'a>, run: &'a PrimitiveRun, old: &'a [[u32; 3]]) -> Self {
         let vertices = edited.base(run).model.geometry.positions.len();
-        let mut starts = vec![0u32; vertices + 1];
-        for &vertex in old.as_flattened() {
-            starts[vertex as usize + 1] += 1;
-        }
-        for i in 0..vertices {
-            starts[i + 1] += starts[i];
-        }
-        let mut next = starts.clone();
-        let mut corners = vec![0u32; old.len() * 3];
-        for (corner, &vertex) in old.as_flattened().iter().enumerate() {
-            let at = &mut next[vertex as usize];
-            corners[*at as usize] = corner as u32;
-            *at += 1;
-        }
         let mut origins = Self {
             edited,
             run,
             old,
-            starts,
-            corners,
+            corners: PlacesByVertex::of(vertices, old.as_flattened()),
             of: Vec::new(),
         };
         origins.of = run.triangles().map(|t| origins.find(t)).collect();
@@ -197,11 +181,6 @@ impl<'a> TriangleOrigins<'a> {
         &self.of
     }
 
-    fn around(&self, vertex: u32) -> &[u32] {
-        let v = vertex as usize;
-        &self.corners[self.starts[v] as usize..self.starts[v + 1] as usize]
-    }
-
     fn find(&self, triangle: usize) -> u32 {
         if let Some(&given) = self.edited.origins.get(triangle)
             && (given as usize) < self.old.len()
@@ -210,12 +189,7 @@ impl<'a> TriangleOrigins<'a> {
         }
         let blends = self.edited.triangles[triangle].map(|v| self.edited.blend(v as usize));
         let mut weights: Vec<(u32, f64)> = blends.iter().flat_map(|r| r.iter()).collect();
-        weights.sort_by_key(|&(vertex, _)| vertex);
-        weights.dedup_by(|next, kept| {
-            let same = next.0 == kept.0;
-            kept.1 += if same { next.1 } else { 0.0 };
-            same
-        });
+        sum_by_vertex(&mut weights);
         let unchanged = match blends {
             [VertexBlend::Vertex(a), VertexBlend::Vertex(b), VertexBlend::Vertex(c)] => Some([a, b, c]),
             _ => None,
@@ -229,7 +203,7 @@ impl<'a> TriangleOrigins<'a> {
         };
         let mut best = (NONE, 0.0);
         for &(vertex, _) in &weights {
-            for &corner in self.around(vertex) {
+            for &corner in self.corners.at(vertex) {
                 let candidate = corner / 3;
                 let value = share(candidate);
                 if value > best.1 + 1e-9 || (value > best.1 - 1e-9 && candidate < best.0) {
@@ -270,7 +244,7 @@ impl<'a> TriangleOrigins<'a> {
         while let Some(triangle) = open.pop_front() {
             for place in 0..3 {
                 let here = 3 * triangle + place;
-                for &corner in self.around(self.old[triangle as usize][place as usize]) {
+                for &corner in self.corners.at(self.old[triangle as usize][place as usize]) {
                     let next = corner / 3;
                     if seam[corner as usize] != seam[here as usize] || seen.len() >= MOST_VISITED || !seen.insert(next)
                     {
@@ -283,7 +257,7 @@ impl<'a> TriangleOrigins<'a> {
                 }
             }
         }
-        self.around(vertex).first().copied()
+        self.corners.at(vertex).first().copied()
     }
 }
 

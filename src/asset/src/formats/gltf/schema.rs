@@ -14,7 +14,7 @@ pub(super) const DRACO: &str = "KHR_draco_mesh_compression";
 pub(super) const MESHOPT: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
 
 /// A whole number from zero; `3.0` and `3e0` are the same number as `3`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct WholeNumber(pub(super) u64);
 
 impl WholeNumber {
@@ -167,7 +167,7 @@ pub(super) struct SparseOverrides {
 #[serde(rename_all = "camelCase")]
 pub(super) struct SparseIndices {
     pub(super) buffer_view: WholeNumber,
-    #[serde(default = "zero")]
+    #[serde(default)]
     pub(super) byte_offset: WholeNumber,
     pub(super) component_type: WholeNumber,
 }
@@ -176,12 +176,8 @@ pub(super) struct SparseIndices {
 #[serde(rename_all = "camelCase")]
 pub(super) struct SparseValues {
     pub(super) buffer_view: WholeNumber,
-    #[serde(default = "zero")]
+    #[serde(default)]
     pub(super) byte_offset: WholeNumber,
-}
-
-fn zero() -> WholeNumber {
-    WholeNumber(0)
 }
 
 #[derive(Debug, Deserialize)]

@@ -13,7 +13,7 @@ mod tests;
 pub(super) use read::FORMAT;
 
 use super::text::{NumberPrecision, TextLexer, TextPatch, newline_of, push_triple};
-use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, patch_text_file, share_notes};
+use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, patch_text_file};
 use crate::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::files::ReadWatch;
 use crate::look::NamedMaterial;
@@ -39,7 +39,7 @@ impl FormatCodec for ObjCodec {
     fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
         let (mut geometry, notes) = read::read(&files.main, watch)?;
         library::warn_of_missing(files, &mut geometry);
-        Ok(share_notes(geometry, notes))
+        Ok((geometry, Arc::new(notes) as _))
     }
 
     fn companion_names(&self, files: &FileSet, _: Format) -> Vec<String> {

@@ -8,7 +8,7 @@ mod read;
 pub(super) use read::FORMAT;
 
 use super::text::{NumberPrecision, TextLexer, integer, number, push_number, push_triple};
-use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, patch_text_file, share_notes};
+use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, patch_text_file};
 use crate::edited::{CarriedAttributes, EditedModel, FaceOutlines, PrimitiveRun, RunFaces, TriangleOrigins};
 use crate::files::ReadWatch;
 use crate::neutral::{NeutralModel, RunAttributes};
@@ -17,6 +17,7 @@ use crate::{Error, FileSet, Format, Model, WrittenFiles};
 use glam::Vec3;
 use pliant_mesh::NONE;
 use read::{OffNotes, STYLE, read_count, read_header};
+use std::sync::Arc;
 
 /// Reads and writes OFF.
 pub(super) struct OffCodec;
@@ -27,7 +28,7 @@ impl FormatCodec for OffCodec {
     }
 
     fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
-        read::read(&files.main, watch).map(|(geometry, notes)| share_notes(geometry, notes))
+        read::read(&files.main, watch).map(|(geometry, notes)| (geometry, Arc::new(notes) as _))
     }
 
     fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {

@@ -12,7 +12,7 @@ mod tests;
 pub(super) use read::FORMAT;
 
 use super::text::TextPatch;
-use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, share_notes};
+use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile};
 use crate::edited::{EditedModel, FaceOutlines, PrimitiveRun};
 use crate::files::ReadWatch;
 use crate::neutral::{NeutralModel, RunAttributes};
@@ -23,6 +23,7 @@ use glam::DVec3;
 use pliant_mesh::shading;
 use read::{PlyNotes, VertexRole, stored_types};
 use std::io::Write as _;
+use std::sync::Arc;
 
 /// Reads and writes PLY.
 pub(super) struct PlyCodec;
@@ -33,7 +34,7 @@ impl FormatCodec for PlyCodec {
     }
 
     fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
-        read::read(&files.main, watch).map(|(geometry, notes)| share_notes(geometry, notes))
+        read::read(&files.main, watch).map(|(geometry, notes)| (geometry, Arc::new(notes) as _))
     }
 
     fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {

@@ -8,7 +8,7 @@
 mod tests;
 
 use super::text::{NumberPrecision, TextLexer, TextPatch, TextStyle, TextToken, newline_of, push_triple, shown};
-use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile, share_notes};
+use crate::codec::{EditedOutput, FormatCodec, PatchedOutput, ReadFile};
 use crate::edited::{BaseModel, EditedModel, TriangleOrigins};
 use crate::files::{ReadWatch, check_main_size};
 use crate::format::{FormatDetails, Recognition};
@@ -18,6 +18,7 @@ use crate::vertex_attributes::AttributeKeys;
 use crate::{Error, FileSet, Format, Geometry, Model, WrittenFiles};
 use glam::DVec3;
 use pliant_mesh::NONE;
+use std::sync::Arc;
 
 /// The format, by what it is known.
 pub(super) const FORMAT: Format = Format::new(&FormatDetails {
@@ -40,7 +41,7 @@ impl FormatCodec for StlCodec {
     }
 
     fn read(&self, files: &FileSet, _: Format, watch: &ReadWatch<'_>) -> Result<ReadFile, Error> {
-        read(&files.main, watch).map(|(geometry, notes)| share_notes(geometry, notes))
+        read(&files.main, watch).map(|(geometry, notes)| (geometry, Arc::new(notes) as _))
     }
 
     fn patch_positions(&self, output: &PatchedOutput<'_>) -> Result<WrittenFiles, Error> {

@@ -181,8 +181,11 @@ impl<'a> PrimitiveMaker<'a, '_> {
         carried: &CarriedAttributes<'_>,
     ) -> AccessorNumbers {
         let mut attributes = AccessorNumbers::new();
-        let at = self.fresh.add_floats(positions, "VEC3", AccessorKind::Positions);
-        attributes.insert(ShapeAttribute::Position.name().into(), at);
+        let mut add = |role: ShapeAttribute, values: &[f32], kind| {
+            let at = self.fresh.add_floats(values, role.shape(), kind);
+            attributes.insert(role.name().into(), at);
+        };
+        add(ShapeAttribute::Position, positions, AccessorKind::Positions);
         let (has_normal, has_tangent) = (
             primitive.attribute(ShapeAttribute::Normal.name()).is_some(),
             primitive.attribute(ShapeAttribute::Tangent.name()).is_some(),
@@ -198,8 +201,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 along.as_vec3().to_array()
             };
             let values: Vec<f32> = normals.iter().enumerate().flat_map(to_mesh).collect();
-            let at = self.fresh.add_floats(&values, "VEC3", AccessorKind::Floats);
-            attributes.insert(ShapeAttribute::Normal.name().into(), at);
+            add(ShapeAttribute::Normal, &values, AccessorKind::Floats);
         }
         if has_tangent {
             let mesh_from_world = world_from_mesh.inverse();
@@ -216,8 +218,7 @@ impl<'a> PrimitiveMaker<'a, '_> {
                 .enumerate()
                 .flat_map(to_mesh)
                 .collect();
-            let at = self.fresh.add_floats(&values, "VEC4", AccessorKind::Floats);
-            attributes.insert(ShapeAttribute::Tangent.name().into(), at);
+            add(ShapeAttribute::Tangent, &values, AccessorKind::Floats);
         }
         attributes
     }
