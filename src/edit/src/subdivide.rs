@@ -8,13 +8,13 @@
 //!
 //! Loop's masks ("Smooth Subdivision Surfaces Based on Triangles", 1987; boundaries after Hoppe et al. 1994).
 
-use super::error::{EditSubject, Error};
 use super::patch::{EditWarning, NewTriangle, NewVertex, SurfacePatch};
 use super::region_mesh::{RegionMesh, edge_key};
 use super::remesh::MOST_TRIANGLES;
 use super::surface::{SurfaceView, check_region};
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
+use pliant_mesh::Error;
 use pliant_mesh::NONE;
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -55,7 +55,7 @@ pub fn subdivide_region(
     }
     if edges.is_empty() {
         let problem = "it holds no triangle with three different points";
-        return Err(Error::invalid(EditSubject::Region, problem));
+        return Err(Error::invalid("region", problem));
     }
     let check_at = |k: usize| match k.is_multiple_of(4096) {
         true => check(progress),

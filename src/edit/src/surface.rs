@@ -1,7 +1,7 @@
 //! The surface that an edit reads, and flat scans over it.
 
-use super::error::{EditSubject, Error};
 use glam::DVec3;
+use pliant_mesh::Error;
 use pliant_mesh::NONE;
 
 /// The surface that an edit works on. Render vertices and triangles stand in file order; triangles of one primitive stand
@@ -123,7 +123,7 @@ pub fn check_faces_at_points(surface: &SurfaceView) -> Result<(), Error> {
 
 /// Refuses a region that is empty, not rising, or names triangles that are not there.
 pub(super) fn check_region(surface: &SurfaceView, triangles: &[u32]) -> Result<(), Error> {
-    let invalid = |problem: String| Err(Error::invalid(EditSubject::Region, problem));
+    let invalid = |problem: String| Err(Error::invalid("region", problem));
     let Some(&last) = triangles.last() else {
         return invalid("it holds no whole triangle, at least one is needed".to_owned());
     };

@@ -21,7 +21,7 @@ mod weld;
 mod welded_mesh;
 
 pub use adjacency::{Adjacency, BoundaryLoop, Components, Lists, MeshEdge, boundary_loops};
-pub use error::Error;
+pub use error::{Error, shown_count};
 pub use inspect::{MeshReport, MeshWarning, PartReport, inspect};
 pub use intersections::self_intersections;
 pub use measure::{

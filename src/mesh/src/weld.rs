@@ -32,7 +32,7 @@ const OF_EDGE: f64 = 1e-3;
 /// themselves. Vertices for which `used` is false represent only themselves.
 ///
 /// # Errors
-/// [`Error::Tolerance`] when the tolerance is negative or not finite.
+/// [`Error::Invalid`] when the tolerance is negative or not finite.
 pub(super) fn representatives(
     positions: &[DVec3],
     triangles: &[[u32; 3]],
@@ -42,7 +42,10 @@ pub(super) fn representatives(
     match weld {
         Weld::Exact => Ok(weld_equal(positions, used)),
         Weld::Rounding => Ok(weld_rounded(positions, triangles, used)),
-        Weld::Tolerance(t) if !(t >= 0.0 && t.is_finite()) => Err(Error::Tolerance { seen: t }),
+        Weld::Tolerance(t) if !(t >= 0.0 && t.is_finite()) => Err(Error::invalid(
+            "weld tolerance",
+            format!("is {t}, it must be finite and at least 0"),
+        )),
         // Below the spacing of the coordinates a tolerance joins nothing but equal points.
         Weld::Tolerance(t) if t <= spacing(positions, used) => Ok(weld_equal(positions, used)),
         Weld::Tolerance(t) => Ok(weld_close(positions, used, t)),

@@ -10,7 +10,7 @@ use super::edit_command::{
 };
 use super::edit_operations::{EditContext, PlannedEdit, plan_edit};
 use super::edit_surface::EditSurface;
-use super::error::{Error, InputPlace};
+use super::error::Error;
 use super::facts::{DeformerWarning, MeshCounts};
 use super::handle::Region;
 use super::part_families::VertexOrigins;
@@ -296,12 +296,12 @@ impl Deformer {
         let context = self.rest_regions(exec);
         let mut vertices = Vec::new();
         for (k, handle) in set.handles.iter().enumerate() {
-            let place = |part| InputPlace::HandleRegion(k, part);
-            vertices.push(vertices_of_handle(&context, &handle.region).map_err(|e| e.with_place(place))?);
+            let held = vertices_of_handle(&context, &handle.region);
+            vertices.push(held.map_err(|e| e.below(&format!("handles[{k}].region")))?);
         }
         if let Some(region) = &set.region_of_interest {
             let held = vertices_in_region(&context, region, None);
-            vertices.push(held.map_err(|e| e.with_place(InputPlace::RegionOfInterest))?);
+            vertices.push(held.map_err(|e| e.below("regionOfInterest"))?);
         }
         let at_rest = order.on == EditedShape::Rest;
         // What stands for a vertex that is held is held as well.

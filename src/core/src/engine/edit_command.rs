@@ -225,6 +225,23 @@ pub struct KeptVertexRun {
     pub count: u32,
 }
 
+impl EditKind {
+    /// The name of the operation in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cut => "cut",
+            Self::Subdivide => "subdivide",
+            Self::Decimate => "decimate",
+            Self::Delete => "delete",
+            Self::Fill => "fill",
+            Self::Remesh => "remesh",
+            Self::Merge => "merge",
+            Self::InsertCurve => "insertCurve",
+            Self::Weld => "weld",
+        }
+    }
+}
+
 impl Edit {
     /// Returns the kind of the edit.
     pub fn kind(&self) -> EditKind {

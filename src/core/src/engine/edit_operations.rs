@@ -3,7 +3,7 @@
 use super::DeformerLimits;
 use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge};
 use super::edit_surface::EditSurface;
-use super::error::{Error, InputPlace};
+use super::error::Error;
 use super::handle::Region;
 use super::model_topology::ModelTopology;
 use super::part_families::VertexOrigins;
@@ -114,8 +114,7 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
             let faces = context.faces_in_region(Some(region), kind)?;
             if faces.len() == context.surface.triangles.len() {
                 let problem = "holds every triangle; something has to be left";
-                let place = InputPlace::EditRegion(kind, super::RegionPlace::Whole);
-                return Err(Error::invalid(place, problem));
+                return Err(Error::invalid("delete.region", problem));
             }
             edit::delete_faces(&context.surface.surface(), &faces, *fill, progress)?
         }
@@ -170,8 +169,8 @@ impl EditContext<'_> {
 
     /// The triangles with at least `corners` corners in a region, rising.
     fn faces_touching(&self, region: &Region, corners: usize, kind: EditKind) -> Result<Vec<u32>, Error> {
-        let place = |part| InputPlace::EditRegion(kind, part);
-        let marks = vertices_in_region(&self.regions, region, None).map_err(|e| e.with_place(place))?;
+        let field = format!("{}.region", kind.name());
+        let marks = vertices_in_region(&self.regions, region, None).map_err(|e| e.below(&field))?;
         let faces: Vec<u32> = (0u32..)
             .zip(&self.surface.triangles)
             .filter(|(_, t)| t.iter().filter(|&&v| marks[v as usize]).count() >= corners)
@@ -179,7 +178,7 @@ impl EditContext<'_> {
             .collect();
         if faces.is_empty() {
             let problem = "holds no triangle; a triangle is inside when its three corners are";
-            return Err(Error::invalid(place(super::RegionPlace::Whole), problem));
+            return Err(Error::invalid(field, problem));
         }
         Ok(faces)
     }
@@ -222,7 +221,7 @@ fn plan_cut(
                     let count = surface.positions.len();
                     let problem =
                         format!("is {vertex}, which no triangle uses; the model has {count} vertices, counted from 0");
-                    Error::invalid(InputPlace::CutPathVertex(k), problem)
+                    Error::invalid(format!("cut.path[{k}]"), problem)
                 })?);
             }
             edit::cut_along_curve(&surface, &SurfaceCurve::Along(&path), *closed, &options, exec.progress)?
@@ -242,8 +241,8 @@ fn plan_weld(context: &mut EditContext<'_>, tolerance: f64, exec: &Exec<'_>) -> 
 /// Appends the other model to surface and origins, and plans how they are joined.
 fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>) -> Result<SurfacePatch, Error> {
     let source = match merge.from_session {
-        true => InputPlace::MergedSession,
-        false => InputPlace::MergedModel,
+        true => "merge.session",
+        false => "merge.model",
     };
     let unfit = |e: Error| match e {
         Error::Asset(asset::Error::TooLarge { .. }) | Error::TooLarge { .. } | Error::Cancelled => e,
@@ -318,5 +317,5 @@ fn check_sizes(own: &[DVec3], placed: &[DVec3]) -> Result<(), Error> {
         "makes both together {:.3e} times as large as the smaller one, allowed is {LARGEST:e}",
         both / least
     );
-    Err(Error::invalid(InputPlace::MergePlacement, problem))
+    Err(Error::invalid("merge.transform", problem))
 }

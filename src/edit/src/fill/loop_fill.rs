@@ -15,10 +15,10 @@
 
 use super::opening::{OpeningRim, split_double_edges};
 use super::polygon::triangulate_polygon;
-use crate::error::Error;
 use crate::region_mesh::{CAP, RegionMesh, edge_key};
 use glam::{DVec2, DVec3};
 use pliant_exec::progress::{Progress, check};
+use pliant_mesh::Error;
 use std::collections::BTreeMap;
 
 /// Loops with more edges are laid into a plane: the exact search takes their number to the third power.

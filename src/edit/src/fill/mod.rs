@@ -4,7 +4,6 @@ mod loop_fill;
 mod opening;
 mod polygon;
 
-use super::error::{EditSubject, Error, ErrorPlace};
 use super::patch::{EditWarning, SurfacePatch};
 use super::region_mesh::RegionMesh;
 use super::surface::{BitSet, SurfaceView};
@@ -13,6 +12,7 @@ use loop_fill::fill_loop;
 pub(super) use loop_fill::{RefineSize, WHOLE_EDGES, refine_faces, triangulate_loop};
 pub(super) use opening::{OpeningRim, split_double_edges};
 use pliant_exec::progress::{Progress, check};
+use pliant_mesh::Error;
 pub(super) use polygon::{double_area, loop_contains, triangulate_polygon};
 use std::collections::BTreeSet;
 
@@ -39,7 +39,7 @@ pub fn delete_faces(
                 faces.len(),
                 surface.triangles.len()
             ),
-            place: ErrorPlace::Argument(EditSubject::DeletedRegion),
+            place: "delete.region".into(),
         });
     }
     let mut mesh = RegionMesh::with_ring(surface, &faces);
@@ -113,7 +113,7 @@ pub fn fill_holes(
         };
         return Err(Error::Impossible {
             problem,
-            place: ErrorPlace::Argument(EditSubject::FilledRegion),
+            place: "fill.region".into(),
         });
     }
     check(progress)?;

@@ -7,8 +7,8 @@
 mod resolve;
 mod surface_patch;
 
-use super::error::{EditSubject, Error};
 use super::surface::SurfaceView;
+use pliant_mesh::Error;
 use pliant_mesh::NONE;
 use resolve::{ResolvedPatch, check_surface};
 pub use surface_patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch};
@@ -118,7 +118,7 @@ fn lost_vertices(surface: &SurfaceView<'_>, patch: &SurfacePatch, triangles: &[[
             Some(missing) => *missing = true,
             None => {
                 return Err(Error::invalid(
-                    EditSubject::Patch("idle"),
+                    "patch.idle",
                     format!("names vertex {v}, there are {old}"),
                 ));
             }
@@ -133,7 +133,7 @@ fn lost_vertices(surface: &SurfaceView<'_>, patch: &SurfacePatch, triangles: &[[
     }
     if let Some(idle) = missing[old..].iter().position(|&m| m) {
         return Err(Error::invalid(
-            EditSubject::Patch("vertices"),
+            "patch.vertices",
             format!("new vertex {idle} is in no triangle"),
         ));
     }

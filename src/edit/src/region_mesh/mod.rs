@@ -19,12 +19,12 @@
 mod mesh;
 mod split;
 
-use super::error::Error;
 use super::patch::{NewTriangle, NewVertex, SurfacePatch};
 use super::surface::{BitSet, SurfaceView, check_region};
 use glam::DVec3;
 pub(super) use mesh::{CAP, EdgeFaces, RegionMesh, Wedge, edge_key};
 use mesh::{RegionFace, RegionPoint};
+use pliant_mesh::Error;
 use pliant_mesh::NONE;
 pub(super) use split::EdgeCollapse;
 use std::collections::BTreeMap;

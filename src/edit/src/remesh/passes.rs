@@ -6,12 +6,12 @@
 use super::deviation::WORK;
 use super::remesher::{PointConstraint, Remesher};
 use super::sizing::{ASPECT, STRETCH};
-use crate::error::Error;
 use crate::region_mesh::RegionMesh;
 use crate::surface::{BitSet, SurfaceView};
 use crate::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
+use pliant_mesh::Error;
 use pliant_mesh::NONE;
 
 /// Edges longer than this times the target are split.

@@ -2,11 +2,11 @@
 
 use super::deviation::{ChangedFaces, DeviationBound, OriginalPoint, OriginalSurface, SLIVER, WORK};
 use super::feature_lines::{Chain, ChainPoint, FeatureLines, LineKind};
-use crate::error::Error;
 use crate::region_mesh::{EdgeFaces, RegionMesh, Wedge};
 use crate::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
+use pliant_mesh::Error;
 use pliant_mesh::NONE;
 
 /// No face turns by more than the angle with this cosine (60°) in one step.

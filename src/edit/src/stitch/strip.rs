@@ -2,9 +2,9 @@
 //!
 //! Closed boundary loops that can be stitched.
 
-use crate::error::Error;
 use crate::region_mesh::RegionMesh;
 use pliant_exec::progress::{Cancelled, Progress, check};
+use pliant_mesh::Error;
 use pliant_mesh::NONE;
 use std::collections::BTreeMap;
 

@@ -1,7 +1,7 @@
 //! Edges around an edit: of the lattice, and among vertices and their copies.
 
+use crate::Error;
 use crate::NONE;
-use crate::graph::error::Error;
 use crate::graph::mesh_graph::{CotangentScale, InteriorRecipe};
 use crate::graph::parallel::map;
 use crate::graph::resample::change::{GraphBefore, MeshChange, NewEdge, NodeNumbers};

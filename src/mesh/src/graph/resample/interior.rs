@@ -1,7 +1,7 @@
 //! Lattice nodes around an edit: which stay, which places get new ones, and the edges of both.
 
+use crate::Error;
 use crate::NONE;
-use crate::graph::error::Error;
 use crate::graph::mesh_graph::{InteriorRecipe, MeshGraph};
 use crate::graph::parallel::map;
 use crate::graph::resample::change::{ChangedPoints, GraphBefore, MeshChange, NewEdge, NodeNumbers};

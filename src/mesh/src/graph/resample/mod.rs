@@ -15,7 +15,7 @@ mod interior;
 mod rows;
 mod zone;
 
-use crate::graph::error::Error;
+use crate::Error;
 use crate::graph::mesh_graph::{GraphRecipe, GraphStats, InteriorRecipe, MeshGraph};
 use crate::graph::volume::build::most_visits;
 use crate::query::{TriangleBvh, VisitBudget, VisitCount};

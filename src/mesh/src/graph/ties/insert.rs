@@ -2,7 +2,7 @@
 //!
 //! Ties after an edit of the mesh: those around the edit are found again, all others stay.
 
-use crate::graph::error::Error;
+use crate::Error;
 use crate::graph::mesh_graph::MeshGraph;
 use crate::graph::resample::{MeshChange, ResampledGraph, resample};
 use crate::graph::ties::part_ties::{LOOSE, PartTies, TieAnchor, TieFamilies, TieOptions, TieReach, UntiedGraph};
@@ -24,12 +24,9 @@ const BLOCK: usize = 1 << 12;
 /// stay in proportion to the mesh whatever lies in one place. The result depends on the arguments alone.
 ///
 /// # Errors
-/// [`Error::Length`] for a distance that is none, [`Error::Cancelled`].
+/// [`Error::Invalid`] for a distance that is none, [`Error::Cancelled`].
 pub fn tie_parts(graph: MeshGraph, mesh: &Mesh, options: &TieOptions, exec: &Exec<'_>) -> Result<MeshGraph, Error> {
-    if let Some(seen) = options.distance.filter(|d| !(*d > 0.0 && d.is_finite())) {
-        let option = "tie distance";
-        return Err(Error::Length { option, seen });
-    }
+    Error::check_length("tie distance", options.distance)?;
     if options.families == TieFamilies::One {
         return Ok(graph);
     }

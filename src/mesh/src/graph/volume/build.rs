@@ -4,8 +4,8 @@
 //! A volume graph of touching parts shares one lattice, which ties them. Where parts touch but do not belong together, such as
 //! the halves of a cut, every part gets a graph of its own.
 
+use crate::Error;
 use crate::graph::assemble::surface;
-use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphRecipe, GraphStats, MeshGraph};
 use crate::graph::volume::caps::{ClosedHull, HullFaces};
 use crate::graph::volume::lattice::LatticeBody;
@@ -72,7 +72,7 @@ pub fn estimate_nodes(mesh: &Mesh, kind: InteriorKind) -> usize {
 /// let graph = volume(&mesh, &VolumeOptions::default(), &Exec::new(&pool, &Silent))?.expect("a box has an inside");
 /// assert_eq!(graph.surface, mesh.positions.len());
 /// assert!(graph.stats.lattice_nodes > 0 && graph.nodes() > graph.surface);
-/// # Ok::<(), pliant_mesh::graph::Error>(())
+/// # Ok::<(), pliant_mesh::Error>(())
 /// ```
 ///
 /// # Errors

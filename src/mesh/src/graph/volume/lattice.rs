@@ -4,7 +4,7 @@
 //! only blocks near the surface are split, so the work grows with the surface, not with the box around it.
 
 use crate::BoundingBox;
-use crate::graph::error::Error;
+use crate::Error;
 use crate::graph::parallel::{map, map_along};
 use crate::graph::volume::caps::HullFaces;
 use crate::graph::volume::lattice_grid::{

@@ -7,8 +7,8 @@
 //! that leads nearer. The answer is the nearest vertex or one almost as near, in time linear in the lattice, and it is
 //! found without leaving the body that the node lies in.
 
+use crate::Error;
 use crate::graph::assemble::{InteriorNodes, assemble};
-use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphStats, InteriorRecipe, MeshGraph};
 use crate::graph::parallel::map;
 use crate::graph::volume::VolumeOptions;
@@ -165,11 +165,13 @@ pub(in crate::graph) fn fitting_lattice(
         };
         interval *= factor * 1.02;
     }
-    let grid = LatticeGrid::around(bounds, interval).ok_or(Error::Length {
-        option: "interval",
-        seen: interval,
-    })?;
-    Ok((grid, LatticeNodes::default()))
+    match LatticeGrid::around(bounds, interval) {
+        Some(grid) => Ok((grid, LatticeNodes::default())),
+        None => Err(Error::invalid(
+            "interval",
+            format!("is {interval}, it must be a positive finite length"),
+        )),
+    }
 }
 
 /// Shell and lattice before anything joins them.

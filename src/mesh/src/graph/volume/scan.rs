@@ -5,8 +5,8 @@
 //! touch each face for the few nodes around it, so the work grows with the number of faces and of nodes, not with the
 //! box around them, and nothing is searched. Sheets (all nodes of one height) are independent of each other.
 
+use crate::Error;
 use crate::Lists;
-use crate::graph::error::Error;
 use crate::graph::parallel::map_few;
 use crate::graph::volume::caps::HullFaces;
 use crate::graph::volume::lattice_grid::{LAST, LatticeGrid, LatticeNodes, NONE, TooFine, key};

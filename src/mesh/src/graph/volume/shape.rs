@@ -9,8 +9,8 @@
 //! share a lattice, and thinner ones have a finer one.
 
 use crate::BoundingBox;
+use crate::Error;
 use crate::graph::assemble::InteriorNodes;
-use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphStats, MeshGraph};
 use crate::graph::volume::VolumeOptions;
 use crate::graph::volume::caps::HullFaces;

@@ -4,7 +4,7 @@
 //! its vertex without crossing the surface; the offset is halved up to six times until that holds. A vertex without
 //! such a place has no copy. Which way leads inwards from each vertex is found first.
 
-use crate::graph::error::Error;
+use crate::Error;
 use crate::graph::parallel::{map, map_in_space};
 use crate::graph::volume::caps::{FaceColumns, HullFaces};
 use crate::graph::volume::lattice_grid::{NearSurface, RoomQueries};

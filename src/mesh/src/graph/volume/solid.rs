@@ -7,7 +7,7 @@
 //!
 //! The angle of a direction in the upper half plane.
 
-use crate::graph::error::Error;
+use crate::Error;
 use crate::graph::parallel::{map, map_in_space};
 use crate::graph::volume::caps::ClosedHull;
 use crate::graph::volume::lattice_grid::NearSurface;
