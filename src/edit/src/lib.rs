@@ -40,8 +40,8 @@ pub use fill::{delete_faces, fill_holes};
 pub use patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch, apply_patch};
 pub use pliant_mesh::Error;
 pub use remesh::{
-    ASPECT, DEVIATION, LENGTH_DEVIATION, MENDED, MOST_TRIANGLES, RemeshOptions, RemeshTarget, RemeshedRegion,
-    SHARP_DEGREES, STRETCH, expected_triangles, remesh_region,
+    ASPECT, DEVIATION, LENGTH_DEVIATION, MENDED, MOST_TRIANGLES, RemeshOptions, RemeshTarget, SHARP_DEGREES, STRETCH,
+    expected_triangles, remesh_region,
 };
 pub use stitch::{LoopPair, stitch_boundaries};
 pub use subdivide::{EvennessTarget, FieldSample, SubdivisionScheme, subdivide_region, subdivide_until_even};

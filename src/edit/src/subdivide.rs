@@ -363,13 +363,8 @@ impl EvenDivision<'_> {
             let sample = mean_sample(&self.samples[a as usize], &self.samples[b as usize]);
             let m = self.mesh.split_edge(a, b, 0.5, middle);
             self.samples.push(sample);
-            let mut around: Vec<u32> = Vec::new();
-            for &f in self.mesh.faces_around(m) {
-                around.extend(self.mesh.points_of(f).into_iter().filter(|&p| p != m));
-            }
-            around.sort_unstable();
-            around.dedup();
-            around.into_iter().for_each(|p| self.consider(p, m));
+            let around = self.mesh.neighbours(m).into_iter();
+            around.for_each(|p| self.consider(p, m));
         }
         Ok(true)
     }
@@ -380,7 +375,7 @@ impl EvenDivision<'_> {
         let Some(longest) = sources.filter_map(|f| self.longest[f]).min_by(f64::total_cmp) else {
             return;
         };
-        let length = self.mesh.position(a).distance(self.mesh.position(b));
+        let length = self.mesh.edge_length(a, b);
         if length <= self.least {
             return;
         }

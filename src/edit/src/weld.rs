@@ -27,7 +27,7 @@ pub const NOTHING_TO_WELD: &str = "weld-nothing";
 /// [`Error::Cancelled`].
 pub fn weld_points(surface: &SurfaceView, tolerance: f64, progress: &dyn Progress) -> Result<SurfacePatch, Error> {
     check_tolerance(tolerance, "weld.tolerance")?;
-    let positions = point_positions(surface);
+    let positions = surface.point_positions();
     let corners: Vec<[u32; 3]> = (surface.triangles.iter())
         .map(|t| t.map(|v| surface.point_of[v as usize]))
         .filter(|p| !p.contains(&NONE))
@@ -74,7 +74,7 @@ pub fn weld_boundaries(
         }
     }
     check(progress)?;
-    let positions = point_positions(surface);
+    let positions = surface.point_positions();
     let at = |p: u32| positions[p as usize];
     let matches = find_close_pairs(new, old, tolerance, at, progress)?;
     if matches.is_empty() {
@@ -112,17 +112,6 @@ fn check_tolerance(tolerance: f64, field: &str) -> Result<(), Error> {
     }
     let problem = format!("{tolerance} is not a distance, it must be finite and at least 0");
     Err(Error::invalid(field, problem))
-}
-
-/// Where each point is.
-fn point_positions(surface: &SurfaceView) -> Vec<DVec3> {
-    let mut positions = vec![DVec3::ZERO; surface.points as usize];
-    for (&p, &x) in surface.point_of.iter().zip(surface.positions) {
-        if p != NONE {
-            positions[p as usize] = x;
-        }
-    }
-    positions
 }
 
 /// Makes the joins that may be made, the closest first, into a patch.

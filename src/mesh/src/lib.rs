@@ -17,6 +17,8 @@ mod measure;
 pub mod query;
 pub mod rotation;
 pub mod shading;
+#[cfg(test)]
+mod testing;
 mod weld;
 mod welded_mesh;
 

@@ -330,14 +330,10 @@ mod tests {
 
     #[test]
     fn the_grid_finds_what_a_search_over_all_finds() {
-        let mut state = 7u64;
-        let mut next = || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 40) as f64 / (1u64 << 24) as f64 - 0.5
-        };
-        let p: Vec<DVec3> = (0..800).map(|_| DVec3::new(next(), next(), next())).collect();
+        let mut next = crate::testing::random(7);
+        let p: Vec<DVec3> = (0..800)
+            .map(|_| DVec3::new(next(), next(), next()) - DVec3::splat(0.5))
+            .collect();
         for tolerance in [0.01, 0.07, 0.3, 5.0] {
             let mut expected: Vec<u32> = Vec::new();
             for v in 0..p.len() {

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 fn patch_of(model: &Model, faces: &[u32], target: RemeshTarget<'_>) -> SurfacePatch {
     let options = RemeshOptions::from(target);
     let remeshed = remesh_region(&model.surface(), faces, &options, &Silent);
-    remeshed.expect("remeshes").patch
+    remeshed.expect("remeshes")
 }
 
 fn remeshed(model: &Model, faces: &[u32], length: f64) -> Model {

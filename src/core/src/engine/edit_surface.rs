@@ -123,15 +123,6 @@ impl EditSurface {
         triangles.for_each(|t| t.swap(1, 2));
     }
 
-    /// Where each point is.
-    pub fn point_positions(&self) -> Vec<DVec3> {
-        let mut positions = vec![DVec3::ZERO; self.points as usize];
-        for (&p, &position) in self.point_of.iter().zip(&self.positions).filter(|p| *p.0 != NONE) {
-            positions[p as usize] = position;
-        }
-        positions
-    }
-
     /// The first render vertex of each primitive.
     pub fn first_vertices(&self) -> Vec<u32> {
         self.primitives.iter().map(|p| p.first_vertex).collect()
@@ -142,19 +133,9 @@ impl EditSurface {
         let (vertices, primitives) = (self.positions.len() as u32, self.primitives.len() as u32);
         self.seams
             .append(&other.seams, self.positions.len(), other.positions.len());
-        let both = |a: bool, b: bool| a || b;
-        if both(!self.normals.is_empty(), !other.normals.is_empty()) {
-            self.normals.resize(self.positions.len(), Vec3::ZERO);
-            self.normals.extend(&other.normals);
-            self.normals
-                .resize(self.positions.len() + other.positions.len(), Vec3::ZERO);
-        }
-        if both(!self.tangents.is_empty(), !other.tangents.is_empty()) {
-            self.tangents.resize(self.positions.len(), Vec4::ZERO);
-            self.tangents.extend(&other.tangents);
-            self.tangents
-                .resize(self.positions.len() + other.positions.len(), Vec4::ZERO);
-        }
+        let counts = [self.positions.len(), other.positions.len()];
+        append_padded(&mut self.normals, &other.normals, counts, Vec3::ZERO);
+        append_padded(&mut self.tangents, &other.tangents, counts, Vec4::ZERO);
         self.positions.extend(&other.positions);
         self.triangles
             .extend(other.triangles.iter().map(|t| t.map(|v| v + vertices)));
@@ -172,6 +153,17 @@ impl EditSurface {
         }));
         self.leave_out_seams();
     }
+}
+
+/// Appends what the vertices of another surface have, where either has any: `counts` are the vertices of both, and `none` stands
+/// for those without.
+pub(super) fn append_padded<T: Copy>(own: &mut Vec<T>, other: &[T], counts: [usize; 2], none: T) {
+    if own.is_empty() && other.is_empty() {
+        return;
+    }
+    own.resize(counts[0], none);
+    own.extend_from_slice(other);
+    own.resize(counts[0] + counts[1], none);
 }
 
 /// The vertices of triangles that the mesh left out which are in no other, rising.

@@ -306,8 +306,7 @@ impl VertexOrigins {
                     flags.push(self.bare[was as usize]);
                 }
                 Some(new) => {
-                    let parts = new.of.into_iter().zip(new.weights).filter(|p| p.1 > 0.0);
-                    let parts: Vec<(u32, f64)> = parts.collect();
+                    let parts: Vec<(u32, f64)> = new.parts().collect();
                     blends.push_composed(&self.blends, &parts);
                     let inherited = parts.iter().all(|p| self.bare[p.0 as usize]);
                     flags.push(inherited || bare(now));

@@ -8,6 +8,7 @@
 //! ones are apart where the surface has an edge, and alike where it is nearly flat; new triangles there are shaded flat
 //! again, with vertices of their own.
 
+use super::edit_surface::append_padded;
 use super::error::Error;
 use super::part_families::VertexOrigins;
 use crate::asset::{Geometry, VertexAttributes, VertexBlend, agrees_with_facet, facet_normal, normal_key};
@@ -99,11 +100,7 @@ impl Seams {
         self.stands_for.extend(known..before as u32);
         let added = (0..vertices as u32).map(|v| before as u32 + other.first_of(v));
         self.stands_for.extend(added);
-        if !self.facets.is_empty() || !other.facets.is_empty() {
-            self.facets.resize(before, false);
-            self.facets.extend_from_slice(&other.facets);
-            self.facets.resize(before + vertices, false);
-        }
+        append_padded(&mut self.facets, &other.facets, [before, vertices], false);
     }
 
     /// Marks all vertices that one stands for, where one of them is marked.
@@ -126,10 +123,7 @@ impl Seams {
         }
         let count = before.positions.len();
         let moved: BTreeMap<u32, DVec3> = patch.moved.iter().copied().collect();
-        let facet = |v: &NewVertex| {
-            let parts = v.of.iter().zip(&v.weights).filter(|(_, w)| **w > 0.0);
-            parts.map(|(&v, _)| v).any(|v| self.is_facet(v))
-        };
+        let facet = |v: &NewVertex| v.parts().any(|(v, _)| self.is_facet(v));
         // The corners of each new vertex that is to be many.
         let mut corners_of: Vec<Vec<(usize, usize)>> = vec![Vec::new(); patch.vertices.len()];
         let is_parted: Vec<bool> = patch.vertices.iter().map(facet).collect();

@@ -9,6 +9,7 @@ use crate::patch::SurfacePatch;
 use crate::region_mesh::{RegionMesh, edge_key};
 use crate::surface::{BitSet, SurfaceView};
 use crate::topology::split_into_loops;
+use crate::triangle::longest_side;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
 use pliant_mesh::Error;
@@ -48,7 +49,7 @@ pub(super) struct DrawnCurve {
 }
 
 /// Makes a curve an edge path of the surface, without opening it. With `closed` the last point is joined to the first.
-/// Answers the patch and the numbers, after the edit, of the points along the curve (the first is not repeated).
+/// The patch names the points along the curve; the first is not repeated.
 ///
 /// # Errors
 /// [`Error::Invalid`] for fewer than two (closed: three) points, or too many, or ones that do not exist;
@@ -58,14 +59,15 @@ pub fn insert_curve(
     curve: &SurfaceCurve<'_>,
     closed: bool,
     progress: &dyn Progress,
-) -> Result<(SurfacePatch, Vec<u32>), Error> {
+) -> Result<SurfacePatch, Error> {
     let DrawnCurve { mesh, mut chain } = draw_curve(surface, curve, closed, "insertCurve.points", progress)?;
     if closed && chain.len() > 1 {
         chain.pop();
     }
-    let (patch, number) = mesh.into_finite_patch(surface, Vec::new())?;
+    let (mut patch, number) = mesh.into_finite_patch(surface, Vec::new())?;
     // Nothing goes, so old points keep their numbers and new ones follow in the order of the patch.
-    Ok((patch, chain.iter().map(|&p| number[p as usize]).collect()))
+    patch.curve = chain.iter().map(|&p| number[p as usize]).collect();
+    Ok(patch)
 }
 
 /// Draws a curve into a mesh of the faces around it, which grows until the curve finds its way. `field` is the path of its
@@ -190,10 +192,7 @@ fn gather_around_curve(
         let stretches = places.len() - usize::from(!closed);
         for k in 0..stretches {
             let (a, b) = (places[k], places[(k + 1) % places.len()]);
-            let size = |p: FacePosition| {
-                let [x, y, z] = surface.corner_positions(p.face);
-                x.distance(y).max(y.distance(z)).max(z.distance(x))
-            };
+            let size = |p: FacePosition| longest_side(surface.corner_positions(p.face));
             let margin = DVec3::splat(reach * a.position.distance(b.position) + size(a).max(size(b)));
             let (low, high) = (a.position.min(b.position) - margin, a.position.max(b.position) + margin);
             runs.collect_in_box(surface, low, high, &mut faces);

@@ -33,14 +33,12 @@ pub fn delete_faces(
     faces.dedup();
     faces.retain(|&f| (f as usize) < surface.triangles.len());
     if faces.is_empty() || faces.len() == surface.triangles.len() {
-        return Err(Error::Impossible {
-            problem: format!(
-                "the region holds {} of {} faces; name at least one and leave at least one",
-                faces.len(),
-                surface.triangles.len()
-            ),
-            place: "delete.region".into(),
-        });
+        let problem = format!(
+            "the region holds {} of {} faces; name at least one and leave at least one",
+            faces.len(),
+            surface.triangles.len()
+        );
+        return Err(Error::impossible(problem, "delete.region"));
     }
     let mut mesh = RegionMesh::with_ring(surface, &faces);
     let doomed: Vec<u32> = (0..mesh.triangles.len() as u32)
@@ -111,10 +109,7 @@ pub fn fill_holes(
             (0, n) => format!("none of the surface's {n} rims closes to a loop"),
             (n, _) => format!("none of the surface's {n} holes touches the region; widen it up to a rim"),
         };
-        return Err(Error::Impossible {
-            problem,
-            place: "fill.region".into(),
-        });
+        return Err(Error::impossible(problem, "fill.region"));
     }
     check(progress)?;
     let mut around = BitSet::new(surface.points as usize);

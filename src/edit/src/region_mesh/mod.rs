@@ -288,6 +288,7 @@ impl RegionMesh {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::surface::TestSurface;
 
     #[test]
     fn a_ring_grows_and_knows_which_points_are_whole() {
@@ -298,14 +299,8 @@ mod tests {
         let triangles: Vec<[u32; 3]> = (0..3)
             .flat_map(|i| [[2 * i, 2 * i + 2, 2 * i + 1], [2 * i + 1, 2 * i + 2, 2 * i + 3]])
             .collect();
-        let points: Vec<u32> = (0..8).collect();
-        let surface = SurfaceView {
-            positions: &positions,
-            triangles: &triangles,
-            primitive_of: &[0; 6],
-            point_of: &points,
-            points: 8,
-        };
+        let strip = TestSurface::new(positions, triangles);
+        let surface = strip.view();
         let alone = RegionMesh::from_triangles(&surface, vec![1, 99, 1]);
         let old = |mesh: &RegionMesh| mesh.points.iter().map(|p| p.old).collect::<Vec<u32>>();
         assert_eq!((alone.triangles.as_slice(), old(&alone)), (&[1][..], vec![1, 2, 3]));
@@ -314,6 +309,6 @@ mod tests {
         let whole: Vec<bool> = ring.points.iter().map(|p| p.whole).collect();
         assert_eq!(whole, [true, true, true, false, false]);
         assert_eq!(ring.open_sides(|_, _| true).len(), 5);
-        assert_eq!(ring.position(4), positions[4]);
+        assert_eq!(ring.position(4), strip.positions[4]);
     }
 }

@@ -36,15 +36,6 @@ const SETTLED: usize = 50;
 /// Rounds of mending at the end.
 const MENDING: usize = 6;
 
-/// A remeshed region.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct RemeshedRegion {
-    /// What changes.
-    pub patch: SurfacePatch,
-    /// The largest distance between the old and the new surface.
-    pub deviation: f64,
-}
-
 /// Remeshes the triangles `region`, rising numbers. With [`RemeshTarget::Auto`] fair triangles stay unless an unfair one is
 /// beside them; a patch that changes nothing comes with the warning `remesh-nothing`. Faces that stay worse than [`MENDED`]
 /// are counted in the warning `remesh-aspect`, those that stand against the surface beside them, because it is thinner
@@ -59,14 +50,11 @@ pub fn remesh_region(
     region: &[u32],
     options: &RemeshOptions,
     progress: &dyn Progress,
-) -> Result<RemeshedRegion, Error> {
+) -> Result<SurfacePatch, Error> {
     let Some((mesh, plan)) = plan_remesh(surface, region, options)? else {
-        return Ok(RemeshedRegion {
-            patch: SurfacePatch {
-                warnings: vec![nothing_to_remesh()],
-                ..SurfacePatch::default()
-            },
-            deviation: 0.0,
+        return Ok(SurfacePatch {
+            warnings: vec![nothing_to_remesh()],
+            ..SurfacePatch::default()
         });
     };
     let expected = sizing::estimate_triangles(&mesh, &plan.sizes);
@@ -87,11 +75,12 @@ pub fn remesh_region(
     ];
     let deviation = work.measure_deviation(progress)?;
     let (mut patch, _) = work.mesh.into_patch(surface);
+    patch.deviation = deviation;
     patch.warnings = warnings.into_iter().flatten().collect();
     if patch.removed.is_empty() && patch.triangles.is_empty() {
         patch.warnings.push(nothing_to_remesh());
     }
-    Ok(RemeshedRegion { patch, deviation })
+    Ok(patch)
 }
 
 /// About how many triangles [`remesh_region`] would make of the region, which now has `region.len()`, before anything is

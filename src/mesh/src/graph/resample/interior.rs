@@ -425,8 +425,7 @@ pub(super) fn spread_nearest(graph: &mut MeshGraph, local: &LocalMesh, asked: Ve
         let Some(start) = local.find_local(graph.nearest_surface[node as usize]) else {
             continue;
         };
-        let row = graph.offsets[node as usize] as usize..graph.offsets[node as usize + 1] as usize;
-        for entry in row {
+        for entry in graph.entries(node) {
             let other = graph.neighbours[entry] as usize;
             if other < first {
                 continue;

@@ -347,7 +347,7 @@ fn unite_graphs(mesh: &Mesh, graphs: &[(Vec<u32>, MeshGraph)]) -> MeshGraph {
     for (part, node) in of {
         let (_, g) = &graphs[part as usize];
         let numbers = &numbers[part as usize];
-        let row = g.offsets[node as usize] as usize..g.offsets[node as usize + 1] as usize;
+        let row = g.entries(node);
         whole
             .neighbours
             .extend(g.neighbours[row.clone()].iter().map(|&j| numbers[j as usize]));

@@ -277,13 +277,7 @@ mod angle_tests {
 
     #[test]
     fn angles_are_those_of_libm_to_the_bit() {
-        let mut state = 5u64;
-        let mut next = || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 11) as f64 / (1u64 << 53) as f64
-        };
+        let mut next = crate::testing::random(5);
         let ask = |y: f64, x: f64| {
             let (own, known) = (upper_angle(y, x), libm::atan2(y, x));
             assert_eq!(own.to_bits(), known.to_bits(), "{y:e}, {x:e}: {own:e}, {known:e}");
