@@ -1,8 +1,7 @@
 //! The surface that an edit reads, and flat scans over it.
 
 use glam::DVec3;
-use pliant_mesh::Error;
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
 
 /// The surface that an edit works on. Render vertices and triangles stand in file order; triangles of one primitive stand
 /// together, primitives in rising order.

@@ -10,9 +10,8 @@ use super::topology::boundary_points;
 use super::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Cancelled, Progress, check};
-use pliant_mesh::Error;
 use pliant_mesh::query::closest_surface_point::group_fans;
-use pliant_mesh::{BoundingBox, Mesh, NONE, Weld};
+use pliant_mesh::{BoundingBox, Error, Mesh, NONE, Weld};
 use std::collections::BTreeSet;
 
 /// The code of the warning that no two points are close enough.

@@ -22,7 +22,7 @@ mod testing;
 mod weld;
 mod welded_mesh;
 
-pub use adjacency::{Adjacency, BoundaryLoop, Components, Lists, MeshEdge, boundary_loops};
+pub use adjacency::{Adjacency, BoundaryLoop, Components, Lists, MeshEdge, boundary_loops, sorted_set};
 pub use error::{Error, shown_count};
 pub use inspect::{MeshReport, MeshWarning, PartReport, inspect};
 pub use intersections::self_intersections;

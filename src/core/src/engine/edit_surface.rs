@@ -1,6 +1,6 @@
 //! The surface that an edit works on.
 
-use super::seams::Seams;
+use super::seams::{Seams, append_padded};
 use super::shape::Shading;
 use crate::asset::{Geometry, Primitive};
 use crate::edit::SurfaceView;
@@ -153,17 +153,6 @@ impl EditSurface {
         }));
         self.leave_out_seams();
     }
-}
-
-/// Appends what the vertices of another surface have, where either has any: `counts` are the vertices of both, and `none` stands
-/// for those without.
-pub(super) fn append_padded<T: Copy>(own: &mut Vec<T>, other: &[T], counts: [usize; 2], none: T) {
-    if own.is_empty() && other.is_empty() {
-        return;
-    }
-    own.resize(counts[0], none);
-    own.extend_from_slice(other);
-    own.resize(counts[0] + counts[1], none);
 }
 
 /// The vertices of triangles that the mesh left out which are in no other, rising.

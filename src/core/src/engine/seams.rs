@@ -8,7 +8,6 @@
 //! ones are apart where the surface has an edge, and alike where it is nearly flat; new triangles there are shaded flat
 //! again, with vertices of their own.
 
-use super::edit_surface::append_padded;
 use super::error::Error;
 use super::part_families::VertexOrigins;
 use crate::asset::{Geometry, VertexAttributes, VertexBlend, agrees_with_facet, facet_normal, normal_key};
@@ -170,6 +169,17 @@ impl Seams {
         }
         patch.vertices = vertices;
     }
+}
+
+/// Appends what the vertices of another surface have, where either has any: `counts` are the vertices of both, and `none` stands
+/// for those without.
+pub(super) fn append_padded<T: Copy>(own: &mut Vec<T>, other: &[T], counts: [usize; 2], none: T) {
+    if own.is_empty() && other.is_empty() {
+        return;
+    }
+    own.resize(counts[0], none);
+    own.extend_from_slice(other);
+    own.resize(counts[0] + counts[1], none);
 }
 
 /// Sets of vertices, each named by the smallest one.

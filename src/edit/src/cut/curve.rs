@@ -12,9 +12,8 @@ use crate::topology::split_into_loops;
 use crate::triangle::longest_side;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::Error;
 use pliant_mesh::query::closest_point::barycentric_coordinates;
-use pliant_mesh::{Components, NONE};
+use pliant_mesh::{Components, Error, NONE};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A curve on a surface.

@@ -17,8 +17,7 @@ use crate::region_mesh::{CAP, RegionMesh, Wedge};
 use crate::topology::split_into_loops;
 use glam::{DVec2, DVec3};
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::Error;
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
 use std::collections::BTreeMap;
 
 /// Fills the openings along `open_sides` (sides of living faces: from, to, face), which lie in a plane with the outward

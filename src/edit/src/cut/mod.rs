@@ -15,8 +15,7 @@ pub use curve::{MOST_POINTS, SurfaceCurve, cut_along_curve, insert_curve};
 use flat_cap::cap_flat_openings;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::Error;
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Cuts `surface` by `plane`, everywhere. Openings are closed by flat caps.

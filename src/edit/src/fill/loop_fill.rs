@@ -18,7 +18,7 @@ use super::polygon::triangulate_polygon;
 use crate::region_mesh::{CAP, RegionMesh, edge_key};
 use glam::{DVec2, DVec3};
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::Error;
+use pliant_mesh::{Error, sorted_set};
 use std::collections::BTreeMap;
 
 /// Loops with more edges are laid into a plane: the exact search takes their number to the third power.
@@ -401,13 +401,7 @@ pub(crate) fn refine_faces(
 /// Points of the new faces that are not on the rim.
 fn inner_points(mesh: &RegionMesh, first: usize, sizes: &BTreeMap<u32, f64>) -> Vec<u32> {
     let faces = mesh.faces[first..].iter().filter(|f| f.alive);
-    let mut inner: Vec<u32> = faces
-        .flat_map(|f| f.points)
-        .filter(|p| !sizes.contains_key(p))
-        .collect();
-    inner.sort_unstable();
-    inner.dedup();
-    inner
+    sorted_set(faces.flat_map(|f| f.points).filter(|p| !sizes.contains_key(p)))
 }
 
 /// Exchanges inner edges of the faces from `first` on whose opposite angles are more than half a turn together.

@@ -12,7 +12,7 @@ use loop_fill::fill_loop;
 pub(super) use loop_fill::{RefineSize, WHOLE_EDGES, refine_faces, triangulate_loop};
 pub(super) use opening::{OpeningRim, split_double_edges};
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::Error;
+use pliant_mesh::{Error, sorted_set};
 pub(super) use polygon::{double_area, loop_contains, triangulate_polygon};
 use std::collections::BTreeSet;
 
@@ -28,9 +28,7 @@ pub fn delete_faces(
     fill: bool,
     progress: &dyn Progress,
 ) -> Result<SurfacePatch, Error> {
-    let mut faces = faces.to_vec();
-    faces.sort_unstable();
-    faces.dedup();
+    let mut faces = sorted_set(faces.iter().copied());
     faces.retain(|&f| (f as usize) < surface.triangles.len());
     if faces.is_empty() || faces.len() == surface.triangles.len() {
         let problem = format!(

@@ -8,8 +8,7 @@ mod resolve;
 mod surface_patch;
 
 use super::surface::SurfaceView;
-use pliant_mesh::Error;
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
 use resolve::{ResolvedPatch, check_surface};
 pub use surface_patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch};
 

@@ -3,8 +3,7 @@
 use super::surface_patch::{NewVertex, PatchedSurface, SurfacePatch};
 use crate::surface::SurfaceView;
 use glam::DVec3;
-use pliant_mesh::Error;
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE, sorted_set};
 use std::collections::BTreeMap;
 
 /// What a patch says about points, checked and ready to look up.
@@ -66,9 +65,7 @@ impl ResolvedPatch {
             ));
         }
         let old = patch.vertices.iter().map(|v| v.point).filter(|&p| p < surface.points);
-        let mut named: Vec<u32> = old.chain(patch.joined.iter().map(|j| j.1)).collect();
-        named.sort_unstable();
-        named.dedup();
+        let named: Vec<u32> = sorted_set(old.chain(patch.joined.iter().map(|j| j.1)));
         if !named.is_empty() {
             let mut marked = vec![false; points];
             named.iter().for_each(|&p| marked[p as usize] = true);

@@ -24,8 +24,7 @@ use super::surface::{BitSet, SurfaceView, check_region};
 use glam::DVec3;
 pub(super) use mesh::{CAP, EdgeFaces, RegionMesh, Wedge, edge_key};
 use mesh::{RegionFace, RegionPoint};
-use pliant_mesh::Error;
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE, sorted_set};
 pub(super) use split::EdgeCollapse;
 use std::collections::BTreeMap;
 
@@ -38,12 +37,8 @@ impl RegionMesh {
         triangles.dedup();
         triangles.retain(|&t| (t as usize) < surface.triangles.len() && surface.proper_points(t).is_some());
         let corners = triangles.iter().flat_map(|&t| surface.triangles[t as usize]);
-        let mut vertices: Vec<u32> = corners.collect();
-        vertices.sort_unstable();
-        vertices.dedup();
-        let mut points: Vec<u32> = vertices.iter().map(|&v| surface.point_of[v as usize]).collect();
-        points.sort_unstable();
-        points.dedup();
+        let vertices: Vec<u32> = sorted_set(corners);
+        let points: Vec<u32> = sorted_set(vertices.iter().map(|&v| surface.point_of[v as usize]));
         let local = |v: u32| points.partition_point(|&p| p < surface.point_of[v as usize]) as u32;
         let mut mesh = Self {
             points: (points.iter().zip(0u32..))

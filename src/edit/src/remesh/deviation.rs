@@ -10,9 +10,8 @@ use crate::region_mesh::RegionMesh;
 use crate::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::Error;
-use pliant_mesh::NONE;
 use pliant_mesh::query::closest_point::{blend_corners, closest_weights_on_triangle};
+use pliant_mesh::{Error, NONE};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 

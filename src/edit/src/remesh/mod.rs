@@ -23,8 +23,7 @@ use super::region_mesh::RegionMesh;
 use super::surface::{SurfaceView, check_region};
 use super::triangle;
 use pliant_exec::progress::Progress;
-use pliant_mesh::BoundingBox;
-use pliant_mesh::Error;
+use pliant_mesh::{BoundingBox, Error};
 use remesher::{RemeshPlan, Remesher};
 
 /// Rounds of split, collapse, turn, smooth.

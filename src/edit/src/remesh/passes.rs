@@ -11,8 +11,7 @@ use crate::surface::{BitSet, SurfaceView};
 use crate::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::Error;
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
 use std::cmp::Ordering;
 
 /// Edges longer than this times the target are split.

@@ -9,8 +9,7 @@ use super::topology::boundary_points;
 use super::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::Error;
-use pliant_mesh::{Components, NONE};
+use pliant_mesh::{Components, Error, NONE};
 use std::collections::BTreeMap;
 use strip::StitchLoop;
 

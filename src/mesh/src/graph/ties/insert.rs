@@ -2,14 +2,13 @@
 //!
 //! Ties after an edit of the mesh: those around the edit are found again, all others stay.
 
-use crate::Error;
 use crate::graph::assemble::row_blocks;
 use crate::graph::mesh_graph::MeshGraph;
 use crate::graph::resample::{MeshChange, ResampledGraph, resample};
 use crate::graph::ties::part_ties::{LOOSE, PartTies, TieAnchor, TieFamilies, TieOptions, TieReach, UntiedGraph};
 use crate::graph::ties::part_tree::{TieSite, find_anchors};
 use crate::query::TriangleBvh;
-use crate::{BoundingBox, Components, Mesh, NONE};
+use crate::{BoundingBox, Components, Error, Mesh, NONE};
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;

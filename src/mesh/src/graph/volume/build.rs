@@ -4,7 +4,6 @@
 //! A volume graph of touching parts shares one lattice, which ties them. Where parts touch but do not belong together, such as
 //! the halves of a cut, every part gets a graph of its own.
 
-use crate::Error;
 use crate::graph::assemble::surface;
 use crate::graph::mesh_graph::{GraphRecipe, GraphStats, MeshGraph};
 use crate::graph::volume::caps::{ClosedHull, HullFaces};
@@ -20,7 +19,7 @@ use crate::graph::volume::solid::{ClassifiedParts, PartKind};
 use crate::graph::volume::{InteriorKind, VolumeOptions};
 use crate::graph::winding::WindingTree;
 use crate::query::{VisitBudget, VisitCount};
-use crate::{Adjacency, Components, Mesh, mean_edge_length};
+use crate::{Adjacency, Components, Error, Mesh, mean_edge_length};
 use pliant_exec::Exec;
 use std::sync::OnceLock;
 

@@ -7,7 +7,6 @@
 //! that leads nearer. The answer is the nearest vertex or one almost as near, in time linear in the lattice, and it is
 //! found without leaving the body that the node lies in.
 
-use crate::Error;
 use crate::graph::assemble::{InteriorNodes, assemble};
 use crate::graph::mesh_graph::{GraphStats, InteriorRecipe, MeshGraph};
 use crate::graph::parallel::map;
@@ -18,7 +17,7 @@ use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeKey, LatticeNodes, 
 use crate::graph::volume::shell::{ShellNodes, VolumeSite};
 use crate::graph::volume::solid::PartKind;
 use crate::graph::volume::{lattice, scan};
-use crate::{Adjacency, Mesh, signed_volume};
+use crate::{Adjacency, Error, Mesh, signed_volume};
 use glam::DVec3;
 use pliant_exec::pool::Pool;
 use rayon::prelude::*;

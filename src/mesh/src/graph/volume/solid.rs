@@ -7,13 +7,12 @@
 //!
 //! The angle of a direction in the upper half plane.
 
-use crate::Error;
 use crate::graph::parallel::{map, map_in_space};
 use crate::graph::volume::caps::ClosedHull;
 use crate::graph::volume::lattice_grid::NearSurface;
 use crate::graph::winding::WindingTree;
 use crate::query::VisitBudget;
-use crate::{Adjacency, Components, Mesh};
+use crate::{Adjacency, Components, Error, Mesh};
 use glam::DVec3;
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
