@@ -215,8 +215,8 @@ impl JobSource {
         });
         match read {
             Ok(job) => Ok(Self::Inline(Box::new(job))),
-            Err(wire::Error::Json { place, problem }) if place == "body" => Err(("job".into(), problem)),
-            Err(wire::Error::Json { place, problem } | wire::Error::Invalid { field: place, problem }) => {
+            Err(wire::Error::Malformed { field: place, problem }) if place == "body" => Err(("job".into(), problem)),
+            Err(wire::Error::Malformed { field: place, problem } | wire::Error::Invalid { field: place, problem }) => {
                 Err((format!("job.{place}"), problem))
             }
             Err(other) => Err(("job".into(), other.to_string())),
@@ -227,8 +227,10 @@ impl JobSource {
 impl AnimationCase {
     fn from_fields(fields: &AnimationFields<'_>) -> Result<JobSource, (String, String)> {
         let below = |field: &str, error: wire::Error| match error {
-            wire::Error::Json { place, problem } if place == "body" => (format!("animate.{field}"), problem),
-            wire::Error::Json { place, problem } | wire::Error::Invalid { field: place, problem } => {
+            wire::Error::Malformed { field: place, problem } if place == "body" => {
+                (format!("animate.{field}"), problem)
+            }
+            wire::Error::Malformed { field: place, problem } | wire::Error::Invalid { field: place, problem } => {
                 (format!("animate.{field}.{place}"), problem)
             }
             other => (format!("animate.{field}"), other.to_string()),

@@ -237,12 +237,6 @@ impl CliFailure {
     }
 }
 
-impl From<crate::engine::Error> for CliFailure {
-    fn from(e: crate::engine::Error) -> Self {
-        WireError::from(e).into()
-    }
-}
-
 impl From<WireError> for CliFailure {
     fn from(e: WireError) -> Self {
         match e {

@@ -214,7 +214,8 @@ fn circle(count: u32, radius: f64, height: f64) -> Vec<DVec3> {
 
 /// Inserts a curve and checks that it is a path of edges and that the surface is the same one. Answers its places.
 fn check_curve(whole: &Model, drawn: &[DVec3], closed: bool) -> Vec<DVec3> {
-    let (patch, points) = whole.insert(drawn, closed).expect("inserts");
+    let patch = whole.insert(drawn, closed).expect("inserts");
+    let points = &patch.curve;
     let with = after(whole, &patch);
     let (before, now) = (topology(whole), topology(&with));
     assert_eq!(

@@ -84,7 +84,8 @@ fn seams_and_primitives_stay_apart_and_blends_are_exact() {
         DVec3::new(-0.1, -1.0, 0.1),
     ]
     .map(|p| p * 1.2);
-    let (patch, points) = model.insert(&ring, true).expect("inserts");
+    let patch = model.insert(&ring, true).expect("inserts");
+    let points = &patch.curve;
     check_blends(&model, &side, &patch, 1e-12);
     assert!(points.len() > 16 && topology(&after(&model, &patch)).is_closed());
 }
@@ -193,7 +194,7 @@ fn everything(model: &Model, plane: &CutPlane, drawn: &[DVec3], faces: &[u32]) -
         &cut_options(KeptSide::Both, false, &[]),
         &Silent,
     ));
-    results.push(insert_curve(&s, &SurfaceCurve::Drawn(drawn), false, &Silent).map(|r| r.0));
+    results.push(insert_curve(&s, &SurfaceCurve::Drawn(drawn), false, &Silent));
     results.push(delete_faces(&s, faces, false, &Silent));
     results.push(delete_faces(&s, faces, true, &Silent));
     results.push(fill_holes(&s, None, &Silent));

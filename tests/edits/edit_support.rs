@@ -69,8 +69,7 @@ impl Model {
         cut_along_curve(&self.surface(), curve, closed, options, &Silent)
     }
 
-    /// The patch, and the points of the curve.
-    pub fn insert(&self, drawn: &[DVec3], closed: bool) -> Result<(SurfacePatch, Vec<u32>), Error> {
+    pub fn insert(&self, drawn: &[DVec3], closed: bool) -> Result<SurfacePatch, Error> {
         insert_curve(&self.surface(), &SurfaceCurve::Drawn(drawn), closed, &Silent)
     }
 

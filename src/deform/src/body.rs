@@ -82,9 +82,9 @@ impl DeformableBody {
             Ok(volume) => (volume, None),
             // What cannot be had with an inside can be had as a surface, unless the inside was asked for.
             Err(
-                e @ (graph::Error::TooManyNodes { .. }
-                | graph::Error::TooManyEdges { .. }
-                | graph::Error::FacesTooLong { .. }),
+                e @ (pliant_mesh::Error::TooManyNodes { .. }
+                | pliant_mesh::Error::TooManyEdges { .. }
+                | pliant_mesh::Error::FacesTooLong { .. }),
             ) if options.volume == VolumeMode::Auto => (None, Some(e.to_string())),
             Err(e) => return Err(e.into()),
         };

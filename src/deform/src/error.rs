@@ -1,7 +1,6 @@
 //! Why a deformation cannot be prepared or solved.
 
 use pliant_exec::progress::Cancelled;
-use pliant_mesh::graph;
 
 /// Why a deformation cannot be prepared or solved.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -50,10 +49,10 @@ impl From<pliant_solver::Error> for Error {
     }
 }
 
-impl From<graph::Error> for Error {
-    fn from(e: graph::Error) -> Self {
+impl From<pliant_mesh::Error> for Error {
+    fn from(e: pliant_mesh::Error) -> Self {
         match e {
-            graph::Error::Cancelled(_) => Self::Cancelled,
+            pliant_mesh::Error::Cancelled => Self::Cancelled,
             other => Self::Graph(other.to_string()),
         }
     }

@@ -7,14 +7,13 @@
 //! Every collapse is checked: no edge gets a third face, no face turns over. Simplifiers that work on buffers identify
 //! points by position, so they close a cut whose sides lie at one place, and leave edges with three faces behind.
 
-use super::error::{EditSubject, Error};
 use super::patch::{EditWarning, SurfacePatch};
 use super::region_mesh::{EdgeCollapse, RegionMesh};
 use super::surface::SurfaceView;
 use super::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::ops::AddAssign;
@@ -43,7 +42,7 @@ pub fn decimate_region(
 ) -> Result<SurfacePatch, Error> {
     if !(ratio > 0.0 && ratio < 1.0) {
         let problem = format!("{ratio} is not between 0 and 1, both excluded");
-        return Err(Error::invalid(EditSubject::DecimationRatio, problem));
+        return Err(Error::invalid("decimate.ratio", problem));
     }
     let mut mesh = RegionMesh::with_frozen_ring(surface, faces)?;
     let start = mesh.living_faces().count();

@@ -17,14 +17,12 @@
 //! | `remesh`, `decimate`, `subdivide` | other triangles for the same shape |
 //! | `stitch`, `weld` | joining boundaries and points |
 //!
-//! Other modules: the surface that is read (`surface`), its counts (`topology`), measures of
-//! a triangle (`triangle`) and errors (`error`).
+//! Other modules: the surface that is read (`surface`), its counts (`topology`) and measures of a triangle (`triangle`).
 
 #![cfg_attr(not(test), deny(clippy::disallowed_methods))]
 
 mod cut;
 mod decimate;
-mod error;
 mod fill;
 mod patch;
 mod region_mesh;
@@ -38,12 +36,12 @@ mod weld;
 
 pub use cut::{CutOptions, CutPlane, KeptSide, MOST_POINTS, SurfaceCurve, cut_along_curve, cut_by_plane, insert_curve};
 pub use decimate::decimate_region;
-pub use error::{EditSubject, Error, ErrorPlace, shown_count};
 pub use fill::{delete_faces, fill_holes};
 pub use patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch, apply_patch};
+pub use pliant_mesh::Error;
 pub use remesh::{
-    ASPECT, DEVIATION, LENGTH_DEVIATION, MENDED, MOST_TRIANGLES, RemeshOptions, RemeshTarget, RemeshedRegion,
-    SHARP_DEGREES, STRETCH, expected_triangles, remesh_region,
+    ASPECT, DEVIATION, LENGTH_DEVIATION, MENDED, MOST_TRIANGLES, RemeshOptions, RemeshTarget, SHARP_DEGREES, STRETCH,
+    expected_triangles, remesh_region,
 };
 pub use stitch::{LoopPair, stitch_boundaries};
 pub use subdivide::{EvennessTarget, FieldSample, SubdivisionScheme, subdivide_region, subdivide_until_even};

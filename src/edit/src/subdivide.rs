@@ -8,14 +8,13 @@
 //!
 //! Loop's masks ("Smooth Subdivision Surfaces Based on Triangles", 1987; boundaries after Hoppe et al. 1994).
 
-use super::error::{EditSubject, Error};
 use super::patch::{EditWarning, NewTriangle, NewVertex, SurfacePatch};
 use super::region_mesh::{RegionMesh, edge_key};
 use super::remesh::MOST_TRIANGLES;
 use super::surface::{SurfaceView, check_region};
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BinaryHeap};
 use std::f64::consts::TAU;
@@ -55,7 +54,7 @@ pub fn subdivide_region(
     }
     if edges.is_empty() {
         let problem = "it holds no triangle with three different points";
-        return Err(Error::invalid(EditSubject::Region, problem));
+        return Err(Error::invalid("region", problem));
     }
     let check_at = |k: usize| match k.is_multiple_of(4096) {
         true => check(progress),
@@ -363,13 +362,8 @@ impl EvenDivision<'_> {
             let sample = mean_sample(&self.samples[a as usize], &self.samples[b as usize]);
             let m = self.mesh.split_edge(a, b, 0.5, middle);
             self.samples.push(sample);
-            let mut around: Vec<u32> = Vec::new();
-            for &f in self.mesh.faces_around(m) {
-                around.extend(self.mesh.points_of(f).into_iter().filter(|&p| p != m));
-            }
-            around.sort_unstable();
-            around.dedup();
-            around.into_iter().for_each(|p| self.consider(p, m));
+            let around = self.mesh.neighbours(m).into_iter();
+            around.for_each(|p| self.consider(p, m));
         }
         Ok(true)
     }
@@ -380,7 +374,7 @@ impl EvenDivision<'_> {
         let Some(longest) = sources.filter_map(|f| self.longest[f]).min_by(f64::total_cmp) else {
             return;
         };
-        let length = self.mesh.position(a).distance(self.mesh.position(b));
+        let length = self.mesh.edge_length(a, b);
         if length <= self.least {
             return;
         }

@@ -1,8 +1,7 @@
 //! The surface that an edit reads, and flat scans over it.
 
-use super::error::{EditSubject, Error};
 use glam::DVec3;
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
 
 /// The surface that an edit works on. Render vertices and triangles stand in file order; triangles of one primitive stand
 /// together, primitives in rising order.
@@ -22,6 +21,17 @@ pub struct SurfaceView<'a> {
 }
 
 impl SurfaceView<'_> {
+    /// Where each point is.
+    pub fn point_positions(&self) -> Vec<DVec3> {
+        let mut positions = vec![DVec3::ZERO; self.points as usize];
+        for (&p, &x) in self.point_of.iter().zip(self.positions) {
+            if p != NONE {
+                positions[p as usize] = x;
+            }
+        }
+        positions
+    }
+
     /// The points of a triangle when they are three different ones.
     pub(super) fn proper_points(&self, triangle: u32) -> Option<[u32; 3]> {
         let [a, b, c] = self.triangles[triangle as usize].map(|v| self.point_of[v as usize]);
@@ -123,7 +133,7 @@ pub fn check_faces_at_points(surface: &SurfaceView) -> Result<(), Error> {
 
 /// Refuses a region that is empty, not rising, or names triangles that are not there.
 pub(super) fn check_region(surface: &SurfaceView, triangles: &[u32]) -> Result<(), Error> {
-    let invalid = |problem: String| Err(Error::invalid(EditSubject::Region, problem));
+    let invalid = |problem: String| Err(Error::invalid("region", problem));
     let Some(&last) = triangles.last() else {
         return invalid("it holds no whole triangle, at least one is needed".to_owned());
     };
@@ -139,6 +149,38 @@ pub(super) fn check_region(surface: &SurfaceView, triangles: &[u32]) -> Result<(
     Ok(())
 }
 
+/// A surface of unit tests, of one primitive, with a point for each vertex.
+#[cfg(test)]
+pub(super) struct TestSurface {
+    pub positions: Vec<DVec3>,
+    triangles: Vec<[u32; 3]>,
+    primitive_of: Vec<u32>,
+    point_of: Vec<u32>,
+}
+
+#[cfg(test)]
+impl TestSurface {
+    pub fn new(positions: impl Into<Vec<DVec3>>, triangles: impl Into<Vec<[u32; 3]>>) -> Self {
+        let (positions, triangles) = (positions.into(), triangles.into());
+        Self {
+            primitive_of: vec![0; triangles.len()],
+            point_of: (0..positions.len() as u32).collect(),
+            positions,
+            triangles,
+        }
+    }
+
+    pub fn view(&self) -> SurfaceView<'_> {
+        SurfaceView {
+            positions: &self.positions,
+            triangles: &self.triangles,
+            primitive_of: &self.primitive_of,
+            point_of: &self.point_of,
+            points: self.positions.len() as u32,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -147,15 +189,8 @@ mod tests {
     fn a_surface_whose_faces_all_meet_at_one_point_is_refused_beyond_a_bound() {
         let checked = |count: u32| {
             let positions: Vec<DVec3> = (0..=count).map(|k| DVec3::splat(f64::from(k))).collect();
-            let points: Vec<u32> = (0..=count).collect();
             let triangles: Vec<[u32; 3]> = (1..count).map(|k| [k, k + 1, 0]).collect();
-            check_faces_at_points(&SurfaceView {
-                positions: &positions,
-                triangles: &triangles,
-                primitive_of: &vec![0; triangles.len()],
-                point_of: &points,
-                points: count + 1,
-            })
+            check_faces_at_points(&TestSurface::new(positions, triangles).view())
         };
         assert_eq!(checked(30_000), Ok(()));
         let refused = checked(40_000).expect_err("too many meet").to_string();

@@ -251,68 +251,40 @@ pub(super) fn split_into_loops(edges: &[[u32; 2]]) -> (Vec<Vec<u32>>, Vec<Vec<u3
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::surface::TestSurface;
+
+    const POSITIONS: [DVec3; 5] = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z, DVec3::NEG_X];
+    const TETRAHEDRON: [[u32; 3]; 4] = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
+
+    fn surface(triangles: &[[u32; 3]], points: usize) -> TestSurface {
+        TestSurface::new(&POSITIONS[..points], triangles)
+    }
 
     #[test]
     fn a_tetrahedron_is_closed_and_a_bow_tie_is_pinched() {
-        let positions = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z, DVec3::NEG_X];
-        let surface = |triangles: &'static [[u32; 3]], points: u32| SurfaceView {
-            positions: &positions[..points as usize],
-            triangles,
-            primitive_of: &[0; 4][..triangles.len()],
-            point_of: &[0, 1, 2, 3, 4][..points as usize],
-            points,
-        };
-        let closed = SurfaceTopology::from_surface(&surface(&[[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], 4));
+        let closed = SurfaceTopology::from_surface(&surface(&TETRAHEDRON, 4).view());
         assert!(closed.is_closed() && closed.euler == 2, "{closed:?}");
         let bow = surface(&[[0, 1, 2], [0, 3, 4]], 5);
-        assert_eq!(verify_surface(&bow), Ok(()));
-        assert_eq!(SurfaceTopology::from_surface(&bow).pinched_points, 1);
-        let crowded = SurfaceTopology::from_surface(&surface(&[[0, 1, 2], [0, 1, 3], [1, 0, 4]], 5));
+        assert_eq!(verify_surface(&bow.view()), Ok(()));
+        assert_eq!(SurfaceTopology::from_surface(&bow.view()).pinched_points, 1);
+        let crowded = SurfaceTopology::from_surface(&surface(&[[0, 1, 2], [0, 1, 3], [1, 0, 4]], 5).view());
         assert_eq!((crowded.crowded_edges, crowded.rim_edges), (1, 6));
-        assert!(
-            verify_surface(&surface(&[[0, 1, 2]], 4)).is_err(),
-            "point 3 is in no triangle"
-        );
+        let unused = surface(&[[0, 1, 2]], 4);
+        assert!(verify_surface(&unused.view()).is_err(), "point 3 is in no triangle");
     }
-}
-
-#[cfg(test)]
-mod boundary_tests {
-    use super::*;
-    use glam::DVec3;
 
     #[test]
     fn the_rim_of_a_square_runs_against_its_faces() {
-        let surface = SurfaceView {
-            positions: &[DVec3::ZERO, DVec3::X, DVec3::ONE, DVec3::Y],
-            triangles: &[[0, 1, 2], [0, 2, 3]],
-            primitive_of: &[0, 0],
-            point_of: &[0, 1, 2, 3],
-            points: 4,
-        };
-        assert_eq!(boundary_loops(&surface), (vec![vec![1, 0, 3, 2]], vec![]));
-        let closed = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
-        let tetrahedron = SurfaceView {
-            triangles: &closed,
-            primitive_of: &[0; 4],
-            ..surface
-        };
-        assert_eq!(boundary_loops(&tetrahedron), (vec![], vec![]));
+        let square = surface(&[[0, 1, 2], [0, 2, 3]], 4);
+        assert_eq!(boundary_loops(&square.view()), (vec![vec![1, 0, 3, 2]], vec![]));
+        assert_eq!(boundary_loops(&surface(&TETRAHEDRON, 4).view()), (vec![], vec![]));
     }
 
     #[test]
     fn the_rim_of_an_open_box_is_found_and_a_closed_one_has_none() {
-        let triangles = [[0u32, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
-        let positions = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
-        let surface = |count: usize| SurfaceView {
-            positions: &positions,
-            triangles: &triangles[..count],
-            primitive_of: &[0; 4][..count],
-            point_of: &[0, 1, 2, 3],
-            points: 4,
-        };
-        assert!(boundary_points(&surface(4)).is_empty());
-        assert_eq!(boundary_points(&surface(3)), [0, 2, 3]);
+        let rim = |count: usize| boundary_points(&surface(&TETRAHEDRON[..count], 4).view());
+        assert!(rim(4).is_empty());
+        assert_eq!(rim(3), [0, 2, 3]);
     }
 
     #[test]

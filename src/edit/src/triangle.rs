@@ -7,6 +7,11 @@ pub(super) fn area_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
 
+/// The length of the longest side.
+pub(super) fn longest_side([a, b, c]: [DVec3; 3]) -> f64 {
+    a.distance(b).max(b.distance(c)).max(c.distance(a))
+}
+
 /// How far from equilateral: longest side times perimeter over 4·√3 times the area. 1 at best, infinite for a triangle
 /// without area.
 pub(super) fn aspect([a, b, c]: [DVec3; 3]) -> f64 {

@@ -4,7 +4,6 @@
 //! warned of, where it would give an edge a third face, make two faces touch at a point only, lay two faces on one
 //! another, or turn one over.
 
-use super::error::{EditSubject, Error};
 use super::patch::{EditWarning, SurfacePatch};
 use super::surface::{BitSet, SurfaceView};
 use super::topology::boundary_points;
@@ -12,7 +11,7 @@ use super::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Cancelled, Progress, check};
 use pliant_mesh::query::closest_surface_point::group_fans;
-use pliant_mesh::{BoundingBox, Mesh, NONE, Weld};
+use pliant_mesh::{BoundingBox, Error, Mesh, NONE, Weld};
 use std::collections::BTreeSet;
 
 /// The code of the warning that no two points are close enough.
@@ -26,8 +25,8 @@ pub const NOTHING_TO_WELD: &str = "weld-nothing";
 /// [`Error::Invalid`] when the tolerance is negative or not finite; [`Error::Impossible`] when no triangle would be left;
 /// [`Error::Cancelled`].
 pub fn weld_points(surface: &SurfaceView, tolerance: f64, progress: &dyn Progress) -> Result<SurfacePatch, Error> {
-    check_tolerance(tolerance, EditSubject::WeldTolerance)?;
-    let positions = point_positions(surface);
+    check_tolerance(tolerance, "weld.tolerance")?;
+    let positions = surface.point_positions();
     let corners: Vec<[u32; 3]> = (surface.triangles.iter())
         .map(|t| t.map(|v| surface.point_of[v as usize]))
         .filter(|p| !p.contains(&NONE))
@@ -62,7 +61,7 @@ pub fn weld_boundaries(
     tolerance: f64,
     progress: &dyn Progress,
 ) -> Result<SurfacePatch, Error> {
-    check_tolerance(tolerance, EditSubject::BoundaryWeldTolerance)?;
+    check_tolerance(tolerance, "merge.tolerance")?;
     let rim = boundary_points(surface);
     let (old, new) = rim.split_at(rim.partition_point(|&p| p < first_new_point));
     for (part, name) in [(old, "model"), (new, "appended model")] {
@@ -74,7 +73,7 @@ pub fn weld_boundaries(
         }
     }
     check(progress)?;
-    let positions = point_positions(surface);
+    let positions = surface.point_positions();
     let at = |p: u32| positions[p as usize];
     let matches = find_close_pairs(new, old, tolerance, at, progress)?;
     if matches.is_empty() {
@@ -106,23 +105,12 @@ pub fn weld_boundaries(
     Ok(patch)
 }
 
-fn check_tolerance(tolerance: f64, subject: EditSubject) -> Result<(), Error> {
+fn check_tolerance(tolerance: f64, field: &str) -> Result<(), Error> {
     if tolerance >= 0.0 && tolerance.is_finite() {
         return Ok(());
     }
     let problem = format!("{tolerance} is not a distance, it must be finite and at least 0");
-    Err(Error::invalid(subject, problem))
-}
-
-/// Where each point is.
-fn point_positions(surface: &SurfaceView) -> Vec<DVec3> {
-    let mut positions = vec![DVec3::ZERO; surface.points as usize];
-    for (&p, &x) in surface.point_of.iter().zip(surface.positions) {
-        if p != NONE {
-            positions[p as usize] = x;
-        }
-    }
-    positions
+    Err(Error::invalid(field, problem))
 }
 
 /// Makes the joins that may be made, the closest first, into a patch.

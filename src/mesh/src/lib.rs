@@ -17,11 +17,13 @@ mod measure;
 pub mod query;
 pub mod rotation;
 pub mod shading;
+#[cfg(test)]
+mod testing;
 mod weld;
 mod welded_mesh;
 
-pub use adjacency::{Adjacency, BoundaryLoop, Components, Lists, MeshEdge, boundary_loops};
-pub use error::Error;
+pub use adjacency::{Adjacency, BoundaryLoop, Components, Lists, MeshEdge, boundary_loops, sorted_set};
+pub use error::{Error, shown_count};
 pub use inspect::{MeshReport, MeshWarning, PartReport, inspect};
 pub use intersections::self_intersections;
 pub use measure::{

@@ -32,7 +32,7 @@ const OF_EDGE: f64 = 1e-3;
 /// themselves. Vertices for which `used` is false represent only themselves.
 ///
 /// # Errors
-/// [`Error::Tolerance`] when the tolerance is negative or not finite.
+/// [`Error::Invalid`] when the tolerance is negative or not finite.
 pub(super) fn representatives(
     positions: &[DVec3],
     triangles: &[[u32; 3]],
@@ -42,7 +42,10 @@ pub(super) fn representatives(
     match weld {
         Weld::Exact => Ok(weld_equal(positions, used)),
         Weld::Rounding => Ok(weld_rounded(positions, triangles, used)),
-        Weld::Tolerance(t) if !(t >= 0.0 && t.is_finite()) => Err(Error::Tolerance { seen: t }),
+        Weld::Tolerance(t) if !(t >= 0.0 && t.is_finite()) => Err(Error::invalid(
+            "weld tolerance",
+            format!("is {t}, it must be finite and at least 0"),
+        )),
         // Below the spacing of the coordinates a tolerance joins nothing but equal points.
         Weld::Tolerance(t) if t <= spacing(positions, used) => Ok(weld_equal(positions, used)),
         Weld::Tolerance(t) => Ok(weld_close(positions, used, t)),
@@ -327,14 +330,10 @@ mod tests {
 
     #[test]
     fn the_grid_finds_what_a_search_over_all_finds() {
-        let mut state = 7u64;
-        let mut next = || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 40) as f64 / (1u64 << 24) as f64 - 0.5
-        };
-        let p: Vec<DVec3> = (0..800).map(|_| DVec3::new(next(), next(), next())).collect();
+        let mut next = crate::testing::random(7);
+        let p: Vec<DVec3> = (0..800)
+            .map(|_| DVec3::new(next(), next(), next()) - DVec3::splat(0.5))
+            .collect();
         for tolerance in [0.01, 0.07, 0.3, 5.0] {
             let mut expected: Vec<u32> = Vec::new();
             for v in 0..p.len() {

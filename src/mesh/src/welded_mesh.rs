@@ -53,13 +53,7 @@ impl Mesh {
     /// [`Error`] when an index is out of range, a used position is not finite or outside the range of `f32`, the
     /// tolerance is not a length, there are more than 32-bit indices can name, or no face is left.
     pub fn build(positions: &[DVec3], triangles: &[[u32; 3]], weld: Weld) -> Result<Self, Error> {
-        // Six list entries a triangle (both directions of each edge) must be countable with 32 bits.
-        let limit = (NONE / 6) as usize;
-        for (what, seen) in [("vertices", positions.len()), ("triangles", triangles.len())] {
-            if seen > limit {
-                return Err(Error::TooLarge { what, seen, limit });
-            }
-        }
+        check_counts(positions, triangles)?;
         let used = used_vertices(positions, triangles)?;
         let representative = weld::representatives(positions, triangles, &used, weld)?;
         let kept = clean(triangles, &representative);
@@ -120,12 +114,7 @@ impl Mesh {
         solver_from_render: Vec<u32>,
         vertices: usize,
     ) -> Result<Self, Error> {
-        let limit = (NONE / 6) as usize;
-        for (what, seen) in [("vertices", positions.len()), ("triangles", triangles.len())] {
-            if seen > limit {
-                return Err(Error::TooLarge { what, seen, limit });
-            }
-        }
+        check_counts(positions, triangles)?;
         if triangles.is_empty() {
             return Err(Error::NoTriangle { triangles: 0 });
         }
@@ -201,33 +190,42 @@ fn inexact_vertices(positions: &[DVec3], solver_from_render: &[u32], solver: &[D
     inexact.map(|(v, _)| v).collect()
 }
 
+/// Refuses more vertices or triangles than lists can number: six entries a triangle (both directions of each edge) must be
+/// countable with 32 bits.
+fn check_counts(positions: &[DVec3], triangles: &[[u32; 3]]) -> Result<(), Error> {
+    let limit = u64::from(NONE / 6);
+    for (what, seen) in [("vertices", positions.len()), ("triangles", triangles.len())] {
+        let seen = seen as u64;
+        if seen > limit {
+            return Err(Error::TooLarge { what, seen, limit });
+        }
+    }
+    Ok(())
+}
+
 /// Which vertices some triangle names; checks indices and the positions of those.
 fn used_vertices(positions: &[DVec3], triangles: &[[u32; 3]]) -> Result<Vec<bool>, Error> {
     let mut used = vec![false; positions.len()];
     for (triangle, corners) in triangles.iter().enumerate() {
         for &index in corners {
-            match used.get_mut(index as usize) {
-                Some(u) => *u = true,
-                None => {
-                    return Err(Error::Index {
-                        triangle,
-                        index,
-                        vertices: positions.len(),
-                    });
-                }
-            }
+            let Some(used) = used.get_mut(index as usize) else {
+                let count = positions.len();
+                let problem = format!("names vertex {index}, there are {count} vertices, counted from 0");
+                return Err(Error::invalid(format!("triangle {triangle}"), problem));
+            };
+            *used = true;
         }
     }
     let limit = f64::from(f32::MAX);
-    match positions
-        .iter()
-        .zip(&used)
-        .position(|(p, &used)| used && !p.abs().cmple(DVec3::splat(limit)).all())
-    {
-        Some(vertex) => Err(Error::Position {
-            vertex,
-            seen: positions[vertex],
-        }),
+    let is_lost = |(p, used): (&DVec3, &bool)| *used && !p.abs().cmple(DVec3::splat(limit)).all();
+    match positions.iter().zip(&used).position(is_lost) {
+        Some(vertex) => Err(Error::invalid(
+            format!("vertex {vertex}"),
+            format!(
+                "lies at {}, each coordinate must be a finite number within ±{limit:e}",
+                positions[vertex],
+            ),
+        )),
         None => Ok(used),
     }
 }
@@ -338,10 +336,10 @@ mod tests {
             [1., 0., 0.],
         ]);
         let text = |faces: &[[u32; 3]], weld| Mesh::build(&p, faces, weld).expect_err("refused").to_string();
-        assert!(text(&[[0, 2, 4], [0, 9, 2]], Weld::Exact).contains("triangle 1 names vertex 9, there are 5"));
-        assert!(text(&[[0, 1, 2]], Weld::Exact).starts_with("vertex 1 lies at [NaN, 0, 0]"));
-        assert!(text(&[[0, 3, 2]], Weld::Exact).starts_with("vertex 3 lies at"));
-        assert!(text(&[[0, 2, 4]], Weld::Tolerance(-1.0)).contains("weld tolerance is -1"));
+        assert!(text(&[[0, 2, 4], [0, 9, 2]], Weld::Exact).contains("triangle 1: names vertex 9, there are 5"));
+        assert!(text(&[[0, 1, 2]], Weld::Exact).starts_with("vertex 1: lies at [NaN, 0, 0]"));
+        assert!(text(&[[0, 3, 2]], Weld::Exact).starts_with("vertex 3: lies at"));
+        assert!(text(&[[0, 2, 4]], Weld::Tolerance(-1.0)).contains("weld tolerance: is -1"));
         assert!(text(&[[0, 2, 4]], Weld::Tolerance(10.0)).contains("none of 1 triangles"));
         assert!(text(&[], Weld::Exact).contains("none of 0 triangles"));
         assert!(

@@ -12,7 +12,6 @@ use pliant_core::engine::{
 };
 use pliant_exec::Exec;
 use pliant_mesh::carry::CarriedFrame;
-use pliant_wire::edit_kind_name;
 
 /// One model with everything derived from it. Calls come from compute threads, one at a time.
 ///
@@ -88,7 +87,7 @@ pub trait Engine: Send + 'static {
     }
     /// Carries out an edit and sets the handles that are left.
     fn edit(&mut self, command: &EditCommand<'_>, _exec: &Exec<'_>) -> Result<EditOutcome, Error> {
-        let name = edit_kind_name(command.edit.kind());
+        let name = command.edit.kind().name();
         Err(Error::Unimplemented(format!("the edit {name}")))
     }
     /// Writes the model with new positions.

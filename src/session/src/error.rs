@@ -1,7 +1,6 @@
 //! The errors of calls, and the one table from failures to status codes of every transport; with where a session is when it is
 //! at another node.
 
-use pliant_core::engine;
 use std::fmt;
 
 /// The kinds of failure. Closed: a new kind needs a row in the table below.
@@ -214,12 +213,16 @@ impl From<pliant_wire::Error> for Error {
                 field: Some("clip".into()),
                 ..Self::malformed(message)
             },
-            pliant_wire::Error::Json { place, .. } => Self {
-                field: Some(place),
+            pliant_wire::Error::Malformed { field, .. } => Self {
+                field: Some(field),
                 ..Self::malformed(message)
             },
             pliant_wire::Error::Invalid { field, .. } => Self {
                 field: Some(field),
+                ..Self::new(ErrorCode::InvalidArgument { malformed: false }, message)
+            },
+            pliant_wire::Error::NoSuchFrames { .. } => Self {
+                field: Some("first".into()),
                 ..Self::new(ErrorCode::InvalidArgument { malformed: false }, message)
             },
             pliant_wire::Error::Precondition(_) => Self::new(ErrorCode::FailedPrecondition, message),
@@ -228,13 +231,6 @@ impl From<pliant_wire::Error> for Error {
             pliant_wire::Error::Cancelled => Self::new(ErrorCode::Cancelled, message),
             pliant_wire::Error::Internal(_) => Self::new(ErrorCode::Internal, message),
         }
-    }
-}
-
-/// Errors of the engine read as in `wire`, with the field of the request that the value came from.
-impl From<engine::Error> for Error {
-    fn from(error: engine::Error) -> Self {
-        pliant_wire::Error::from(error).into()
     }
 }
 
@@ -315,8 +311,8 @@ mod tests {
                 Some("handles[1].id"),
             ),
             (
-                pliant_wire::Error::Json {
-                    place: text("body.x"),
+                pliant_wire::Error::Malformed {
+                    field: text("body.x"),
                     problem: text("unknown field"),
                 },
                 400,

@@ -55,7 +55,7 @@ pub struct AnimateOrder {
 /// Reads options from JSON, where the rig may be written in its short forms.
 ///
 /// # Errors
-/// [`Error::Json`] with the field.
+/// [`Error::Malformed`] with the field.
 pub fn animate_options_from_json(text: &[u8]) -> Result<pb::AnimateOptions, Error> {
     // Bytes that are not JSON are refused by the reader that names the place.
     match serde_json::from_slice::<Value>(text) {

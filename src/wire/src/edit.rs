@@ -1,7 +1,6 @@
 //! Edits as messages and as values of the engine: their names in JSON, what they did, and what a job expects of a result.
 
 use super::check::{enumerated, number, plane, points, positive};
-use super::edit_kind::edit_kind_name;
 use super::facts::warning_message;
 use super::handles::region;
 use super::{Error, pb};
@@ -69,15 +68,15 @@ pub fn edit(request: &pb::EditRequest, other: Option<&FileSet>) -> Result<(Edit,
 /// Returns the JSON name of an edit's operation.
 pub fn edit_name(edit: &pb::EditRequest) -> &'static str {
     match &edit.operation {
-        Some(Operation::Cut(_)) => edit_kind_name(EditKind::Cut),
-        Some(Operation::Subdivide(_)) => edit_kind_name(EditKind::Subdivide),
-        Some(Operation::Decimate(_)) => edit_kind_name(EditKind::Decimate),
-        Some(Operation::Delete(_)) => edit_kind_name(EditKind::Delete),
-        Some(Operation::Fill(_)) => edit_kind_name(EditKind::Fill),
-        Some(Operation::Remesh(_)) => edit_kind_name(EditKind::Remesh),
-        Some(Operation::Merge(_)) => edit_kind_name(EditKind::Merge),
-        Some(Operation::InsertCurve(_)) => edit_kind_name(EditKind::InsertCurve),
-        Some(Operation::Weld(_)) => edit_kind_name(EditKind::Weld),
+        Some(Operation::Cut(_)) => EditKind::Cut.name(),
+        Some(Operation::Subdivide(_)) => EditKind::Subdivide.name(),
+        Some(Operation::Decimate(_)) => EditKind::Decimate.name(),
+        Some(Operation::Delete(_)) => EditKind::Delete.name(),
+        Some(Operation::Fill(_)) => EditKind::Fill.name(),
+        Some(Operation::Remesh(_)) => EditKind::Remesh.name(),
+        Some(Operation::Merge(_)) => EditKind::Merge.name(),
+        Some(Operation::InsertCurve(_)) => EditKind::InsertCurve.name(),
+        Some(Operation::Weld(_)) => EditKind::Weld.name(),
         None => "none",
     }
 }

@@ -30,7 +30,7 @@ fn descriptor(name: &str) -> Result<MessageDescriptor, Error> {
 /// Reads a message from JSON. Unknown fields are refused with their path.
 ///
 /// # Errors
-/// [`Error::Json`] with the path of the field and what is wrong.
+/// [`Error::Malformed`] with the path of the field and what is wrong.
 pub fn from_json<M: Message + Default + prost::Name>(text: &[u8]) -> Result<M, Error> {
     let options = DeserializeOptions::new().deny_unknown_fields(true);
     let mut json = serde_json::Deserializer::from_slice(text);
@@ -45,13 +45,13 @@ pub fn from_json<M: Message + Default + prost::Name>(text: &[u8]) -> Result<M, E
             Some(kind) if is_about_a_value(&problem) => allowed_values(&kind).map(|all| format!("allowed are {all}")),
             _ => None,
         };
-        Error::Json {
-            place: place_of(&path.to_string(), &problem),
+        Error::Malformed {
+            field: place_of(&path.to_string(), &problem),
             problem: allowed.map_or_else(|| problem.clone(), |allowed| format!("{problem}; {allowed}")),
         }
     })?;
-    json.end().map_err(|e| Error::Json {
-        place: "body".into(),
+    json.end().map_err(|e| Error::Malformed {
+        field: "body".into(),
         problem: e.to_string(),
     })?;
     keys_stand_once(text)?;
@@ -83,8 +83,8 @@ fn keys_stand_once(text: &[u8]) -> Result<(), Error> {
     let tracked = serde_path_to_error::Deserializer::new(&mut json, &mut track);
     UniqueKeys.deserialize(tracked).map_err(|e| {
         let problem = e.to_string();
-        let place = place_of(&track.path().to_string(), &problem);
-        Error::Json { place, problem }
+        let field = place_of(&track.path().to_string(), &problem);
+        Error::Malformed { field, problem }
     })
 }
 
@@ -229,7 +229,7 @@ mod tests {
     #[test]
     fn an_unknown_field_is_refused_with_its_path() {
         let refused = |text: &str, path: &str| match from_json::<pb::Job>(text.as_bytes()) {
-            Err(Error::Json { place, problem }) => assert_eq!(place, path, "{problem}"),
+            Err(Error::Malformed { field: place, problem }) => assert_eq!(place, path, "{problem}"),
             other => panic!("{path}: {other:?}"),
         };
         refused(r#"{"handels": []}"#, "handels");
@@ -284,7 +284,7 @@ mod tests {
             ),
         ] {
             match from_json::<pb::Job>(text.as_bytes()) {
-                Err(Error::Json { place, problem }) => {
+                Err(Error::Malformed { field: place, problem }) => {
                     assert_eq!(place, path, "{problem}");
                     assert!(problem.ends_with(&format!("; allowed are {allowed}")), "{problem}");
                 }
@@ -318,7 +318,7 @@ mod tests {
             ),
         ] {
             match from_json::<pb::Job>(text.as_bytes()) {
-                Err(Error::Json { place, problem }) => {
+                Err(Error::Malformed { field: place, problem }) => {
                     assert_eq!(place, path, "{problem}");
                     assert!(problem.contains(&format!("; {allowed}")), "{problem}");
                 }

@@ -3,7 +3,7 @@
 use super::check::{enumerated, number, points};
 use super::{Error, json, pb};
 use glam::DVec3;
-use pliant_motion::rig::{MotionRig, ReferencePose, RestAttitude, RigBone, RigError};
+use pliant_motion::rig::{MotionRig, ReferencePose, RestAttitude, RigBone};
 use serde_json::{Value, json};
 
 /// The version of rigs that this program reads.
@@ -17,7 +17,7 @@ const SPANS: [[f64; 2]; 2] = [[0.15, 0.85], [0.3, 0.7]];
 /// `{"frame": 0}` or `{"rest": true}`, which is shorter to write by hand.
 ///
 /// # Errors
-/// [`Error::Json`] and [`Error::Invalid`] with the field.
+/// [`Error::Malformed`] and [`Error::Invalid`] with the field.
 pub fn rig_from_json(text: &[u8]) -> Result<MotionRig, Error> {
     let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
     // Bytes that are not JSON are refused by the reader that names the place.
@@ -123,15 +123,6 @@ fn rig_bone(rig: &pb::Rig, bone: &pb::rig::Bone, at: &str) -> Result<RigBone, Er
         joint_radius: optional(bone.joint_radius, "jointRadius")?,
         limit_degrees: optional(bone.limit_degrees, "limitDegrees")?,
     })
-}
-
-impl From<RigError> for Error {
-    fn from(e: RigError) -> Self {
-        match e {
-            RigError::Bone { bone, field, problem } => Self::invalid(format!("bones[{bone}].{field}"), problem),
-            RigError::Field { field, problem } => Self::invalid(field, problem),
-        }
-    }
 }
 
 /// Spells a rig as the schema has it. `names` are joints with a name of their own; others are called as the bone that begins

@@ -3,19 +3,19 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::{DEVIATION, RemeshOptions, RemeshTarget, RemeshedRegion, remesh_region};
+use pliant::edit::{DEVIATION, RemeshOptions, RemeshTarget, SurfacePatch, remesh_region};
 use pliant::progress::Silent;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-fn remeshed(model: &Model, options: &RemeshOptions<'_>) -> (Model, RemeshedRegion) {
+fn remeshed(model: &Model, options: &RemeshOptions<'_>) -> (Model, SurfacePatch) {
     let done = remesh_region(&model.surface(), &all(model), options, &Silent).expect("remeshes");
-    assert_blends(model, &done.patch);
-    (after(model, &done.patch), done)
+    assert_blends(model, &done);
+    (after(model, &done), done)
 }
 
-fn auto(model: &Model) -> (Model, RemeshedRegion) {
+fn auto(model: &Model) -> (Model, SurfacePatch) {
     remeshed(model, &RemeshTarget::Auto { rest: &model.positions }.into())
 }
 
@@ -158,7 +158,7 @@ fn fair_triangles_stay_where_no_unfair_one_is_beside_them() {
     let (now, done) = auto(&model);
     assert!(share_worse_than(&now, 4.0) < 0.5 * share_worse_than(&model, 4.0));
     let far = |t: &u32| corners(&model, *t).iter().all(|p| p.z < 0.6);
-    assert_eq!(done.patch.removed.iter().filter(|t| far(t)).count(), 0);
+    assert_eq!(done.removed.iter().filter(|t| far(t)).count(), 0);
 }
 
 /// Remeshes one of four shapes, and looks whether the result is closed and no farther from the shape than allowed.

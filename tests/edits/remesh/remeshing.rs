@@ -3,14 +3,14 @@
 use super::edit_support::*;
 use super::measures::*;
 use glam::DVec3;
-use pliant::edit::{EditSubject, Error, MENDED, RemeshOptions, RemeshTarget, SurfacePatch, remesh_region};
+use pliant::edit::{Error, MENDED, RemeshOptions, RemeshTarget, SurfacePatch, remesh_region};
 use pliant::progress::{CancelFlag, Progress, Silent};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn patch_of(model: &Model, faces: &[u32], target: RemeshTarget<'_>) -> SurfacePatch {
     let options = RemeshOptions::from(target);
     let remeshed = remesh_region(&model.surface(), faces, &options, &Silent);
-    remeshed.expect("remeshes").patch
+    remeshed.expect("remeshes")
 }
 
 fn remeshed(model: &Model, faces: &[u32], length: f64) -> Model {
@@ -328,22 +328,16 @@ fn refusals_name_the_argument_and_what_is_allowed() {
     let faces = all(&model);
     let subject =
         |faces: &[u32], target: RemeshTarget| match remesh_region(&model.surface(), faces, &target.into(), &Silent) {
-            Err(Error::Invalid { subject, .. }) => subject,
+            Err(Error::Invalid { field, .. }) => field,
             other => panic!("{other:?}"),
         };
     for length in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert_eq!(
-            subject(&faces, RemeshTarget::Length(length)),
-            EditSubject::RemeshEdgeLength
-        );
+        assert_eq!(subject(&faces, RemeshTarget::Length(length)), "remesh.edgeLength");
     }
-    assert_eq!(
-        subject(&faces, RemeshTarget::Auto { rest: &[] }),
-        EditSubject::RemeshRestShape
-    );
-    assert_eq!(subject(&[], RemeshTarget::Length(1.0)), EditSubject::Region);
-    assert_eq!(subject(&[3, 3], RemeshTarget::Length(1.0)), EditSubject::Region);
-    assert_eq!(subject(&[1_000_000], RemeshTarget::Length(1.0)), EditSubject::Region);
+    assert_eq!(subject(&faces, RemeshTarget::Auto { rest: &[] }), "remesh.auto");
+    assert_eq!(subject(&[], RemeshTarget::Length(1.0)), "region");
+    assert_eq!(subject(&[3, 3], RemeshTarget::Length(1.0)), "region");
+    assert_eq!(subject(&[1_000_000], RemeshTarget::Length(1.0)), "region");
     let tiny = remesh_region(&model.surface(), &faces, &RemeshTarget::Length(1e-12).into(), &Silent);
     assert!(matches!(tiny, Err(Error::TooLarge { .. })), "{tiny:?}");
     let flag = CancelFlag::default();

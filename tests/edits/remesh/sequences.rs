@@ -37,7 +37,7 @@ fn run(model: &Model, step: Step, faces: &[u32]) -> Result<SurfacePatch, Error> 
         Step::Decimate(ratio) => decimate_region(&surface, faces, ratio, &Silent),
         Step::Remesh(factor) => {
             let options = RemeshTarget::Length(length * factor).into();
-            Ok(remesh_region(&surface, faces, &options, &Silent)?.patch)
+            remesh_region(&surface, faces, &options, &Silent)
         }
         Step::Weld(factor) => weld_points(&surface, length * factor, &Silent),
     }

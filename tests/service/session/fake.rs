@@ -9,9 +9,9 @@ use bytes::Bytes;
 use glam::DVec3;
 use pliant::asset::{self, FileSet, Format, WrittenFiles};
 use pliant::engine::{
-    DeformerFacts, DeformerLimits, Error, Handle, HandleFacts, HandlePose, HandlePoses, HandleSet, InputPlace,
-    MeshCounts, ModelFacts, ModelShape, OpenOptions, Region, RegionPlace, Shader, SolveMode, SolveSettings,
-    SolveUpdate, SolvedShape, SolverFacts,
+    DeformerFacts, DeformerLimits, Error, Handle, HandleFacts, HandlePose, HandlePoses, HandleSet, MeshCounts,
+    ModelFacts, ModelShape, OpenOptions, Region, Shader, SolveMode, SolveSettings, SolveUpdate, SolvedShape,
+    SolverFacts,
 };
 use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
@@ -197,7 +197,7 @@ impl Engine for Fake {
         exec.progress.report("fields", 0.0);
         self.control.cycle(exec.progress)?;
         if let Some(k) = handles.handles.iter().position(|h| h.region == NOWHERE) {
-            let place = InputPlace::HandleRegion(k, RegionPlace::Whole);
+            let place = format!("handles[{k}].region");
             return Err(Error::invalid(place, "is nowhere"));
         }
         self.handles = handles.clone();
@@ -213,7 +213,10 @@ impl Engine for Fake {
         let mut all = poses.0.as_ref().clone();
         for (k, (id, pose)) in changes.iter().enumerate() {
             let Some(at) = self.handles.handles.iter().position(|h| h.id == *id) else {
-                return Err(Error::invalid(InputPlace::PosedHandle(k), format!("no handle {id}")));
+                return Err(Error::invalid(
+                    format!("pose.handles[{k}].id"),
+                    format!("no handle {id}"),
+                ));
             };
             all[at] = *pose;
         }

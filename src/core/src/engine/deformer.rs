@@ -3,7 +3,7 @@
 use crate::asset::{BoneLengthRule, FileSet, Format, Geometry, Model, ShapeFollowers, WrittenFiles};
 use crate::deform::{DeformableBody, HandleSystem, SolveState, SpatialRbf};
 use crate::engine::derived_structures::{DerivedStructures, admit_bytes};
-use crate::engine::error::{Error, InputPlace};
+use crate::engine::error::Error;
 use crate::engine::facts::{
     DeformerFacts, DeformerWarning, HandleFacts, MeshCounts, ModelFacts, PulledTies, QualityReport, SolverFacts,
     count_u32,
@@ -485,7 +485,7 @@ fn check_rigid_chains(model: &Model, rule: &BoneLengthRule) -> Result<(), Error>
                 (_, known) => format!("there are {known}"),
             };
             let problem = format!("no joint is named {}; {known}", clip(name));
-            return Err(Error::invalid(InputPlace::RigidChain(k), problem));
+            return Err(Error::invalid(format!("rigidChains[{k}]"), problem));
         }
     }
     Ok(())

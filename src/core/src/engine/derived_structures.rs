@@ -83,7 +83,7 @@ impl DerivedStructures {
         let body = DeformableBody::build(&mesh, &body_options(&topology, &parts.families, options, limits), exec)?;
         let thin = NeedlesAndCaps::find(&mesh, exec.pool);
         Ok(Self::new(
-            TopologyLineage::from_built(id, topology),
+            Arc::new(TopologyLineage::from_built(id, topology)),
             mesh,
             thin,
             parts,
@@ -139,7 +139,7 @@ impl DerivedStructures {
                     topology: change.topology,
                     past: LineageOrigin::Edited(step),
                 };
-                return Ok(Self::new(lineage, mesh, thin, parts, body, options));
+                return Ok(Self::new(Arc::new(lineage), mesh, thin, parts, body, options));
             }
         }
         Self::build(id, change.topology, options, limits, exec)
@@ -163,17 +163,7 @@ impl DerivedStructures {
             let mesh = path.topology.mesh(options.weld)?;
             let parts = MeshParts::find_parts(&path.topology, &mesh, options)?;
             let thin = NeedlesAndCaps::find(&mesh, exec.pool);
-            return Ok(Self {
-                lineage: Arc::clone(path),
-                ..Self::new(
-                    TopologyLineage::from_built(path.id, Arc::clone(&path.topology)),
-                    mesh,
-                    thin,
-                    parts,
-                    remade.body,
-                    options,
-                )
-            });
+            return Ok(Self::new(Arc::clone(path), mesh, thin, parts, remade.body, options));
         }
         Ok(Self {
             lineage: Arc::clone(path),
@@ -182,7 +172,7 @@ impl DerivedStructures {
     }
 
     fn new(
-        lineage: TopologyLineage,
+        lineage: Arc<TopologyLineage>,
         mesh: Mesh,
         thin: NeedlesAndCaps,
         MeshParts { parts, families }: MeshParts,
@@ -190,7 +180,7 @@ impl DerivedStructures {
         options: &OpenOptions,
     ) -> Self {
         Self {
-            lineage: Arc::new(lineage),
+            lineage,
             parts,
             thin,
             families,

@@ -6,11 +6,12 @@
 
 use super::derived_structures::{DerivedStructures, TopologyChange};
 use super::edit_command::{
-    CarriedHandles, EditCommand, EditOutcome, EditReport, EditedShape, HeldVertices, carry_handles, kept_vertex_runs,
+    CarriedHandles, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, HeldVertices, carry_handles,
+    kept_vertex_runs,
 };
-use super::edit_operations::{EditContext, PlannedEdit, plan_edit};
+use super::edit_operations::{EditContext, plan_edit};
 use super::edit_surface::EditSurface;
-use super::error::{Error, InputPlace};
+use super::error::Error;
 use super::facts::{DeformerWarning, MeshCounts};
 use super::handle::Region;
 use super::part_families::VertexOrigins;
@@ -46,7 +47,7 @@ impl Deformer {
         let shape = if at_rest { &rest } else { order.shape };
         let mut origins = self.topology().origins(&self.derived.mesh);
         let mut surface = self.edit_surface(&shape.positions, &origins, exec)?;
-        let points = (shape.id != rest.id).then(|| surface.point_positions());
+        let points = (shape.id != rest.id).then(|| surface.own_surface().point_positions());
         let before = MeshCounts::of(surface.positions.len(), self.geometry().triangles.len());
         let mut context = EditContext {
             regions: self.region_context(shape, exec),
@@ -68,20 +69,20 @@ impl Deformer {
             held: self.byte_size(),
             watcher: exec.progress,
         };
-        let mut planned = plan_edit(&mut context, order.edit, &Exec::new(exec.pool, &beside))?;
+        let mut patch = plan_edit(&mut context, order.edit, &Exec::new(exec.pool, &beside))?;
         exec.check()?;
-        planned.patch.idle = std::mem::take(&mut surface.idle_vertices);
-        (surface.seams).part_facets(&mut planned.patch, &surface.own_surface());
-        let patch = &planned.patch;
+        patch.idle = std::mem::take(&mut surface.idle_vertices);
+        (surface.seams).part_facets(&mut patch, &surface.own_surface());
+        let patch = &patch;
         let applied = apply_patch(&surface.own_surface(), patch, &surface.first_vertices())?;
         self.admit_size(&applied, exec)?;
         let mut carried = self.carry(&applied, patch, &surface.seams, order, exec)?;
-        let mut report = self.report_edit(before, &applied, &planned);
+        let mut report = self.report_edit(before, &applied, patch);
         let points_before = self.derived.mesh.positions.len();
         let families = (self.derived.families).after_edit(points_before, &surface.surface(), &applied, patch);
         let (mut topology, applied) = (self.topology()).after_edit(&surface, &origins, applied, patch, families);
         if let Some(edited) = topology.edited.as_mut() {
-            edited.apart |= planned.parts;
+            edited.apart |= order.edit.kind() == EditKind::Cut;
         }
         if shape.id != rest.id {
             // What the edit sees becomes the rest pose, of what rides along too.
@@ -126,18 +127,18 @@ impl Deformer {
     }
 
     /// What an edit has done, but for the shape after it.
-    fn report_edit(&self, before: MeshCounts, applied: &PatchedSurface, planned: &PlannedEdit) -> EditReport {
+    fn report_edit(&self, before: MeshCounts, applied: &PatchedSurface, patch: &SurfacePatch) -> EditReport {
         // What rides along is in no patch.
         let riding = self.topology().passenger_triangles();
         let mut report = EditReport {
             before,
             after: MeshCounts::of(applied.positions.len(), applied.triangles.len() + riding),
             kept: kept_vertex_runs(applied, before.vertices as usize),
-            curve: planned.curve_vertices(applied),
-            deviation: planned.deviation,
+            curve: applied.vertices_of_points(&patch.curve),
+            deviation: patch.deviation,
             ..Default::default()
         };
-        let noticed = planned.patch.warnings.iter();
+        let noticed = patch.warnings.iter();
         (report.warnings).extend(noticed.map(|w| DeformerWarning::new(&*w.code, &*w.message, &*w.place)));
         let mesh = &self.derived.mesh;
         let (collapsed, duplicate) = (mesh.collapsed_triangles.len(), mesh.duplicate_triangles.len());
@@ -296,12 +297,12 @@ impl Deformer {
         let context = self.rest_regions(exec);
         let mut vertices = Vec::new();
         for (k, handle) in set.handles.iter().enumerate() {
-            let place = |part| InputPlace::HandleRegion(k, part);
-            vertices.push(vertices_of_handle(&context, &handle.region).map_err(|e| e.with_place(place))?);
+            let held = vertices_of_handle(&context, &handle.region);
+            vertices.push(held.map_err(|e| e.below(&format!("handles[{k}].region")))?);
         }
         if let Some(region) = &set.region_of_interest {
             let held = vertices_in_region(&context, region, None);
-            vertices.push(held.map_err(|e| e.with_place(InputPlace::RegionOfInterest))?);
+            vertices.push(held.map_err(|e| e.below("regionOfInterest"))?);
         }
         let at_rest = order.on == EditedShape::Rest;
         // What stands for a vertex that is held is held as well.

@@ -225,6 +225,23 @@ pub struct KeptVertexRun {
     pub count: u32,
 }
 
+impl EditKind {
+    /// The name of the operation in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cut => "cut",
+            Self::Subdivide => "subdivide",
+            Self::Decimate => "decimate",
+            Self::Delete => "delete",
+            Self::Fill => "fill",
+            Self::Remesh => "remesh",
+            Self::Merge => "merge",
+            Self::InsertCurve => "insertCurve",
+            Self::Weld => "weld",
+        }
+    }
+}
+
 impl Edit {
     /// Returns the kind of the edit.
     pub fn kind(&self) -> EditKind {
@@ -356,8 +373,7 @@ fn carry_vertices(marks: &[bool], applied: &PatchedSurface, patch: &SurfacePatch
     let holds = |was: u32| match patch.vertices.get((was as usize).wrapping_sub(old)) {
         None => marked(was),
         Some(new) => {
-            let parts = new.of.iter().zip(&new.weights).filter(|(_, w)| **w > 0.0);
-            let mut parts = parts.map(|(v, _)| *v);
+            let mut parts = new.parts().map(|(v, _)| v);
             if all { parts.all(marked) } else { parts.any(marked) }
         }
     };
@@ -384,8 +400,7 @@ fn carry_weights(values: &[f32], applied: &PatchedSurface, patch: &SurfacePatch)
         .map(|&was| match patch.vertices.get((was as usize).wrapping_sub(old)) {
             None => value(was),
             Some(new) => {
-                let parts = new.of.iter().zip(&new.weights).filter(|(_, w)| **w > 0.0);
-                let sum: f32 = parts.map(|(&v, &w)| value(v) * w as f32).sum();
+                let sum: f32 = new.parts().map(|(v, w)| value(v) * w as f32).sum();
                 sum.clamp(0.0, 1.0)
             }
         })

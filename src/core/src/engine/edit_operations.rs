@@ -3,7 +3,7 @@
 use super::DeformerLimits;
 use super::edit_command::{CutLine, Edit, EditKind, MergeJoin, ModelMerge};
 use super::edit_surface::EditSurface;
-use super::error::{Error, InputPlace};
+use super::error::Error;
 use super::handle::Region;
 use super::model_topology::ModelTopology;
 use super::part_families::VertexOrigins;
@@ -12,9 +12,7 @@ use super::region_context::{RegionContext, vertices_in_region};
 use super::seams::Seams;
 use super::shape::Shading;
 use crate::asset::Model;
-use crate::edit::{
-    CutOptions, CutPlane, KeptSide, LoopPair, PatchedSurface, RemeshOptions, RemeshTarget, SurfaceCurve, SurfacePatch,
-};
+use crate::edit::{CutOptions, CutPlane, KeptSide, LoopPair, RemeshOptions, RemeshTarget, SurfaceCurve, SurfacePatch};
 use crate::exec::Exec;
 use crate::mesh::{Adjacency, BoundingBox, Mesh, NONE, Weld, mean_edge_length};
 use crate::{asset, edit};
@@ -42,89 +40,44 @@ pub(super) struct EditContext<'a> {
     pub admit_growth: &'a dyn Fn(f64) -> Result<(), Error>,
 }
 
-/// A planned operation.
-pub(super) struct PlannedEdit {
-    /// What it changes.
-    pub patch: SurfacePatch,
-    /// Points along an inserted curve, in the numbers after the edit.
-    pub curve: Vec<u32>,
-    /// The largest distance between the surface before and after, where that is known.
-    pub deviation: f64,
-    /// Whether it may leave parts that touch and do not belong together.
-    pub parts: bool,
-}
-
-impl From<SurfacePatch> for PlannedEdit {
-    fn from(patch: SurfacePatch) -> Self {
-        Self {
-            patch,
-            curve: Vec::new(),
-            deviation: 0.0,
-            parts: false,
-        }
-    }
-}
-
-impl PlannedEdit {
-    /// One render vertex for each point of the curve.
-    pub fn curve_vertices(&self, applied: &PatchedSurface) -> Vec<u32> {
-        if self.curve.is_empty() {
-            return Vec::new();
-        }
-        let mut vertex_of = vec![NONE; applied.points as usize];
-        // From the last to the first, so that the first vertex of each point stays.
-        for (vertex, &p) in applied.point_of.iter().enumerate().rev() {
-            if p != NONE {
-                vertex_of[p as usize] = vertex as u32;
-            }
-        }
-        self.curve.iter().map(|&p| vertex_of[p as usize]).collect()
-    }
-}
-
 /// Plans an edit.
-pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<'_>) -> Result<PlannedEdit, Error> {
+pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<'_>) -> Result<SurfacePatch, Error> {
     let progress = exec.progress;
     let kind = edit.kind();
-    edit::check_faces_at_points(&context.surface.surface())?;
-    let patch = match edit {
-        Edit::Cut { along, keep, fill } => {
-            return Ok(PlannedEdit {
-                parts: true,
-                ..plan_cut(context, along, *keep, *fill, exec)?.into()
-            });
-        }
+    let surface = context.surface.surface();
+    edit::check_faces_at_points(&surface)?;
+    Ok(match edit {
+        Edit::Cut { along, keep, fill } => plan_cut(context, along, *keep, *fill, exec)?,
         Edit::Subdivide { region, scheme } => {
             let faces = context.faces_in_region(region.as_ref(), kind)?;
             (context.admit_growth)(3.0 * faces.len() as f64)?;
-            edit::subdivide_region(&context.surface.surface(), &faces, *scheme, progress)?
+            edit::subdivide_region(&surface, &faces, *scheme, progress)?
         }
         Edit::SubdivideForPose { region } => {
             let faces = context.faces_in_region(region.as_ref(), kind)?;
             let bend = context.bend.ok_or_else(|| {
                 Error::Precondition("no handles are set; subdivide with auto divides what lies between handles".into())
             })?;
-            plan_division(&context.surface.surface(), &faces, &bend, exec)?
+            plan_division(&surface, &faces, &bend, exec)?
         }
         Edit::Decimate { region, ratio } => {
             let faces = context.faces_in_region(region.as_ref(), kind)?;
-            edit::decimate_region(&context.surface.surface(), &faces, *ratio, progress)?
+            edit::decimate_region(&surface, &faces, *ratio, progress)?
         }
         Edit::Delete { region, fill } => {
             let faces = context.faces_in_region(Some(region), kind)?;
             if faces.len() == context.surface.triangles.len() {
                 let problem = "holds every triangle; something has to be left";
-                let place = InputPlace::EditRegion(kind, super::RegionPlace::Whole);
-                return Err(Error::invalid(place, problem));
+                return Err(Error::invalid("delete.region", problem));
             }
-            edit::delete_faces(&context.surface.surface(), &faces, *fill, progress)?
+            edit::delete_faces(&surface, &faces, *fill, progress)?
         }
         Edit::Fill { region } => {
             let faces = match region {
                 Some(region) => Some(context.faces_touching(region, 1, kind)?),
                 None => None,
             };
-            edit::fill_holes(&context.surface.surface(), faces.as_deref(), progress)?
+            edit::fill_holes(&surface, faces.as_deref(), progress)?
         }
         Edit::Remesh(remesh) => {
             let faces = context.faces_in_region(remesh.region.as_ref(), kind)?;
@@ -137,26 +90,20 @@ pub(super) fn plan_edit(context: &mut EditContext<'_>, edit: &Edit, exec: &Exec<
                 max_deviation: remesh.max_deviation,
                 sharp_degrees: remesh.sharp_degrees.unwrap_or(edit::SHARP_DEGREES),
             };
-            let expected = edit::expected_triangles(&context.surface.surface(), &faces, &options)?;
+            let expected = edit::expected_triangles(&surface, &faces, &options)?;
             // What no surface may have is refused as such.
             if expected <= edit::MOST_TRIANGLES as f64 {
                 (context.admit_growth)(expected - faces.len() as f64)?;
             }
-            let remeshed = edit::remesh_region(&context.surface.surface(), &faces, &options, progress)?;
-            return Ok(PlannedEdit {
-                deviation: remeshed.deviation,
-                ..remeshed.patch.into()
-            });
+            edit::remesh_region(&surface, &faces, &options, progress)?
         }
         Edit::Merge(merge) => plan_merge(context, merge, exec)?,
         Edit::InsertCurve { points, closed } => {
             let curve = SurfaceCurve::Drawn(points);
-            let (patch, curve) = edit::insert_curve(&context.surface.surface(), &curve, *closed, progress)?;
-            return Ok(PlannedEdit { curve, ..patch.into() });
+            edit::insert_curve(&surface, &curve, *closed, progress)?
         }
         Edit::Weld { tolerance } => plan_weld(context, *tolerance, exec)?,
-    };
-    Ok(patch.into())
+    })
 }
 
 impl EditContext<'_> {
@@ -170,8 +117,8 @@ impl EditContext<'_> {
 
     /// The triangles with at least `corners` corners in a region, rising.
     fn faces_touching(&self, region: &Region, corners: usize, kind: EditKind) -> Result<Vec<u32>, Error> {
-        let place = |part| InputPlace::EditRegion(kind, part);
-        let marks = vertices_in_region(&self.regions, region, None).map_err(|e| e.with_place(place))?;
+        let field = format!("{}.region", kind.name());
+        let marks = vertices_in_region(&self.regions, region, None).map_err(|e| e.below(&field))?;
         let faces: Vec<u32> = (0u32..)
             .zip(&self.surface.triangles)
             .filter(|(_, t)| t.iter().filter(|&&v| marks[v as usize]).count() >= corners)
@@ -179,14 +126,9 @@ impl EditContext<'_> {
             .collect();
         if faces.is_empty() {
             let problem = "holds no triangle; a triangle is inside when its three corners are";
-            return Err(Error::invalid(place(super::RegionPlace::Whole), problem));
+            return Err(Error::invalid(field, problem));
         }
         Ok(faces)
-    }
-
-    /// Which primitives have hard edges where a cap meets a wall: those with normals.
-    fn hard_caps(&self) -> Vec<bool> {
-        self.surface.primitives.iter().map(|p| p.has_normals).collect()
     }
 }
 
@@ -198,7 +140,8 @@ fn plan_cut(
     exec: &Exec<'_>,
 ) -> Result<SurfacePatch, Error> {
     let surface = context.surface.surface();
-    let hard = context.hard_caps();
+    // Edges are hard where a cap meets a wall with normals.
+    let hard: Vec<bool> = context.surface.primitives.iter().map(|p| p.has_normals).collect();
     let options = CutOptions {
         keep,
         fill,
@@ -222,7 +165,7 @@ fn plan_cut(
                     let count = surface.positions.len();
                     let problem =
                         format!("is {vertex}, which no triangle uses; the model has {count} vertices, counted from 0");
-                    Error::invalid(InputPlace::CutPathVertex(k), problem)
+                    Error::invalid(format!("cut.path[{k}]"), problem)
                 })?);
             }
             edit::cut_along_curve(&surface, &SurfaceCurve::Along(&path), *closed, &options, exec.progress)?
@@ -242,8 +185,8 @@ fn plan_weld(context: &mut EditContext<'_>, tolerance: f64, exec: &Exec<'_>) -> 
 /// Appends the other model to surface and origins, and plans how they are joined.
 fn plan_merge(context: &mut EditContext<'_>, merge: &ModelMerge, exec: &Exec<'_>) -> Result<SurfacePatch, Error> {
     let source = match merge.from_session {
-        true => InputPlace::MergedSession,
-        false => InputPlace::MergedModel,
+        true => "merge.session",
+        false => "merge.model",
     };
     let unfit = |e: Error| match e {
         Error::Asset(asset::Error::TooLarge { .. }) | Error::TooLarge { .. } | Error::Cancelled => e,
@@ -318,5 +261,5 @@ fn check_sizes(own: &[DVec3], placed: &[DVec3]) -> Result<(), Error> {
         "makes both together {:.3e} times as large as the smaller one, allowed is {LARGEST:e}",
         both / least
     );
-    Err(Error::invalid(InputPlace::MergePlacement, problem))
+    Err(Error::invalid("merge.transform", problem))
 }

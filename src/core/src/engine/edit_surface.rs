@@ -1,6 +1,6 @@
 //! The surface that an edit works on.
 
-use super::seams::Seams;
+use super::seams::{Seams, append_padded};
 use super::shape::Shading;
 use crate::asset::{Geometry, Primitive};
 use crate::edit::SurfaceView;
@@ -123,15 +123,6 @@ impl EditSurface {
         triangles.for_each(|t| t.swap(1, 2));
     }
 
-    /// Where each point is.
-    pub fn point_positions(&self) -> Vec<DVec3> {
-        let mut positions = vec![DVec3::ZERO; self.points as usize];
-        for (&p, &position) in self.point_of.iter().zip(&self.positions).filter(|p| *p.0 != NONE) {
-            positions[p as usize] = position;
-        }
-        positions
-    }
-
     /// The first render vertex of each primitive.
     pub fn first_vertices(&self) -> Vec<u32> {
         self.primitives.iter().map(|p| p.first_vertex).collect()
@@ -142,19 +133,9 @@ impl EditSurface {
         let (vertices, primitives) = (self.positions.len() as u32, self.primitives.len() as u32);
         self.seams
             .append(&other.seams, self.positions.len(), other.positions.len());
-        let both = |a: bool, b: bool| a || b;
-        if both(!self.normals.is_empty(), !other.normals.is_empty()) {
-            self.normals.resize(self.positions.len(), Vec3::ZERO);
-            self.normals.extend(&other.normals);
-            self.normals
-                .resize(self.positions.len() + other.positions.len(), Vec3::ZERO);
-        }
-        if both(!self.tangents.is_empty(), !other.tangents.is_empty()) {
-            self.tangents.resize(self.positions.len(), Vec4::ZERO);
-            self.tangents.extend(&other.tangents);
-            self.tangents
-                .resize(self.positions.len() + other.positions.len(), Vec4::ZERO);
-        }
+        let counts = [self.positions.len(), other.positions.len()];
+        append_padded(&mut self.normals, &other.normals, counts, Vec3::ZERO);
+        append_padded(&mut self.tangents, &other.tangents, counts, Vec4::ZERO);
         self.positions.extend(&other.positions);
         self.triangles
             .extend(other.triangles.iter().map(|t| t.map(|v| v + vertices)));

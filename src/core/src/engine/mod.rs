@@ -24,7 +24,7 @@
 //! ```
 //!
 //! This module knows no message, no connection and no clock: `wire` turns messages into its types and back, and checks them
-//! on the way. What depends on the model is checked here; an [`Error`] names the input by an [`InputPlace`].
+//! on the way. What depends on the model is checked here; an [`Error`] names the field of the request.
 
 mod animation;
 mod carry;
@@ -62,7 +62,7 @@ pub use edit_command::{
     CutLine, Edit, EditCommand, EditKind, EditOutcome, EditReport, EditedShape, KeptVertexRun, MergeJoin, ModelMerge,
     RemeshCommand,
 };
-pub use error::{Error, InputPlace, RegionPlace};
+pub use error::Error;
 pub use facts::{
     DeformerFacts, DeformerWarning, HandleFacts, LoosePart, MeshCounts, ModelFacts, QualityReport, SolverFacts,
     TieFacts, WarningPlace,

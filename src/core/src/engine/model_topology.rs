@@ -301,8 +301,7 @@ fn is_own(
     let (Some(new), false) = (new.and_then(|k| patch.vertices.get(k)), before.normals.is_empty()) else {
         return false;
     };
-    let parts = new.of.iter().zip(&new.weights).filter(|(_, w)| **w > 0.0);
-    let sum: Vec3 = parts.map(|(&v, &w)| before.normals[v as usize] * w as f32).sum();
+    let sum: Vec3 = (new.parts()).map(|(v, w)| before.normals[v as usize] * w as f32).sum();
     sum.normalize_or_zero().dot(normals[vertex]) < ALIKE
 }
 
@@ -314,10 +313,9 @@ fn edited_tangents(before: &EditSurface, applied: &PatchedSurface, patch: &Surfa
     let old = before.positions.len();
     let blended = |k: usize| {
         let new = patch.vertices.get(k)?;
-        let parts = new.of.iter().zip(&new.weights).filter(|(_, w)| **w > 0.0);
         let mut sum = Vec4::ZERO;
         let mut hand = 0.0;
-        for (&v, &w) in parts {
+        for (v, w) in new.parts() {
             let tangent = before.tangents[v as usize];
             hand = if hand == 0.0 { tangent.w } else { hand };
             sum += tangent * w as f32;

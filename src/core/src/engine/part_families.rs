@@ -9,7 +9,7 @@ use crate::asset::{
 };
 use crate::deform::TieFamilies;
 use crate::edit::{PatchedSurface, SurfacePatch, SurfaceView};
-use crate::engine::error::{Error, InputPlace};
+use crate::engine::error::Error;
 use crate::engine::riding::number_of_primitives;
 use crate::engine::settings::KeptApart;
 use crate::graph::LOOSE;
@@ -182,7 +182,7 @@ fn loose_parts(
                 "is {part}, the model has {} connected parts, counted from 0",
                 parts.count
             );
-            return Err(Error::invalid(InputPlace::KeptComponent(k), problem));
+            return Err(Error::invalid(format!("keepApart.components[{k}]"), problem));
         };
         *loose = true;
     }
@@ -192,7 +192,7 @@ fn loose_parts(
                 "is {primitive}, the model has {}, counted from 0",
                 number_of_primitives(primitives.len())
             );
-            return Err(Error::invalid(InputPlace::KeptPrimitive(k), problem));
+            return Err(Error::invalid(format!("keepApart.primitives[{k}]"), problem));
         };
         for v in primitive.vertices() {
             if let Some(&point) = mesh.solver_from_render.get(v).filter(|p| **p != NONE) {
@@ -306,8 +306,7 @@ impl VertexOrigins {
                     flags.push(self.bare[was as usize]);
                 }
                 Some(new) => {
-                    let parts = new.of.into_iter().zip(new.weights).filter(|p| p.1 > 0.0);
-                    let parts: Vec<(u32, f64)> = parts.collect();
+                    let parts: Vec<(u32, f64)> = new.parts().collect();
                     blends.push_composed(&self.blends, &parts);
                     let inherited = parts.iter().all(|p| self.bare[p.0 as usize]);
                     flags.push(inherited || bare(now));

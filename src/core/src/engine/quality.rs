@@ -3,7 +3,6 @@
 //! Faces too large to show the bend between handles are reported before and after a pose, and divided on request.
 
 use crate::deform::{FaceChanges, HandleSystem, exp_rotation, shares_difference};
-use crate::edit;
 use crate::edit::{EvennessTarget, FieldSample, SurfacePatch, SurfaceView, subdivide_until_even};
 use crate::engine::facts::{DeformerWarning, QualityReport};
 use crate::engine::handle::HandlePoses;
@@ -12,7 +11,7 @@ use crate::exec::Exec;
 use crate::mesh::local_turns::{is_turned_over, largest_stretch, vertex_gradients};
 use crate::mesh::query::TriangleBvh;
 use crate::mesh::rotation::fit_rotation;
-use crate::mesh::{BoundingBox, Mesh, shading};
+use crate::mesh::{self, BoundingBox, Mesh, shading};
 use crate::pool::Pool;
 use crate::progress::Cancelled;
 use glam::{DMat3, DQuat, DVec3};
@@ -262,7 +261,7 @@ pub(super) fn plan_division(
     faces: &[u32],
     bend: &HandleBend<'_>,
     exec: &Exec<'_>,
-) -> Result<SurfacePatch, edit::Error> {
+) -> Result<SurfacePatch, mesh::Error> {
     let HandleBend {
         handles,
         mesh,
@@ -295,13 +294,13 @@ pub(super) fn plan_division(
         largest: 1.0,
         shortest: SHORTEST * diagonal,
         longest: &|t| match tree.visits.total() > most_visits {
-            true => Err(edit::Error::Impossible {
-                problem: format!(
+            true => Err(mesh::Error::impossible(
+                format!(
                     "finding how thick the body is takes more than {most_visits} comparisons, because faces are as long as the \
                      model; remesh it first, which gives it faces of about one size"
                 ),
-                place: edit::ErrorPlace::Described(format!("triangle {t}")),
-            }),
+                format!("triangle {t}"),
+            )),
             false => Ok(part * thickness_at(surface, &tree, t, diagonal)),
         },
     };

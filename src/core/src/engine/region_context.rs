@@ -1,6 +1,6 @@
 //! Which vertices and which graph nodes a region holds.
 
-use super::error::{RegionError, RegionPlace};
+use super::error::Error;
 use super::handle::{Region, VertexRange};
 use super::tube_region::Tube;
 use crate::asset::Primitive;
@@ -69,7 +69,7 @@ pub(super) fn vertices_in_region(
     context: &RegionContext<'_>,
     region: &Region,
     mirror: Option<MirrorPlane>,
-) -> Result<Vec<bool>, RegionError> {
+) -> Result<Vec<bool>, Error> {
     let vertices = find_vertices(context, region, mirror)?;
     if mirror.is_none() && !vertices.contains(&true) {
         return Err(holds_nothing(context));
@@ -82,7 +82,7 @@ pub(super) fn vertices_in_region(
 ///
 /// # Errors
 /// When the region does not fit the model, or lists no vertex.
-pub(super) fn vertices_of_handle(context: &RegionContext<'_>, region: &Region) -> Result<Vec<bool>, RegionError> {
+pub(super) fn vertices_of_handle(context: &RegionContext<'_>, region: &Region) -> Result<Vec<bool>, Error> {
     match region.is_solid() {
         true => find_vertices(context, region, None),
         false => vertices_in_region(context, region, None),
@@ -90,7 +90,7 @@ pub(super) fn vertices_of_handle(context: &RegionContext<'_>, region: &Region) -
 }
 
 /// What is said of a region that holds nothing: mostly it lies beside the model, or is in other units.
-pub(super) fn holds_nothing(context: &RegionContext<'_>) -> RegionError {
+pub(super) fn holds_nothing(context: &RegionContext<'_>) -> Error {
     let (low, high) = (context.positions.iter()).fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), p| {
         (low.min(*p), high.max(*p))
     });
@@ -100,7 +100,7 @@ pub(super) fn holds_nothing(context: &RegionContext<'_>) -> RegionError {
         rounded_point(low, low.distance(high)),
         rounded_point(high, low.distance(high))
     );
-    RegionError::new(RegionPlace::Whole, problem)
+    Error::invalid("", problem)
 }
 
 /// A point as people read it: with enough digits for places of a box with this diagonal.
@@ -120,7 +120,7 @@ fn find_vertices(
     context: &RegionContext<'_>,
     region: &Region,
     mirror: Option<MirrorPlane>,
-) -> Result<Vec<bool>, RegionError> {
+) -> Result<Vec<bool>, Error> {
     let vertices = match (membership(context, region)?, mirror) {
         (Membership::Listed(marks), None) => marks,
         (Membership::Listed(marks), Some(mirror)) => {
@@ -146,7 +146,7 @@ fn without_passengers(
     context: &RegionContext<'_>,
     mut vertices: Vec<bool>,
     mirror: Option<MirrorPlane>,
-) -> Result<Vec<bool>, RegionError> {
+) -> Result<Vec<bool>, Error> {
     let mut taken_from = None;
     for passenger in context.primitives.iter().filter(|p| p.is_passenger) {
         let held = &mut vertices[passenger.vertices()];
@@ -161,7 +161,7 @@ fn without_passengers(
                 "holds vertices of passengers alone, such as \"{}\"; what rides along cannot be held",
                 passenger.name
             );
-            Err(RegionError::new(RegionPlace::Whole, problem))
+            Err(Error::invalid("", problem))
         }
         _ => Ok(vertices),
     }
@@ -176,7 +176,7 @@ pub(super) fn nodes_in_region(
     graph: &MeshGraph,
     region: &Region,
     mirror: Option<MirrorPlane>,
-) -> Result<RegionNodes, RegionError> {
+) -> Result<RegionNodes, Error> {
     let nodes = match membership(context, region)? {
         Membership::Listed(marks) => {
             let own = surface_of_vertices(context, &marks);
@@ -208,7 +208,7 @@ fn points_inside(
     contains: impl Fn(DVec3) -> bool,
     points: &[DVec3],
     mirror: Option<MirrorPlane>,
-) -> Result<Vec<bool>, RegionError> {
+) -> Result<Vec<bool>, Error> {
     let mut inside = Vec::with_capacity(points.len());
     for block in points.chunks(BLOCK) {
         context.exec.check()?;
@@ -243,16 +243,21 @@ pub(super) fn region_centroid(
     points.iter().map(|p| *p / points.len().max(1) as f64).sum()
 }
 
-fn membership<'a>(context: &RegionContext<'_>, region: &'a Region) -> Result<Membership<'a>, RegionError> {
+fn membership<'a>(context: &RegionContext<'_>, region: &'a Region) -> Result<Membership<'a>, Error> {
     Ok(match region {
         Region::Vertices { indices, ranges } => Membership::Listed(listed_vertices(context, indices, ranges)?),
         &Region::Component(index) => {
-            require_number(index, context.parts.count, RegionPlace::Component, "parts")?;
+            require_number(index, context.parts.count, || ".component.index".into(), "parts")?;
             let of = |v: &u32| *v != NONE && context.parts.of_vertex[*v as usize] == index;
             Membership::Listed(context.mesh.solver_from_render.iter().map(of).collect())
         }
         &Region::Primitive(index) => {
-            require_number(index, context.primitives.len(), RegionPlace::Primitive, "primitives")?;
+            require_number(
+                index,
+                context.primitives.len(),
+                || ".primitive.index".into(),
+                "primitives",
+            )?;
             let primitive = &context.primitives[index as usize];
             let mut marks = vec![false; context.positions.len()];
             let (first, count) = (primitive.first_vertex as usize, primitive.vertex_count as usize);
@@ -276,35 +281,31 @@ fn membership<'a>(context: &RegionContext<'_>, region: &'a Region) -> Result<Mem
     })
 }
 
-fn require_number(index: u32, count: usize, part: RegionPlace, what: &str) -> Result<(), RegionError> {
+fn require_number(index: u32, count: usize, field: impl Fn() -> String, what: &str) -> Result<(), Error> {
     if (index as usize) < count {
         return Ok(());
     }
     let problem = format!("is {index}, the model has {count} {what}, counted from 0");
-    Err(RegionError::new(part, problem))
+    Err(Error::invalid(field(), problem))
 }
 
-fn require_weights(values: &[f32], count: usize) -> Result<(), RegionError> {
+fn require_weights(values: &[f32], count: usize) -> Result<(), Error> {
     if values.len() != count {
         let problem = format!("has {} numbers, the model has {count} render vertices", values.len());
-        return Err(RegionError::new(RegionPlace::Weights, problem));
+        return Err(Error::invalid(".weights.values", problem));
     }
     if let Some(k) = values.iter().position(|w| !(0.0..=1.0).contains(w)) {
         let problem = format!("is {}, allowed are 0 to 1", values[k]);
-        return Err(RegionError::new(RegionPlace::Weight(k), problem));
+        return Err(Error::invalid(format!(".weights.values[{k}]"), problem));
     }
     Ok(())
 }
 
-fn listed_vertices(
-    context: &RegionContext<'_>,
-    indices: &[u32],
-    ranges: &[VertexRange],
-) -> Result<Vec<bool>, RegionError> {
+fn listed_vertices(context: &RegionContext<'_>, indices: &[u32], ranges: &[VertexRange]) -> Result<Vec<bool>, Error> {
     let count = context.positions.len();
     let mut marks = vec![false; count];
     for (k, &index) in indices.iter().enumerate() {
-        require_number(index, count, RegionPlace::ListedVertex(k), "render vertices")?;
+        require_number(index, count, || format!(".vertices.indices[{k}]"), "render vertices")?;
         marks[index as usize] = true;
     }
     // How many more ranges begin at a vertex than end there: ranges may overlap, and each is to cost the same however long it is.
@@ -313,7 +314,7 @@ fn listed_vertices(
         let end = u64::from(range.first) + u64::from(range.count);
         if end > count as u64 {
             let problem = format!("ends at {end}, the model has {count} render vertices, counted from 0");
-            return Err(RegionError::new(RegionPlace::VertexRange(k), problem));
+            return Err(Error::invalid(format!(".vertices.ranges[{k}]"), problem));
         }
         begun[range.first as usize] += 1;
         begun[end as usize] -= 1;
@@ -343,11 +344,7 @@ fn vertices_of_surface(context: &RegionContext<'_>, surface: &[bool]) -> Vec<boo
 }
 
 /// The solver vertices whose mirror images are marked.
-fn mirrored_surface(
-    context: &RegionContext<'_>,
-    surface: &[bool],
-    mirror: MirrorPlane,
-) -> Result<Vec<bool>, RegionError> {
+fn mirrored_surface(context: &RegionContext<'_>, surface: &[bool], mirror: MirrorPlane) -> Result<Vec<bool>, Error> {
     let images = mirror_images(context, mirror)?;
     Ok(images.iter().map(|o| o.is_some_and(|o| surface[o as usize])).collect())
 }
@@ -357,7 +354,7 @@ fn surface_weights(
     context: &RegionContext<'_>,
     values: &[f32],
     mirror: Option<MirrorPlane>,
-) -> Result<Vec<f32>, RegionError> {
+) -> Result<Vec<f32>, Error> {
     let mut by_solver = vec![0f32; context.mesh.positions.len()];
     let weighted = context.mesh.solver_from_render.iter().zip(values);
     for (&solver, &w) in weighted.filter(|(s, _)| **s != NONE) {
@@ -378,7 +375,7 @@ fn nodes_nearest_to(graph: &MeshGraph, surface: &[bool]) -> Vec<u32> {
 
 /// For every solver vertex the one whose mirror image it is: the nearest within half a mean edge of the exact place. All regions
 /// of a context are seen in one mirror.
-fn mirror_images<'a>(context: &'a RegionContext<'_>, mirror: MirrorPlane) -> Result<&'a [Option<u32>], RegionError> {
+fn mirror_images<'a>(context: &'a RegionContext<'_>, mirror: MirrorPlane) -> Result<&'a [Option<u32>], Error> {
     if let Some((_, images)) = context.images.get().filter(|(plane, _)| *plane == mirror) {
         return Ok(images);
     }
@@ -392,9 +389,9 @@ fn mirror_images<'a>(context: &'a RegionContext<'_>, mirror: MirrorPlane) -> Res
         found.map(|(n, _)| n)
     };
     let images = map(positions, &budget, image).map_err(|stop| match stop {
-        QueryStop::Cancelled => RegionError::Cancelled,
-        QueryStop::TooMany { limit } => RegionError::new(
-            RegionPlace::Whole,
+        QueryStop::Cancelled => Error::Cancelled,
+        QueryStop::TooMany { limit } => Error::invalid(
+            "",
             format!("is mirrored, and finding the mirror images of this model's vertices takes more than {limit} comparisons"),
         ),
     })?;

@@ -1,6 +1,6 @@
 //! A set of handles resolved to what the deformation takes: nodes, weights and transforms.
 
-use super::error::{Error, InputPlace};
+use super::error::Error;
 use super::facts::DeformerWarning;
 use super::handle::{Falloff, FalloffCurve, Handle, HandlePose, HandleSet, Region};
 use super::region_context::{
@@ -67,23 +67,23 @@ pub(super) fn resolve_handles(
     let lists = differing_lists(&set.handles);
     for (k, handle) in set.handles.iter().enumerate() {
         admit(held_bytes)?;
-        let place = |part| InputPlace::HandleRegion(k, part);
-        let vertices = vertices_of_handle(context, &handle.region).map_err(|e| e.with_place(place))?;
-        let held = nodes_in_region(context, graph, &handle.region, None).map_err(|e| e.with_place(place))?;
+        let in_region = |e: Error| e.below(&format!("handles[{k}].region"));
+        let vertices = vertices_of_handle(context, &handle.region).map_err(in_region)?;
+        let held = nodes_in_region(context, graph, &handle.region, None).map_err(in_region)?;
         if held.nodes.is_empty() && !vertices.contains(&true) {
-            return Err(holds_nothing(context).with_place(place));
+            return Err(in_region(holds_nothing(context)));
         }
         (resolved.centroids).push(region_centroid(context, graph, &vertices, &held.nodes));
         if handle.falloff.is_some() && handle.stiffness.is_none() {
             let problem = "needs stiffness: a hard handle cannot fade out";
-            return Err(Error::invalid(InputPlace::HandleFalloff(k), problem));
+            return Err(Error::invalid(format!("handles[{k}].falloff"), problem));
         }
         let hold = hold_nodes(body, handle, held, context.exec)?;
         if hold.stiffness.is_none() && hold.position {
             unreferenced.extend(unreferenced_vertices(context, &vertices, k as u32));
         }
         if mirror.is_some() {
-            let image = nodes_in_region(context, graph, &handle.region, mirror).map_err(|e| e.with_place(place))?;
+            let image = nodes_in_region(context, graph, &handle.region, mirror).map_err(in_region)?;
             let mut image = hold_nodes(body, handle, image, context.exec)?;
             // A node of both belongs to the handle itself, not to its mirror image.
             image.nodes.retain(|n| hold.nodes.binary_search(n).is_err());
@@ -251,9 +251,8 @@ fn frozen_nodes(
     let Some(region) = interest else {
         return Ok(Vec::new());
     };
-    vertices_in_region(context, region, None).map_err(|e| e.with_place(InputPlace::RegionOfInterest))?;
-    let inside =
-        nodes_in_region(context, &body.graph, region, None).map_err(|e| e.with_place(InputPlace::RegionOfInterest))?;
+    vertices_in_region(context, region, None).map_err(|e| e.below("regionOfInterest"))?;
+    let inside = nodes_in_region(context, &body.graph, region, None).map_err(|e| e.below("regionOfInterest"))?;
     let mut frozen = vec![true; body.nodes()];
     inside.nodes.iter().for_each(|&n| frozen[n as usize] = false);
     Ok(frozen)

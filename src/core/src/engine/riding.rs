@@ -1,7 +1,7 @@
 //! Primitives and nodes of a model's file that ride along: which they are, and where they go in a shape.
 
 use crate::asset::{Model, ModelNode, NodeMotions, Primitive};
-use crate::engine::error::{Error, InputPlace};
+use crate::engine::error::Error;
 use crate::engine::settings::{Passenger, PassengerKind};
 use crate::exec::Exec;
 use crate::mesh::carry::{CarriedFrame, CarriedPoints, CarrySurface, SurfaceCarrier, SurfaceMotion};
@@ -26,7 +26,7 @@ const BLOCK: usize = 512;
 /// be solved.
 pub(super) fn mark_passengers(primitives: &mut [Primitive], passengers: &[Passenger]) -> Result<(), Error> {
     for (k, passenger) in passengers.iter().enumerate() {
-        let refuse = |problem: String| Err(Error::invalid(InputPlace::Passenger(k), problem));
+        let refuse = |problem: String| Err(Error::invalid(format!("passengers[{k}]"), problem));
         let count = primitives.len();
         let meant: Vec<usize> = match &passenger.kind {
             PassengerKind::Primitive(index) if (*index as usize) < count => vec![*index as usize],
@@ -179,7 +179,7 @@ impl RidingNodes {
         };
         let Some(nodes) = model.nodes()? else {
             let problem = format!("is a node, but the model is {}; only glTF has nodes", model.format);
-            return Err(Error::invalid(InputPlace::Passenger(first), problem));
+            return Err(Error::invalid(format!("passengers[{first}]"), problem));
         };
         let mut named: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
         for (index, node) in nodes.iter().enumerate() {
@@ -188,7 +188,7 @@ impl RidingNodes {
         let mut riding = Vec::new();
         let mut taken = vec![false; nodes.len()];
         for (k, passenger) in passengers.iter().enumerate() {
-            let refuse = |problem: String| Error::invalid(InputPlace::Passenger(k), problem);
+            let refuse = |problem: String| Error::invalid(format!("passengers[{k}]"), problem);
             let meant = match &passenger.kind {
                 PassengerKind::Node(index) if (*index as usize) < nodes.len() => vec![*index as usize],
                 PassengerKind::Node(index) => {

@@ -99,11 +99,7 @@ impl Seams {
         self.stands_for.extend(known..before as u32);
         let added = (0..vertices as u32).map(|v| before as u32 + other.first_of(v));
         self.stands_for.extend(added);
-        if !self.facets.is_empty() || !other.facets.is_empty() {
-            self.facets.resize(before, false);
-            self.facets.extend_from_slice(&other.facets);
-            self.facets.resize(before + vertices, false);
-        }
+        append_padded(&mut self.facets, &other.facets, [before, vertices], false);
     }
 
     /// Marks all vertices that one stands for, where one of them is marked.
@@ -126,10 +122,7 @@ impl Seams {
         }
         let count = before.positions.len();
         let moved: BTreeMap<u32, DVec3> = patch.moved.iter().copied().collect();
-        let facet = |v: &NewVertex| {
-            let parts = v.of.iter().zip(&v.weights).filter(|(_, w)| **w > 0.0);
-            parts.map(|(&v, _)| v).any(|v| self.is_facet(v))
-        };
+        let facet = |v: &NewVertex| v.parts().any(|(v, _)| self.is_facet(v));
         // The corners of each new vertex that is to be many.
         let mut corners_of: Vec<Vec<(usize, usize)>> = vec![Vec::new(); patch.vertices.len()];
         let is_parted: Vec<bool> = patch.vertices.iter().map(facet).collect();
@@ -176,6 +169,17 @@ impl Seams {
         }
         patch.vertices = vertices;
     }
+}
+
+/// Appends what the vertices of another surface have, where either has any: `counts` are the vertices of both, and `none` stands
+/// for those without.
+pub(super) fn append_padded<T: Copy>(own: &mut Vec<T>, other: &[T], counts: [usize; 2], none: T) {
+    if own.is_empty() && other.is_empty() {
+        return;
+    }
+    own.resize(counts[0], none);
+    own.extend_from_slice(other);
+    own.resize(counts[0] + counts[1], none);
 }
 
 /// Sets of vertices, each named by the smallest one.

@@ -10,7 +10,7 @@ use crate::deform::{
 use crate::engine::Deformer;
 use crate::engine::deformer::CommittedShape;
 use crate::engine::edit_command::{Edit, EditCommand, EditOutcome, EditedShape};
-use crate::engine::error::{Error, InputPlace};
+use crate::engine::error::Error;
 use crate::engine::handle::{HandlePose, HandlePoses};
 use crate::engine::riding::RidingVertices;
 use crate::engine::settings::{COMMIT_REFINE, SolveMode, SolveSettings};
@@ -67,7 +67,7 @@ impl Deformer {
             let Some(at) = handles.iter().position(|h| h.id == id) else {
                 let ids: Vec<_> = handles.iter().take(8).map(|h| format!("\"{}\"", h.id)).collect();
                 let problem = format!("no handle \"{id}\" is set, there are {}", ids.join(", "));
-                return Err(Error::invalid(InputPlace::PosedHandle(k), problem));
+                return Err(Error::invalid(format!("pose.handles[{k}].id"), problem));
             };
             all[at] = pose;
         }

@@ -1,6 +1,6 @@
 //! Which points lie within a distance of a polyline.
 
-use super::error::{RegionError, RegionPlace};
+use super::error::Error;
 use crate::exec::Exec;
 use crate::graph::parallel::map;
 use crate::mesh::query::closest_point::closest_point_on_segment;
@@ -34,13 +34,13 @@ impl<'a> Tube<'a> {
     ///
     /// # Errors
     /// When it has fewer than two points, or too many.
-    pub fn cut_pieces(line: &'a [DVec3], radius: f64) -> Result<Self, RegionError> {
+    pub fn cut_pieces(line: &'a [DVec3], radius: f64) -> Result<Self, Error> {
         if !(2..=MOST_TUBE_POINTS).contains(&line.len()) {
             let problem = format!(
                 "is a tube along {} points, allowed are 2 to {MOST_TUBE_POINTS}",
                 line.len()
             );
-            return Err(RegionError::new(RegionPlace::Whole, problem));
+            return Err(Error::invalid("", problem));
         }
         let total: f64 = line.windows(2).map(|s| s[0].distance(s[1])).sum();
         let length = total / (PIECES * line.len() as f64);
@@ -82,7 +82,7 @@ impl<'a> Tube<'a> {
         points: &[DVec3],
         place: impl Fn(DVec3) -> DVec3 + Sync + Send,
         exec: &Exec<'_>,
-    ) -> Result<Vec<bool>, RegionError> {
+    ) -> Result<Vec<bool>, Error> {
         let tree = TriangleBvh::build(&self.ends, &self.pieces, exec.pool);
         let most = self
             .line
@@ -93,9 +93,9 @@ impl<'a> Tube<'a> {
         let budget = VisitBudget::new(LEAST_VISITS + VISITS_PER_POINT * points.len() as u64, &seen, exec);
         let found = map(points, &budget, |&p| self.contains(&tree, place(p), reach));
         found.map_err(|stop| match stop {
-            QueryStop::Cancelled => RegionError::Cancelled,
-            QueryStop::TooMany { limit } => RegionError::new(
-                RegionPlace::Whole,
+            QueryStop::Cancelled => Error::Cancelled,
+            QueryStop::TooMany { limit } => Error::invalid(
+                "",
                 format!(
                     "is a tube whose {} points take more than {limit} comparisons with this model; give it fewer points",
                     self.line.len()
@@ -127,7 +127,7 @@ mod tests {
     use crate::progress::Silent;
     use proptest::prelude::*;
 
-    fn find(line: &[DVec3], radius: f64, points: &[DVec3]) -> Result<Vec<bool>, RegionError> {
+    fn find(line: &[DVec3], radius: f64, points: &[DVec3]) -> Result<Vec<bool>, Error> {
         let pool = Pool::new(2).expect("threads");
         Tube::cut_pieces(line, radius)?.find_inside(points, |p| p, &Exec::new(&pool, &Silent))
     }
@@ -175,12 +175,12 @@ mod tests {
         let middle: Vec<DVec3> = (0..2000).map(|k| DVec3::Z * (f64::from(k) * 1e-9)).collect();
         assert!(matches!(
             find(&circle(MOST_TUBE_POINTS + 1), 0.5, &middle),
-            Err(RegionError::Invalid { .. })
+            Err(Error::Invalid { .. })
         ));
         // The sides of this circle come as near as 0.9999997.
         assert!(matches!(
             find(&circle(MOST_TUBE_POINTS), 0.9999995, &middle),
-            Err(RegionError::Invalid { .. })
+            Err(Error::Invalid { .. })
         ));
         assert_eq!(find(&circle(MOST_TUBE_POINTS), 0.5, &middle), Ok(vec![false; 2000]));
     }

@@ -112,12 +112,12 @@ fn parts_that_are_kept_apart_get_no_ties_and_wrong_numbers_are_refused() {
         (
             &[3][..],
             &[][..],
-            "part 0 to be kept apart: is 3, the model has 3 connected parts, counted from 0",
+            "keepApart.components[0]: is 3, the model has 3 connected parts, counted from 0",
         ),
         (
             &[],
             &[0, 7],
-            "primitive 1 to be kept apart: is 7, the model has 1 primitive, counted from 0",
+            "keepApart.primitives[1]: is 7, the model has 1 primitive, counted from 0",
         ),
     ] {
         let error = open_with(components, primitives).err().expect("refused");

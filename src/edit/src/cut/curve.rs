@@ -5,15 +5,15 @@
 use super::flat_cap::{cap_opening_alike, warn_of_open_section};
 use super::trace::{FacePosition, SNAP, TraceFailure, TraceStep, TriangleRuns, trace_along_edges, trace_straight};
 use super::{CutOptions, KeptSide};
-use crate::error::{EditSubject, Error};
 use crate::patch::SurfacePatch;
 use crate::region_mesh::{RegionMesh, edge_key};
 use crate::surface::{BitSet, SurfaceView};
 use crate::topology::split_into_loops;
+use crate::triangle::longest_side;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
 use pliant_mesh::query::closest_point::barycentric_coordinates;
-use pliant_mesh::{Components, NONE};
+use pliant_mesh::{Components, Error, NONE};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A curve on a surface.
@@ -48,7 +48,7 @@ pub(super) struct DrawnCurve {
 }
 
 /// Makes a curve an edge path of the surface, without opening it. With `closed` the last point is joined to the first.
-/// Answers the patch and the numbers, after the edit, of the points along the curve (the first is not repeated).
+/// The patch names the points along the curve; the first is not repeated.
 ///
 /// # Errors
 /// [`Error::Invalid`] for fewer than two (closed: three) points, or too many, or ones that do not exist;
@@ -58,26 +58,27 @@ pub fn insert_curve(
     curve: &SurfaceCurve<'_>,
     closed: bool,
     progress: &dyn Progress,
-) -> Result<(SurfacePatch, Vec<u32>), Error> {
-    let DrawnCurve { mesh, mut chain } = draw_curve(surface, curve, closed, EditSubject::InsertedCurve, progress)?;
+) -> Result<SurfacePatch, Error> {
+    let DrawnCurve { mesh, mut chain } = draw_curve(surface, curve, closed, "insertCurve.points", progress)?;
     if closed && chain.len() > 1 {
         chain.pop();
     }
-    let (patch, number) = mesh.into_finite_patch(surface, Vec::new())?;
+    let (mut patch, number) = mesh.into_finite_patch(surface, Vec::new())?;
     // Nothing goes, so old points keep their numbers and new ones follow in the order of the patch.
-    Ok((patch, chain.iter().map(|&p| number[p as usize]).collect()))
+    patch.curve = chain.iter().map(|&p| number[p as usize]).collect();
+    Ok(patch)
 }
 
-/// Draws a curve into a mesh of the faces around it, which grows until the curve finds its way. `subject` says what the
-/// points are to the caller.
+/// Draws a curve into a mesh of the faces around it, which grows until the curve finds its way. `field` is the path of its
+/// points in a request.
 fn draw_curve(
     surface: &SurfaceView<'_>,
     curve: &SurfaceCurve<'_>,
     closed: bool,
-    subject: EditSubject,
+    field: &str,
     progress: &dyn Progress,
 ) -> Result<DrawnCurve, Error> {
-    let invalid = |problem: String| Error::invalid(subject, problem);
+    let invalid = |problem: String| Error::invalid(field, problem);
     let least = if closed { 3 } else { 2 };
     if !(least..=MOST_POINTS).contains(&curve.len()) {
         return Err(invalid(format!(
@@ -87,8 +88,8 @@ fn draw_curve(
     }
     let runs = TriangleRuns::build(surface);
     let places = match *curve {
-        SurfaceCurve::Drawn(drawn) => project_points(surface, &runs, drawn, subject, progress)?,
-        SurfaceCurve::Along(points) => locate_points(surface, points, subject)?,
+        SurfaceCurve::Drawn(drawn) => project_points(surface, &runs, drawn, field, progress)?,
+        SurfaceCurve::Along(points) => locate_points(surface, points, field)?,
     };
     if places.iter().all(|p| p.position == places[0].position) {
         return Err(invalid(format!(
@@ -124,29 +125,29 @@ fn project_points(
     surface: &SurfaceView<'_>,
     runs: &TriangleRuns,
     drawn: &[DVec3],
-    subject: EditSubject,
+    field: &str,
     progress: &dyn Progress,
 ) -> Result<Vec<FacePosition>, Error> {
     let mut places = Vec::with_capacity(drawn.len());
     for (k, &x) in drawn.iter().enumerate() {
         if !x.is_finite() {
             let problem = format!("point {k} is {x}; coordinates must be finite");
-            return Err(Error::invalid(subject, problem));
+            return Err(Error::invalid(field, problem));
         }
         check(progress)?;
         let place = runs.find_nearest(surface, x);
-        places.push(place.ok_or_else(|| Error::invalid(subject, "there is no surface to draw on"))?);
+        places.push(place.ok_or_else(|| Error::invalid(field, "there is no surface to draw on"))?);
     }
     Ok(places)
 }
 
 /// Finds where points of the surface are, each on the first face that has it.
-fn locate_points(surface: &SurfaceView<'_>, points: &[u32], subject: EditSubject) -> Result<Vec<FacePosition>, Error> {
+fn locate_points(surface: &SurfaceView<'_>, points: &[u32], field: &str) -> Result<Vec<FacePosition>, Error> {
     let mut wanted = BitSet::new(surface.points as usize);
     for &p in points {
         if p >= surface.points {
             let problem = format!("point {p}; there are {}", surface.points);
-            return Err(Error::invalid(subject, problem));
+            return Err(Error::invalid(field, problem));
         }
         wanted.insert(p);
     }
@@ -160,7 +161,7 @@ fn locate_points(surface: &SurfaceView<'_>, points: &[u32], subject: EditSubject
     }
     let place = |&p: &u32| {
         let place = found.get(&p).copied();
-        place.ok_or_else(|| Error::invalid(subject, format!("point {p} is in no face")))
+        place.ok_or_else(|| Error::invalid(field, format!("point {p} is in no face")))
     };
     points.iter().map(place).collect()
 }
@@ -190,10 +191,7 @@ fn gather_around_curve(
         let stretches = places.len() - usize::from(!closed);
         for k in 0..stretches {
             let (a, b) = (places[k], places[(k + 1) % places.len()]);
-            let size = |p: FacePosition| {
-                let [x, y, z] = surface.corner_positions(p.face);
-                x.distance(y).max(y.distance(z)).max(z.distance(x))
-            };
+            let size = |p: FacePosition| longest_side(surface.corner_positions(p.face));
             let margin = DVec3::splat(reach * a.position.distance(b.position) + size(a).max(size(b)));
             let (low, high) = (a.position.min(b.position) - margin, a.position.max(b.position) + margin);
             runs.collect_in_box(surface, low, high, &mut faces);
@@ -351,11 +349,11 @@ pub fn cut_along_curve(
     options: &CutOptions<'_>,
     progress: &dyn Progress,
 ) -> Result<SurfacePatch, Error> {
-    let subject = match curve {
-        SurfaceCurve::Drawn(_) => EditSubject::CutCurve,
-        SurfaceCurve::Along(_) => EditSubject::CutPath,
+    let field = match curve {
+        SurfaceCurve::Drawn(_) => "cut.polyline",
+        SurfaceCurve::Along(_) => "cut.path",
     };
-    let drawn = draw_curve(surface, curve, closed, subject, progress)?;
+    let drawn = draw_curve(surface, curve, closed, field, progress)?;
     let (mut mesh, chain) = (drawn.mesh, drawn.chain);
     let (mut left, mut right): (Vec<u32>, Vec<u32>) = (Vec::new(), Vec::new());
     for pair in chain.windows(2) {

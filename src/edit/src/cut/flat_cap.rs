@@ -8,7 +8,6 @@
 //! The cap depends on nothing but the loop, begun at the same point in the same direction from either side; so the caps
 //! of two parts fit, and their volumes add up to that of the whole.
 
-use crate::error::Error;
 use crate::fill::{
     OpeningRim, RefineSize, WHOLE_EDGES, double_area, loop_contains, refine_faces, split_double_edges,
     triangulate_loop, triangulate_polygon,
@@ -18,7 +17,7 @@ use crate::region_mesh::{CAP, RegionMesh, Wedge};
 use crate::topology::split_into_loops;
 use glam::{DVec2, DVec3};
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
 use std::collections::BTreeMap;
 
 /// Fills the openings along `open_sides` (sides of living faces: from, to, face), which lie in a plane with the outward

@@ -8,7 +8,6 @@ mod curve;
 mod flat_cap;
 mod trace;
 
-use super::error::{EditSubject, Error};
 use super::patch::SurfacePatch;
 use super::region_mesh::{RegionMesh, edge_key};
 use super::surface::SurfaceView;
@@ -16,7 +15,7 @@ pub use curve::{MOST_POINTS, SurfaceCurve, cut_along_curve, insert_curve};
 use flat_cap::cap_flat_openings;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Cuts `surface` by `plane`, everywhere. Openings are closed by flat caps.
@@ -33,7 +32,7 @@ pub fn cut_by_plane(
     let length = plane.normal.length();
     if !(length > 0.0 && length.is_finite() && plane.offset.is_finite()) {
         return Err(Error::invalid(
-            EditSubject::CutPlane,
+            "cut.plane",
             format!(
                 "normal {} and offset {}; the normal must be finite and longer than 0, the offset finite",
                 plane.normal, plane.offset

@@ -15,10 +15,10 @@
 
 use super::opening::{OpeningRim, split_double_edges};
 use super::polygon::triangulate_polygon;
-use crate::error::Error;
 use crate::region_mesh::{CAP, RegionMesh, edge_key};
 use glam::{DVec2, DVec3};
 use pliant_exec::progress::{Progress, check};
+use pliant_mesh::{Error, sorted_set};
 use std::collections::BTreeMap;
 
 /// Loops with more edges are laid into a plane: the exact search takes their number to the third power.
@@ -40,14 +40,7 @@ pub(super) fn fill_loop(mesh: &mut RegionMesh, ring: &[u32], progress: &dyn Prog
     }
     split_double_edges(mesh, first);
     let mut inner = refine_faces(mesh, first, &rim.sizes, RefineSize::for_loop(ring.len()), progress)?;
-    let on_rim = |p: &u32| rim.sizes.contains_key(p);
-    inner.extend(
-        mesh.faces[first..]
-            .iter()
-            .filter(|f| f.alive)
-            .flat_map(|f| f.points)
-            .filter(|p| !on_rim(p)),
-    );
+    inner.extend(inner_points(mesh, first, &rim.sizes));
     inner.sort_unstable();
     inner.dedup();
     fair_points(mesh, &inner, ring, progress)?;
@@ -226,12 +219,7 @@ impl UmbrellaRows {
             fixed: Vec::new(),
         };
         for &p in inner.iter().chain(rim) {
-            let mut beside: Vec<u32> = (mesh.faces_around(p).iter())
-                .flat_map(|&f| mesh.faces[f as usize].points)
-                .filter(|&q| q != p)
-                .collect();
-            beside.sort_unstable();
-            beside.dedup();
+            let beside = mesh.neighbours(p);
             let share = 1.0 / beside.len().max(1) as f64;
             let mut fixed = DVec3::ZERO;
             for q in beside {
@@ -413,13 +401,7 @@ pub(crate) fn refine_faces(
 /// Points of the new faces that are not on the rim.
 fn inner_points(mesh: &RegionMesh, first: usize, sizes: &BTreeMap<u32, f64>) -> Vec<u32> {
     let faces = mesh.faces[first..].iter().filter(|f| f.alive);
-    let mut inner: Vec<u32> = faces
-        .flat_map(|f| f.points)
-        .filter(|p| !sizes.contains_key(p))
-        .collect();
-    inner.sort_unstable();
-    inner.dedup();
-    inner
+    sorted_set(faces.flat_map(|f| f.points).filter(|p| !sizes.contains_key(p)))
 }
 
 /// Exchanges inner edges of the faces from `first` on whose opposite angles are more than half a turn together.
@@ -461,7 +443,7 @@ fn make_edges_delaunay(mesh: &mut RegionMesh, first: usize, progress: &dyn Progr
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::SurfaceView;
+    use crate::surface::TestSurface;
     use pliant_exec::progress::Silent;
 
     /// An open box without its top: a ring of points, more on the long sides, and walls below.
@@ -482,22 +464,15 @@ mod tests {
                 [[k, k + 12, next + 12], [k, next + 12, next]]
             })
             .collect();
-        let points: Vec<u32> = (0..24).collect();
-        let surface = SurfaceView {
-            positions: &positions,
-            triangles: &triangles,
-            primitive_of: &[0; 24],
-            point_of: &points,
-            points: 24,
-        };
-        let mut mesh = RegionMesh::with_ring(&surface, &(0..24).collect::<Vec<u32>>());
+        let open = TestSurface::new(positions, triangles);
+        let mut mesh = RegionMesh::with_ring(&open.view(), &(0..24).collect::<Vec<u32>>());
         let ring: Vec<u32> = (0..12).collect();
         for onward in [false, true] {
             let found = triangulate_loop(&mesh, &ring, onward, &Silent)
                 .expect("not cancelled")
                 .expect("free edges");
             let normals = found.iter().map(|t| {
-                let [a, b, c] = t.map(|i| positions[i as usize]);
+                let [a, b, c] = t.map(|i| open.positions[i as usize]);
                 (b - a).cross(c - a)
             });
             assert_eq!(found.len(), 10);

@@ -4,7 +4,6 @@ mod loop_fill;
 mod opening;
 mod polygon;
 
-use super::error::{EditSubject, Error, ErrorPlace};
 use super::patch::{EditWarning, SurfacePatch};
 use super::region_mesh::RegionMesh;
 use super::surface::{BitSet, SurfaceView};
@@ -13,6 +12,7 @@ use loop_fill::fill_loop;
 pub(super) use loop_fill::{RefineSize, WHOLE_EDGES, refine_faces, triangulate_loop};
 pub(super) use opening::{OpeningRim, split_double_edges};
 use pliant_exec::progress::{Progress, check};
+use pliant_mesh::{Error, sorted_set};
 pub(super) use polygon::{double_area, loop_contains, triangulate_polygon};
 use std::collections::BTreeSet;
 
@@ -28,19 +28,15 @@ pub fn delete_faces(
     fill: bool,
     progress: &dyn Progress,
 ) -> Result<SurfacePatch, Error> {
-    let mut faces = faces.to_vec();
-    faces.sort_unstable();
-    faces.dedup();
+    let mut faces = sorted_set(faces.iter().copied());
     faces.retain(|&f| (f as usize) < surface.triangles.len());
     if faces.is_empty() || faces.len() == surface.triangles.len() {
-        return Err(Error::Impossible {
-            problem: format!(
-                "the region holds {} of {} faces; name at least one and leave at least one",
-                faces.len(),
-                surface.triangles.len()
-            ),
-            place: ErrorPlace::Argument(EditSubject::DeletedRegion),
-        });
+        let problem = format!(
+            "the region holds {} of {} faces; name at least one and leave at least one",
+            faces.len(),
+            surface.triangles.len()
+        );
+        return Err(Error::impossible(problem, "delete.region"));
     }
     let mut mesh = RegionMesh::with_ring(surface, &faces);
     let doomed: Vec<u32> = (0..mesh.triangles.len() as u32)
@@ -111,10 +107,7 @@ pub fn fill_holes(
             (0, n) => format!("none of the surface's {n} rims closes to a loop"),
             (n, _) => format!("none of the surface's {n} holes touches the region; widen it up to a rim"),
         };
-        return Err(Error::Impossible {
-            problem,
-            place: ErrorPlace::Argument(EditSubject::FilledRegion),
-        });
+        return Err(Error::impossible(problem, "fill.region"));
     }
     check(progress)?;
     let mut around = BitSet::new(surface.points as usize);

@@ -7,9 +7,8 @@
 mod resolve;
 mod surface_patch;
 
-use super::error::{EditSubject, Error};
 use super::surface::SurfaceView;
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
 use resolve::{ResolvedPatch, check_surface};
 pub use surface_patch::{EditWarning, NewTriangle, NewVertex, PatchedSurface, SurfacePatch};
 
@@ -118,7 +117,7 @@ fn lost_vertices(surface: &SurfaceView<'_>, patch: &SurfacePatch, triangles: &[[
             Some(missing) => *missing = true,
             None => {
                 return Err(Error::invalid(
-                    EditSubject::Patch("idle"),
+                    "patch.idle",
                     format!("names vertex {v}, there are {old}"),
                 ));
             }
@@ -133,7 +132,7 @@ fn lost_vertices(surface: &SurfaceView<'_>, patch: &SurfacePatch, triangles: &[[
     }
     if let Some(idle) = missing[old..].iter().position(|&m| m) {
         return Err(Error::invalid(
-            EditSubject::Patch("vertices"),
+            "patch.vertices",
             format!("new vertex {idle} is in no triangle"),
         ));
     }
@@ -159,14 +158,19 @@ mod tests {
     ];
 
     /// Two triangles of a square, one in each primitive; vertex 3 is in none.
-    fn square() -> SurfaceView<'static> {
-        SurfaceView {
-            positions: &POSITIONS,
-            triangles: &[[0, 1, 2], [4, 5, 6]],
-            primitive_of: &[0, 1],
-            point_of: &[0, 1, 2, NONE, 0, 2, 3],
-            points: 4,
-        }
+    const SQUARE: SurfaceView<'static> = SurfaceView {
+        positions: &POSITIONS,
+        triangles: &[[0, 1, 2], [4, 5, 6]],
+        primitive_of: &[0, 1],
+        point_of: &[0, 1, 2, NONE, 0, 2, 3],
+        points: 4,
+    };
+
+    /// Applies a patch to the square, of which `change` says what is not empty.
+    fn applied(change: impl FnOnce(&mut SurfacePatch)) -> Result<PatchedSurface, Error> {
+        let mut patch = SurfacePatch::default();
+        change(&mut patch);
+        apply_patch(&SQUARE, &patch, &[0, 4])
     }
 
     fn vertex(primitive: u32, point: u32, position: DVec3, of: u32) -> NewVertex {
@@ -179,17 +183,20 @@ mod tests {
         }
     }
 
+    fn triangle(primitive: u32, corners: [u32; 3]) -> NewTriangle {
+        NewTriangle { primitive, corners }
+    }
+
     #[test]
     fn an_empty_patch_changes_nothing() {
-        let s = square();
-        let a = apply_patch(&s, &SurfacePatch::default(), &[0, 4]).expect("applies");
+        let a = applied(|_| ()).expect("applies");
         assert_eq!(
-            (a.positions.as_slice(), a.triangles.as_slice()),
-            (s.positions, s.triangles)
+            (&a.positions[..], &a.triangles[..]),
+            (SQUARE.positions, SQUARE.triangles)
         );
-        assert_eq!((a.point_of.as_slice(), a.points), (s.point_of, 4));
+        assert_eq!((&a.point_of[..], a.points), (SQUARE.point_of, 4));
         assert_eq!(
-            (a.first_vertex.as_slice(), a.old_from_triangle.as_slice()),
+            (&a.first_vertex[..], &a.old_from_triangle[..]),
             (&[0, 4][..], &[0, 1][..])
         );
         assert_eq!(a.vertex_from_old, [0, 1, 2, 3, 4, 5, 6]);
@@ -200,38 +207,20 @@ mod tests {
     fn a_split_keeps_primitives_together_and_numbers_points_after_the_old_ones() {
         // The middle of 0–2 in the first primitive's triangle only; point 1 leaves with its vertex.
         let middle = DVec3::new(0.5, 0.5, 0.0);
-        let patch = SurfacePatch {
-            removed: vec![0, 1],
-            vertices: vec![
-                NewVertex {
-                    primitive: 1,
-                    point: 4,
-                    position: middle,
-                    of: [4, 5, 0],
-                    weights: [0.5, 0.5, 0.0],
-                },
-                vertex(0, 4, middle, 0),
-                vertex(0, 5, DVec3::X * 2.0, 1),
-            ],
-            triangles: vec![
-                NewTriangle {
-                    primitive: 1,
-                    corners: [4, 7, 6],
-                },
-                NewTriangle {
-                    primitive: 0,
-                    corners: [0, 9, 8],
-                },
-            ],
-            ..SurfacePatch::default()
+        let blended = NewVertex {
+            of: [4, 5, 0],
+            weights: [0.5, 0.5, 0.0],
+            ..vertex(1, 4, middle, 4)
         };
-        let a = apply_patch(&square(), &patch, &[0, 4]).expect("applies");
+        let a = applied(|patch| {
+            patch.removed = vec![0, 1];
+            patch.vertices = vec![blended, vertex(0, 4, middle, 0), vertex(0, 5, DVec3::X * 2.0, 1)];
+            patch.triangles = vec![triangle(1, [4, 7, 6]), triangle(0, [0, 9, 8])];
+        });
+        let a = a.expect("applies");
         assert_eq!(a.old_from_vertex, [0, 3, 8, 9, 4, 6, 7]);
         assert_eq!(a.triangles, [[0, 3, 2], [4, 6, 5]]);
-        assert_eq!(
-            (a.primitive_of.as_slice(), a.first_vertex.as_slice()),
-            (&[0, 1][..], &[0, 4][..])
-        );
+        assert_eq!((&a.primitive_of[..], &a.first_vertex[..]), (&[0, 1][..], &[0, 4][..]));
         assert_eq!(a.point_from_old, [0, NONE, NONE, 1]);
         assert_eq!(a.old_from_point, [0, 3, NONE, NONE]);
         assert_eq!(a.point_of, [0, NONE, 2, 3, 0, 1, 2]);
@@ -240,129 +229,56 @@ mod tests {
 
     #[test]
     fn moved_and_joined_points_take_all_their_vertices_along() {
-        let patch = SurfacePatch {
-            moved: vec![(0, DVec3::Z)],
-            joined: vec![(3, 1)],
-            ..SurfacePatch::default()
-        };
-        let a = apply_patch(&square(), &patch, &[0, 4]).expect("applies");
-        assert_eq!(
-            (a.positions[0], a.positions[4], a.positions[6]),
-            (DVec3::Z, DVec3::Z, DVec3::X)
-        );
-        assert_eq!((a.points, a.point_from_old.as_slice()), (3, &[0, 1, 2, 1][..]));
+        let a = applied(|patch| (patch.moved, patch.joined) = (vec![(0, DVec3::Z)], vec![(3, 1)]));
+        let a = a.expect("applies");
+        assert_eq!([0, 4, 6].map(|v| a.positions[v]), [DVec3::Z, DVec3::Z, DVec3::X]);
+        assert_eq!((a.points, &a.point_from_old[..]), (3, &[0, 1, 2, 1][..]));
     }
 
     #[test]
     fn idle_vertices_go_when_they_are_named() {
-        let patch = SurfacePatch {
-            idle: vec![3],
-            ..SurfacePatch::default()
-        };
-        let a = apply_patch(&square(), &patch, &[0, 4]).expect("applies");
+        let a = applied(|patch| patch.idle = vec![3]).expect("applies");
         assert_eq!(a.old_from_vertex, [0, 1, 2, 4, 5, 6]);
-        assert_eq!((a.triangles.as_slice(), a.points), (&[[0, 1, 2], [3, 4, 5]][..], 4));
+        assert_eq!((&a.triangles[..], a.points), (&[[0, 1, 2], [3, 4, 5]][..], 4));
         // One that a triangle uses is not idle, whatever is said.
-        let patch = SurfacePatch {
-            idle: vec![2],
-            ..SurfacePatch::default()
-        };
-        assert_eq!(
-            apply_patch(&square(), &patch, &[0, 4])
-                .expect("applies")
-                .positions
-                .len(),
-            7
-        );
-        let patch = SurfacePatch {
-            idle: vec![7],
-            ..SurfacePatch::default()
-        };
-        assert!(apply_patch(&square(), &patch, &[0, 4]).is_err());
+        let a = applied(|patch| patch.idle = vec![2]).expect("applies");
+        assert_eq!(a.positions.len(), 7);
+        assert!(applied(|patch| patch.idle = vec![7]).is_err());
     }
 
     #[test]
     fn broken_patches_are_refused_by_name() {
-        let s = square();
-        let fresh = |v: NewVertex| SurfacePatch {
-            vertices: vec![v],
-            triangles: vec![NewTriangle {
-                primitive: 0,
-                corners: [0, 1, 7],
-            }],
-            ..SurfacePatch::default()
+        let fresh =
+            |v: NewVertex| applied(|patch| (patch.vertices, patch.triangles) = (vec![v], vec![triangle(0, [0, 1, 7])]));
+        let heavy = NewVertex {
+            weights: [0.5, 0.2, 0.0],
+            ..vertex(0, 4, DVec3::Z, 0)
         };
-        let cases = [
-            (
-                SurfacePatch {
-                    removed: vec![1, 1],
-                    ..SurfacePatch::default()
-                },
-                "patch.removed",
-            ),
-            (
-                SurfacePatch {
-                    removed: vec![0, 1],
-                    ..SurfacePatch::default()
-                },
-                "no triangle",
-            ),
-            (
-                SurfacePatch {
-                    moved: vec![(9, DVec3::ZERO)],
-                    ..SurfacePatch::default()
-                },
-                "patch.moved",
-            ),
-            (
-                SurfacePatch {
-                    moved: vec![(0, DVec3::NAN)],
-                    ..SurfacePatch::default()
-                },
-                "not a place",
-            ),
-            (
-                SurfacePatch {
-                    joined: vec![(0, 1), (1, 2)],
-                    ..SurfacePatch::default()
-                },
-                "patch.joined",
-            ),
+        for (refused, words) in [
+            (applied(|patch| patch.removed = vec![1, 1]), "patch.removed"),
+            (applied(|patch| patch.removed = vec![0, 1]), "no triangle"),
+            (applied(|patch| patch.moved = vec![(9, DVec3::ZERO)]), "patch.moved"),
+            (applied(|patch| patch.moved = vec![(0, DVec3::NAN)]), "not a place"),
+            (applied(|patch| patch.joined = vec![(0, 1), (1, 2)]), "patch.joined"),
             (fresh(vertex(0, 5, DVec3::Z, 0)), "next new one"),
             (fresh(vertex(0, 4, DVec3::Z, 4)), "blended from vertex 4"),
             (fresh(vertex(7, 4, DVec3::Z, 0)), "primitive 7"),
             (fresh(vertex(0, 3, DVec3::Z, 0)), "old point 3"),
             (fresh(vertex(0, 0, DVec3::ZERO, 0)), "two are one"),
+            (fresh(heavy), "sum to 0.7"),
             (
-                fresh(NewVertex {
-                    weights: [0.5, 0.2, 0.0],
-                    ..vertex(0, 4, DVec3::Z, 0)
-                }),
-                "sum to 0.7",
-            ),
-            (
-                SurfacePatch {
-                    triangles: vec![NewTriangle {
-                        primitive: 0,
-                        corners: [0, 1, 3],
-                    }],
-                    ..SurfacePatch::default()
-                },
+                applied(|patch| patch.triangles = vec![triangle(0, [0, 1, 3])]),
                 "unused",
             ),
             (
-                SurfacePatch {
-                    vertices: vec![vertex(0, 4, DVec3::Z, 0)],
-                    ..SurfacePatch::default()
-                },
+                applied(|patch| patch.vertices = vec![vertex(0, 4, DVec3::Z, 0)]),
                 "in no triangle",
             ),
-        ];
-        for (patch, words) in cases {
-            let text = apply_patch(&s, &patch, &[0, 4]).expect_err(words).to_string();
+        ] {
+            let text = refused.expect_err(words).to_string();
             assert!(text.contains(words), "{text}");
         }
-        assert!(apply_patch(&s, &SurfacePatch::default(), &[0, 9]).is_err());
-        assert!(apply_patch(&s, &SurfacePatch::default(), &[0]).is_err());
+        assert!(apply_patch(&SQUARE, &SurfacePatch::default(), &[0, 9]).is_err());
+        assert!(apply_patch(&SQUARE, &SurfacePatch::default(), &[0]).is_err());
     }
 }

@@ -1,10 +1,9 @@
 //! What a patch says, checked against the surface that it is for.
 
 use super::surface_patch::{NewVertex, PatchedSurface, SurfacePatch};
-use crate::error::{EditSubject, Error};
 use crate::surface::SurfaceView;
 use glam::DVec3;
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE, sorted_set};
 use std::collections::BTreeMap;
 
 /// What a patch says about points, checked and ready to look up.
@@ -26,7 +25,7 @@ impl ResolvedPatch {
             for s in seen {
                 if s as usize >= limit || last.is_some_and(|l| l >= s) {
                     let problem = format!("{s} after {last:?}; numbers must rise and stay below {limit}");
-                    return Err(Error::invalid(EditSubject::Patch(what), problem));
+                    return Err(Error::invalid(format!("patch.{what}"), problem));
                 }
                 last = Some(s);
             }
@@ -56,19 +55,17 @@ impl ResolvedPatch {
         for &(from, to) in &patch.joined {
             if to >= surface.points || resolved.joined.contains_key(&to) {
                 let problem = format!("point {from} joins {to}, which joins another point or does not exist");
-                return Err(Error::invalid(EditSubject::Patch("joined"), problem));
+                return Err(Error::invalid("patch.joined", problem));
             }
         }
         if let Some(m) = patch.moved.iter().find(|m| !m.1.is_finite()) {
             return Err(Error::invalid(
-                EditSubject::Patch("moved"),
+                "patch.moved",
                 format!("point {} moves to {}, not a place", m.0, m.1),
             ));
         }
         let old = patch.vertices.iter().map(|v| v.point).filter(|&p| p < surface.points);
-        let mut named: Vec<u32> = old.chain(patch.joined.iter().map(|j| j.1)).collect();
-        named.sort_unstable();
-        named.dedup();
+        let named: Vec<u32> = sorted_set(old.chain(patch.joined.iter().map(|j| j.1)));
         if !named.is_empty() {
             let mut marked = vec![false; points];
             named.iter().for_each(|&p| marked[p as usize] = true);
@@ -95,7 +92,7 @@ impl ResolvedPatch {
         for (index, v) in patch.vertices.iter().enumerate() {
             let refuse = |problem: String| {
                 Err(Error::invalid(
-                    EditSubject::Patch("vertices"),
+                    "patch.vertices",
                     format!("new vertex {index} {problem}"),
                 ))
             };
@@ -157,7 +154,7 @@ impl ResolvedPatch {
         for (index, t) in patch.triangles.iter().enumerate() {
             let refuse = |problem: String| {
                 Err(Error::invalid(
-                    EditSubject::Patch("triangles"),
+                    "patch.triangles",
                     format!("new triangle {index} {problem}"),
                 ))
             };
@@ -252,7 +249,7 @@ fn run_of(first_vertex: &[u32], vertices: usize, primitive: u32) -> std::ops::Ra
 /// Refuses a surface whose arrays do not fit together, so that nothing after this can index out of range.
 pub(super) fn check_surface(surface: &SurfaceView<'_>, first_vertex: &[u32]) -> Result<(), Error> {
     let vertices = surface.positions.len();
-    let refuse = |problem: String| Err(Error::invalid(EditSubject::Surface, problem));
+    let refuse = |problem: String| Err(Error::invalid("surface", problem));
     if surface.point_of.len() != vertices || surface.primitive_of.len() != surface.triangles.len() {
         return refuse("arrays differ in length".to_owned());
     }

@@ -2,6 +2,7 @@
 
 use crate::surface::SurfaceView;
 use glam::DVec3;
+use pliant_mesh::NONE;
 
 /// A surface after an edit, and where each part of it comes from.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -32,6 +33,24 @@ pub struct PatchedSurface {
 }
 
 impl PatchedSurface {
+    /// The first render vertex of each of some points.
+    ///
+    /// # Panics
+    /// When there is no such point.
+    pub fn vertices_of_points(&self, points: &[u32]) -> Vec<u32> {
+        if points.is_empty() {
+            return Vec::new();
+        }
+        let mut vertex_of = vec![NONE; self.points as usize];
+        // From the last to the first, so that the first vertex of each point stays.
+        for (vertex, &p) in self.point_of.iter().enumerate().rev() {
+            if p != NONE {
+                vertex_of[p as usize] = vertex as u32;
+            }
+        }
+        points.iter().map(|&p| vertex_of[p as usize]).collect()
+    }
+
     /// The surface to edit next.
     pub fn surface(&self) -> SurfaceView<'_> {
         SurfaceView {
@@ -59,6 +78,13 @@ pub struct NewVertex {
     pub of: [u32; 3],
     /// Their weights.
     pub weights: [f64; 3],
+}
+
+impl NewVertex {
+    /// The render vertices that it is blended from, with their weights, which are above 0.
+    pub fn parts(&self) -> impl Iterator<Item = (u32, f64)> + Clone {
+        self.of.into_iter().zip(self.weights).filter(|part| part.1 > 0.0)
+    }
 }
 
 /// A triangle that an edit makes. A corner below the number of old render vertices is an old one, else it is a new one.
@@ -90,6 +116,10 @@ pub struct SurfacePatch {
     pub idle: Vec<u32>,
     /// What the user should know.
     pub warnings: Vec<EditWarning>,
+    /// Points along an inserted curve, in order, in the numbers after the edit.
+    pub curve: Vec<u32>,
+    /// Of a remesh: the largest distance between the surface before and after.
+    pub deviation: f64,
 }
 
 /// Something that the user should know about an edit that was done.

@@ -310,19 +310,12 @@ impl RegionMesh {
 
     /// All edges that the living faces of the region have, smaller end first, sorted.
     pub fn edges(&self) -> Vec<(u32, u32)> {
-        let mut edges = Vec::with_capacity(self.faces.len() * 3);
-        for f in self.living_faces() {
-            let p = self.points_of(f);
-            edges.extend((0..3).map(|i| edge_key(p[i], p[(i + 1) % 3])));
-        }
-        edges.sort_unstable();
-        edges.dedup();
-        edges
+        self.edges_from(0, |face| !face.frozen)
     }
 
     /// All edges of the living faces from number `first` on, closing ones included, smaller end first, sorted.
     pub fn edges_from(&self, first: usize, wanted: impl Fn(&RegionFace) -> bool) -> Vec<(u32, u32)> {
-        let mut edges: Vec<(u32, u32)> = Vec::new();
+        let mut edges = Vec::with_capacity((self.faces.len() - first) * 3);
         for face in self.faces[first..].iter().filter(|f| f.alive && wanted(f)) {
             let [a, b, c] = face.points;
             edges.extend([edge_key(a, b), edge_key(b, c), edge_key(c, a)]);
@@ -451,7 +444,7 @@ fn number_fans(p: u32, around: &[u32], points: impl Fn(u32) -> [u32; 3], joins: 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::SurfaceView;
+    use crate::surface::TestSurface;
 
     #[test]
     fn a_point_where_very_many_faces_meet_has_the_edges_and_neighbours_that_others_have() {
@@ -460,14 +453,8 @@ mod tests {
         let ring: Vec<[u32; 3]> = (0..count).map(|k| [0, 1 + k, 1 + (k + 1) % count]).collect();
         let points: Vec<u32> = (0..=count).collect();
         for (faces, ends) in [(&ring[..], 0), (&ring[1..], 1)] {
-            let surface = SurfaceView {
-                positions: &positions,
-                triangles: faces,
-                primitive_of: &vec![0; faces.len()],
-                point_of: &points,
-                points: count + 1,
-            };
-            let mesh = RegionMesh::from_triangles(&surface, (0..faces.len() as u32).collect());
+            let surface = TestSurface::new(&positions[..], faces);
+            let mesh = RegionMesh::from_triangles(&surface.view(), (0..faces.len() as u32).collect());
             assert_eq!(mesh.neighbours(0), points[1..]);
             assert_eq!(mesh.valence(0), (faces.len() + ends, faces.len()));
             let mut sides = 0;
@@ -481,32 +468,14 @@ mod tests {
             assert!(mesh.has_edge(3, 0) && !mesh.has_edge(1, 3));
         }
     }
-}
-
-#[cfg(test)]
-mod open_tests {
-    use super::*;
-    use crate::surface::SurfaceView;
-    use glam::DVec3;
 
     /// A fan of six triangles around point 0.
-    fn hexagon() -> (Vec<DVec3>, Vec<[u32; 3]>) {
+    fn hexagon() -> RegionMesh {
         let angle = |k: u32| f64::from(k) * std::f64::consts::TAU / 6.0;
         let ring = (0..6).map(|k| DVec3::new(libm::cos(angle(k)), libm::sin(angle(k)), 0.0));
-        let faces = (0..6u32).map(|k| [0, 1 + k, 1 + (k + 1) % 6]);
-        (std::iter::once(DVec3::ZERO).chain(ring).collect(), faces.collect())
-    }
-
-    fn with_mesh(act: impl FnOnce(&mut RegionMesh)) {
-        let (positions, triangles) = hexagon();
-        let surface = SurfaceView {
-            positions: &positions,
-            triangles: &triangles,
-            primitive_of: &[0; 6],
-            point_of: &[0, 1, 2, 3, 4, 5, 6],
-            points: 7,
-        };
-        act(&mut RegionMesh::with_ring(&surface, &[0, 1, 2, 3, 4, 5]));
+        let faces: Vec<[u32; 3]> = (0..6u32).map(|k| [0, 1 + k, 1 + (k + 1) % 6]).collect();
+        let positions: Vec<DVec3> = std::iter::once(DVec3::ZERO).chain(ring).collect();
+        RegionMesh::with_ring(&TestSurface::new(positions, faces).view(), &[0, 1, 2, 3, 4, 5])
     }
 
     fn roots(mesh: &RegionMesh) -> Vec<u32> {
@@ -515,27 +484,24 @@ mod open_tests {
 
     #[test]
     fn a_cut_across_parts_and_a_cut_to_the_middle_does_not_part_the_middle() {
-        with_mesh(|mesh| {
-            mesh.open_fans(&BTreeSet::from([(0, 1), (0, 4)]));
-            // The middle and both ends.
-            assert_eq!(mesh.points.len(), 7 + 3);
-            assert_eq!(roots(mesh), [0, 1, 4]);
-            assert!(mesh.points.iter().all(|p| (1..=3).contains(&p.faces.len())));
-        });
-        with_mesh(|mesh| {
-            mesh.open_fans(&BTreeSet::from([(0, 1)]));
-            assert_eq!(roots(mesh), [1], "the rim opens, the middle holds");
-            assert_eq!(mesh.faces_around(0).len(), 6);
-        });
+        let mut mesh = hexagon();
+        mesh.open_fans(&BTreeSet::from([(0, 1), (0, 4)]));
+        // The middle and both ends.
+        assert_eq!(mesh.points.len(), 7 + 3);
+        assert_eq!(roots(&mesh), [0, 1, 4]);
+        assert!(mesh.points.iter().all(|p| (1..=3).contains(&p.faces.len())));
+        let mut mesh = hexagon();
+        mesh.open_fans(&BTreeSet::from([(0, 1)]));
+        assert_eq!(roots(&mesh), [1], "the rim opens, the middle holds");
+        assert_eq!(mesh.faces_around(0).len(), 6);
     }
 
     #[test]
     fn faces_left_corner_to_corner_get_points_of_their_own() {
-        with_mesh(|mesh| {
-            [1, 3, 5].into_iter().for_each(|f| mesh.remove_face(f));
-            mesh.open_fans(&BTreeSet::new());
-            assert_eq!(roots(mesh), [0, 0]);
-            assert!(mesh.open_sides(|_, _| true).len() == 9);
-        });
+        let mut mesh = hexagon();
+        [1, 3, 5].into_iter().for_each(|f| mesh.remove_face(f));
+        mesh.open_fans(&BTreeSet::new());
+        assert_eq!(roots(&mesh), [0, 0]);
+        assert!(mesh.open_sides(|_, _| true).len() == 9);
     }
 }

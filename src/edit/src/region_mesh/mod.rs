@@ -19,13 +19,12 @@
 mod mesh;
 mod split;
 
-use super::error::Error;
 use super::patch::{NewTriangle, NewVertex, SurfacePatch};
 use super::surface::{BitSet, SurfaceView, check_region};
 use glam::DVec3;
 pub(super) use mesh::{CAP, EdgeFaces, RegionMesh, Wedge, edge_key};
 use mesh::{RegionFace, RegionPoint};
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE, sorted_set};
 pub(super) use split::EdgeCollapse;
 use std::collections::BTreeMap;
 
@@ -38,12 +37,8 @@ impl RegionMesh {
         triangles.dedup();
         triangles.retain(|&t| (t as usize) < surface.triangles.len() && surface.proper_points(t).is_some());
         let corners = triangles.iter().flat_map(|&t| surface.triangles[t as usize]);
-        let mut vertices: Vec<u32> = corners.collect();
-        vertices.sort_unstable();
-        vertices.dedup();
-        let mut points: Vec<u32> = vertices.iter().map(|&v| surface.point_of[v as usize]).collect();
-        points.sort_unstable();
-        points.dedup();
+        let vertices: Vec<u32> = sorted_set(corners);
+        let points: Vec<u32> = sorted_set(vertices.iter().map(|&v| surface.point_of[v as usize]));
         let local = |v: u32| points.partition_point(|&p| p < surface.point_of[v as usize]) as u32;
         let mut mesh = Self {
             points: (points.iter().zip(0u32..))
@@ -288,6 +283,7 @@ impl RegionMesh {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::surface::TestSurface;
 
     #[test]
     fn a_ring_grows_and_knows_which_points_are_whole() {
@@ -298,14 +294,8 @@ mod tests {
         let triangles: Vec<[u32; 3]> = (0..3)
             .flat_map(|i| [[2 * i, 2 * i + 2, 2 * i + 1], [2 * i + 1, 2 * i + 2, 2 * i + 3]])
             .collect();
-        let points: Vec<u32> = (0..8).collect();
-        let surface = SurfaceView {
-            positions: &positions,
-            triangles: &triangles,
-            primitive_of: &[0; 6],
-            point_of: &points,
-            points: 8,
-        };
+        let strip = TestSurface::new(positions, triangles);
+        let surface = strip.view();
         let alone = RegionMesh::from_triangles(&surface, vec![1, 99, 1]);
         let old = |mesh: &RegionMesh| mesh.points.iter().map(|p| p.old).collect::<Vec<u32>>();
         assert_eq!((alone.triangles.as_slice(), old(&alone)), (&[1][..], vec![1, 2, 3]));
@@ -314,6 +304,6 @@ mod tests {
         let whole: Vec<bool> = ring.points.iter().map(|p| p.whole).collect();
         assert_eq!(whole, [true, true, true, false, false]);
         assert_eq!(ring.open_sides(|_, _| true).len(), 5);
-        assert_eq!(ring.position(4), positions[4]);
+        assert_eq!(ring.position(4), strip.positions[4]);
     }
 }

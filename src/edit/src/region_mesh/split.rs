@@ -483,35 +483,32 @@ mod tests {
     ];
 
     /// A square whose diagonal 0–2 is a seam at point 2 only: vertices 2 and 3 are that point.
-    fn square() -> SurfaceView<'static> {
-        SurfaceView {
-            positions: &POSITIONS,
-            triangles: &[[0, 1, 2], [0, 3, 4]],
-            primitive_of: &[0, 0],
-            point_of: &[0, 1, 2, 2, 3],
-            points: 4,
-        }
+    const SQUARE: SurfaceView<'static> = SurfaceView {
+        positions: &POSITIONS,
+        triangles: &[[0, 1, 2], [0, 3, 4]],
+        primitive_of: &[0, 0],
+        point_of: &[0, 1, 2, 2, 3],
+        points: 4,
+    };
+
+    fn mesh_of(triangles: &[u32]) -> RegionMesh {
+        RegionMesh::from_triangles(&SQUARE, triangles.to_vec())
     }
 
     fn done(mesh: RegionMesh) -> (SurfacePatch, PatchedSurface) {
-        let (patch, _) = mesh.into_finite_patch(&square(), Vec::new()).expect("finite");
-        let applied = apply_patch(&square(), &patch, &[0]).expect("applies");
+        let (patch, _) = mesh.into_finite_patch(&SQUARE, Vec::new()).expect("finite");
+        let applied = apply_patch(&SQUARE, &patch, &[0]).expect("applies");
         (patch, applied)
     }
 
     #[test]
     fn an_untouched_mesh_is_an_empty_patch() {
-        let s = square();
-        assert_eq!(
-            done(RegionMesh::from_triangles(&s, vec![0, 1])).0,
-            SurfacePatch::default()
-        );
+        assert_eq!(done(mesh_of(&[0, 1])).0, SurfacePatch::default());
     }
 
     #[test]
     fn a_split_seam_gets_a_vertex_per_side_and_one_point() {
-        let s = square();
-        let mut mesh = RegionMesh::from_triangles(&s, vec![0, 1]);
+        let mut mesh = mesh_of(&[0, 1]);
         let m = mesh.split_edge(0, 2, 0.25, DVec3::new(0.5, 0.5, 0.0));
         assert_eq!(mesh.faces_around(m).len(), 4);
         let (patch, applied) = done(mesh);
@@ -529,8 +526,7 @@ mod tests {
 
     #[test]
     fn splits_of_splits_are_blended_from_old_vertices() {
-        let s = square();
-        let mut mesh = RegionMesh::from_triangles(&s, vec![0]);
+        let mut mesh = mesh_of(&[0]);
         let inside = mesh.split_face(0, [0.5, 0.25, 0.25], DVec3::new(1.0, 0.5, 0.0));
         mesh.split_edge(0, inside, 0.5, DVec3::new(0.5, 0.25, 0.0));
         let (patch, applied) = done(mesh);
@@ -545,8 +541,7 @@ mod tests {
 
     #[test]
     fn marks_follow_splits_and_flips_keep_the_winding() {
-        let s = square();
-        let mut mesh = RegionMesh::from_triangles(&s, vec![0, 1]);
+        let mut mesh = mesh_of(&[0, 1]);
         mesh.marked.insert((0, 2));
         let m = mesh.split_edge(2, 0, 0.5, DVec3::new(1.0, 1.0, 0.0));
         assert_eq!(mesh.points_along_mark(2, 0), [2, m, 0]);

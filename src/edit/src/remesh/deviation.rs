@@ -6,13 +6,12 @@
 //!
 //! The surface as it was: where new points are put, and what they are made of.
 
-use crate::error::Error;
 use crate::region_mesh::RegionMesh;
 use crate::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::NONE;
 use pliant_mesh::query::closest_point::{blend_corners, closest_weights_on_triangle};
+use pliant_mesh::{Error, NONE};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 

@@ -8,7 +8,7 @@ use super::deviation::is_sliver;
 use crate::region_mesh::RegionMesh;
 use crate::triangle;
 use glam::DVec3;
-use pliant_mesh::NONE;
+use pliant_mesh::{NONE, sorted_set};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A line that turns by more than 45° at a point has a corner there: the cosine.
@@ -293,11 +293,7 @@ impl LineEdges {
             return None;
         }
         let turn = triangle::cosine(mesh.position(p) - mesh.position(a), mesh.position(b) - mesh.position(p))?;
-        let mut wedges: Vec<u32> = (mesh.faces_around(p).iter())
-            .filter_map(|&f| mesh.wedge_at(f, p))
-            .collect();
-        wedges.sort_unstable();
-        wedges.dedup();
+        let wedges: Vec<u32> = sorted_set((mesh.faces_around(p).iter()).filter_map(|&f| mesh.wedge_at(f, p)));
         let expected = if kind == LineKind::Seam { 2 } else { 1 };
         (turn > CORNER && wedges.len() == expected).then_some([a, b])
     }

@@ -18,13 +18,12 @@ pub use sizing::{
     ASPECT, DEVIATION, LENGTH_DEVIATION, MENDED, MOST_TRIANGLES, RemeshOptions, RemeshTarget, SHARP_DEGREES, STRETCH,
 };
 
-use super::error::{EditSubject, Error};
 use super::patch::{EditWarning, SurfacePatch};
 use super::region_mesh::RegionMesh;
 use super::surface::{SurfaceView, check_region};
 use super::triangle;
 use pliant_exec::progress::Progress;
-use pliant_mesh::BoundingBox;
+use pliant_mesh::{BoundingBox, Error};
 use remesher::{RemeshPlan, Remesher};
 
 /// Rounds of split, collapse, turn, smooth.
@@ -35,15 +34,6 @@ const SETTLED: usize = 50;
 
 /// Rounds of mending at the end.
 const MENDING: usize = 6;
-
-/// A remeshed region.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct RemeshedRegion {
-    /// What changes.
-    pub patch: SurfacePatch,
-    /// The largest distance between the old and the new surface.
-    pub deviation: f64,
-}
 
 /// Remeshes the triangles `region`, rising numbers. With [`RemeshTarget::Auto`] fair triangles stay unless an unfair one is
 /// beside them; a patch that changes nothing comes with the warning `remesh-nothing`. Faces that stay worse than [`MENDED`]
@@ -59,14 +49,11 @@ pub fn remesh_region(
     region: &[u32],
     options: &RemeshOptions,
     progress: &dyn Progress,
-) -> Result<RemeshedRegion, Error> {
+) -> Result<SurfacePatch, Error> {
     let Some((mesh, plan)) = plan_remesh(surface, region, options)? else {
-        return Ok(RemeshedRegion {
-            patch: SurfacePatch {
-                warnings: vec![nothing_to_remesh()],
-                ..SurfacePatch::default()
-            },
-            deviation: 0.0,
+        return Ok(SurfacePatch {
+            warnings: vec![nothing_to_remesh()],
+            ..SurfacePatch::default()
         });
     };
     let expected = sizing::estimate_triangles(&mesh, &plan.sizes);
@@ -87,11 +74,12 @@ pub fn remesh_region(
     ];
     let deviation = work.measure_deviation(progress)?;
     let (mut patch, _) = work.mesh.into_patch(surface);
+    patch.deviation = deviation;
     patch.warnings = warnings.into_iter().flatten().collect();
     if patch.removed.is_empty() && patch.triangles.is_empty() {
         patch.warnings.push(nothing_to_remesh());
     }
-    Ok(RemeshedRegion { patch, deviation })
+    Ok(patch)
 }
 
 /// About how many triangles [`remesh_region`] would make of the region, which now has `region.len()`, before anything is
@@ -112,16 +100,16 @@ fn plan_remesh(
     options: &RemeshOptions,
 ) -> Result<Option<(RegionMesh, RemeshPlan)>, Error> {
     check_region(surface, region)?;
-    let positive = |value: f64, subject: EditSubject, what: &str| match value > 0.0 && value.is_finite() {
+    let positive = |value: f64, field: &str, what: &str| match value > 0.0 && value.is_finite() {
         true => Ok(value),
         false => Err(Error::invalid(
-            subject,
+            field,
             format!("{value} is not a {what}, it must be finite and above 0"),
         )),
     };
     let (mesh, mut wanted, unfair, own) = match options.target {
         RemeshTarget::Length(length) => {
-            positive(length, EditSubject::RemeshEdgeLength, "length")?;
+            positive(length, "remesh.edgeLength", "length")?;
             let mesh = RegionMesh::with_frozen_ring(surface, region)?;
             let wanted = vec![length; mesh.points.len()];
             (mesh, wanted, Vec::new(), LENGTH_DEVIATION * length)
@@ -130,7 +118,7 @@ fn plan_remesh(
             if rest.len() != surface.positions.len() {
                 let (seen, needed) = (rest.len(), surface.positions.len());
                 let problem = format!("the rest shape has {seen} vertices, the surface {needed}");
-                return Err(Error::invalid(EditSubject::RemeshRestShape, problem));
+                return Err(Error::invalid("remesh.auto", problem));
             }
             let stretched = passes::find_stretched_faces(surface, region, rest);
             if stretched.is_empty() {
@@ -144,13 +132,13 @@ fn plan_remesh(
         }
     };
     let max_deviation = match options.max_deviation {
-        Some(given) => positive(given, EditSubject::RemeshDeviation, "distance")?,
+        Some(given) => positive(given, "remesh.maxDeviation", "distance")?,
         None => own.max(DEVIATION * BoundingBox::of(surface.positions).diagonal()),
     };
     let sharp = options.sharp_degrees;
     if !(sharp > 0.0 && sharp <= 180.0) {
         let problem = format!("{sharp} is not an angle between two faces, it must be above 0 and at most 180 degrees");
-        return Err(Error::invalid(EditSubject::RemeshSharpAngle, problem));
+        return Err(Error::invalid("remesh.sharpDegrees", problem));
     }
     let sharp_cosine = libm::cos(sharp.to_radians());
     sizing::shorten_for_curvature(&mesh, &mut wanted, max_deviation, sharp_cosine);

@@ -6,13 +6,13 @@
 use super::deviation::WORK;
 use super::remesher::{PointConstraint, Remesher};
 use super::sizing::{ASPECT, STRETCH};
-use crate::error::Error;
 use crate::region_mesh::RegionMesh;
 use crate::surface::{BitSet, SurfaceView};
 use crate::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE};
+use std::cmp::Ordering;
 
 /// Edges longer than this times the target are split.
 const LONG: f64 = 4.0 / 3.0;
@@ -98,10 +98,8 @@ pub(super) fn collapse_short_edges(work: &mut Remesher, progress: &dyn Progress)
             let limit = LONG * 0.5 * (work.sizes[from as usize] + work.sizes[to as usize]);
             let before = work.worst_aspect(from, work.mesh.position(from));
             let done = work.collapse_edge(from, to, |_, after| {
-                after.iter().all(|t| {
-                    let longest = t[0].distance(t[1]).max(t[1].distance(t[2])).max(t[2].distance(t[0]));
-                    longest <= limit && triangle::aspect(*t) <= before.max(2.0 * GOOD)
-                })
+                let mut after = after.iter();
+                after.all(|&t| triangle::longest_side(t) <= limit && triangle::aspect(t) <= before.max(2.0 * GOOD))
             });
             if done {
                 count += 1;
@@ -181,6 +179,12 @@ fn try_turn_edge(work: &mut Remesher, a: u32, b: u32, accept: impl Fn(f64, f64) 
     work.turn_edge(edge, a, b, after)
 }
 
+/// The middle of the points that share an edge with `p`.
+fn neighbour_middle(work: &Remesher, p: u32) -> DVec3 {
+    let around = work.mesh.neighbours(p);
+    around.iter().map(|&q| work.mesh.position(q)).sum::<DVec3>() / around.len().max(1) as f64
+}
+
 /// Moves inner points towards the middle of their neighbours, along the surface, and points of lines along those.
 pub(super) fn smooth_points(work: &mut Remesher, progress: &dyn Progress) -> Result<(), Error> {
     let mut done = 0;
@@ -204,8 +208,7 @@ pub(super) fn smooth_points(work: &mut Remesher, progress: &dyn Progress) -> Res
                 }
             }
             PointConstraint::OnSurface(_) => {
-                let around = work.mesh.neighbours(p);
-                let middle = around.iter().map(|&q| work.mesh.position(q)).sum::<DVec3>() / around.len().max(1) as f64;
+                let middle = neighbour_middle(work, p);
                 let normals = work.mesh.faces_around(p).iter();
                 let normal: DVec3 = normals.map(|&f| work.mesh.area_normal(f)).sum();
                 let normal = normal.normalize_or_zero();
@@ -252,27 +255,22 @@ pub(super) fn mend_faces(work: &mut Remesher, bound: f64, progress: &dyn Progres
     Ok(count)
 }
 
+/// The sides of a face in an order of their lengths.
+fn sides_by_length(mesh: &RegionMesh, f: u32, order: impl Fn(f64, f64) -> Ordering) -> [(u32, u32); 3] {
+    let p = mesh.points_of(f);
+    let mut sides = [0, 1, 2].map(|i| (p[i], p[(i + 1) % 3]));
+    sides.sort_by(|x, y| order(mesh.edge_length(x.0, x.1), mesh.edge_length(y.0, y.1)));
+    sides
+}
+
 /// A face that cuts off a thin part of the surface: other edges may follow it.
 fn mend_against(work: &mut Remesher, f: u32, bound: f64) -> bool {
-    let p = work.mesh.points_of(f);
-    let mut sides = [0, 1, 2].map(|i| (p[i], p[(i + 1) % 3]));
-    sides.sort_by(|x, y| {
-        work.mesh
-            .edge_length(y.0, y.1)
-            .total_cmp(&work.mesh.edge_length(x.0, x.1))
-    });
+    let sides = sides_by_length(&work.mesh, f, |x, y| y.total_cmp(&x));
     (sides.into_iter()).any(|(a, b)| try_turn_edge(work, a, b, |before, after| after <= before.max(bound)))
 }
 
 fn mend_face(work: &mut Remesher, f: u32) -> bool {
-    let p = work.mesh.points_of(f);
-    let mut sides = [0, 1, 2].map(|i| (p[i], p[(i + 1) % 3]));
-    sides.sort_by(|x, y| {
-        work.mesh
-            .edge_length(x.0, x.1)
-            .total_cmp(&work.mesh.edge_length(y.0, y.1))
-    });
-    let [short, _, long] = sides;
+    let [short, _, long] = sides_by_length(&work.mesh, f, |x, y| x.total_cmp(&y));
     if try_turn_edge(work, long.0, long.1, |before, after| after < before) {
         return true;
     }
@@ -283,24 +281,21 @@ fn mend_face(work: &mut Remesher, f: u32) -> bool {
             before = before.max(triangle::aspect(work.mesh.corner_positions(g)));
         }
         let limit = 2.0 * LONG * work.sizes[from as usize].max(work.sizes[to as usize]);
-        let longest = |t: &[DVec3; 3]| t[0].distance(t[1]).max(t[1].distance(t[2])).max(t[2].distance(t[0]));
         let done = work.collapse_edge(from, to, |_, after| {
-            after
-                .iter()
-                .all(|t| triangle::aspect(*t) < before.min(own.max(GOOD)) && longest(t) <= limit)
+            let mut after = after.iter();
+            after.all(|&t| triangle::aspect(t) < before.min(own.max(GOOD)) && triangle::longest_side(t) <= limit)
         });
         if done {
             return true;
         }
     }
     // A cap over a line: the line gets a point below its tip, or the tip moves off.
-    let tip = p.into_iter().find(|&q| q != long.0 && q != long.1);
+    let tip = work.mesh.opposite_corner(f, long.0, long.1);
     if let Some(tip) = tip
         && matches!(work.constraints[tip as usize], PointConstraint::OnSurface(_))
     {
         let here = work.mesh.position(tip);
-        let around = work.mesh.neighbours(tip);
-        let middle = around.iter().map(|&q| work.mesh.position(q)).sum::<DVec3>() / around.len().max(1) as f64;
+        let middle = neighbour_middle(work, tip);
         let before = work.worst_aspect(tip, here);
         return [1.0, 0.5, 0.25].into_iter().any(|part| {
             work.move_on_surface(tip, here + (middle - here) * part, |s, to| {

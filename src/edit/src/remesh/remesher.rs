@@ -2,12 +2,11 @@
 
 use super::deviation::{ChangedFaces, DeviationBound, OriginalPoint, OriginalSurface, SLIVER, WORK};
 use super::feature_lines::{Chain, ChainPoint, FeatureLines, LineKind};
-use crate::error::Error;
 use crate::region_mesh::{EdgeFaces, RegionMesh, Wedge};
 use crate::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE, sorted_set};
 
 /// No face turns by more than the angle with this cosine (60°) in one step.
 const LEAST_COSINE: f64 = 0.5;
@@ -107,11 +106,8 @@ impl<'a> Remesher<'a> {
         if change.before.len() > MOST_CHANGED {
             return false;
         }
-        let mut seeds: Vec<u32> = (change.before.iter())
-            .flat_map(|&f| seeds_of_face(&self.mesh, &self.constraints, f))
-            .collect();
-        seeds.sort_unstable();
-        seeds.dedup();
+        let seeds: Vec<u32> =
+            sorted_set((change.before.iter()).flat_map(|&f| seeds_of_face(&self.mesh, &self.constraints, f)));
         self.deviation.admit(&mut self.original, change, &seeds)
     }
 

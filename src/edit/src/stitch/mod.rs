@@ -2,7 +2,6 @@
 
 mod strip;
 
-use super::error::Error;
 use super::patch::{NewTriangle, NewVertex, SurfacePatch};
 use super::region_mesh::RegionMesh;
 use super::surface::{BitSet, SurfaceView};
@@ -10,7 +9,7 @@ use super::topology::boundary_points;
 use super::triangle;
 use glam::DVec3;
 use pliant_exec::progress::{Progress, check};
-use pliant_mesh::{Components, NONE};
+use pliant_mesh::{Components, Error, NONE};
 use std::collections::BTreeMap;
 use strip::StitchLoop;
 

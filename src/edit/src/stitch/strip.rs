@@ -2,10 +2,9 @@
 //!
 //! Closed boundary loops that can be stitched.
 
-use crate::error::Error;
 use crate::region_mesh::RegionMesh;
 use pliant_exec::progress::{Cancelled, Progress, check};
-use pliant_mesh::NONE;
+use pliant_mesh::{Error, NONE, sorted_set};
 use std::collections::BTreeMap;
 
 /// Most pairs of points for which all strips are compared; beyond, the shorter of the next two edges is taken each time.
@@ -231,9 +230,7 @@ pub(super) fn find_loops(mesh: &RegionMesh) -> Vec<StitchLoop> {
             points.push(here.0);
             here = on;
         }
-        let mut once = points.clone();
-        once.sort_unstable();
-        once.dedup();
+        let once = sorted_set(points.iter());
         if here == start && points.len() >= 3 && once.len() == points.len() {
             let ends = points.iter().zip(points.iter().cycle().skip(1));
             let length = ends.map(|(&p, &q)| mesh.edge_length(p, q)).sum();

@@ -12,6 +12,7 @@ use crate::{Adjacency, Components, Lists, Mesh};
 use glam::DVec3;
 use pliant_exec::pool::Pool;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Nodes and edges beyond the mesh's own.
 #[derive(Default)]
@@ -196,8 +197,8 @@ impl GraphRows<'_> {
     }
 }
 
-/// Writes the entries of all rows, many rows at a time.
-fn write_rows<T: Send>(offsets: &[u32], entries: &mut [T], write: impl Fn(usize, &mut [T]) + Sync) {
+/// Blocks of [`BLOCK`] nodes, each with the entries of its rows.
+pub(super) fn row_blocks<'a, T>(offsets: &[u32], entries: &'a mut [T]) -> Vec<(Range<usize>, &'a mut [T])> {
     let nodes = offsets.len() - 1;
     let mut blocks = Vec::with_capacity(nodes.div_ceil(BLOCK));
     let mut rest = entries;
@@ -207,6 +208,12 @@ fn write_rows<T: Send>(offsets: &[u32], entries: &mut [T], write: impl Fn(usize,
         blocks.push((from..to, block));
         rest = after;
     }
+    blocks
+}
+
+/// Writes the entries of all rows, many rows at a time.
+fn write_rows<T: Send>(offsets: &[u32], entries: &mut [T], write: impl Fn(usize, &mut [T]) + Sync) {
+    let blocks = row_blocks(offsets, entries);
     blocks.into_par_iter().for_each(|(range, block)| {
         let start = offsets[range.start];
         for node in range {

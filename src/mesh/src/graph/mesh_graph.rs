@@ -3,6 +3,7 @@
 use crate::Adjacency;
 use crate::graph::ties::part_ties::PartTies;
 use glam::DVec3;
+use std::ops::Range;
 
 /// A symmetric weighted graph with positions.
 ///
@@ -72,7 +73,20 @@ impl MeshGraph {
     /// # Panics
     /// When `node` is out of range.
     pub fn row(&self, node: u32) -> &[u32] {
-        &self.neighbours[self.offsets[node as usize] as usize..self.offsets[node as usize + 1] as usize]
+        &self.neighbours[self.entries(node)]
+    }
+
+    /// Where the row of `node` stands among all entries.
+    ///
+    /// # Panics
+    /// When `node` is out of range.
+    pub fn entries(&self, node: u32) -> Range<usize> {
+        self.offsets[node as usize] as usize..self.offsets[node as usize + 1] as usize
+    }
+
+    /// What an entry weighs.
+    pub(super) fn weight(&self, entry: usize) -> f32 {
+        self.weights.as_ref().map_or(1.0, |w| w[entry])
     }
 
     /// Bytes held on the heap.

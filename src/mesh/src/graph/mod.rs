@@ -10,7 +10,6 @@
 //! touch.
 
 mod assemble;
-mod error;
 mod mesh_graph;
 pub mod parallel;
 mod resample;
@@ -19,7 +18,6 @@ mod volume;
 mod winding;
 
 pub use assemble::surface;
-pub use error::Error;
 pub use mesh_graph::{EdgeWeights, GraphRecipe, GraphStats, MeshGraph};
 pub use resample::{MeshChange, ResampledGraph, resample};
 pub use ties::{LOOSE, PartTies, TieAnchor, TieFamilies, TieOptions, resample_tied, tie_parts};

@@ -324,13 +324,7 @@ mod nearest_points_tests {
 
     #[test]
     fn agrees_with_looking_at_every_point() {
-        let mut state = 1u64;
-        let mut random = || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 40) as f64 / (1u64 << 24) as f64
-        };
+        let mut random = crate::testing::random(1);
         let points: Vec<_> = (0..500)
             .map(|k| (DVec3::new(random(), random() * 0.1, random()), k))
             .collect();

@@ -363,26 +363,9 @@ mod tests {
     use super::*;
     use pliant_exec::pool::Pool;
 
-    fn soup(count: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {
-        let mut state = 3u64;
-        let mut next = || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 33) as f64 / (1u64 << 31) as f64
-        };
-        let mut points = Vec::new();
-        for _ in 0..count {
-            let middle = DVec3::new(next(), next(), next());
-            points.extend((0..3).map(|_| middle + 0.1 * DVec3::new(next(), next(), next())));
-        }
-        let faces = (0..count as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
-        (points, faces)
-    }
-
     #[test]
     fn the_tree_finds_what_a_search_over_all_finds() {
-        let (points, faces) = soup(300);
+        let (points, faces) = crate::testing::scattered_triangles(300, DVec3::ONE, 3);
         let tree = TriangleBvh::build(&points, &faces, &Pool::new(2).expect("a pool"));
         let corners = |t: &[u32; 3]| t.map(|v| points[v as usize]);
         for i in 0..200usize {

@@ -420,23 +420,10 @@ fn rounded_outwards(least: DVec3, most: DVec3) -> [Vec3A; 2] {
 mod tests {
     use super::*;
     use crate::query::TriangleBvh;
+    use crate::testing::scattered_triangles;
 
-    /// Triangles of about one size, in no order.
     fn confetti(count: usize) -> (Vec<DVec3>, Vec<[u32; 3]>) {
-        let mut state = 7u64;
-        let mut next = || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 33) as f64 / (1u64 << 31) as f64
-        };
-        let mut points = Vec::new();
-        for _ in 0..count {
-            let middle = DVec3::new(next(), next() * 2.0, next() * 0.5);
-            points.extend((0..3).map(|_| middle + 0.1 * DVec3::new(next(), next(), next())));
-        }
-        let faces = (0..count as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
-        (points, faces)
+        scattered_triangles(count, DVec3::new(1.0, 2.0, 0.5), 7)
     }
 
     #[test]

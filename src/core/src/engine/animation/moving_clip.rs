@@ -37,7 +37,7 @@ impl Animation {
     /// Prepares the animation of a model's rest shape by a clip.
     ///
     /// # Errors
-    /// [`Error::Clip`] and [`Error::Rig`] for a clip or a rig that cannot be used, [`Error::NoSuchFrames`], [`Error::TooLarge`] for
+    /// [`Error::Clip`] and [`Error::Invalid`] for a clip or a rig that cannot be used, [`Error::NoSuchFrames`], [`Error::TooLarge`] for
     /// more than `limits` allow, and those of [`Deformer::animation`].
     pub fn prepare(
         deformer: &Deformer,
@@ -234,7 +234,7 @@ fn rig_for_clip(model: &Model, clip: &MotionClip, exec: &Exec<'_>) -> Result<Mad
         ..Default::default()
     };
     make_rig(model, &order, exec).map_err(|error| match error {
-        Error::Rig(e) => RigError::field("rig", format!("is missing, and pliant rig finds none: {e}")).into(),
+        Error::Invalid { .. } => Error::invalid("rig", format!("is missing, and pliant rig finds none: {error}")),
         other => other,
     })
 }

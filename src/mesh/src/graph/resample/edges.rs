@@ -1,7 +1,5 @@
 //! Edges around an edit: of the lattice, and among vertices and their copies.
 
-use crate::NONE;
-use crate::graph::error::Error;
 use crate::graph::mesh_graph::{CotangentScale, InteriorRecipe};
 use crate::graph::parallel::map;
 use crate::graph::resample::change::{GraphBefore, MeshChange, NewEdge, NodeNumbers};
@@ -9,9 +7,10 @@ use crate::graph::resample::hull;
 use crate::graph::resample::zone::{ChangeZone, LocalMesh, NEAR};
 use crate::graph::volume::caps::FaceColumns;
 use crate::graph::volume::lattice_grid::{CERTAIN, LAST, LatticeKey, directions, key, place, toward};
-use crate::graph::volume::shell::{copy, has_room, walk};
+use crate::graph::volume::shell::{copy, has_room};
 use crate::graph::volume::solid::{normal, sample, turn};
 use crate::query::{TriangleBvh, VisitBudget, VisitCount};
+use crate::{Error, NONE};
 use glam::DVec3;
 
 /// A place of the grid is taken by a moved node no further than this, in intervals.
@@ -134,28 +133,15 @@ impl EdgeFinder<'_> {
             return None;
         }
         let hit = self.surface.first_hit(node.at + way * clear, end, None)?;
-        Some(walk(
-            &local.positions,
-            &local.adjacency,
-            hit.vertex,
-            hit.point,
-            self.looked,
-        ))
+        Some(local.walk(hit.vertex, hit.point, self.looked))
     }
 
     /// The vertex of `local` nearest to `end`, if it is as near as that of an end left out as too near to the surface
     /// can be.
     pub(super) fn vertex_beside(&self, local: &LocalMesh, end: DVec3) -> Option<u32> {
-        let near = self
-            .surface
-            .closest_point_within(end, 1.5 * (self.inside.depth + self.inside.interval))?;
-        Some(walk(
-            &local.positions,
-            &local.adjacency,
-            near.vertex,
-            near.point,
-            self.looked,
-        ))
+        let within = 1.5 * (self.inside.depth + self.inside.interval);
+        let near = self.surface.closest_point_within(end, within)?;
+        Some(local.walk(near.vertex, near.point, self.looked))
     }
 }
 
@@ -373,14 +359,7 @@ pub(super) fn place_copies(
                 .unwrap_or(now),
         )
     })?;
-    let mut copies = ShellCopies {
-        node: vec![NONE; local.points.len()],
-        at: vec![DVec3::ZERO; local.points.len()],
-        again: local.fan_changed.clone(),
-        lost: Vec::new(),
-        moved: Vec::new(),
-        born: Vec::new(),
-    };
+    let mut copies = without_copies(local);
     for (v, now) in placed.into_iter().enumerate() {
         let own = own_of(v as u32);
         match (now, own) {

@@ -8,7 +8,7 @@ use crate::graph::resample::change::{ChangedPoints, FreshRows, GraphBefore, Mesh
 use crate::graph::volume::caps::{missing_of, rings};
 use crate::graph::volume::solid::{OPEN, SOUP, sample};
 use crate::graph::winding::WindingTree;
-use crate::{Components, NONE};
+use crate::{Components, NONE, sorted_set};
 use glam::DVec3;
 use pliant_exec::pool::Pool;
 use rayon::prelude::*;
@@ -120,9 +120,7 @@ fn assign_reach(
     points: &ChangedPoints,
 ) -> Option<(NewReach, Vec<NewPart>)> {
     let faces: Vec<[u32; 3]> = change.added.iter().map(|&t| change.triangles[t as usize]).collect();
-    let mut used: Vec<u32> = faces.iter().flatten().copied().collect();
-    used.sort_unstable();
-    used.dedup();
+    let used: Vec<u32> = sorted_set(faces.iter().flatten().copied());
     let local = |v: u32| used.binary_search(&v).unwrap_or(0) as u32;
     let small: Vec<[u32; 3]> = faces.iter().map(|t| t.map(local)).collect();
     let groups = Components::of_triangles(used.len(), &small);
@@ -243,9 +241,7 @@ fn missing_passages(
 
 /// The loops that sorted passages run in.
 fn passage_loops(open: &[[u32; 2]]) -> Vec<Vec<u32>> {
-    let mut used: Vec<u32> = open.iter().flatten().copied().collect();
-    used.sort_unstable();
-    used.dedup();
+    let used: Vec<u32> = sorted_set(open.iter().flatten().copied());
     let local = |v: u32| used.binary_search(&v).unwrap_or(0) as u32;
     // Renumbering keeps the order, so the passages stay sorted.
     let small: Vec<[u32; 2]> = open.iter().map(|p| p.map(local)).collect();
@@ -409,9 +405,7 @@ impl PieceSearch {
         if split.is_empty() {
             return search;
         }
-        let mut asked: Vec<u32> = split.iter().flat_map(|c| c.iter().map(|k| k.1)).collect();
-        asked.sort_unstable();
-        asked.dedup();
+        let asked: Vec<u32> = sorted_set(split.iter().flat_map(|c| c.iter().map(|k| k.1)));
         search.reached = vec![NONE; view.from.len()];
         for (&node, &piece) in near.iter().zip(&pieces.of_vertex) {
             if asked.binary_search(&piece).is_ok() {
@@ -427,9 +421,7 @@ impl PieceSearch {
             active.dedup();
             let undecided = split.iter().any(|component| {
                 let groups = component.iter().map(|k| search.find_group(k.1));
-                let mut groups: Vec<u32> = groups.filter(|g| active.binary_search(g).is_ok()).collect();
-                groups.sort_unstable();
-                groups.dedup();
+                let groups: Vec<u32> = sorted_set(groups.filter(|g| active.binary_search(g).is_ok()));
                 groups.len() > 1
             });
             if !undecided {

@@ -1,15 +1,13 @@
 //! Lattice nodes around an edit: which stay, which places get new ones, and the edges of both.
 
-use crate::NONE;
-use crate::graph::error::Error;
 use crate::graph::mesh_graph::{InteriorRecipe, MeshGraph};
 use crate::graph::parallel::map;
 use crate::graph::resample::change::{ChangedPoints, GraphBefore, MeshChange, NewEdge, NodeNumbers};
 use crate::graph::resample::edges::{EdgeFinder, NodeTable, ShellCopies, ShellSite, TAKEN, ZoneGrid, ZoneNode};
 use crate::graph::resample::zone::{CORE, LocalMesh, NEAR, RIM};
 use crate::graph::volume::lattice_grid::LatticeKey;
-use crate::graph::volume::shell::walk;
 use crate::query::VisitCount;
+use crate::{Error, NONE};
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -113,7 +111,7 @@ pub(super) fn follow_interior(
     let local = site.local;
     let nearest = map(&asked, site.budget, |&(_, p, start)| {
         let start = start.or_else(|| site.surface.closest_vertex(p, None))?;
-        Some(local.points[walk(&local.positions, &local.adjacency, start, p, site.looked) as usize])
+        Some(local.points[local.walk(start, p, site.looked) as usize])
     })?;
     if nearest.contains(&None) {
         return Ok(None);
@@ -425,8 +423,7 @@ pub(super) fn spread_nearest(graph: &mut MeshGraph, local: &LocalMesh, asked: Ve
         let Some(start) = local.find_local(graph.nearest_surface[node as usize]) else {
             continue;
         };
-        let row = graph.offsets[node as usize] as usize..graph.offsets[node as usize + 1] as usize;
-        for entry in row {
+        for entry in graph.entries(node) {
             let other = graph.neighbours[entry] as usize;
             if other < first {
                 continue;
@@ -436,7 +433,7 @@ pub(super) fn spread_nearest(graph: &mut MeshGraph, local: &LocalMesh, asked: Ve
             if local.positions[start as usize].distance_squared(p) >= own {
                 continue;
             }
-            let vertex = walk(&local.positions, &local.adjacency, start, p, &VisitCount::default());
+            let vertex = local.walk(start, p, &VisitCount::default());
             if local.positions[vertex as usize].distance_squared(p) < CLEARLY * own {
                 graph.nearest_surface[other] = local.points[vertex as usize];
                 waiting.push(other as u32);

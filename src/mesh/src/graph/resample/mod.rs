@@ -15,11 +15,10 @@ mod interior;
 mod rows;
 mod zone;
 
-use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphRecipe, GraphStats, InteriorRecipe, MeshGraph};
 use crate::graph::volume::build::most_visits;
 use crate::query::{TriangleBvh, VisitBudget, VisitCount};
-use crate::{BoundingBox, NONE, signed_volume};
+use crate::{BoundingBox, Error, NONE, signed_volume};
 pub use change::{MeshChange, ResampledGraph};
 use glam::DVec3;
 use pliant_exec::Exec;

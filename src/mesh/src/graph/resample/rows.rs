@@ -156,13 +156,13 @@ fn fresh_rows(edit: &GraphEdit, renumbered: &Renumbered, pool: &Pool) -> FreshRo
             .take_while(move |l| l.0 == node)
             .map(|l| (l.1, l.2))
     };
-    let weight = |entry: usize| old.weights.as_ref().map_or(1.0, |w| w[entry]);
+    let weight = |entry: usize| old.weight(entry);
     type Row = (u32, Vec<(u32, f32)>);
     // Old nodes whose rows differ from what they were.
     let rows: Vec<Row> = pool.install(|| {
         let rows = dirty.par_iter().with_min_len(64).filter_map(|&o| {
             let node = renumbered.new_from_old[o as usize];
-            let entries = old.offsets[o as usize] as usize..old.offsets[o as usize + 1] as usize;
+            let entries = old.entries(o);
             let kept = entries.clone().filter(|&e| !dropped(o, old.neighbours[e]));
             let mut row: Vec<(u32, f32)> = own_links(node).collect();
             row.extend(kept.map(|e| (renumbered.of_old(old.neighbours[e]), weight(e))));

@@ -8,8 +8,10 @@
 use crate::graph::resample::change::{ChangedPoints, GraphBefore, MeshChange};
 use crate::graph::resample::hull::{HullChange, fan_over_loop};
 use crate::graph::volume::caps::FaceColumns;
+use crate::graph::volume::shell::walk;
+use crate::query::VisitCount;
 use crate::query::closest_point::closest_point_on_triangle;
-use crate::{Adjacency, BoundingBox, NONE};
+use crate::{Adjacency, BoundingBox, NONE, sorted_set};
 use glam::DVec3;
 use pliant_exec::pool::Pool;
 use rayon::prelude::*;
@@ -407,6 +409,11 @@ pub(super) struct LocalMesh {
 }
 
 impl LocalMesh {
+    /// The vertex where a walk along the mesh from `start` comes no nearer to `p`.
+    pub(super) fn walk(&self, start: u32, p: DVec3, looked: &VisitCount) -> u32 {
+        walk(&self.positions, &self.adjacency, start, p, looked)
+    }
+
     pub(super) fn gather_faces(
         change: &MeshChange,
         points: &ChangedPoints,
@@ -455,9 +462,7 @@ pub(super) struct LocalFaces {
 impl LocalFaces {
     /// Numbers the corners of named faces in the order of their names, so that an edge runs the same way in all of them.
     fn from_named_faces(faces: Vec<[u64; 3]>, at: impl Fn(u64) -> DVec3) -> Self {
-        let mut names: Vec<u64> = faces.iter().flatten().copied().collect();
-        names.sort_unstable();
-        names.dedup();
+        let names: Vec<u64> = sorted_set(faces.iter().flatten().copied());
         let local = |name: u64| names.binary_search(&name).unwrap_or(0) as u32;
         Self {
             triangles: faces.into_iter().map(|t| t.map(local)).collect(),

@@ -2,20 +2,17 @@
 //!
 //! Ties after an edit of the mesh: those around the edit are found again, all others stay.
 
-use crate::graph::error::Error;
+use crate::graph::assemble::row_blocks;
 use crate::graph::mesh_graph::MeshGraph;
 use crate::graph::resample::{MeshChange, ResampledGraph, resample};
 use crate::graph::ties::part_ties::{LOOSE, PartTies, TieAnchor, TieFamilies, TieOptions, TieReach, UntiedGraph};
 use crate::graph::ties::part_tree::{TieSite, find_anchors};
 use crate::query::TriangleBvh;
-use crate::{BoundingBox, Components, Mesh, NONE};
+use crate::{BoundingBox, Components, Error, Mesh, NONE};
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;
 use rayon::prelude::*;
-
-/// Rows written in one go.
-const BLOCK: usize = 1 << 12;
 
 /// Ties the parts of `mesh` to each other in its graph, which has no ties yet. Meshes of one part, and of parts out of each
 /// other's reach, keep the bits of their graph.
@@ -24,12 +21,9 @@ const BLOCK: usize = 1 << 12;
 /// stay in proportion to the mesh whatever lies in one place. The result depends on the arguments alone.
 ///
 /// # Errors
-/// [`Error::Length`] for a distance that is none, [`Error::Cancelled`].
+/// [`Error::Invalid`] for a distance that is none, [`Error::Cancelled`].
 pub fn tie_parts(graph: MeshGraph, mesh: &Mesh, options: &TieOptions, exec: &Exec<'_>) -> Result<MeshGraph, Error> {
-    if let Some(seen) = options.distance.filter(|d| !(*d > 0.0 && d.is_finite())) {
-        let option = "tie distance";
-        return Err(Error::Length { option, seen });
-    }
+    Error::check_length("tie distance", options.distance)?;
     if options.families == TieFamilies::One {
         return Ok(graph);
     }
@@ -66,7 +60,7 @@ impl TieEdges {
     fn from_anchors(anchors: &[TieAnchor], surface: usize, pool: &Pool) -> Self {
         let both = |a: &TieAnchor| {
             let vertex = a.vertex;
-            let edges = a.corners.into_iter().zip(a.weights).filter(|e| e.1 > 0.0);
+            let edges = a.weighted_corners();
             edges.flat_map(move |(corner, weight)| [(vertex, corner, weight), (corner, vertex, weight)])
         };
         let mut edges: Vec<(u32, u32, f32)> = anchors.iter().flat_map(both).collect();
@@ -120,18 +114,10 @@ impl WrittenRows {
         }
         let total = offsets[nodes] as usize;
         let (mut neighbours, mut weights) = (vec![0u32; total], vec![0f32; total]);
-        let mut blocks = Vec::with_capacity(nodes.div_ceil(BLOCK));
-        let (mut rest, mut lighter) = (neighbours.as_mut_slice(), weights.as_mut_slice());
-        for from in (0..nodes).step_by(BLOCK) {
-            let to = (from + BLOCK).min(nodes);
-            let count = (offsets[to] - offsets[from]) as usize;
-            let (own, after) = std::mem::take(&mut rest).split_at_mut(count);
-            let (own_weights, after_weights) = std::mem::take(&mut lighter).split_at_mut(count);
-            (rest, lighter) = (after, after_weights);
-            blocks.push((from..to, own, own_weights));
-        }
+        let blocks = row_blocks(&offsets, &mut neighbours).into_par_iter();
+        let blocks = blocks.zip(row_blocks(&offsets, &mut weights));
         pool.install(|| {
-            blocks.into_par_iter().for_each(|(range, neighbours, weights)| {
+            blocks.for_each(|((range, neighbours), (_, weights))| {
                 let start = offsets[range.start];
                 for node in range {
                     let row = (offsets[node] - start) as usize..(offsets[node + 1] - start) as usize;
@@ -149,8 +135,7 @@ impl WrittenRows {
 
 /// The graph with ties.
 fn insert_ties(graph: MeshGraph, anchors: Vec<TieAnchor>, edges: &TieEdges, reach: TieReach, pool: &Pool) -> MeshGraph {
-    let row = |node: usize| graph.offsets[node] as usize..graph.offsets[node + 1] as usize;
-    let weight = |entry: usize| graph.weights.as_ref().map_or(1.0, |w| w[entry]);
+    let row = |node: usize| graph.entries(node as u32);
     let length = |node: usize| row(node).len() + edges.tie_row(node).len();
     let fill = |node: usize, neighbours: &mut [u32], weights: &mut [f32]| {
         let mut ties = edges.tie_row(node).iter().peekable();
@@ -165,7 +150,7 @@ fn insert_ties(graph: MeshGraph, anchors: Vec<TieAnchor>, edges: &TieEdges, reac
             while let Some(&(to, w)) = ties.next_if(|tie| tie.0 < next) {
                 put(to, w);
             }
-            put(next, weight(entry));
+            put(next, graph.weight(entry));
         }
         ties.for_each(|&(to, w)| put(to, w));
     };
@@ -215,7 +200,7 @@ fn joined_components(graph: &MeshGraph, anchors: &[TieAnchor]) -> Components {
 
 /// The graph as it was without its ties.
 fn without_ties(graph: &MeshGraph, ties: &PartTies, edges: &TieEdges, pool: &Pool) -> MeshGraph {
-    let row = |node: usize| graph.offsets[node] as usize..graph.offsets[node + 1] as usize;
+    let row = |node: usize| graph.entries(node as u32);
     let length = |node: usize| row(node).len() - edges.tie_row(node).len();
     let fill = |node: usize, neighbours: &mut [u32], weights: &mut [f32]| {
         let mut ties = edges.tie_row(node).iter().peekable();
@@ -226,7 +211,7 @@ fn without_ties(graph: &MeshGraph, ties: &PartTies, edges: &TieEdges, pool: &Poo
                 continue;
             }
             if let Some((neighbour, weight)) = slots.next() {
-                (*neighbour, *weight) = (to, graph.weights.as_ref().map_or(1.0, |w| w[entry]));
+                (*neighbour, *weight) = (to, graph.weight(entry));
             }
         }
     };

@@ -79,7 +79,7 @@ impl PartTies {
 
 impl TieAnchor {
     /// The corners that it is tied to, with what these edges weigh.
-    pub fn weighted_corners(&self) -> impl Iterator<Item = (u32, f32)> + '_ {
+    pub fn weighted_corners(&self) -> impl Iterator<Item = (u32, f32)> + use<> {
         self.corners.into_iter().zip(self.weights).filter(|e| e.1 > 0.0)
     }
 }

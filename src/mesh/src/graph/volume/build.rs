@@ -5,7 +5,6 @@
 //! the halves of a cut, every part gets a graph of its own.
 
 use crate::graph::assemble::surface;
-use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphRecipe, GraphStats, MeshGraph};
 use crate::graph::volume::caps::{ClosedHull, HullFaces};
 use crate::graph::volume::lattice::LatticeBody;
@@ -20,7 +19,7 @@ use crate::graph::volume::solid::{ClassifiedParts, PartKind};
 use crate::graph::volume::{InteriorKind, VolumeOptions};
 use crate::graph::winding::WindingTree;
 use crate::query::{VisitBudget, VisitCount};
-use crate::{Adjacency, Components, Mesh, mean_edge_length};
+use crate::{Adjacency, Components, Error, Mesh, mean_edge_length};
 use pliant_exec::Exec;
 use std::sync::OnceLock;
 
@@ -72,7 +71,7 @@ pub fn estimate_nodes(mesh: &Mesh, kind: InteriorKind) -> usize {
 /// let graph = volume(&mesh, &VolumeOptions::default(), &Exec::new(&pool, &Silent))?.expect("a box has an inside");
 /// assert_eq!(graph.surface, mesh.positions.len());
 /// assert!(graph.stats.lattice_nodes > 0 && graph.nodes() > graph.surface);
-/// # Ok::<(), pliant_mesh::graph::Error>(())
+/// # Ok::<(), pliant_mesh::Error>(())
 /// ```
 ///
 /// # Errors
@@ -347,7 +346,7 @@ fn unite_graphs(mesh: &Mesh, graphs: &[(Vec<u32>, MeshGraph)]) -> MeshGraph {
     for (part, node) in of {
         let (_, g) = &graphs[part as usize];
         let numbers = &numbers[part as usize];
-        let row = g.offsets[node as usize] as usize..g.offsets[node as usize + 1] as usize;
+        let row = g.entries(node);
         whole
             .neighbours
             .extend(g.neighbours[row.clone()].iter().map(|&j| numbers[j as usize]));

@@ -3,8 +3,6 @@
 //! Inside soups only the winding number shows what is inside. There space is searched as an octree over grid cells, coarse to fine. A block far from the surface is decided as a whole;
 //! only blocks near the surface are split, so the work grows with the surface, not with the box around it.
 
-use crate::BoundingBox;
-use crate::graph::error::Error;
 use crate::graph::parallel::{map, map_along};
 use crate::graph::volume::caps::HullFaces;
 use crate::graph::volume::lattice_grid::{
@@ -15,6 +13,7 @@ use crate::graph::volume::{lattice_grid, scan};
 use crate::graph::winding::WindingTree;
 use crate::query::closest_point::closest_point_on_triangle;
 use crate::query::{SurfacePoint, TriangleBvh, corner_near};
+use crate::{BoundingBox, Error};
 use glam::DVec3;
 use rayon::prelude::*;
 

@@ -20,7 +20,7 @@ pub(super) mod spread;
 
 pub use build::{estimate_nodes, volume, volume_apart};
 
-use crate::graph::error::Error;
+use crate::Error;
 use crate::graph::mesh_graph::EdgeWeights;
 
 /// What interior nodes follow.
@@ -80,14 +80,11 @@ impl VolumeOptions {
 
     /// Refuses options that make no sense.
     pub(in crate::graph) fn check(&self) -> Result<(), Error> {
-        for (option, value) in [("interval", self.interval), ("shell offset", self.shell_offset)] {
-            if let Some(seen) = value.filter(|v| !(*v > 0.0 && v.is_finite())) {
-                return Err(Error::Length { option, seen });
-            }
+        Error::check_length("interval", self.interval)?;
+        Error::check_length("shell offset", self.shell_offset)?;
+        match self.valence {
+            8 | 14 => Ok(()),
+            seen => Err(Error::invalid("valence", format!("is {seen}, allowed are 14 and 8"))),
         }
-        if !matches!(self.valence, 8 | 14) {
-            return Err(Error::Valence { seen: self.valence });
-        }
-        Ok(())
     }
 }

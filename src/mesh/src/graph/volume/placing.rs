@@ -8,7 +8,6 @@
 //! found without leaving the body that the node lies in.
 
 use crate::graph::assemble::{InteriorNodes, assemble};
-use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphStats, InteriorRecipe, MeshGraph};
 use crate::graph::parallel::map;
 use crate::graph::volume::VolumeOptions;
@@ -18,7 +17,7 @@ use crate::graph::volume::lattice_grid::{LatticeGrid, LatticeKey, LatticeNodes, 
 use crate::graph::volume::shell::{ShellNodes, VolumeSite};
 use crate::graph::volume::solid::PartKind;
 use crate::graph::volume::{lattice, scan};
-use crate::{Adjacency, Mesh, signed_volume};
+use crate::{Adjacency, Error, Mesh, signed_volume};
 use glam::DVec3;
 use pliant_exec::pool::Pool;
 use rayon::prelude::*;
@@ -165,11 +164,13 @@ pub(in crate::graph) fn fitting_lattice(
         };
         interval *= factor * 1.02;
     }
-    let grid = LatticeGrid::around(bounds, interval).ok_or(Error::Length {
-        option: "interval",
-        seen: interval,
-    })?;
-    Ok((grid, LatticeNodes::default()))
+    match LatticeGrid::around(bounds, interval) {
+        Some(grid) => Ok((grid, LatticeNodes::default())),
+        None => Err(Error::invalid(
+            "interval",
+            format!("is {interval}, it must be a positive finite length"),
+        )),
+    }
 }
 
 /// Shell and lattice before anything joins them.

@@ -5,14 +5,13 @@
 //! touch each face for the few nodes around it, so the work grows with the number of faces and of nodes, not with the
 //! box around them, and nothing is searched. Sheets (all nodes of one height) are independent of each other.
 
-use crate::Lists;
-use crate::graph::error::Error;
 use crate::graph::parallel::map_few;
 use crate::graph::volume::caps::HullFaces;
 use crate::graph::volume::lattice_grid::{LAST, LatticeGrid, LatticeNodes, NONE, TooFine, key};
 use crate::graph::volume::shell::VolumeSite;
 use crate::query::QueryStop;
 use crate::query::closest_point::PreparedTriangle;
+use crate::{Error, Lists};
 use glam::DVec3;
 use rayon::prelude::*;
 

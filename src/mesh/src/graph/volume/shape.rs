@@ -8,9 +8,7 @@
 //! The thickness of a part is its volume divided by its area, which says nothing of its triangles. Parts of about one thickness
 //! share a lattice, and thinner ones have a finer one.
 
-use crate::BoundingBox;
 use crate::graph::assemble::InteriorNodes;
-use crate::graph::error::Error;
 use crate::graph::mesh_graph::{GraphStats, MeshGraph};
 use crate::graph::volume::VolumeOptions;
 use crate::graph::volume::caps::HullFaces;
@@ -22,6 +20,7 @@ use crate::graph::volume::placing::{
 use crate::graph::volume::shell::VolumeSite;
 use crate::graph::volume::solid::PartKind;
 use crate::graph::volume::spread::{SurfaceTie, ThinPlaces, spread_ties, struts, vertex_areas};
+use crate::{BoundingBox, Error};
 use glam::DVec3;
 
 /// The interval in thicknesses (volume ÷ area): a long round bar has more than five cells across.

@@ -4,14 +4,13 @@
 //! its vertex without crossing the surface; the offset is halved up to six times until that holds. A vertex without
 //! such a place has no copy. Which way leads inwards from each vertex is found first.
 
-use crate::graph::error::Error;
 use crate::graph::parallel::{map, map_in_space};
 use crate::graph::volume::caps::{FaceColumns, HullFaces};
 use crate::graph::volume::lattice_grid::{NearSurface, RoomQueries};
 use crate::graph::volume::solid::{ClassifiedParts, InwardDirections, PartKind, normal, sample, turn};
 use crate::graph::winding::WindingTree;
 use crate::query::{VisitBudget, VisitCount};
-use crate::{Adjacency, Mesh};
+use crate::{Adjacency, Error, Mesh};
 use glam::DVec3;
 use pliant_exec::Exec;
 use pliant_exec::pool::Pool;

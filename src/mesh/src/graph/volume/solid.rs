@@ -7,13 +7,12 @@
 //!
 //! The angle of a direction in the upper half plane.
 
-use crate::graph::error::Error;
 use crate::graph::parallel::{map, map_in_space};
 use crate::graph::volume::caps::ClosedHull;
 use crate::graph::volume::lattice_grid::NearSurface;
 use crate::graph::winding::WindingTree;
 use crate::query::VisitBudget;
-use crate::{Adjacency, Components, Mesh};
+use crate::{Adjacency, Components, Error, Mesh};
 use glam::DVec3;
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
@@ -277,13 +276,7 @@ mod angle_tests {
 
     #[test]
     fn angles_are_those_of_libm_to_the_bit() {
-        let mut state = 5u64;
-        let mut next = || {
-            state = state
-                .wrapping_mul(6364136223846793005)
-                .wrapping_add(1442695040888963407);
-            (state >> 11) as f64 / (1u64 << 53) as f64
-        };
+        let mut next = crate::testing::random(5);
         let ask = |y: f64, x: f64| {
             let (own, known) = (upper_angle(y, x), libm::atan2(y, x));
             assert_eq!(own.to_bits(), known.to_bits(), "{y:e}, {x:e}: {own:e}, {known:e}");

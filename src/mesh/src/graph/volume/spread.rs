@@ -7,7 +7,7 @@
 //! Struts across places that are too thin for a lattice: each vertex is tied to the place that lies straight across, so that the two
 //! sides keep their distance and turn together.
 
-use crate::graph::error::Error;
+use crate::Error;
 use crate::graph::parallel::map;
 use crate::graph::volume::lattice::LatticeExit;
 use crate::graph::volume::lattice_grid::NONE;
