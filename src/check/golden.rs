@@ -3,6 +3,7 @@
 use super::case::{SuiteError, from_json_object, suite_error};
 use super::case_result::{CaseResult, TopologyDigests};
 use super::metric::Metric;
+use super::named::Named as _;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;

@@ -7,8 +7,8 @@ use crate::asset::{self, FileSet, Format, Model};
 use crate::batch;
 use crate::check::report::{CaseReport, describe_changes};
 use crate::check::{
-    AnimationCase, CaseResult, CaseStatus, CaseVerdict, Golden, InputHashes, Metric, Viewpoint, draw_case_pictures,
-    judge_result, model_hash,
+    AnimationCase, CaseResult, CaseStatus, CaseVerdict, Golden, InputHashes, Metric, ReasonCode, Viewpoint,
+    draw_case_pictures, judge_result, model_hash,
 };
 use crate::cli::terminal::{CliFailure, StageSpinner};
 use crate::engine::{Animation, Deformer, DeformerLimits, digest};
@@ -69,7 +69,7 @@ pub(super) fn run_all_cases(
             spinner.report("checking", k as f32 / cases.len() as f32);
             let clock = Instant::now();
             let mut one = run_case(case, plan, client.as_ref(), &pool);
-            if plan.times && one.report.verdict.status != CaseStatus::Skipped {
+            if plan.times && one.report.status != CaseStatus::Skipped {
                 one.report.milliseconds = Some(clock.elapsed().as_micros() as f64 / 1000.0);
             }
             done.lock().unwrap_or_else(|e| e.into_inner()).push((k, one));
@@ -99,7 +99,10 @@ fn run_case(loaded: &LoadedCase, plan: &CheckPlan<'_>, client: Option<&HttpClien
                 Some(Ok(golden)) => golden.digest.clone(),
                 _ => String::new(),
             },
-            verdict: CaseVerdict::without_result(CaseStatus::Failed, "not-run", ""),
+            status: CaseStatus::Failed,
+            identical: false,
+            reasons: Vec::new(),
+            measures: Vec::new(),
             pictures: Vec::new(),
             notes: Vec::new(),
             milliseconds: None,
@@ -113,7 +116,8 @@ fn run_case(loaded: &LoadedCase, plan: &CheckPlan<'_>, client: Option<&HttpClien
         } else {
             CaseStatus::Skipped
         };
-        done.report.verdict = CaseVerdict::without_result(status, "skipped", why);
+        let verdict = CaseVerdict::without_result(status, ReasonCode::Skipped, why);
+        done.report.take_verdict(verdict);
         return done;
     }
     let ran = loaded.model_files().and_then(|files| {
@@ -127,14 +131,15 @@ fn run_case(loaded: &LoadedCase, plan: &CheckPlan<'_>, client: Option<&HttpClien
     let (found, inputs) = match ran {
         Ok(ran) => ran,
         Err(text) => {
-            done.report.verdict = CaseVerdict::without_result(CaseStatus::Failed, "not-run", text);
+            let verdict = CaseVerdict::without_result(CaseStatus::Failed, ReasonCode::NotRun, text);
+            done.report.take_verdict(verdict);
             return done;
         }
     };
     done.report.digest = found.digest.clone();
     let expect = loaded.job.expect.as_ref();
     let (verdict, comparison) = judge_result(&found, loaded.golden.clone(), &inputs, &case.tolerances, expect, pool);
-    done.report.verdict = verdict;
+    done.report.take_verdict(verdict);
     if plan.bless {
         bless_case(&mut done, loaded, &found, inputs);
     }
@@ -184,36 +189,32 @@ fn run_model(
 
 /// Makes the golden of a result and says what it changes. Nothing is asserted; only what no golden can hold is a failure.
 fn bless_case(done: &mut CheckedCase, loaded: &LoadedCase, found: &CaseResult, inputs: InputHashes) {
-    let verdict = &mut done.report.verdict;
     if let Some(text) = found.describe_not_finite() {
         let text = format!("{text}; no golden can hold that, and none was written");
-        *verdict = CaseVerdict::without_result(CaseStatus::Failed, "not-finite", text);
-        return;
+        let verdict = CaseVerdict::without_result(CaseStatus::Failed, ReasonCode::NotFinite, text);
+        return done.report.take_verdict(verdict);
     }
     let golden = Golden::from_result(found, inputs);
-    let old = match &loaded.golden {
-        Some(Ok(old)) => Some(old),
-        _ => None,
-    };
+    let old = loaded.golden.as_ref().and_then(|old| old.as_ref().ok());
     if let Some(Err(broken)) = &loaded.golden {
         done.changes.push(format!("the old golden could not be read: {broken}"));
     }
-    done.changes.extend(describe_changes(old, &golden, &verdict.measures));
-    done.report.notes.extend(
-        found
-            .unmet
-            .iter()
-            .map(|text| format!("the job expects otherwise: {text}")),
-    );
+    done.changes
+        .extend(describe_changes(old, &golden, &done.report.measures));
+    let unmet = found.unmet.iter();
+    (done.report.notes).extend(unmet.map(|text| format!("the job expects otherwise: {text}")));
     match golden.to_text() {
         Ok(text) => {
             let same = old == Some(&golden);
             done.golden = (!same).then_some(text);
-            verdict.status = CaseStatus::Blessed;
-            verdict.reasons.clear();
-            verdict.identical = same;
+            done.report.status = CaseStatus::Blessed;
+            done.report.reasons.clear();
+            done.report.identical = same;
         }
-        Err(text) => *verdict = CaseVerdict::without_result(CaseStatus::Failed, "not-run", text),
+        Err(text) => {
+            let verdict = CaseVerdict::without_result(CaseStatus::Failed, ReasonCode::NotRun, text);
+            done.report.take_verdict(verdict);
+        }
     }
 }
 
