@@ -15,9 +15,7 @@ use super::wire::{
 };
 use crate::exec::stage_clock::StageClock;
 use glam::DVec3;
-pub use inspect::{
-    ClipContents, MOST_NODES_LISTED, ModelContents, SkinContents, contents_of, inspect, inspect_contents,
-};
+pub use inspect::{ClipContents, MOST_NODES_LISTED, ModelContents, SkinContents, contents_of, inspect};
 pub use riders::CarriedFile;
 use riders::Riders;
 use std::collections::BTreeSet;
@@ -345,10 +343,10 @@ fn steps_of(job: &pb::Job) -> Result<Vec<Todo>, Error> {
 
 /// The error of a step, with what edits before it warned of: mostly that is the reason.
 fn at_step(e: Error, k: usize, warned: &[String]) -> Error {
-    let mut before = String::new();
-    if !warned.is_empty() {
-        before = format!(" (before it: {})", warned.join("; "));
-    }
+    let before = match warned {
+        [] => String::new(),
+        warned => format!(" (before it: {})", warned.join("; ")),
+    };
     match e {
         Error::Invalid { field, problem } => Error::Invalid {
             field: format!("steps[{k}].{field}"),
@@ -393,15 +391,9 @@ pub fn unmet_expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (
     };
     let quality = report.quality.unwrap_or_default();
     let mut unmet = Vec::new();
-    if expect
-        .flipped_triangles
-        .is_some_and(|most| quality.flipped_triangles > most)
-    {
-        let most = expect.flipped_triangles.unwrap_or_default();
-        unmet.push(format!(
-            "flippedTriangles is {}, at most {most} expected",
-            quality.flipped_triangles
-        ));
+    let flipped = quality.flipped_triangles;
+    if let Some(most) = expect.flipped_triangles.filter(|most| flipped > *most) {
+        unmet.push(format!("flippedTriangles is {flipped}, at most {most} expected"));
     }
     if let Some(most) = expect.volume_change.filter(|most| quality.volume_change.abs() > *most) {
         // As `{:?}`: what is huge or tiny comes with an exponent.
@@ -418,14 +410,8 @@ pub fn unmet_expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (
         ("meanDistance", expect.mean_distance.is_some()),
         ("normalDegrees", expect.normal_degrees.is_some()),
     ];
-    (
-        unmet,
-        stored
-            .into_iter()
-            .filter(|(_, asked)| *asked)
-            .map(|(name, _)| name)
-            .collect(),
-    )
+    let asked = stored.into_iter().filter(|(_, asked)| *asked);
+    (unmet, asked.map(|(name, _)| name).collect())
 }
 
 #[cfg(test)]

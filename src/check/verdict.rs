@@ -11,11 +11,12 @@ use crate::wire::pb;
 use serde::{Deserialize, Serialize};
 
 /// How a case ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum CaseStatus {
     /// It equals the stored result bit for bit, or within tolerances.
     Passed,
     /// It does not pass.
+    #[default]
     Failed,
     /// It could not be run here.
     Skipped,

@@ -66,7 +66,6 @@ impl FirstFrameRun {
     }
 }
 
-/// Runs the command.
 pub(crate) fn run_pipeline(args: &PipelineArgs) -> Result<(), LoadtestFailure> {
     let pool = args.model.pool()?;
     let job = args.model.job(args.job.as_deref())?;
@@ -222,7 +221,6 @@ pub(crate) struct EnergyArgs {
     least: u32,
 }
 
-/// Runs the command.
 pub(crate) fn run_energy(args: &EnergyArgs) -> Result<(), LoadtestFailure> {
     let usage = |e: &dyn std::fmt::Display| args.model.refusal(e);
     let pool = args.model.pool()?;

@@ -53,6 +53,7 @@ pub(crate) struct FrameArgs {
 }
 
 /// What was measured.
+#[derive(Default)]
 struct FrameRun {
     vertices: usize,
     nodes: usize,
@@ -72,7 +73,6 @@ struct FrameRun {
     bandwidth: f64,
 }
 
-/// Runs the command.
 pub(crate) fn run_frame(args: &FrameArgs) -> Result<(), LoadtestFailure> {
     let pool = args.model.pool()?;
     let files = args.model.files()?;
@@ -107,13 +107,8 @@ fn drag_frames(
         nodes: deformer.body().nodes(),
         surface: deformer.body().graph.surface,
         neighbours: deformer.body().graph.neighbours.len(),
-        held_bytes: 0,
-        cycles: 0.0,
-        passes: Default::default(),
-        encode: Vec::new(),
-        frames: Vec::new(),
-        ahead: Vec::new(),
         bandwidth: measure_bandwidth(pool),
+        ..FrameRun::default()
     };
     for seq in 1..=WARM_UP + args.frames {
         poses = wire::change_poses(&deformer, &poses, &scene.pose_number(seq))?;

@@ -39,7 +39,7 @@ pub(crate) struct MeasuredModel {
 
 impl MeasuredModel {
     fn pool(&self) -> Result<Pool, LoadtestFailure> {
-        Pool::new(usize::from(self.threads)).map_err(LoadtestFailure::server)
+        Ok(Pool::new(usize::from(self.threads))?)
     }
 
     /// The model's file, subdivided.

@@ -25,7 +25,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use std::fmt;
 
 /// A case report is the outcome of a case, run or not. Its fields are those of the JSON document.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "camelCase")]
 pub struct CaseReport {
     /// Its name.

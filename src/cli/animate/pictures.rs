@@ -1,7 +1,7 @@
 //! Frames as one picture: a sheet of some of them side by side, or a picture that moves.
 
 use super::play::{FrameTaker, PlayedAnimation};
-use crate::cli::terminal::CliFailure;
+use crate::cli::terminal::{CliFailure, bounded};
 use crate::engine::{AnimatedFrame, bind_model, influences_of_skin};
 use crate::exec::Exec;
 use crate::motion::BoneInfluences;
@@ -350,11 +350,7 @@ impl FramePictureArgs {
                 "--tiles and --rest are for .png; a .apng shows all frames".into(),
             ));
         }
-        let tiles = self.tiles.unwrap_or(USUAL_TILES);
-        if !(1..=MOST_TILES).contains(&tiles) {
-            let problem = format!("--tiles is {tiles}, allowed are 1 to {MOST_TILES}");
-            return Err(CliFailure::Input(problem));
-        }
+        let tiles = bounded("--tiles", self.tiles, USUAL_TILES, 1..=MOST_TILES)?;
         if self.rest && tiles < 2 {
             let problem = "--tiles is 1; with --rest there is room for no frame, 2 or more are needed";
             return Err(CliFailure::Input(problem.into()));

@@ -72,7 +72,6 @@ pub struct CheckArgs {
     threads: ThreadArgs,
 }
 
-/// Runs the command.
 pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
     args.output.check_targets()?;
     match &args.suite {

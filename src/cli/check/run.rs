@@ -88,36 +88,24 @@ pub(super) fn run_all_cases(
 
 fn run_case(loaded: &LoadedCase, plan: &CheckPlan<'_>, client: Option<&HttpClient>, pool: &Pool) -> CheckedCase {
     let case = &loaded.case;
+    let stored = loaded.golden.as_ref().and_then(|golden| golden.as_ref().ok());
     let mut done = CheckedCase {
         report: CaseReport {
             name: case.name.clone(),
             title: case.title.clone(),
             model: case.model.to_string(),
-            inputs: None,
-            digest: String::new(),
-            stored_digest: match &loaded.golden {
-                Some(Ok(golden)) => golden.digest.clone(),
-                _ => String::new(),
-            },
-            status: CaseStatus::Failed,
-            identical: false,
-            reasons: Vec::new(),
-            measures: Vec::new(),
-            pictures: Vec::new(),
-            notes: Vec::new(),
-            milliseconds: None,
+            stored_digest: stored.map_or_else(String::new, |golden| golden.digest.clone()),
+            ..CaseReport::default()
         },
         golden: None,
         changes: Vec::new(),
     };
     if let Some(why) = loaded.absent_reason() {
-        let status = if plan.skip_fails {
-            CaseStatus::Failed
-        } else {
-            CaseStatus::Skipped
+        let status = match plan.skip_fails {
+            true => CaseStatus::Failed,
+            false => CaseStatus::Skipped,
         };
-        let verdict = CaseVerdict::without_result(status, ReasonCode::Skipped, why);
-        done.report.take_verdict(verdict);
+        (done.report).take_verdict(CaseVerdict::without_result(status, ReasonCode::Skipped, why));
         return done;
     }
     let ran = loaded.model_files().and_then(|files| {
@@ -164,21 +152,14 @@ fn run_model(
     pool: &Pool,
 ) -> Result<CaseResult, String> {
     let create = loaded.animation.as_ref().map(|a| &a.create);
-    let format = create
-        .or(loaded.job.create.as_ref())
-        .map(|c| c.format.as_str())
-        .unwrap_or_default();
-    let read = Model::read(
-        files.clone(),
-        asset::Format::from_name(format),
-        &asset::Limits::default(),
-    );
+    let create = create.or(loaded.job.create.as_ref());
+    let format = create.and_then(|c| Format::from_name(&c.format));
+    let read = Model::read(files.clone(), format, &asset::Limits::default());
     let before = read.map_err(|e| e.to_string())?.geometry;
     let mut found = match (client, &loaded.animation) {
-        (Some(client), None) => remote::run_on_server(client, &files, &loaded.job)?,
-        (None, None) => run_in_process(files, &loaded.job, pool)?,
-        (Some(client), Some(animation)) => remote::animate_on_server(client, &files, animation)?,
-        (None, Some(animation)) => animate_in_process(files, animation, pool)?,
+        (Some(client), animation) => remote::run_on_server(client, &files, &loaded.job, animation.as_ref())?,
+        (None, None) => run_in_process(files, &loaded.job, pool).map_err(|e| e.to_string())?,
+        (None, Some(animation)) => animate_in_process(files, animation, pool).map_err(|e| e.to_string())?,
     };
     if found.triangles.is_empty() && found.positions.len() == before.positions.len() {
         found.triangles = before.triangles.clone();
@@ -219,20 +200,9 @@ fn bless_case(done: &mut CheckedCase, loaded: &LoadedCase, found: &CaseResult, i
 }
 
 /// Runs a job on a model. The shape before is the caller's to add.
-///
-/// # Errors
-/// Why it cannot be run.
-pub(super) fn run_in_process(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<CaseResult, String> {
-    let no_clock = || 0.0;
-    let done = batch::run(
-        files,
-        job,
-        None,
-        &DeformerLimits::default(),
-        &Exec::new(pool, &Silent),
-        &no_clock,
-    )
-    .map_err(|e| e.to_string())?;
+fn run_in_process(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<CaseResult, wire::Error> {
+    let (limits, exec) = (DeformerLimits::default(), Exec::new(pool, &Silent));
+    let done = batch::run(files, job, None, &limits, &exec, &|| 0.0)?;
     let poses: Vec<&pb::report::Step> = done.report.steps.iter().filter(|s| s.kind == "pose").collect();
     let mut found = CaseResult {
         positions: done.positions.to_vec(),
@@ -253,14 +223,7 @@ pub(super) fn run_in_process(files: FileSet, job: &pb::Job, pool: &Pool) -> Resu
 }
 
 /// Runs an animation of a model. The shape before is the caller's to add.
-///
-/// # Errors
-/// Why it cannot be run.
-pub(super) fn animate_in_process(files: FileSet, animation: &AnimationCase, pool: &Pool) -> Result<CaseResult, String> {
-    play_frames(files, animation, pool).map_err(|e| e.to_string())
-}
-
-fn play_frames(files: FileSet, animation: &AnimationCase, pool: &Pool) -> Result<CaseResult, wire::Error> {
+fn animate_in_process(files: FileSet, animation: &AnimationCase, pool: &Pool) -> Result<CaseResult, wire::Error> {
     let exec = Exec::new(pool, &Silent);
     let limits = DeformerLimits::default();
     let usual = SessionConfig::default();
