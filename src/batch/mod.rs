@@ -14,6 +14,7 @@ use super::wire::{
     quality_message, session_message, warning_message,
 };
 use crate::exec::stage_clock::StageClock;
+use crate::wire::pb::step::Step;
 use glam::DVec3;
 pub use inspect::{ClipContents, MOST_NODES_LISTED, ModelContents, SkinContents, contents_of, inspect};
 pub use riders::CarriedFile;
@@ -99,11 +100,11 @@ pub fn run_and_write(
     for (k, todo_now) in todo.iter().enumerate() {
         let fraction = k as f32 / todo.len() as f32;
         let done = match todo_now {
-            Todo::Pose(pose) => {
+            Step::Pose(pose) => {
                 stages.report("solve", fraction);
                 batch.pose(pose, &exec)
             }
-            Todo::Edit(request) => {
+            Step::Edit(request) => {
                 stages.report("edit", fraction);
                 batch.edit(k, request, &exec)
             }
@@ -296,12 +297,6 @@ impl<'a> BatchRun<'a> {
     }
 }
 
-/// One thing to do.
-enum Todo {
-    Pose(pb::Pose),
-    Edit(pb::EditRequest),
-}
-
 /// The poses of a job that edits nothing, each naming the handles that it changes. Without steps the poses that the handles
 /// come with are one.
 ///
@@ -309,36 +304,28 @@ enum Todo {
 /// [`Error::Unimplemented`] for steps that edit, [`Error::Invalid`] for empty ones.
 pub fn pose_steps(job: &pb::Job) -> Result<Vec<pb::Pose>, Error> {
     (steps_of(job)?.into_iter().enumerate())
-        .map(|(k, todo)| match todo {
-            Todo::Pose(pose) => Ok(pose),
-            Todo::Edit(edit) => Err(Error::Unimplemented(format!("steps[{k}].edit ({})", edit_name(&edit)))),
+        .map(|(k, step)| match step {
+            Step::Pose(pose) => Ok(pose),
+            Step::Edit(edit) => Err(Error::Unimplemented(format!("steps[{k}].edit ({})", edit_name(&edit)))),
         })
         .collect()
 }
 
-fn steps_of(job: &pb::Job) -> Result<Vec<Todo>, Error> {
+/// The steps of a job. Without any the poses that the handles come with are one.
+///
+/// # Errors
+/// [`Error::Invalid`] for an empty step.
+pub(crate) fn steps_of(job: &pb::Job) -> Result<Vec<Step>, Error> {
     if job.steps.is_empty() {
         let posed = job.handles.iter().any(|h| h.pose.is_some());
-        return Ok(if posed {
-            vec![Todo::Pose(pb::Pose::default())]
-        } else {
-            Vec::new()
-        });
+        return Ok(posed.then(|| Step::Pose(pb::Pose::default())).into_iter().collect());
     }
-    let mut all = Vec::new();
-    for (k, step) in job.steps.iter().enumerate() {
-        match &step.step {
-            Some(pb::step::Step::Pose(pose)) => all.push(Todo::Pose(pose.clone())),
-            Some(pb::step::Step::Edit(edit)) => all.push(Todo::Edit(edit.clone())),
-            None => {
-                return Err(Error::invalid(
-                    format!("steps[{k}]"),
-                    "is empty, allowed is one of pose or edit",
-                ));
-            }
-        }
-    }
-    Ok(all)
+    let steps = job.steps.iter().enumerate();
+    let step = |(k, step): (usize, &pb::Step)| {
+        let empty = || Error::invalid(format!("steps[{k}]"), "is empty, allowed is one of pose or edit");
+        step.step.clone().ok_or_else(empty)
+    };
+    steps.map(step).collect()
 }
 
 /// The error of a step, with what edits before it warned of: mostly that is the reason.

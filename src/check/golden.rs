@@ -39,7 +39,7 @@ pub struct Golden {
 }
 
 /// Input hashes name what a result depends on.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InputHashes {
     /// See [`super::model_hash`].

@@ -242,11 +242,7 @@ mod tests {
             frames: vec!["xxh3:1".into(); frames],
             ..Default::default()
         };
-        let inputs = InputHashes {
-            model: String::new(),
-            job: String::new(),
-        };
-        Golden::from_result(&found, inputs)
+        Golden::from_result(&found, InputHashes::default())
     }
 
     #[test]

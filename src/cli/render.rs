@@ -2,7 +2,7 @@
 
 use super::input_files::{in_file, open_model, read_file};
 use super::output_files::{OutputPermission, check_ending, spare_companions};
-use super::terminal::{CliFailure, ThreadArgs};
+use super::terminal::{CliFailure, ThreadArgs, listed};
 use crate::asset::{Geometry, Model, Primitive, SurfaceLook};
 use crate::engine::{Deformer, DeformerLimits, OpenOptions, RigNodes, left_out_passengers};
 use crate::exec::Exec;
@@ -464,9 +464,6 @@ pub(super) fn draw_cutaway(
     Ok((picture, reported))
 }
 
-/// Most primitives that a refusal lists.
-const LISTED: usize = 40;
-
 /// The primitives that are named, in the order of the model; a number, as `pliant inspect` counts them, where none is named so.
 ///
 /// # Errors
@@ -480,13 +477,11 @@ pub(super) fn choose_primitives(primitives: &[Primitive], names: &[String]) -> R
             named.extend(name.parse::<usize>().ok().filter(|&k| k < primitives.len()));
         }
         if named.is_empty() {
-            let listed = primitives.iter().take(LISTED).enumerate();
-            let listed: Vec<String> = listed.map(|(k, p)| format!("{k} \"{}\"", p.name)).collect();
-            let more = match primitives.len().saturating_sub(LISTED) {
-                0 => String::new(),
-                more => format!(" and {more} more, which pliant inspect --json lists"),
-            };
-            let there = format!("there are {}{more}", listed.join(", "));
+            let names = primitives
+                .iter()
+                .enumerate()
+                .map(|(k, p)| format!("{k} \"{}\"", p.name));
+            let there = listed(names, ", which pliant inspect --json lists");
             return Err(refuse(name, format!("no primitive is named so; {there}")));
         }
         if named.iter().all(|&k| primitives[k].index_count == 0) {

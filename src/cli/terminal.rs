@@ -200,6 +200,19 @@ pub(super) fn bounded(
     Err(CliFailure::Input(problem))
 }
 
+/// Most names that a refusal lists.
+const LISTED: usize = 40;
+
+/// The names that there are, for a refusal; `elsewhere` says where the others are listed.
+pub(super) fn listed<T: ToString>(names: impl ExactSizeIterator<Item = T>, elsewhere: &str) -> String {
+    let more = match names.len().saturating_sub(LISTED) {
+        0 => String::new(),
+        more => format!(" and {more} more{elsewhere}"),
+    };
+    let listed: Vec<String> = names.take(LISTED).map(|name| name.to_string()).collect();
+    format!("there are {}{more}", listed.join(", "))
+}
+
 /// Why a command ends with something other than 0.
 #[derive(Debug)]
 pub enum CliFailure {

@@ -1,7 +1,7 @@
 //! Other models: a skinned one with its own clip, a man of many parts, a horse that boxes, and weights for soups.
 
 use super::ballet::BALLET;
-use super::stage::{MotionFigure, MotionFolders, MotionStage, Row, bind, open, skinned, solve};
+use super::stage::{MotionFigure, MotionFolders, MotionStage, bind, figure, open, skinned, solve};
 use crate::failure::LoadtestFailure;
 use crate::measurements::time_once;
 use crate::models::read_model_file;
@@ -62,17 +62,15 @@ pub(super) fn measure_recorded(
         _ => ("horse, boxing", (60.0, Some(10.0)), (6.0, None)),
     };
     Ok(vec![
-        Row(row)
-            .value(
-                format!("{name}, {} frames: flipped triangles, mean", reported.len()),
-                mean,
-                "",
-            )
-            .at_most(flips.0, flips.1),
-        Row(row).value("flipped triangles, worst", worst, ""),
-        Row(row)
-            .value("volume, worst", volume, " %")
-            .at_most(volumes.0, volumes.1),
+        figure(
+            row,
+            format!("{name}, {} frames: flipped triangles, mean", reported.len()),
+            mean,
+            "",
+        )
+        .at_most(flips.0, flips.1),
+        figure(row, "flipped triangles, worst", worst, ""),
+        figure(row, "volume, worst", volume, " %").at_most(volumes.0, volumes.1),
     ])
 }
 
@@ -132,22 +130,19 @@ pub(super) fn measure_own_clip(
     })?;
     let followed = off.iter().filter(|off| **off < FOLLOWED).count();
     Ok(vec![
-        Row(9)
-            .value(
-                format!("CesiumMan's clip, {count} frames: volume, worst"),
-                volumes[1],
-                " %",
-            )
-            .at_most(2.0, None),
-        Row(9).value("volume, mean", volumes[0] / count as f64, " %"),
-        Row(9).value("blend skinning: volume, mean", blended_volume / count as f64, " %"),
-        Row(9)
-            .value("edges over those of blend skinning", edges / blended_edges, "")
-            .at_most(0.75, None),
-        Row(9)
-            .value(format!("joints followed, of {}", off.len()), followed as f64, "")
-            .at_least(off.len() as f64, None),
-        Row(9).value(
+        figure(
+            9,
+            format!("CesiumMan's clip, {count} frames: volume, worst"),
+            volumes[1],
+            " %",
+        )
+        .at_most(2.0, None),
+        figure(9, "volume, mean", volumes[0] / count as f64, " %"),
+        figure(9, "blend skinning: volume, mean", blended_volume / count as f64, " %"),
+        figure(9, "edges over those of blend skinning", edges / blended_edges, "").at_most(0.75, None),
+        figure(9, format!("joints followed, of {}", off.len()), followed as f64, "").at_least(off.len() as f64, None),
+        figure(
+            9,
             "farthest joint, of the diagonal",
             100.0 * off.iter().copied().fold(0.0, f64::max),
             " %",
@@ -220,12 +215,8 @@ pub(super) fn measure_soups(folders: &MotionFolders<'_>, pool: &Pool) -> Result<
         let (bound, seconds) = time_once(|| bind_model(&model, &rig, 4, &exec));
         let influences = bound?.influences;
         let unweighted = influences.iter().filter(|own| own.iter().next().is_none()).count();
-        figures.push(
-            Row(13)
-                .value(format!("{name}: unweighted vertices"), unweighted as f64, "")
-                .at_most(0.0, None),
-        );
-        figures.push(Row(13).value("seconds", seconds, " s").at_most(3.0, None));
+        figures.push(figure(13, format!("{name}: unweighted vertices"), unweighted as f64, "").at_most(0.0, None));
+        figures.push(figure(13, "seconds", seconds, " s").at_most(3.0, None));
     }
     Ok(figures)
 }
@@ -269,12 +260,10 @@ pub(super) fn measure_wrist(folders: &MotionFolders<'_>, pool: &Pool) -> Result<
     let change = |shape: &[DVec3]| 100.0 * (patch.volume(shape) / rest - 1.0);
     let flips = |shape: &[DVec3]| f64::from(stage.deformer.quality(shape, pool).flipped_triangles);
     Ok(vec![
-        Row(8)
-            .value("wrist by 150 degrees: volume around it", change(&last), " %")
-            .at_most(12.0, 5.0),
-        Row(8).value("flipped triangles", flips(&last), "").at_most(0.0, None),
-        Row(8).value("blend skinning: volume around it", change(&blended), " %"),
-        Row(8).value("blend skinning: flipped triangles", flips(&blended), ""),
+        figure(8, "wrist by 150 degrees: volume around it", change(&last), " %").at_most(12.0, 5.0),
+        figure(8, "flipped triangles", flips(&last), "").at_most(0.0, None),
+        figure(8, "blend skinning: volume around it", change(&blended), " %"),
+        figure(8, "blend skinning: flipped triangles", flips(&blended), ""),
     ])
 }
 

@@ -1,7 +1,7 @@
 //! Row 7: the same bits for any number of threads and any range, and after a run that was killed.
 
 use super::ballet::{BALLET, RATE};
-use super::stage::{MotionFigure, MotionFolders, Row, solve};
+use super::stage::{MotionFigure, MotionFolders, figure, solve};
 use crate::failure::LoadtestFailure;
 use crate::measurements::time_once;
 use pliant::engine::{AnimationRefinement, digest};
@@ -37,29 +37,21 @@ pub(super) fn measure_equality(folders: &MotionFolders<'_>, most: usize) -> Resu
     let two = digests(2, &whole)?;
     let differ = |a: &[String], b: &[String]| a.iter().zip(b).filter(|(a, b)| a != b).count() as f64;
     let mut figures = vec![
-        Row(7)
-            .value(
-                format!("1 and 2 threads, 0:{}: frames that differ", one.len()),
-                differ(&one, &two),
-                "",
-            )
-            .at_most(0.0, None),
+        figure(
+            7,
+            format!("1 and 2 threads, 0:{}: frames that differ", one.len()),
+            differ(&one, &two),
+            "",
+        )
+        .at_most(0.0, None),
     ];
     if one.len() > PART.start {
         let part = digests(2, &|count| PART.start..PART.end.min(count).min(one.len()))?;
         let off = differ(&part, &one[PART.start..]);
-        figures.push(
-            Row(7)
-                .value("64:64 alone: frames that differ", off, "")
-                .at_most(0.0, None),
-        );
+        figures.push(figure(7, "64:64 alone: frames that differ", off, "").at_most(0.0, None));
     }
     if let Some(off) = killed_run(folders)? {
-        figures.push(
-            Row(7)
-                .value("killed and resumed: files that differ", off, "")
-                .at_most(0.0, None),
-        );
+        figures.push(figure(7, "killed and resumed: files that differ", off, "").at_most(0.0, None));
     }
     Ok(figures)
 }
@@ -160,11 +152,7 @@ pub(super) fn measure_rates(folders: &MotionFolders<'_>, most: usize) -> Result<
         let animation = stage.animation(times, refinement, &pool)?;
         let (solved, seconds) = time_once(|| solve(&animation, 0..times.count, &pool, &mut |_| {}));
         solved?;
-        figures.push(
-            Row(5)
-                .value(what, times.count as f64 / seconds, "")
-                .at_least(bounds.0, bounds.1),
-        );
+        figures.push(figure(5, what, times.count as f64 / seconds, "").at_least(bounds.0, bounds.1));
     }
     Ok(figures)
 }
@@ -187,13 +175,13 @@ pub(super) fn measure_large(folders: &MotionFolders<'_>) -> Result<Vec<MotionFig
     };
     let nodes = stage.deformer.body().nodes();
     Ok(vec![
-        Row(6)
-            .value(
-                format!("{nodes} nodes, 1 thread, refine 0: seconds a frame"),
-                seconds,
-                " s",
-            )
-            .at_most(0.6, 0.3),
-        Row(6).value("handles and fields, once", prepared, " s"),
+        figure(
+            6,
+            format!("{nodes} nodes, 1 thread, refine 0: seconds a frame"),
+            seconds,
+            " s",
+        )
+        .at_most(0.6, 0.3),
+        figure(6, "handles and fields, once", prepared, " s"),
     ])
 }

@@ -176,21 +176,15 @@ pub(super) struct MotionFigure {
     is_floor: bool,
 }
 
-/// Makes the figures of the row of that number.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Row(pub u8);
-
-impl Row {
-    /// A number without bounds, for comparison.
-    pub fn value(self, what: impl Into<String>, value: f64, unit: &'static str) -> MotionFigure {
-        MotionFigure {
-            row: self.0,
-            what: what.into(),
-            value,
-            unit,
-            bounds: [None, None],
-            is_floor: false,
-        }
+/// A number of a row without bounds, for comparison.
+pub(super) fn figure(row: u8, what: impl Into<String>, value: f64, unit: &'static str) -> MotionFigure {
+    MotionFigure {
+        row,
+        what: what.into(),
+        value,
+        unit,
+        bounds: [None, None],
+        is_floor: false,
     }
 }
 
@@ -286,11 +280,11 @@ mod tests {
 
     #[test]
     fn numbers_are_held_against_their_bounds() {
-        let verdict = |value: f64| Row(1).value("v", value, " %").at_most(2.5, 1.5).verdict();
+        let verdict = |value: f64| figure(1, "v", value, " %").at_most(2.5, 1.5).verdict();
         assert_eq!([verdict(-1.0), verdict(2.0), verdict(-2.6)], ["aim", "must", "SHORT"]);
-        let rate = |value: f64| Row(5).value("f", value, "").at_least(8.0, None);
+        let rate = |value: f64| figure(5, "f", value, "").at_least(8.0, None);
         assert_eq!([rate(9.0).verdict(), rate(7.0).verdict()], ["must", "SHORT"]);
-        assert!(rate(7.0).is_short() && !Row(3).value("t", 9.0, "").is_short());
+        assert!(rate(7.0).is_short() && !figure(3, "t", 9.0, "").is_short());
         let line = rate(0.0123).line();
         assert!(line.starts_with(" 5  f ") && line.contains("0.012"), "{line}");
         assert_eq!(number(-12.34, " %"), "-12.3 %");

@@ -1,7 +1,7 @@
 //! `loadtest edits`: from an edit of a few hundred vertices to the first frame after it, with graph and hierarchy
 //! repaired, and with both rebuilt.
 
-use super::{MeasuredModel, PassClock, encode_positions};
+use super::{MeasuredModel, PassClock, encode_positions, seconds_of};
 use crate::failure::LoadtestFailure;
 use crate::measurements::{Measurements, RunTimes};
 use crate::models::{DragScene, FARTHEST_POSE};
@@ -162,8 +162,7 @@ pub(crate) fn run_edits(args: &EditsArgs) -> Result<(), LoadtestFailure> {
         );
         if stage == "solve" {
             for (pass, seconds) in &repaired.passes {
-                let other = rebuilt.passes.iter().find(|(name, _)| name == pass);
-                let ms = [seconds * 1e3, other.map_or(0.0, |p| p.1) * 1e3];
+                let ms = [seconds * 1e3, seconds_of(&rebuilt.passes, pass) * 1e3];
                 row(&format!("  {pass}"), ms, "");
             }
         }

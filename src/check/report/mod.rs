@@ -137,9 +137,11 @@ impl SuiteReport {
     }
 
     /// Counts the cases by how they ended, without what none did.
-    fn counts(&self, order: [CaseStatus; 4]) -> Vec<(usize, &'static str)> {
-        let counted = order.map(|status| (self.count_cases(status), status.name()));
-        counted.into_iter().filter(|(count, _)| *count > 0).collect()
+    fn counts(&self) -> Vec<(usize, &'static str)> {
+        let counted = CaseStatus::NAMES
+            .iter()
+            .map(|(status, name)| (self.count_cases(*status), *name));
+        counted.filter(|(count, _)| *count > 0).collect()
     }
 }
 
@@ -209,13 +211,7 @@ pub fn note_line(note: &str) -> String {
 
 /// The last line: how many cases ended how.
 pub fn summary_line(report: &SuiteReport) -> String {
-    let order = [
-        CaseStatus::Passed,
-        CaseStatus::Failed,
-        CaseStatus::Skipped,
-        CaseStatus::Blessed,
-    ];
-    let counts = report.counts(order).into_iter();
+    let counts = report.counts().into_iter();
     let counts: Vec<String> = counts.map(|(count, name)| format!("{count} {name}")).collect();
     let (reported, how) = (counts.join(", "), printable(&report.how));
     match &report.shard {

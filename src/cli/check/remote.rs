@@ -152,7 +152,8 @@ impl RemoteSession<'_> {
         };
         let mut quality = None;
         let mut edited = false;
-        for (k, step) in remote_steps(job).iter().enumerate() {
+        let steps = batch::steps_of(job).map_err(|e| e.to_string())?;
+        for (k, step) in steps.iter().enumerate() {
             let at_step = |e: String| format!("steps[{k}]: {e}");
             quality = None;
             match step {
@@ -212,14 +213,6 @@ impl RemoteSession<'_> {
             .map(str::to_owned)
             .ok_or_else(|| "GET /v1/sessions/{id}/history: the answer names no digest".into())
     }
-}
-
-/// Lists the steps as [`batch::run`] does them: without steps the poses that the handles come with are one.
-fn remote_steps(job: &pb::Job) -> Vec<Step> {
-    if job.steps.is_empty() && job.handles.iter().any(|h| h.pose.is_some()) {
-        return vec![Step::Pose(pb::Pose::default())];
-    }
-    job.steps.iter().filter_map(|s| s.step.clone()).collect()
 }
 
 /// Changes options so that the answer is a whole buffer of plain floats.

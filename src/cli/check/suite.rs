@@ -7,7 +7,7 @@ use crate::check::{
 };
 use crate::cli::deform::{job_from_text, largest_named, read_named_models};
 use crate::cli::input_files::{AllowedFolders, NamedFiles, UnreadFile, folder_of, with_companions};
-use crate::cli::terminal::CliFailure;
+use crate::cli::terminal::{CliFailure, listed};
 use crate::wire::pb;
 use std::collections::BTreeSet;
 use std::fs;
@@ -316,9 +316,6 @@ impl LoadedCase {
     }
 }
 
-/// Most names of a suite that a refusal lists.
-const LISTED: usize = 40;
-
 /// Which of the case files are chosen by names, in which `*` stands for any letters; all of them where there are none.
 ///
 /// # Errors
@@ -336,12 +333,7 @@ pub(super) fn choose_cases<'a>(
         let fitting = files.iter().filter(|file| fits(name, case_name(file)));
         let fitting: Vec<&str> = fitting.map(String::as_str).collect();
         if fitting.is_empty() {
-            let listed: Vec<&str> = files.iter().take(LISTED).map(|file| case_name(file)).collect();
-            let more = match files.len().saturating_sub(LISTED) {
-                0 => String::new(),
-                more => format!(" and {more} more"),
-            };
-            let there = format!("there are {}{more}", listed.join(", "));
+            let there = listed(files.iter().map(|file| case_name(file)), "");
             let problem = format!("no case of the suite {} is named so; {there}", suite.display());
             return Err(CliFailure::Input(format!("--case {name}: {problem}")));
         }
