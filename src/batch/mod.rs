@@ -209,13 +209,7 @@ impl<'a> BatchRun<'a> {
         let create = open_options(&job.create.clone().unwrap_or_default())?;
         let riders = Riders::read(&create.passengers, &limits.model)?;
         let mut deformer = Deformer::open(files, &create, limits, exec)?;
-        let request = pb::SetHandlesRequest {
-            session_id: String::new(),
-            handles: job.handles.clone(),
-            symmetry_plane: job.symmetry_plane.clone(),
-            region_of_interest: job.region_of_interest.clone(),
-        };
-        deformer.set_handles(handle_set(&request)?, exec)?;
+        deformer.set_handles(handle_set(&handles_request(job))?, exec)?;
         Ok(Self {
             poses: deformer.initial_poses(),
             shape: deformer.rest_shape(),
@@ -294,6 +288,16 @@ impl<'a> BatchRun<'a> {
         let count_crossings = self.options.output.self_intersections;
         let quality = (self.deformer).measure(&self.shape.positions, count_crossings, exec)?;
         Ok(quality_message(&quality))
+    }
+}
+
+/// The request that sets a job's handles.
+pub fn handles_request(job: &pb::Job) -> pb::SetHandlesRequest {
+    pb::SetHandlesRequest {
+        session_id: String::new(),
+        handles: job.handles.clone(),
+        symmetry_plane: job.symmetry_plane.clone(),
+        region_of_interest: job.region_of_interest.clone(),
     }
 }
 

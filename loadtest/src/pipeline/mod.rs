@@ -9,7 +9,7 @@ use crate::failure::LoadtestFailure;
 use crate::models::{DragScene, FARTHEST_POSE, MOST_SUBDIVISIONS, read_job_file, read_model_file, subdivide_model};
 use glam::DVec3;
 use pliant::asset::FileSet;
-use pliant::batch::pose_steps;
+use pliant::batch::{handles_request, pose_steps};
 use pliant::engine::{Deformer, DeformerLimits, HandlePoses};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -77,13 +77,7 @@ pub(crate) fn set_job_handles(
     job: &pb::Job,
     exec: &Exec<'_>,
 ) -> Result<HandlePoses, schema::Error> {
-    let request = pb::SetHandlesRequest {
-        handles: job.handles.clone(),
-        symmetry_plane: job.symmetry_plane.clone(),
-        region_of_interest: job.region_of_interest.clone(),
-        ..Default::default()
-    };
-    deformer.set_handles(schema::handle_set(&request)?, exec)?;
+    deformer.set_handles(schema::handle_set(&handles_request(job))?, exec)?;
     let mut poses = deformer.initial_poses();
     for pose in pose_steps(job)? {
         poses = schema::change_poses(deformer, &poses, &pose)?;

@@ -138,13 +138,7 @@ impl RemoteSession<'_> {
 
     fn run_job(&self, job: &pb::Job) -> Result<CaseResult, String> {
         if !job.handles.is_empty() {
-            let request = pb::SetHandlesRequest {
-                session_id: String::new(),
-                handles: job.handles.clone(),
-                symmetry_plane: job.symmetry_plane.clone(),
-                region_of_interest: job.region_of_interest.clone(),
-            };
-            self.send_message(Method::PUT, "/handles", JSON, &request)?;
+            self.send_message(Method::PUT, "/handles", JSON, &batch::handles_request(job))?;
         }
         let mut found = CaseResult {
             rounded: true,
