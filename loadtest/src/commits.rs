@@ -4,10 +4,9 @@
 //! one run: what else the machine does falls on all of them.
 
 use crate::failure::{LoadtestFailure, block_on};
-use crate::load::client::{deform_request, open_session};
+use crate::load::client::{LoadClient, close_all, deform_request, open_all};
 use crate::load::server::LoadedServer;
 use crate::models::DragScene;
-use pliant::server::grpc::client::DeformerClient;
 use pliant::session::store::{DatabaseStore, StoreLocation};
 use pliant::session::{Manager, OpenDeformer, SessionConfig};
 use pliant::wire::pb::deform_request::Message;
@@ -17,13 +16,10 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc;
 use tokio::task::JoinSet;
-use tokio_stream::wrappers::ReceiverStream;
-use tonic::transport::Channel;
 
 /// Arguments of `loadtest commits`.
-#[derive(Debug, Clone, clap::Args)]
+#[derive(Debug, Clone, clap::Parser)]
 pub(crate) struct CommitsArgs {
     /// Model file of every session [default: the built-in creature]
     #[arg(long, value_name = "FILE")]
@@ -48,7 +44,6 @@ pub(crate) struct CommitsArgs {
 /// Turns that every server has.
 const TURNS: u32 = 10;
 
-/// Runs `loadtest commits`.
 pub(crate) fn run_commits(args: &CommitsArgs) -> Result<(), LoadtestFailure> {
     block_on(measure(args))
 }
@@ -94,8 +89,8 @@ async fn measure(args: &CommitsArgs) -> Result<(), LoadtestFailure> {
 /// One commit: until its answer was here, and what of that its solve took.
 #[derive(Debug, Clone, Copy)]
 struct TimedCommit {
-    pub total_ms: f64,
-    pub solve_ms: f64,
+    total_ms: f64,
+    solve_ms: f64,
 }
 
 /// What was measured of one place.
@@ -111,8 +106,7 @@ struct PlaceRow {
 /// A server, its sessions, and what was measured so far.
 struct MeasuredPlace {
     server: LoadedServer,
-    client: DeformerClient<Channel>,
-    sessions: Vec<String>,
+    clients: Vec<LoadClient>,
     /// Poses so far: no two that follow each other are the same.
     poses: u64,
     row: PlaceRow,
@@ -126,28 +120,19 @@ impl MeasuredPlace {
         scene: &DragScene,
         clients: u32,
     ) -> Result<Self, LoadtestFailure> {
-        let failed = |e: String| LoadtestFailure::Server(format!("{name}: {e}"));
         let config = SessionConfig::default();
         let manager = match location {
             None => Manager::new(config),
             Some(location) => {
-                let store = DatabaseStore::open(&location)
-                    .await
-                    .map_err(|e| failed(e.to_string()))?;
+                let store = DatabaseStore::open(&location).await;
+                let store = store.map_err(|e| LoadtestFailure::Server(format!("{name}: {e}")))?;
                 Manager::with_store(config, OpenDeformer, Arc::new(store)).await
             }
         };
-        let server = LoadedServer::serve(manager.map_err(|e| failed(e.to_string()))?).await;
-        let server = server.map_err(failed)?;
-        let mut client = DeformerClient::new(server.open_channel().await?);
-        let mut sessions = Vec::new();
-        for number in 0..clients {
-            sessions.push(open_session(&mut client, scene, number).await?);
-        }
+        let server = LoadedServer::serve(manager?).await?;
         Ok(Self {
+            clients: open_all(&server.url, scene, clients).await?,
             server,
-            client,
-            sessions,
             poses: 0,
             row: PlaceRow {
                 name,
@@ -160,23 +145,28 @@ impl MeasuredPlace {
 
     /// Commits so many poses of every client, all clients at once, each one after the other.
     pub async fn commit(&mut self, scene: &DragScene, poses: u32, counts: bool) -> Result<(), LoadtestFailure> {
-        let mut clients = JoinSet::new();
+        let mut committing = JoinSet::new();
         let first = self.poses;
         self.poses += u64::from(poses);
         let started = Instant::now();
-        for id in &self.sessions {
-            let (mut client, scene, id) = (self.client.clone(), scene.clone(), id.clone());
-            clients.spawn(async move {
+        for mut client in self.clients.drain(..) {
+            let scene = scene.clone();
+            committing.spawn(async move {
                 let mut timed = Vec::new();
                 for k in 1..=u64::from(poses) {
-                    timed.push(commit_one(&mut client, &id, scene.pose_number(first + k)).await?);
+                    let sent = Instant::now();
+                    let solve_ms = client.solve(&scene, first + k).await?;
+                    let total_ms = sent.elapsed().as_secs_f64() * 1e3;
+                    timed.push(TimedCommit { total_ms, solve_ms });
                 }
-                Ok::<_, LoadtestFailure>(timed)
+                Ok::<_, LoadtestFailure>((client, timed))
             });
         }
         let mut all = Vec::new();
-        while let Some(done) = clients.join_next().await {
-            all.extend(done.map_err(|e| LoadtestFailure::Server(format!("a client failed: {e}")))??);
+        while let Some(done) = committing.join_next().await {
+            let (client, timed) = done??;
+            self.clients.push(client);
+            all.extend(timed);
         }
         if counts {
             self.row.busy += started.elapsed();
@@ -187,15 +177,11 @@ impl MeasuredPlace {
 
     /// Drags so many poses on the first session: each is sent when the frame of the one before is here.
     pub async fn drag(&mut self, scene: &DragScene, poses: u32, counts: bool) -> Result<(), LoadtestFailure> {
-        let Some(id) = self.sessions.first() else { return Ok(()) };
-        let (requests, outbound) = mpsc::channel(8);
-        let first = pb::DeformRequest {
-            session_id: id.clone(),
-            message: Some(Message::Options(pb::Options::default())),
+        let Some(client) = self.clients.first_mut() else {
+            return Ok(());
         };
         let gone = |_| LoadtestFailure::Server("the stream ended".into());
-        requests.send(first).await.map_err(gone)?;
-        let mut answers = self.client.deform(ReceiverStream::new(outbound)).await?.into_inner();
+        let (requests, mut answers) = client.open_stream(pb::Options::default()).await?;
         for seq in 1..=u64::from(poses) {
             let mut pose = scene.pose_number(self.poses + seq);
             pose.seq = seq;
@@ -225,35 +211,11 @@ impl MeasuredPlace {
     }
 
     /// Deletes the sessions and stops the server.
-    pub async fn finish(mut self) -> Result<PlaceRow, LoadtestFailure> {
-        for session_id in self.sessions {
-            self.client.delete_session(pb::SessionRequest { session_id }).await?;
-        }
+    pub async fn finish(self) -> Result<PlaceRow, LoadtestFailure> {
+        close_all(self.clients).await?;
         self.server.stop_own().await?;
         Ok(self.row)
     }
-}
-
-async fn commit_one(
-    client: &mut DeformerClient<Channel>,
-    id: &str,
-    pose: pb::Pose,
-) -> Result<TimedCommit, LoadtestFailure> {
-    let request = pb::SolveRequest {
-        session_id: id.to_owned(),
-        pose: Some(pose),
-        ..Default::default()
-    };
-    let sent = Instant::now();
-    let mut frames = client.solve(request).await?.into_inner();
-    let mut solve_ms = 0.0;
-    while let Some(frame) = frames.message().await? {
-        solve_ms = frame.solve_ms;
-    }
-    Ok(TimedCommit {
-        total_ms: sent.elapsed().as_secs_f64() * 1e3,
-        solve_ms,
-    })
 }
 
 /// The figures of a place.
@@ -341,6 +303,7 @@ fn json_report(rows: &[PlaceRow], scene: &DragScene, args: &CommitsArgs) -> Valu
 #[cfg(test)]
 mod tests {
     use super::*;
+    use clap::Parser as _;
 
     #[tokio::test(flavor = "multi_thread")]
     async fn every_place_has_its_row_and_all_commits_are_counted() {
@@ -361,14 +324,7 @@ mod tests {
             assert_eq!((row.commits.len(), row.drags.len()), (6, 4));
             assert!(row.commits.iter().all(|c| c.solve_ms <= c.total_ms));
         }
-        let args = CommitsArgs {
-            model: None,
-            commits: 10,
-            clients: 2,
-            data_dir: None,
-            database: None,
-            json: false,
-        };
+        let args = CommitsArgs::parse_from(["commits", "--commits", "10", "--clients", "2"]);
         let text = text_report(&rows, &scene, &args);
         assert!(text.contains("memory") && text.contains("SQLite"), "{text}");
         let json = json_report(&rows, &scene, &args);

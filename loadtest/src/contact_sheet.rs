@@ -5,6 +5,7 @@
 //! by how much longer or shorter they are.
 
 use crate::failure::LoadtestFailure;
+use crate::models::{end_handles, longest_axis};
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model};
 use pliant::exec::Exec;
@@ -35,7 +36,7 @@ const INK: Rgb = [40, 44, 52];
 const ALARM: Rgb = [190, 20, 30];
 
 /// Arguments of `loadtest sheet`.
-#[derive(Debug, Clone, clap::Args)]
+#[derive(Debug, Clone, clap::Parser)]
 pub(crate) struct SheetArgs {
     /// Folder with models, searched recursively
     folder: PathBuf,
@@ -73,7 +74,6 @@ struct DeformedTiles {
     alarm: bool,
 }
 
-/// Runs the command.
 pub(crate) fn run_sheet(args: &SheetArgs) -> Result<(), LoadtestFailure> {
     let mut paths = Vec::new();
     models_under(&args.folder, &mut paths)?;
@@ -83,7 +83,7 @@ pub(crate) fn run_sheet(args: &SheetArgs) -> Result<(), LoadtestFailure> {
             args.folder.display()
         )));
     }
-    let pool = Pool::new(args.threads as usize).map_err(LoadtestFailure::server)?;
+    let pool = Pool::new(args.threads as usize)?;
     let mut entries = Vec::new();
     for path in &paths {
         let name = path.strip_prefix(&args.folder).unwrap_or(path).display().to_string();
@@ -98,7 +98,7 @@ pub(crate) fn run_sheet(args: &SheetArgs) -> Result<(), LoadtestFailure> {
         entries.push(SheetEntry { name, result });
     }
     let picture = draw_sheet(&entries, args)?;
-    let png = picture.encode_png().map_err(LoadtestFailure::server)?;
+    let png = picture.encode_png()?;
     fs::write(&args.output, png)
         .map_err(|e| LoadtestFailure::Usage(format!("cannot write {}: {e}", args.output.display())))?;
     println!(
@@ -144,45 +144,26 @@ fn read_model_files(path: &Path) -> Result<FileSet, std::io::Error> {
     Ok(files)
 }
 
-/// Finds the longest side of a box.
-fn longest_side(bounds: &BoundingBox) -> usize {
-    let size = bounds.size();
-    (0..3).fold(0, |best, k| if size[k] > size[best] { k } else { best })
-}
-
 /// Holds one end along the longest side, turns and shifts the other.
 fn automatic_job(bounds: &BoundingBox, refine: Option<u32>) -> pb::Job {
-    let axis = longest_side(bounds);
+    let axis = longest_axis(bounds);
     let unit = |k: usize, x: f64| {
         let mut v = vec![0.0; 3];
         v[k % 3] = x;
         v
     };
-    let length = bounds.size()[axis];
-    let end = |id: &str, sign: f64, offset: f64, pose: Option<pb::HandlePose>| {
-        let normal = unit(axis, sign);
-        let region = pb::region::Region::HalfSpace(pb::region::HalfSpace { normal, offset });
-        pb::Handle {
-            id: id.into(),
-            region: Some(pb::Region { region: Some(region) }),
-            pose,
-            ..Default::default()
-        }
-    };
-    let pose = pb::HandlePose {
+    let mut handles = end_handles(bounds, END);
+    handles[1].pose = Some(pb::HandlePose {
         rotation_vector: unit(axis + 1, TURN),
         translation: unit(axis + 2, SHIFT * bounds.diagonal()),
         ..Default::default()
-    };
+    });
     let output = pb::Output {
         self_intersections: true,
         ..Default::default()
     };
     pb::Job {
-        handles: vec![
-            end("base", -1.0, -(bounds.min[axis] + END * length), None),
-            end("top", 1.0, bounds.max[axis] - END * length, Some(pose)),
-        ],
+        handles: handles.into(),
         options: Some(pb::Options {
             refine,
             output: Some(output),
@@ -194,7 +175,7 @@ fn automatic_job(bounds: &BoundingBox, refine: Option<u32>) -> pb::Job {
 
 /// Finds the view in which the bend is seen best: almost along the axis of the turn.
 fn bend_view(bounds: &BoundingBox) -> Option<ViewDirection> {
-    let (azimuth, up) = match (longest_side(bounds) + 1) % 3 {
+    let (azimuth, up) = match (longest_axis(bounds) + 1) % 3 {
         0 => (65.0, UpAxis::Y),
         // From above, where models that stand on y = 0 show more.
         1 => (205.0, UpAxis::Z),
@@ -211,14 +192,13 @@ fn deform_file(path: &Path, args: &SheetArgs, pool: &Pool) -> Option<Result<Defo
     };
     match read() {
         Ok(model) if model.triangles.len() > LARGE && !args.all => None,
-        Ok(model) => Some(deform_model(&model, args, pool)),
+        Ok(model) => Some(deform_model(&model, args, pool).map_err(|e| e.to_string())),
         Err(reason) => Some(Err(reason)),
     }
 }
 
-fn deform_model(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<DeformedTiles, String> {
-    let text = |e: &dyn std::fmt::Display| e.to_string();
-    let mesh = Mesh::build(&model.positions, &model.triangles, Weld::Exact).map_err(|e| text(&e))?;
+fn deform_model(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<DeformedTiles, Box<dyn std::error::Error>> {
+    let mesh = Mesh::build(&model.positions, &model.triangles, Weld::Exact)?;
     let bounds = mesh.bounds();
     let job = automatic_job(&bounds, args.refine);
     let limits = engine::DeformerLimits::default();
@@ -229,22 +209,20 @@ fn deform_model(model: &Model, args: &SheetArgs, pool: &Pool) -> Result<Deformed
         &limits,
         &Exec::new(pool, &Silent),
         &|| 0.0,
-    )
-    .map_err(|e| text(&e))?;
-    let crossed =
-        self_intersections(&mesh.positions, &mesh.triangles, &Exec::new(pool, &Silent)).map_err(|e| text(&e))?;
+    )?;
+    let crossed = self_intersections(&mesh.positions, &mesh.triangles, &Exec::new(pool, &Silent))?;
     let quality = outcome.report.quality.unwrap_or_default();
     let after = u64::from(quality.self_intersections.unwrap_or_default());
 
-    let before = ShadedSurface::new(&model.positions, &model.triangles, pool).map_err(|e| text(&e))?;
-    let plain = ShadedSurface::new(&outcome.positions, &model.triangles, pool).map_err(|e| text(&e))?;
-    let stretch = edge_stretch(&model.positions, &outcome.positions, &model.triangles).map_err(|e| text(&e))?;
+    let before = ShadedSurface::new(&model.positions, &model.triangles, pool)?;
+    let plain = ShadedSurface::new(&outcome.positions, &model.triangles, pool)?;
+    let stretch = edge_stretch(&model.positions, &outcome.positions, &model.triangles)?;
     let colours: Vec<_> = stretch
         .into_iter()
         .map(|x| ColourRamp::Stretch.linear_colour(x))
         .collect();
-    let coloured = plain.clone().with_colours(&colours).map_err(|e| text(&e))?;
-    let size = PictureSize::new(args.tile, args.tile).map_err(|e| text(&e))?;
+    let coloured = plain.clone().with_colours(&colours)?;
+    let size = PictureSize::new(args.tile, args.tile)?;
     let views: Vec<ViewDirection> = bend_view(&bounds).into_iter().collect();
     let cameras = Camera::around_surfaces(&[&before, &plain], &views, size);
     let camera = cameras.first().ok_or("no view")?;
@@ -317,18 +295,12 @@ mod tests {
     use clap::Parser;
     use pliant::asset::sample;
 
-    #[derive(Debug, Parser)]
-    struct SheetCommand {
-        #[command(flatten)]
-        args: SheetArgs,
-    }
-
     fn args(folder: &Path, more: &[&str]) -> SheetArgs {
         let output = folder.join("sheet.png");
         let fixed = std::iter::once("sheet".to_owned());
         let paths = [folder.display().to_string(), "-o".into(), output.display().to_string()];
         let words = fixed.chain(paths).chain(more.iter().map(|w| (*w).to_owned()));
-        SheetCommand::parse_from(words).args
+        SheetArgs::parse_from(words)
     }
 
     #[test]

@@ -17,11 +17,6 @@ impl LoadtestFailure {
         Self::Usage(problem.to_string())
     }
 
-    /// A failure of what was measured.
-    pub fn server(problem: impl Display) -> Self {
-        Self::Server(problem.to_string())
-    }
-
     /// Fails with all of these problems; succeeds where there are none.
     pub fn of_problems(problems: &[String]) -> Result<(), Self> {
         match problems {
@@ -31,15 +26,19 @@ impl LoadtestFailure {
     }
 }
 
-impl From<tonic::Status> for LoadtestFailure {
-    fn from(status: tonic::Status) -> Self {
-        Self::Server(format!("the server answered {:?}: {}", status.code(), status.message()))
+/// Errors without a place of their own are failures of what was measured.
+impl<E: std::error::Error + 'static> From<E> for LoadtestFailure {
+    fn from(error: E) -> Self {
+        let status = (&error as &dyn std::any::Any).downcast_ref::<tonic::Status>();
+        Self::Server(status.map_or_else(
+            || error.to_string(),
+            |status| format!("the server answered {:?}: {}", status.code(), status.message()),
+        ))
     }
 }
 
 /// Runs a command that waits for a server to its end.
 pub(crate) fn block_on(command: impl Future<Output = Result<(), LoadtestFailure>>) -> Result<(), LoadtestFailure> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
-    let runtime = runtime.map_err(|e| LoadtestFailure::Server(format!("cannot start threads: {e}")))?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(command)
 }

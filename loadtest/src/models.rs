@@ -3,6 +3,7 @@
 use crate::failure::LoadtestFailure;
 use glam::DVec3;
 use pliant::asset::{FileSet, Limits, Model, sample, shapes};
+use pliant::mesh::BoundingBox;
 use pliant::wire::{self, pb};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -26,9 +27,7 @@ pub(crate) struct DragScene {
     pub bytes: Arc<Vec<u8>>,
     /// Render vertices.
     pub vertices: usize,
-    /// Lowest and highest corner.
-    low: [f64; 3],
-    high: [f64; 3],
+    bounds: BoundingBox,
 }
 
 impl DragScene {
@@ -44,59 +43,22 @@ impl DragScene {
     /// A small closed bar: what a session of it takes is mostly what any session takes.
     pub fn small_bar() -> Result<Self, LoadtestFailure> {
         let (points, triangles) = shapes::box_with_cells(DVec3::new(0.5, 0.5, 4.0), [4, 4, 32]);
-        let mut text = String::new();
-        for p in points {
-            text += &format!("v {} {} {}\n", p.x, p.y, p.z);
-        }
-        for [a, b, c] in triangles {
-            text += &format!("f {} {} {}\n", a + 1, b + 1, c + 1);
-        }
-        Self::of_file("bar.obj".into(), text.into_bytes())
+        Self::of_file("bar.obj".into(), write_obj(&points, &triangles).into_bytes())
     }
 
     fn of_file(name: String, bytes: Vec<u8>) -> Result<Self, LoadtestFailure> {
         let model = Model::read(FileSet::single(name.clone(), bytes.clone()), None, &Limits::default())
             .map_err(|e| LoadtestFailure::Usage(format!("{name}: {e}")))?;
-        let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-        for p in &model.positions {
-            for (k, v) in p.to_array().into_iter().enumerate() {
-                low[k] = low[k].min(v);
-                high[k] = high[k].max(v);
-            }
-        }
         Ok(Self {
             bytes: Arc::new(bytes),
             vertices: model.positions.len(),
-            low,
-            high,
+            bounds: BoundingBox::of(&model.positions),
         })
-    }
-
-    /// The longest axis of the bounding box.
-    fn longest_axis(&self) -> usize {
-        let side = |k: usize| self.high[k] - self.low[k];
-        (0..3).fold(0, |best, k| if side(k) > side(best) { k } else { best })
     }
 
     /// The lowest end along the longest axis, held, and the highest, which moves.
     pub fn handles(&self) -> Vec<pb::Handle> {
-        let axis = self.longest_axis();
-        let margin = END * (self.high[axis] - self.low[axis]);
-        let end = |id: &str, sign: f64, offset: f64| {
-            let mut normal = vec![0.0; 3];
-            normal[axis] = sign;
-            let region = pb::region::Region::HalfSpace(pb::region::HalfSpace { normal, offset });
-            let region = Some(pb::Region { region: Some(region) });
-            pb::Handle {
-                id: id.to_owned(),
-                region,
-                ..Default::default()
-            }
-        };
-        vec![
-            end("base", -1.0, -(self.low[axis] + margin)),
-            end("top", 1.0, self.high[axis] - margin),
-        ]
+        end_handles(&self.bounds, END).into()
     }
 
     /// Both handles as a job, with that pose if there is one.
@@ -113,11 +75,11 @@ impl DragScene {
 
     /// Makes the pose number `seq`: the moving end swings about an axis across the model and is lifted with it.
     pub fn pose_number(&self, seq: u64) -> pb::Pose {
-        let axis = self.longest_axis();
+        let axis = longest_axis(&self.bounds);
         let swing = (TAU * seq as f64 / SWING).sin();
         let (mut turn, mut lift) = (vec![0.0; 3], vec![0.0; 3]);
         turn[(axis + 2) % 3] = TURN * swing;
-        lift[(axis + 1) % 3] = END * (self.high[axis] - self.low[axis]) * swing;
+        lift[(axis + 1) % 3] = END * self.bounds.size()[axis] * swing;
         let pose = pb::HandlePose {
             rotation_vector: turn,
             translation: lift,
@@ -134,6 +96,32 @@ impl DragScene {
             idempotency_key: String::new(),
         }
     }
+}
+
+/// The longest axis of a box.
+pub(crate) fn longest_axis(bounds: &BoundingBox) -> usize {
+    let size = bounds.size();
+    (0..3).fold(0, |best, k| if size[k] > size[best] { k } else { best })
+}
+
+/// Handles of the lowest and the highest end along the longest axis of a box, each a share of it.
+pub(crate) fn end_handles(bounds: &BoundingBox, share: f64) -> [pb::Handle; 2] {
+    let axis = longest_axis(bounds);
+    let margin = share * bounds.size()[axis];
+    let end = |id: &str, sign: f64, offset: f64| {
+        let mut normal = vec![0.0; 3];
+        normal[axis] = sign;
+        let region = pb::region::Region::HalfSpace(pb::region::HalfSpace { normal, offset });
+        pb::Handle {
+            id: id.into(),
+            region: Some(pb::Region { region: Some(region) }),
+            ..Default::default()
+        }
+    };
+    [
+        end("base", -1.0, -(bounds.min[axis] + margin)),
+        end("top", 1.0, bounds.max[axis] - margin),
+    ]
 }
 
 /// Reads a model of one file.
@@ -197,6 +185,15 @@ fn split_triangles(positions: &mut Vec<DVec3>, triangles: &[[u32; 3]]) -> Vec<[u
             [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
         })
         .collect()
+}
+
+/// An OBJ file.
+pub(crate) fn write_obj(positions: &[DVec3], triangles: &[[u32; 3]]) -> String {
+    let vertices = positions.iter().map(|p| format!("v {} {} {}\n", p.x, p.y, p.z));
+    let faces = triangles
+        .iter()
+        .map(|[a, b, c]| format!("f {} {} {}\n", a + 1, b + 1, c + 1));
+    vertices.chain(faces).collect()
 }
 
 /// A binary PLY file with positions in double precision.

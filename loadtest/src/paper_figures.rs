@@ -2,6 +2,7 @@
 //! each, and in numbers.
 
 use crate::failure::LoadtestFailure;
+use crate::models::write_obj;
 use glam::{DQuat, DVec3};
 use pliant::asset::{FileSet, shapes};
 use pliant::exec::Exec;
@@ -69,9 +70,8 @@ fn ways() -> [(&'static str, pb::Options); 4] {
     ]
 }
 
-/// Runs the command.
 pub(crate) fn run_figures(args: &FiguresArgs) -> Result<(), LoadtestFailure> {
-    let pool = Pool::new(args.threads as usize).map_err(LoadtestFailure::server)?;
+    let pool = Pool::new(args.threads as usize)?;
     fs::create_dir_all(&args.output)
         .map_err(|e| LoadtestFailure::Usage(format!("cannot make {}: {e}", args.output.display())))?;
     for figure in [bar(), spring()] {
@@ -91,7 +91,7 @@ fn make(figure: &Figure, folder: &Path, pool: &Pool) -> Result<String, LoadtestF
             options: Some(options),
             ..Default::default()
         };
-        let files = FileSet::single("shape.obj", obj(&figure.shape.0, &figure.shape.1));
+        let files = FileSet::single("shape.obj", write_obj(&figure.shape.0, &figure.shape.1));
         let limits = engine::DeformerLimits::default();
         let outcome =
             batch::run(files, &job, None, &limits, &Exec::new(pool, &Silent), &|| 0.0).map_err(|e| failed(&e))?;
@@ -108,7 +108,7 @@ fn make(figure: &Figure, folder: &Path, pool: &Pool) -> Result<String, LoadtestF
     }
     for (name, positions, _) in &shown {
         let path = folder.join(format!("{}-{name}.obj", figure.name));
-        write(&path, obj(positions, &figure.shape.1).as_bytes())?;
+        write(&path, write_obj(positions, &figure.shape.1).as_bytes())?;
     }
     let picture = picture(figure, &shown, pool).map_err(|e| failed(&e))?;
     write(&folder.join(format!("{}.png", figure.name)), &picture)?;
@@ -143,17 +143,6 @@ fn picture(
         picture.write_text(left + 8, TILE[1] + 16, 1, judged, INK);
     }
     picture.encode_png()
-}
-
-fn obj(positions: &[DVec3], triangles: &[[u32; 3]]) -> String {
-    let mut text = String::new();
-    for p in positions {
-        let _ = writeln!(text, "v {} {} {}", p.x, p.y, p.z);
-    }
-    for [a, b, c] in triangles {
-        let _ = writeln!(text, "f {} {} {}", a + 1, b + 1, c + 1);
-    }
-    text
 }
 
 fn handle(id: &str, shape: &shapes::Shape, keep: impl Fn(DVec3) -> bool, pose: Option<pb::HandlePose>) -> pb::Handle {

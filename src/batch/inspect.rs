@@ -19,24 +19,12 @@ fn node_message(index: u32, node: &ModelNode) -> pb::ModelNode {
     }
 }
 
-/// Reads a model and reports what the solver would use, without solving.
+/// Reads a model and reports what the solver would use, without solving, and what the file holds beside its mesh, where its
+/// format has such things.
 ///
 /// # Errors
 /// As [`Deformer::open`].
 pub fn inspect(
-    files: FileSet,
-    create: &pb::CreateOptions,
-    limits: &DeformerLimits,
-    exec: &Exec<'_>,
-) -> Result<pb::Inspection, Error> {
-    Ok(inspect_contents(files, create, limits, exec)?.0)
-}
-
-/// As [`inspect`], and what the file holds beside its mesh, where its format has such things.
-///
-/// # Errors
-/// As [`Deformer::open`].
-pub fn inspect_contents(
     files: FileSet,
     create: &pb::CreateOptions,
     limits: &DeformerLimits,

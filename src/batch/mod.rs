@@ -14,10 +14,9 @@ use super::wire::{
     quality_message, session_message, warning_message,
 };
 use crate::exec::stage_clock::StageClock;
+use crate::wire::pb::step::Step;
 use glam::DVec3;
-pub use inspect::{
-    ClipContents, MOST_NODES_LISTED, ModelContents, SkinContents, contents_of, inspect, inspect_contents,
-};
+pub use inspect::{ClipContents, MOST_NODES_LISTED, ModelContents, SkinContents, contents_of, inspect};
 pub use riders::CarriedFile;
 use riders::Riders;
 use std::collections::BTreeSet;
@@ -101,11 +100,11 @@ pub fn run_and_write(
     for (k, todo_now) in todo.iter().enumerate() {
         let fraction = k as f32 / todo.len() as f32;
         let done = match todo_now {
-            Todo::Pose(pose) => {
+            Step::Pose(pose) => {
                 stages.report("solve", fraction);
                 batch.pose(pose, &exec)
             }
-            Todo::Edit(request) => {
+            Step::Edit(request) => {
                 stages.report("edit", fraction);
                 batch.edit(k, request, &exec)
             }
@@ -210,13 +209,7 @@ impl<'a> BatchRun<'a> {
         let create = open_options(&job.create.clone().unwrap_or_default())?;
         let riders = Riders::read(&create.passengers, &limits.model)?;
         let mut deformer = Deformer::open(files, &create, limits, exec)?;
-        let request = pb::SetHandlesRequest {
-            session_id: String::new(),
-            handles: job.handles.clone(),
-            symmetry_plane: job.symmetry_plane.clone(),
-            region_of_interest: job.region_of_interest.clone(),
-        };
-        deformer.set_handles(handle_set(&request)?, exec)?;
+        deformer.set_handles(handle_set(&handles_request(job))?, exec)?;
         Ok(Self {
             poses: deformer.initial_poses(),
             shape: deformer.rest_shape(),
@@ -298,10 +291,14 @@ impl<'a> BatchRun<'a> {
     }
 }
 
-/// One thing to do.
-enum Todo {
-    Pose(pb::Pose),
-    Edit(pb::EditRequest),
+/// The request that sets a job's handles.
+pub fn handles_request(job: &pb::Job) -> pb::SetHandlesRequest {
+    pb::SetHandlesRequest {
+        session_id: String::new(),
+        handles: job.handles.clone(),
+        symmetry_plane: job.symmetry_plane.clone(),
+        region_of_interest: job.region_of_interest.clone(),
+    }
 }
 
 /// The poses of a job that edits nothing, each naming the handles that it changes. Without steps the poses that the handles
@@ -311,44 +308,36 @@ enum Todo {
 /// [`Error::Unimplemented`] for steps that edit, [`Error::Invalid`] for empty ones.
 pub fn pose_steps(job: &pb::Job) -> Result<Vec<pb::Pose>, Error> {
     (steps_of(job)?.into_iter().enumerate())
-        .map(|(k, todo)| match todo {
-            Todo::Pose(pose) => Ok(pose),
-            Todo::Edit(edit) => Err(Error::Unimplemented(format!("steps[{k}].edit ({})", edit_name(&edit)))),
+        .map(|(k, step)| match step {
+            Step::Pose(pose) => Ok(pose),
+            Step::Edit(edit) => Err(Error::Unimplemented(format!("steps[{k}].edit ({})", edit_name(&edit)))),
         })
         .collect()
 }
 
-fn steps_of(job: &pb::Job) -> Result<Vec<Todo>, Error> {
+/// The steps of a job. Without any the poses that the handles come with are one.
+///
+/// # Errors
+/// [`Error::Invalid`] for an empty step.
+pub(crate) fn steps_of(job: &pb::Job) -> Result<Vec<Step>, Error> {
     if job.steps.is_empty() {
         let posed = job.handles.iter().any(|h| h.pose.is_some());
-        return Ok(if posed {
-            vec![Todo::Pose(pb::Pose::default())]
-        } else {
-            Vec::new()
-        });
+        return Ok(posed.then(|| Step::Pose(pb::Pose::default())).into_iter().collect());
     }
-    let mut all = Vec::new();
-    for (k, step) in job.steps.iter().enumerate() {
-        match &step.step {
-            Some(pb::step::Step::Pose(pose)) => all.push(Todo::Pose(pose.clone())),
-            Some(pb::step::Step::Edit(edit)) => all.push(Todo::Edit(edit.clone())),
-            None => {
-                return Err(Error::invalid(
-                    format!("steps[{k}]"),
-                    "is empty, allowed is one of pose or edit",
-                ));
-            }
-        }
-    }
-    Ok(all)
+    let steps = job.steps.iter().enumerate();
+    let step = |(k, step): (usize, &pb::Step)| {
+        let empty = || Error::invalid(format!("steps[{k}]"), "is empty, allowed is one of pose or edit");
+        step.step.clone().ok_or_else(empty)
+    };
+    steps.map(step).collect()
 }
 
 /// The error of a step, with what edits before it warned of: mostly that is the reason.
 fn at_step(e: Error, k: usize, warned: &[String]) -> Error {
-    let mut before = String::new();
-    if !warned.is_empty() {
-        before = format!(" (before it: {})", warned.join("; "));
-    }
+    let before = match warned {
+        [] => String::new(),
+        warned => format!(" (before it: {})", warned.join("; ")),
+    };
     match e {
         Error::Invalid { field, problem } => Error::Invalid {
             field: format!("steps[{k}].{field}"),
@@ -393,15 +382,9 @@ pub fn unmet_expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (
     };
     let quality = report.quality.unwrap_or_default();
     let mut unmet = Vec::new();
-    if expect
-        .flipped_triangles
-        .is_some_and(|most| quality.flipped_triangles > most)
-    {
-        let most = expect.flipped_triangles.unwrap_or_default();
-        unmet.push(format!(
-            "flippedTriangles is {}, at most {most} expected",
-            quality.flipped_triangles
-        ));
+    let flipped = quality.flipped_triangles;
+    if let Some(most) = expect.flipped_triangles.filter(|most| flipped > *most) {
+        unmet.push(format!("flippedTriangles is {flipped}, at most {most} expected"));
     }
     if let Some(most) = expect.volume_change.filter(|most| quality.volume_change.abs() > *most) {
         // As `{:?}`: what is huge or tiny comes with an exponent.
@@ -418,14 +401,8 @@ pub fn unmet_expectations(expect: Option<&pb::Expect>, report: &pb::Report) -> (
         ("meanDistance", expect.mean_distance.is_some()),
         ("normalDegrees", expect.normal_degrees.is_some()),
     ];
-    (
-        unmet,
-        stored
-            .into_iter()
-            .filter(|(_, asked)| *asked)
-            .map(|(name, _)| name)
-            .collect(),
-    )
+    let asked = stored.into_iter().filter(|(_, asked)| *asked);
+    (unmet, asked.map(|(name, _)| name).collect())
 }
 
 #[cfg(test)]

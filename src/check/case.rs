@@ -201,46 +201,46 @@ impl JobSource {
         let text = raw.get();
         if text.starts_with('"') {
             let path: String = serde_json::from_str(text).map_err(|e| ("job".into(), e.to_string()))?;
-            return match stays_below(&path) {
-                true => Ok(Self::File(path)),
-                false => Err((
-                    "job".into(),
-                    format!("\"{path}\" is not a path that stays below the suite's folder"),
-                )),
-            };
+            check_below(&path, "job")?;
+            return Ok(Self::File(path));
         }
         let read = wire::json::from_json(text.as_bytes()).and_then(|job: pb::Job| {
             job.expect.as_ref().map_or(Ok(()), |expect| expect.check("expect"))?;
             Ok(job)
         });
-        match read {
-            Ok(job) => Ok(Self::Inline(Box::new(job))),
-            Err(wire::Error::Malformed { field: place, problem }) if place == "body" => Err(("job".into(), problem)),
-            Err(wire::Error::Malformed { field: place, problem } | wire::Error::Invalid { field: place, problem }) => {
-                Err((format!("job.{place}"), problem))
-            }
-            Err(other) => Err(("job".into(), other.to_string())),
-        }
+        let job = read.map_err(|e| problem_below("job", e))?;
+        Ok(Self::Inline(Box::new(job)))
     }
+}
+
+/// The place and the problem of an error of the schema, in a field of the case.
+fn problem_below(field: &str, error: wire::Error) -> (String, String) {
+    match error {
+        wire::Error::Malformed { field: place, problem } if place == "body" => (field.into(), problem),
+        wire::Error::Malformed { field: place, problem } | wire::Error::Invalid { field: place, problem } => {
+            (format!("{field}.{place}"), problem)
+        }
+        other => (field.into(), other.to_string()),
+    }
+}
+
+/// Rejects a path that leaves the suite's folder.
+fn check_below(path: &str, field: &str) -> Result<(), (String, String)> {
+    if stays_below(path) {
+        return Ok(());
+    }
+    let problem = format!("\"{path}\" is not a path that stays below the suite's folder");
+    Err((field.into(), problem))
 }
 
 impl AnimationCase {
     fn from_fields(fields: &AnimationFields<'_>) -> Result<JobSource, (String, String)> {
-        let below = |field: &str, error: wire::Error| match error {
-            wire::Error::Malformed { field: place, problem } if place == "body" => {
-                (format!("animate.{field}"), problem)
-            }
-            wire::Error::Malformed { field: place, problem } | wire::Error::Invalid { field: place, problem } => {
-                (format!("animate.{field}.{place}"), problem)
-            }
-            other => (format!("animate.{field}"), other.to_string()),
-        };
         let text = |raw: Option<&RawValue>| raw.map_or("{}", RawValue::get).as_bytes().to_vec();
-        let create = wire::json::from_json(&text(fields.create)).map_err(|e| below("create", e))?;
-        let options = wire::animate_options_from_json(&text(fields.options)).map_err(|e| below("options", e))?;
-        if let Some(path) = fields.bvh.as_ref().filter(|path| !stays_below(path)) {
-            let problem = format!("\"{path}\" is not a path that stays below the suite's folder");
-            return Err(("animate.bvh".into(), problem));
+        let create = wire::json::from_json(&text(fields.create)).map_err(|e| problem_below("animate.create", e))?;
+        let options = wire::animate_options_from_json(&text(fields.options));
+        let options = options.map_err(|e| problem_below("animate.options", e))?;
+        if let Some(path) = &fields.bvh {
+            check_below(path, "animate.bvh")?;
         }
         Ok(JobSource::Animation(Box::new(Self {
             create,
@@ -251,12 +251,8 @@ impl AnimationCase {
 
     /// Computes the SHA-256 of what it asks for in lower-case hexadecimal. The clip's bytes must be in the options.
     pub fn input_hash(&self) -> String {
-        let mut hash = Sha256::new();
-        for part in [self.create.encode_to_vec(), self.options.encode_to_vec()] {
-            hash.update((part.len() as u64).to_le_bytes());
-            hash.update(part);
-        }
-        to_lower_hex(&hash.finalize())
+        let parts = [self.create.encode_to_vec(), self.options.encode_to_vec()];
+        sha256_hex(b"", parts.iter().map(Vec::as_slice))
     }
 }
 
@@ -284,24 +280,24 @@ pub fn job_hash(job: &pb::Job) -> String {
         expect: None,
         ..job.clone()
     };
-    to_lower_hex(&Sha256::digest(bare.encode_to_vec()))
+    sha256_hex(&bare.encode_to_vec(), std::iter::empty())
 }
 
 /// Computes the SHA-256 of a model in lower-case hexadecimal: of its file; with companions also of their names and bytes.
 pub fn model_hash(files: &crate::asset::FileSet) -> String {
-    let mut hash = Sha256::new();
-    hash.update(&files.main);
-    for (name, bytes) in &files.companions {
-        for part in [name.as_bytes(), bytes.as_ref()] {
-            hash.update((part.len() as u64).to_le_bytes());
-            hash.update(part);
-        }
-    }
-    to_lower_hex(&hash.finalize())
+    let companions = files.companions.iter();
+    let companions = companions.flat_map(|(name, bytes)| [name.as_bytes(), bytes.as_ref()]);
+    sha256_hex(&files.main, companions)
 }
 
-fn to_lower_hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
+/// Computes the SHA-256 of a beginning and of texts, each with its length, so that no two lists are alike.
+pub(super) fn sha256_hex<'a>(beginning: &[u8], texts: impl Iterator<Item = &'a [u8]>) -> String {
+    let mut hash = Sha256::new_with_prefix(beginning);
+    for text in texts {
+        hash.update((text.len() as u64).to_le_bytes());
+        hash.update(text);
+    }
+    hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
 }
 
 /// What some editors put before UTF-8.
@@ -550,14 +546,5 @@ mod suite_json_tests {
         }
         assert!(refused(br#"{"left": "#).starts_with("x.json: left: EOF while parsing"));
         assert!(refused(br#"{"left": 1, "right": 2} x"#).starts_with("x.json: trailing"));
-    }
-
-    #[test]
-    fn a_byte_order_mark_is_named() {
-        let reported = refused(b"\xef\xbb\xbf{\"left\": 1, \"right\": 2}");
-        assert!(
-            reported.contains("byte order mark") && reported.contains("without one"),
-            "{reported}"
-        );
     }
 }

@@ -2,6 +2,7 @@
 
 use super::case_result::CaseResult;
 use super::comparison::GoldenComparison;
+use super::named::{self, Named};
 use crate::mesh::BoundingBox;
 use crate::mesh::query::TriangleBvh;
 use crate::pool::Pool;
@@ -10,32 +11,74 @@ use crate::render::{
     background_end, draw_surface, vertex_displacements,
 };
 use glam::{DVec3, Vec3};
+use serde::{Deserialize, Serialize};
 
 /// Rows below a picture for the key to its colours.
 const KEY_ROWS: u32 = 30;
 /// A close-up shows this share of the diagonal around its place.
 const NEAR: f64 = 0.045;
 
-/// The captions that there are.
-const CAPTIONS: [&str; 5] = ["before", "after", "expected", "difference", "worst place"];
+/// Which of a case's pictures one is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum PictureCaption {
+    Before,
+    After,
+    Expected,
+    Difference,
+    WorstPlace,
+}
+
+impl Named for PictureCaption {
+    const WHAT: &'static str = "a caption";
+    const NAMES: &'static [(Self, &'static str)] = &[
+        (Self::Before, "before"),
+        (Self::After, "after"),
+        (Self::Expected, "expected"),
+        (Self::Difference, "difference"),
+        (Self::WorstPlace, "worst place"),
+    ];
+}
 
 /// A case picture is a picture with what it shows.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct CasePicture {
     /// A word or two.
-    pub caption: &'static str,
+    #[serde(with = "named")]
+    pub caption: PictureCaption,
     /// What it shows, for those who cannot see it.
     pub description: String,
     /// Pixels across and down.
     pub size: [u32; 2],
-    /// A PNG file.
+    /// A PNG file; base64 in JSON.
+    #[serde(with = "png_text")]
     pub png: Vec<u8>,
 }
 
-impl CasePicture {
-    /// Finds the caption among those that there are.
-    pub(super) fn known_caption(text: &str) -> Option<&'static str> {
-        CAPTIONS.into_iter().find(|caption| *caption == text)
+/// PNG files as base64.
+mod png_text {
+    use base64::Engine as _;
+    use base64::engine::general_purpose::STANDARD;
+    use serde::de::Error as _;
+    use serde::{Deserialize as _, Deserializer, Serializer};
+
+    /// How every PNG file begins.
+    const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
+
+    pub(super) fn serialize<S: Serializer>(png: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(&STANDARD.encode(png))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        let png = STANDARD
+            .decode(text)
+            .map_err(|e| D::Error::custom(format!("is not base64: {e}")))?;
+        match png.starts_with(PNG) {
+            true => Ok(png),
+            false => Err(D::Error::custom("is not a PNG file")),
+        }
     }
 }
 
@@ -84,21 +127,24 @@ pub fn draw_case_pictures(
     else {
         return Ok(Vec::new());
     };
-    let mut pictures = vec![
-        encode_case_picture(
-            "before",
-            "the model in the rest pose".into(),
-            draw_surface(&before, &camera, pool),
-        )?,
-        encode_case_picture("after", "the result".into(), draw_surface(&after, &camera, pool))?,
+    let shown = [
+        (PictureCaption::Before, "the model in the rest pose", Some(&before)),
+        (PictureCaption::After, "the result", Some(&after)),
+        (
+            PictureCaption::Expected,
+            "the result that the golden stores",
+            expected.as_ref(),
+        ),
     ];
-    if let Some(expected) = &expected {
-        let text = "the result that the golden stores".into();
-        pictures.push(encode_case_picture(
-            "expected",
-            text,
-            draw_surface(expected, &camera, pool),
-        )?);
+    let mut pictures = Vec::new();
+    for (caption, text, surface) in shown {
+        if let Some(surface) = surface {
+            pictures.push(encode_case_picture(
+                caption,
+                text.into(),
+                draw_surface(surface, &camera, pool),
+            )?);
+        }
     }
     if let Some(comparison) = differing.filter(|c| c.stored.len() == found.positions.len()) {
         pictures.extend(draw_differences(found, comparison, after, &camera, eye.up, pool)?);
@@ -150,11 +196,8 @@ fn draw_differences(
         "distances from the expected shape as colours; marked: {}",
         places.join(", ")
     );
-    let mut pictures = vec![encode_case_picture(
-        "difference",
-        text,
-        with_key(&coloured, camera, &marks)?,
-    )?];
+    let picture = with_key(&coloured, camera, &marks)?;
+    let mut pictures = vec![encode_case_picture(PictureCaption::Difference, text, picture)?];
     if let (Some(&v), Some(mark)) = (worst.first(), marks.first()) {
         // From its own side, wherever the others are taken from.
         let view = view_from_beside(normal_at(found, v), up);
@@ -167,12 +210,12 @@ fn draw_differences(
             ..mark.clone()
         };
         let picture = with_key(&wired, &near, &[shown])?;
-        pictures.push(encode_case_picture("worst place", text, picture)?);
+        pictures.push(encode_case_picture(PictureCaption::WorstPlace, text, picture)?);
     }
     Ok(pictures)
 }
 
-fn encode_case_picture(caption: &'static str, description: String, picture: Picture) -> Result<CasePicture, Error> {
+fn encode_case_picture(caption: PictureCaption, description: String, picture: Picture) -> Result<CasePicture, Error> {
     Ok(CasePicture {
         caption,
         description,

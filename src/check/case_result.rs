@@ -1,6 +1,7 @@
 //! What running a case came to, and what golden keeps of it.
 
 use super::metric::{Metric, format_point};
+use super::named::Named as _;
 use crate::wire::pb;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};

@@ -251,11 +251,7 @@ mod tests {
     }
 
     fn golden(found: &CaseResult) -> Golden {
-        let inputs = InputHashes {
-            model: String::new(),
-            job: String::new(),
-        };
-        Golden::from_result(found, inputs)
+        Golden::from_result(found, InputHashes::default())
     }
 
     fn measured(now: &CaseResult, stored: &CaseResult) -> GoldenComparison {

@@ -3,6 +3,7 @@
 use super::case::{SuiteError, from_json_object, suite_error};
 use super::case_result::{CaseResult, TopologyDigests};
 use super::metric::Metric;
+use super::named::Named as _;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
@@ -38,7 +39,7 @@ pub struct Golden {
 }
 
 /// Input hashes name what a result depends on.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InputHashes {
     /// See [`super::model_hash`].

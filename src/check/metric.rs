@@ -1,5 +1,6 @@
 //! What is measured of a result, and how far it may be from its golden.
 
+use super::named::Named;
 use glam::DVec3;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -77,88 +78,60 @@ pub enum MetricKind {
     Growth,
 }
 
+impl Named for Metric {
+    const WHAT: &'static str = "a metric";
+    const NAMES: &'static [(Self, &'static str)] = &[
+        (Self::MaxDisplacement, "maxDisplacement"),
+        (Self::MeanDisplacement, "meanDisplacement"),
+        (Self::RmsDisplacement, "rmsDisplacement"),
+        (Self::Hausdorff, "hausdorff"),
+        (Self::NormalDegrees, "normalDegrees"),
+        (Self::FlippedTriangles, "flippedTriangles"),
+        (Self::EdgeStretch, "edgeStretch"),
+        (Self::EdgeRms, "edgeRms"),
+        (Self::MaxStretch, "maxStretch"),
+        (Self::VolumeChange, "volumeChange"),
+        (Self::AreaChange, "areaChange"),
+        (Self::FoldedTriangles, "foldedTriangles"),
+        (Self::ConstraintError, "constraintError"),
+        (Self::Residual, "residual"),
+        (Self::Cycles, "cycles"),
+        (Self::Bytes, "bytes"),
+    ];
+}
+
 impl Metric {
     /// All metrics, in the order of reports.
-    pub const ALL: [Self; 16] = [
-        Self::MaxDisplacement,
-        Self::MeanDisplacement,
-        Self::RmsDisplacement,
-        Self::Hausdorff,
-        Self::NormalDegrees,
-        Self::FlippedTriangles,
-        Self::EdgeStretch,
-        Self::EdgeRms,
-        Self::MaxStretch,
-        Self::VolumeChange,
-        Self::AreaChange,
-        Self::FoldedTriangles,
-        Self::ConstraintError,
-        Self::Residual,
-        Self::Cycles,
-        Self::Bytes,
-    ];
-
-    /// The metric's name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::MaxDisplacement => "maxDisplacement",
-            Self::MeanDisplacement => "meanDisplacement",
-            Self::RmsDisplacement => "rmsDisplacement",
-            Self::Hausdorff => "hausdorff",
-            Self::NormalDegrees => "normalDegrees",
-            Self::FlippedTriangles => "flippedTriangles",
-            Self::EdgeStretch => "edgeStretch",
-            Self::EdgeRms => "edgeRms",
-            Self::MaxStretch => "maxStretch",
-            Self::VolumeChange => "volumeChange",
-            Self::AreaChange => "areaChange",
-            Self::FoldedTriangles => "foldedTriangles",
-            Self::ConstraintError => "constraintError",
-            Self::Residual => "residual",
-            Self::Cycles => "cycles",
-            Self::Bytes => "bytes",
-        }
+    pub fn all() -> impl Iterator<Item = Self> {
+        Self::NAMES.iter().map(|(metric, _)| *metric)
     }
 
-    /// Finds the metric of a name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|m| m.name() == name)
+    /// What the metric's number counts in, and how it is compared.
+    fn facts(self) -> (MetricUnit, MetricKind) {
+        match self {
+            Self::MaxDisplacement | Self::MeanDisplacement | Self::RmsDisplacement | Self::Hausdorff => {
+                (MetricUnit::Diagonal, MetricKind::Shape)
+            }
+            Self::NormalDegrees => (MetricUnit::Degrees, MetricKind::Shape),
+            Self::FlippedTriangles => (MetricUnit::Count, MetricKind::Shape),
+            Self::EdgeStretch => (MetricUnit::Ratio, MetricKind::Shape),
+            Self::EdgeRms | Self::MaxStretch | Self::VolumeChange | Self::AreaChange => {
+                (MetricUnit::Ratio, MetricKind::Change)
+            }
+            Self::ConstraintError => (MetricUnit::Diagonal, MetricKind::Growth),
+            Self::Residual => (MetricUnit::Ratio, MetricKind::Growth),
+            Self::FoldedTriangles | Self::Cycles | Self::Bytes => (MetricUnit::Count, MetricKind::Growth),
+        }
     }
 
     /// What the metric's number counts in.
     pub fn unit(self) -> MetricUnit {
-        match self {
-            Self::MaxDisplacement
-            | Self::MeanDisplacement
-            | Self::RmsDisplacement
-            | Self::Hausdorff
-            | Self::ConstraintError => MetricUnit::Diagonal,
-            Self::NormalDegrees => MetricUnit::Degrees,
-            Self::EdgeStretch
-            | Self::EdgeRms
-            | Self::MaxStretch
-            | Self::VolumeChange
-            | Self::AreaChange
-            | Self::Residual => MetricUnit::Ratio,
-            Self::FlippedTriangles | Self::FoldedTriangles | Self::Cycles | Self::Bytes => MetricUnit::Count,
-        }
+        self.facts().0
     }
 
     /// How the metric is compared.
     pub fn kind(self) -> MetricKind {
-        match self {
-            Self::MaxDisplacement
-            | Self::MeanDisplacement
-            | Self::RmsDisplacement
-            | Self::Hausdorff
-            | Self::NormalDegrees
-            | Self::FlippedTriangles
-            | Self::EdgeStretch => MetricKind::Shape,
-            Self::EdgeRms | Self::MaxStretch | Self::VolumeChange | Self::AreaChange => MetricKind::Change,
-            Self::FoldedTriangles | Self::ConstraintError | Self::Residual | Self::Cycles | Self::Bytes => {
-                MetricKind::Growth
-            }
-        }
+        self.facts().1
     }
 
     /// Writes a number of this metric for people: about three digits, counts whole.
@@ -294,7 +267,7 @@ impl Tolerances {
 }
 
 fn metric_names() -> String {
-    Metric::ALL.map(Metric::name).join(", ")
+    Metric::all().map(Metric::name).collect::<Vec<_>>().join(", ")
 }
 
 #[cfg(test)]
@@ -303,7 +276,7 @@ mod tests {
 
     #[test]
     fn every_name_is_its_own_and_found_again() {
-        for metric in Metric::ALL {
+        for metric in Metric::all() {
             assert_eq!(Metric::from_name(metric.name()), Some(metric));
         }
         assert_eq!(Metric::from_name("MaxDisplacement"), None);
@@ -321,7 +294,7 @@ mod tests {
 
     #[test]
     fn no_number_has_hundreds_of_digits() {
-        for metric in Metric::ALL {
+        for metric in Metric::all() {
             assert!(metric.format_value(1e300).len() < 12 && metric.format_value(1e-300).len() < 12);
         }
         assert_eq!(Metric::Bytes.format_value(1e300), "1.00e300");
@@ -345,7 +318,7 @@ mod tests {
     fn without_a_word_nothing_may_differ() {
         let none = check("[]").expect("nothing is wrong");
         assert!(!none.allow_any());
-        for metric in Metric::ALL {
+        for metric in Metric::all() {
             assert_eq!(none.for_metric(metric), Tolerance::default());
         }
         assert!(

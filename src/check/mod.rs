@@ -30,6 +30,8 @@ mod case_result;
 mod comparison;
 mod golden;
 mod metric;
+mod named;
+mod number;
 pub mod report;
 mod shard;
 mod verdict;
@@ -37,10 +39,11 @@ mod verdict;
 pub use case::{
     AnimationCase, CASE_SUFFIX, GOLDEN_SUFFIX, JobSource, ModelSource, SuiteCase, SuiteError, job_hash, model_hash,
 };
-pub use case_pictures::{CasePicture, Viewpoint, draw_case_pictures};
+pub use case_pictures::{CasePicture, PictureCaption, Viewpoint, draw_case_pictures};
 pub use case_result::{CaseResult, TopologyDigests};
 pub use comparison::{GoldenComparison, compare_with_golden, hausdorff_distance};
 pub use golden::{Golden, InputHashes, QuantizedPositions};
 pub use metric::{Metric, MetricKind, MetricUnit, Tolerance, Tolerances};
+pub use named::Named;
 pub use shard::{CaseWork, Shard, digest_texts, measured_costs, split_cases, split_digest};
-pub use verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason, judge_result};
+pub use verdict::{CaseStatus, CaseVerdict, MetricDifference, ReasonCode, VerdictReason, judge_result};

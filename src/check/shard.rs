@@ -1,8 +1,8 @@
 //! Shards of a suite: which cases are in which, by what each costs.
 
+use super::case::sha256_hex;
 use super::golden::Golden;
 use super::metric::Metric;
-use sha2::{Digest as _, Sha256};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 use std::fmt;
@@ -190,13 +190,7 @@ pub fn split_digest(cases: &[(&str, u32)], shards: u32) -> String {
 
 /// Computes the SHA-256 of texts, each with its length, so that no two lists are alike.
 pub fn digest_texts<'a>(texts: impl Iterator<Item = &'a [u8]>) -> String {
-    let mut hash = Sha256::new();
-    for text in texts {
-        hash.update((text.len() as u64).to_le_bytes());
-        hash.update(text);
-    }
-    let hex: String = hash.finalize().iter().map(|b| format!("{b:02x}")).collect();
-    format!("sha256:{hex}")
+    format!("sha256:{}", sha256_hex(b"", texts))
 }
 
 #[cfg(test)]
@@ -248,11 +242,7 @@ mod tests {
             frames: vec!["xxh3:1".into(); frames],
             ..Default::default()
         };
-        let inputs = InputHashes {
-            model: String::new(),
-            job: String::new(),
-        };
-        Golden::from_result(&found, inputs)
+        Golden::from_result(&found, InputHashes::default())
     }
 
     #[test]

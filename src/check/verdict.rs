@@ -4,15 +4,19 @@ use super::case_result::{CaseResult, TopologyDigests};
 use super::comparison::{GoldenComparison, compare_with_golden};
 use super::golden::{Golden, InputHashes};
 use super::metric::{Metric, MetricKind, Tolerances, format_short};
+use super::named::{self, Named};
+use super::number;
 use crate::pool::Pool;
 use crate::wire::pb;
+use serde::{Deserialize, Serialize};
 
 /// How a case ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum CaseStatus {
     /// It equals the stored result bit for bit, or within tolerances.
     Passed,
     /// It does not pass.
+    #[default]
     Failed,
     /// It could not be run here.
     Skipped,
@@ -20,64 +24,106 @@ pub enum CaseStatus {
     Blessed,
 }
 
-/// The words for what can be wrong.
-const REASON_CODES: [&str; 12] = [
-    "not-finite",
-    "missing-golden",
-    "broken-golden",
-    "stale-golden",
-    "not-run",
-    "skipped",
-    "topology",
-    "winding",
-    "frames",
-    "digest",
-    "expectation",
-    "metric",
-];
+impl Named for CaseStatus {
+    const WHAT: &'static str = "a status of a case";
+    const NAMES: &'static [(Self, &'static str)] = &[
+        (Self::Passed, "passed"),
+        (Self::Failed, "failed"),
+        (Self::Skipped, "skipped"),
+        (Self::Blessed, "blessed"),
+    ];
+}
+
+/// What can be wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)]
+pub enum ReasonCode {
+    NotFinite,
+    MissingGolden,
+    BrokenGolden,
+    StaleGolden,
+    NotRun,
+    Skipped,
+    Topology,
+    Winding,
+    Frames,
+    Digest,
+    Expectation,
+    Metric,
+}
+
+impl Named for ReasonCode {
+    const WHAT: &'static str = "a reason";
+    const NAMES: &'static [(Self, &'static str)] = &[
+        (Self::NotFinite, "not-finite"),
+        (Self::MissingGolden, "missing-golden"),
+        (Self::BrokenGolden, "broken-golden"),
+        (Self::StaleGolden, "stale-golden"),
+        (Self::NotRun, "not-run"),
+        (Self::Skipped, "skipped"),
+        (Self::Topology, "topology"),
+        (Self::Winding, "winding"),
+        (Self::Frames, "frames"),
+        (Self::Digest, "digest"),
+        (Self::Expectation, "expectation"),
+        (Self::Metric, "metric"),
+    ];
+}
 
 /// One thing that is wrong.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct VerdictReason {
-    /// A stable kebab-case word: `not-finite`, `missing-golden`, `broken-golden`, `stale-golden`, `not-run`, `skipped`,
-    /// `topology`, `winding`, `frames`, `digest`, `expectation`, or `metric`.
-    pub code: &'static str,
+    /// A stable word.
+    #[serde(with = "named")]
+    pub code: ReasonCode,
     /// What, in a sentence.
     pub text: String,
 }
 
-/// One number beside its golden.
-#[derive(Debug, Clone, PartialEq)]
+/// One number beside its golden. In JSON unknown numbers are absent.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct MetricDifference {
     /// What it is.
+    #[serde(rename = "name", with = "named")]
     pub metric: Metric,
-    /// Whether the shape has such a number at all; an open surface has no volume.
-    pub applies: bool,
     /// Of the result; `None` when unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none", with = "number")]
     pub value: Option<f64>,
     /// In the golden; `None` for what is measured against the stored positions.
+    #[serde(default, skip_serializing_if = "Option::is_none", with = "number")]
     pub stored: Option<f64>,
     /// What is compared with `allowed`; `None` when there is nothing to compare.
+    #[serde(default, skip_serializing_if = "Option::is_none", with = "number")]
     pub difference: Option<f64>,
     /// The largest difference that passes.
     pub allowed: f64,
     /// Why that is not 0.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub reason: String,
     /// Where it is worst; maybe empty.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub place: String,
+    /// Whether the difference is within what is allowed.
+    pub holds: bool,
+    /// Whether the shape has such a number at all; an open surface has no volume. Absent in JSON when true.
+    #[serde(default = "yes", skip_serializing_if = "is_yes")]
+    pub applies: bool,
 }
 
-impl VerdictReason {
-    /// Finds the word among those that there are.
-    pub(super) fn known_code(word: &str) -> Option<&'static str> {
-        REASON_CODES.into_iter().find(|code| *code == word)
-    }
+fn yes() -> bool {
+    true
+}
+
+fn is_yes(value: &bool) -> bool {
+    *value
 }
 
 impl MetricDifference {
-    /// Whether the difference is within what is allowed.
-    pub fn is_within_bound(&self) -> bool {
-        self.difference.is_none_or(|d| d <= self.allowed)
+    /// Finds whether the difference is within what is allowed.
+    pub(super) fn judge(&mut self) {
+        self.holds = self.difference.is_none_or(|d| d <= self.allowed);
     }
 
     /// The difference as a share of what is allowed.
@@ -136,7 +182,7 @@ pub struct CaseVerdict {
 
 impl CaseVerdict {
     /// Makes the verdict of a case that has no result.
-    pub fn without_result(status: CaseStatus, code: &'static str, text: impl Into<String>) -> Self {
+    pub fn without_result(status: CaseStatus, code: ReasonCode, text: impl Into<String>) -> Self {
         Self {
             status,
             reasons: vec![VerdictReason {
@@ -147,17 +193,22 @@ impl CaseVerdict {
             measures: Vec::new(),
         }
     }
+}
 
-    /// Finds the number that is nearest to its bound, or farthest beyond it; `None` when none differs.
-    pub fn largest_share(&self) -> Option<&MetricDifference> {
-        let mut worst: Option<&MetricDifference> = None;
-        for m in self.measures.iter().filter(|m| m.share_of_bound() > 0.0) {
-            if worst.is_none_or(|w| m.share_of_bound() > w.share_of_bound()) {
-                worst = Some(m);
-            }
+/// Finds the number that is nearest to its bound, or farthest beyond it; `None` when none differs.
+pub(super) fn largest_share(measures: &[MetricDifference]) -> Option<&MetricDifference> {
+    farthest(measures.iter().filter(|m| m.share_of_bound() > 0.0))
+}
+
+/// The number that has the largest share of its bound; the first of several.
+pub(super) fn farthest<'a>(measures: impl Iterator<Item = &'a MetricDifference>) -> Option<&'a MetricDifference> {
+    measures.reduce(|worst, m| {
+        if m.share_of_bound() > worst.share_of_bound() {
+            m
+        } else {
+            worst
         }
-        worst
-    }
+    })
 }
 
 /// Judges a result. `golden` is what the golden's file holds, or the reason why it cannot be read.
@@ -171,18 +222,18 @@ pub fn judge_result(
 ) -> (CaseVerdict, Option<GoldenComparison>) {
     let failed = |code, text: String| (CaseVerdict::without_result(CaseStatus::Failed, code, text), None);
     if let Some(text) = found.describe_not_finite() {
-        return failed("not-finite", text);
+        return failed(ReasonCode::NotFinite, text);
     }
     let golden = match golden {
         None => {
             return failed(
-                "missing-golden",
+                ReasonCode::MissingGolden,
                 "there is no golden; look at the result and bless it".into(),
             );
         }
         Some(Err(text)) => {
             let text = format!("{text}; look at the result and bless it again");
-            return failed("broken-golden", text);
+            return failed(ReasonCode::BrokenGolden, text);
         }
         Some(Ok(golden)) => golden,
     };
@@ -195,14 +246,20 @@ pub fn judge_result(
     let sent = comparison.numbers.get(&Metric::MaxDisplacement).copied();
     let identical = reasons.is_empty() && same_digest && sent == Some(0.0);
     if reasons.is_empty() && !identical {
-        let over = measures.iter().filter(|m| !m.is_within_bound());
+        let over = measures.iter().filter(|m| !m.holds);
         reasons.extend(over.map(|m| VerdictReason {
-            code: "metric",
+            code: ReasonCode::Metric,
             text: m.describe(),
         }));
         if same_digest {
             let text = "the digest is the stored one, the positions that came with it are not".into();
-            reasons.insert(0, VerdictReason { code: "digest", text });
+            reasons.insert(
+                0,
+                VerdictReason {
+                    code: ReasonCode::Digest,
+                    text,
+                },
+            );
         } else if !tolerances.allow_any() {
             reasons.insert(0, digest_reason(found, &golden, sent == Some(0.0)));
         }
@@ -213,12 +270,12 @@ pub fn judge_result(
         .cloned()
         .chain(unmet_expectations(expect, &comparison, &golden));
     reasons.extend(expectations.map(|text| VerdictReason {
-        code: "expectation",
+        code: ReasonCode::Expectation,
         text,
     }));
     // What differs from a stale golden is reported too, so that no change is blessed unseen.
     if let Some(text) = golden.stale_reason(inputs) {
-        let code = "stale-golden";
+        let code = ReasonCode::StaleGolden;
         reasons.insert(0, VerdictReason { code, text });
     }
     let verdict = CaseVerdict {
@@ -248,7 +305,10 @@ fn frames_reason(found: &CaseResult, golden: &Golden, tolerances: &Tolerances) -
             "{many} of {count} frames differ; the digest of the first of them, number {first}, is {now}, stored is {then}"
         )
     };
-    Some(VerdictReason { code: "frames", text })
+    Some(VerdictReason {
+        code: ReasonCode::Frames,
+        text,
+    })
 }
 
 fn digest_reason(found: &CaseResult, golden: &Golden, too_small: bool) -> VerdictReason {
@@ -261,7 +321,10 @@ fn digest_reason(found: &CaseResult, golden: &Golden, too_small: bool) -> Verdic
         text +=
             &format!("; no vertex has moved by more than the resolution of the golden, {resolution} of the diagonal");
     }
-    VerdictReason { code: "digest", text }
+    VerdictReason {
+        code: ReasonCode::Digest,
+        text,
+    }
 }
 
 fn topology_reasons(found: &CaseResult, golden: &Golden) -> Vec<VerdictReason> {
@@ -272,7 +335,7 @@ fn topology_reasons(found: &CaseResult, golden: &Golden) -> Vec<VerdictReason> {
             "the topology differs: {} -> {} vertices, {} -> {} triangles",
             stored.vertices, now.vertices, stored.triangles, now.triangles
         );
-        ("topology", text)
+        (ReasonCode::Topology, text)
     } else if now.digest == stored.digest {
         return Vec::new();
     } else if now.unwound == stored.unwound {
@@ -282,7 +345,7 @@ fn topology_reasons(found: &CaseResult, golden: &Golden) -> Vec<VerdictReason> {
             .map(|t| t.iter().zip(&found.triangles).filter(|(a, b)| a != b).count());
         let many = flips.map_or("some".into(), |n| n.to_string());
         (
-            "winding",
+            ReasonCode::Winding,
             format!("the topology differs: {many} triangles are wound differently"),
         )
     } else {
@@ -290,7 +353,7 @@ fn topology_reasons(found: &CaseResult, golden: &Golden) -> Vec<VerdictReason> {
             "the topology differs: {} vertices and {} triangles as stored, but joined differently",
             now.vertices, now.triangles
         );
-        ("topology", text)
+        (ReasonCode::Topology, text)
     };
     vec![VerdictReason { code, text }]
 }
@@ -332,9 +395,10 @@ fn measure_differences(
             allowed: tolerance.most,
             reason: tolerance.reason,
             place: comparison.places.get(&metric).cloned().unwrap_or_default(),
+            holds: difference.is_none_or(|d| d <= tolerance.most),
         }
     };
-    Metric::ALL.into_iter().map(of).collect()
+    Metric::all().map(of).collect()
 }
 
 /// Lists what the job expects of the stored result and does not find. Lengths are model units there.
@@ -411,13 +475,15 @@ mod tests {
     }
 
     fn codes(verdict: &CaseVerdict) -> Vec<&str> {
-        verdict.reasons.iter().map(|r| r.code).collect()
+        verdict.reasons.iter().map(|r| r.code.name()).collect()
     }
 
     #[test]
     fn the_same_bits_pass_whatever_else_is_counted() {
         let verdict = judged(&found(), &Tolerances::default(), None);
-        assert!(verdict.identical && verdict.status == CaseStatus::Passed && verdict.largest_share().is_none());
+        assert!(
+            verdict.identical && verdict.status == CaseStatus::Passed && largest_share(&verdict.measures).is_none()
+        );
         let mut slower = found();
         slower.numbers.insert(Metric::Cycles, 9.0);
         assert_eq!(judged(&slower, &Tolerances::default(), None).status, CaseStatus::Passed);
@@ -440,7 +506,10 @@ mod tests {
                 .iter()
                 .any(|r| r.text.contains("maxDisplacement") && r.text.contains("vertex 7"))
         );
-        assert_eq!(small.largest_share().map(|m| m.metric), Some(Metric::MaxDisplacement));
+        assert_eq!(
+            largest_share(&small.measures).map(|m| m.metric),
+            Some(Metric::MaxDisplacement)
+        );
     }
 
     #[test]
@@ -480,7 +549,7 @@ mod tests {
         let code = |found: &CaseResult, golden, inputs: &InputHashes| {
             let verdict = judge_result(found, golden, inputs, &Tolerances::default(), None, &pool).0;
             assert_eq!(verdict.status, CaseStatus::Failed);
-            verdict.reasons[0].code
+            verdict.reasons[0].code.name()
         };
         let mut broken = moved(0.5);
         broken.positions[0].y = f64::NAN;

@@ -1,6 +1,6 @@
 //! `pliant audit`: prints the audit trail in a server's store.
 
-use super::terminal::CliFailure;
+use super::terminal::{CliFailure, block_on};
 use crate::server::config::{ConfigKeys, KeyValue, stored_in};
 use crate::session::StoredAuditEntry;
 use crate::session::store::{AuditFilter, StoreError, StoreLocation, read_audit};
@@ -72,7 +72,6 @@ impl AuditArgs {
     }
 }
 
-/// Runs the command.
 pub(super) fn run_audit(args: &AuditArgs) -> Result<(), CliFailure> {
     let since = args.since.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
     let filter = AuditFilter {
@@ -80,8 +79,6 @@ pub(super) fn run_audit(args: &AuditArgs) -> Result<(), CliFailure> {
         session: args.session.clone(),
         since_ms: since.map_or(0, |since| u64::try_from(since.as_millis()).unwrap_or(u64::MAX)),
     };
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let runtime = runtime.map_err(|e| CliFailure::Internal(format!("cannot start threads: {e}")))?;
     let mut out = BufWriter::new(std::io::stdout().lock());
     let mut failed = None;
     let location = args.location()?;
@@ -96,7 +93,7 @@ pub(super) fn run_audit(args: &AuditArgs) -> Result<(), CliFailure> {
         failed.is_none()
     });
     let reported = |error: StoreError| CliFailure::Input(format!("the store of sessions: {error}"));
-    runtime.block_on(read).map_err(reported)?;
+    block_on(read)?.map_err(reported)?;
     if failed.is_none() {
         failed = out.flush().err().map(|e| e.to_string());
     }

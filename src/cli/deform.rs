@@ -43,7 +43,6 @@ pub struct DeformArgs {
     threads: ThreadArgs,
 }
 
-/// Runs the command.
 pub(super) fn run_deform(args: &DeformArgs) -> Result<(), CliFailure> {
     let format = output_format(&args.output)?;
     args.permission.check_target(&args.output)?;

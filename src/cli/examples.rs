@@ -2,7 +2,7 @@
 //!
 //! `pliant sample`: a built-in model or recording as a file, for trying things where none is at hand.
 
-use super::output_files::{OutputPermission, holds_bytes};
+use super::output_files::{OutputPermission, check_ending, holds_bytes};
 use super::terminal::CliFailure;
 use crate::asset::sample::{BuiltInModel, BuiltInRecording, body_glb};
 use clap::Args;
@@ -147,16 +147,12 @@ fn parse_name(text: &str) -> Result<BuiltInFile, String> {
     })
 }
 
-/// Runs the command.
 pub(super) fn run_sample(args: &SampleArgs) -> Result<(), CliFailure> {
     let (ending, what) = match args.name {
-        BuiltInFile::Model(_) | BuiltInFile::Body => ("glb", "model"),
-        BuiltInFile::Recording(_) => ("bvh", "recording"),
+        BuiltInFile::Model(_) | BuiltInFile::Body => ("glb", "a built-in model"),
+        BuiltInFile::Recording(_) => ("bvh", "a built-in recording"),
     };
-    if !args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending)) {
-        let problem = format!("a built-in {what} is written as {ending}; use a .{ending} file name");
-        return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
-    }
+    check_ending(&args.output, ending, what)?;
     let bytes = match args.name {
         BuiltInFile::Model(model) => model.glb().to_vec(),
         BuiltInFile::Body => body_glb().to_vec(),

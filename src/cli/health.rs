@@ -1,6 +1,6 @@
 //! `pliant health`: whether a server takes new sessions, for those who watch it where there is no other program to ask.
 
-use super::terminal::CliFailure;
+use super::terminal::{CliFailure, block_on};
 use crate::server::config::{ConfigKeys, ServeSettings};
 use crate::server::tls::{https_connector, own_connector};
 use bytes::Bytes;
@@ -41,7 +41,6 @@ pub struct HealthArgs {
     ca: Option<PathBuf>,
 }
 
-/// Runs the command.
 pub(super) fn run_health(args: &HealthArgs) -> Result<(), CliFailure> {
     let (base, connector) = match &args.url {
         Some(url) => (
@@ -59,10 +58,8 @@ pub(super) fn run_health(args: &HealthArgs) -> Result<(), CliFailure> {
             ))
         })?;
     let connector = connector.map_err(CliFailure::Input)?;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let runtime = runtime.map_err(|e| CliFailure::Internal(format!("cannot start a runtime: {e}")))?;
     let client = Client::builder(TokioExecutor::new()).build::<_, Empty<Bytes>>(connector);
-    let answered = runtime.block_on(async {
+    let answered = block_on(async {
         let answer = async {
             let response = client.get(uri).await.map_err(|e| {
                 let mut cause = std::error::Error::source(&e).map_or_else(String::new, |cause| format!(": {cause}"));
@@ -81,7 +78,7 @@ pub(super) fn run_health(args: &HealthArgs) -> Result<(), CliFailure> {
         };
         let late = format!("does not answer within {} s", PATIENCE.as_secs());
         tokio::time::timeout(PATIENCE, answer).await.unwrap_or(Err(late))
-    });
+    })?;
     match answered {
         Ok((StatusCode::OK, body)) => {
             let mut out = std::io::stdout();

@@ -1,10 +1,10 @@
 //! Files that commands read: models with their companions, jobs and texts.
 
 use super::terminal::CliFailure;
-use crate::asset::{FileSet, Format, missing_companions};
-use crate::wire::Error as WireError;
+use crate::asset::{FileSet, Format, Limits, Model, missing_companions};
 use clap::Args;
 use std::collections::BTreeSet;
+use std::fmt::Display;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _};
 use std::path::{Component, Path, PathBuf};
@@ -226,6 +226,11 @@ pub(super) fn read_model(path: &Path) -> Result<FileSet, CliFailure> {
     with_companions(path, main)
 }
 
+/// Reads a model with the files that it names.
+pub(super) fn open_model(path: &Path) -> Result<Model, CliFailure> {
+    Model::read(read_model(path)?, None, &Limits::default()).map_err(|e| in_file(path, e))
+}
+
 /// Reads the files beside a model that it names.
 pub(super) fn with_companions(path: &Path, main: Vec<u8>) -> Result<FileSet, CliFailure> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -278,12 +283,12 @@ pub(super) fn output_format(path: &Path) -> Result<Format, CliFailure> {
         CliFailure::Input(format!("cannot determine the format of {}: {problem}", path.display()))
     })?;
     match format.refusal_to_write() {
-        Some(problem) => Err(CliFailure::Input(format!("cannot write {}: {problem}", path.display()))),
+        Some(problem) => Err(CliFailure::unwritable(path, problem)),
         None => Ok(format),
     }
 }
 
 /// A failure of what a file says, with its path.
-pub(super) fn in_file(path: &Path, e: WireError) -> CliFailure {
-    CliFailure::from(e).in_place(path.display())
+pub(super) fn in_file(path: &Path, e: impl Display) -> CliFailure {
+    CliFailure::Input(format!("{}: {e}", path.display()))
 }

@@ -1,7 +1,7 @@
 //! `pliant inspect`: what the solver sees in a model.
 
 use super::input_files::read_model;
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_value};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_text, print_value};
 use crate::batch::{self, ModelContents};
 use crate::engine::DeformerLimits;
 use crate::exec::Exec;
@@ -9,7 +9,6 @@ use crate::mesh::{brief_number, grouped_count};
 use crate::wire::{json, pb};
 use clap::Args;
 use serde_json::Value;
-use std::io::Write as _;
 use std::path::PathBuf;
 
 /// Primitives that the text lists.
@@ -29,12 +28,11 @@ pub struct InspectArgs {
     threads: ThreadArgs,
 }
 
-/// Runs the command.
 pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
     let pool = args.threads.start_pool()?;
     let files = read_model(&args.model)?;
     let spinner = StageSpinner::new(args.json);
-    let (found, contents) = batch::inspect_contents(
+    let (found, contents) = batch::inspect(
         files,
         &pb::CreateOptions::default(),
         &DeformerLimits::default(),
@@ -50,8 +48,7 @@ pub(super) fn run_inspect(args: &InspectArgs) -> Result<(), CliFailure> {
         return print_value(&value);
     }
     let contents = contents.as_ref().map(describe_contents).unwrap_or_default();
-    let text = describe_inspection(&found, contents);
-    write!(std::io::stdout(), "{text}").map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
+    print_text(&describe_inspection(&found, contents))
 }
 
 /// What handles name a primitive by, and its size.

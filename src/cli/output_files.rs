@@ -30,7 +30,7 @@ pub(super) struct OutputPermission {
 impl OutputPermission {
     /// Says why a file may not be written at a path; changes nothing.
     pub(super) fn check_target(self, path: &Path) -> Result<(), CliFailure> {
-        let refuse = |problem: &str| Err(CliFailure::Input(format!("cannot write {}: {problem}", path.display())));
+        let refuse = |problem: &str| Err(CliFailure::unwritable(path, problem));
         if path.file_name().is_none() {
             return refuse("that names no file");
         }
@@ -66,8 +66,7 @@ impl OutputPermission {
             .unwrap_or(Path::new("."))
             .join(target.file_name().unwrap_or_default());
         let tried = fill_beside(&beside, &mut |_| Ok(()));
-        let refuse = |e: std::io::Error| CliFailure::Input(format!("cannot write {}: {e}", path.display()));
-        tried.map(drop).map_err(refuse)
+        tried.map(drop).map_err(|e| CliFailure::unwritable(path, e))
     }
 
     /// Writes one file.
@@ -81,14 +80,13 @@ impl OutputPermission {
         path: &Path,
         fill: &mut dyn FnMut(&mut dyn Write) -> std::io::Result<()>,
     ) -> Result<(), CliFailure> {
-        let refuse =
-            |path: &Path, e: std::io::Error| CliFailure::Input(format!("cannot write {}: {e}", path.display()));
         self.check_target(path)?;
         self.make_folder_of(path)?;
         let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-        let temp = fill_beside(&target, fill).map_err(|e| refuse(path, e))?;
+        let temp = fill_beside(&target, fill).map_err(|e| CliFailure::unwritable(path, e))?;
         self.check_target(path)?;
-        temp.persist(&target).map_err(|e| refuse(&target, e.error))?;
+        temp.persist(&target)
+            .map_err(|e| CliFailure::unwritable(&target, e.error))?;
         Ok(())
     }
 
@@ -97,8 +95,7 @@ impl OutputPermission {
         if !self.parents {
             return Ok(());
         }
-        let refuse = |e: std::io::Error| CliFailure::Input(format!("cannot write {}: {e}", path.display()));
-        fs::create_dir_all(folder_of(path)).map_err(refuse)
+        fs::create_dir_all(folder_of(path)).map_err(|e| CliFailure::unwritable(path, e))
     }
 
     /// Writes a model and its companions beside it. A companion that lies there already, byte for byte, is left alone.
@@ -149,23 +146,32 @@ impl OutputPermission {
     /// Writes files: all or nothing as far as a file system allows.
     fn write_all(self, files: &BTreeMap<PathBuf, &[u8]>) -> Result<(), CliFailure> {
         files.keys().try_for_each(|path| self.check_target(path))?;
-        let refuse =
-            |path: &Path, e: std::io::Error| CliFailure::Input(format!("cannot write {}: {e}", path.display()));
         files.keys().try_for_each(|path| self.make_folder_of(path))?;
         let mut temporary: Vec<(TempPath, PathBuf)> = Vec::new();
         for (path, bytes) in files {
             // A link stays a link: what it points to is replaced.
             let target = path.canonicalize().unwrap_or_else(|_| path.clone());
-            let temp = write_beside(&target, bytes).map_err(|e| refuse(path, e))?;
+            let temp =
+                fill_beside(&target, &mut |file| file.write_all(bytes)).map_err(|e| CliFailure::unwritable(path, e))?;
             temporary.push((temp, target));
         }
         // Another program may have been faster while the files were written.
         files.keys().try_for_each(|path| self.check_target(path))?;
         for (temp, target) in temporary {
-            temp.persist(&target).map_err(|e| refuse(&target, e.error))?;
+            temp.persist(&target)
+                .map_err(|e| CliFailure::unwritable(&target, e.error))?;
         }
         Ok(())
     }
+}
+
+/// Refuses a file name without the ending of what is written.
+pub(super) fn check_ending(path: &Path, ending: &str, what: &str) -> Result<(), CliFailure> {
+    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending)) {
+        return Ok(());
+    }
+    let problem = format!("{what} is written as {ending}; use a .{ending} file name");
+    Err(CliFailure::Input(format!("{}: {problem}", path.display())))
 }
 
 /// Refuses a place where a file of a model lies that is read: what the model names beside itself is replaced by nothing else.
@@ -179,7 +185,7 @@ pub(super) fn spare_companions(path: &Path, model: &Path, read: &FileSet) -> Res
         .find(|uri| is_same_file(&folder_of(model).join(uri), path));
     let Some(own) = own else { return Ok(()) };
     let problem = format!("{} is made of it, as \"{own}\"; name another file", model.display());
-    Err(CliFailure::Input(format!("cannot write {}: {problem}", path.display())))
+    Err(CliFailure::unwritable(path, problem))
 }
 
 /// Whether both paths lead to one file that is there.
@@ -201,10 +207,6 @@ pub(super) fn is_same_target(a: &Path, b: &Path) -> bool {
 /// Whether a file is there and holds these bytes.
 pub(super) fn holds_bytes(path: &Path, bytes: &[u8]) -> bool {
     read_regular_file(path, bytes.len() as u64).is_ok_and(|there| there == bytes)
-}
-
-fn write_beside(target: &Path, bytes: &[u8]) -> std::io::Result<TempPath> {
-    fill_beside(target, &mut |file| file.write_all(bytes))
 }
 
 /// Writes a temporary file beside a place, which goes away unless it is renamed.

@@ -1,9 +1,9 @@
 //! `pliant render`: a picture of a model, drawn without a display.
 
-use super::input_files::{in_file, read_file, read_model};
-use super::output_files::{OutputPermission, spare_companions};
-use super::terminal::{CliFailure, ThreadArgs};
-use crate::asset::{Geometry, Limits, Model, Primitive, SurfaceLook};
+use super::input_files::{in_file, open_model, read_file};
+use super::output_files::{OutputPermission, check_ending, spare_companions};
+use super::terminal::{CliFailure, ThreadArgs, listed};
+use crate::asset::{Geometry, Model, Primitive, SurfaceLook};
 use crate::engine::{Deformer, DeformerLimits, OpenOptions, RigNodes, left_out_passengers};
 use crate::exec::Exec;
 use crate::mesh::BoundingBox;
@@ -150,12 +150,9 @@ struct ModelToDraw<'a> {
 
 impl<'a> ModelToDraw<'a> {
     fn open_model(path: &'a Path) -> Result<Self, CliFailure> {
-        let files = read_model(path)?;
-        let model = Model::read(files, None, &Limits::default())
-            .map_err(|e| CliFailure::Input(format!("{}: {e}", path.display())))?;
         Ok(Self {
             path,
-            model,
+            model: open_model(path)?,
             look: None,
         })
     }
@@ -163,7 +160,7 @@ impl<'a> ModelToDraw<'a> {
     /// Finds out what the model looks like.
     fn read_look(&mut self) -> Result<(), CliFailure> {
         let look = self.model.surface_look();
-        self.look = look.map_err(|e| CliFailure::Input(format!("{}: {e}", self.path.display())))?;
+        self.look = look.map_err(|e| in_file(self.path, e))?;
         Ok(())
     }
 
@@ -172,15 +169,15 @@ impl<'a> ModelToDraw<'a> {
         if names.is_empty() {
             return Ok(());
         }
-        let in_file = |e: CliFailure| e.in_place(self.path.display());
-        let chosen = choose_primitives(&self.model.primitives, names).map_err(in_file)?;
+        let refuse = |e: CliFailure| e.in_place(self.path.display());
+        let chosen = choose_primitives(&self.model.primitives, names).map_err(refuse)?;
         if let Some((drawn, _)) = &mut self.look {
             // Read from what the model was written as, it may have others.
             let same = drawn.primitives.len() == self.model.primitives.len();
             let theirs = if same {
                 chosen.clone()
             } else {
-                choose_primitives(&drawn.primitives, names).map_err(in_file)?
+                choose_primitives(&drawn.primitives, names).map_err(refuse)?
             };
             keep_in_sight(&mut drawn.geometry, &theirs);
         }
@@ -194,7 +191,7 @@ impl<'a> ModelToDraw<'a> {
 
     fn make_surface(&self, pool: &Pool) -> Result<ShadedSurface, CliFailure> {
         let surface = ShadedSurface::new(&self.model.positions, &self.model.triangles, pool);
-        surface.map_err(|e| CliFailure::Input(format!("{}: {e}", self.path.display())))
+        surface.map_err(|e| in_file(self.path, e))
     }
 
     /// The surface in its own base colours, where it has any.
@@ -202,7 +199,7 @@ impl<'a> ModelToDraw<'a> {
         let Some((model, look)) = &self.look else {
             return self.make_surface(pool);
         };
-        let refuse = |e: render::Error| CliFailure::Input(format!("{}: {e}", self.path.display()));
+        let refuse = |e: render::Error| in_file(self.path, e);
         let surface = ShadedSurface::new(&model.positions, &model.triangles, pool).map_err(refuse)?;
         let mut faults = Vec::new();
         let dress = SurfaceDress::of_model(look, &model.primitives, &model.triangles, &mut faults).map_err(refuse)?;
@@ -213,13 +210,8 @@ impl<'a> ModelToDraw<'a> {
     }
 }
 
-/// Runs the command.
 pub(super) fn run_render(args: &RenderArgs) -> Result<(), CliFailure> {
-    let is_png = args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
-    if !is_png {
-        let problem = "a picture is written as png; use a .png file name";
-        return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
-    }
+    check_ending(&args.output, "png", "a picture")?;
     args.permission.check_target(&args.output)?;
     let pool = args.threads.start_pool()?;
     if let Some(rig) = &args.rig {
@@ -318,10 +310,9 @@ fn choose_colours(
     let agree = before.is_some_and(|b| b.vertex_count() == model.vertex_count());
     match (asked, before) {
         (Some(colour), None) if needs_before(&colour) => {
-            let name = if colour == ColourChoice::Distortion {
-                "distortion"
-            } else {
-                "difference"
+            let name = match colour {
+                ColourChoice::Distortion => "distortion",
+                _ => "difference",
             };
             Err(CliFailure::Input(format!(
                 "--color {name} compares two shapes; name the other one with --before REST"
@@ -419,18 +410,16 @@ pub(super) fn draw_cutaway(
 ) -> Result<(Picture, String), CliFailure> {
     let bones = wire::rig_from_json(&read_file(rig)?).map_err(|e| in_file(rig, e))?;
     let limits = DeformerLimits::default();
-    let refuse = |e: Error| CliFailure::Input(format!("{}: {e}", model.display()));
-    let read = Model::read(read_model(model)?, None, &limits.model).map_err(|e| refuse(e.into()))?;
+    let read = open_model(model)?;
     // As in an animation of the model's own clip, what no skin places has no part in it.
     let options = OpenOptions {
-        passengers: left_out_passengers(&read).map_err(|e| refuse(e.into()))?,
+        passengers: left_out_passengers(&read).map_err(|e| in_file(model, Error::from(e)))?,
         ..Default::default()
     };
     let exec = Exec::new(pool, &Silent);
-    let deformer = Deformer::of_model(read, &options, &limits, &exec).map_err(|e| refuse(e.into()))?;
+    let deformer = Deformer::of_model(read, &options, &limits, &exec).map_err(|e| in_file(model, Error::from(e)))?;
     let held = deformer.nodes_of_rig(&bones, &exec);
-    let held = held.map_err(|e| CliFailure::Input(format!("{}: {e}", rig.display())))?;
-    let RigNodes { rotations, positions } = held;
+    let RigNodes { rotations, positions } = held.map_err(|e| in_file(rig, e))?;
 
     let rest = deformer.rest();
     let geometry = deformer.geometry();
@@ -463,7 +452,7 @@ pub(super) fn draw_cutaway(
     let mut picture = draw_surface(&open, camera, pool);
     if size.width().min(size.height()) >= WORDS {
         let dot = (size.width().min(size.height()) / 160).clamp(1, 4);
-        let below = picture_row(dot);
+        let below = Picture::text_size(dot, "x").1 + 3 * dot;
         picture.write_text(4 * dot, 4 * dot, dot, "rotations", ROTATION_COLOUR);
         picture.write_text(4 * dot, 4 * dot + below, dot, "positions", POSITION_COLOUR);
     }
@@ -474,14 +463,6 @@ pub(super) fn draw_cutaway(
     );
     Ok((picture, reported))
 }
-
-/// Pixels from one line of words to the next.
-fn picture_row(dot: u32) -> u32 {
-    Picture::text_size(dot, "x").1 + 3 * dot
-}
-
-/// Most primitives that a refusal lists.
-const LISTED: usize = 40;
 
 /// The primitives that are named, in the order of the model; a number, as `pliant inspect` counts them, where none is named so.
 ///
@@ -496,13 +477,11 @@ pub(super) fn choose_primitives(primitives: &[Primitive], names: &[String]) -> R
             named.extend(name.parse::<usize>().ok().filter(|&k| k < primitives.len()));
         }
         if named.is_empty() {
-            let listed = primitives.iter().take(LISTED).enumerate();
-            let listed: Vec<String> = listed.map(|(k, p)| format!("{k} \"{}\"", p.name)).collect();
-            let more = match primitives.len().saturating_sub(LISTED) {
-                0 => String::new(),
-                more => format!(" and {more} more, which pliant inspect --json lists"),
-            };
-            let there = format!("there are {}{more}", listed.join(", "));
+            let names = primitives
+                .iter()
+                .enumerate()
+                .map(|(k, p)| format!("{k} \"{}\"", p.name));
+            let there = listed(names, ", which pliant inspect --json lists");
             return Err(refuse(name, format!("no primitive is named so; {there}")));
         }
         if named.iter().all(|&k| primitives[k].index_count == 0) {

@@ -2,10 +2,10 @@
 //!
 //! `pliant skin`: a model bound to the bones of a rig, as a glTF that any engine poses.
 
-use super::input_files::{in_file, read_file, read_model};
-use super::output_files::{OutputPermission, spare_companions};
-use super::terminal::{CliFailure, StageSpinner, ThreadArgs, print_value};
-use crate::asset::{CarryingJoints, Limits, Model, SkinnedClip};
+use super::input_files::{in_file, open_model, read_file};
+use super::output_files::{OutputPermission, check_ending, spare_companions};
+use super::terminal::{CliFailure, StageSpinner, ThreadArgs, pretty_text, print_value};
+use crate::asset::{CarryingJoints, Model, SkinnedClip};
 use crate::engine::{MadeRig, RigOrder, bind_model, carrying_joints, left_out_of_rig, left_out_primitives, make_rig};
 use crate::exec::Exec;
 use crate::motion::bvh::{ClipLimits, read_bvh};
@@ -60,7 +60,6 @@ pub struct RigArgs {
     threads: ThreadArgs,
 }
 
-/// Runs the command.
 pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
     let beside = args.output.with_extension("png");
     let picture = (!args.no_picture).then(|| args.picture.clone().unwrap_or(beside));
@@ -69,26 +68,21 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
         (picture.as_ref(), "png", "a picture"),
     ] {
         let Some(path) = path else { continue };
-        if !path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending)) {
-            let problem = format!("{what} is written as {ending}; use a .{ending} file name");
-            return Err(CliFailure::Input(format!("{}: {problem}", path.display())));
-        }
+        check_ending(path, ending, what)?;
         args.permission.check_target(path)?;
     }
     let landmarks = args.joints()?;
-    let clip = args.bvh.as_ref().map(|path| {
-        let clip = read_bvh(&read_file(path)?, &ClipLimits::default());
-        clip.map_err(|e| CliFailure::Input(format!("{}: {e}", path.display())))
-    });
+    let clip = args
+        .bvh
+        .as_ref()
+        .map(|path| read_bvh(&read_file(path)?, &ClipLimits::default()).map_err(|e| in_file(path, e)));
     let clip = clip.transpose()?;
     let pool = args.threads.start_pool()?;
-    let files = read_model(&args.model)?;
+    let model = open_model(&args.model)?;
     for path in [Some(&args.output), picture.as_ref()].into_iter().flatten() {
-        spare_companions(path, &args.model, &files)?;
+        spare_companions(path, &args.model, &model.files)?;
     }
     let spinner = StageSpinner::new(args.json);
-    let model = Model::read(files, None, &Limits::default())
-        .map_err(|e| CliFailure::Input(format!("{}: {e}", args.model.display())))?;
     let order = RigOrder {
         clip: clip.as_ref(),
         preset: args.preset.as_deref(),
@@ -99,10 +93,9 @@ pub(super) fn run_rig(args: &RigArgs) -> Result<(), CliFailure> {
     spinner.finish();
     let names: Vec<(&str, DVec3)> = made.joints.iter().map(|j| (j.name.as_str(), j.at)).collect();
     let of = args.model.file_name().unwrap_or_default().to_string_lossy();
-    let text = wire::json::to_json(&wire::rig_message(&made.rig, &names, &of))?;
-    let text = serde_json::to_string_pretty(&text).map_err(|e| CliFailure::Internal(e.to_string()))?;
+    let text = pretty_text(&wire::json::to_json(&wire::rig_message(&made.rig, &names, &of))?)?;
     let drawn = picture.as_ref().map(|_| draw_rig(&model, &made, &pool)).transpose()?;
-    args.permission.write_file(&args.output, (text + "\n").as_bytes())?;
+    args.permission.write_file(&args.output, text.as_bytes())?;
     if let (Some(path), Some(drawn)) = (&picture, drawn) {
         args.permission.write_file(path, &drawn)?;
     }
@@ -191,7 +184,10 @@ impl RigArgs {
     /// The joints that are given.
     fn joints(&self) -> Result<BTreeMap<&'static str, DVec3>, CliFailure> {
         let mut joints = BTreeMap::new();
-        let mut add = |name: &str, place: Option<DVec3>, from: &str| {
+        let mut add = |name: &str, numbers: Option<Vec<f64>>, from: &str| {
+            let place = numbers
+                .and_then(|n| <[f64; 3]>::try_from(n).ok())
+                .map(DVec3::from_array);
             let Some(known) = BODY_JOINTS.iter().find(|n| **n == name) else {
                 let allowed = BODY_JOINTS.join(", ");
                 return Err(CliFailure::Input(format!(
@@ -221,20 +217,18 @@ impl RigArgs {
                     continue;
                 }
                 let numbers = place.get("at").unwrap_or(place).as_array();
-                let three: Option<Vec<f64>> = numbers.and_then(|n| n.iter().map(Value::as_f64).collect());
                 add(
                     name,
-                    three.and_then(|n| <[f64; 3]>::try_from(n).ok()).map(DVec3::from_array),
+                    numbers.and_then(|n| n.iter().map(Value::as_f64).collect()),
                     &reported,
                 )?;
             }
         }
         for text in &self.at {
             let (name, place) = text.split_once('=').unwrap_or((text, ""));
-            let three: Option<Vec<f64>> = place.split(',').map(|n| n.trim().parse().ok()).collect();
             add(
                 name.trim(),
-                three.and_then(|n| <[f64; 3]>::try_from(n).ok()).map(DVec3::from_array),
+                place.split(',').map(|n| n.trim().parse().ok()).collect(),
                 "--at",
             )?;
         }
@@ -265,20 +259,14 @@ pub struct SkinArgs {
     threads: ThreadArgs,
 }
 
-/// Runs the command.
 pub(super) fn run_skin(args: &SkinArgs) -> Result<(), CliFailure> {
-    if !args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb")) {
-        let problem = "a skinned model is written as glb; use a .glb file name";
-        return Err(CliFailure::Input(format!("{}: {problem}", args.output.display())));
-    }
+    check_ending(&args.output, "glb", "a skinned model")?;
     args.permission.check_target(&args.output)?;
     let pool = args.threads.start_pool()?;
     let rig = wire::rig_from_json(&read_file(&args.rig)?).map_err(|e| in_file(&args.rig, e))?;
-    let files = read_model(&args.model)?;
     let spinner = StageSpinner::new(args.json);
     let clock = Instant::now();
-    let model = Model::read(files.clone(), None, &Limits::default())
-        .map_err(|e| CliFailure::Input(format!("{}: {e}", args.model.display())))?;
+    let model = open_model(&args.model)?;
     let bound = bind_model(&model, &rig, args.influences, &Exec::new(&pool, &spinner))?;
     let influences: Vec<CarryingJoints> = bound.influences.iter().map(carrying_joints).collect();
     let written = model.write_skinned_clip(&SkinnedClip {
@@ -294,7 +282,7 @@ pub(super) fn run_skin(args: &SkinArgs) -> Result<(), CliFailure> {
     let written = written.map_err(Error::from)?;
     spinner.finish();
     args.permission
-        .write_model(&args.output, &written, &args.model, &files)?;
+        .write_model(&args.output, &written, &args.model, &model.files)?;
     let ms = clock.elapsed().as_secs_f64() * 1e3;
     let unweighted = bound
         .influences

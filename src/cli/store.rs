@@ -41,7 +41,6 @@ enum StoreCommand {
     Prune(StorePruneArgs),
 }
 
-/// Runs the command.
 pub(super) fn run_store(args: &StoreArgs) -> Result<(), CliFailure> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -80,7 +79,6 @@ struct StoreCheckArgs {
     json: bool,
 }
 
-/// Runs the command.
 async fn run_store_check(args: &StoreCheckArgs) -> Result<(), CliFailure> {
     let store = Arc::new(args.place.look().await?);
     let in_database = store.check_database().await;
@@ -193,7 +191,6 @@ struct StoreExportArgs {
     permission: OutputPermission,
 }
 
-/// Runs the command.
 async fn run_store_export(args: &StoreExportArgs) -> Result<(), CliFailure> {
     let format = output_format(&args.output)?;
     args.permission.check_target(&args.output)?;
@@ -309,7 +306,6 @@ struct StoreListArgs {
     json: bool,
 }
 
-/// Runs the command.
 async fn run_store_list(args: &StoreListArgs) -> Result<(), CliFailure> {
     let store = args.place.look().await?;
     let mut sessions = store.all_sessions().await.map_err(store_failure)?;
@@ -387,7 +383,6 @@ impl StorePruneArgs {
     }
 }
 
-/// Runs the command.
 async fn run_store_prune(args: &StorePruneArgs) -> Result<(), CliFailure> {
     let store = args.place.take().await?;
     let now = now_ms();

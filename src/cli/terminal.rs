@@ -10,6 +10,8 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::io::Write as _;
+use std::ops::RangeInclusive;
+use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -94,6 +96,13 @@ pub(super) fn print_text(text: &str) -> Result<(), CliFailure> {
     written.map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
 }
 
+/// Runs a command that waits to its end, on this thread.
+pub(super) fn block_on<T>(command: impl Future<Output = T>) -> Result<T, CliFailure> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let runtime = runtime.map_err(|e| CliFailure::Internal(format!("cannot start threads: {e}")))?;
+    Ok(runtime.block_on(command))
+}
+
 /// Prints a command's failure as its JSON document, with `--json` and where none was printed; a failed check has
 /// printed one.
 fn print_failure(failure: &CliFailure) {
@@ -175,6 +184,35 @@ impl ThreadArgs {
     }
 }
 
+/// The number of an option, or its default, if it is one of those that are allowed.
+pub(super) fn bounded(
+    option: &str,
+    given: Option<usize>,
+    usual: usize,
+    allowed: RangeInclusive<usize>,
+) -> Result<usize, CliFailure> {
+    let number = given.unwrap_or(usual);
+    if allowed.contains(&number) {
+        return Ok(number);
+    }
+    let (least, most) = (allowed.start(), allowed.end());
+    let problem = format!("{option} is {number}, allowed are {least} to {most}");
+    Err(CliFailure::Input(problem))
+}
+
+/// Most names that a refusal lists.
+const LISTED: usize = 40;
+
+/// The names that there are, for a refusal; `elsewhere` says where the others are listed.
+pub(super) fn listed<T: ToString>(names: impl ExactSizeIterator<Item = T>, elsewhere: &str) -> String {
+    let more = match names.len().saturating_sub(LISTED) {
+        0 => String::new(),
+        more => format!(" and {more} more{elsewhere}"),
+    };
+    let listed: Vec<String> = names.take(LISTED).map(|name| name.to_string()).collect();
+    format!("there are {}{more}", listed.join(", "))
+}
+
 /// Why a command ends with something other than 0.
 #[derive(Debug)]
 pub enum CliFailure {
@@ -218,6 +256,11 @@ impl CliFailure {
             eprintln!("pliant: {}", self.message());
         }
         ExitCode::from(self.exit_code())
+    }
+
+    /// The failure to write a file.
+    pub(super) fn unwritable(path: &Path, problem: impl std::fmt::Display) -> Self {
+        Self::Input(format!("cannot write {}: {problem}", path.display()))
     }
 
     /// The same failure, with the place of the mistake in the input.

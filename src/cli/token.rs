@@ -1,11 +1,10 @@
 //! `pliant token`: a new token, and the lines by which a server knows its bearer.
 
-use super::terminal::CliFailure;
+use super::terminal::{CliFailure, print_text};
 use crate::server::auth::{parse_expiry, token_digest};
 use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use clap::Args;
-use std::io::Write as _;
 use std::time::SystemTime;
 
 /// Makes a token: its text in the first line of stdout, and after an empty one what to add to the server's configuration.
@@ -42,7 +41,6 @@ fn parse_time(text: &str) -> Result<String, String> {
     Ok(humantime::format_rfc3339_seconds(expiry).to_string())
 }
 
-/// Runs the command.
 pub(super) fn run_token(args: &TokenArgs) -> Result<(), CliFailure> {
     let mut secret = [0u8; 32];
     getrandom::fill(&mut secret).map_err(|e| CliFailure::Internal(format!("cannot get random bytes: {e}")))?;
@@ -61,7 +59,5 @@ pub(super) fn run_token(args: &TokenArgs) -> Result<(), CliFailure> {
     if args.metrics {
         text += "metrics = true\n";
     }
-    let mut out = std::io::stdout();
-    out.write_all(text.as_bytes())
-        .map_err(|e| CliFailure::Internal(format!("cannot write to stdout: {e}")))
+    print_text(&text)
 }

@@ -106,7 +106,7 @@ fn cameras_of_real_models_ride_along() {
             &DeformerLimits::default(),
             &Exec::new(&pool(2), &Silent),
         );
-        let found = found.expect("inspected");
+        let (found, _) = found.expect("inspected");
         assert_eq!(
             found.nodes[camera].position,
             at_rest(&source)[camera].translation.to_array().to_vec()
@@ -157,7 +157,7 @@ fn nodes_of_an_fbx_ride_along_where_the_result_has_nodes() {
         &DeformerLimits::default(),
         &Exec::new(&pool(2), &Silent),
     );
-    let found = found.expect("inspected");
+    let (found, _) = found.expect("inspected");
     let node = found.primitives[0].node;
     let job = json!({
         "create": {"passengers": [{"node": node}]},

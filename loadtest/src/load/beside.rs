@@ -2,10 +2,9 @@
 //! one after the other on one server.
 
 use super::StreamArgs;
-use super::client::LoadClient;
+use super::client::{LoadClient, close_all, drag_all, open_all};
 use super::ledger::{AnswerTally, PoseLedger, Times};
 use super::server::ServerProcess;
-use super::sessions::{open_all, open_channels};
 use crate::failure::LoadtestFailure;
 use crate::models::DragScene;
 use serde_json::json;
@@ -22,8 +21,8 @@ const LEAD: Duration = Duration::from_secs(2);
 pub(crate) async fn load_beside_solves(args: &StreamArgs, solving: u32) -> Result<(), LoadtestFailure> {
     let scene = DragScene::load(args.model.as_deref())?;
     let server = ServerProcess::start(args.queue).await?;
-    let drags = open_or_fail(&server, &scene, args.clients).await?;
-    let solves = open_or_fail(&server, &scene, solving).await?;
+    let drags = open_all(&server.url, &scene, args.clients).await?;
+    let solves = open_all(&server.url, &scene, solving).await?;
     let (drags, drags_alone) = drag_all(drags, &scene, args).await?;
 
     let under_way = SolvingClients::start(solves, &scene);
@@ -34,9 +33,7 @@ pub(crate) async fn load_beside_solves(args: &StreamArgs, solving: u32) -> Resul
     let under_way = SolvingClients::start(solves, &scene);
     tokio::time::sleep(LEAD + drags_beside.elapsed).await;
     let (solves, solves_alone) = under_way.stop().await?;
-    for client in drags.into_iter().chain(solves) {
-        client.close().await?;
-    }
+    close_all(drags.into_iter().chain(solves).collect()).await?;
     let server_use = server.now_used();
     server.stop().await?;
     let report = BesideReport {
@@ -54,40 +51,6 @@ pub(crate) async fn load_beside_solves(args: &StreamArgs, solving: u32) -> Resul
     }
     let problems = report.problems();
     LoadtestFailure::of_problems(&problems)
-}
-
-async fn open_or_fail(
-    server: &ServerProcess,
-    scene: &DragScene,
-    sessions: u32,
-) -> Result<Vec<LoadClient>, LoadtestFailure> {
-    let channels = open_channels(server, sessions).await?;
-    match open_all(&channels, scene, sessions).await? {
-        (clients, 0) => Ok(clients),
-        (_, turned_away) => Err(LoadtestFailure::Server(format!(
-            "there was no room for {turned_away} of {sessions} sessions"
-        ))),
-    }
-}
-
-/// All clients drag at once.
-async fn drag_all(
-    clients: Vec<LoadClient>,
-    scene: &DragScene,
-    args: &StreamArgs,
-) -> Result<(Vec<LoadClient>, PoseLedger), LoadtestFailure> {
-    let mut dragging = JoinSet::new();
-    for mut client in clients {
-        let (scene, args) = (scene.clone(), args.clone());
-        dragging.spawn(async move { client.drag(&scene, &args).await.map(|ledger| (client, ledger)) });
-    }
-    let (mut clients, mut total) = (Vec::new(), PoseLedger::default());
-    while let Some(done) = dragging.join_next().await {
-        let (client, ledger) = done.map_err(|e| LoadtestFailure::Server(format!("a client failed: {e}")))??;
-        clients.push(client);
-        total.add_ledger(ledger);
-    }
-    Ok((clients, total))
 }
 
 /// Clients that solve until `stop` is set.
@@ -110,7 +73,7 @@ impl SolvingClients {
         self.stop.store(true, Ordering::Release);
         let (mut clients, mut total) = (Vec::new(), AnswerTally::default());
         while let Some(done) = self.tasks.join_next().await {
-            let (client, tally) = done.map_err(|e| LoadtestFailure::Server(format!("a client failed: {e}")))?;
+            let (client, tally) = done?;
             clients.push(client);
             total.add_tally(tally);
         }

@@ -44,14 +44,6 @@ pub(crate) struct PoseLedger {
 }
 
 impl PoseLedger {
-    /// Starts an empty ledger of one client.
-    pub fn for_one_client() -> Self {
-        Self {
-            clients: 1,
-            ..Self::default()
-        }
-    }
-
     /// Enters a part of a frame; the answer is true when it completes the final frame of a pose. `latency` is that pose's so far.
     pub fn enter_part(&mut self, frame: &pb::Frame, latency: impl FnOnce(u64) -> Duration) -> bool {
         self.parts += 1;
@@ -112,9 +104,9 @@ impl PoseLedger {
         self.broken.push(text);
     }
 
-    /// Adds another client's ledger.
+    /// Adds the ledger of one more client.
     pub fn add_ledger(&mut self, other: Self) {
-        self.clients += other.clients;
+        self.clients += 1;
         self.sent += other.sent;
         self.finals += other.finals;
         self.refused += other.refused;
@@ -235,9 +227,9 @@ impl AnswerTally {
     }
 
     /// Enters what came of a request, and the time it took.
-    pub fn enter_answer(&mut self, outcome: &Result<(), Status>, took: Duration) {
+    pub fn enter_answer<T>(&mut self, outcome: &Result<T, Status>, took: Duration) {
         match outcome {
-            Ok(()) => {
+            Ok(_) => {
                 self.solved += 1;
                 self.latency.enter(took);
             }
@@ -332,8 +324,8 @@ mod tests {
     fn a_tally_distinguishes_answers_refusals_and_failures() {
         let (ms, mut tally) = (Duration::from_millis, AnswerTally::default());
         tally.enter_answer(&Ok(()), ms(100));
-        tally.enter_answer(&Err(Status::resource_exhausted("full")), ms(2));
-        tally.enter_answer(&Err(Status::internal("broken")), ms(3));
+        tally.enter_answer::<()>(&Err(Status::resource_exhausted("full")), ms(2));
+        tally.enter_answer::<()>(&Err(Status::internal("broken")), ms(3));
         tally.elapsed = ms(500);
         let mut both = tally.clone();
         both.add_tally(tally);

@@ -8,12 +8,13 @@ mod sessions;
 pub(crate) mod soak;
 pub(crate) mod stream;
 
+use clap::Parser as _;
 use pliant::wire::pb::frame;
 use std::path::PathBuf;
 use std::time::Duration;
 
 /// Arguments of `loadtest stream`.
-#[derive(Debug, Clone, clap::Args)]
+#[derive(Debug, Clone, clap::Parser)]
 pub(crate) struct StreamArgs {
     /// URL of the server to load, loopback only, such as http://127.0.0.1:7411 [default: a server in this process]
     #[arg(long, value_name = "URL")]
@@ -85,22 +86,7 @@ impl From<EncodingChoice> for frame::Encoding {
 impl StreamArgs {
     /// A few poses in quick succession.
     pub fn short() -> Self {
-        Self {
-            server: None,
-            model: None,
-            poses: 4,
-            hz: 500,
-            clients: 1,
-            sessions: Vec::new(),
-            beside: None,
-            queue: None,
-            seconds: 60,
-            window: 2,
-            tolerance: 1e-3,
-            progressive: false,
-            encoding: EncodingChoice::F32,
-            json: false,
-        }
+        Self::parse_from(["stream", "--poses", "4", "--hz", "500", "--tolerance", "1e-3"])
     }
 
     /// The time from the start at which the pose after `sent` others is due.

@@ -1,6 +1,6 @@
 //! Which server is loaded: one on loopback, or one in this process.
 
-use crate::failure::LoadtestFailure;
+use crate::failure::{LoadtestFailure, block_on};
 use pliant::server::{self, ServerConfig};
 use pliant::session::{Manager, SessionConfig};
 use std::net::SocketAddr;
@@ -14,12 +14,10 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tonic::transport::{Channel, Endpoint, Uri};
 
-/// How long connecting may take.
-const CONNECT_PATIENCE: Duration = Duration::from_secs(10);
-
 /// A server that may be loaded.
 pub(crate) struct LoadedServer {
-    address: SocketAddr,
+    /// `http://` and its address.
+    pub url: String,
     own: Option<OwnServer>,
 }
 
@@ -37,39 +35,25 @@ impl LoadedServer {
     pub async fn connect_or_start(url: Option<&str>) -> Result<Self, LoadtestFailure> {
         match url {
             Some(url) => Ok(Self {
-                address: resolve_loopback(url).await?,
+                url: format!("http://{}", resolve_loopback(url).await?),
                 own: None,
             }),
-            None => Self::serve(Manager::new(SessionConfig::default()).map_err(LoadtestFailure::server)?)
-                .await
-                .map_err(|problem| LoadtestFailure::Server(format!("cannot start a server: {problem}"))),
+            None => Self::serve(Manager::new(SessionConfig::default())?).await,
         }
     }
 
     /// A server of this process with these sessions.
-    pub async fn serve(manager: Manager) -> Result<Self, String> {
-        let listener = TcpListener::bind(("127.0.0.1", 0)).await.map_err(|e| e.to_string())?;
-        let address = listener.local_addr().map_err(|e| e.to_string())?;
+    pub async fn serve(manager: Manager) -> Result<Self, LoadtestFailure> {
+        let listener = TcpListener::bind(("127.0.0.1", 0)).await?;
+        let address = listener.local_addr()?;
         let (stop, stopped) = oneshot::channel::<()>();
         let wait = async move {
             let _ = stopped.await;
         };
         let done = tokio::spawn(server::run(listener, manager, ServerConfig::default(), wait));
         Ok(Self {
-            address,
+            url: format!("http://{address}"),
             own: Some(OwnServer { stop, done }),
-        })
-    }
-
-    /// A connection.
-    pub async fn open_channel(&self) -> Result<Channel, LoadtestFailure> {
-        let endpoint = Endpoint::from_shared(format!("http://{}", self.address));
-        let endpoint = endpoint
-            .map_err(LoadtestFailure::usage)?
-            .connect_timeout(CONNECT_PATIENCE);
-        endpoint.connect().await.map_err(|e| {
-            let cause = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
-            LoadtestFailure::Server(format!("cannot connect to {}: {cause}", self.address))
         })
     }
 
@@ -77,14 +61,17 @@ impl LoadedServer {
     pub async fn stop_own(self) -> Result<(), LoadtestFailure> {
         let Some(own) = self.own else { return Ok(()) };
         let _ = own.stop.send(());
-        match own.done.await {
-            Ok(Ok(())) => Ok(()),
-            Ok(Err(e)) => Err(LoadtestFailure::Server(e.to_string())),
-            Err(e) => Err(LoadtestFailure::Server(format!(
-                "the server in this process failed: {e}"
-            ))),
-        }
+        Ok(own.done.await??)
     }
+}
+
+/// A connection to a server.
+pub(crate) async fn connect(url: &str) -> Result<Channel, LoadtestFailure> {
+    let endpoint = Endpoint::from_shared(url.to_owned()).map_err(LoadtestFailure::usage)?;
+    endpoint.connect_timeout(PATIENCE).connect().await.map_err(|e| {
+        let cause = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
+        LoadtestFailure::Server(format!("cannot connect to {url}: {cause}"))
+    })
 }
 
 /// The address of a URL, when every address of its host is this machine's own.
@@ -111,7 +98,7 @@ async fn resolve_loopback(url: &str) -> Result<SocketAddr, LoadtestFailure> {
         .ok_or_else(|| refuse("has no address; name a loopback address"))
 }
 
-/// How long the process may take to start, and to end.
+/// How long the process may take to start, and to end, and connecting.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// The hidden command of this program that is the server.
@@ -127,25 +114,22 @@ pub(crate) struct OwnServerArgs {
 
 /// Runs the server until the standard input ends.
 pub(crate) fn run_own_server(args: &OwnServerArgs) -> Result<(), LoadtestFailure> {
-    let failed = |e: &dyn std::fmt::Display| LoadtestFailure::Server(e.to_string());
     server::use_one_heap();
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
-    runtime.map_err(|e| failed(&e))?.block_on(async {
-        let listener = TcpListener::bind(("127.0.0.1", 0)).await.map_err(|e| failed(&e))?;
-        let address = listener.local_addr().map_err(|e| failed(&e))?;
+    block_on(async {
+        let listener = TcpListener::bind(("127.0.0.1", 0)).await?;
+        let address = listener.local_addr()?;
         let defaults = SessionConfig::default();
         let config = SessionConfig {
             sessions: 256,
             compute_queue: args.queue.unwrap_or(defaults.compute_queue),
             ..defaults
         };
-        let manager = Manager::new(config).map_err(|e| failed(&e))?;
+        let manager = Manager::new(config)?;
         println!("http://{address}");
         let input_ends = async {
             let _ = tokio::io::stdin().read(&mut [0]).await;
         };
-        let served = server::run(listener, manager, ServerConfig::default(), input_ends).await;
-        served.map_err(|e| failed(&e))
+        Ok(server::run(listener, manager, ServerConfig::default(), input_ends).await?)
     })
 }
 
@@ -195,13 +179,6 @@ impl ServerProcess {
             return Err(LoadtestFailure::Server(format!("the server printed {url:?}")));
         }
         Ok(Self { child, url })
-    }
-
-    /// A connection.
-    pub async fn open_channel(&self) -> Result<Channel, LoadtestFailure> {
-        let endpoint = Endpoint::from_shared(self.url.clone()).map_err(LoadtestFailure::server)?;
-        let connected = endpoint.connect_timeout(PATIENCE).connect().await;
-        connected.map_err(|e| LoadtestFailure::Server(format!("cannot connect to {}: {e}", self.url)))
     }
 
     /// What the process uses now; zeros where the system has no figures.

@@ -1,20 +1,12 @@
 //! Many sessions at once: a row for each number of them, up to and past what the server can do.
 
 use super::StreamArgs;
-use super::client::LoadClient;
+use super::client::{close_all, drag_all, open_clients};
 use super::ledger::PoseLedger;
 use super::server::{ProcessUse, ServerProcess};
 use crate::failure::LoadtestFailure;
 use crate::models::DragScene;
 use serde_json::json;
-use tokio::task::JoinSet;
-use tonic::Code;
-use tonic::transport::Channel;
-
-/// Sessions that are opened at the same time.
-const OPENED_AT_ONCE: usize = 4;
-/// Sessions that share a connection.
-const PER_CONNECTION: u32 = 16;
 
 /// What one number of sessions led to.
 struct LoadRow {
@@ -67,58 +59,16 @@ async fn load_row(
     args: &StreamArgs,
     sessions: u32,
 ) -> Result<LoadRow, LoadtestFailure> {
-    let channels = open_channels(server, sessions).await?;
-    let (clients, turned_away) = open_all(&channels, scene, sessions).await?;
+    let (clients, turned_away) = open_clients(&server.url, scene, sessions).await?;
     // All begin together, when the last is open.
-    let mut dragging = JoinSet::new();
-    for client in clients {
-        let (scene, args) = (scene.clone(), args.clone());
-        dragging.spawn(async move { client.drag_and_close(&scene, &args).await });
-    }
-    let mut ledger = PoseLedger::default();
-    while let Some(done) = dragging.join_next().await {
-        ledger.add_ledger(done.map_err(|e| LoadtestFailure::Server(format!("a client failed: {e}")))??);
-    }
+    let (clients, ledger) = drag_all(clients, scene, args).await?;
+    close_all(clients).await?;
     Ok(LoadRow {
         sessions,
         turned_away,
         ledger,
         server: server.now_used(),
     })
-}
-
-/// As many connections as so many sessions share.
-pub(crate) async fn open_channels(server: &ServerProcess, sessions: u32) -> Result<Vec<Channel>, LoadtestFailure> {
-    let mut channels = Vec::new();
-    for _ in 0..sessions.div_ceil(PER_CONNECTION) {
-        channels.push(server.open_channel().await?);
-    }
-    Ok(channels)
-}
-
-/// Opens the sessions, a few at a time; how many the server had no room for.
-pub(crate) async fn open_all(
-    channels: &[Channel],
-    scene: &DragScene,
-    sessions: u32,
-) -> Result<(Vec<LoadClient>, u32), LoadtestFailure> {
-    let (mut clients, mut turned_away, mut opening) = (Vec::new(), 0, JoinSet::new());
-    let mut numbers = 0..sessions;
-    loop {
-        while opening.len() < OPENED_AT_ONCE {
-            let Some(number) = numbers.next() else { break };
-            let channel = channels[(number / PER_CONNECTION) as usize].clone();
-            let scene = scene.clone();
-            opening.spawn(async move { LoadClient::open(channel, &scene, number).await });
-        }
-        let Some(done) = opening.join_next().await else { break };
-        match done.map_err(|e| LoadtestFailure::Server(format!("a client failed: {e}")))? {
-            Ok(client) => clients.push(client),
-            Err(status) if status.code() == Code::ResourceExhausted => turned_away += 1,
-            Err(status) => return Err(status.into()),
-        }
-    }
-    Ok((clients, turned_away))
 }
 
 fn peak_of(rows: &[LoadRow]) -> f64 {

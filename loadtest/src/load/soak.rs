@@ -2,7 +2,7 @@
 //! at the end.
 
 use super::client::LoadClient;
-use super::server::{ProcessUse, ServerProcess};
+use super::server::{ProcessUse, ServerProcess, connect};
 use crate::failure::{LoadtestFailure, block_on};
 use crate::models::DragScene;
 use std::time::{Duration, Instant};
@@ -41,7 +41,6 @@ const GAUGES: [&str; 9] = [
 /// Those that this program itself keeps above zero while it looks.
 const OWN: [&str; 3] = ["pliant_connections", "pliant_requests_in_flight", "pliant_memory_bytes"];
 
-/// Runs `loadtest soak`.
 pub(crate) fn run_soak(args: &SoakArgs) -> Result<(), LoadtestFailure> {
     block_on(soak(args))
 }
@@ -49,7 +48,7 @@ pub(crate) fn run_soak(args: &SoakArgs) -> Result<(), LoadtestFailure> {
 async fn soak(args: &SoakArgs) -> Result<(), LoadtestFailure> {
     let scene = DragScene::small_bar()?;
     let server = ServerProcess::start(None).await?;
-    let channel = server.open_channel().await?;
+    let channel = connect(&server.url).await?;
     let begun = Instant::now();
     let warm_up = (args.rounds / 10).max(1);
     run_rounds(&channel, &scene, 0..warm_up, args.at_once).await?;
@@ -122,7 +121,7 @@ async fn run_rounds(
         let Some(done) = rounds.join_next().await else {
             return Ok(());
         };
-        done.map_err(|e| LoadtestFailure::Server(format!("a round failed: {e}")))??;
+        done??;
     }
 }
 

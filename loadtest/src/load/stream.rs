@@ -2,14 +2,13 @@
 
 use super::StreamArgs;
 use super::beside::load_beside_solves;
-use super::client::drag_with_all_clients;
+use super::client::{close_all, drag_all, open_all};
 use super::ledger::{PoseLedger, Times};
 use super::server::LoadedServer;
 use super::sessions::load_with_many_sessions;
 use crate::failure::{LoadtestFailure, block_on};
 use crate::models::DragScene;
 use serde_json::{Value, json};
-use std::fmt::Write as _;
 
 /// Runs `loadtest stream`: loads the server, prints the report, and fails when a pose is not accounted for.
 pub(crate) fn run_stream(args: &StreamArgs) -> Result<(), LoadtestFailure> {
@@ -25,7 +24,7 @@ pub(crate) fn run_stream(args: &StreamArgs) -> Result<(), LoadtestFailure> {
 async fn stream_poses(args: &StreamArgs) -> Result<(), LoadtestFailure> {
     let scene = DragScene::load(args.model.as_deref())?;
     let server = LoadedServer::connect_or_start(args.server.as_deref()).await?;
-    let outcome = drag_with_all_clients(server.open_channel().await?, &scene, args).await;
+    let outcome = drag_once(&server.url, &scene, args).await;
     server.stop_own().await?;
     let ledger = outcome?;
     if args.json {
@@ -34,6 +33,14 @@ async fn stream_poses(args: &StreamArgs) -> Result<(), LoadtestFailure> {
         print!("{}", text_report(&ledger, &scene, args));
     }
     LoadtestFailure::of_problems(&ledger.problems())
+}
+
+/// Drags with all clients, each with a session of its own.
+async fn drag_once(url: &str, scene: &DragScene, args: &StreamArgs) -> Result<PoseLedger, LoadtestFailure> {
+    let clients = open_all(url, scene, args.clients).await?;
+    let (clients, ledger) = drag_all(clients, scene, args).await?;
+    close_all(clients).await?;
+    Ok(ledger)
 }
 
 fn times(ledger: &PoseLedger) -> [(&'static str, &Times); 3] {
@@ -46,41 +53,34 @@ fn times(ledger: &PoseLedger) -> [(&'static str, &Times); 3] {
 
 /// A table for people.
 pub(crate) fn text_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamArgs) -> String {
-    let mut text = String::new();
-    let balanced = if ledger.problems().is_empty() {
-        "balanced"
-    } else {
-        "NOT BALANCED"
+    let balanced = match ledger.problems().is_empty() {
+        true => "balanced",
+        false => "NOT BALANCED",
     };
-    let seconds = ledger.elapsed.as_secs_f64();
-    let _ = writeln!(
-        text,
-        "{} clients at {} Hz on {} vertices, {seconds:.2} s",
-        ledger.clients, args.hz, scene.vertices
-    );
-    let _ = writeln!(
-        text,
-        "poses    {} sent = {} final frames + {} superseded + {} refused ({balanced})",
-        ledger.sent, ledger.finals, ledger.superseded, ledger.refused
-    );
-    let _ = writeln!(
-        text,
-        "frames   {} final, {} before them, {} parts, {:.1} MiB, {:.1} final frames a second",
+    let mut text = format!(
+        "{} clients at {} Hz on {} vertices, {:.2} s\n\
+         poses    {} sent = {} final frames + {} superseded + {} refused ({balanced})\n\
+         frames   {} final, {} before them, {} parts, {:.1} MiB, {:.1} final frames a second\n\
+         {:9}{}\n",
+        ledger.clients,
+        args.hz,
+        scene.vertices,
+        ledger.elapsed.as_secs_f64(),
+        ledger.sent,
+        ledger.finals,
+        ledger.superseded,
+        ledger.refused,
         ledger.finals,
         ledger.intermediate,
         ledger.parts,
         ledger.bytes as f64 / f64::from(1 << 20),
-        ledger.frames_per_second()
-    );
-    let _ = writeln!(
-        text,
-        "{:9}{}",
+        ledger.frames_per_second(),
         "ms",
         Times::SHARES.map(|(name, _)| format!("{name:>10}")).concat()
     );
     for (name, values) in times(ledger) {
         let cells = values.cells(2).map(|cell| format!("{cell:>10}"));
-        let _ = writeln!(text, "{name:9}{}", cells.concat());
+        text += &format!("{name:9}{}\n", cells.concat());
     }
     text
 }
@@ -120,24 +120,16 @@ pub(crate) fn json_report(ledger: &PoseLedger, scene: &DragScene, args: &StreamA
 mod tests {
     use super::*;
     use crate::load::ledger::PoseLedger;
-    use clap::Parser;
-
-    #[derive(Debug, Parser)]
-    struct StreamCommand {
-        #[command(flatten)]
-        args: StreamArgs,
-    }
+    use clap::Parser as _;
 
     fn args(line: &str) -> StreamArgs {
-        StreamCommand::parse_from(std::iter::once("stream").chain(line.split_whitespace())).args
+        StreamArgs::parse_from(std::iter::once("stream").chain(line.split_whitespace()))
     }
 
     async fn load_with(line: &str, scene: &DragScene) -> PoseLedger {
         let args = args(line);
         let server = LoadedServer::connect_or_start(None).await.unwrap();
-        let ledger = drag_with_all_clients(server.open_channel().await.unwrap(), scene, &args)
-            .await
-            .unwrap();
+        let ledger = drag_once(&server.url, scene, &args).await.unwrap();
         server.stop_own().await.unwrap();
         ledger
     }
@@ -183,7 +175,7 @@ mod tests {
             "--beside 4 --server http://127.0.0.1:7411",
         ] {
             let words = std::iter::once("stream").chain(line.split_whitespace());
-            assert!(StreamCommand::try_parse_from(words).is_err(), "{line}");
+            assert!(StreamArgs::try_parse_from(words).is_err(), "{line}");
         }
     }
 }

@@ -1,6 +1,6 @@
 //! A dancing armadillo: volume, flips, stretch, edges, steadiness over time, seams between blocks, and what is made of its frames.
 
-use super::stage::{MotionFigure, MotionFolders, MotionStage, bind, skinned, solve};
+use super::stage::{MotionFigure, MotionFolders, MotionStage, bind, figure, skinned, solve};
 use crate::failure::LoadtestFailure;
 use glam::{DQuat, DVec3};
 use pliant::engine::{AnimationRefinement, BLOCK_FRAMES, FrameTimes, QualityReport};
@@ -34,7 +34,7 @@ pub(super) fn measure_dance(
     let times = stage.times(RATE, most);
     let animation = stage.animation(times, CARRIED, pool)?;
     let step = times.count.div_ceil(DECOMPOSED).max(1);
-    let mut sequence = ShapeSequence::new(stage.deformer.rest()).map_err(LoadtestFailure::server)?;
+    let mut sequence = ShapeSequence::new(stage.deformer.rest())?;
     let mut reported: Vec<QualityReport> = Vec::new();
     let mut refused = None;
     solve(&animation, 0..times.count, pool, &mut |frame| {
@@ -44,7 +44,7 @@ pub(super) fn measure_dance(
         }
     })?;
     if let Some(e) = refused {
-        return Err(LoadtestFailure::server(e));
+        return Err(e.into());
     }
     let count = reported.len() as f64;
     let mean = |of: &dyn Fn(&QualityReport) -> f64| reported.iter().map(of).sum::<f64>() / count;
@@ -58,7 +58,7 @@ pub(super) fn measure_dance(
     if rows.contains(&1) {
         let volume = |q: &QualityReport| 100.0 * q.volume_change;
         figures.push(
-            MotionFigure::new(
+            figure(
                 1,
                 format!("dance, {} frames: volume, mean", reported.len()),
                 mean(&volume),
@@ -66,20 +66,17 @@ pub(super) fn measure_dance(
             )
             .at_most(2.5, 1.5),
         );
-        figures.push(MotionFigure::new(1, "volume, worst", worst(&volume), " %").at_most(5.0, 3.0));
+        figures.push(figure(1, "volume, worst", worst(&volume), " %").at_most(5.0, 3.0));
     }
     if rows.contains(&2) {
         let flips = |q: &QualityReport| f64::from(q.flipped_triangles);
-        figures
-            .push(MotionFigure::new(2, "dance: flipped triangles a frame, mean", mean(&flips), "").at_most(5.0, 1.0));
-        figures.push(MotionFigure::new(2, "stretch, worst", worst(&|q| q.max_stretch), "").at_most(3.5, 2.5));
+        figures.push(figure(2, "dance: flipped triangles a frame, mean", mean(&flips), "").at_most(5.0, 1.0));
+        figures.push(figure(2, "stretch, worst", worst(&|q| q.max_stretch), "").at_most(3.5, 2.5));
     }
     if rows.contains(&3) {
+        figures.push(figure(3, "dance: edges, root mean square", mean(&|q| q.edge_rms), "").at_most(0.095, 0.085));
         figures.push(
-            MotionFigure::new(3, "dance: edges, root mean square", mean(&|q| q.edge_rms), "").at_most(0.095, 0.085),
-        );
-        figures.push(
-            MotionFigure::new(
+            figure(
                 3,
                 "second difference over that of blend skinning",
                 second_difference(&stage, pool)?,
@@ -90,14 +87,14 @@ pub(super) fn measure_dance(
     }
     if rows.contains(&12) {
         let exec = Exec::new(pool, &Silent);
-        let skin = decompose(&sequence, &DecompositionOptions::default(), &exec).map_err(LoadtestFailure::server)?;
+        let skin = decompose(&sequence, &DecompositionOptions::default(), &exec)?;
         let percent = 100.0 / stage.deformer.diagonal();
         let what = format!(
             "40 bones for {} frames of dance: rms of the diagonal",
             sequence.frames()
         );
-        figures.push(MotionFigure::new(12, what, percent * skin.rms, " %").at_most(0.15, 0.10));
-        figures.push(MotionFigure::new(12, "worst", percent * skin.max, " %"));
+        figures.push(figure(12, what, percent * skin.rms, " %").at_most(0.15, 0.10));
+        figures.push(figure(12, "worst", percent * skin.max, " %"));
     }
     Ok(figures)
 }
@@ -193,14 +190,14 @@ pub(super) fn measure_seams(
     let percent = 100.0 / stage.deformer.diagonal();
     let rms = percent * (squares / count.max(1) as f64).sqrt();
     Ok(vec![
-        MotionFigure::new(
+        figure(
             4,
             format!("{} borders of blocks: rms of the diagonal", borders.len()),
             rms,
             " %",
         )
         .at_most(0.1, 0.03),
-        MotionFigure::new(4, "largest", percent * farthest.sqrt(), " %").at_most(1.0, 0.3),
+        figure(4, "largest", percent * farthest.sqrt(), " %").at_most(1.0, 0.3),
     ])
 }
 
@@ -219,14 +216,14 @@ pub(super) fn measure_weights(folders: &MotionFolders<'_>, pool: &Pool) -> Resul
         flips += f64::from(quality.flipped_triangles);
     }
     Ok(vec![
-        MotionFigure::new(
+        figure(
             14,
             "weights, six frames of dance: edges over bone heat's .135",
             edges / BONE_HEAT_EDGES,
             "",
         )
         .at_most(1.0, 0.85),
-        MotionFigure::new(14, "flipped triangles of all six", flips, "").at_most(60.0, 38.0),
+        figure(14, "flipped triangles of all six", flips, "").at_most(60.0, 38.0),
     ])
 }
 
@@ -249,7 +246,7 @@ pub(super) fn measure_heading(
     let pairs = shapes[0].iter().zip(&shapes[1]).flat_map(|(a, b)| a.iter().zip(b));
     let off = pairs.map(|(a, b)| a.distance(*b)).fold(0.0, f64::max) / stage.deformer.diagonal();
     Ok(vec![
-        MotionFigure::new(16, "a clip turned by 180 degrees: off by, of the diagonal", off, "").at_most(1e-5, None),
+        figure(16, "a clip turned by 180 degrees: off by, of the diagonal", off, "").at_most(1e-5, None),
     ])
 }
 

@@ -41,7 +41,6 @@ pub(crate) struct MotionArgs {
     json: bool,
 }
 
-/// Runs the command.
 pub(crate) fn run_motion(args: &MotionArgs) -> Result<(), LoadtestFailure> {
     if let Some(row) = args.only.iter().find(|row| !ROWS.contains(row)) {
         return Err(LoadtestFailure::Usage(format!(
@@ -52,7 +51,7 @@ pub(crate) fn run_motion(args: &MotionArgs) -> Result<(), LoadtestFailure> {
         .into_iter()
         .filter(|row| args.only.is_empty() || args.only.contains(row))
         .collect();
-    let pool = Pool::new(usize::from(args.threads)).map_err(LoadtestFailure::server)?;
+    let pool = Pool::new(usize::from(args.threads))?;
     let mut all: Vec<MotionFigure> = Vec::new();
     if !args.json {
         println!("{:>2}  {:<58} {:>12} {:>10} {:>10}", "", "", "value", "must", "aim");

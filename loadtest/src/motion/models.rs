@@ -1,7 +1,7 @@
 //! Other models: a skinned one with its own clip, a man of many parts, a horse that boxes, and weights for soups.
 
 use super::ballet::BALLET;
-use super::stage::{MotionFigure, MotionFolders, MotionStage, bind, open, skinned, solve};
+use super::stage::{MotionFigure, MotionFolders, MotionStage, bind, figure, open, skinned, solve};
 use crate::failure::LoadtestFailure;
 use crate::measurements::time_once;
 use crate::models::read_model_file;
@@ -62,15 +62,15 @@ pub(super) fn measure_recorded(
         _ => ("horse, boxing", (60.0, Some(10.0)), (6.0, None)),
     };
     Ok(vec![
-        MotionFigure::new(
+        figure(
             row,
             format!("{name}, {} frames: flipped triangles, mean", reported.len()),
             mean,
             "",
         )
         .at_most(flips.0, flips.1),
-        MotionFigure::new(row, "flipped triangles, worst", worst, ""),
-        MotionFigure::new(row, "volume, worst", volume, " %").at_most(volumes.0, volumes.1),
+        figure(row, "flipped triangles, worst", worst, ""),
+        figure(row, "volume, worst", volume, " %").at_most(volumes.0, volumes.1),
     ])
 }
 
@@ -105,7 +105,7 @@ pub(super) fn measure_own_clip(
         frames: usize::MAX,
         vertices: u64::MAX,
     };
-    let animation = Animation::prepare(&deformer, &request, &limits, &exec).map_err(LoadtestFailure::server)?;
+    let animation = Animation::prepare(&deformer, &request, &limits, &exec)?;
     let (rig, clip) = (animation.moving_rig(), animation.driver().clip());
     let skin = OwnSkin::of(&deformer, rig, clip)?;
     let (mut volumes, mut blended_volume) = ([0.0f64; 2], 0.0);
@@ -130,19 +130,18 @@ pub(super) fn measure_own_clip(
     })?;
     let followed = off.iter().filter(|off| **off < FOLLOWED).count();
     Ok(vec![
-        MotionFigure::new(
+        figure(
             9,
             format!("CesiumMan's clip, {count} frames: volume, worst"),
             volumes[1],
             " %",
         )
         .at_most(2.0, None),
-        MotionFigure::new(9, "volume, mean", volumes[0] / count as f64, " %"),
-        MotionFigure::new(9, "blend skinning: volume, mean", blended_volume / count as f64, " %"),
-        MotionFigure::new(9, "edges over those of blend skinning", edges / blended_edges, "").at_most(0.75, None),
-        MotionFigure::new(9, format!("joints followed, of {}", off.len()), followed as f64, "")
-            .at_least(off.len() as f64, None),
-        MotionFigure::new(
+        figure(9, "volume, mean", volumes[0] / count as f64, " %"),
+        figure(9, "blend skinning: volume, mean", blended_volume / count as f64, " %"),
+        figure(9, "edges over those of blend skinning", edges / blended_edges, "").at_most(0.75, None),
+        figure(9, format!("joints followed, of {}", off.len()), followed as f64, "").at_least(off.len() as f64, None),
+        figure(
             9,
             "farthest joint, of the diagonal",
             100.0 * off.iter().copied().fold(0.0, f64::max),
@@ -156,11 +155,7 @@ struct OwnSkin(Vec<Vec<(usize, f64)>>);
 
 impl OwnSkin {
     fn of(deformer: &Deformer, rig: &MotionRig, clip: &MotionClip) -> Result<Self, LoadtestFailure> {
-        let scene = deformer
-            .model()
-            .moving_scene()
-            .map_err(LoadtestFailure::server)?
-            .unwrap_or_default();
+        let scene = deformer.model().moving_scene()?.unwrap_or_default();
         let order = NodeOrder::of(&scene);
         let bone_of = |node: u32| {
             let name = &clip.skeleton.joints[order.joints[node as usize]].name;
@@ -211,32 +206,26 @@ pub(super) fn measure_soups(folders: &MotionFolders<'_>, pool: &Pool) -> Result<
             eprintln!("row 13: {missing}");
             continue;
         }
-        let model = Model::read(read_model_file(&folders.data.join(name))?, None, &Limits::default())
-            .map_err(LoadtestFailure::server)?;
+        let model = Model::read(read_model_file(&folders.data.join(name))?, None, &Limits::default())?;
         let rig = match rig {
             Some(rig) => folders.rig(rig)?,
             None => own_rig(&model)?,
         };
         let exec = Exec::new(pool, &Silent);
         let (bound, seconds) = time_once(|| bind_model(&model, &rig, 4, &exec));
-        let influences = bound.map_err(LoadtestFailure::server)?.influences;
+        let influences = bound?.influences;
         let unweighted = influences.iter().filter(|own| own.iter().next().is_none()).count();
-        figures.push(
-            MotionFigure::new(13, format!("{name}: unweighted vertices"), unweighted as f64, "").at_most(0.0, None),
-        );
-        figures.push(MotionFigure::new(13, "seconds", seconds, " s").at_most(3.0, None));
+        figures.push(figure(13, format!("{name}: unweighted vertices"), unweighted as f64, "").at_most(0.0, None));
+        figures.push(figure(13, "seconds", seconds, " s").at_most(3.0, None));
     }
     Ok(figures)
 }
 
 fn own_rig(model: &Model) -> Result<MotionRig, LoadtestFailure> {
-    let scene = model
-        .moving_scene()
-        .map_err(LoadtestFailure::server)?
-        .unwrap_or_default();
+    let scene = model.moving_scene()?.unwrap_or_default();
     let order = NodeOrder::of(&scene);
     let skeleton = clip_of_scene(&scene, &order, None);
-    rig_of_skin(&scene, &order, &skeleton, &model.positions).map_err(LoadtestFailure::server)
+    Ok(rig_of_skin(&scene, &order, &skeleton, &model.positions)?)
 }
 
 /// By how much it is turned, in degrees.
@@ -271,10 +260,10 @@ pub(super) fn measure_wrist(folders: &MotionFolders<'_>, pool: &Pool) -> Result<
     let change = |shape: &[DVec3]| 100.0 * (patch.volume(shape) / rest - 1.0);
     let flips = |shape: &[DVec3]| f64::from(stage.deformer.quality(shape, pool).flipped_triangles);
     Ok(vec![
-        MotionFigure::new(8, "wrist by 150 degrees: volume around it", change(&last), " %").at_most(12.0, 5.0),
-        MotionFigure::new(8, "flipped triangles", flips(&last), "").at_most(0.0, None),
-        MotionFigure::new(8, "blend skinning: volume around it", change(&blended), " %"),
-        MotionFigure::new(8, "blend skinning: flipped triangles", flips(&blended), ""),
+        figure(8, "wrist by 150 degrees: volume around it", change(&last), " %").at_most(12.0, 5.0),
+        figure(8, "flipped triangles", flips(&last), "").at_most(0.0, None),
+        figure(8, "blend skinning: volume around it", change(&blended), " %"),
+        figure(8, "blend skinning: flipped triangles", flips(&blended), ""),
     ])
 }
 

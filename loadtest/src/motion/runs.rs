@@ -1,7 +1,7 @@
 //! Row 7: the same bits for any number of threads and any range, and after a run that was killed.
 
 use super::ballet::{BALLET, RATE};
-use super::stage::{MotionFigure, MotionFolders, solve};
+use super::stage::{MotionFigure, MotionFolders, figure, solve};
 use crate::failure::LoadtestFailure;
 use crate::measurements::time_once;
 use pliant::engine::{AnimationRefinement, digest};
@@ -21,7 +21,7 @@ const BEFORE: u64 = 8;
 /// Row 7.
 pub(super) fn measure_equality(folders: &MotionFolders<'_>, most: usize) -> Result<Vec<MotionFigure>, LoadtestFailure> {
     let digests = |threads: usize, range: &dyn Fn(usize) -> Range<usize>| -> Result<Vec<String>, LoadtestFailure> {
-        let pool = Pool::new(threads).map_err(LoadtestFailure::server)?;
+        let pool = Pool::new(threads)?;
         let stage = folders.stage(BALLET, 0, &pool)?;
         let times = stage.times(RATE, usize::MAX);
         let animation = stage.animation(times, AnimationRefinement::Carried, &pool)?;
@@ -37,7 +37,7 @@ pub(super) fn measure_equality(folders: &MotionFolders<'_>, most: usize) -> Resu
     let two = digests(2, &whole)?;
     let differ = |a: &[String], b: &[String]| a.iter().zip(b).filter(|(a, b)| a != b).count() as f64;
     let mut figures = vec![
-        MotionFigure::new(
+        figure(
             7,
             format!("1 and 2 threads, 0:{}: frames that differ", one.len()),
             differ(&one, &two),
@@ -48,17 +48,17 @@ pub(super) fn measure_equality(folders: &MotionFolders<'_>, most: usize) -> Resu
     if one.len() > PART.start {
         let part = digests(2, &|count| PART.start..PART.end.min(count).min(one.len()))?;
         let off = differ(&part, &one[PART.start..]);
-        figures.push(MotionFigure::new(7, "64:64 alone: frames that differ", off, "").at_most(0.0, None));
+        figures.push(figure(7, "64:64 alone: frames that differ", off, "").at_most(0.0, None));
     }
     if let Some(off) = killed_run(folders)? {
-        figures.push(MotionFigure::new(7, "killed and resumed: files that differ", off, "").at_most(0.0, None));
+        figures.push(figure(7, "killed and resumed: files that differ", off, "").at_most(0.0, None));
     }
     Ok(figures)
 }
 
 /// Kills a run of the command line beside this program, resumes it, and compares; `None` where there is no such program.
 fn killed_run(folders: &MotionFolders<'_>) -> Result<Option<f64>, LoadtestFailure> {
-    let own = std::env::current_exe().map_err(LoadtestFailure::server)?;
+    let own = std::env::current_exe()?;
     let pliant = own.with_file_name("pliant");
     if !pliant.is_file() {
         eprintln!(
@@ -68,7 +68,7 @@ fn killed_run(folders: &MotionFolders<'_>) -> Result<Option<f64>, LoadtestFailur
         return Ok(None);
     }
     let folder = std::env::temp_dir().join(format!("pliant-motion-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).map_err(LoadtestFailure::server)?;
+    std::fs::create_dir_all(&folder)?;
     let compared = compare_killed(folders, &pliant, &folder);
     // What stays costs room, and nothing else.
     let _ = std::fs::remove_dir_all(&folder);
@@ -99,43 +99,41 @@ fn compare_killed(folders: &MotionFolders<'_>, pliant: &Path, folder: &Path) -> 
         command
     };
     let succeeded = |mut command: Command| -> Result<(), LoadtestFailure> {
-        let status = command.status().map_err(LoadtestFailure::server)?;
+        let status = command.status()?;
         status
             .success()
             .then_some(())
-            .ok_or_else(|| LoadtestFailure::server(format!("{command:?} ended with {status}")))
+            .ok_or_else(|| LoadtestFailure::Server(format!("{command:?} ended with {status}")))
     };
     succeeded(command("whole.pc2", &[]))?;
-    let whole = std::fs::read(folder.join("whole.pc2")).map_err(LoadtestFailure::server)?;
+    let whole = std::fs::read(folder.join("whole.pc2"))?;
     let frame = whole.len() as u64 / KILLED as u64;
-    let mut run = command("killed.pc2", &[]).spawn().map_err(LoadtestFailure::server)?;
+    let mut run = command("killed.pc2", &[]).spawn()?;
     let part = folder.join("killed.pc2.part");
     let begun = Instant::now();
     while std::fs::metadata(&part).map_or(0, |m| m.len()) < BEFORE * frame {
-        if run.try_wait().map_err(LoadtestFailure::server)?.is_some() || begun.elapsed() > Duration::from_secs(600) {
+        if run.try_wait()?.is_some() || begun.elapsed() > Duration::from_secs(600) {
             break;
         }
         std::thread::sleep(Duration::from_millis(20));
     }
-    run.kill().map_err(LoadtestFailure::server)?;
-    run.wait().map_err(LoadtestFailure::server)?;
+    run.kill()?;
+    run.wait()?;
     if folder.join("killed.pc2").exists() {
-        return Err(LoadtestFailure::server("row 7: the run ended before it was killed"));
+        return Err(LoadtestFailure::Server(
+            "row 7: the run ended before it was killed".into(),
+        ));
     }
     succeeded(command("killed.pc2", &["--resume"]))?;
-    Ok(std::fs::read(folder.join("killed.pc2")).map_err(LoadtestFailure::server)? == whole)
+    Ok(std::fs::read(folder.join("killed.pc2"))? == whole)
 }
 
 /// Frames that are timed at the paper's size, after one that is not: a first frame has no other to go on from.
 const LARGE_FRAMES: usize = 8;
 
-fn pool_of(threads: usize) -> Result<Pool, LoadtestFailure> {
-    Pool::new(threads).map_err(LoadtestFailure::server)
-}
-
 /// Row 5: the dance on two threads.
 pub(super) fn measure_rates(folders: &MotionFolders<'_>, most: usize) -> Result<Vec<MotionFigure>, LoadtestFailure> {
-    let pool = pool_of(2)?;
+    let pool = Pool::new(2)?;
     let stage = folders.stage(BALLET, 0, &pool)?;
     let times = stage.times(RATE, most);
     let mut figures = Vec::new();
@@ -154,14 +152,14 @@ pub(super) fn measure_rates(folders: &MotionFolders<'_>, most: usize) -> Result<
         let animation = stage.animation(times, refinement, &pool)?;
         let (solved, seconds) = time_once(|| solve(&animation, 0..times.count, &pool, &mut |_| {}));
         solved?;
-        figures.push(MotionFigure::new(5, what, times.count as f64 / seconds, "").at_least(bounds.0, bounds.1));
+        figures.push(figure(5, what, times.count as f64 / seconds, "").at_least(bounds.0, bounds.1));
     }
     Ok(figures)
 }
 
 /// Row 6: the armadillo with four times its triangles, on one thread.
 pub(super) fn measure_large(folders: &MotionFolders<'_>) -> Result<Vec<MotionFigure>, LoadtestFailure> {
-    let pool = pool_of(1)?;
+    let pool = Pool::new(1)?;
     let stage = folders.stage(BALLET, 1, &pool)?;
     let times = stage.times(RATE, LARGE_FRAMES + 1);
     let (animation, prepared) = time_once(|| stage.animation(times, AnimationRefinement::Steps(0), &pool));
@@ -177,13 +175,13 @@ pub(super) fn measure_large(folders: &MotionFolders<'_>) -> Result<Vec<MotionFig
     };
     let nodes = stage.deformer.body().nodes();
     Ok(vec![
-        MotionFigure::new(
+        figure(
             6,
             format!("{nodes} nodes, 1 thread, refine 0: seconds a frame"),
             seconds,
             " s",
         )
         .at_most(0.6, 0.3),
-        MotionFigure::new(6, "handles and fields, once", prepared, " s"),
+        figure(6, "handles and fields, once", prepared, " s"),
     ])
 }

@@ -50,16 +50,14 @@ impl MotionFolders<'_> {
 
     /// Reads a clip.
     pub fn clip(&self, name: &str) -> Result<MotionClip, LoadtestFailure> {
-        let path = self.data.join("bvh").join(name);
-        let text = std::fs::read(&path).map_err(|e| LoadtestFailure::server(format!("{}: {e}", path.display())))?;
-        read_bvh(&text, &ClipLimits::default()).map_err(|e| LoadtestFailure::server(format!("{}: {e}", path.display())))
+        read_with(&self.data.join("bvh").join(name), |text| {
+            read_bvh(text, &ClipLimits::default())
+        })
     }
 
     /// Reads a rig.
     pub fn rig(&self, name: &str) -> Result<MotionRig, LoadtestFailure> {
-        let path = self.rigs.join(name);
-        let text = std::fs::read(&path).map_err(|e| LoadtestFailure::server(format!("{}: {e}", path.display())))?;
-        wire::rig_from_json(&text).map_err(|e| LoadtestFailure::server(format!("{}: {e}", path.display())))
+        read_with(&self.rigs.join(name), wire::rig_from_json)
     }
 
     /// Opens a model of the folder with a rig and a clip, its triangles cut into four so many times.
@@ -77,10 +75,24 @@ impl MotionFolders<'_> {
     }
 }
 
+/// Reads a file; errors name it.
+fn read_with<T, E: std::fmt::Display>(
+    path: &Path,
+    read: impl FnOnce(&[u8]) -> Result<T, E>,
+) -> Result<T, LoadtestFailure> {
+    let failed = |e: &dyn std::fmt::Display| LoadtestFailure::Server(format!("{}: {e}", path.display()));
+    read(&std::fs::read(path).map_err(|e| failed(&e))?).map_err(|e| failed(&e))
+}
+
 /// Opens a model as the command line does.
 pub(super) fn open(files: FileSet, pool: &Pool) -> Result<Deformer, LoadtestFailure> {
     let exec = Exec::new(pool, &Silent);
-    Deformer::open(files, &OpenOptions::default(), &DeformerLimits::default(), &exec).map_err(LoadtestFailure::server)
+    Ok(Deformer::open(
+        files,
+        &OpenOptions::default(),
+        &DeformerLimits::default(),
+        &exec,
+    )?)
 }
 
 /// The scanned horse as its rig was made for it: y up, its head to +z, one unit long, its trunk in the plane x = 0, its outside
@@ -88,7 +100,7 @@ pub(super) fn open(files: FileSet, pool: &Pool) -> Result<Deformer, LoadtestFail
 fn turned_horse(files: FileSet) -> Result<FileSet, LoadtestFailure> {
     const SCALE: f64 = 5.4496;
     const BESIDE: f64 = 0.0147;
-    let model = Model::read(files, None, &Limits::default()).map_err(LoadtestFailure::server)?;
+    let model = Model::read(files, None, &Limits::default())?;
     let turned = |p: &DVec3| DVec3::new(BESIDE - p.x, p.z, p.y) * SCALE;
     let positions: Vec<DVec3> = model.positions.iter().map(turned).collect();
     let mut triangles = model.triangles.clone();
@@ -121,16 +133,13 @@ impl MotionStage {
             start: times.start,
             ..Default::default()
         };
-        let driver = RigDriver::new(&self.rig, self.clip.clone(), &options).map_err(LoadtestFailure::server)?;
+        let driver = RigDriver::new(&self.rig, self.clip.clone(), &options)?;
         let settings = AnimationSettings {
             refinement,
             ..Default::default()
         };
         let exec = Exec::new(pool, &Silent);
-        let animation = self
-            .deformer
-            .animation(self.rig.clone(), driver, times, &settings, &exec);
-        animation.map_err(LoadtestFailure::server)
+        Ok((self.deformer).animation(self.rig.clone(), driver, times, &settings, &exec)?)
     }
 }
 
@@ -151,8 +160,7 @@ pub(super) fn solve(
         }
         true
     };
-    let solved = animation.solve(&[range], pool.threads(), &|| 0.0, &exec, &mut take_solved);
-    solved.map_err(LoadtestFailure::server)
+    Ok(animation.solve(&[range], pool.threads(), &|| 0.0, &exec, &mut take_solved)?)
 }
 
 /// A measured number.
@@ -168,19 +176,19 @@ pub(super) struct MotionFigure {
     is_floor: bool,
 }
 
-impl MotionFigure {
-    /// A number without bounds, for comparison.
-    pub fn new(row: u8, what: impl Into<String>, value: f64, unit: &'static str) -> Self {
-        Self {
-            row,
-            what: what.into(),
-            value,
-            unit,
-            bounds: [None, None],
-            is_floor: false,
-        }
+/// A number of a row without bounds, for comparison.
+pub(super) fn figure(row: u8, what: impl Into<String>, value: f64, unit: &'static str) -> MotionFigure {
+    MotionFigure {
+        row,
+        what: what.into(),
+        value,
+        unit,
+        bounds: [None, None],
+        is_floor: false,
     }
+}
 
+impl MotionFigure {
     /// The number with upper bounds on its magnitude.
     pub fn at_most(self, must: f64, aim: impl Into<Option<f64>>) -> Self {
         let bounds = [Some(must), aim.into()];
@@ -257,7 +265,7 @@ const INFLUENCES: usize = 4;
 pub(super) fn bind(stage: &MotionStage, pool: &Pool) -> Result<Vec<BoneInfluences>, LoadtestFailure> {
     let exec = Exec::new(pool, &Silent);
     let bound = bind_model(stage.deformer.model(), &stage.rig, INFLUENCES, &exec);
-    Ok(bound.map_err(LoadtestFailure::server)?.influences)
+    Ok(bound?.influences)
 }
 
 /// Where vertices are when each follows its bones.
@@ -272,11 +280,11 @@ mod tests {
 
     #[test]
     fn numbers_are_held_against_their_bounds() {
-        let verdict = |value: f64| MotionFigure::new(1, "v", value, " %").at_most(2.5, 1.5).verdict();
+        let verdict = |value: f64| figure(1, "v", value, " %").at_most(2.5, 1.5).verdict();
         assert_eq!([verdict(-1.0), verdict(2.0), verdict(-2.6)], ["aim", "must", "SHORT"]);
-        let rate = |value: f64| MotionFigure::new(5, "f", value, "").at_least(8.0, None);
+        let rate = |value: f64| figure(5, "f", value, "").at_least(8.0, None);
         assert_eq!([rate(9.0).verdict(), rate(7.0).verdict()], ["must", "SHORT"]);
-        assert!(rate(7.0).is_short() && !MotionFigure::new(3, "t", 9.0, "").is_short());
+        assert!(rate(7.0).is_short() && !figure(3, "t", 9.0, "").is_short());
         let line = rate(0.0123).line();
         assert!(line.starts_with(" 5  f ") && line.contains("0.012"), "{line}");
         assert_eq!(number(-12.34, " %"), "-12.3 %");

@@ -1,7 +1,7 @@
 //! `loadtest edits`: from an edit of a few hundred vertices to the first frame after it, with graph and hierarchy
 //! repaired, and with both rebuilt.
 
-use super::{MeasuredModel, PassClock, encode_positions};
+use super::{MeasuredModel, PassClock, encode_positions, seconds_of};
 use crate::failure::LoadtestFailure;
 use crate::measurements::{Measurements, RunTimes};
 use crate::models::{DragScene, FARTHEST_POSE};
@@ -89,12 +89,15 @@ struct EditRun {
 }
 
 impl EditRun {
+    fn stage_ms(&self, stage: &str) -> f64 {
+        self.ms.get(stage).copied().unwrap_or(0.0)
+    }
+
     fn total_ms(&self) -> f64 {
         self.ms.values().sum()
     }
 }
 
-/// Runs the command.
 pub(crate) fn run_edits(args: &EditsArgs) -> Result<(), LoadtestFailure> {
     let pool = args.model.pool()?;
     let files = args.model.files()?;
@@ -133,8 +136,7 @@ pub(crate) fn run_edits(args: &EditsArgs) -> Result<(), LoadtestFailure> {
         measurements.set_value("repaired", repaired.repaired);
         for (name, run) in [("repaired", &repaired), ("rebuilt", &rebuilt)] {
             for (stage, _) in STAGES {
-                let ms = run.ms.get(stage).copied().unwrap_or(0.0);
-                measurements.set_number(&format!("{name}_{stage}_ms"), ms);
+                measurements.set_number(&format!("{name}_{stage}_ms"), run.stage_ms(stage));
             }
             measurements.set_number(&format!("{name}_total_ms"), run.total_ms());
             measurements.set_value(&format!("{name}_cycles"), run.cycles);
@@ -149,41 +151,28 @@ pub(crate) fn run_edits(args: &EditsArgs) -> Result<(), LoadtestFailure> {
         pool.threads()
     );
     println!("{:<10} {:>11} {:>11}", "stage", "repaired", "rebuilt");
+    let row = |name: &str, [one, other]: [f64; 2], more: &str| {
+        println!("{name:<10} {one:>8.1} ms {other:>8.1} ms{more}");
+    };
     for (stage, what) in STAGES {
-        let ms = |run: &EditRun| run.ms.get(stage).copied().unwrap_or(0.0);
-        println!("{stage:<10} {:>8.1} ms {:>8.1} ms  {what}", ms(&repaired), ms(&rebuilt));
+        row(
+            stage,
+            [&repaired, &rebuilt].map(|run| run.stage_ms(stage)),
+            &format!("  {what}"),
+        );
         if stage == "solve" {
             for (pass, seconds) in &repaired.passes {
-                let other = rebuilt
-                    .passes
-                    .iter()
-                    .find(|(name, _)| name == pass)
-                    .map_or(0.0, |p| p.1);
-                println!(
-                    "{:<10} {:>8.1} ms {:>8.1} ms",
-                    format!("  {pass}"),
-                    seconds * 1e3,
-                    other * 1e3
-                );
+                let ms = [seconds * 1e3, seconds_of(&rebuilt.passes, pass) * 1e3];
+                row(&format!("  {pass}"), ms, "");
             }
         }
     }
-    println!(
-        "{:<10} {:>8.1} ms {:>8.1} ms  {:.1} times",
-        "total",
-        repaired.total_ms(),
-        rebuilt.total_ms(),
-        rebuilt.total_ms() / repaired.total_ms()
-    );
+    let times = |[one, other]: [f64; 2]| format!("  {:.1} times", other / one);
+    let total = [&repaired, &rebuilt].map(EditRun::total_ms);
+    row("total", total, &times(total));
     let follows = ["edit", "mesh", "graph", "hierarchy", "fields", "constrain"];
-    let part = |run: &EditRun| follows.iter().filter_map(|s| run.ms.get(*s)).sum::<f64>();
-    println!(
-        "{:<10} {:>8.1} ms {:>8.1} ms  {:.1} times, without the frame itself",
-        "follow",
-        part(&repaired),
-        part(&rebuilt),
-        part(&rebuilt) / part(&repaired)
-    );
+    let follow = [&repaired, &rebuilt].map(|run| follows.iter().map(|stage| run.stage_ms(stage)).sum::<f64>());
+    row("follow", follow, &(times(follow) + ", without the frame itself"));
     println!(
         "{} graph nodes on {} levels; cycles of the fields {} and {}, of the first frame {} and {}",
         repaired.nodes, repaired.levels, repaired.field_cycles, rebuilt.field_cycles, repaired.cycles, rebuilt.cycles

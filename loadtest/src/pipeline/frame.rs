@@ -1,6 +1,6 @@
 //! `loadtest frame`: one frame of a drag followed through, pass by pass, beside what the machine could do at best.
 
-use super::{MeasuredModel, PassClock, encode_positions, open_for_job, set_job_handles};
+use super::{MeasuredModel, PassClock, encode_positions, open_for_job, seconds_of, set_job_handles};
 use crate::failure::LoadtestFailure;
 use crate::measurements::{Measurements, median, time_once};
 use crate::models::DragScene;
@@ -53,6 +53,7 @@ pub(crate) struct FrameArgs {
 }
 
 /// What was measured.
+#[derive(Default)]
 struct FrameRun {
     vertices: usize,
     nodes: usize,
@@ -72,7 +73,6 @@ struct FrameRun {
     bandwidth: f64,
 }
 
-/// Runs the command.
 pub(crate) fn run_frame(args: &FrameArgs) -> Result<(), LoadtestFailure> {
     let pool = args.model.pool()?;
     let files = args.model.files()?;
@@ -107,27 +107,21 @@ fn drag_frames(
         nodes: deformer.body().nodes(),
         surface: deformer.body().graph.surface,
         neighbours: deformer.body().graph.neighbours.len(),
-        held_bytes: 0,
-        cycles: 0.0,
-        passes: Default::default(),
-        encode: Vec::new(),
-        frames: Vec::new(),
-        ahead: Vec::new(),
         bandwidth: measure_bandwidth(pool),
+        ..FrameRun::default()
     };
     for seq in 1..=WARM_UP + args.frames {
         poses = wire::change_poses(&deformer, &poses, &scene.pose_number(seq))?;
         let exec = Exec::new(pool, &clock);
         let (solved, solve) = time_once(|| deformer.solve(&poses, &settings, SolveMode::Drag, &exec, &mut |_| true));
         let (solved, passes) = (solved?, clock.take());
-        let of_pass = |(name, _): &(&str, &str)| passes.iter().find(|(pass, _)| pass == name).map_or(0.0, |p| p.1);
         let (_, encode) = time_once(|| encode_positions(solved.positions));
         let is_ahead = deformer.is_worth_settling();
         let (settled, settle) = time_once(|| deformer.settle(&Exec::new(pool, &Silent)));
         settled.map_err(wire::Error::from)?;
         if seq > WARM_UP {
             run.cycles += f64::from(solved.cycles) / args.frames as f64;
-            (run.passes.iter_mut().zip(&PASSES)).for_each(|(all, pass)| all.push(of_pass(pass)));
+            (run.passes.iter_mut().zip(&PASSES)).for_each(|(all, pass)| all.push(seconds_of(&passes, pass.0)));
             run.encode.push(encode);
             run.frames.push(solve + encode);
             if is_ahead {

@@ -9,7 +9,7 @@ use crate::failure::LoadtestFailure;
 use crate::models::{DragScene, FARTHEST_POSE, MOST_SUBDIVISIONS, read_job_file, read_model_file, subdivide_model};
 use glam::DVec3;
 use pliant::asset::FileSet;
-use pliant::batch::pose_steps;
+use pliant::batch::{handles_request, pose_steps};
 use pliant::engine::{Deformer, DeformerLimits, HandlePoses};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -39,7 +39,7 @@ pub(crate) struct MeasuredModel {
 
 impl MeasuredModel {
     fn pool(&self) -> Result<Pool, LoadtestFailure> {
-        Pool::new(usize::from(self.threads)).map_err(LoadtestFailure::server)
+        Ok(Pool::new(usize::from(self.threads))?)
     }
 
     /// The model's file, subdivided.
@@ -77,13 +77,7 @@ pub(crate) fn set_job_handles(
     job: &pb::Job,
     exec: &Exec<'_>,
 ) -> Result<HandlePoses, schema::Error> {
-    let request = pb::SetHandlesRequest {
-        handles: job.handles.clone(),
-        symmetry_plane: job.symmetry_plane.clone(),
-        region_of_interest: job.region_of_interest.clone(),
-        ..Default::default()
-    };
-    deformer.set_handles(schema::handle_set(&request)?, exec)?;
+    deformer.set_handles(schema::handle_set(&handles_request(job))?, exec)?;
     let mut poses = deformer.initial_poses();
     for pose in pose_steps(job)? {
         poses = schema::change_poses(deformer, &poses, &pose)?;
@@ -102,9 +96,24 @@ fn encode_positions(positions: Arc<Vec<DVec3>>) -> usize {
     std::hint::black_box(parts.map(|part| part.data.len()).sum())
 }
 
-/// Clocks passes.
-pub(crate) struct PassClock {
-    start: Instant,
+/// The parts of building a graph in the order in which they run: the fraction of the work that is reported when each begins, its
+/// name, and what it is.
+pub(crate) const GRAPH_STAGES: [(f32, &str, &str); 5] = [
+    (0.0, "sort", "edges, and the faces by cells"),
+    (0.1, "inside", "which parts enclose space, and which way leads in"),
+    (
+        0.2,
+        "lattice",
+        "nodes inside (of the paper's graph with a shell), their edges and ties",
+    ),
+    (0.6, "struts", "across what is too thin for the lattice"),
+    (0.9, "rows", "all edges of all nodes"),
+];
+
+/// Clocks passes of a solve, and the parts of building graphs.
+pub(crate) struct PassClock<'a> {
+    /// Seconds since any fixed moment.
+    now: Box<dyn Fn() -> f64 + Send + Sync + 'a>,
     passes: Mutex<ClockedPasses>,
 }
 
@@ -117,17 +126,22 @@ struct ClockedPasses {
     done: Vec<(&'static str, f64)>,
 }
 
-impl PassClock {
+impl<'a> PassClock<'a> {
     /// Creates a clock on which nothing runs.
     pub(crate) fn new() -> Self {
+        let start = Instant::now();
+        Self::with_clock(move || start.elapsed().as_secs_f64())
+    }
+
+    fn with_clock(now: impl Fn() -> f64 + Send + Sync + 'a) -> Self {
         Self {
-            start: Instant::now(),
+            now: Box::new(now),
             passes: Mutex::default(),
         }
     }
 
     fn switch_to(&self, next: Option<&'static str>) {
-        let now = self.start.elapsed().as_secs_f64();
+        let now = (self.now)();
         let mut passes = self.passes.lock().unwrap_or_else(PoisonError::into_inner);
         let ClockedPasses { current, done } = &mut *passes;
         if let Some((pass, begun)) = current.take() {
@@ -145,72 +159,31 @@ impl PassClock {
         let mut passes = self.passes.lock().unwrap_or_else(PoisonError::into_inner);
         std::mem::take(&mut passes.done)
     }
+
+    fn is_building(&self) -> bool {
+        let passes = self.passes.lock().unwrap_or_else(PoisonError::into_inner);
+        let current = passes.current.map(|(pass, _)| pass);
+        GRAPH_STAGES.iter().any(|stage| current == Some(stage.1))
+    }
 }
 
-impl Progress for PassClock {
+impl Progress for PassClock<'_> {
     fn begin_pass(&self, pass: &'static str) {
         self.switch_to(Some(pass));
     }
-}
-
-/// The parts in the order in which they run: the fraction of the work that is reported when each begins, its name, and what
-/// it is.
-pub(crate) const GRAPH_STAGES: [(f32, &str, &str); 5] = [
-    (0.0, "sort", "edges, and the faces by cells"),
-    (0.1, "inside", "which parts enclose space, and which way leads in"),
-    (
-        0.2,
-        "lattice",
-        "nodes inside (of the paper's graph with a shell), their edges and ties",
-    ),
-    (0.6, "struts", "across what is too thin for the lattice"),
-    (0.9, "rows", "all edges of all nodes"),
-];
-
-/// Adds up the milliseconds of the parts of building graphs.
-pub(crate) struct GraphStageClock<'a> {
-    now_ms: Box<dyn Fn() -> f64 + Send + Sync + 'a>,
-    times: Mutex<GraphStageTimes>,
-}
-
-#[derive(Default)]
-struct GraphStageTimes {
-    /// The part under way and when it began.
-    open: Option<(usize, f64)>,
-    ms: [f64; GRAPH_STAGES.len()],
-}
-
-impl<'a> GraphStageClock<'a> {
-    /// Creates an idle clock; `now_ms` returns milliseconds since any fixed moment.
-    pub(crate) fn new(now_ms: impl Fn() -> f64 + Send + Sync + 'a) -> Self {
-        Self {
-            now_ms: Box::new(now_ms),
-            times: Mutex::default(),
-        }
-    }
-
-    /// The milliseconds of each part so far.
-    pub(crate) fn stage_ms(&self) -> [f64; GRAPH_STAGES.len()] {
-        self.times.lock().unwrap_or_else(PoisonError::into_inner).ms
-    }
-}
-
-impl Progress for GraphStageClock<'_> {
-    fn cancelled(&self) -> bool {
-        false
-    }
 
     fn report(&self, stage: &'static str, fraction: f32) {
-        let now_ms = (self.now_ms)();
-        let mut times = self.times.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((part, since)) = times.open.take() {
-            times.ms[part] += now_ms - since;
-        }
-        if stage == "graph" && fraction < 1.0 {
-            let begun = GRAPH_STAGES.iter().rposition(|s| s.0 <= fraction);
-            times.open = begun.map(|part| (part, now_ms));
+        let is_graph = stage == "graph" && fraction < 1.0;
+        if is_graph || self.is_building() {
+            let part = GRAPH_STAGES.iter().rev().find(|s| is_graph && s.0 <= fraction);
+            self.switch_to(part.map(|s| s.1));
         }
     }
+}
+
+/// The seconds of a pass; 0 of one that did not run.
+pub(crate) fn seconds_of(passes: &[(&'static str, f64)], name: &str) -> f64 {
+    passes.iter().find(|(pass, _)| *pass == name).map_or(0.0, |p| p.1)
 }
 
 #[cfg(test)]
@@ -222,7 +195,7 @@ mod tests {
     #[test]
     fn parts_of_several_graphs_add_up_and_other_stages_do_not_count() {
         let ticks = AtomicU32::new(0);
-        let clock = GraphStageClock::new(|| f64::from(ticks.fetch_add(1, Relaxed)));
+        let clock = PassClock::with_clock(|| f64::from(ticks.load(Relaxed)));
         let reports = [
             ("mesh", 0.5),
             ("graph", 0.0),
@@ -233,9 +206,12 @@ mod tests {
             ("hierarchy", 0.0),
             ("hierarchy", 0.5),
         ];
-        reports
-            .iter()
-            .for_each(|(stage, fraction)| clock.report(stage, *fraction));
-        assert_eq!(clock.stage_ms(), [1.0, 2.0, 0.0, 0.0, 1.0]);
+        for (stage, fraction) in reports {
+            clock.report(stage, fraction);
+            ticks.fetch_add(1, Relaxed);
+        }
+        let passes = clock.take();
+        let seconds = GRAPH_STAGES.map(|stage| seconds_of(&passes, stage.1));
+        assert_eq!(seconds, [1.0, 2.0, 0.0, 0.0, 1.0]);
     }
 }

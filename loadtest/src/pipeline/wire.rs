@@ -46,6 +46,7 @@ pub(crate) struct WireArgs {
 }
 
 /// One way of sending frames, and what it took.
+#[derive(Default)]
 struct WireRow {
     name: String,
     output: FrameOutput,
@@ -58,13 +59,18 @@ struct WireRow {
     keys: usize,
 }
 
+impl WireRow {
+    fn bytes_a_frame(&self) -> f64 {
+        self.bytes as f64 / self.seconds.len().max(1) as f64
+    }
+}
+
 /// The shapes of a drag, with their normals, and the length of the model's diagonal.
 struct DraggedShapes {
     shapes: Vec<(Arc<Vec<DVec3>>, Arc<Shading>)>,
     diagonal: f64,
 }
 
-/// Runs the command.
 pub(crate) fn run_wire(args: &WireArgs) -> Result<(), LoadtestFailure> {
     let dragged = drag(args)?;
     let mut rows = Vec::new();
@@ -89,10 +95,7 @@ pub(crate) fn run_wire(args: &WireArgs) -> Result<(), LoadtestFailure> {
                 rows.push(WireRow {
                     name,
                     output,
-                    seconds: Vec::new(),
-                    bytes: 0,
-                    sent: SentSteps::default(),
-                    keys: 0,
+                    ..WireRow::default()
                 });
             }
         }
@@ -169,11 +172,7 @@ fn predicted(name: &str, shapes: &[(Arc<Vec<DVec3>>, Arc<Shading>)], prediction:
     };
     let mut row = WireRow {
         name: name.to_owned(),
-        output: FrameOutput::default(),
-        seconds: Vec::new(),
-        bytes: 0,
-        sent: SentSteps::default(),
-        keys: 0,
+        ..WireRow::default()
     };
     let mut earlier = shapes.first().map(|(p, _)| steps(p)).unwrap_or_default();
     let mut last = earlier.clone();
@@ -205,7 +204,7 @@ fn moved(positions: &[DVec3], before: &[DVec3], distance: f64) -> Vec<u32> {
 
 /// Swings one end of the model and keeps every shape.
 fn drag(args: &WireArgs) -> Result<DraggedShapes, LoadtestFailure> {
-    let pool = Pool::new(0).map_err(LoadtestFailure::server)?;
+    let pool = Pool::new(0)?;
     let exec = Exec::new(&pool, &Silent);
     let scene = DragScene::load(Some(&args.model))?;
     let (job, files) = (scene.job(None), read_model_file(&args.model)?);
@@ -235,10 +234,7 @@ fn measurements(model: &Path, vertices: usize, rows: &[WireRow]) -> Measurements
     for row in rows {
         let name = row.name.to_lowercase().replace(' ', "_");
         m.set_number(&format!("{name}_s"), median(&row.seconds));
-        m.set_number(
-            &format!("{name}_bytes"),
-            row.bytes as f64 / row.seconds.len().max(1) as f64,
-        );
+        m.set_number(&format!("{name}_bytes"), row.bytes_a_frame());
         if row.output.encoding == FrameEncoding::Delta {
             m.set_value(&format!("{name}_key_frames"), row.keys);
         }
@@ -253,7 +249,7 @@ fn table(model: &Path, vertices: usize, rows: &[WireRow]) -> String {
         model.display()
     );
     for row in rows {
-        let bytes = row.bytes as f64 / row.seconds.len().max(1) as f64;
+        let bytes = row.bytes_a_frame();
         text += &format!(
             "{:<24} {:>8.3} ms {:>9.1} KiB a frame {:>6.2} bytes a vertex{}\n",
             row.name,

@@ -9,8 +9,7 @@
 
 use crate::failure::LoadtestFailure;
 use pliant::solver::WeightedGraph;
-use std::fs::File;
-use std::io::{BufReader, BufWriter, Read, Write};
+use std::fs;
 use std::path::{Path, PathBuf};
 
 /// First eight bytes: "PLIANTAX".
@@ -74,14 +73,13 @@ impl CompanionFile {
 
     /// Reads a file and checks lengths, the graph, and that numbers are finite.
     pub fn read(path: &Path) -> Result<Self, LoadtestFailure> {
-        let mut file = NumberReader::open(path)?;
-        let (magic, version): (u64, u64) = (file.read_number()?, file.read_number()?);
-        if (magic, version) != (MAGIC, VERSION) {
+        let mut file = NumberFile::read(path)?;
+        if file.header()? != [MAGIC, VERSION] {
             let problem = format!("is not a companion of version {VERSION}; export the system again");
             return Err(file.file_error(problem));
         }
-        let (n, e, flags): (u64, u64, u64) = (file.read_number()?, file.read_number()?, file.read_number()?);
-        let diagonal: f64 = file.read_number()?;
+        let [n, e, flags, diagonal] = file.header()?;
+        let diagonal = f64::from_bits(diagonal);
         if flags > (WEIGHTS | STIFFNESS) || !(diagonal > 0.0 && diagonal.is_finite()) {
             return Err(file.file_error(format_args!("has flags {flags} and the diagonal {diagonal}")));
         }
@@ -99,14 +97,14 @@ impl CompanionFile {
         let (n, e) = (n as usize, e as usize);
         let companion = Self {
             diagonal,
-            offsets: file.read_numbers(n + 1)?,
-            neighbours: file.read_numbers(e)?,
-            weights: if weighted { Some(file.read_numbers(e)?) } else { None },
-            fixed: file.read_numbers::<u8>(n)?.into_iter().map(|b| b != 0).collect(),
-            stiffness: if soft { Some(file.read_numbers(n)?) } else { None },
-            frames: file.read_numbers::<f32>(n * 9)?.as_chunks().0.to_vec(),
-            rest: file.read_triples(n)?,
-            poses: [PoseSystem::read(&mut file, n)?, PoseSystem::read(&mut file, n)?],
+            offsets: file.numbers(n + 1, u32::from_le_bytes)?,
+            neighbours: file.numbers(e, u32::from_le_bytes)?,
+            weights: (weighted.then(|| file.numbers(e, f32::from_le_bytes))).transpose()?,
+            fixed: file.numbers(n, |[given]| given != 0)?,
+            stiffness: (soft.then(|| file.numbers(n, f64::from_le_bytes))).transpose()?,
+            frames: file.numbers(n * 9, f32::from_le_bytes)?.as_chunks().0.to_vec(),
+            rest: file.triples(n)?,
+            poses: [file.pose(n)?, file.pose(n)?],
         };
         companion.graph().check().map_err(|e| file.file_error(e))?;
         let triples = companion.poses.iter().flat_map(|p| p.rhs.iter().chain(&p.given));
@@ -120,85 +118,38 @@ impl CompanionFile {
 
     /// Writes the file.
     pub fn write(&self, path: &Path) -> Result<(), LoadtestFailure> {
-        let mut file = NumberWriter::create(path)?;
         let flags =
             if self.weights.is_some() { WEIGHTS } else { 0 } | if self.stiffness.is_some() { STIFFNESS } else { 0 };
         let (n, e) = (self.rest.len() as u64, self.neighbours.len() as u64);
-        file.write_numbers([MAGIC, VERSION, n, e, flags])?;
-        file.write_numbers([self.diagonal])?;
-        file.write_numbers(self.offsets.iter().copied())?;
-        file.write_numbers(self.neighbours.iter().copied())?;
-        file.write_numbers(self.weights.iter().flatten().copied())?;
-        file.write_numbers(self.fixed.iter().map(|f| u8::from(*f)))?;
-        file.write_numbers(self.stiffness.iter().flatten().copied())?;
-        file.write_numbers(self.frames.iter().flatten().copied())?;
-        file.write_numbers(self.rest.iter().flatten().copied())?;
+        let header = [MAGIC, VERSION, n, e, flags, self.diagonal.to_bits()];
+        let mut bytes: Vec<u8> = header.into_iter().flat_map(u64::to_le_bytes).collect();
+        bytes.extend(self.offsets.iter().flat_map(|v| v.to_le_bytes()));
+        bytes.extend(self.neighbours.iter().flat_map(|v| v.to_le_bytes()));
+        bytes.extend(self.weights.iter().flatten().flat_map(|v| v.to_le_bytes()));
+        bytes.extend(self.fixed.iter().map(|f| u8::from(*f)));
+        bytes.extend(self.stiffness.iter().flatten().flat_map(|v| v.to_le_bytes()));
+        bytes.extend(self.frames.iter().flatten().flat_map(|v| v.to_le_bytes()));
+        bytes.extend(f64_bytes(&self.rest));
         for pose in &self.poses {
-            file.write_numbers(pose.rhs.iter().flatten().copied())?;
-            file.write_numbers(pose.given.iter().flatten().copied())?;
+            bytes.extend(f64_bytes(&pose.rhs).chain(f64_bytes(&pose.given)));
         }
-        file.finish()
+        write_whole(path, &bytes)
     }
 }
 
-impl PoseSystem {
-    fn read(file: &mut NumberReader, nodes: usize) -> Result<Self, LoadtestFailure> {
-        Ok(Self {
-            rhs: file.read_triples(nodes)?,
-            given: file.read_triples(nodes)?,
-        })
-    }
-}
-
-/// Bytes that are read or written at a time.
-const BLOCK: usize = 1 << 20;
-
-/// A file number is a number with a fixed little-endian form.
-pub(super) trait FileNumber: Copy + Default {
-    /// Bytes that it takes.
-    const BYTES: usize;
-    /// From exactly [`FileNumber::BYTES`] bytes; shorter runs read as zero.
-    fn from_bytes(bytes: &[u8]) -> Self;
-    /// Appends its bytes.
-    fn append_to(self, out: &mut Vec<u8>);
-}
-
-macro_rules! file_number {
-    ($($t:ty),*) => {$(
-        impl FileNumber for $t {
-            const BYTES: usize = size_of::<$t>();
-
-            fn from_bytes(bytes: &[u8]) -> Self {
-                bytes.first_chunk().map_or_else(Self::default, |b| Self::from_le_bytes(*b))
-            }
-
-            fn append_to(self, out: &mut Vec<u8>) {
-                out.extend_from_slice(&self.to_le_bytes());
-            }
-        }
-    )*};
-}
-file_number!(u8, u32, i32, u64, i64, f32, f64);
-
-/// Reads a file of number runs whose total length was checked against the file's before anything is allocated.
-pub(super) struct NumberReader {
-    file: BufReader<File>,
+/// A file of little-endian numbers that was read whole, so that nothing longer than it is allocated.
+pub(super) struct NumberFile {
+    bytes: Vec<u8>,
+    at: usize,
     name: String,
-    bytes: u64,
 }
 
-impl NumberReader {
-    /// Opens `path`.
-    pub fn open(path: &Path) -> Result<Self, LoadtestFailure> {
+impl NumberFile {
+    /// Reads `path`.
+    pub fn read(path: &Path) -> Result<Self, LoadtestFailure> {
         let name = path.display().to_string();
-        let refuse = |e: std::io::Error| LoadtestFailure::Usage(format!("cannot read {name}: {e}"));
-        let file = File::open(path).map_err(refuse)?;
-        let bytes = file.metadata().map_err(refuse)?.len();
-        Ok(Self {
-            file: BufReader::with_capacity(BLOCK, file),
-            name,
-            bytes,
-        })
+        let bytes = fs::read(path).map_err(|e| LoadtestFailure::Usage(format!("cannot read {name}: {e}")))?;
+        Ok(Self { bytes, at: 0, name })
     }
 
     /// What is wrong with the file.
@@ -211,93 +162,61 @@ impl NumberReader {
         let total = runs.iter().try_fold(header, |sum, &(count, each)| {
             count.checked_mul(each as u64).and_then(|b| sum.checked_add(b))
         });
+        let seen = self.bytes.len();
         match total {
-            Some(total) if total == self.bytes => Ok(()),
-            Some(total) => Err(self.file_error(format_args!("has {} bytes, its header promises {total}", self.bytes))),
+            Some(total) if total == seen as u64 => Ok(()),
+            Some(total) => Err(self.file_error(format_args!("has {seen} bytes, its header promises {total}"))),
             None => Err(self.file_error("its header promises more bytes than any file has")),
         }
     }
 
-    /// The next number.
-    pub fn read_number<T: FileNumber>(&mut self) -> Result<T, LoadtestFailure> {
-        let mut bytes = [0; 8];
-        let bytes = &mut bytes[..T::BYTES];
-        let read = self.file.read_exact(bytes);
-        read.map_err(|e| self.file_error(e))?;
-        Ok(T::from_bytes(bytes))
+    /// The next `count` numbers, each read by `from` of its bytes.
+    pub fn numbers<T, const BYTES: usize>(
+        &mut self,
+        count: usize,
+        from: fn([u8; BYTES]) -> T,
+    ) -> Result<Vec<T>, LoadtestFailure> {
+        let end = count.saturating_mul(BYTES).saturating_add(self.at);
+        let Some(run) = self.bytes.get(self.at..end) else {
+            return Err(self.file_error("ends too early"));
+        };
+        self.at = end;
+        Ok(run.as_chunks().0.iter().map(|bytes| from(*bytes)).collect())
     }
 
-    /// The next `count` numbers; `expect_byte_size` has made sure that the file holds them.
-    pub fn read_numbers<T: FileNumber>(&mut self, count: usize) -> Result<Vec<T>, LoadtestFailure> {
-        let mut numbers = Vec::with_capacity(count);
-        let mut block = vec![0; BLOCK.min(count.saturating_mul(T::BYTES))];
-        let mut left = count;
-        while left > 0 {
-            let now = left.min(BLOCK / T::BYTES);
-            let bytes = &mut block[..now * T::BYTES];
-            let read = self.file.read_exact(bytes);
-            read.map_err(|e| self.file_error(e))?;
-            numbers.extend(bytes.chunks_exact(T::BYTES).map(T::from_bytes));
-            left -= now;
-        }
-        Ok(numbers)
+    /// The next few whole numbers.
+    pub fn header<const COUNT: usize>(&mut self) -> Result<[u64; COUNT], LoadtestFailure> {
+        let mut header = [0; COUNT];
+        header.copy_from_slice(&self.numbers(COUNT, u64::from_le_bytes)?);
+        Ok(header)
     }
 
     /// The next `count` triples.
-    pub fn read_triples(&mut self, count: usize) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
-        Ok(self.read_numbers::<f64>(count * 3)?.as_chunks().0.to_vec())
+    pub fn triples(&mut self, count: usize) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
+        Ok(self.numbers(count * 3, f64::from_le_bytes)?.as_chunks().0.to_vec())
     }
-}
 
-/// Writes number runs to a file that appears under its name when it is whole.
-pub(super) struct NumberWriter {
-    file: BufWriter<File>,
-    part: std::path::PathBuf,
-    path: std::path::PathBuf,
-    block: Vec<u8>,
-}
-
-impl NumberWriter {
-    /// Begins `path`.
-    pub fn create(path: &Path) -> Result<Self, LoadtestFailure> {
-        let mut name = path.file_name().unwrap_or_default().to_os_string();
-        name.push(format!(".{}.part", std::process::id()));
-        let part = path.with_file_name(name);
-        let file =
-            File::create(&part).map_err(|e| LoadtestFailure::Usage(format!("cannot write {}: {e}", part.display())))?;
-        Ok(Self {
-            file: BufWriter::new(file),
-            part,
-            path: path.to_owned(),
-            block: Vec::with_capacity(BLOCK + 8),
+    /// The input of a pose.
+    fn pose(&mut self, nodes: usize) -> Result<PoseSystem, LoadtestFailure> {
+        Ok(PoseSystem {
+            rhs: self.triples(nodes)?,
+            given: self.triples(nodes)?,
         })
     }
+}
 
-    /// Appends numbers.
-    pub fn write_numbers<T: FileNumber>(
-        &mut self,
-        numbers: impl IntoIterator<Item = T>,
-    ) -> Result<(), LoadtestFailure> {
-        for number in numbers {
-            number.append_to(&mut self.block);
-            if self.block.len() >= BLOCK {
-                self.flush()?;
-            }
-        }
-        self.flush()
-    }
+/// The bytes of numbers.
+pub(super) fn f64_bytes(rows: &[[f64; 3]]) -> impl Iterator<Item = u8> + '_ {
+    rows.iter().flatten().flat_map(|number| number.to_le_bytes())
+}
 
-    /// Ends the file and gives it its name.
-    pub fn finish(mut self) -> Result<(), LoadtestFailure> {
-        let done = self.file.flush().and_then(|()| std::fs::rename(&self.part, &self.path));
-        done.map_err(|e| LoadtestFailure::Usage(format!("cannot write {}: {e}", self.path.display())))
-    }
-
-    fn flush(&mut self) -> Result<(), LoadtestFailure> {
-        let written = self.file.write_all(&self.block);
-        self.block.clear();
-        written.map_err(|e| LoadtestFailure::Usage(format!("cannot write {}: {e}", self.part.display())))
-    }
+/// Writes a file that appears under its name when it is whole.
+pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), LoadtestFailure> {
+    let mut name = path.file_name().unwrap_or_default().to_os_string();
+    name.push(format!(".{}.part", std::process::id()));
+    let part = path.with_file_name(name);
+    let written = fs::write(&part, bytes).and_then(|()| fs::rename(&part, path));
+    written.map_err(|e| LoadtestFailure::Usage(format!("cannot write {}: {e}", path.display())))
 }
 
 #[cfg(test)]

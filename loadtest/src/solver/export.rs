@@ -33,13 +33,12 @@ pub(crate) struct ExportArgs {
     subdivide: u8,
 }
 
-/// Runs the command.
 pub(crate) fn run_export(args: &ExportArgs) -> Result<(), LoadtestFailure> {
     if args.output.extension().is_some_and(|e| e == "aux") {
         let problem = "ends in aux, which its companion is named with";
         return Err(LoadtestFailure::Usage(format!("{} {problem}", args.output.display())));
     }
-    let pool = Pool::new(0).map_err(LoadtestFailure::server)?;
+    let pool = Pool::new(0)?;
     let job = read_job_file(&args.job)?;
     let model = subdivide_model(read_model_file(&args.model)?, args.subdivide)?;
     let refuse = |e: pliant::wire::Error| match e {

@@ -1,15 +1,11 @@
 //! The free system alone, as the peers see it: set-up, solves from zero, memory.
 
 use super::problem::{GraphLaplacian, LinearProblem};
-use super::ready::{
-    BenchTerms, EXACT_RESIDUAL, ReadySystem, largest_distance, options_to_residual, peak_bytes, solver_failure,
-};
+use super::ready::{BenchTerms, EXACT_RESIDUAL, ReadySystem, largest_distance, options_to_residual, peak_bytes};
 use crate::failure::LoadtestFailure;
 use crate::measurements::{Measurements, RunTimes, time_once};
-use pliant::exec::Exec;
-use pliant::progress::Silent;
 use pliant::solver::{
-    BuildOptions, Constraints, Hierarchy, InitialGuess, SolveMethod, SolveOptions, WeightedGraph, Workspace,
+    BuildOptions, Constraints, InitialGuess, IterationReport, SolveMethod, SolveOptions, WeightedGraph,
 };
 use sha2::{Digest, Sha256};
 
@@ -29,15 +25,14 @@ pub(super) fn measure_free_system(
     let graph = graph.map_err(LoadtestFailure::Usage)?;
     measurements.set_number("convert_s", convert);
     let (ready, first) = time_once(|| build_ready_system(&graph, problem, terms));
-    let (ready, mut setup) = (ready?, RunTimes::from_one(first));
-    let mut workspace = Workspace::default();
+    let (mut ready, mut setup) = (ready?, RunTimes::from_one(first));
 
     let n = problem.matrix.rows();
     let mut solutions = Vec::new();
     for (tag, tolerance) in [("3", 1e-3), ("5", 1e-5)] {
         let options = options_to_residual(tolerance);
         let zero = || vec![[0.0; 3]; n];
-        let (x, stats, times) = ready.solve_and_time(&problem.rhs, zero, &options, &mut workspace, terms)?;
+        let (x, stats, times) = ready.solve_and_time(&problem.rhs, zero, &options)?;
         measurements.set_number(&format!("solve{tag}_s"), times.best);
         measurements.set_number(&format!("solve{tag}_first_s"), times.first);
         solutions.push((tag, tolerance, x, stats, times.best));
@@ -45,7 +40,7 @@ pub(super) fn measure_free_system(
     let peak = peak_bytes();
     measurements.set_megabytes("rss_peak_MB", peak as f64);
     measurements.set_megabytes("peak_over_base_MB", peak as f64 - base as f64);
-    note_memory(&ready, &workspace, problem, measurements);
+    note_memory(&ready, problem, measurements);
 
     // Set-up again, each time after the one before is gone.
     let mut ready = Some(ready);
@@ -58,7 +53,7 @@ pub(super) fn measure_free_system(
         ready = Some(again?);
         setup.add_run(seconds);
     }
-    let ready = match ready {
+    let mut ready = match ready {
         Some(ready) => ready,
         None => build_ready_system(&graph, problem, terms)?,
     };
@@ -83,40 +78,37 @@ pub(super) fn measure_free_system(
     if let Some((.., x, stats, _)) = solutions.last() {
         measurements.set_value("method", method_name(stats.method));
         measurements.set_value("digest", solution_digest(x));
-        note_errors(problem, &ready, &solutions[0].2, x, terms, measurements)?;
+        note_errors(problem, &mut ready, &solutions[0].2, x, measurements)?;
     }
     Ok(good)
 }
 
 /// Builds the hierarchy of the matrix as a graph, then the stiffness of the tied rows.
-fn build_ready_system(
+fn build_ready_system<'a>(
     graph: &GraphLaplacian,
     problem: &LinearProblem,
-    terms: &BenchTerms,
-) -> Result<ReadySystem, LoadtestFailure> {
+    terms: &'a BenchTerms,
+) -> Result<ReadySystem<'a>, LoadtestFailure> {
     let view = WeightedGraph {
         offsets: &graph.offsets,
         neighbours: &graph.neighbours,
         weights: graph.weights.as_deref(),
         positions: Some(&problem.rest),
     };
-    let hierarchy =
-        Hierarchy::build(&view, &BuildOptions::default(), &Exec::new(&terms.pool, &Silent)).map_err(solver_failure)?;
     let constraints = Constraints {
         fixed: &vec![false; graph.stiffness.len()],
         stiffness: Some(&graph.stiffness),
     };
-    let system = hierarchy.constrain(&constraints, &terms.pool).map_err(solver_failure)?;
-    Ok(ReadySystem { hierarchy, system })
+    ReadySystem::build(&view, &BuildOptions::default(), &constraints, terms)
 }
 
-fn note_memory(ready: &ReadySystem, workspace: &Workspace, problem: &LinearProblem, measurements: &mut Measurements) {
+fn note_memory(ready: &ReadySystem<'_>, problem: &LinearProblem, measurements: &mut Measurements) {
     let held = (ready.hierarchy.byte_size() + ready.system.byte_size()) as f64;
     let matrix = problem.matrix.byte_size() as f64;
     measurements.set_megabytes("mem_MB", held);
     measurements.set_value("mem_what", "reported by the solver");
     measurements.set_number("mem_ratio", held / matrix);
-    measurements.set_number("mem_all_ratio", (held + workspace.byte_size() as f64) / matrix);
+    measurements.set_number("mem_all_ratio", (held + ready.workspace.byte_size() as f64) / matrix);
     let levels = ready.hierarchy.level_sizes();
     measurements.set_value("levels", levels.len());
     let vertices: Vec<usize> = levels.iter().map(|l| l.vertices).collect();
@@ -143,28 +135,27 @@ fn note_units(solves: &[(usize, f64)], measurements: &mut Measurements) {
 /// Notes the convergence factor, and how far the two solutions are from the exact one.
 fn note_errors(
     problem: &LinearProblem,
-    ready: &ReadySystem,
+    ready: &mut ReadySystem<'_>,
     x3: &[[f64; 3]],
     x5: &[[f64; 3]],
-    terms: &BenchTerms,
     measurements: &mut Measurements,
 ) -> Result<(), LoadtestFailure> {
-    let mut workspace = Workspace::default();
-    let mut x = vec![[0.0; 3]; x5.len()];
-    let options = options_to_residual(FACTOR);
-    let (_, residuals) = ready.solve_logged(&problem.rhs, &mut x, &options, &mut workspace, terms)?;
+    let (mut x, mut residuals) = (vec![[0.0; 3]; x5.len()], Vec::new());
+    let mut watch = |iteration: &IterationReport<'_>| residuals.push(iteration.residual);
+    let (rhs, flat) = (problem.rhs.as_flattened(), x.as_flattened_mut());
+    ready.solve_columns(3, rhs, flat, &options_to_residual(FACTOR), &mut watch)?;
     // The first iteration mostly takes away what zero is wrong by everywhere; the others show the rate.
     if let [first, .., last] = residuals[..] {
         measurements.set_number("factor", (last / first).powf(1.0 / (residuals.len() - 1) as f64));
     }
-    if terms.fast {
+    if ready.terms.fast {
         return Ok(());
     }
     let options = SolveOptions {
         start: InitialGuess::Given,
         ..options_to_residual(EXACT_RESIDUAL)
     };
-    let stats = ready.solve(&problem.rhs, &mut x, &options, &mut workspace, terms)?;
+    let stats = ready.solve(&problem.rhs, &mut x, &options)?;
     let diagonal = box_diagonal(&problem.rest);
     measurements.set_number("err3", largest_distance(x3, &x) / diagonal);
     measurements.set_number("err5", largest_distance(x5, &x) / diagonal);

@@ -6,12 +6,7 @@ use crate::failure::LoadtestFailure;
 use crate::measurements::{Measurements, time_best_of};
 use glam::{DAffine3, DVec3};
 use pliant::deform::{HandleMotion, carry, fit_rigid_motion};
-use pliant::exec::Exec;
-use pliant::progress::Silent;
-use pliant::solver::{
-    BuildOptions, CoarseOperators, Constraints, Hierarchy, InitialGuess, IterationReport, SolveControl, SolveOptions,
-    Workspace,
-};
+use pliant::solver::{BuildOptions, CoarseOperators, Constraints, InitialGuess, IterationReport, SolveOptions};
 
 /// Largest missing displacement that a drag's frame may have, fraction of the diagonal.
 const DRAG_ERROR: f64 = 1e-3;
@@ -29,12 +24,8 @@ pub(super) fn measure_full_system(
         fixed: &all.fixed,
         stiffness: all.stiffness.as_deref(),
     };
-    let set_up = |()| {
-        let hierarchy = Hierarchy::build(&all.graph(), &BuildOptions::default(), &Exec::new(&terms.pool, &Silent))?;
-        let system = hierarchy.constrain(&constraints, &terms.pool)?;
-        Ok(ReadySystem { hierarchy, system })
-    };
-    let (ready, times) = time_best_of(terms.repeat, || (), set_up).map_err(solver_failure)?;
+    let set_up = |()| ReadySystem::build(&all.graph(), &BuildOptions::default(), &constraints, terms);
+    let (mut ready, times) = time_best_of(terms.repeat, || (), set_up)?;
     measurements.set_number("setup_all_s", times.best);
 
     let grown = grow_given_nodes(all);
@@ -46,11 +37,10 @@ pub(super) fn measure_full_system(
     let (_, times) = time_best_of(terms.repeat.saturating_mul(3), || (), change).map_err(solver_failure)?;
     measurements.set_number("handle_s", times.best);
 
-    let mut workspace = Workspace::default();
-    let first = time_full_multigrid(all, &ready, &mut workspace, terms, measurements)?;
-    let second = time_drag(all, &ready, &first, &mut workspace, terms, measurements)?;
+    let first = time_full_multigrid(all, &mut ready, measurements)?;
+    let second = time_drag(all, &mut ready, &first, measurements)?;
     if !terms.fast {
-        let (exact, _) = solve_on(&ready, &all.poses[1], &second, EXACT_RESIDUAL, &mut workspace, terms)?;
+        let (exact, _) = solve_on(&mut ready, &all.poses[1], &second, EXACT_RESIDUAL)?;
         measurements.set_number("drag_err", largest_distance(&second, &exact) / all.diagonal);
     }
     Ok(())
@@ -69,9 +59,7 @@ fn grow_given_nodes(all: &CompanionFile) -> Vec<bool> {
 /// Times full multigrid to 1e-3; the solution that comes back is the exact one of the first pose, or nearly.
 fn time_full_multigrid(
     all: &CompanionFile,
-    ready: &ReadySystem,
-    workspace: &mut Workspace,
-    terms: &BenchTerms,
+    ready: &mut ReadySystem<'_>,
     measurements: &mut Measurements,
 ) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
     let pose = &all.poses[0];
@@ -83,12 +71,12 @@ fn time_full_multigrid(
         ..options_to_residual(1e-3)
     };
     let prepare = || pose.given.clone();
-    let (x, stats, times) = ready.solve_and_time(&pose.rhs, prepare, &options, workspace, terms)?;
+    let (x, stats, times) = ready.solve_and_time(&pose.rhs, prepare, &options)?;
     measurements.set_number("fmg3_s", times.best);
     measurements.set_value("fmg_it3", stats.iterations);
-    let tolerance = if terms.fast { NEARLY } else { EXACT_RESIDUAL };
-    let (exact, _) = solve_on(ready, pose, &x, tolerance, workspace, terms)?;
-    if !terms.fast {
+    let tolerance = if ready.terms.fast { NEARLY } else { EXACT_RESIDUAL };
+    let (exact, _) = solve_on(ready, pose, &x, tolerance)?;
+    if !ready.terms.fast {
         measurements.set_number("fmg_err3", largest_distance(&x, &exact) / all.diagonal);
     }
     Ok(exact)
@@ -97,10 +85,8 @@ fn time_full_multigrid(
 /// Times the second pose from the first one's solution, and returns what it came to.
 fn time_drag(
     all: &CompanionFile,
-    ready: &ReadySystem,
+    ready: &mut ReadySystem<'_>,
     from: &[[f64; 3]],
-    workspace: &mut Workspace,
-    terms: &BenchTerms,
     measurements: &mut Measurements,
 ) -> Result<Vec<[f64; 3]>, LoadtestFailure> {
     let pose = &all.poses[1];
@@ -111,15 +97,15 @@ fn time_drag(
         ..Default::default()
     };
     // Sessions have the fields before the first drag; carrying the last frame along is part of every frame.
-    let (field, map) = follow_field(all, ready, workspace, terms)?;
+    let (field, map) = follow_field(all, ready)?;
     let start = |mut x: Vec<[f64; 3]>| {
         let motion = HandleMotion { field: &field, map };
-        carry(x.as_flattened_mut(), &[motion], &terms.pool);
+        carry(x.as_flattened_mut(), &[motion], &ready.terms.pool);
         Ok::<_, LoadtestFailure>(x)
     };
-    let (carried, carrying) = time_best_of(terms.repeat, || from.to_vec(), start)?;
+    let (carried, carrying) = time_best_of(ready.terms.repeat, || from.to_vec(), start)?;
     let prepare = || place_given_nodes(all, pose, &carried);
-    let (x, stats, times) = ready.solve_and_time(&pose.rhs, prepare, &options, workspace, terms)?;
+    let (x, stats, times) = ready.solve_and_time(&pose.rhs, prepare, &options)?;
     let seconds = carrying.best + times.best;
     measurements.set_number("drag_s", seconds);
     measurements.set_value("drag_it", stats.iterations);
@@ -129,29 +115,12 @@ fn time_drag(
 }
 
 /// Computes how the given nodes moved that the two poses hold in different places, and how much every node follows them.
-fn follow_field(
-    all: &CompanionFile,
-    ready: &ReadySystem,
-    workspace: &mut Workspace,
-    terms: &BenchTerms,
-) -> Result<(Vec<f32>, DAffine3), LoadtestFailure> {
+fn follow_field(all: &CompanionFile, ready: &mut ReadySystem<'_>) -> Result<(Vec<f32>, DAffine3), LoadtestFailure> {
     let (from, to) = (&all.poses[0].given, &all.poses[1].given);
     let moved = |i: usize| all.fixed[i] && from[i] != to[i];
     let mut field: Vec<f64> = (0..all.fixed.len()).map(|i| f64::from(u8::from(moved(i)))).collect();
     let rhs = vec![0.0; field.len()];
-    let (hierarchy, system) = (&ready.hierarchy, &ready.system);
-    let options = options_to_residual(1e-5);
-    let mut watch = |_: &IterationReport<'_>| SolveControl::Continue;
-    system
-        .equations(hierarchy, 1, &rhs)
-        .solve(
-            &mut field,
-            &options,
-            workspace,
-            &Exec::new(&terms.pool, &Silent),
-            &mut watch,
-        )
-        .map_err(solver_failure)?;
+    ready.solve_columns(1, &rhs, &mut field, &options_to_residual(1e-5), &mut |_| {})?;
     let at = |given: &[[f64; 3]]| -> Vec<DVec3> {
         let moved = (0..given.len()).filter(|&i| moved(i));
         moved.map(|i| DVec3::from_array(given[i])).collect()
@@ -172,19 +141,17 @@ fn place_given_nodes(all: &CompanionFile, pose: &PoseSystem, x: &[[f64; 3]]) -> 
 
 /// Solves from `x` on; returns the solution and its residual.
 fn solve_on(
-    ready: &ReadySystem,
+    ready: &mut ReadySystem<'_>,
     pose: &PoseSystem,
     x: &[[f64; 3]],
     tolerance: f64,
-    workspace: &mut Workspace,
-    terms: &BenchTerms,
 ) -> Result<(Vec<[f64; 3]>, f64), LoadtestFailure> {
     let options = SolveOptions {
         start: InitialGuess::Given,
         ..options_to_residual(tolerance)
     };
     let mut x = x.to_vec();
-    let stats = ready.solve(&pose.rhs, &mut x, &options, workspace, terms)?;
+    let stats = ready.solve(&pose.rhs, &mut x, &options)?;
     Ok((x, stats.residual))
 }
 
@@ -215,53 +182,32 @@ pub(super) fn measure_paper_cycles(
     let pose = &all.poses[0];
     let mut exact = pose.given.clone();
     for (name, operators, interleave) in RUNS {
-        let ready = build_ready_system(all, operators, interleave, terms)?;
-        let mut workspace = Workspace::default();
+        let options = BuildOptions {
+            operators,
+            interleave,
+            ..Default::default()
+        };
+        let constraints = Constraints {
+            fixed: &all.fixed,
+            stiffness: all.stiffness.as_deref(),
+        };
+        let mut ready = ReadySystem::build(&all.graph(), &options, &constraints, terms)?;
         if operators == CoarseOperators::FiniteVolume {
-            let stats = ready.solve(
-                &pose.rhs,
-                &mut exact,
-                &options_to_residual(EXACT_RESIDUAL),
-                &mut workspace,
-                terms,
-            )?;
+            let stats = ready.solve(&pose.rhs, &mut exact, &options_to_residual(EXACT_RESIDUAL))?;
             measurements.set_number("exact_res", stats.residual);
         }
-        let log = log_cycles(all, &ready, &exact, &mut workspace, terms)?;
+        let log = log_cycles(all, &mut ready, &exact)?;
         measurements.set_value(&format!("{name}_residuals"), log.residuals);
         measurements.set_value(&format!("{name}_errors"), log.errors);
     }
     Ok(())
 }
 
-fn build_ready_system(
-    all: &CompanionFile,
-    operators: CoarseOperators,
-    interleave: Option<usize>,
-    terms: &BenchTerms,
-) -> Result<ReadySystem, LoadtestFailure> {
-    let options = BuildOptions {
-        operators,
-        interleave,
-        ..Default::default()
-    };
-    let constraints = Constraints {
-        fixed: &all.fixed,
-        stiffness: all.stiffness.as_deref(),
-    };
-    let hierarchy =
-        Hierarchy::build(&all.graph(), &options, &Exec::new(&terms.pool, &Silent)).map_err(solver_failure)?;
-    let system = hierarchy.constrain(&constraints, &terms.pool).map_err(solver_failure)?;
-    Ok(ReadySystem { hierarchy, system })
-}
-
 /// Runs full multigrid alone, then again with [`SHOWN`] iterations after it.
 fn log_cycles(
     all: &CompanionFile,
-    ready: &ReadySystem,
+    ready: &mut ReadySystem<'_>,
     exact: &[[f64; 3]],
-    workspace: &mut Workspace,
-    terms: &BenchTerms,
 ) -> Result<CycleLog, LoadtestFailure> {
     let pose = &all.poses[0];
     let options = |most: usize| SolveOptions {
@@ -273,30 +219,20 @@ fn log_cycles(
         ..options_to_residual(EXACT_RESIDUAL)
     };
     let mut x = pose.given.clone();
-    let start = ready.solve(&pose.rhs, &mut x, &options(0), workspace, terms)?;
+    let start = ready.solve(&pose.rhs, &mut x, &options(0))?;
     let mut log = CycleLog {
         residuals: vec![start.residual],
         errors: vec![largest_distance(&x, exact) / all.diagonal],
     };
     let mut now = pose.given.clone();
-    let mut watch = |iteration: &pliant::solver::IterationReport<'_>| {
+    let mut watch = |iteration: &IterationReport<'_>| {
         iteration.copy_to(now.as_flattened_mut());
         log.residuals.push(iteration.residual);
         log.errors.push(largest_distance(&now, exact) / all.diagonal);
-        SolveControl::Continue
     };
     let mut x = pose.given.clone();
-    ready
-        .system
-        .equations(&ready.hierarchy, 3, pose.rhs.as_flattened())
-        .solve(
-            x.as_flattened_mut(),
-            &options(SHOWN),
-            workspace,
-            &Exec::new(&terms.pool, &Silent),
-            &mut watch,
-        )
-        .map_err(solver_failure)?;
+    let (rhs, x) = (pose.rhs.as_flattened(), x.as_flattened_mut());
+    ready.solve_columns(3, rhs, x, &options(SHOWN), &mut watch)?;
     // Conjugate gradients would count differently.
     log.residuals.truncate(1 + SHOWN);
     log.errors.truncate(1 + SHOWN);

@@ -40,10 +40,9 @@ pub(crate) struct SolverArgs {
     json: bool,
 }
 
-/// Runs the command.
 pub(crate) fn run_solver(args: &SolverArgs) -> Result<(), LoadtestFailure> {
     let problem = LinearProblem::read(&args.problem)?;
-    let pool = Pool::new(usize::from(args.threads)).map_err(LoadtestFailure::server)?;
+    let pool = Pool::new(usize::from(args.threads))?;
     let mut measurements = Measurements::default();
     let name = args.problem.file_stem().unwrap_or_default().to_string_lossy();
     measurements.set_value("solver", "pliant");

@@ -3,7 +3,7 @@
 //! Little-endian: magic u64, n u64, nnz u64, row starts i64 × (n + 1), columns i32 × nnz, values f64 × nnz, right-hand
 //! sides f64 × 3 n by row, rest positions f64 × 3 n by row. The matrix is whole, with its diagonal.
 
-use super::companion::{NumberReader, NumberWriter};
+use super::companion::{NumberFile, f64_bytes, write_whole};
 use crate::failure::LoadtestFailure;
 use std::path::Path;
 
@@ -27,12 +27,11 @@ impl LinearProblem {
     /// Reads a file and checks that it holds what the format says: lengths against the file's size, rows rising and in
     /// range, numbers finite.
     pub fn read(path: &Path) -> Result<Self, LoadtestFailure> {
-        let mut file = NumberReader::open(path)?;
-        let magic: u64 = file.read_number()?;
+        let mut file = NumberFile::read(path)?;
+        let [magic, n, nnz] = file.header()?;
         if magic != MAGIC {
             return Err(file.file_error(format_args!("begins with {magic:#x}, a problem file with {MAGIC:#x}")));
         }
-        let (n, nnz): (u64, u64) = (file.read_number()?, file.read_number()?);
         let rows = n.saturating_add(1);
         file.expect_byte_size(HEADER, &[(rows, 8), (nnz, 12), (n, 48)])?;
         if n > i32::MAX as u64 {
@@ -40,11 +39,11 @@ impl LinearProblem {
         }
         // Both fit the address space, because the file holds them.
         let (n, nnz) = (n as usize, nnz as usize);
-        let starts: Vec<i64> = file.read_numbers(n + 1)?;
-        let columns: Vec<i32> = file.read_numbers(nnz)?;
-        let values: Vec<f64> = file.read_numbers(nnz)?;
+        let starts = file.numbers(n + 1, i64::from_le_bytes)?;
+        let columns = file.numbers(nnz, i32::from_le_bytes)?;
+        let values = file.numbers(nnz, f64::from_le_bytes)?;
         let matrix = CompressedRows::new(starts, columns, values).map_err(|problem| file.file_error(problem))?;
-        let (rhs, rest) = (file.read_triples(n)?, file.read_triples(n)?);
+        let (rhs, rest) = (file.triples(n)?, file.triples(n)?);
         for (what, rows) in [("right-hand side", &rhs), ("rest position", &rest)] {
             if let Some(i) = rows.iter().position(|row| !row.iter().all(|v| v.is_finite())) {
                 return Err(file.file_error(format_args!("{what} {i} is {:?}, numbers must be finite", rows[i])));
@@ -55,14 +54,13 @@ impl LinearProblem {
 
     /// Writes the file.
     pub fn write(&self, path: &Path) -> Result<(), LoadtestFailure> {
-        let mut file = NumberWriter::create(path)?;
-        file.write_numbers([MAGIC, self.matrix.rows() as u64, self.matrix.entries() as u64])?;
-        file.write_numbers(self.matrix.starts().iter().copied())?;
-        file.write_numbers(self.matrix.columns().iter().copied())?;
-        file.write_numbers(self.matrix.values().iter().copied())?;
-        file.write_numbers(self.rhs.iter().flatten().copied())?;
-        file.write_numbers(self.rest.iter().flatten().copied())?;
-        file.finish()
+        let header = [MAGIC, self.matrix.rows() as u64, self.matrix.entries() as u64];
+        let mut bytes: Vec<u8> = header.into_iter().flat_map(u64::to_le_bytes).collect();
+        bytes.extend(self.matrix.starts.iter().flat_map(|v| v.to_le_bytes()));
+        bytes.extend(self.matrix.columns.iter().flat_map(|v| v.to_le_bytes()));
+        bytes.extend(self.matrix.values.iter().flat_map(|v| v.to_le_bytes()));
+        bytes.extend(f64_bytes(&self.rhs).chain(f64_bytes(&self.rest)));
+        write_whole(path, &bytes)
     }
 }
 
@@ -143,21 +141,6 @@ impl CompressedRows {
     /// Number of entries.
     pub fn entries(&self) -> usize {
         self.columns.len()
-    }
-
-    /// Where each row begins, and the end.
-    pub fn starts(&self) -> &[i64] {
-        &self.starts
-    }
-
-    /// Column of each entry.
-    pub fn columns(&self) -> &[i32] {
-        &self.columns
-    }
-
-    /// Value of each entry.
-    pub fn values(&self) -> &[f64] {
-        &self.values
     }
 
     /// Bytes in the peers' layout: 12 an entry and 8 a row start.

@@ -6,7 +6,10 @@ use crate::measurements::{RunTimes, time_best_of, time_once};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::solver::{Hierarchy, IterationReport, LinearSystem, SolveControl, SolveOptions, SolveStats, Workspace};
+use pliant::solver::{
+    BuildOptions, Constraints, Hierarchy, IterationReport, LinearSystem, SolveControl, SolveOptions, SolveStats,
+    WeightedGraph, Workspace,
+};
 use std::time::Instant;
 
 /// Most iterations of a solve that must reach the limits of double precision.
@@ -25,63 +28,75 @@ pub(super) struct BenchTerms {
     pub fast: bool,
 }
 
-/// A ready system is a hierarchy with constraints, ready to solve.
-pub(super) struct ReadySystem {
+/// A ready system is a hierarchy with constraints and the vectors of a solve, ready to solve.
+pub(super) struct ReadySystem<'a> {
     pub hierarchy: Hierarchy,
     pub system: LinearSystem,
+    pub workspace: Workspace,
+    pub terms: &'a BenchTerms,
 }
 
-impl ReadySystem {
-    /// Solves for three columns.
-    pub fn solve(
-        &self,
-        rhs: &[[f64; 3]],
-        x: &mut [[f64; 3]],
-        options: &SolveOptions<'_>,
-        workspace: &mut Workspace,
-        terms: &BenchTerms,
-    ) -> Result<SolveStats, LoadtestFailure> {
-        let logged = self.solve_logged(rhs, x, options, workspace, terms);
-        logged.map(|(stats, _)| stats)
+impl<'a> ReadySystem<'a> {
+    /// Builds the hierarchy of a graph, and constrains it.
+    pub fn build(
+        graph: &WeightedGraph<'_>,
+        options: &BuildOptions,
+        constraints: &Constraints<'_>,
+        terms: &'a BenchTerms,
+    ) -> Result<Self, LoadtestFailure> {
+        let exec = Exec::new(&terms.pool, &Silent);
+        let hierarchy = Hierarchy::build(graph, options, &exec).map_err(solver_failure)?;
+        let system = hierarchy.constrain(constraints, &terms.pool).map_err(solver_failure)?;
+        Ok(Self {
+            hierarchy,
+            system,
+            workspace: Workspace::default(),
+            terms,
+        })
     }
 
-    /// Solves for three columns; also returns the residual of each iteration.
-    pub fn solve_logged(
-        &self,
+    /// Solves for so many columns, and calls `watch` after each iteration.
+    pub fn solve_columns(
+        &mut self,
+        columns: usize,
+        rhs: &[f64],
+        x: &mut [f64],
+        options: &SolveOptions<'_>,
+        watch: &mut dyn FnMut(&IterationReport<'_>),
+    ) -> Result<SolveStats, LoadtestFailure> {
+        let exec = Exec::new(&self.terms.pool, &Silent);
+        let equations = self.system.equations(&self.hierarchy, columns, rhs);
+        let mut watch = |iteration: &IterationReport<'_>| {
+            watch(iteration);
+            SolveControl::Continue
+        };
+        let solved = equations.solve(x, options, &mut self.workspace, &exec, &mut watch);
+        solved.map_err(solver_failure)
+    }
+
+    /// Solves for three columns.
+    pub fn solve(
+        &mut self,
         rhs: &[[f64; 3]],
         x: &mut [[f64; 3]],
         options: &SolveOptions<'_>,
-        workspace: &mut Workspace,
-        terms: &BenchTerms,
-    ) -> Result<(SolveStats, Vec<f64>), LoadtestFailure> {
-        let mut residuals = Vec::new();
-        let mut watch = |iteration: &IterationReport<'_>| {
-            residuals.push(iteration.residual);
-            SolveControl::Continue
-        };
-        let (rhs, x) = (rhs.as_flattened(), x.as_flattened_mut());
-        let exec = Exec::new(&terms.pool, &Silent);
-        let solved = self
-            .system
-            .equations(&self.hierarchy, 3, rhs)
-            .solve(x, options, workspace, &exec, &mut watch);
-        Ok((solved.map_err(solver_failure)?, residuals))
+    ) -> Result<SolveStats, LoadtestFailure> {
+        self.solve_columns(3, rhs.as_flattened(), x.as_flattened_mut(), options, &mut |_| {})
     }
 
     /// Solves several times, each time from what `start` makes. Returns the last result and the times.
     pub fn solve_and_time(
-        &self,
+        &mut self,
         rhs: &[[f64; 3]],
         start: impl FnMut() -> Vec<[f64; 3]>,
         options: &SolveOptions<'_>,
-        workspace: &mut Workspace,
-        terms: &BenchTerms,
     ) -> Result<(Vec<[f64; 3]>, SolveStats, RunTimes), LoadtestFailure> {
+        let repeat = self.terms.repeat;
         let solve = |mut x: Vec<[f64; 3]>| -> Result<_, LoadtestFailure> {
-            let stats = self.solve(rhs, &mut x, options, workspace, terms)?;
+            let stats = self.solve(rhs, &mut x, options)?;
             Ok((x, stats))
         };
-        let ((x, stats), times) = time_best_of(terms.repeat, start, solve)?;
+        let ((x, stats), times) = time_best_of(repeat, start, solve)?;
         Ok((x, stats, times))
     }
 }

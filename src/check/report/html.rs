@@ -1,6 +1,7 @@
 //! The report as one page that needs nothing else: no script, no file, no network.
 
 use super::super::metric::MetricKind;
+use super::super::named::Named as _;
 use super::super::verdict::{CaseStatus, MetricDifference};
 use super::{CaseReport, SuiteReport, printable, verdict_line};
 use base64::Engine as _;
@@ -8,13 +9,18 @@ use base64::engine::general_purpose::STANDARD;
 use quick_xml::escape::escape;
 use std::fmt::Write as _;
 
+/// The page around what is written here, with places for the title, the style and the body.
+const PAGE: &str = include_str!("report.html");
+/// All of the page's style. It names no other file.
+const STYLE: &str = include_str!("report.css");
+
 /// Writes the report as one page.
 pub fn html_report(report: &SuiteReport) -> String {
     let mut body = String::new();
     let suite = escape_text(&report.suite);
     let part = report.shard.as_ref().map(|facts| {
-        let (shard, here, of) = (facts.shard, report.cases.len(), facts.cases);
-        format!(", shard {shard}: {here} of {of} cases")
+        let (here, of) = (report.cases.len(), facts.cases);
+        format!(", shard {facts}: {here} of {of} cases")
     });
     let _ = writeln!(
         body,
@@ -23,42 +29,32 @@ pub fn html_report(report: &SuiteReport) -> String {
         part.unwrap_or_default()
     );
     body += "<p class=\"counts\">";
-    for status in [
-        CaseStatus::Failed,
-        CaseStatus::Passed,
-        CaseStatus::Skipped,
-        CaseStatus::Blessed,
-    ] {
-        let count = report.count_cases(status);
-        if count > 0 {
-            let name = status.name();
-            let _ = write!(body, "<span class=\"{name}\">{count} {name}</span>");
-        }
+    let mut counts = report.counts();
+    counts.sort_by_key(|(_, name)| *name != CaseStatus::Failed.name());
+    for (count, name) in counts {
+        let _ = write!(body, "<span class=\"{name}\">{count} {name}</span>");
     }
     body += "</p>\n<table class=\"cases\">\n<thead><tr><th>case</th><th>result</th><th></th></tr></thead>\n<tbody>\n";
     for case in &report.cases {
-        let (name, status) = (escape_text(&case.name), case.verdict.status.name());
+        let (name, status) = (escape_text(&case.name), case.status.name());
         let _ = writeln!(
             body,
             "<tr><td><a href=\"#{name}\">{name}</a></td><td class=\"{status}\">{status}</td><td>{}</td></tr>",
-            escape_text(&verdict_line(&case.verdict))
+            escape_text(&verdict_line(case))
         );
     }
     body += "</tbody>\n</table>\n";
     // What failed is what people came for.
-    let (failed, rest): (Vec<_>, Vec<_>) = report
-        .cases
-        .iter()
-        .partition(|c| c.verdict.status == CaseStatus::Failed);
+    let (failed, rest): (Vec<_>, Vec<_>) = (report.cases.iter()).partition(|c| c.status == CaseStatus::Failed);
     failed.into_iter().chain(rest).for_each(|c| write_case(&mut body, c));
-    html_page(
-        &format!("{suite}: {} failed", report.count_cases(CaseStatus::Failed)),
-        &body,
-    )
+    let title = format!("{suite}: {} failed", report.count_cases(CaseStatus::Failed));
+    // From the last place to the first: what is filled in may contain the names of places itself.
+    let page = PAGE.replacen("{body}", &body, 1).replacen("{style}", STYLE, 1);
+    page.replacen("{title}", &title, 1)
 }
 
 fn write_case(body: &mut String, case: &CaseReport) {
-    let (name, status) = (escape_text(&case.name), case.verdict.status.name());
+    let (name, status) = (escape_text(&case.name), case.status.name());
     let _ = write!(
         body,
         "<section id=\"{name}\" class=\"{status}\">\n<header><h2>{name}</h2><span class=\"word {status}\">{status}</span></header>\n"
@@ -66,13 +62,12 @@ fn write_case(body: &mut String, case: &CaseReport) {
     if !case.title.is_empty() {
         let _ = writeln!(body, "<p>{}</p>", escape_text(&case.title));
     }
-    let verdict = &case.verdict;
-    if verdict.reasons.is_empty() {
-        let _ = writeln!(body, "<p>{}</p>", escape_text(&verdict_line(verdict)));
+    if case.reasons.is_empty() {
+        let _ = writeln!(body, "<p>{}</p>", escape_text(&verdict_line(case)));
     } else {
         *body += "<ul class=\"reasons\">\n";
-        for r in &verdict.reasons {
-            let _ = writeln!(body, "<li><code>{}</code> {}</li>", r.code, escape_text(&r.text));
+        for r in &case.reasons {
+            let _ = writeln!(body, "<li><code>{}</code> {}</li>", r.code.name(), escape_text(&r.text));
         }
         *body += "</ul>\n";
     }
@@ -81,17 +76,13 @@ fn write_case(body: &mut String, case: &CaseReport) {
     }
     if !case.pictures.is_empty() {
         *body += "<div class=\"pictures\">\n";
-        for plate in &case.pictures {
+        for picture in &case.pictures {
+            let ([width, height], caption) = (picture.size, picture.caption.name());
+            let (description, data) = (escape_text(&picture.description), STANDARD.encode(&picture.png));
             let _ = writeln!(
                 body,
-                "<figure><img width=\"{}\" height=\"{}\" alt=\"{}: {}\" src=\"data:image/png;base64,{}\"><figcaption><b>{}</b>, {}</figcaption></figure>",
-                plate.size[0],
-                plate.size[1],
-                plate.caption,
-                escape_text(&plate.description),
-                STANDARD.encode(&plate.png),
-                plate.caption,
-                escape_text(&plate.description)
+                "<figure><img width=\"{width}\" height=\"{height}\" alt=\"{caption}: {description}\" \
+                 src=\"data:image/png;base64,{data}\"><figcaption><b>{caption}</b>, {description}</figcaption></figure>"
             );
         }
         *body += "</div>\n";
@@ -102,11 +93,7 @@ fn write_case(body: &mut String, case: &CaseReport) {
 
 /// Writes the numbers and digests, open where something is wrong.
 fn write_facts(body: &mut String, case: &CaseReport) {
-    let open = if case.verdict.status == CaseStatus::Failed {
-        " open"
-    } else {
-        ""
-    };
+    let open = if case.status == CaseStatus::Failed { " open" } else { "" };
     let _ = writeln!(body, "<details{open}><summary>numbers</summary>");
     let _ = writeln!(
         body,
@@ -122,9 +109,9 @@ fn write_facts(body: &mut String, case: &CaseReport) {
             );
         }
     }
-    if !case.verdict.measures.is_empty() {
+    if !case.measures.is_empty() {
         *body += "<table>\n<thead><tr><th>metric</th><th>unit</th><th>difference</th><th>allowed</th><th>stored</th><th>now</th><th>where, why allowed</th></tr></thead>\n<tbody>\n";
-        case.verdict.measures.iter().for_each(|m| write_difference(body, m));
+        case.measures.iter().for_each(|m| write_difference(body, m));
         *body += "</tbody>\n</table>\n<p class=\"soft\">The unit diagonal is the length of the diagonal of the stored shape's bounding box; coordinates are in model units.</p>\n";
     }
     *body += "</details>\n";
@@ -143,7 +130,7 @@ fn write_difference(body: &mut String, m: &MetricDifference) {
     let _ = writeln!(
         body,
         "<tr{}><td>{}</td><td>{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td><td class=\"number\">{stored}</td><td class=\"number\">{now}</td><td>{}</td></tr>",
-        if m.is_within_bound() { "" } else { " class=\"over\"" },
+        if m.holds { "" } else { " class=\"over\"" },
         m.metric.name(),
         m.metric.unit().name(),
         number(m.difference),
@@ -155,56 +142,6 @@ fn write_difference(body: &mut String, m: &MetricDifference) {
 /// Escapes a text so that it is nothing but text, in an element or an attribute.
 fn escape_text(text: &str) -> String {
     escape(printable(text).as_str()).into_owned()
-}
-
-/// All of the page's style. It names no other file.
-pub(super) const STYLE: &str = "
-:root { color-scheme: light dark; --ink: #1d2430; --soft: #5a6472; --ground: #ffffff; --card: #f5f6f8; --line: #d7dce2;
-  --passed: #1a7f37; --failed: #c02626; --skipped: #8a6100; --blessed: #3557c9; }
-@media (prefers-color-scheme: dark) { :root { --ink: #e6e9ee; --soft: #9aa4b2; --ground: #14171c; --card: #1d2127; --line: #333a44;
-  --passed: #4cc46a; --failed: #ff7b72; --skipped: #e0b04c; --blessed: #8ea8ff; } }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 82rem; padding: 1.5rem 1.25rem 4rem; background: var(--ground); color: var(--ink);
-  font: 15px/1.5 system-ui, sans-serif; }
-h1 { font-size: 1.5rem; margin: 0 0 .25rem; overflow-wrap: anywhere; }
-h2 { font-size: 1.15rem; margin: 0; overflow-wrap: anywhere; }
-p { margin: .25rem 0; overflow-wrap: anywhere; }
-a { color: inherit; }
-.soft { color: var(--soft); }
-.counts { display: flex; flex-wrap: wrap; gap: .5rem 1.5rem; margin: .75rem 0 1.5rem; font-weight: 600; }
-.passed { color: var(--passed); } .failed { color: var(--failed); } .skipped { color: var(--skipped); }
-.blessed { color: var(--blessed); }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-th, td { text-align: left; padding: .3rem .75rem .3rem 0; border-bottom: 1px solid var(--line); vertical-align: top;
-  overflow-wrap: anywhere; }
-th { color: var(--soft); font-weight: 500; }
-td.number, .cases td:nth-child(-n+2), .cases th { white-space: nowrap; }
-section { border: 1px solid var(--line); border-left: 4px solid currentColor; border-radius: 6px; margin: 1.25rem 0;
-  padding: 1rem 1.25rem; }
-section > * { color: var(--ink); }
-section > header { display: flex; flex-wrap: wrap; gap: .25rem .75rem; align-items: baseline; margin-bottom: .5rem; }
-.word { font-weight: 700; text-transform: uppercase; font-size: .8rem; letter-spacing: .05em; }
-ul.reasons { margin: .5rem 0; padding-left: 1.2rem; }
-code { font: .92em ui-monospace, monospace; background: var(--card); padding: .05em .35em; border-radius: 4px;
-  overflow-wrap: anywhere; }
-.pictures { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(21rem, 100%), 1fr)); gap: 1rem; margin: 1rem 0; }
-figure { margin: 0; background: var(--card); border: 1px solid var(--line); border-radius: 6px; overflow: hidden; }
-figure img { display: block; width: 100%; height: auto; }
-figcaption { padding: .4rem .7rem; font-size: .85rem; color: var(--soft); }
-figcaption b { color: var(--ink); }
-details { margin-top: .5rem; } summary { cursor: pointer; color: var(--soft); }
-tr.over td { color: var(--failed); font-weight: 600; }
-@media print { details > * { display: block; } section { break-inside: avoid; } }
-";
-
-/// The page around `body`, both already escaped.
-pub(super) fn html_page(title: &str, body: &str) -> String {
-    format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">\n\
-         <title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n{body}</body>\n</html>\n"
-    )
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! The report as JUnit XML, which CI systems read: a test case for each case, a property for each metric.
 
 use super::super::metric::format_exact;
-use super::super::verdict::{CaseStatus, VerdictReason};
+use super::super::named::Named as _;
+use super::super::verdict::{CaseStatus, ReasonCode, VerdictReason};
 use super::{CaseReport, SuiteReport, printable};
 use quick_xml::events::{BytesDecl, BytesText, Event};
 use quick_xml::writer::Writer;
@@ -41,7 +42,7 @@ fn write_report(report: &SuiteReport, xml: &mut XmlWriter) -> io::Result<()> {
         let element = xml.create_element("testsuite").with_attribute(("name", suite.as_str()));
         element.with_attributes(counts()).write_inner_content(|xml| {
             let mut facts = vec![("how".to_owned(), printable(&report.how))];
-            facts.extend(report.shard.as_ref().map(|f| ("shard".to_owned(), f.shard.to_string())));
+            facts.extend(report.shard.as_ref().map(|f| ("shard".to_owned(), f.to_string())));
             write_properties(xml, &facts)?;
             report.cases.iter().try_for_each(|c| write_case(xml, &suite, c))
         })?;
@@ -57,7 +58,7 @@ fn seconds(milliseconds: f64) -> String {
 
 /// Whether a case failed because it could not be run.
 fn is_error(case: &CaseReport) -> bool {
-    case.verdict.status == CaseStatus::Failed && case.verdict.reasons.first().is_some_and(|r| r.code == "not-run")
+    case.status == CaseStatus::Failed && case.reasons.first().is_some_and(|r| r.code == ReasonCode::NotRun)
 }
 
 fn write_case(xml: &mut XmlWriter, suite: &str, case: &CaseReport) -> io::Result<()> {
@@ -70,9 +71,9 @@ fn write_case(xml: &mut XmlWriter, suite: &str, case: &CaseReport) -> io::Result
     }
     element.write_inner_content(|xml| {
         write_properties(xml, &case_properties(case))?;
-        let reasons = &case.verdict.reasons;
+        let reasons = &case.reasons;
         let Some(first) = reasons.first() else { return Ok(()) };
-        let name = match case.verdict.status {
+        let name = match case.status {
             CaseStatus::Failed if is_error(case) => "error",
             CaseStatus::Failed => "failure",
             CaseStatus::Skipped => "skipped",
@@ -84,9 +85,9 @@ fn write_case(xml: &mut XmlWriter, suite: &str, case: &CaseReport) -> io::Result
             element.write_empty()?;
             return Ok(());
         }
-        let describe = |r: &VerdictReason| format!("{}: {}", r.code, printable(&r.text));
+        let describe = |r: &VerdictReason| format!("{}: {}", r.code.name(), printable(&r.text));
         let text: Vec<String> = reasons.iter().map(describe).collect();
-        let element = element.with_attribute(("type", first.code));
+        let element = element.with_attribute(("type", first.code.name()));
         element.write_text_content(BytesText::new(&text.join("\n")))?;
         Ok(())
     })?;
@@ -103,7 +104,7 @@ fn case_properties(case: &CaseReport) -> Vec<(String, String)> {
         ("storedDigest".to_owned(), printable(&case.stored_digest)),
     ];
     facts.retain(|(_, text)| !text.is_empty());
-    for m in &case.verdict.measures {
+    for m in &case.measures {
         let name = m.metric.name();
         let Some(difference) = m.difference else {
             facts.push((name.into(), m.absent_word().into()));

@@ -10,40 +10,80 @@ mod merge;
 #[cfg(test)]
 mod samples;
 
-use super::case::CASE_SUFFIX;
+use super::case::{CASE_SUFFIX, check_case_name};
 use super::case_pictures::CasePicture;
 use super::golden::{Golden, InputHashes};
 use super::metric::{Metric, MetricKind};
-use super::shard::Shard;
-use super::verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason};
+use super::named::{self, Named as _};
+use super::verdict::{CaseStatus, CaseVerdict, MetricDifference, ReasonCode, VerdictReason, farthest, largest_share};
 pub use html::html_report;
 pub use json::{json_report, read_report};
 pub use junit::junit_report;
 pub use merge::merge_reports;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
+use std::fmt;
 
-/// A case report is the outcome of a case, run or not.
-#[derive(Debug, Clone, PartialEq)]
+/// A case report is the outcome of a case, run or not. Its fields are those of the JSON document.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "camelCase")]
 pub struct CaseReport {
     /// Its name.
+    #[serde(deserialize_with = "read_name")]
     pub name: String,
     /// What it shows; maybe empty.
     pub title: String,
     /// Its model, as the case names it.
     pub model: String,
-    /// What its result depends on; `None` when it was not read.
-    pub inputs: Option<InputHashes>,
+    /// How it ended.
+    #[serde(with = "named")]
+    pub status: CaseStatus,
+    /// Whether positions are bit-identical to the golden's.
+    pub identical: bool,
     /// Digest of its positions; empty when it was not run.
     pub digest: String,
     /// Digest in its golden; empty without one.
     pub stored_digest: String,
-    /// How it ended.
-    pub verdict: CaseVerdict,
-    /// Pictures, for the page.
-    pub pictures: Vec<CasePicture>,
+    /// What is wrong, most basic first; for a skipped case, why.
+    pub reasons: Vec<VerdictReason>,
+    /// All numbers; empty when there was nothing to compare.
+    #[serde(rename = "metrics")]
+    pub measures: Vec<MetricDifference>,
     /// What someone should know beside, such as why there is no picture.
     pub notes: Vec<String>,
+    /// What its result depends on; `None` when it was not read.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inputs: Option<InputHashes>,
     /// How long it took, run beside others; `None` unless requested.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "read_time")]
     pub milliseconds: Option<f64>,
+    /// Pictures, for the page.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub pictures: Vec<CasePicture>,
+}
+
+fn read_name<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    let name = String::deserialize(deserializer)?;
+    check_case_name(&name).map_err(D::Error::custom)?;
+    Ok(name)
+}
+
+fn read_time<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    let time = Option::<f64>::deserialize(deserializer)?;
+    match time.filter(|t| !(t.is_finite() && *t >= 0.0)) {
+        Some(time) => Err(D::Error::custom(format!("is {time}, a number of at least 0 is needed"))),
+        None => Ok(time),
+    }
+}
+
+impl CaseReport {
+    /// Takes what a verdict says.
+    pub fn take_verdict(&mut self, verdict: CaseVerdict) {
+        self.status = verdict.status;
+        self.identical = verdict.identical;
+        self.reasons = verdict.reasons;
+        self.measures = verdict.measures;
+    }
 }
 
 /// A suite report is the outcome of a suite or of a shard of it.
@@ -62,10 +102,13 @@ pub struct SuiteReport {
 }
 
 /// Shard facts say what a shard is a part of, so that nothing is joined that does not belong together.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ShardFacts {
-    /// Which one of how many.
-    pub shard: Shard,
+    /// Its number, from 1 on.
+    pub number: u32,
+    /// How many shards there are.
+    pub of: u32,
     /// How many cases the whole suite has.
     pub cases: usize,
     /// Digest of the suite: of its cases, jobs and goldens.
@@ -76,6 +119,12 @@ pub struct ShardFacts {
     pub build: String,
 }
 
+impl fmt::Display for ShardFacts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.number, self.of)
+    }
+}
+
 impl SuiteReport {
     /// Puts cases into the order in which a suite is run, which is that of the names of their files.
     fn sort_cases(&mut self) {
@@ -84,25 +133,15 @@ impl SuiteReport {
 
     /// Counts the cases that ended so.
     pub fn count_cases(&self, status: CaseStatus) -> usize {
-        self.cases.iter().filter(|c| c.verdict.status == status).count()
-    }
-}
-
-impl CaseStatus {
-    /// Finds the status of a name.
-    fn from_name(name: &str) -> Option<Self> {
-        let all = [Self::Passed, Self::Failed, Self::Skipped, Self::Blessed];
-        all.into_iter().find(|status| status.name() == name)
+        self.cases.iter().filter(|c| c.status == status).count()
     }
 
-    /// Its name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Passed => "passed",
-            Self::Failed => "failed",
-            Self::Skipped => "skipped",
-            Self::Blessed => "blessed",
-        }
+    /// Counts the cases by how they ended, without what none did.
+    fn counts(&self) -> Vec<(usize, &'static str)> {
+        let counted = CaseStatus::NAMES
+            .iter()
+            .map(|(status, name)| (self.count_cases(*status), *name));
+        counted.filter(|(count, _)| *count > 0).collect()
     }
 }
 
@@ -119,35 +158,40 @@ fn printable(text: &str) -> String {
 
 /// The line of a case; `width` is that of the longest name.
 pub fn case_line(case: &CaseReport, width: usize) -> String {
-    let word = match case.verdict.status {
+    let word = match case.status {
         CaseStatus::Failed => "FAILED",
         other => other.name(),
     };
-    let text = printable(&verdict_line(&case.verdict)).replace(['\n', '\r', '\t'], " ");
+    let text = printable(&verdict_line(case)).replace(['\n', '\r', '\t'], " ");
     format!("{word:<8} {:<width$}  {text}", case.name)
 }
 
 /// What matters most of a verdict: what is wrong, or the number that is nearest to its bound.
-fn verdict_line(verdict: &CaseVerdict) -> String {
-    let reasons = &verdict.reasons;
-    let Some(first) = reasons.first() else {
-        return match verdict.largest_share() {
-            _ if verdict.status == CaseStatus::Blessed && verdict.identical => "as it was".into(),
-            _ if verdict.status == CaseStatus::Blessed => "stored".into(),
-            _ if verdict.identical => "identical".into(),
-            Some(worst) => format!("within tolerance: {}", worst.describe()),
-            None => "within tolerance".into(),
+fn verdict_line(case: &CaseReport) -> String {
+    let Some(first) = case.reasons.first() else {
+        return match (case.status == CaseStatus::Blessed, case.identical) {
+            (true, true) => "as it was".into(),
+            (true, false) => "stored".into(),
+            (false, true) => "identical".into(),
+            (false, false) => match largest_share(&case.measures) {
+                Some(worst) => format!("within tolerance: {}", worst.describe()),
+                None => "within tolerance".into(),
+            },
         };
     };
-    let has = |code: &str| reasons.iter().any(|r| r.code == code);
-    let describe = |r: &VerdictReason| format!("{}: {}", r.code, r.text);
+    let describe = |r: &VerdictReason| format!("{}: {}", r.code.name(), r.text);
     let mut parts = Vec::new();
     // What is more basic than numbers comes before them, as in the list of reasons.
-    if !matches!(first.code, "metric" | "expectation") {
+    if !matches!(first.code, ReasonCode::Metric | ReasonCode::Expectation) {
         parts.push(describe(first));
     }
-    let over: Vec<&MetricDifference> = verdict.measures.iter().filter(|m| !m.is_within_bound()).collect();
-    if let Some(worst) = worst_difference(&over).filter(|_| has("metric")) {
+    let over: Vec<&MetricDifference> = case.measures.iter().filter(|m| !m.holds).collect();
+    // Turned triangles are reported before any other number.
+    let turned = |m: &&&MetricDifference| matches!(m.metric, Metric::FlippedTriangles | Metric::FoldedTriangles);
+    let worst = over.iter().find(turned).copied();
+    let worst = worst.or_else(|| farthest(over.iter().copied()));
+    let has_metric = case.reasons.iter().any(|r| r.code == ReasonCode::Metric);
+    if let Some(worst) = worst.filter(|_| has_metric) {
         parts.push(worst.describe());
         let more = over.iter().filter(|m| m.metric != worst.metric);
         let more: Vec<&str> = more.map(|m| m.metric.name()).collect();
@@ -155,23 +199,9 @@ fn verdict_line(verdict: &CaseVerdict) -> String {
             parts.push(format!("also {}", more.join(", ")));
         }
     }
-    parts.extend(reasons.iter().find(|r| r.code == "expectation").map(describe));
+    let expected = case.reasons.iter().find(|r| r.code == ReasonCode::Expectation);
+    parts.extend(expected.map(describe));
     parts.join("; ")
-}
-
-/// The number over its bound to report: turned triangles, else the largest share of its bound.
-fn worst_difference<'a>(over: &[&'a MetricDifference]) -> Option<&'a MetricDifference> {
-    let turned = |m: &&&MetricDifference| matches!(m.metric, Metric::FlippedTriangles | Metric::FoldedTriangles);
-    if let Some(m) = over.iter().find(turned) {
-        return Some(m);
-    }
-    let mut worst: Option<&MetricDifference> = None;
-    for m in over {
-        if worst.is_none_or(|w| m.share_of_bound() > w.share_of_bound()) {
-            worst = Some(m);
-        }
-    }
-    worst
 }
 
 /// The line of something that someone should know.
@@ -181,27 +211,18 @@ pub fn note_line(note: &str) -> String {
 
 /// The last line: how many cases ended how.
 pub fn summary_line(report: &SuiteReport) -> String {
-    let counts: Vec<String> = [
-        CaseStatus::Passed,
-        CaseStatus::Failed,
-        CaseStatus::Skipped,
-        CaseStatus::Blessed,
-    ]
-    .into_iter()
-    .map(|status| (report.count_cases(status), status.name()))
-    .filter(|(n, _)| *n > 0)
-    .map(|(n, name)| format!("{n} {name}"))
-    .collect();
+    let counts = report.counts().into_iter();
+    let counts: Vec<String> = counts.map(|(count, name)| format!("{count} {name}")).collect();
     let (reported, how) = (counts.join(", "), printable(&report.how));
     match &report.shard {
         None => format!("{} cases {how}: {reported}", report.cases.len()),
         Some(facts) if report.cases.is_empty() => {
-            let (shard, of) = (facts.shard, facts.cases);
-            format!("shard {shard} has no case: all {of} cases of the suite are in other shards")
+            let of = facts.cases;
+            format!("shard {facts} has no case: all {of} cases of the suite are in other shards")
         }
         Some(facts) => {
-            let (shard, of) = (facts.shard, facts.cases);
-            format!("shard {shard}, {} of {of} cases {how}: {reported}", report.cases.len())
+            let (here, of) = (report.cases.len(), facts.cases);
+            format!("shard {facts}, {here} of {of} cases {how}: {reported}")
         }
     }
 }
@@ -247,7 +268,7 @@ pub fn describe_changes(old: Option<&Golden>, new: &Golden, measures: &[MetricDi
             ));
         }
     }
-    for metric in Metric::ALL {
+    for metric in Metric::all() {
         match (old.numbers.get(&metric), new.numbers.get(&metric)) {
             (a, b) if a == b => {}
             (a, b) => {
@@ -285,10 +306,16 @@ mod tests {
         assert!(lines.iter().all(|l| !l.contains('\n')));
         let mut other = suite.cases[3].clone();
         let text = "the digest is xxh3:1, stored is xxh3:2".into();
-        other.verdict.reasons.insert(0, VerdictReason { code: "digest", text });
+        other.reasons.insert(
+            0,
+            VerdictReason {
+                code: ReasonCode::Digest,
+                text,
+            },
+        );
         let text = "flippedTriangles is 2, at most 0 expected".into();
-        other.verdict.reasons.push(VerdictReason {
-            code: "expectation",
+        other.reasons.push(VerdictReason {
+            code: ReasonCode::Expectation,
             text,
         });
         let reported = case_line(&other, 10);
@@ -299,9 +326,9 @@ mod tests {
             "the first line has the first reason: {reported}"
         );
         assert!(reported.ends_with("; also maxDisplacement; expectation: flippedTriangles is 2, at most 0 expected"));
-        other.verdict.reasons.retain(|r| r.code == "expectation");
+        other.reasons.retain(|r| r.code == ReasonCode::Expectation);
         assert_eq!(
-            verdict_line(&other.verdict),
+            verdict_line(&other),
             "expectation: flippedTriangles is 2, at most 0 expected",
             "numbers that are not a reason are not reported"
         );

@@ -1,10 +1,9 @@
 //! Reports for the tests of this room.
 
-use super::super::case_pictures::CasePicture;
+use super::super::case_pictures::{CasePicture, PictureCaption};
 use super::super::golden::InputHashes;
 use super::super::metric::Metric;
-use super::super::shard::Shard;
-use super::super::verdict::{CaseStatus, CaseVerdict, MetricDifference, VerdictReason};
+use super::super::verdict::{CaseStatus, CaseVerdict, MetricDifference, ReasonCode, VerdictReason};
 use super::{CaseReport, ShardFacts, SuiteReport};
 
 fn sample_case(name: &str, title: &str, verdict: CaseVerdict) -> CaseReport {
@@ -16,9 +15,12 @@ fn sample_case(name: &str, title: &str, verdict: CaseVerdict) -> CaseReport {
             model: "aa".into(),
             job: "bb".into(),
         }),
+        status: verdict.status,
+        identical: verdict.identical,
         digest: "xxh3:1".into(),
         stored_digest: "xxh3:2".into(),
-        verdict,
+        reasons: verdict.reasons,
+        measures: verdict.measures,
         pictures: Vec::new(),
         notes: Vec::new(),
         milliseconds: None,
@@ -39,6 +41,7 @@ fn sample_difference(metric: Metric, difference: f64, allowed: f64) -> MetricDif
             String::new()
         },
         place: "vertex 7".into(),
+        holds: difference <= allowed,
     }
 }
 
@@ -65,18 +68,18 @@ pub(super) fn sample_suite() -> SuiteReport {
         reasons: measures[..2]
             .iter()
             .map(|m| VerdictReason {
-                code: "metric",
+                code: ReasonCode::Metric,
                 text: m.describe(),
             })
             .collect(),
         identical: false,
         measures,
     };
-    let skipped = CaseVerdict::without_result(CaseStatus::Skipped, "skipped", "data:arm.off is absent");
-    let broken = CaseVerdict::without_result(CaseStatus::Failed, "not-run", "a <b> & \"c\" \u{1}]]>");
+    let skipped = CaseVerdict::without_result(CaseStatus::Skipped, ReasonCode::Skipped, "data:arm.off is absent");
+    let broken = CaseVerdict::without_result(CaseStatus::Failed, ReasonCode::NotRun, "a <b> & \"c\" \u{1}]]>");
     let mut shown = sample_case("d-failed", "<script>alert('x')</script> & more", failed);
     shown.pictures.push(CasePicture {
-        caption: "after",
+        caption: PictureCaption::After,
         description: "a \"shape\" <b>".into(),
         size: [4, 3],
         png: vec![1, 2, 3],
@@ -100,7 +103,8 @@ pub(super) fn sample_suite() -> SuiteReport {
 /// Makes what the report of a shard says beside its cases; no split has its digest.
 pub(super) fn sample_shard(number: u32, of: u32) -> ShardFacts {
     ShardFacts {
-        shard: Shard::new(number, of).expect("a shard"),
+        number,
+        of,
         cases: 5,
         suite: "sha256:suite".into(),
         split: "sha256:split".into(),

@@ -6,7 +6,7 @@ use super::pictures::{FramePicture, FramePictureArgs, PicturedFrames};
 use super::play::{FrameTaker, MeasuredFrames, PlayedAnimation};
 use crate::asset::{FileSet, Format, VertexCache};
 use crate::cli::output_files::{OutputPermission, spare_companions};
-use crate::cli::terminal::CliFailure;
+use crate::cli::terminal::{CliFailure, bounded};
 use crate::engine::PlayedForm;
 use crate::motion::decomposition::DecompositionOptions;
 use clap::{Args, ValueEnum};
@@ -101,14 +101,16 @@ pub(super) enum RootRule {
 #[derive(Debug, Clone, PartialEq)]
 enum OutputKind {
     Nothing,
-    Numbered(PathBuf, Format),
-    Gathered(PathBuf, GatheredKind),
+    Numbered(Format),
+    Gathered(GatheredKind),
     Pictured(FramePicture),
 }
 
 /// Where frames go, checked as far as it can be before any work.
 #[derive(Debug)]
 pub(super) struct AnimationOutput {
+    /// Empty where they go nowhere.
+    path: PathBuf,
     kind: OutputKind,
     pub(super) root: RootRule,
     resumes: bool,
@@ -122,31 +124,23 @@ impl AnimationOutputArgs {
             None => OutputKind::Nothing,
             Some(path) => self.kind_of(path)?,
         };
-        let is_morph = matches!(kind, OutputKind::Gathered(_, GatheredKind::Glb(PlayedForm::Morphs(_))));
-        let is_free = matches!(kind, OutputKind::Gathered(_, GatheredKind::Glb(PlayedForm::Bones(_))));
-        let is_skin = is_free
-            || matches!(
-                kind,
-                OutputKind::Gathered(_, GatheredKind::Glb(PlayedForm::RigBones { .. }))
-            );
-        let is_corrected = matches!(
-            kind,
-            OutputKind::Gathered(_, GatheredKind::Glb(PlayedForm::Correctives(_)))
-        );
-        let is_glb = is_morph || is_skin || is_corrected;
-        let has_nodes = is_glb || matches!(kind, OutputKind::Gathered(_, GatheredKind::Usd));
-        let is_numbered = matches!(kind, OutputKind::Numbered(..));
+        let form = match kind {
+            OutputKind::Gathered(GatheredKind::Glb(form)) => Some(form),
+            _ => None,
+        };
+        let is_free = matches!(form, Some(PlayedForm::Bones(_)));
+        let has_nodes = form.is_some() || kind == OutputKind::Gathered(GatheredKind::Usd);
         let is_picture = matches!(kind, OutputKind::Pictured(_));
         for (is_given, fits, problem) in [
             (
                 self.format.is_some(),
-                is_numbered,
+                matches!(kind, OutputKind::Numbered(_)),
                 "--format is for folders of numbered models",
             ),
-            (self.played_as.is_some(), is_glb, "--as is for .glb files"),
+            (self.played_as.is_some(), form.is_some(), "--as is for .glb files"),
             (
                 self.max_targets.is_some(),
-                is_morph,
+                matches!(form, Some(PlayedForm::Morphs(_))),
                 "--max-targets is for .glb files with morph targets",
             ),
             (
@@ -154,8 +148,16 @@ impl AnimationOutputArgs {
                 is_free,
                 "--bones is for --as skin with free bones",
             ),
-            (self.skeleton.is_some(), is_skin, "--skeleton is for --as skin"),
-            (self.poses.is_some(), is_corrected, "--poses is for --as correctives"),
+            (
+                self.skeleton.is_some(),
+                is_free || matches!(form, Some(PlayedForm::RigBones { .. })),
+                "--skeleton is for --as skin",
+            ),
+            (
+                self.poses.is_some(),
+                matches!(form, Some(PlayedForm::Correctives(_))),
+                "--poses is for --as correctives",
+            ),
             (
                 self.root == Some(RootRule::Node),
                 has_nodes,
@@ -173,97 +175,79 @@ impl AnimationOutputArgs {
                 return Err(CliFailure::Input(problem.into()));
             }
         }
-        match &kind {
-            OutputKind::Gathered(path, _) => self.permission.check_target(path)?,
-            OutputKind::Pictured(picture) => self.permission.check_target(&picture.path)?,
-            OutputKind::Nothing | OutputKind::Numbered(..) => {}
-        }
         let usual = if has_nodes { RootRule::Node } else { RootRule::Baked };
-        Ok(AnimationOutput {
+        let output = AnimationOutput {
+            path: self.output.clone().unwrap_or_default(),
             kind,
             root: self.root.unwrap_or(usual),
             resumes: self.resume,
             permission: self.permission,
-        })
+        };
+        if output.is_file() {
+            output.permission.check_target(&output.path)?;
+        }
+        Ok(output)
     }
 
     fn kind_of(&self, path: &Path) -> Result<OutputKind, CliFailure> {
         let text = path.to_string_lossy();
         if text.ends_with(['/', std::path::MAIN_SEPARATOR]) || path.is_dir() {
-            return Ok(OutputKind::Numbered(path.to_owned(), self.numbered_format()?));
+            return Ok(OutputKind::Numbered(self.numbered_format()?));
         }
         if let Some(picture) = self.pictures.picture_at(path)? {
             return Ok(OutputKind::Pictured(picture));
         }
         if let Some(cache) = VertexCache::from_file_name(&text) {
-            return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Cache(cache)));
+            return Ok(OutputKind::Gathered(GatheredKind::Cache(cache)));
         }
         match usd_ending(&text).as_deref() {
-            Some("usda") => return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Usd)),
+            Some("usda") => return Ok(OutputKind::Gathered(GatheredKind::Usd)),
             Some(other) => {
                 let problem = format!(
                     "USD is written as text, and .{other} is not; write a .usda, which every reader of USD takes"
                 );
-                return Err(CliFailure::Input(format!("cannot write {text}: {problem}")));
+                return Err(CliFailure::unwritable(path, problem));
             }
             None => {}
         }
         match Format::from_file_name(&text) {
-            Some(format) if format == Format::GLB => {}
+            Some(format) if format == Format::GLB => Ok(OutputKind::Gathered(GatheredKind::Glb(self.played_form()?))),
             Some(format) => {
                 let problem = match format.refusal_to_write() {
                     Some(refusal) => format!("{refusal}; {ALLOWED_OUTPUTS}"),
-                    None => {
-                        format!(
-                            "one {format} holds one frame; a folder of them ends in a slash, with --format {format}"
-                        )
-                    }
+                    None => format!(
+                        "one {format} holds one frame; a folder of them ends in a slash, with --format {format}"
+                    ),
                 };
-                return Err(CliFailure::Input(format!("cannot write {text}: {problem}")));
+                Err(CliFailure::unwritable(path, problem))
             }
-            None => {
-                return Err(CliFailure::Input(format!(
-                    "cannot determine what to write into {text}: {ALLOWED_OUTPUTS}"
-                )));
+            None => Err(CliFailure::Input(format!(
+                "cannot determine what to write into {text}: {ALLOWED_OUTPUTS}"
+            ))),
+        }
+    }
+
+    /// How a GLB stores the frames.
+    fn played_form(&self) -> Result<PlayedForm, CliFailure> {
+        Ok(match self.played_as.unwrap_or(PlayedAs::Morph) {
+            PlayedAs::Skin => {
+                let allowed = 1..=DecompositionOptions::MOST_BONES;
+                let bones = bounded("--bones", self.bones, USUAL_BONES, allowed)?;
+                match self.skeleton.unwrap_or(SkeletonKind::Free) {
+                    SkeletonKind::Free => PlayedForm::Bones(bones),
+                    other => PlayedForm::RigBones {
+                        has_twists: other == SkeletonKind::Twist,
+                    },
+                }
             }
-        }
-        if self.played_as == Some(PlayedAs::Skin) {
-            let bones = self.bones.unwrap_or(USUAL_BONES);
-            let most = DecompositionOptions::MOST_BONES;
-            if !(1..=most).contains(&bones) {
-                return Err(CliFailure::Input(format!(
-                    "--bones is {bones}, allowed are 1 to {most}"
-                )));
+            PlayedAs::Correctives => {
+                PlayedForm::Correctives(bounded("--poses", self.poses, USUAL_POSES, 1..=MOST_POSES)?)
             }
-            let kind = match self.skeleton.unwrap_or(SkeletonKind::Free) {
-                SkeletonKind::Free => PlayedForm::Bones(bones),
-                other => PlayedForm::RigBones {
-                    has_twists: other == SkeletonKind::Twist,
-                },
-            };
-            return Ok(OutputKind::Gathered(path.to_owned(), GatheredKind::Glb(kind)));
-        }
-        if self.played_as == Some(PlayedAs::Correctives) {
-            let poses = self.poses.unwrap_or(USUAL_POSES);
-            if !(1..=MOST_POSES).contains(&poses) {
-                return Err(CliFailure::Input(format!(
-                    "--poses is {poses}, allowed are 1 to {MOST_POSES}"
-                )));
+            PlayedAs::Morph => {
+                let targets = bounded("--max-targets", self.max_targets, USUAL_TARGETS, 2..=MOST_TARGETS)?;
+                PlayedForm::Morphs(targets)
             }
-            return Ok(OutputKind::Gathered(
-                path.to_owned(),
-                GatheredKind::Glb(PlayedForm::Correctives(poses)),
-            ));
-        }
-        let most = self.max_targets.unwrap_or(USUAL_TARGETS);
-        if !(2..=MOST_TARGETS).contains(&most) {
-            let problem = format!("--max-targets is {most}, allowed are 2 to {MOST_TARGETS}");
-            return Err(CliFailure::Input(problem));
-        }
-        Ok(OutputKind::Gathered(
-            path.to_owned(),
-            GatheredKind::Glb(PlayedForm::Morphs(most)),
-        ))
+        })
     }
 
     fn numbered_format(&self) -> Result<Format, CliFailure> {
@@ -288,33 +272,34 @@ fn usd_ending(name: &str) -> Option<String> {
 }
 
 impl AnimationOutput {
+    /// Whether all frames go into one file.
+    fn is_file(&self) -> bool {
+        matches!(self.kind, OutputKind::Gathered(_) | OutputKind::Pictured(_))
+    }
+
     /// Refuses a place where a file of the model itself lies. Numbered models look for that themselves, one by one.
     pub(super) fn spare_companions_of(&self, model: &Path, read: &FileSet) -> Result<(), CliFailure> {
-        match &self.kind {
-            OutputKind::Gathered(path, _) => spare_companions(path, model, read),
-            OutputKind::Pictured(picture) => spare_companions(&picture.path, model, read),
-            OutputKind::Nothing | OutputKind::Numbered(..) => Ok(()),
+        match self.is_file() {
+            true => spare_companions(&self.path, model, read),
+            false => Ok(()),
         }
     }
 
     /// Where frames go, in words; `None` where they go nowhere.
     pub(super) fn place(&self) -> Option<String> {
-        match &self.kind {
-            OutputKind::Nothing => None,
-            OutputKind::Pictured(picture) => Some(picture.path.display().to_string()),
-            OutputKind::Numbered(path, _) | OutputKind::Gathered(path, _) => Some(path.display().to_string()),
-        }
+        (self.kind != OutputKind::Nothing).then(|| self.path.display().to_string())
     }
 
     /// Begins to write, or goes on with what is there.
     pub(super) fn begin<'a>(&self, played: PlayedAnimation<'a>) -> Result<Box<dyn FrameTaker + 'a>, CliFailure> {
+        let path = &self.path;
         Ok(match &self.kind {
             OutputKind::Nothing => Box::new(MeasuredFrames(played.animation.range().clone())),
             OutputKind::Pictured(picture) => Box::new(PicturedFrames::begin(picture.clone(), played)?),
-            OutputKind::Numbered(folder, format) => {
-                Box::new(NumberedFrames::begin(folder.clone(), *format, self.resumes, played)?)
+            OutputKind::Numbered(format) => {
+                Box::new(NumberedFrames::begin(path.clone(), *format, self.resumes, played)?)
             }
-            OutputKind::Gathered(path, kind) => {
+            OutputKind::Gathered(kind) => {
                 let has_root = self.root == RootRule::Node;
                 Box::new(GatheredFrames::begin(path, *kind, has_root, self.resumes, played)?)
             }
@@ -325,7 +310,7 @@ impl AnimationOutput {
     pub(super) fn identity(&self) -> String {
         let root = if self.root == RootRule::Baked { "baked" } else { "apart" };
         match &self.kind {
-            OutputKind::Numbered(_, format) => format!("root {root}\nformat {format}\n"),
+            OutputKind::Numbered(format) => format!("root {root}\nformat {format}\n"),
             _ => format!("root {root}\n"),
         }
     }

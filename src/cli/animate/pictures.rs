@@ -1,7 +1,7 @@
 //! Frames as one picture: a sheet of some of them side by side, or a picture that moves.
 
 use super::play::{FrameTaker, PlayedAnimation};
-use crate::cli::terminal::CliFailure;
+use crate::cli::terminal::{CliFailure, bounded};
 use crate::engine::{AnimatedFrame, bind_model, influences_of_skin};
 use crate::exec::Exec;
 use crate::motion::BoneInfluences;
@@ -38,7 +38,8 @@ struct ShownShape {
 pub(super) struct PicturedFrames<'a> {
     picture: FramePicture,
     played: PlayedAnimation<'a>,
-    skin: Option<LinearBlendSkin>,
+    /// Weights by vertex of what frames are compared with.
+    skin: Option<Vec<BoneInfluences>>,
     /// The bone around whose beginning pictures are, and how far they reach.
     near: Option<(usize, f64)>,
     shapes: Vec<ShownShape>,
@@ -56,7 +57,7 @@ impl<'a> PicturedFrames<'a> {
         }
         let rig = played.animation.moving_rig();
         let near = picture.close_up.as_ref().map(|wanted| bone_named(rig, wanted));
-        let skin = picture.beside.map(|_| LinearBlendSkin::of_played(&played));
+        let skin = picture.beside.map(|_| influences_of(&played));
         let mut frames = Self {
             near: near.transpose()?,
             skin: skin.transpose()?,
@@ -75,7 +76,7 @@ impl<'a> PicturedFrames<'a> {
         let rest = self.played.deformer.rest();
         let pool = self.played.exec.pool;
         let skin = self.skin.as_ref();
-        let skinned = skin.map(|skin| pool.install(|| skin.place_vertices(rest, &motions)));
+        let skinned = skin.map(|skin| pool.install(|| blend_vertices(skin, rest, &motions)));
         self.shapes.push(ShownShape {
             frame,
             motions,
@@ -350,11 +351,7 @@ impl FramePictureArgs {
                 "--tiles and --rest are for .png; a .apng shows all frames".into(),
             ));
         }
-        let tiles = self.tiles.unwrap_or(USUAL_TILES);
-        if !(1..=MOST_TILES).contains(&tiles) {
-            let problem = format!("--tiles is {tiles}, allowed are 1 to {MOST_TILES}");
-            return Err(CliFailure::Input(problem));
-        }
+        let tiles = bounded("--tiles", self.tiles, USUAL_TILES, 1..=MOST_TILES)?;
         if self.rest && tiles < 2 {
             let problem = "--tiles is 1; with --rest there is room for no frame, 2 or more are needed";
             return Err(CliFailure::Input(problem.into()));
@@ -378,31 +375,26 @@ impl FramePictureArgs {
 const INFLUENCES: usize = 4;
 
 /// What the bones of the rig do in a frame, in the space that its positions are in.
-pub(super) fn bone_motions(played: &PlayedAnimation<'_>, frame: &AnimatedFrame) -> Vec<RigidMotion> {
+fn bone_motions(played: &PlayedAnimation<'_>, frame: &AnimatedFrame) -> Vec<RigidMotion> {
     let animation = played.animation;
     let rig = animation.moving_rig();
     let pose = animation.driver().pose_at(frame.seconds);
     RigSkeleton::of_rig(rig, false).motions_in(rig, &pose, &frame.root)
 }
 
-/// Bones and weights.
-pub(super) struct LinearBlendSkin(Vec<BoneInfluences>);
+/// The weights of linear blend skinning: the model's own where its own clip is played, else those of `pliant skin`.
+fn influences_of(played: &PlayedAnimation<'_>) -> Result<Vec<BoneInfluences>, CliFailure> {
+    let (model, rig) = (played.deformer.model(), played.animation.moving_rig());
+    Ok(match played.animation.own_clip() {
+        Some(_) => influences_of_skin(model, rig)?,
+        None => bind_model(model, rig, INFLUENCES, &played.exec)?.influences,
+    })
+}
 
-impl LinearBlendSkin {
-    /// The model's own where its own clip is played, else those of `pliant skin`.
-    pub(super) fn of_played(played: &PlayedAnimation<'_>) -> Result<Self, CliFailure> {
-        let (model, rig) = (played.deformer.model(), played.animation.moving_rig());
-        Ok(Self(match played.animation.own_clip() {
-            Some(_) => influences_of_skin(model, rig)?,
-            None => bind_model(model, rig, INFLUENCES, &played.exec)?.influences,
-        }))
-    }
-
-    /// Poses the vertices whose rest is `rest`.
-    pub(super) fn place_vertices(&self, rest: &[DVec3], motions: &[RigidMotion]) -> Vec<DVec3> {
-        let place = |(p, own): (&DVec3, &BoneInfluences)| own.blend(|bone| motions[bone].place(*p));
-        rest.par_iter().zip(&self.0).map(place).collect()
-    }
+/// Poses the vertices whose rest is `rest`.
+fn blend_vertices(influences: &[BoneInfluences], rest: &[DVec3], motions: &[RigidMotion]) -> Vec<DVec3> {
+    let place = |(p, own): (&DVec3, &BoneInfluences)| own.blend(|bone| motions[bone].place(*p));
+    rest.par_iter().zip(influences).map(place).collect()
 }
 
 #[cfg(test)]

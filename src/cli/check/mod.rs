@@ -72,7 +72,6 @@ pub struct CheckArgs {
     threads: ThreadArgs,
 }
 
-/// Runs the command.
 pub(super) fn run_check(args: &CheckArgs) -> Result<(), CliFailure> {
     args.output.check_targets()?;
     match &args.suite {
@@ -269,7 +268,7 @@ impl ReportArgs {
 /// Says which cases failed; `None` when none did.
 fn failure_text(report: &SuiteReport) -> Option<String> {
     let failed: Vec<&str> = (report.cases.iter())
-        .filter(|c| c.verdict.status == CaseStatus::Failed)
+        .filter(|c| c.status == CaseStatus::Failed)
         .map(|c| c.name.as_str())
         .collect();
     let some = failed.iter().take(NAMED).copied().collect::<Vec<_>>().join(", ");
@@ -363,7 +362,8 @@ fn take_shard(cases: &mut Vec<LoadedCase>, shard: Shard, costs: Option<&Path>) -
         .iter()
         .flat_map(|c| [c.case.name.as_bytes(), c.content.as_bytes()]);
     let facts = ShardFacts {
-        shard,
+        number: shard.number(),
+        of: shard.of(),
         cases: cases.len(),
         suite: digest_texts(parts),
         split: split_digest(&split, shard.of()),

@@ -31,55 +31,28 @@ const BUFFER: &str = "application/octet-stream";
 /// # Errors
 /// Why not.
 pub(super) fn ask_limits(client: &HttpClient) -> Result<(), String> {
-    let call = HttpCall {
-        method: Method::GET,
-        path: "/v1/limits",
-        name: "/v1/limits",
-        content_type: "",
-        accept: JSON,
-        body: Bytes::new(),
-    };
-    client.send(&call).map(drop)
+    client.send(&HttpCall::get("/v1/limits", JSON)).map(drop)
 }
 
-/// Runs a job on a model. The caller adds the shape before, and the triangles where no step edits. The numbers lack
-/// cycles, bytes and constraint errors, which no server reports.
+/// Runs a job, or an animation in its place, on a model, in a session that is closed whatever comes of it. The caller adds the
+/// shape before, and the triangles where no step edits. The numbers lack cycles, bytes and constraint errors, which no
+/// server reports.
 ///
 /// # Errors
 /// Why it cannot be run, with the server's words.
-pub(super) fn run_on_server(client: &HttpClient, files: &FileSet, job: &pb::Job) -> Result<CaseResult, String> {
-    let create = job.create.clone().unwrap_or_default();
-    with_session(client, files, &create, |session| session.run_job(job))
-}
-
-/// Runs an animation of a model, as [`run_on_server`] runs a job.
-///
-/// # Errors
-/// Why it cannot be run, with the server's words.
-pub(super) fn animate_on_server(
+pub(super) fn run_on_server(
     client: &HttpClient,
     files: &FileSet,
-    animation: &AnimationCase,
+    job: &pb::Job,
+    animation: Option<&AnimationCase>,
 ) -> Result<CaseResult, String> {
-    with_session(client, files, &animation.create, |session| {
-        session.run_animation(&animation.options)
-    })
-}
-
-/// Opens a session on a model, and closes it whatever comes of it.
-fn with_session(
-    client: &HttpClient,
-    files: &FileSet,
-    create: &pb::CreateOptions,
-    run: impl FnOnce(&RemoteSession<'_>) -> Result<CaseResult, String>,
-) -> Result<CaseResult, String> {
-    let create = wire::json::to_json(create).map_err(|e| e.to_string())?;
+    let create = animation.map(|a| &a.create).or(job.create.as_ref());
+    let create = wire::json::to_json(&create.cloned().unwrap_or_default()).map_err(|e| e.to_string())?;
     let options = utf8_percent_encode(&create.to_string(), NON_ALPHANUMERIC).to_string();
     let (content_type, body) = session_body(files);
     let session = client.send(&HttpCall {
         method: Method::POST,
         path: &format!("/v1/sessions?options={options}"),
-        name: "/v1/sessions",
         content_type: &content_type,
         accept: JSON,
         body,
@@ -89,7 +62,10 @@ fn with_session(
         return Err("POST /v1/sessions: the answer names no session".into());
     }
     let session = RemoteSession { client, id: &id };
-    let found = run(&session);
+    let found = match animation {
+        Some(animation) => session.run_animation(&animation.options),
+        None => session.run_job(job),
+    };
     // Also after a failure: a session that is left open would only wait for its expiry.
     let closed = session.send_below(Method::DELETE, "", JSON, Bytes::new()).map(drop);
     let found = found?;
@@ -106,7 +82,6 @@ impl RemoteSession<'_> {
         self.client.send(&HttpCall {
             method,
             path: &format!("/v1/sessions/{}{below}", self.id),
-            name: &format!("/v1/sessions/{{id}}{below}"),
             content_type: if body.is_empty() { "" } else { JSON },
             accept,
             body,
@@ -163,13 +138,7 @@ impl RemoteSession<'_> {
 
     fn run_job(&self, job: &pb::Job) -> Result<CaseResult, String> {
         if !job.handles.is_empty() {
-            let request = pb::SetHandlesRequest {
-                session_id: String::new(),
-                handles: job.handles.clone(),
-                symmetry_plane: job.symmetry_plane.clone(),
-                region_of_interest: job.region_of_interest.clone(),
-            };
-            self.send_message(Method::PUT, "/handles", JSON, &request)?;
+            self.send_message(Method::PUT, "/handles", JSON, &batch::handles_request(job))?;
         }
         let mut found = CaseResult {
             rounded: true,
@@ -177,7 +146,8 @@ impl RemoteSession<'_> {
         };
         let mut quality = None;
         let mut edited = false;
-        for (k, step) in remote_steps(job).iter().enumerate() {
+        let steps = batch::steps_of(job).map_err(|e| e.to_string())?;
+        for (k, step) in steps.iter().enumerate() {
             let at_step = |e: String| format!("steps[{k}]: {e}");
             quality = None;
             match step {
@@ -202,15 +172,12 @@ impl RemoteSession<'_> {
             }
         }
         found.digest = self.newest_digest()?;
-        found.positions =
-            positions_from_floats(&self.send_below(Method::GET, "/positions", BUFFER, Bytes::new())?.body)?;
+        let positions = self.send_below(Method::GET, "/positions", BUFFER, Bytes::new())?;
+        found.positions = positions_from_floats(&positions.body)?;
         if edited {
             let model = self.send_below(Method::GET, "/model?format=ply", "", Bytes::new())?;
-            let model = Model::read(
-                FileSet::single("model.ply", model.body),
-                None,
-                &asset::Limits::default(),
-            );
+            let model = FileSet::single("model.ply", model.body);
+            let model = Model::read(model, None, &asset::Limits::default());
             let model = model.map_err(|e| format!("the model that came back: {e}"))?;
             found.triangles = model.geometry.triangles;
             let vertices = found.positions.len();
@@ -240,14 +207,6 @@ impl RemoteSession<'_> {
             .map(str::to_owned)
             .ok_or_else(|| "GET /v1/sessions/{id}/history: the answer names no digest".into())
     }
-}
-
-/// Lists the steps as [`batch::run`] does them: without steps the poses that the handles come with are one.
-fn remote_steps(job: &pb::Job) -> Vec<Step> {
-    if job.steps.is_empty() && job.handles.iter().any(|h| h.pose.is_some()) {
-        return vec![Step::Pose(pb::Pose::default())];
-    }
-    job.steps.iter().filter_map(|s| s.step.clone()).collect()
 }
 
 /// Changes options so that the answer is a whole buffer of plain floats.
@@ -391,11 +350,34 @@ pub(super) struct HttpCall<'a> {
     pub method: Method,
     /// Below the server's address, percent-encoded.
     pub path: &'a str,
-    /// What the call is named in texts, without anything random.
-    pub name: &'a str,
     pub content_type: &'a str,
     pub accept: &'a str,
     pub body: Bytes,
+}
+
+impl<'a> HttpCall<'a> {
+    fn get(path: &'a str, accept: &'a str) -> Self {
+        Self {
+            method: Method::GET,
+            path,
+            content_type: "",
+            accept,
+            body: Bytes::new(),
+        }
+    }
+
+    /// What the call is named in texts, without anything random.
+    fn name(&self) -> String {
+        let path = self.path.split_once("?options=").map_or(self.path, |(path, _)| path);
+        let path = match path.strip_prefix("/v1/sessions/") {
+            Some(session) => {
+                let id = session.find('/').unwrap_or(session.len());
+                format!("/v1/sessions/{{id}}{}", &session[id..])
+            }
+            None => path.to_owned(),
+        };
+        format!("{} {path}", self.method)
+    }
 }
 
 /// An HTTP client calls one server. It is owned by one thread.
@@ -421,42 +403,37 @@ impl HttpClient {
     /// # Errors
     /// What went wrong, with the server's own words where it gave some.
     pub fn send(&self, call: &HttpCall<'_>) -> Result<HttpAnswer, String> {
-        let named = |problem: String| format!("{} {}: {problem}", call.method, call.name);
-        for _ in 1..TRIES {
+        let named = |problem: String| format!("{}: {problem}", call.name());
+        let mut tries = 1;
+        loop {
             let (status, answer) = self.send_once(call).map_err(named)?;
             let busy = matches!(status, StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE);
-            let again = answer
-                .headers
-                .get(header::RETRY_AFTER)
-                .and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
-            match again {
-                Some(seconds) if busy => {
+            let again = answer.headers.get(header::RETRY_AFTER);
+            match again.and_then(|v| v.to_str().ok()?.parse::<u64>().ok()) {
+                Some(seconds) if busy && tries < TRIES => {
                     let wait = Duration::from_secs(seconds.clamp(1, LONGEST_WAIT));
                     // The timer is made where the runtime runs.
                     self.runtime.block_on(async { tokio::time::sleep(wait).await });
+                    tries += 1;
                 }
                 _ if status.is_success() => return Ok(answer),
                 _ => return Err(named(server_problem(status, &answer.body))),
             }
-        }
-        let (status, answer) = self.send_once(call).map_err(named)?;
-        match status.is_success() {
-            true => Ok(answer),
-            false => Err(named(server_problem(status, &answer.body))),
         }
     }
 
     fn send_once(&self, call: &HttpCall<'_>) -> Result<(StatusCode, HttpAnswer), String> {
         let uri = format!("{}{}", self.address.base, call.path);
         let mut request = Request::builder().method(call.method.clone()).uri(uri);
-        if !call.content_type.is_empty() {
-            request = request.header(header::CONTENT_TYPE, call.content_type);
-        }
-        if !call.accept.is_empty() {
-            request = request.header(header::ACCEPT, call.accept);
-        }
-        if let Some(token) = &self.address.token {
-            request = request.header(header::AUTHORIZATION, format!("Bearer {token}"));
+        let bearer = self.address.token.as_ref().map(|token| format!("Bearer {token}"));
+        for (name, value) in [
+            (header::CONTENT_TYPE, call.content_type),
+            (header::ACCEPT, call.accept),
+            (header::AUTHORIZATION, bearer.as_deref().unwrap_or_default()),
+        ] {
+            if !value.is_empty() {
+                request = request.header(name, value);
+            }
         }
         let request = request.body(Full::new(call.body.clone())).map_err(|e| e.to_string())?;
         let answered = async {
@@ -547,14 +524,7 @@ mod tests {
             }
         });
         let client = HttpClient::new(&ServerAddress::new(&url, None, None).expect("an address")).expect("a client");
-        let call = HttpCall {
-            method: Method::GET,
-            path: "/v1/sessions",
-            name: "the sessions",
-            content_type: "",
-            accept: "",
-            body: Bytes::new(),
-        };
+        let call = HttpCall::get("/v1/sessions", "");
         assert_eq!(
             client.send(&call).map(|answer| answer.body),
             Ok(Bytes::from_static(b"ok"))

@@ -7,8 +7,8 @@ use crate::asset::{self, FileSet, Format, Model};
 use crate::batch;
 use crate::check::report::{CaseReport, describe_changes};
 use crate::check::{
-    AnimationCase, CaseResult, CaseStatus, CaseVerdict, Golden, InputHashes, Metric, Viewpoint, draw_case_pictures,
-    judge_result, model_hash,
+    AnimationCase, CaseResult, CaseStatus, CaseVerdict, Golden, InputHashes, Metric, ReasonCode, Viewpoint,
+    draw_case_pictures, judge_result, model_hash,
 };
 use crate::cli::terminal::{CliFailure, StageSpinner};
 use crate::engine::{Animation, Deformer, DeformerLimits, digest};
@@ -69,7 +69,7 @@ pub(super) fn run_all_cases(
             spinner.report("checking", k as f32 / cases.len() as f32);
             let clock = Instant::now();
             let mut one = run_case(case, plan, client.as_ref(), &pool);
-            if plan.times && one.report.verdict.status != CaseStatus::Skipped {
+            if plan.times && one.report.status != CaseStatus::Skipped {
                 one.report.milliseconds = Some(clock.elapsed().as_micros() as f64 / 1000.0);
             }
             done.lock().unwrap_or_else(|e| e.into_inner()).push((k, one));
@@ -88,32 +88,24 @@ pub(super) fn run_all_cases(
 
 fn run_case(loaded: &LoadedCase, plan: &CheckPlan<'_>, client: Option<&HttpClient>, pool: &Pool) -> CheckedCase {
     let case = &loaded.case;
+    let stored = loaded.golden.as_ref().and_then(|golden| golden.as_ref().ok());
     let mut done = CheckedCase {
         report: CaseReport {
             name: case.name.clone(),
             title: case.title.clone(),
             model: case.model.to_string(),
-            inputs: None,
-            digest: String::new(),
-            stored_digest: match &loaded.golden {
-                Some(Ok(golden)) => golden.digest.clone(),
-                _ => String::new(),
-            },
-            verdict: CaseVerdict::without_result(CaseStatus::Failed, "not-run", ""),
-            pictures: Vec::new(),
-            notes: Vec::new(),
-            milliseconds: None,
+            stored_digest: stored.map_or_else(String::new, |golden| golden.digest.clone()),
+            ..CaseReport::default()
         },
         golden: None,
         changes: Vec::new(),
     };
     if let Some(why) = loaded.absent_reason() {
-        let status = if plan.skip_fails {
-            CaseStatus::Failed
-        } else {
-            CaseStatus::Skipped
+        let status = match plan.skip_fails {
+            true => CaseStatus::Failed,
+            false => CaseStatus::Skipped,
         };
-        done.report.verdict = CaseVerdict::without_result(status, "skipped", why);
+        (done.report).take_verdict(CaseVerdict::without_result(status, ReasonCode::Skipped, why));
         return done;
     }
     let ran = loaded.model_files().and_then(|files| {
@@ -127,14 +119,15 @@ fn run_case(loaded: &LoadedCase, plan: &CheckPlan<'_>, client: Option<&HttpClien
     let (found, inputs) = match ran {
         Ok(ran) => ran,
         Err(text) => {
-            done.report.verdict = CaseVerdict::without_result(CaseStatus::Failed, "not-run", text);
+            let verdict = CaseVerdict::without_result(CaseStatus::Failed, ReasonCode::NotRun, text);
+            done.report.take_verdict(verdict);
             return done;
         }
     };
     done.report.digest = found.digest.clone();
     let expect = loaded.job.expect.as_ref();
     let (verdict, comparison) = judge_result(&found, loaded.golden.clone(), &inputs, &case.tolerances, expect, pool);
-    done.report.verdict = verdict;
+    done.report.take_verdict(verdict);
     if plan.bless {
         bless_case(&mut done, loaded, &found, inputs);
     }
@@ -159,21 +152,14 @@ fn run_model(
     pool: &Pool,
 ) -> Result<CaseResult, String> {
     let create = loaded.animation.as_ref().map(|a| &a.create);
-    let format = create
-        .or(loaded.job.create.as_ref())
-        .map(|c| c.format.as_str())
-        .unwrap_or_default();
-    let read = Model::read(
-        files.clone(),
-        asset::Format::from_name(format),
-        &asset::Limits::default(),
-    );
+    let create = create.or(loaded.job.create.as_ref());
+    let format = create.and_then(|c| Format::from_name(&c.format));
+    let read = Model::read(files.clone(), format, &asset::Limits::default());
     let before = read.map_err(|e| e.to_string())?.geometry;
     let mut found = match (client, &loaded.animation) {
-        (Some(client), None) => remote::run_on_server(client, &files, &loaded.job)?,
-        (None, None) => run_in_process(files, &loaded.job, pool)?,
-        (Some(client), Some(animation)) => remote::animate_on_server(client, &files, animation)?,
-        (None, Some(animation)) => animate_in_process(files, animation, pool)?,
+        (Some(client), animation) => remote::run_on_server(client, &files, &loaded.job, animation.as_ref())?,
+        (None, None) => run_in_process(files, &loaded.job, pool).map_err(|e| e.to_string())?,
+        (None, Some(animation)) => animate_in_process(files, animation, pool).map_err(|e| e.to_string())?,
     };
     if found.triangles.is_empty() && found.positions.len() == before.positions.len() {
         found.triangles = before.triangles.clone();
@@ -184,54 +170,39 @@ fn run_model(
 
 /// Makes the golden of a result and says what it changes. Nothing is asserted; only what no golden can hold is a failure.
 fn bless_case(done: &mut CheckedCase, loaded: &LoadedCase, found: &CaseResult, inputs: InputHashes) {
-    let verdict = &mut done.report.verdict;
     if let Some(text) = found.describe_not_finite() {
         let text = format!("{text}; no golden can hold that, and none was written");
-        *verdict = CaseVerdict::without_result(CaseStatus::Failed, "not-finite", text);
-        return;
+        let verdict = CaseVerdict::without_result(CaseStatus::Failed, ReasonCode::NotFinite, text);
+        return done.report.take_verdict(verdict);
     }
     let golden = Golden::from_result(found, inputs);
-    let old = match &loaded.golden {
-        Some(Ok(old)) => Some(old),
-        _ => None,
-    };
+    let old = loaded.golden.as_ref().and_then(|old| old.as_ref().ok());
     if let Some(Err(broken)) = &loaded.golden {
         done.changes.push(format!("the old golden could not be read: {broken}"));
     }
-    done.changes.extend(describe_changes(old, &golden, &verdict.measures));
-    done.report.notes.extend(
-        found
-            .unmet
-            .iter()
-            .map(|text| format!("the job expects otherwise: {text}")),
-    );
+    done.changes
+        .extend(describe_changes(old, &golden, &done.report.measures));
+    let unmet = found.unmet.iter();
+    (done.report.notes).extend(unmet.map(|text| format!("the job expects otherwise: {text}")));
     match golden.to_text() {
         Ok(text) => {
             let same = old == Some(&golden);
             done.golden = (!same).then_some(text);
-            verdict.status = CaseStatus::Blessed;
-            verdict.reasons.clear();
-            verdict.identical = same;
+            done.report.status = CaseStatus::Blessed;
+            done.report.reasons.clear();
+            done.report.identical = same;
         }
-        Err(text) => *verdict = CaseVerdict::without_result(CaseStatus::Failed, "not-run", text),
+        Err(text) => {
+            let verdict = CaseVerdict::without_result(CaseStatus::Failed, ReasonCode::NotRun, text);
+            done.report.take_verdict(verdict);
+        }
     }
 }
 
 /// Runs a job on a model. The shape before is the caller's to add.
-///
-/// # Errors
-/// Why it cannot be run.
-pub(super) fn run_in_process(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<CaseResult, String> {
-    let no_clock = || 0.0;
-    let done = batch::run(
-        files,
-        job,
-        None,
-        &DeformerLimits::default(),
-        &Exec::new(pool, &Silent),
-        &no_clock,
-    )
-    .map_err(|e| e.to_string())?;
+fn run_in_process(files: FileSet, job: &pb::Job, pool: &Pool) -> Result<CaseResult, wire::Error> {
+    let (limits, exec) = (DeformerLimits::default(), Exec::new(pool, &Silent));
+    let done = batch::run(files, job, None, &limits, &exec, &|| 0.0)?;
     let poses: Vec<&pb::report::Step> = done.report.steps.iter().filter(|s| s.kind == "pose").collect();
     let mut found = CaseResult {
         positions: done.positions.to_vec(),
@@ -252,14 +223,7 @@ pub(super) fn run_in_process(files: FileSet, job: &pb::Job, pool: &Pool) -> Resu
 }
 
 /// Runs an animation of a model. The shape before is the caller's to add.
-///
-/// # Errors
-/// Why it cannot be run.
-pub(super) fn animate_in_process(files: FileSet, animation: &AnimationCase, pool: &Pool) -> Result<CaseResult, String> {
-    play_frames(files, animation, pool).map_err(|e| e.to_string())
-}
-
-fn play_frames(files: FileSet, animation: &AnimationCase, pool: &Pool) -> Result<CaseResult, wire::Error> {
+fn animate_in_process(files: FileSet, animation: &AnimationCase, pool: &Pool) -> Result<CaseResult, wire::Error> {
     let exec = Exec::new(pool, &Silent);
     let limits = DeformerLimits::default();
     let usual = SessionConfig::default();

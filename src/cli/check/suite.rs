@@ -7,7 +7,7 @@ use crate::check::{
 };
 use crate::cli::deform::{job_from_text, largest_named, read_named_models};
 use crate::cli::input_files::{AllowedFolders, NamedFiles, UnreadFile, folder_of, with_companions};
-use crate::cli::terminal::CliFailure;
+use crate::cli::terminal::{CliFailure, listed};
 use crate::wire::pb;
 use std::collections::BTreeSet;
 use std::fs;
@@ -28,8 +28,6 @@ pub(super) struct LoadedCase {
     /// Digest of what the suite holds of it: its file, its job with what that names, and its golden; not of its model.
     pub content: String,
     model: CaseModel,
-    /// Bytes of its model's file, where that is the suite's own.
-    model_bytes: Option<u64>,
 }
 
 /// A loaded suite is ready to be run.
@@ -51,6 +49,8 @@ enum CaseModel {
         path: PathBuf,
         /// The folders that it may lie in.
         files: NamedFiles,
+        /// Bytes of the file, where it is the suite's own.
+        bytes: Option<u64>,
     },
     /// A file of the shared data that is not here, and why.
     Absent(String),
@@ -190,7 +190,7 @@ fn load_case(file: &str, folders: &SuiteFolders<'_>) -> Result<LoadedCase, CliFa
         JobSource::Animation(animation) => Some(load_animation(animation, files).map_err(in_case)?),
         _ => None,
     };
-    let (model, model_bytes) = find_model(&case.model, folders).map_err(|e| in_case(e.in_place("model")))?;
+    let model = find_model(&case.model, folders).map_err(|e| in_case(e.in_place("model")))?;
     let stored = match files.read_named(&case.golden_file(), largest_named()) {
         Ok(text) => Some(text),
         Err(UnreadFile::Absent { .. }) => None,
@@ -208,7 +208,6 @@ fn load_case(file: &str, folders: &SuiteFolders<'_>) -> Result<LoadedCase, CliFa
         animation,
         golden,
         model,
-        model_bytes,
     })
 }
 
@@ -220,55 +219,35 @@ fn hash_of(job: &pb::Job, animation: Option<&AnimationCase>) -> String {
     }
 }
 
-/// Finds a case's model and opens it once: a missing file fails before any case runs. Returns the size of a file in the
-/// suite.
-fn find_model(model: &ModelSource, folders: &SuiteFolders<'_>) -> Result<(CaseModel, Option<u64>), CliFailure> {
-    let found = match model {
-        ModelSource::Sample => Ok(CaseModel::Sample),
-        ModelSource::Suite(name) => {
-            let path = folders.suite.join(name);
-            match folders.files.open_named(name, largest_named()) {
-                Ok(file) => {
-                    let bytes = file.metadata().map(|facts| facts.len()).ok();
-                    let file = CaseModel::File {
-                        name: name.clone(),
-                        path,
-                        files: folders.files.clone(),
-                    };
-                    return Ok((file, bytes));
-                }
-                Err(UnreadFile::Absent { .. }) => {
-                    Err(CliFailure::Input(format!("there is no file {}", path.display())))
-                }
-                Err(e) => Err(e.into()),
-            }
+/// Finds a case's model and opens it once: a missing file fails before any case runs.
+fn find_model(model: &ModelSource, folders: &SuiteFolders<'_>) -> Result<CaseModel, CliFailure> {
+    let absent = |name: &str, why: &str| Ok(CaseModel::Absent(format!("data:{name} is absent{why}")));
+    let (name, folder, files) = match (model, folders.data) {
+        (ModelSource::Sample, _) => return Ok(CaseModel::Sample),
+        (ModelSource::Suite(name), _) => (name, folders.suite, folders.files.clone()),
+        (ModelSource::Data(name), None) => return absent(name, ": PLIANT_DATA names no folder"),
+        // A folder that was named and is not there is a slip, not data that this machine does not have.
+        (ModelSource::Data(_), Some(data)) if !data.is_dir() => {
+            let problem = format!("--data (or PLIANT_DATA) is {}, which is not a folder", data.display());
+            return Err(CliFailure::Input(problem));
         }
-        ModelSource::Data(name) => match folders.data {
-            None => Ok(CaseModel::Absent(format!(
-                "data:{name} is absent: PLIANT_DATA names no folder"
-            ))),
-            // A folder that was named and is not there is a slip, not data that this machine does not have.
-            Some(data) if !data.is_dir() => {
-                let problem = format!("--data (or PLIANT_DATA) is {}, which is not a folder", data.display());
-                Err(CliFailure::Input(problem))
-            }
-            Some(data) => {
-                let files = NamedFiles::new(data, folders.allowed)?;
-                match files.open_named(name, largest_named()) {
-                    Ok(_) => Ok(CaseModel::File {
-                        name: name.clone(),
-                        path: data.join(name),
-                        files,
-                    }),
-                    Err(UnreadFile::Absent { .. }) => Ok(CaseModel::Absent(format!(
-                        "data:{name} is absent from the folder of PLIANT_DATA"
-                    ))),
-                    Err(e) => Err(e.into()),
-                }
-            }
-        },
+        (ModelSource::Data(name), Some(data)) => (name, data, NamedFiles::new(data, folders.allowed)?),
     };
-    found.map(|model| (model, None))
+    let is_own = matches!(model, ModelSource::Suite(_));
+    let path = folder.join(name);
+    match files.open_named(name, largest_named()) {
+        Ok(file) => Ok(CaseModel::File {
+            bytes: file.metadata().map(|facts| facts.len()).ok().filter(|_| is_own),
+            name: name.clone(),
+            path,
+            files,
+        }),
+        Err(UnreadFile::Absent { .. }) if is_own => {
+            Err(CliFailure::Input(format!("there is no file {}", path.display())))
+        }
+        Err(UnreadFile::Absent { .. }) => absent(name, " from the folder of PLIANT_DATA"),
+        Err(e) => Err(e.into()),
+    }
 }
 
 /// Reads the clip of an animation into its options.
@@ -293,7 +272,10 @@ impl LoadedCase {
         let frames = |animation: &AnimationCase| Some(animation.options.count as usize).filter(|n| *n > 0);
         CaseWork {
             golden: self.golden.as_ref().and_then(|g| g.as_ref().ok()),
-            model_bytes: self.model_bytes,
+            model_bytes: match &self.model {
+                CaseModel::File { bytes, .. } => *bytes,
+                _ => None,
+            },
             rounds: match &self.animation {
                 Some(animation) => frames(animation),
                 None => Some(self.job.steps.len().max(1)),
@@ -324,7 +306,7 @@ impl LoadedCase {
     pub fn model_files(&self) -> Result<FileSet, String> {
         match &self.model {
             CaseModel::Sample => Ok(FileSet::single("creature.glb", sample::creature_glb())),
-            CaseModel::File { name, path, files } => {
+            CaseModel::File { name, path, files, .. } => {
                 let read = files.read_named(name, largest_named()).map_err(CliFailure::from);
                 let read = read.and_then(|main| with_companions(path, main));
                 read.map_err(|e| e.message().to_owned())
@@ -333,9 +315,6 @@ impl LoadedCase {
         }
     }
 }
-
-/// Most names of a suite that a refusal lists.
-const LISTED: usize = 40;
 
 /// Which of the case files are chosen by names, in which `*` stands for any letters; all of them where there are none.
 ///
@@ -354,12 +333,7 @@ pub(super) fn choose_cases<'a>(
         let fitting = files.iter().filter(|file| fits(name, case_name(file)));
         let fitting: Vec<&str> = fitting.map(String::as_str).collect();
         if fitting.is_empty() {
-            let listed: Vec<&str> = files.iter().take(LISTED).map(|file| case_name(file)).collect();
-            let more = match files.len().saturating_sub(LISTED) {
-                0 => String::new(),
-                more => format!(" and {more} more"),
-            };
-            let there = format!("there are {}{more}", listed.join(", "));
+            let there = listed(files.iter().map(|file| case_name(file)), "");
             let problem = format!("no case of the suite {} is named so; {there}", suite.display());
             return Err(CliFailure::Input(format!("--case {name}: {problem}")));
         }

@@ -1,27 +1,20 @@
 //! A value over time, between keys.
 
 use glam::{DQuat, DVec3};
+pub use pliant_asset::ChannelInterpolation as Interpolation;
+use std::ops::{Add, Mul};
 use std::sync::Arc;
 
-/// How a curve runs from key to key (glTF 2.0, appendix C).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Interpolation {
-    /// The value of the key before.
-    Step,
-    /// Straight, or along the shorter great circle for rotations.
-    #[default]
-    Linear,
-    /// By a cubic Hermite spline; each key has the tangent that leads to it, its value and the tangent that leads away.
-    CubicSpline,
-}
-
 /// What a curve can run through.
-pub trait CurveValue: Copy {
+pub trait CurveValue: Copy + Add<Output = Self> + Mul<f64, Output = Self> {
     /// The value a share `t` (0 to 1) of the way from `self` to `end`.
     fn between(self, end: Self, t: f64) -> Self;
 
     /// The value of the spline from `self` to `end` with these tangents, a share `t` of the way through `span` seconds.
-    fn along_spline(self, leaving: Self, arriving: Self, end: Self, at: SplinePlace) -> Self;
+    fn along_spline(self, leaving: Self, arriving: Self, end: Self, at: SplinePlace) -> Self {
+        let [a, b, c, d] = at.hermite();
+        self * a + leaving * b + arriving * c + end * d
+    }
 }
 
 /// A place on a spline between two keys.
@@ -51,21 +44,11 @@ impl CurveValue for f64 {
     fn between(self, end: Self, t: f64) -> Self {
         self * (1.0 - t) + end * t
     }
-
-    fn along_spline(self, leaving: Self, arriving: Self, end: Self, at: SplinePlace) -> Self {
-        let [a, b, c, d] = at.hermite();
-        self * a + leaving * b + arriving * c + end * d
-    }
 }
 
 impl CurveValue for DVec3 {
     fn between(self, end: Self, t: f64) -> Self {
         self.lerp(end, t)
-    }
-
-    fn along_spline(self, leaving: Self, arriving: Self, end: Self, at: SplinePlace) -> Self {
-        let [a, b, c, d] = at.hermite();
-        self * a + leaving * b + arriving * c + end * d
     }
 }
 

@@ -6,9 +6,7 @@ use super::curve::{Interpolation, KeyedCurve};
 use super::rig::RigidMotion;
 use super::skeleton::{JointCurves, JointPose, MotionClip, Skeleton, SkeletonJoint};
 use glam::{DAffine3, DMat3, DQuat, DVec3};
-use pliant_asset::{
-    ChannelInterpolation, ChannelValues, MovingScene, PrimitiveShapes, SceneChannel, SceneClip, SceneNode,
-};
+use pliant_asset::{ChannelValues, MovingScene, PrimitiveShapes, SceneChannel, SceneClip, SceneNode};
 use pliant_exec::Exec;
 use pliant_exec::progress::Cancelled;
 use pliant_mesh::local_turns::local_turns;
@@ -163,7 +161,7 @@ fn weight_curves(clip: &SceneClip, node: usize) -> Vec<KeyedCurve<f64>> {
     let times: Arc<[f64]> = channel.times.as_slice().into();
     let curves = targets
         .iter()
-        .map(|values| KeyedCurve::through(Arc::clone(&times), values.clone(), interpolation_of(channel)));
+        .map(|values| KeyedCurve::through(Arc::clone(&times), values.clone(), channel.interpolation));
     curves.flatten().collect()
 }
 
@@ -268,7 +266,7 @@ fn shear_warning(scene: &MovingScene, order: &NodeOrder) -> Option<String> {
 fn add_channel(motion: &mut MotionClip, joint: usize, channel: &SceneChannel) {
     let times: Arc<[f64]> = channel.times.as_slice().into();
     let end = times.last().copied().unwrap_or(0.0);
-    let interpolation = interpolation_of(channel);
+    let interpolation = channel.interpolation;
     let curves = &mut motion.curves[joint];
     match &channel.values {
         ChannelValues::Translation(values) => {
@@ -289,21 +287,11 @@ fn add_channel(motion: &mut MotionClip, joint: usize, channel: &SceneChannel) {
     motion.duration = motion.duration.max(end);
 }
 
-/// How a channel of a scene runs, as curves do.
-fn interpolation_of(channel: &SceneChannel) -> Interpolation {
-    match channel.interpolation {
-        ChannelInterpolation::Step => Interpolation::Step,
-        ChannelInterpolation::Linear => Interpolation::Linear,
-        ChannelInterpolation::CubicSpline => Interpolation::CubicSpline,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clip_of_scene;
-    use glam::{DQuat, Vec3};
-    use pliant_asset::{ChannelInterpolation, SceneChannel, SceneNode, ScenePrimitive};
+    use glam::Vec3;
+    use pliant_asset::ScenePrimitive;
     use pliant_exec::pool::Pool;
     use pliant_exec::progress::Silent;
 
@@ -323,7 +311,7 @@ mod tests {
             node,
             times: vec![0.0, 2.0],
             values,
-            interpolation: ChannelInterpolation::Linear,
+            interpolation: Interpolation::Linear,
         }
     }
 

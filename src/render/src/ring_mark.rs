@@ -172,9 +172,20 @@ fn stroke(picture: &mut Picture, [from, to]: [DVec2; 2], radii: [f64; 2], colour
 #[cfg(test)]
 mod tests {
     use super::super::camera::{PictureSize, UpAxis, ViewDirection};
+    use super::super::raster::draw_surface;
     use super::super::surface::ShadedSurface;
     use super::*;
     use pliant_exec::pool::Pool;
+
+    /// A triangle, and a camera that faces it.
+    fn seen_triangle(width: u32, height: u32) -> (ShadedSurface, Camera) {
+        let p = [DVec3::ZERO, DVec3::X, DVec3::Y];
+        let surface = ShadedSurface::new(&p, &[[0, 1, 2]], &Pool::new(1).expect("a thread")).expect("a surface");
+        let view = ViewDirection::new(0.0, 0.0, UpAxis::Y).expect("in range");
+        let size = PictureSize::new(width, height).expect("in range");
+        let camera = Camera::around_surfaces(&[&surface], &[view], size).swap_remove(0);
+        (surface, camera)
+    }
 
     #[test]
     fn the_largest_come_first_and_keep_apart() {
@@ -188,10 +199,7 @@ mod tests {
 
     #[test]
     fn a_ring_lies_around_its_place_and_nothing_is_drawn_outside() {
-        let p = [DVec3::ZERO, DVec3::X, DVec3::Y];
-        let surface = ShadedSurface::new(&p, &[[0, 1, 2]], &Pool::new(1).expect("a thread")).expect("a surface");
-        let view = ViewDirection::new(0.0, 0.0, UpAxis::Y).expect("in range");
-        let camera = &Camera::around_surfaces(&[&surface], &[view], PictureSize::new(100, 80).expect("in range"))[0];
+        let camera = &seen_triangle(100, 80).1;
         let white = [200, 210, 220];
         let mut picture = Picture::new(140, 100, white).expect("small");
         for (at, label) in [(DVec3::X, "1"), (DVec3::X * 50.0, "2"), (DVec3::NEG_X * 50.0, "3")] {
@@ -230,29 +238,16 @@ mod tests {
             dark.len()
         );
     }
-}
-
-#[cfg(test)]
-mod bone_marks_tests {
-    use super::super::camera::{PictureSize, UpAxis, ViewDirection};
-    use super::super::raster::draw_surface;
-    use super::super::surface::ShadedSurface;
-    use super::*;
-    use pliant_exec::pool::Pool;
 
     #[test]
     fn joints_lie_where_the_camera_sees_them_in_the_colour_of_where_they_are() {
-        let pool = Pool::new(1).expect("a thread");
-        let p = [DVec3::ZERO, DVec3::X, DVec3::Y];
-        let surface = ShadedSurface::new(&p, &[[0, 1, 2]], &pool).expect("a surface");
-        let view = ViewDirection::new(0.0, 0.0, UpAxis::Y).expect("in range");
-        let camera = &Camera::around_surfaces(&[&surface], &[view], PictureSize::new(200, 160).expect("in range"))[0];
-        let mut picture = draw_surface(&surface, camera, &pool);
+        let (surface, camera) = seen_triangle(200, 160);
+        let mut picture = draw_surface(&surface, &camera, &Pool::new(1).expect("a thread"));
         let marks = BoneMarks {
             bones: vec![[DVec3::new(0.2, 0.2, 0.0), DVec3::new(0.7, 0.2, 0.0)]],
             joints: vec![(DVec3::new(0.2, 0.2, 0.0), true), (DVec3::new(0.9, 0.9, 0.0), false)],
         };
-        marks.draw_on(&mut picture, camera);
+        marks.draw_on(&mut picture, &camera);
         let colour_at = |p: DVec3| {
             let seen = camera.project_point(p);
             picture.pixel(seen.x as u32, seen.y as u32)

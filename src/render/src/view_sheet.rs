@@ -93,6 +93,18 @@ mod tests {
         ShadedSurface::new(&p, &[[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], &pool()).expect("a surface")
     }
 
+    /// A sheet of a shape alone, square views of so many pixels a side.
+    fn sheet<'a>(shape: &'a ShadedSurface, views: &'a [ViewDirection], side: u32) -> ViewSheet<'a> {
+        ViewSheet {
+            before: None,
+            shape,
+            views,
+            size: PictureSize::new(side, side).expect("in range"),
+            key: None,
+            marks: Vec::new(),
+        }
+    }
+
     /// How many pixels of a tile differ from the same row's first pixel of the picture: what is drawn there.
     fn drawn(picture: &Picture, x: u32, y: u32, size: u32) -> usize {
         let mut count = 0;
@@ -111,11 +123,7 @@ mod tests {
         let views = [ViewDirection::new(30.0, 20.0, UpAxis::Y).expect("in range")];
         let plate = ViewSheet {
             before: Some(&small),
-            shape: &large,
-            views: &views,
-            size: PictureSize::new(64, 64).expect("in range"),
-            key: None,
-            marks: Vec::new(),
+            ..sheet(&large, &views, 64)
         };
         let picture = plate.draw_views(&pool()).expect("small");
         assert_eq!((picture.width(), picture.height()), (128, 64));
@@ -129,15 +137,7 @@ mod tests {
         let (small, large) = (surface(1.0), surface(2.0));
         let first = ViewDirection::new(0.0, 20.0, UpAxis::Z).expect("in range");
         let views: Vec<ViewDirection> = (0..5).map(|k| first.turned_by(72.0 * f64::from(k))).collect();
-        let size = PictureSize::new(40, 40).expect("in range");
-        let plate = ViewSheet {
-            before: None,
-            shape: &large,
-            views: &views,
-            size,
-            key: None,
-            marks: Vec::new(),
-        };
+        let plate = sheet(&large, &views, 40);
         let strip = plate.draw_views(&pool()).expect("small");
         assert_eq!((strip.width(), strip.height()), (200, 40));
         assert!((0..5).all(|k| drawn(&strip, 40 * k, 0, 40) > 40));
@@ -147,12 +147,8 @@ mod tests {
         };
         assert_eq!(two.draw_views(&pool()).map(|p| (p.width(), p.height())), Ok((200, 80)));
         let many: Vec<ViewDirection> = (0..64).map(|k| first.turned_by(f64::from(k))).collect();
-        let too_large = ViewSheet {
-            views: &many,
-            size: PictureSize::new(8192, 8192).expect("in range"),
-            ..plate
-        };
-        assert!(matches!(too_large.draw_views(&pool()), Err(Error::TooLarge { .. })));
+        let too_large = sheet(&large, &many, 8192).draw_views(&pool());
+        assert!(matches!(too_large, Err(Error::TooLarge { .. })));
     }
 
     #[test]
@@ -161,12 +157,8 @@ mod tests {
         let views = [ViewDirection::new(30.0, 20.0, UpAxis::Y).expect("in range")];
         let colours = |side: u32| {
             let plate = ViewSheet {
-                before: None,
-                shape: &shape,
-                views: &views,
-                size: PictureSize::new(side, side).expect("in range"),
                 key: Some(ColourKey::for_stretch(STRETCH_RANGE)),
-                marks: Vec::new(),
+                ..sheet(&shape, &views, side)
             };
             let picture = plate.draw_views(&pool()).expect("small");
             assert_eq!((picture.width(), picture.height()), (side, side));

@@ -3,7 +3,7 @@
 use super::folder::{check, sample_suite};
 use crate::support::data::copied;
 use crate::support::process::{root, said};
-use pliant::check::{Metric, SuiteCase};
+use pliant::check::{Metric, Named as _, SuiteCase};
 use std::fs;
 use std::os::unix::fs::{PermissionsExt as _, symlink};
 use std::path::{Path, PathBuf};
@@ -38,7 +38,7 @@ fn the_page_lists_every_metric_and_its_example_is_a_case() {
         .expect("an example")
         .1;
     SuiteCase::from_file("example.case.json", example.as_bytes()).expect("the example is a case");
-    for metric in Metric::ALL {
+    for metric in Metric::all() {
         assert!(
             page.contains(&format!("`{}`", metric.name())),
             "{} is not in the table",

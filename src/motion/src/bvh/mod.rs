@@ -43,36 +43,14 @@ pub fn read_bvh(bytes: &[u8], limits: &ClipLimits) -> Result<MotionClip, Error> 
         return Err(first.refuse("a BVH file begins with HIERARCHY"));
     }
     let tree = hierarchy::read_tree(&mut lines, limits)?;
-    let frames = read_rows(&mut lines, &tree, limits)?;
-    let interval = frames.interval;
-    Ok(MotionClip {
-        name: String::new(),
-        duration: interval * (frames.count - 1) as f64,
-        recorded: Some(RecordedFrames {
-            count: frames.count,
-            interval,
-        }),
-        curves: frames.curves,
-        skeleton: tree.skeleton,
-        warnings: frames.warnings,
-    })
+    read_rows(&mut lines, tree, limits)
 }
 
 #[cfg(test)]
 mod tests;
 
-/// What the frames say.
-struct ReadFrames {
-    /// One entry per joint.
-    pub curves: Vec<JointCurves>,
-    pub count: usize,
-    /// Seconds from frame to frame.
-    pub interval: f64,
-    pub warnings: Vec<String>,
-}
-
 /// Reads what follows MOTION.
-fn read_rows(lines: &mut ClipLines<'_>, tree: &ChannelTree, limits: &ClipLimits) -> Result<ReadFrames, Error> {
+fn read_rows(lines: &mut ClipLines<'_>, tree: ChannelTree, limits: &ClipLimits) -> Result<MotionClip, Error> {
     let declared = read_count(lines, limits)?;
     let interval = read_interval(lines)?;
     let width = tree.width();
@@ -103,10 +81,12 @@ fn read_rows(lines: &mut ClipLines<'_>, tree: &ChannelTree, limits: &ClipLimits)
         curves.push(own.curves(&times, joint.rest.translation));
         first += channels.len();
     }
-    Ok(ReadFrames {
+    Ok(MotionClip {
+        name: String::new(),
+        duration: interval * (count - 1) as f64,
+        recorded: Some(RecordedFrames { count, interval }),
         curves,
-        count,
-        interval,
+        skeleton: tree.skeleton,
         warnings,
     })
 }

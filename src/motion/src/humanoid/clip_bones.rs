@@ -120,12 +120,7 @@ pub fn bones_of_names(skeleton: &Skeleton) -> Result<ClipBones, RigError> {
 /// Finds the bones between hips and head by their parents. `head`: the joint of the head, where one is known.
 pub(super) fn add_trunk(skeleton: &Skeleton, head: Option<usize>, bones: &mut ClipBones) {
     let Some(&hips) = bones.get("pelvis") else { return };
-    let above = |joint: usize| {
-        let up = std::iter::successors(Some(joint), |j| skeleton.joints[*j].parent);
-        let mut path: Vec<usize> = up.collect();
-        path.reverse();
-        path
-    };
+    let above = |joint: usize| path_to(skeleton, joint);
     let arms: Vec<Vec<usize>> = ["lUpper", "rUpper"]
         .iter()
         .filter_map(|b| bones.get(b))
@@ -151,65 +146,58 @@ pub(super) fn add_trunk(skeleton: &Skeleton, head: Option<usize>, bones: &mut Cl
     }
 }
 
+/// The joints on the way from a root to a joint, which comes last.
+fn path_to(skeleton: &Skeleton, joint: usize) -> Vec<usize> {
+    let up = std::iter::successors(Some(joint), |j| skeleton.joints[*j].parent);
+    let mut path: Vec<usize> = up.collect();
+    path.reverse();
+    path
+}
+
 /// A skeleton with the names of a preset, so that a rig can be made where no clip is at hand. `None` for another name; there
 /// are `cmu` and `mixamo`.
 pub fn preset_skeleton(name: &str) -> Option<Skeleton> {
-    let rows: &[(&str, &str)] = match name {
-        "cmu" => &[
-            ("Hips", ""),
-            ("LeftUpLeg", "Hips"),
-            ("LeftLeg", "LeftUpLeg"),
-            ("LeftFoot", "LeftLeg"),
-            ("RightUpLeg", "Hips"),
-            ("RightLeg", "RightUpLeg"),
-            ("RightFoot", "RightLeg"),
-            ("LowerBack", "Hips"),
-            ("Spine", "LowerBack"),
-            ("Spine1", "Spine"),
-            ("Neck", "Spine1"),
-            ("Neck1", "Neck"),
-            ("Head", "Neck1"),
-            ("LeftShoulder", "Spine1"),
-            ("LeftArm", "LeftShoulder"),
-            ("LeftForeArm", "LeftArm"),
-            ("LeftHand", "LeftForeArm"),
-            ("RightShoulder", "Spine1"),
-            ("RightArm", "RightShoulder"),
-            ("RightForeArm", "RightArm"),
-            ("RightHand", "RightForeArm"),
-        ],
-        "mixamo" => &[
-            ("mixamorig:Hips", ""),
-            ("mixamorig:Spine", "mixamorig:Hips"),
-            ("mixamorig:Spine1", "mixamorig:Spine"),
-            ("mixamorig:Spine2", "mixamorig:Spine1"),
-            ("mixamorig:Neck", "mixamorig:Spine2"),
-            ("mixamorig:Head", "mixamorig:Neck"),
-            ("mixamorig:LeftShoulder", "mixamorig:Spine2"),
-            ("mixamorig:LeftArm", "mixamorig:LeftShoulder"),
-            ("mixamorig:LeftForeArm", "mixamorig:LeftArm"),
-            ("mixamorig:LeftHand", "mixamorig:LeftForeArm"),
-            ("mixamorig:RightShoulder", "mixamorig:Spine2"),
-            ("mixamorig:RightArm", "mixamorig:RightShoulder"),
-            ("mixamorig:RightForeArm", "mixamorig:RightArm"),
-            ("mixamorig:RightHand", "mixamorig:RightForeArm"),
-            ("mixamorig:LeftUpLeg", "mixamorig:Hips"),
-            ("mixamorig:LeftLeg", "mixamorig:LeftUpLeg"),
-            ("mixamorig:LeftFoot", "mixamorig:LeftLeg"),
-            ("mixamorig:RightUpLeg", "mixamorig:Hips"),
-            ("mixamorig:RightLeg", "mixamorig:RightUpLeg"),
-            ("mixamorig:RightFoot", "mixamorig:RightLeg"),
-        ],
+    // Each chain begins at its first joint, or hangs on it where an earlier chain has it.
+    let (prefix, chains) = match name {
+        "cmu" => (
+            "",
+            [
+                "Hips LeftUpLeg LeftLeg LeftFoot",
+                "Hips RightUpLeg RightLeg RightFoot",
+                "Hips LowerBack Spine Spine1 Neck Neck1 Head",
+                "Spine1 LeftShoulder LeftArm LeftForeArm LeftHand",
+                "Spine1 RightShoulder RightArm RightForeArm RightHand",
+            ],
+        ),
+        "mixamo" => (
+            "mixamorig:",
+            [
+                "Hips Spine Spine1 Spine2 Neck Head",
+                "Spine2 LeftShoulder LeftArm LeftForeArm LeftHand",
+                "Spine2 RightShoulder RightArm RightForeArm RightHand",
+                "Hips LeftUpLeg LeftLeg LeftFoot",
+                "Hips RightUpLeg RightLeg RightFoot",
+            ],
+        ),
         _ => return None,
     };
-    let joint = |(name, parent): &(&str, &str)| SkeletonJoint {
-        name: (*name).to_owned(),
-        parent: rows.iter().position(|row| row.0 == *parent),
-        rest: JointPose::at(glam::DVec3::ZERO),
-    };
-    Some(Skeleton {
-        joints: rows.iter().map(joint).collect(),
-    })
+    let mut skeleton = Skeleton::default();
+    for chain in chains {
+        let mut parent = None;
+        for name in chain.split(' ') {
+            let name = format!("{prefix}{name}");
+            let known = skeleton.joint_named(&name);
+            parent = Some(known.unwrap_or_else(|| {
+                skeleton.joints.push(SkeletonJoint {
+                    name,
+                    parent,
+                    rest: JointPose::at(DVec3::ZERO),
+                });
+                skeleton.joints.len() - 1
+            }));
+        }
+    }
+    Some(skeleton)
 }
 
 /// Finds bones by shape alone: legs are the two branches that reach lowest, the head the one that reaches highest, arms
@@ -228,12 +216,7 @@ pub fn bones_of_shape(skeleton: &Skeleton) -> Option<ClipBones> {
     } else {
         DVec3::Y
     };
-    let way = |joint: usize| {
-        let up = std::iter::successors(Some(joint), |j| joints[*j].parent);
-        let mut path: Vec<usize> = up.collect();
-        path.reverse();
-        path
-    };
+    let way = |joint: usize| path_to(skeleton, joint);
     let best = |score: &dyn Fn(usize) -> f64| {
         let ranked = leaves.iter().copied().map(|leaf| (score(leaf), leaf));
         ranked
@@ -273,12 +256,8 @@ pub fn bones_of_shape(skeleton: &Skeleton) -> Option<ClipBones> {
     }
     bones.insert("pelvis", hips?);
     // The head's own joint has its end below it.
-    let head_joint = if joints[head].parent.is_some() {
-        head
-    } else {
-        return None;
-    };
-    add_trunk(skeleton, Some(head_joint), &mut bones);
+    joints[head].parent?;
+    add_trunk(skeleton, Some(head), &mut bones);
     ["lShin", "rShin", "lFore", "rFore"]
         .iter()
         .all(|b| bones.contains_key(b))

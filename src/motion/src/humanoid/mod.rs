@@ -95,22 +95,21 @@ pub fn rig_of_body(
         let radius = radius_of(tree, [from, to], reach).unwrap_or(UNKNOWN * length);
         let is_long = length > 2.0 * radius;
         bones.push(RigBone {
-            id: bone.id.into(),
-            parent: None,
-            from,
-            to,
             joint: skeleton.joints[clip[bone.id]].name.clone(),
             aim: clip.get(bone.aim).map(|joint| skeleton.joints[*joint].name.clone()),
             rest: bone.rest,
-            radius: radius.max(LEAST_RADIUS * length).max(f64::MIN_POSITIVE),
             slices: if bone.is_limb { 3 } else { 1 },
             span: if is_long && bone.rest == RestAttitude::Direction {
                 [0.15, 0.85]
             } else {
                 [0.3, 0.7]
             },
-            joint_radius: None,
-            limit_degrees: None,
+            ..RigBone::along(
+                bone.id,
+                from,
+                to,
+                radius.max(LEAST_RADIUS * length).max(f64::MIN_POSITIVE),
+            )
         });
         parents.push(parent_of(bone, clip).map(str::to_owned));
     }

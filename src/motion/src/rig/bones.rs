@@ -57,6 +57,25 @@ pub struct RigBone {
 }
 
 impl RigBone {
+    /// A bone from one point to another, turned as one by the joint of its name.
+    pub fn along(id: impl Into<String>, from: DVec3, to: DVec3, radius: f64) -> Self {
+        let id = id.into();
+        Self {
+            joint: id.clone(),
+            id,
+            parent: None,
+            from,
+            to,
+            aim: None,
+            rest: RestAttitude::default(),
+            radius,
+            slices: 1,
+            span: [0.15, 0.85],
+            joint_radius: None,
+            limit_degrees: None,
+        }
+    }
+
     /// Its direction in the rest pose, of unit length; `None` for a bone without length.
     pub fn direction(&self) -> Option<DVec3> {
         (self.to - self.from).try_normalize()
@@ -183,7 +202,6 @@ impl MotionRig {
     }
 }
 
-/// A problem of the rig as a whole.
 /// Up to eight names, in quotes.
 pub(crate) fn listed_names<S: AsRef<str>>(names: impl Iterator<Item = S>) -> String {
     let mut names = names;
@@ -301,20 +319,7 @@ mod tests {
     use super::*;
 
     fn bone(id: &str) -> RigBone {
-        RigBone {
-            id: id.into(),
-            parent: None,
-            from: DVec3::ZERO,
-            to: DVec3::Y,
-            joint: "Hips".into(),
-            aim: None,
-            rest: RestAttitude::default(),
-            radius: 0.1,
-            slices: 1,
-            span: [0.15, 0.85],
-            joint_radius: None,
-            limit_degrees: None,
-        }
+        RigBone::along(id, DVec3::ZERO, DVec3::Y, 0.1)
     }
 
     fn rig(bones: Vec<RigBone>, parents: &[Option<&str>]) -> Result<MotionRig, RigError> {

@@ -100,27 +100,13 @@ fn bone_attitude(bone: &RigBone) -> DQuat {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::{ReferencePose, RestAttitude};
+    use crate::rig::ReferencePose;
 
     #[test]
     fn joints_point_along_their_bones_wherever_these_go() {
         for way in [DVec3::Y, DVec3::NEG_Y, DVec3::X, DVec3::Z, DVec3::new(-0.1, 0.2, -3.0)] {
-            let bone = RigBone {
-                id: "b".into(),
-                parent: None,
-                from: DVec3::ONE,
-                to: DVec3::ONE + way,
-                joint: "b".into(),
-                aim: None,
-                rest: RestAttitude::Orientation,
-                radius: 1.0,
-                slices: 1,
-                span: [0.15, 0.85],
-                joint_radius: None,
-                limit_degrees: None,
-            };
             let rig = MotionRig {
-                bones: vec![bone],
+                bones: vec![RigBone::along("b", DVec3::ONE, DVec3::ONE + way, 1.0)],
                 reference: ReferencePose::Rest,
                 scale: None,
             };

@@ -80,22 +80,15 @@ pub fn rig_of_skin(
             (0.25 * length).max(f64::MIN_POSITIVE)
         };
         bones.push(RigBone {
-            id: joints[joint].name.clone(),
             parent,
-            from,
-            to,
-            joint: joints[joint].name.clone(),
-            aim: None,
             rest: RestAttitude::Orientation,
-            radius,
             slices: if length > SLENDER * radius { SLICES } else { 1 },
             span: if length > 2.0 * radius {
                 [0.15, 0.85]
             } else {
                 [0.3, 0.7]
             },
-            joint_radius: None,
-            limit_degrees: None,
+            ..RigBone::along(&joints[joint].name, from, to, radius)
         });
     }
     Ok(MotionRig {
