@@ -2,7 +2,7 @@
 
 use super::data::files_below;
 use bytes::Bytes;
-use pliant::asset::FileSet;
+use pliant::asset::{FileSet, Limits, Model};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -27,6 +27,11 @@ pub fn file_set(path: &Path) -> FileSet {
         }
     }
     set
+}
+
+/// Reads the model of such a file; `None` for one that is refused.
+pub fn read_model(path: &Path) -> Option<Model> {
+    Model::read(file_set(path), None, &Limits::default()).ok()
 }
 
 /// The companions of a set, as `parse` of `gltf_parsed` takes them.

@@ -1,6 +1,6 @@
 //! `pliant animate` at a terminal, and of a model that brings more than its body.
 
-use crate::support::commands::Workplace;
+use crate::support::commands::{Workplace, on_a_terminal};
 use glam::DVec3;
 use pliant::asset::sample::{BuiltInModel, BuiltInRecording};
 use pliant::asset::shapes;
@@ -8,7 +8,6 @@ use serde_json::Value;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 /// Frames of [`write_bar`]'s clip.
 const FRAMES: usize = 1000;
@@ -75,16 +74,7 @@ while True:
 sys.stdout.buffer.write(drawn)
 sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) % 256)
 "#;
-    let mut command = Command::new("python3");
-    command
-        .args(["-c", script, env!("CARGO_BIN_EXE_pliant")])
-        .args(arguments);
-    command.current_dir(folder).env("TERM", "xterm");
-    let Ok(done) = command.output() else {
-        println!("SKIPPED: python3 is not here to make a terminal");
-        return None;
-    };
-    Some((done.status.code(), String::from_utf8_lossy(&done.stdout).into_owned()))
+    on_a_terminal(folder, script, arguments)
 }
 
 /// The numbers in front of a text, wherever it stands.
