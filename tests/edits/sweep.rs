@@ -1,7 +1,7 @@
 //! Edits on every model of the data folder, hostile ones included: a result or a reason in one line, never a panic.
 
-use crate::support::data::{data_folder, models_below, of_each};
-use crate::support::gltf_sets::file_set;
+use crate::support::data::{data_folder, of_each};
+use crate::support::gltf_sets::{file_set, models_below};
 use crate::support::messages::{DeformerMessages, broken, message, unreferenced};
 use crate::support::recipes;
 use pliant::asset::Model;

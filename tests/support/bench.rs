@@ -1,6 +1,7 @@
 //! A bench with a generated shape, and short ways to say handles and poses.
 
 use super::messages::DeformerMessages;
+use super::shapes::obj_text;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{Deformer, DeformerLimits, SolveMode, SolveSettings, SolvedShape};
@@ -15,15 +16,8 @@ pub fn pool(threads: usize) -> Pool {
     Pool::new(threads).expect("threads start")
 }
 
-pub fn obj((positions, triangles): &Shape) -> FileSet {
-    let mut text = String::new();
-    positions
-        .iter()
-        .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
-    triangles
-        .iter()
-        .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
-    FileSet::single("shape.obj", text)
+pub fn obj(shape: &Shape) -> FileSet {
+    FileSet::single("shape.obj", obj_text(shape))
 }
 
 pub fn bench_with(shape: &Shape, create: &pb::CreateOptions, pool: &Pool) -> Deformer {

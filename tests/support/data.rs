@@ -58,18 +58,6 @@ pub fn files_below(folder: &Path, fits: impl Fn(&Path) -> bool) -> Vec<PathBuf> 
     found
 }
 
-/// Every model file in some folders of the data folder, in order; there are some.
-pub fn models_below(data: &Path, folders: &[&str]) -> Vec<PathBuf> {
-    let is_model = |path: &Path| pliant::asset::Format::from_file_name(&path.to_string_lossy()).is_some();
-    let found = folders
-        .iter()
-        .flat_map(|folder| files_below(&data.join(folder), is_model));
-    let mut models: Vec<PathBuf> = found.collect();
-    models.sort();
-    assert!(!models.is_empty(), "no models under {}", data.display());
-    models
-}
-
 /// Copies a folder with all that is in it.
 pub fn copied(from: &Path, to: &Path) {
     std::fs::create_dir_all(to).expect("a folder");

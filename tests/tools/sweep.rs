@@ -1,7 +1,7 @@
 //! Every real model of the data folder through `pliant deform`, the way a pipeline would call it.
 
-use crate::support::data::{data_folder, models_below, of_each};
-use crate::support::gltf_sets::read_model;
+use crate::support::data::{data_folder, of_each};
+use crate::support::gltf_sets::{models_below, read_model};
 use crate::support::server::retried_here;
 use crate::support::shapes::bounds;
 use pliant::asset::Model;

@@ -4,9 +4,10 @@ use super::{FRAMES, STEP, animate_bar, bar_folder, farthest, read_cache, read_gl
 use crate::support::commands::Workplace;
 use crate::support::gltf_parsed::Parsed;
 use crate::support::khronos;
-use crate::support::skinning::{ClipTime, clip_length, draw};
+use crate::support::skinning::{ClipTime, clip_length, draw, list};
 use glam::{DVec3, Vec3};
 use pliant::asset::{FileSet, Limits, Model};
+use serde_json::Value;
 use std::fs;
 use std::path::Path;
 
@@ -58,6 +59,28 @@ fn offs_of_bar(folder: &Workplace, file: &Parsed) -> Vec<f64> {
 /// The farthest of them all.
 pub(super) fn farthest_of_bar(folder: &Workplace, file: &Parsed) -> f64 {
     offs_of_bar(folder, file).into_iter().fold(0.0, f64::max)
+}
+
+/// Plays the bar's clip into bar.glb: how far the report says that the file is off bar.pc2, which is checked, and the file.
+pub(super) fn written_error(folder: &Workplace, options: &str) -> (Value, Parsed) {
+    let mut report = run_bar(folder, &format!("-o bar.glb {options} --json --force")).json();
+    let reported = report["writtenError"].take();
+    let file = read_glb(&folder.join("bar.glb"));
+    let offs = offs_of_bar(folder, &file);
+    let squares: f64 = offs.iter().map(|off| off * off).sum();
+    let rms = (squares / offs.len() as f64).sqrt();
+    let worst = farthest_of_bar(folder, &file);
+    let percent = |off: f64| 100.0 * off / DVec3::new(6.0, 1.0, 1.0).length();
+    for (seen, key, slack) in [(rms, "rmsPercent", 0.02), (worst, "maxPercent", 0.0)] {
+        let said = reported[key].as_f64().unwrap_or_default();
+        let apart = (percent(seen) - said).abs();
+        assert!(
+            apart < 2e-3 + slack * said,
+            "{options}: {key} {} is reported as {said}",
+            percent(seen)
+        );
+    }
+    (reported, file)
 }
 
 #[test]
@@ -116,49 +139,28 @@ fn every_output_holds_the_same_positions() {
 }
 
 #[test]
-fn fewer_shapes_than_frames_are_blended_within_the_error_that_is_reported() {
+fn shapes_and_bones_play_the_frames_as_nearly_as_is_reported() {
     let folder = &bar_folder();
     animate_bar(folder, "-o bar.pc2");
-    let said = animate_bar(folder, "-o bar.glb --max-targets 8");
-    let (_, line) = said.split_once("blended from 8 shapes").expect(&said);
-    let words: Vec<&str> = line.split_whitespace().collect();
-    let percent = words.iter().position(|w| *w == "%").expect("a percentage") - 1;
-    let reported: f64 = words[percent].parse().expect("a number");
-    let file = read_glb(&folder.join("bar.glb"));
-    let targets = &file.json["meshes"][0]["primitives"][0]["targets"];
-    assert_eq!(targets.as_array().expect("targets").len(), 8);
-    let worst = farthest_of_bar(folder, &file);
-    let diagonal = DVec3::new(6.0, 1.0, 1.0).length();
-    assert!(
-        (100.0 * worst / diagonal - reported).abs() < 2e-3,
-        "{worst} is reported as {reported} %"
-    );
-    assert!(reported > 0.01 && reported < 10.0, "{reported}");
-}
-
-#[test]
-fn the_report_has_how_far_what_is_written_is_off_as_numbers() {
-    let folder = &bar_folder();
-    let report = |output: &str| run_bar(folder, &format!("-o bar.glb {output} --json --force")).json();
-    animate_bar(folder, "-o bar.pc2");
-    let diagonal = DVec3::new(6.0, 1.0, 1.0).length();
-    for (options, parts) in [("--max-targets 6", 6), ("--as skin", 40)] {
-        let reported = &report(options)["writtenError"];
-        assert_eq!(reported["parts"], parts, "{reported}");
-        let [rms, max] = ["rmsPercent", "maxPercent"].map(|key| reported[key].as_f64().expect("a number"));
-        let file = read_glb(&folder.join("bar.glb"));
-        let offs = offs_of_bar(folder, &file);
-        let squares: f64 = offs.iter().map(|off| off * off).sum();
-        let worst = offs.iter().copied().fold(0.0, f64::max);
-        for (seen, reported) in [((squares / offs.len() as f64).sqrt(), rms), (worst, max)] {
-            let seen = 100.0 * seen / diagonal;
-            assert!(
-                (seen - reported).abs() < 2e-3 + 0.02 * reported,
-                "{options:?}: {seen} % is reported as {reported} %"
-            );
-        }
+    for (options, parts, most) in [
+        ("--max-targets 6", 6, 100.0),
+        ("--max-targets 8", 8, 10.0),
+        ("--as skin", 40, 100.0),
+        ("--as skin --bones 12", 12, 1.0),
+    ] {
+        let (reported, file) = written_error(folder, options);
+        assert_eq!(reported["parts"], parts, "{options}: {reported}");
+        let worst = reported["maxPercent"].as_f64().expect("a number");
+        assert!(worst < most && (parts != 8 || worst > 0.01), "{options}: {reported}");
+        let targets = list(&file.json["meshes"][0]["primitives"][0]["targets"]).len();
+        let joints = list(&file.json["skins"][0]["joints"]).len();
+        let is_skin = options.contains("skin");
+        assert_eq!([targets, joints][usize::from(is_skin)], parts, "{options}");
+        assert_eq!([targets, joints][usize::from(!is_skin)], 0, "{options}");
+        khronos::assert_valid("skins and morphs", &[folder.join("bar.glb")]);
     }
-    assert!(report("")["writtenError"].is_null(), "nothing is off");
+    let exact = run_bar(folder, "-o bar.glb --json --force").json();
+    assert!(exact["writtenError"].is_null(), "nothing is off");
 }
 
 #[test]
