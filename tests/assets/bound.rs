@@ -1,10 +1,10 @@
 //! `pliant skin` as a script sees it.
 
 use crate::support::bench::obj;
+use crate::support::commands::{Ran, Workplace};
 use crate::support::data::data_path;
 use crate::support::gltf_parsed::{Parsed, parse};
 use crate::support::khronos;
-use crate::support::program::{Finished, Scratch, pliant, words};
 use crate::support::skinning::{draw, list};
 use glam::DVec3;
 use pliant::asset::shapes;
@@ -18,16 +18,16 @@ const RIG: &str = r#"{"version": 1, "joints": {"a": [0.2, 0.5, 0.5], "b": [2, 0.
     {"id": "arm", "from": "b", "to": "c", "parent": "trunk", "joint": "arm", "radius": 0.5}]}"#;
 
 /// A folder with a bar of 6 by 1 by 1 and a rig of three bones along it, one on the other.
-fn bar_folder() -> Scratch {
-    let folder = Scratch::new();
+fn bar_folder() -> Workplace {
+    let folder = Workplace::empty();
     let bar = obj(&shapes::box_with_cells(DVec3::new(6.0, 1.0, 1.0), [24, 4, 4]));
-    fs::write(folder.join("bar.obj"), bar.main).expect("written");
-    fs::write(folder.join("rig.json"), RIG).expect("written");
+    folder.put("bar.obj", bar.main);
+    folder.put("rig.json", RIG);
     folder
 }
 
-fn skin(folder: &Path, arguments: &str) -> Finished {
-    pliant(folder, &[&["skin"], &words(arguments)[..]].concat())
+fn skin(folder: &Workplace, arguments: &str) -> Ran {
+    folder.run(&format!("skin {arguments}"))
 }
 
 fn read_glb(path: &Path) -> Parsed {
@@ -41,7 +41,7 @@ fn assert_valid(file: PathBuf) {
 #[test]
 fn joints_hang_on_each_other_as_the_bones_do_and_stand_where_the_model_is() {
     let folder = &bar_folder();
-    let report = skin(folder, "bar.obj --rig rig.json -o bar.glb --json").well().report();
+    let report = skin(folder, "bar.obj --rig rig.json -o bar.glb --json").well().json();
     assert_eq!((&report["unweighted"], &report["bones"]), (&0.into(), &3.into()));
     assert!(report["influences"].as_u64().is_some_and(|most| most <= 4), "{report}");
     let file = read_glb(&folder.join("bar.glb"));
@@ -85,7 +85,7 @@ fn more_than_four_joints_of_a_vertex_are_a_second_set() {
         joints.join(","),
         bones.join(",")
     );
-    fs::write(folder.join("six.json"), rig).expect("written");
+    folder.put("six.json", rig);
     for (most, sets) in [("1", 1), ("4", 1), ("8", 2)] {
         let name = format!("bar{most}.glb");
         skin(folder, &format!("bar.obj --rig six.json -o {name} --influences {most}")).well();
@@ -101,7 +101,7 @@ fn more_than_four_joints_of_a_vertex_are_a_second_set() {
 fn what_cannot_be_bound_is_refused_and_nothing_is_written() {
     let folder = &bar_folder();
     let cycle = RIG.replace(r#""id": "trunk", "#, r#""id": "trunk", "parent": "hand", "#);
-    fs::write(folder.join("cycle.json"), cycle).expect("written");
+    folder.put("cycle.json", cycle);
     for (arguments, reported) in [
         (
             "rig.json -o bar.glb --influences 9",
@@ -132,12 +132,10 @@ fn a_man_of_many_parts_is_bound_whole() {
     ) else {
         return;
     };
-    let folder = Scratch::new();
+    let folder = Workplace::empty();
     let out = folder.join("doorman.glb");
     let [model, rig, at] = [&model, &rig, &out].map(|p| p.to_str().expect("a path"));
-    let report = pliant(&folder, &["skin", model, "--rig", rig, "-o", at, "--json"])
-        .well()
-        .report();
+    let report = folder.done(&["skin", model, "--rig", rig, "-o", at, "--json"]).json();
     assert_eq!((&report["unweighted"], &report["bones"]), (&0.into(), &19.into()));
     assert_valid(out);
 }

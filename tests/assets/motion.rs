@@ -1,10 +1,10 @@
 //! Motion: recorded clips of the data folder, the built-in recordings and figure, and damaged clips and rigs, which are refused or
 //! give numbers.
 
+use crate::support::commands::Workplace;
 use crate::support::data::data_folder;
 use crate::support::gltf_parsed::parse;
 use crate::support::khronos;
-use crate::support::program::Scratch;
 use crate::support::skinning::{ClipTime, clip_length, draw};
 use glam::DVec3;
 use pliant::asset::sample::{BuiltInModel, BuiltInRecording};
@@ -127,7 +127,7 @@ fn the_hand_that_is_turned_over_is_the_left_one_alone() {
 
 #[test]
 fn the_validator_finds_nothing_wrong_with_the_figure() {
-    let folder = Scratch::new();
+    let folder = Workplace::empty();
     let at = folder.join("figure.glb");
     std::fs::write(&at, BuiltInModel::Figure.glb()).expect("written");
     khronos::assert_valid("the figure", &[at]);

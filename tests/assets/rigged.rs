@@ -1,23 +1,22 @@
 //! `pliant rig` as a script sees it: what it finds drives a model at the first try.
 
+use crate::support::commands::Workplace;
 use crate::support::data::{data_folder, data_path, files_below};
-use crate::support::program::{Scratch, pliant, words};
 use crate::support::skinning::list;
 use pliant::asset::sample::BuiltInModel;
 use serde_json::Value;
 use std::fs;
-use std::path::Path;
 
 /// A folder with the built-in figure.
-fn figure_folder() -> Scratch {
-    let folder = Scratch::new();
-    fs::write(folder.join("figure.glb"), BuiltInModel::Figure.glb()).expect("written");
+fn figure_folder() -> Workplace {
+    let folder = Workplace::empty();
+    folder.put("figure.glb", BuiltInModel::Figure.glb());
     folder
 }
 
 /// The report of a run that ends well.
-fn run_well(folder: &Path, arguments: &str) -> Value {
-    pliant(folder, &words(arguments)).well().report()
+fn run_well(folder: &Workplace, arguments: &str) -> Value {
+    folder.done(arguments).json()
 }
 
 /// A joint of a report.
@@ -123,9 +122,9 @@ fn a_skin_has_its_rig_and_takes_it_back() {
     let folder = &figure_folder();
     let reported = run_well(folder, "rig figure.glb -o own.json --json");
     assert_eq!(reported["source"], "skin");
-    let picture = fs::read(folder.join("own.png")).expect("a picture");
+    let picture = folder.bytes("own.png");
     assert!(picture.starts_with(b"\x89PNG"));
-    let rig: Value = serde_json::from_slice(&fs::read(folder.join("own.json")).expect("a rig")).expect("json");
+    let rig: Value = serde_json::from_slice(&folder.bytes("own.json")).expect("json");
     let ids: Vec<&str> = list(&rig["bones"]).iter().filter_map(|b| b["id"].as_str()).collect();
     assert!(ids.contains(&"leftLowerArm") && ids[0] == "hips", "{ids:?}");
     let reported = run_well(
@@ -144,7 +143,7 @@ fn joints_of_statues_are_found_where_limbs_are() {
     let Some(meshes) = data_path(what, "meshes") else {
         return;
     };
-    let folder = Scratch::new();
+    let folder = Workplace::empty();
     // Joints that were put by hand, and how far off, over the height, one may be.
     for (name, height, wanted) in [
         (
@@ -190,8 +189,8 @@ fn joints_of_statues_are_found_where_limbs_are() {
     }
     for beast in ["horse.ply", "cow.off", "teapot.obj", "camelhead.off"] {
         let path = meshes.join(beast);
-        pliant(&folder, &["rig", path.to_str().expect("a path"), "-o", "beast.json"])
-            .refused(&["give joints with --at"]);
+        let arguments = ["rig", path.to_str().expect("a path"), "-o", "beast.json"];
+        folder.refused(&arguments, &["give joints with --at"]);
         assert!(!folder.join("beast.json").exists());
     }
 }
@@ -200,27 +199,17 @@ fn joints_of_statues_are_found_where_limbs_are() {
 fn what_cannot_be_is_refused_with_what_can() {
     let folder = &figure_folder();
     let one = "HIERARCHY\nROOT pipe\n{\nOFFSET 0 0 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 1 0\n}\n}\nMOTION\nFrames: 1\nFrame Time: 1\n\n";
-    fs::write(folder.join("pipe.bvh"), one).expect("written");
-    fs::write(folder.join("marks.json"), r#"{"lElbow": [1, 2]}"#).expect("written");
+    folder.put("pipe.bvh", one);
+    folder.put("marks.json", r#"{"lElbow": [1, 2]}"#);
     for (arguments, reported) in [
-        (
-            &["--preset", "alien"][..],
-            "preset: is \"alien\", allowed are cmu and mixamo",
-        ),
-        (&["--bvh", "pipe.bvh"], "such as \"hips\""),
-        (
-            &["--at", "tail=0,0,0"],
-            "\"tail\" is not a joint of a body; there are hips",
-        ),
-        (&["--at", "lElbow=0,0"], "needs three finite numbers"),
-        (&["--landmarks", "marks.json"], "needs three finite numbers"),
-        (&["--picture", "a.jpg"], "use a .png file name"),
+        ("--preset alien", "preset: is \"alien\", allowed are cmu and mixamo"),
+        ("--bvh pipe.bvh", "such as \"hips\""),
+        ("--at tail=0,0,0", "\"tail\" is not a joint of a body; there are hips"),
+        ("--at lElbow=0,0", "needs three finite numbers"),
+        ("--landmarks marks.json", "needs three finite numbers"),
+        ("--picture a.jpg", "use a .png file name"),
     ] {
-        pliant(
-            folder,
-            &[&["rig", "figure.glb", "-o", "rig.json"][..], arguments].concat(),
-        )
-        .refused(&[reported]);
+        folder.refused(&format!("rig figure.glb -o rig.json {arguments}"), &[reported]);
         assert!(!folder.join("rig.json").exists());
     }
     let reported = run_well(

@@ -4,7 +4,7 @@
 //! What this machine lacks (node, npm, a network for packages, Chromium) is said and skipped; everything else must hold.
 //! What the browser measured goes to stderr, so that a log has it also when the test passes.
 
-use crate::support::process::{said, show};
+use crate::support::process::{is_offline, said, show};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -32,20 +32,6 @@ pub(super) fn lacks_node() -> Option<String> {
     }
     let npm = Command::new("npm").arg("--version").output();
     (!npm.is_ok_and(|output| output.status.success())).then(|| "npm is not installed".to_owned())
-}
-
-/// Whether npm failed because it reached no registry.
-pub(super) fn is_offline(said: &str) -> bool {
-    [
-        "ENOTFOUND",
-        "EAI_AGAIN",
-        "ECONNREFUSED",
-        "ETIMEDOUT",
-        "ENOTCACHED",
-        "ECONNRESET",
-    ]
-    .iter()
-    .any(|sign| said.contains(sign))
 }
 
 /// Fetches what a package's lock file names, unless it is there; why it cannot be had, if so.

@@ -3,9 +3,9 @@
 //! The program of this build stands in for the one that a release links; what this machine lacks (python3, node, a network for
 //! packages) is said and skipped.
 
-use crate::node::{is_offline, lacks_node};
+use crate::node::lacks_node;
 use crate::support::process::needed;
-use crate::support::process::{root, said, show};
+use crate::support::process::{is_offline, root, said, show};
 use std::fs;
 use std::path::Path;
 use std::process::Command;

@@ -5,7 +5,7 @@
 //! python3, a network to fetch packages) is said and skipped; everything else must hold.
 
 use crate::support::data::{data_root, report_skipped};
-use crate::support::process::{root, said};
+use crate::support::process::{is_offline, root, said};
 use crate::support::program::ServedProgram;
 use pliant::asset::{FileSet, Limits, Model};
 use std::fs;
@@ -86,19 +86,6 @@ fn prepare() -> Result<PathBuf, String> {
     }
     fs::write(home.join("stamp"), stamp).expect("target can be written");
     Ok(python)
-}
-
-/// Whether pip failed because it reached no package index.
-fn is_offline(said: &str) -> bool {
-    let signs = [
-        "NewConnectionError",
-        "ConnectTimeout",
-        "ReadTimeout",
-        "ProxyError",
-        "NameResolutionError",
-        "Temporary failure",
-    ];
-    signs.iter().any(|sign| said.contains(sign))
 }
 
 /// Runs a client to its end and shows what it said.

@@ -1,10 +1,11 @@
 //! The workflow files of `deploy/ci/` as the forges read them: by the published schemas of GitHub and GitLab, and GitHub's by a linter
 //! that knows its expressions. What cannot be fetched here is said and skipped; `tests/tools/check/pages.rs` plays the scripts.
 
-use crate::node::{is_offline, lacks_node};
+use crate::node::lacks_node;
+use crate::support::commands::words;
 use crate::support::process::needed;
-use crate::support::process::{root, said, show};
-use crate::support::program::{ServedProgram, words};
+use crate::support::process::{is_offline, root, said, show};
+use crate::support::program::ServedProgram;
 use serde_json::json;
 use std::fs;
 use std::path::{Path, PathBuf};

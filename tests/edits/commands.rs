@@ -1,7 +1,7 @@
 //! Edits of the topology as users meet them: on a bench, in jobs, and in sessions with undo and redo.
 
 use crate::support::bench;
-use crate::support::messages::{DeformerMessages, EditedByMessage};
+use crate::support::messages::{DeformerMessages, EditedByMessage, message};
 mod following;
 mod handles;
 mod operations;
@@ -24,13 +24,16 @@ fn request(operation: Operation) -> pb::EditRequest {
     }
 }
 
+/// An edit in the form of its JSON.
+fn asked(operation: serde_json::Value) -> pb::EditRequest {
+    message(&operation)
+}
+
 /// A cut by the plane z = `height`.
 fn cut_at(height: f64, keep: cut::Keep, fill: bool) -> pb::EditRequest {
+    let normal = vec![0.0, 0.0, 1.0];
     request(Operation::Cut(pb::edit_request::Cut {
-        plane: Some(pb::Plane {
-            normal: vec![0.0, 0.0, 1.0],
-            offset: height,
-        }),
+        plane: Some(pb::Plane { normal, offset: height }),
         keep: keep.into(),
         fill,
         ..Default::default()
@@ -42,13 +45,16 @@ fn delete(region: pb::Region, fill: bool) -> pb::EditRequest {
     request(Operation::Delete(pb::edit_request::Delete { region, fill }))
 }
 
-fn midpoint(region: Option<pb::Region>) -> pb::EditRequest {
-    let scheme = subdivide::Scheme::Midpoint.into();
+fn subdivide(region: Option<pb::Region>, scheme: subdivide::Scheme) -> pb::EditRequest {
     request(Operation::Subdivide(pb::edit_request::Subdivide {
         region,
-        scheme,
+        scheme: scheme.into(),
         auto: false,
     }))
+}
+
+fn midpoint(region: Option<pb::Region>) -> pb::EditRequest {
+    subdivide(region, subdivide::Scheme::Midpoint)
 }
 
 /// Edits the shape that `shape` is, with the handles' own poses in force.
@@ -71,26 +77,23 @@ fn read_back(bench: &Deformer, format: Format) -> Model {
 }
 
 fn volume(model: &Model) -> f64 {
-    let at = |v: u32| model.positions[v as usize];
-    let six: f64 = model
-        .triangles
-        .iter()
-        .map(|t| at(t[0]).dot(at(t[1]).cross(at(t[2]))))
-        .sum();
-    six / 6.0
+    pliant::mesh::signed_volume(&model.positions, &model.triangles)
 }
 
 /// An upright bar, 1 by 1 by 4, about the origin.
 fn bar() -> Shape {
-    let (mut positions, triangles) = shapes::box_with_cells(DVec3::new(1.0, 1.0, 4.0), [6, 6, 24]);
-    let middle = positions.iter().fold(DVec3::MIN, |a, b| a.max(*b)) - DVec3::new(0.5, 0.5, 2.0);
-    positions.iter_mut().for_each(|p| *p -= middle);
-    (positions, triangles)
+    let (positions, triangles) = shapes::box_with_cells(DVec3::new(1.0, 1.0, 4.0), [6, 6, 24]);
+    let middle = DVec3::new(0.5, 0.5, 2.0);
+    (positions.iter().map(|p| *p - middle).collect(), triangles)
+}
+
+fn ends() -> Vec<pb::Handle> {
+    vec![handle("base", below(-1.5)), handle("top", above(1.5))]
 }
 
 fn held() -> Deformer {
     let mut bench = bench(&bar());
-    set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+    set(&mut bench, ends());
     bench
 }
 
@@ -233,7 +236,7 @@ fn the_same_edits_give_the_same_bits_on_any_number_of_threads() {
     let run = |threads: usize| {
         let pool = pool(threads);
         let mut bench = bench_with(&bar(), &pb::CreateOptions::default(), &pool);
-        set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(1.5))]);
+        set(&mut bench, ends());
         let mut shape = bench.rest_shape();
         let mut digests = Vec::new();
         for (k, request) in [

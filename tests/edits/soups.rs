@@ -158,14 +158,31 @@ fn edit(deformer: &mut Deformer, edit: &Edit) -> Result<EditReport, String> {
     outcome.map(|o| o.report).map_err(|e| e.to_string())
 }
 
-fn written(deformer: &Deformer, format: Format) -> Model {
+/// A file of the shape as it is now.
+fn file_of(deformer: &Deformer, format: Format) -> Vec<u8> {
     let pool = Pool::new(1).expect("a thread");
-    let shape = deformer.rest_shape();
-    let written = deformer
-        .write(&shape, format, &Exec::new(&pool, &Silent))
-        .expect("written");
-    let files = FileSet::single("back", written.main);
+    let written = deformer.write(&deformer.rest_shape(), format, &Exec::new(&pool, &Silent));
+    written.expect("written").main
+}
+
+fn text_of(deformer: &Deformer, format: Format) -> String {
+    String::from_utf8(file_of(deformer, format)).expect("a text")
+}
+
+fn written(deformer: &Deformer, format: Format) -> Model {
+    let files = FileSet::single("back", file_of(deformer, format));
     Model::read(files, Some(format), &Limits::default()).expect("read back")
+}
+
+fn thin(ratio: f64) -> Edit {
+    Edit::Decimate { region: None, ratio }
+}
+
+fn remesh(length: f64) -> Edit {
+    Edit::Remesh(RemeshCommand {
+        edge_length: Some(length),
+        ..RemeshCommand::default()
+    })
 }
 
 /// The triangles by the places of their corners, in an order of their own.
@@ -218,13 +235,6 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
         keep,
         fill,
     };
-    let decimate = |region, ratio| Edit::Decimate { region, ratio };
-    let remesh = |length| {
-        Edit::Remesh(RemeshCommand {
-            edge_length: Some(length),
-            ..RemeshCommand::default()
-        })
-    };
     let subdivide = |region, scheme| Edit::Subdivide { region, scheme };
     let delete = |fill| Edit::Delete { region: top(), fill };
     // Around the shape, near enough to it.
@@ -233,8 +243,14 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
         .map(|a| DVec3::new(libm::cos(a), 0.11, libm::sin(a)))
         .collect();
     vec![
-        ("decimate", vec![decimate(None, 0.4)]),
-        ("decimate a region", vec![decimate(Some(top()), 0.3)]),
+        ("decimate", vec![thin(0.4)]),
+        (
+            "decimate a region",
+            vec![Edit::Decimate {
+                region: Some(top()),
+                ratio: 0.3,
+            }],
+        ),
         ("coarser remesh", vec![remesh(1.7 * edge)]),
         ("finer remesh", vec![remesh(0.6 * edge)]),
         ("midpoints", vec![subdivide(Some(top()), SubdivisionScheme::Midpoint)]),
@@ -276,7 +292,7 @@ fn operations(shape: &Shape, edge: f64) -> Vec<(&'static str, Vec<Edit>)> {
             vec![
                 subdivide(Some(top()), SubdivisionScheme::Midpoint),
                 plane(KeptSide::Below, true),
-                decimate(None, 0.5),
+                thin(0.5),
                 remesh(1.5 * edge),
             ],
         ),
@@ -355,10 +371,7 @@ fn equal_attributes_are_no_seam() {
 #[test]
 fn a_thinned_soup_comes_back_as_its_format_has_it() {
     let (_, shape, _) = shapes().into_iter().next().expect("the ball");
-    let halve = Edit::Decimate {
-        region: None,
-        ratio: 0.5,
-    };
+    let halve = thin(0.5);
     for (files, format) in [
         (binary_stl(&shape), Format::STL),
         (off(&soup(&shape), None), Format::OFF),
@@ -380,11 +393,7 @@ fn a_thinned_soup_comes_back_as_its_format_has_it() {
     // What a picture is mapped by, and what is painted, stays where it was.
     let mut deformer = open(obj_soup(&shape));
     edit(&mut deformer, &halve).expect("thinned");
-    let pool = Pool::new(1).expect("a thread");
-    let text = deformer
-        .write(&deformer.rest_shape(), Format::OBJ, &Exec::new(&pool, &Silent))
-        .expect("written");
-    let text = String::from_utf8(text.main).expect("a text");
+    let text = text_of(&deformer, Format::OBJ);
     let numbers = |line: &str| -> Vec<f64> { line.split(' ').skip(1).map(|w| w.parse().expect("a number")).collect() };
     let lines = |word: &str| -> Vec<Vec<f64>> { text.lines().filter(|l| l.starts_with(word)).map(numbers).collect() };
     let (places, coordinates) = (lines("v "), lines("vt "));
@@ -420,11 +429,7 @@ fn a_flat_shaded_soup_is_one_surface_and_stays_flat_shaded() {
     }
     let mut deformer = open(glb(flat()));
     for _ in 0..2 {
-        let thin = Edit::Decimate {
-            region: None,
-            ratio: 0.5,
-        };
-        let report = edit(&mut deformer, &thin).expect("thinned");
+        let report = edit(&mut deformer, &thin(0.5)).expect("thinned");
         assert_eq!(report.after.faces, report.before.faces / 2);
         let back = written(&deformer, Format::GLB);
         assert!(least_flat(&back) < 0.1, "{}", least_flat(&back));
@@ -437,16 +442,7 @@ fn facets_that_meet_at_an_edge_have_one() {
     let (_, shape, _) = shapes().into_iter().nth(1).expect("the box");
     let facets: Vec<DVec3> = corners(&shape).into_iter().map(facet_normal).collect();
     let mut deformer = open(off(&soup(&shape), Some(&|v| facets[v / 3])));
-    for step in [
-        Edit::Decimate {
-            region: None,
-            ratio: 0.4,
-        },
-        Edit::Remesh(RemeshCommand {
-            edge_length: Some(0.4),
-            ..RemeshCommand::default()
-        }),
-    ] {
+    for step in [thin(0.4), remesh(0.4)] {
         edit(&mut deformer, &step).expect("edited");
         let report = deformer.report();
         assert!(report.closed && (report.volume - 8.0).abs() < 1e-9, "{}", report.volume);
@@ -468,20 +464,9 @@ fn real_seams_stay() {
         writeln!(text, "f {} {} {}", 3 * k + 1, 3 * k + 2, 3 * k + 3).expect("a text");
     }
     let mut deformer = open(FileSet::single("two.obj", text.into_bytes()));
-    edit(
-        &mut deformer,
-        &Edit::Decimate {
-            region: None,
-            ratio: 0.3,
-        },
-    )
-    .expect("thinned");
+    edit(&mut deformer, &thin(0.3)).expect("thinned");
     assert!(deformer.report().closed);
-    let pool = Pool::new(1).expect("a thread");
-    let text = deformer
-        .write(&deformer.rest_shape(), Format::OBJ, &Exec::new(&pool, &Silent))
-        .expect("written");
-    let text = String::from_utf8(text.main).expect("a text");
+    let text = text_of(&deformer, Format::OBJ);
     let mut heights: Vec<f64> = Vec::new();
     let mut upper = None;
     for line in text.lines() {
@@ -522,7 +507,6 @@ fn solids(text: &str) -> Vec<(String, Vec<f64>)> {
 #[test]
 fn a_text_stl_stays_a_text_with_its_solids() {
     let (_, shape, edge) = shapes().into_iter().nth(2).expect("the bar");
-    let pool = Pool::new(1).expect("a thread");
     let mut done = 0;
     for (operation, edits) in operations(&shape, edge) {
         let mut deformer = open(text_stl(&shape, 0.0));
@@ -530,24 +514,15 @@ fn a_text_stl_stays_a_text_with_its_solids() {
             continue;
         }
         done += 1;
-        let file = deformer
-            .write(&deformer.rest_shape(), Format::STL, &Exec::new(&pool, &Silent))
-            .expect("written");
-        let text = String::from_utf8(file.main).expect("a text");
+        let text = text_of(&deformer, Format::STL);
         let found = solids(&text);
         let names: Vec<&str> = found.iter().map(|s| s.0.as_str()).collect();
         assert_eq!(names[..2], ["Lower half", "UPPER"], "{operation}");
         let count: usize = found.iter().map(|s| s.1.len()).sum();
         assert_eq!(count, deformer.geometry().triangles.len(), "{operation}");
         if !operation.contains("weld") {
-            assert!(
-                found[0].1.iter().all(|y| *y < 0.0),
-                "{operation}: a facet left its solid"
-            );
-            assert!(
-                found[1].1.iter().all(|y| *y > 0.0),
-                "{operation}: a facet left its solid"
-            );
+            let stayed = found[0].1.iter().all(|y| *y < 0.0) && found[1].1.iter().all(|y| *y > 0.0);
+            assert!(stayed, "{operation}: a facet left its solid");
         }
         let back = Model::read(FileSet::single("back.stl", text.into_bytes()), None, &Limits::default());
         let back = back.expect("read back");
@@ -586,13 +561,9 @@ fn handles_hold_what_they_held_of_a_soup() {
         };
         let report = edit(&mut deformer, &split).expect("split");
         assert_eq!(report.handles_kept, ["base", "top"]);
-        let moved = deformer
-            .commit(
-                [("top", HandlePose::translation(DVec3::X))],
-                &SolveSettings::default(),
-                &exec,
-            )
-            .expect("posed");
+        let aside = [("top", HandlePose::translation(DVec3::X))];
+        let moved = deformer.commit(aside, &SolveSettings::default(), &exec);
+        let moved = moved.expect("posed");
         ends.push(surface(&moved.positions, &deformer.geometry().triangles));
     }
     assert!(ends[0] == ends[1], "the soup bends otherwise");
@@ -600,10 +571,7 @@ fn handles_hold_what_they_held_of_a_soup() {
 
 #[test]
 fn what_users_had_comes_out_right() {
-    let thin = Edit::Decimate {
-        region: None,
-        ratio: 0.4,
-    };
+    let thin = thin(0.4);
     for name in ["ball.stl", "ball_soup.off", "ball_soup_flat.glb"] {
         let Some(bytes) = data_bytes(&format!("field/{name}")) else {
             return;
@@ -616,11 +584,7 @@ fn what_users_had_comes_out_right() {
             "{name}: {report:?}"
         );
         let mut deformer = open(FileSet::single(name, bytes.clone()));
-        let coarse = Edit::Remesh(RemeshCommand {
-            edge_length: Some(0.3),
-            ..RemeshCommand::default()
-        });
-        let report = edit(&mut deformer, &coarse).expect("remeshed");
+        let report = edit(&mut deformer, &remesh(0.3)).expect("remeshed");
         assert!(
             report.after.faces < 720 && deformer.report().closed,
             "{name}: {report:?}"

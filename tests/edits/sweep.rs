@@ -1,9 +1,10 @@
 //! Edits on every model of the data folder, hostile ones included: a result or a reason in one line, never a panic.
 
-use crate::support::data::{data_folder, files_below, of_each};
+use crate::support::data::{data_folder, of_each};
+use crate::support::gltf_sets::{file_set, models_below};
 use crate::support::messages::{DeformerMessages, broken, message, unreferenced};
-use crate::support::recipes::file_set;
-use pliant::asset::{FileSet, Format, Model};
+use crate::support::recipes;
+use pliant::asset::Model;
 use pliant::engine::{Deformer, DeformerLimits, ModelShape, digest};
 use pliant::exec::Exec;
 use pliant::pool::Pool;
@@ -11,28 +12,13 @@ use pliant::progress::Silent;
 use pliant::wire::{Error, json, pb};
 use serde_json::{Value, json};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Models with fewer triangles have no region worth the name: they are edited as a whole.
 const SMALL: usize = 60;
 
 /// Models with more vertices get two edits each, in rotation, and no inside.
 const LARGE: usize = 12_000;
-
-fn is_model(path: &Path) -> bool {
-    Format::from_file_name(&path.to_string_lossy()).is_some()
-}
-
-fn files_of(path: &Path) -> Option<FileSet> {
-    let mut files = FileSet::single(path.file_name()?.to_string_lossy(), std::fs::read(path).ok()?);
-    if let Some(folder) = path.parent().filter(|_| path.extension().is_some_and(|e| e == "gltf")) {
-        for entry in std::fs::read_dir(folder).ok()?.flatten().filter(|e| e.path().is_file()) {
-            let name = entry.file_name().to_string_lossy().into_owned();
-            files.companions.insert(name, std::fs::read(entry.path()).ok()?.into());
-        }
-    }
-    Some(files)
-}
 
 /// The edits of one model, each on what the one before it left.
 fn edits(bench: &Deformer, k: usize) -> Vec<(&'static str, Value)> {
@@ -115,9 +101,7 @@ fn one(bench: &mut Deformer, shape: &mut ModelShape, edit: &Value, pool: &Pool) 
 
 /// A line of the table, and what went wrong.
 fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
-    let Some(files) = files_of(path) else {
-        return ("cannot be read".into(), None);
-    };
+    let files = file_set(path);
     let pool = Pool::new(1).expect("a thread");
     let limits = DeformerLimits {
         memory_bytes: 2 << 30,
@@ -150,7 +134,7 @@ fn try_model(path: &Path, k: usize) -> (String, Option<String>) {
     match bench.write(&shape, format, &Exec::new(&pool, &Silent)) {
         Err(e) => line += &format!(" | not written as {format}: {e}"),
         Ok(written) => {
-            let files = file_set("written", written);
+            let files = recipes::file_set("written", written);
             match Model::read(files, Some(format), &limits.model) {
                 Ok(back) if back.triangles.len() == bench.geometry().triangles.len() => {}
                 Ok(back) => {
@@ -169,13 +153,7 @@ fn every_model_is_edited_or_says_why_not() {
     let Some(data) = data_folder("edits of every model") else {
         return;
     };
-    let folders = ["meshes", "gltf", "hostile"].map(|folder| data.join(folder));
-    let mut models: Vec<PathBuf> = folders
-        .iter()
-        .flat_map(|folder| files_below(folder, is_model))
-        .collect();
-    models.sort();
-    assert!(!models.is_empty(), "no models under {}", data.display());
+    let models = models_below(&data, &["meshes", "gltf", "hostile"]);
     let results = of_each(&models, |k, path| {
         let tried = catch_unwind(AssertUnwindSafe(|| try_model(path, k)));
         tried.unwrap_or_else(|_| (String::new(), Some("a panic".into())))

@@ -1,6 +1,7 @@
 //! Laws of dragging: frames are what a solve in double precision gives, to what was asked for, whatever came before them.
 
-use crate::support::bench::largest_distance;
+use crate::support::bench::{largest_distance, obj};
+use crate::support::shapes::{both, moved};
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{
@@ -13,25 +14,12 @@ use pliant::progress::Silent;
 
 /// A box of many cells, and with `beside` a small one that touches it.
 fn boxes(beside: bool) -> FileSet {
-    let mut text = String::new();
-    let mut first = 1;
-    let mut add = |size: DVec3, cells: [usize; 3], shift: DVec3| {
-        let (points, triangles) = shapes::box_with_cells(size, cells);
-        points
-            .iter()
-            .map(|p| *p + shift)
-            .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
-        for t in &triangles {
-            let [a, b, c] = t.map(|v| v + first);
-            text += &format!("f {a} {b} {c}\n");
-        }
-        first += points.len() as u32;
-    };
-    add(DVec3::new(1.0, 1.0, 6.0), [8, 8, 48], DVec3::ZERO);
+    let mut all = shapes::box_with_cells(DVec3::new(1.0, 1.0, 6.0), [8, 8, 48]);
     if beside {
-        add(DVec3::new(0.5, 0.3, 0.5), [4, 3, 4], DVec3::new(0.25, 1.002, 2.5));
+        let small = shapes::box_with_cells(DVec3::new(0.5, 0.3, 0.5), [4, 3, 4]);
+        all = both(all, moved(small, |p| p + DVec3::new(0.25, 1.002, 2.5)));
     }
-    FileSet::single("boxes.obj", text.into_bytes())
+    obj(&all)
 }
 
 fn beyond(id: &str, normal: DVec3, offset: f64) -> Handle {

@@ -127,14 +127,9 @@ fn deformed(shape: &Shape, handles: &[Handle], place: &Place, volume: VolumeMode
         },
         extent: Default::default(),
     };
+    let (mut state, exec) = (SolveState::default(), Exec::new(&pool, &Silent));
     let solution = rig
-        .solve(
-            &body,
-            &request,
-            &mut SolveState::default(),
-            &Exec::new(&pool, &Silent),
-            &mut |_| true,
-        )
+        .solve(&body, &request, &mut state, &exec, &mut |_| true)
         .expect("it solves");
     // Of the scene at home: a box around a model that is turned is another box.
     let diagonal = shapes::mesh(shape).bounds().diagonal();

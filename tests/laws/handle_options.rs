@@ -1,6 +1,7 @@
 //! Every option of a handle with every other: what fits together is solved, the rest is refused with a reason.
 
 use crate::support::bench;
+use crate::support::messages::message;
 use glam::DVec3;
 use pliant::asset::{FileSet, Format, Limits, Model, shapes};
 use pliant::batch;
@@ -9,80 +10,60 @@ use pliant::engine::{Deformer, DeformerLimits, Handle, HandleConstrains, HandleP
 use pliant::exec::Exec;
 use pliant::pool::Pool;
 use pliant::progress::Silent;
-use pliant::wire::{json, pb};
+use pliant::wire::pb;
+use serde_json::{Value, json};
 
 /// A bar along z, 4 long.
 fn bar() -> bench::Shape {
     shapes::box_with_cells(DVec3::new(1.0, 1.0, 4.0), [2, 2, 10])
 }
 
-/// The options, each with all of its values, as JSON.
-fn options() -> Vec<(&'static str, Vec<String>)> {
+/// The options, each with all of its values; null where it is left out.
+fn options() -> Value {
     let rest = bar().0;
     let upper = (0..).zip(&rest).filter(|(_, p)| p.z > 3.5).map(|(v, _)| v);
     let upper: Vec<usize> = upper.collect();
     let weights: Vec<f64> = rest.iter().map(|p| (p.z - 3.0).clamp(0.0, 1.0)).collect();
-    let texts = |values: &[&str]| values.iter().map(|v| (*v).to_owned()).collect::<Vec<_>>();
-    vec![
-        (
-            "constrains",
-            texts(&[
-                "[]",
-                r#"["POSITION"]"#,
-                r#"["ROTATION"]"#,
-                r#"["SCALE"]"#,
-                r#"["POSITION", "ROTATION"]"#,
-                r#"["POSITION", "SCALE"]"#,
-                r#"["ROTATION", "SCALE"]"#,
-            ]),
-        ),
-        ("rigid", texts(&["false", "true"])),
-        ("stiffness", texts(&["null", "0.05", "20"])),
-        (
-            "falloff",
-            texts(&[
-                "null",
-                r#"{"radius": 0.7, "kind": "LINEAR"}"#,
-                r#"{"radius": 0.7, "kind": "SMOOTH"}"#,
-            ]),
-        ),
-        (
-            "region",
-            [
-                r#"{"halfSpace": {"normal": [0, 0, 1], "offset": 3.5}}"#.to_owned(),
-                r#"{"sphere": {"center": [0.5, 0.5, 4], "radius": 0.9}}"#.to_owned(),
-                r#"{"box": {"min": [-1, -1, 3.5], "max": [2, 2, 5]}}"#.to_owned(),
-                r#"{"capsule": {"from": [0.5, 0.5, 3.5], "to": [0.5, 0.5, 4.2], "radius": 0.75}}"#.to_owned(),
-                r#"{"tube": {"points": [0.5, 0.5, 3.5, 0.5, 0.5, 4.2], "radius": 0.75}}"#.to_owned(),
-                r#"{"component": {"index": 0}}"#.to_owned(),
-                r#"{"primitive": {"index": 0}}"#.to_owned(),
-                format!(r#"{{"vertices": {{"indices": {upper:?}}}}}"#),
-                format!(r#"{{"weights": {{"values": {weights:?}}}}}"#),
-            ]
-            .into(),
-        ),
-        (
-            "pose",
-            texts(&[
-                r#"{"translation": [0.6, 0, 0]}"#,
-                r#"{"rotationVector": [0, 0.6, 0.3]}"#,
-                r#"{"rotationVector": [0, 0.6, 0.3], "pivot": [0.5, 0.5, 2]}"#,
-                r#"{"scale": [1.3]}"#,
-                r#"{"translation": [0.2, 0.3, 0.2], "rotation": [0, 0.3, 0, 0.954], "scale": [1.1, 0.9, 1.2]}"#,
-            ]),
-        ),
-        (
-            "symmetryPlane",
-            texts(&["null", r#"{"normal": [1, 0, 0], "offset": 0.5}"#]),
-        ),
-        (
-            "regionOfInterest",
-            texts(&["null", r#"{"halfSpace": {"normal": [0, 0, 1], "offset": 1.5}}"#]),
-        ),
-        ("base", texts(&["true", "false"])),
-        ("refine", texts(&["0", "4"])),
-        ("method", texts(&["GRAPH", "SPATIAL_RBF"])),
-    ]
+    json!({
+        "constrains": [
+            [], ["POSITION"], ["ROTATION"], ["SCALE"],
+            ["POSITION", "ROTATION"], ["POSITION", "SCALE"], ["ROTATION", "SCALE"],
+        ],
+        "rigid": [false, true],
+        "stiffness": [null, 0.05, 20],
+        "falloff": [null, {"radius": 0.7, "kind": "LINEAR"}, {"radius": 0.7, "kind": "SMOOTH"}],
+        "region": [
+            {"halfSpace": {"normal": [0, 0, 1], "offset": 3.5}},
+            {"sphere": {"center": [0.5, 0.5, 4], "radius": 0.9}},
+            {"box": {"min": [-1, -1, 3.5], "max": [2, 2, 5]}},
+            {"capsule": {"from": [0.5, 0.5, 3.5], "to": [0.5, 0.5, 4.2], "radius": 0.75}},
+            {"tube": {"points": [0.5, 0.5, 3.5, 0.5, 0.5, 4.2], "radius": 0.75}},
+            {"component": {"index": 0}},
+            {"primitive": {"index": 0}},
+            {"vertices": {"indices": upper}},
+            {"weights": {"values": weights}},
+        ],
+        "pose": [
+            {"translation": [0.6, 0, 0]},
+            {"rotationVector": [0, 0.6, 0.3]},
+            {"rotationVector": [0, 0.6, 0.3], "pivot": [0.5, 0.5, 2]},
+            {"scale": [1.3]},
+            {"translation": [0.2, 0.3, 0.2], "rotation": [0, 0.3, 0, 0.954], "scale": [1.1, 0.9, 1.2]},
+        ],
+        "symmetryPlane": [null, {"normal": [1, 0, 0], "offset": 0.5}],
+        "regionOfInterest": [null, {"halfSpace": {"normal": [0, 0, 1], "offset": 1.5}}],
+        "base": [{"id": "base", "region": {"halfSpace": {"normal": [0, 0, -1], "offset": -0.5}}}, null],
+        "refine": [0, 4],
+        "method": ["GRAPH", "SPATIAL_RBF"],
+    })
+}
+
+/// Fields with values, without those that are null.
+fn present(fields: &[(&str, &Value)]) -> Value {
+    let given = fields.iter().filter(|(_, value)| !value.is_null());
+    given
+        .map(|(name, value)| ((*name).to_owned(), (*value).clone()))
+        .collect()
 }
 
 /// Rows of values, by option, in which every value of every option meets every value of every other.
@@ -108,52 +89,50 @@ fn pairs(sizes: &[usize]) -> Vec<Vec<usize>> {
 }
 
 /// Why handles like these are refused; `None` when they must be solved.
-fn reason_to_refuse(value: &dyn Fn(&str) -> String) -> Option<&'static str> {
-    if value("falloff") != "null" && value("stiffness") == "null" {
+fn reason_to_refuse(value: &dyn Fn(&str) -> Value) -> Option<&'static str> {
+    let is_given = |name: &str| !value(name).is_null();
+    if is_given("falloff") && !is_given("stiffness") {
         return Some("stiffness");
     }
-    let has_position = value("constrains") == "[]" || value("constrains").contains("POSITION");
-    let is_held = has_position || value("base") == "true" || value("regionOfInterest") != "null";
+    let constrains = value("constrains");
+    let has_position = constrains == json!([]) || constrains[0] == "POSITION";
+    let is_held = has_position || is_given("base") || is_given("regionOfInterest");
     (!is_held).then_some("POSITION")
 }
 
 #[test]
 fn every_option_of_a_handle_goes_with_every_other_or_is_refused() {
     let options = options();
-    let sizes: Vec<usize> = options.iter().map(|o| o.1.len()).collect();
+    let options = options.as_object().expect("fields");
+    let values: Vec<(&String, &Vec<Value>)> = options.iter().filter_map(|(k, v)| Some((k, v.as_array()?))).collect();
+    let sizes: Vec<usize> = values.iter().map(|o| o.1.len()).collect();
     let pool = Pool::new(2).expect("threads");
     let rest = bar().0;
     let (mut solved, mut refused, mut rigid) = (0, 0, 0);
     let limits = DeformerLimits::default();
     for row in pairs(&sizes) {
         let value = |name: &str| {
-            let at = options.iter().position(|o| o.0 == name).expect("an option");
-            options[at].1[row[at]].clone()
+            let at = values.iter().position(|o| o.0 == name).expect("an option");
+            values[at].1[row[at]].clone()
         };
-        let present = |name: &str| match value(name).as_str() {
-            "null" => String::new(),
-            value => format!(r#", "{name}": {value}"#),
-        };
-        let base = match value("base").as_str() {
-            "true" => r#", {"id": "base", "region": {"halfSpace": {"normal": [0, 0, -1], "offset": -0.5}}}"#,
-            _ => "",
-        };
-        let text = format!(
-            r#"{{"handles": [{{"id": "top", "region": {}, "constrains": {}, "rigid": {}{}{}}}{base}]{}{},
-                "steps": [{{"pose": {{"handles": [{{"id": "top", "pose": {}}}]}}}}],
-                "options": {{"refine": {}, "method": "{}"}}}}"#,
-            value("region"),
-            value("constrains"),
-            value("rigid"),
-            present("stiffness"),
-            present("falloff"),
-            present("symmetryPlane"),
-            present("regionOfInterest"),
-            value("pose"),
-            value("refine"),
-            value("method"),
-        );
-        let job: pb::Job = json::from_json(text.as_bytes()).unwrap_or_else(|e| panic!("{e}: {text}"));
+        let of_top = ["region", "constrains", "rigid", "stiffness", "falloff"].map(|name| (name, value(name)));
+        let mut top = present(&of_top.each_ref().map(|(name, value)| (*name, value)));
+        top["id"] = "top".into();
+        let handles: Vec<Value> = [top, value("base")].into_iter().filter(|h| !h.is_null()).collect();
+        let text = present(&[
+            ("handles", &handles.into()),
+            ("symmetryPlane", &value("symmetryPlane")),
+            ("regionOfInterest", &value("regionOfInterest")),
+            (
+                "steps",
+                &json!([{"pose": {"handles": [{"id": "top", "pose": value("pose")}]}}]),
+            ),
+            (
+                "options",
+                &json!({"refine": value("refine"), "method": value("method")}),
+            ),
+        ]);
+        let job: pb::Job = message(&text);
         let exec = Exec::new(&pool, &Silent);
         let done = batch::run(bench::obj(&bar()), &job, None, &limits, &exec, &|| 0.0);
         let done = match (done, reason_to_refuse(&value)) {
@@ -174,9 +153,9 @@ fn every_option_of_a_handle_goes_with_every_other_or_is_refused() {
         assert!(model.positions.iter().all(|p| p.is_finite()), "{text}");
         solved += 1;
         // All regions hold what is above 3.55, as one body where they are rigid.
-        let is_mirrored = value("symmetryPlane") != "null";
+        let is_mirrored = !value("symmetryPlane").is_null();
         let held: Vec<usize> = (0..rest.len()).filter(|&v| rest[v].z > 3.55).collect();
-        if value("rigid") == "true" && !is_mirrored {
+        if value("rigid") == true && !is_mirrored {
             rigid += 1;
             for (a, b) in held.iter().zip(&held[1..]) {
                 let (was, now) = (

@@ -7,7 +7,8 @@ use bench::*;
 use glam::DVec3;
 use pliant::asset::shapes;
 use pliant::deform::exp_rotation;
-use pliant::engine::Deformer;
+use pliant::edit::SubdivisionScheme;
+use pliant::engine::{Deformer, Edit, Region};
 use pliant::exec::Exec;
 use pliant::progress::Silent;
 use pliant::wire::{Error, pb};
@@ -34,19 +35,8 @@ fn a_part_without_a_handle_follows_holds_or_is_refused() {
         };
         let mut bench = bench_with(&shape, &create, &pool(2));
         // A box, so that the ball beside it stays loose.
-        let top = pb::region::Box {
-            min: vec![-1.0, -1.0, 3.75],
-            max: vec![0.6, 1.0, 5.0],
-        };
-        let top = pb::Region {
-            region: Some(pb::region::Region::Box(top)),
-        };
-        let handles = vec![handle("base", below(0.25)), handle("top", top)];
-        let request = pb::SetHandlesRequest {
-            handles,
-            ..Default::default()
-        };
-        bench.set_handles_message(&request, &Exec::new(&pool(2), &Silent))?;
+        let top = handle("top", block([-1.0, -1.0, 3.75], [0.6, 1.0, 5.0]));
+        try_set(&mut bench, vec![handle("base", below(0.25)), top])?;
         try_solve(&mut bench, &pose(&bend), 1e-5, 2)
     };
     let follow = run(Components::Follow).expect("solved").positions;
@@ -65,28 +55,6 @@ fn a_part_without_a_handle_follows_holds_or_is_refused() {
         Err(Error::Precondition(text)) => assert!(text.contains("part 1"), "{text}"),
         other => panic!("{other:?}"),
     }
-}
-
-#[test]
-fn outside_the_region_of_interest_no_bit_changes() {
-    let shape = bar();
-    let mut bench = bench(&shape);
-    let request = pb::SetHandlesRequest {
-        handles: vec![handle("top", above(3.75))],
-        region_of_interest: Some(above(2.0)),
-        ..Default::default()
-    };
-    set_all(&mut bench, &request);
-    let solved = solve(&mut bench, &[("top", shift(DVec3::new(1.0, 0.0, 0.3)))], 1e-5);
-    let mut moved = 0;
-    for (now, rest) in solved.positions.iter().zip(&shape.0) {
-        if rest.z < 2.0 {
-            assert_eq!(now.to_array().map(f64::to_bits), rest.to_array().map(f64::to_bits));
-        } else {
-            moved += usize::from(now != rest);
-        }
-    }
-    assert!(moved > 100);
 }
 
 #[test]
@@ -130,11 +98,10 @@ fn a_symmetry_plane_does_what_mirrored_handles_would() {
 fn soft_handles_give_way_and_stiffer_ones_less() {
     let missing = |stiffness: f64| {
         let mut bench = bench(&bar());
-        let top = pb::Handle {
-            stiffness: Some(stiffness),
-            ..handle("top", above(3.75))
-        };
-        set(&mut bench, vec![handle("base", below(0.25)), top]);
+        set(
+            &mut bench,
+            vec![handle("base", below(0.25)), soft("top", above(3.75), stiffness)],
+        );
         let by = DVec3::new(0.0, 0.0, 1.0);
         let solved = solve(&mut bench, &[("top", shift(by))], 1e-7);
         let rest = bar().0;
@@ -152,17 +119,9 @@ fn soft_handles_give_way_and_stiffer_ones_less() {
 fn a_falloff_pulls_its_surroundings_and_fades() {
     let run = |falloff: Option<pb::Falloff>| {
         let mut bench = bench(&shapes::grid(2.0, 2.0, [40, 40]));
-        let center = pb::region::Sphere {
-            center: vec![1.0, 0.0, 1.0],
-            radius: 0.15,
-        };
-        let region = pb::Region {
-            region: Some(pb::region::Region::Sphere(center)),
-        };
         let soft = pb::Handle {
-            stiffness: Some(5.0),
             falloff,
-            ..handle("pull", region)
+            ..soft("pull", ball([1.0, 0.0, 1.0], 0.15), 5.0)
         };
         set(
             &mut bench,
@@ -188,29 +147,15 @@ fn a_falloff_pulls_its_surroundings_and_fades() {
 #[test]
 fn a_rigid_region_keeps_its_shape_when_others_move_it() {
     let mut bench = bench(&bar());
-    let middle = pb::region::Box {
-        min: vec![-1.0, -1.0, 1.6],
-        max: vec![1.0, 1.0, 2.4],
-    };
-    let region = pb::Region {
-        region: Some(pb::region::Region::Box(middle)),
-    };
-    let rotation = pb::handle::Constrains::Rotation as i32;
-    let rigid = pb::Handle {
+    let mut handles = ends();
+    handles.push(pb::Handle {
         rigid: true,
-        constrains: vec![rotation],
-        stiffness: Some(1e-6),
-        ..handle("middle", region)
-    };
-    set(
-        &mut bench,
-        vec![handle("base", below(0.25)), handle("top", above(3.75)), rigid],
-    );
-    let solved = solve(
-        &mut bench,
-        &[("top", turn(DVec3::new(0.0, 1.3, 0.8), DVec3::ZERO))],
-        1e-6,
-    );
+        constrains: vec![pb::handle::Constrains::Rotation as i32],
+        ..soft("middle", block([-1.0, -1.0, 1.6], [1.0, 1.0, 2.4]), 1e-6)
+    });
+    set(&mut bench, handles);
+    let bend = turn(DVec3::new(0.0, 1.3, 0.8), DVec3::ZERO);
+    let solved = solve(&mut bench, &[("top", bend)], 1e-6);
     let inside: Vec<usize> = (0..bench.rest().len())
         .filter(|k| (1.6..=2.4).contains(&bench.rest()[*k].z))
         .collect();
@@ -255,24 +200,19 @@ fn position_and_rotation_may_be_held_by_different_handles() {
     assert!(held.into_iter().all(|(p, x)| p == x));
 }
 
-/// A sphere well inside the bar, at a height.
-fn core_at(height: f64) -> pb::Region {
-    let sphere = pb::region::Sphere {
-        center: vec![0.0, 0.0, height],
-        radius: 0.3,
-    };
-    pb::Region {
-        region: Some(pb::region::Region::Sphere(sphere)),
-    }
+/// The bar, held below and in a sphere well inside of it.
+fn held_inside() -> Deformer {
+    let mut bench = bench(&bar());
+    set(
+        &mut bench,
+        vec![handle("base", below(0.25)), handle("core", ball([0.0, 0.0, 3.5], 0.3))],
+    );
+    bench
 }
 
 #[test]
 fn a_handle_may_hold_nodes_inside_alone() {
-    let mut bench = bench(&bar());
-    set(
-        &mut bench,
-        vec![handle("base", below(0.25)), handle("core", core_at(3.5))],
-    );
+    let mut bench = held_inside();
     let core = &bench.facts().handles[1];
     assert!(core.vertices == 0 && core.interior_nodes > 4, "{core:?}");
     assert!(core.centroid.distance(DVec3::new(0.0, 0.0, 3.5)) < 0.1, "{core:?}");
@@ -297,18 +237,7 @@ fn a_handle_may_hold_nodes_inside_alone() {
         around(0.2)
     );
 
-    let nowhere = pb::region::Sphere {
-        center: vec![9.0, 0.0, 0.0],
-        radius: 0.3,
-    };
-    let nowhere = pb::Region {
-        region: Some(pb::region::Region::Sphere(nowhere)),
-    };
-    let request = pb::SetHandlesRequest {
-        handles: vec![handle("nowhere", nowhere)],
-        ..Default::default()
-    };
-    let refused = bench.set_handles_message(&request, &Exec::new(&pool(1), &Silent));
+    let refused = try_set(&mut bench, vec![handle("nowhere", ball([9.0, 0.0, 0.0], 0.3))]);
     let reported = refused.expect_err("it holds nothing").to_string();
     assert!(reported.starts_with("handles[0].region: holds no vertex"), "{reported}");
     assert!(reported.contains("the model's box is from ["), "{reported}");
@@ -317,26 +246,14 @@ fn a_handle_may_hold_nodes_inside_alone() {
 
 #[test]
 fn an_edit_carries_a_handle_that_holds_nodes_inside_alone() {
-    let mut bench = bench(&bar());
-    set(
-        &mut bench,
-        vec![handle("base", below(0.25)), handle("core", core_at(3.5))],
-    );
+    let mut bench = held_inside();
     let before = bench.facts().handles[1].interior_nodes;
-    let request: pb::EditRequest = pliant::wire::json::from_json(
-        br#"{"subdivide": {"region": {"halfSpace": {"normal": [0, 0, 1], "offset": 3}}}}"#,
-    )
-    .expect("an edit");
-    let (edit, on) = pliant::wire::edit(&request, None).expect("an edit");
-    let (shape, poses) = (bench.rest_shape(), bench.initial_poses());
-    let command = pliant::engine::EditCommand {
-        edit: &edit,
-        on,
-        shape: &shape,
-        poses: &poses,
-        settings: None,
-    };
-    let outcome = bench.edit(&command, &Exec::new(&pool(2), &Silent)).expect("edited");
+    let region = Some(Region::half_space([0.0, 0.0, 1.0], 3.0));
+    let scheme = SubdivisionScheme::Midpoint;
+    let edit = Edit::Subdivide { region, scheme };
+    let exec_pool = pool(2);
+    let edited = bench.edit_rest(&edit, &Exec::new(&exec_pool, &Silent));
+    let outcome = edited.expect("edited");
     assert!(outcome.report.warnings.is_empty(), "{:?}", outcome.report.warnings);
     let handles = bench.facts().handles;
     assert_eq!(handles.len(), 2, "{handles:?}");
@@ -345,10 +262,7 @@ fn an_edit_carries_a_handle_that_holds_nodes_inside_alone() {
 
 #[test]
 fn pulls_of_soft_handles_that_overlap_add_up() {
-    let soft = |id: &str| pb::Handle {
-        stiffness: Some(0.05),
-        ..handle(id, above(3.75))
-    };
+    let soft = |id: &str| soft(id, above(3.75), 0.05);
     let pulled = |ids: &[&str], by: f64| {
         let mut bench = bench(&bar());
         let mut handles = vec![handle("base", below(0.25))];
@@ -375,87 +289,56 @@ fn pulls_of_soft_handles_that_overlap_add_up() {
 #[test]
 fn requests_that_make_no_sense_are_refused_with_their_place_and_change_nothing() {
     let mut bench = bent_bar();
-    let refused = |bench: &mut Deformer, handles: Vec<pb::Handle>, place: &str| {
-        let request = pb::SetHandlesRequest {
-            handles,
-            ..Default::default()
-        };
-        match bench.set_handles_message(&request, &Exec::new(&pool(1), &Silent)) {
-            Err(Error::Invalid { field, problem }) => assert_eq!(field, place, "{problem}"),
-            other => panic!("{place}: {other:?}"),
-        }
-        assert_eq!(bench.handles_message().handles.len(), 2);
+    let vertices = |indices: Vec<u32>, ranges: Vec<pb::region::Range>| {
+        region(pb::region::Region::Vertices(pb::region::Vertices { indices, ranges }))
     };
-    refused(&mut bench, vec![handle("", below(0.0))], "handles[0].id");
-    refused(
-        &mut bench,
-        vec![handle("a", below(0.5)), handle("a", above(3.0))],
-        "handles[1].id",
-    );
-    refused(&mut bench, vec![handle("a", above(99.0))], "handles[0].region");
-    refused(
-        &mut bench,
-        vec![pb::Handle {
-            id: "a".into(),
-            ..Default::default()
-        }],
-        "handles[0].region",
-    );
-    refused(
-        &mut bench,
-        vec![handle("a", half_space([0.0; 3], 1.0))],
-        "handles[0].region.halfSpace.normal",
-    );
-    refused(
-        &mut bench,
-        vec![handle("a", half_space([f64::NAN, 0.0, 1.0], 1.0))],
-        "handles[0].region.halfSpace.normal[0]",
-    );
-    let far = pb::region::Vertices {
-        indices: vec![1, 1 << 30],
-        ranges: Vec::new(),
-    };
-    let far = pb::Region {
-        region: Some(pb::region::Region::Vertices(far)),
-    };
-    refused(
-        &mut bench,
-        vec![handle("a", far)],
-        "handles[0].region.vertices.indices[1]",
-    );
     let wide = pb::region::Range {
         first: u32::MAX,
         count: u32::MAX,
     };
-    let wide = pb::region::Vertices {
-        indices: Vec::new(),
-        ranges: vec![wide],
+    let nowhere = pb::Handle {
+        id: "a".into(),
+        ..Default::default()
     };
-    let wide = pb::Region {
-        region: Some(pb::region::Region::Vertices(wide)),
-    };
-    refused(
-        &mut bench,
-        vec![handle("a", wide)],
-        "handles[0].region.vertices.ranges[0]",
-    );
     let fading = pb::Handle {
         falloff: Some(pb::Falloff { radius: 1.0, kind: 1 }),
         ..handle("a", below(0.5))
     };
-    refused(&mut bench, vec![fading], "handles[0].falloff");
+    for (handles, place) in [
+        (vec![handle("", below(0.0))], "handles[0].id"),
+        (vec![handle("a", below(0.5)), handle("a", above(3.0))], "handles[1].id"),
+        (vec![handle("a", above(99.0))], "handles[0].region"),
+        (vec![nowhere], "handles[0].region"),
+        (
+            vec![handle("a", half_space([0.0; 3], 1.0))],
+            "handles[0].region.halfSpace.normal",
+        ),
+        (
+            vec![handle("a", half_space([f64::NAN, 0.0, 1.0], 1.0))],
+            "handles[0].region.halfSpace.normal[0]",
+        ),
+        (
+            vec![handle("a", vertices(vec![1, 1 << 30], vec![]))],
+            "handles[0].region.vertices.indices[1]",
+        ),
+        (
+            vec![handle("a", vertices(vec![], vec![wide]))],
+            "handles[0].region.vertices.ranges[0]",
+        ),
+        (vec![fading], "handles[0].falloff"),
+    ] {
+        match try_set(&mut bench, handles) {
+            Err(Error::Invalid { field, problem }) => assert_eq!(field, place, "{problem}"),
+            other => panic!("{place}: {other:?}"),
+        }
+        assert_eq!(bench.handles_message().handles.len(), 2);
+    }
     let only_turned = pb::Handle {
         constrains: vec![pb::handle::Constrains::Rotation as i32],
         ..handle("a", below(0.5))
     };
-    let request = pb::SetHandlesRequest {
-        handles: vec![only_turned],
-        ..Default::default()
-    };
-    assert!(matches!(
-        bench.set_handles_message(&request, &Exec::new(&pool(1), &Silent)),
-        Err(Error::Precondition(_))
-    ));
+    let refused = try_set(&mut bench, vec![only_turned]);
+    assert!(matches!(refused, Err(Error::Precondition(_))));
     let absent = pose(&[("nobody", pb::HandlePose::default())]);
     match bench.change_poses_message(&bench.initial_poses(), &absent) {
         Err(Error::Invalid { field, problem }) => {

@@ -1,6 +1,7 @@
 //! A bench with a generated shape, and short ways to say handles and poses.
 
 use super::messages::DeformerMessages;
+use super::shapes::obj_text;
 use glam::DVec3;
 use pliant::asset::{FileSet, shapes};
 use pliant::engine::{Deformer, DeformerLimits, SolveMode, SolveSettings, SolvedShape};
@@ -15,15 +16,8 @@ pub fn pool(threads: usize) -> Pool {
     Pool::new(threads).expect("threads start")
 }
 
-pub fn obj((positions, triangles): &Shape) -> FileSet {
-    let mut text = String::new();
-    positions
-        .iter()
-        .for_each(|p| text += &format!("v {} {} {}\n", p.x, p.y, p.z));
-    triangles
-        .iter()
-        .for_each(|t| text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1));
-    FileSet::single("shape.obj", text)
+pub fn obj(shape: &Shape) -> FileSet {
+    FileSet::single("shape.obj", obj_text(shape))
 }
 
 pub fn bench_with(shape: &Shape, create: &pb::CreateOptions, pool: &Pool) -> Deformer {
@@ -49,20 +43,22 @@ pub fn above(offset: f64) -> pb::Region {
 }
 
 pub fn half_space(normal: [f64; 3], offset: f64) -> pb::Region {
-    let half = pb::region::HalfSpace {
-        normal: normal.to_vec(),
-        offset,
-    };
-    pb::Region {
-        region: Some(pb::region::Region::HalfSpace(half)),
-    }
+    let normal = normal.to_vec();
+    region(pb::region::Region::HalfSpace(pb::region::HalfSpace { normal, offset }))
 }
 
 pub fn ball(center: [f64; 3], radius: f64) -> pb::Region {
     let center = center.to_vec();
-    pb::Region {
-        region: Some(pb::region::Region::Sphere(pb::region::Sphere { center, radius })),
-    }
+    region(pb::region::Region::Sphere(pb::region::Sphere { center, radius }))
+}
+
+pub fn block(min: [f64; 3], max: [f64; 3]) -> pb::Region {
+    let (min, max) = (min.to_vec(), max.to_vec());
+    region(pb::region::Region::Box(pb::region::Box { min, max }))
+}
+
+pub fn region(kind: pb::region::Region) -> pb::Region {
+    pb::Region { region: Some(kind) }
 }
 
 pub fn handle(id: &str, region: pb::Region) -> pb::Handle {
@@ -73,18 +69,45 @@ pub fn handle(id: &str, region: pb::Region) -> pb::Handle {
     }
 }
 
-pub fn set(bench: &mut Deformer, handles: Vec<pb::Handle>) {
+pub fn soft(id: &str, region: pb::Region, stiffness: f64) -> pb::Handle {
+    pb::Handle {
+        stiffness: Some(stiffness),
+        ..handle(id, region)
+    }
+}
+
+/// Handles at both ends of the bar.
+pub fn ends() -> Vec<pb::Handle> {
+    vec![handle("base", below(0.25)), handle("top", above(3.75))]
+}
+
+pub fn try_set(bench: &mut Deformer, handles: Vec<pb::Handle>) -> Result<(), Error> {
     let request = pb::SetHandlesRequest {
         handles,
         ..Default::default()
     };
-    set_all(bench, &request);
+    bench.set_handles_message(&request, &Exec::new(&pool(2), &Silent))
+}
+
+pub fn set(bench: &mut Deformer, handles: Vec<pb::Handle>) {
+    try_set(bench, handles).expect("the handles fit");
 }
 
 pub fn set_all(bench: &mut Deformer, request: &pb::SetHandlesRequest) {
     let exec_pool = pool(2);
     let done = bench.set_handles_message(request, &Exec::new(&exec_pool, &Silent));
     done.expect("the handles fit");
+}
+
+/// Options of a model without nodes inside.
+pub fn surface_alone() -> pb::CreateOptions {
+    pb::CreateOptions {
+        volume_graph: Some(pb::create_options::VolumeGraph {
+            mode: pb::create_options::volume_graph::Mode::Off.into(),
+            ..Default::default()
+        }),
+        ..Default::default()
+    }
 }
 
 pub fn settings(tolerance: f64) -> SolveSettings {
@@ -115,14 +138,9 @@ pub fn pose(entries: &[(&str, pb::HandlePose)]) -> pb::Pose {
 
 pub fn try_solve(bench: &mut Deformer, pose: &pb::Pose, tolerance: f64, threads: usize) -> Result<SolvedShape, Error> {
     let poses = bench.change_poses_message(&bench.initial_poses(), pose)?;
-    let solved = bench.solve(
-        &poses,
-        &settings(tolerance),
-        SolveMode::Commit,
-        &Exec::new(&pool(threads), &Silent),
-        &mut |_| true,
-    )?;
-    Ok(solved)
+    let pool = pool(threads);
+    let (exec, mode) = (Exec::new(&pool, &Silent), SolveMode::Commit);
+    Ok(bench.solve(&poses, &settings(tolerance), mode, &exec, &mut |_| true)?)
 }
 
 pub fn solve(bench: &mut Deformer, entries: &[(&str, pb::HandlePose)], tolerance: f64) -> SolvedShape {
@@ -160,9 +178,6 @@ pub fn bar() -> Shape {
 
 pub fn bent_bar() -> Deformer {
     let mut bench = bench(&bar());
-    set(
-        &mut bench,
-        vec![handle("base", below(0.25)), handle("top", above(3.75))],
-    );
+    set(&mut bench, ends());
     bench
 }

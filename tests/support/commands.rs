@@ -48,6 +48,20 @@ impl Ran {
         error["exitCode"].as_i64() == self.code.map(i64::from) && reply == self.last()
     }
 
+    /// Asserts exit code 2, with all of these words in the last line of stderr.
+    #[track_caller]
+    pub fn refused(self, words: &[&str]) -> Self {
+        let ran = self.exits(2);
+        ran.gives(words);
+        ran
+    }
+
+    /// Asserts that it ended well.
+    #[track_caller]
+    pub fn well(self) -> Self {
+        self.exits(0)
+    }
+
     /// Asserts the exit code.
     #[track_caller]
     pub fn exits(self, code: i32) -> Self {
@@ -91,6 +105,11 @@ impl Arguments for String {
     }
 }
 
+/// The arguments of a command line in which none holds a space.
+pub fn words(line: &str) -> Vec<&str> {
+    line.list()
+}
+
 impl Arguments for [&str] {
     fn list(&self) -> Vec<&str> {
         self.to_vec()
@@ -122,6 +141,14 @@ pub fn pliant_in(folder: &Path, arguments: &(impl Arguments + ?Sized)) -> Comman
 /// A folder to run the program in.
 pub struct Workplace(tempfile::TempDir);
 
+impl std::ops::Deref for Workplace {
+    type Target = Path;
+
+    fn deref(&self) -> &Path {
+        self.0.path()
+    }
+}
+
 impl Workplace {
     pub fn empty() -> Self {
         Self(tempfile::tempdir().expect("a folder"))
@@ -140,16 +167,20 @@ impl Workplace {
     }
 
     pub fn path(&self) -> &Path {
-        self.0.path()
+        self
     }
 
     pub fn at(&self, name: &str) -> PathBuf {
-        self.path().join(name)
+        self.join(name)
     }
 
     /// Writes a file.
     pub fn put(&self, name: &str, bytes: impl AsRef<[u8]>) {
         fs::write(self.at(name), bytes).expect("written");
+    }
+
+    pub fn text(&self, name: &str) -> String {
+        String::from_utf8(self.bytes(name)).expect("text")
     }
 
     pub fn bytes(&self, name: &str) -> Vec<u8> {
@@ -169,8 +200,19 @@ impl Workplace {
     /// Runs the program, which ends with exit code 2 and a reason with these words in its last line.
     #[track_caller]
     pub fn refused(&self, arguments: &(impl Arguments + ?Sized), words: &[&str]) -> Ran {
-        let ran = self.run(arguments).exits(2);
-        ran.gives(words);
-        ran
+        self.run(arguments).refused(words)
     }
+}
+
+/// Runs the program in a folder by a script of Python that makes a terminal for it: the exit code, and what was drawn there.
+pub fn on_a_terminal(folder: &Path, script: &str, arguments: &[&str]) -> Option<(Option<i32>, String)> {
+    let mut command = Command::new("python3");
+    command
+        .args(["-c", script, env!("CARGO_BIN_EXE_pliant")])
+        .args(arguments);
+    let Ok(done) = command.current_dir(folder).env("TERM", "xterm").output() else {
+        println!("SKIPPED: python3 is not here to make a terminal");
+        return None;
+    };
+    Some((done.status.code(), String::from_utf8_lossy(&done.stdout).into_owned()))
 }

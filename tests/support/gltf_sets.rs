@@ -2,7 +2,7 @@
 
 use super::data::files_below;
 use bytes::Bytes;
-use pliant::asset::FileSet;
+use pliant::asset::{FileSet, Format, Limits, Model};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -11,6 +11,18 @@ pub fn gltf_files(folder: &Path) -> Vec<PathBuf> {
     files_below(folder, |path| {
         path.extension().is_some_and(|e| e == "glb" || e == "gltf")
     })
+}
+
+/// Every model file in some folders of the data folder, in order; there are some.
+pub fn models_below(data: &Path, folders: &[&str]) -> Vec<PathBuf> {
+    let is_model = |path: &Path| Format::from_file_name(&path.to_string_lossy()).is_some();
+    let found = folders
+        .iter()
+        .flat_map(|folder| files_below(&data.join(folder), is_model));
+    let mut models: Vec<PathBuf> = found.collect();
+    models.sort();
+    assert!(!models.is_empty(), "no models under {}", data.display());
+    models
 }
 
 /// The set that an upload of this file would be: for .gltf, with every file beside it that is not a model of its own.
@@ -27,6 +39,11 @@ pub fn file_set(path: &Path) -> FileSet {
         }
     }
     set
+}
+
+/// Reads the model of such a file; `None` for one that is refused.
+pub fn read_model(path: &Path) -> Option<Model> {
+    Model::read(file_set(path), None, &Limits::default()).ok()
 }
 
 /// The companions of a set, as `parse` of `gltf_parsed` takes them.

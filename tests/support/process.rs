@@ -120,3 +120,23 @@ macro_rules! needed {
     };
 }
 pub(crate) use needed;
+
+/// Whether pip or npm failed because they reached no package index.
+pub fn is_offline(said: &str) -> bool {
+    let signs = [
+        "NewConnectionError",
+        "ConnectTimeout",
+        "ReadTimeout",
+        "ProxyError",
+        "NameResolutionError",
+        "Temporary failure",
+        "No matching distribution",
+        "ENOTFOUND",
+        "EAI_AGAIN",
+        "ECONNREFUSED",
+        "ECONNRESET",
+        "ETIMEDOUT",
+        "ENOTCACHED",
+    ];
+    signs.iter().any(|sign| said.contains(sign))
+}

@@ -396,15 +396,7 @@ pub fn large_bar() -> String {
 
 /// Such a bar of so many cells along each axis.
 pub fn bar(cells: [usize; 3]) -> String {
-    let (points, triangles) = shapes::box_with_cells(glam::DVec3::new(0.5, 0.5, 4.0), cells);
-    let mut text = String::new();
-    for p in points {
-        text += &format!("v {} {} {}\n", p.x, p.y, p.z);
-    }
-    for t in triangles {
-        text += &format!("f {} {} {}\n", t[0] + 1, t[1] + 1, t[2] + 1);
-    }
-    text
+    super::shapes::obj_text(&shapes::box_with_cells(glam::DVec3::new(0.5, 0.5, 4.0), cells))
 }
 
 /// The bar's ends as handles, in JSON.

@@ -122,6 +122,15 @@ pub fn moved((points, faces): Shape, to: impl FnMut(DVec3) -> DVec3) -> Shape {
     (points.into_iter().map(to).collect(), faces)
 }
 
+/// The shape as OBJ.
+pub fn obj_text((points, faces): &Shape) -> String {
+    let places = points.iter().map(|p| format!("v {} {} {}\n", p.x, p.y, p.z));
+    let corners = faces.iter().map(|t| t.map(|v| v + 1));
+    places
+        .chain(corners.map(|[a, b, c]| format!("f {a} {b} {c}\n")))
+        .collect()
+}
+
 /// The least and the largest corner of the box around points.
 pub fn bounds(points: &[DVec3]) -> (DVec3, DVec3) {
     let ends = (DVec3::INFINITY, DVec3::NEG_INFINITY);

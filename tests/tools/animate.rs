@@ -1,6 +1,7 @@
 //! `pliant animate` at a terminal, and of a model that brings more than its body.
 
-use crate::support::commands::Workplace;
+use crate::support::commands::{Workplace, on_a_terminal};
+use crate::support::shapes::{moved, obj_text};
 use glam::DVec3;
 use pliant::asset::sample::{BuiltInModel, BuiltInRecording};
 use pliant::asset::shapes;
@@ -8,7 +9,6 @@ use serde_json::Value;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 /// Frames of [`write_bar`]'s clip.
 const FRAMES: usize = 1000;
@@ -16,14 +16,8 @@ const FRAMES: usize = 1000;
 /// A bar along x, a clip that bends its upper half, and a rig that goes with them.
 fn write_bar(folder: &Path) {
     let (positions, triangles) = shapes::box_with_cells(DVec3::new(6.0, 1.0, 1.0), [12, 2, 2]);
-    let mut text = String::new();
-    for p in &positions {
-        writeln!(text, "v {} {} {}", p.x - 3.0, p.y - 0.5, p.z - 0.5).expect("text");
-    }
-    for t in &triangles {
-        writeln!(text, "f {} {} {}", t[0] + 1, t[1] + 1, t[2] + 1).expect("text");
-    }
-    fs::write(folder.join("bar.obj"), text).expect("written");
+    let bar = moved((positions, triangles), |p| p - DVec3::new(3.0, 0.5, 0.5));
+    fs::write(folder.join("bar.obj"), obj_text(&bar)).expect("written");
     let mut clip = String::from(
         "HIERARCHY\nROOT low\n{\nOFFSET 0 0 0\nCHANNELS 3 Zrotation Xrotation Yrotation\nJOINT high\n{\nOFFSET 3 0 0\n\
          CHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n{\nOFFSET 3 0 0\n}\n}\n}\nMOTION\n",
@@ -75,16 +69,7 @@ while True:
 sys.stdout.buffer.write(drawn)
 sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) % 256)
 "#;
-    let mut command = Command::new("python3");
-    command
-        .args(["-c", script, env!("CARGO_BIN_EXE_pliant")])
-        .args(arguments);
-    command.current_dir(folder).env("TERM", "xterm");
-    let Ok(done) = command.output() else {
-        println!("SKIPPED: python3 is not here to make a terminal");
-        return None;
-    };
-    Some((done.status.code(), String::from_utf8_lossy(&done.stdout).into_owned()))
+    on_a_terminal(folder, script, arguments)
 }
 
 /// The numbers in front of a text, wherever it stands.

@@ -1,12 +1,11 @@
 //! The command line as a script sees it: exit codes, the last line of stderr, one document on stdout, no output on refusal.
 
 use crate::inspections::SQUARE;
-use crate::support::commands::{Ran, Workplace, pliant_in};
+use crate::support::commands::{Ran, Workplace, on_a_terminal, pliant_in};
 use pliant::asset::{FileSet, Format, Limits, Model, sample};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 #[test]
 fn a_sample_is_written_where_it_may_be() {
@@ -372,30 +371,14 @@ fn a_variable_that_is_called_as_a_key_and_is_none_stops_the_server() {
     }
 }
 
-/// Runs the program on a terminal, which python makes; what it drew there.
-#[cfg(unix)]
-fn on_a_terminal(folder: &Path, arguments: &[&str]) -> Option<String> {
-    let script = "import pty, sys; sys.exit(pty.spawn(sys.argv[1:]) >> 8)";
-    let mut command = Command::new("python3");
-    command
-        .args(["-c", script, env!("CARGO_BIN_EXE_pliant")])
-        .args(arguments);
-    command.current_dir(folder).env("TERM", "xterm");
-    let Ok(done) = command.output() else {
-        println!("SKIPPED: python3 is not here to make a terminal");
-        return None;
-    };
-    let drawn = String::from_utf8_lossy(&done.stdout).into_owned();
-    assert_eq!(done.status.code(), Some(0), "{drawn}");
-    Some(drawn)
-}
-
 #[test]
 fn a_terminal_sees_which_stage_is_under_way_and_how_far() {
     let folder = Workplace::new();
-    let Some(drawn) = on_a_terminal(folder.path(), &["inspect", "creature.glb"]) else {
+    let script = "import pty, sys; sys.exit(pty.spawn(sys.argv[1:]) >> 8)";
+    let Some((code, drawn)) = on_a_terminal(&folder, script, &["inspect", "creature.glb"]) else {
         return;
     };
+    assert_eq!(code, Some(0), "{drawn}");
     assert!(drawn.contains("graph") && drawn.contains(" %"), "{drawn}");
     let piped = folder.done("inspect creature.glb");
     assert!(

@@ -1,6 +1,7 @@
 //! What an inspection reports of a model and of the files that it names.
 
 use crate::support::commands::Workplace;
+use crate::support::shapes::{both, moved, obj_text};
 use glam::DVec3;
 use pliant::asset::sample;
 use pliant::asset::shapes::box_with_cells;
@@ -99,22 +100,10 @@ fn one_of_a_thing_is_reported_as_one() {
 
 /// Two slabs on top of each other, a hair apart, and a box far from them.
 fn workplace() -> Workplace {
-    let (mut text, mut first) = (String::new(), 1);
-    for (size, place) in [
-        (DVec3::new(1.0, 0.5, 1.0), DVec3::ZERO),
-        (DVec3::new(1.0, 0.5, 1.0), DVec3::new(0.0, 0.5001, 0.0)),
-        (DVec3::splat(0.3), DVec3::new(2.0, 0.0, 0.0)),
-    ] {
-        let (points, faces) = box_with_cells(size, [4; 3]);
-        for p in points.iter().map(|p| *p + place) {
-            text += &format!("v {} {} {}\n", p.x, p.y, p.z);
-        }
-        for t in &faces {
-            text += &format!("f {} {} {}\n", t[0] + first, t[1] + first, t[2] + first);
-        }
-        first += points.len() as u32;
-    }
-    Workplace::with("parts.obj", text)
+    let slab = || box_with_cells(DVec3::new(1.0, 0.5, 1.0), [4; 3]);
+    let far = moved(box_with_cells(DVec3::splat(0.3), [4; 3]), |p| p + DVec3::X * 2.0);
+    let slabs = both(slab(), moved(slab(), |p| p + DVec3::Y * 0.5001));
+    Workplace::with("parts.obj", obj_text(&both(slabs, far)))
 }
 
 /// The report of a job that lifts the upper slab, opened with `create`; or what is said when it is refused.

@@ -2,8 +2,10 @@
 
 use crate::support::commands::{Ran, Workplace, pliant_in};
 use crate::support::data::data_folder;
+use crate::support::gltf_sets::read_model;
 use crate::support::khronos;
-use pliant::asset::{FileSet, Limits, Model, sample};
+use crate::support::shapes::bounds;
+use pliant::asset::sample;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -71,19 +73,8 @@ fn box_gltf(folder: &Path) {
 
 /// A job that holds the lower third of a model and turns the upper one.
 fn job_for(model: &Path, folder: &Path) -> PathBuf {
-    let mut set = FileSet::single(model.to_string_lossy(), fs::read(model).expect("a model"));
-    let document: Value = serde_json::from_slice(&set.main).expect("JSON");
-    for buffer in document["buffers"].as_array().expect("buffers") {
-        let name = decoded(buffer["uri"].as_str().expect("a file"));
-        let bytes = fs::read(model.parent().expect("a folder").join(&name)).expect("a buffer");
-        set.companions.insert(name, bytes.into());
-    }
-    let positions = Model::read(set, None, &Limits::default())
-        .expect("a model")
-        .positions
-        .clone();
-    let low = positions.iter().fold(f64::INFINITY, |a, p| a.min(p.y));
-    let high = positions.iter().fold(f64::NEG_INFINITY, |a, p| a.max(p.y));
+    let (low, high) = bounds(&read_model(model).expect("a model").positions);
+    let (low, high) = (low.y, high.y);
     let third = (high - low) / 3.0;
     let job = json!({
         "handles": [

@@ -1,11 +1,13 @@
 //! Every real model of the data folder through `pliant deform`, the way a pipeline would call it.
 
-use crate::support::data::{data_folder, files_below, of_each};
+use crate::support::data::{data_folder, of_each};
+use crate::support::gltf_sets::{models_below, read_model};
 use crate::support::server::retried_here;
-use pliant::asset::{FileSet, Format, Limits, Model};
+use crate::support::shapes::bounds;
+use pliant::asset::Model;
 use serde_json::json;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -45,10 +47,6 @@ const EXCEPTIONS: [(&str, Bounds, &str); 1] = [(
 /// A run that takes longer hangs.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-fn is_model(path: &Path) -> bool {
-    Format::from_file_name(&path.to_string_lossy()).is_some()
-}
-
 /// Runs the program with a deadline; returns (exit code, stdout, last line of stderr).
 fn pliant(arguments: &[&str]) -> (Option<i32>, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pliant"));
@@ -81,33 +79,9 @@ fn pliant(arguments: &[&str]) -> (Option<i32>, String, String) {
     )
 }
 
-fn read(path: &Path) -> Option<Model> {
-    let mut files = FileSet::single(path.file_name()?.to_string_lossy(), fs::read(path).ok()?);
-    if let Some(folder) = path.parent().filter(|_| path.extension().is_some_and(|e| e == "gltf")) {
-        for entry in fs::read_dir(folder).ok()?.flatten().filter(|e| e.path().is_file()) {
-            files.companions.insert(
-                entry.file_name().to_string_lossy().into_owned(),
-                fs::read(entry.path()).ok()?.into(),
-            );
-        }
-    }
-    Model::read(files, None, &Limits::default()).ok()
-}
-
 /// Two handles at the ends of the longest side: one stays, one is turned and shifted.
 fn job_for(model: &Model) -> serde_json::Value {
-    let low = model
-        .positions
-        .iter()
-        .copied()
-        .reduce(|a, b| a.min(b))
-        .unwrap_or_default();
-    let high = model
-        .positions
-        .iter()
-        .copied()
-        .reduce(|a, b| a.max(b))
-        .unwrap_or_default();
+    let (low, high) = bounds(&model.positions);
     let size = high - low;
     let axis = (0..3).fold(0, |best, k| if size[k] > size[best] { k } else { best });
     let normal = |sign: f64| {
@@ -152,7 +126,7 @@ fn try_model(path: &Path, work: &Path) -> Result<String, String> {
             "1",
         ])
     };
-    let model = read(path);
+    let model = read_model(path);
     let begun = Instant::now();
     let job = model.as_ref().map_or_else(|| json!({"handles": []}), job_for);
     let (code, stdout, reason) = run(&job);
@@ -176,7 +150,7 @@ fn try_model(path: &Path, work: &Path) -> Result<String, String> {
     }
     let model = model.ok_or("deformed, but cannot be read")?;
     let report: serde_json::Value = serde_json::from_str(&stdout).map_err(|e| format!("stdout is not JSON: {e}"))?;
-    let written = read(&out).ok_or("the output cannot be read again")?;
+    let written = read_model(&out).ok_or("the output cannot be read again")?;
     // Not triangle by triangle: a quad that has bent may be cut along its other diagonal when it is read again.
     if written.positions.len() != model.positions.len() || written.triangles.len() != model.triangles.len() {
         return Err("the output has other vertices or triangles".into());
@@ -235,13 +209,7 @@ fn every_model_is_deformed_or_refused_in_one_line() {
     let Some(data) = data_folder("deforming every model") else {
         return;
     };
-    let folders = ["meshes", "gltf"].map(|folder| data.join(folder));
-    let mut models: Vec<PathBuf> = folders
-        .iter()
-        .flat_map(|folder| files_below(folder, is_model))
-        .collect();
-    models.sort();
-    assert!(!models.is_empty(), "no models under {}", data.display());
+    let models = models_below(&data, &["meshes", "gltf"]);
     let work = tempfile::tempdir().expect("a folder");
     let results = of_each(&models, |k, path| {
         let folder = work.path().join(k.to_string());

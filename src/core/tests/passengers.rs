@@ -11,60 +11,42 @@ use pliant_core::exec::Exec;
 use pliant_core::mesh::query::TriangleBvh;
 use pliant_core::pool::Pool;
 use pliant_core::progress::Silent;
-use std::fmt::Write as _;
 
 type Shape = (Vec<DVec3>, Vec<[u32; 3]>);
 
 /// A glTF with one node for each shape, named.
 fn model_of(parts: &[(&str, &Shape)]) -> FileSet {
-    let mut buffer = Vec::new();
+    let mut buffer: Vec<u8> = Vec::new();
     let (mut views, mut accessors, mut meshes, mut nodes) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut add = |bytes: Vec<u8>, kind: String| {
+        let (first, size) = (buffer.len(), bytes.len());
+        buffer.extend(bytes);
+        accessors.push(format!(r#"{{"bufferView":{},{kind}}}"#, views.len()));
+        views.push(format!(r#"{{"buffer":0,"byteOffset":{first},"byteLength":{size}}}"#));
+        views.len() - 1
+    };
     for (k, (name, (points, faces))) in parts.iter().enumerate() {
-        let first = buffer.len();
-        buffer.extend(
-            points
-                .iter()
-                .flat_map(|p| p.as_vec3().to_array())
-                .flat_map(f32::to_le_bytes),
-        );
-        let second = buffer.len();
-        buffer.extend(faces.iter().flatten().flat_map(|v| v.to_le_bytes()));
-        let end = buffer.len();
-        views.push(format!(
-            r#"{{"buffer":0,"byteOffset":{first},"byteLength":{}}}"#,
-            second - first
-        ));
-        views.push(format!(
-            r#"{{"buffer":0,"byteOffset":{second},"byteLength":{}}}"#,
-            end - second
-        ));
-        let (low, high) = points
-            .iter()
-            .fold((points[0], points[0]), |b, p| (b.0.min(*p), b.1.max(*p)));
         let list = |p: DVec3| format!("[{},{},{}]", p.x as f32, p.y as f32, p.z as f32);
-        accessors.push(format!(
-            r#"{{"bufferView":{},"componentType":5126,"count":{},"type":"VEC3","min":{},"max":{}}}"#,
-            2 * k,
-            points.len(),
-            list(low),
-            list(high)
-        ));
-        accessors.push(format!(
-            r#"{{"bufferView":{},"componentType":5125,"count":{},"type":"SCALAR"}}"#,
-            2 * k + 1,
-            faces.len() * 3
-        ));
+        let low = list(points.iter().fold(points[0], |a, p| a.min(*p)));
+        let high = list(points.iter().fold(points[0], |a, p| a.max(*p)));
+        let count = points.len();
+        let numbers = points.iter().flat_map(|p| p.as_vec3().to_array());
+        let positions = add(
+            numbers.flat_map(f32::to_le_bytes).collect(),
+            format!(r#""componentType":5126,"count":{count},"type":"VEC3","min":{low},"max":{high}"#),
+        );
+        let count = faces.len() * 3;
+        let indices = add(
+            faces.iter().flatten().flat_map(|v| v.to_le_bytes()).collect(),
+            format!(r#""componentType":5125,"count":{count},"type":"SCALAR""#),
+        );
         meshes.push(format!(
-            r#"{{"primitives":[{{"attributes":{{"POSITION":{}}},"indices":{}}}]}}"#,
-            2 * k,
-            2 * k + 1
+            r#"{{"primitives":[{{"attributes":{{"POSITION":{positions}}},"indices":{indices}}}]}}"#
         ));
         nodes.push(format!(r#"{{"name":"{name}","mesh":{k}}}"#));
     }
-    let mut json = String::new();
     let roots: Vec<String> = (0..parts.len()).map(|k| k.to_string()).collect();
-    write!(
-        json,
+    let json = format!(
         r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"uri":"parts.bin","byteLength":{}}}],"bufferViews":[{}],"accessors":[{}],"meshes":[{}],"nodes":[{}],"scenes":[{{"nodes":[{}]}}],"scene":0}}"#,
         buffer.len(),
         views.join(","),
@@ -72,8 +54,7 @@ fn model_of(parts: &[(&str, &Shape)]) -> FileSet {
         meshes.join(","),
         nodes.join(","),
         roots.join(",")
-    )
-    .expect("a text");
+    );
     let mut files = FileSet::single("model.gltf", json);
     files.companions.insert("parts.bin".into(), buffer.into());
     files
@@ -102,12 +83,16 @@ fn open(files: FileSet, options: &OpenOptions, exec: &Exec<'_>) -> Result<Deform
     Deformer::open(files, options, &DeformerLimits::default(), exec)
 }
 
-fn hold_ends(deformer: &mut Deformer, exec: &Exec<'_>) {
-    let handles = [
+/// Handles below 0.2 and above a height.
+fn ends(height: f64) -> [Handle; 2] {
+    [
         Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.2)),
-        Handle::new("high", Region::half_space([0.0, 1.0, 0.0], 2.8)),
-    ];
-    deformer.set_handles(handles, exec).expect("handles");
+        Handle::new("high", Region::half_space([0.0, 1.0, 0.0], height)),
+    ]
+}
+
+fn hold_ends(deformer: &mut Deformer, exec: &Exec<'_>) {
+    deformer.set_handles(ends(2.8), exec).expect("handles");
 }
 
 #[test]
@@ -222,11 +207,7 @@ fn what_rides_along_is_not_held() {
         matches!(refused, Err(Error::Invalid { field, problem }) if field == "handles[0].region" && problem.contains("rides along"))
     );
     // A region of both holds what is the body's alone: the sleeve follows and is not pulled.
-    let around = Region::half_space([0.0, 1.0, 0.0], 1.5);
-    let low = Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.2));
-    deformer
-        .set_handles([low, Handle::new("high", around)], &exec)
-        .expect("held");
+    deformer.set_handles(ends(1.5), &exec).expect("held");
     let up = [("high", HandlePose::translation([0.0, 0.5, 0.0]))];
     let solved = deformer.commit(up, &SolveSettings::default(), &exec).expect("solved");
     assert!(solved.positions.iter().all(|p| p.is_finite()));
@@ -273,9 +254,7 @@ fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
         let files = model_of(&parts);
         let options = riding(PassengerKind::PrimitivesNamed("sleeve".into()));
         let mut deformer = open(files, &options, &exec).expect("opened");
-        let low = Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.2));
-        let high = Handle::new("high", Region::half_space([0.0, 1.0, 0.0], 2.2));
-        deformer.set_handles([low, high], &exec).expect("held");
+        deformer.set_handles(ends(2.2), &exec).expect("held");
         let faces = faces_of(&deformer, own);
         for edit in [&cut, &halves, &thin] {
             let bend = [("high", HandlePose::rotation([0.5, 0.0, 0.0]))];
@@ -338,11 +317,7 @@ fn an_edit_changes_the_body_and_leaves_what_rides_along_in_its_place() {
                 (&deformer.rest()[..], &deformer.geometry().triangles),
                 (&after.1[..], &after.2)
             );
-            let ends = [
-                Handle::new("low", Region::half_space([0.0, -1.0, 0.0], -0.2)),
-                Handle::new("high", Region::half_space([0.0, 1.0, 0.0], 2.0)),
-            ];
-            deformer.set_handles(ends, &exec).expect("held");
+            deformer.set_handles(ends(2.0), &exec).expect("held");
         }
     }
 }

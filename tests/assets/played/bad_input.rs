@@ -2,32 +2,30 @@
 
 use super::beside::scene_folder;
 use super::{BAR, animate, bar_folder};
-use crate::support::program::Finished;
-use std::fs;
-use std::path::Path;
+use crate::support::commands::{Ran, Workplace};
 
 /// Runs `pliant animate` on files of a folder. Nothing is written when it is refused.
-fn run(folder: &Path, arguments: &[&str]) -> Finished {
+fn run(folder: &Workplace, arguments: &[&str]) -> Ran {
     let done = animate(folder, &[arguments, &["-o", "out.pc2", "--force"]].concat());
-    assert_eq!(folder.join("out.pc2").exists(), done.code == Some(0), "{}", done.said);
-    assert!(!folder.join("out.pc2.part").exists(), "{}", done.said);
+    assert_eq!(folder.join("out.pc2").exists(), done.code == Some(0), "{}", done.err);
+    assert!(!folder.join("out.pc2.part").exists(), "{}", done.err);
     done
 }
 
 /// Checks that a run is refused with the words of each row in its last line where the row's change is made in a file.
-fn refuse_each(folder: &Path, arguments: &[&str], name: &str, cases: &[(&str, &str, &[&str])]) {
+fn refuse_each(folder: &Workplace, arguments: &[&str], name: &str, cases: &[(&str, &str, &[&str])]) {
     for (from, to, wanted) in cases {
         let whole = change(folder, name, from, to);
         run(folder, arguments).refused(wanted);
-        fs::write(folder.join(name), whole).expect("written");
+        folder.put(name, whole);
     }
 }
 
 /// Puts a changed text in place of a file.
-fn change(folder: &Path, name: &str, from: &str, to: &str) -> String {
-    let text = fs::read_to_string(folder.join(name)).expect("a file");
+fn change(folder: &Workplace, name: &str, from: &str, to: &str) -> String {
+    let text = folder.text(name);
     assert!(text.contains(from), "{from}");
-    fs::write(folder.join(name), text.replacen(from, to, 1)).expect("written");
+    folder.put(name, text.replacen(from, to, 1));
     text
 }
 
@@ -64,20 +62,20 @@ fn damaged_clips_are_refused_with_their_line() {
         ("MOTION", "ROOT b\n{\nOFFSET 0 0 0\n}\nMOTION", &["line", "second ROOT"]),
     ];
     refuse_each(folder, &BAR, "bar.bvh", cases);
-    let whole = fs::read(folder.join("bar.bvh")).expect("the clip");
-    fs::write(folder.join("bar.bvh"), "").expect("written");
+    let whole = folder.bytes("bar.bvh");
+    folder.put("bar.bvh", "");
     run(folder, &BAR).refused(&["bar.bvh", "empty"]);
     let chain = |count: usize| {
         let joints = "JOINT a\n{\nOFFSET 0 1 0\nCHANNELS 0\n".repeat(count - 1);
         let ends = "}\n".repeat(count);
         format!("HIERARCHY\nROOT low\n{{\nOFFSET 0 0 0\nCHANNELS 0\n{joints}{ends}MOTION\nFrames: 1\nFrame Time: 1\n")
     };
-    fs::write(folder.join("bar.bvh"), chain(6000)).expect("written");
+    folder.put("bar.bvh", chain(6000));
     run(folder, &BAR).refused(&["bar.bvh", "joints", "4096"]);
     // A row more than is declared counts, with a warning.
-    fs::write(folder.join("bar.bvh"), whole).expect("written");
+    folder.put("bar.bvh", whole);
     change(folder, "bar.bvh", "Frames: 12", "Frames: 11");
-    let said = run(folder, &BAR).well().said;
+    let said = run(folder, &BAR).well().err;
     assert!(said.contains("warning:") && said.contains("12 frames, "), "{said}");
 }
 
@@ -141,7 +139,7 @@ fn rigs_that_cannot_be_are_refused_with_the_bone() {
         r#""bones": ["#,
         r#""bones": [{"id": "none", "from": "b", "to": "b", "parent": "low", "joint": "high", "radius": 0.5},"#,
     );
-    let said = run(folder, &BAR).well().said;
+    let said = run(folder, &BAR).well().err;
     assert!(said.contains("warning: bone \"none\" has no length"), "{said}");
 }
 
@@ -161,7 +159,7 @@ fn a_long_chain_of_bones_is_refused_without_recursion() {
         r#"{{"version": 1, "joints": {{"a": [0, 0, 0], "b": [1, 0, 0]}}, "bones": [{}]}}"#,
         bones.join(",")
     );
-    fs::write(folder.join("rig.json"), rig).expect("written");
+    folder.put("rig.json", rig);
     run(folder, &BAR).refused(&["rig.json: bones: has", "allowed are 1 to 1024"]);
 }
 
@@ -217,7 +215,7 @@ fn skins_and_clips_of_a_model_that_name_what_is_not_there_are_refused() {
         r#""name":"low","matrix":[1,0,0,0, 0.3,1,0,0, 0,0,1,0, 0,0,0,1],"#,
     );
     change(folder, "scene.gltf", r#""target":{"node":1,"#, r#""target":{"node":4,"#);
-    let said = run(folder, &act).well().said;
+    let said = run(folder, &act).well().err;
     assert!(
         said.contains("warning: ") && said.contains("\"low\"") && said.contains("shear"),
         "{said}"

@@ -1,16 +1,14 @@
 //! What moves in a scene beside a skin goes on: props, what a hand carries, what stands still, and faces.
 
 use super::{animate, farthest, read_cache, read_glb};
+use crate::support::commands::Workplace;
 use crate::support::gltf_parsed::Parsed;
 use crate::support::khronos;
-use crate::support::program::Scratch;
 use crate::support::skinning::{ClipTime, DrawnPrimitive, draw, list};
 use base64::Engine as _;
 use glam::{DQuat, DVec3, Vec3};
 use pliant::asset::shapes;
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::Path;
 
 /// Frames a second.
 const RATE: f64 = 5.0;
@@ -86,7 +84,7 @@ fn bar() -> (Vec<Vec3>, Vec<[u32; 3]>, Vec<f32>) {
 
 /// A bar on two joints that bends and walks along; a prop in its hand, by a matrix that shears; a lamp that jumps; a face that
 /// smiles along a spline; and a floor. `has_frown`: whether the bar's own morph target is moved, which lifts its end.
-pub(super) fn make_scene(folder: &Path, has_frown: bool) {
+pub(super) fn make_scene(folder: &Workplace, has_frown: bool) {
     let mut all = Builder::default();
     let (positions, triangles, upper) = bar();
     let joints: Vec<u8> = upper.iter().flat_map(|_| [0, 1, 0, 0]).collect();
@@ -159,17 +157,17 @@ pub(super) fn make_scene(folder: &Path, has_frown: bool) {
         all.bytes.len(),
         base64::engine::general_purpose::STANDARD.encode(&all.bytes),
     );
-    fs::write(folder.join("scene.gltf"), text).expect("written");
+    folder.put("scene.gltf", text);
 }
 
-pub(super) fn scene_folder() -> Scratch {
-    let folder = Scratch::new();
+pub(super) fn scene_folder() -> Workplace {
+    let folder = Workplace::empty();
     make_scene(&folder, false);
     folder
 }
 
 /// Runs the clip of a scene into an output.
-fn act(folder: &Path, arguments: &[&str]) {
+fn act(folder: &Workplace, arguments: &[&str]) {
     let clip = ["scene.gltf", "--clip", "act", "--fps", "5", "--refine", "0"];
     animate(folder, &[&clip[..], arguments].concat()).well();
 }
@@ -260,7 +258,7 @@ fn without_the_root_all_is_as_the_root_sees_it() {
 
 #[test]
 fn a_skin_with_morph_targets_has_them_turned_along() {
-    let folder = &Scratch::new();
+    let folder = &Workplace::empty();
     let mut shapes = Vec::new();
     for has_frown in [false, true] {
         make_scene(folder, has_frown);
@@ -284,7 +282,7 @@ fn a_skin_with_morph_targets_has_them_turned_along() {
 
 #[test]
 fn what_goes_on_beside_a_skin_is_valid() {
-    let folder = &Scratch::new();
+    let folder = &Workplace::empty();
     make_scene(folder, true);
     let mut made = Vec::new();
     for (k, [first, second]) in [["--as", "morph"], ["--as", "skin"]].iter().enumerate() {

@@ -1,21 +1,19 @@
 //! Clips and rigs at the ends of what numbers can say: what comes out is finite, or refused before anything is written.
 
 use super::beside::{make_scene, scene_folder};
-use super::refusals::refuse;
-use super::{animate, animate_bar, bar_folder, read_cache};
-use crate::support::program::{Finished, words};
+use super::{animate, animate_bar, bar_folder, read_cache, run_bar};
+use crate::support::commands::{Ran, Workplace};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use glam::Vec3;
 use std::fs;
-use std::path::Path;
 
 /// When the keys of [`make_scene`]'s clip are, and where its walk goes.
 const TIMES: [f32; 4] = [0.0, 0.5, 1.1, 2.0];
 const WALK: [f32; 12] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.5, 0.0, 4.0, 0.0, 1.0];
 
 /// Puts other numbers into the buffer of a scene.
-fn replace_numbers(folder: &Path, from: &[f32], to: &[f32]) {
+fn replace_numbers(folder: &Workplace, from: &[f32], to: &[f32]) {
     let path = folder.join("scene.gltf");
     let text = fs::read_to_string(&path).expect("a scene");
     let (head, tail) = text.split_once("base64,").expect("a buffer");
@@ -28,8 +26,8 @@ fn replace_numbers(folder: &Path, from: &[f32], to: &[f32]) {
 }
 
 /// Plays the clip of a scene.
-fn act(folder: &Path) -> Finished {
-    animate(folder, &words("scene.gltf --clip act --refine 0 -o act.pc2 --force"))
+fn act(folder: &Workplace) -> Ran {
+    animate(folder, "scene.gltf --clip act --refine 0 -o act.pc2 --force")
 }
 
 #[test]
@@ -54,7 +52,7 @@ fn a_clip_that_scales_only_for_a_while_is_warned_of() {
     let walks = r#"{"node":1,"path":"translation"}"#;
     assert!(text.contains(walks));
     fs::write(&path, text.replace(walks, r#"{"node":1,"path":"scale"}"#)).expect("written");
-    let said = act(folder).well().said;
+    let said = act(folder).well().err;
     assert!(said.contains("warning: the clip scales or shears \"low\""), "{said}");
 }
 
@@ -63,7 +61,7 @@ fn a_scale_beyond_what_floats_hold_is_refused() {
     let folder = &bar_folder();
     for scale in ["1e300", "1e-300", "inf"] {
         let reason = "allowed are auto and numbers from 1e-12 to 1e12";
-        refuse(folder, &["-o", "out.pc2", "--scale", scale]).refused(&[reason]);
+        run_bar(folder, &["-o", "out.pc2", "--scale", scale]).refused(&[reason]);
     }
     assert!(!folder.join("out.pc2").exists());
 }
@@ -71,36 +69,35 @@ fn a_scale_beyond_what_floats_hold_is_refused() {
 #[test]
 fn what_a_rig_says_that_cannot_be_meant_is_reported() {
     let folder = &bar_folder();
-    let rig = fs::read_to_string(folder.join("rig.json")).expect("a rig");
-    let said = animate_bar(folder, &["-o", "there.pc2"]);
+    let rig = folder.text("rig.json");
+    let said = animate_bar(folder, "-o there.pc2");
     assert!(!said.contains("bones of the rig"), "{said}");
 
     // The bone that the tail of another model has: it holds what is nearest.
     let away = rig
         .replace("[-2.7, 0, 0]", "[-2.7, 9, 0]")
         .replace("[0, 0, 0]", "[0, 9, 0]");
-    fs::write(folder.join("rig.json"), away).expect("written");
-    let said = animate_bar(folder, &["-o", "away.pc2"]);
+    folder.put("rig.json", away);
+    let said = animate_bar(folder, "-o away.pc2");
     let wanted = "warning: bones of the rig lie outside of the model and hold what is nearest to them: \"low\";";
     assert!(said.contains(wanted), "{said}");
 
     let point = rig.replace(r#""from": "b", "to": "c""#, r#""from": "b", "to": "b""#);
-    fs::write(folder.join("rig.json"), point).expect("written");
-    let said = animate_bar(folder, &["-o", "point.pc2"]);
+    folder.put("rig.json", point);
+    let said = animate_bar(folder, "-o point.pc2");
     assert!(
         said.contains("warning: bones of the rig have no length, so that nothing is held along them: \"high\""),
         "{said}"
     );
 
-    fs::write(folder.join("rig.json"), rig.replacen(r#""ORIENTATION""#, "99", 1)).expect("written");
+    folder.put("rig.json", rig.replacen(r#""ORIENTATION""#, "99", 1));
     let reason = "rig.json: bones[0].rest: is 99, which is not a value of this enum";
-    refuse(folder, &["-o", "out.pc2"]).refused(&[reason]);
+    run_bar(folder, "-o out.pc2").refused(&[reason]);
 
     let long = format!("x\\u001b[31m{}", "y".repeat(100_000));
     let far = rig.replacen(r#""parent": "low""#, r#""parent": "none""#, 1);
-    fs::write(folder.join("rig.json"), far.replace("\"low\"", &format!("\"{long}\""))).expect("written");
-    let done = refuse(folder, &["-o", "out.pc2"]);
-    done.refused(&["there is no such bone"]);
+    folder.put("rig.json", far.replace("\"low\"", &format!("\"{long}\"")));
+    let done = run_bar(folder, "-o out.pc2").refused(&["there is no such bone"]);
     assert!(
         done.last().len() < 500 && !done.last().contains('\u{1b}'),
         "{}",

@@ -12,8 +12,8 @@ mod rig_bones;
 mod skinned;
 mod usd;
 
+use crate::support::commands::{Arguments, Ran, Workplace};
 use crate::support::gltf_parsed::{Parsed, parse};
-use crate::support::program::{Finished, Scratch, pliant};
 use glam::{DVec3, Vec3};
 use pliant::asset::shapes;
 use std::collections::BTreeMap;
@@ -27,7 +27,7 @@ const STEP: f64 = 0.25;
 
 /// A bar along x, its texture coordinates cut along a seam, as an OBJ; a clip that turns and lifts the whole and bends its
 /// upper half; and a rig that goes with them.
-fn make_bar(folder: &Path) {
+fn make_bar(folder: &Workplace) {
     let (positions, triangles) = shapes::box_with_cells(DVec3::new(6.0, 1.0, 1.0), [24, 4, 4]);
     let mut text = String::from("vt 0 0\nvt 1 0\nvt 0 1\nvt 0.5 0.5\n");
     for p in &positions {
@@ -38,7 +38,7 @@ fn make_bar(folder: &Path) {
         let corner = |k: usize| format!("{}/{}", t[k] + 1, k + 1 + shift);
         writeln!(text, "f {} {} {}", corner(0), corner(1), corner(2)).expect("text");
     }
-    fs::write(folder.join("bar.obj"), text).expect("written");
+    folder.put("bar.obj", text);
     let mut clip = String::from(
         "HIERARCHY\nROOT low\n{\nOFFSET 0 0 0\nCHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n\
          JOINT high\n{\nOFFSET 3 0 0\nCHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n{\nOFFSET 3 0 0\n}\n}\n}\nMOTION\n",
@@ -48,30 +48,35 @@ fn make_bar(folder: &Path) {
         let (k, wave) = (k as f64, (k as f64 * 0.7).sin());
         writeln!(clip, "{} {} 0 0 0 {} {} 0 0", 0.1 * k, 0.05 * k, 9.0 * k, 50.0 * wave).expect("text");
     }
-    fs::write(folder.join("bar.bvh"), clip).expect("written");
+    folder.put("bar.bvh", clip);
     let rig = r#"{"version": 1, "joints": {"a": [-2.7, 0, 0], "b": [0, 0, 0], "c": [2.7, 0, 0]}, "bones": [
         {"id": "low", "from": "a", "to": "b", "joint": "low", "rest": "ORIENTATION", "radius": 0.5},
         {"id": "high", "from": "b", "to": "c", "parent": "low", "joint": "high", "rest": "ORIENTATION", "radius": 0.5}]}"#;
-    fs::write(folder.join("rig.json"), rig).expect("written");
+    folder.put("rig.json", rig);
 }
 
-fn bar_folder() -> Scratch {
-    let folder = Scratch::new();
+fn bar_folder() -> Workplace {
+    let folder = Workplace::empty();
     make_bar(&folder);
     folder
 }
 
 /// Runs `pliant animate` in a folder.
-fn animate(folder: &Path, arguments: &[&str]) -> Finished {
-    pliant(folder, &[&["animate"], arguments].concat())
+fn animate(folder: &Workplace, arguments: &(impl Arguments + ?Sized)) -> Ran {
+    folder.run(&[&["animate"], &arguments.list()[..]].concat())
 }
 
 /// What a run of [`make_bar`]'s clip is asked for before its output.
 const BAR: [&str; 7] = ["bar.obj", "--bvh", "bar.bvh", "--rig", "rig.json", "--skip-first", "no"];
 
+/// Runs that clip.
+fn run_bar(folder: &Workplace, arguments: &(impl Arguments + ?Sized)) -> Ran {
+    animate(folder, &[&BAR[..], &arguments.list()].concat())
+}
+
 /// Runs that clip into an output; the lines of stderr.
-fn animate_bar(folder: &Path, arguments: &[&str]) -> String {
-    animate(folder, &[&BAR[..], arguments].concat()).well().said
+fn animate_bar(folder: &Workplace, arguments: &(impl Arguments + ?Sized)) -> String {
+    run_bar(folder, arguments).well().err
 }
 
 /// A point cache read back: times where it has them, and positions by frame.

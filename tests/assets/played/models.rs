@@ -1,17 +1,15 @@
 //! Real skinned models whose own clips are solved again: what is drawn is what was solved, and nothing else is lost.
 
 use super::{animate, farthest, read_cache, read_glb};
+use crate::support::commands::Workplace;
 use crate::support::data::{data_path, files_below};
 use crate::support::gltf_parsed::Parsed;
+use crate::support::gltf_sets::read_model;
 use crate::support::khronos;
-use crate::support::program::words;
 use crate::support::shapes::bounds;
 use crate::support::skinning::{ClipTime, draw};
 use glam::{DVec3, Vec3};
-use pliant::asset::{
-    FileSet, Format, Limits, Model, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip, missing_companions,
-};
-use std::fs;
+use pliant::asset::{Format, MorphClip, NodeKeys, NodePlace, PlayedJoint, SkinnedClip};
 use std::path::{Path, PathBuf};
 
 /// The models, by the folder of the samples.
@@ -27,29 +25,29 @@ fn everything(file: &Parsed, at: Option<ClipTime>) -> Vec<DVec3> {
 }
 
 /// Runs the first frames of a model's first clip.
-fn solve(folder: &Path, model: &Path, output: &str) {
+fn solve(folder: &Workplace, model: &Path, output: &str) {
     let model = model.display().to_string();
     let options = format!("{model} --clip 0 --frames 0:3 --fps 10 --refine 0 -o {output}");
-    animate(folder, &words(&options)).well();
+    animate(folder, &options).well();
 }
 
 #[test]
 fn skinned_models_play_what_was_solved_as_morphs() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let mut made = Vec::new();
     for name in MODELS {
         let Some(model) = find(name) else { continue };
         let (glb, cache) = (format!("{name}.glb"), format!("{name}.pc2"));
-        solve(folder.path(), &model, &glb);
-        solve(folder.path(), &model, &cache);
-        let (before, after) = (read_glb(&model), read_glb(&folder.path().join(&glb)));
+        solve(&folder, &model, &glb);
+        solve(&folder, &model, &cache);
+        let (before, after) = (read_glb(&model), read_glb(&folder.join(&glb)));
         let rest = everything(&before, None);
         let rest: Vec<Vec3> = rest.iter().map(|p| p.as_vec3()).collect();
         let (low, high) = bounds(&everything(&before, None));
         let diagonal = low.distance(high);
         let off = farthest(&everything(&after, None), &rest);
         assert!(off < 1e-5 * diagonal, "{name} at rest: {off} of {diagonal}");
-        let (_, frames) = read_cache(&folder.path().join(&cache));
+        let (_, frames) = read_cache(&folder.join(&cache));
         for (k, frame) in frames.iter().enumerate() {
             let at = ClipTime {
                 clip: after.json["animations"].as_array().expect("clips").len() - 1,
@@ -63,19 +61,9 @@ fn skinned_models_play_what_was_solved_as_morphs() {
         }
         let uses_skin = |n: &serde_json::Value| !n["skin"].is_null();
         assert!(!after.json["nodes"].as_array().expect("nodes").iter().any(uses_skin));
-        made.push((folder.path().join(&glb), model));
+        made.push((folder.join(&glb), model));
     }
     khronos::assert_nothing_new("played models", &made);
-}
-
-/// Reads a model with the files beside it; `None` for one that is refused.
-fn read_with_companions(path: &Path) -> Option<Model> {
-    let mut set = FileSet::single(path.display().to_string(), fs::read(path).expect("a file"));
-    for name in missing_companions(&set) {
-        let bytes = fs::read(path.parent().expect("a folder").join(&name)).ok()?;
-        set.companions.insert(name, bytes.into());
-    }
-    Model::read(set, None, &Limits::default()).ok()
 }
 
 #[test]
@@ -84,10 +72,10 @@ fn every_model_takes_shapes_and_joints() {
         return;
     };
     let is_model = |p: &Path| p.extension().is_some_and(|e| e == "glb" || e == "gltf");
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Workplace::empty();
     let mut pairs = Vec::new();
     for (k, path) in files_below(&data, is_model).into_iter().enumerate() {
-        let Some(model) = read_with_companions(&path) else {
+        let Some(model) = read_model(&path) else {
             continue;
         };
         let (low, high) = bounds(&model.positions);
@@ -120,16 +108,16 @@ fn every_model_takes_shapes_and_joints() {
             beside: None,
         };
         // What a conversion has against it is not a clip's.
-        let source = folder.path().join(format!("plain_{k}.glb"));
+        let source = folder.join(format!("plain_{k}.glb"));
         khronos::store(&model.write(&model.positions, Format::GLB).expect("a GLB"), &source);
         for (what, written) in [
             ("shapes", model.write_morph_clip(&clip)),
             ("joints", model.write_skinned_clip(&skinned)),
         ] {
             let written = written.unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-            let at = folder.path().join(format!("{what}_{k}.glb"));
+            let at = folder.join(format!("{what}_{k}.glb"));
             khronos::store(&written, &at);
-            let played = read_with_companions(&at).unwrap_or_else(|| panic!("{}", path.display()));
+            let played = read_model(&at).unwrap_or_else(|| panic!("{}", path.display()));
             assert_eq!(played.triangles.len(), model.triangles.len(), "{}", path.display());
             for (seen, wanted) in <[DVec3; 2]>::from(bounds(&played.positions)).iter().zip([low, high]) {
                 let off = seen.distance(wanted);

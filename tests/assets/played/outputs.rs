@@ -1,11 +1,13 @@
 //! Every output of one small animation.
 
-use super::{BAR, FRAMES, STEP, animate, animate_bar, bar_folder, farthest, read_cache, read_glb};
+use super::{FRAMES, STEP, animate_bar, bar_folder, farthest, read_cache, read_glb, run_bar};
+use crate::support::commands::Workplace;
 use crate::support::gltf_parsed::Parsed;
 use crate::support::khronos;
-use crate::support::skinning::{ClipTime, clip_length, draw};
+use crate::support::skinning::{ClipTime, clip_length, draw, list};
 use glam::{DVec3, Vec3};
 use pliant::asset::{FileSet, Limits, Model};
+use serde_json::Value;
 use std::fs;
 use std::path::Path;
 
@@ -26,14 +28,14 @@ fn bar_vertices(drawn: &[DVec3], bar: &[Vec3]) -> Vec<usize> {
     drawn.iter().map(|p| same(p).expect("a vertex of the bar")).collect()
 }
 
-fn rest_of_bar(folder: &Path) -> Vec<Vec3> {
-    let bytes = fs::read(folder.join("bar.obj")).expect("the bar");
+fn rest_of_bar(folder: &Workplace) -> Vec<Vec3> {
+    let bytes = folder.bytes("bar.obj");
     let model = Model::read(FileSet::single("bar.obj", bytes), None, &Limits::default()).expect("the bar");
     model.positions.iter().map(|p| p.as_vec3()).collect()
 }
 
 /// How far a GLB of the bar draws each of its vertices from where bar.pc2 has it, frame by frame.
-fn offs_of_bar(folder: &Path, file: &Parsed) -> Vec<f64> {
+fn offs_of_bar(folder: &Workplace, file: &Parsed) -> Vec<f64> {
     let (_, frames) = read_cache(&folder.join("bar.pc2"));
     assert_eq!(frames.len(), FRAMES);
     let still = draw(file, None, &[]).expect("it is drawn").swap_remove(0);
@@ -55,23 +57,44 @@ fn offs_of_bar(folder: &Path, file: &Parsed) -> Vec<f64> {
 }
 
 /// The farthest of them all.
-pub(super) fn farthest_of_bar(folder: &Path, file: &Parsed) -> f64 {
+pub(super) fn farthest_of_bar(folder: &Workplace, file: &Parsed) -> f64 {
     offs_of_bar(folder, file).into_iter().fold(0.0, f64::max)
+}
+
+/// Plays the bar's clip into bar.glb: how far the report says that the file is off bar.pc2, which is checked, and the file.
+pub(super) fn written_error(folder: &Workplace, options: &str) -> (Value, Parsed) {
+    let mut report = run_bar(folder, &format!("-o bar.glb {options} --json --force")).json();
+    let reported = report["writtenError"].take();
+    let file = read_glb(&folder.join("bar.glb"));
+    let offs = offs_of_bar(folder, &file);
+    let squares: f64 = offs.iter().map(|off| off * off).sum();
+    let rms = (squares / offs.len() as f64).sqrt();
+    let worst = farthest_of_bar(folder, &file);
+    let percent = |off: f64| 100.0 * off / DVec3::new(6.0, 1.0, 1.0).length();
+    for (seen, key, slack) in [(rms, "rmsPercent", 0.02), (worst, "maxPercent", 0.0)] {
+        let said = reported[key].as_f64().unwrap_or_default();
+        let apart = (percent(seen) - said).abs();
+        assert!(
+            apart < 2e-3 + slack * said,
+            "{options}: {key} {} is reported as {said}",
+            percent(seen)
+        );
+    }
+    (reported, file)
 }
 
 #[test]
 fn every_output_holds_the_same_positions() {
     let folder = &bar_folder();
-    let outputs: [&[&str]; 7] = [
-        &["-o", "objs/", "--parents"],
-        &["-o", "plys/", "--parents", "--format", "ply"],
-        &["-o", "bar.pc2"],
-        &["-o", "bar.mdd", "--threads", "2"],
-        &["-o", "bar.glb"],
-        &["-o", "baked.glb", "--root", "baked"],
-        &["-o", "bare.pc2", "--root", "none"],
-    ];
-    for output in outputs {
+    for output in [
+        "-o objs/ --parents",
+        "-o plys/ --parents --format ply",
+        "-o bar.pc2",
+        "-o bar.mdd --threads 2",
+        "-o bar.glb",
+        "-o baked.glb --root baked",
+        "-o bare.pc2 --root none",
+    ] {
         animate_bar(folder, output);
     }
     let objs = read_folder(&folder.join("objs"), "obj");
@@ -116,51 +139,28 @@ fn every_output_holds_the_same_positions() {
 }
 
 #[test]
-fn fewer_shapes_than_frames_are_blended_within_the_error_that_is_reported() {
+fn shapes_and_bones_play_the_frames_as_nearly_as_is_reported() {
     let folder = &bar_folder();
-    animate_bar(folder, &["-o", "bar.pc2"]);
-    let said = animate_bar(folder, &["-o", "bar.glb", "--max-targets", "8"]);
-    let (_, line) = said.split_once("blended from 8 shapes").expect(&said);
-    let words: Vec<&str> = line.split_whitespace().collect();
-    let percent = words.iter().position(|w| *w == "%").expect("a percentage") - 1;
-    let reported: f64 = words[percent].parse().expect("a number");
-    let file = read_glb(&folder.join("bar.glb"));
-    let targets = &file.json["meshes"][0]["primitives"][0]["targets"];
-    assert_eq!(targets.as_array().expect("targets").len(), 8);
-    let worst = farthest_of_bar(folder, &file);
-    let diagonal = DVec3::new(6.0, 1.0, 1.0).length();
-    assert!(
-        (100.0 * worst / diagonal - reported).abs() < 2e-3,
-        "{worst} is reported as {reported} %"
-    );
-    assert!(reported > 0.01 && reported < 10.0, "{reported}");
-}
-
-#[test]
-fn the_report_has_how_far_what_is_written_is_off_as_numbers() {
-    let folder = &bar_folder();
-    let report = |output: &[&str]| -> serde_json::Value {
-        animate(folder, &[&BAR[..], output, &["--json", "--force"]].concat()).report()
-    };
-    animate_bar(folder, &["-o", "bar.pc2"]);
-    let diagonal = DVec3::new(6.0, 1.0, 1.0).length();
-    for (options, parts) in [(["--max-targets", "6"], 6), (["--as", "skin"], 40)] {
-        let reported = &report(&[&["-o", "bar.glb"][..], &options].concat())["writtenError"];
-        assert_eq!(reported["parts"], parts, "{reported}");
-        let [rms, max] = ["rmsPercent", "maxPercent"].map(|key| reported[key].as_f64().expect("a number"));
-        let file = read_glb(&folder.join("bar.glb"));
-        let offs = offs_of_bar(folder, &file);
-        let squares: f64 = offs.iter().map(|off| off * off).sum();
-        let worst = offs.iter().copied().fold(0.0, f64::max);
-        for (seen, reported) in [((squares / offs.len() as f64).sqrt(), rms), (worst, max)] {
-            let seen = 100.0 * seen / diagonal;
-            assert!(
-                (seen - reported).abs() < 2e-3 + 0.02 * reported,
-                "{options:?}: {seen} % is reported as {reported} %"
-            );
-        }
+    animate_bar(folder, "-o bar.pc2");
+    for (options, parts, most) in [
+        ("--max-targets 6", 6, 100.0),
+        ("--max-targets 8", 8, 10.0),
+        ("--as skin", 40, 100.0),
+        ("--as skin --bones 12", 12, 1.0),
+    ] {
+        let (reported, file) = written_error(folder, options);
+        assert_eq!(reported["parts"], parts, "{options}: {reported}");
+        let worst = reported["maxPercent"].as_f64().expect("a number");
+        assert!(worst < most && (parts != 8 || worst > 0.01), "{options}: {reported}");
+        let targets = list(&file.json["meshes"][0]["primitives"][0]["targets"]).len();
+        let joints = list(&file.json["skins"][0]["joints"]).len();
+        let is_skin = options.contains("skin");
+        assert_eq!([targets, joints][usize::from(is_skin)], parts, "{options}");
+        assert_eq!([targets, joints][usize::from(!is_skin)], 0, "{options}");
+        khronos::assert_valid("skins and morphs", &[folder.join("bar.glb")]);
     }
-    assert!(report(&["-o", "bar.glb"])["writtenError"].is_null(), "nothing is off");
+    let exact = run_bar(folder, "-o bar.glb --json --force").json();
+    assert!(exact["writtenError"].is_null(), "nothing is off");
 }
 
 #[test]
@@ -174,7 +174,7 @@ fn pictures_show_the_frames_that_are_asked_for() {
         let facts = reader.next_frame(&mut pixels).expect("an image");
         (facts.width, facts.height, frames, pixels)
     };
-    animate_bar(folder, &["-o", "sheet.png", "--tiles", "4", "--tile", "64x48"]);
+    animate_bar(folder, "-o sheet.png --tiles 4 --tile 64x48");
     let (width, height, frames, pixels) = read("sheet.png");
     assert_eq!((width, height, frames), (128, 96, None));
     let tile = |column: usize, row: usize| -> Vec<u8> {
@@ -182,7 +182,7 @@ fn pictures_show_the_frames_that_are_asked_for() {
         rows.flat_map(|start| pixels[start..start + 64 * 3].to_vec()).collect()
     };
     assert_ne!(tile(0, 0), tile(1, 1), "the last frame is not the first");
-    animate_bar(folder, &["-o", "bar.apng", "--tile", "64x48", "--frames", "0:5"]);
+    animate_bar(folder, "-o bar.apng --tile 64x48 --frames 0:5");
     let (width, height, frames, _) = read("bar.apng");
     assert_eq!((width, height, frames), (64, 48, Some(5)));
 }
@@ -190,8 +190,8 @@ fn pictures_show_the_frames_that_are_asked_for() {
 #[test]
 fn the_validator_finds_nothing_wrong_with_morphs() {
     let folder = &bar_folder();
-    animate_bar(folder, &["-o", "node.glb"]);
-    animate_bar(folder, &["-o", "few.glb", "--max-targets", "3", "--root", "none"]);
+    animate_bar(folder, "-o node.glb");
+    animate_bar(folder, "-o few.glb --max-targets 3 --root none");
     let files = ["node.glb", "few.glb"].map(|name| folder.join(name));
     khronos::assert_valid("morphs", &files);
 }

@@ -1,8 +1,8 @@
 //! Pictures of animations beside another method's, near by, begun in the rest pose; and of what a rig holds in a model.
 
-use super::refusals::{contents, refuse};
-use super::{animate, animate_bar, bar_folder};
-use crate::support::program::{Scratch, pliant, words};
+use super::refusals::contents;
+use super::{animate, animate_bar, bar_folder, run_bar};
+use crate::support::commands::Workplace;
 use std::fs;
 use std::path::Path;
 
@@ -44,8 +44,10 @@ fn is_strong(pixel: &[u8; 3]) -> bool {
 #[test]
 fn frames_stand_beside_linear_blend_skinning_after_the_rest_shape() {
     let folder = &bar_folder();
-    let more = words("--rest --tiles 3 --tile 64x48 --color stretch --beside lbs");
-    animate_bar(folder, &[&["-o", "sheet.png"][..], &more].concat());
+    animate_bar(
+        folder,
+        "-o sheet.png --rest --tiles 3 --tile 64x48 --color stretch --beside lbs",
+    );
     let seen = SeenPicture::read_from(&folder.join("sheet.png"));
     assert_eq!(
         (seen.width, seen.height),
@@ -61,20 +63,20 @@ fn frames_stand_beside_linear_blend_skinning_after_the_rest_shape() {
     // The clip begins with the rest shape.
     assert_ne!(tile(2, 0), tile(2, 1), "they differ in the last frame");
     assert!(tile(2, 0).iter().any(is_strong), "the bend is seen in colours");
-    animate_bar(folder, &words("-o bar.apng --tile 40x48 --frames 0:5 --beside lbs"));
+    animate_bar(folder, "-o bar.apng --tile 40x48 --frames 0:5 --beside lbs");
     let moving = SeenPicture::read_from(&folder.join("bar.apng"));
     assert_eq!((moving.width, moving.height), (80, 48), "high ones beside each other");
 }
 
 #[test]
 fn a_wrist_that_is_turned_over_stays_thick_where_skinning_wrings_it() {
-    let folder = &Scratch::new();
-    pliant(folder, &["sample", "body", "-o", "body.glb"]).well();
-    pliant(folder, &["sample", "twist", "-o", "twist.bvh"]).well();
-    pliant(folder, &words("rig body.glb --bvh twist.bvh -o rig.json --no-picture")).well();
+    let folder = &Workplace::empty();
+    folder.done("sample body -o body.glb");
+    folder.done("sample twist -o twist.bvh");
+    folder.done("rig body.glb --bvh twist.bvh -o rig.json --no-picture");
     let arguments = "body.glb --bvh twist.bvh --rig rig.json -o twist.png --tiles 2 --tile 160x90 --view 0,0 --beside lbs \
                      --close-up lHand,0.18 --frames 0:51 --fps 30";
-    animate(folder, &words(arguments)).well();
+    animate(folder, arguments).well();
     let seen = SeenPicture::read_from(&folder.join("twist.png"));
     assert_eq!((seen.width, seen.height), (320, 180));
     // How many pixels the arm has at its thinnest near the wrist, which is in the middle; right of the hand there is the sky.
@@ -96,23 +98,23 @@ fn a_wrist_that_is_turned_over_stays_thick_where_skinning_wrings_it() {
 fn pictures_that_make_no_sense_are_refused_before_anything_is_written() {
     let folder = &bar_folder();
     let before = contents(folder);
-    let cases: [(&[&str], &str); 7] = [
-        (&["-o", "a.apng", "--rest"], "--tiles and --rest are for .png"),
-        (&["-o", "a.png", "--rest", "--tiles", "1"], "2 or more are needed"),
+    let cases: [(&str, &str); 7] = [
+        ("-o a.apng --rest", "--tiles and --rest are for .png"),
+        ("-o a.png --rest --tiles 1", "2 or more are needed"),
         (
-            &["-o", "a.pc2", "--beside", "lbs"],
+            "-o a.pc2 --beside lbs",
             "--beside and --close-up are for .png and .apng",
         ),
-        (&["-o", "a.png", "--beside", "dqs"], "possible values: lbs"),
-        (&["-o", "a.png", "--close-up", "high"], "such as leftHand,0.3"),
-        (&["-o", "a.png", "--close-up", "high,-1"], "a number above 0"),
+        ("-o a.png --beside dqs", "possible values: lbs"),
+        ("-o a.png --close-up high", "such as leftHand,0.3"),
+        ("-o a.png --close-up high,-1", "a number above 0"),
         (
-            &["-o", "a.png", "--close-up", "tail,0.5"],
+            "-o a.png --close-up tail,0.5",
             "\"tail\" is not a bone of the rig; it has low, high",
         ),
     ];
     for (arguments, wanted) in cases {
-        refuse(folder, arguments).refused(&[wanted]);
+        run_bar(folder, arguments).refused(&[wanted]);
         assert_eq!(contents(folder), before, "{arguments:?}");
     }
 }
@@ -120,17 +122,8 @@ fn pictures_that_make_no_sense_are_refused_before_anything_is_written() {
 #[test]
 fn a_model_is_opened_towards_the_eye_with_what_a_rig_holds_in_it() {
     let folder = &bar_folder();
-    let arguments = ["render", "bar.obj", "--rig", "rig.json", "-o", "cut.png"];
-    let said = pliant(
-        folder,
-        &[&arguments[..], &["--size", "200x100", "--view", "0,0"]].concat(),
-    )
-    .well()
-    .said;
-    assert!(
-        said.contains("rotations of ") && said.contains(" nodes and positions of "),
-        "{said}"
-    );
+    let drawn = folder.done("render bar.obj --rig rig.json -o cut.png --size 200x100 --view 0,0");
+    drawn.says(&["rotations of ", " nodes and positions of "]);
     let seen = SeenPicture::read_from(&folder.join("cut.png"));
     assert_eq!((seen.width, seen.height), (200, 100));
     // The bar is six units long and fills 92 % of the width.
@@ -152,13 +145,11 @@ fn a_model_is_opened_towards_the_eye_with_what_a_rig_holds_in_it() {
         "nothing is beyond the last joint"
     );
 
-    let rig = fs::read_to_string(folder.join("rig.json")).expect("the rig");
-    fs::write(folder.join("far.json"), rig.replace(", 0, 0]", ", 900, 0]")).expect("written");
-    for (more, wanted) in [
-        (["--rig", "far.json"], "far.json: "),
-        (["--rig", "bar.bvh"], "bar.bvh: "),
-    ] {
-        pliant(folder, &[&["render", "bar.obj", "-o", "no.png"][..], &more].concat()).refused(&[wanted]);
+    let rig = folder.text("rig.json");
+    folder.put("far.json", rig.replace(", 0, 0]", ", 900, 0]"));
+    for rig in ["far.json", "bar.bvh"] {
+        let arguments = format!("render bar.obj -o no.png --rig {rig}");
+        folder.refused(&arguments, &[&format!("{rig}: ")]);
         assert!(!folder.join("no.png").exists());
     }
 }

@@ -1,20 +1,14 @@
 //! What `pliant animate` does not write, and what it says then.
 
-use super::{BAR, animate, animate_bar, bar_folder};
+use super::{animate, animate_bar, bar_folder, run_bar};
 use crate::support::bench::obj;
-use crate::support::program::{Finished, Scratch, words};
+use crate::support::commands::Workplace;
 use std::fs;
-use std::path::Path;
-
-/// Runs the bar's clip.
-pub(super) fn refuse(folder: &Path, arguments: &[&str]) -> Finished {
-    animate(folder, &[&BAR[..], arguments].concat())
-}
 
 /// Everything in a folder with its bytes.
-pub(super) fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
+pub(super) fn contents(folder: &Workplace) -> Vec<(String, Vec<u8>)> {
     let mut all = Vec::new();
-    for entry in fs::read_dir(folder).expect("a folder") {
+    for entry in fs::read_dir(folder.path()).expect("a folder") {
         let path = entry.expect("an entry").path();
         let name = path.display().to_string();
         all.push((name, fs::read(&path).unwrap_or_default()));
@@ -68,7 +62,7 @@ fn bad_arguments_say_what_is_allowed_and_write_nothing() {
         ("-o new/", "--parents makes it"),
     ];
     for (arguments, wanted) in cases {
-        refuse(folder, &words(arguments)).refused(&[wanted]);
+        run_bar(folder, arguments).refused(&[wanted]);
         assert_eq!(contents(folder), before, "{arguments:?}");
     }
 }
@@ -79,13 +73,13 @@ fn nothing_is_replaced_unless_forced() {
     fs::create_dir(folder.join("frames")).expect("a folder");
     let there = ["bar.glb", "bar.mdd", "frames/frame_00003.obj"];
     for name in there {
-        fs::write(folder.join(name), "mine").expect("written");
+        folder.put(name, "mine");
     }
     for (output, name) in ["bar.glb", "bar.mdd", "frames/"].into_iter().zip(there) {
-        refuse(folder, &["-o", output, "--frames", "0:4"]).refused(&["it exists; --force replaces it"]);
-        assert_eq!(fs::read(folder.join(name)).expect("still there"), b"mine");
+        run_bar(folder, &["-o", output, "--frames", "0:4"]).refused(&["it exists; --force replaces it"]);
+        assert_eq!(folder.bytes(name), b"mine");
         animate_bar(folder, &["-o", output, "--frames", "0:4", "--force"]);
-        assert_ne!(fs::read(folder.join(name)).expect("a file"), b"mine");
+        assert_ne!(folder.bytes(name), b"mine");
     }
     let frames = fs::read_dir(folder.join("frames")).expect("a folder").count();
     assert_eq!(frames, 4, "and nothing else is left behind");
@@ -101,14 +95,14 @@ fn a_recording_for_which_no_rig_can_be_made_says_why() {
 
 #[test]
 fn a_clip_that_moves_no_skin_is_reported_as_one() {
-    let folder = &Scratch::new();
+    let folder = &Workplace::empty();
     let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
     let numbers = corners
         .into_iter()
         .flatten()
         .chain([0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 2.0, 0.0]);
     let bytes: Vec<u8> = numbers.flat_map(f32::to_le_bytes).collect();
-    fs::write(folder.join("a.bin"), &bytes).expect("written");
+    folder.put("a.bin", &bytes);
     let gltf = serde_json::json!({
         "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
@@ -128,7 +122,7 @@ fn a_clip_that_moves_no_skin_is_reported_as_one() {
         ],
         "buffers": [{"uri": "a.bin", "byteLength": bytes.len()}],
     });
-    fs::write(folder.join("a.gltf"), gltf.to_string()).expect("written");
+    folder.put("a.gltf", gltf.to_string());
     let reason = "rig: the model has no skin, and clip 0 \"lift\" moves nodes or morph targets alone";
     animate(folder, &["a.gltf", "--clip", "lift"]).refused(&[reason]);
 }
@@ -136,23 +130,23 @@ fn a_clip_that_moves_no_skin_is_reported_as_one() {
 #[test]
 fn an_open_model_has_no_change_of_volume() {
     let folder = &bar_folder();
-    let whole = animate_bar(folder, &["--frames", "0:2"]);
+    let whole = animate_bar(folder, "--frames 0:2");
     assert!(
         whole.contains("; volume ") && whole.contains(" %, at worst "),
         "{whole}"
     );
     // The bar without one of its triangles is open.
-    let text = fs::read_to_string(folder.join("bar.obj")).expect("the bar");
+    let text = folder.text("bar.obj");
     let (kept, _) = text.trim_end().rsplit_once('\n').expect("lines");
-    fs::write(folder.join("bar.obj"), format!("{kept}\n")).expect("written");
-    let open = animate_bar(folder, &["--frames", "0:2"]);
+    folder.put("bar.obj", format!("{kept}\n"));
+    let open = animate_bar(folder, "--frames 0:2");
     assert!(open.contains("; volume n/a (the surface is open); "), "{open}");
 }
 
 #[test]
 fn faces_too_large_for_the_bends_of_a_rig_are_warned_of() {
     let folder = &bar_folder();
-    let fine = animate_bar(folder, &["--frames", "0:2"]);
+    let fine = animate_bar(folder, "--frames 0:2");
     assert!(!fine.contains("faces-too-large"), "{fine}");
     let (positions, triangles) = pliant::asset::shapes::box_with_cells(glam::DVec3::new(6.0, 1.0, 1.0), [2, 1, 1]);
     let text = obj(&(
@@ -162,8 +156,8 @@ fn faces_too_large_for_the_bends_of_a_rig_are_warned_of() {
             .collect(),
         triangles,
     ));
-    fs::write(folder.join("bar.obj"), text.main).expect("written");
-    let coarse = animate_bar(folder, &["--frames", "0:2"]);
+    folder.put("bar.obj", text.main);
+    let coarse = animate_bar(folder, "--frames 0:2");
     assert!(
         coarse.contains("warning: faces-too-large: ") && coarse.contains("the edit \"subdivide\" with \"auto\""),
         "{coarse}"

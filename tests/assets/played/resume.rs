@@ -1,23 +1,22 @@
 //! An animation that was stopped goes on, and comes to the same bytes.
 
-use super::refusals::refuse;
-use super::{BAR, FRAMES, animate_bar, bar_folder};
+use super::{BAR, FRAMES, animate_bar, bar_folder, run_bar};
+use crate::support::commands::Workplace;
 use crate::support::skinning::list;
 use serde_json::Value;
 use std::fs;
 use std::os::unix::process::ExitStatusExt as _;
-use std::path::Path;
 use std::process::Command;
 
 /// Runs the bar's clip until a file of it has so many blocks of 512 bytes, which kills it.
-fn animate_until_killed(folder: &Path, blocks: usize, arguments: &[&str]) {
+fn animate_until_killed(folder: &Workplace, blocks: usize, arguments: &[&str]) {
     let done = Command::new("sh")
         .args(["-c", &format!("ulimit -c 0; ulimit -f {blocks}; exec \"$0\" \"$@\"")])
         .arg(env!("CARGO_BIN_EXE_pliant"))
         .arg("animate")
         .args(BAR)
         .args(arguments)
-        .current_dir(folder)
+        .current_dir(folder.path())
         .output()
         .expect("it runs");
     let said = String::from_utf8_lossy(&done.stderr).into_owned();
@@ -35,12 +34,12 @@ fn digests(report: &Value) -> Vec<String> {
 fn a_killed_animation_goes_on_to_the_same_bytes() {
     let folder = &bar_folder();
     // About four and a half of its twelve frames fit.
-    let bar = fs::read_to_string(folder.join("bar.obj")).expect("the bar");
+    let bar = folder.text("bar.obj");
     let frame = 12 * bar.matches("\nv ").count() + 300;
     let blocks = 9 * frame / 1024;
     for name in ["bar.pc2", "bar.mdd", "bar.glb", "bar.usda"] {
         let whole = format!("whole_{name}");
-        let wanted = digests(&refuse(folder, &["-o", &whole, "--json"]).report());
+        let wanted = digests(&run_bar(folder, &["-o", &whole, "--json"]).json());
         assert_eq!(wanted.len(), FRAMES);
         animate_until_killed(folder, blocks, &["-o", name]);
         let part = folder.join(format!("{name}.part"));
@@ -48,9 +47,9 @@ fn a_killed_animation_goes_on_to_the_same_bytes() {
         assert!(kept > 3 * frame as u64 && kept < 6 * frame as u64, "{kept}");
         assert!(!folder.join(name).exists());
 
-        let plain = refuse(folder, &["-o", name]);
-        assert!(plain.said.contains("--resume continues with them"));
-        let other = refuse(folder, &["-o", name, "--resume", "--refine", "0"]).said;
+        let plain = run_bar(folder, &["-o", name]);
+        assert!(plain.err.contains("--resume continues with them"));
+        let other = run_bar(folder, &["-o", name, "--resume", "--refine", "0"]).err;
         assert!(
             other.contains("of another animation (refine carried, not refine 0)"),
             "{other}"
@@ -58,10 +57,10 @@ fn a_killed_animation_goes_on_to_the_same_bytes() {
         assert_eq!(fs::metadata(&part).expect("still there").len(), kept);
 
         assert_eq!(
-            digests(&refuse(folder, &["-o", name, "--resume", "--json"]).report()),
+            digests(&run_bar(folder, &["-o", name, "--resume", "--json"]).json()),
             wanted
         );
-        let read = |name: &str| fs::read(folder.join(name)).expect("written");
+        let read = |name: &str| folder.bytes(name);
         assert!(read(name) == read(&whole), "{name} differs");
         assert!(!part.exists());
     }
@@ -70,7 +69,7 @@ fn a_killed_animation_goes_on_to_the_same_bytes() {
 #[test]
 fn a_folder_is_filled_up_where_it_was_left() {
     let folder = &bar_folder();
-    animate_bar(folder, &["-o", "whole/", "--parents"]);
+    animate_bar(folder, "-o whole/ --parents");
     fs::create_dir(folder.join("left")).expect("a folder");
     // The last frame is larger than any other file of the run, so it kills: the rest and the mark are there.
     let size = |k| {
@@ -88,10 +87,10 @@ fn a_folder_is_filled_up_where_it_was_left() {
     for k in 0..killing {
         assert!(folder.join(format!("left/frame_{k:05}.obj")).is_file(), "frame {k}");
     }
-    let mark = fs::read_to_string(folder.join("left/frames.part")).expect("it says what its frames are of");
+    let mark = folder.text("left/frames.part");
     assert!(mark.contains("refine carried"));
-    fs::write(folder.join("left/frame_00000.obj"), "# seen\n").expect("written");
-    let said = animate_bar(folder, &["-o", "left/", "--resume"]);
+    folder.put("left/frame_00000.obj", "# seen\n");
+    let said = animate_bar(folder, "-o left/ --resume");
     assert!(said.contains("frames were there already"), "{said}");
     let read = |place: &str, k: usize| fs::read(folder.join(format!("{place}/frame_{k:05}.obj"))).expect("a frame");
     assert_eq!(read("left", 0), b"# seen\n", "what was there is not solved again");
@@ -99,6 +98,6 @@ fn a_folder_is_filled_up_where_it_was_left() {
         assert!(read("left", k) == read("whole", k), "frame {k} differs");
     }
     assert!(!folder.join("left/frames.part").exists());
-    let said = refuse(folder, &["-o", "left/", "--resume"]).said;
+    let said = run_bar(folder, "-o left/ --resume").err;
     assert!(said.contains("there is no frames.part"), "{said}");
 }

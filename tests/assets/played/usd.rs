@@ -32,9 +32,9 @@ fn read(path: &Path) -> String {
 #[test]
 fn usd_has_the_points_of_every_frame_below_what_carries_them() {
     let folder = &bar_folder();
-    animate_bar(folder, &["-o", "bar.pc2"]);
-    animate_bar(folder, &["-o", "baked.usda", "--root", "baked"]);
-    animate_bar(folder, &["-o", "node.usda"]);
+    animate_bar(folder, "-o bar.pc2");
+    animate_bar(folder, "-o baked.usda --root baked");
+    animate_bar(folder, "-o node.usda");
     let (_, frames) = read_cache(&folder.join("bar.pc2"));
     let (baked, node) = (read(&folder.join("baked.usda")), read(&folder.join("node.usda")));
     for text in [&baked, &node] {

@@ -5,7 +5,7 @@
 //! take a free port, and `127.0.0.1:7411` is replaced by theirs.
 
 use super::book::{Block, is_like};
-use crate::support::process::root;
+use crate::support::process::{is_offline, root};
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::os::unix::fs::symlink;
@@ -257,25 +257,6 @@ pub fn has(program: &str) -> bool {
     };
     let asked = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
     asked.is_ok_and(|status| status.success())
-}
-
-/// Whether pip or npm failed because they reached no package index.
-pub fn is_offline(said: &str) -> bool {
-    let signs = [
-        "NewConnectionError",
-        "ConnectTimeout",
-        "ReadTimeout",
-        "ProxyError",
-        "NameResolutionError",
-        "Temporary failure",
-        "No matching distribution",
-        "ENOTFOUND",
-        "EAI_AGAIN",
-        "ECONNREFUSED",
-        "ETIMEDOUT",
-        "ENOTCACHED",
-    ];
-    signs.iter().any(|sign| said.contains(sign))
 }
 
 fn lacks_venv(shown: &str, said: &str) -> bool {

@@ -15,15 +15,15 @@ fn fine_bar() -> bench::Shape {
     )
 }
 
+fn paper_held() -> Deformer {
+    let mut bench = paper_bench(&fine_bar(), &pool(2));
+    set(&mut bench, handles());
+    bench
+}
+
 /// A graph that follows edits: of kind PAPER.
 fn paper_bench(shape: &bench::Shape, pool: &Pool) -> Deformer {
-    let create = pb::CreateOptions {
-        volume_graph: Some(pb::create_options::VolumeGraph {
-            kind: pb::create_options::volume_graph::Kind::Paper.into(),
-            ..Default::default()
-        }),
-        ..Default::default()
-    };
+    let create = message(&serde_json::json!({"volumeGraph": {"kind": "PAPER"}}));
     bench_with(shape, &create, pool)
 }
 
@@ -32,9 +32,8 @@ fn handles() -> Vec<pb::Handle> {
 }
 
 fn remesh(region: pb::Region, edge_length: f64) -> pb::EditRequest {
-    let region = Some(region);
     request(Operation::Remesh(pb::edit_request::Remesh {
-        region,
+        region: Some(region),
         edge_length,
         ..Default::default()
     }))
@@ -56,8 +55,7 @@ fn bend() -> Vec<(&'static str, pb::HandlePose)> {
 
 #[test]
 fn edits_are_followed_and_the_next_pose_is_that_of_a_freshly_opened_model() {
-    let mut bench = paper_bench(&fine_bar(), &pool(2));
-    set(&mut bench, handles());
+    let mut bench = paper_held();
     for (k, request) in [
         delete(ball([0.5, 0.0, 2.0], 0.2), true),
         midpoint(Some(ball([-0.5, 0.1, 1.5], 0.25))),
@@ -104,8 +102,7 @@ fn an_interior_of_the_shape_is_that_of_the_edited_model_opened() {
 #[test]
 fn a_deformed_shape_is_followed_like_one_that_is_rebuilt() {
     let shaped = || {
-        let mut bench = paper_bench(&fine_bar(), &pool(2));
-        set(&mut bench, handles());
+        let mut bench = paper_held();
         let shape = solve(&mut bench, &bend(), 1e-6).shape();
         (bench, shape)
     };
@@ -126,8 +123,7 @@ fn a_deformed_shape_is_followed_like_one_that_is_rebuilt() {
 
 #[test]
 fn fields_after_an_edit_are_those_of_handles_that_are_set_then() {
-    let mut bench = paper_bench(&fine_bar(), &pool(2));
-    set(&mut bench, handles());
+    let mut bench = paper_held();
     edited(&mut bench, &delete(ball([0.5, 0.0, 2.0], 0.2), true));
     let (body, rig) = (bench.body(), bench.rig().expect("handles"));
     let rebuilt =
@@ -142,8 +138,7 @@ fn fields_after_an_edit_are_those_of_handles_that_are_set_then() {
 
 #[test]
 fn handles_hold_what_is_inside_of_them_after_an_edit() {
-    let mut bench = paper_bench(&fine_bar(), &pool(2));
-    set(&mut bench, handles());
+    let mut bench = paper_held();
     let inside = |bench: &Deformer| {
         let surface = bench.body().graph.surface as u32;
         let holds = &bench.rig().expect("handles").setup().handles;
@@ -163,8 +158,7 @@ fn handles_hold_what_is_inside_of_them_after_an_edit() {
 
 #[test]
 fn large_edits_and_shapes_of_unknown_origin_are_rebuilt() {
-    let mut bench = paper_bench(&fine_bar(), &pool(2));
-    set(&mut bench, handles());
+    let mut bench = paper_held();
     assert!(!edited(&mut bench, &midpoint(None)).result.repaired);
     let shape = ModelShape::from_positions(Arc::new(bench.rest().iter().map(|p| *p * 1.1).collect()));
     let request = delete(ball([0.55, 0.0, 2.2], 0.2), true);
@@ -193,15 +187,9 @@ fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
         let poses = bench
             .change_poses_message(&outcome.poses, &pose(&[("top", turned)]))
             .expect("a pose");
-        let solved = bench
-            .solve(
-                &poses,
-                &settings(1e-5),
-                SolveMode::Commit,
-                &Exec::new(&pool, &Silent),
-                &mut |_| true,
-            )
-            .expect("solved");
+        let exec = Exec::new(&pool, &Silent);
+        let solved = bench.solve(&poses, &settings(1e-5), SolveMode::Commit, &exec, &mut |_| true);
+        let solved = solved.expect("solved");
         said.push(digest(&solved.positions));
         shape = solved.shape();
     }
@@ -210,8 +198,7 @@ fn story(bench: &mut Deformer, threads: usize) -> Vec<String> {
 
 #[test]
 fn the_way_back_and_forth_gives_the_same_bits_however_far() {
-    let mut bench = paper_bench(&fine_bar(), &pool(2));
-    set(&mut bench, handles());
+    let mut bench = paper_held();
     let start = (bench.topology_state(), bench.handles_message());
     let mut states = vec![start];
     let mut digests = vec![bent(&mut bench)];
@@ -256,8 +243,7 @@ fn edits_that_are_followed_give_the_same_bits_for_any_number_of_threads() {
 
 #[test]
 fn a_refused_edit_leaves_everything_as_it_was() {
-    let mut bench = paper_bench(&fine_bar(), &pool(2));
-    set(&mut bench, handles());
+    let mut bench = paper_held();
     edited(&mut bench, &delete(ball([0.5, 0.0, 2.0], 0.2), true));
     let (before, bytes) = (bent(&mut bench), bench.byte_size());
     let missed = cut_at(99.0, cut::Keep::Both, false);

@@ -4,6 +4,7 @@ use super::*;
 use crate::support::messages::DeformerMessages;
 use pb::edit_request::{self as wire, merge};
 use pliant::exec::Exec;
+use serde_json::json;
 
 #[test]
 fn handles_hold_what_lies_in_their_regions_after_an_edit() {
@@ -44,20 +45,9 @@ fn a_region_that_a_pose_has_moved_is_the_list_of_its_vertices() {
 #[test]
 fn a_handle_that_loses_everything_is_gone_and_said_to_be() {
     let mut bench = bench(&bar());
-    let middle = pb::Region {
-        region: Some(pb::region::Region::Box(pb::region::Box {
-            min: vec![-1.0, -1.0, -0.2],
-            max: vec![1.0, 1.0, 0.2],
-        })),
-    };
-    set(
-        &mut bench,
-        vec![
-            handle("base", below(-1.5)),
-            handle("middle", middle),
-            handle("top", above(1.5)),
-        ],
-    );
+    let middle = block([-1.0, -1.0, -0.2], [1.0, 1.0, 0.2]);
+    let handles = [("base", below(-1.5)), ("middle", middle), ("top", above(1.5))];
+    set(&mut bench, handles.map(|(id, region)| handle(id, region)).to_vec());
     let outcome = edited(&mut bench, &cut_at(0.9, cut::Keep::Above, true));
     assert_eq!(outcome.result.handles_kept, ["top"]);
     let lost: Vec<&str> = outcome
@@ -75,16 +65,11 @@ fn a_handle_that_loses_everything_is_gone_and_said_to_be() {
 fn weights_are_blended_and_stay_between_0_and_1() {
     let mut bench = bench(&bar());
     let values: Vec<f32> = bench.rest().iter().map(|p| ((p.z + 2.0) / 4.0) as f32).collect();
-    let soft = pb::Handle {
-        stiffness: Some(2.0),
-        ..handle(
-            "soft",
-            pb::Region {
-                region: Some(pb::region::Region::Weights(pb::region::Weights { values })),
-            },
-        )
-    };
-    set(&mut bench, vec![handle("base", below(-1.9)), soft]);
+    let weights = region(pb::region::Region::Weights(pb::region::Weights { values }));
+    set(
+        &mut bench,
+        vec![handle("base", below(-1.9)), soft("soft", weights, 2.0)],
+    );
     edited(&mut bench, &midpoint(None));
     let region = bench.handles_message().handles[1].region.clone().and_then(|r| r.region);
     let Some(pb::region::Region::Weights(weights)) = region else {
@@ -124,17 +109,14 @@ fn refusal(bench: &mut Deformer, request: &pb::EditRequest, shape: &ModelShape) 
 fn a_merge_says_what_is_wrong_with_the_other_model() {
     let mut bench = held();
     let rest = bench.rest_shape();
-    let reported = refusal(&mut bench, &merged(b"AAAA".to_vec()), &rest);
-    assert!(reported.starts_with("merge.model: cannot be taken: "), "{reported}");
-    let nothing = request(Operation::Merge(wire::Merge::default()));
-    let reported = refusal(&mut bench, &nothing, &rest);
-    assert!(reported.starts_with("merge: names no other model"), "{reported}");
-    for size in [1e9, 1e-9] {
-        let reported = refusal(&mut bench, &merged(other(size)), &rest);
-        assert!(
-            reported.starts_with("merge.transform: makes both together"),
-            "{reported}"
-        );
+    for (request, reason) in [
+        (merged(b"AAAA".to_vec()), "merge.model: cannot be taken: "),
+        (asked(json!({"merge": {}})), "merge: names no other model"),
+        (merged(other(1e9)), "merge.transform: makes both together"),
+        (merged(other(1e-9)), "merge.transform: makes both together"),
+    ] {
+        let reported = refusal(&mut bench, &request, &rest);
+        assert!(reported.starts_with(reason), "{reported}");
     }
     edit(&mut bench, &merged(other(1e3)), &rest).expect("large, but both can be told apart");
 }
@@ -143,32 +125,24 @@ fn a_merge_says_what_is_wrong_with_the_other_model() {
 fn a_curve_without_a_length_is_refused() {
     let mut bench = held();
     let rest = bench.rest_shape();
-    let point = [0.5, 0.0, 0.1];
-    let line = [point, point].concat();
+    let line = [0.5, 0.0, 0.1, 0.5, 0.0, 0.1];
     let inserted = |points| request(Operation::InsertCurve(wire::InsertCurve { points, closed: false }));
-    let cut = |polyline, path| {
-        let along = wire::Cut {
-            polyline,
-            path,
-            ..Default::default()
-        };
-        request(Operation::Cut(along))
-    };
     let curves = [
-        cut(line.clone(), Vec::new()),
-        cut(Vec::new(), vec![3, 3]),
-        inserted(line),
+        asked(json!({"cut": {"polyline": line}})),
+        asked(json!({"cut": {"path": [3, 3]}})),
+        inserted(line.to_vec()),
     ];
     for request in curves {
         let reported = refusal(&mut bench, &request, &rest);
         assert!(reported.contains("all points lie at one place"), "{reported}");
     }
-    let points = vec![0.5, 0.0, 0.1, 0.5, f64::NAN, 0.3];
-    let reported = refusal(&mut bench, &inserted(points), &rest);
-    assert!(reported.starts_with("insertCurve.points[4]: "), "{reported}");
-    let points = vec![0.25; 3 * 5000];
-    let reported = refusal(&mut bench, &inserted(points), &rest);
-    assert!(reported.contains("2 to 4096 points"), "{reported}");
+    for (points, reason) in [
+        (vec![0.5, 0.0, 0.1, 0.5, f64::NAN, 0.3], "insertCurve.points[4]: "),
+        (vec![0.25; 3 * 5000], "2 to 4096 points"),
+    ] {
+        let reported = refusal(&mut bench, &inserted(points), &rest);
+        assert!(reported.contains(reason), "{reported}");
+    }
 }
 
 #[test]
@@ -188,13 +162,11 @@ fn an_empty_region_says_which_shape_it_was_taken_in() {
 fn a_region_of_interest_that_is_gone_is_reported() {
     let mut bench = bench(&bar());
     let handles = pb::SetHandlesRequest {
-        handles: vec![handle("base", below(-1.5)), handle("top", above(1.5))],
+        handles: ends(),
         region_of_interest: Some(above(1.2)),
         ..Default::default()
     };
-    bench
-        .set_handles_message(&handles, &Exec::new(&pool(2), &Silent))
-        .expect("the handles fit");
+    set_all(&mut bench, &handles);
     // Without a cap, whose vertices might lie in the region.
     let outcome = edited(&mut bench, &delete(above(0.4), false));
     let codes: Vec<&str> = outcome.result.warnings.iter().map(|w| w.code.as_str()).collect();

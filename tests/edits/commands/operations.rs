@@ -1,8 +1,10 @@
 //! Every operation as a user asks for it, on a closed bar with handles, with what must hold after any edit.
 
 use super::*;
-use crate::support::messages::{DeformerMessages, EditedByMessage};
+use crate::support::messages::{DeformerMessages, EditedByMessage, unreferenced};
+use crate::support::shapes;
 use pb::edit_request::{self as wire, merge};
+use serde_json::json;
 
 /// What holds after every edit: counts agree, every vertex is used and finite, the model is written and read back, and the
 /// handles that are left can be moved.
@@ -11,10 +13,8 @@ fn sound(bench: &mut Deformer, outcome: &EditedByMessage) {
     assert_eq!(after.vertices as usize, bench.rest().len());
     assert_eq!(after.faces as usize, bench.geometry().triangles.len());
     assert!(bench.rest().iter().all(|p| p.is_finite()));
-    let mut used = vec![false; bench.rest().len()];
+    assert_eq!(unreferenced(bench), 0, "no vertex is left over");
     let triangles = bench.geometry().triangles.clone();
-    triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
-    assert!(used.iter().all(|u| *u), "no vertex is left over");
     for format in [Format::GLB, Format::PLY] {
         let back = read_back(bench, format);
         assert_eq!(back.triangles.len(), triangles.len(), "{format}");
@@ -25,30 +25,15 @@ fn sound(bench: &mut Deformer, outcome: &EditedByMessage) {
     assert!(moved.residual <= 1e-8);
 }
 
-fn closed(bench: &Deformer) -> bool {
-    bench.report().closed
-}
-
-fn bar_volume(bench: &Deformer) -> f64 {
-    bench.report().volume
-}
-
 #[test]
 fn loop_subdivision_rounds_a_region_and_midpoints_keep_the_shape() {
     for (scheme, change) in [(subdivide::Scheme::Midpoint, 1e-12), (subdivide::Scheme::Loop, 0.1)] {
         let mut bench = held();
         let region = Some(ball([0.5, 0.5, 0.0], 0.6));
-        let outcome = edited(
-            &mut bench,
-            &request(Operation::Subdivide(wire::Subdivide {
-                region,
-                scheme: scheme.into(),
-                auto: false,
-            })),
-        );
+        let outcome = edited(&mut bench, &super::subdivide(region, scheme));
         sound(&mut bench, &outcome);
-        assert!(closed(&bench));
-        let off = (bar_volume(&bench) - 4.0).abs();
+        assert!(bench.report().closed);
+        let off = (bench.report().volume - 4.0).abs();
         assert!(off <= change, "{off}");
         assert_eq!(scheme == subdivide::Scheme::Loop, off > 1e-9);
     }
@@ -57,19 +42,13 @@ fn loop_subdivision_rounds_a_region_and_midpoints_keep_the_shape() {
 #[test]
 fn remeshing_makes_edges_of_the_length_asked_for() {
     let mut bench = held();
-    let outcome = edited(
-        &mut bench,
-        &request(Operation::Remesh(wire::Remesh {
-            edge_length: 0.1,
-            ..Default::default()
-        })),
-    );
+    let outcome = edited(&mut bench, &asked(json!({"remesh": {"edgeLength": 0.1}})));
     sound(&mut bench, &outcome);
-    assert!(closed(&bench));
+    assert!(bench.report().closed);
     assert!(
-        (bar_volume(&bench) - 4.0).abs() < 1e-6,
+        (bench.report().volume - 4.0).abs() < 1e-6,
         "flat sides and edges stay: {}",
-        bar_volume(&bench)
+        bench.report().volume
     );
     let (rest, mut sum, mut count) = (bench.rest(), 0.0, 0.0);
     for t in &bench.geometry().triangles {
@@ -87,15 +66,12 @@ fn automatic_remeshing_mends_what_was_stretched_and_only_that() {
     let mut bench = held();
     let far = shift(DVec3::new(0.0, 0.0, 6.0));
     let stretched = solved(&mut bench, &[("top", far)]);
-    let auto = request(Operation::Remesh(wire::Remesh {
-        auto: true,
-        ..Default::default()
-    }));
+    let auto = asked(json!({"remesh": {"auto": true}}));
     let outcome = edit(&mut bench, &auto, &stretched.shape()).expect("stretched");
     let [before, after] = [outcome.result.before, outcome.result.after].map(|c| c.expect("counts").faces);
     assert!(after > before * 3 / 2, "{before} -> {after}");
     sound(&mut bench, &outcome);
-    assert!(closed(&bench));
+    assert!(bench.report().closed);
     // Where nothing is stretched any more there is nothing to do.
     let again = edited(&mut bench, &auto);
     assert!(
@@ -109,26 +85,18 @@ fn automatic_remeshing_mends_what_was_stretched_and_only_that() {
 fn decimating_thins_out_and_welding_joins() {
     let mut bench = held();
     let ratio = 0.5;
-    let outcome = edited(
-        &mut bench,
-        &request(Operation::Decimate(wire::Decimate { region: None, ratio })),
-    );
+    let outcome = edited(&mut bench, &asked(json!({"decimate": {"ratio": ratio}})));
     let [before, after] = [outcome.result.before, outcome.result.after].map(|c| f64::from(c.expect("counts").faces));
     assert!((after / before - ratio).abs() < 0.05, "{before} -> {after}");
     sound(&mut bench, &outcome);
-    assert!(closed(&bench));
+    assert!(bench.report().closed);
 
     // Two boxes a hair apart.
-    let (positions, triangles) = bar();
-    let mut both = (positions.clone(), triangles.clone());
-    both.0
-        .extend(positions.iter().map(|p| *p + DVec3::new(0.0, 0.0, 4.0 + 1e-4)));
-    both.1
-        .extend(triangles.iter().map(|t| t.map(|v| v + positions.len() as u32)));
-    let mut bench = bench_with(&both, &pb::CreateOptions::default(), &pool(2));
+    let above_it = shapes::moved(bar(), |p| p + DVec3::new(0.0, 0.0, 4.0 + 1e-4));
+    let mut bench = bench::bench(&shapes::both(bar(), above_it));
     set(&mut bench, vec![handle("base", below(-1.5)), handle("top", above(5.5))]);
-    let outcome = edited(&mut bench, &request(Operation::Weld(wire::Weld { tolerance: 1e-3 })));
-    assert!(outcome.shape.len() <= 2 * positions.len());
+    let outcome = edited(&mut bench, &asked(json!({"weld": {"tolerance": 1e-3}})));
+    assert!(outcome.shape.len() <= 2 * bar().0.len());
     sound(&mut bench, &outcome);
 }
 
@@ -137,18 +105,15 @@ fn holes_are_made_and_closed() {
     let mut bench = held();
     let hole = ball([0.5, 0.0, 0.0], 0.35);
     let opened = edited(&mut bench, &delete(hole.clone(), false));
-    assert!(!closed(&bench));
+    assert!(!bench.report().closed);
     sound(&mut bench, &opened);
-    let filled = edited(&mut bench, &request(Operation::Fill(wire::Fill { region: None })));
-    assert!(closed(&bench));
+    let fill = asked(json!({"fill": {}}));
+    let filled = edited(&mut bench, &fill);
+    assert!(bench.report().closed);
     sound(&mut bench, &filled);
-    assert!((bar_volume(&bench) - 4.0).abs() < 0.05, "{}", bar_volume(&bench));
+    assert!((bench.report().volume - 4.0).abs() < 0.05, "{}", bench.report().volume);
     let rest = bench.rest_shape();
-    let nothing = edit(
-        &mut bench,
-        &request(Operation::Fill(wire::Fill { region: None })),
-        &rest,
-    );
+    let nothing = edit(&mut bench, &fill, &rest);
     assert!(
         matches!(nothing, Err(Error::Precondition(_))),
         "no hole is left: {nothing:?}"
@@ -158,13 +123,10 @@ fn holes_are_made_and_closed() {
 #[test]
 fn a_drawn_line_becomes_edges_that_can_be_held() {
     let mut bench = held();
-    let points = vec![0.5, -0.3, -0.5, 0.5, 0.1, 0.0, 0.5, 0.3, 0.6];
-    let outcome = edited(
-        &mut bench,
-        &request(Operation::InsertCurve(wire::InsertCurve { points, closed: false })),
-    );
+    let points = [0.5, -0.3, -0.5, 0.5, 0.1, 0.0, 0.5, 0.3, 0.6];
+    let outcome = edited(&mut bench, &asked(json!({"insertCurve": {"points": points}})));
     sound(&mut bench, &outcome);
-    assert!(closed(&bench) && (bar_volume(&bench) - 4.0).abs() < 1e-9);
+    assert!(bench.report().closed && (bench.report().volume - 4.0).abs() < 1e-9);
     let curve = &outcome.result.curve;
     assert!(curve.len() >= 3);
     assert!(curve.iter().all(|&v| (bench.rest()[v as usize].x - 0.5).abs() < 1e-9));
@@ -179,9 +141,7 @@ fn a_drawn_line_becomes_edges_that_can_be_held() {
         indices: curve.clone(),
         ranges: Vec::new(),
     };
-    let line = pb::Region {
-        region: Some(pb::region::Region::Vertices(line)),
-    };
+    let line = region(pb::region::Region::Vertices(line));
     set(&mut bench, vec![handle("base", below(-1.5)), handle("line", line)]);
     let out = shift(DVec3::new(0.2, 0.0, 0.0));
     let moved = solved(&mut bench, &[("line", out)]);
@@ -191,22 +151,18 @@ fn a_drawn_line_becomes_edges_that_can_be_held() {
 
 #[test]
 fn a_closed_line_around_cuts_off_what_is_left_of_it() {
-    for (keep, volume) in [(cut::Keep::Above, 2.5), (cut::Keep::Below, 1.5)] {
+    for (keep, volume) in [("ABOVE", 2.5), ("BELOW", 1.5)] {
         let mut bench = held();
         // Around the bar at z = −0.5, seen from above counter-clockwise: up is left.
-        let polyline = vec![0.5, -0.5, -0.5, 0.5, 0.5, -0.5, -0.5, 0.5, -0.5, -0.5, -0.5, -0.5];
-        let outcome = edited(
-            &mut bench,
-            &request(Operation::Cut(wire::Cut {
-                polyline,
-                closed: true,
-                keep: keep.into(),
-                fill: true,
-                ..Default::default()
-            })),
+        let polyline = [0.5, -0.5, -0.5, 0.5, 0.5, -0.5, -0.5, 0.5, -0.5, -0.5, -0.5, -0.5];
+        let cut = json!({"cut": {"polyline": polyline, "closed": true, "keep": keep, "fill": true}});
+        let outcome = edited(&mut bench, &asked(cut));
+        assert!(bench.report().closed);
+        assert!(
+            (bench.report().volume - volume).abs() < 0.02,
+            "{}",
+            bench.report().volume
         );
-        assert!(closed(&bench));
-        assert!((bar_volume(&bench) - volume).abs() < 0.02, "{}", bar_volume(&bench));
         assert_eq!(outcome.result.handles_kept.len(), 1);
     }
 }
@@ -222,23 +178,21 @@ fn another_model_is_welded_or_stitched_on() {
     for (how, gap) in [(merge::How::Weld, 4.0), (merge::How::Stitch, 4.3)] {
         let mut bench = held();
         edited(&mut bench, &lid);
-        assert!(!closed(&bench));
-        let outcome = edited(
-            &mut bench,
-            &request(Operation::Merge(wire::Merge {
-                source: Some(merge::Source::Model(upper.clone().into())),
-                format: "obj".into(),
-                transform: vec![1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., 0., gap, 1.],
-                how: how.into(),
-                ..Default::default()
-            })),
-        );
+        assert!(!bench.report().closed);
+        let merge = request(Operation::Merge(wire::Merge {
+            source: Some(merge::Source::Model(upper.clone().into())),
+            format: "obj".into(),
+            transform: vec![1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 0., 0., 0., gap, 1.],
+            how: how.into(),
+            ..Default::default()
+        }));
+        let outcome = edited(&mut bench, &merge);
         sound(&mut bench, &outcome);
-        assert!(closed(&bench), "{how:?}");
+        assert!(bench.report().closed, "{how:?}");
         assert!(
-            (bar_volume(&bench) - (gap + 4.0)).abs() < 1e-6,
+            (bench.report().volume - (gap + 4.0)).abs() < 1e-6,
             "{how:?}: {}",
-            bar_volume(&bench)
+            bench.report().volume
         );
         assert_eq!(bench.facts_message().solver.map(|s| s.components), Some(1));
     }

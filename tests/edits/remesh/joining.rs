@@ -24,33 +24,9 @@ fn side_by_side(a: &Model, b: &Model, primitives: bool) -> Model {
 }
 
 /// A tube about z from `from` to `to`, open at both ends, of `around` cells.
-fn tube(around: u32, along: u32, radius: f64, from: f64, to: f64) -> Model {
-    let (positions, triangles) = pliant_tube(around, along, radius);
-    let at = |p: DVec3| DVec3::new(p.x, p.y, from + (to - from) * p.z);
-    Model::of((positions.into_iter().map(at).collect(), triangles))
-}
-
-fn pliant_tube(around: u32, along: u32, radius: f64) -> Shape {
-    let mut positions = Vec::new();
-    for ring in 0..=along {
-        for i in 0..around {
-            let angle = f64::from(i) / f64::from(around) * std::f64::consts::TAU;
-            positions.push(DVec3::new(
-                radius * angle.cos(),
-                radius * angle.sin(),
-                f64::from(ring) / f64::from(along),
-            ));
-        }
-    }
-    let id = |ring: u32, i: u32| ring * around + i % around;
-    let mut triangles = Vec::new();
-    for ring in 0..along {
-        for i in 0..around {
-            let [a, b, c, d] = [id(ring, i), id(ring, i + 1), id(ring + 1, i + 1), id(ring + 1, i)];
-            triangles.extend([[a, b, c], [a, c, d]]);
-        }
-    }
-    (positions, triangles)
+fn tube(around: usize, along: usize, radius: f64, from: f64, to: f64) -> Model {
+    let (points, faces) = pliant::asset::shapes::cylinder(radius, to - from, around, along, false);
+    Model::of(moved((points, faces), |p| p + DVec3::Z * from))
 }
 
 #[test]

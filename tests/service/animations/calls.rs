@@ -1,8 +1,8 @@
 //! What an animation answers, over gRPC and over HTTP.
 
 use super::*;
+use crate::support::commands::words;
 use crate::support::gltf_parsed::parse;
-use crate::support::program::words;
 use pliant::wire::frames::FrameReader;
 use prost::Message as _;
 use std::collections::BTreeMap;

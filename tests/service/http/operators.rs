@@ -2,9 +2,10 @@
 
 use super::{get, post};
 use crate::support::certificates::{Authority, Files};
+use crate::support::commands::words;
 use crate::support::commands::{Ran, Workplace, pliant_in};
 use crate::support::data::report_skipped;
-use crate::support::program::{ServedProgram, words};
+use crate::support::program::ServedProgram;
 use crate::support::server::*;
 use reqwest::header::{self, HeaderName};
 use serde_json::Value;

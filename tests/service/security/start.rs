@@ -2,60 +2,27 @@
 
 use super::entry;
 use crate::support::certificates::{Authority, Files, Identity, ask, replace_file, shake_hands};
-use crate::support::commands::{Workplace, pliant_in};
+use crate::support::commands::Workplace;
+use crate::support::program::ServedProgram;
 use crate::support::server::{AnsweredCall as _, *};
 use pliant::server::CertificateField;
 use pliant::server::grpc::client::DeformerClient;
 use pliant::wire::pb;
 use serde_json::Value;
-use std::io::{BufRead as _, BufReader};
-use std::path::Path;
-use std::process::{Child, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio_rustls::rustls::ClientConfig;
 use tonic::transport::Endpoint;
 
-/// A server that was started as a program; ended with this value.
-struct Started(Child);
-
-impl Started {
-    /// Its port, from the one line that it prints.
-    fn new(folder: &Path, arguments: &[&str]) -> (Self, u16) {
-        let mut child = pliant_in(folder, arguments)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("it starts");
-        let mut line = String::new();
-        let out = child.stdout.take().expect("stdout");
-        BufReader::new(out).read_line(&mut line).expect("a line");
-        let started = Self(child);
-        let port = line.trim().rsplit(':').next().and_then(|port| port.parse().ok());
-        (started, port.unwrap_or_else(|| panic!("{line:?} names no port")))
+/// The status that a server's limits are answered with.
+async fn status(server: &ServedProgram, token: Option<&str>) -> u16 {
+    let url = server.url.replace("0.0.0.0", "127.0.0.1");
+    let request = http().get(format!("{url}/v1/limits"));
+    match token {
+        Some(token) => request.bearer_auth(token).status().await,
+        None => request.status().await,
     }
-}
-
-impl Drop for Started {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn status(port: u16, token: Option<&str>) -> u16 {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .expect("a runtime");
-    runtime.block_on(async {
-        let mut request = crate::support::server::http().get(format!("http://127.0.0.1:{port}/v1/limits"));
-        if let Some(token) = token {
-            request = request.bearer_auth(token);
-        }
-        request.answer().await.status().as_u16()
-    })
 }
 
 /// What opens a server to others, as a refusal lists it.
@@ -67,19 +34,19 @@ const OPENINGS: [&str; 5] = [
     "flag --listen",
 ];
 
-#[test]
-fn an_address_that_others_reach_needs_to_know_who_calls() {
+#[tokio::test]
+async fn an_address_that_others_reach_needs_to_know_who_calls() {
     let folder = Workplace::empty();
     for listen in ["0.0.0.0:0", "[::]:0", "192.0.2.7:0"] {
         let ran = folder.refused(&["serve", "--listen", listen], &OPENINGS);
         assert_eq!(ran.out, "", "{listen}");
     }
-    let (_open, port) = Started::new(folder.path(), &["serve", "--listen", "0.0.0.0:0", "--insecure-open"]);
-    assert_eq!(status(port, None), 200);
+    let open = ServedProgram::start_in_memory(folder.at("log"), &["--listen", "0.0.0.0:0", "--insecure-open"]);
+    assert_eq!(status(&open, None).await, 200);
 }
 
-#[test]
-fn a_token_that_the_program_makes_is_known_by_its_lines() {
+#[tokio::test]
+async fn a_token_that_the_program_makes_is_known_by_its_lines() {
     let folder = Workplace::empty();
     let made = |arguments: &[&str]| {
         let out = folder.done(arguments).out;
@@ -96,12 +63,14 @@ fn a_token_that_the_program_makes_is_known_by_its_lines() {
     let (other, more) = made(&["token", "other", "--metrics"]);
     assert_ne!(token, other);
     folder.put("pliant.toml", lines + &more);
-    let arguments = ["serve", "--listen", "0.0.0.0:0", "--config", "pliant.toml"];
-    let (_started, port) = Started::new(folder.path(), &arguments);
-    assert_eq!(status(port, Some(&token)), 200);
-    assert_eq!(status(port, Some(&other)), 200);
-    assert_eq!(status(port, Some("pliant_")), 401);
-    assert_eq!(status(port, None), 401);
+    let config = folder.at("pliant.toml").display().to_string();
+    let arguments = ["--listen", "0.0.0.0:0", "--config", &config];
+    let server = ServedProgram::start_in_memory(folder.at("log"), &arguments);
+    for known in [&*token, &other] {
+        assert_eq!(status(&server, Some(known)).await, 200);
+    }
+    assert_eq!(status(&server, Some("pliant_")).await, 401);
+    assert_eq!(status(&server, None).await, 401);
 
     let ran = folder.refused("token a --expires 2020-01-01", &["--expires", "has passed"]);
     assert_eq!(ran.out, "");

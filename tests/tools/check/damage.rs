@@ -2,49 +2,33 @@
 
 use super::folder::Suite;
 use crate::support::server::{Server, bar_obj, http};
+use crate::support::shapes::obj_text;
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::extract::Request;
 use axum::response::Response;
 use glam::DVec3;
+use pliant::asset::shapes::{Shape, box_with_cells};
 use serde_json::Value;
-use std::fmt::Write as _;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::net::TcpListener;
 
 /// The bar, each vertex and face changed.
 fn bar(vertex: impl Fn(usize, DVec3) -> DVec3, face: impl Fn(usize, [u32; 3]) -> Option<[u32; 3]>) -> String {
-    let (mut text, mut vertices, mut faces) = (String::new(), 0, 0);
-    for line in bar_obj(20).lines() {
-        let mut words = line.split(' ');
-        let kind = words.next().expect("a word");
-        if kind == "v" {
-            let numbers: Vec<f64> = words.map(|w| w.parse().expect("a number")).collect();
-            let p = vertex(vertices, DVec3::from_slice(&numbers));
-            writeln!(text, "v {} {} {}", p.x, p.y, p.z).expect("text");
-            vertices += 1;
-        } else {
-            let corners: Vec<u32> = words.map(|w| w.parse().expect("a number")).collect();
-            if let Some([a, b, c]) = face(faces, [corners[0], corners[1], corners[2]]) {
-                writeln!(text, "f {a} {b} {c}").expect("text");
-            }
-            faces += 1;
-        }
-    }
-    text
+    let (points, faces) = whole_bar();
+    let points = points.into_iter().enumerate().map(|(k, p)| vertex(k, p));
+    let faces = faces.into_iter().enumerate().filter_map(|(k, t)| face(k, t));
+    obj_text(&(points.collect(), faces.collect()))
+}
+
+/// The shape of `bar_obj`.
+fn whole_bar() -> Shape {
+    box_with_cells(DVec3::new(0.5, 0.5, 4.0), [3, 3, 20])
 }
 
 fn place_of(found: impl Fn(DVec3) -> bool) -> usize {
-    let positions = bar_obj(20)
-        .lines()
-        .filter_map(|l| {
-            l.strip_prefix("v ")
-                .map(|l| l.split(' ').map(|w| w.parse().expect("a number")).collect())
-        })
-        .map(|n: Vec<f64>| DVec3::from_slice(&n))
-        .collect::<Vec<_>>();
-    positions.iter().position(|&p| found(p)).expect("such a vertex")
+    whole_bar().0.into_iter().position(found).expect("such a vertex")
 }
 
 fn keep(_: usize, t: [u32; 3]) -> Option<[u32; 3]> {

@@ -1,9 +1,9 @@
 //! A suite in shards on several machines: together they are the whole, and joined they say what a run of the whole says.
 
 use super::folder::{Suite, check, run_in, sample_suite};
-use crate::support::commands::{Arguments, Ran};
+
+use crate::support::commands::{Arguments, Ran, words};
 use crate::support::data::copied;
-use crate::support::program::words;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;

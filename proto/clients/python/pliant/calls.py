@@ -1,192 +1,23 @@
-"""The calls of the service, repeated where that is safe and worth it, failures as exceptions."""
+"""The calls of the service as plain methods, for what a session has no method for."""
 
 from __future__ import annotations
 
-import threading
-import time
-from collections.abc import Callable, Iterator
-from typing import Any, TypeVar
-
-import grpc
-
-from . import channel, errors
-from .model import Upload
-from .progress import Progress
-from .route import AWAY_SECONDS, Route
-from .server import LocalServer
-from .v1 import pliant_pb2 as pb
-from .v1.pliant_pb2_grpc import DeformerStub
-
-_T = TypeVar("_T")
-
-#: Seconds between looks at whether a server of one's own still runs.
-_GLANCE = 0.5
+from .aio import calls as core
+from .blocking import Face, blocking
 
 
-class Lines:
-    """The connections of one client: one to its server, and one to each node that it was sent to."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._open: dict[str, tuple[Any, Any]] = {}
-        self.closed = False
-
-    def to(self, settings: channel.Settings) -> tuple[Any, Any]:
-        """The channel to an address, and what calls on it."""
-        with self._lock:
-            if self.closed:
-                raise errors.FailedPrecondition(channel.CLOSED)
-            if settings.url not in self._open:
-                options = settings.options()
-                if settings.secure:
-                    made = grpc.secure_channel(settings.target, settings.credentials(), options=options)
-                else:
-                    made = grpc.insecure_channel(settings.target, options=options)
-                make_stub: Any = DeformerStub  # the generated file has no types
-                self._open[settings.url] = (made, make_stub(made))
-            return self._open[settings.url]
-
-    def close(self) -> None:
-        """Closes them; calls under way are cancelled."""
-        with self._lock:
-            self.closed = True
-            for line, _ in self._open.values():
-                line.close()
-
-
-class Calls:
+class Calls(Face):
     """Calls to one server, about all or about one session. Threads may share it."""
 
-    def __init__(self, settings: channel.Settings, server: LocalServer | None = None) -> None:
-        self.settings = settings
-        self._server = server
-        self._lines = Lines()
-        self._route = Route(settings)
-        self._session = ""
-        self._lines.to(settings)
+    _core: core.Calls
+
+    def __init__(self, calls: core.Calls) -> None:
+        self._core = calls
+
+    create = blocking(core.Calls.create)
+    one = blocking(core.Calls.one)
+    many = blocking(core.Calls.many)
 
     def toward(self, session: str) -> Calls:
-        """Calls about one session, which go where it is; they begin where the last call was answered."""
-        other = Calls.__new__(Calls)
-        other.settings, other._server, other._lines = self.settings, self._server, self._lines
-        other._route, other._session = self._route.copy(), session
-        self._route.go_home()
-        return other
-
-    def close(self) -> None:
-        """Closes the connections; calls under way are cancelled."""
-        self._lines.close()
-
-    def check_open(self) -> None:
-        """Raises when this connection was closed."""
-        if self._lines.closed:
-            raise errors.FailedPrecondition(channel.CLOSED)
-
-    def _stub(self) -> Any:
-        return self._lines.to(self._route.settings())[1]
-
-    def _metadata(self, key: str | None, request: Any = None) -> tuple[tuple[str, str], ...]:
-        session = self._session or str(getattr(request, "session_id", ""))
-        return self.settings.metadata(key) + self._route.headers(session)
-
-    def one(self, name: str, request: Any, *, keyed: bool = False, patience: float | None = None) -> Any:
-        """A call with one request and one answer. `keyed` calls happen once however often they are sent."""
-        key = channel.key() if keyed else None
-
-        def attempt() -> Any:
-            call = getattr(self._stub(), name)
-            return call(request, metadata=self._metadata(key, request), timeout=self.settings.timeout)
-
-        return self._repeat(attempt, patience)
-
-    def many(self, name: str, request: Any, *, keyed: bool = False) -> list[Any]:
-        """A call whose answer comes in pieces."""
-        key = channel.key() if keyed else None
-
-        def attempt() -> list[Any]:
-            call = getattr(self._stub(), name)
-            return list(call(request, metadata=self._metadata(key, request), timeout=self.settings.timeout))
-
-        return self._repeat(attempt)
-
-    def create(self, upload: Upload, options: pb.CreateOptions, progress: Progress) -> pb.Session:
-        """Uploads a model. The same upload is sent again where the connection was lost."""
-        key = channel.key()
-        limits: pb.Limits = self.one("GetLimits", pb.GetLimitsRequest())
-
-        def attempt() -> pb.Session:
-            requests = upload.requests(options, limits.message_bytes, progress)
-            timeout = self.settings.timeout
-            session = self._stub().CreateSession(requests, metadata=self._metadata(key), timeout=timeout)
-            assert isinstance(session, pb.Session)
-            return session
-
-        return self._repeat(attempt)
-
-    def deform(self, requests: Iterator[pb.DeformRequest]) -> Any:
-        """Opens a stream; nothing is repeated here."""
-        self.check_open()
-        return self._stub().Deform(requests, metadata=self._metadata(None))
-
-    def animate(self, requests: Iterator[pb.AnimateRequest]) -> Any:
-        """Begins an animation; nothing is repeated here."""
-        self.check_open()
-        return self._stub().Animate(requests, metadata=self._metadata(None))
-
-    def get(self, path: str) -> bytes:
-        """The body of an HTTP GET, for what has no call in gRPC."""
-
-        def attempt() -> bytes:
-            try:
-                return self._route.settings().get(path, self._route.headers(self._session))
-            except errors.PliantError as error:
-                self._route.learn(error)
-                raise channel.of_session(error) from None
-
-        return self._repeat(attempt)
-
-    def fault(self, error: grpc.RpcError) -> errors.PliantError:
-        """What a failed call means here."""
-        failed = errors.of_rpc(error)
-        self._route.learn(failed)
-        return self.reason(channel.of_session(failed))
-
-    def reason(self, error: errors.PliantError) -> errors.PliantError:
-        """The end of a server of one's own, where that lies behind a failure; it may show only after it."""
-        return (self._server.ended if self._server is not None else None) or error
-
-    def found(self, pause: float, patience: float, given_up: Callable[[], bool] = lambda: False) -> bool:
-        """Waits for `pause` seconds and then until there is a connection; whether there is one."""
-        time.sleep(pause)
-        if self._lines.closed:
-            return False
-        is_sure = self._route.is_sure
-        patience = patience if is_sure else min(patience, AWAY_SECONDS)
-        # gRPC connects only while somebody waits for it, and calls that fail at once do not wait.
-        ready = grpc.channel_ready_future(self._lines.to(self._route.settings())[0])
-        end = time.monotonic() + patience
-        while True:
-            try:
-                ready.result(timeout=min(_GLANCE, max(0.0, end - time.monotonic())))
-                return True
-            except grpc.FutureTimeoutError:
-                hopeless = self._server is not None and self._server.ended is not None
-                if time.monotonic() >= end or hopeless or given_up():
-                    ready.cancel()
-                    # There is somebody else to ask.
-                    self._route.go_on()
-                    return not (is_sure or hopeless or given_up())
-
-    def _repeat(self, attempt: Callable[[], _T], patience: float | None = None) -> _T:
-        attempts = channel.Attempts(self.settings.patience if patience is None else patience)
-        while True:
-            self.check_open()
-            try:
-                return attempt()
-            except grpc.RpcError as failed:
-                error = self.fault(failed)
-            except errors.PliantError as failed:
-                error = self.reason(failed)
-            pause = attempts.again(error)
-            if pause is None or not self.found(pause, attempts.left):
-                raise self.reason(attempts.last_word(error))
+        """Calls about one session."""
+        return Calls(self._core.toward(session))

@@ -31,9 +31,8 @@ GONE = (errors.NotFound, errors.Unavailable, errors.LocalServerError, errors.Fai
 class Declared:
     """A session's facts and the handles that are to hold in it."""
 
-    def __init__(self, info: pb.Session) -> None:
-        self._books = Books(info)
-        self._closed = False
+    def __init__(self, books: Books) -> None:
+        self._books = books
 
     @property
     def id(self) -> str:
@@ -58,7 +57,7 @@ class Declared:
     def __repr__(self) -> str:
         info = self._books.info
         name = f" {info.label!r}" if info.label else ""
-        end = ", closed" if self._closed else ""
+        end = ", closed" if self._books.closed else ""
         kind = f"{type(self).__module__.rpartition('.')[0]}.{type(self).__name__}"
         ids = self._books.shown_ids
         held = f"handles {ids}" if ids else "no handles"
@@ -118,7 +117,7 @@ class Declared:
         self._books.limit(region_of_interest=regions.region(region, self.vertices))
 
     def _check_open(self) -> None:
-        if self._closed:
+        if self._books.closed:
             raise errors.SessionLost(f'session "{self.id}" was closed by close(); open the model again')
 
     def _named(self) -> pb.SessionRequest:

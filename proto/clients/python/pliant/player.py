@@ -3,105 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from queue import SimpleQueue
-from types import TracebackType
-from typing import Any, Union
 
-import grpc
-
-from . import channel, errors
-from .animation import AnimatedFrame, Playing
-from .calls import Calls
-from .progress import Meter, ProgressLike
+from . import aio
+from .animation import AnimatedFrame
+from .blocking import Face
+from .transport import run
 from .v1 import pliant_pb2 as pb
 
-_Outgoing = SimpleQueue[Union[pb.AnimateRequest, None]]
 
+class Animation(Face, Iterator[AnimatedFrame]):
+    __doc__ = aio.Animation.__doc__
 
-class Animation(Iterator[AnimatedFrame]):
-    """The frames of an animation, in order and none left out. Made by :meth:`Session.animate`.
+    _core: aio.Animation
 
-    The server solves at most a window of frames ahead. Where the connection is lost, it continues with the frame after the
-    last one. Closing it, or the end of a ``with`` block, stops the server's work.
-    """
-
-    def __init__(self, calls: Calls, playing: Playing, message_bytes: int, progress: ProgressLike) -> None:
-        self._calls = calls
-        self._playing = playing
-        self._message_bytes = message_bytes
-        self._meter = Meter(progress, "frames")
-        self._outgoing: _Outgoing = SimpleQueue()
-        self._call: Any = None
-        self._taken = 0
-        self._closed = False
-        #: How often a lost connection was opened again.
-        self.reconnects = 0
-        self._open()
-        self._frames = self._run()
+    def __init__(self, core: aio.Animation) -> None:
+        self._core = core
 
     @property
     def report(self) -> pb.AnimationReport | None:
         """Totals, warnings and what the handles of the rig hold; None until all frames have come."""
-        return self._playing.report
+        return self._core.report
 
     @property
     def stage(self) -> tuple[str, float]:
         """What is under way before the first frame, and how much of it is done."""
-        return self._playing.stage
+        return self._core.stage
+
+    @property
+    def reconnects(self) -> int:
+        """How often a lost connection was opened again."""
+        return self._core.reconnects
 
     def __next__(self) -> AnimatedFrame:
-        frame = next(self._frames)
-        self._taken += 1
-        self._meter(self._taken, self._playing.total or frame.count)
+        try:
+            frame: AnimatedFrame = run(self._core.__anext__())
+        except StopAsyncIteration:
+            raise StopIteration from None
         return frame
-
-    def close(self) -> None:
-        """Stops the animation; the session stays."""
-        self._closed = True
-        self._outgoing.put(None)
-        if self._call is not None:
-            self._call.cancel()
-        self._meter.__exit__(None, None, None)
-
-    def __enter__(self) -> Animation:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def __del__(self) -> None:
         # Who leaves a loop early does not want the rest.
-        if not getattr(self, "_closed", True):
+        if not self._core.closed:
             self.close()
-
-    def _open(self) -> None:
-        self._outgoing = SimpleQueue()
-        for request in self._playing.opening(self._message_bytes):
-            self._outgoing.put(request)
-        self._call = self._calls.animate(iter(self._outgoing.get, None))
-
-    def _run(self) -> Iterator[AnimatedFrame]:
-        attempts = channel.Attempts(self._calls.settings.patience)
-        while True:
-            error: errors.PliantError = errors.Unavailable("the server ended the animation")
-            try:
-                for part in self._call:
-                    attempts = channel.Attempts(self._calls.settings.patience, resuming=True)
-                    frame = self._playing.take(part)
-                    self._meter.stage(self._playing.under_way)
-                    if frame is not None:
-                        yield frame
-                        # Who asks for the next one has this one.
-                        self._outgoing.put(pb.AnimateRequest(ack=pb.Ack(seq=frame.seq)))
-            except grpc.RpcError as failed:
-                error = self._calls.fault(failed)
-            if self._playing.complete() or self._closed:
-                return
-            pause = attempts.again(error)
-            if pause is None or not self._calls.found(pause, attempts.left, lambda: self._closed):
-                raise self._calls.reason(attempts.last_word(error))
-            self.reconnects += 1
-            self._outgoing.put(None)
-            self._open()

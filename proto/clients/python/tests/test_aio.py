@@ -98,6 +98,8 @@ def test_a_stream_polls_waits_commits_and_is_cancelled(server: pliant.LocalServe
                 assert stream.latest() is None
                 with pytest.raises(TimeoutError):
                     await asyncio.wait_for(stream.receive(), 0.05)
+                with pytest.raises(pliant.DeadlineExceeded):
+                    await stream.receive(timeout=0.05)
                 stream.send(TURN)
                 frame = await stream.wait()
                 assert frame.final
@@ -160,6 +162,7 @@ def test_limits_and_lists(server: pliant.LocalServer, creature: Path) -> None:
     async def work() -> None:
         async with await pliant.aio.connect(server) as client:
             assert (await client.limits()).sessions > 0
+            assert (await client.sample("figure"))[:4] == b"glTF"
             s = await client.open(creature, keep=True, ttl="1m")
             await s.close()
             assert s.id in [listed.id async for listed in client.sessions()]

@@ -39,12 +39,9 @@ fn hold_and_bend(deformer: &mut Deformer, angle: f64, exec: &Exec<'_>) -> (Handl
     let poses = deformer
         .change_poses(&deformer.initial_poses(), [("top", side.turn(angle))])
         .expect("a pose");
-    let shape = deformer
-        .solve(&poses, &SolveSettings::default(), SolveMode::Commit, exec, &mut |_| {
-            true
-        })
-        .expect("the pose solves");
-    (poses, shape)
+    let settings = SolveSettings::default();
+    let shape = deformer.solve(&poses, &settings, SolveMode::Commit, exec, &mut |_| true);
+    (poses, shape.expect("the pose solves"))
 }
 
 /// The quality of a bend with handles that hold what their regions hold now.
@@ -124,21 +121,7 @@ fn faces_too_large_for_a_bend_are_reported_before_and_after_and_divided_in_one_e
 
 /// A rod of 24 sides that go from end to end.
 fn bare_rod() -> shapes::Shape {
-    let sides = 24u32;
-    let at = |i: u32, z: f64| {
-        let angle = f64::from(i % sides) / f64::from(sides) * std::f64::consts::TAU;
-        DVec3::new(0.5 * angle.cos(), 0.5 * angle.sin(), z)
-    };
-    let mut positions: Vec<DVec3> = (0..sides).map(|i| at(i, 0.0)).collect();
-    positions.extend((0..sides).map(|i| at(i, 6.0)));
-    positions.extend([DVec3::ZERO, DVec3::Z * 6.0]);
-    let triangles = (0..sides).flat_map(|i| {
-        let (a, b) = (i, (i + 1) % sides);
-        let (c, d) = (a + sides, b + sides);
-        [[a, b, d], [a, d, c], [2 * sides, b, a], [2 * sides + 1, c, d]]
-    });
-    let triangles = triangles.collect();
-    (positions, triangles)
+    shapes::cylinder(0.5, 6.0, 24, 1, true)
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! The models of the data folder that `PLIANT_DATA` names, held at one end and turned at the other.
 
+use crate::data;
 use glam::DVec3;
 use pliant_core::asset::{FileSet, Format};
 use pliant_core::deform::VolumeMode;
@@ -7,7 +8,6 @@ use pliant_core::engine::{Deformer, DeformerLimits, Error, Handle, HandlePose, O
 use pliant_core::exec::Exec;
 use pliant_core::graph::EdgeWeights;
 use pliant_core::mesh::{Mesh, Weld, shading};
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Files of the folder; none, and a line that says what is skipped, without it.
@@ -16,21 +16,13 @@ pub fn data_models(what: &str) -> Vec<PathBuf> {
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
         PathBuf::from,
     );
-    let (mut found, mut open) = (Vec::new(), vec![folder.join("meshes"), folder.join("gltf")]);
-    while let Some(folder) = open.pop() {
-        for entry in std::fs::read_dir(folder).into_iter().flatten() {
-            let path = entry.expect("a readable entry").path();
-            if path.is_dir() {
-                open.push(path);
-            } else if Format::from_file_name(&path.to_string_lossy()).is_some() {
-                found.push(path);
-            }
-        }
-    }
+    let is_model = |path: &Path| Format::from_file_name(&path.to_string_lossy()).is_some();
+    let mut found = data::files_below(&folder.join("meshes"), is_model);
+    found.extend(data::files_below(&folder.join("gltf"), is_model));
     found.sort();
     if found.is_empty() {
         let reason = format!("{} holds no models; PLIANT_DATA names the folder", folder.display());
-        let _ = writeln!(std::io::stderr(), "SKIPPED: {what}: {reason}");
+        data::report_skipped(what, &reason);
     }
     found
 }
@@ -40,15 +32,9 @@ pub fn open_model(path: &Path, exec: &Exec<'_>) -> Option<Deformer> {
     let name = path.file_name()?.to_string_lossy();
     let mut files = FileSet::single(name, std::fs::read(path).ok()?);
     if path.extension().is_some_and(|e| e == "gltf") {
-        for entry in std::fs::read_dir(path.parent()?)
-            .ok()?
-            .flatten()
-            .filter(|e| e.path().is_file())
-        {
-            let bytes = std::fs::read(entry.path()).ok()?;
-            files
-                .companions
-                .insert(entry.file_name().to_string_lossy().into_owned(), bytes.into());
+        for beside in data::files_below(path.parent()?, |beside| beside.parent() == path.parent()) {
+            let name = beside.file_name()?.to_string_lossy().into_owned();
+            files.companions.insert(name, std::fs::read(beside).ok()?.into());
         }
     }
     Deformer::open(files, &OpenOptions::default(), &DeformerLimits::default(), exec).ok()

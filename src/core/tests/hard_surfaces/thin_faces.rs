@@ -12,11 +12,8 @@ use pliant_core::progress::Silent;
 use std::f64::consts::FRAC_PI_4;
 
 fn solve(deformer: &mut Deformer, poses: &HandlePoses, exec: &Exec<'_>) -> SolvedShape {
-    solve_with(deformer, poses, &SolveSettings::default(), exec)
-}
-
-fn solve_with(deformer: &mut Deformer, poses: &HandlePoses, settings: &SolveSettings, exec: &Exec<'_>) -> SolvedShape {
-    let solved = deformer.solve(poses, settings, SolveMode::Commit, exec, &mut |_| true);
+    let settings = SolveSettings::default();
+    let solved = deformer.solve(poses, &settings, SolveMode::Commit, exec, &mut |_| true);
     solved.expect("the pose solves")
 }
 

@@ -14,7 +14,8 @@ What only notes something down (``handle``, ``remove_handle``, ``clear_handles``
 """
 
 from .client import Client, connect, open
+from .player import Animation
 from .session import Session
 from .stream import Stream
 
-__all__ = ["Client", "Session", "Stream", "connect", "open"]
+__all__ = ["Animation", "Client", "Session", "Stream", "connect", "open"]

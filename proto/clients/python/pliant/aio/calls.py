@@ -1,20 +1,20 @@
-"""The calls of the service on asyncio's event loop."""
+"""The calls of the service, repeated where that is safe and worth it, failures as exceptions."""
 
 from __future__ import annotations
 
-import asyncio
+import threading
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
 import grpc
-import grpc.aio
 
 from .. import channel, errors
 from ..model import Upload
 from ..progress import Progress
 from ..route import AWAY_SECONDS, Route
 from ..server import LocalServer
+from ..transport import OnLoop
 from ..v1 import pliant_pb2 as pb
 from ..v1.pliant_pb2_grpc import DeformerStub
 
@@ -27,38 +27,39 @@ _GLANCE = 0.5
 class Lines:
     """The connections of one client: one to its server, and one to each node that it was sent to."""
 
-    def __init__(self) -> None:
+    def __init__(self, transport: OnLoop) -> None:
+        self._transport = transport
+        self._lock = threading.Lock()
         self._open: dict[str, tuple[Any, Any]] = {}
         self.closed = False
 
     def to(self, settings: channel.Settings) -> tuple[Any, Any]:
         """The channel to an address, and what calls on it."""
-        if self.closed:
-            raise errors.FailedPrecondition(channel.CLOSED)
-        if settings.url not in self._open:
-            options = settings.options()
-            if settings.secure:
-                made = grpc.aio.secure_channel(settings.target, settings.credentials(), options=options)
-            else:
-                made = grpc.aio.insecure_channel(settings.target, options=options)
-            make_stub: Any = DeformerStub  # the generated file has no types
-            self._open[settings.url] = (made, make_stub(made))
-        return self._open[settings.url]
+        with self._lock:
+            if self.closed:
+                raise errors.FailedPrecondition(channel.CLOSED)
+            if settings.url not in self._open:
+                made = self._transport.channel(settings)
+                make_stub: Any = DeformerStub  # the generated file has no types
+                self._open[settings.url] = (made, make_stub(made))
+            return self._open[settings.url]
 
     async def close(self) -> None:
         """Closes them; calls under way are cancelled."""
-        self.closed = True
+        with self._lock:
+            self.closed = True
         for line, _ in list(self._open.values()):
-            await line.close()
+            await self._transport.close(line)
 
 
 class Calls:
-    """Calls to one server, about all or about one session, for one event loop."""
+    """Calls to one server, about all or about one session."""
 
-    def __init__(self, settings: channel.Settings, server: LocalServer | None = None) -> None:
+    def __init__(self, settings: channel.Settings, server: LocalServer | None, transport: OnLoop) -> None:
         self.settings = settings
+        self.transport = transport
         self._server = server
-        self._lines = Lines()
+        self._lines = Lines(transport)
         self._route = Route(settings)
         self._session = ""
         self._lines.to(settings)
@@ -66,7 +67,8 @@ class Calls:
     def toward(self, session: str) -> Calls:
         """Calls about one session, which go where it is; they begin where the last call was answered."""
         other = Calls.__new__(Calls)
-        other.settings, other._server, other._lines = self.settings, self._server, self._lines
+        other.settings, other.transport = self.settings, self.transport
+        other._server, other._lines = self._server, self._lines
         other._route, other._session = self._route.copy(), session
         self._route.go_home()
         return other
@@ -92,8 +94,9 @@ class Calls:
         key = channel.key() if keyed else None
 
         async def attempt() -> Any:
+            metadata = self._metadata(key, request)
             call = getattr(self._stub(), name)
-            return await call(request, metadata=self._metadata(key, request), timeout=self.settings.timeout)
+            return await self.transport.one(call, request, metadata=metadata, timeout=self.settings.timeout)
 
         return await self._repeat(attempt, patience)
 
@@ -104,7 +107,7 @@ class Calls:
         async def attempt() -> list[Any]:
             metadata = self._metadata(key, request)
             call = getattr(self._stub(), name)(request, metadata=metadata, timeout=self.settings.timeout)
-            return [piece async for piece in call]
+            return [piece async for piece in self.transport.answers(call)]
 
         return await self._repeat(attempt)
 
@@ -115,22 +118,22 @@ class Calls:
 
         async def attempt() -> pb.Session:
             requests = upload.requests(options, limits.message_bytes, progress)
-            timeout = self.settings.timeout
-            session = await self._stub().CreateSession(requests, metadata=self._metadata(key), timeout=timeout)
+            way = {"metadata": self._metadata(key), "timeout": self.settings.timeout}
+            session = await self.transport.one(self._stub().CreateSession, requests, **way)
             assert isinstance(session, pb.Session)
             return session
 
         return await self._repeat(attempt)
 
-    def deform(self, requests: AsyncIterator[pb.DeformRequest]) -> Any:
-        """Opens a stream; nothing is repeated here."""
+    def deform(self, requests: Any) -> Any:
+        """Opens a stream that sends what comes into the queue `requests`; nothing is repeated here."""
         self.check_open()
-        return self._stub().Deform(requests, metadata=self._metadata(None))
+        return self._stub().Deform(self.transport.messages(requests), metadata=self._metadata(None))
 
-    def animate(self, requests: AsyncIterator[pb.AnimateRequest]) -> Any:
-        """Begins an animation; nothing is repeated here."""
+    def animate(self, requests: Any) -> Any:
+        """Begins an animation, likewise."""
         self.check_open()
-        return self._stub().Animate(requests, metadata=self._metadata(None))
+        return self._stub().Animate(self.transport.messages(requests), metadata=self._metadata(None))
 
     async def get(self, path: str) -> bytes:
         """The body of an HTTP GET, for what has no call in gRPC."""
@@ -138,7 +141,7 @@ class Calls:
         async def attempt() -> bytes:
             try:
                 headers = self._route.headers(self._session)
-                return await asyncio.to_thread(self._route.settings().get, path, headers)
+                return await self.transport.aside(self._route.settings().get, path, headers)
             except errors.PliantError as error:
                 self._route.learn(error)
                 raise channel.of_session(error) from None
@@ -155,25 +158,22 @@ class Calls:
         """The end of a server of one's own, where that lies behind a failure; it may show only after it."""
         return (self._server.ended if self._server is not None else None) or error
 
-    async def found(self, pause: float, patience: float) -> bool:
+    async def found(self, pause: float, patience: float, given_up: Callable[[], bool] = lambda: False) -> bool:
         """Waits for `pause` seconds and then until there is a connection; whether there is one."""
-        await asyncio.sleep(pause)
+        await self.transport.sleep(pause)
         if self._lines.closed:
             return False
         is_sure = self._route.is_sure
         patience = patience if is_sure else min(patience, AWAY_SECONDS)
         line = self._lines.to(self._route.settings())[0]
         end = time.monotonic() + patience
-        while True:
-            try:
-                await asyncio.wait_for(line.channel_ready(), min(_GLANCE, max(0.0, end - time.monotonic())))
-                return True
-            except asyncio.TimeoutError:
-                hopeless = self._server is not None and self._server.ended is not None
-                if time.monotonic() >= end or hopeless:
-                    # There is somebody else to ask.
-                    self._route.go_on()
-                    return not (is_sure or hopeless)
+        while not await self.transport.ready(line, min(_GLANCE, max(0.0, end - time.monotonic()))):
+            hopeless = self._server is not None and self._server.ended is not None
+            if time.monotonic() >= end or hopeless or given_up():
+                # There is somebody else to ask.
+                self._route.go_on()
+                return not (is_sure or hopeless or given_up())
+        return True
 
     async def _repeat(self, attempt: Callable[[], Awaitable[_T]], patience: float | None = None) -> _T:
         attempts = channel.Attempts(self.settings.patience if patience is None else patience)

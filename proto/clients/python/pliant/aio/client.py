@@ -2,30 +2,49 @@
 
 from __future__ import annotations
 
-import asyncio
+import os
 from collections.abc import AsyncIterator, Generator, Mapping
 from types import TracebackType
 from typing import Any
+from urllib.parse import quote
 
 from typing_extensions import Unpack
 
-from ..client import found, settings
+from .. import server as local
+from ..channel import Settings
 from ..model import Model, read
 from ..options import CreateFields, create_options
 from ..progress import Meter, ProgressLike, uploading
 from ..server import LocalServer
+from ..transport import OnLoop
 from ..values import text
 from ..v1 import pliant_pb2 as pb
 from .calls import Calls
 from .session import Session
 
 
+def found(server: str | LocalServer | None) -> str | LocalServer:
+    """The server given, that of PLIANT_SERVER, or one of our own, which may take a moment to start."""
+    return server or os.environ.get("PLIANT_SERVER") or local.shared()
+
+
+def settings(server: str | LocalServer | None, **way: Any) -> tuple[Settings, LocalServer | None]:
+    """How to go there. A token may come from PLIANT_TOKEN."""
+    way.setdefault("token", os.environ.get("PLIANT_TOKEN"))
+    server = found(server)
+    if isinstance(server, LocalServer):
+        return Settings(server.url, **way), server
+    return Settings(server, **way), None
+
+
 class Client:
     """A connection to one server, for one event loop. Made by :func:`connect`."""
 
+    _transport = OnLoop()
+
     def __init__(self, server: str | LocalServer | None = None, **way: Any) -> None:
         self._settings, owned = settings(server, **way)
-        self._calls = Calls(self._settings, owned)
+        self._calls = Calls(self._settings, owned, self._transport)
 
     @property
     def url(self) -> str:
@@ -56,7 +75,7 @@ class Client:
     ) -> Session:
         options = create_options(create)
         with Meter(progress, "read", bytes=True) as tell:
-            upload = await asyncio.to_thread(read, model, companions)
+            upload = await self._transport.aside(read, model, companions)
             options.format = options.format or upload.format
             options.label = options.label or upload.label
             info = await self._calls.create(upload, options, uploading(tell))
@@ -85,9 +104,10 @@ class Client:
         assert isinstance(answer, pb.Limits)
         return answer
 
-    async def sample(self) -> bytes:
-        """The server's built-in creature, a GLB."""
-        return await self._calls.get("/v1/sample.glb")
+    async def sample(self, name: str = "creature") -> bytes:
+        """A built-in model, a GLB: the creature, or the figure, which has a skeleton, clips, levels of detail, a hull and
+        sockets."""
+        return await self._calls.get(f"/v1/sample.glb?name={quote(name, safe='')}")
 
     async def close(self) -> None:
         """Closes the connection. Sessions stay until they are closed or expire."""
@@ -104,7 +124,7 @@ class Client:
 
 async def connect(server: str | LocalServer | None = None, **way: Any) -> Client:
     """Connects to a server; see :func:`pliant.connect`."""
-    return Client(await asyncio.to_thread(found, server), **way)
+    return Client(await Client._transport.aside(found, server), **way)
 
 
 class Opening:

@@ -1,11 +1,10 @@
-"""An animation as an iterator of its frames, on asyncio's event loop."""
+"""An animation as an iterator of its frames."""
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 from types import TracebackType
-from typing import Any, Union
+from typing import Any
 
 import grpc
 
@@ -15,21 +14,24 @@ from ..progress import Meter, ProgressLike
 from ..v1 import pliant_pb2 as pb
 from .calls import Calls
 
-_Outgoing = asyncio.Queue[Union[pb.AnimateRequest, None]]
-
 
 class Animation:
-    """The frames of an animation, in order and none left out; see :class:`pliant.Animation`."""
+    """The frames of an animation, in order and none left out. Made by :meth:`Session.animate`.
+
+    The server solves at most a window of frames ahead. Where the connection is lost, it continues with the frame after the
+    last one. Closing it, or the end of a ``with`` block, stops the server's work.
+    """
 
     def __init__(self, calls: Calls, playing: Playing, message_bytes: int, progress: ProgressLike) -> None:
         self._calls = calls
         self._playing = playing
         self._message_bytes = message_bytes
         self._meter = Meter(progress, "frames")
-        self._outgoing: _Outgoing = asyncio.Queue()
+        self._outgoing: Any = None
         self._call: Any = None
         self._taken = 0
-        self._closed = False
+        #: Whether it was closed.
+        self.closed = False
         #: How often a lost connection was opened again.
         self.reconnects = 0
         self._open()
@@ -56,7 +58,7 @@ class Animation:
 
     async def close(self) -> None:
         """Stops the animation; the session stays."""
-        self._closed = True
+        self.closed = True
         self._outgoing.put_nowait(None)
         self._call.cancel()
         self._meter.__exit__(None, None, None)
@@ -70,17 +72,17 @@ class Animation:
         await self.close()
 
     def _open(self) -> None:
-        self._outgoing = asyncio.Queue()
+        self._outgoing = self._calls.transport.queue()
         for request in self._playing.opening(self._message_bytes):
             self._outgoing.put_nowait(request)
-        self._call = self._calls.animate(_until_none(self._outgoing))
+        self._call = self._calls.animate(self._outgoing)
 
     async def _run(self) -> AsyncIterator[AnimatedFrame]:
         attempts = channel.Attempts(self._calls.settings.patience)
         while True:
             error: errors.PliantError = errors.Unavailable("the server ended the animation")
             try:
-                async for part in self._call:
+                async for part in self._calls.transport.answers(self._call):
                     attempts = channel.Attempts(self._calls.settings.patience, resuming=True)
                     frame = self._playing.take(part)
                     self._meter.stage(self._playing.under_way)
@@ -90,16 +92,11 @@ class Animation:
                         self._outgoing.put_nowait(pb.AnimateRequest(ack=pb.Ack(seq=frame.seq)))
             except grpc.RpcError as failed:
                 error = self._calls.fault(failed)
-            if self._playing.complete() or self._closed:
+            if self._playing.complete() or self.closed:
                 return
             pause = attempts.again(error)
-            if pause is None or not await self._calls.found(pause, attempts.left):
+            if pause is None or not await self._calls.found(pause, attempts.left, lambda: self.closed):
                 raise self._calls.reason(attempts.last_word(error))
             self.reconnects += 1
             self._outgoing.put_nowait(None)
             self._open()
-
-
-async def _until_none(queue: _Outgoing) -> AsyncIterator[pb.AnimateRequest]:
-    while (message := await queue.get()) is not None:
-        yield message

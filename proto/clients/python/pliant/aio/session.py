@@ -1,10 +1,9 @@
-"""A session on asyncio's event loop."""
+"""A session: one model on a server, its handles, poses and commits."""
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Iterable
-from contextlib import suppress
+from collections.abc import AsyncGenerator, AsyncIterable, AsyncIterator, Awaitable, Callable, Iterable, Sequence
+from contextlib import aclosing, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Union
@@ -14,13 +13,14 @@ from typing_extensions import Unpack
 
 from .. import edits, errors, frames, model
 from ..animation import AnimateFields, Playing, Rig, order, recording
-from ..books import Commit, Traffic, commits
+from ..books import Books, Commit, Traffic, commits
 from ..carried import Carried, carried, model_request, points_request
 from ..declared import CLOSE_SECONDS, GONE, CommitWish, Declared, recorded, to_drag
 from ..frames import Floats, Frame, SolvedFrame
 from ..options import SolveFields, options
 from ..poses import Poses
 from ..progress import Meter, ProgressLike
+from ..transport import OnLoop
 from ..v1 import pliant_pb2 as pb
 from .calls import Calls
 from .player import Animation
@@ -28,12 +28,15 @@ from .stream import Stream
 
 
 class Session(Declared):
-    """One open model. Made by :func:`pliant.aio.open`; see :class:`pliant.Session`."""
+    """One open model. Made by :func:`pliant.aio.open`; an ``async with`` block closes it at its end.
+
+    Handles are collected here and go to the server together, before the first call that needs them.
+    """
 
     def __init__(
         self, calls: Calls, info: pb.Session, *, keep: bool, at_close: Callable[[], Awaitable[None]] | None
     ) -> None:
-        super().__init__(info)
+        super().__init__(Books(info))
         self._connection = calls
         self._keep = keep
         self._at_close = at_close
@@ -44,7 +47,11 @@ class Session(Declared):
         return self._connection
 
     async def apply(self) -> pb.Session:
-        """Sends the handles now, if they are not on the server yet; see :meth:`pliant.Session.apply`."""
+        """Sends the handles now, if they are not on the server yet; answers the session with the handles in force.
+
+        A handle that the server refuses, such as one that holds nothing, is named by the error and taken back: the session is as
+        it was before the handle was added.
+        """
         request = self._books.to_send()
         if request is not None:
             try:
@@ -54,7 +61,10 @@ class Session(Declared):
         return self._books.info
 
     async def solve(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> Floats:
-        """Solves one pose to the tolerance, records it, and answers the positions, (render vertices, 3)."""
+        """Solves one pose to the tolerance, records it, and answers the positions, (render vertices, 3).
+
+        Handles that are not named keep their last pose.
+        """
         return (await self.solve_frame(poses, **how)).positions
 
     async def solve_frame(self, poses: Poses | None = None, **how: Unpack[SolveFields]) -> SolvedFrame:
@@ -86,27 +96,34 @@ class Session(Declared):
         progress: ProgressLike = False,
         **how: Unpack[SolveFields],
     ) -> AsyncIterator[Frame]:
-        """Drags handles along `poses`, which may come asynchronously; see :meth:`pliant.Session.drag`."""
+        """Drags handles along `poses` and yields the frames.
+
+        Every pose is answered before the next one is taken, by one frame, or with ``progressive`` by several of which
+        the last is ``final``. With ``latest`` poses are taken as fast as they come (from an iterator that waits for a
+        mouse, say) and only the newest is solved. ``commit=True`` records every pose, ``commit="last"`` the last one.
+        """
         to_drag(poses, commit, (Iterable, AsyncIterable))
-        total = len(poses) if isinstance(poses, (list, tuple)) else 0
+        total = len(poses) if isinstance(poses, Sequence) else 0
         with Meter(progress, "poses") as tell:
             finals = 0
-            async for frame in self._drag(_asynchronous(poses), commit, latest, how):
-                yield frame
-                finals += frame.final
-                tell(finals, total)
+            async with aclosing(self._drag(_asynchronous(poses), commit, latest, how)) as dragged:
+                async for frame in dragged:
+                    yield frame
+                    finals += frame.final
+                    tell(finals, total)
 
     async def _drag(
         self, poses: AsyncIterator[Poses], commit: CommitWish, latest: bool, how: SolveFields
-    ) -> AsyncIterator[Frame]:
+    ) -> AsyncGenerator[Frame, None]:
         if commit is True:
             async for pose in poses:
                 yield await self.solve_frame(pose, **how)
             return
         async with await self.stream(**how) as stream:
-            sent = _newest(stream, poses) if latest else _each(stream, poses, last=commit != "last")
-            async for frame in sent:
-                yield frame
+            sent = _newest(stream, poses, stream._transport) if latest else _each(stream, poses, last=commit != "last")
+            async with aclosing(sent):
+                async for frame in sent:
+                    yield frame
             if commit == "last":
                 yield await stream.commit()
 
@@ -119,7 +136,13 @@ class Session(Declared):
         progress: ProgressLike = False,
         **how: Unpack[AnimateFields],
     ) -> Animation:
-        """Drives the model by a clip and answers an asynchronous iterator of the frames; see :meth:`pliant.Session.animate`."""
+        """Drives the model by a clip of its own (`clip`, by name or number; absent, its first) or by a BVH file (`bvh`, a path
+        or its bytes), and answers an iterator of the frames. `rig` says which bones the clip's joints drive: a JSON file,
+        what it holds, or a ``pb.Rig``; a model's own clip needs none, and of an upright figure a BVH file drives the
+        rig that `pliant rig` makes.
+
+        The handles, the shape and the history of the session have no part in it and do not change.
+        """
         playing = Playing(self.id, self.vertices, order(clip, rig, how), recording(bvh))
         return Animation(self._calls, playing, self.info.limits.message_bytes, progress)
 
@@ -129,10 +152,15 @@ class Session(Declared):
         return values.reshape(-1, 3).astype(np.float32)
 
     async def export(self, path: str | Path, format: str = "", *, force: bool = False) -> list[Path]:
-        """Writes the model in its current shape; see :meth:`pliant.Session.export`."""
+        """Writes the model in its current shape; the extension says the format. Answers the paths of the files, all
+        of them relative or absolute as `path` is.
+
+        A .gltf comes with its buffers and images, which lie beside it. One of them that would replace a file with other
+        bytes raises `FileExistsError` before anything is written, unless `force` is set.
+        """
         path = Path(path)
         files = await self.export_bytes(format or path.suffix.lstrip(".").lower())
-        return await asyncio.to_thread(model.write, path, files, force)
+        return await self._calls.transport.aside(model.write, path, files, force)
 
     async def export_bytes(self, format: str = "") -> dict[str, bytes]:
         """The model in its current shape by file: "" is the main one, others are companions by URI."""
@@ -140,19 +168,28 @@ class Session(Declared):
         return model.joined(await self._calls.many("Export", request))
 
     async def carry(self, points: Any, rotations: Any = None) -> Carried:
-        """Carries points along with the current shape; see :meth:`pliant.Session.carry`."""
+        """Carries points of the rest pose, (points, 3), along with the current shape: on the model, in it or around it.
+
+        `rotations` are the axes at the points, quaternions x, y, z, w; absent, those of model space. Nothing changes.
+        """
         request = points_request(self.id, points, rotations)
         return carried(await self._calls.one("Carry", request))
 
     async def carry_model(self, model: bytes, format: str = "") -> bytes:
-        """Carries a model file along with the current shape; see :meth:`pliant.Session.carry_model`."""
+        """Carries a model file that stands in the same rest pose, such as a level of detail or a collision hull, and
+        answers it in its own format. It has to be one file.
+        """
         request = model_request(self.id, model, format)
         return bytes((await self._calls.one("Carry", request)).model)
 
     async def edit(
         self, *, on: Literal["current", "rest"] = "current", **operation: Unpack[edits.EditFields]
     ) -> edits.EditResult:
-        """Changes the topology; see :meth:`pliant.Session.edit`."""
+        """Changes the topology: one of ``cut``, ``subdivide``, ``decimate``, ``delete``, ``fill``, ``remesh``,
+        ``merge``, ``insert_curve`` and ``weld``.
+
+        Afterwards ``vertices`` and ``info`` are new, and streams have to be opened again.
+        """
         request = edits.request(self.id, on, operation, self.vertices)
         await self.apply()
         done = edits.result(await self._calls.one("Edit", request, keyed=True))
@@ -188,7 +225,7 @@ class Session(Declared):
             if not self._keep:
                 with suppress(*GONE):
                     await self._calls.one("DeleteSession", self._named(), patience=CLOSE_SECONDS)
-                self._closed = True
+                self._books.closed = True
         finally:
             self._keep = True
             if self._at_close is not None:
@@ -210,10 +247,9 @@ async def _asynchronous(poses: Union[Iterable[Poses], AsyncIterable[Poses]]) -> 
     else:
         for pose in poses:
             yield pose
-            await asyncio.sleep(0)
 
 
-async def _each(stream: Stream, poses: AsyncIterator[Poses], *, last: bool) -> AsyncIterator[Frame]:
+async def _each(stream: Stream, poses: AsyncIterator[Poses], *, last: bool) -> AsyncGenerator[Frame, None]:
     """Sends one pose after the other, each when the one before is answered; the last one only if `last`."""
     held: Poses | None = None
     async for pose in poses:
@@ -237,20 +273,23 @@ async def _answers(stream: Stream, poses: Poses) -> AsyncIterator[Frame]:
         final = frame.final and frame.seq == seq
 
 
-async def _newest(stream: Stream, poses: AsyncIterator[Poses]) -> AsyncIterator[Frame]:
-    """Sends poses from a task of their own while frames come."""
+async def _newest(stream: Stream, poses: AsyncIterator[Poses], transport: OnLoop) -> AsyncGenerator[Frame, None]:
+    """Sends poses from a task of their own, on a blocking transport a thread, while frames come."""
 
     async def feed() -> None:
         try:
             async for pose in poses:
                 stream.send(pose)
+                await transport.sleep(0)
         finally:
             stream.finish()
 
-    feeder = asyncio.create_task(feed())
+    feeder = transport.task(feed(), "pliant-poses")
     try:
         async for frame in stream:
             yield frame
-        await feeder
+        raised = await transport.ended(feeder)
+        if raised is not None:
+            raise raised
     finally:
         feeder.cancel()

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from .. import channel, errors, model
+from ..calls import Calls
 from ..channel import Settings
 from ..client import Client
 from ..options import create_options
@@ -109,7 +110,7 @@ def _run(client: Client, task: Task, where: list[str]) -> tuple[str, bytes | Non
     options.format = options.format or task.model_format
     options.label = options.label or task.label
     riders = Riders(options)
-    calls = client._calls
+    calls = Calls(client._core._calls)
     where[0] = "model"
     info = calls.create(model.Upload(task.main, task.companions, task.model_format, task.label), options, _untold)
     here = calls.toward(info.id)
