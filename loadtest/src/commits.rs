@@ -8,7 +8,7 @@ use crate::load::client::{deform_request, open_session};
 use crate::load::server::LoadedServer;
 use crate::models::DragScene;
 use pliant::server::grpc::client::DeformerClient;
-use pliant::session::store::{DatabaseStore, StoreLocation};
+use pliant::session::store::{Store, StoreLocation};
 use pliant::session::{Manager, OpenDeformer, SessionConfig};
 use pliant::wire::pb::deform_request::Message;
 use pliant::wire::pb::{self, deform_response};
@@ -131,9 +131,7 @@ impl MeasuredPlace {
         let manager = match location {
             None => Manager::new(config),
             Some(location) => {
-                let store = DatabaseStore::open(&location)
-                    .await
-                    .map_err(|e| failed(e.to_string()))?;
+                let store = Store::open(&location).await.map_err(|e| failed(e.to_string()))?;
                 Manager::with_store(config, OpenDeformer, Arc::new(store)).await
             }
         };

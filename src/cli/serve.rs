@@ -6,7 +6,7 @@ use crate::asset::sample::BuiltInModel;
 use crate::engine::{HandlePose, HandleSet};
 use crate::server::config::{self, ConfigKeys, LogFormat, ServeSettings};
 use crate::server::{self, sample};
-use crate::session::store::{DatabaseStore, StoreError};
+use crate::session::store::{Store, StoreError};
 use crate::session::{self, Manager, OpenDeformer, Tenant};
 use crate::wire::{DeformOptions, PoseCommit, SessionOptions};
 use std::io::{IsTerminal as _, Write as _};
@@ -121,8 +121,8 @@ pub async fn run(args: ServeArgs) -> Result<(), ServeError> {
     let address = listener.local_addr().map_err(refuse)?;
     let (manager, store) = match &settings.store {
         Some(location) => {
-            let store = Arc::new(DatabaseStore::open(&location.on_port(address.port())).await?);
-            let manager = Manager::with_store(settings.session, OpenDeformer, Arc::clone(&store) as Arc<_>).await?;
+            let store = Arc::new(Store::open(&location.on_port(address.port())).await?);
+            let manager = Manager::with_store(settings.session, OpenDeformer, Arc::clone(&store)).await?;
             tracing::info!("sessions are kept in {location}");
             (manager, Some(store))
         }

@@ -15,7 +15,7 @@ use pliant::engine::{
 };
 use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
-use pliant::session::store::{DatabaseStore, StoreError, StoreLocation};
+use pliant::session::store::{Store, StoreError, StoreLocation};
 use pliant::session::{
     self, CallKey, CommittedPose, DeformStream, Engine, EngineOpener, ExportedModel, HistoryFacts, Manager, MemoryUse,
     Metrics, PositionBuffer, SessionConfig, StreamAnswer, StreamInput, StreamOutput, Tenant,
@@ -308,16 +308,14 @@ pub async fn until(holds: impl Fn() -> bool) {
 }
 
 /// The store of a folder, once the manager that had it before has left it.
-pub async fn store_at(location: &StoreLocation) -> DatabaseStore {
-    retried(
-        "a store",
-        Duration::from_millis(5),
-        async || match DatabaseStore::open(location).await {
+pub async fn store_at(location: &StoreLocation) -> Store {
+    retried("a store", Duration::from_millis(5), async || {
+        match Store::open(location).await {
             Ok(store) => Some(store),
             Err(StoreError::Refused(_)) => None,
             Err(error) => panic!("{error}"),
-        },
-    )
+        }
+    })
     .await
 }
 

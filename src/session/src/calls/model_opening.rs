@@ -319,7 +319,7 @@ pub(crate) async fn place_of_tenant(
         && store.ownership().is_some()
     {
         // Other nodes open and delete them too.
-        account.recount(store.count_sessions(tenant.clone()).await?);
+        account.recount(store.count_sessions(tenant).await?);
     }
     let place = account.take_session(|| shared.registry.soonest_end(tenant));
     Ok(place.inspect_err(counted)?.with_stored(storing))
@@ -343,7 +343,7 @@ pub(crate) async fn announce_stored(
         return Err(Error::new(ErrorCode::TooLarge, text));
     }
     let settled = account.settled_bytes();
-    let used = store.stored_bytes(account.tenant().clone()).await?;
+    let used = store.stored_bytes(account.tenant()).await?;
     let announced = account.announce_stored(more, used, settled);
     announced.map(Some).ok_or_else(|| {
         let text = format!(

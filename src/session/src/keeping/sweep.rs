@@ -6,7 +6,7 @@ use crate::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::registry::DepartingSessions;
 use crate::registry::OpenSession;
 use crate::shared::SharedResources;
-use crate::store::{Generation, HeldSession, KeepSessions, StoreError, UsedSession, now_ms};
+use crate::store::{Generation, HeldSession, Store, StoreError, UsedSession, now_ms};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
 use std::collections::BTreeMap;
@@ -32,7 +32,7 @@ pub(crate) async fn sweep_for_ever(shared: Weak<SharedResources>) {
     loop {
         tokio::time::sleep(PERIOD).await;
         let Some(shared) = shared.upgrade() else { return };
-        let Some(Ok(store)) = shared.store.as_ref().map(|store| store.writable()) else {
+        let Some(store) = shared.store.as_ref().filter(|store| store.is_writable()) else {
             return;
         };
         if shared.aborted.is_cancelled() {
@@ -50,7 +50,7 @@ pub(crate) async fn sweep_for_ever(shared: Weak<SharedResources>) {
 
 async fn sweep(
     shared: &SharedResources,
-    store: &dyn KeepSessions,
+    store: &Store,
     noted: &mut BTreeMap<String, u64>,
     round: u32,
 ) -> Result<(), StoreError> {
@@ -73,10 +73,7 @@ async fn sweep(
         }
         let generation = match others {
             None => Generation::default(),
-            Some(others) => match others
-                .claim_expired(tenant.clone(), id.clone(), since_ms, until_ms)
-                .await?
-            {
+            Some(others) => match others.claim_expired(&tenant, &id, since_ms, until_ms).await? {
                 Some(generation) => generation,
                 None => continue,
             },
@@ -101,11 +98,13 @@ async fn sweep(
 }
 
 /// Forgets what was noted of tenants longer ago than is kept of them.
-async fn forget_audit(shared: &SharedResources, store: &dyn KeepSessions) -> Result<(), StoreError> {
+async fn forget_audit(shared: &SharedResources, store: &Store) -> Result<(), StoreError> {
     for tenant in store.audited_tenants().await? {
         let kept = shared.config.quotas.of(&tenant).audit_age.unwrap_or(AUDIT_AGE);
         let kept_ms = u64::try_from(kept.as_millis()).unwrap_or(u64::MAX);
-        store.forget_audit_of(tenant, now_ms().saturating_sub(kept_ms)).await?;
+        store
+            .forget_audit(Some(tenant), now_ms().saturating_sub(kept_ms))
+            .await?;
     }
     Ok(())
 }
@@ -113,7 +112,7 @@ async fn forget_audit(shared: &SharedResources, store: &dyn KeepSessions) -> Res
 /// Notes when the sessions in memory were used last, where that has changed.
 pub(crate) async fn note_uses(
     shared: &SharedResources,
-    store: &dyn KeepSessions,
+    store: &Store,
     noted: &mut BTreeMap<String, u64>,
 ) -> Result<(), StoreError> {
     let now = now_ms();

@@ -12,9 +12,7 @@
 
 use super::bucket::open_bucket;
 use super::location::{make_private_folder, sync_folder};
-use super::reading::{is_used_on, unreadable};
-use super::schema::DATABASE_NOW;
-use super::schema::column;
+use super::schema::{DATABASE_NOW, column, unreadable};
 use super::session_store::StoreError;
 use bytes::Bytes;
 use futures::TryStreamExt as _;
@@ -23,7 +21,7 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path as ObjectPath;
 use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
 use sha2::{Digest as _, Sha256};
-use sqlx::{AnyConnection, AnyPool, AssertSqlSafe};
+use sqlx::{AnyPool, AssertSqlSafe};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -413,28 +411,13 @@ fn grace_ms() -> i64 {
     i64::try_from(GRACE.as_millis()).unwrap_or(i64::MAX)
 }
 
-fn note_statement() -> String {
-    format!(
+/// Notes an object that is about to be written and named, or that lost a name. Waits while a node removes it.
+pub(super) async fn note_loose(object: &str, on: impl sqlx::AnyExecutor<'_>) -> Result<(), StoreError> {
+    let note = format!(
         "INSERT INTO loose_objects (object, since_ms) VALUES ($1, {DATABASE_NOW})
         ON CONFLICT (object) DO UPDATE SET since_ms = {DATABASE_NOW}"
-    )
-}
-
-/// Announces an object that is about to be written and named. Waits while a node removes it.
-pub(super) async fn announce(pool: &AnyPool, object: &str) -> Result<(), StoreError> {
-    let done = sqlx::query(AssertSqlSafe(note_statement()))
-        .bind(object)
-        .execute(pool)
-        .await;
-    done.map(drop).map_err(unreadable)
-}
-
-/// Notes that an object lost a name.
-pub(super) async fn note_loose(object: &str, on: &mut AnyConnection) -> Result<(), StoreError> {
-    let done = sqlx::query(AssertSqlSafe(note_statement()))
-        .bind(object)
-        .execute(on)
-        .await;
+    );
+    let done = sqlx::query(AssertSqlSafe(note)).bind(object).execute(on).await;
     done.map(drop).map_err(unreadable)
 }
 
@@ -449,6 +432,13 @@ pub(super) async fn remove_loose(pool: &AnyPool, objects: &Objects) -> Result<()
     Ok(())
 }
 
+/// Whether any session uses an object.
+pub(super) async fn is_used(object: &str, on: impl sqlx::AnyExecutor<'_>) -> Result<bool, StoreError> {
+    let query = sqlx::query("SELECT session FROM object_uses WHERE object = $1 LIMIT 1");
+    let found = query.bind(object).fetch_optional(on).await;
+    Ok(found.map_err(unreadable)?.is_some())
+}
+
 async fn remove_one(pool: &AnyPool, objects: &Objects, object: &str) -> Result<(), StoreError> {
     let mut transaction = pool.begin().await.map_err(unreadable)?;
     // A call that announces it again waits until it is gone, and writes it then.
@@ -459,7 +449,7 @@ async fn remove_one(pool: &AnyPool, objects: &Objects, object: &str) -> Result<(
     if (locked.fetch_optional(&mut *transaction).await.map_err(unreadable)?).is_none() {
         return Ok(());
     }
-    if !is_used_on(&mut transaction, object).await? {
+    if !is_used(object, &mut *transaction).await? {
         objects.remove(object).await?;
     }
     let delete = sqlx::query("DELETE FROM loose_objects WHERE object = $1").bind(object);

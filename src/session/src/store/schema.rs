@@ -4,7 +4,8 @@
 
 use super::session_store::{Commit, NewCommit, StoreError};
 use pliant_wire::record::LoggedCommit;
-use sqlx::any::AnyRow;
+use sqlx::any::{AnyArguments, AnyRow};
+use sqlx::query::Query;
 use sqlx::{AnyConnection, AssertSqlSafe, Row as _};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -349,6 +350,25 @@ where
 {
     row.try_get(index)
         .map_err(|e| StoreError::Damaged(format!("a row cannot be read: {e}")))
+}
+
+/// A query of the database.
+pub(super) type Statement<'q> = Query<'q, sqlx::Any, AnyArguments>;
+
+/// Why the database could not be read.
+pub(super) fn unreadable(error: sqlx::Error) -> StoreError {
+    match error {
+        // What the database says of it is the operator's alone.
+        sqlx::Error::ColumnDecode { .. } | sqlx::Error::Decode(_) => {
+            tracing::error!("the store of sessions: {error}");
+            StoreError::Damaged("a row cannot be read".into())
+        }
+        error if error.to_string().contains("malformed") => {
+            tracing::error!("the store of sessions: {error}");
+            StoreError::Damaged("the database file is damaged".into())
+        }
+        error => StoreError::Unavailable(error.to_string()),
+    }
 }
 
 /// A number as databases hold it. Those of sessions never come near the limit.

@@ -1,11 +1,12 @@
 //! What is written, statement by statement. The writer decides what goes into one transaction.
 
-use super::schema::{CommitRow, RECORD_FORMAT, checksum, column, signed};
-use super::session_store::{Generation, HeldSession, NewCommit, NewSession, StoreError, UsedSession, now_ms};
+use super::schema::{CommitRow, RECORD_FORMAT, Statement, checksum, column, signed};
+use super::session_store::{
+    Generation, HeldSession, NewCommit, NewSession, SessionRecord, StoreError, UsedSession, now_ms,
+};
 use crate::answers::Tenant;
 use crate::audit::audit_entry::AuditEntry;
 use sqlx::AnyConnection;
-use sqlx::query::Query;
 
 /// An object that a session uses.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -59,8 +60,6 @@ pub(super) enum WriteOrder {
     Touch,
 }
 
-type Statement<'q> = Query<'q, sqlx::Any, sqlx::any::AnyArguments>;
-
 async fn execute(statement: Statement<'_>, on: &mut AnyConnection) -> Result<u64, StoreError> {
     let done = statement.execute(on).await;
     done.map(|d| d.rows_affected())
@@ -96,7 +95,7 @@ impl WriteOrder {
             } => {
                 refuse_repeated(&session.first, owner, on).await?;
                 create_session(session, model, owner, on).await?;
-                append_commit(&session.first, objects, session.created_ms, on).await?;
+                append_commit(&session.first, objects, session.record.created_ms, on).await?;
             }
             Self::Append { commit, objects } => append_commit(commit, objects, now_ms(), on).await?,
             Self::SaveSnapshot {
@@ -232,19 +231,22 @@ async fn create_session(
     owner: &str,
     on: &mut AnyConnection,
 ) -> Result<(), StoreError> {
-    let tenant = &*session.tenant.0;
+    let SessionRecord {
+        id,
+        tenant,
+        number,
+        ttl,
+        ..
+    } = &session.record;
+    let tenant = &*tenant.0;
     let insert = "INSERT INTO tenants (tenant, created_ms) VALUES ($1, $2) ON CONFLICT (tenant) DO NOTHING";
     execute(sqlx::query(insert).bind(tenant).bind(signed(now_ms())), on).await?;
-    let (number, ttl) = (signed(session.number), millis(session.ttl));
-    let sum = session_checksum(&session.id, tenant, model, [number, ttl]);
+    let (number, ttl) = (signed(*number), millis(*ttl));
+    let sum = session_checksum(id, tenant, model, [number, ttl]);
     let insert =
         "INSERT INTO sessions (id, tenant, number, ttl_ms, used_ms, newest, format, model, checksum, record_bytes, owner, generation)
         VALUES ($1, $2, $3, $4, $5, 0, $6, $7, $8, $9, $10, $11)";
-    let insert = sqlx::query(insert)
-        .bind(&session.id)
-        .bind(tenant)
-        .bind(number)
-        .bind(ttl);
+    let insert = sqlx::query(insert).bind(id).bind(tenant).bind(number).bind(ttl);
     let insert = insert.bind(signed(now_ms())).bind(RECORD_FORMAT);
     let insert = insert.bind(model).bind(sum);
     let insert = insert.bind(signed(model.len() as u64)).bind(owner);

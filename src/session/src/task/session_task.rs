@@ -115,11 +115,7 @@ impl SessionTask {
         self.session.close(Error::no_session(&id));
         shared.registry.remove(&id);
         if let Some(store) = &shared.store {
-            let deleted = match store.writable() {
-                Ok(store) => store.delete(self.expiry(), self.session.held.generation).await,
-                Err(error) => Err(error),
-            };
-            match deleted {
+            match store.delete(self.expiry(), self.session.held.generation).await {
                 Ok(()) => self.place.account().uncount_session(),
                 Err(error) => tracing::warn!(session.id = %id, "an expired session is still in the store: {error}"),
             }
@@ -414,7 +410,7 @@ impl SessionTask {
         };
         let ago = u64::try_from(self.session.lease.last_use().elapsed().as_millis()).unwrap_or(u64::MAX);
         let used_ms = now_ms().saturating_sub(ago);
-        if let Err(error) = ownership.release(self.session.held.clone(), used_ms).await {
+        if let Err(error) = ownership.release(&self.session.held, used_ms).await {
             tracing::warn!(session.id = %self.session.id, "the session stays this node's: {error}");
         }
     }
