@@ -70,12 +70,12 @@ impl Store {
     }
 
     /// Which build and processor makes results now.
-    pub fn build(&self) -> String {
+    pub(crate) fn build(&self) -> String {
         self.build.clone()
     }
 
     /// Whether it is open to be written. Otherwise every call that writes ends with [`StoreError::Refused`].
-    pub fn is_writable(&self) -> bool {
+    pub(crate) fn is_writable(&self) -> bool {
         self.writing.is_some()
     }
 
@@ -90,12 +90,12 @@ impl Store {
     }
 
     /// How nodes that share the store take sessions; `None` where one process has it for itself.
-    pub fn ownership(&self) -> Option<&SharedStore> {
+    pub(crate) fn ownership(&self) -> Option<&SharedStore> {
         self.writing.as_ref()?.shared.as_ref()
     }
 
     /// Whether the store takes writes: false from a write that failed until one works again.
-    pub fn takes_writes(&self) -> bool {
+    pub(crate) fn takes_writes(&self) -> bool {
         // Who asks wants to know it as it is now, and not as of the last look.
         let takes = |health: &StoreHealth| health.note(health.check_places()).is_ok() && health.takes_writes();
         self.writing.as_ref().is_some_and(|writing| takes(&writing.health))
@@ -189,10 +189,7 @@ impl Store {
     }
 
     /// Reads an object.
-    ///
-    /// # Errors
-    /// As [`Store::load`].
-    pub async fn object(&self, name: &str) -> Result<Bytes, StoreError> {
+    pub(crate) async fn object(&self, name: &str) -> Result<Bytes, StoreError> {
         self.pass_faults().await?;
         let read = self
             .objects
@@ -242,11 +239,7 @@ impl Store {
     }
 
     /// Keeps a new session, which is this process's then.
-    ///
-    /// # Errors
-    /// As every call that writes: [`StoreError::Unavailable`] where it cannot be written, [`StoreError::Moved`] where another node has the
-    /// session, [`StoreError::Refused`] where it is open to be read only.
-    pub async fn create(&self, mut session: NewSession) -> Result<Generation, StoreError> {
+    pub(crate) async fn create(&self, mut session: NewSession) -> Result<Generation, StoreError> {
         self.pass_faults().await?;
         let begun = Instant::now();
         let owner = self.ownership().map(|shared| shared.id.clone()).unwrap_or_default();
@@ -269,10 +262,7 @@ impl Store {
     }
 
     /// Keeps a commit.
-    ///
-    /// # Errors
-    /// As [`Store::create`].
-    pub async fn append(&self, mut commit: NewCommit) -> Result<(), StoreError> {
+    pub(crate) async fn append(&self, mut commit: NewCommit) -> Result<(), StoreError> {
         self.pass_faults().await?;
         let begun = Instant::now();
         let naming = self.objects.naming.read().await;
@@ -294,10 +284,12 @@ impl Store {
     }
 
     /// Keeps a shape as the newest of a session.
-    ///
-    /// # Errors
-    /// As [`Store::create`].
-    pub async fn save_snapshot(&self, session: HeldSession, sequence: u64, shape: Bytes) -> Result<(), StoreError> {
+    pub(crate) async fn save_snapshot(
+        &self,
+        session: HeldSession,
+        sequence: u64,
+        shape: Bytes,
+    ) -> Result<(), StoreError> {
         self.pass_faults().await?;
         let begun = Instant::now();
         let naming = self.objects.naming.read().await;
@@ -315,10 +307,7 @@ impl Store {
     }
 
     /// Replaces digests, by the numbers of commits, by those of `build`.
-    ///
-    /// # Errors
-    /// As [`Store::create`].
-    pub async fn rerecord_digests(
+    pub(crate) async fn rerecord_digests(
         &self,
         session: HeldSession,
         build: &str,
@@ -339,32 +328,27 @@ impl Store {
     /// Deletes a session and what only it used, and notes who did.
     ///
     /// # Errors
-    /// As [`Store::create`].
+    /// [`StoreError::Unavailable`] where it cannot be written, [`StoreError::Moved`] where another node has the session,
+    /// [`StoreError::Refused`] where it is open to be read only.
     pub async fn delete(&self, audit: AuditEntry, generation: Generation) -> Result<(), StoreError> {
         self.pass_faults().await?;
         self.write(WriteOrder::Delete { audit, generation }).await
     }
 
     /// Notes when sessions were used.
-    ///
-    /// # Errors
-    /// As [`Store::create`].
-    pub async fn note_use(&self, sessions: Vec<UsedSession>) -> Result<(), StoreError> {
+    pub(crate) async fn note_use(&self, sessions: Vec<UsedSession>) -> Result<(), StoreError> {
         self.write(WriteOrder::NoteUse { sessions }).await
     }
 
     /// Forgets keys from before `before_ms`.
-    ///
-    /// # Errors
-    /// As [`Store::create`].
-    pub async fn forget_keys(&self, before_ms: u64) -> Result<(), StoreError> {
+    pub(crate) async fn forget_keys(&self, before_ms: u64) -> Result<(), StoreError> {
         self.write(WriteOrder::ForgetKeys { before_ms }).await
     }
 
     /// Notes who did what.
     ///
     /// # Errors
-    /// As [`Store::create`].
+    /// As [`Store::delete`].
     pub async fn audit(&self, entry: AuditEntry) -> Result<(), StoreError> {
         self.write(WriteOrder::Audit { entry }).await
     }
@@ -372,7 +356,7 @@ impl Store {
     /// Forgets what was noted before `before_ms`, of one tenant where it is named.
     ///
     /// # Errors
-    /// As [`Store::create`].
+    /// As [`Store::delete`].
     pub async fn forget_audit(&self, tenant: Option<Tenant>, before_ms: u64) -> Result<(), StoreError> {
         self.write(WriteOrder::ForgetAudit { tenant, before_ms }).await
     }

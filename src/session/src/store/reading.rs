@@ -104,11 +104,7 @@ impl Store {
     }
 
     /// Reads a session with all its commits; `None` when the tenant has none of that id.
-    ///
-    /// # Errors
-    /// As every call that reads: [`StoreError::Unavailable`] where the database does not answer, which is [`StoreError::Refused`] for who
-    /// only reads it, and [`StoreError::Damaged`] for what is not what was written.
-    pub async fn load(&self, tenant: &Tenant, id: &str) -> Result<Option<StoredSession>, StoreError> {
+    pub(crate) async fn load(&self, tenant: &Tenant, id: &str) -> Result<Option<StoredSession>, StoreError> {
         self.settle_before_reading().await?;
         self.explain(self.whole_session(tenant, id).await)
     }
@@ -161,10 +157,7 @@ impl Store {
     }
 
     /// Reads one commit.
-    ///
-    /// # Errors
-    /// As [`Store::load`].
-    pub async fn commit(&self, session: &str, sequence: u64) -> Result<Option<Commit>, StoreError> {
+    pub(crate) async fn commit(&self, session: &str, sequence: u64) -> Result<Option<Commit>, StoreError> {
         self.settle_before_reading().await?;
         let row = self.explain(self.commit_row(session, sequence).await)?;
         row.map(CommitRow::into_commit).transpose()
@@ -185,10 +178,7 @@ impl Store {
     }
 
     /// Whether the tenant has a session of that id.
-    ///
-    /// # Errors
-    /// As [`Store::load`].
-    pub async fn holds(&self, tenant: &Tenant, id: &str) -> Result<bool, StoreError> {
+    pub(crate) async fn holds(&self, tenant: &Tenant, id: &str) -> Result<bool, StoreError> {
         self.pass_faults().await?;
         let query = sqlx::query("SELECT number FROM sessions WHERE id = $1 AND tenant = $2");
         Ok(self.row(query.bind(id).bind(&*tenant.0)).await?.is_some())
@@ -196,10 +186,7 @@ impl Store {
 
     /// Lists a tenant's sessions by rising number, above `after`, at most `most`; of one that is damaged the number alone: opening it
     /// fails.
-    ///
-    /// # Errors
-    /// As [`Store::load`].
-    pub async fn list(
+    pub(crate) async fn list(
         &self,
         tenant: &Tenant,
         after: u64,
@@ -247,10 +234,7 @@ impl Store {
     }
 
     /// The sessions that are expired at `now_ms`, with their tenants; time counts from `since_ms` at the earliest.
-    ///
-    /// # Errors
-    /// As [`Store::load`].
-    pub async fn expired(&self, since_ms: u64, now_ms: u64) -> Result<Vec<(Tenant, String)>, StoreError> {
+    pub(crate) async fn expired(&self, since_ms: u64, now_ms: u64) -> Result<Vec<(Tenant, String)>, StoreError> {
         let query = "SELECT tenant, id FROM sessions WHERE used_ms < $1 - ttl_ms AND ttl_ms < $1 - $2 ORDER BY number LIMIT 1000";
         let query = sqlx::query(query).bind(signed(now_ms)).bind(signed(since_ms));
         let rows = self.rows(query).await?;
@@ -260,10 +244,7 @@ impl Store {
     }
 
     /// How many sessions a tenant has.
-    ///
-    /// # Errors
-    /// As [`Store::load`].
-    pub async fn count_sessions(&self, tenant: &Tenant) -> Result<u64, StoreError> {
+    pub(crate) async fn count_sessions(&self, tenant: &Tenant) -> Result<u64, StoreError> {
         let query = sqlx::query("SELECT COUNT(*) FROM sessions WHERE tenant = $1").bind(&*tenant.0);
         self.number(query).await
     }
@@ -275,10 +256,7 @@ impl Store {
     }
 
     /// How many sessions each tenant has.
-    ///
-    /// # Errors
-    /// As [`Store::load`].
-    pub async fn sessions_by_tenant(&self) -> Result<Vec<(Tenant, u64)>, StoreError> {
+    pub(crate) async fn sessions_by_tenant(&self) -> Result<Vec<(Tenant, u64)>, StoreError> {
         let query = sqlx::query("SELECT tenant, COUNT(*) FROM sessions GROUP BY tenant ORDER BY tenant");
         let rows = self.rows(query).await?;
         rows.iter()
@@ -287,10 +265,7 @@ impl Store {
     }
 
     /// Bytes that a tenant's sessions hold: their records and the objects that they name, one that several name for each of them.
-    ///
-    /// # Errors
-    /// As [`Store::load`].
-    pub async fn stored_bytes(&self, tenant: &Tenant) -> Result<u64, StoreError> {
+    pub(crate) async fn stored_bytes(&self, tenant: &Tenant) -> Result<u64, StoreError> {
         self.pass_faults().await?;
         let mut sum = 0u64;
         for query in [
@@ -303,29 +278,20 @@ impl Store {
     }
 
     /// The highest number of any session; 0 without sessions.
-    ///
-    /// # Errors
-    /// As [`Store::load`].
-    pub async fn highest_number(&self) -> Result<u64, StoreError> {
+    pub(crate) async fn highest_number(&self) -> Result<u64, StoreError> {
         let query = sqlx::query("SELECT number FROM sessions ORDER BY number DESC LIMIT 1");
         self.explain(self.number(query).await)
     }
 
     /// The keys that are kept, oldest first.
-    ///
-    /// # Errors
-    /// As [`Store::load`].
-    pub async fn keys(&self) -> Result<Vec<LoggedKey>, StoreError> {
+    pub(crate) async fn keys(&self) -> Result<Vec<LoggedKey>, StoreError> {
         let query = format!("SELECT {KEY_COLUMNS} FROM call_keys ORDER BY at_ms");
         let rows = self.rows(sqlx::query(AssertSqlSafe(query))).await?;
         rows.iter().map(key_from_row).collect()
     }
 
     /// A key that is kept. One whose commit was refused goes with it first: no caller may learn that it was carried out.
-    ///
-    /// # Errors
-    /// As [`Store::load`].
-    pub async fn key(&self, tenant: &Tenant, key: &str) -> Result<Option<LoggedKey>, StoreError> {
+    pub(crate) async fn key(&self, tenant: &Tenant, key: &str) -> Result<Option<LoggedKey>, StoreError> {
         self.undo_uncertain_commits().await?;
         let query = format!("SELECT {KEY_COLUMNS} FROM call_keys WHERE tenant = $1 AND call_key = $2");
         let query = sqlx::query(AssertSqlSafe(query)).bind(&*tenant.0).bind(key);
@@ -371,7 +337,7 @@ impl Store {
     /// The sessions of all tenants, in the order of their creation.
     ///
     /// # Errors
-    /// As [`Store::load`].
+    /// [`StoreError::Unavailable`] where the database does not answer, [`StoreError::Damaged`] for what is not what was written.
     pub async fn all_sessions(&self) -> Result<Vec<StoredFacts>, StoreError> {
         let query =
             "SELECT number, id, tenant, used_ms, ttl_ms, (SELECT COUNT(*) FROM commits WHERE session = sessions.id)
@@ -403,7 +369,7 @@ impl Store {
     /// The tenants of whom anything is noted.
     ///
     /// # Errors
-    /// As [`Store::load`].
+    /// As [`Store::all_sessions`].
     pub async fn audited_tenants(&self) -> Result<Vec<Tenant>, StoreError> {
         let query = sqlx::query("SELECT DISTINCT tenant FROM audit ORDER BY tenant");
         self.rows(query).await?.iter().map(|row| tenant_of(row, 0)).collect()

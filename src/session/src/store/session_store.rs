@@ -69,7 +69,7 @@ pub struct Generation(pub u64);
 
 /// A session that this node has.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct HeldSession {
+pub(crate) struct HeldSession {
     /// Its id.
     pub id: String,
     /// The ownership.
@@ -108,7 +108,7 @@ pub struct NodeLoad {
 
 /// Whose a session is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum SessionClaim {
+pub(crate) enum SessionClaim {
     /// This node's, from now on.
     Here(Generation),
     /// Another node's; with `is_leaving` it is about to be given back.
@@ -124,7 +124,7 @@ pub enum SessionClaim {
 
 /// An idempotency key whose answer is a commit's.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LoggedKey {
+pub(crate) struct LoggedKey {
     /// Whose key it is.
     pub tenant: Tenant,
     /// The key.
@@ -141,7 +141,7 @@ pub struct LoggedKey {
 
 /// Which session it is, whose, and for how long.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SessionRecord {
+pub(crate) struct SessionRecord {
     /// Its id.
     pub id: String,
     /// Whose it is.
@@ -158,7 +158,7 @@ pub struct SessionRecord {
 
 /// A session to be kept, with its first commit.
 #[derive(Debug, Clone)]
-pub struct NewSession {
+pub(crate) struct NewSession {
     /// Which session it is.
     pub record: SessionRecord,
     /// How its model was opened; the store fills in the names of the files.
@@ -171,7 +171,7 @@ pub struct NewSession {
 
 /// A commit of a session.
 #[derive(Debug, Clone)]
-pub struct Commit {
+pub(crate) struct Commit {
     /// Commits of a session are numbered from 0, undo and redo among them.
     pub sequence: u64,
     /// The session's revision after it.
@@ -190,7 +190,7 @@ pub struct Commit {
 
 /// A commit to be stored.
 #[derive(Debug, Clone)]
-pub struct NewCommit {
+pub(crate) struct NewCommit {
     /// Its session, with the current ownership.
     pub session: HeldSession,
     /// The commit; the store fills in the names of the files.
@@ -205,7 +205,7 @@ pub struct NewCommit {
 
 /// The newest shape that is kept of a session.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct StoredSnapshot {
+pub(crate) struct StoredSnapshot {
     /// The shape is the one after this commit.
     pub sequence: u64,
     /// The object that holds it.
@@ -214,7 +214,7 @@ pub struct StoredSnapshot {
 
 /// A session that was kept.
 #[derive(Debug, Clone)]
-pub struct StoredSession {
+pub(crate) struct StoredSession {
     /// Which session it is.
     pub record: SessionRecord,
     /// Its last use, in milliseconds since 1970.
@@ -229,7 +229,7 @@ pub struct StoredSession {
 
 /// A session as a list shows it.
 #[derive(Debug, Clone)]
-pub struct ListedSession {
+pub(crate) struct ListedSession {
     /// Which session it is.
     pub record: SessionRecord,
     /// As in [`StoredSession`].
@@ -261,7 +261,7 @@ pub struct StoredFacts {
 
 /// When a session was used last.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct UsedSession {
+pub(crate) struct UsedSession {
     /// The session.
     pub session: HeldSession,
     /// In milliseconds since 1970.

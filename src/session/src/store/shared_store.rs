@@ -18,7 +18,7 @@ const FORGOTTEN_MS: i64 = 24 * 3600 * 1000;
 
 /// How a node of several takes sessions, and the lease of this node.
 #[derive(Debug)]
-pub struct SharedStore {
+pub(crate) struct SharedStore {
     pub(super) node: NodeIdentity,
     /// An id that no other process has had or will have.
     pub(super) id: String,
@@ -78,15 +78,12 @@ async fn owner_row(pool: &AnyPool, tenant: &str, id: &str) -> Result<Option<Owne
 
 impl SharedStore {
     /// This node.
-    pub fn node(&self) -> &NodeIdentity {
+    pub(crate) fn node(&self) -> &NodeIdentity {
         &self.node
     }
 
     /// Renews the lease. False when it had run out before: others may have taken sessions meanwhile.
-    ///
-    /// # Errors
-    /// As every call: [`StoreError::Unavailable`] where the database does not answer.
-    pub async fn beat(&self, load: NodeLoad) -> Result<bool, StoreError> {
+    pub(crate) async fn beat(&self, load: NodeLoad) -> Result<bool, StoreError> {
         self.health.note(self.renew(load).await)
     }
 
@@ -123,10 +120,7 @@ impl SharedStore {
     }
 
     /// The nodes with a lease that take sessions, by their names.
-    ///
-    /// # Errors
-    /// As [`SharedStore::beat`].
-    pub async fn nodes(&self) -> Result<Vec<(OwnerAddress, NodeLoad)>, StoreError> {
+    pub(crate) async fn nodes(&self) -> Result<Vec<(OwnerAddress, NodeLoad)>, StoreError> {
         let find = format!(
             "SELECT name, address, sessions, most_sessions, memory_used, memory_total, work FROM nodes
             WHERE lease_until_ms > {DATABASE_NOW} AND leaving = 0 ORDER BY name, node"
@@ -167,10 +161,7 @@ impl SharedStore {
     }
 
     /// Takes a session that no node with a lease has, or that this node has already; or says who has it.
-    ///
-    /// # Errors
-    /// As [`SharedStore::beat`].
-    pub async fn claim(&self, tenant: &Tenant, id: &str) -> Result<SessionClaim, StoreError> {
+    pub(crate) async fn claim(&self, tenant: &Tenant, id: &str) -> Result<SessionClaim, StoreError> {
         // What was refused here and may be written all the same can be taken back under the present ownership alone.
         self.writer.undo_uncertain_commits().await?;
         for _ in 0..TRIES {
@@ -206,10 +197,7 @@ impl SharedStore {
     }
 
     /// Takes an expired session; `None` where it is not expired, or another node has it.
-    ///
-    /// # Errors
-    /// As [`SharedStore::beat`].
-    pub async fn claim_expired(
+    pub(crate) async fn claim_expired(
         &self,
         tenant: &Tenant,
         id: &str,
@@ -231,10 +219,7 @@ impl SharedStore {
     }
 
     /// Gives a session back, last used at `used_ms`.
-    ///
-    /// # Errors
-    /// As [`SharedStore::beat`].
-    pub async fn release(&self, session: &HeldSession, used_ms: u64) -> Result<(), StoreError> {
+    pub(crate) async fn release(&self, session: &HeldSession, used_ms: u64) -> Result<(), StoreError> {
         let update = "UPDATE sessions SET owner = '', generation = generation + 1, used_ms = GREATEST(used_ms, $3)
             WHERE id = $1 AND generation = $2";
         let update = sqlx::query(update).bind(&session.id).bind(signed(session.generation.0));
@@ -243,10 +228,7 @@ impl SharedStore {
     }
 
     /// The sessions that are this node's.
-    ///
-    /// # Errors
-    /// As [`SharedStore::beat`].
-    pub async fn held(&self) -> Result<BTreeMap<String, Generation>, StoreError> {
+    pub(crate) async fn held(&self) -> Result<BTreeMap<String, Generation>, StoreError> {
         let find = sqlx::query("SELECT id, generation FROM sessions WHERE owner = $1").bind(&self.id);
         let rows = find.fetch_all(&self.pool).await.map_err(unreadable)?;
         rows.iter()
@@ -255,10 +237,7 @@ impl SharedStore {
     }
 
     /// The number of the next session to be created. What a process that had the store for itself has numbered meanwhile is passed over.
-    ///
-    /// # Errors
-    /// As [`SharedStore::beat`].
-    pub async fn next_number(&self) -> Result<u64, StoreError> {
+    pub(crate) async fn next_number(&self) -> Result<u64, StoreError> {
         let next =
             "UPDATE session_numbers SET newest = GREATEST(newest, (SELECT COALESCE(MAX(number), 0) FROM sessions)) + 1
             RETURNING newest";
@@ -267,10 +246,7 @@ impl SharedStore {
     }
 
     /// Removes objects that no session has named for a long time, and forgets nodes that are long gone.
-    ///
-    /// # Errors
-    /// As [`SharedStore::beat`].
-    pub async fn remove_loose_objects(&self) -> Result<(), StoreError> {
+    pub(crate) async fn remove_loose_objects(&self) -> Result<(), StoreError> {
         let delete = format!("DELETE FROM nodes WHERE lease_until_ms < {DATABASE_NOW} - $1");
         let delete = sqlx::query(AssertSqlSafe(delete)).bind(FORGOTTEN_MS);
         delete.execute(&self.heartbeat).await.map_err(unreadable)?;
