@@ -7,7 +7,6 @@ use crate::capacity::memory_ledger::{MemoryReservation, MemoryShortage};
 use crate::capacity::memory_use::MemoryUse;
 use crate::capacity::work_watch::{CancelOnDrop, WorkWatch};
 use crate::capacity::work_watch::{WorkKind, WorkSpan, report_vertices};
-use crate::engine::Engine;
 use crate::error::{Error, ErrorCode};
 use crate::history::commit_history::CommitHistory;
 use crate::history::loaded_deformer::LoadedDeformer;
@@ -116,15 +115,14 @@ async fn build_model(
     let span = WorkSpan::new(WorkKind::Build, "", &Span::current());
     let built = slot.run(span, move |pool| -> Result<OpenedModel, engine::Error> {
         pliant_exec::progress::check(&*inner_watch)?;
-        let engine: Box<dyn Engine> = inside
-            .opener
-            .open(files, &options, &limits, &Exec::new(pool, &*inner_watch))?;
+        let exec = Exec::new(pool, &*inner_watch);
+        let mut engine = inside.opener.open(files, &options, &limits, &exec)?;
         let build_ms = inner_watch.take_stage_ms();
         inside.metrics.observe_stages(&build_ms);
         let rest = engine.rest_shape();
         report_vertices(rest.positions.len());
         let state = EditedState {
-            topology: engine.topology_state(),
+            topology: engine.deformer().map(|deformer| deformer.topology_state()),
             diagonal: engine.diagonal(),
             handles: HandleSet::default(),
             poses: engine.initial_poses(),

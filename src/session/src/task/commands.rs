@@ -11,7 +11,6 @@ use crate::calls::model_opening::memory_needed;
 use crate::capacity::compute_slots::WorkLane;
 use crate::capacity::memory_ledger::MemoryShortage;
 use crate::capacity::work_watch::{Work, WorkKind, WorkWatch};
-use crate::engine::Engine;
 use crate::error::{Error, ErrorCode};
 use crate::history::loaded_deformer::{LoadedDeformer, PoseAnswer};
 use crate::history::session_state::{CommittedHandles, SessionState, ShapeRecipe};
@@ -21,7 +20,7 @@ use crate::stream::frame_window::FrameContext;
 use crate::task::session_task::{SessionTask, no_handles};
 use glam::DVec3;
 use pliant_core::engine;
-use pliant_core::engine::{ClipSource, ModelShape, TopologyState};
+use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, TopologyState};
 use pliant_exec::Exec;
 use pliant_exec::progress::Progress as _;
 use pliant_mesh::carry::CarriedFrame;
@@ -261,7 +260,7 @@ impl RunCall for CarryOrder {
             .compute(origin.order(WorkKind::Carry, lane, limit), move |deformer, work| {
                 let exec = work.exec();
                 deformer.go_to_topology(topology.as_ref(), &exec)?;
-                carry_order_along(deformer.engine.as_ref(), &positions, self, &exec)
+                carry_order_along(deformer.deformer("carrying")?, &positions, self, &exec)
             })
             .await?;
         let (frames, model) = carried.map_err(|e| task.failure(e, &watch))?;
@@ -301,20 +300,20 @@ impl RunCall for ExportModel {
 
 /// Carries points and another model along with a shape.
 fn carry_order_along(
-    engine: &dyn Engine,
+    deformer: &Deformer,
     positions: &[DVec3],
     order: CarryOrder,
     exec: &Exec<'_>,
 ) -> Result<(Vec<CarriedFrame>, Vec<u8>), engine::Error> {
     let mut frames = Vec::new();
     if !order.points.is_empty() {
-        frames = engine.carry_points(positions, &order.points, exec)?;
+        frames = deformer.carry_points(positions, &order.points, exec)?;
         for (frame, at_rest) in frames.iter_mut().zip(order.rotations) {
             frame.rotation *= at_rest;
         }
     }
     let model = match order.model {
-        Some(model) => engine.carry_model(positions, model, exec)?.main,
+        Some(model) => deformer.carry_model(positions, model, exec)?.main,
         None => Vec::new(),
     };
     Ok((frames, model))
@@ -420,7 +419,7 @@ impl RunCall for PrepareAnimation {
                     };
                     let exec = &Exec::new(work.pool, &reporter);
                     deformer.go_to_topology(topology.as_ref(), exec)?;
-                    let prepared = deformer.engine.prepare_animation(&order.request, &limits, exec);
+                    let prepared = Animation::prepare(deformer.deformer("animating")?, &order.request, &limits, exec);
                     let animation = prepared.map_err(|e| pliant_wire::of_rig(e.into()))?;
                     let is_shaded = order.output.normals || order.output.tangents;
                     let shader = is_shaded.then(|| deformer.shader());
