@@ -9,7 +9,7 @@ use super::path;
 use crate::support::program::ServedProgram;
 use crate::support::server::{bar_obj, ends, turn_json};
 use pliant::session::store::{Store, StoreLocation};
-use pliant::session::{Error, ErrorCode, HistoryFacts, Manager, OpenDeformer, SessionConfig, Tenant};
+use pliant::session::{Error, ErrorCode, Manager, OpenDeformer, SessionConfig, Tenant};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -40,7 +40,7 @@ impl SeenLog {
         }
     }
 
-    fn of(history: HistoryFacts) -> Self {
+    fn of(history: pliant::wire::pb::HistoryResponse) -> Self {
         Self {
             commits: history.commits.into_iter().map(|c| (c.revision, c.digest)).collect(),
             current: history.current,

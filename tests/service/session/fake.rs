@@ -17,8 +17,8 @@ use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
 use pliant::session::store::{Store, StoreError, StoreLocation};
 use pliant::session::{
-    self, CallKey, CommittedPose, DeformStream, Engine, EngineOpener, ExportedModel, HistoryFacts, Manager, MemoryUse,
-    Metrics, PositionBuffer, SessionConfig, StreamAnswer, StreamInput, StreamOutput, Tenant,
+    self, CallKey, CommittedPose, DeformStream, Engine, EngineOpener, ExportedModel, Manager, MemoryUse, Metrics,
+    PositionBuffer, SessionConfig, StreamAnswer, StreamInput, StreamOutput, Tenant,
 };
 use pliant::wire::{self, DeformOptions, PoseCommit, SessionEdit, SessionOptions, StreamRequest};
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
@@ -408,7 +408,7 @@ impl Fixture {
         facts.expect("the session is open")
     }
 
-    pub async fn history(&self) -> HistoryFacts {
+    pub async fn history(&self) -> wire::pb::HistoryResponse {
         let history = self.manager.history(tenant(), &self.id).await;
         history.expect("the session is open")
     }

@@ -3,8 +3,8 @@
 use super::fake::*;
 use super::faulty_store::Faults;
 use pliant::session::store::StoreLocation;
-use pliant::session::{Error, ErrorCode, HistoryFacts, Manager};
-use pliant::wire::SessionPage;
+use pliant::session::{Error, ErrorCode, Manager};
+use pliant::wire::{self, SessionPage};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
@@ -58,7 +58,7 @@ async fn stubborn(manager: &Manager, id: &str, what: LifeStep) -> bool {
 }
 
 /// The life of a session on a store whose call number `fails_at` fails: whether any did, and the history at its end.
-async fn life(folder: &Path, fails_at: u64) -> (bool, String, HistoryFacts) {
+async fn life(folder: &Path, fails_at: u64) -> (bool, String, wire::pb::HistoryResponse) {
     let (manager, store) = opened(folder).await;
     store.fails_at.store(fails_at, SeqCst);
     let made = manager.create(tenant(), model("points 4"), options(), None).await;

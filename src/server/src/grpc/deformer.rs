@@ -147,7 +147,7 @@ impl Deformer for Calls {
             .history(&call.tenant, &call.message.session_id)
             .await
             .map_err(status)?;
-        Ok(Response::new(messages::history_message(history)))
+        Ok(Response::new(history))
     }
 
     type ExportStream = Sent<pb::Chunk>;
@@ -181,7 +181,7 @@ impl Deformer for Calls {
             .carry(&call.tenant, &call.message.session_id, order)
             .await
             .map_err(status)?;
-        Ok(Response::new(messages::carried_message(carried)))
+        Ok(Response::new(carried))
     }
 
     type AnimateStream = Sent<pb::Frame>;
@@ -198,7 +198,7 @@ impl Deformer for Calls {
         let longest = *call.manager.ttl_range(&call.tenant).map_err(status)?.end();
         Ok(Response::new(messages::limits_left(
             call.manager.config(),
-            &left,
+            left,
             longest,
         )))
     }

@@ -69,14 +69,13 @@ pub(super) async fn redo(call: SessionCall) -> Result<Response, Problem> {
 }
 
 pub(super) async fn history(call: SessionCall) -> Result<Response, Problem> {
-    let history = call.manager.history(&call.caller.tenant, &call.id).await?;
-    json(&messages::history_message(history))
+    json(&call.manager.history(&call.caller.tenant, &call.id).await?)
 }
 
 pub(super) async fn limits(State(state): State<ServerState>, caller: Caller) -> Result<Response, Problem> {
     let left = state.manager.quotas_left(&caller.tenant).await?;
     let longest = *state.manager.ttl_range(&caller.tenant)?.end();
-    json(&messages::limits_left(state.manager.config(), &left, longest))
+    json(&messages::limits_left(state.manager.config(), left, longest))
 }
 
 pub(super) async fn set_handles(call: SessionCall, request: Request) -> Result<Response, Problem> {
@@ -134,8 +133,7 @@ pub(super) async fn edit(call: SessionCall, request: Request) -> Result<Response
 pub(super) async fn carry(call: SessionCall, request: Request) -> Result<Response, Problem> {
     let message: pb::CarryRequest = call.message(request).await?;
     let order = pliant_wire::carry_order(&message)?;
-    let carried = call.manager.carry(&call.caller.tenant, &call.id, order).await?;
-    json(&messages::carried_message(carried))
+    json(&call.manager.carry(&call.caller.tenant, &call.id, order).await?)
 }
 
 const JSON: &str = "application/json";

@@ -6,7 +6,7 @@
 //!
 //! Calls take values that `wire` has read and checked; those that describe a session or an edit answer with its message.
 
-use crate::answers::{CallKey, HistoryFacts, KeyedAnswer, SessionList, Tenant};
+use crate::answers::{CallKey, KeyedAnswer, SessionList, Tenant};
 use crate::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::audit::audit_trail::note;
 use crate::calls::command::{CallOrigin, KeyedCall, QueuedCall, StoredAnswer, TaskCall};
@@ -28,8 +28,8 @@ use crate::keeping::lease_watch::SessionLocks;
 use crate::keeping::reopen::{claim_session, reopen_session};
 use crate::keeping::sweep::sweep_for_ever;
 use crate::metrics::Metrics;
+use crate::quota::tenant_account::TenantAccount;
 use crate::quota::tenant_account::TenantAccounts;
-use crate::quota::tenant_account::{QuotaReport, TenantAccount};
 use crate::registry::{OpenSession, SessionRegistry};
 use crate::shared::SharedResources;
 use crate::store::{Store, StoreError, now_ms};
@@ -285,9 +285,9 @@ impl Manager {
     ///
     /// # Errors
     /// `NOT_FOUND`.
-    pub async fn history(&self, tenant: &Tenant, id: &str) -> Result<HistoryFacts, Error> {
+    pub async fn history(&self, tenant: &Tenant, id: &str) -> Result<pb::HistoryResponse, Error> {
         let view = self.find(tenant, id).await?.view();
-        Ok(HistoryFacts {
+        Ok(pb::HistoryResponse {
             commits: view.history.list.iter().cloned().collect(),
             current: view.history.current,
         })
@@ -455,7 +455,7 @@ impl Manager {
     ///
     /// # Errors
     /// As [`Manager::account`]; `UNAVAILABLE` when the store does not answer.
-    pub async fn quotas_left(&self, tenant: &Tenant) -> Result<QuotaReport, Error> {
+    pub async fn quotas_left(&self, tenant: &Tenant) -> Result<pb::Quotas, Error> {
         let account = self.account(tenant)?;
         let stored = match (&self.shared.store, account.stored_quota()) {
             (Some(store), Some(_)) => store.stored_bytes(tenant).await?,

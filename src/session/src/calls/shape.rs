@@ -4,7 +4,7 @@ use crate::animation::AnimationTask;
 use crate::animation::animation_task::RunningAnimation;
 use crate::animation::animation_task::gather_clip;
 use crate::animation::frame_outbox::{AnimationControl, AnimationReader, FrameOutbox, animation_ends};
-use crate::answers::{AnimatedModel, CarriedAlong, ExportedModel, PositionBuffer, Tenant, WorkOwner};
+use crate::answers::{AnimatedModel, ExportedModel, PositionBuffer, Tenant, WorkOwner};
 use crate::audit::audit_entry::AuditedAction;
 use crate::calls::command::ExportModel;
 use crate::calls::manager::Manager;
@@ -15,7 +15,7 @@ use crate::stream::ends::DeformStream;
 use crate::stream::mailbox::Mailbox;
 use pliant_asset::Format;
 use pliant_wire::frames::{FrameOutput, f32_bytes};
-use pliant_wire::{AnimateOrder, CarryOrder};
+use pliant_wire::{AnimateOrder, CarryOrder, pb};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
 use tracing::Instrument;
@@ -54,7 +54,7 @@ impl Manager {
     ///
     /// # Errors
     /// `NOT_FOUND`; what is wrong with the model that is to be carried.
-    pub async fn carry(&self, tenant: &Tenant, id: &str, order: CarryOrder) -> Result<CarriedAlong, Error> {
+    pub async fn carry(&self, tenant: &Tenant, id: &str, order: CarryOrder) -> Result<pb::CarryResponse, Error> {
         let session = self.find(tenant, id).await?;
         let carried = self.call(&session, None, order).await?;
         self.note(tenant, AuditedAction::Carry, id).await;

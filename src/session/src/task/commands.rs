@@ -2,7 +2,7 @@
 
 use crate::animation::frame_outbox::PreparedAnimation;
 use crate::animation::frame_outbox::StageReporter;
-use crate::answers::{CarriedAlong, CommittedPose, ExportedModel};
+use crate::answers::{CommittedPose, ExportedModel};
 use crate::calls::command::{
     CallOrigin, ExportModel, HandleChange, HistoryDirection, PrepareAnimation, QueuedCall, RecallPose, SessionCommand,
     TaskCall, WorkOrder,
@@ -23,7 +23,6 @@ use pliant_core::engine;
 use pliant_core::engine::{Animation, ClipSource, Deformer, ModelShape, TopologyState};
 use pliant_exec::Exec;
 use pliant_exec::progress::Progress as _;
-use pliant_mesh::carry::CarriedFrame;
 use pliant_wire::record::LoggedCommit;
 use pliant_wire::{CarryOrder, DeformOptions, PoseCommit, SessionEdit, pb};
 use std::sync::Arc;
@@ -245,7 +244,7 @@ impl RunCall for RecallPose {
 }
 
 impl RunCall for CarryOrder {
-    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<CarriedAlong, Error> {
+    async fn run(self, task: &mut SessionTask, origin: &CallOrigin) -> Result<pb::CarryResponse, Error> {
         let view = task.session.view();
         let limit = task.shared.config.build;
         let positions = Arc::clone(&view.positions);
@@ -263,11 +262,9 @@ impl RunCall for CarryOrder {
                 carry_order_along(deformer.deformer("carrying")?, &positions, self, &exec)
             })
             .await?;
-        let (frames, model) = carried.map_err(|e| task.failure(e, &watch))?;
-        Ok(CarriedAlong {
+        Ok(pb::CarryResponse {
             revision: view.revision,
-            frames,
-            model,
+            ..carried.map_err(|e| task.failure(e, &watch))?
         })
     }
 }
@@ -298,13 +295,13 @@ impl RunCall for ExportModel {
     }
 }
 
-/// Carries points and another model along with a shape.
+/// Carries points and another model along with a shape; the answer without its revision.
 fn carry_order_along(
     deformer: &Deformer,
     positions: &[DVec3],
     order: CarryOrder,
     exec: &Exec<'_>,
-) -> Result<(Vec<CarriedFrame>, Vec<u8>), engine::Error> {
+) -> Result<pb::CarryResponse, engine::Error> {
     let mut frames = Vec::new();
     if !order.points.is_empty() {
         frames = deformer.carry_points(positions, &order.points, exec)?;
@@ -316,7 +313,13 @@ fn carry_order_along(
         Some(model) => deformer.carry_model(positions, model, exec)?.main,
         None => Vec::new(),
     };
-    Ok((frames, model))
+    Ok(pb::CarryResponse {
+        points: frames.iter().flat_map(|f| f.position.to_array()).collect(),
+        rotations: frames.iter().flat_map(|f| f.rotation.to_array()).collect(),
+        scales: frames.iter().map(|f| f.scale).collect(),
+        model: model.into(),
+        ..pb::CarryResponse::default()
+    })
 }
 
 impl SessionTask {
