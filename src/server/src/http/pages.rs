@@ -55,7 +55,11 @@ pub(super) async fn metrics(State(state): State<ServerState>, caller: Caller) ->
         return Err(Error::new(ErrorCode::PermissionDenied, text).into());
     }
     let kind = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-    Ok(([(header::CONTENT_TYPE, kind)], state.telemetry.text()).into_response())
+    Ok((
+        [(header::CONTENT_TYPE, kind)],
+        state.telemetry.text(state.manager.metrics()),
+    )
+        .into_response())
 }
 
 pub(super) async fn openapi() -> Result<Response, Problem> {

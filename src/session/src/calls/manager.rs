@@ -117,6 +117,8 @@ impl Manager {
     ) -> Result<Self, Error> {
         config.validate()?;
         let metrics = Arc::new(Metrics::default());
+        let limit = i64::try_from(config.memory_bytes).unwrap_or(i64::MAX);
+        metrics.bytes_limit.set(limit);
         let ledger = MemoryLedger::new(config.memory_bytes, Arc::clone(&metrics));
         let shared = SharedResources {
             compute: ComputeSlots::new(&config, Arc::clone(&metrics))?,
