@@ -13,10 +13,10 @@ use crate::capacity::work_watch::CancelOnDrop;
 use crate::error::{Error, ErrorCode};
 use crate::keeping::kept_session::KeptSession;
 use crate::keeping::kept_session::MemoryState;
-use crate::registry::{OpenAnimations, OpenSession, OpenStreams, SessionView};
+use crate::registry::{OpenAnimations, OpenSession, OpenStreams};
 use crate::shared::SharedResources;
 use crate::store::{Commit, Generation, HeldSession, NewCommit, NewSession, SessionRecord, now_ms};
-use crate::task::session_task::SessionTask;
+use crate::task::session_task::{SessionTask, view_of};
 use pliant_asset::FileSet;
 use pliant_wire::record::{FileReferences, LoggedCommit, RecordedModel};
 use pliant_wire::{SessionOptions, pb};
@@ -217,17 +217,7 @@ pub(crate) fn start_session(
         build_ms,
         ..
     } = opened;
-    let state = history.current();
-    let view = SessionView {
-        revision: history.revision(),
-        facts: Arc::clone(&state.facts),
-        handles: Arc::clone(&state.handles),
-        poses: state.poses.clone(),
-        build_ms: build_ms.clone(),
-        positions: deformer.engine.rest_shape().positions,
-        digest: state.digest.clone(),
-        history: history.show(),
-    };
+    let view = view_of(&history, &build_ms);
     let (send, commands) = mpsc::channel(shared.config.session_queue);
     let session = Arc::new(OpenSession {
         held: HeldSession {

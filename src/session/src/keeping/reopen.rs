@@ -2,11 +2,11 @@
 
 use crate::answers::Tenant;
 use crate::calls::create::start_session;
-use crate::calls::model_opening::{ModelToOpen, OpenedModel, open_model};
-use crate::calls::model_opening::{OpeningRefusal, SessionPlaces, count_refusal, no_place};
-use crate::capacity::compute_slots::WorkLane;
-use crate::capacity::work_watch::{CancelOnDrop, WorkWatch};
-use crate::capacity::work_watch::{WorkKind, WorkSpan};
+use crate::calls::model_opening::{
+    ModelToOpen, OpenedModel, OpeningRefusal, SessionPlaces, count_refusal, no_place, open_model, opening_stopped,
+    run_opening,
+};
+use crate::capacity::work_watch::{CancelOnDrop, WorkKind, WorkWatch};
 use crate::error::{Error, ErrorCode};
 use crate::keeping::kept_session::KeptSession;
 use crate::keeping::replay::{Replay, ReplayError, ReplayedLog};
@@ -22,7 +22,6 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering::SeqCst;
 use std::time::{Duration, Instant};
-use tracing::Span;
 
 /// How long a node that is about to stop may take to give a session back.
 const GIVEN_BACK_WITHIN: Duration = Duration::from_secs(3);
@@ -228,77 +227,41 @@ async fn replay_log(
     store: &Arc<Store>,
     opened: OpenedModel,
     log: Arc<ReplayedLog>,
-    SessionPlaces { memory, of_tenant, .. }: &SessionPlaces,
+    places: &SessionPlaces,
     guard: &CancelOnDrop,
 ) -> Result<Replayed, OpeningRefusal> {
-    let arrived = Instant::now();
-    let owner = of_tenant.work_owner();
-    let slot = tokio::select! {
-        biased;
-        () = shared.aborted.cancelled() => return Err(Error::draining().into()),
-        slot = shared.compute.slot(WorkLane::Builds, &owner, arrived, shared.config.build) => slot?,
-    };
-    let (limit, room) = (shared.config.history, memory.room());
-    let flags = vec![Arc::clone(&guard.0), Arc::clone(&shared.abort_flag)];
-    let watch = Arc::new(WorkWatch::since(arrived, flags, shared.config.build).within(Arc::clone(memory), 0));
-    let inner_watch = Arc::clone(&watch);
+    let (limit, room) = (shared.config.history, places.memory.room());
     let mut kept = KeptSession::new(Arc::clone(store));
     kept.shape_at = log.snapshot.as_ref().map_or(0, |(sequence, _)| *sequence);
-    let begun = Instant::now();
-    let span = WorkSpan::new(WorkKind::Replay, "", &Span::current());
-    let done = slot.run(span, move |pool| -> Result<Replayed, ReplayError> {
-        let OpenedModel {
-            graph_bytes,
-            mut deformer,
-            mut history,
-            build_ms,
-            ..
-        } = opened;
+    let work = move |exec: &Exec<'_>, _: &WorkWatch| -> Result<Replayed, ReplayError> {
+        let mut opened = opened;
         let mut replay = Replay {
-            deformer: &mut deformer,
-            history: &mut history,
+            deformer: &mut opened.deformer,
+            history: &mut opened.history,
             kept: &mut kept,
             room,
-            exec: &Exec::new(pool, &*inner_watch),
+            exec,
             rerecorded: Vec::new(),
         };
         replay.follow(&log, limit)?;
         let rerecorded = std::mem::take(&mut replay.rerecorded);
-        let held = deformer.byte_size().saturating_add(history.byte_size());
-        let opened = OpenedModel {
-            graph_bytes,
-            deformer,
-            history,
-            build_ms,
-            held,
-        };
+        opened.held = (opened.deformer.byte_size()).saturating_add(opened.history.byte_size());
         Ok((opened, kept, rerecorded))
-    });
-    let done = done.await.map_err(|panicked| {
-        tracing::error!(panic = panicked.0, "following a stored session panicked");
-        Error::from(panicked)
-    })?;
-    of_tenant.account().charge_work(begun.elapsed());
-    let error = match done {
-        Ok(replayed) => return Ok(replayed),
-        Err(error) => error,
     };
-    let refused = match error {
+    let (done, watch) = run_opening(shared, places, WorkKind::Replay, Instant::now(), guard, work).await?;
+    let refused = match done {
+        Ok(replayed) => return Ok(replayed),
         // Nothing is wrong with it: the limits are lower than they were, or others hold the memory.
-        ReplayError::Engine(error @ engine::Error::TooLarge { .. }) => {
+        Err(ReplayError::Engine(error @ engine::Error::TooLarge { .. })) => {
             let text = format!("the stored session does not fit the limits of this server at present: {error}");
             return Err(OpeningRefusal::ServerMemory(no_place(text)));
         }
-        ReplayError::Store(error) => error.into(),
-        ReplayError::Engine(engine::Error::Cancelled) if shared.aborted.is_cancelled() => Error::draining(),
-        ReplayError::Engine(engine::Error::Cancelled) if watch.abandoned() => {
-            Error::new(ErrorCode::Cancelled, "the caller gave up")
+        Err(ReplayError::Store(error)) => error.into(),
+        Err(ReplayError::Engine(engine::Error::Cancelled)) => {
+            let late = "opening the stored session took longer than allowed";
+            opening_stopped(shared, &watch, late.into())
         }
-        ReplayError::Engine(engine::Error::Cancelled) => Error::new(
-            ErrorCode::DeadlineExceeded,
-            "opening the stored session took longer than allowed",
-        ),
-        ReplayError::Engine(error) => {
+        Err(ReplayError::Engine(error)) => {
             let text = format!("what is stored of the session cannot be followed and is not served: {error}");
             Error::new(ErrorCode::DataLoss, text)
         }

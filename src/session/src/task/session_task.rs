@@ -275,21 +275,7 @@ impl SessionTask {
 
     /// Publishes the state.
     pub fn publish_view(&mut self) {
-        let state = self.history.current();
-        // The current shape is always at hand; `go_to_commit` and the commits see to it.
-        let shape = self.history.shape(state.shape);
-        let positions = shape.map(|s| s.positions).unwrap_or_default();
-        let view = SessionView {
-            revision: self.history.revision(),
-            facts: facts_of(state),
-            handles: Arc::clone(&state.handles),
-            poses: state.poses.clone(),
-            build_ms: self.build_ms.clone(),
-            positions,
-            digest: state.digest.clone(),
-            history: self.history.show(),
-        };
-        self.session.publish(view);
+        self.session.publish(view_of(&self.history, &self.build_ms));
         self.count_memory();
     }
 
@@ -299,6 +285,23 @@ impl SessionTask {
         let bytes = engine.saturating_add(self.history.byte_size());
         // What work makes it asks for before; what a pose leaves in the solver is little, and counts anyway.
         let _ = self.memory.resize(bytes);
+    }
+}
+
+/// The state that a history is in, as others see it.
+pub(crate) fn view_of(history: &CommitHistory, build_ms: &BTreeMap<String, f64>) -> SessionView {
+    let state = history.current();
+    // The current shape is always at hand; `go_to_commit` and the commits see to it.
+    let shape = history.shape(state.shape);
+    SessionView {
+        revision: history.revision(),
+        facts: facts_of(state),
+        handles: Arc::clone(&state.handles),
+        poses: state.poses.clone(),
+        build_ms: build_ms.clone(),
+        positions: shape.map(|s| s.positions).unwrap_or_default(),
+        digest: state.digest.clone(),
+        history: history.show(),
     }
 }
 
