@@ -1,7 +1,7 @@
 //! The calls on sessions that answer with JSON; a solve, which may answer with a vertex buffer or the deformed model; and a clip that
 //! drives a session's model, as frames in a row or as a GLB that plays it.
 
-use super::problem::{Problem, clip, clip as shortened};
+use super::problem::{Problem, clip};
 use super::request::{Caller, SessionCall, negotiate, parameters};
 use super::upload::FormReader;
 use super::{body, models};
@@ -340,10 +340,7 @@ async fn received_form(state: &ServerState, request: Request) -> Result<Animatio
             "options" => (&mut parts.options, state.message_bytes),
             "clip" => (&mut parts.clip, clip_bytes),
             other => {
-                let text = format!(
-                    "the form has a part \"{}\"; allowed are options and clip",
-                    shortened(other)
-                );
+                let text = format!("the form has a part \"{}\"; allowed are options and clip", clip(other));
                 return Err(Error::malformed(text).into());
             }
         };
@@ -380,7 +377,7 @@ fn model_answer(played: AnimatedModel) -> Response {
         }
     }
     for warning in warnings {
-        if let Ok(value) = HeaderValue::from_str(&shortened(&warning)) {
+        if let Ok(value) = HeaderValue::from_str(&clip(&warning)) {
             headers.append(HeaderName::from_static("x-pliant-warning"), value);
         }
     }

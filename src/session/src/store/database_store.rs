@@ -2,7 +2,7 @@
 
 use super::location::FolderHold;
 use super::objects::{NAMED_WITHIN, Objects, is_used, note_loose};
-use super::schema::Dialect;
+use super::schema::{Dialect, commit_checksum};
 use super::session_store::{Generation, HeldSession, NewCommit, NewSession, StoreError, UsedSession};
 use super::shared_store::SharedStore;
 use super::write_order::{StoredObject, WriteOrder, first_generation};
@@ -317,10 +317,12 @@ impl Store {
         let gone = || StoreError::Damaged("a commit is gone".into());
         let mut commits = Vec::with_capacity(digests.len());
         for (sequence, digest) in digests {
-            let mut row = self.commit_row(&session.id, sequence).await?.ok_or_else(gone)?;
-            row.digest = digest;
-            build.clone_into(&mut row.build);
-            commits.push(row);
+            let found = self.commit_with_record(&session.id, sequence).await?;
+            let (mut commit, payload) = found.ok_or_else(gone)?;
+            commit.digest = digest;
+            build.clone_into(&mut commit.build);
+            let checksum = commit_checksum(&session.id, commit.record.kind(), &commit, &payload);
+            commits.push((commit, checksum));
         }
         self.write(WriteOrder::RerecordDigests { session, commits }).await
     }

@@ -2,7 +2,7 @@
 
 use super::database_store::Store;
 use super::schema::{
-    COMMIT_COLUMNS, CommitRow, Dialect, Statement, check_format, column, signed, unreadable, unsigned,
+    COMMIT_COLUMNS, Dialect, Statement, check_format, column, read_commit, signed, unreadable, unsigned,
 };
 use super::session_store::{
     Commit, ListedSession, LoggedKey, SessionRecord, StoreError, StoredFacts, StoredSession, StoredSnapshot,
@@ -119,7 +119,7 @@ impl Store {
         let query = format!("SELECT {COMMIT_COLUMNS} FROM commits WHERE session = $1 ORDER BY sequence");
         let rows = self.rows(sqlx::query(AssertSqlSafe(query)).bind(id)).await?;
         let commits: Vec<Commit> = (rows.iter())
-            .map(|row| CommitRow::read(row)?.into_commit())
+            .map(|row| read_commit(row).map(|(commit, _)| commit))
             .collect::<Result<_, _>>()?;
         let newest = unsigned(row.newest)?;
         if !commits.iter().map(|c| c.sequence).eq(0..=newest) {
@@ -159,22 +159,25 @@ impl Store {
     /// Reads one commit.
     pub(crate) async fn commit(&self, session: &str, sequence: u64) -> Result<Option<Commit>, StoreError> {
         self.settle_before_reading().await?;
-        let row = self.explain(self.commit_row(session, sequence).await)?;
-        row.map(CommitRow::into_commit).transpose()
+        let found = self.explain(self.commit_with_record(session, sequence).await)?;
+        Ok(found.map(|(commit, _)| commit))
     }
 
-    /// The row of a commit.
-    pub(super) async fn commit_row(&self, session: &str, sequence: u64) -> Result<Option<CommitRow>, StoreError> {
+    /// A commit with the bytes of its record.
+    pub(super) async fn commit_with_record(
+        &self,
+        session: &str,
+        sequence: u64,
+    ) -> Result<Option<(Commit, Vec<u8>)>, StoreError> {
         let query = format!("SELECT {COMMIT_COLUMNS} FROM commits WHERE session = $1 AND sequence = $2");
         let query = sqlx::query(AssertSqlSafe(query)).bind(session).bind(signed(sequence));
-        self.row(query).await?.as_ref().map(CommitRow::read).transpose()
+        self.row(query).await?.as_ref().map(read_commit).transpose()
     }
 
     async fn one_commit(&self, session: &str, sequence: u64) -> Result<Commit, StoreError> {
-        match self.commit_row(session, sequence).await? {
-            Some(row) => row.into_commit(),
-            None => Err(StoreError::Damaged(format!("commit {sequence} is missing"))),
-        }
+        let missing = || StoreError::Damaged(format!("commit {sequence} is missing"));
+        let found = self.commit_with_record(session, sequence).await?;
+        found.map(|(commit, _)| commit).ok_or_else(missing)
     }
 
     /// Whether the tenant has a session of that id.

@@ -1,8 +1,8 @@
 //! What is written, statement by statement. The writer decides what goes into one transaction.
 
-use super::schema::{CommitRow, RECORD_FORMAT, Statement, checksum, column, signed};
+use super::schema::{RECORD_FORMAT, Statement, checksum, column, commit_checksum, signed};
 use super::session_store::{
-    Generation, HeldSession, NewCommit, NewSession, SessionRecord, StoreError, UsedSession, now_ms,
+    Commit, Generation, HeldSession, NewCommit, NewSession, SessionRecord, StoreError, UsedSession, now_ms,
 };
 use crate::answers::Tenant;
 use crate::audit::audit_entry::AuditEntry;
@@ -37,10 +37,10 @@ pub(super) enum WriteOrder {
         sequence: u64,
         shape: StoredObject,
     },
-    /// Digests of another build.
+    /// Commits with digests of another build, and the checksums of their rows.
     RerecordDigests {
         session: HeldSession,
-        commits: Vec<CommitRow>,
+        commits: Vec<(Commit, Vec<u8>)>,
     },
     /// A session ends.
     Delete { audit: AuditEntry, generation: Generation },
@@ -113,11 +113,11 @@ impl WriteOrder {
                 if !still_has(session, on).await? {
                     return Err(StoreError::Moved);
                 }
-                for row in commits {
+                for (commit, sum) in commits {
                     let update = "UPDATE commits SET digest = $3, build = $4, checksum = $5
                         WHERE session = $1 AND sequence = $2";
-                    let update = sqlx::query(update).bind(&row.session).bind(row.sequence);
-                    execute(update.bind(&row.digest).bind(&row.build).bind(row.checksum()), on).await?;
+                    let update = sqlx::query(update).bind(&session.id).bind(signed(commit.sequence));
+                    execute(update.bind(&commit.digest).bind(&commit.build).bind(&sum[..]), on).await?;
                 }
             }
             Self::Delete { audit, generation } => {
@@ -262,19 +262,20 @@ fn millis(span: std::time::Duration) -> i64 {
 
 /// Writes a commit that was made at `at_ms`; of the first one that is when the session was opened.
 async fn append_commit(
-    commit: &NewCommit,
+    new: &NewCommit,
     objects: &[StoredObject],
     at_ms: u64,
     on: &mut AnyConnection,
 ) -> Result<(), StoreError> {
-    let (row, now) = (CommitRow::of(commit), signed(at_ms));
+    let (HeldSession { id, generation }, commit, now) = (&new.session, &new.commit, signed(at_ms));
+    let (payload, kind, sequence) = (commit.record.write(), commit.record.kind(), signed(commit.sequence));
     // First of all: the row is this writer's until the transaction ends, or nothing is written.
     let newest = "UPDATE sessions SET newest = $2, used_ms = $3, record_bytes = record_bytes + $4
         WHERE id = $1 AND ($5 = 0 OR generation = $5)";
-    let newest = sqlx::query(newest).bind(&row.session).bind(row.sequence).bind(now);
-    let newest = newest.bind(signed(row.payload.len() as u64));
-    if execute(newest.bind(signed(commit.session.generation.0)), on).await? != 1 {
-        return Err(match commit.session.generation {
+    let newest = sqlx::query(newest).bind(id).bind(sequence).bind(now);
+    let newest = newest.bind(signed(payload.len() as u64));
+    if execute(newest.bind(signed(generation.0)), on).await? != 1 {
+        return Err(match generation {
             Generation(0) => StoreError::Damaged("the session's row is gone".into()),
             _ => StoreError::Moved,
         });
@@ -283,33 +284,25 @@ async fn append_commit(
         (session, sequence, revision, kind, digest, build, facts_at, poses_at, at_ms, format, payload, checksum)
         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12)";
     let insert = sqlx::query(insert)
-        .bind(&row.session)
-        .bind(row.sequence)
-        .bind(row.revision);
-    let insert = insert
-        .bind(&row.kind)
-        .bind(&row.digest)
-        .bind(&row.build)
-        .bind(row.facts_at)
-        .bind(row.poses_at);
-    let insert = insert
-        .bind(now)
-        .bind(row.format)
-        .bind(&row.payload[..])
-        .bind(row.checksum());
-    execute(insert, on).await?;
+        .bind(id)
+        .bind(sequence)
+        .bind(signed(commit.revision));
+    let insert = insert.bind(kind).bind(&commit.digest).bind(&commit.build);
+    let insert = insert.bind(signed(commit.facts_at)).bind(signed(commit.poses_at));
+    let insert = insert.bind(now).bind(RECORD_FORMAT).bind(&payload[..]);
+    execute(insert.bind(commit_checksum(id, kind, commit, &payload)), on).await?;
     for object in objects {
-        use_object(&row.session, object, on).await?;
+        use_object(id, object, on).await?;
     }
-    note_audit(&commit.audit, Some(row.sequence), on).await?;
-    if let Some((tenant, key, fingerprint)) = &commit.key {
+    note_audit(&new.audit, Some(sequence), on).await?;
+    if let Some((tenant, key, fingerprint)) = &new.key {
         let insert = "INSERT INTO call_keys (tenant, call_key, fingerprint, session, sequence, at_ms)
             VALUES ($1, $2, $3, $4, $5, $6) ON CONFLICT (tenant, call_key) DO UPDATE SET
             fingerprint = excluded.fingerprint, session = excluded.session, sequence = excluded.sequence,
             at_ms = excluded.at_ms";
         let insert = sqlx::query(insert).bind(&*tenant.0).bind(key);
-        let insert = insert.bind(fingerprint.to_le_bytes().to_vec()).bind(&row.session);
-        execute(insert.bind(row.sequence).bind(now), on).await?;
+        let insert = insert.bind(fingerprint.to_le_bytes().to_vec()).bind(id);
+        execute(insert.bind(sequence).bind(now), on).await?;
     }
     Ok(())
 }
