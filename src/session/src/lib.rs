@@ -66,4 +66,4 @@ pub use metrics::Metrics;
 pub use quota::tenant_account::MOST_TENANTS;
 pub use quota::tenant_account::TenantAccount;
 pub use quota::tenant_quota::{TenantQuota, TenantQuotas};
-pub use stream::ends::{DeformStream, StreamInput, StreamOutput};
+pub use stream::ends::{StreamInput, StreamOutput};

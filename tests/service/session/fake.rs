@@ -17,8 +17,8 @@ use pliant::exec::Exec;
 use pliant::progress::{Cancelled, Progress};
 use pliant::session::store::{Store, StoreError, StoreLocation};
 use pliant::session::{
-    self, CallKey, CommittedPose, DeformStream, Engine, EngineOpener, ExportedModel, Manager, MemoryUse, Metrics,
-    PositionBuffer, SessionConfig, StreamAnswer, StreamInput, StreamOutput, Tenant,
+    self, CallKey, CommittedPose, Engine, EngineOpener, ExportedModel, Manager, MemoryUse, Metrics, PositionBuffer,
+    SessionConfig, StreamAnswer, StreamInput, StreamOutput, Tenant,
 };
 use pliant::wire::{self, DeformOptions, PoseCommit, SessionEdit, SessionOptions, StreamRequest};
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
@@ -558,11 +558,7 @@ pub struct SeenFrame {
 
 impl StreamClient {
     pub async fn open(manager: &Manager, id: &str) -> Self {
-        Self::of(manager.stream(tenant(), id).await.expect("a stream"))
-    }
-
-    pub fn of(stream: DeformStream) -> Self {
-        let (input, output) = stream.split();
+        let (input, output) = manager.stream(tenant(), id).await.expect("a stream");
         Self { input, output }
     }
 

@@ -11,7 +11,7 @@ use crate::calls::manager::Manager;
 use crate::capacity::memory_use::MemoryUse;
 use crate::error::Error;
 use crate::registry::OpenSession;
-use crate::stream::ends::DeformStream;
+use crate::stream::ends::{StreamInput, StreamOutput, stream_ends};
 use crate::stream::mailbox::Mailbox;
 use pliant_asset::Format;
 use pliant_wire::frames::{FrameOutput, f32_bytes};
@@ -73,11 +73,12 @@ impl Manager {
         Ok(PositionBuffer { bytes, etag })
     }
 
-    /// Opens an interactive stream on a session. It starts from the committed poses.
+    /// Opens an interactive stream on a session. It starts from the committed poses. Dropping its output stops its solve within one cycle
+    /// and frees its place.
     ///
     /// # Errors
     /// `NOT_FOUND`, `RESOURCE_EXHAUSTED` when the session has as many streams as allowed, `UNAVAILABLE` while draining.
-    pub async fn stream(&self, tenant: &Tenant, id: &str) -> Result<DeformStream, Error> {
+    pub async fn stream(&self, tenant: &Tenant, id: &str) -> Result<(StreamInput, StreamOutput), Error> {
         let mut session = self.find(tenant, id).await?;
         if self.shared.draining.load(SeqCst) {
             return Err(self.leaving().await);
@@ -112,7 +113,7 @@ impl Manager {
         let inside = self.shared.gate.enter();
         self.note(tenant, AuditedAction::Stream, id).await;
         let held = self.shared.ledger.reserve_later(MemoryUse::Sessions, Some(&account));
-        let stream = DeformStream::new(mailbox, session, metrics, held, inside, place);
+        let stream = stream_ends(mailbox, session, metrics, held, inside, place);
         // A drain that began meanwhile may have missed this stream.
         if self.shared.draining.load(SeqCst) {
             Err(Error::draining())

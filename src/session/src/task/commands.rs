@@ -40,16 +40,12 @@ const FEW_TRIANGLES: u32 = 10_000;
 
 /// The lane of a commit with such options: counting crossings may compare each triangle with each.
 pub(crate) fn lane_of_commit(state: &SessionState, options: &DeformOptions) -> WorkLane {
-    let is_light = !options.output.self_intersections || state.triangles() <= FEW_TRIANGLES;
-    match is_light {
-        true => WorkLane::Interactive,
-        false => WorkLane::Builds,
-    }
+    lane_of_work(!options.output.self_intersections || state.triangles() <= FEW_TRIANGLES)
 }
 
-/// The lane of work that sets handles of a cost.
-fn lane_of_cost(cost: u64) -> WorkLane {
-    match cost <= LIGHT_HANDLES {
+/// The lane of work that is a moment's, or not.
+fn lane_of_work(is_light: bool) -> WorkLane {
+    match is_light {
         true => WorkLane::Interactive,
         false => WorkLane::Builds,
     }
@@ -104,7 +100,7 @@ impl SessionTask {
     pub fn lane_with_handles(&self, lane: WorkLane, state: &SessionState, handles: &CommittedHandles) -> WorkLane {
         let is_loaded = self.deformer.as_ref().is_some_and(|d| d.has_loaded(handles.id));
         match is_loaded {
-            false if lane_of_cost(state.cost_of_handles(&handles.set)) == WorkLane::Builds => WorkLane::Builds,
+            false if state.cost_of_handles(&handles.set) > LIGHT_HANDLES => WorkLane::Builds,
             _ => lane,
         }
     }
@@ -138,7 +134,7 @@ impl RunCall for HandleChange {
         let set = self.apply_to(&state.handles.set, &state.poses)?;
         let limit = task.shared.config.build;
         let topology = state.topology.clone();
-        let lane = lane_of_cost(state.cost_of_handles(&set));
+        let lane = lane_of_work(state.cost_of_handles(&set) <= LIGHT_HANDLES);
         let (poses, facts, stages) = loop {
             let room = task.memory.room();
             let (set, topology) = (set.clone(), topology.clone());
@@ -163,12 +159,7 @@ impl RunCall for HandleChange {
         task.shared.metrics.observe_stages(&stages);
         task.build_ms.extend(stages);
         task.history.commit_handles(set, poses, facts);
-        if let Some(deformer) = &mut task.deformer {
-            deformer.adopt_handles(task.history.current().handles.id);
-        }
-        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
-        task.shared.metrics.commits.inc();
-        task.publish_view();
+        task.adopt_new_handles();
         Ok(task.session.describe())
     }
 }
@@ -229,8 +220,7 @@ impl RunCall for HistoryDirection {
             .ok_or_else(nothing)?;
         task.keep_step(self, index, origin.claim.as_ref()).await?;
         task.history.go_to_commit(index, shape);
-        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
-        task.publish_view();
+        task.publish_other_handles();
         Ok(task.session.describe())
     }
 }
@@ -251,10 +241,7 @@ impl RunCall for CarryOrder {
         let topology = task.history.current().topology.clone();
         let triangles = u64::from(task.history.current().triangles());
         let comparisons = (self.points.len() as u64).saturating_mul(triangles);
-        let lane = match self.model.is_none() && comparisons <= FEW_COMPARISONS {
-            true => WorkLane::Interactive,
-            false => WorkLane::Builds,
-        };
+        let lane = lane_of_work(self.model.is_none() && comparisons <= FEW_COMPARISONS);
         let (carried, watch) = task
             .compute(origin.order(WorkKind::Carry, lane, limit), move |deformer, work| {
                 let exec = work.exec();
@@ -339,6 +326,21 @@ impl SessionTask {
         }
     }
 
+    /// Publishes a change of the handles or of the commit in force: what streams have dragged is void.
+    fn publish_other_handles(&mut self) {
+        self.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
+        self.publish_view();
+    }
+
+    /// The same after a commit whose handles the deformer has already.
+    fn adopt_new_handles(&mut self) {
+        if let Some(deformer) = &mut self.deformer {
+            deformer.adopt_handles(self.history.current().handles.id);
+        }
+        self.shared.metrics.commits.inc();
+        self.publish_other_handles();
+    }
+
     /// Whether a change that found too little memory free may try again, because idle sessions have left it meanwhile.
     pub async fn found_room(&mut self, error: &engine::Error, room: u64) -> bool {
         let needed = memory_needed(error, room).filter(|needed| *needed <= self.shared.ledger.total());
@@ -381,12 +383,7 @@ impl RunCall for SessionEdit {
         task.keep_edit(kept_edit, &edited, &shape, &report, origin.claim.as_ref())
             .await?;
         task.history.commit_edit(edited, shape);
-        if let Some(deformer) = &mut task.deformer {
-            deformer.adopt_handles(task.history.current().handles.id);
-        }
-        task.session.streams.all().iter().for_each(|m| m.forget_dragged_poses());
-        task.shared.metrics.commits.inc();
-        task.publish_view();
+        task.adopt_new_handles();
         report.revision = task.history.revision();
         report.ms = ms;
         Ok(report)
