@@ -1,11 +1,10 @@
 //! A session that is kept: what its task knows of the log, how it is listed from the store alone, and how much of it is in memory.
 
-use crate::store::{ListedSession, NewSession, Store, StoreError, calendar_text};
+use crate::store::{ListedSession, NewSession, Store, StoreError, calendar_text, millis};
 use pliant_wire::record::LoggedCommit;
 use pliant_wire::{handle_poses_message, pb};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Where the parts of a state are in the log: the numbers of the commits that brought them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -82,14 +81,13 @@ impl KeptSession {
 /// A session that is not in memory, as its owner sees it on a server that began at `started_ms`.
 pub(crate) fn listed_facts(session: &ListedSession, started_ms: u64) -> Result<pb::Session, StoreError> {
     let record = &session.record;
-    let ttl = u64::try_from(record.ttl.as_millis()).unwrap_or(u64::MAX);
-    let end = Duration::from_millis(session.used_ms.max(started_ms).saturating_add(ttl));
-    let end = UNIX_EPOCH.checked_add(end).unwrap_or(SystemTime::UNIX_EPOCH);
+    let ttl = millis(record.ttl);
+    let end = session.used_ms.max(started_ms).saturating_add(ttl);
     Ok(pb::Session {
         id: record.id.clone(),
         revision: session.newest.revision,
         created_at: calendar_text(record.created_ms),
-        expires_at: humantime::format_rfc3339_millis(end).to_string(),
+        expires_at: calendar_text(end),
         label: record.label.clone(),
         ..state_facts(&session.facts, &session.poses)?
     })

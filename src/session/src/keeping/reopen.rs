@@ -13,7 +13,9 @@ use crate::keeping::replay::{Replay, ReplayError, ReplayedLog};
 use crate::keeping::sweep::evict_idle;
 use crate::registry::OpenSession;
 use crate::shared::SharedResources;
-use crate::store::{Generation, HeldSession, SessionClaim, Store, StoreError, StoredSession, now_ms, read_shape};
+use crate::store::{
+    Generation, HeldSession, SessionClaim, Store, StoreError, StoredSession, millis, now_ms, read_shape,
+};
 use pliant_asset::FileSet;
 use pliant_core::engine;
 use pliant_exec::Exec;
@@ -117,8 +119,8 @@ async fn open_claimed(
         tracing::error!(session.id = %id, "a stored session cannot be read: {error}");
     })?;
     let stored = stored.ok_or_else(|| Error::no_session(id))?;
-    let ttl_ms = u64::try_from(stored.record.ttl.as_millis()).unwrap_or(u64::MAX);
-    if stored.used_ms.max(shared.started_ms).saturating_add(ttl_ms) < now_ms() {
+    let last_use = stored.used_ms.max(shared.started_ms);
+    if last_use.saturating_add(millis(stored.record.ttl)) < now_ms() {
         return Err(Error::no_session(id));
     }
     open_stored(shared, store, stored, generation)

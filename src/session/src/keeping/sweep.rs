@@ -6,7 +6,7 @@ use crate::audit::audit_entry::{AuditEntry, AuditedAction};
 use crate::registry::DepartingSessions;
 use crate::registry::OpenSession;
 use crate::shared::SharedResources;
-use crate::store::{Generation, HeldSession, Store, StoreError, UsedSession, now_ms};
+use crate::store::{Generation, HeldSession, Store, StoreError, UsedSession, ms_ago, now_ms};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
 use std::collections::BTreeMap;
@@ -87,8 +87,7 @@ async fn sweep(
         tracing::info!(session.id = %id, "stored session expired");
     }
     if round.is_multiple_of(KEYS_EVERY) {
-        let age = u64::try_from(shared.config.idempotency_age.as_millis()).unwrap_or(u64::MAX);
-        store.forget_keys(now_ms().saturating_sub(age)).await?;
+        store.forget_keys(ms_ago(shared.config.idempotency_age)).await?;
         forget_audit(shared, store).await?;
     }
     if let Some(others) = others.filter(|_| is_turn) {
@@ -115,11 +114,8 @@ pub(crate) async fn note_uses(
     store: &Store,
     noted: &mut BTreeMap<String, u64>,
 ) -> Result<(), StoreError> {
-    let now = now_ms();
-    let uses = shared.registry.all().into_iter().map(|session| {
-        let ago = u64::try_from(session.lease.last_use().elapsed().as_millis()).unwrap_or(u64::MAX);
-        (session.held.clone(), now.saturating_sub(ago))
-    });
+    let sessions = shared.registry.all().into_iter();
+    let uses = sessions.map(|session| (session.held.clone(), ms_ago(session.lease.last_use().elapsed())));
     let held: Vec<(HeldSession, u64)> = uses.collect();
     let uses: BTreeMap<String, u64> = held.iter().map(|(held, at)| (held.id.clone(), *at)).collect();
     let changed = |(held, at): &(HeldSession, u64)| noted.get(&held.id).is_none_or(|before| *at > before + 500);

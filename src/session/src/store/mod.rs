@@ -38,7 +38,7 @@ pub(crate) use objects::{read_shape, write_shape};
 pub use read_only_store::{AuditFilter, CheckedSession, read_audit};
 pub(crate) use session_store::{
     Commit, HeldSession, ListedSession, LoggedKey, NewCommit, NewSession, SessionClaim, SessionRecord, StoredSession,
-    UsedSession,
+    UsedSession, millis, ms_ago,
 };
 pub use session_store::{Generation, NodeIdentity, NodeLoad, StoreError, StoredFacts, calendar_text, now_ms};
 pub(crate) use shared_store::SharedStore;

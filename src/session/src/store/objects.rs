@@ -12,8 +12,8 @@
 
 use super::bucket::open_bucket;
 use super::location::{make_private_folder, sync_folder};
-use super::schema::{DATABASE_NOW, column, unreadable};
-use super::session_store::StoreError;
+use super::schema::{DATABASE_NOW, column, signed, unreadable};
+use super::session_store::{StoreError, millis};
 use bytes::Bytes;
 use futures::TryStreamExt as _;
 use glam::DVec3;
@@ -407,10 +407,6 @@ pub(super) const NAMED_WITHIN: Duration = Duration::from_secs(1200);
 /// Objects of one sweep.
 const MOST: i64 = 200;
 
-fn grace_ms() -> i64 {
-    i64::try_from(GRACE.as_millis()).unwrap_or(i64::MAX)
-}
-
 /// Notes an object that is about to be written and named, or that lost a name. Waits while a node removes it.
 pub(super) async fn note_loose(object: &str, on: impl sqlx::AnyExecutor<'_>) -> Result<(), StoreError> {
     let note = format!(
@@ -425,7 +421,10 @@ pub(super) async fn note_loose(object: &str, on: impl sqlx::AnyExecutor<'_>) -> 
 pub(super) async fn remove_loose(pool: &AnyPool, objects: &Objects) -> Result<(), StoreError> {
     let find =
         format!("SELECT object FROM loose_objects WHERE since_ms < {DATABASE_NOW} - $1 ORDER BY since_ms LIMIT {MOST}");
-    let rows = sqlx::query(AssertSqlSafe(find)).bind(grace_ms()).fetch_all(pool).await;
+    let rows = sqlx::query(AssertSqlSafe(find))
+        .bind(signed(millis(GRACE)))
+        .fetch_all(pool)
+        .await;
     for row in &rows.map_err(unreadable)? {
         remove_one(pool, objects, &column::<String>(row, 0)?).await?;
     }
@@ -445,7 +444,9 @@ async fn remove_one(pool: &AnyPool, objects: &Objects, object: &str) -> Result<(
     let lock = format!(
         "SELECT object FROM loose_objects WHERE object = $1 AND since_ms < {DATABASE_NOW} - $2 FOR UPDATE SKIP LOCKED"
     );
-    let locked = sqlx::query(AssertSqlSafe(lock)).bind(object).bind(grace_ms());
+    let locked = sqlx::query(AssertSqlSafe(lock))
+        .bind(object)
+        .bind(signed(millis(GRACE)));
     if (locked.fetch_optional(&mut *transaction).await.map_err(unreadable)?).is_none() {
         return Ok(());
     }

@@ -270,8 +270,17 @@ pub(crate) struct UsedSession {
 
 /// Milliseconds since 1970.
 pub fn now_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+    millis(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default())
+}
+
+/// The whole milliseconds of a time.
+pub(crate) fn millis(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
+}
+
+/// When something was used so long ago, in milliseconds since 1970.
+pub(crate) fn ms_ago(ago: Duration) -> u64 {
+    now_ms().saturating_sub(millis(ago))
 }
 
 /// Milliseconds since 1970 on the calendar (RFC 3339, UTC).

@@ -3,7 +3,7 @@
 
 use super::objects::{Objects, remove_loose};
 use super::schema::{DATABASE_NOW, column, signed, unreadable, unsigned};
-use super::session_store::{Generation, HeldSession, NodeIdentity, NodeLoad, SessionClaim, StoreError};
+use super::session_store::{Generation, HeldSession, NodeIdentity, NodeLoad, SessionClaim, StoreError, millis};
 use super::writer::{StoreHealth, Writer};
 use crate::answers::Tenant;
 use crate::error::OwnerAddress;
@@ -99,7 +99,7 @@ impl SharedStore {
             memory_used = excluded.memory_used, memory_total = excluded.memory_total, work = excluded.work
             RETURNING lapses"
         );
-        let lease_ms = i64::try_from(self.node.lease.as_millis()).unwrap_or(i64::MAX);
+        let lease_ms = signed(millis(self.node.lease));
         let renew = sqlx::query(AssertSqlSafe(renew))
             .bind(&self.id)
             .bind(&self.node.name)

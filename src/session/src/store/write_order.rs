@@ -2,7 +2,7 @@
 
 use super::schema::{RECORD_FORMAT, Statement, checksum, column, commit_checksum, signed};
 use super::session_store::{
-    Commit, Generation, HeldSession, NewCommit, NewSession, SessionRecord, StoreError, UsedSession, now_ms,
+    Commit, Generation, HeldSession, NewCommit, NewSession, SessionRecord, StoreError, UsedSession, millis, now_ms,
 };
 use crate::answers::Tenant;
 use crate::audit::audit_entry::AuditEntry;
@@ -241,7 +241,7 @@ async fn create_session(
     let tenant = &*tenant.0;
     let insert = "INSERT INTO tenants (tenant, created_ms) VALUES ($1, $2) ON CONFLICT (tenant) DO NOTHING";
     execute(sqlx::query(insert).bind(tenant).bind(signed(now_ms())), on).await?;
-    let (number, ttl) = (signed(*number), millis(*ttl));
+    let (number, ttl) = (signed(*number), signed(millis(*ttl)));
     let sum = session_checksum(id, tenant, model, [number, ttl]);
     let insert =
         "INSERT INTO sessions (id, tenant, number, ttl_ms, used_ms, newest, format, model, checksum, record_bytes, owner, generation)
@@ -253,11 +253,6 @@ async fn create_session(
     execute(insert.bind(signed(first_generation(owner).0)), on)
         .await
         .map(drop)
-}
-
-/// Milliseconds of a time to live.
-fn millis(span: std::time::Duration) -> i64 {
-    i64::try_from(span.as_millis()).unwrap_or(i64::MAX)
 }
 
 /// Writes a commit that was made at `at_ms`; of the first one that is when the session was opened.

@@ -7,7 +7,7 @@ use crate::calls::command::{
     CallOrigin, ExportModel, HandleChange, HistoryDirection, PrepareAnimation, QueuedCall, RecallPose, SessionCommand,
     TaskCall, WorkOrder,
 };
-use crate::calls::model_opening::memory_needed;
+use crate::calls::model_opening::{count_refusal, memory_needed, no_place};
 use crate::capacity::compute_slots::WorkLane;
 use crate::capacity::memory_ledger::MemoryShortage;
 use crate::capacity::work_watch::{Work, WorkKind, WorkWatch};
@@ -314,13 +314,12 @@ impl SessionTask {
     pub fn memory_failure(&self, error: engine::Error, room: u64, watch: &WorkWatch) -> Error {
         match memory_needed(&error, room).filter(|needed| *needed <= self.shared.ledger.total()) {
             Some(needed) => {
-                self.shared.metrics.refused.inc();
                 let shortage = self.memory.shortage(needed);
                 let text = format!(
                     "the session would need {needed} bytes of memory, and {shortage}; {} of them are the session's own",
                     self.memory.bytes()
                 );
-                Error::exhausted(text, 5)
+                count_refusal(&self.shared, no_place(text))
             }
             None => self.failure(error, watch),
         }
@@ -404,9 +403,8 @@ impl RunCall for PrepareAnimation {
             let needed = (bytes.len() as u64).saturating_mul(BYTES_PER_CLIP_BYTE);
             let reserved = task.memory.grow_to(task.memory.bytes().saturating_add(needed));
             reserved.map_err(|shortage| {
-                task.shared.metrics.refused.inc();
                 let text = format!("reading the clip would need {needed} bytes of memory, and {shortage}");
-                Error::exhausted(text, 5)
+                count_refusal(&task.shared, no_place(text))
             })?;
         }
         let (prepared, watch) = task

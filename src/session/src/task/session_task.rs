@@ -20,7 +20,7 @@ use crate::keeping::kept_session::{KeptSession, MemoryState};
 use crate::quota::tenant_account::TenantSession;
 use crate::registry::{OpenSession, SessionView};
 use crate::shared::SharedResources;
-use crate::store::now_ms;
+use crate::store::ms_ago;
 use crate::stream::mailbox::{Mailbox, WaitingPose};
 use pliant_core::engine;
 use pliant_exec::progress::Progress as _;
@@ -411,8 +411,7 @@ impl SessionTask {
         let Some(ownership) = self.kept.as_ref().and_then(|kept| kept.store.ownership()) else {
             return;
         };
-        let ago = u64::try_from(self.session.lease.last_use().elapsed().as_millis()).unwrap_or(u64::MAX);
-        let used_ms = now_ms().saturating_sub(ago);
+        let used_ms = ms_ago(self.session.lease.last_use().elapsed());
         if let Err(error) = ownership.release(&self.session.held, used_ms).await {
             tracing::warn!(session.id = %self.session.id, "the session stays this node's: {error}");
         }
